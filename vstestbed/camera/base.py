@@ -1,0 +1,69 @@
+"""What every lens shares: size, rate, latency, mount, how its picture is made; and the Frame it gives."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import numpy as np
+from annotated_types import Ge, Gt, Le
+from numpy.typing import NDArray
+
+from vstestbed.geometry import Array, Pose
+from vstestbed.spec import spec
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """A picture and the time it was taken: t [s], image (H, W, 3) uint8 RGB."""
+
+    t: float
+    image: NDArray[np.uint8]
+
+
+@spec
+class Camera(ABC):
+    """A calibrated camera on a robot.
+
+    Args:
+        width, height: picture size [px].
+        rate_hz: pictures a second.
+        latency_s: time from exposure until the law has the picture [s].
+        mount: pose of the camera in the robot's flange (or body) frame.
+        multisampling: samples per pixel of the rendered picture (0: one sample, cheap, jagged marker borders).
+        shadows: whether the servo camera's picture has shadows (cost: several times the frame).
+        renderer: `gl` (OpenGL) or `auto` (the best that works on this machine).
+    """
+
+    width: Annotated[int, Ge(8), Le(8192)] = 640
+    height: Annotated[int, Ge(8), Le(8192)] = 480
+    rate_hz: Annotated[float, Gt(0), Le(1000)] = 25.0
+    latency_s: Annotated[float, Ge(0), Le(60)] = 0.0
+    mount: Pose = Pose()
+    multisampling: Literal[0, 2, 4, 8, 16] = 0
+    shadows: bool = False
+    renderer: Literal["auto", "gl"] = "auto"
+
+    @property
+    def period(self) -> float:
+        """Time between pictures [s]."""
+        return 1.0 / self.rate_hz
+
+    @abstractmethod
+    def project(self, p_camera: Array) -> Array:
+        """Pixels uv (..., N, 2) of points p_camera (..., N, 3) [m]; NaN where the lens cannot see that direction."""
+
+    @abstractmethod
+    def ray(self, uv: Array) -> Array:
+        """Unit rays (..., N, 3) in the camera frame of pixels uv (..., N, 2): the inverse of `project`."""
+
+    @abstractmethod
+    def normalise(self, uv: Array) -> Array:
+        """Normalised coordinates xy (..., N, 2) = (X/Z, Y/Z) of pixels uv (..., N, 2)."""
+
+    def inside(self, uv: Array, margin: float = 0.0) -> NDArray[np.bool_]:
+        """Whether pixels uv (..., N, 2) lie in the picture, at least `margin` px from its border; NaN does not."""
+        high = np.array([self.width, self.height]) - 0.5 - margin
+        with np.errstate(invalid="ignore"):
+            return np.all((uv >= -0.5 + margin) & (uv <= high), axis=-1)

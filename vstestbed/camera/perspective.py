@@ -1,0 +1,129 @@
+"""The perspective camera, with OpenCV's radial-tangential distortion."""
+
+from __future__ import annotations
+
+import math
+from functools import cached_property
+from typing import Annotated, Literal
+
+import numpy as np
+from annotated_types import Gt, Len, Lt
+
+from vstestbed.camera.base import Camera
+from vstestbed.errors import ParameterError
+from vstestbed.geometry import Array
+from vstestbed.spec import spec
+
+DEFAULT_FOVY_DEG = 64.0
+"""8 mm lens on a 10.24 mm sensor, the textbook's default camera (Corke 2017, section 11.1.2) at 4:3."""
+
+
+@spec
+class Perspective(Camera):
+    """Pinhole with square pixels: u = f x_d + cx, v = f y_d + cy.
+
+    (x_d, y_d) is (X/Z, Y/Z) after the distortion k = (k1, k2, p1, p2, k3), r^2 = x^2 + y^2:
+    x_d = x (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2), y_d alike with p1 and p2 exchanged.
+
+    Args:
+        fovy_deg: full vertical field of view [deg], f = (H/2) / tan(fovy/2); default 64.
+        focal_length_m, pixel_size_m: instead of fovy_deg, lens and pixel pitch [m], f = focal_length / pixel_size.
+        principal_px: (cx, cy) [px]; default the middle of the picture ((W-1)/2, (H-1)/2).
+        distortion: (k1, k2, p1, p2, k3), applied to the rendered picture.
+
+    Reference: Brown 1971; OpenCV's calibration module for the order of the coefficients.
+    """
+
+    kind: Literal["perspective"] = "perspective"
+    fovy_deg: Annotated[float, Gt(0), Lt(175)] | None = None
+    focal_length_m: Annotated[float, Gt(0)] | None = None
+    pixel_size_m: Annotated[float, Gt(0)] | None = None
+    principal_px: Annotated[tuple[float, ...], Len(2, 2)] | None = None
+    distortion: Annotated[tuple[float, ...], Len(5, 5)] | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse contradictory intrinsics and a distortion that folds the picture over itself."""
+        if (self.focal_length_m is None) != (self.pixel_size_m is None):
+            missing = "pixel_size_m" if self.pixel_size_m is None else "focal_length_m"
+            raise ParameterError(missing, "is missing: a lens is given by focal_length_m and pixel_size_m together")
+        if self.focal_length_m is not None and self.fovy_deg is not None:
+            raise ParameterError("fovy_deg", "and focal_length_m say the same thing twice; give one of them")
+        if self.principal_px is not None and not self.inside(np.array(self.principal_px)):
+            raise ParameterError("principal_px", f"must lie in the {self.width} x {self.height} picture", self.principal_px)
+        if self.distortion is not None:
+            self._check_distortion()
+
+    def _check_distortion(self) -> None:
+        u, v = self.width - 0.5, self.height - 0.5
+        half = np.array([[-0.5, v / 2], [u, v / 2], [u / 2, -0.5], [u / 2, v]])
+        border = np.concatenate([half, [[-0.5, -0.5], [u, -0.5], [u, v], [-0.5, v]]])
+        xy = self.normalise(border)
+        back = self._distort(xy) * self.f + self.centre
+        if not np.allclose(back, border, atol=1e-3):
+            raise ParameterError("distortion", "folds the picture over itself before its corners; use smaller coefficients", self.distortion)
+
+    @cached_property
+    def f(self) -> float:
+        """Focal length [px]."""
+        if self.focal_length_m is not None and self.pixel_size_m is not None:
+            return self.focal_length_m / self.pixel_size_m
+        return self.height / 2 / math.tan(math.radians(self.fovy_deg or DEFAULT_FOVY_DEG) / 2)
+
+    @cached_property
+    def centre(self) -> Array:
+        """Principal point (cx, cy) [px], shape (2,)."""
+        if self.principal_px is not None:
+            return np.array(self.principal_px, dtype=float)
+        return np.array([(self.width - 1) / 2, (self.height - 1) / 2])
+
+    @cached_property
+    def K(self) -> Array:
+        """Intrinsic matrix (3, 3) in pixels."""
+        return np.array([[self.f, 0, self.centre[0]], [0, self.f, self.centre[1]], [0, 0, 1.0]])
+
+    def project(self, p_camera: Array) -> Array:
+        """Pixels uv (..., N, 2) of points (..., N, 3); NaN for points at or behind the lens (Z <= 0)."""
+        z = p_camera[..., 2:]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            xy = np.where(z > 0, p_camera[..., :2] / z, np.nan)
+        if self.distortion is not None:
+            xy = self._distort(xy)
+        return xy * self.f + self.centre
+
+    def normalise(self, uv: Array) -> Array:
+        """Normalised, undistorted coordinates xy (..., N, 2) of pixels uv (..., N, 2)."""
+        xy_d = (uv - self.centre) / self.f
+        return xy_d if self.distortion is None else self._undistort(xy_d)
+
+    def ray(self, uv: Array) -> Array:
+        """Unit rays (..., N, 3) of pixels uv (..., N, 2)."""
+        xy = self.normalise(uv)
+        p = np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1)
+        return p / np.linalg.norm(p, axis=-1, keepdims=True)
+
+    def _distort(self, xy: Array) -> Array:
+        k1, k2, p1, p2, k3 = self.distortion or (0.0,) * 5
+        x, y = xy[..., 0], xy[..., 1]
+        r2 = x * x + y * y
+        radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        x_d = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
+        y_d = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+        return np.stack([x_d, y_d], axis=-1)
+
+    def _undistort(self, xy_d: Array) -> Array:
+        """Invert `_distort` by Newton's method with the analytic Jacobian (quadratic: 10 rounds reach rounding)."""
+        k1, k2, p1, p2, k3 = self.distortion or (0.0,) * 5
+        xy = xy_d.copy()
+        for _ in range(10):
+            x, y = xy[..., 0], xy[..., 1]
+            r2 = x * x + y * y
+            radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+            slope = 2 * (k1 + r2 * (2 * k2 + r2 * 3 * k3))
+            a = radial + slope * x * x + 2 * p1 * y + 6 * p2 * x
+            b = slope * x * y + 2 * p1 * x + 2 * p2 * y
+            d = radial + slope * y * y + 6 * p1 * y + 2 * p2 * x
+            residual = self._distort(xy) - xy_d
+            det = a * d - b * b
+            step = np.stack([d * residual[..., 0] - b * residual[..., 1], a * residual[..., 1] - b * residual[..., 0]], axis=-1)
+            xy = xy - step / det[..., None]
+        return xy

@@ -1,0 +1,50 @@
+"""Image points in normalised Cartesian coordinates."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from vstestbed.errors import ParameterError
+from vstestbed.geometry import Array
+from vstestbed.spec import spec
+
+
+@spec
+class Point:
+    """The coordinates (x, y) = (X/Z, Y/Z) of each point; rows of one point stand together: x1, y1, x2, y2, ...
+
+    x_dot = -vx/Z + x vz/Z + x y wx - (1 + x^2) wy + y wz
+    y_dot = -vy/Z + y vz/Z + (1 + y^2) wx - x y wy - x wz
+
+    Reference: Chaumette & Hutchinson 2006, eq. 11, doi:10.1109/MRA.2006.250573.
+    """
+
+    kind: Literal["point"] = "point"
+
+    def measure(self, xy: Array) -> Array:
+        """s (..., 2N) of xy (..., N, 2)."""
+        return xy.reshape(*xy.shape[:-2], 2 * xy.shape[-2])
+
+    def interaction(self, xy: Array, depth: Array) -> Array:
+        """L (..., 2N, 6) of xy (..., N, 2) and depth (..., N) [m].
+
+        Raises:
+            ParameterError: the shapes do not belong together.
+        """
+        xy, depth = np.asarray(xy, dtype=float), np.asarray(depth, dtype=float)
+        if xy.shape[-1] != 2 or xy.shape[:-1] != depth.shape:
+            raise ParameterError("depth", f"must have the shape (..., N) of xy (..., N, 2) = {xy.shape}", depth.shape)
+        x, y, inv_z = xy[..., 0], xy[..., 1], 1.0 / depth
+        L = np.zeros((*xy.shape, 6))
+        L[..., 0, 0] = L[..., 1, 1] = -inv_z
+        L[..., 0, 2], L[..., 1, 2] = x * inv_z, y * inv_z
+        L[..., 0, 3], L[..., 1, 3] = x * y, 1 + y * y
+        L[..., 0, 4], L[..., 1, 4] = -(1 + x * x), -x * y
+        L[..., 0, 5], L[..., 1, 5] = y, -x
+        return L.reshape(*xy.shape[:-2], 2 * xy.shape[-2], 6)
+
+    def error(self, s: Array, s_star: Array) -> Array:
+        """e = s - s*, shape (..., 2N)."""
+        return s - s_star

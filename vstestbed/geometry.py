@@ -1,0 +1,155 @@
+"""Frames, twists and adjoints.
+
+Poses are 4x4 arrays `T_a_b` that map b-coordinates to a (inner names meet: `T_world_camera @ T_camera_target`).
+Spatialmath's SE3 stands at the edges (`Pose.SE3`); the time loop uses plain arrays, which cost a fourth of it.
+A twist is (vx, vy, vz, wx, wy, wz) of a frame, expressed in that frame unless the name says otherwise.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+from annotated_types import Len
+from numpy.typing import NDArray
+
+from vstestbed.spec import spec
+
+if TYPE_CHECKING:
+    from spatialmath import SE3
+
+Array = NDArray[np.float64]
+Triple = Annotated[tuple[float, ...], Len(3, 3)]
+
+FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
+"""Computer-vision camera axes (z forward, y down) from OpenGL's (z backward, y up), and back: its own inverse."""
+
+
+@spec
+class Pose:
+    """A pose as people write it: a translation [m] and roll-pitch-yaw angles [deg], R = Rz(yaw) Ry(pitch) Rx(roll)."""
+
+    xyz: Triple = (0.0, 0.0, 0.0)
+    rpy_deg: Triple = (0.0, 0.0, 0.0)
+
+    @cached_property
+    def T(self) -> Array:
+        """The homogeneous matrix, shape (4, 4)."""
+        return np.array(self.SE3().A, dtype=float)
+
+    def SE3(self) -> SE3:
+        """The same pose as a spatialmath object."""
+        from spatialmath import SE3
+
+        return SE3.Trans(*self.xyz) * SE3.RPY(list(self.rpy_deg), order="zyx", unit="deg")
+
+
+def skew(w: Array) -> Array:
+    """Cross-product matrix: skew(w) @ p = w x p. w (..., 3) to (..., 3, 3)."""
+    w = np.asarray(w, dtype=float)
+    S = np.zeros((*w.shape[:-1], 3, 3))
+    S[..., 2, 1], S[..., 0, 2], S[..., 1, 0] = w[..., 0], w[..., 1], w[..., 2]
+    return S - np.swapaxes(S, -1, -2)
+
+
+def inverse(T: Array) -> Array:
+    """Inverse of a rigid transform, shape (..., 4, 4)."""
+    R_t = np.swapaxes(T[..., :3, :3], -1, -2)
+    out = np.zeros_like(T)
+    out[..., :3, :3] = R_t
+    out[..., :3, 3] = -(R_t @ T[..., :3, 3:])[..., 0]
+    out[..., 3, 3] = 1.0
+    return out
+
+
+def transform(T: Array, p: Array) -> Array:
+    """Map points p (..., N, 3) by T (..., 4, 4)."""
+    return p @ np.swapaxes(T[..., :3, :3], -1, -2) + T[..., None, :3, 3]
+
+
+def exp(xi: Array) -> Array:
+    """SE(3) exponential of a twist times a duration, xi (..., 6) to (..., 4, 4).
+
+    With theta = |w|:  R = I + a S + b S^2,  t = (I + b S + c S^2) v,
+    a = sin(theta)/theta, b = (1 - cos(theta))/theta^2, c = (1 - a)/theta^2 (series below 1e-4 rad).
+
+    Reference: Lynch & Park 2017, Modern Robotics, eqs 3.51 and 3.88.
+    """
+    xi = np.asarray(xi, dtype=float)
+    v, w = xi[..., :3], xi[..., 3:]
+    theta2 = np.einsum("...i,...i->...", w, w)
+    theta = np.sqrt(theta2)
+    small = theta < 1e-4
+    safe = np.where(small, 1.0, theta)
+    a = np.where(small, 1 - theta2 / 6, np.sin(safe) / safe)
+    b = np.where(small, 0.5 - theta2 / 24, 2 * np.sin(safe / 2) ** 2 / safe**2)
+    c = np.where(small, 1 / 6 - theta2 / 120, (safe - np.sin(safe)) / safe**3)
+    S = skew(w)
+    S2 = S @ S
+    out = np.zeros((*xi.shape[:-1], 4, 4))
+    a, b, c = a[..., None, None], b[..., None, None], c[..., None, None]
+    eye = np.eye(3)
+    out[..., :3, :3] = eye + a * S + b * S2
+    out[..., :3, 3] = ((eye + b * S + c * S2) @ v[..., None])[..., 0]
+    out[..., 3, 3] = 1.0
+    return out
+
+
+def adjoint(T_a_b: Array) -> Array:
+    """Twist transform: twist_a = adjoint(T_a_b) @ twist_b for two frames on one body, [[R, [t]x R], [0, R]].
+
+    Reference: Corke 2017, Robotics, Vision & Control, eq. 3.16 (order (v, w)).
+    """
+    R = T_a_b[..., :3, :3]
+    out = np.zeros((*T_a_b.shape[:-2], 6, 6))
+    out[..., :3, :3] = out[..., 3:, 3:] = R
+    out[..., :3, 3:] = skew(T_a_b[..., :3, 3]) @ R
+    return out
+
+
+def rotation_angle(R: Array) -> Array:
+    """Angle of a rotation (..., 3, 3) in [0, pi] rad; exact near 0 and near pi (half-angle arc tangent)."""
+    sine = np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], axis=-1)
+    return np.arctan2(np.linalg.norm(sine, axis=-1), np.trace(R, axis1=-2, axis2=-1) - 1)
+
+
+def quaternion_wxyz(R: Array) -> Array:
+    """Unit quaternion (w, x, y, z), w >= 0, of one rotation matrix (3, 3).
+
+    The column of 4 q q^T with the largest diagonal element, normalised: no small divisor anywhere.
+    Reference: Shepperd 1978, doi:10.2514/3.55767b.
+    """
+    m = np.array(
+        [
+            [1 + R[0, 0] + R[1, 1] + R[2, 2], R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]],
+            [R[2, 1] - R[1, 2], 1 + R[0, 0] - R[1, 1] - R[2, 2], R[0, 1] + R[1, 0], R[0, 2] + R[2, 0]],
+            [R[0, 2] - R[2, 0], R[0, 1] + R[1, 0], 1 - R[0, 0] + R[1, 1] - R[2, 2], R[1, 2] + R[2, 1]],
+            [R[1, 0] - R[0, 1], R[0, 2] + R[2, 0], R[1, 2] + R[2, 1], 1 - R[0, 0] - R[1, 1] + R[2, 2]],
+        ]
+    )
+    q = m[int(np.argmax(np.diag(m)))]
+    q = q / np.linalg.norm(q)
+    return -q if q[0] < 0 else q
+
+
+def rotation_from_quaternion(q_wxyz: Array) -> Array:
+    """Rotation matrix (..., 3, 3) of a unit quaternion (..., 4) in the order (w, x, y, z)."""
+    q = np.asarray(q_wxyz, dtype=float)
+    w, u = q[..., 0, None, None], q[..., 1:]
+    S = skew(u)
+    return np.eye(3) + 2 * w * S + 2 * S @ S
+
+
+def pose_from(position: Array, q_wxyz: Array) -> Array:
+    """Homogeneous matrix (4, 4) from a position (3,) and a quaternion (w, x, y, z)."""
+    T = np.eye(4)
+    T[:3, :3] = rotation_from_quaternion(q_wxyz)
+    T[:3, 3] = position
+    return T
+
+
+def rigid_error(T_a: Array, T_b: Array) -> tuple[float, float]:
+    """Distance [m] of the origins and angle [rad] between two poses (4, 4)."""
+    angle = rotation_angle(T_a[:3, :3].T @ T_b[:3, :3])
+    return float(np.linalg.norm(T_a[:3, 3] - T_b[:3, 3])), float(angle)

@@ -1,0 +1,111 @@
+"""The contract of a law, its Command, and what laws share: gains, limits on the twist."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal, Protocol, TypeVar
+
+import numpy as np
+from annotated_types import Gt
+
+from vstestbed.errors import ParameterError
+from vstestbed.geometry import Array
+from vstestbed.observation import Goal, Observation
+from vstestbed.spec import OneOf, spec
+
+M = TypeVar("M")
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """What a law orders: u (n,) in the robot's motion space, the camera twist (6,) = basis @ u it stands for.
+
+    `held` is why a law orders rest although the goal is not reached ("" while it works).
+    """
+
+    u: Array
+    twist: Array
+    held: str = ""
+
+    @classmethod
+    def rest(cls, basis: Array, why: str) -> Command:
+        """Stand still, for the reason `why`."""
+        return cls(u=np.zeros(basis.shape[1]), twist=np.zeros(6), held=why)
+
+
+class Law(Protocol[M]):
+    """A control law: parameters frozen in the object, memory passed through."""
+
+    @property
+    def kind(self) -> str:
+        """The law's word in a scenario."""
+        ...
+
+    def init(self, goal: Goal) -> M:
+        """The memory before the first frame."""
+        ...
+
+    def step(self, memory: M, observation: Observation, goal: Goal, basis: Array) -> tuple[M, Command]:
+        """One frame: the next memory and the command. basis (6, n): the camera twists that the robot can make."""
+        ...
+
+
+@spec
+class ConstantGain:
+    """lambda = value [1/s], whatever the error."""
+
+    kind: Literal["constant"] = "constant"
+    value: Annotated[float, Gt(0)] = 0.5
+
+    def at(self, error: Array) -> float:
+        """The gain [1/s] at an error vector."""
+        return self.value
+
+
+@spec
+class AdaptiveGain:
+    """High near the goal, low far away: lambda(x) = (l0 - linf) exp(-slope x / (l0 - linf)) + linf, x = |e|_inf.
+
+    Args:
+        at_zero: l0, gain at zero error [1/s].
+        at_infinity: linf, gain at large error [1/s], under at_zero.
+        slope_at_zero: how steeply it falls at x = 0 [1/s per unit of error].
+
+    Reference: Marchand, Spindler & Chaumette 2005, doi:10.1109/MRA.2005.1577023 (adaptive gain of their library).
+    """
+
+    kind: Literal["adaptive"] = "adaptive"
+    at_zero: Annotated[float, Gt(0)] = 4.0
+    at_infinity: Annotated[float, Gt(0)] = 0.4
+    slope_at_zero: Annotated[float, Gt(0)] = 30.0
+
+    def __post_init__(self) -> None:
+        """Refuse a gain that would rise with the error."""
+        if self.at_infinity >= self.at_zero:
+            raise ParameterError("at_infinity", f"must be under at_zero = {self.at_zero}", self.at_infinity)
+
+    def at(self, error: Array) -> float:
+        """The gain [1/s] at an error vector."""
+        span = self.at_zero - self.at_infinity
+        return span * float(np.exp(-self.slope_at_zero / span * np.abs(error).max())) + self.at_infinity
+
+
+GAINS = OneOf("gain", ConstantGain, AdaptiveGain, number=("constant", "value"))
+Gain = Annotated[ConstantGain | AdaptiveGain, GAINS]
+
+
+@spec
+class TwistLimits:
+    """Largest commanded camera speed [m/s] and rate [rad/s]; the whole twist is scaled, so its direction is kept."""
+
+    speed_mps: Annotated[float, Gt(0)] | None = None
+    rate_radps: Annotated[float, Gt(0)] | None = None
+
+    def scale(self, twist: Array) -> float:
+        """Factor in (0, 1] that brings a twist (6,) within the limits."""
+        factor = 1.0
+        for limit, part in ((self.speed_mps, twist[:3]), (self.rate_radps, twist[3:])):
+            size = float(np.sqrt(part @ part))
+            if limit is not None and size > limit:
+                factor = min(factor, limit / size)
+        return factor

@@ -1,0 +1,102 @@
+"""What a law may see (Observation), what it wants to see (Goal), and where its depth comes from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import numpy as np
+from annotated_types import Gt
+from numpy.typing import NDArray
+
+from vstestbed.camera import Camera
+from vstestbed.geometry import Array, transform
+from vstestbed.spec import OneOf, spec
+
+
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """What the camera and the robot's own sensors tell at one frame; nothing of the simulator's truth.
+
+    Attributes:
+        t: time of exposure [s].
+        uv: measured marker pixels, shape (N, 2), NaN where a marker is not seen.
+        xy: the same, normalised and undistorted, shape (N, 2).
+        depth: Z of each marker as the scenario says it is found [m], shape (N,), NaN where unknown.
+        T_camera_target: estimated pose (4, 4), or None where it is not estimated.
+    """
+
+    t: float
+    uv: Array
+    xy: Array
+    depth: Array
+    T_camera_target: Array | None = None
+
+    @property
+    def seen(self) -> NDArray[np.bool_]:
+        """Which markers are seen and have a depth, shape (N,)."""
+        return np.isfinite(self.xy[:, 0]) & np.isfinite(self.depth)
+
+
+@dataclass(frozen=True, slots=True)
+class Goal:
+    """The goal view: pixels uv (N, 2), normalised xy (N, 2), depth (N,) [m], and the pose they come from."""
+
+    uv: Array
+    xy: Array
+    depth: Array
+    T_camera_target: Array
+
+    @classmethod
+    def from_view(cls, camera: Camera, points: Array, T_camera_target: Array) -> Goal:
+        """The view that `camera` has of target points (N, 3) from the relative pose T_camera_target (4, 4)."""
+        p = transform(T_camera_target, points)
+        uv = camera.project(p)
+        return cls(uv=uv, xy=camera.normalise(uv), depth=p[:, 2], T_camera_target=T_camera_target)
+
+
+@spec
+class PnP:
+    """Depth from the target's pose, solved from its known points and the measured pixels (perspective-n-point)."""
+
+    kind: Literal["pnp"] = "pnp"
+
+
+@spec
+class Constant:
+    """One fixed depth for all markers [m]."""
+
+    kind: Literal["constant"] = "constant"
+    depth_m: Annotated[float, Gt(0)] = 1.0
+
+
+@spec
+class AtGoal:
+    """Each marker's depth in the goal view."""
+
+    kind: Literal["goal"] = "goal"
+
+
+@spec
+class Estimate:
+    """Each marker's inverse depth by recursive least squares on its optical flow under the commanded twist.
+
+    Args:
+        initial_m: depth assumed until the camera has moved enough to tell [m].
+        forget_s: time constant with which old frames lose their weight [s].
+    """
+
+    kind: Literal["estimate"] = "estimate"
+    initial_m: Annotated[float, Gt(0)] = 1.0
+    forget_s: Annotated[float, Gt(0)] = 0.5
+
+
+@spec
+class OracleDepth:
+    """The simulator's true depth; only with `detector: {kind: oracle}`."""
+
+    kind: Literal["oracle"] = "oracle"
+
+
+DEPTHS = OneOf("depth", PnP, Constant, AtGoal, Estimate, OracleDepth)
+Depth = Annotated[PnP | Constant | AtGoal | Estimate | OracleDepth, DEPTHS]

@@ -1,0 +1,132 @@
+"""@spec and OneOf: what a block of a scenario may become.
+
+A spec is a frozen keyword-only dataclass whose constructor checks itself; the same class is the YAML block,
+the object that runs, and the JSON Schema. Pydantic does the checking; this file gives it the house's manners.
+
+    @spec
+    class Disc:
+        kind: Literal["disc"] = "disc"
+        radius: Annotated[float, Gt(0)]
+
+    MARKERS = OneOf("marker", Disc, Sphere)      # in YAML: {kind: disc, radius: 0.02}, or the bare word where all has defaults
+    marker: Annotated[Marker, MARKERS]
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.metadata
+from typing import Any, TypeVar, dataclass_transform
+
+import pydantic
+from pydantic import ConfigDict, GetCoreSchemaHandler
+from pydantic.dataclasses import dataclass as _pydantic_dataclass
+from pydantic.dataclasses import rebuild_dataclass
+from pydantic_core import CoreSchema, PydanticCustomError, core_schema
+
+from vstestbed.errors import ParameterError
+
+T = TypeVar("T")
+_CONFIG = ConfigDict(extra="forbid", allow_inf_nan=False, arbitrary_types_allowed=True, strict=False)
+_SPECS: list[type] = []
+
+
+@dataclass_transform(kw_only_default=True, frozen_default=True)
+def spec(cls: type[T]) -> type[T]:
+    """Make `cls` a frozen keyword-only dataclass whose constructor refuses unknown, mistyped and out-of-range values.
+
+    Raises (from the constructor): ParameterError that names the field, what it must be and what was given.
+    """
+    made = _pydantic_dataclass(cls, frozen=True, kw_only=True, config=_CONFIG)
+    checked_init = made.__init__
+
+    def __init__(self: Any, **values: Any) -> None:
+        try:
+            checked_init(self, **values)
+        except pydantic.ValidationError as error:
+            first = error.errors()[0]
+            field = ".".join(str(part) for part in first["loc"]) or cls.__name__
+            raise ParameterError(field, first["msg"], first["input"]) from None
+
+    made.__init__ = __init__  # type: ignore[method-assign]  # the documented pydantic __init__, with our error class
+    _SPECS.append(made)
+    return made
+
+
+def rebuild_specs() -> None:
+    """Build every spec's validator anew, in the order of definition: needed once after a `OneOf` has grown."""
+    for cls in _SPECS:
+        rebuild_dataclass(cls, force=True)  # type: ignore[arg-type]
+
+
+class OneOf:
+    """The list of kinds that a block may be, told apart by its `kind`; the one place that names a room's members.
+
+    Args:
+        what: the word of the field ("law"); plugins are found under the entry-point group `vstestbed.<what>s`.
+        members: the spec classes; each has `kind: Literal["..."] = "..."`.
+        number: (kind, field) that a bare number stands for, where one does.
+    """
+
+    def __init__(self, what: str, *members: type, number: tuple[str, str] | None = None):
+        self.what = what
+        self.number = number
+        self.members: dict[str, type] = {}
+        for member in members:
+            self.add(member)
+
+    def add(self, member: type[T]) -> type[T]:
+        """Register one more kind (usable as a decorator by a plugin); ParameterError when the word is taken."""
+        kind = kind_of(member)
+        if kind in self.members and self.members[kind] is not member:
+            raise ParameterError("kind", f"{kind!r} is already a {self.what} ({self.members[kind].__module__})")
+        self.members[kind] = member
+        return member
+
+    def load_entry_points(self) -> bool:
+        """Add what installed packages offer under `vstestbed.<what>s`; True when something new came."""
+        before = len(self.members)
+        for entry in importlib.metadata.entry_points(group=f"vstestbed.{self.what}s"):
+            self.add(entry.load())
+        return len(self.members) > before
+
+    def _block(self, value: Any) -> Any:
+        """A value as a block with a valid kind: bare words and numbers become blocks, anything else is refused."""
+        if isinstance(value, tuple(self.members.values())):
+            return value
+        if isinstance(value, str):
+            value = {"kind": value}
+        elif self.number and isinstance(value, int | float) and not isinstance(value, bool):
+            value = {"kind": self.number[0], self.number[1]: value}
+        words = ", ".join(sorted(self.members))
+        if not isinstance(value, dict):
+            raise PydanticCustomError("block", "must be a {what} block or one of the words: {words}", {"what": self.what, "words": words})
+        kind = value.get("kind")
+        if kind is None:
+            raise PydanticCustomError("no_kind", "needs a kind; valid kinds: {words}", {"words": words})
+        if not isinstance(kind, str) or kind not in self.members:
+            raise PydanticCustomError("unknown_kind", "is no {what}; {hint}", {"what": self.what, "hint": f"valid kinds: {words}"})
+        return value
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Pydantic's hook: a union told apart by `kind`, a bare word standing for the block of that kind."""
+        choices: dict[Any, CoreSchema] = {k: handler.generate_schema(m) for k, m in self.members.items()}
+        union = core_schema.tagged_union_schema(choices, lambda v: v["kind"] if isinstance(v, dict) else v.kind)
+        return core_schema.no_info_before_validator_function(self._block, union)
+
+
+def kind_of(cls: type) -> str:
+    """The word that a spec class has as its `kind`."""
+    for field in dataclasses.fields(cls):  # type: ignore[arg-type]
+        if field.name == "kind":
+            return str(field.default)
+    raise ParameterError("kind", f"is missing: {cls.__name__} needs `kind: Literal['...'] = '...'`")
+
+
+def to_mapping(value: Any) -> Any:
+    """A spec as plain mappings, lists and scalars, every default written out: what `scenario.yaml` holds."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {f.name: to_mapping(getattr(value, f.name)) for f in dataclasses.fields(value) if f.init}
+    if isinstance(value, tuple | list):
+        return [to_mapping(v) for v in value]
+    return value
