@@ -39,6 +39,14 @@ class Observation:
 
 
 @dataclass(frozen=True, slots=True)
+class Encoders:
+    """What a robot measures of its own joints: q [rad], qd [rad/s], shape (n,) each."""
+
+    q: Array
+    qd: Array
+
+
+@dataclass(frozen=True, slots=True)
 class Goal:
     """The goal view: pixels uv (N, 2), normalised xy (N, 2), depth (N,) [m], and the pose they come from."""
 

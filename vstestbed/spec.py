@@ -66,11 +66,11 @@ class OneOf:
         what: the word of the field ("law"); plugins are found under the entry-point group `vstestbed.<what>s`.
         members: the spec classes; each has `kind: Literal["..."] = "..."`.
         number: (kind, field) that a bare number stands for, where one does.
+        default: the kind of a block that names none, where there is one.
     """
 
-    def __init__(self, what: str, *members: type, number: tuple[str, str] | None = None):
-        self.what = what
-        self.number = number
+    def __init__(self, what: str, *members: type, number: tuple[str, str] | None = None, default: str | None = None):
+        self.what, self.number, self.default = what, number, default
         self.members: dict[str, type] = {}
         for member in members:
             self.add(member)
@@ -101,12 +101,12 @@ class OneOf:
         words = ", ".join(sorted(self.members))
         if not isinstance(value, dict):
             raise PydanticCustomError("block", "must be a {what} block or one of the words: {words}", {"what": self.what, "words": words})
-        kind = value.get("kind")
+        kind = value.get("kind", self.default)
         if kind is None:
             raise PydanticCustomError("no_kind", "needs a kind; valid kinds: {words}", {"words": words})
         if not isinstance(kind, str) or kind not in self.members:
             raise PydanticCustomError("unknown_kind", "is no {what}; {hint}", {"what": self.what, "hint": f"valid kinds: {words}"})
-        return value
+        return {**value, "kind": kind}
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         """Pydantic's hook: a union told apart by `kind`, a bare word standing for the block of that kind."""
@@ -126,7 +126,8 @@ def kind_of(cls: type) -> str:
 def to_mapping(value: Any) -> Any:
     """A spec as plain mappings, lists and scalars, every default written out: what `scenario.yaml` holds."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return {f.name: to_mapping(getattr(value, f.name)) for f in dataclasses.fields(value) if f.init}
+        names = sorted((f.name for f in dataclasses.fields(value) if f.init), key=lambda name: name != "kind")
+        return {name: to_mapping(getattr(value, name)) for name in names}
     if isinstance(value, tuple | list):
         return [to_mapping(v) for v in value]
     return value

@@ -38,7 +38,7 @@ class Sphere:
     lit: bool = True
 
 
-MARKERS = OneOf("marker", Disc, Sphere)
+MARKERS = OneOf("marker", Disc, Sphere, default="disc")
 Marker = Annotated[Disc | Sphere, MARKERS]
 
 
@@ -49,7 +49,7 @@ class Still:
     kind: Literal["still"] = "still"
 
 
-MOTIONS = OneOf("motion", Still)
+MOTIONS = OneOf("motion", Still, default="still")
 Motion = Annotated[Still, MOTIONS]
 
 

@@ -9,6 +9,6 @@ from vstestbed.camera.base import Camera, Frame
 from vstestbed.camera.perspective import Perspective
 from vstestbed.spec import OneOf
 
-CAMERAS = OneOf("camera", Perspective)
+CAMERAS = OneOf("camera", Perspective, default="perspective")
 
 __all__ = ["CAMERAS", "Camera", "Frame", "Perspective"]

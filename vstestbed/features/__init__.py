@@ -4,6 +4,6 @@ from vstestbed.features.base import Feature
 from vstestbed.features.point import Point
 from vstestbed.spec import OneOf
 
-FEATURES = OneOf("feature", Point)
+FEATURES = OneOf("feature", Point, default="point")
 
 __all__ = ["FEATURES", "Feature", "Point"]

@@ -8,9 +8,16 @@ Dynamics, gears and friction are in `models/puma560.xml`; a test holds the two f
 
 from __future__ import annotations
 
-import numpy as np
+from typing import Annotated, ClassVar, Literal
 
-from vstestbed.geometry import Array
+import numpy as np
+from annotated_types import Ge, Len, Le
+
+from vstestbed.errors import ParameterError
+from vstestbed.geometry import Array, adjoint, inverse
+from vstestbed.observation import Encoders
+from vstestbed.robots.base import Allocation, Limit, Servo
+from vstestbed.spec import spec
 
 DH = np.array(
     [
@@ -23,17 +30,19 @@ DH = np.array(
         [0.0, 0.0, 0.0],
     ]
 )
-"""Reference: Corke & Armstrong-Helouvry 1994, doi:10.1109/ROBOT.1994.351360, Table 1; d_1 is the shoulder's height
+"""Reference: Corke & Armstrong-Helouvry 1994, doi:10.1109/ROBOT.1994.351360; d_1 is the shoulder's height
 above the floor, 26.45 inch, as in Corke's Robotics Toolbox."""
 
 JOINT_LIMITS = np.radians([[-160, 160], [-45, 225], [-225, 45], [-110, 170], [-100, 100], [-266, 266]])
-"""[rad], (6, 2). Source: Corke's Robotics Toolbox, model puma560 (after Fu, Gonzalez & Lee 1987)."""
+"""[rad], (6, 2). Source: Corke's Robotics Toolbox, model puma560."""
 
 SPEED_LIMITS = np.array([1.92, 1.51, 2.40, 5.34, 5.09, 5.74])
 """[rad/s]. Source: Corke 1996, Visual Control of Robots, Table 2.21: where the amplifiers' voltage saturates."""
 
 REACH_UNIT = 0.4318
 """[m]. A metre and a radian cannot be compared; singular values here are of v / REACH_UNIT (the upper arm's length) and w."""
+
+_SCALE = np.array([1 / REACH_UNIT] * 3 + [1.0] * 3)
 
 _SIN_ALPHA, _COS_ALPHA = np.round(np.sin(DH[:, 2])), np.round(np.cos(DH[:, 2]))
 """Exact: every alpha is a multiple of a quarter turn."""
@@ -88,32 +97,140 @@ def jacobian(q: Array) -> Array:
     return kinematics(q)[1]
 
 
-def resolved_rate(
-    J: Array, twist: Array, speed_limits: Array = SPEED_LIMITS, threshold: float = 0.1, damping_max: float = 0.1
-) -> Array:
+def resolved_rate(J: Array, twist: Array, speed_limits: Array = SPEED_LIMITS, threshold: float = 0.05) -> Array:
     """Joint speeds that make a flange twist, damped near singularities and scaled as a whole into the speed limits.
 
-    dq = Js^T (Js Js^T + lambda^2 I)^-1 ts,  where Js and ts have v divided by REACH_UNIT and
-    lambda^2 = (1 - (s_min / threshold)^2) damping_max^2 for s_min < threshold, else 0:
-    exact away from singularities, continuous across the threshold, |dq| bounded by
-    |ts| / (2 damping_max) in the singular direction at the singularity itself.
+    dq = Js^T (Js Js^T + lambda^2 I)^-1 ts,  where Js and ts have v divided by REACH_UNIT, and
+    lambda^2 = (1 - (s_min / threshold)^2) threshold^2 where s_min < threshold, else 0.
+    Exact away from singularities, continuous across the threshold, and |dq| <= |ts| / threshold everywhere
+    (the largest damping equals the threshold, so the gain along the weakest direction is s_min / threshold^2).
 
     Args:
         J: Jacobian, shape (6, 6), rows (v, w).
         twist: (vx, vy, vz, wx, wy, wz) of the flange in the Jacobian's frame, [m/s, rad/s].
         speed_limits: largest size of each joint speed, shape (6,), [rad/s].
         threshold: smallest singular value of Js that is left undamped.
-        damping_max: lambda at a singularity.
 
     Returns:
         dq (6,) [rad/s]; `J @ dq` is the twist that is really made.
 
-    Reference: Nakamura & Hanafusa 1986, doi:10.1115/1.3143764; the law of lambda is that of
-    Maciejewski & Klein 1988, doi:10.1002/rob.4620050603, as given by Chiaverini et al. 1994, doi:10.1109/87.294335.
+    Reference: Nakamura & Hanafusa 1986, doi:10.1115/1.3143764; this law of lambda from Maciejewski & Klein 1988,
+    doi:10.1002/rob.4620050603, as written by Chiaverini, Siciliano & Egeland 1994, doi:10.1109/87.294335.
     """
-    scale = np.array([1 / REACH_UNIT] * 3 + [1.0] * 3)
-    U, s, Vt = np.linalg.svd(J * scale[:, None])
-    damping2 = max(0.0, 1 - (s[-1] / threshold) ** 2) * damping_max**2
-    weight = s / (s**2 + damping2) if damping2 else 1 / s
-    dq = Vt.T @ (weight * (U.T @ (twist * scale)))
+    U, s, Vt = np.linalg.svd(J * _SCALE[:, None])
+    damping2 = max(0.0, threshold**2 - s[-1] ** 2)
+    dq = Vt.T @ (s / (s**2 + damping2) * (U.T @ (twist * _SCALE)))
     return dq / max(1.0, float(np.max(np.abs(dq) / speed_limits)))
+
+
+LIMIT_MARGIN = np.radians(1.0)
+"""A joint comes to rest this far before its hard stop [rad]."""
+LIMIT_HORIZON_S = 0.25
+"""Near its limit a joint may move so fast that it would reach the margin in this time, not faster [s]."""
+
+SERVOS = {
+    "ideal": Servo("ideal", friction=False, gravity_compensated=True),
+    "industrial": Servo("industrial", friction=True, gravity_compensated=False),
+    "raw": Servo("raw", friction=True, gravity_compensated=True),
+}
+"""Stiff and frictionless; velocity loop with integral action; proportional velocity loop, where friction leaves an error."""
+
+Six = Annotated[tuple[float, ...], Len(6, 6)]
+
+
+@spec
+class JointAngles:
+    """Joint angles q_deg, shape (6,) [deg]."""
+
+    q_deg: Six = (0.0, 45.0, -180.0, 0.0, 45.0, -45.0)
+
+
+@spec
+class JointBox:
+    """Random starts: each joint within +- q_deg of the nominal angle [deg]."""
+
+    q_deg: Annotated[float, Ge(0), Le(180)] = 15.0
+
+
+@spec
+class PumaStart:
+    """Joint angles at the start: `nominal` (q_deg [deg]), and the box from which `random` starts are drawn."""
+
+    nominal: JointAngles = JointAngles()
+    random: JointBox | None = None
+
+
+@spec
+class Puma560:
+    """The Puma 560 with a camera at its flange, driven by joint velocities.
+
+    Args:
+        actuation: `ideal`, `industrial` (default) or `raw`: which servo amplifiers the joints have.
+        start: joint angles at the start; the textbook's by default (its +180 deg for joint 3 is -180 within the limits).
+    """
+
+    kind: Literal["puma560"] = "puma560"
+    actuation: Literal["ideal", "industrial", "raw"] = "industrial"
+    start: PumaStart = PumaStart()
+    model: ClassVar[str | None] = "puma560.xml"
+    joints: ClassVar[tuple[str, ...]] = tuple(f"joint_{i}" for i in range(1, 7))
+
+    def __post_init__(self) -> None:
+        """Refuse a start outside the joint limits."""
+        limits = np.degrees(JOINT_LIMITS)
+        for i, (q, (low, high)) in enumerate(zip(self.start.nominal.q_deg, limits, strict=True)):
+            if not low <= q <= high:
+                raise ParameterError(f"start.nominal.q_deg.{i}", f"must be within joint {i + 1}'s limits {low:g} to {high:g} deg", q)
+
+    @property
+    def servo(self) -> Servo:
+        """The servo amplifiers of the chosen actuation."""
+        return SERVOS[self.actuation]
+
+    def configuration(self) -> Array:
+        """Joint angles of the nominal start, shape (6,) [rad]."""
+        return np.radians(self.start.nominal.q_deg)
+
+    def randomised(self, rng: np.random.Generator) -> Puma560:
+        """The same arm with a start drawn within the box, clipped to the joint limits."""
+        box = self.start.random
+        if box is None:
+            raise ParameterError("robot.start.random", "is missing: a seed draws the start from it, e.g. {q_deg: 15}")
+        q = np.array(self.start.nominal.q_deg) + rng.uniform(-1, 1, 6) * box.q_deg
+        q = np.clip(q, *np.degrees(JOINT_LIMITS).T)
+        nominal = JointAngles(q_deg=tuple(q.tolist()))
+        return Puma560(actuation=self.actuation, start=PumaStart(nominal=nominal, random=box))
+
+    def flange_pose(self, configuration: Array) -> Array:
+        """T_world_flange (4, 4); the base stands at the world's origin."""
+        return forward(configuration)
+
+    def motion_basis(self, T_flange_camera: Array) -> Array:
+        """All six camera twists."""
+        return np.eye(6)
+
+    def allocate(self, twist: Array, encoders: Encoders, T_flange_camera: Array, period: float) -> Allocation:
+        """Joint speeds for a camera twist (6,): damped resolved rate, then scaled as a whole into speed and position limits.
+
+        Near a position limit a joint's speed towards it is bounded by its distance over LIMIT_HORIZON_S
+        (velocity damper: Faverjon & Tournassoud 1987, doi:10.1109/ROBOT.1987.1087982).
+        """
+        to_flange = adjoint(T_flange_camera)
+        J = jacobian(encoders.q)
+        dq = resolved_rate(J, to_flange @ twist, np.full(6, np.inf))
+        limit: Limit = ""
+        size = float(np.abs(twist).max())
+        realised = adjoint(inverse(T_flange_camera)) @ (J @ dq)
+        wanted = max(float(twist @ twist), 1e-300)
+        along = float(realised @ twist) / wanted if size > 0 else 1.0
+        if along < 0.5:
+            limit = "singular"
+        room = np.where(dq > 0, JOINT_LIMITS[:, 1] - encoders.q, encoders.q - JOINT_LIMITS[:, 0]) - LIMIT_MARGIN
+        damper = np.maximum(room, 0.0) / max(LIMIT_HORIZON_S, period)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            speed = np.nanmin(np.where(dq != 0, SPEED_LIMITS / np.abs(dq), np.inf))
+            position = np.nanmin(np.where(dq != 0, damper / np.abs(dq), np.inf))
+        scale = min(1.0, float(speed), float(position))
+        if scale < 1.0:
+            limit = "joint_limit" if position < speed else "speed"
+        return Allocation(setpoint=dq * scale, twist=realised * scale, scale=scale * min(1.0, max(along, 0.0)), limit=limit)

@@ -1,0 +1,71 @@
+"""A stage for the vision tests: markers in front of a camera at the world's origin, rendered by MuJoCo."""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("MUJOCO_GL", "egl")
+
+from collections.abc import Callable  # noqa: E402
+
+import numpy as np  # noqa: E402
+import pytest  # noqa: E402
+from dm_control import mujoco  # noqa: E402
+
+from vstestbed.camera import Frame, Perspective  # noqa: E402
+from vstestbed.geometry import Array, quaternion_wxyz  # noqa: E402
+from vstestbed.target import Target  # noqa: E402
+
+Picture = Callable[..., Frame]
+
+# World = camera frame in computer-vision axes: x right, y down, z forward. Disc faces lie in the target's z = 0.
+SCENE = """
+<mujoco>
+  <visual><headlight active="0"/><quality offsamples="{multisampling}" shadowsize="0"/><map znear="0.01" zfar="50"/>
+    <global offwidth="{width}" offheight="{height}"/></visual>
+  <statistic extent="1" center="0 0 1"/>
+  <asset><texture name="sky" type="skybox" builtin="flat" rgb1=".6 .6 .6" width="16" height="96"/></asset>
+  <worldbody>
+    <light type="directional" dir="0.3 0.5 1" ambient=".3 .3 .3" diffuse=".6 .6 .6" specular="0 0 0" castshadow="false"/>
+    <camera name="eye" pos="0 0 0" xyaxes="1 0 0 0 -1 0" fovy="{fovy}"/>
+    <body name="target" mocap="true">{markers}</body>
+    {extra}
+  </worldbody>
+</mujoco>
+"""
+
+
+def _markers(target: Target, lit: bool) -> str:
+    geoms = []
+    for p, c in zip(target.points, target.colors, strict=True):
+        r, look = target.marker.radius, f'rgba="{c[0]} {c[1]} {c[2]} 1"'
+        if not lit:
+            look += ' material="glow"'
+        if target.marker.kind == "disc":
+            geoms.append(f'<geom type="cylinder" size="{r} 1e-4" pos="{p[0]} {p[1]} {p[2] + 1e-4}" {look}/>')
+        else:
+            geoms.append(f'<geom type="sphere" size="{r}" pos="{p[0]} {p[1]} {p[2]}" {look}/>')
+    return "".join(geoms)
+
+
+@pytest.fixture(scope="session")
+def picture() -> Picture:
+    """picture(target, T_camera_target, camera, extra="", lit=True, t=0.0) -> Frame, one renderer a scene."""
+    stages: dict[str, tuple[mujoco.Physics, mujoco.Camera]] = {}
+
+    def take(target: Target, T: Array, camera: Perspective, extra: str = "", lit: bool = True, t: float = 0.0) -> Frame:
+        fovy = 2 * np.degrees(np.arctan(camera.height / 2 / camera.f))
+        xml = SCENE.format(
+            multisampling=camera.multisampling, width=camera.width, height=camera.height, fovy=fovy, markers=_markers(target, lit), extra=extra
+        )
+        xml = xml.replace("<asset>", '<asset><material name="glow" emission="1" specular="0"/>')
+        if xml not in stages:
+            physics = mujoco.Physics.from_xml_string(xml)
+            stages[xml] = physics, mujoco.Camera(physics, camera.height, camera.width, "eye")
+        physics, eye = stages[xml]
+        physics.data.mocap_pos[0] = T[:3, 3]
+        physics.data.mocap_quat[0] = quaternion_wxyz(T[:3, :3])
+        physics.forward()
+        return Frame(t=t, image=eye.render())
+
+    return take

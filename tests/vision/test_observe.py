@@ -1,0 +1,150 @@
+"""Observer: depth as the scenario says, pose carried over gaps, noise, the estimate from motion."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from vstestbed.camera import Perspective
+from vstestbed.errors import ParameterError
+from vstestbed.geometry import Array, Pose, exp, inverse, rigid_error, transform
+from vstestbed.observation import AtGoal, Constant, Depth, Estimate, Goal, Observation, OracleDepth, PnP
+from vstestbed.target import Square
+from vstestbed.vision import Detection, Observer
+
+CAMERA = Perspective(distortion=(-0.1, 0.02, 0.001, -0.001, 0.0))
+TARGET = Square(pose=Pose(), side=0.4)
+GOAL = Goal.from_view(CAMERA, TARGET.points, Pose(xyz=(0, 0, 1.3)).T)
+START = Pose(xyz=(0.1, -0.05, 1.6), rpy_deg=(10, -15, 20)).T
+REST = np.zeros(6)
+DT = 0.04
+
+
+def _observer(depth: Depth, sigma: float = 0.0) -> Observer:
+    return Observer(camera=CAMERA, target=TARGET, goal=GOAL, depth=depth, pixel_sigma_px=sigma)
+
+
+def _detection(T: Array, lost: tuple[int, ...] = (), oracle: bool = False) -> Detection:
+    p = transform(T, TARGET.points)
+    uv = CAMERA.project(p)
+    uv[list(lost)] = np.nan
+    return Detection(uv=uv, depth=p[:, 2] if oracle else None)
+
+
+def _once(depth: Depth, detection: Detection) -> Observation:
+    observer = _observer(depth)
+    return observer.observe(observer.init(), 0.0, detection, REST, np.random.default_rng(0))[1]
+
+
+def test_coordinates_are_undistorted() -> None:
+    p = transform(START, TARGET.points)
+    seen = _once(Constant(), _detection(START))
+    assert seen.xy == pytest.approx(p[:, :2] / p[:, 2:], abs=1e-10)
+    assert seen.uv == pytest.approx(CAMERA.project(p), abs=0)
+
+
+def test_each_source_of_depth() -> None:
+    true = transform(START, TARGET.points)[:, 2]
+    assert _once(PnP(), _detection(START)).depth == pytest.approx(true, abs=1e-6)
+    assert _once(Constant(depth_m=2.0), _detection(START)).depth == pytest.approx([2.0] * 4)
+    assert _once(AtGoal(), _detection(START)).depth == pytest.approx([1.3] * 4)
+    assert _once(Estimate(initial_m=0.7), _detection(START)).depth == pytest.approx([0.7] * 4)
+    assert _once(OracleDepth(), _detection(START, oracle=True)).depth == pytest.approx(true, abs=0)
+
+
+def test_oracle_depth_without_the_oracle_says_what_would_work() -> None:
+    with pytest.raises(ParameterError, match=r"oracle.*pnp, constant, goal, estimate"):
+        _once(OracleDepth(), _detection(START))
+
+
+def test_pose_of_the_detector_is_taken() -> None:
+    T = START @ exp(np.array([0, 0, 0.1, 0, 0, 0]))
+    seen = _once(PnP(), Detection(uv=_detection(START).uv, T_camera_target=T))
+    assert seen.T_camera_target is T
+    assert seen.depth == pytest.approx(transform(T, TARGET.points)[:, 2])
+
+
+def test_no_pose_no_depth() -> None:
+    seen = _once(PnP(), _detection(START, lost=(0, 1)))
+    assert seen.T_camera_target is None
+    assert np.isnan(seen.depth).all()
+    assert not seen.seen.any()
+
+
+def test_pose_is_carried_on_by_the_commanded_motion() -> None:
+    observer, rng = _observer(PnP()), np.random.default_rng(0)
+    twist = np.array([0.1, -0.2, 0.3, 0.2, 0.1, -0.3])
+    memory, T = observer.init(), START
+    for k in range(20):
+        lost = () if k < 5 else (0, 1, 2)
+        memory, seen = observer.observe(memory, k * DT, _detection(T, lost), twist, rng)
+        assert seen.T_camera_target is not None
+        assert rigid_error(seen.T_camera_target, T) == pytest.approx((0, 0), abs=1e-6)  # constant twist: the step is exact
+        assert seen.seen.tolist() == [i not in lost for i in range(4)]
+        T = inverse(exp(twist * DT)) @ T
+
+
+def test_three_markers_go_on_with_the_pose() -> None:
+    observer, rng = _observer(PnP()), np.random.default_rng(0)
+    memory, _ = observer.observe(observer.init(), 0.0, _detection(START), REST, rng)
+    moved = exp(np.array([0.01, 0, 0.01, 0, 0.01, 0])) @ START
+    _, seen = observer.observe(memory, DT, _detection(moved, lost=(2,)), REST, rng)
+    assert seen.T_camera_target is not None
+    assert rigid_error(seen.T_camera_target, moved) == pytest.approx((0, 0), abs=1e-5)
+
+
+def test_pixel_noise_is_drawn_from_the_generator_and_is_solved_again() -> None:
+    observer = _observer(PnP(), sigma=0.5)
+    clean = Detection(uv=_detection(START).uv, T_camera_target=START)
+    first = observer.observe(observer.init(), 0.0, clean, REST, np.random.default_rng(7))[1]
+    again = observer.observe(observer.init(), 0.0, clean, REST, np.random.default_rng(7))[1]
+    assert first.uv.tobytes() == again.uv.tobytes()
+    assert first.T_camera_target is not None
+    assert rigid_error(first.T_camera_target, START)[0] > 1e-5
+    rng = np.random.default_rng(1)
+    draws = [observer.observe(observer.init(), 0.0, clean, REST, rng)[1].uv - clean.uv for _ in range(300)]
+    assert np.std(draws) == pytest.approx(0.5, rel=0.06)  # 2400 draws: 1.4 % standard error
+
+
+def _run_estimate(twist_at: Depth | None = None, *, sigma: float = 0.0, frames: int = 75, still: int = 0) -> tuple[Array, Array]:
+    """Estimated and true depths (4,) after a slow curve that starts at the wrong depth of 1 m; at rest for the last frames."""
+    observer, rng = _observer(Estimate(initial_m=1.0, forget_s=0.5), sigma), np.random.default_rng(0)
+    memory, T, twist, depth = observer.init(), START, REST, np.zeros(4)
+    for k in range(frames + still):
+        memory, seen = observer.observe(memory, k * DT, _detection(T), twist, rng)
+        depth = seen.depth
+        twist = REST if k >= frames - 1 else np.array([0.15 * np.cos(0.1 * k), 0.15 * np.sin(0.1 * k), 0.05, 0.05, -0.04, 0.1])
+        T = inverse(exp(twist * DT)) @ T
+    return depth, transform(T, TARGET.points)[:, 2]
+
+
+def test_estimate_converges_to_the_true_depth() -> None:
+    depth, true = _run_estimate()
+    assert abs(true - 1.0).min() > 0.3
+    assert depth == pytest.approx(true, rel=2e-3)  # flow over 40 ms is a mean, not a derivative
+
+
+def test_estimate_under_noise_and_kept_at_rest() -> None:
+    depth, true = _run_estimate(sigma=0.1)
+    assert depth == pytest.approx(true, rel=0.15)
+    rested, true = _run_estimate(sigma=0.1, still=500)
+    assert rested == pytest.approx(depth, rel=1e-12)  # noise without motion teaches nothing
+
+
+def test_estimate_without_motion_keeps_the_initial_depth() -> None:
+    observer, rng = _observer(Estimate(initial_m=0.8), sigma=0.2), np.random.default_rng(0)
+    memory = observer.init()
+    for k in range(50):
+        memory, seen = observer.observe(memory, k * DT, _detection(START), REST, rng)
+        assert seen.depth == pytest.approx([0.8] * 4)
+
+
+def test_estimate_survives_a_gap() -> None:
+    observer, rng = _observer(Estimate(initial_m=1.0)), np.random.default_rng(0)
+    memory, T = observer.init(), START
+    twist = np.array([0.1, 0.05, 0, 0, 0, 0])
+    for k in range(60):
+        memory, seen = observer.observe(memory, k * DT, _detection(T, lost=(1,) if 20 <= k < 40 else ()), twist, rng)
+        assert np.all(seen.depth > 0)
+        T = inverse(exp(twist * DT)) @ T
+    assert seen.depth == pytest.approx(transform(T, TARGET.points)[:, 2], rel=5e-3)

@@ -1,0 +1,166 @@
+"""run(scenario): the only time loop. It keeps the clock, the delay of pictures, the order of a frame's parts, the end."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from vstestbed.camera import Frame
+from vstestbed.geometry import Array, inverse
+from vstestbed.provenance import versions
+from vstestbed.recording import Layout, Log, Recording, Tick, Watcher
+from vstestbed.scenario import IMAGE_STREAM, NOISE_STREAM, Scenario
+from vstestbed.sim.base import Plant, Truth
+from vstestbed.sim.build import build_plant
+from vstestbed.sim.timing import DelayLine
+from vstestbed.stop import Evidence, Judge, Outcome
+from vstestbed.target import Square
+from vstestbed.vision import Observer, TruthView
+
+
+@dataclass(frozen=True, slots=True)
+class Shot:
+    """A picture on its way to the law, with the twist ordered since the picture before it."""
+
+    frame: Frame | None
+    t: float
+    truth: Truth
+    twist: Array
+
+
+def _observer(scenario: Scenario) -> Observer:
+    return Observer(
+        camera=scenario.camera,
+        target=scenario.target,
+        goal=scenario.goal_view,
+        depth=scenario.law.depth,
+        pixel_sigma_px=scenario.noise.pixel_sigma_px,
+    )
+
+
+class _Servo:
+    """Eye to hand: what happens when a picture arrives. Holds the memories that detector, observer and law pass on."""
+
+    def __init__(self, scenario: Scenario, plant: Plant, spent: dict[str, float]):
+        self.scenario, self.plant, self.spent = scenario, plant, spent
+        self.goal = scenario.goal_view
+        self.mount = scenario.camera.mount.T
+        self.basis = scenario.robot.motion_basis(self.mount)
+        self.needed = scenario.law.markers_needed(self.basis)
+        self.rng = scenario.rng(NOISE_STREAM)
+        self.observer = _observer(scenario)
+        self.seeing, self.observing, self.control = scenario.detector.init(), self.observer.init(), scenario.law.init(self.goal)
+        self.count = 0
+
+    def arrive(self, shot: Shot) -> Tick:
+        """Detect, observe, decide, move."""
+        s, began = self.scenario, time.perf_counter()
+        view = TruthView(shot.truth.p_camera, shot.truth.hidden) if s.detector.needs_truth else None
+        self.seeing, detection = s.detector.detect(self.seeing, shot.frame, view, s.camera, s.target, self.rng)
+        self.observing, seen = self.observer.observe(self.observing, shot.t, detection, shot.twist, self.rng)
+        detected = time.perf_counter()
+        self.control, command = s.law.step(self.control, seen, self.goal, self.basis)
+        allocation = s.robot.allocate(command.twist, self.plant.encoders(), self.mount, s.camera.period)
+        self.plant.apply(allocation.setpoint)
+        self.spent["detect"] += detected - began
+        self.spent["law"] += time.perf_counter() - detected
+        lost = int(np.count_nonzero(seen.seen)) < self.needed
+        error = seen.uv - self.goal.uv
+        error_px = float("nan") if lost else float(np.sqrt(np.nanmean(error * error)))
+        image = shot.frame.image if shot.frame else None
+        tick = Tick(self.count, lost, error_px, seen, command, allocation, shot.truth, image)
+        self.count += 1
+        return tick
+
+
+def _evidence(scenario: Scenario, tick: Tick) -> Evidence:
+    """What the judge may look at: the truth, beside what was seen and ordered."""
+    T_target_camera = inverse(tick.truth.T_world_target) @ tick.truth.T_world_camera
+    return Evidence(
+        t=tick.observation.t,
+        lost=tick.lost,
+        all_seen=bool(tick.observation.seen.all()),
+        error_px=tick.error_px,
+        command_size=float(np.abs(tick.command.twist).max()),
+        scale=tick.allocation.scale,
+        limit=tick.allocation.limit,
+        distance=float(np.linalg.norm(T_target_camera[:3, 3])),
+        behind=isinstance(scenario.target, Square) and bool(T_target_camera[2, 3] >= 0),
+        contact=tick.truth.contact,
+    )
+
+
+def _until_the_end(scenario: Scenario, plant: Plant, note: Callable[[Tick], None], spent: dict[str, float]) -> tuple[Outcome, str]:
+    """Capture every `steps_per_frame` steps, deliver after the camera's latency, stop when the judge says so."""
+    servo, judge = _Servo(scenario, plant, spent), Judge(scenario.stop)
+    line: DelayLine[Shot] = DelayLine(round(scenario.camera.latency_s / plant.step_s))
+    step, next_capture = 0, 0
+    twist, moved = np.zeros(6), np.zeros(6)
+    while True:
+        if step == next_capture:
+            frame, truth = plant.capture()
+            line.push(step, Shot(frame, step * plant.step_s, truth, moved / plant.steps_per_frame))
+            moved = np.zeros(6)
+            next_capture += plant.steps_per_frame
+        for shot in line.pop_due(step):
+            tick = servo.arrive(shot)
+            twist = tick.allocation.twist
+            note(tick)
+            if verdict := judge.verdict(_evidence(scenario, tick)):
+                return verdict
+        due = line.next_due()
+        ahead = next_capture - step if due is None else min(next_capture, due) - step
+        start = time.perf_counter()
+        if not plant.advance(ahead):
+            return Outcome.crashed, f"{Outcome.crashed.value} at {step * plant.step_s:.3f} s"
+        spent["physics"] += time.perf_counter() - start
+        step += ahead
+        moved += twist * ahead
+
+
+def run(scenario: Scenario, watch: Iterable[Watcher] = ()) -> Recording:
+    """Simulate a scenario from its nominal start until an outcome.
+
+    Args:
+        scenario: the experiment (`Scenario.randomised` draws another start).
+        watch: told of every frame. A KeyboardInterrupt ends the run with the outcome `interrupted`.
+
+    Raises:
+        EnvironmentLackError: a picture is needed and OpenGL does not work here.
+    """
+    began = time.perf_counter()
+    layout = Layout(scenario)
+    log, watchers = Log(layout.columns), tuple(watch)
+    spent = dict.fromkeys(("physics", "render", "detect", "law", "record", "video"), 0.0)
+    plant, renderer = build_plant(
+        scenario.robot,
+        scenario.camera,
+        scenario.target,
+        scenario.world,
+        scenario.physics,
+        needs_image=scenario.detector.needs_image,
+        needs_truth=scenario.detector.needs_truth,
+        image_sigma=scenario.noise.image_sigma,
+        rng=scenario.rng(IMAGE_STREAM),
+    )
+
+    def note(tick: Tick) -> None:
+        start = time.perf_counter()
+        log.append(layout.row(tick))
+        spent["record"] += time.perf_counter() - start
+        for watcher in watchers:
+            watcher.tick(tick)
+
+    try:
+        outcome, reason = _until_the_end(scenario, plant, note, spent)
+    except KeyboardInterrupt:
+        outcome, reason = Outcome.interrupted, Outcome.interrupted.value
+    finally:
+        spent["render"] = plant.render_s
+        plant.close()
+    made_by = versions() | {"renderer": renderer}
+    time_ms = {k: 1e3 * v for k, v in spent.items()}
+    return Recording(scenario, outcome, reason, layout.columns, log.table(), time.perf_counter() - began, time_ms, made_by)

@@ -1,0 +1,27 @@
+"""What made a result: versions of everything that numbers depend on."""
+
+from __future__ import annotations
+
+import platform
+from importlib.metadata import PackageNotFoundError, version
+
+PACKAGES = {"mujoco": "mujoco", "dm_control": "dm-control", "opencv": "opencv-python-headless", "numpy": "numpy"}
+
+
+def vstestbed_version() -> str:
+    """The installed version, `unknown` when run from a folder that is not installed."""
+    try:
+        return version("vstestbed")
+    except PackageNotFoundError:
+        return "unknown"
+
+
+def versions() -> dict[str, str]:
+    """Versions of vstestbed, mujoco, dm_control, opencv, numpy and python."""
+    found = {"vstestbed": vstestbed_version()}
+    for name, package in PACKAGES.items():
+        try:
+            found[name] = version(package)
+        except PackageNotFoundError:
+            found[name] = "missing"
+    return found | {"python": platform.python_version()}

@@ -1,0 +1,216 @@
+"""What a run leaves: ticks become rows, rows a log; the log grows on disk as it goes.
+
+The log in memory and `log.part` hold the same numbers. `log.part` is CSV whose numbers read back exactly, so it can be
+read at any length (a last line without an end is left out); `log.parquet` is written from it when the run ends.
+"""
+
+from __future__ import annotations
+
+import array
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from vstestbed.errors import RunFolderError
+from vstestbed.geometry import Array, quaternion_wxyz, rigid_error
+from vstestbed.laws import Command
+from vstestbed.observation import Observation
+from vstestbed.robots import Allocation
+from vstestbed.scenario import Scenario
+from vstestbed.sim.base import Truth
+from vstestbed.stop import Outcome
+
+if TYPE_CHECKING:
+    import polars
+    from numpy.typing import NDArray
+
+POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
+TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
+
+
+@dataclass(frozen=True, slots=True)
+class Tick:
+    """One frame: what was seen, what was ordered, what was true at the time of exposure.
+
+    Attributes:
+        frame: number of the frame. lost: too few markers seen. error_px: RMS of goal minus measured over the coordinates
+        seen, NaN when lost. image: the servo camera's picture, None where no detector asked for one.
+    """
+
+    frame: int
+    lost: bool
+    error_px: float
+    observation: Observation
+    command: Command
+    allocation: Allocation
+    truth: Truth
+    image: NDArray[np.uint8] | None
+
+
+class Watcher(Protocol):
+    """Somebody who looks on while a run goes: the log on disk, a video, a progress bar."""
+
+    def tick(self, tick: Tick) -> None:
+        """One frame has been dealt with."""
+        ...
+
+
+class Layout:
+    """The columns of a scenario's log, and how a tick becomes one row of numbers."""
+
+    def __init__(self, scenario: Scenario):
+        n, joints = len(scenario.target.points), scenario.robot.joints
+        per_marker = ("u", "v", "u_true", "v_true", "u_goal", "v_goal", "depth")
+        self.columns: tuple[str, ...] = (
+            "t",
+            "frame",
+            "lost",
+            *(f"{name}_{i}" for i in range(n) for name in per_marker),
+            "error_px",
+            *(f"cam_{name}" for name in POSE),
+            *(f"tgt_{name}" for name in POSE),
+            "position_error_m",
+            "rotation_error_rad",
+            *(f"cmd_{name}" for name in TWIST),
+            *(f"act_{name}" for name in TWIST),
+            "scale",
+            *(f"{kind}_{joint}" for joint in joints for kind in ("q", "qd", "ctrl")),
+        )
+        self._camera, self._goal = scenario.camera, scenario.goal_view
+
+    def row(self, tick: Tick) -> Array:
+        """The tick as numbers, in the order of `columns`."""
+        o, truth = tick.observation, tick.truth
+        markers = np.column_stack([o.uv, self._camera.project(truth.p_camera), self._goal.uv, o.depth])
+        T_world_goal = truth.T_world_target @ self._T_target_goal
+        joints = np.column_stack([truth.q, truth.qd, truth.ctrl])
+        return np.concatenate(
+            [
+                (o.t, tick.frame, tick.lost),
+                markers.ravel(),
+                (tick.error_px,),
+                _pose(truth.T_world_camera),
+                _pose(truth.T_world_target),
+                rigid_error(truth.T_world_camera, T_world_goal),
+                tick.command.twist,
+                truth.twist,
+                (tick.allocation.scale,),
+                joints.ravel(),
+            ]
+        )
+
+    @property
+    def _T_target_goal(self) -> Array:
+        return np.linalg.inv(self._goal.T_camera_target)
+
+
+def _pose(T: Array) -> Array:
+    return np.concatenate([T[:3, 3], quaternion_wxyz(T[:3, :3])])
+
+
+@dataclass
+class Log:
+    """Rows in memory, one after the other in one flat block of doubles."""
+
+    columns: tuple[str, ...]
+    values: array.array = field(default_factory=lambda: array.array("d"))
+
+    def append(self, row: Array) -> None:
+        """Add one row, shape (len(columns),)."""
+        self.values.frombytes(row.tobytes())
+
+    def table(self) -> Array:
+        """All rows, shape (rows, columns)."""
+        return np.frombuffer(self.values, dtype=float).reshape(-1, len(self.columns)) if self.values else np.zeros((0, len(self.columns)))
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A finished run: its scenario, how it ended, its log, where wall time went.
+
+    Attributes:
+        columns: names of the log's columns; `table` holds them as (frames, columns).
+        time_ms: wall time by part, in all [ms]: physics render detect law record video.
+        wall_time_s: wall time of the run [s]. versions: of what made it.
+    """
+
+    scenario: Scenario
+    outcome: Outcome
+    reason: str
+    columns: tuple[str, ...]
+    table: Array
+    wall_time_s: float = math.nan
+    time_ms: dict[str, float] = field(default_factory=dict)
+    versions: dict[str, str] = field(default_factory=dict)
+
+    def __getitem__(self, name: str) -> Array:
+        """One column as a numpy array; KeyError names the column."""
+        if name not in self.columns:
+            raise KeyError(f"no column {name!r} in the log; columns: {', '.join(self.columns)}")
+        return self.table[:, self.columns.index(name)]
+
+    def frame(self) -> polars.DataFrame:
+        """The log as a polars table, one row a camera frame."""
+        return to_frame(self.columns, self.table)
+
+    def summary(self) -> dict[str, object]:
+        """The run in numbers, as `summary.json` has them."""
+        from vstestbed.metrics import summarise
+
+        return summarise(self)
+
+
+def to_frame(columns: tuple[str, ...], table: Array) -> polars.DataFrame:
+    """A table of doubles as a polars table with its own types: `frame` whole numbers, `lost` true or false."""
+    import polars as pl
+
+    frame = pl.DataFrame({name: np.ascontiguousarray(table[:, i]) for i, name in enumerate(columns)})
+    return frame.with_columns(pl.col("frame").cast(pl.Int64), pl.col("lost").cast(pl.Boolean))
+
+
+class PartWriter:
+    """Writes `log.part` row by row; each line is with the operating system before the next frame is looked at."""
+
+    def __init__(self, path: Path, layout: Layout):
+        self._layout = layout
+        self._file = path.open("w", encoding="ascii", newline="\n", buffering=1)
+        self._file.write(",".join(layout.columns) + "\n")
+
+    def append(self, row: Array) -> None:
+        """Add one row."""
+        self._file.write(",".join(map(repr, row.tolist())) + "\n")
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+
+def read_log(folder: Path) -> polars.DataFrame:
+    """The log of a run's folder: `log.parquet`, or what there is of `log.part` when the run was cut off.
+
+    Raises:
+        RunFolderError: neither is there, or neither can be read.
+    """
+    import polars as pl
+
+    whole, part = folder / "log.parquet", folder / "log.part"
+    try:
+        if whole.is_file():
+            return pl.read_parquet(whole)
+        if part.is_file():
+            return _read_part(part)
+    except (OSError, ValueError, pl.exceptions.PolarsError) as error:
+        raise RunFolderError(folder, f"its log cannot be read ({error})") from None
+    raise RunFolderError(folder, "no run here" if folder.is_dir() else "no such folder")
+
+
+def _read_part(part: Path) -> polars.DataFrame:
+    lines = part.read_text(encoding="ascii").split("\n")[:-1]  # what follows the last line end was cut off
+    if not lines:
+        raise ValueError("log.part is empty")
+    columns = tuple(lines[0].split(","))
+    table = np.array([[float(v) for v in line.split(",")] for line in lines[1:]], dtype=float).reshape(-1, len(columns))
+    return to_frame(columns, table)

@@ -1,0 +1,213 @@
+"""The figures of one run: features in the image, error, twist, depth, pose error, joints.
+
+Each takes the run's tracks and gives a matplotlib Figure, or None where the run has nothing of the kind. What is
+true is drawn as a wide pale band, what was measured or commanded as a thin line on it: where they agree, the line
+lies in its band.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vstestbed.geometry import Array
+from vstestbed.report.canvas import AXIS_COLORS, GOAL, INK, LINE_COLORS, LOST, RULE, WIDTH_IN, marker_colors, new_figure, note
+from vstestbed.report.tracks import Tracks
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+
+BAND: dict[str, Any] = {"linewidth": 4.0, "alpha": 0.28}
+PARTS = (("v", "translation [m/s]"), ("w", "rotation [rad/s]"))
+
+
+def features(tracks: Tracks) -> Figure | None:
+    """Trails of the markers in the picture, true and measured, with start, end, goal and the picture's border."""
+    if tracks.markers == 0:
+        return None
+    width, height = tracks.setting.width, tracks.setting.height
+    aspect = height / width if width and height else 0.75
+    figure = new_figure(min(max(WIDTH_IN * aspect, 2.5), 6.5) + 0.5)
+    axes = figure.add_subplot()
+    true, measured, goal = tracks.pixels("_true"), tracks.pixels(), tracks.pixels("_goal")
+    for i, color in enumerate(marker_colors(tracks.markers)):
+        axes.plot(*true[:, i].T, color=color, **BAND)
+        axes.plot(*measured[:, i].T, color=color, linewidth=1.0)
+        axes.plot(*_edge(measured[:, i], 0), "o", color=color, markersize=5)
+        axes.plot(*_edge(measured[:, i], -1), "x", color=color, markersize=6, markeredgewidth=1.6)
+        axes.plot(*_edge(goal[:, i], -1), "D", color=color, markersize=8, markerfacecolor="none", markeredgewidth=1.4)
+    _frame_picture(axes, width, height)
+    figure.legend(handles=_feature_keys(), loc="outside lower center", ncols=5)
+    return figure
+
+
+def _feature_keys() -> list[Line2D]:
+    from matplotlib.lines import Line2D
+
+    key: dict[str, Any] = {"color": INK, "linestyle": "none"}
+    return [
+        Line2D([], [], marker="o", markersize=5, label="start", **key),
+        Line2D([], [], marker="x", markersize=6, markeredgewidth=1.6, label="end", **key),
+        Line2D([], [], marker="D", markersize=7, markerfacecolor="none", label="goal", **key),
+        Line2D([], [], color=INK, linewidth=1.0, label="measured"),
+        Line2D([], [], color=INK, label="true", **BAND),
+    ]
+
+
+def _frame_picture(axes: Axes, width: int | None, height: int | None) -> None:
+    """Pixel axes as in the picture (v down), with the picture's border where its size is known."""
+    from matplotlib.patches import Rectangle
+
+    axes.set_aspect("equal", adjustable="datalim" if not width else "box")
+    if width and height:
+        axes.add_patch(Rectangle((-0.5, -0.5), width, height, fill=False, edgecolor=INK, linewidth=1.0, alpha=0.6))
+        left, right, top, bottom = -0.5, width - 0.5, -0.5, height - 0.5
+        x, y = axes.get_xlim(), axes.get_ylim()  # what leaves the picture is shown, up to half a picture away
+        left, right = min(left, max(x[0], -0.5 * width)), max(right, min(x[1], 1.5 * width))
+        top, bottom = min(top, max(y[0], -0.5 * height)), max(bottom, min(y[1], 1.5 * height))
+        margin = 0.015 * width
+        axes.set_xlim(left - margin, right + margin)
+        axes.set_ylim(bottom + margin, top - margin)
+    elif not axes.yaxis_inverted():
+        axes.invert_yaxis()
+    axes.set_xlabel("u [px]")
+    axes.set_ylabel("v [px]")
+
+
+def error(tracks: Tracks) -> Figure:
+    """RMS error in the picture over time, logarithmic, with the threshold and the stretches without target."""
+    figure = new_figure(3.1)
+    axes = figure.add_subplot()
+    value = _positive(tracks.column("error_px"))
+    if np.isfinite(value).any():
+        axes.semilogy(tracks.t, value, color=LINE_COLORS[0], **_dot(value))
+    else:
+        note(axes, "no frame with a measured error")
+    threshold = tracks.setting.threshold_px
+    if threshold:
+        axes.axhline(threshold, color=GOAL, linestyle="--", linewidth=1.2, label=f"threshold {threshold:g} px")
+    _shade_lost(axes, tracks)
+    _time_axis(axes, tracks)
+    axes.set_ylabel("RMS error [px]")
+    _legend(axes)
+    return figure
+
+
+def pose_error(tracks: Tracks) -> Figure | None:
+    """Distance and angle of the true camera (or vehicle) from its goal over time, logarithmic."""
+    position, angle = tracks.column("position_error_m"), np.degrees(tracks.column("rotation_error_rad"))
+    if not (np.isfinite(position).any() or np.isfinite(angle).any()):
+        return None
+    figure = new_figure(3.9)
+    upper, lower = figure.subplots(2, 1, sharex=True)
+    for axes, value, color, label in ((upper, position, LINE_COLORS[0], "position [m]"), (lower, angle, LINE_COLORS[1], "rotation [deg]")):
+        axes.semilogy(tracks.t, _positive(value), color=color, **_dot(value))
+        _shade_lost(axes, tracks)
+        axes.set_ylabel(label)
+    _time_axis(lower, tracks)
+    return figure
+
+
+def twist(tracks: Tracks) -> Figure:
+    """The camera's twist in its own frame: commanded (line) and true (band), translation above, rotation below."""
+    figure = new_figure(4.3)
+    panels = figure.subplots(2, 1, sharex=True)
+    for axes, (part, label) in zip(panels, PARTS, strict=True):
+        axes.axhline(0, color=RULE, linewidth=0.8)
+        for axis, color in zip("xyz", AXIS_COLORS, strict=True):
+            true, command = tracks.column(f"act_{part}{axis}"), tracks.column(f"cmd_{part}{axis}")
+            axes.plot(tracks.t, true, color=color, **BAND)
+            axes.plot(tracks.t, command, color=color, linewidth=1.1, label=f"{part}$_{axis}$", **_dot(command))
+        _shade_lost(axes, tracks)
+        axes.set_ylabel(label)
+        axes.legend(handles=axes.get_lines()[2::2], loc="upper right", ncols=3)
+    _time_axis(panels[-1], tracks)
+    return figure
+
+
+def depth(tracks: Tracks) -> Figure | None:
+    """Depth of each marker as the law used it (line), and the true one (band) where it can be computed."""
+    used, true = tracks.numbered("depth"), tracks.true_depth
+    if not np.isfinite(used).any():
+        return None
+    figure = new_figure(3.1)
+    axes = figure.add_subplot()
+    for i, color in enumerate(marker_colors(tracks.markers)):
+        if true is not None:
+            axes.plot(tracks.t, true[:, i], color=color, **BAND)
+        axes.plot(tracks.t, used[:, i], color=color, linewidth=1.0, **_dot(used[:, i]))
+    _shade_lost(axes, tracks)
+    _time_axis(axes, tracks)
+    axes.set_ylabel("depth [m]")
+    return figure
+
+
+def joints(tracks: Tracks) -> Figure | None:
+    """Joint positions, velocities and actuator inputs, as far as the log has them."""
+    panels = [(s, label) for s, label in (("q", "position"), ("qd", "velocity"), ("ctrl", "input")) if _moving(tracks, s)]
+    if not panels:
+        return None
+    names = list(dict.fromkeys(n for stem, _ in panels for n in _moving(tracks, stem)))
+    figure = new_figure(0.9 + 1.45 * len(panels) + 0.16 * -(-len(names) // 4))
+    grid = np.ravel(figure.subplots(len(panels), 1, sharex=True, squeeze=False))
+    for axes, (stem, label) in zip(grid, panels, strict=True):
+        for name in _moving(tracks, stem):
+            value = tracks.column(f"{stem}_{name}")
+            axes.plot(tracks.t, value, color=LINE_COLORS[names.index(name) % len(LINE_COLORS)], linewidth=1.2, **_dot(value))
+        axes.set_ylabel(label)
+    _time_axis(grid[-1], tracks)
+    if len(names) <= 16:
+        figure.legend(handles=_name_keys(names), loc="outside lower center", ncols=4)
+    return figure
+
+
+def _moving(tracks: Tracks, stem: str) -> list[str]:
+    """The names of a stem whose columns hold numbers."""
+    return [n for n in tracks.named(stem) if np.isfinite(tracks.column(f"{stem}_{n}")).any()]
+
+
+def _name_keys(names: list[str]) -> list[Line2D]:
+    from matplotlib.lines import Line2D
+
+    return [Line2D([], [], color=LINE_COLORS[i % len(LINE_COLORS)], label=_plain(n)) for i, n in enumerate(names)]
+
+
+def _plain(name: str) -> str:
+    """A name that matplotlib takes as it stands: no mathematics, not hidden by a leading underscore."""
+    return name.replace("$", r"\$").lstrip("_") or "(unnamed)"
+
+
+def _edge(uv: Array, which: int) -> Array:
+    """The first (0) or last (-1) finite point of a trail (T, 2), as a (2, 1) array; empty where there is none."""
+    finite = uv[np.isfinite(uv).all(axis=1)]
+    return finite[[which]].T if len(finite) else np.empty((2, 0))
+
+
+def _positive(value: Array) -> Array:
+    """The values that a logarithmic axis can show; the others NaN."""
+    return np.where(value > 0, value, np.nan)
+
+
+def _dot(value: Array) -> dict[str, Any]:
+    """A point marker where a line would show nothing: a single value, or a single one between gaps."""
+    return {"marker": "."} if np.isfinite(value).sum() <= 1 else {}
+
+
+def _shade_lost(axes: Axes, tracks: Tracks) -> None:
+    for i, (start, end) in enumerate(tracks.lost_stretches()):
+        axes.axvspan(start, end, color=LOST, alpha=0.16, linewidth=0, label="target lost" if i == 0 else None)
+
+
+def _time_axis(axes: Axes, tracks: Tracks) -> None:
+    axes.set_xlabel("time [s]")
+    t = tracks.t[np.isfinite(tracks.t)]
+    if len(t) and t[-1] > t[0]:
+        axes.set_xlim(t[0], t[-1])
+
+
+def _legend(axes: Axes) -> None:
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(loc="upper right")

@@ -1,0 +1,84 @@
+"""The contract of a robot: which camera twists it can make, and how a command becomes a setpoint within its limits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal, Protocol
+
+import numpy as np
+
+from vstestbed.geometry import Array
+from vstestbed.observation import Encoders
+
+Limit = Literal["", "speed", "joint_limit", "singular"]
+
+
+@dataclass(frozen=True, slots=True)
+class Allocation:
+    """A command made a setpoint.
+
+    Attributes:
+        setpoint: what the actuators are told (joint velocities [rad/s], or a twist).
+        twist: the camera twist (6,) that the setpoint stands for by the robot's own model.
+        scale: factor in [0, 1] by which the whole command was scaled to stay within limits.
+        limit: which limit scaled it ("" for none).
+    """
+
+    setpoint: Array
+    twist: Array
+    scale: float = 1.0
+    limit: Limit = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Servo:
+    """Which of the actuators in a robot's MJCF file a scenario uses, and what its joints feel.
+
+    Attributes:
+        prefix: actuators named `<prefix>_<joint>` are kept, the others left out.
+        friction: joints keep their damping and Coulomb friction.
+        gravity_compensated: links are weightless to the joints (MuJoCo's gravcomp).
+    """
+
+    prefix: str
+    friction: bool
+    gravity_compensated: bool
+
+
+class Robot(Protocol):
+    """A robot that carries (or is) the camera. Configurations are vectors: joint angles, or a pose for the free camera."""
+
+    model: ClassVar[str | None]
+    """Name of its MJCF file in models/, None for the ideal camera."""
+    joints: ClassVar[tuple[str, ...]]
+    """Names of its joints, in the order of the configuration."""
+
+    @property
+    def kind(self) -> str:
+        """The robot's word in a scenario."""
+        ...
+
+    @property
+    def servo(self) -> Servo | None:
+        """The actuation chosen, None for the ideal camera."""
+        ...
+
+    def configuration(self) -> Array:
+        """The nominal start."""
+        ...
+
+    def randomised(self, rng: np.random.Generator) -> Robot:
+        """The same robot, its nominal start drawn from the random block. ParameterError when it has none."""
+        ...
+
+    def flange_pose(self, configuration: Array) -> Array:
+        """Pose (4, 4) of the flange in the world, by the robot's own model."""
+        ...
+
+    def motion_basis(self, T_flange_camera: Array) -> Array:
+        """Camera twists the robot can make, shape (6, n): twist = basis @ u."""
+        ...
+
+    def allocate(self, twist: Array, encoders: Encoders, T_flange_camera: Array, period: float) -> Allocation:
+        """A camera twist (6,) as a setpoint that keeps the limits for one period [s]."""
+        ...

@@ -1,0 +1,70 @@
+"""The ideal camera: it moves exactly as it is told, x_dot = v, by the SE(3) exponential."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from vstestbed.errors import ParameterError
+from vstestbed.geometry import Array, Pose, Triple
+from vstestbed.observation import Encoders
+from vstestbed.robots.base import Allocation
+from vstestbed.spec import spec
+
+
+@spec
+class Box:
+    """Half widths of a box of start poses round the nominal one: along world axes [m], in roll-pitch-yaw [deg]."""
+
+    xyz: Triple = (0.0, 0.0, 0.0)
+    rpy_deg: Triple = (0.0, 0.0, 0.0)
+
+
+@spec
+class FreeStart:
+    """Where the camera starts: `nominal`, and the box from which `random` starts are drawn."""
+
+    nominal: Pose
+    random: Box | None = None
+
+
+@spec
+class Free:
+    """A camera that flies without mass; its flange is the camera's body. `start.nominal` is its pose in the world."""
+
+    kind: Literal["free"] = "free"
+    start: FreeStart
+    model: ClassVar[str | None] = None
+    joints: ClassVar[tuple[str, ...]] = ()
+
+    @property
+    def servo(self) -> None:
+        """No actuators."""
+        return None
+
+    def configuration(self) -> Array:
+        """The nominal start as a flat pose, shape (16,)."""
+        return self.start.nominal.T.ravel()
+
+    def randomised(self, rng: np.random.Generator) -> Free:
+        """The same camera with a start drawn from the box."""
+        box = self.start.random
+        if box is None:
+            raise ParameterError("robot.start.random", "is missing: a seed draws the start from it, e.g. {xyz: [.2, .2, .2]}")
+        xyz = np.array(self.start.nominal.xyz) + rng.uniform(-1, 1, 3) * box.xyz
+        rpy = np.array(self.start.nominal.rpy_deg) + rng.uniform(-1, 1, 3) * box.rpy_deg
+        nominal = Pose(xyz=tuple(xyz.tolist()), rpy_deg=tuple(rpy.tolist()))
+        return Free(start=FreeStart(nominal=nominal, random=box))
+
+    def flange_pose(self, configuration: Array) -> Array:
+        """The pose itself, (4, 4)."""
+        return configuration.reshape(4, 4)
+
+    def motion_basis(self, T_flange_camera: Array) -> Array:
+        """All six twists."""
+        return np.eye(6)
+
+    def allocate(self, twist: Array, encoders: Encoders, T_flange_camera: Array, period: float) -> Allocation:
+        """The twist of the camera itself: no limits."""
+        return Allocation(setpoint=twist, twist=twist)

@@ -1,0 +1,135 @@
+"""Scenario: one experiment as a frozen object. Its YAML is read in `scenario_file`."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cached_property
+from typing import Annotated
+
+import numpy as np
+from annotated_types import Ge
+
+from vstestbed.camera import CAMERAS, Perspective
+from vstestbed.errors import ParameterError
+from vstestbed.geometry import Array, Pose, inverse, transform
+from vstestbed.laws import IBVS, LAWS
+from vstestbed.observation import Goal, OracleDepth
+from vstestbed.robots import ROBOTS, Free, Puma560
+from vstestbed.sim.clock import Clock
+from vstestbed.sim.world import World
+from vstestbed.spec import spec
+from vstestbed.stop import Stop
+from vstestbed.target import TARGETS, Points, Square
+from vstestbed.vision import DETECTORS, Blobs, Oracle
+
+
+@spec
+class GoalView:
+    """The goal as a view: the pose T_camera_target from which the target shall be seen."""
+
+    T_camera_target: Pose
+
+
+@spec
+class Noise:
+    """Sensor noise.
+
+    Args:
+        image_sigma: standard deviation of Gaussian noise on each channel of the picture, in grey levels (of 255).
+        pixel_sigma_px: standard deviation of Gaussian noise on each measured coordinate, whatever the detector [px].
+    """
+
+    image_sigma: Annotated[float, Ge(0)] = 0.0
+    pixel_sigma_px: Annotated[float, Ge(0)] = 0.0
+
+
+START_STREAM, NOISE_STREAM, IMAGE_STREAM = 0, 1, 2
+"""Independent random streams of one seed: the start, the noise of measured pixels, the noise of pictures."""
+TRIES = 1000
+"""How many random starts are drawn at most until the target is in view."""
+VIEW_MARGIN_PX = 10.0
+"""A random start has every marker at least this far inside the picture, beside the marker's own size [px]."""
+
+
+@spec
+class Scenario:
+    """One experiment: who moves, what it sees, what it wants, how it ends.
+
+    Raises (from the constructor): ParameterError where two parts contradict each other.
+    """
+
+    description: str = ""
+    seed: Annotated[int, Ge(0)] = 0
+    robot: Annotated[Free | Puma560, ROBOTS]
+    camera: Annotated[Perspective, CAMERAS] = Perspective()
+    target: Annotated[Square | Points, TARGETS]
+    detector: Annotated[Blobs | Oracle, DETECTORS] = Blobs()
+    law: Annotated[IBVS, LAWS]
+    goal: GoalView
+    stop: Stop = Stop()
+    noise: Noise = Noise()
+    world: World = World()
+    physics: Clock = Clock()
+
+    def __post_init__(self) -> None:
+        """Refuse parts that do not belong together."""
+        if isinstance(self.law.depth, OracleDepth) and not isinstance(self.detector, Oracle):
+            raise ParameterError("law.depth", "may be oracle only with detector: {kind: oracle}; with pixels use pnp, constant, goal or estimate")
+        self.physics.resolve(self.camera)
+        needed = self.law.markers_needed(self.robot.motion_basis(self.camera.mount.T))
+        found = len(self.target.points)
+        if found < needed:
+            words = f"has {found} marker{'s' * (found != 1)}, and law {self.law.kind} needs {needed} or more for this robot's motions"
+            raise ParameterError("target", words)
+        self._check_goal()
+
+    def _check_goal(self) -> None:
+        limited = not (isinstance(self.detector, Oracle) and self.detector.field_of_view == "unlimited")
+        p = transform(self.goal.T_camera_target.T, self.target.points)
+        behind = [str(i) for i in np.flatnonzero(p[:, 2] <= 0)]
+        outside = [str(i) for i in np.flatnonzero(~self.camera.inside(self.camera.project(p)))]
+        bad = behind or (outside if limited else [])
+        if bad:
+            where = "behind the camera" if behind else f"outside the {self.camera.width} x {self.camera.height} picture"
+            words = f"is a view in which marker {', '.join(bad)} is {where}; move the goal back, or use a wider camera or a smaller target"
+            raise ParameterError("goal.T_camera_target", words)
+
+    @cached_property
+    def goal_view(self) -> Goal:
+        """What the law wants to see."""
+        return Goal.from_view(self.camera, self.target.points, self.goal.T_camera_target.T)
+
+    @property
+    def T_world_goal(self) -> Array:
+        """The camera's goal pose in the world (4, 4), for a still target."""
+        return self.target.pose.T @ inverse(self.goal.T_camera_target.T)
+
+    def rng(self, stream: int) -> np.random.Generator:
+        """The scenario's random numbers: one independent stream each for the start and the noises."""
+        return np.random.default_rng([self.seed, stream])
+
+    def randomised(self, seed: int) -> Scenario:
+        """The same experiment with this seed and the start that it draws, redrawn until the target is in view.
+
+        The start is written into `robot.start.nominal`, so that the scenario as run says where it started.
+
+        Raises:
+            ParameterError: the robot has no random block, or no start in it sees the target.
+        """
+        seeded = replace(self, seed=seed)
+        rng = seeded.rng(START_STREAM)
+        for _ in range(TRIES):
+            robot = self.robot.randomised(rng)
+            if seeded._in_view(robot):
+                return replace(seeded, robot=robot)
+        raise ParameterError("robot.start.random", f"gave no start in {TRIES} draws that has the whole target in view; make it smaller")
+
+    def _in_view(self, robot: Free | Puma560) -> bool:
+        T_world_camera = robot.flange_pose(robot.configuration()) @ self.camera.mount.T
+        T = inverse(T_world_camera) @ self.target.pose.T
+        p = transform(T, self.target.points)
+        faces = T[2, 2] > 0.17 or not isinstance(self.target, Square)  # within 80 degrees of square to the target
+        if not faces or (p[:, 2] <= 0).any():
+            return False
+        margin = VIEW_MARGIN_PX + self.camera.f * self.target.marker.radius / float(p[:, 2].min())
+        return bool(self.camera.inside(self.camera.project(p), margin).all())

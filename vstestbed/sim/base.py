@@ -1,0 +1,65 @@
+"""The plant: the seam between the loop and what moves (MuJoCo, or the ideal camera). Truth, behind its fence."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from numpy.typing import NDArray
+
+from vstestbed.camera import Frame
+from vstestbed.geometry import Array
+from vstestbed.observation import Encoders
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """What the simulator knows at one instant; for the recorder, the judge and the oracle, and for nothing else.
+
+    Attributes:
+        T_world_camera, T_world_target: poses (4, 4), camera in computer-vision axes.
+        twist: true camera twist (6,) in the camera frame [m/s, rad/s].
+        q, qd, ctrl: joints [rad, rad/s] and actuator controls.
+        p_camera: marker centres in the camera frame (N, 3) [m].
+        hidden: markers behind something, (N,) bool; all False where nobody asked.
+        contact: the robot touches something.
+    """
+
+    T_world_camera: Array
+    T_world_target: Array
+    twist: Array
+    q: Array
+    qd: Array
+    ctrl: Array
+    p_camera: Array
+    hidden: NDArray
+    contact: bool
+
+
+class Plant(Protocol):
+    """What moves and what takes pictures. The clock counts whole physics steps."""
+
+    step_s: float
+    steps_per_frame: int
+    render_s: float
+    """Wall time spent on pictures so far [s]."""
+
+    def capture(self) -> tuple[Frame | None, Truth]:
+        """The picture (None where no detector asks for one) and the truth, now."""
+        ...
+
+    def encoders(self) -> Encoders:
+        """What the robot measures of itself, now."""
+        ...
+
+    def apply(self, setpoint: Array) -> None:
+        """Give the actuators a setpoint; it holds until the next one."""
+        ...
+
+    def advance(self, steps: int) -> bool:
+        """Let physics steps pass; False when the simulation became unstable."""
+        ...
+
+    def close(self) -> None:
+        """Free pictures and physics."""
+        ...

@@ -1,0 +1,59 @@
+"""From a scenario's parts to the plant that they ask for."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vstestbed.camera import Camera
+from vstestbed.robots import Robot
+from vstestbed.sim.base import Plant
+from vstestbed.sim.clock import Clock
+from vstestbed.sim.world import World
+from vstestbed.target import Target
+
+
+def build_plant(
+    robot: Robot,
+    camera: Camera,
+    target: Target,
+    world: World,
+    clock: Clock,
+    *,
+    needs_image: bool,
+    needs_truth: bool,
+    image_sigma: float = 0.0,
+    rng: np.random.Generator | None = None,
+) -> tuple[Plant, str]:
+    """The plant, and the name of what renders its pictures ("none" where nothing does).
+
+    An arm is simulated by MuJoCo. The ideal camera needs MuJoCo only for pictures, or to tell what plates hide.
+
+    Args:
+        needs_image, needs_truth: what the detector looks at.
+        image_sigma, rng: noise of the pictures [grey levels] and where it comes from.
+
+    Raises:
+        EnvironmentLackError: a picture is needed and OpenGL does not work here.
+    """
+    from vstestbed.sim.scene import Parts
+
+    step, steps_per_frame = clock.resolve(camera)
+    parts = Parts(robot, camera, target, world, step)
+    ideal = robot.model is None
+    if ideal and not needs_image and not world.plates:
+        from vstestbed.sim.ideal import IdealPlant
+
+        return IdealPlant(parts, robot.flange_pose(robot.configuration()), steps_per_frame), "none"
+    from vstestbed.sim.render import Eye
+    from vstestbed.sim.stage import Stage
+
+    stage = Stage(parts, samples=camera.multisampling)
+    eye = Eye(stage, camera, image_sigma, rng) if needs_image else None
+    renderer = eye.renderer if eye else "none"
+    if ideal:
+        from vstestbed.sim.ideal import IdealPlant
+
+        return IdealPlant(parts, robot.flange_pose(robot.configuration()), steps_per_frame, stage, eye), renderer
+    from vstestbed.sim.plant import MujocoPlant
+
+    return MujocoPlant(stage, robot.configuration(), steps_per_frame, eye, see_hidden=needs_truth), renderer

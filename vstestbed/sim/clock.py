@@ -1,0 +1,42 @@
+"""The physics clock: a step that divides the camera's period."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated
+
+from annotated_types import Gt
+
+from vstestbed.camera import Camera
+from vstestbed.errors import ParameterError
+from vstestbed.spec import spec
+
+LARGEST_STEP_S = 0.002
+"""The arm's servos are tuned and tested at 1 and 2 ms [s]."""
+
+
+@spec
+class Clock:
+    """The physics clock, in whole steps between pictures.
+
+    Args:
+        step_s: fixed step [s]; without it the largest step that divides the camera's period and is no longer than 2 ms.
+    """
+
+    step_s: Annotated[float, Gt(0)] | None = None
+
+    def resolve(self, camera: Camera, largest: float = LARGEST_STEP_S) -> tuple[float, int]:
+        """(step [s], steps per camera frame).
+
+        Raises:
+            ParameterError: step_s does not divide the camera's period.
+        """
+        if self.step_s is None:
+            n = math.ceil(camera.period / largest - 1e-9)
+            return camera.period / n, n
+        n = round(camera.period / self.step_s)
+        if n < 1 or abs(n * self.step_s - camera.period) > 1e-9 * camera.period:
+            better = camera.period / max(1, math.ceil(camera.period / max(self.step_s, 1e-5)))
+            words = f"must divide the camera's period {camera.period:.9g} s ({camera.rate_hz:g} Hz); {better:.9g} does"
+            raise ParameterError("physics.step_s", words, self.step_s)
+        return self.step_s, n

@@ -1,0 +1,75 @@
+"""The ideal plant: a camera that moves exactly as told. It needs MuJoCo only where somebody wants a picture of it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vstestbed.camera import Frame
+from vstestbed.geometry import Array, exp, inverse, transform
+from vstestbed.observation import Encoders
+from vstestbed.sim.base import Truth
+from vstestbed.sim.render import Eye
+from vstestbed.sim.scene import Parts
+from vstestbed.sim.stage import Stage
+
+NONE = np.zeros(0)
+
+
+class IdealPlant:
+    """T_world_camera <- T_world_camera exp([v] dt), the setpoint v held between commands.
+
+    Args:
+        parts: what is in the world. start: T_world_flange (4, 4). steps_per_frame: physics steps between pictures.
+        eye: makes the pictures; None where no detector needs them. stage: tells what is hidden; None where nothing is.
+    """
+
+    def __init__(self, parts: Parts, start: Array, steps_per_frame: int, stage: Stage | None = None, eye: Eye | None = None):
+        self.step_s, self.steps_per_frame = parts.step, steps_per_frame
+        self._mount = parts.camera.mount.T
+        self._T = start @ self._mount
+        self._T_world_target = parts.target.pose.T
+        self._points = parts.target.points
+        self._stage, self._eye = stage, eye
+        self._twist = np.zeros(6)
+        self._steps = 0
+        self._hidden = np.zeros(len(self._points), dtype=bool)
+
+    @property
+    def render_s(self) -> float:
+        """Wall time spent on pictures so far [s]."""
+        return self._eye.spent_s if self._eye else 0.0
+
+    def capture(self) -> tuple[Frame | None, Truth]:
+        """The picture, where one is wanted, and the truth."""
+        t = self._steps * self.step_s
+        T = self._T.copy()
+        p_camera = transform(inverse(T) @ self._T_world_target, self._points)
+        hidden, frame = self._hidden, None
+        if self._stage is not None:
+            self._stage.place(t, self._T_world_target, NONE, T)
+            hidden = self._stage.hidden(T, p_camera)
+        if self._eye is not None:
+            frame = Frame(t, self._eye.picture())
+        truth = Truth(T, self._T_world_target, self._twist, NONE, NONE, NONE, p_camera, hidden, contact=False)
+        return frame, truth
+
+    def encoders(self) -> Encoders:
+        """No joints."""
+        return Encoders(NONE, NONE)
+
+    def apply(self, setpoint: Array) -> None:
+        """Move with this camera twist (6,) from now on."""
+        self._twist = setpoint
+
+    def advance(self, steps: int) -> bool:
+        """Let time pass, in one exact exponential."""
+        self._T = self._T @ exp(self._twist * (steps * self.step_s))
+        self._steps += steps
+        return True
+
+    def close(self) -> None:
+        """Free the pictures."""
+        if self._stage is not None:
+            self._stage.close()
+
+

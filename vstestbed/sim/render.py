@@ -1,0 +1,97 @@
+"""Pictures of a stage: the kept dm_control camera, and the servo camera's picture through its lens."""
+
+from __future__ import annotations
+
+import time
+from typing import Literal
+
+import cv2
+import mujoco
+import numpy as np
+from dm_control import mujoco as dm
+from dm_control.mujoco import wrapper
+from numpy.typing import NDArray
+
+from vstestbed.camera import Camera, Perspective
+from vstestbed.errors import EnvironmentLackError, ParameterError
+from vstestbed.sim import gl
+from vstestbed.sim.pinhole import pinhole_of, resampling_maps
+from vstestbed.sim.scene import LENS_GROUP
+from vstestbed.sim.stage import Stage
+
+Image = NDArray[np.uint8]
+
+
+class View:
+    """One camera of a stage, kept; `picture` renders what it sees now.
+
+    Args:
+        stage: the scene.
+        camera: name in the scene (`eye`, `overview`, ...).
+        width, height: size of the picture [px].
+        shadows: draw shadows.
+        style: `own` is what the servo camera sees (what encloses the lens left out); `outside` shows everything.
+
+    Raises:
+        EnvironmentLackError: no OpenGL here.
+    """
+
+    def __init__(self, stage: Stage, camera: str, width: int, height: int, shadows: bool, style: Literal["own", "outside"]):
+        gl.require()
+        vis = stage.model.vis.global_
+        vis.offwidth, vis.offheight = max(vis.offwidth, width), max(vis.offheight, height)
+        if not shadows:
+            stage.model.vis.quality.shadowsize = 0  # the context would reserve its depth map
+        try:
+            self._camera = dm.Camera(stage.physics, height, width, camera_id=camera)
+            self._option = wrapper.MjvOption()
+            self._option.geomgroup[:] = 1
+            self._option.geomgroup[LENS_GROUP] = style == "outside"
+            self._option.sitegroup[:] = 0
+            self._flags = {"shadow": shadows, "reflection": False}
+            self.renderer = ""
+            contexts = stage.physics.contexts
+            with contexts.gl.make_current() as context:
+                self.renderer = context.call(gl.renderer_string)
+                buffer = contexts.mujoco.ptr
+                if buffer.offWidth < width or buffer.offHeight < height:
+                    context.call(mujoco.mjr_resizeOffscreen, vis.offwidth, vis.offheight, buffer)
+        except Exception as error:  # EGL, PyOpenGL and MuJoCo raise half a dozen types when a driver is broken
+            raise EnvironmentLackError(f"OpenGL does not work here: {error}", gl.REMEDY) from error
+
+    def picture(self) -> Image:
+        """The picture now, (H, W, 3) uint8 RGB, a copy of its own."""
+        return np.ascontiguousarray(self._camera.render(scene_option=self._option, render_flag_overrides=self._flags))
+
+
+class Eye:
+    """The servo camera's picture through its lens, with sensor noise.
+
+    Args:
+        stage: the scene. camera: the lens. image_sigma: standard deviation of the noise of each channel, in grey levels
+        (of 255). rng: where the noise comes from.
+    """
+
+    def __init__(self, stage: Stage, camera: Camera, image_sigma: float = 0.0, rng: np.random.Generator | None = None):
+        if not isinstance(camera, Perspective):
+            raise ParameterError("camera.kind", "has no picture", camera.kind)
+        pinhole = pinhole_of(camera)
+        self._maps = resampling_maps(camera, pinhole)
+        self._sigma, self._rng = image_sigma, rng
+        self._view = View(stage, "eye", pinhole.width, pinhole.height, camera.shadows, "own")
+        self.renderer = self._view.renderer
+        self.spent_s = 0.0
+
+    def picture(self) -> Image:
+        """The picture now, (H, W, 3) uint8 RGB."""
+        start = time.perf_counter()
+        image = self._view.picture()
+        if self._maps is not None:
+            image = cv2.remap(image, *self._maps, interpolation=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        if self._sigma > 0 and self._rng is not None:
+            noise = self._rng.standard_normal(image.shape, dtype=np.float32) * np.float32(self._sigma)
+            image = np.clip(image + noise + 0.5, 0, 255).astype(np.uint8)
+        self.spent_s += time.perf_counter() - start
+        return image
+
+

@@ -1,0 +1,149 @@
+"""Scene: world + robot + camera + target in one MuJoCo model, composed with MjSpec under prefixes, compiled once.
+
+Names: joints and actuators `robot/joint_1`, ..., the servo camera `eye` (site `eye` has its computer-vision axes), the
+outside view `overview`, the target's body `target/frame` (mocap), its markers sites `target/marker_0`, `target/marker_1`, ...,
+plates `plate_0`, ... Geom groups: 0 the room, 1 what encloses the lens (left out of the servo camera's own picture,
+since the textbook's camera sits at the wrist's centre, inside the hand), 2 the robot, 3 the target.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from vstestbed.assets import model_path
+from vstestbed.camera import Camera, Perspective
+from vstestbed.errors import ParameterError
+from vstestbed.geometry import FLIP, Array, quaternion_wxyz
+from vstestbed.robots import Robot
+from vstestbed.sim.pinhole import pinhole_of
+from vstestbed.sim.world import AWAY, World
+from vstestbed.target import Disc, Square, Target
+
+LENS_GROUP, ROBOT_GROUP, TARGET_GROUP, SITE_GROUP = 1, 2, 3, 4
+DISC_HALF_THICKNESS = 1e-4
+"""Half height of a disc marker [m]: its front face lies at z = 0 of the target frame, its rim adds under 0.02 px at 1 m."""
+BOARD_MARGIN = 1.5
+"""The board behind a square reaches this many marker radii beyond the markers' edges."""
+PITCH_M = 1e-5
+"""Pixel pitch that MuJoCo's camera is given [m]; it drops out, since focal length and principal point are in pixels."""
+
+
+@dataclass(frozen=True)
+class Parts:
+    """What a scene is made of."""
+
+    robot: Robot
+    camera: Camera
+    target: Target
+    world: World
+    step: float
+
+
+def compose(parts: Parts) -> mujoco.MjSpec:
+    """The scene of these parts, ready to compile or to write as XML."""
+    scene = mujoco.MjSpec.from_file(str(model_path("world.xml")))
+    scene.modelname = "scene"
+    scene.option.timestep = parts.step
+    scene.compiler.degree = False
+    body, T_body_flange = _add_robot(scene, parts.robot)
+    _add_camera(body, T_body_flange @ parts.camera.mount.T, parts.camera)
+    _add_target(scene, parts.target)
+    for i, plate in enumerate(parts.world.plates):
+        holder = scene.worldbody.add_body(name=f"plate_{i}", mocap=True, pos=AWAY, quat=quaternion_wxyz(plate.pose.T[:3, :3]))
+        size = [plate.width / 2, plate.height / 2, 0.002]
+        _visual(holder, f"plate_{i}", mujoco.mjtGeom.mjGEOM_BOX, size, [0.45, 0.45, 0.47, 1], 0)
+    return scene
+
+
+def _add_robot(scene: mujoco.MjSpec, robot: Robot) -> tuple[mujoco.MjsBody, Array]:
+    """The body that carries the camera, and the pose of the flange in it."""
+    if robot.model is None or robot.servo is None:
+        body = scene.worldbody.add_body(name="robot/camera", mocap=True)
+        return body, np.eye(4)
+    model = mujoco.MjSpec.from_file(str(model_path(robot.model)))
+    servo = robot.servo
+    for actuator in list(model.actuators):
+        profile, _, name = actuator.name.partition("_")
+        if profile == servo.prefix:
+            actuator.name = name
+        else:
+            model.delete(actuator)
+    for body in model.bodies:
+        if servo.gravity_compensated:
+            body.gravcomp = 1.0
+    for joint in model.joints:
+        if not servo.friction:
+            joint.frictionloss, joint.damping = 0.0, np.zeros(3)
+    scene.attach(model, prefix="robot/", frame=scene.worldbody.add_frame())
+    flange = scene.site("robot/flange")
+    R = np.zeros(9)
+    mujoco.mju_quat2Mat(R, np.asarray(flange.quat, dtype=float))
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = R.reshape(3, 3), flange.pos
+    return flange.parent, T
+
+
+def _add_camera(body: mujoco.MjsBody, T_body_camera: Array, camera: Camera) -> None:
+    """The servo camera `eye` (MuJoCo axes), the site `eye` (computer-vision axes), and a housing to look at."""
+    pos = T_body_camera[:3, 3]
+    quat_gl = quaternion_wxyz((T_body_camera @ FLIP)[:3, :3])
+    quat_cv = quaternion_wxyz(T_body_camera[:3, :3])
+    if not isinstance(camera, Perspective):
+        raise ParameterError("camera.kind", "has no picture yet", camera)
+    view = pinhole_of(camera)
+    body.add_camera(
+        name="eye",
+        pos=pos,
+        quat=quat_gl,
+        resolution=[view.width, view.height],
+        sensor_size=[view.width * PITCH_M, view.height * PITCH_M],
+        focal_pixel=[camera.f, camera.f],
+        principal_pixel=list(view.mujoco_principal),
+    )
+    body.add_site(name="eye", pos=pos, quat=quat_cv, group=SITE_GROUP, size=[0.005] * 3)
+    R = T_body_camera[:3, :3]
+    _visual(body, "eye_box", mujoco.mjtGeom.mjGEOM_BOX, [0.025, 0.02, 0.03], [0.16, 0.16, 0.18, 1], LENS_GROUP, pos - R[:, 2] * 0.03, quat_cv)
+    lens = pos + R[:, 2] * 0.012
+    _visual(body, "eye_lens", mujoco.mjtGeom.mjGEOM_CYLINDER, [0.013, 0.012, 0], [0.3, 0.3, 0.33, 1], LENS_GROUP, lens, quat_cv)
+
+
+def _add_target(scene: mujoco.MjSpec, target: Target) -> None:
+    """A mocap body with one site and one geom for each marker, and a light grey board behind a square of markers."""
+    T = target.pose.T
+    body = scene.worldbody.add_body(name="target/frame", mocap=True, pos=T[:3, 3], quat=quaternion_wxyz(T[:3, :3]))
+    marker = target.marker
+    for i, (p, rgb) in enumerate(zip(target.points, target.colors, strict=True)):
+        rgba = [*rgb, 1.0]
+        scene.add_material(name=f"target/color_{i}", rgba=rgba, specular=0, shininess=0, emission=0.0 if marker.lit else 1.0)
+        body.add_site(name=f"target/marker_{i}", pos=p, group=SITE_GROUP, size=[0.005] * 3)
+        disc = isinstance(marker, Disc)
+        kind = mujoco.mjtGeom.mjGEOM_CYLINDER if disc else mujoco.mjtGeom.mjGEOM_SPHERE
+        size = [marker.radius, DISC_HALF_THICKNESS, 0] if disc else [marker.radius, 0, 0]
+        centre = p + [0, 0, DISC_HALF_THICKNESS] if disc else p
+        geom = _visual(body, f"target/marker_{i}", kind, size, rgba, TARGET_GROUP, centre)
+        geom.material = f"target/color_{i}"
+    if isinstance(target, Square):
+        half = target.side / 2 + (1 + BOARD_MARGIN) * marker.radius
+        z = 0.01 + 1.5 * DISC_HALF_THICKNESS
+        _visual(body, "target/board", mujoco.mjtGeom.mjGEOM_BOX, [half, half, 0.01], [0.86, 0.86, 0.85, 1], TARGET_GROUP, [0, 0, z])
+
+
+def _visual(
+    body: mujoco.MjsBody,
+    name: str,
+    kind: mujoco.mjtGeom,
+    size: object,
+    rgba: list[float],
+    group: int,
+    pos: object = (0, 0, 0),
+    quat: object = (1, 0, 0, 0),
+) -> mujoco.MjsGeom:
+    """A geom that is seen and touches nothing."""
+    return body.add_geom(
+        name=name, type=kind, size=size, pos=pos, quat=quat, rgba=rgba, group=group, contype=0, conaffinity=0, mass=0
+    )
+
+

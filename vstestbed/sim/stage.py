@@ -1,0 +1,90 @@
+"""Stage: a compiled scene in which things are put where they are told; Views of it (`sim/render`) take pictures."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from dm_control import mujoco as dm
+from dm_control.mujoco import wrapper
+from numpy.typing import NDArray
+
+from vstestbed.geometry import Array, quaternion_wxyz
+from vstestbed.sim.scene import LENS_GROUP, Parts, compose
+from vstestbed.sim.world import plate_position
+
+
+class Stage:
+    """A scene in MuJoCo with a dm_control physics on it; `place` puts it into a state, a `View` takes pictures.
+
+    Args:
+        parts: what the scene is made of.
+        samples: multisampling of this stage's pictures.
+    """
+
+    def __init__(self, parts: Parts, samples: int = 0):
+        self.parts = parts
+        self.spec = compose(parts)
+        model = self.spec.compile()
+        model.vis.quality.offsamples = samples
+        self.physics = dm.Physics.from_model(wrapper.MjModel(model))
+        self.model, self.data = self.physics.model.ptr, self.physics.data.ptr
+        self._target = self.model.body("target/frame").mocapid[0]
+        self._plates = [self.model.body(f"plate_{i}").mocapid[0] for i in range(len(parts.world.plates))]
+        self._free = self.model.body("robot/camera").mocapid[0] if parts.robot.model is None else None
+        self.eye = self.model.site("eye").id
+        joints = [self.model.joint(f"robot/{name}") for name in parts.robot.joints]
+        self.qpos = np.array([j.qposadr[0] for j in joints], dtype=int)
+        self.qvel = np.array([j.dofadr[0] for j in joints], dtype=int)
+
+    def place(self, t: float, T_world_target: Array, q: Array, T_world_camera: Array | None = None) -> None:
+        """Put the scene into a state; T_world_camera only counts for the free camera. Kinematics are brought up to date."""
+        self.data.time = t
+        self.place_target(T_world_target)
+        self.place_plates(t)
+        self.data.qpos[self.qpos] = q
+        if self._free is not None and T_world_camera is not None:
+            T = T_world_camera @ self._mount_inverse
+            self.data.mocap_pos[self._free] = T[:3, 3]
+            self.data.mocap_quat[self._free] = quaternion_wxyz(T[:3, :3])
+        mujoco.mj_kinematics(self.model, self.data)
+        mujoco.mj_camlight(self.model, self.data)
+
+    @property
+    def _mount_inverse(self) -> Array:
+        return np.linalg.inv(self.parts.camera.mount.T)
+
+    def place_target(self, T: Array) -> None:
+        """Put the target at a pose (4, 4)."""
+        self.data.mocap_pos[self._target] = T[:3, 3]
+        self.data.mocap_quat[self._target] = quaternion_wxyz(T[:3, :3])
+
+    def place_plates(self, t: float) -> None:
+        """Put the plates where they are at a time [s]."""
+        for plate, mocap in zip(self.parts.world.plates, self._plates, strict=True):
+            self.data.mocap_pos[mocap] = plate_position(plate, t)
+
+    def camera_pose(self) -> Array:
+        """Pose (4, 4) of the servo camera in the world, computer-vision axes."""
+        T = np.eye(4)
+        T[:3, :3] = self.data.site_xmat[self.eye].reshape(3, 3)
+        T[:3, 3] = self.data.site_xpos[self.eye]
+        return T
+
+    def hidden(self, T_world_camera: Array, p_camera: Array) -> NDArray[np.bool_]:
+        """Which marker centres (N, 3) stand behind something: a ray from the lens meets another thing well before them.
+
+        What encloses the lens is left out of the cast (as in the picture).
+        """
+        slack = self.parts.target.marker.radius + 0.002
+        groups = np.ones(6, dtype=np.uint8)
+        groups[LENS_GROUP] = 0
+        p_world = p_camera @ T_world_camera[:3, :3].T
+        reach = np.linalg.norm(p_world, axis=1)
+        geom = np.zeros(1, dtype=np.int32)
+        origin = np.ascontiguousarray(T_world_camera[:3, 3])
+        hits = [mujoco.mj_ray(self.model, self.data, origin, d, groups, 1, -1, geom) for d in p_world / reach[:, None]]
+        return np.array([0 <= hit < r - slack for hit, r in zip(hits, reach, strict=True)])
+
+    def close(self) -> None:
+        """Free the OpenGL context."""
+        self.physics.free()

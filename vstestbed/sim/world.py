@@ -1,0 +1,50 @@
+"""What else is in the world: plates that hide things."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+from annotated_types import Ge, Gt
+
+from vstestbed.errors import ParameterError
+from vstestbed.geometry import Array, Pose
+from vstestbed.spec import spec
+
+
+@spec
+class Plate:
+    """An opaque plate that stands in the room from `from_s` until `until_s`; it can hide markers, and touches nothing.
+
+    Args:
+        pose: its centre in the world; the plate spans its x and y axes.
+        width, height: size along x and y [m].
+        from_s, until_s: when it is there [s].
+    """
+
+    pose: Pose
+    width: Annotated[float, Gt(0)] = 0.5
+    height: Annotated[float, Gt(0)] = 0.5
+    from_s: Annotated[float, Ge(0)] = 0.0
+    until_s: Annotated[float, Gt(0)] = 1e9
+
+    def __post_init__(self) -> None:
+        """Refuse a plate that leaves before it comes."""
+        if self.until_s <= self.from_s:
+            raise ParameterError("until_s", f"must be after from_s = {self.from_s:g} s", self.until_s)
+
+
+@spec
+class World:
+    """The room round the robot and the target."""
+
+    plates: tuple[Plate, ...] = ()
+
+
+AWAY = np.array([0.0, 0.0, -50.0])
+"""Where plates are while they are not there: under the floor [m]."""
+
+
+def plate_position(plate: Plate, t: float) -> Array:
+    """Where a plate's centre is at a time [s], shape (3,)."""
+    return plate.pose.T[:3, 3] if plate.from_s - 1e-9 <= t < plate.until_s - 1e-9 else AWAY

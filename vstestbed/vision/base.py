@@ -1,0 +1,80 @@
+"""The contract of a detector: a picture (or, for the oracle, the truth) in, marker pixels in the target's order out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vstestbed.camera import Camera, Frame
+from vstestbed.geometry import Array
+from vstestbed.target import Target
+
+M = TypeVar("M")
+
+
+@dataclass(frozen=True, slots=True)
+class TruthView:
+    """What the simulator knows of the markers: for the oracle, and for no other detector.
+
+    Attributes:
+        p_camera: true marker centres in the camera frame, shape (N, 3) [m].
+        hidden: which markers something stands in front of, shape (N,).
+    """
+
+    p_camera: Array
+    hidden: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Detection:
+    """Where the markers are in one picture.
+
+    Attributes:
+        uv: pixels of the marker centres, shape (N, 2), NaN where a marker is not seen.
+        depth: true Z of each marker, shape (N,) [m]; only the oracle has it.
+        T_camera_target: the target's pose (4, 4), where the detector solved it on its way.
+    """
+
+    uv: Array
+    depth: Array | None = None
+    T_camera_target: Array | None = None
+
+    @property
+    def seen(self) -> NDArray[np.bool_]:
+        """Which markers are seen, shape (N,)."""
+        return np.isfinite(self.uv[:, 0])
+
+
+class Detector(Protocol[M]):
+    """A detector: parameters frozen in the object, memory (last positions, say) passed through.
+
+    Whoever runs it gives `frame` only where `needs_image` says so, and `view` only where `needs_truth` does.
+    """
+
+    @property
+    def kind(self) -> str:
+        """The detector's word in a scenario."""
+        ...
+
+    @property
+    def needs_image(self) -> bool:
+        """Whether it looks at the picture."""
+        ...
+
+    @property
+    def needs_truth(self) -> bool:
+        """Whether it looks behind the scenes: the oracle."""
+        ...
+
+    def init(self) -> M:
+        """The memory before the first picture."""
+        ...
+
+    def detect(
+        self, memory: M, frame: Frame | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
+    ) -> tuple[M, Detection]:
+        """One picture: the next memory and where the markers are."""
+        ...

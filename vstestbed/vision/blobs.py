@@ -1,0 +1,212 @@
+"""Coloured markers: found as blobs, tracked in windows, corrected for perspective, dropped where they are cut."""
+
+from __future__ import annotations
+
+import colorsys
+import math
+from dataclasses import dataclass
+from typing import Annotated, ClassVar, Literal
+
+import numpy as np
+from annotated_types import Ge, Gt, Le, Lt
+
+from vstestbed.camera import Camera, Frame, Perspective
+from vstestbed.errors import ParameterError
+from vstestbed.geometry import Array
+from vstestbed.spec import spec
+from vstestbed.target import Target
+from vstestbed.vision.base import Detection, TruthView
+from vstestbed.vision.centre import centre_bias
+from vstestbed.vision.find import Blob, Image, Window, find_blobs
+from vstestbed.vision.pose import solve_pose_from_rays, three_ray_poses
+
+AREA_NOISE_PX = 3.5
+"""What rounding to pixels does to a blob's area, three standard deviations [px^2] (drawn ellipses of 2 to 8 px radius)."""
+EDGE_PX = 0.15
+"""How far inside or outside of the true border a smoothed, shaded blob's border may lie [px] (rendered balls of 5 px and more)."""
+LARGE_BIAS_PX = 0.25
+"""Beyond it, the bias is computed again from the pose that the corrected centres give; under it that changes .01 px."""
+MOST_WINDOWED = 0.3
+"""Share of the picture that windows may cover together; beyond it, one search of the whole picture is quicker."""
+
+
+@dataclass(frozen=True, slots=True)
+class BlobsMemory:
+    """Each marker's blob in the last picture (None: lost) and its move since the one before [px]; the last pose."""
+
+    blobs: tuple[Blob | None, ...] = ()
+    moves: tuple[tuple[float, float], ...] = ()
+    T_camera_target: Array | None = None
+
+
+@spec
+class Blobs:
+    """Markers by colour: chroma mask, contours, moments; told apart by the hue at the centroid.
+
+    A tracked marker is looked for in a window round its predicted position (last + last move); when one is lost, the
+    whole picture is searched. What is reported are images of marker centres: the centroid less perspective's bias, from
+    the pose that the markers themselves give. A blob is not reported if it touches the picture's border, if its shape
+    is not an ellipse's, or if its area is not what the pose makes expect (something stands before it); the worst such
+    marker is left out and the pose solved anew until all fit. Three markers and no pose before: of the poses they leave,
+    the one whose areas fit best. Fewer than three: border and shape alone decide, and the bias is that of the last pose.
+
+    Args:
+        chroma: max - min of r, g, b (0..255) above which a pixel belongs to a marker; scenes keep everything else under it.
+        hue_tolerance_deg: largest difference to the marker's hue; never more than half the step between two markers' hues.
+        least_area_px: smaller blobs are noise.
+        moments: `binary` weighs each pixel 0 or 1; `grey` by coverage, which is finer in pictures with multisampling and the
+            same in pictures without, whose pixels are all of one colour.
+        correct_centre: whether to take perspective's bias off the centroid.
+        area_tolerance: largest relative difference between a blob's area and the expected one.
+        window_margin_px: what a window has round the predicted blob, besides half of its last move.
+
+    Reference: Corke 2017, Robotics, Vision & Control, sections 13.1 and 15.2 (blobs, moments, visual servoing with them).
+    """
+
+    kind: Literal["blobs"] = "blobs"
+    chroma: Annotated[int, Ge(1), Lt(255)] = 60
+    hue_tolerance_deg: Annotated[float, Gt(0), Le(180)] = 15.0
+    least_area_px: Annotated[float, Ge(1)] = 9.0
+    moments: Literal["binary", "grey"] = "grey"
+    correct_centre: bool = True
+    area_tolerance: Annotated[float, Gt(0), Lt(1)] = 0.06
+    window_margin_px: Annotated[int, Ge(2)] = 8
+    needs_image: ClassVar[bool] = True
+    needs_truth: ClassVar[bool] = False
+
+    def init(self) -> BlobsMemory:
+        """Nothing seen yet."""
+        return BlobsMemory()
+
+    def detect(
+        self, memory: BlobsMemory, frame: Frame | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
+    ) -> tuple[BlobsMemory, Detection]:
+        """Marker centres (N, 2) [px] in one picture, NaN where not seen, and the pose (4, 4) where it can be solved.
+
+        Raises:
+            ParameterError: there is no picture.
+        """
+        if frame is None:
+            raise ParameterError("frame", "is missing: detector blobs needs a picture; use detector oracle where there is none")
+        blobs = self._track(frame.image, memory, camera, target) or self._search(frame.image, camera, target)
+        uv, T = self._measure(blobs, memory, camera, target)
+        kept = T if T is not None else memory.T_camera_target
+        return BlobsMemory(tuple(blobs), _moves(memory, blobs), kept), Detection(uv=uv, T_camera_target=T)
+
+    def _look(self, image: Image, window: Window, camera: Camera) -> list[Blob]:
+        return find_blobs(image, window, self.chroma, self.least_area_px, self.moments if _smooth(camera) else "sharp")
+
+    def _track(self, image: Image, memory: BlobsMemory, camera: Camera, target: Target) -> list[Blob | None] | None:
+        """Each marker's blob, the nearest to its prediction in a window of its own; None: the whole picture must be searched."""
+        height, width = image.shape[:2]
+        windows = _windows(memory, width, height, self.window_margin_px)
+        if windows is None:
+            return None
+        blobs: list[Blob | None] = []
+        for hue, last, (du, dv), window in zip(_hues(target), memory.blobs, memory.moves, windows, strict=True):
+            mine = self._of_hue(hue, self._look(image, window, camera), len(windows))
+            u, v = (last.u + du, last.v + dv) if last else (math.nan, math.nan)
+            blob = min(mine, key=lambda b: math.hypot(b.u - u, b.v - v), default=None)
+            if blob is None or blob.cut_by(window, width, height):
+                return None
+            blobs.append(blob)
+        return blobs
+
+    def _search(self, image: Image, camera: Camera, target: Target) -> list[Blob | None]:
+        """Each marker's blob in the whole picture: of those with its hue, whole ones first, the largest."""
+        height, width = image.shape[:2]
+        found = self._look(image, (0, 0, width, height), camera)
+        hues = _hues(target)
+        return [max(self._of_hue(hue, found, len(hues)), key=lambda b: (b.whole, b.area), default=None) for hue in hues]
+
+    def _of_hue(self, hue_deg: float, found: list[Blob], n_hues: int) -> list[Blob]:
+        tolerance = min(self.hue_tolerance_deg, 180 / n_hues)
+        return [b for b in found if abs((b.hue_deg - hue_deg + 180) % 360 - 180) <= tolerance]
+
+    def _measure(self, blobs: list[Blob | None], memory: BlobsMemory, camera: Camera, target: Target) -> tuple[Array, Array | None]:
+        """Marker centres (N, 2) and the pose, from blobs."""
+        centroid = np.array([(b.u, b.v) if b and b.whole else (np.nan, np.nan) for b in blobs])
+        area = np.array([b.area if b and b.whole else np.nan for b in blobs])
+        bias = np.zeros_like(centroid)
+        T = self._pose(centroid, area, memory.T_camera_target, camera, target)
+        while T is not None:
+            bias, expected = centre_bias(camera, target, T)
+            misfit = self._misfit(area, expected, EDGE_PX if _smooth(camera) else 0.0)
+            worst = int(np.argmax(misfit))
+            if misfit[worst] <= 1:
+                break
+            centroid[worst] = area[worst] = np.nan
+            T = self._pose(centroid, area, T if memory.T_camera_target is None else memory.T_camera_target, camera, target)
+        if not self.correct_centre:
+            return centroid, T
+        if T is None:
+            last = memory.T_camera_target
+            return (centroid if last is None else centroid - centre_bias(camera, target, last)[0]), None
+        T = self._pose(centroid - bias, area, T, camera, target)
+        if T is not None and np.nanmax(np.abs(bias)) > LARGE_BIAS_PX:
+            bias, _ = centre_bias(camera, target, T)
+        return centroid - bias, T
+
+    def _pose(self, uv: Array, area: Array, previous: Array | None, camera: Camera, target: Target) -> Array | None:
+        seen = np.isfinite(uv[:, 0])
+        if np.count_nonzero(seen) < 3:
+            return None
+        rays, points = camera.ray(uv[seen]), target.points[seen]
+        if len(points) == 3 and previous is None:
+            return _first_of_three(rays, area, camera, target)
+        return solve_pose_from_rays(rays, points, previous)
+
+    def _misfit(self, area: Array, expected: Array, edge: float) -> Array:
+        """How far areas (N,) are from expected ones, in units of what is allowed; 0 for markers that are not seen."""
+        allowed = self.area_tolerance * expected + AREA_NOISE_PX + edge * 2 * np.sqrt(math.pi * expected)
+        misfit = np.abs(area - expected) / allowed
+        misfit = np.nan_to_num(misfit, nan=np.inf)
+        return np.where(np.isfinite(area), misfit, 0.0)
+
+
+def _first_of_three(rays: Array, area: Array, camera: Camera, target: Target) -> Array | None:
+    """Of the poses that the rays (3, 3) of three markers leave, the one that makes their areas (N,) least surprising."""
+
+    def surprise(T: Array) -> float:
+        return float(np.nansum(np.abs(np.log(area / centre_bias(camera, target, T)[1]))))
+
+    points = target.points[np.isfinite(area)]
+    return min(three_ray_poses(rays, points), key=surprise, default=None)
+
+
+def _smooth(camera: Camera) -> bool:
+    """Whether pixels at a marker's rim mix colours: several samples a pixel, or a picture interpolated for a lens."""
+    plain = isinstance(camera, Perspective) and camera.distortion is None
+    return camera.multisampling > 0 or not plain
+
+
+def _hues(target: Target) -> list[float]:
+    """The markers' hues [deg]."""
+    return [360 * colorsys.rgb_to_hsv(*color)[0] for color in target.colors]
+
+
+def _moves(memory: BlobsMemory, blobs: list[Blob | None]) -> tuple[tuple[float, float], ...]:
+    """By how much each blob has moved since the last picture [px]; nothing where it was not seen then or is not now."""
+    before = memory.blobs or (None,) * len(blobs)
+    return tuple((b.u - a.u, b.v - a.v) if a and b else (0.0, 0.0) for a, b in zip(before, blobs, strict=True))
+
+
+def _windows(memory: BlobsMemory, width: int, height: int, margin: int) -> list[Window] | None:
+    """A window round each marker's predicted blob, within the picture; None where one is lost or the whole is quicker."""
+    windows: list[Window] = []
+    for blob, (du, dv) in zip(memory.blobs, memory.moves, strict=True):
+        if blob is None:
+            return None
+        left, top, right, bottom = blob.box
+        grow_u, grow_v = margin + abs(du) / 2, margin + abs(dv) / 2
+        window = (
+            max(0, int(left + du - grow_u)),
+            max(0, int(top + dv - grow_v)),
+            min(width, math.ceil(right + du + grow_u)),
+            min(height, math.ceil(bottom + dv + grow_v)),
+        )
+        if window[0] >= window[2] or window[1] >= window[3]:
+            return None
+        windows.append(window)
+    covered = sum((w[2] - w[0]) * (w[3] - w[1]) for w in windows)
+    return windows if windows and covered <= MOST_WINDOWED * width * height else None

@@ -1,0 +1,80 @@
+"""The image of the centre is not the centre of the image: perspective's bias on discs and spheres."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from vstestbed.camera import Camera
+from vstestbed.geometry import Array, transform
+from vstestbed.target import Target
+
+CORNERS = 32
+"""Corners of the polygon that stands for a rim: centroid and area are then right to 1e-4 of bias and area."""
+
+
+def _circle() -> tuple[Array, Array]:
+    """Closed polygon with the area of the unit circle: cosines and sines, shape (CORNERS + 1,) each."""
+    angle = np.arange(CORNERS + 1) * (2 * math.pi / CORNERS)
+    swell = math.sqrt(2 * math.pi / (CORNERS * math.sin(2 * math.pi / CORNERS)))
+    return swell * np.cos(angle), swell * np.sin(angle)
+
+
+_COS, _SIN = _circle()
+
+
+def centre_bias(camera: Camera, target: Target, T_camera_target: Array) -> tuple[Array, Array]:
+    """How far the centroid of each marker's image lies from the image of its centre, and how large the image is.
+
+    The rim (of a disc: in the target's plane; of a sphere: the circle where the rays touch it, centre p (d^2 - r^2)/d^2,
+    radius r sqrt(1 - r^2/d^2), d = |p|) goes through the lens as a polygon; with its corners q_i relative to the image
+    of the centre, a_i = q_i x q_i+1,  area = |sum a_i|/2,  bias = sum (q_i + q_i+1) a_i / (3 sum a_i).
+    Any lens will do. Where the lens does not see a whole rim the result is NaN.
+
+    Args:
+        camera: the lens.
+        target: marker points, kind and radius.
+        T_camera_target: the target's pose, shape (4, 4).
+
+    Returns:
+        bias_uv: shape (N, 2) [px]; centroid = project(centre) + bias.
+        area_px: shape (N,) [px^2].
+
+    Reference: Heikkila & Silven 1997, doi:10.1109/CVPR.1997.609468 (the bias in closed form for a pinhole and a disc).
+    """
+    p = transform(T_camera_target, target.points)
+    rim = _disc_rim(p, T_camera_target, target.marker.radius) if target.marker.kind == "disc" else _sphere_rim(p, target.marker.radius)
+    n = len(p)
+    uv = camera.project(np.concatenate([p, rim.reshape(-1, 3)]))
+    q = uv[n:].reshape(n, CORNERS + 1, 2) - uv[:n, None]
+    here, there = q[:, :-1], q[:, 1:]
+    a = here[..., 0] * there[..., 1] - here[..., 1] * there[..., 0]
+    twice_area = a.sum(axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        bias = np.einsum("nik,ni->nk", here + there, a) / (3 * twice_area[:, None])
+    return bias, 0.5 * np.abs(twice_area)
+
+
+def _disc_rim(p: Array, T: Array, radius: float) -> Array:
+    """Rims of discs in the target's xy plane, shape (N, CORNERS + 1, 3)."""
+    return p[:, None] + radius * (_COS[:, None] * T[:3, 0] + _SIN[:, None] * T[:3, 1])
+
+
+def _sphere_rim(p: Array, radius: float) -> Array:
+    """Circles in which the rays from the camera touch spheres, shape (N, CORNERS + 1, 3); NaN from within a sphere.
+
+    Reference for the basis across a ray: Duff et al. 2017, Building an orthonormal basis, revisited, JCGT 6(1).
+    """
+    d2 = np.einsum("ni,ni->n", p, p)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        shrink = 1 - radius**2 / d2
+        rho = radius * np.sqrt(shrink)
+        x, y, z = (p / np.sqrt(d2)[:, None]).T
+    sign = np.copysign(1.0, z)
+    a = -1 / (sign + z)
+    b = x * y * a
+    e1 = np.stack([1 + sign * x * x * a, sign * b, -sign * x], axis=-1)
+    e2 = np.stack([b, sign + y * y * a, -y], axis=-1)
+    circle = _COS[:, None] * e1[:, None] + _SIN[:, None] * e2[:, None]
+    return p[:, None] * shrink[:, None, None] + rho[:, None, None] * circle

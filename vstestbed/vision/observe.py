@@ -1,0 +1,111 @@
+"""From detected pixels to an Observation: undistorted coordinates, depth as the scenario says, pose."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vstestbed.camera import Camera
+from vstestbed.errors import ParameterError
+from vstestbed.geometry import Array, exp, transform
+from vstestbed.observation import AtGoal, Constant, Depth, Estimate, Goal, Observation, OracleDepth, PnP
+from vstestbed.target import Target
+from vstestbed.vision.base import Detection
+from vstestbed.vision.flow_depth import FlowMemory, init_flow, update_flow
+from vstestbed.vision.pose import solve_pose_from_rays
+
+NEAREST_M = 0.01
+"""A depth carried on by the commanded motion stays at or above this [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class ObserverMemory:
+    """Time [s] of the last frame, the pose (4, 4) then (None: never known), and the depth estimator's memory."""
+
+    t: float = np.nan
+    T_camera_target: Array | None = None
+    flow: FlowMemory | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Observer:
+    """Turns detections into observations.
+
+    Attributes:
+        camera: the calibrated lens.
+        target: the marker layout.
+        goal: the goal view.
+        depth: where depths come from.
+        pixel_sigma_px: standard deviation of the noise added to every measured coordinate, whatever detected it [px].
+    """
+
+    camera: Camera
+    target: Target
+    goal: Goal
+    depth: Depth
+    pixel_sigma_px: float = 0.0
+
+    def init(self) -> ObserverMemory:
+        """The memory before the first frame."""
+        return ObserverMemory(flow=init_flow(self.depth, len(self.target.points)) if isinstance(self.depth, Estimate) else None)
+
+    def observe(
+        self, memory: ObserverMemory, t: float, detection: Detection, twist: Array, rng: np.random.Generator
+    ) -> tuple[ObserverMemory, Observation]:
+        """What a law may know of one frame.
+
+        The pose is the detector's where it solved one (and no noise is added), else it is solved from the pixels; with
+        too few markers the last one is carried on by the commanded motion, T <- exp(-twist dt) T, which holds for a
+        target that stands still.
+
+        Args:
+            memory: the last frame.
+            t: time of exposure [s].
+            detection: pixels (N, 2), and what the detector found besides.
+            twist: camera twist (6,) commanded since the last frame, in the camera frame.
+            rng: draws the pixel noise.
+
+        Raises:
+            ParameterError: the oracle's depth is asked for and the detector is not the oracle.
+        """
+        uv, T = detection.uv, detection.T_camera_target
+        if self.pixel_sigma_px > 0:
+            uv = uv + rng.normal(0.0, self.pixel_sigma_px, uv.shape)
+        if T is None or self.pixel_sigma_px > 0:
+            T = self._pose(uv, t, memory, T, twist)
+        xy = self.camera.normalise(uv)
+        flow = memory.flow
+        if isinstance(self.depth, Estimate) and flow is not None:
+            flow = update_flow(self.depth, flow, t, xy, twist)
+        depth = self._depth(detection, T, flow)
+        return ObserverMemory(t, T, flow), Observation(t=t, uv=uv, xy=xy, depth=depth, T_camera_target=T)
+
+    def _pose(self, uv: Array, t: float, memory: ObserverMemory, hint: Array | None, twist: Array) -> Array | None:
+        """The pose solved from noisy or bare pixels; else the last one, carried on."""
+        last = memory.T_camera_target
+        carried = hint if last is None else exp(-twist * (t - memory.t)) @ last
+        seen = np.isfinite(uv[:, 0])
+        if np.count_nonzero(seen) < 3:
+            return carried
+        found = solve_pose_from_rays(self.camera.ray(uv[seen]), self.target.points[seen], carried)
+        return carried if found is None else found
+
+    def _depth(self, detection: Detection, T: Array | None, flow: FlowMemory | None) -> Array:
+        """Depth of each marker (N,) [m], NaN where it is not known."""
+        n = len(detection.uv)
+        match self.depth:
+            case PnP():
+                return np.full(n, np.nan) if T is None else np.maximum(transform(T, self.target.points)[:, 2], NEAREST_M)
+            case Constant(depth_m=depth):
+                return np.full(n, depth)
+            case AtGoal():
+                return self.goal.depth
+            case Estimate() if flow is not None:
+                return 1 / flow.inverse_depth
+            case OracleDepth() if detection.depth is not None:
+                return detection.depth
+            case OracleDepth():
+                raise ParameterError("depth", "oracle is only with detector {kind: oracle}; valid here: pnp, constant, goal, estimate")
+            case _:
+                raise ParameterError("memory", "does not belong to this depth; begin with Observer.init()")

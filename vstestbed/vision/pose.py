@@ -1,0 +1,140 @@
+"""The target's pose from its marker pixels: perspective-n-point, with the mirror pose kept in view."""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import Literal
+
+import cv2
+import numpy as np
+from cv2.typing import MatLike
+
+from vstestbed.geometry import Array, inverse, rigid_error
+
+_K = np.eye(3)
+CLEARLY_WORSE = 3.0
+"""Of two mirror poses, the one whose pixels fit this many times worse is out, whatever came before."""
+SAME_SCENE = 0.5
+"""Three markers leave up to four poses; one farther than this from the previous pose (radians plus share of the distance) is no continuation."""
+WIDE = 0.2
+"""A ray with less than this of its unit length along z (78 degrees off axis) is not given to the solvers as x/z, y/z."""
+
+
+def solve_pose(xy: Array, points: Array, previous: Array | None = None) -> Array | None:
+    """Pose T_camera_target (4, 4) from N >= 3 points and their normalised image coordinates; None where it cannot be told.
+
+    Minimises sum |xy_i - project(T p_i)|^2, starting from
+    - IPPE for coplanar points (N >= 4), both of its poses weighed: the better fit where it fits clearly better, else the
+      one nearer to `previous`;
+    - SQPnP for points in space (N >= 4);
+    - P3P for three points: the pose nearest to `previous`, None without one.
+    A pose that puts a point behind the camera is no solution. Points on one line have none.
+
+    Args:
+        xy: normalised, undistorted coordinates, shape (N, 2).
+        points: the same markers in the target frame, shape (N, 3) [m].
+        previous: the pose a frame ago, shape (4, 4).
+
+    References: Collins & Bartoli 2014, doi:10.1007/s11263-014-0725-5 (IPPE); Terzakis & Lourakis 2020,
+    doi:10.1007/978-3-030-58452-8_28 (SQPnP); Ke & Roumeliotis 2017, doi:10.1109/CVPR.2017.491 (AP3P); refinement as
+    virtual visual servoing: Marchand, Uchiyama & Spindler 2016, doi:10.1109/TVCG.2015.2513408.
+    """
+    if len(points) < 3:
+        return None
+    xy, points = np.ascontiguousarray(xy, dtype=float), np.ascontiguousarray(points, dtype=float)
+    shape = _layout(points.tobytes())
+    if shape == "line":
+        return None
+    if len(points) == 3:
+        return None if previous is None else _continue(_three(xy, points), previous)
+    flag = cv2.SOLVEPNP_IPPE if shape == "plane" else cv2.SOLVEPNP_SQPNP
+    _, rotations, translations, errors = cv2.solvePnPGeneric(points, xy, _K, None, flags=flag)
+    found = [(float(e), r, t, _matrix(r, t)) for r, t, e in zip(rotations, translations, errors.ravel(), strict=True)]
+    found = [f for f in found if math.isfinite(f[0]) and _in_front(f[3], points)]
+    if not found:
+        return None
+    found.sort(key=lambda f: f[0])
+    best = found[0]
+    if previous is not None and len(found) > 1 and found[1][0] < CLEARLY_WORSE * best[0]:
+        best = min(found, key=lambda f: _step(f[3], previous))
+    refined = _matrix(*cv2.solvePnPRefineVVS(points, xy, _K, None, best[1], best[2]))
+    return refined if _in_front(refined, points) else best[3]
+
+
+def solve_pose_from_rays(rays: Array, points: Array, previous: Array | None = None) -> Array | None:
+    """`solve_pose` for any lens: from unit rays (N, 3) in the camera frame, also such as point sideways or back.
+
+    Rays too far off axis for x/z, y/z are turned to a virtual camera that looks along their mean, solved there and
+    turned back: T_camera_target = R_camera_virtual T_virtual_target. None where the rays do not fit into one such view.
+    """
+    if len(rays) < 3:
+        return None
+    if rays[:, 2].min() > WIDE:
+        return solve_pose(rays[:, :2] / rays[:, 2:], points, previous)
+    mean = rays.mean(axis=0)
+    if np.linalg.norm(mean) < WIDE:
+        return None
+    T = np.eye(4)
+    T[:3, :3] = _looking_along(mean)
+    turned = rays @ T[:3, :3]
+    if turned[:, 2].min() <= WIDE:
+        return None
+    found = solve_pose(turned[:, :2] / turned[:, 2:], points, None if previous is None else inverse(T) @ previous)
+    return None if found is None else T @ found
+
+
+def three_ray_poses(rays: Array, points: Array) -> list[Array]:
+    """All poses (4, 4), at most four, that put three points (3, 3) [m] on three rays (3, 3) within 78 degrees of the axis."""
+    if rays[:, 2].min() <= WIDE or _layout(np.ascontiguousarray(points).tobytes()) == "line":
+        return []
+    return _three(rays[:, :2] / rays[:, 2:], points)
+
+
+def _three(xy: Array, points: Array) -> list[Array]:
+    _, rotations, translations = cv2.solveP3P(points, xy, _K, None, flags=cv2.SOLVEPNP_AP3P)
+    poses = [_matrix(r, t) for r, t in zip(rotations, translations, strict=True)]
+    return [T for T in poses if np.isfinite(T).all() and _in_front(T, points)]
+
+
+def _continue(poses: list[Array], previous: Array) -> Array | None:
+    """The pose nearest to the previous one, unless even that is another scene."""
+    steps = [_step(T, previous) for T in poses]
+    if not steps or min(steps) > SAME_SCENE:
+        return None
+    return poses[int(np.argmin(steps))]
+
+
+def _step(T: Array, previous: Array) -> float:
+    """How far apart two poses are: the angle [rad] plus the distance as a share of that to the target."""
+    distance, angle = rigid_error(T, previous)
+    return angle + distance / float(np.linalg.norm(previous[:3, 3]))
+
+
+def _matrix(rotation_vector: MatLike, translation: MatLike) -> Array:
+    T = np.eye(4)
+    T[:3, :3] = cv2.Rodrigues(rotation_vector)[0]
+    T[:3, 3:] = translation
+    return T
+
+
+def _in_front(T: Array, points: Array) -> bool:
+    return float((points @ T[2, :3]).min()) + T[2, 3] > 0
+
+
+def _looking_along(direction: Array) -> Array:
+    """Rotation R_camera_virtual (3, 3) whose third column is the direction."""
+    z = direction / np.linalg.norm(direction)
+    x = np.cross([0.0, 1.0, 0.0] if abs(z[1]) < 0.9 else [1.0, 0.0, 0.0], z)
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(z, x), z], axis=1)
+
+
+@lru_cache(maxsize=4096)
+def _layout(points: bytes) -> Literal["line", "plane", "space"]:
+    """How points (N, 3) lie, given as bytes so that the answer can be kept: the same few sets come back at each frame."""
+    p = np.frombuffer(points).reshape(-1, 3)
+    s = np.linalg.svd(p - p.mean(axis=0), compute_uv=False)
+    if s[1] < 1e-6 * s[0] or s[0] == 0:
+        return "line"
+    return "plane" if len(p) == 3 or s[2] < 1e-6 * s[0] else "space"
