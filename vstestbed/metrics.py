@@ -30,7 +30,7 @@ def summarise(recording: Recording) -> dict[str, object]:
     frames = len(r.table)
     sim_time = float(r["t"][-1]) if frames else 0.0
     figures: dict[str, object] = {
-        "scenario": r.scenario.description,
+        "scenario": r.scenario.name,
         "outcome": r.outcome.name,
         "success": r.outcome.success,
         "reason": r.reason,

@@ -53,11 +53,12 @@ VIEW_MARGIN_PX = 10.0
 
 @spec
 class Scenario:
-    """One experiment: who moves, what it sees, what it wants, how it ends.
+    """One experiment: who moves, what it sees, what it wants, how it ends. `name` is its file's name by default.
 
     Raises (from the constructor): ParameterError where two parts contradict each other.
     """
 
+    name: str = ""
     description: str = ""
     seed: Annotated[int, Ge(0)] = 0
     robot: Annotated[Free | Puma560, ROBOTS]

@@ -76,7 +76,8 @@ def load(name: str | Path, overrides: Mapping[str, object] | None = None) -> Sce
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise ScenarioError([Mistake(str(path), "", f"cannot be read: {error}")]) from None
-    return parse(text, str(path), overrides)
+    scenario = parse(text, str(path), overrides)
+    return scenario if scenario.name else dataclasses.replace(scenario, name=path.stem)
 
 
 def parse(text: str, file: str, overrides: Mapping[str, object] | None = None) -> Scenario:

@@ -51,9 +51,9 @@ def test_noise_of_a_third_of_a_pixel() -> None:
 
 
 def test_mirror_view_is_resolved_by_continuity() -> None:
-    # Far and small (40 px across at f = 400), .2 px noise: both poses fit; the one that follows from the last frame is right.
+    # Far and small (20 px across at f = 400), .2 px noise: both poses fit; the one that follows from the last frame is right.
     rng = np.random.default_rng(3)
-    T = _pose(0.35, 0.0, 0.0, (0.0, 0.0, 5.0))
+    T = _pose(0.35, 0.0, 0.0, (0.0, 0.0, 10.0))
     alone, followed = [], []
     for _ in range(200):
         xy = _see(T, SQUARE) + rng.normal(0, 0.2 / 400, (4, 2))
@@ -63,7 +63,7 @@ def test_mirror_view_is_resolved_by_continuity() -> None:
             errors.append(rigid_error(found, T)[1])
     wrong = 0.5  # rad: the mirror is 2 * .35 = .7 away
     assert np.mean(np.array(alone) > wrong) > 0.05  # the case is a hard one
-    assert np.mean(np.array(followed) > wrong) < 0.01
+    assert np.mean(np.array(followed) > wrong) < 0.02  # .7 % measured
 
 
 def test_clear_fit_overrules_a_wrong_previous_pose() -> None:

@@ -57,3 +57,14 @@ def build_plant(
     from vstestbed.sim.plant import MujocoPlant
 
     return MujocoPlant(stage, robot.configuration(), steps_per_frame, eye, see_hidden=needs_truth), renderer
+
+
+def scene_xml(robot: Robot, camera: Camera, target: Target, world: World, clock: Clock) -> str:
+    """The compiled scene as MJCF that loads alone; its keyframe `start` is the nominal start."""
+    from vstestbed.sim.scene import Parts, compose, start_keyframe
+
+    parts = Parts(robot, camera, target, world, clock.resolve(camera)[0])
+    spec = compose(parts)
+    start_keyframe(spec, parts)
+    spec.compile()
+    return spec.to_xml()

@@ -27,6 +27,8 @@ DISC_HALF_THICKNESS = 1e-4
 """Half height of a disc marker [m]: its front face lies at z = 0 of the target frame, its rim adds under 0.02 px at 1 m."""
 BOARD_MARGIN = 1.5
 """The board behind a square reaches this many marker radii beyond the markers' edges."""
+FREE_HOUSING = 4.0
+"""The free camera's housing is drawn this many times as large as the arm's: it is seen from farther away."""
 PITCH_M = 1e-5
 """Pixel pitch that MuJoCo's camera is given [m]; it drops out, since focal length and principal point are in pixels."""
 
@@ -48,9 +50,13 @@ def compose(parts: Parts) -> mujoco.MjSpec:
     scene.modelname = "scene"
     scene.option.timestep = parts.step
     scene.compiler.degree = False
+    scene.geom("floor").pos = [0, 0, parts.world.floor_z]
     body, T_body_flange = _add_robot(scene, parts.robot)
-    _add_camera(body, T_body_flange @ parts.camera.mount.T, parts.camera)
+    housing = 1.0 if parts.robot.model else FREE_HOUSING
+    _add_camera(body, T_body_flange @ parts.camera.mount.T, parts.camera, housing)
     _add_target(scene, parts.target)
+    if parts.robot.model is None:
+        _frame_overview(scene, parts)
     for i, plate in enumerate(parts.world.plates):
         holder = scene.worldbody.add_body(name=f"plate_{i}", mocap=True, pos=AWAY, quat=quaternion_wxyz(plate.pose.T[:3, :3]))
         size = [plate.width / 2, plate.height / 2, 0.002]
@@ -71,6 +77,7 @@ def _add_robot(scene: mujoco.MjSpec, robot: Robot) -> tuple[mujoco.MjsBody, Arra
             actuator.name = name
         else:
             model.delete(actuator)
+    model.option.timestep = scene.option.timestep
     for body in model.bodies:
         if servo.gravity_compensated:
             body.gravcomp = 1.0
@@ -86,8 +93,24 @@ def _add_robot(scene: mujoco.MjSpec, robot: Robot) -> tuple[mujoco.MjsBody, Arra
     return flange.parent, T
 
 
-def _add_camera(body: mujoco.MjsBody, T_body_camera: Array, camera: Camera) -> None:
-    """The servo camera `eye` (MuJoCo axes), the site `eye` (computer-vision axes), and a housing to look at."""
+def _frame_overview(scene: mujoco.MjSpec, parts: Parts) -> None:
+    """Put the overview beside the way from the free camera's start to the target, so far off that both are in view."""
+    start, target = parts.robot.flange_pose(parts.robot.configuration())[:3, 3], parts.target.pose.T[:3, 3]
+    middle, way = (start + target) / 2, target - start
+    radius = max(float(np.linalg.norm(way)) / 2 * 1.4, 0.5) + float(np.linalg.norm(parts.target.points, axis=1).max())
+    side = np.cross(way, [0, 0, 1.0])
+    side = side / np.linalg.norm(side) if np.linalg.norm(side) > 0.1 * np.linalg.norm(way) + 1e-9 else np.array([0, -1.0, 0])
+    out = side - 0.35 * way / max(float(np.linalg.norm(way)), 1e-9)  # a little from behind, to see the markers' faces
+    out /= np.linalg.norm(out)
+    camera = scene.camera("overview")
+    right = np.cross([0, 0, 1.0], out)
+    right /= np.linalg.norm(right)
+    camera.pos = middle + out * radius / np.tan(np.radians(camera.fovy / 2))
+    camera.alt.xyaxes = [*right, *np.cross(out, right)]
+
+
+def _add_camera(body: mujoco.MjsBody, T_body_camera: Array, camera: Camera, housing: float) -> None:
+    """The servo camera `eye` (MuJoCo axes), the site `eye` (computer-vision axes), and a housing to look at, 5 cm times `housing`."""
     pos = T_body_camera[:3, 3]
     quat_gl = quaternion_wxyz((T_body_camera @ FLIP)[:3, :3])
     quat_cv = quaternion_wxyz(T_body_camera[:3, :3])
@@ -105,9 +128,13 @@ def _add_camera(body: mujoco.MjsBody, T_body_camera: Array, camera: Camera) -> N
     )
     body.add_site(name="eye", pos=pos, quat=quat_cv, group=SITE_GROUP, size=[0.005] * 3)
     R = T_body_camera[:3, :3]
-    _visual(body, "eye_box", mujoco.mjtGeom.mjGEOM_BOX, [0.025, 0.02, 0.03], [0.16, 0.16, 0.18, 1], LENS_GROUP, pos - R[:, 2] * 0.03, quat_cv)
-    lens = pos + R[:, 2] * 0.012
-    _visual(body, "eye_lens", mujoco.mjtGeom.mjGEOM_CYLINDER, [0.013, 0.012, 0], [0.3, 0.3, 0.33, 1], LENS_GROUP, lens, quat_cv)
+    box, glass = [0.025, 0.02, 0.03], [0.013, 0.012, 0]
+    for name, kind, size, grey, along in (
+        ("eye_box", mujoco.mjtGeom.mjGEOM_BOX, box, 0.17, -0.03),
+        ("eye_lens", mujoco.mjtGeom.mjGEOM_CYLINDER, glass, 0.3, 0.012),
+    ):
+        centre = pos + T_body_camera[:3, 2] * (along * housing)
+        _visual(body, name, kind, [x * housing for x in size], [grey, grey, grey, 1], LENS_GROUP, centre, quat_cv)
 
 
 def _add_target(scene: mujoco.MjSpec, target: Target) -> None:
@@ -129,6 +156,16 @@ def _add_target(scene: mujoco.MjSpec, target: Target) -> None:
         half = target.side / 2 + (1 + BOARD_MARGIN) * marker.radius
         z = 0.01 + 1.5 * DISC_HALF_THICKNESS
         _visual(body, "target/board", mujoco.mjtGeom.mjGEOM_BOX, [half, half, 0.01], [0.86, 0.86, 0.85, 1], TARGET_GROUP, [0, 0, z])
+
+
+def start_keyframe(scene: mujoco.MjSpec, parts: Parts) -> None:
+    """Give the scene a keyframe `start`: joints at the nominal start, the free camera at its own."""
+    if parts.robot.model is not None:
+        scene.add_key(name="start", qpos=parts.robot.configuration())
+        return
+    T = parts.robot.flange_pose(parts.robot.configuration())
+    body = scene.body("robot/camera")
+    body.pos, body.quat = T[:3, 3], quaternion_wxyz(T[:3, :3])
 
 
 def _visual(

@@ -36,8 +36,14 @@ class Plate:
 
 @spec
 class World:
-    """The room round the robot and the target."""
+    """The room round the robot and the target.
 
+    Args:
+        floor_z: height of the floor [m]; scenes in a textbook's coordinates need it out of the way.
+        plates: what can hide markers.
+    """
+
+    floor_z: float = 0.0
     plates: tuple[Plate, ...] = ()
 
 

@@ -26,6 +26,8 @@ EDGE_PX = 0.15
 """How far inside or outside of the true border a smoothed, shaded blob's border may lie [px] (rendered balls of 5 px and more)."""
 LARGE_BIAS_PX = 0.25
 """Beyond it, the bias is computed again from the pose that the corrected centres give; under it that changes .01 px."""
+SURPRISE = 0.15
+"""Sum over three markers of |log(area / expected)|: under .05 for the right pose of rendered discs, over .6 for most others."""
 MOST_WINDOWED = 0.3
 """Share of the picture that windows may cover together; beyond it, one search of the whole picture is quicker."""
 
@@ -165,13 +167,14 @@ class Blobs:
 
 
 def _first_of_three(rays: Array, area: Array, camera: Camera, target: Target) -> Array | None:
-    """Of the poses that the rays (3, 3) of three markers leave, the one that makes their areas (N,) least surprising."""
+    """Of the poses that the rays (3, 3) of three markers leave, the one that makes their areas (N,) least surprising; None if even that does not fit."""
 
     def surprise(T: Array) -> float:
         return float(np.nansum(np.abs(np.log(area / centre_bias(camera, target, T)[1]))))
 
-    points = target.points[np.isfinite(area)]
-    return min(three_ray_poses(rays, points), key=surprise, default=None)
+    poses = three_ray_poses(rays, target.points[np.isfinite(area)])
+    best = min(poses, key=surprise, default=None)
+    return best if best is not None and surprise(best) < SURPRISE else None
 
 
 def _smooth(camera: Camera) -> bool:

@@ -124,7 +124,7 @@ def _blob(image: Image, alone: Image, box: Window, rim: Rim) -> Blob | None:
         return None
     area = mass / 255
     x, y = m["m10"] / mass, m["m01"] / mass
-    ellipse = 4 * math.pi * math.sqrt(max(m["mu20"] * m["mu02"] - m["mu11"] ** 2, 0.0)) / mass / 255
+    ellipse = 4 * math.pi * math.sqrt(max(m["mu20"] * m["mu02"] - m["mu11"] ** 2, 0.0)) / mass
     inside = box[0] > 0 and box[1] > 0 and box[2] < width and box[3] < height
     whole = inside and ellipse - area <= ROUGHNESS[0] * area + ROUGHNESS[1]
     return Blob(u=left + x, v=top + y, area=area, hue_deg=_hue(image, left + round(x), top + round(y)), box=box, whole=whole)

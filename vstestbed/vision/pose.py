@@ -13,7 +13,7 @@ from cv2.typing import MatLike
 from vstestbed.geometry import Array, inverse, rigid_error
 
 _K = np.eye(3)
-CLEARLY_WORSE = 3.0
+CLEARLY_WORSE = 6.0
 """Of two mirror poses, the one whose pixels fit this many times worse is out, whatever came before."""
 SAME_SCENE = 0.5
 """Three markers leave up to four poses; one farther than this from the previous pose (radians plus share of the distance) is no continuation."""

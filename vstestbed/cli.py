@@ -1,0 +1,287 @@
+"""The command line: parses, calls, prints. Heavy imports happen inside the commands, so that --help is quick."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, NoReturn
+
+import typer
+
+from vstestbed.errors import Mistake, ParameterError, ScenarioError, VstestbedError
+
+if TYPE_CHECKING:
+    from vstestbed.recording import Recording, Tick, Watcher
+    from vstestbed.scenario import Scenario
+
+app = typer.Typer(
+    help="Visual servoing meets real dynamics: run scenarios, film them, look at the results.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+GOAL_REACHED, BUG, BAD_INPUT, NOT_REACHED, INTERRUPTED = 0, 1, 2, 3, 130
+_debug = False
+
+
+class FilmChoice(str, Enum):
+    """Which films `run` makes."""
+
+    camera = "camera"
+    overview = "overview"
+    both = "both"
+    none = "none"
+
+
+class Room(str, Enum):
+    """What `list` lists."""
+
+    scenarios = "scenarios"
+    robots = "robots"
+    cameras = "cameras"
+    targets = "targets"
+    features = "features"
+    laws = "laws"
+    detectors = "detectors"
+
+
+Plugins = Annotated[list[str] | None, typer.Option("--plugin", metavar="MODULE", help="Import a module that adds kinds.")]
+Json = Annotated[bool, typer.Option("--json", help="Print summary.json and nothing else on standard output.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no words.")]
+
+
+def _version(value: bool) -> None:
+    if value:
+        from vstestbed.provenance import vstestbed_version
+
+        typer.echo(f"vstestbed {vstestbed_version()}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")] = False,
+) -> None:
+    global _debug  # noqa: PLW0603 - the one flag that `main` needs after typer has gone
+    _debug = debug
+
+
+@app.command()
+def run(
+    scenario: Annotated[str, typer.Argument(help="A bundled scenario's name, or a YAML file.")],
+    set_: Annotated[list[str] | None, typer.Option("--set", metavar="a.b=value", help="Change a field before it is checked.")] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Draw the start and the noise from this seed.")] = None,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of the results. [default: runs/SCENARIO/NUMBER]")] = None,
+    video: Annotated[FilmChoice, typer.Option(help="Which films to make.")] = FilmChoice.both,
+    as_json: Json = False,
+    quiet: Quiet = False,
+    plugin: Plugins = None,
+) -> None:
+    """One closed-loop run, with its folder of results."""
+    from vstestbed.progress import Progress
+    from vstestbed.runs import new_folder, run_into
+
+    chosen = _load(scenario, set_, plugin)
+    if seed is not None:
+        chosen = _randomised(chosen, seed)
+    folder = new_folder(chosen, out)
+    with Progress(chosen, shown=not quiet and not as_json) as progress, _interrupts() as watch:
+        recording = run_into(folder, chosen, video.value, [progress, watch], progress.say)
+    _tell(recording, folder, as_json, quiet)
+    if recording.outcome.name == "interrupted":
+        raise typer.Exit(INTERRUPTED)
+    raise typer.Exit(GOAL_REACHED if recording.outcome.success else NOT_REACHED)
+
+
+def _load(name: str, settings: list[str] | None, plugins: list[str] | None) -> Scenario:
+    from vstestbed.scenario_file import load, load_plugins, read_value
+
+    load_plugins(plugins or [])
+    overrides: dict[str, object] = {}
+    for setting in settings or []:
+        key, equals, value = setting.partition("=")
+        if not equals or not key.strip():
+            raise ParameterError("--set", "needs the form a.b=value", setting)
+        overrides[key.strip()] = read_value(value)
+    return load(name, overrides)
+
+
+def _randomised(scenario: Scenario, seed: int) -> Scenario:
+    """The seed's start; without a random block a seed still draws the noise, and is refused where there is none."""
+    from dataclasses import replace
+
+    noise = scenario.noise
+    if scenario.robot.start.random is None and (noise.image_sigma > 0 or noise.pixel_sigma_px > 0):
+        return replace(scenario, seed=seed)
+    try:
+        return scenario.randomised(seed)
+    except ParameterError as error:
+        raise ScenarioError([Mistake(scenario.name, error.field, error.problem)]) from None
+
+
+@contextmanager
+def _interrupts() -> Iterator[Watcher]:
+    """The first Ctrl-C (or SIGTERM) ends the run at the next frame, with a whole folder; the second one at once."""
+    import signal
+
+    class _Stop:
+        asked = False
+
+        def ask(self, *_: object) -> None:
+            self.asked = True
+            for number in numbers:
+                signal.signal(number, before[number])
+
+        def tick(self, tick: Tick) -> None:
+            if self.asked:
+                raise KeyboardInterrupt
+
+    stop, numbers = _Stop(), (signal.SIGINT, signal.SIGTERM)
+    before = {number: signal.signal(number, stop.ask) for number in numbers}
+    try:
+        yield stop
+    finally:
+        for number in numbers:
+            signal.signal(number, before[number])
+
+
+def _tell(recording: Recording, folder: Path, as_json: bool, quiet: bool) -> None:
+    if as_json:
+        typer.echo((folder / "summary.json").read_text(encoding="utf-8"), nl=False)
+    elif not quiet:
+        from vstestbed.progress import words
+
+        typer.echo(words(recording, folder), err=True)
+
+
+@app.command("list")
+def list_(room: Annotated[Room | None, typer.Argument(help="What to list. [default: everything]")] = None, plugin: Plugins = None) -> None:
+    """What there is, one line each."""
+    from vstestbed.assets import bundled_scenarios
+    from vstestbed.scenario_file import KINDS, load, load_plugins
+
+    load_plugins(plugin or [])
+    for name in [room] if room else list(Room):
+        if room is None:
+            typer.echo(f"{name.value}:")
+        indent = "" if room else "  "
+        if name is Room.scenarios:
+            lines = [(stem, load(stem).description) for stem in bundled_scenarios()]
+        else:
+            lines = [(kind, (cls.__doc__ or "").strip().split("\n")[0]) for kind, cls in KINDS[name.value].members.items()]
+        width = max((len(kind) for kind, _ in lines), default=0)
+        for kind, text in lines:
+            typer.echo(f"{indent}{kind:{width}}  {text}")
+
+
+@app.command()
+def schema(plugin: Plugins = None) -> None:
+    """JSON Schema of a scenario, for editors."""
+    from vstestbed.scenario_file import load_plugins
+    from vstestbed.scenario_file import schema as scenario_schema
+
+    load_plugins(plugin or [])
+    typer.echo(json.dumps(scenario_schema(), indent=1))
+
+
+@app.command()
+def render(
+    run_dir: Annotated[Path, typer.Argument(metavar="RUN_DIR", help="A run's folder.")],
+    camera: Annotated[str, typer.Option(metavar="NAME", help="eye, overview, or another camera of model.xml.")] = "overview",
+    size: Annotated[str | None, typer.Option(metavar="WxH", help="Size of the film in pixels.")] = None,
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help="The film. [default: RUN_DIR/NAME.mp4]")] = None,
+    quiet: Quiet = False,
+    plugin: Plugins = None,
+) -> None:
+    """Film a recorded run again, from any camera, without simulating."""
+    from vstestbed.recording import read_log
+    from vstestbed.scenario_file import load, load_plugins
+    from vstestbed.video.film import film_log
+
+    load_plugins(plugin or [])
+    log = read_log(run_dir)
+    scenario = load(run_dir / "scenario.yaml")
+    film = film_log(scenario, log, camera, out or run_dir / f"{camera}.mp4", _size(size))
+    if film is None:
+        raise ParameterError("RUN_DIR", "has a log without frames; there is nothing to film", str(run_dir))
+    if not quiet:
+        typer.echo(str(film), err=True)
+
+
+def _size(text: str | None) -> tuple[int, int] | None:
+    if text is None:
+        return None
+    width, _, height = text.lower().partition("x")
+    if not (width.isdigit() and height.isdigit() and 16 <= int(width) <= 7680 and 16 <= int(height) <= 4320):
+        raise ParameterError("--size", "must be WIDTHxHEIGHT in pixels, such as 1280x720", text)
+    return int(width), int(height)
+
+
+@app.command()
+def report(run_dir: Annotated[Path, typer.Argument(metavar="DIR", help="A run's folder.")], quiet: Quiet = False) -> None:
+    """Write report.html again."""
+    from vstestbed.report import write_report
+
+    page = write_report(run_dir)
+    if not quiet:
+        typer.echo(str(page), err=True)
+
+
+@app.command()
+def doctor() -> None:
+    """Versions, OpenGL, codecs, cores: what works here, and the command that mends what does not."""
+    from vstestbed.doctor import examine
+
+    sound = True
+    for finding in examine():
+        typer.echo(str(finding))
+        sound = sound and finding.works
+    raise typer.Exit(GOAL_REACHED if sound else 4)
+
+
+@app.command()
+def bench(
+    scenario: Annotated[str, typer.Argument(help="A bundled scenario's name, or a YAML file.")] = "arm_ibvs",
+    set_: Annotated[list[str] | None, typer.Option("--set", metavar="a.b=value", help="Change a field before it is checked.")] = None,
+    repeats: Annotated[int, typer.Option(min=1, help="Runs, each beside its floor.")] = 5,
+    as_json: Json = False,
+    plugin: Plugins = None,
+) -> None:
+    """Real-time factor and where the time goes, against the floor: the same physics steps and pictures, nothing else."""
+    from vstestbed.bench import measure
+
+    result = measure(_load(scenario, set_, plugin), repeats)
+    typer.echo(json.dumps(result.as_dict(), indent=1) if as_json else result.words())
+
+
+def main(argv: list[str] | None = None) -> NoReturn:
+    """Run the command line and exit: 0 goal reached, 1 a bug, 2 bad input, 3 not reached, 4 environment, 130 interrupted."""
+    sys.exit(_guarded(lambda: app(argv, standalone_mode=False)))
+
+
+def _guarded(command: Callable[[], object]) -> int:
+    import click
+
+    try:
+        code = command()
+        return code if isinstance(code, int) else GOAL_REACHED
+    except VstestbedError as error:
+        if _debug:
+            raise
+        typer.echo(str(error), err=True)
+        return error.exit_code
+    except click.ClickException as error:
+        error.show()
+        return BAD_INPUT
+    except (click.exceptions.Abort, KeyboardInterrupt):
+        typer.echo("interrupted", err=True)
+        return INTERRUPTED
+    except BrokenPipeError:
+        sys.stderr.close()
+        return GOAL_REACHED

@@ -1,0 +1,74 @@
+"""What a person at a terminal sees while a run goes, and after it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from vstestbed.recording import Recording, Tick
+    from vstestbed.scenario import Scenario
+
+
+class Progress:
+    """A progress bar on standard error while a run goes (a Watcher); nothing where that is no terminal.
+
+    Args:
+        scenario: its duration is the full bar.
+        shown: False for silence.
+    """
+
+    def __init__(self, scenario: Scenario, shown: bool):
+        from rich.console import Console
+        from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
+        from rich.progress import Progress as Bar
+
+        console = Console(stderr=True)
+        self._bar = Bar(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TextColumn("{task.completed:5.1f} of {task.total:g} s   error {task.fields[error]} px"),
+            TimeElapsedColumn(),
+            console=console,
+            disable=not (shown and console.is_terminal),
+            transient=True,
+        )
+        self._task = self._bar.add_task(scenario.name, total=scenario.stop.duration_s, error="-")
+
+    def tick(self, tick: Tick) -> None:
+        """Move the bar."""
+        error = "lost" if tick.lost else f"{tick.error_px:.2f}"
+        self._bar.update(self._task, completed=tick.observation.t, error=error)
+
+    def say(self, words: str) -> None:
+        """Say what is being done after the run."""
+        self._bar.update(self._task, description=words)
+
+    def __enter__(self) -> Progress:
+        """Show the bar."""
+        self._bar.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        """Take the bar away."""
+        self._bar.stop()
+
+
+def words(recording: Recording, folder: Path) -> str:
+    """The outcome in a few lines."""
+    s = recording.summary()
+
+    def figure(name: str, unit: str, factor: float = 1.0, digits: int = 2) -> str:
+        value = s[name]
+        return f"{value * factor:.{digits}f} {unit}" if isinstance(value, float) else "-"
+
+    return "\n".join(
+        [
+            f"{s['outcome']}: {s['reason']}",
+            f"  error     {figure('final_error_px', 'px', digits=3)}, "
+            f"{figure('final_position_error_m', 'mm', 1000)} and {figure('final_rotation_error_deg', 'deg', digits=3)} from the goal",
+            f"  time      {figure('sim_time_s', 's')} simulated, {figure('real_time_factor', 'times real time', digits=1)}, films included",
+            f"  results   {folder}",
+        ]
+    )

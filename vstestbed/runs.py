@@ -1,0 +1,175 @@
+"""A run with its folder: everything that CONTRACT promises of a run's results, whole or not at all."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import re
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from vstestbed.errors import EnvironmentLackError, OutputError
+from vstestbed.loop import run
+from vstestbed.recording import Layout, PartWriter, Recording, Tick, Watcher
+from vstestbed.scenario import Scenario
+from vstestbed.scenario_file import dump
+from vstestbed.sim.build import scene_xml
+
+if TYPE_CHECKING:
+    from vstestbed.video.film import Film
+
+Films = Literal["camera", "overview", "both", "none"]
+FILM_CAMERAS: dict[str, dict[str, str]] = {
+    "both": {"camera": "eye", "overview": "overview"},
+    "camera": {"camera": "eye"},
+    "overview": {"overview": "overview"},
+    "none": {},
+}
+NO_SPACE = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Turn the system's errors while something is written under `path` into sentences.
+
+    Raises:
+        EnvironmentLackError: no space left. OutputError: no permission, not a folder, a broken disk.
+    """
+    try:
+        yield
+    except OSError as error:
+        if error.errno in NO_SPACE:
+            raise EnvironmentLackError(f"{path}: no space left on the disk", "free some, or choose another place with --out DIR") from error
+        raise OutputError(path, f"cannot be written ({error.strerror or error})", "choose another place with --out DIR") from error
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a text file in one piece: it appears whole or not at all."""
+    part = path.with_name(path.name + ".part")
+    try:
+        with writing(path):
+            with part.open("w", encoding="utf-8", newline="\n") as file:
+                file.write(text)
+                file.flush()
+                os.fsync(file.fileno())
+            os.replace(part, path)
+    except BaseException:
+        part.unlink(missing_ok=True)
+        raise
+
+
+def new_folder(scenario: Scenario, out: Path | None) -> Path:
+    """Make the folder of a new run: `out`, or `runs/<scenario>/<number>` with the next free number.
+
+    Raises:
+        OutputError: `out` holds something already, or cannot be made.
+    """
+    if out is not None:
+        with writing(out):
+            if out.exists() and (not out.is_dir() or any(out.iterdir())):
+                raise OutputError(out, "exists and is not an empty folder", "give a new folder; an older run is never written over")
+            out.mkdir(parents=True, exist_ok=True)
+        return out
+    name = re.sub(r"[^\w.-]+", "_", scenario.name) or "scenario"
+    parent = Path("runs") / name
+    with writing(parent):
+        parent.mkdir(parents=True, exist_ok=True)
+        number = max((int(p.name) for p in parent.iterdir() if p.name.isdigit()), default=0) + 1
+        while True:
+            try:
+                (parent / f"{number:03d}").mkdir()
+            except FileExistsError:
+                number += 1
+            else:
+                return parent / f"{number:03d}"
+
+
+class _LogOnDisk:
+    """Writes each frame to `log.part` as it comes."""
+
+    def __init__(self, folder: Path, scenario: Scenario):
+        self._folder, self._layout = folder, Layout(scenario)
+        with writing(folder):
+            self._writer = PartWriter(folder / "log.part", self._layout)
+
+    def tick(self, tick: Tick) -> None:
+        """Append a frame."""
+        with writing(self._folder):
+            self._writer.append(self._layout.row(tick))
+
+    def close(self) -> None:
+        """Close the file."""
+        self._writer.close()
+
+
+def run_into(
+    folder: Path, scenario: Scenario, films: Films = "both", watch: Iterable[Watcher] = (), stage: Callable[[str], None] = lambda _: None
+) -> Recording:
+    """Run a scenario and leave its folder: scenario, model, log, summary, films, report.
+
+    Args:
+        folder: an empty folder (see `new_folder`).
+        films: which films to make.
+        watch: further watchers, such as a progress bar.
+        stage: told in a few words what is being done after the run.
+
+    Raises:
+        EnvironmentLackError: no OpenGL, no codec, no space. OutputError: the folder cannot be written.
+    """
+    write_whole(folder / "scenario.yaml", dump(scenario))
+    write_whole(folder / "model.xml", scene_xml(scenario.robot, scenario.camera, scenario.target, scenario.world, scenario.physics))
+    with _filming(folder, scenario, films) as cameras:
+        log = _LogOnDisk(folder, scenario)
+        try:
+            recording = run(scenario, [log, *cameras, *watch])
+        finally:
+            log.close()
+        recording.time_ms["video"] = 1e3 * sum(film.spent_s for film in cameras)
+    finish(folder, recording, stage)
+    return recording
+
+
+@contextmanager
+def _filming(folder: Path, scenario: Scenario, films: Films) -> Iterator[list[Film]]:
+    """The films that are asked for; finished when the run ends, also an interrupted one, and gone when it fails."""
+    wanted = FILM_CAMERAS[films]
+    if not wanted:
+        yield []
+        return
+    from vstestbed.video.film import Film, replay_of
+
+    replay = replay_of(scenario)
+    reel = [Film(scenario, camera, folder / f"{name}.mp4", replay) for name, camera in wanted.items()]
+    try:
+        yield reel
+        for film in reel:
+            film.close()
+    except BaseException:
+        for film in reel:
+            film.abort()
+        raise
+    finally:
+        replay.close()
+
+
+def finish(folder: Path, recording: Recording, stage: Callable[[str], None]) -> None:
+    """Turn `log.part` into `log.parquet`, write the summary and the report."""
+    from vstestbed.report import Setting, write_report
+
+    log = recording.frame()
+    part, whole = folder / "log.part", folder / "log.parquet"
+    with writing(whole):
+        made = folder / "log.parquet.part"
+        try:
+            log.write_parquet(made, compression="zstd", statistics=False)
+            os.replace(made, whole)
+        except BaseException:
+            made.unlink(missing_ok=True)
+            raise
+        part.unlink(missing_ok=True)
+    write_whole(folder / "summary.json", json.dumps(recording.summary(), indent=1) + "\n")
+    stage("writing the report")
+    write_report(folder, log=log, setting=Setting.of(recording.scenario))

@@ -1,0 +1,68 @@
+"""Pictures of moments of a run, from any camera, without simulating: the log tells where everything was."""
+
+from __future__ import annotations
+
+from vstestbed.camera import Camera
+from vstestbed.errors import ParameterError
+from vstestbed.geometry import Array
+from vstestbed.robots import Robot
+from vstestbed.sim.render import Eye, Image, View
+from vstestbed.sim.scene import Parts
+from vstestbed.sim.stage import Stage
+from vstestbed.sim.world import World
+from vstestbed.target import Target
+
+FILM_SAMPLES = 4
+"""Multisampling of the outside view: films are made to be looked at."""
+FILM_SHADOW_PX = 2048
+"""Shadow map of the outside view: half of MuJoCo's default."""
+
+
+class Replay:
+    """A stage of its own beside the run's, so that filming changes nothing of what is measured.
+
+    Raises:
+        EnvironmentLackError: OpenGL does not work here.
+    """
+
+    def __init__(self, robot: Robot, camera: Camera, target: Target, world: World):
+        self._parts = Parts(robot, camera, target, world, step=camera.period)
+        self._stage = Stage(self._parts, samples=FILM_SAMPLES)
+        self._stage.model.vis.quality.shadowsize = FILM_SHADOW_PX
+        self._own: tuple[Stage, Eye] | None = None
+        self._views: dict[str, View] = {}
+
+    @property
+    def cameras(self) -> list[str]:
+        """Names of the cameras that pictures can be taken from."""
+        return [self._stage.model.camera(i).name for i in range(self._stage.model.ncam)]
+
+    def picture(self, camera: str, width: int, height: int, t: float, T_world_target: Array, q: Array, T_world_camera: Array) -> Image:
+        """One picture (H, W, 3) uint8; the servo camera `eye` has its own size and lens, whatever width and height say.
+
+        Raises:
+            ParameterError: there is no such camera.
+        """
+        if camera not in self.cameras:
+            raise ParameterError("--camera", f"must be one of {', '.join(self.cameras)}", camera)
+        if camera == "eye":
+            stage, eye = self._servo_eye()
+            stage.place(t, T_world_target, q, T_world_camera)
+            return eye.picture()
+        if camera not in self._views:
+            self._views[camera] = View(self._stage, camera, width, height, shadows=True, style="outside")
+        self._stage.place(t, T_world_target, q, T_world_camera)
+        return self._views[camera].picture()
+
+    def _servo_eye(self) -> tuple[Stage, Eye]:
+        """A second stage with the servo camera's own quality, made when first asked for."""
+        if self._own is None:
+            stage = Stage(self._parts, samples=self._parts.camera.multisampling)
+            self._own = stage, Eye(stage, self._parts.camera)
+        return self._own
+
+    def close(self) -> None:
+        """Free the OpenGL contexts."""
+        self._stage.close()
+        if self._own is not None:
+            self._own[0].close()
