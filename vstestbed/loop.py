@@ -154,13 +154,15 @@ def run(scenario: Scenario, watch: Iterable[Watcher] = ()) -> Recording:
         for watcher in watchers:
             watcher.tick(tick)
 
+    ready = time.perf_counter()
     try:
         outcome, reason = _until_the_end(scenario, plant, note, spent)
     except KeyboardInterrupt:
         outcome, reason = Outcome.interrupted, Outcome.interrupted.value
     finally:
         spent["render"] = plant.render_s
+        loop_s = time.perf_counter() - ready
         plant.close()
     made_by = versions() | {"renderer": renderer}
     time_ms = {k: 1e3 * v for k, v in spent.items()}
-    return Recording(scenario, outcome, reason, layout.columns, log.table(), time.perf_counter() - began, time_ms, made_by)
+    return Recording(scenario, outcome, reason, layout.columns, log.table(), time.perf_counter() - began, loop_s, time_ms, made_by)

@@ -134,7 +134,8 @@ class Recording:
     Attributes:
         columns: names of the log's columns; `table` holds them as (frames, columns).
         time_ms: wall time by part, in all [ms]: physics render detect law record video.
-        wall_time_s: wall time of the run [s]. versions: of what made it.
+        wall_time_s: wall time of the run [s]; loop_s: of its loop alone, without building and closing the scene [s].
+        versions: of what made it.
     """
 
     scenario: Scenario
@@ -143,6 +144,7 @@ class Recording:
     columns: tuple[str, ...]
     table: Array
     wall_time_s: float = math.nan
+    loop_s: float = math.nan
     time_ms: dict[str, float] = field(default_factory=dict)
     versions: dict[str, str] = field(default_factory=dict)
 

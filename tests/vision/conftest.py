@@ -6,15 +6,15 @@ import os
 
 os.environ.setdefault("MUJOCO_GL", "egl")
 
-from collections.abc import Callable  # noqa: E402
+from collections.abc import Callable
 
-import numpy as np  # noqa: E402
-import pytest  # noqa: E402
-from dm_control import mujoco  # noqa: E402
+import numpy as np
+import pytest
+from dm_control import mujoco
 
-from vstestbed.camera import Frame, Perspective  # noqa: E402
-from vstestbed.geometry import Array, quaternion_wxyz  # noqa: E402
-from vstestbed.target import Target  # noqa: E402
+from vstestbed.camera import Frame, Perspective
+from vstestbed.geometry import Array, quaternion_wxyz
+from vstestbed.target import Target
 
 Picture = Callable[..., Frame]
 
@@ -39,8 +39,8 @@ def _markers(target: Target, lit: bool) -> str:
     geoms = []
     for p, c in zip(target.points, target.colors, strict=True):
         r, look = target.marker.radius, f'rgba="{c[0]} {c[1]} {c[2]} 1"'
-        if not lit:
-            look += ' material="glow"'
+        if not lit:  # light adds 0.4 % to what glows: the exact colour
+            look = f'rgba="{c[0] / 250} {c[1] / 250} {c[2] / 250} 1" material="glow"'
         if target.marker.kind == "disc":
             geoms.append(f'<geom type="cylinder" size="{r} 1e-4" pos="{p[0]} {p[1]} {p[2] + 1e-4}" {look}/>')
         else:
@@ -55,10 +55,9 @@ def picture() -> Picture:
 
     def take(target: Target, T: Array, camera: Perspective, extra: str = "", lit: bool = True, t: float = 0.0) -> Frame:
         fovy = 2 * np.degrees(np.arctan(camera.height / 2 / camera.f))
-        xml = SCENE.format(
-            multisampling=camera.multisampling, width=camera.width, height=camera.height, fovy=fovy, markers=_markers(target, lit), extra=extra
-        )
-        xml = xml.replace("<asset>", '<asset><material name="glow" emission="1" specular="0"/>')
+        size = {"width": camera.width, "height": camera.height, "fovy": fovy, "multisampling": camera.multisampling}
+        xml = SCENE.format(**size, markers=_markers(target, lit), extra=extra)
+        xml = xml.replace("<asset>", '<asset><material name="glow" emission="250" specular="0"/>')
         if xml not in stages:
             physics = mujoco.Physics.from_xml_string(xml)
             stages[xml] = physics, mujoco.Camera(physics, camera.height, camera.width, "eye")

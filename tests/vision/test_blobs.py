@@ -36,7 +36,8 @@ FRONT = _tilted(0.3, 0.7, 0.2, (0.02, -0.03, 1.0))
 def _poses(n: int) -> list[Array]:
     """Views from .7 to 1.3 m, tilted up to 45 degrees, turned every way, the whole target in view."""
     rng = np.random.default_rng(1)
-    return [_tilted(rng.uniform(0, 0.8), *rng.uniform(-3, 3, 2), (*rng.uniform(-0.1, 0.1, 2), rng.uniform(0.7, 1.3))) for _ in range(n)]
+    draws = rng.uniform([0, -3, -3, -0.1, -0.1, 0.7], [0.8, 3, 3, 0.1, 0.1, 1.3], (n, 6))
+    return [_tilted(d[0], d[1], d[2], (d[3], d[4], d[5])) for d in draws]
 
 
 def _detect(frame: Frame, target: Target, blobs: Blobs | None = None, camera: Perspective = CAMERA) -> Detection:
@@ -180,9 +181,11 @@ def test_three_markers_have_a_pose_from_the_first_picture_on(picture: Picture) -
     right = 0
     for T in _poses(10):
         found = _detect(picture(target, T, CAMERA), target)
-        assert found.T_camera_target is not None
-        right += rigid_error(found.T_camera_target, T)[1] < 0.1
-    assert right >= 8  # areas cannot always tell the up to four poses apart
+        assert found.seen.all()
+        if found.T_camera_target is not None:  # noise can make two of the poses that three points leave one, and then none
+            assert rigid_error(found.T_camera_target, T)[1] < 0.1
+            right += 1
+    assert right >= 8
 
 
 def test_behind_the_camera_and_no_target(picture: Picture) -> None:

@@ -141,10 +141,12 @@ def test_estimate_without_motion_keeps_the_initial_depth() -> None:
 
 def test_estimate_survives_a_gap() -> None:
     observer, rng = _observer(Estimate(initial_m=1.0)), np.random.default_rng(0)
-    memory, T = observer.init(), START
+    memory, seen = observer.observe(observer.init(), 0.0, _detection(START), REST, rng)
     twist = np.array([0.1, 0.05, 0, 0, 0, 0])
-    for k in range(60):
+    T = inverse(exp(twist * DT)) @ START
+    for k in range(1, 60):
         memory, seen = observer.observe(memory, k * DT, _detection(T, lost=(1,) if 20 <= k < 40 else ()), twist, rng)
         assert np.all(seen.depth > 0)
+        assert seen.depth[0] == pytest.approx(transform(T, TARGET.points)[0, 2], rel=0.01) or k < 20
         T = inverse(exp(twist * DT)) @ T
     assert seen.depth == pytest.approx(transform(T, TARGET.points)[:, 2], rel=5e-3)

@@ -16,7 +16,7 @@ TARGET = Points(pose=Pose(), at=((0, 0, 0), (1, 0, 0), (2, 0, 0)))  # discs of 2
 RNG = np.random.default_rng(0)
 
 
-def _ask(oracle: Oracle, p: Array, hidden: tuple[bool, bool, bool] = (False, False, False)) -> Detection:
+def _ask(oracle: Oracle, p: Array | list[list[float]], hidden: tuple[bool, bool, bool] = (False, False, False)) -> Detection:
     view = TruthView(np.array(p, dtype=float), np.array(hidden))
     return oracle.detect(oracle.init(), None, view, CAMERA, TARGET, RNG)[1]
 

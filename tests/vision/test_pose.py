@@ -26,7 +26,7 @@ def _see(T: Array, points: Array) -> Array:
 def _random_poses(n: int) -> list[Array]:
     rng = np.random.default_rng(5)
     draws = [rng.uniform([-0.8, -0.8, -3, -0.2, -0.2, 0.7], [0.8, 0.8, 3, 0.2, 0.2, 2]) for _ in range(n)]
-    return [_pose(*d[:3], tuple(d[3:])) for d in draws]
+    return [_pose(d[0], d[1], d[2], (d[3], d[4], d[5])) for d in draws]
 
 
 @pytest.mark.parametrize("points", [SQUARE, HOUSE, HOUSE[:5], HOUSE[[0, 1, 2, 4]]], ids=["plane 4", "space 6", "space 5", "space 4"])
@@ -42,7 +42,7 @@ def test_noise_of_a_third_of_a_pixel() -> None:
     rng = np.random.default_rng(0)
     points, errors = SQUARE * 0.4, []
     for _ in range(200):
-        T = _pose(*rng.uniform(-0.6, 0.6, 2), rng.uniform(-3, 3), (0.05, 0.0, 0.8))
+        T = _pose(rng.uniform(-0.6, 0.6), rng.uniform(-0.6, 0.6), rng.uniform(-3, 3), (0.05, 0.0, 0.8))
         found = solve_pose(_see(T, points) + rng.normal(0, 0.3 / 540, (4, 2)), points, previous=T)
         assert found is not None
         errors.append(rigid_error(found, T))

@@ -61,7 +61,11 @@ class View:
 
     def picture(self) -> Image:
         """The picture now, (H, W, 3) uint8 RGB, a copy of its own."""
-        return np.ascontiguousarray(self._camera.render(scene_option=self._option, render_flag_overrides=self._flags))
+        return np.ascontiguousarray(self.raw())
+
+    def raw(self) -> Image:
+        """The picture as the kept camera gives it: a view of its own buffer, overwritten by the next one."""
+        return self._camera.render(scene_option=self._option, render_flag_overrides=self._flags)
 
 
 class Eye:

@@ -167,7 +167,7 @@ class Blobs:
 
 
 def _first_of_three(rays: Array, area: Array, camera: Camera, target: Target) -> Array | None:
-    """Of the poses that the rays (3, 3) of three markers leave, the one that makes their areas (N,) least surprising; None if even that does not fit."""
+    """Of the poses that rays (3, 3) leave, the one that makes the areas (N,) least surprising; None if even that does not fit."""
 
     def surprise(T: Array) -> float:
         return float(np.nansum(np.abs(np.log(area / centre_bias(camera, target, T)[1]))))

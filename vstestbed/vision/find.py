@@ -18,9 +18,11 @@ Rim = Literal["sharp", "binary", "grey"]
 
 STRIP_PX = 38400
 """Pixels masked at a time: the intermediate pictures then stay in the core's cache (640x480: .1 ms instead of 1 ms)."""
-ROUGHNESS = 0.006, 1.5
-"""By how much an ellipse made of pixels may miss an ellipse's area: a share, and so many pixels. Five standard
-deviations of drawn ellipses of 4 px radius and more; a disc of 8 px with 9 % of its area cut off is past it."""
+ROUGHNESS = 0.005
+"""Share of its area by which an ellipse made of pixels may seem to miss something (distortion, a ball drawn with facets) ..."""
+ROUGHNESS_PX = {"sharp": 1.0, "binary": 1.5, "grey": 1.5}
+"""... and how much more [px^2]: rendered discs and balls of 2 to 24 px radius reach .3, .8 and 1.2. A disc of 8 px of which
+7 % are hidden is past both."""
 
 _NEIGHBOURS = np.ones((3, 3), np.uint8)
 
@@ -112,7 +114,7 @@ def _blob(image: Image, alone: Image, box: Window, rim: Rim) -> Blob | None:
 
     Moments are taken within the blob's own box, so that they are the same numbers whatever window it was found in.
     An ellipse with second central moments mu (per area) has area 4 pi sqrt(det mu); a blob that is smaller than that
-    has a piece missing.
+    has a piece missing. (Coverage is an ellipse smeared over a pixel, which adds 1/12 to mu_xx and mu_yy.)
     """
     height, width = image.shape[:2]
     left, top = max(box[0] - 2, 0), max(box[1] - 2, 0)
@@ -124,9 +126,11 @@ def _blob(image: Image, alone: Image, box: Window, rim: Rim) -> Blob | None:
         return None
     area = mass / 255
     x, y = m["m10"] / mass, m["m01"] / mass
-    ellipse = 4 * math.pi * math.sqrt(max(m["mu20"] * m["mu02"] - m["mu11"] ** 2, 0.0)) / mass
+    spread = 1 / 12 if rim == "grey" else 0.0
+    xx, yy, xy = m["mu20"] / mass - spread, m["mu02"] / mass - spread, m["mu11"] / mass
+    ellipse = 4 * math.pi * math.sqrt(max(xx * yy - xy * xy, 0.0))
     inside = box[0] > 0 and box[1] > 0 and box[2] < width and box[3] < height
-    whole = inside and ellipse - area <= ROUGHNESS[0] * area + ROUGHNESS[1]
+    whole = inside and ellipse - area <= ROUGHNESS * area + ROUGHNESS_PX[rim]
     return Blob(u=left + x, v=top + y, area=area, hue_deg=_hue(image, left + round(x), top + round(y)), box=box, whole=whole)
 
 

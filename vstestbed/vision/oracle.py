@@ -56,8 +56,8 @@ class Oracle:
 
 def _whole(uv: Array, p: Array, camera: Camera, radius: float) -> NDArray[np.bool_]:
     """Whether the markers at p (N, 3) lie in the picture with a margin of their apparent radius, shape (N,)."""
-    across = camera.project(p + [radius, 0, 0]) - uv
-    down = camera.project(p + [0, radius, 0]) - uv
+    across = camera.project(p + np.array([radius, 0, 0])) - uv
+    down = camera.project(p + np.array([0, radius, 0])) - uv
     size = np.array([camera.width, camera.height])
     with np.errstate(invalid="ignore"):
         return np.all(np.minimum(uv + 0.5, size - 0.5 - uv) >= np.hypot(across, down), axis=-1)

@@ -16,7 +16,8 @@ _K = np.eye(3)
 CLEARLY_WORSE = 6.0
 """Of two mirror poses, the one whose pixels fit this many times worse is out, whatever came before."""
 SAME_SCENE = 0.5
-"""Three markers leave up to four poses; one farther than this from the previous pose (radians plus share of the distance) is no continuation."""
+"""Of the up to four poses that three markers leave, one farther than this from the last (radians plus share of the distance)
+does not continue it."""
 WIDE = 0.2
 """A ray with less than this of its unit length along z (78 degrees off axis) is not given to the solvers as x/z, y/z."""
 

@@ -1,0 +1,84 @@
+"""What works on this machine, and the command that mends what does not."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from vstestbed.errors import VstestbedError
+from vstestbed.provenance import versions
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing looked at: whether it works, what was found, how to mend it."""
+
+    what: str
+    works: bool
+    found: str
+    remedy: str = ""
+
+    def __str__(self) -> str:
+        """One line, two where something is to be done."""
+        line = f"{'ok ' if self.works else 'NO '} {self.what:12} {self.found}"
+        return line if self.works or not self.remedy else f"{line}\n    {'':12} {self.remedy}"
+
+
+def examine() -> Iterator[Finding]:
+    """Everything that a run needs, looked at one after the other."""
+    yield Finding("python", sys.version_info >= (3, 11), sys.version.split()[0], "install Python 3.11 or newer")
+    yield _packages()
+    yield Finding("cores", True, f"{len(os.sched_getaffinity(0)) if hasattr(os, 'sched_getaffinity') else os.cpu_count()}")
+    yield _data()
+    yield from _pictures()
+    yield _codec()
+
+
+def _packages() -> Finding:
+    found = versions()
+    missing = [name for name, version in found.items() if version == "missing"]
+    text = ", ".join(f"{name} {version}" for name, version in found.items() if name != "python")
+    major = found["mujoco"].split(".")[0]
+    if major.isdigit() and int(major) >= 4:
+        return Finding("packages", False, text, "dm-control 1.0.50 does not work with mujoco 4: pip install 'mujoco>=3.17,<4'")
+    return Finding("packages", not missing, text, "pip install vstestbed again")
+
+
+def _data() -> Finding:
+    from vstestbed.assets import bundled_scenarios
+
+    try:
+        names = list(bundled_scenarios())
+    except VstestbedError as error:
+        return Finding("scenarios", False, str(error))
+    return Finding("scenarios", bool(names), f"{len(names)} bundled: {', '.join(names)}", "install vstestbed again")
+
+
+def _pictures() -> Iterator[Finding]:
+    """OpenGL, then the pixel convention: where a rendered ball is against where the camera model says it is."""
+    from vstestbed.sim.check import pixel_convention
+
+    try:
+        check = pixel_convention()
+    except VstestbedError as error:
+        lack, _, remedy = str(error).partition("; ")
+        yield Finding("OpenGL", False, lack, remedy)
+        return
+    yield Finding("OpenGL", True, check.renderer)
+    worst = float(np.abs(check.errors).max())
+    found = f"{len(check.errors)} rendered balls within {worst:.3f} px of the camera model (0.1 allowed)"
+    yield Finding("pixels", worst < 0.1, found, "this OpenGL driver draws half a pixel off; try another MUJOCO_GL")
+
+
+def _codec() -> Finding:
+    import av
+
+    try:
+        av.Codec("libx264", "w")
+    except (av.FFmpegError, ValueError) as error:
+        return Finding("video", False, f"no libx264 encoder ({error})", "pip install --force-reinstall --only-binary :all: av")
+    return Finding("video", True, f"libx264 through PyAV {av.__version__}")

@@ -1,0 +1,59 @@
+"""The floor of a run's cost: the same physics steps and the same raw pictures, nothing else."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import mujoco
+
+from vstestbed.geometry import Array
+from vstestbed.sim.render import View
+from vstestbed.sim.scene import Parts
+from vstestbed.sim.stage import Stage
+
+
+@dataclass(frozen=True)
+class Floor:
+    """Wall time of a run's bare physics and bare pictures [s]."""
+
+    physics_s: float
+    render_s: float
+
+    @property
+    def total_s(self) -> float:
+        """Both together [s]."""
+        return self.physics_s + self.render_s
+
+
+def measure_floor(parts: Parts, steps_per_frame: int, ctrl: Array, q: Array, T_world_camera: Array, pictures: bool) -> Floor:
+    """Replay a recorded run's controls with bare `mj_step`, and its views with bare renders of the kept camera.
+
+    Args:
+        parts: the scene. steps_per_frame: physics steps between frames.
+        ctrl: actuator controls of each frame (frames, nu); q: joint angles of each frame (frames, n).
+        T_world_camera: camera poses (frames, 4, 4), which place the free camera.
+        pictures: whether the run rendered at all.
+    """
+    stage = Stage(parts, samples=parts.camera.multisampling)
+    camera = parts.camera
+    view = View(stage, "eye", camera.width, camera.height, camera.shadows, "own") if pictures else None
+    target = parts.target.pose.T
+    stage.place(0.0, target, q[0], T_world_camera[0])
+    mujoco.mj_forward(stage.model, stage.data)
+    physics = render = 0.0
+    for frame in range(len(ctrl)):
+        if parts.robot.model is None:
+            stage.place(0.0, target, q[frame], T_world_camera[frame])
+        began = time.perf_counter()
+        if view is not None:
+            view.raw()
+        rendered = time.perf_counter()
+        if parts.robot.model is not None:
+            stage.data.ctrl[: ctrl.shape[1]] = ctrl[frame]
+            for _ in range(steps_per_frame):
+                mujoco.mj_step(stage.model, stage.data)
+            physics += time.perf_counter() - rendered
+        render += rendered - began
+    stage.close()
+    return Floor(physics, render)
