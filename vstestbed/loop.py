@@ -12,6 +12,7 @@ from vstestbed.camera import Frame
 from vstestbed.geometry import Array, inverse
 from vstestbed.provenance import versions
 from vstestbed.recording import Layout, Log, Recording, Tick, Watcher
+from vstestbed.robots import Mount
 from vstestbed.scenario import IMAGE_STREAM, NOISE_STREAM, Scenario
 from vstestbed.sim.base import Plant, Truth
 from vstestbed.sim.build import build_plant
@@ -47,7 +48,7 @@ class _Servo:
     def __init__(self, scenario: Scenario, plant: Plant, spent: dict[str, float]):
         self.scenario, self.plant, self.spent = scenario, plant, spent
         self.goal = scenario.goal_view
-        self.mount = scenario.camera.mount.T
+        self.mount = Mount.of(scenario.camera.mount.T)
         self.basis = scenario.robot.motion_basis(self.mount)
         self.needed = scenario.law.markers_needed(self.basis)
         self.rng = scenario.rng(NOISE_STREAM)
@@ -102,6 +103,8 @@ def _until_the_end(scenario: Scenario, plant: Plant, note: Callable[[Tick], None
     while True:
         if step == next_capture:
             frame, truth = plant.capture()
+            if frame is not None and line.delay_steps > 0:
+                frame = Frame(frame.t, frame.image.copy())  # it will wait while the next ones are taken
             line.push(step, Shot(frame, step * plant.step_s, truth, moved / plant.steps_per_frame))
             moved = np.zeros(6)
             next_capture += plant.steps_per_frame

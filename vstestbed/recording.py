@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from vstestbed.errors import RunFolderError
-from vstestbed.geometry import Array, quaternion_wxyz, rigid_error
+from vstestbed.geometry import Array, inverse, quaternion_wxyz, rigid_error
 from vstestbed.laws import Command
 from vstestbed.observation import Observation
 from vstestbed.robots import Allocation
@@ -37,7 +37,8 @@ class Tick:
 
     Attributes:
         frame: number of the frame. lost: too few markers seen. error_px: RMS of goal minus measured over the coordinates
-        seen, NaN when lost. image: the servo camera's picture, None where no detector asked for one.
+        seen, NaN when lost. image: the servo camera's picture (it holds until the
+        next frame), None where no detector asked for one.
     """
 
     frame: int
@@ -80,6 +81,7 @@ class Layout:
             *(f"{kind}_{joint}" for joint in joints for kind in ("q", "qd", "ctrl")),
         )
         self._camera, self._goal = scenario.camera, scenario.goal_view
+        self._T_target_goal = inverse(self._goal.T_camera_target)
 
     def row(self, tick: Tick) -> Array:
         """The tick as numbers, in the order of `columns`."""
@@ -101,10 +103,6 @@ class Layout:
                 joints.ravel(),
             ]
         )
-
-    @property
-    def _T_target_goal(self) -> Array:
-        return np.linalg.inv(self._goal.T_camera_target)
 
 
 def _pose(T: Array) -> Array:

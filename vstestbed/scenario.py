@@ -14,7 +14,7 @@ from vstestbed.errors import ParameterError
 from vstestbed.geometry import Array, Pose, inverse, transform
 from vstestbed.laws import IBVS, LAWS
 from vstestbed.observation import Goal, OracleDepth
-from vstestbed.robots import ROBOTS, Free, Puma560
+from vstestbed.robots import ROBOTS, Free, Mount, Puma560
 from vstestbed.sim.clock import Clock
 from vstestbed.sim.world import World
 from vstestbed.spec import spec
@@ -77,7 +77,7 @@ class Scenario:
         if isinstance(self.law.depth, OracleDepth) and not isinstance(self.detector, Oracle):
             raise ParameterError("law.depth", "may be oracle only with detector: {kind: oracle}; with pixels use pnp, constant, goal or estimate")
         self.physics.resolve(self.camera)
-        needed = self.law.markers_needed(self.robot.motion_basis(self.camera.mount.T))
+        needed = self.law.markers_needed(self.robot.motion_basis(Mount.of(self.camera.mount.T)))
         found = len(self.target.points)
         if found < needed:
             words = f"has {found} marker{'s' * (found != 1)}, and law {self.law.kind} needs {needed} or more for this robot's motions"

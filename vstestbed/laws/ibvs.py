@@ -16,7 +16,7 @@ from vstestbed.observation import Depth, Goal, Observation, PnP
 from vstestbed.spec import spec
 
 PINV_RCOND = 1e-6
-"""Singular values under this share of the largest count as zero: a direction that pixels do not tell is not moved in."""
+"""Cut-off of the pseudo-inverse: singular values under this share of the largest count as zero: a direction that pixels do not tell is not moved in."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +70,7 @@ class IBVS:
             seen = slice(None)
         e = self.feature.error(self.feature.measure(observation.xy[seen]), self.feature.measure(goal.xy[seen]))
         L = self._interaction(observation, goal, seen)
-        u = -self.gain.at(e) * (np.linalg.pinv(L @ basis, rcond=PINV_RCOND) @ e)
+        u = -self.gain.at(e) * np.linalg.lstsq(L @ basis, e, rcond=PINV_RCOND)[0]  # pinv(L B) e
         if self.smooth_start_s > 0:
             if memory.u0 is None:
                 memory = IBVSMemory(observation.t, u)

@@ -7,7 +7,7 @@ from typing import ClassVar, Literal, Protocol
 
 import numpy as np
 
-from vstestbed.geometry import Array
+from vstestbed.geometry import Array, adjoint, inverse
 from vstestbed.observation import Encoders
 
 Limit = Literal["", "speed", "joint_limit", "singular"]
@@ -28,6 +28,25 @@ class Allocation:
     twist: Array
     scale: float = 1.0
     limit: Limit = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Mount:
+    """Where the camera sits on the robot: twist transforms between the flange and the camera, made once.
+
+    Attributes:
+        T_flange_camera: pose (4, 4).
+        to_flange, to_camera: adjoints (6, 6), twist_flange = to_flange @ twist_camera and back.
+    """
+
+    T_flange_camera: Array
+    to_flange: Array
+    to_camera: Array
+
+    @classmethod
+    def of(cls, T_flange_camera: Array) -> Mount:
+        """The mount of a camera at a pose (4, 4) in the flange frame."""
+        return cls(T_flange_camera, adjoint(T_flange_camera), adjoint(inverse(T_flange_camera)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,10 +94,10 @@ class Robot(Protocol):
         """Pose (4, 4) of the flange in the world, by the robot's own model."""
         ...
 
-    def motion_basis(self, T_flange_camera: Array) -> Array:
+    def motion_basis(self, mount: Mount) -> Array:
         """Camera twists the robot can make, shape (6, n): twist = basis @ u."""
         ...
 
-    def allocate(self, twist: Array, encoders: Encoders, T_flange_camera: Array, period: float) -> Allocation:
+    def allocate(self, twist: Array, encoders: Encoders, mount: Mount, period: float) -> Allocation:
         """A camera twist (6,) as a setpoint that keeps the limits for one period [s]."""
         ...

@@ -9,7 +9,7 @@ import numpy as np
 from vstestbed.errors import ParameterError
 from vstestbed.geometry import Array, Pose, Triple
 from vstestbed.observation import Encoders
-from vstestbed.robots.base import Allocation
+from vstestbed.robots.base import Allocation, Mount
 from vstestbed.spec import spec
 
 
@@ -61,10 +61,10 @@ class Free:
         """The pose itself, (4, 4)."""
         return configuration.reshape(4, 4)
 
-    def motion_basis(self, T_flange_camera: Array) -> Array:
+    def motion_basis(self, mount: Mount) -> Array:
         """All six twists."""
         return np.eye(6)
 
-    def allocate(self, twist: Array, encoders: Encoders, T_flange_camera: Array, period: float) -> Allocation:
+    def allocate(self, twist: Array, encoders: Encoders, mount: Mount, period: float) -> Allocation:
         """The twist of the camera itself: no limits."""
         return Allocation(setpoint=twist, twist=twist)

@@ -14,9 +14,9 @@ import numpy as np
 from annotated_types import Ge, Len, Le
 
 from vstestbed.errors import ParameterError
-from vstestbed.geometry import Array, adjoint, inverse
+from vstestbed.geometry import Array
 from vstestbed.observation import Encoders
-from vstestbed.robots.base import Allocation, Limit, Servo
+from vstestbed.robots.base import Allocation, Limit, Mount, Servo
 from vstestbed.spec import spec
 
 DH = np.array(
@@ -123,6 +123,7 @@ def resolved_rate(J: Array, twist: Array, speed_limits: Array = SPEED_LIMITS, th
     return dq / max(1.0, float(np.max(np.abs(dq) / speed_limits)))
 
 
+NO_LIMITS = np.full(6, np.inf)
 LIMIT_MARGIN = np.radians(1.0)
 """A joint comes to rest this far before its hard stop [rad]."""
 LIMIT_HORIZON_S = 0.25
@@ -205,32 +206,34 @@ class Puma560:
         """T_world_flange (4, 4); the base stands at the world's origin."""
         return forward(configuration)
 
-    def motion_basis(self, T_flange_camera: Array) -> Array:
+    def motion_basis(self, mount: Mount) -> Array:
         """All six camera twists."""
         return np.eye(6)
 
-    def allocate(self, twist: Array, encoders: Encoders, T_flange_camera: Array, period: float) -> Allocation:
+    def allocate(self, twist: Array, encoders: Encoders, mount: Mount, period: float) -> Allocation:
         """Joint speeds for a camera twist (6,): damped resolved rate, then scaled as a whole into speed and position limits.
 
         Near a position limit a joint's speed towards it is bounded by its distance over LIMIT_HORIZON_S
         (velocity damper: Faverjon & Tournassoud 1987, doi:10.1109/ROBOT.1987.1087982).
         """
-        to_flange = adjoint(T_flange_camera)
+        wanted = mount.to_flange @ twist
         J = jacobian(encoders.q)
-        dq = resolved_rate(J, to_flange @ twist, np.full(6, np.inf))
-        limit: Limit = ""
-        size = float(np.abs(twist).max())
-        realised = adjoint(inverse(T_flange_camera)) @ (J @ dq)
-        wanted = max(float(twist @ twist), 1e-300)
-        along = float(realised @ twist) / wanted if size > 0 else 1.0
-        if along < 0.5:
-            limit = "singular"
+        dq = resolved_rate(J, wanted, NO_LIMITS)
+        realised = J @ dq
+        along = _share(realised, wanted)
+        limit: Limit = "singular" if along < 0.5 else ""
         room = np.where(dq > 0, JOINT_LIMITS[:, 1] - encoders.q, encoders.q - JOINT_LIMITS[:, 0]) - LIMIT_MARGIN
         damper = np.maximum(room, 0.0) / max(LIMIT_HORIZON_S, period)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            speed = np.nanmin(np.where(dq != 0, SPEED_LIMITS / np.abs(dq), np.inf))
-            position = np.nanmin(np.where(dq != 0, damper / np.abs(dq), np.inf))
-        scale = min(1.0, float(speed), float(position))
+        size = np.maximum(np.abs(dq), 1e-12)
+        speed, position = float((SPEED_LIMITS / size).min()), float((damper / size).min())
+        scale = min(1.0, speed, position)
         if scale < 1.0:
             limit = "joint_limit" if position < speed else "speed"
-        return Allocation(setpoint=dq * scale, twist=realised * scale, scale=scale * min(1.0, max(along, 0.0)), limit=limit)
+        return Allocation(setpoint=dq * scale, twist=mount.to_camera @ realised * scale, scale=scale * along, limit=limit)
+
+
+def _share(realised: Array, wanted: Array) -> float:
+    """How much of a wanted twist (6,) a realised one makes, 0 to 1, lengths in REACH_UNIT; 1 when nothing is wanted."""
+    a, b = realised * _SCALE, wanted * _SCALE
+    size = float(b @ b)
+    return min(1.0, max(0.0, float(a @ b) / size)) if size > 0 else 1.0

@@ -45,7 +45,7 @@ class Plant(Protocol):
     """Wall time spent on pictures so far [s]."""
 
     def capture(self) -> tuple[Frame | None, Truth]:
-        """The picture (None where no detector asks for one) and the truth, now."""
+        """The picture (None where no detector asks for one; it holds until the next capture) and the truth, now."""
         ...
 
     def encoders(self) -> Encoders:

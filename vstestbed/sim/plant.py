@@ -75,7 +75,7 @@ class MujocoPlant:
         truth = Truth(
             T, self._T_world_target, twist, data.qpos[stage.qpos], data.qvel[stage.qvel], data.ctrl[self._ctrl], p_camera, hidden, self._touches()
         )
-        frame = Frame(t, self._eye.picture()) if self._eye else None
+        frame = Frame(t, self._eye.glimpse()) if self._eye else None
         return frame, truth
 
     def _touches(self) -> bool:

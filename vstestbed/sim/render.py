@@ -87,11 +87,15 @@ class Eye:
         self.spent_s = 0.0
 
     def picture(self) -> Image:
-        """The picture now, (H, W, 3) uint8 RGB."""
+        """The picture now, (H, W, 3) uint8 RGB, its own for good."""
+        return np.ascontiguousarray(self.glimpse())
+
+    def glimpse(self) -> Image:
+        """The picture now; it may lie in the renderer's buffer, and then holds only until the next one."""
         start = time.perf_counter()
-        image = self._view.picture()
+        image = self._view.raw()
         if self._maps is not None:
-            image = cv2.remap(image, *self._maps, interpolation=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+            image = cv2.remap(np.ascontiguousarray(image), *self._maps, interpolation=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         if self._sigma > 0 and self._rng is not None:
             noise = self._rng.standard_normal(image.shape, dtype=np.float32) * np.float32(self._sigma)
             image = np.clip(image + noise + 0.5, 0, 255).astype(np.uint8)

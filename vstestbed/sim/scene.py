@@ -29,6 +29,9 @@ BOARD_MARGIN = 1.5
 """The board behind a square reaches this many marker radii beyond the markers' edges."""
 FREE_HOUSING = 4.0
 """The free camera's housing is drawn this many times as large as the arm's: it is seen from farther away."""
+GLOW = 1000.0
+"""Emission of an unlit marker, whose own colour is divided by it: emission gives the exact colour 255 * rgba, and what
+the scene's lights add (the plain colour times their brightness) is under half a grey level."""
 PITCH_M = 1e-5
 """Pixel pitch that MuJoCo's camera is given [m]; it drops out, since focal length and principal point are in pixels."""
 
@@ -143,8 +146,9 @@ def _add_target(scene: mujoco.MjSpec, target: Target) -> None:
     body = scene.worldbody.add_body(name="target/frame", mocap=True, pos=T[:3, 3], quat=quaternion_wxyz(T[:3, :3]))
     marker = target.marker
     for i, (p, rgb) in enumerate(zip(target.points, target.colors, strict=True)):
-        rgba = [*rgb, 1.0]
-        scene.add_material(name=f"target/color_{i}", rgba=rgba, specular=0, shininess=0, emission=0.0 if marker.lit else 1.0)
+        emission = 0.0 if marker.lit else GLOW
+        rgba = [*(rgb if marker.lit else rgb / GLOW), 1.0]
+        scene.add_material(name=f"target/color_{i}", rgba=rgba, specular=0, shininess=0, emission=emission)
         body.add_site(name=f"target/marker_{i}", pos=p, group=SITE_GROUP, size=[0.005] * 3)
         disc = isinstance(marker, Disc)
         kind = mujoco.mjtGeom.mjGEOM_CYLINDER if disc else mujoco.mjtGeom.mjGEOM_SPHERE

@@ -85,7 +85,7 @@ class Film:
         began = time.perf_counter()
         width, height = self._size or OVERVIEW_SIZE
         if self._camera == "eye":
-            image = moment.image.copy() if moment.image is not None else self._picture(moment, width, height)
+            image = np.array(moment.image) if moment.image is not None else self._picture(moment, width, height)
             self._overlay.draw(image, moment.uv, self._goal_uv, t=moment.t, error_px=moment.error_px, lost=moment.lost)
             if self._size is not None:
                 image = cv2.resize(image, self._size, interpolation=cv2.INTER_AREA)

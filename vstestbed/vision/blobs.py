@@ -24,8 +24,10 @@ AREA_NOISE_PX = 3.5
 """What rounding to pixels does to a blob's area, three standard deviations [px^2] (drawn ellipses of 2 to 8 px radius)."""
 EDGE_PX = 0.15
 """How far inside or outside of the true border a smoothed, shaded blob's border may lie [px] (rendered balls of 5 px and more)."""
-LARGE_BIAS_PX = 0.25
-"""Beyond it, the bias is computed again from the pose that the corrected centres give; under it that changes .01 px."""
+SAME_BIAS_PX = 0.02
+"""A bias that differs by less from the one assumed stands: solving the pose again would change it by a tenth of that."""
+MOST_ROUNDS = 3
+"""Poses solved at most for one picture, besides one for each marker that is left out."""
 SURPRISE = 0.15
 """Sum over three markers of |log(area / expected)|: under .05 for the right pose of rendered discs, over .6 for most others."""
 MOST_WINDOWED = 0.3
@@ -34,11 +36,12 @@ MOST_WINDOWED = 0.3
 
 @dataclass(frozen=True, slots=True)
 class BlobsMemory:
-    """Each marker's blob in the last picture (None: lost) and its move since the one before [px]; the last pose."""
+    """Each marker's blob in the last picture (None: lost) and its move since the one before [px]; the last pose and bias."""
 
     blobs: tuple[Blob | None, ...] = ()
     moves: tuple[tuple[float, float], ...] = ()
     T_camera_target: Array | None = None
+    bias: Array | None = None
 
 
 @spec
@@ -91,9 +94,9 @@ class Blobs:
         if frame is None:
             raise ParameterError("frame", "is missing: detector blobs needs a picture; use detector oracle where there is none")
         blobs = self._track(frame.image, memory, camera, target) or self._search(frame.image, camera, target)
-        uv, T = self._measure(blobs, memory, camera, target)
+        uv, T, bias = self._measure(blobs, memory, camera, target)
         kept = T if T is not None else memory.T_camera_target
-        return BlobsMemory(tuple(blobs), _moves(memory, blobs), kept), Detection(uv=uv, T_camera_target=T)
+        return BlobsMemory(tuple(blobs), _moves(memory, blobs), kept, bias), Detection(uv=uv, T_camera_target=T)
 
     def _look(self, image: Image, window: Window, camera: Camera) -> list[Blob]:
         return find_blobs(image, window, self.chroma, self.least_area_px, self.moments if _smooth(camera) else "sharp")
@@ -125,45 +128,49 @@ class Blobs:
         tolerance = min(self.hue_tolerance_deg, 180 / n_hues)
         return [b for b in found if abs((b.hue_deg - hue_deg + 180) % 360 - 180) <= tolerance]
 
-    def _measure(self, blobs: list[Blob | None], memory: BlobsMemory, camera: Camera, target: Target) -> tuple[Array, Array | None]:
-        """Marker centres (N, 2) and the pose, from blobs."""
-        centroid = np.array([(b.u, b.v) if b and b.whole else (np.nan, np.nan) for b in blobs])
-        area = np.array([b.area if b and b.whole else np.nan for b in blobs])
-        bias = np.zeros_like(centroid)
-        T = self._pose(centroid, area, memory.T_camera_target, camera, target)
-        while T is not None:
-            bias, expected = centre_bias(camera, target, T)
-            misfit = self._misfit(area, expected, EDGE_PX if _smooth(camera) else 0.0)
-            worst = int(np.argmax(misfit))
-            if misfit[worst] <= 1:
+    def _measure(self, blobs: list[Blob | None], memory: BlobsMemory, camera: Camera, target: Target) -> tuple[Array, Array | None, Array]:
+        """Marker centres (N, 2), the pose, and perspective's bias (N, 2), from blobs.
+
+        The pose is solved from centroids less the bias of the last picture, which gives this picture's bias; where that
+        is not the same within SAME_BIAS_PX, once more.
+        """
+        whole = [b if b and b.whole else None for b in blobs]
+        centroid = np.array([(b.u, b.v) if b else (np.nan, np.nan) for b in whole])
+        area = np.array([b.area if b else np.nan for b in whole])
+        assumed = np.zeros_like(centroid) if memory.bias is None else memory.bias
+        T = self._pose(centroid - assumed, area, memory.T_camera_target, camera, target)
+        for _ in range(len(blobs) + MOST_ROUNDS):
+            if T is None:
                 break
-            centroid[worst] = area[worst] = np.nan
-            T = self._pose(centroid, area, T if memory.T_camera_target is None else memory.T_camera_target, camera, target)
-        if not self.correct_centre:
-            return centroid, T
-        if T is None:
-            last = memory.T_camera_target
-            return (centroid if last is None else centroid - centre_bias(camera, target, last)[0]), None
-        T = self._pose(centroid - bias, area, T, camera, target)
-        if T is not None and np.nanmax(np.abs(bias)) > LARGE_BIAS_PX:
-            bias, _ = centre_bias(camera, target, T)
-        return centroid - bias, T
+            bias, expected = centre_bias(camera, target, T)
+            worst, misfit = self._worst(area, expected, EDGE_PX if _smooth(camera) else 0.0)
+            if misfit > 1:
+                centroid[worst] = area[worst] = np.nan
+            elif not np.abs(bias - assumed).max() > SAME_BIAS_PX:
+                break
+            assumed = bias
+            T = self._pose(centroid - assumed, area, T if memory.T_camera_target is None else memory.T_camera_target, camera, target)
+        if T is None and memory.T_camera_target is not None:
+            assumed = centre_bias(camera, target, memory.T_camera_target)[0]
+        return (centroid - assumed if self.correct_centre else centroid), T, assumed
 
     def _pose(self, uv: Array, area: Array, previous: Array | None, camera: Camera, target: Target) -> Array | None:
         seen = np.isfinite(uv[:, 0])
-        if np.count_nonzero(seen) < 3:
+        n = int(np.count_nonzero(seen))
+        if n < 3:
             return None
-        rays, points = camera.ray(uv[seen]), target.points[seen]
+        rays, points = (camera.ray(uv), target.points) if n == len(seen) else (camera.ray(uv[seen]), target.points[seen])
         if len(points) == 3 and previous is None:
             return _first_of_three(rays, area, camera, target)
         return solve_pose_from_rays(rays, points, previous)
 
-    def _misfit(self, area: Array, expected: Array, edge: float) -> Array:
-        """How far areas (N,) are from expected ones, in units of what is allowed; 0 for markers that are not seen."""
+    def _worst(self, area: Array, expected: Array, edge: float) -> tuple[int, float]:
+        """Which area (N,) is farthest from the expected one, and by how much, in units of what is allowed; unseen ones are not."""
         allowed = self.area_tolerance * expected + AREA_NOISE_PX + edge * 2 * np.sqrt(math.pi * expected)
         misfit = np.abs(area - expected) / allowed
-        misfit = np.nan_to_num(misfit, nan=np.inf)
-        return np.where(np.isfinite(area), misfit, 0.0)
+        misfit[np.isnan(misfit) & np.isfinite(area)] = np.inf
+        worst = int(np.nanargmax(misfit))
+        return worst, float(misfit[worst])
 
 
 def _first_of_three(rays: Array, area: Array, camera: Camera, target: Target) -> Array | None:
