@@ -68,7 +68,7 @@ def _options(
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
     version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")] = False,
 ) -> None:
-    global _debug  # noqa: PLW0603 - the one flag that `main` needs after typer has gone
+    global _debug
     _debug = debug
 
 

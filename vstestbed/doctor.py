@@ -76,9 +76,10 @@ def _pictures() -> Iterator[Finding]:
 
 def _codec() -> Finding:
     import av
+    import av.error
 
     try:
         av.Codec("libx264", "w")
-    except (av.FFmpegError, ValueError) as error:
+    except (av.error.FFmpegError, ValueError) as error:
         return Finding("video", False, f"no libx264 encoder ({error})", "pip install --force-reinstall --only-binary :all: av")
     return Finding("video", True, f"libx264 through PyAV {av.__version__}")

@@ -40,13 +40,13 @@ class Pose:
 
     def SE3(self) -> SE3:
         """The same pose as a spatialmath object."""
-        from spatialmath import SE3
+        from spatialmath import SE3, SO3
 
-        return SE3.Trans(*self.xyz) * SE3.RPY(list(self.rpy_deg), order="zyx", unit="deg")
+        return SE3.Rt(SO3.RPY(*self.rpy_deg, order="zyx", unit="deg"), list(self.xyz))
 
 
 def skew(w: Array) -> Array:
-    """Cross-product matrix: skew(w) @ p = w x p. w (..., 3) to (..., 3, 3)."""
+    """Cross-product matrix S of w (..., 3), shape (..., 3, 3): S p = w x p."""
     w = np.asarray(w, dtype=float)
     S = np.zeros((*w.shape[:-1], 3, 3))
     S[..., 2, 1], S[..., 0, 2], S[..., 1, 0] = w[..., 0], w[..., 1], w[..., 2]
@@ -97,7 +97,7 @@ def exp(xi: Array) -> Array:
 
 
 def adjoint(T_a_b: Array) -> Array:
-    """Twist transform: twist_a = adjoint(T_a_b) @ twist_b for two frames on one body, [[R, [t]x R], [0, R]].
+    """Twist transform [[R, [t]x R], [0, R]] between two frames on one body, twist_a = A twist_b.
 
     Reference: Corke 2017, Robotics, Vision & Control, eq. 3.16 (order (v, w)).
     """

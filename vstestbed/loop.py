@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +20,10 @@ from vstestbed.sim.build import build_plant
 from vstestbed.sim.timing import DelayLine
 from vstestbed.stop import Evidence, Judge, Outcome
 from vstestbed.target import Square
-from vstestbed.vision import Observer, TruthView
+from vstestbed.vision import Detector, Observer, TruthView
+
+PARTS = ("physics", "render", "detect", "law", "record", "video")
+"""Where a run's wall time goes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,13 +58,14 @@ class _Servo:
         self.rng = scenario.rng(NOISE_STREAM)
         self.observer = _observer(scenario)
         self.seeing, self.observing, self.control = scenario.detector.init(), self.observer.init(), scenario.law.init(self.goal)
+        self.detector: Detector[Any] = scenario.detector
         self.count = 0
 
     def arrive(self, shot: Shot) -> Tick:
         """Detect, observe, decide, move."""
         s, began = self.scenario, time.perf_counter()
         view = TruthView(shot.truth.p_camera, shot.truth.hidden) if s.detector.needs_truth else None
-        self.seeing, detection = s.detector.detect(self.seeing, shot.frame, view, s.camera, s.target, self.rng)
+        self.seeing, detection = self.detector.detect(self.seeing, shot.frame, view, s.camera, s.target, self.rng)
         self.observing, seen = self.observer.observe(self.observing, shot.t, detection, shot.twist, self.rng)
         detected = time.perf_counter()
         self.control, command = s.law.step(self.control, seen, self.goal, self.basis)
@@ -137,7 +142,7 @@ def run(scenario: Scenario, watch: Iterable[Watcher] = ()) -> Recording:
     began = time.perf_counter()
     layout = Layout(scenario)
     log, watchers = Log(layout.columns), tuple(watch)
-    spent = dict.fromkeys(("physics", "render", "detect", "law", "record", "video"), 0.0)
+    spent: dict[str, float] = dict.fromkeys(PARTS, 0.0)
     plant, renderer = build_plant(
         scenario.robot,
         scenario.camera,

@@ -3,52 +3,45 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
 
 import numpy as np
 
 from vstestbed.geometry import Array, rotation_angle, rotation_from_quaternion
+from vstestbed.scenario import Scenario
+from vstestbed.stop import Outcome
 
-if TYPE_CHECKING:
-    from vstestbed.recording import Recording
+Columns = Mapping[str, Array]
 
 SATURATED = 0.999
 """A command scaled under this counts as saturated."""
 
 
-def summarise(recording: Recording) -> dict[str, object]:
-    """All figures of a run; None where a figure has no meaning (no frames, never seen, no distance to go).
+def summarise(scenario: Scenario, outcome: Outcome, log: Columns) -> dict[str, object]:
+    """What a run's log says; None where a figure has no meaning (no frames, never seen, no distance to go).
 
     path_ratio: length of the camera's path over the straight distance between its start and its goal.
     max_retreat_m: how much farther from the target's origin the camera came than both its start and its goal.
     max_rotation_deg: largest turn away from the starting orientation.
     max_feature_excursion_px: largest distance of a true marker image from the straight line between its start and goal.
     min_border_margin_px: smallest distance of a true marker image to the picture's border, negative outside.
-    time_ms: wall time by part, mean per frame [ms].
+    saturated_fraction: share of frames whose command was scaled to stay within the robot's limits.
+
+    Args:
+        scenario: the experiment. outcome: how it ended. log: the columns of the log by name, shape (frames,) each.
     """
-    r = recording
-    frames = len(r.table)
-    sim_time = float(r["t"][-1]) if frames else 0.0
+    frames = len(log["t"])
     figures: dict[str, object] = {
-        "scenario": r.scenario.name,
-        "outcome": r.outcome.name,
-        "success": r.outcome.success,
-        "reason": r.reason,
-        "seed": r.scenario.seed,
-        "sim_time_s": sim_time,
+        "sim_time_s": float(log["t"][-1]) if frames else 0.0,
         "frames": frames,
-        "frames_lost": int(r["lost"].sum()),
-        "time_to_converge_s": _time_to_converge(r),
-        **_final(r),
-        **_path(r),
-        **_image(r),
-        "peak_speed_mps": _peak(r, ("vx", "vy", "vz")),
-        "peak_rate_radps": _peak(r, ("wx", "wy", "wz")),
-        "saturated_fraction": float(np.mean(r["scale"] < SATURATED)) if frames else None,
-        "wall_time_s": r.wall_time_s,
-        "real_time_factor": sim_time / r.wall_time_s if r.wall_time_s > 0 else None,
-        "time_ms": {k: v / max(frames, 1) for k, v in r.time_ms.items()},
-        "versions": r.versions,
+        "frames_lost": int(log["lost"].sum()),
+        "time_to_converge_s": _time_to_converge(scenario, outcome, log),
+        **_final(log),
+        **_path(scenario, log),
+        **_image(scenario, log),
+        "peak_speed_mps": _peak(log, ("vx", "vy", "vz")),
+        "peak_rate_radps": _peak(log, ("wx", "wy", "wz")),
+        "saturated_fraction": float(np.mean(log["scale"] < SATURATED)) if frames else None,
     }
     return {k: _clean(v) for k, v in figures.items()}
 
@@ -58,34 +51,34 @@ def _clean(value: object) -> object:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _time_to_converge(r: Recording) -> float | None:
+def _time_to_converge(scenario: Scenario, outcome: Outcome, log: Columns) -> float | None:
     """Start of the last unbroken stretch under the threshold, when the run converged [s]."""
-    if r.outcome.name != "converged" or not len(r.table):
+    if outcome is not Outcome.converged or not len(log["t"]):
         return None
-    over = np.flatnonzero(~(r["error_px"] < r.scenario.stop.converged.error_px))
-    return float(r["t"][over[-1] + 1]) if len(over) else float(r["t"][0])
+    over = np.flatnonzero(~(log["error_px"] < scenario.stop.converged.error_px))
+    return float(log["t"][over[-1] + 1]) if len(over) else float(log["t"][0])
 
 
-def _final(r: Recording) -> dict[str, object]:
+def _final(log: Columns) -> dict[str, object]:
     names = {"final_error_px": "error_px", "final_position_error_m": "position_error_m", "final_rotation_error_deg": "rotation_error_rad"}
-    last = {name: float(r[column][-1]) if len(r.table) else math.nan for name, column in names.items()}
+    last = {name: float(log[column][-1]) if len(log["t"]) else math.nan for name, column in names.items()}
     last["final_rotation_error_deg"] = math.degrees(last["final_rotation_error_deg"])
     return {k: _clean(v) for k, v in last.items()}
 
 
-def _columns(r: Recording, prefix: str, names: tuple[str, ...]) -> Array:
-    return np.column_stack([r[f"{prefix}_{name}"] for name in names])
+def _columns(log: Columns, prefix: str, names: tuple[str, ...]) -> Array:
+    return np.column_stack([log[f"{prefix}_{name}"] for name in names])
 
 
-def _path(r: Recording) -> dict[str, object]:
-    if not len(r.table):
-        return dict.fromkeys(("path_length_m", "path_ratio", "max_retreat_m", "max_rotation_deg"))
-    camera, target = _columns(r, "cam", ("x", "y", "z")), _columns(r, "tgt", ("x", "y", "z"))
+def _path(scenario: Scenario, log: Columns) -> dict[str, object]:
+    if not len(log["t"]):
+        return {"path_length_m": None, "path_ratio": None, "max_retreat_m": None, "max_rotation_deg": None}
+    camera, target = _columns(log, "cam", ("x", "y", "z")), _columns(log, "tgt", ("x", "y", "z"))
     length = float(np.linalg.norm(np.diff(camera, axis=0), axis=1).sum())
-    straight = float(r["position_error_m"][0])
+    straight = float(log["position_error_m"][0])
     distance = np.linalg.norm(camera - target, axis=1)
-    at_goal = float(np.linalg.norm(r.scenario.goal_view.T_camera_target[:3, 3]))
-    R = rotation_from_quaternion(_columns(r, "cam", ("qw", "qx", "qy", "qz")))
+    at_goal = float(np.linalg.norm(scenario.goal_view.T_camera_target[:3, 3]))
+    R = rotation_from_quaternion(_columns(log, "cam", ("qw", "qx", "qy", "qz")))
     return {
         "path_length_m": length,
         "path_ratio": length / straight if straight > 1e-3 else None,
@@ -94,12 +87,13 @@ def _path(r: Recording) -> dict[str, object]:
     }
 
 
-def _image(r: Recording) -> dict[str, object]:
-    camera, n = r.scenario.camera, len(r.scenario.target.points)
-    if not len(r.table):
+def _image(scenario: Scenario, log: Columns) -> dict[str, object]:
+    camera, n = scenario.camera, len(scenario.target.points)
+    if not len(log["t"]):
         return {"max_feature_excursion_px": None, "min_border_margin_px": None}
-    uv = np.stack([_columns(r, "u_true", tuple(str(i) for i in range(n))), _columns(r, "v_true", tuple(str(i) for i in range(n)))], axis=-1)
-    start, goal = uv[0], r.scenario.goal_view.uv
+    names = tuple(str(i) for i in range(n))
+    uv = np.stack([_columns(log, "u_true", names), _columns(log, "v_true", names)], axis=-1)
+    start, goal = uv[0], scenario.goal_view.uv
     along = goal - start
     length2 = np.maximum((along**2).sum(axis=-1), 1e-12)
     share = np.clip(((uv - start) * along).sum(axis=-1) / length2, 0, 1)
@@ -112,6 +106,6 @@ def _image(r: Recording) -> dict[str, object]:
     }
 
 
-def _peak(r: Recording, names: tuple[str, ...]) -> float | None:
+def _peak(log: Columns, names: tuple[str, ...]) -> float | None:
     """Largest true speed or rate of the camera."""
-    return float(np.linalg.norm(_columns(r, "act", names), axis=1).max()) if len(r.table) else None
+    return float(np.linalg.norm(_columns(log, "act", names), axis=1).max()) if len(log["t"]) else None

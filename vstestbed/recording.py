@@ -17,6 +17,7 @@ import numpy as np
 from vstestbed.errors import RunFolderError
 from vstestbed.geometry import Array, inverse, quaternion_wxyz, rigid_error
 from vstestbed.laws import Command
+from vstestbed.metrics import summarise
 from vstestbed.observation import Observation
 from vstestbed.robots import Allocation
 from vstestbed.scenario import Scenario
@@ -157,10 +158,18 @@ class Recording:
         return to_frame(self.columns, self.table)
 
     def summary(self) -> dict[str, object]:
-        """The run in numbers, as `summary.json` has them."""
-        from vstestbed.metrics import summarise
-
-        return summarise(self)
+        """The run in numbers, as `summary.json` has them; `time_ms` is the mean wall time of a frame by part [ms]."""
+        figures = summarise(self.scenario, self.outcome, {name: self.table[:, i] for i, name in enumerate(self.columns)})
+        sim_time = float(self["t"][-1]) if len(self.table) else 0.0
+        frames = max(len(self.table), 1)
+        ended = {"outcome": self.outcome.name, "success": self.outcome.success, "reason": self.reason, "seed": self.scenario.seed}
+        cost = {
+            "wall_time_s": self.wall_time_s,
+            "real_time_factor": sim_time / self.wall_time_s if self.wall_time_s > 0 else None,
+            "time_ms": {k: v / frames for k, v in self.time_ms.items()},
+            "versions": self.versions,
+        }
+        return {"scenario": self.scenario.name} | ended | figures | cost
 
 
 def to_frame(columns: tuple[str, ...], table: Array) -> polars.DataFrame:

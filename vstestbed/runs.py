@@ -55,7 +55,7 @@ def write_whole(path: Path, text: str) -> None:
                 file.write(text)
                 file.flush()
                 os.fsync(file.fileno())
-            os.replace(part, path)
+            part.replace(path)
     except BaseException:
         part.unlink(missing_ok=True)
         raise
@@ -165,7 +165,7 @@ def finish(folder: Path, recording: Recording, stage: Callable[[str], None]) -> 
         made = folder / "log.parquet.part"
         try:
             log.write_parquet(made, compression="zstd", statistics=False)
-            os.replace(made, whole)
+            made.replace(whole)
         except BaseException:
             made.unlink(missing_ok=True)
             raise

@@ -75,7 +75,8 @@ class Scenario:
     def __post_init__(self) -> None:
         """Refuse parts that do not belong together."""
         if isinstance(self.law.depth, OracleDepth) and not isinstance(self.detector, Oracle):
-            raise ParameterError("law.depth", "may be oracle only with detector: {kind: oracle}; with pixels use pnp, constant, goal or estimate")
+            words = "may be oracle only with detector: {kind: oracle}; with pixels use pnp, constant, goal or estimate"
+            raise ParameterError("law.depth", words)
         self.physics.resolve(self.camera)
         needed = self.law.markers_needed(self.robot.motion_basis(Mount.of(self.camera.mount.T)))
         found = len(self.target.points)

@@ -37,10 +37,10 @@ def spec(cls: type[T]) -> type[T]:
 
     Raises (from the constructor): ParameterError that names the field, what it must be and what was given.
     """
-    made = _pydantic_dataclass(cls, frozen=True, kw_only=True, config=_CONFIG)
+    made: Any = _pydantic_dataclass(cls, frozen=True, kw_only=True, config=_CONFIG)
     checked_init = made.__init__
 
-    def __init__(self: Any, **values: Any) -> None:
+    def init(self: Any, **values: Any) -> None:
         try:
             checked_init(self, **values)
         except pydantic.ValidationError as error:
@@ -48,7 +48,7 @@ def spec(cls: type[T]) -> type[T]:
             field = ".".join(str(part) for part in first["loc"]) or cls.__name__
             raise ParameterError(field, first["msg"], first["input"]) from None
 
-    made.__init__ = __init__  # type: ignore[method-assign]  # the documented pydantic __init__, with our error class
+    made.__init__ = init
     _SPECS.append(made)
     return made
 

@@ -61,7 +61,7 @@ class Target:
     marker: Marker = Disc()
     motion: Motion = Still()
 
-    @property
+    @cached_property
     def points(self) -> Array:
         """Marker centres in the target frame, shape (N, 3) [m]."""
         raise NotImplementedError
@@ -76,7 +76,8 @@ class Target:
         p = self.points
         gaps = np.linalg.norm(p[:, None] - p[None], axis=-1) + np.eye(len(p)) * 1e9
         if gaps.min() <= 2 * self.marker.radius:
-            raise ParameterError("marker.radius", f"must be under half of the smallest gap between markers, {gaps.min():.4g} m", self.marker.radius)
+            words = f"must be under half of the smallest gap between markers, {gaps.min():.4g} m"
+            raise ParameterError("marker.radius", words, self.marker.radius)
 
 
 @spec

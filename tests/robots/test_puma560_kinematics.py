@@ -44,7 +44,7 @@ def test_zero_pose_is_the_sum_of_the_lengths():
 
 
 def test_start_is_within_the_limits():
-    assert np.all(Q0 > JOINT_LIMITS[:, 0]) and np.all(Q0 < JOINT_LIMITS[:, 1])
+    assert np.all(JOINT_LIMITS[:, 0] < Q0) and np.all(JOINT_LIMITS[:, 1] > Q0)
 
 
 def test_parts_agree_with_the_whole():

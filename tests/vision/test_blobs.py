@@ -12,7 +12,6 @@ from vstestbed.camera import Frame, Perspective
 from vstestbed.geometry import Array, Pose, exp, inverse, rigid_error, transform
 from vstestbed.target import Disc, Marker, Points, Sphere, Square, Target
 from vstestbed.vision import Blobs, Detection
-from vstestbed.vision.blobs import BlobsMemory
 
 from .conftest import Picture
 

@@ -60,7 +60,8 @@ class Perspective(Camera):
         xy = self.normalise(border)
         back = self._distort(xy) * self.f + self.centre
         if not np.allclose(back, border, atol=1e-3):
-            raise ParameterError("distortion", "folds the picture over itself before its corners; use smaller coefficients", self.distortion)
+            words = "folds the picture over itself before its corners; use smaller coefficients"
+            raise ParameterError("distortion", words, self.distortion)
 
     @cached_property
     def f(self) -> float:

@@ -24,7 +24,7 @@ class Point:
     kind: Literal["point"] = "point"
 
     def measure(self, xy: Array) -> Array:
-        """s (..., 2N) of xy (..., N, 2)."""
+        """The vector s (..., 2N) of xy (..., N, 2)."""
         return xy.reshape(*xy.shape[:-2], 2 * xy.shape[-2])
 
     def interaction(self, xy: Array, depth: Array) -> Array:
@@ -46,5 +46,5 @@ class Point:
         return L.reshape(*xy.shape[:-2], 2 * xy.shape[-2], 6)
 
     def error(self, s: Array, s_star: Array) -> Array:
-        """e = s - s*, shape (..., 2N)."""
+        """The difference s - s*, shape (..., 2N)."""
         return s - s_star

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Ge
+from numpy.typing import NDArray
 
 from vstestbed.features import FEATURES, Point
 from vstestbed.geometry import Array
@@ -15,8 +16,11 @@ from vstestbed.laws.base import Command, ConstantGain, Gain, TwistLimits
 from vstestbed.observation import Depth, Goal, Observation, PnP
 from vstestbed.spec import spec
 
+Rows = slice | NDArray[np.bool_]
+"""Which markers' rows are taken."""
 PINV_RCOND = 1e-6
-"""Cut-off of the pseudo-inverse: singular values under this share of the largest count as zero: a direction that pixels do not tell is not moved in."""
+"""Cut-off of the pseudo-inverse: singular values under this share of the largest count as zero:
+a direction that pixels do not tell is not moved in."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,22 +67,23 @@ class IBVS:
 
     def step(self, memory: IBVSMemory, observation: Observation, goal: Goal, basis: Array) -> tuple[IBVSMemory, Command]:
         """One frame, with the markers that are seen; rest when they are too few for the robot's motions."""
-        seen = observation.seen
+        seen: Rows = observation.seen
         if np.count_nonzero(seen) < self.markers_needed(basis):
             return IBVSMemory(), Command.rest(basis, "too few markers seen")
-        if seen.all():
-            seen = slice(None)
+        if observation.seen.all():
+            seen = slice(None)  # a view is cheaper than a selection
         e = self.feature.error(self.feature.measure(observation.xy[seen]), self.feature.measure(goal.xy[seen]))
         L = self._interaction(observation, goal, seen)
-        u = -self.gain.at(e) * np.linalg.lstsq(L @ basis, e, rcond=PINV_RCOND)[0]  # pinv(L B) e
+        solved = np.asarray(np.linalg.lstsq(L @ basis, e, rcond=PINV_RCOND)[0], dtype=float)  # pinv(L B) e
+        u = -self.gain.at(e) * solved
         if self.smooth_start_s > 0:
-            if memory.u0 is None:
-                memory = IBVSMemory(observation.t, u)
-            u = u - memory.u0 * math.exp(-(observation.t - memory.t0) / self.smooth_start_s)
+            u0 = u if memory.u0 is None else memory.u0
+            memory = IBVSMemory(observation.t if memory.u0 is None else memory.t0, u0)
+            u = u - u0 * math.exp(-(observation.t - memory.t0) / self.smooth_start_s)
         u = u * self.limits.scale(basis @ u)
         return memory, Command(u=u, twist=basis @ u)
 
-    def _interaction(self, observation: Observation, goal: Goal, seen: Array | slice) -> Array:
+    def _interaction(self, observation: Observation, goal: Goal, seen: Rows) -> Array:
         if self.interaction == "desired":
             return self.feature.interaction(goal.xy[seen], goal.depth[seen])
         L = self.feature.interaction(observation.xy[seen], observation.depth[seen])

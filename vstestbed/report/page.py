@@ -166,7 +166,7 @@ def _summary(run_dir: Path) -> dict[str, Any]:
 
 def _setting(path: Path) -> Setting:
     """The facts of the scenario; none of them where it uses kinds that this installation does not have."""
-    from vstestbed.scenario import load
+    from vstestbed.scenario_file import load
 
     try:
         return Setting.of(load(path))
@@ -181,7 +181,7 @@ def _write(path: Path, text: str) -> Path:
     part = path.with_name(path.name + ".part")
     try:
         part.write_text(text, encoding="utf-8")
-        os.replace(part, path)
+        part.replace(path)
     except OSError as error:
         part.unlink(missing_ok=True)
         full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)

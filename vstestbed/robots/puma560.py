@@ -11,7 +11,7 @@ from __future__ import annotations
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from annotated_types import Ge, Len, Le
+from annotated_types import Ge, Le, Len
 
 from vstestbed.errors import ParameterError
 from vstestbed.geometry import Array

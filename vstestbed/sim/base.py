@@ -41,8 +41,11 @@ class Plant(Protocol):
 
     step_s: float
     steps_per_frame: int
-    render_s: float
-    """Wall time spent on pictures so far [s]."""
+
+    @property
+    def render_s(self) -> float:
+        """Wall time spent on pictures so far [s]."""
+        ...
 
     def capture(self) -> tuple[Frame | None, Truth]:
         """The picture (None where no detector asks for one; it holds until the next capture) and the truth, now."""

@@ -24,7 +24,7 @@ def build_plant(
     image_sigma: float = 0.0,
     rng: np.random.Generator | None = None,
 ) -> tuple[Plant, str]:
-    """The plant, and the name of what renders its pictures ("none" where nothing does).
+    """Make the plant; with it the name of what renders its pictures ("none" where nothing does).
 
     An arm is simulated by MuJoCo. The ideal camera needs MuJoCo only for pictures, or to tell what plates hide.
 

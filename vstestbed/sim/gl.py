@@ -23,8 +23,7 @@ def missing_libraries() -> list[str]:
 
 
 def choose_backend() -> None:
-    """Set MUJOCO_GL where the user set nothing: `egl` on Linux if its libraries are there, else `disable`.
-    """
+    """Set MUJOCO_GL where the user set nothing: `egl` on Linux if its libraries are there, else `disable`."""
     if sys.platform.startswith("linux") and not os.environ.get("MUJOCO_GL"):
         os.environ["MUJOCO_GL"] = "disable" if missing_libraries() else "egl"
         if os.environ["MUJOCO_GL"] == "egl":

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vstestbed.camera import Perspective
-from vstestbed.geometry import Array
 
 
 @dataclass(frozen=True)
@@ -28,15 +28,14 @@ def pinhole_of(camera: Perspective) -> Pinhole:
     """The camera's own picture without distortion; with it, a pinhole picture that covers all that the lens sees."""
     if camera.distortion is None:
         return Pinhole(camera.width, camera.height, (float(camera.centre[0]), float(camera.centre[1])))
-    u, v = np.arange(camera.width), np.arange(camera.height)
-    top, left = np.stack([u, np.zeros_like(u)], -1), np.stack([np.zeros_like(v), v], -1)
-    border = np.concatenate([top, top + [0, camera.height - 1], left, left + [camera.width - 1, 0]]).astype(float)
+    grid = np.stack(np.meshgrid(np.arange(camera.width), np.arange(camera.height)), axis=-1).astype(float)
+    border = np.concatenate([grid[0], grid[-1], grid[:, 0], grid[:, -1]])
     px = camera.normalise(border) * camera.f
     low, high = np.floor(px.min(axis=0)) - 1, np.ceil(px.max(axis=0)) + 1
     return Pinhole(int(high[0] - low[0]) + 1, int(high[1] - low[1]) + 1, (float(-low[0]), float(-low[1])))
 
 
-def resampling_maps(camera: Perspective, pinhole: Pinhole) -> tuple[Array, Array] | None:
+def resampling_maps(camera: Perspective, pinhole: Pinhole) -> tuple[NDArray[np.float32], NDArray[np.float32]] | None:
     """For cv2.remap: where in the drawn picture each pixel of the camera's picture lies; None for an undistorted lens."""
     if camera.distortion is None:
         return None

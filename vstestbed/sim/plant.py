@@ -72,9 +72,8 @@ class MujocoPlant:
         mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_SITE, stage.eye, self._velocity, 1)
         twist = np.concatenate([self._velocity[3:], self._velocity[:3]])
         hidden = stage.hidden(T, p_camera) if self._see_hidden else self._visible
-        truth = Truth(
-            T, self._T_world_target, twist, data.qpos[stage.qpos], data.qvel[stage.qvel], data.ctrl[self._ctrl], p_camera, hidden, self._touches()
-        )
+        q, qd, ctrl = data.qpos[stage.qpos], data.qvel[stage.qvel], data.ctrl[self._ctrl]
+        truth = Truth(T, self._T_world_target, twist, q, qd, ctrl, p_camera, hidden, self._touches())
         frame = Frame(t, self._eye.glimpse()) if self._eye else None
         return frame, truth
 

@@ -51,6 +51,8 @@ class View:
             self._flags = {"shadow": shadows, "reflection": False}
             self.renderer = ""
             contexts = stage.physics.contexts
+            if contexts is None or contexts.gl is None or contexts.mujoco is None:
+                raise EnvironmentLackError("no OpenGL context", gl.REMEDY)
             with contexts.gl.make_current() as context:
                 self.renderer = context.call(gl.renderer_string)
                 buffer = contexts.mujoco.ptr
@@ -78,7 +80,7 @@ class Eye:
 
     def __init__(self, stage: Stage, camera: Camera, image_sigma: float = 0.0, rng: np.random.Generator | None = None):
         if not isinstance(camera, Perspective):
-            raise ParameterError("camera.kind", "has no picture", camera.kind)
+            raise ParameterError("camera.kind", "has no picture", type(camera).__name__)
         pinhole = pinhole_of(camera)
         self._maps = resampling_maps(camera, pinhole)
         self._sigma, self._rng = image_sigma, rng
@@ -95,7 +97,8 @@ class Eye:
         start = time.perf_counter()
         image = self._view.raw()
         if self._maps is not None:
-            image = cv2.remap(np.ascontiguousarray(image), *self._maps, interpolation=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+            still = np.ascontiguousarray(image)
+            image = np.asarray(cv2.remap(still, *self._maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.uint8)
         if self._sigma > 0 and self._rng is not None:
             noise = self._rng.standard_normal(image.shape, dtype=np.float32) * np.float32(self._sigma)
             image = np.clip(image + noise + 0.5, 0, 255).astype(np.uint8)

@@ -130,7 +130,6 @@ def _add_camera(body: mujoco.MjsBody, T_body_camera: Array, camera: Camera, hous
         principal_pixel=list(view.mujoco_principal),
     )
     body.add_site(name="eye", pos=pos, quat=quat_cv, group=SITE_GROUP, size=[0.005] * 3)
-    R = T_body_camera[:3, :3]
     box, glass = [0.025, 0.02, 0.03], [0.013, 0.012, 0]
     for name, kind, size, grey, along in (
         ("eye_box", mujoco.mjtGeom.mjGEOM_BOX, box, 0.17, -0.03),
@@ -153,7 +152,7 @@ def _add_target(scene: mujoco.MjSpec, target: Target) -> None:
         disc = isinstance(marker, Disc)
         kind = mujoco.mjtGeom.mjGEOM_CYLINDER if disc else mujoco.mjtGeom.mjGEOM_SPHERE
         size = [marker.radius, DISC_HALF_THICKNESS, 0] if disc else [marker.radius, 0, 0]
-        centre = p + [0, 0, DISC_HALF_THICKNESS] if disc else p
+        centre = p + np.array([0, 0, DISC_HALF_THICKNESS if disc else 0.0])
         geom = _visual(body, f"target/marker_{i}", kind, size, rgba, TARGET_GROUP, centre)
         geom.material = f"target/color_{i}"
     if isinstance(target, Square):

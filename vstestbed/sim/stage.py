@@ -8,7 +8,7 @@ from dm_control import mujoco as dm
 from dm_control.mujoco import wrapper
 from numpy.typing import NDArray
 
-from vstestbed.geometry import Array, quaternion_wxyz
+from vstestbed.geometry import Array, inverse, quaternion_wxyz
 from vstestbed.sim.scene import LENS_GROUP, Parts, compose
 from vstestbed.sim.world import plate_position
 
@@ -51,7 +51,7 @@ class Stage:
 
     @property
     def _mount_inverse(self) -> Array:
-        return np.linalg.inv(self.parts.camera.mount.T)
+        return inverse(self.parts.camera.mount.T)
 
     def place_target(self, T: Array) -> None:
         """Put the target at a pose (4, 4)."""

@@ -88,7 +88,7 @@ class Film:
             image = np.array(moment.image) if moment.image is not None else self._picture(moment, width, height)
             self._overlay.draw(image, moment.uv, self._goal_uv, t=moment.t, error_px=moment.error_px, lost=moment.lost)
             if self._size is not None:
-                image = cv2.resize(image, self._size, interpolation=cv2.INTER_AREA)
+                image = np.asarray(cv2.resize(image, self._size, interpolation=cv2.INTER_AREA), np.uint8)
         else:
             image = self._picture(moment, width, height)
             draw_caption(image, self._title, t=moment.t, error_px=moment.error_px)

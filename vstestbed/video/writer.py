@@ -126,7 +126,7 @@ class VideoWriter:
             self._container.mux(packet)
         self._container.close()
         self._container, self._stream, self._done = None, None, True
-        os.replace(self.part, self.path)
+        self.part.replace(self.path)
 
     def _guard(self, step: Callable[[], None]) -> None:
         """Run one step of the encoder; on failure leave nothing behind and say what is lacking."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol, TypeVar
+from typing import ClassVar, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,15 +59,10 @@ class Detector(Protocol[M]):
         """The detector's word in a scenario."""
         ...
 
-    @property
-    def needs_image(self) -> bool:
-        """Whether it looks at the picture."""
-        ...
-
-    @property
-    def needs_truth(self) -> bool:
-        """Whether it looks behind the scenes: the oracle."""
-        ...
+    needs_image: ClassVar[bool]
+    """Whether it looks at the picture."""
+    needs_truth: ClassVar[bool]
+    """Whether it looks behind the scenes: the oracle."""
 
     def init(self) -> M:
         """The memory before the first picture."""
