@@ -11,6 +11,7 @@ import numpy as np
 
 from vstestbed.camera import Frame
 from vstestbed.geometry import Array, inverse
+from vstestbed.observation import Encoders
 from vstestbed.provenance import versions
 from vstestbed.recording import Layout, Log, Recording, Tick, Watcher
 from vstestbed.robots import Mount
@@ -28,12 +29,13 @@ PARTS = ("physics", "render", "detect", "law", "record", "video")
 
 @dataclass(frozen=True, slots=True)
 class Shot:
-    """A picture on its way to the law, with the twist ordered since the picture before it."""
+    """A picture on its way to the law, with what the robot measured at its exposure and the mean twist ordered since the last."""
 
     frame: Frame | None
     t: float
     truth: Truth
-    twist: Array
+    encoders: Encoders
+    ordered: Array
 
 
 def _observer(scenario: Scenario) -> Observer:
@@ -60,13 +62,16 @@ class _Servo:
         self.seeing, self.observing, self.control = scenario.detector.init(), self.observer.init(), scenario.law.init(self.goal)
         self.detector: Detector[Any] = scenario.detector
         self.count = 0
+        self.before: Shot | None = None
 
     def arrive(self, shot: Shot) -> Tick:
         """Detect, observe, decide, move."""
         s, began = self.scenario, time.perf_counter()
         view = TruthView(shot.truth.p_camera, shot.truth.hidden) if s.detector.needs_truth else None
         self.seeing, detection = self.detector.detect(self.seeing, shot.frame, view, s.camera, s.target, self.rng)
-        self.observing, seen = self.observer.observe(self.observing, shot.t, detection, shot.twist, self.rng)
+        last = self.before or shot
+        twist = s.robot.measured_twist(last.encoders, shot.encoders, shot.t - last.t, shot.ordered, self.mount)
+        self.observing, seen = self.observer.observe(self.observing, shot.t, detection, twist, self.rng)
         detected = time.perf_counter()
         self.control, command = s.law.step(self.control, seen, self.goal, self.basis)
         allocation = s.robot.allocate(command.twist, self.plant.encoders(), self.mount, s.camera.period)
@@ -79,6 +84,7 @@ class _Servo:
         image = shot.frame.image if shot.frame else None
         tick = Tick(self.count, lost, error_px, seen, command, allocation, shot.truth, image)
         self.count += 1
+        self.before = shot
         return tick
 
 
@@ -110,7 +116,7 @@ def _until_the_end(scenario: Scenario, plant: Plant, note: Callable[[Tick], None
             frame, truth = plant.capture()
             if frame is not None and line.delay_steps > 0:
                 frame = Frame(frame.t, frame.image.copy())  # it will wait while the next ones are taken
-            line.push(step, Shot(frame, step * plant.step_s, truth, moved / plant.steps_per_frame))
+            line.push(step, Shot(frame, step * plant.step_s, truth, plant.encoders(), moved / plant.steps_per_frame))
             moved = np.zeros(6)
             next_capture += plant.steps_per_frame
         for shot in line.pop_due(step):

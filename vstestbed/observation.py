@@ -87,7 +87,10 @@ class AtGoal:
 
 @spec
 class Estimate:
-    """Each marker's inverse depth by recursive least squares on its optical flow under the commanded twist.
+    """Each marker's inverse depth by recursive least squares on its optical flow under the camera's own motion.
+
+    The motion is what the robot measures of itself: an arm's encoders; the ideal camera moves as commanded. (The commanded
+    twist of an arm would not do: its servos lag, and the first frame's command has not moved anything yet.)
 
     Args:
         initial_m: depth assumed until the camera has moved enough to tell [m].

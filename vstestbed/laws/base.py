@@ -64,12 +64,15 @@ class ConstantGain:
 
 @spec
 class AdaptiveGain:
-    """High near the goal, low far away: lambda(x) = (l0 - linf) exp(-slope x / (l0 - linf)) + linf, x = |e|_inf.
+    """High near the goal, low far away: lambda(x) = (l0 - linf) exp(-slope x / (l0 - linf)) + linf, x = |error|_inf.
+
+    The error is the motion still to be made, pinv(L B) e in metres and radians, so that one set of numbers serves every
+    feature.
 
     Args:
         at_zero: l0, gain at zero error [1/s].
         at_infinity: linf, gain at large error [1/s], under at_zero.
-        slope_at_zero: how steeply it falls at x = 0 [1/s per unit of error].
+        slope_at_zero: how steeply it falls at x = 0 [1/s per m or rad].
 
     Reference: Marchand, Spindler & Chaumette 2005, doi:10.1109/MRA.2005.1577023 (adaptive gain of their library).
     """
@@ -85,7 +88,7 @@ class AdaptiveGain:
             raise ParameterError("at_infinity", f"must be under at_zero = {self.at_zero}", self.at_infinity)
 
     def at(self, error: Array) -> float:
-        """The gain [1/s] at an error vector."""
+        """The gain [1/s] at an error vector (n,) in motion space."""
         span = self.at_zero - self.at_infinity
         return span * float(np.exp(-self.slope_at_zero / span * np.abs(error).max())) + self.at_infinity
 

@@ -38,7 +38,7 @@ class IBVS:
     With `smooth_start_s` = tau the command grows from rest: u - u(0) exp(-t/tau).
 
     Args:
-        gain: lambda [1/s], a number or an adaptive gain.
+        gain: lambda [1/s], a number or an adaptive gain of pinv(L B) e, the motion still to be made.
         feature: what s is.
         interaction: L at the current view, at the desired one, or the mean of both matrices.
         depth: where Z in L comes from.
@@ -75,7 +75,7 @@ class IBVS:
         e = self.feature.error(self.feature.measure(observation.xy[seen]), self.feature.measure(goal.xy[seen]))
         L = self._interaction(observation, goal, seen)
         solved = np.asarray(np.linalg.lstsq(L @ basis, e, rcond=PINV_RCOND)[0], dtype=float)  # pinv(L B) e
-        u = -self.gain.at(e) * solved
+        u = -self.gain.at(solved) * solved
         if self.smooth_start_s > 0:
             u0 = u if memory.u0 is None else memory.u0
             memory = IBVSMemory(observation.t if memory.u0 is None else memory.t0, u0)

@@ -98,6 +98,10 @@ class Robot(Protocol):
         """Camera twists the robot can make, shape (6, n): twist = basis @ u."""
         ...
 
+    def measured_twist(self, before: Encoders, now: Encoders, duration: float, ordered: Array, mount: Mount) -> Array:
+        """Mean camera twist (6,) between two readings of its encoders; `ordered` where it has none."""
+        ...
+
     def allocate(self, twist: Array, encoders: Encoders, mount: Mount, period: float) -> Allocation:
         """A camera twist (6,) as a setpoint that keeps the limits for one period [s]."""
         ...

@@ -65,6 +65,10 @@ class Free:
         """All six twists."""
         return np.eye(6)
 
+    def measured_twist(self, before: Encoders, now: Encoders, duration: float, ordered: Array, mount: Mount) -> Array:
+        """The twist ordered: it moves exactly so."""
+        return ordered
+
     def allocate(self, twist: Array, encoders: Encoders, mount: Mount, period: float) -> Allocation:
         """The twist of the camera itself: no limits."""
         return Allocation(setpoint=twist, twist=twist)

@@ -210,6 +210,13 @@ class Puma560:
         """All six camera twists."""
         return np.eye(6)
 
+    def measured_twist(self, before: Encoders, now: Encoders, duration: float, ordered: Array, mount: Mount) -> Array:
+        """Mean camera twist (6,) from the joints' way between two readings: J at the middle of it times dq / duration."""
+        if duration <= 0:
+            return np.zeros(6)
+        J = jacobian((before.q + now.q) / 2)
+        return mount.to_camera @ (J @ ((now.q - before.q) / duration))
+
     def allocate(self, twist: Array, encoders: Encoders, mount: Mount, period: float) -> Allocation:
         """Joint speeds for a camera twist (6,): damped resolved rate, then scaled as a whole into speed and position limits.
 

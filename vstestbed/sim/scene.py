@@ -157,7 +157,7 @@ def _add_target(scene: mujoco.MjSpec, target: Target) -> None:
         geom.material = f"target/color_{i}"
     if isinstance(target, Square):
         half = target.side / 2 + (1 + BOARD_MARGIN) * marker.radius
-        z = 0.01 + 1.5 * DISC_HALF_THICKNESS
+        z = 0.01 + (1.5 * DISC_HALF_THICKNESS if isinstance(marker, Disc) else marker.radius)
         _visual(body, "target/board", mujoco.mjtGeom.mjGEOM_BOX, [half, half, 0.01], [0.86, 0.86, 0.85, 1], TARGET_GROUP, [0, 0, z])
 
 

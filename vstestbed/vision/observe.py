@@ -16,7 +16,7 @@ from vstestbed.vision.flow_depth import FlowMemory, init_flow, update_flow
 from vstestbed.vision.pose import solve_pose_from_rays
 
 NEAREST_M = 0.01
-"""A depth carried on by the commanded motion stays at or above this [m]."""
+"""A depth carried on by the camera's own motion stays at or above this [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,14 +56,14 @@ class Observer:
         """What a law may know of one frame.
 
         The pose is the detector's where it solved one (and no noise is added), else it is solved from the pixels; with
-        too few markers the last one is carried on by the commanded motion, T <- exp(-twist dt) T, which holds for a
+        too few markers the last one is carried on by the camera's own motion, T <- exp(-twist dt) T, which holds for a
         target that stands still.
 
         Args:
             memory: the last frame.
             t: time of exposure [s].
             detection: pixels (N, 2), and what the detector found besides.
-            twist: camera twist (6,) commanded since the last frame, in the camera frame.
+            twist: camera twist (6,) since the last frame, in the camera frame, as the robot measures it.
             rng: draws the pixel noise.
 
         Raises:
