@@ -56,7 +56,8 @@ def _time_to_converge(scenario: Scenario, outcome: Outcome, log: Columns) -> flo
     if outcome is not Outcome.converged or not len(log["t"]):
         return None
     over = np.flatnonzero(~(log["error_px"] < scenario.stop.converged.error_px))
-    return float(log["t"][over[-1] + 1]) if len(over) else float(log["t"][0])
+    first = int(over[-1]) + 1 if len(over) else 0
+    return float(log["t"][first]) if first < len(log["t"]) else None
 
 
 def _final(log: Columns) -> dict[str, object]:
