@@ -1,3 +1,84 @@
-"""What all tests share: which OpenGL, and that nothing is written beside the tests."""
+"""What all tests share: which OpenGL, and the command line as a function that runs in an empty folder."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
 
 import vstestbed.sim  # noqa: F401 - chooses MUJOCO_GL before any test imports mujoco
+
+REPOSITORY = Path(__file__).resolve().parent.parent
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How a command ended."""
+
+    code: int
+    out: str
+    err: str
+
+
+@pytest.fixture
+def command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., Ended]:
+    """`vstestbed WORDS` in this process, in an empty current folder."""
+    from vstestbed.cli import main
+
+    monkeypatch.chdir(tmp_path)
+
+    def call(*words: object) -> Ended:
+        with pytest.raises(SystemExit) as end:
+            main([str(word) for word in words])
+        out, err = capsys.readouterr()
+        assert isinstance(end.value.code, int)
+        return Ended(end.value.code, out, err)
+
+    return call
+
+
+@pytest.fixture
+def vstestbed_process() -> tuple[list[str], dict[str, str]]:
+    """The words and the environment that start vstestbed as a process of its own."""
+    import os
+
+    paths = [str(REPOSITORY), os.environ.get("PYTHONPATH", "")]
+    environment = {k: v for k, v in os.environ.items() if k not in ("MUJOCO_GL", "PYOPENGL_PLATFORM")}
+    return [sys.executable, "-m", "vstestbed"], environment | {"PYTHONPATH": os.pathsep.join(filter(None, paths))}
+
+
+@pytest.fixture
+def own_kinds() -> Iterator[None]:
+    """Lets a test add kinds to the rooms' lists, and takes them out again."""
+    from vstestbed.scenario_file import KINDS
+    from vstestbed.spec import rebuild_specs
+
+    before = {room: dict(kinds.members) for room, kinds in KINDS.items()}
+    yield
+    for room, members in before.items():
+        KINDS[room].members.clear()
+        KINDS[room].members.update(members)
+    rebuild_specs()
+
+
+QUICK = """\
+description: The ideal camera with the oracle, there and at rest within a second of simulated time.
+robot: {kind: free, start: {nominal: {xyz: [0.1, -0.05, 0]}, random: {xyz: [0.1, 0.1, 0.1], rpy_deg: [2, 2, 10]}}}
+camera: {width: 320, height: 240}
+target: {kind: square, side: 0.4, pose: {xyz: [0, 0, 1.2]}}
+detector: oracle
+law: {kind: ibvs, gain: 6}
+goal: {T_camera_target: {xyz: [0, 0, 1]}}
+stop: {duration_s: 8}
+"""
+
+
+@pytest.fixture
+def quick(tmp_path: Path) -> Path:
+    """A scenario that needs neither OpenGL nor a second of wall time."""
+    path = tmp_path / "quick.yaml"
+    path.write_text(QUICK, encoding="utf-8")
+    return path

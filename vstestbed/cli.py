@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
-from vstestbed.errors import Mistake, ParameterError, ScenarioError, VstestbedError
+from vstestbed.errors import ParameterError, RunFolderError, VstestbedError
 
 if TYPE_CHECKING:
     from vstestbed.recording import Recording, Tick, Watcher
@@ -25,8 +26,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-GOAL_REACHED, BUG, BAD_INPUT, NOT_REACHED, INTERRUPTED = 0, 1, 2, 3, 130
-_debug = False
+GOAL_REACHED, BUG, BAD_INPUT, NOT_REACHED, LACKING, INTERRUPTED = 0, 1, 2, 3, 4, 130
+UsageMistake: type[Exception] = typer.BadParameter.__mro__[2]  # click's ClickException, whether typer imports click or carries it
 
 
 class FilmChoice(str, Enum):
@@ -65,11 +66,10 @@ def _version(value: bool) -> None:
 
 @app.callback()
 def _options(
-    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks; may stand anywhere.")] = False,  # taken out by `main`
     version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")] = False,
 ) -> None:
-    global _debug
-    _debug = debug
+    """Options of the program itself."""
 
 
 @app.command()
@@ -87,42 +87,28 @@ def run(
     from vstestbed.progress import Progress
     from vstestbed.runs import new_folder, run_into
 
-    chosen = _load(scenario, set_, plugin)
-    if seed is not None:
-        chosen = _randomised(chosen, seed)
+    chosen = _load(scenario, set_, plugin, seed)
     folder = new_folder(chosen, out)
     with Progress(chosen, shown=not quiet and not as_json) as progress, _interrupts() as watch:
         recording = run_into(folder, chosen, video.value, [progress, watch], progress.say)
-    _tell(recording, folder, as_json, quiet)
+    _tell(recording, folder, video.value, as_json, quiet)
     if recording.outcome.name == "interrupted":
         raise typer.Exit(INTERRUPTED)
     raise typer.Exit(GOAL_REACHED if recording.outcome.success else NOT_REACHED)
 
 
-def _load(name: str, settings: list[str] | None, plugins: list[str] | None) -> Scenario:
-    from vstestbed.scenario_file import load, load_plugins, read_value
+def _load(name: str, settings: list[str] | None, plugins: list[str] | None, seed: int | None = None) -> Scenario:
+    from vstestbed.scenario_file import load, load_plugins
+    from vstestbed.yaml_tree import read_value
 
     load_plugins(plugins or [])
     overrides: dict[str, object] = {}
     for setting in settings or []:
         key, equals, value = setting.partition("=")
-        if not equals or not key.strip():
+        if not equals or not all(part.strip() for part in key.split(".")):
             raise ParameterError("--set", "needs the form a.b=value", setting)
         overrides[key.strip()] = read_value(value)
-    return load(name, overrides)
-
-
-def _randomised(scenario: Scenario, seed: int) -> Scenario:
-    """The seed's start; without a random block a seed still draws the noise, and is refused where there is none."""
-    from dataclasses import replace
-
-    noise = scenario.noise
-    if scenario.robot.start.random is None and (noise.image_sigma > 0 or noise.pixel_sigma_px > 0):
-        return replace(scenario, seed=seed)
-    try:
-        return scenario.randomised(seed)
-    except ParameterError as error:
-        raise ScenarioError([Mistake(scenario.name, error.field, error.problem)]) from None
+    return load(name, overrides, seed)
 
 
 @contextmanager
@@ -151,13 +137,13 @@ def _interrupts() -> Iterator[Watcher]:
             signal.signal(number, before[number])
 
 
-def _tell(recording: Recording, folder: Path, as_json: bool, quiet: bool) -> None:
+def _tell(recording: Recording, folder: Path, films: str, as_json: bool, quiet: bool) -> None:
     if as_json:
         typer.echo((folder / "summary.json").read_text(encoding="utf-8"), nl=False)
     elif not quiet:
         from vstestbed.progress import words
 
-        typer.echo(words(recording, folder), err=True)
+        typer.echo(words(recording, folder, filmed=films != "none"), err=True)
 
 
 @app.command("list")
@@ -205,13 +191,20 @@ def render(
     from vstestbed.video.film import film_log
 
     load_plugins(plugin or [])
-    log = read_log(run_dir)
+    size_px = _size(size)
+    _must_be_run(run_dir)
     scenario = load(run_dir / "scenario.yaml")
-    film = film_log(scenario, log, camera, out or run_dir / f"{camera}.mp4", _size(size))
+    log = read_log(run_dir, scenario)
+    film = film_log(scenario, log, camera, out or run_dir / f"{camera}.mp4", size_px)
     if film is None:
         raise ParameterError("RUN_DIR", "has a log without frames; there is nothing to film", str(run_dir))
     if not quiet:
         typer.echo(str(film), err=True)
+
+
+def _must_be_run(folder: Path) -> None:
+    if not (folder / "scenario.yaml").is_file():
+        raise RunFolderError(folder, "no run here" if folder.is_dir() else "no such folder")
 
 
 def _size(text: str | None) -> tuple[int, int] | None:
@@ -224,10 +217,15 @@ def _size(text: str | None) -> tuple[int, int] | None:
 
 
 @app.command()
-def report(run_dir: Annotated[Path, typer.Argument(metavar="DIR", help="A run's folder.")], quiet: Quiet = False) -> None:
+def report(
+    run_dir: Annotated[Path, typer.Argument(metavar="DIR", help="A run's folder.")], quiet: Quiet = False, plugin: Plugins = None
+) -> None:
     """Write report.html again."""
     from vstestbed.report import write_report
+    from vstestbed.scenario_file import load_plugins
 
+    load_plugins(plugin or [])
+    _must_be_run(run_dir)
     page = write_report(run_dir)
     if not quiet:
         typer.echo(str(page), err=True)
@@ -242,7 +240,7 @@ def doctor() -> None:
     for finding in examine():
         typer.echo(str(finding))
         sound = sound and finding.works
-    raise typer.Exit(GOAL_REACHED if sound else 4)
+    raise typer.Exit(GOAL_REACHED if sound else LACKING)
 
 
 @app.command()
@@ -262,26 +260,41 @@ def bench(
 
 def main(argv: list[str] | None = None) -> NoReturn:
     """Run the command line and exit: 0 goal reached, 1 a bug, 2 bad input, 3 not reached, 4 environment, 130 interrupted."""
-    sys.exit(_guarded(lambda: app(argv, standalone_mode=False)))
+    words = sys.argv[1:] if argv is None else argv
+    given = [word for word in words if word != "--debug"]
+    sys.exit(_guarded(lambda: app(given, prog_name="vstestbed", standalone_mode=False), debug=len(given) < len(words)))
 
 
-def _guarded(command: Callable[[], object]) -> int:
-    import click
-
+def _guarded(command: Callable[[], object], debug: bool = False) -> int:
+    """The exit code of a command; mistakes and lacks become one message on standard error."""
     try:
         code = command()
+        sys.stdout.flush()
         return code if isinstance(code, int) else GOAL_REACHED
     except VstestbedError as error:
-        if _debug:
+        return _failed(error, debug)
+    except ImportError as error:  # the renderers look for their driver when they are imported
+        from vstestbed.sim import gl
+
+        if (lack := gl.explain(error)) is None:
             raise
-        typer.echo(str(error), err=True)
-        return error.exit_code
-    except click.ClickException as error:
-        error.show()
+        return _failed(lack, debug)
+    except UsageMistake as error:
+        error.show()  # type: ignore[attr-defined]
         return BAD_INPUT
-    except (click.exceptions.Abort, KeyboardInterrupt):
+    except (typer.Abort, KeyboardInterrupt):
         typer.echo("interrupted", err=True)
         return INTERRUPTED
-    except BrokenPipeError:
-        sys.stderr.close()
+    except (BrokenPipeError, SystemExit):  # the reader of a pipe has gone (`| head`); typer exits by itself then
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left in the buffer goes nowhere
         return GOAL_REACHED
+
+
+def _failed(error: VstestbedError, debug: bool) -> int:
+    if debug:
+        import traceback
+
+        traceback.print_exception(error)
+    else:
+        typer.echo(str(error), err=True)
+    return error.exit_code

@@ -10,7 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from vstestbed.errors import VstestbedError
+from vstestbed.geometry import Array
 from vstestbed.provenance import versions
+
+PIXEL_TOLERANCE_PX = 0.1
+"""Far more than the detector's own error (.02 to .04 px on multisampled balls), far less than a wrong convention's half pixel."""
 
 
 @dataclass(frozen=True)
@@ -60,18 +64,30 @@ def _data() -> Finding:
 
 def _pictures() -> Iterator[Finding]:
     """OpenGL, then the pixel convention: where a rendered ball is against where the camera model says it is."""
-    from vstestbed.sim.check import pixel_convention
+    from vstestbed.sim import gl
 
     try:
+        from vstestbed.sim.check import pixel_convention
+
         check = pixel_convention()
-    except VstestbedError as error:
-        lack, _, remedy = str(error).partition("; ")
-        yield Finding("OpenGL", False, lack, remedy)
+    except (VstestbedError, ImportError) as error:
+        lack = gl.explain(error) if isinstance(error, ImportError) else error
+        words, _, remedy = str(lack or error).partition("; ")
+        yield Finding("OpenGL", False, words, remedy)
         return
     yield Finding("OpenGL", True, check.renderer)
-    worst = float(np.abs(check.errors).max())
-    found = f"{len(check.errors)} rendered balls within {worst:.3f} px of the camera model (0.1 allowed)"
-    yield Finding("pixels", worst < 0.1, found, "this OpenGL driver draws half a pixel off; try another MUJOCO_GL")
+    yield _pixels(check.errors)
+
+
+def _pixels(errors: Array) -> Finding:
+    """What the distances (N, 2) of drawn from expected balls tell [px]; NaN where a ball was not found."""
+    seen = np.isfinite(errors).all(axis=1)
+    remedy = "this OpenGL driver does not draw what it is told; try another MUJOCO_GL, or another driver"
+    if not seen.all():
+        return Finding("pixels", False, f"only {np.count_nonzero(seen)} of {len(errors)} rendered balls were found in the picture", remedy)
+    worst = float(np.abs(errors).max())
+    found = f"{len(errors)} rendered balls within {worst:.3f} px of the camera model ({PIXEL_TOLERANCE_PX} allowed)"
+    return Finding("pixels", worst < PIXEL_TOLERANCE_PX, found, remedy)
 
 
 def _codec() -> Finding:

@@ -55,20 +55,22 @@ class Progress:
         self._bar.stop()
 
 
-def words(recording: Recording, folder: Path) -> str:
+def words(recording: Recording, folder: Path, filmed: bool) -> str:
     """The outcome in a few lines."""
     s = recording.summary()
 
     def figure(name: str, unit: str, factor: float = 1.0, digits: int = 2) -> str:
         value = s[name]
-        return f"{value * factor:.{digits}f} {unit}" if isinstance(value, float) else "-"
+        return f"{value * factor:.{digits}f} {unit}" if isinstance(value, float) else f"no {unit}"
 
+    error = figure("final_error_px", "px in the image", digits=3) if s["final_error_px"] is not None else "target not in sight"
+    pose = f"{figure('final_position_error_m', 'mm', 1000)} and {figure('final_rotation_error_deg', 'deg', digits=3)} from the goal"
+    speed = figure("real_time_factor", "times real time", digits=1) + (" with films and log" if filmed else " with its log")
     return "\n".join(
         [
             f"{s['outcome']}: {s['reason']}",
-            f"  error     {figure('final_error_px', 'px', digits=3)}, "
-            f"{figure('final_position_error_m', 'mm', 1000)} and {figure('final_rotation_error_deg', 'deg', digits=3)} from the goal",
-            f"  time      {figure('sim_time_s', 's')} simulated, {figure('real_time_factor', 'times real time', digits=1)}, films included",
-            f"  results   {folder}",
+            f"  error     {error}, camera {pose}" if s["frames"] else "  error     not a single frame was seen",
+            f"  time      {figure('sim_time_s', 's')} simulated in {figure('wall_time_s', 's')}: {speed}",
+            f"  results   {folder} (open report.html)",
         ]
     )

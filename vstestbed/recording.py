@@ -197,12 +197,24 @@ class PartWriter:
         self._file.close()
 
 
-def read_log(folder: Path) -> polars.DataFrame:
+def read_log(folder: Path, scenario: Scenario | None = None) -> polars.DataFrame:
     """The log of a run's folder: `log.parquet`, or what there is of `log.part` when the run was cut off.
 
+    Args:
+        folder: a run's folder.
+        scenario: where given, the log must have the columns of this scenario's runs.
+
     Raises:
-        RunFolderError: neither is there, or neither can be read.
+        RunFolderError: neither is there, or neither can be read, or it is the log of another experiment.
     """
+    log = _log_of(folder)
+    lacking = [name for name in Layout(scenario).columns if name not in log.columns] if scenario else []
+    if lacking:
+        raise RunFolderError(folder, f"its log has no column {lacking[0]}, which a run of its scenario.yaml has")
+    return log
+
+
+def _log_of(folder: Path) -> polars.DataFrame:
     import polars as pl
 
     whole, part = folder / "log.parquet", folder / "log.part"
@@ -219,7 +231,7 @@ def read_log(folder: Path) -> polars.DataFrame:
 def _read_part(part: Path) -> polars.DataFrame:
     lines = part.read_text(encoding="ascii").split("\n")[:-1]  # what follows the last line end was cut off
     if not lines:
-        raise ValueError("log.part is empty")
+        raise ValueError("log.part ends before its first line does")
     columns = tuple(lines[0].split(","))
     table = np.array([[float(v) for v in line.split(",")] for line in lines[1:]], dtype=float).reshape(-1, len(columns))
     return to_frame(columns, table)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
+import io
 import json
 import os
 import re
@@ -11,9 +13,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from vstestbed.errors import EnvironmentLackError, OutputError
+from vstestbed.errors import EnvironmentLackError, OutputError, RunFolderError
 from vstestbed.loop import run
-from vstestbed.recording import Layout, PartWriter, Recording, Tick, Watcher
+from vstestbed.recording import Layout, PartWriter, Recording, Tick, Watcher, read_log
 from vstestbed.scenario import Scenario
 from vstestbed.scenario_file import dump
 from vstestbed.sim.build import scene_xml
@@ -28,6 +30,7 @@ FILM_CAMERAS: dict[str, dict[str, str]] = {
     "overview": {"overview": "overview"},
     "none": {},
 }
+OWN_FILES = ("scenario.yaml", "model.xml", "log.part")
 NO_SPACE = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 
@@ -46,13 +49,13 @@ def writing(path: Path) -> Iterator[None]:
         raise OutputError(path, f"cannot be written ({error.strerror or error})", "choose another place with --out DIR") from error
 
 
-def write_whole(path: Path, text: str) -> None:
-    """Write a text file in one piece: it appears whole or not at all."""
+def write_whole(path: Path, content: str | bytes) -> None:
+    """Write a file in one piece: it appears whole or not at all, also when the machine loses power."""
     part = path.with_name(path.name + ".part")
     try:
         with writing(path):
-            with part.open("w", encoding="utf-8", newline="\n") as file:
-                file.write(text)
+            with part.open("wb") as file:
+                file.write(content.encode() if isinstance(content, str) else content)
                 file.flush()
                 os.fsync(file.fileno())
             part.replace(path)
@@ -73,14 +76,14 @@ def new_folder(scenario: Scenario, out: Path | None) -> Path:
                 raise OutputError(out, "exists and is not an empty folder", "give a new folder; an older run is never written over")
             out.mkdir(parents=True, exist_ok=True)
         return out
-    name = re.sub(r"[^\w.-]+", "_", scenario.name) or "scenario"
+    name = re.sub(r"[^\w.-]+", "_", scenario.name).strip(".") or "scenario"
     parent = Path("runs") / name
     with writing(parent):
         parent.mkdir(parents=True, exist_ok=True)
-        number = max((int(p.name) for p in parent.iterdir() if p.name.isdigit()), default=0) + 1
+        number = max((int(p.name) for p in parent.iterdir() if p.name.isdecimal()), default=0) + 1
         while True:
             try:
-                (parent / f"{number:03d}").mkdir()
+                (parent / f"{number:03d}").mkdir(parents=True)
             except FileExistsError:
                 number += 1
             else:
@@ -101,8 +104,9 @@ class _LogOnDisk:
             self._writer.append(self._layout.row(tick))
 
     def close(self) -> None:
-        """Close the file."""
-        self._writer.close()
+        """Close the file; what could not be written of its last line is given up (the run has ended with that error)."""
+        with contextlib.suppress(OSError):
+            self._writer.close()
 
 
 def run_into(
@@ -119,17 +123,41 @@ def run_into(
     Raises:
         EnvironmentLackError: no OpenGL, no codec, no space. OutputError: the folder cannot be written.
     """
-    write_whole(folder / "scenario.yaml", dump(scenario))
-    write_whole(folder / "model.xml", scene_xml(scenario.robot, scenario.camera, scenario.target, scenario.world, scenario.physics))
-    with _filming(folder, scenario, films) as cameras:
-        log = _LogOnDisk(folder, scenario)
-        try:
-            recording = run(scenario, [log, *cameras, *watch])
-        finally:
-            log.close()
-        recording.time_ms["video"] = 1e3 * sum(film.spent_s for film in cameras)
+    with _all_or_nothing(folder):
+        write_whole(folder / "scenario.yaml", dump(scenario))
+        write_whole(folder / "model.xml", scene_xml(scenario.robot, scenario.camera, scenario.target, scenario.world, scenario.physics))
+        with _filming(folder, scenario, films) as cameras:
+            log = _LogOnDisk(folder, scenario)
+            try:
+                recording = run(scenario, [log, *cameras, *watch])
+            finally:
+                log.close()
+            recording.time_ms["video"] = 1e3 * sum(film.spent_s for film in cameras)
     finish(folder, recording, stage)
     return recording
+
+
+@contextmanager
+def _all_or_nothing(folder: Path) -> Iterator[None]:
+    """Take the folder away again when the run failed before its first frame (no OpenGL, no codec, no space)."""
+    try:
+        yield
+    except BaseException:
+        if _has_frames(folder):
+            raise
+        for made in OWN_FILES:
+            (folder / made).unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # a folder that something else stands in stays
+            folder.rmdir()
+            for parent in folder.parents[:2] if folder.parts[0] == "runs" else ():
+                parent.rmdir()
+        raise
+
+
+def _has_frames(folder: Path) -> bool:
+    with contextlib.suppress(RunFolderError):
+        return read_log(folder).height > 0
+    return False
 
 
 @contextmanager
@@ -160,16 +188,10 @@ def finish(folder: Path, recording: Recording, stage: Callable[[str], None]) -> 
     from vstestbed.report import Setting, write_report
 
     log = recording.frame()
-    part, whole = folder / "log.part", folder / "log.parquet"
-    with writing(whole):
-        made = folder / "log.parquet.part"
-        try:
-            log.write_parquet(made, compression="zstd", statistics=False)
-            made.replace(whole)
-        except BaseException:
-            made.unlink(missing_ok=True)
-            raise
-        part.unlink(missing_ok=True)
+    parquet = io.BytesIO()
+    log.write_parquet(parquet, compression="zstd", statistics=False)
+    write_whole(folder / "log.parquet", parquet.getvalue())
+    (folder / "log.part").unlink(missing_ok=True)
     write_whole(folder / "summary.json", json.dumps(recording.summary(), indent=1) + "\n")
     stage("writing the report")
     write_report(folder, log=log, setting=Setting.of(recording.scenario))

@@ -5,19 +5,19 @@ from __future__ import annotations
 import dataclasses
 import importlib
 import io
+import sys
 import typing
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeGuard
 
 import pydantic
 from ruamel.yaml import YAML
-from ruamel.yaml.comments import CommentedMap, CommentedSeq
-from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
 from vstestbed.assets import bundled_scenarios
 from vstestbed.camera import CAMERAS
-from vstestbed.errors import Mistake, ParameterError, ScenarioError, nearest
+from vstestbed.errors import Mistake, ParameterError, ScenarioError, VstestbedError, nearest
 from vstestbed.features import FEATURES
 from vstestbed.laws import LAWS
 from vstestbed.laws.base import GAINS
@@ -27,8 +27,8 @@ from vstestbed.scenario import Scenario
 from vstestbed.spec import OneOf, rebuild_specs, to_mapping
 from vstestbed.target import MARKERS, MOTIONS, TARGETS
 from vstestbed.vision import DETECTORS
+from vstestbed.yaml_tree import Key, Marks, override, place_of, plain_mapping, short
 
-Key = tuple[str | int, ...]
 KINDS: dict[str, OneOf] = {
     "robots": ROBOTS,
     "cameras": CAMERAS,
@@ -50,55 +50,73 @@ def find(name: str | Path) -> Path:
     Raises:
         ScenarioError: neither exists; names the nearest bundled scenario.
     """
-    path = Path(name)
-    if path.is_file():
-        return path
-    bundled = bundled_scenarios()
-    if str(name) in bundled:
-        return bundled[str(name)]
-    if path.is_dir():
-        raise ScenarioError([Mistake(str(name), "", "is a folder; give a scenario's YAML file")])
-    raise ScenarioError([Mistake(str(name), "", f"no such file, and no bundled scenario of that name; {nearest(str(name), bundled)}")])
+    path, bundled = Path(name), bundled_scenarios()
+    try:
+        if path.is_file():
+            return path
+        if str(name) in bundled:
+            return bundled[str(name)]
+        if str(name) and path.is_dir():
+            raise ScenarioError([Mistake(str(name), "", "is a folder; give a scenario's YAML file")])
+    except OSError as error:
+        raise ScenarioError([Mistake(short(str(name)), "", f"cannot be read ({error.strerror})")]) from None
+    words = f"no such file, and no bundled scenario of that name; {nearest(path.stem, bundled)}"
+    raise ScenarioError([Mistake(str(name) or "SCENARIO", "", words)])
 
 
-def load(name: str | Path, overrides: Mapping[str, object] | None = None) -> Scenario:
+def load(name: str | Path, overrides: Mapping[str, object] | None = None, seed: int | None = None) -> Scenario:
     """Read a scenario from a file or a bundled name.
 
     Args:
         name: path of a YAML file, or the name of a bundled scenario.
         overrides: values by dotted path, such as {"law.gain": 1.0}; they replace what the file says before it is checked.
+        seed: draw the start from the robot's random block, and all noise, from this seed.
 
     Raises:
         ScenarioError: everything that is wrong, at once.
     """
     path = find(name)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ScenarioError([Mistake(str(path), "", f"cannot be read: {error}")]) from None
-    scenario = parse(text, str(path), overrides)
+    scenario = parse(_text(path), str(path), overrides, seed)
     return scenario if scenario.name else dataclasses.replace(scenario, name=path.stem)
 
 
-def parse(text: str, file: str, overrides: Mapping[str, object] | None = None) -> Scenario:
-    """Build a scenario from YAML text; `file` is what messages call it. See `load`."""
+def _text(path: Path) -> str:
     try:
-        tree = YAML(typ="rt").load(text)
-    except MarkedYAMLError as error:
-        mark = error.problem_mark
-        where = f"{file}:{mark.line + 1}:{mark.column + 1}" if mark else file
-        raise ScenarioError([Mistake(where, "", f"is not YAML: {error.problem or error.context}")]) from None
-    except YAMLError as error:
-        raise ScenarioError([Mistake(file, "", f"is not YAML: {error}")]) from None
-    if tree is None:
-        raise ScenarioError([Mistake(f"{file}:1:1", "", f"is empty; a scenario needs {_required()}")])
-    if not isinstance(tree, CommentedMap):
-        raise ScenarioError([Mistake(f"{file}:1:1", "", f"must be a mapping with at least {_required()}")])
-    marks: dict[Key, str] = {}
-    plain = _plain(tree, (), marks, file)
+        raw = path.read_bytes()
+    except OSError as error:
+        raise ScenarioError([Mistake(str(path), "", f"cannot be read ({error.strerror})")]) from None
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = raw.count(b"\n", 0, error.start) + 1
+        col = error.start - (raw.rfind(b"\n", 0, error.start) + 1) + 1
+        words = f"is not UTF-8 text (byte 0x{raw[error.start]:02x}); save the file as UTF-8"
+        raise ScenarioError([Mistake(f"{path}:{line}:{col}", "", words)]) from None
+
+
+def parse(text: str, file: str, overrides: Mapping[str, object] | None = None, seed: int | None = None) -> Scenario:
+    """Build a scenario from YAML text; `file` is what messages call it. See `load`."""
+    plain, marks = plain_mapping(text, file, f"a scenario needs {_required()}")
     for dotted, value in (overrides or {}).items():
-        _override(plain, dotted, value, marks)
-    return _build(plain, marks, file)
+        override(plain, dotted, value, marks, _is_kind)
+    scenario = _build(plain, marks, file)
+    try:
+        return scenario if seed is None else _seeded(scenario, seed)
+    except ParameterError as error:
+        where = place_of(tuple(error.field.split(".")), marks, file)
+        raise ScenarioError([Mistake(where, error.field, error.problem)]) from None
+
+
+def _seeded(scenario: Scenario, seed: int) -> Scenario:
+    """The seed's start; without a random block a seed still draws the noise, and is refused where there is none."""
+    noise = scenario.noise
+    if scenario.robot.start.random is None and (noise.image_sigma > 0 or noise.pixel_sigma_px > 0):
+        return dataclasses.replace(scenario, seed=seed)
+    return scenario.randomised(seed)
+
+
+def _is_kind(word: str) -> bool:
+    return any(word in kinds.members for kinds in KINDS.values())
 
 
 def _required() -> str:
@@ -106,81 +124,55 @@ def _required() -> str:
     return ", ".join(needed[:-1]) + " and " + needed[-1]
 
 
-def _plain(node: Any, key: Key, marks: dict[Key, str], file: str) -> Any:
-    """Plain dicts, lists and scalars of a ruamel tree; `marks` learns where each of them stands."""
-    if isinstance(node, CommentedMap):
-        marks.setdefault(key, f"{file}:{node.lc.line + 1}:{node.lc.col + 1}")
-        for k in node:
-            line, col = node.lc.key(k)
-            marks[*key, k] = f"{file}:{line + 1}:{col + 1}"
-        return {str(k): _plain(v, (*key, k), marks, file) for k, v in node.items()}
-    if isinstance(node, CommentedSeq):
-        for i in range(len(node)):
-            line, col = node.lc.item(i)
-            marks[*key, i] = f"{file}:{line + 1}:{col + 1}"
-        return [_plain(v, (*key, i), marks, file) for i, v in enumerate(node)]
-    for scalar in (bool, int, float, str):
-        if isinstance(node, scalar):
-            return scalar(node)
-    return node
-
-
-def read_value(text: str) -> object:
-    """A value as it would stand in YAML (`1e-3`, `[1, 2]`, `{kind: oracle}`, `raw`), for `--set`."""
+def _build(plain: dict[str, Any], marks: Marks, file: str) -> Scenario:
     try:
-        return _plain(YAML(typ="rt").load(text), (), {}, "")
-    except YAMLError as error:
-        raise ParameterError("--set", f"value is not YAML ({error})", text) from None
-
-
-def _override(plain: dict[str, Any], dotted: str, value: object, marks: dict[Key, str]) -> None:
-    """Set one dotted path in the mapping; blocks on the way are made, a bare kind word becomes a block."""
-    parts = dotted.split(".")
-    here: Any = plain
-    for i, part in enumerate(parts[:-1]):
-        step: str | int = int(part) if isinstance(here, list) and part.isdigit() else part
-        child = here.get(step) if isinstance(here, dict) else here[step] if isinstance(step, int) and step < len(here) else None
-        if isinstance(child, str):
-            child = {"kind": child}
-        elif child is None:
-            child = {}
-        if not isinstance(child, dict | list) or (isinstance(here, list) and not isinstance(step, int)):
-            raise ScenarioError([Mistake("--set", dotted, f"{'.'.join(parts[: i + 1])} is a value, not a block")])
-        here[step] = child
-        here = child
-    last: str | int = int(parts[-1]) if isinstance(here, list) and parts[-1].isdigit() else parts[-1]
-    if isinstance(here, list) and (not isinstance(last, int) or last >= len(here)):
-        raise ScenarioError([Mistake("--set", dotted, f"there is no item {parts[-1]} in a list of {len(here)}")])
-    here[last] = value
-    key: Key = tuple(int(p) if p.isdigit() else p for p in parts)
-    for old in [k for k in marks if k[: len(key)] == key]:
-        del marks[old]
-    marks[key] = "--set"
-
-
-def _build(plain: dict[str, Any], marks: dict[Key, str], file: str) -> Scenario:
-    try:
-        return pydantic.TypeAdapter(Scenario).validate_python(plain)
+        scenario = pydantic.TypeAdapter(Scenario).validate_python(plain)
+        found = [(key, words) for key, words in _bent(plain, to_mapping(scenario), ())]
+        if not found:
+            return scenario
     except pydantic.ValidationError as error:
-        details = error.errors()
-    mistakes = []
-    for detail in details:
-        key, reason = _place(detail["loc"], plain), _sentence(detail, plain)
-        inner = detail.get("ctx", {}).get("error")
-        if isinstance(inner, ParameterError):
-            key += tuple(int(p) if p.isdigit() else p for p in inner.field.split("."))
-            got = "" if inner.found is None else f", got {inner.found!r}"
-            reason = f"{inner.problem}{got}"
-        mistakes.append((key, reason))
-    raise ScenarioError([Mistake(_mark(key, marks, file), ".".join(map(str, key)), reason) for key, reason in dict.fromkeys(mistakes)])
+        found = [_finding(detail, plain) for detail in error.errors() if not _echo(detail)]
+    mistakes = [Mistake(place_of(key, marks, file), ".".join(map(str, key)), words) for key, words in dict.fromkeys(found)]
+    raise ScenarioError(sorted(mistakes, key=_reading_order))
 
 
-def _mark(key: Key, marks: Mapping[Key, str], file: str) -> str:
-    """Where a key stands, or the nearest block above it."""
-    for n in range(len(key), -1, -1):
-        if key[:n] in marks:
-            return marks[key[:n]]
-    return f"{file}:1:1"
+def _reading_order(mistake: Mistake) -> tuple[int, ...]:
+    """Line and column of a mistake; what --set brought comes last."""
+    place = mistake.where.rsplit(":", 2)[1:]
+    return tuple(int(n) for n in place) if len(place) == 2 else (1 << 31,)
+
+
+def _echo(detail: Any) -> bool:
+    """Whether pydantic only counts the items of a list that it refused one by one."""
+    return detail["type"] == "too_short" and len(detail["input"]) >= detail["ctx"]["min_length"]
+
+
+def _finding(detail: Any, plain: dict[str, Any]) -> tuple[Key, str]:
+    """One of pydantic's findings: the key it is about, and a sentence."""
+    key, inner = _place(detail["loc"], plain), detail.get("ctx", {}).get("error")
+    if isinstance(inner, ParameterError):
+        got = "" if inner.found is None else f", got {short(inner.found)}"
+        return (*key, *(int(p) if p.isdecimal() else p for p in inner.field.split("."))), f"{inner.problem}{got}"
+    if detail["type"] == "unknown_kind" and isinstance(detail["input"], dict) and "kind" in detail["input"]:
+        return (*key, "kind"), _sentence(detail | {"input": detail["input"]["kind"]})
+    return key, _sentence(detail)
+
+
+def _bent(plain: Any, built: Any, key: Key) -> Iterator[tuple[Key, str]]:
+    """Values that pydantic bent into another type: a quoted number, true for 1."""
+    if isinstance(plain, dict) and isinstance(built, dict):
+        for name in plain:
+            yield from _bent(plain[name], built.get(name), (*key, name))
+    elif isinstance(plain, list) and isinstance(built, list):
+        for i, (p, b) in enumerate(zip(plain, built, strict=False)):
+            yield from _bent(p, b, (*key, i))
+    elif isinstance(built, bool) and not isinstance(plain, bool):
+        yield key, f"must be true or false, got {short(plain)}"
+    elif isinstance(built, int | float) and not isinstance(built, bool) and isinstance(plain, str | bool):
+        yield key, f"must be a number, got {short(plain)}"
+
+
+_DEFAULT_KINDS = {kinds.default for kinds in KINDS.values() if kinds.default}
 
 
 def _place(loc: Sequence[int | str], plain: Any) -> Key:
@@ -190,6 +182,7 @@ def _place(loc: Sequence[int | str], plain: Any) -> Key:
     for part in loc:
         is_tag = isinstance(here, dict) and part not in here and here.get("kind") == part
         is_tag = is_tag or (isinstance(here, str) and here == part)
+        is_tag = is_tag or (isinstance(here, dict) and "kind" not in here and part in _DEFAULT_KINDS)
         number_tag = isinstance(here, int | float) and not isinstance(here, bool)
         if is_tag or number_tag:
             continue
@@ -226,21 +219,19 @@ _WORDS = {
 }
 
 
-def _sentence(detail: Any, plain: Any) -> str:
+def _sentence(detail: Any) -> str:
     """Pydantic's finding in this project's words, with what was found."""
     kind, found = detail["type"], detail["input"]
     if kind == "unexpected_keyword_argument":
         return f"unknown field; {nearest(str(detail['loc'][-1]), _fields_at(detail['loc'][:-1]))}"
+    kinds = KINDS.get(f"{detail['loc'][-1]}s") if detail["loc"] else None
     if kind == "missing":
-        return _WORDS[kind]
-    words = _WORDS.get(kind, detail["msg"])
+        return _WORDS[kind] + (f"; valid kinds: {', '.join(sorted(kinds.members))}" if kinds else "")
+    if kind in ("block", "unknown_kind") and kinds and kinds.number:
+        return f"must be a number, or a block of one of the kinds {', '.join(sorted(kinds.members))}, got {short(found)}"
     context = {k: f"{v:g}" if isinstance(v, float) else v for k, v in detail.get("ctx", {}).items()}
-    return words.format(**context) + f", got {_short(found)}" if kind in _WORDS else f"{words}, got {_short(found)}"
-
-
-def _short(found: object) -> str:
-    text = repr(found)
-    return text if len(text) <= 60 else text[:57] + "..."
+    words = _WORDS[kind].format(**context) if kind in _WORDS else str(detail["msg"])
+    return f"{words}, got {short(found)}"
 
 
 def _is_spec(value: object) -> TypeGuard[type]:
@@ -296,14 +287,30 @@ def schema() -> dict[str, Any]:
 def load_plugins(modules: Sequence[str]) -> None:
     """Import plugin modules (which add to the rooms' lists) and installed entry points; then rebuild the checks.
 
+    A module is looked for where Python looks, and in the current folder.
+
     Raises:
-        ParameterError: a module that cannot be imported.
+        ParameterError: a module that cannot be imported, an entry point that cannot be loaded.
     """
+    if modules and (here := str(Path.cwd())) not in sys.path:
+        sys.path.append(here)
     for name in modules:
-        try:
+        with _loading("--plugin", "cannot be imported", name):
             importlib.import_module(name)
-        except ImportError as error:
-            raise ParameterError("--plugin", f"cannot be imported ({error}); give a module's name as Python imports it", name) from None
-    grown = [kinds.load_entry_points() for kinds in KINDS.values()]
+    grown = []
+    for room, kinds in KINDS.items():
+        with _loading(f"vstestbed.{room}", "has an installed plugin that cannot be loaded; mend or uninstall it", None):
+            grown.append(kinds.load_entry_points())
     if modules or any(grown):
         rebuild_specs()
+
+
+@contextmanager
+def _loading(field: str, problem: str, name: str | None) -> Iterator[None]:
+    """Somebody else's code may fail in any way when it is imported; say what it said."""
+    try:
+        yield
+    except VstestbedError:
+        raise
+    except Exception as error:
+        raise ParameterError(field, f"{problem} ({type(error).__name__}: {error})", name) from error

@@ -19,7 +19,7 @@ import importlib.metadata
 from typing import Any, TypeVar, dataclass_transform
 
 import pydantic
-from pydantic import ConfigDict, GetCoreSchemaHandler
+from pydantic import ConfigDict, GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic.dataclasses import dataclass as _pydantic_dataclass
 from pydantic.dataclasses import rebuild_dataclass
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
@@ -38,7 +38,14 @@ def spec(cls: type[T]) -> type[T]:
     Raises (from the constructor): ParameterError that names the field, what it must be and what was given.
     """
     made: Any = _pydantic_dataclass(cls, frozen=True, kw_only=True, config=_CONFIG)
-    checked_init = made.__init__
+    _with_our_errors(made)
+    _SPECS.append(made)
+    return made
+
+
+def _with_our_errors(cls: Any) -> None:
+    """Let pydantic's constructor of a spec class raise ParameterError."""
+    checked_init = cls.__init__
 
     def init(self: Any, **values: Any) -> None:
         try:
@@ -48,15 +55,14 @@ def spec(cls: type[T]) -> type[T]:
             field = ".".join(str(part) for part in first["loc"]) or cls.__name__
             raise ParameterError(field, first["msg"], first["input"]) from None
 
-    made.__init__ = init
-    _SPECS.append(made)
-    return made
+    cls.__init__ = init
 
 
 def rebuild_specs() -> None:
     """Build every spec's validator anew, in the order of definition: needed once after a `OneOf` has grown."""
     for cls in _SPECS:
         rebuild_dataclass(cls, force=True)  # type: ignore[arg-type]
+        _with_our_errors(cls)  # pydantic has put its own constructor back
 
 
 class OneOf:
@@ -113,6 +119,24 @@ class OneOf:
         choices: dict[Any, CoreSchema] = {k: handler.generate_schema(m) for k, m in self.members.items()}
         union = core_schema.tagged_union_schema(choices, lambda v: v["kind"] if isinstance(v, dict) else v.kind)
         return core_schema.no_info_before_validator_function(self._block, union)
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        """Pydantic's hook for editors: a block of one of the kinds, or what stands for one (a bare word, a number)."""
+        blocks = handler(schema)["oneOf"]
+        needs = {} if self.default else {"required": ["kind"]}
+        choices: list[dict[str, Any]] = [block | needs for block in blocks]
+        words = sorted(kind for kind, member in self.members.items() if not _needed_fields(member))
+        if words:
+            choices.append({"enum": words})
+        if self.number:
+            choices.append({"type": "number"})
+        return {"anyOf": choices}
+
+
+def _needed_fields(cls: type) -> list[str]:
+    missing = dataclasses.MISSING
+    fields = dataclasses.fields(cls)  # type: ignore[arg-type]
+    return [f.name for f in fields if f.init and f.default is missing and f.default_factory is missing]
 
 
 def kind_of(cls: type) -> str:

@@ -71,5 +71,3 @@ class IdealPlant:
         """Free the pictures."""
         if self._stage is not None:
             self._stage.close()
-
-

@@ -102,5 +102,3 @@ class MujocoPlant:
     def close(self) -> None:
         """Free pictures and physics."""
         self._stage.close()
-
-

@@ -104,5 +104,3 @@ class Eye:
             image = np.clip(image + noise + 0.5, 0, 255).astype(np.uint8)
         self.spent_s += time.perf_counter() - start
         return image
-
-

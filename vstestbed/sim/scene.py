@@ -182,8 +182,4 @@ def _visual(
     quat: object = (1, 0, 0, 0),
 ) -> mujoco.MjsGeom:
     """A geom that is seen and touches nothing."""
-    return body.add_geom(
-        name=name, type=kind, size=size, pos=pos, quat=quat, rgba=rgba, group=group, contype=0, conaffinity=0, mass=0
-    )
-
-
+    return body.add_geom(name=name, type=kind, size=size, pos=pos, quat=quat, rgba=rgba, group=group, contype=0, conaffinity=0, mass=0)

@@ -82,7 +82,8 @@ class VideoWriter:
         self._done = self._aborted = True
         with contextlib.suppress(OSError, ValueError, RuntimeError):  # the film is thrown away, whatever the encoder says
             container.close()
-        self.part.unlink(missing_ok=True)
+        with contextlib.suppress(NotADirectoryError):  # the film's folder turned out to be a file
+            self.part.unlink(missing_ok=True)
 
     def __enter__(self) -> VideoWriter:
         """The writer itself."""

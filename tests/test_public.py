@@ -1,0 +1,50 @@
+"""The public names: what they are, that they cost nothing until used, and the example of the package's docstring."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+import vstestbed as vs
+
+NAMES = {"Outcome", "Recording", "Scenario", "features", "load", "run", "run_into"}
+
+
+def test_the_public_names_are_these_and_all_of_them_are_there() -> None:
+    assert set(vs.__all__) >= NAMES
+    assert set(dir(vs)) == set(vs.__all__)
+    for name in vs.__all__:
+        assert getattr(vs, name) is not None
+
+
+def test_an_unknown_name_is_refused_with_the_list() -> None:
+    with pytest.raises(AttributeError, match=r"no attribute 'lod'; public names: .*load"):
+        _ = vs.lod
+
+
+@pytest.mark.parametrize("module", ["vstestbed", "vstestbed.cli"])
+def test_importing_costs_no_heavy_package(module: str, vstestbed_process: tuple[list[str], dict[str, str]]) -> None:
+    """`--help` has to come at once, so nothing that takes more than some milliseconds may be imported for it."""
+    heavy = ["numpy", "mujoco", "dm_control", "cv2", "polars", "matplotlib", "spatialmath", "pydantic", "ruamel", "av", "scipy", "rich"]
+    code = f"import sys, {module}; print([m for m in {heavy} if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], env=vstestbed_process[1], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_the_example_of_the_docstring_works() -> None:
+    fast = {"detector": "oracle", "law.gain": 1.0, "stop.duration_s": 0.3}
+    recording = vs.run(vs.load("ibvs_book", fast))
+    assert recording.outcome is vs.Outcome.timed_out
+    assert recording.summary()["scenario"] == "ibvs_book"
+    assert recording.frame().height == recording.summary()["frames"] == 4  # pictures at 0, .1, .2 and .3 s
+    with pytest.raises(KeyError, match="no column 'eror_px' in the log; columns: t, frame"):
+        recording["eror_px"]
+
+
+def test_features_are_reached_from_the_top() -> None:
+    import numpy as np
+
+    L = vs.features.Point().interaction(np.zeros((4, 2)), np.ones(4))
+    assert L.shape == (8, 6)
