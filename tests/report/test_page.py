@@ -95,15 +95,40 @@ def _schema(markers: int) -> dict[str, Any]:
 def summary(**changes: object) -> dict[str, Any]:
     """A summary with every name of the contract."""
     made: dict[str, Any] = {
-        "scenario": "arm_ibvs", "outcome": "converged", "success": True, "reason": "RMS error under 0.2 px for 0.5 s", "seed": 0,
-        "sim_time_s": 10.0, "frames": 250, "frames_lost": 10, "time_to_converge_s": 8.76, "final_error_px": 0.1234,
-        "final_position_error_m": 0.000456, "final_rotation_error_deg": 0.0789, "path_length_m": 1.2345, "path_ratio": 1.0467,
-        "max_retreat_m": 0.0, "max_rotation_deg": 57.3, "max_feature_excursion_px": 210.5, "min_border_margin_px": 31.25,
-        "peak_speed_mps": 0.61, "peak_rate_radps": 0.62, "saturated_fraction": 0.125, "wall_time_s": 2.5, "real_time_factor": 4.0,
+        "scenario": "arm_ibvs",
+        "outcome": "converged",
+        "success": True,
+        "reason": "RMS error under 0.2 px for 0.5 s",
+        "seed": 0,
+        "sim_time_s": 10.0,
+        "frames": 250,
+        "frames_lost": 10,
+        "time_to_converge_s": 8.76,
+        "final_error_px": 0.1234,
+        "final_position_error_m": 0.000456,
+        "final_rotation_error_deg": 0.0789,
+        "path_length_m": 1.2345,
+        "path_ratio": 1.0467,
+        "max_retreat_m": 0.0,
+        "max_rotation_deg": 57.3,
+        "max_feature_excursion_px": 210.5,
+        "min_border_margin_px": 31.25,
+        "peak_speed_mps": 0.61,
+        "peak_rate_radps": 0.62,
+        "saturated_fraction": 0.125,
+        "wall_time_s": 2.5,
+        "real_time_factor": 4.0,
         "time_ms": {"physics": 4.1, "render": 2.3, "detect": 0.9, "law": 0.3, "record": 0.05, "video": 2.4},
-        "versions": {"vstestbed": "0.1.0", "mujoco": "3.17.0", "dm_control": "1.0.50", "opencv": "5.0.0", "numpy": "2.4.6", "python": "3.11.9",
-                     "renderer": "llvmpipe <LLVM 15 & co>"},
-    }  # fmt: skip
+        "versions": {
+            "vstestbed": "0.1.0",
+            "mujoco": "3.17.0",
+            "dm_control": "1.0.50",
+            "opencv": "5.0.0",
+            "numpy": "2.4.6",
+            "python": "3.11.9",
+            "renderer": "llvmpipe <LLVM 15 & co>",
+        },
+    }
     return made | changes
 
 
@@ -173,12 +198,28 @@ def test_the_page_stands_alone_and_has_it_all(tmp_path: Path) -> None:
     text = render_page(log(), summary(), SCENARIO, {"camera": film}, setting(4))
     reader = checked(text)
     assert reader.figures == EVERY_FIGURE
-    for words in ("arm_ibvs", "Converged", "RMS error under 0.2 px for 0.5 s.", "A camera nears a ring of markers.", "What the camera sees",
-                  "threshold 0.2 px", "target lost", "joint1"):  # fmt: skip
+    for words in (
+        "arm_ibvs",
+        "Converged",
+        "RMS error under 0.2 px for 0.5 s.",
+        "A camera nears a ring of markers.",
+        "What the camera sees",
+        "threshold 0.2 px",
+        "target lost",
+        "joint1",
+    ):
         assert words in reader.text
-    for name, value in (("Time to converge", "8.76 s"), ("Final error", "0.123 px"), ("Position error", "0.456 mm"), ("Time at a limit", "12.5 %"),
-                        ("Peak speed", "0.610 m/s"), ("Frames without target", "10"), ("Path over straight line", "1.05 ×"), ("numpy", "2.4.6"),
-                        ("physics", "4.1 ms")):  # fmt: skip
+    for name, value in (
+        ("Time to converge", "8.76 s"),
+        ("Final error", "0.123 px"),
+        ("Position error", "0.456 mm"),
+        ("Time at a limit", "12.5 %"),
+        ("Peak speed", "0.610 m/s"),
+        ("Frames without target", "10"),
+        ("Path over straight line", "1.05 ×"),
+        ("numpy", "2.4.6"),
+        ("physics", "4.1 ms"),
+    ):
         assert f"{name} {value}" in reader.text
     assert "data:video/mp4;base64," + base64.b64encode(b"a film").decode() in text
     assert "outcome good" in text

@@ -141,7 +141,7 @@ def _coverage(chroma: Image, alone: Image, rim: Rim) -> Image:
     blob looks like just there: a fixed threshold would shift the centroid of a smoothed, shaded ball by .3 px towards the light.
     The chroma of what is behind (a blue sky has 15) counts for nothing: as coverage it would make a halo of a pixel.
     """
-    chroma = cv2.subtract(chroma, cv2.minMaxLoc(chroma)[0])
+    chroma = chroma - chroma.min()
     own = cv2.bitwise_and(chroma, alone)
     total = cv2.boxFilter(own, cv2.CV_32F, (3, 3), normalize=False)
     count = cv2.boxFilter(alone, cv2.CV_32F, (3, 3), normalize=False)
