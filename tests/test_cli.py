@@ -137,6 +137,11 @@ class TestOutputFolder:
 
 
 class TestRun:
+    @pytest.fixture(autouse=True)
+    def quickly(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        """Without drawing the report's figures, which take longer than these runs (test_runs looks at the report)."""
+        monkeypatch.setattr("vstestbed.report.write_report", lambda folder, **_: folder / "report.html")
+
     def test_two_runs_get_two_numbers_and_the_first_is_not_touched(self, command, quick: Path) -> None:
         first = command("run", "quick.yaml", *NO_FILM)
         before = {p.name: p.read_bytes() for p in Path("runs/quick/001").iterdir()}

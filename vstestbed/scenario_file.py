@@ -269,14 +269,9 @@ def dump(scenario: Scenario) -> str:
     yaml.default_flow_style = None
     yaml.width = 120
     out = io.StringIO()
-    yaml.dump(_drop_none(to_mapping(scenario)), out)
+    yaml.representer.add_representer(type(None), lambda r, _: r.represent_scalar("tag:yaml.org,2002:null", "null"))
+    yaml.dump(to_mapping(scenario), out)
     return out.getvalue()
-
-
-def _drop_none(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {k: _drop_none(v) for k, v in value.items() if v is not None}
-    return [_drop_none(v) for v in value] if isinstance(value, list) else value
 
 
 def schema() -> dict[str, Any]:

@@ -67,10 +67,15 @@ class Target:
         raise NotImplementedError
 
     @cached_property
-    def colors(self) -> Array:
-        """One saturated colour for each marker, hues spread evenly from red on, shape (N, 3) in 0..1."""
+    def hues_deg(self) -> tuple[float, ...]:
+        """One hue for each marker, spread evenly from red on [deg]: what tells the markers apart."""
         n = len(self.points)
-        return np.array([colorsys.hsv_to_rgb(i / n, 1.0, 1.0) for i in range(n)])
+        return tuple(360 * i / n for i in range(n))
+
+    @cached_property
+    def colors(self) -> Array:
+        """The saturated colours of these hues, shape (N, 3) in 0..1."""
+        return np.array([colorsys.hsv_to_rgb(hue / 360, 1.0, 1.0) for hue in self.hues_deg])
 
     def _check_spacing(self) -> None:
         p = self.points

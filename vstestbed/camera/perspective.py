@@ -48,6 +48,8 @@ class Perspective(Camera):
             raise ParameterError(missing, "is missing: a lens is given by focal_length_m and pixel_size_m together")
         if self.focal_length_m is not None and self.fovy_deg is not None:
             raise ParameterError("fovy_deg", "and focal_length_m say the same thing twice; give one of them")
+        if self.focal_length_m is None and self.fovy_deg is None:
+            object.__setattr__(self, "fovy_deg", DEFAULT_FOVY_DEG)  # so that the scenario as run tells it
         if self.principal_px is not None and not self.inside(np.array(self.principal_px)):
             raise ParameterError("principal_px", f"must lie in the {self.width} x {self.height} picture", self.principal_px)
         if self.distortion is not None:

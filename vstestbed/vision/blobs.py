@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import colorsys
 import math
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
@@ -108,7 +107,7 @@ class Blobs:
         if windows is None:
             return None
         blobs: list[Blob | None] = []
-        for hue, last, (du, dv), window in zip(_hues(target), memory.blobs, memory.moves, windows, strict=True):
+        for hue, last, (du, dv), window in zip(target.hues_deg, memory.blobs, memory.moves, windows, strict=True):
             mine = self._of_hue(hue, self._look(image, window, camera), len(windows))
             u, v = (last.u + du, last.v + dv) if last else (math.nan, math.nan)
             blob = min(mine, key=lambda b: math.hypot(b.u - u, b.v - v), default=None)
@@ -121,7 +120,7 @@ class Blobs:
         """Each marker's blob in the whole picture: of those with its hue, whole ones first, the largest."""
         height, width = image.shape[:2]
         found = self._look(image, (0, 0, width, height), camera)
-        hues = _hues(target)
+        hues = target.hues_deg
         return [max(self._of_hue(hue, found, len(hues)), key=lambda b: (b.whole, b.area), default=None) for hue in hues]
 
     def _of_hue(self, hue_deg: float, found: list[Blob], n_hues: int) -> list[Blob]:
@@ -188,11 +187,6 @@ def _smooth(camera: Camera) -> bool:
     """Whether pixels at a marker's rim mix colours: several samples a pixel, or a picture interpolated for a lens."""
     plain = isinstance(camera, Perspective) and camera.distortion is None
     return camera.multisampling > 0 or not plain
-
-
-def _hues(target: Target) -> list[float]:
-    """The markers' hues [deg]."""
-    return [360 * colorsys.rgb_to_hsv(*color)[0] for color in target.colors]
 
 
 def _moves(memory: BlobsMemory, blobs: list[Blob | None]) -> tuple[tuple[float, float], ...]:
