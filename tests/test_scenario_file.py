@@ -89,8 +89,8 @@ class TestOneMistake:
             ("side: 0.5", "side: 0.5\n  marker: {radius: -1}", "s.yaml:8:12: target.marker.radius: must be > 0, got -1"),
             ("side: 0.5", "side: 0.5\n  marker: {radius: 0.3}", "target.marker.radius: must be under half of the smallest gap"),
             ("45, -180, 0", "45, 180, 0", "s.yaml:3:36: robot.start.nominal.q_deg.2: must be within joint 3's limits -225 to 45 deg"),
-            ("xyz: [0, 0, 1]", "xyz: [0, 0, -1]", "s.yaml:10:8: goal.T_camera_target: is a view in which marker 0, 1, 2, 3 is behind"),
-            ("xyz: [0, 0, 1]", "xyz: [0.6, 0, 1]", "is a view in which marker 1, 2 is outside the 640 x 480 picture; move the goal back"),
+            ("xyz: [0, 0, 1]", "xyz: [0, 0, -1]", "s.yaml:10:8: goal.T_camera_target: is a view in which markers 0, 1, 2, 3 are behind"),
+            ("xyz: [0, 0, 1]", "xyz: [0.6, 0, 1]", "is a view in which markers 1, 2 are outside the 640 x 480 picture; move the goal back"),
             ("goal: {", "goal: 3 #", "s.yaml:10:1: goal: must be a block (a mapping), got 3"),
         ],
     )
@@ -417,3 +417,30 @@ class TestPlugins:
         monkeypatch.setattr("importlib.metadata.entry_points", lambda *, group: [Entry()] if group == "vstestbed.laws" else [])
         with pytest.raises(ParameterError, match=r"vstestbed.laws has an installed plugin that cannot be loaded.*torch"):
             load_plugins([])
+
+
+class TestContradictions:
+    """What only shows when the blocks are looked at together."""
+
+    def test_a_setting_is_blamed_for_its_own_mistake(self) -> None:
+        with pytest.raises(ScenarioError) as caught:
+            load("arm_ibvs", {"goal.T_camera_target.xyz": [2, 0, 1]})
+        assert str(caught.value).startswith("--set: goal.T_camera_target: is a view in which markers 0, 1, 2, 3 are outside")
+
+    def test_a_setting_elsewhere_is_blamed_too(self) -> None:
+        with pytest.raises(ScenarioError, match="^--set: goal"):
+            load("arm_ibvs", {"camera.width": 100})
+
+    @pytest.mark.parametrize(
+        ("settings", "words"),
+        [
+            ({"stop.duration_s": 1e-9}, "stop.duration_s: must be at least one camera period, 0.04 s"),
+            (
+                {"target": {"kind": "points", "at": [[-0.2, 0, 0], [0, 0, 0], [0.2, 0, 0]], "pose": {"xyz": [1.5, 0, 0.7]}}},
+                "law.depth: may not be pnp: all markers lie on one line",
+            ),
+        ],
+    )
+    def test_parts_that_do_not_belong_together(self, settings: dict[str, object], words: str) -> None:
+        with pytest.raises(ScenarioError, match=words):
+            load("arm_ibvs", settings)

@@ -78,7 +78,7 @@ class _Servo:
         self.plant.apply(allocation.setpoint)
         self.spent["detect"] += detected - began
         self.spent["law"] += time.perf_counter() - detected
-        lost = int(np.count_nonzero(seen.seen)) < self.needed
+        lost = int(np.count_nonzero(seen.usable)) < self.needed
         error = seen.uv - self.goal.uv
         error_px = float("nan") if lost else float(np.sqrt(np.nanmean(error * error)))
         image = shot.frame.image if shot.frame else None
@@ -94,6 +94,7 @@ def _evidence(scenario: Scenario, tick: Tick) -> Evidence:
     return Evidence(
         t=tick.observation.t,
         lost=tick.lost,
+        held=tick.command.held,
         all_seen=bool(tick.observation.seen.all()),
         error_px=tick.error_px,
         command_size=float(np.abs(tick.command.twist).max()),

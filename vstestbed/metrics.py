@@ -25,7 +25,8 @@ def summarise(scenario: Scenario, outcome: Outcome, log: Columns) -> dict[str, o
     max_rotation_deg: largest turn away from the starting orientation.
     max_feature_excursion_px: largest distance of a true marker image from the straight line between its start and goal.
     min_border_margin_px: smallest distance of a true marker image to the picture's border, negative outside.
-    saturated_fraction: share of frames whose command was scaled to stay within the robot's limits.
+    saturated_fraction: share of frames in which the law's limits, the robot's limits or its damping near a
+        singularity took something off the command.
 
     Args:
         scenario: the experiment. outcome: how it ended. log: the columns of the log by name, shape (frames,) each.
@@ -55,7 +56,8 @@ def _time_to_converge(scenario: Scenario, outcome: Outcome, log: Columns) -> flo
     """Start of the last unbroken stretch under the threshold, when the run converged [s]."""
     if outcome is not Outcome.converged or not len(log["t"]):
         return None
-    over = np.flatnonzero(~(log["error_px"] < scenario.stop.converged.error_px))
+    whole = np.all([np.isfinite(log[f"u_{i}"]) for i in range(len(scenario.target.points))], axis=0)
+    over = np.flatnonzero(~((log["error_px"] < scenario.stop.converged.error_px) & whole))
     first = int(over[-1]) + 1 if len(over) else 0
     return float(log["t"][first]) if first < len(log["t"]) else None
 

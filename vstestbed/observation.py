@@ -34,6 +34,11 @@ class Observation:
 
     @property
     def seen(self) -> NDArray[np.bool_]:
+        """Which markers are seen, shape (N,)."""
+        return np.isfinite(self.xy[:, 0])
+
+    @property
+    def usable(self) -> NDArray[np.bool_]:
         """Which markers are seen and have a depth, shape (N,)."""
         return np.isfinite(self.xy[:, 0]) & np.isfinite(self.depth)
 

@@ -61,7 +61,12 @@ class Watcher(Protocol):
 
 
 class Layout:
-    """The columns of a scenario's log, and how a tick becomes one row of numbers."""
+    """The columns of a scenario's log, and how a tick becomes one row of numbers.
+
+    All that was seen and all that was true (act_, q_, ctrl_, ...) is of the exposure at t. The row's command cmd_ is what
+    the law made of that picture; it holds from t_cmd = t + latency on. made_ is the twist that the robot's limits and its
+    damping near singularities leave of it, and scale is made_ over what the law wanted, its own limits included.
+    """
 
     def __init__(self, scenario: Scenario):
         n, joints = len(scenario.target.points), scenario.robot.joints
@@ -76,12 +81,15 @@ class Layout:
             *(f"tgt_{name}" for name in POSE),
             "position_error_m",
             "rotation_error_rad",
+            "t_cmd",
             *(f"cmd_{name}" for name in TWIST),
             *(f"act_{name}" for name in TWIST),
+            *(f"made_{name}" for name in TWIST),
             "scale",
             *(f"{kind}_{joint}" for joint in joints for kind in ("q", "qd", "ctrl")),
         )
         self._camera, self._goal = scenario.camera, scenario.goal_view
+        self._latency = scenario.camera.latency_s
         self._T_target_goal = inverse(self._goal.T_camera_target)
 
     def row(self, tick: Tick) -> Array:
@@ -98,9 +106,11 @@ class Layout:
                 _pose(truth.T_world_camera),
                 _pose(truth.T_world_target),
                 rigid_error(truth.T_world_camera, T_world_goal),
+                (o.t + self._latency,),
                 tick.command.twist,
                 truth.twist,
-                (tick.allocation.scale,),
+                tick.allocation.twist,
+                (tick.allocation.scale * tick.command.scale,),
                 joints.ravel(),
             ]
         )

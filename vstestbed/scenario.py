@@ -13,7 +13,7 @@ from vstestbed.camera import CAMERAS, Perspective
 from vstestbed.errors import ParameterError
 from vstestbed.geometry import Array, Pose, inverse, transform
 from vstestbed.laws import IBVS, LAWS
-from vstestbed.observation import Goal, OracleDepth
+from vstestbed.observation import Goal, OracleDepth, PnP
 from vstestbed.robots import ROBOTS, Free, Mount, Puma560
 from vstestbed.sim.clock import Clock
 from vstestbed.sim.world import World
@@ -35,7 +35,9 @@ class Noise:
     """Sensor noise.
 
     Args:
-        image_sigma: standard deviation of Gaussian noise on each channel of the picture, in grey levels (of 255).
+        image_sigma: standard deviation of Gaussian noise on each channel of the picture, in grey levels (of 255). What it
+            does to a measured coordinate is up to the detector: with `blobs` and its `grey` moments, scatter in proportion,
+            about .0025 px a grey level for discs of 8 px radius. Under 1 it has hardly any effect, above 20 markers get lost.
         pixel_sigma_px: standard deviation of Gaussian noise on each measured coordinate, whatever the detector [px].
     """
 
@@ -78,12 +80,21 @@ class Scenario:
             words = "may be oracle only with detector: {kind: oracle}; with pixels use pnp, constant, goal or estimate"
             raise ParameterError("law.depth", words)
         self.physics.resolve(self.camera)
-        needed = self.law.markers_needed(self.robot.motion_basis(Mount.of(self.camera.mount.T)))
-        found = len(self.target.points)
-        if found < needed:
-            words = f"has {found} marker{'s' * (found != 1)}, and law {self.law.kind} needs {needed} or more for this robot's motions"
-            raise ParameterError("target", words)
+        if self.stop.duration_s < self.camera.period:
+            raise ParameterError("stop.duration_s", f"must be at least one camera period, {self.camera.period:g} s", self.stop.duration_s)
+        self._check_markers()
         self._check_goal()
+
+    def _check_markers(self) -> None:
+        points = self.target.points
+        needed = self.law.markers_needed(self.robot.motion_basis(Mount.of(self.camera.mount.T)))
+        if len(points) < needed:
+            markers = f"{len(points)} marker{'s' * (len(points) != 1)}"
+            raise ParameterError("target", f"has {markers}, and law {self.law.kind} needs {needed} or more for this robot's motions")
+        spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+        if isinstance(self.law.depth, PnP) and spread[1] < 1e-6 * spread[0]:
+            words = "may not be pnp: all markers lie on one line, which leaves the pose open; use goal or estimate"
+            raise ParameterError("law.depth", words)
 
     def _check_goal(self) -> None:
         limited = not (isinstance(self.detector, Oracle) and self.detector.field_of_view == "unlimited")
@@ -93,7 +104,8 @@ class Scenario:
         bad = behind or (outside if limited else [])
         if bad:
             where = "behind the camera" if behind else f"outside the {self.camera.width} x {self.camera.height} picture"
-            words = f"is a view in which marker {', '.join(bad)} is {where}; move the goal back, or use a wider camera or a smaller target"
+            markers = f"marker {bad[0]} is" if len(bad) == 1 else f"markers {', '.join(bad)} are"
+            words = f"is a view in which {markers} {where}; move the goal back, or use a wider camera or a smaller target"
             raise ParameterError("goal.T_camera_target", words)
 
     @cached_property

@@ -99,12 +99,25 @@ def parse(text: str, file: str, overrides: Mapping[str, object] | None = None, s
     plain, marks = plain_mapping(text, file, f"a scenario needs {_required()}")
     for dotted, value in (overrides or {}).items():
         override(plain, dotted, value, marks, _is_kind)
-    scenario = _build(plain, marks, file)
+    try:
+        scenario = _build(plain, marks, file)
+    except ScenarioError as error:
+        raise (_blame_settings(error, text, file) if overrides else error) from None
     try:
         return scenario if seed is None else _seeded(scenario, seed)
     except ParameterError as error:
         where = place_of(tuple(error.field.split(".")), marks, file)
         raise ScenarioError([Mistake(where, error.field, error.problem)]) from None
+
+
+def _blame_settings(error: ScenarioError, text: str, file: str) -> ScenarioError:
+    """The same mistakes, those that the file does not have by itself laid to --set."""
+    try:
+        parse(text, file)
+        own: set[tuple[str, str]] = set()
+    except ScenarioError as without:
+        own = {(m.field, m.sentence) for m in without.mistakes}
+    return ScenarioError([m if (m.field, m.sentence) in own else dataclasses.replace(m, where="--set") for m in error.mistakes])
 
 
 def _seeded(scenario: Scenario, seed: int) -> Scenario:

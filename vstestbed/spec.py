@@ -52,6 +52,9 @@ def _with_our_errors(cls: Any) -> None:
             checked_init(self, **values)
         except pydantic.ValidationError as error:
             first = error.errors()[0]
+            inner = first.get("ctx", {}).get("error")
+            if isinstance(inner, ParameterError):
+                raise inner from None
             field = ".".join(str(part) for part in first["loc"]) or cls.__name__
             raise ParameterError(field, first["msg"], first["input"]) from None
 

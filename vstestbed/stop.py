@@ -75,7 +75,7 @@ class Evidence:
 
     Attributes:
         t: time [s].
-        lost: too few markers seen for the law to work.
+        lost: too few markers seen, or too few with a depth, for the law to work. held: why the law orders rest.
         all_seen: every marker is seen.
         error_px: RMS error over the coordinates seen [px].
         command_size: largest component of the commanded twist.
@@ -86,6 +86,7 @@ class Evidence:
 
     t: float
     lost: bool
+    held: str
     all_seen: bool
     error_px: float
     command_size: float
@@ -101,6 +102,7 @@ class Judge:
     """Watches the evidence and says when a run is over, and why: (Outcome, reason)."""
 
     stop: Stop
+    worked: bool = False
     since: dict[str, float] = field(default_factory=dict)
 
     def _lasting(self, name: str, holds: bool, t: float) -> float:
@@ -113,6 +115,7 @@ class Judge:
     def verdict(self, e: Evidence) -> tuple[Outcome, str] | None:
         """The outcome after this frame with its reason, or None to go on."""
         goal = self.stop.converged
+        self.worked = self.worked or not e.lost
         near = not e.lost and e.all_seen and e.error_px < goal.error_px
         held = self._lasting("near", near, e.t)
         lost = self._lasting("lost", e.lost, e.t)
@@ -127,7 +130,8 @@ class Judge:
         if e.behind:
             return Outcome.target_lost, "the camera crossed the plane of the target"
         if e.lost and lost >= self.stop.lost_after_s:
-            return Outcome.target_lost, f"too few markers in sight for {self.stop.lost_after_s:g} s"
+            never = "" if self.worked else ", from the start on"
+            return Outcome.target_lost, f"{e.held or Outcome.target_lost.value} for {self.stop.lost_after_s:g} s{never}"
         if blocked >= BLOCKED_S:
             return Outcome[e.limit], f"{Outcome[e.limit].value} for {BLOCKED_S:g} s"
         if rest >= REST_S:

@@ -105,7 +105,7 @@ class Square(Target):
 
 @spec
 class Points(Target):
-    """Markers anywhere: `points`, a list of [x, y, z] in the target frame [m]."""
+    """Markers anywhere: `at`, a list of [x, y, z] in the target frame [m]."""
 
     kind: Literal["points"] = "points"
     at: Annotated[tuple[Triple, ...], Len(1, 24)]

@@ -213,7 +213,7 @@ def test_the_page_stands_alone_and_has_it_all(tmp_path: Path) -> None:
         ("Time to converge", "8.76 s"),
         ("Final error", "0.123 px"),
         ("Position error", "0.456 mm"),
-        ("Time at a limit", "12.5 %"),
+        ("Frames with a limited command", "12.5 %"),
         ("Peak speed", "0.610 m/s"),
         ("Frames without target", "10"),
         ("Path over straight line", "1.05 ×"),

@@ -12,6 +12,7 @@ from vstestbed.camera import Frame, Perspective
 from vstestbed.geometry import Array, Pose, exp, inverse, rigid_error, transform
 from vstestbed.target import Disc, Marker, Points, Sphere, Square, Target
 from vstestbed.vision import Blobs, Detection
+from vstestbed.vision.find import noise_level
 
 from .conftest import Picture
 
@@ -283,6 +284,73 @@ def test_noise_in_the_picture() -> None:
     found = _detect(Frame(t=0.0, image=np.clip(np.round(image), 0, 255).astype(np.uint8)), target)
     assert found.seen.all()
     assert np.abs(found.uv - centres).max() < 0.3
+
+
+SIGMAS = (2.0, 8.0, 20.0)
+
+
+def _noisy(frame: Frame, sigma: float, rng: np.random.Generator) -> Frame:
+    noise = rng.normal(0.5, sigma, frame.image.shape)
+    return Frame(t=0.0, image=np.clip(frame.image + noise, 0, 255).astype(np.uint8))
+
+
+@pytest.mark.parametrize("sigma", [0.0, *SIGMAS])
+def test_noise_is_estimated_from_the_picture(picture: Picture, sigma: float) -> None:
+    image = _noisy(picture(_square(Sphere(radius=0.06)), FRONT, CAMERA), sigma, np.random.default_rng(3)).image
+    assert noise_level(image) == pytest.approx(sigma, rel=0.1)
+    assert (noise_level(image) == 0) == (sigma == 0)
+
+
+@pytest.mark.parametrize("camera", [CAMERA, Perspective(multisampling=4)], ids=["sharp", "smooth"])
+def test_centroids_scatter_with_the_noise(picture: Picture, camera: Perspective) -> None:
+    target, blobs, rng = _square(Disc(radius=0.02)), Blobs(), np.random.default_rng(4)
+    frames = [picture(target, T, camera) for T in _poses(20)]
+    clean = [_detect(frame, target, blobs, camera).uv for frame in frames]
+    scatter = []
+    for sigma in SIGMAS:
+        moved = np.array(
+            [_detect(_noisy(frame, sigma, rng), target, blobs, camera).uv - uv for frame, uv in zip(frames, clean, strict=True)]
+        )
+        assert np.count_nonzero(np.isfinite(moved).all(axis=(1, 2))) >= 0.95 * len(frames)
+        assert (moved[np.isfinite(moved)] != 0).all()
+        assert np.nanmax(np.abs(moved)) < 0.6
+        assert np.abs(np.nanmean(moved, axis=(0, 1))).max() < 0.03  # 80 markers: the mean of .06 px is known within .007
+        scatter.append(float(np.nanstd(moved)))
+    assert scatter[0] < scatter[1] < scatter[2] < 0.1
+    assert scatter[2] > 1.5 * scatter[1]
+
+
+@pytest.mark.parametrize("marker", MARKERS, ids=lambda m: f"{m.kind} {m.radius}")
+def test_noise_does_not_shift_shaded_markers(picture: Picture, marker: Marker) -> None:
+    target, rng = _square(marker), np.random.default_rng(5)
+    errors = []
+    for T in _poses(20):
+        found = _detect(_noisy(picture(target, T, CAMERA), 8, rng), target)
+        assert found.seen.all()
+        errors.append(found.uv - CAMERA.project(transform(T, target.points)))
+    assert np.median(np.linalg.norm(np.concatenate(errors), axis=1)) < 0.12
+    assert np.abs(np.mean(errors, axis=(0, 1))).max() < 0.1
+
+
+def test_much_noise_while_tracking(picture: Picture) -> None:
+    target, blobs, rng = _square(Disc(radius=0.02)), Blobs(), np.random.default_rng(6)
+    memory, seen = blobs.init(), []
+    for T in _path(40):
+        frame = _noisy(picture(target, T, CAMERA), 20, rng)
+        memory, found = blobs.detect(memory, frame, None, CAMERA, target, RNG)
+        whole = _detect(frame, target, blobs)
+        errors = np.array([d.uv - CAMERA.project(transform(T, target.points)) for d in (found, whole)])
+        assert np.nanmax(np.abs(errors)) < 0.8
+        seen.append([found.seen.all(), whole.seen.all()])
+    assert np.mean(seen, axis=0).min() >= 0.95
+
+
+def test_noise_alone_holds_no_markers() -> None:
+    target, blobs, rng = _square(Disc(radius=0.02)), Blobs(), np.random.default_rng(7)
+    grey = Frame(t=0.0, image=np.full((CAMERA.height, CAMERA.width, 3), 128, np.uint8))
+    for sigma in SIGMAS:
+        for _ in range(10):
+            assert not _detect(_noisy(grey, sigma, rng), target, blobs).seen.any()
 
 
 def test_grey_pictures_hold_no_markers() -> None:

@@ -68,7 +68,7 @@ def test_no_pose_no_depth() -> None:
     seen = _once(PnP(), _detection(START, lost=(0, 1)))
     assert seen.T_camera_target is None
     assert np.isnan(seen.depth).all()
-    assert not seen.seen.any()
+    assert not seen.usable.any()
 
 
 def test_pose_is_carried_on_by_the_commanded_motion() -> None:
@@ -129,6 +129,20 @@ def test_estimate_under_noise_and_kept_at_rest() -> None:
     assert depth == pytest.approx(true, rel=0.15)
     rested, true = _run_estimate(sigma=0.1, still=500)
     assert rested == pytest.approx(depth, rel=1e-12)  # noise without motion teaches nothing
+
+
+@pytest.mark.parametrize("ratio", [3.0, 0.3])
+@pytest.mark.parametrize("sigma", [0.0, 0.05])
+def test_estimate_from_far_off_converges_and_does_not_drift_as_motion_fades(ratio: float, sigma: float) -> None:
+    # The motion of a servo: it dies away over 2 s. Depths within 3 % after 1 s, and still so at the end.
+    observer, rng = _observer(Estimate(initial_m=1.6 * ratio), sigma), np.random.default_rng(0)
+    memory, T, twist = observer.init(), START, REST
+    for k in range(400):
+        memory, seen = observer.observe(memory, k * DT, _detection(T), twist, rng)
+        if k >= 25:
+            assert seen.depth == pytest.approx(transform(T, TARGET.points)[:, 2], rel=0.03)
+        twist = np.exp(-k * DT / 2) * np.array([0.15, -0.1, 0.1, 0.05, -0.04, 0.1])
+        T = inverse(exp(twist * DT)) @ T
 
 
 def test_estimate_without_motion_keeps_the_initial_depth() -> None:

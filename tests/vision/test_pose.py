@@ -29,6 +29,35 @@ def _random_poses(n: int) -> list[Array]:
     return [_pose(d[0], d[1], d[2], (d[3], d[4], d[5])) for d in draws]
 
 
+_ROUND = np.linspace(0, 2 * np.pi, 12, endpoint=False)
+DOZEN = np.stack([0.3 * np.cos(_ROUND), 0.2 * np.sin(_ROUND), 0 * _ROUND], axis=1)
+
+
+@pytest.mark.parametrize("depth", [0.6, 1.0, 4.0])
+@pytest.mark.parametrize("axis", [(1, 0, 0), (0, 1, 0), (0, 0, 1), (0.2, 0.1, 0.97), (0.6, -0.3, 0.2)], ids=str)
+@pytest.mark.parametrize("points", [SQUARE, DOZEN, SQUARE[:, [2, 0, 1]] @ exp(np.array([0, 0, 0, 0, 1.5, 0]))[:3, :3].T])
+def test_half_and_quarter_turns(points: Array, axis: tuple[float, ...], depth: float) -> None:
+    n = np.array(axis) / np.linalg.norm(axis)
+    K = np.cross(np.eye(3), -n)
+    T = np.eye(4)
+    T[:3, 3] = 0.02, 0.01, depth
+    for angle in (np.pi, *(np.pi + s * d for s in (-1, 1) for d in (1e-9, 1e-7, 1e-5, 1e-3)), np.pi / 2, 1e-6, 0.0):
+        sine = 0.0 if angle == np.pi else np.sin(angle)  # exactly half a turn
+        T[:3, :3] = np.eye(3) + sine * K + (1 - np.cos(angle)) * K @ K
+        p = transform(T, points)
+        if p[:, 2].min() < 0.1 or np.linalg.svd(p / p[:, 2:] - (p / p[:, 2:]).mean(axis=0))[1][1] < 1e-3:
+            continue  # behind the camera, or seen edge on
+        for previous in (None, T):
+            found = solve_pose(_see(T, points), points, previous)
+            assert found is not None
+            assert rigid_error(found, T) == pytest.approx((0, 0), abs=1e-6), angle
+
+
+def test_pixels_that_fit_no_pose_give_none() -> None:
+    xy = np.array([[-0.2, -0.2], [0.2, 0.2], [0.2, -0.2], [-0.2, 0.2]])  # two corners swapped
+    assert solve_pose(xy, SQUARE) is None
+
+
 @pytest.mark.parametrize("points", [SQUARE, HOUSE, HOUSE[:5], HOUSE[[0, 1, 2, 4]]], ids=["plane 4", "space 6", "space 5", "space 4"])
 def test_exact_pixels_give_the_exact_pose(points: Array) -> None:
     for T in _random_poses(50):

@@ -84,13 +84,25 @@ class Perspective(Camera):
         """Intrinsic matrix (3, 3) in pixels."""
         return np.array([[self.f, 0, self.centre[0]], [0, self.f, self.centre[1]], [0, 0, 1.0]])
 
+    @cached_property
+    def reach2(self) -> float:
+        """Largest x^2 + y^2 that the distortion maps in order; farther out its polynomial would fold the scene back.
+
+        The first positive root in r^2 of d(r_d)/dr = 1 + 3 k1 r^2 + 5 k2 r^4 + 7 k3 r^6.
+        """
+        k1, k2, _, _, k3 = self.distortion or (0.0,) * 5
+        roots = np.roots(np.trim_zeros([7 * k3, 5 * k2, 3 * k1, 1.0], "f"))
+        real = roots.real[(np.abs(roots.imag) < 1e-12) & (roots.real > 0)]
+        return float(real.min()) if len(real) else math.inf
+
     def project(self, p_camera: Array) -> Array:
-        """Pixels uv (..., N, 2) of points (..., N, 3); NaN for points at or behind the lens (Z <= 0)."""
+        """Pixels uv (..., N, 2) of points (..., N, 3); NaN at or behind the lens (Z <= 0), and beyond the distortion's reach."""
         z = p_camera[..., 2:]
         with np.errstate(divide="ignore", invalid="ignore"):
             xy = np.where(z > 0, p_camera[..., :2] / z, np.nan)
-        if self.distortion is not None:
-            xy = self._distort(xy)
+            if self.distortion is not None:
+                inside = (xy * xy).sum(axis=-1, keepdims=True) < self.reach2
+                xy = self._distort(np.where(inside, xy, np.nan))
         return xy * self.f + self.centre
 
     def normalise(self, uv: Array) -> Array:

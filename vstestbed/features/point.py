@@ -31,11 +31,13 @@ class Point:
         """L (..., 2N, 6) of xy (..., N, 2) and depth (..., N) [m].
 
         Raises:
-            ParameterError: the shapes do not belong together.
+            ParameterError: the shapes do not belong together, or a depth is not positive.
         """
         xy, depth = np.asarray(xy, dtype=float), np.asarray(depth, dtype=float)
         if xy.shape[-1] != 2 or xy.shape[:-1] != depth.shape:
             raise ParameterError("depth", f"must have the shape (..., N) of xy (..., N, 2) = {xy.shape}", depth.shape)
+        if not (depth > 0).all():
+            raise ParameterError("depth", "must be > 0 m for every point: what is at or behind the lens has no image")
         x, y, inv_z = xy[..., 0], xy[..., 1], 1.0 / depth
         L = np.zeros((*xy.shape, 6))
         L[..., 0, 0] = L[..., 1, 1] = -inv_z

@@ -20,12 +20,14 @@ M = TypeVar("M")
 class Command:
     """What a law orders: u (n,) in the robot's motion space, the camera twist (6,) = basis @ u it stands for.
 
-    `held` is why a law orders rest although the goal is not reached ("" while it works).
+    `held` is why a law orders rest although the goal is not reached ("" while it works); `scale` is the factor by which
+    the law's own limits on the twist shortened it.
     """
 
     u: Array
     twist: Array
     held: str = ""
+    scale: float = 1.0
 
     @classmethod
     def rest(cls, basis: Array, why: str) -> Command:

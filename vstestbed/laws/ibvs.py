@@ -18,6 +18,8 @@ from vstestbed.spec import spec
 
 Rows = slice | NDArray[np.bool_]
 """Which markers' rows are taken."""
+TOO_FEW, NO_DEPTH = "too few markers in sight", "the depth of the markers in sight cannot be told"
+"""Why the law orders rest."""
 PINV_RCOND = 1e-6
 """Cut-off of the pseudo-inverse: singular values under this share of the largest count as zero:
 a direction that pixels do not tell is not moved in."""
@@ -67,10 +69,12 @@ class IBVS:
 
     def step(self, memory: IBVSMemory, observation: Observation, goal: Goal, basis: Array) -> tuple[IBVSMemory, Command]:
         """One frame, with the markers that are seen; rest when they are too few for the robot's motions."""
-        seen: Rows = observation.seen
-        if np.count_nonzero(seen) < self.markers_needed(basis):
-            return IBVSMemory(), Command.rest(basis, "too few markers seen")
-        if observation.seen.all():
+        usable, needed = observation.usable, self.markers_needed(basis)
+        if np.count_nonzero(usable) < needed:
+            blind = np.count_nonzero(observation.seen) < needed
+            return IBVSMemory(), Command.rest(basis, TOO_FEW if blind else NO_DEPTH)
+        seen: Rows = usable
+        if usable.all():
             seen = slice(None)  # a view is cheaper than a selection
         e = self.feature.error(self.feature.measure(observation.xy[seen]), self.feature.measure(goal.xy[seen]))
         L = self._interaction(observation, goal, seen)
@@ -80,8 +84,8 @@ class IBVS:
             u0 = u if memory.u0 is None else memory.u0
             memory = IBVSMemory(observation.t if memory.u0 is None else memory.t0, u0)
             u = u - u0 * math.exp(-(observation.t - memory.t0) / self.smooth_start_s)
-        u = u * self.limits.scale(basis @ u)
-        return memory, Command(u=u, twist=basis @ u)
+        scale = self.limits.scale(basis @ u)
+        return memory, Command(u=u * scale, twist=basis @ u * scale, scale=scale)
 
     def _interaction(self, observation: Observation, goal: Goal, seen: Rows) -> Array:
         if self.interaction == "desired":

@@ -115,12 +115,13 @@ def twist(tracks: Tracks) -> Figure:
     """The camera's twist in its own frame: commanded (line) and true (band), translation above, rotation below."""
     figure = new_figure(4.3)
     panels = figure.subplots(2, 1, sharex=True)
+    told = tracks.column("t_cmd")  # a command takes effect when its picture has arrived
     for axes, (part, label) in zip(panels, PARTS, strict=True):
         axes.axhline(0, color=RULE, linewidth=0.8)
         for axis, color in zip("xyz", AXIS_COLORS, strict=True):
             true, command = tracks.column(f"act_{part}{axis}"), tracks.column(f"cmd_{part}{axis}")
             axes.plot(tracks.t, true, color=color, **BAND)
-            axes.plot(tracks.t, command, color=color, linewidth=1.1, label=f"{part}$_{axis}$", **_dot(command))
+            axes.plot(told, command, color=color, linewidth=1.1, label=f"{part}$_{axis}$", **_dot(command))
         _shade_lost(axes, tracks)
         axes.set_ylabel(label)
         axes.legend(handles=axes.get_lines()[2::2], loc="upper right", ncols=3)

@@ -17,7 +17,7 @@ TILES: Final = (
     ("final_position_error_m", "Position error", "m"),
     ("final_rotation_error_deg", "Rotation error", "deg"),
     ("path_length_m", "Path length", "m"),
-    ("real_time_factor", "Real-time factor", "×"),
+    ("real_time_factor", "Real-time factor, films included", "×"),
 )
 ROWS: Final = (
     ("seed", "Seed", ""),
@@ -32,7 +32,7 @@ ROWS: Final = (
     ("min_border_margin_px", "Smallest margin to the border", "px"),
     ("peak_speed_mps", "Peak speed", "m/s"),
     ("peak_rate_radps", "Peak rate of turn", "rad/s"),
-    ("saturated_fraction", "Time at a limit", "%"),
+    ("saturated_fraction", "Frames with a limited command", "%"),
 )
 
 

@@ -27,7 +27,7 @@ DISC_HALF_THICKNESS = 1e-4
 """Half height of a disc marker [m]: its front face lies at z = 0 of the target frame, its rim adds under 0.02 px at 1 m."""
 BOARD_MARGIN = 1.5
 """The board behind a square reaches this many marker radii beyond the markers' edges."""
-FREE_HOUSING = 4.0
+FREE_HOUSING = 6.0
 """The free camera's housing is drawn this many times as large as the arm's: it is seen from farther away."""
 GLOW = 1000.0
 """Emission of an unlit marker, whose own colour is divided by it: emission gives the exact colour 255 * rgba, and what

@@ -16,7 +16,7 @@ from vstestbed.spec import spec
 from vstestbed.target import Target
 from vstestbed.vision.base import Detection, TruthView
 from vstestbed.vision.centre import centre_bias
-from vstestbed.vision.find import Blob, Image, Window, find_blobs
+from vstestbed.vision.find import Blob, Image, Window, find_blobs, noise_level
 from vstestbed.vision.pose import solve_pose_from_rays, three_ray_poses
 
 AREA_NOISE_PX = 3.5
@@ -54,12 +54,18 @@ class Blobs:
     marker is left out and the pose solved anew until all fit. Three markers and no pose before: of the poses they leave,
     the one whose areas fit best. Fewer than three: border and shape alone decide, and the bias is that of the last pose.
 
+    A picture's noise is estimated from the picture (`noise_level`: 0 for a rendered one without noise). Where there is
+    some, from a standard deviation of about 1 grey level, blobs are looked for in the smoothed picture, and with `grey`
+    moments rim pixels count by their measured chroma, so that centroids scatter in proportion to the noise: 2 cm discs at
+    1 m by .01, .02 and .05 px for 2, 8 and 20 grey levels. Above 20, markers begin to be missed; the dark sides of shaded
+    balls a little before. From about 30 on, noise itself may be taken for a marker.
+
     Args:
         chroma: max - min of r, g, b (0..255) above which a pixel belongs to a marker; scenes keep everything else under it.
         hue_tolerance_deg: largest difference to the marker's hue; never more than half the step between two markers' hues.
         least_area_px: smaller blobs are noise.
         moments: `binary` weighs each pixel 0 or 1; `grey` by coverage, which is finer in pictures with multisampling and the
-            same in pictures without, whose pixels are all of one colour.
+            same in pictures with neither multisampling nor noise, whose pixels are all of one colour.
         correct_centre: whether to take perspective's bias off the centroid.
         area_tolerance: largest relative difference between a blob's area and the expected one.
         window_margin_px: what a window has round the predicted blob, besides half of its last move.
@@ -92,15 +98,17 @@ class Blobs:
         """
         if frame is None:
             raise ParameterError("frame", "is missing: detector blobs needs a picture; use detector oracle where there is none")
-        blobs = self._track(frame.image, memory, camera, target) or self._search(frame.image, camera, target)
-        uv, T, bias = self._measure(blobs, memory, camera, target)
+        noise = noise_level(frame.image)
+        blobs = self._track(frame.image, noise, memory, camera, target) or self._search(frame.image, noise, camera, target)
+        uv, T, bias = self._measure(blobs, EDGE_PX if noise > 0 or _smooth(camera) else 0.0, memory, camera, target)
         kept = T if T is not None else memory.T_camera_target
         return BlobsMemory(tuple(blobs), _moves(memory, blobs), kept, bias), Detection(uv=uv, T_camera_target=T)
 
-    def _look(self, image: Image, window: Window, camera: Camera) -> list[Blob]:
-        return find_blobs(image, window, self.chroma, self.least_area_px, self.moments if _smooth(camera) else "sharp")
+    def _look(self, image: Image, window: Window, noise: float, camera: Camera) -> list[Blob]:
+        rim = self.moments if _smooth(camera) or (noise > 0 and self.moments == "binary") else "sharp"
+        return find_blobs(image, window, self.chroma, self.least_area_px, rim, noise)
 
-    def _track(self, image: Image, memory: BlobsMemory, camera: Camera, target: Target) -> list[Blob | None] | None:
+    def _track(self, image: Image, noise: float, memory: BlobsMemory, camera: Camera, target: Target) -> list[Blob | None] | None:
         """Each marker's blob, the nearest to its prediction in a window of its own; None: the whole picture must be searched."""
         height, width = image.shape[:2]
         windows = _windows(memory, width, height, self.window_margin_px)
@@ -108,7 +116,7 @@ class Blobs:
             return None
         blobs: list[Blob | None] = []
         for hue, last, (du, dv), window in zip(target.hues_deg, memory.blobs, memory.moves, windows, strict=True):
-            mine = self._of_hue(hue, self._look(image, window, camera), len(windows))
+            mine = self._of_hue(hue, self._look(image, window, noise, camera), len(windows))
             u, v = (last.u + du, last.v + dv) if last else (math.nan, math.nan)
             blob = min(mine, key=lambda b: math.hypot(b.u - u, b.v - v), default=None)
             if blob is None or blob.cut_by(window, width, height):
@@ -116,10 +124,10 @@ class Blobs:
             blobs.append(blob)
         return blobs
 
-    def _search(self, image: Image, camera: Camera, target: Target) -> list[Blob | None]:
+    def _search(self, image: Image, noise: float, camera: Camera, target: Target) -> list[Blob | None]:
         """Each marker's blob in the whole picture: of those with its hue, whole ones first, the largest."""
         height, width = image.shape[:2]
-        found = self._look(image, (0, 0, width, height), camera)
+        found = self._look(image, (0, 0, width, height), noise, camera)
         hues = target.hues_deg
         return [max(self._of_hue(hue, found, len(hues)), key=lambda b: (b.whole, b.area), default=None) for hue in hues]
 
@@ -127,8 +135,10 @@ class Blobs:
         tolerance = min(self.hue_tolerance_deg, 180 / n_hues)
         return [b for b in found if abs((b.hue_deg - hue_deg + 180) % 360 - 180) <= tolerance]
 
-    def _measure(self, blobs: list[Blob | None], memory: BlobsMemory, camera: Camera, target: Target) -> tuple[Array, Array | None, Array]:
-        """Marker centres (N, 2), the pose, and perspective's bias (N, 2), from blobs.
+    def _measure(
+        self, blobs: list[Blob | None], edge: float, memory: BlobsMemory, camera: Camera, target: Target
+    ) -> tuple[Array, Array | None, Array]:
+        """Marker centres (N, 2), the pose, and perspective's bias (N, 2), from blobs whose borders are right within `edge` [px].
 
         The pose is solved from centroids less the bias of the last picture, which gives this picture's bias; where that
         is not the same within SAME_BIAS_PX, once more.
@@ -142,7 +152,7 @@ class Blobs:
             if T is None:
                 break
             bias, expected = centre_bias(camera, target, T)
-            worst, misfit = self._worst(area, expected, EDGE_PX if _smooth(camera) else 0.0)
+            worst, misfit = self._worst(area, expected, edge)
             if misfit > 1:
                 centroid[worst] = area[worst] = np.nan
             elif not np.abs(bias - assumed).max() > SAME_BIAS_PX:

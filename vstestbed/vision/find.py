@@ -24,6 +24,13 @@ ROUGHNESS_PX = {"sharp": 1.0, "binary": 1.5, "grey": 1.5}
 """... and how much more [px^2]: rendered discs and balls of 2 to 24 px radius reach .3, .8 and 1.2. A disc of 8 px of which
 7 % are hidden is past both."""
 
+NOISE_ROWS = 60
+"""A picture's noise is estimated from every so many rows: 480 rows give 5112 differences, enough for a few percent."""
+MEDIAN_STEP = 0.6745 * math.sqrt(2)
+"""Median absolute difference of two independent Gaussian numbers, in their standard deviations."""
+NOISE_ROUGHNESS_PX = 0.1
+"""What noise adds to ROUGHNESS_PX [px^2 per grey level of its standard deviation] (rendered discs and balls of 4 to 30 px radius)."""
+
 _NEIGHBOURS = np.ones((3, 3), np.uint8)
 
 
@@ -62,6 +69,20 @@ def chroma(image: Image) -> Image:
     return np.asarray(cv2.subtract(high, cv2.min(cv2.min(r, g), b)), np.uint8)
 
 
+def noise_level(image: Image) -> float:
+    """Standard deviation of a picture's noise [grey levels], from the picture alone: 0 for a clean one.
+
+    The median step between neighbours in a row; most pixels of a rendered surface equal their neighbours, so that it is
+    exactly 0 without noise. Noise under about .7 is lost in the rounding to grey levels. A backdrop as rough as noise
+    counts as noise.
+    """
+    rows = np.ascontiguousarray(image[NOISE_ROWS // 2 :: NOISE_ROWS, :, 1])
+    steps = cv2.absdiff(rows[:, 1:], rows[:, :-1])
+    if 2 * cv2.countNonZero(steps) <= steps.size:
+        return 0.0
+    return float(np.median(steps)) / MEDIAN_STEP
+
+
 def chroma_mask(image: Image, threshold: int) -> Image:
     """255 where the chroma is over the threshold, else 0: shape (H, W) of an RGB image (H, W, 3)."""
     height, width = image.shape[:2]
@@ -81,7 +102,7 @@ def chroma_mask(image: Image, threshold: int) -> Image:
     return mask
 
 
-def find_blobs(image: Image, window: Window, threshold: int, least_area: float, rim: Rim) -> list[Blob]:
+def find_blobs(image: Image, window: Window, threshold: int, least_area: float, rim: Rim, noise: float = 0.0) -> list[Blob]:
     """All blobs of at least `least_area` pixels whose chroma is over the threshold, in a window of an RGB picture.
 
     Args:
@@ -89,11 +110,15 @@ def find_blobs(image: Image, window: Window, threshold: int, least_area: float, 
         window: where to look.
         threshold: chroma above which a pixel belongs to a blob, 0..255.
         least_area: smaller blobs are noise [px^2].
-        rim: how pixels count at a blob's rim. `sharp`: as the threshold says, for pictures of one sample a pixel;
+        rim: how pixels count at a blob's rim. `sharp`: as the threshold says (by coverage where there is noise), for
+            pictures of one sample a pixel;
             for smoothed ones `binary` (in or out at half coverage) or `grey` (by coverage).
+        noise: standard deviation of the picture's noise [grey levels]; where there is any, blobs are looked for in the
+            smoothed picture, which has three eighths of it, and measured as `_noisy_coverage` says.
     """
     left, top, right, bottom = window
-    mask = chroma_mask(image[top:bottom, left:right], threshold)
+    part = image[top:bottom, left:right]
+    mask = chroma_mask(_smoothed(part) if noise > 0 else part, threshold)
     blobs = []
     for contour in cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[0]:
         x, y, w, h = cv2.boundingRect(contour)
@@ -103,13 +128,13 @@ def find_blobs(image: Image, window: Window, threshold: int, least_area: float, 
         inner = alone[2:-2, 2:-2]
         cv2.drawContours(inner, [contour], 0, 255, cv2.FILLED, offset=(-x, -y))
         cv2.bitwise_and(inner, mask[y : y + h, x : x + w], inner)
-        blob = _blob(image, alone, (left + x, top + y, left + x + w, top + y + h), rim)
+        blob = _blob(image, alone, (left + x, top + y, left + x + w, top + y + h), rim, noise)
         if blob is not None and blob.area >= least_area:
             blobs.append(blob)
     return blobs
 
 
-def _blob(image: Image, alone: Image, box: Window, rim: Rim) -> Blob | None:
+def _blob(image: Image, alone: Image, box: Window, rim: Rim, noise: float) -> Blob | None:
     """One blob from its own pixels: 255 in `alone`, its box and two pixels more on each side.
 
     Moments are taken within the blob's own box, so that they are the same numbers whatever window it was found in.
@@ -120,7 +145,11 @@ def _blob(image: Image, alone: Image, box: Window, rim: Rim) -> Blob | None:
     left, top = max(box[0] - 2, 0), max(box[1] - 2, 0)
     right, bottom = min(box[2] + 2, width), min(box[3] + 2, height)
     alone = alone[top - box[1] + 2 : bottom - box[1] + 2, left - box[0] + 2 : right - box[0] + 2]
-    m = cv2.moments(alone if rim == "sharp" else _coverage(chroma(image[top:bottom, left:right]), alone, rim))
+    part = image[top:bottom, left:right]
+    if noise > 0:
+        m = cv2.moments(_noisy_coverage(part, alone, rim))
+    else:
+        m = cv2.moments(alone if rim == "sharp" else _coverage(chroma(part), alone, rim))
     mass = m["m00"]
     if mass <= 0:
         return None
@@ -130,7 +159,7 @@ def _blob(image: Image, alone: Image, box: Window, rim: Rim) -> Blob | None:
     xx, yy, xy = m["mu20"] / mass - spread, m["mu02"] / mass - spread, m["mu11"] / mass
     ellipse = 4 * math.pi * math.sqrt(max(xx * yy - xy * xy, 0.0))
     inside = box[0] > 0 and box[1] > 0 and box[2] < width and box[3] < height
-    whole = inside and ellipse - area <= ROUGHNESS * area + ROUGHNESS_PX[rim]
+    whole = inside and ellipse - area <= ROUGHNESS * area + ROUGHNESS_PX[rim] + NOISE_ROUGHNESS_PX * noise
     return Blob(u=left + x, v=top + y, area=area, hue_deg=_hue(image, left + round(x), top + round(y)), box=box, whole=whole)
 
 
@@ -149,6 +178,34 @@ def _coverage(chroma: Image, alone: Image, rim: Rim) -> Image:
     edge = share if rim == "grey" else cv2.threshold(share, 127, 255, cv2.THRESH_BINARY)[1]
     edge = cv2.bitwise_and(edge, cv2.dilate(alone, _NEIGHBOURS))
     return np.asarray(cv2.max(edge, cv2.erode(alone, _NEIGHBOURS)), np.uint8)
+
+
+def _noisy_coverage(part: Image, found: Image, rim: Rim) -> NDArray[np.float32]:
+    """How much of each pixel a blob covers in a noisy picture, in units of 1/255, with the noise; `found` is where it is about.
+
+    In or out at half of the local chroma of the smoothed picture gives the border, which is all that `binary` takes. Else
+    a pixel next to that border has its own, unsmoothed chroma over the mean chroma of the blob's pixels next to it, both less
+    the background's; it may be below 0 or above 255, since clipping would let noise shift the mean.
+    """
+    smooth, raw = chroma(_smoothed(part)).astype(np.float32), chroma(part).astype(np.float32)
+    near = cv2.dilate(found, _NEIGHBOURS)
+    around = cv2.dilate(near, _NEIGHBOURS) == 0
+    if around.any():
+        smooth -= np.median(smooth[around])
+        raw -= np.median(raw[around])
+    smooth[near == 0] = 0
+    own = ((smooth > 0) & (2 * smooth >= cv2.dilate(smooth, _NEIGHBOURS))).astype(np.uint8)
+    if rim == "binary":
+        return (255 * own).astype(np.float32)
+    total = cv2.boxFilter(raw * own, cv2.CV_32F, (3, 3), normalize=False)
+    count = cv2.boxFilter(own, cv2.CV_32F, (3, 3), normalize=False)
+    share = np.where((total > 0) & (count > 0), raw * count / np.maximum(total, 1), 0)
+    return (255 * np.where(cv2.erode(own, _NEIGHBOURS) > 0, 1, share)).astype(np.float32)
+
+
+def _smoothed(image: Image) -> Image:
+    """An image whose noise is three eighths of what it was: each pixel its neighbours' mean with weights 1, 2, 1 both ways."""
+    return np.asarray(cv2.GaussianBlur(image, (3, 3), 0), np.uint8)
 
 
 def _hue(image: Image, u: int, v: int) -> float:

@@ -14,6 +14,9 @@ FLOW_NOISE = 3e-4
 """Standard deviation of one normalised coordinate: 0.1 px at a focal length of 350 px."""
 RANGE = 50.0
 """The estimate stays between the initial depth over this and the initial depth times this."""
+CLEAR = 30.0
+"""A frame with this many times the evidence of one that shows no more than noise (it gives the depth to 18 %) forgets at half
+the full rate, a poorer one at less: what is known fades as new knowledge comes in, not as the motion fades."""
 
 _POINT = Point()
 
@@ -41,9 +44,10 @@ def update_flow(estimate: Estimate, memory: FlowMemory, t: float, xy: Array, twi
     """One frame of recursive least squares on theta = 1/Z of each marker, under the twist in force since the last frame.
 
     Flow at mid-interval, L = L_v(x, y) theta + L_w(x, y):   y = xy_dot - L_w w = (L_v v) theta =: phi theta + noise
-    gain:        I <- I exp(-dt/forget) + phi.phi,   theta <- theta + phi.(y - phi theta) / I
+    gain:        I <- I exp(-c dt/forget) + phi.phi,   theta <- theta + phi.(y - phi theta) / I
+                 c = phi.phi / (phi.phi + CLEAR least), so that I settles no lower than CLEAR least forget / dt
     prediction:  theta_dot = theta^2 vz + theta (wx y - wy x),   since Z_dot = -vz - wx y Z + wy x Z (half before, half after)
-    I starts at and never falls under (sqrt(2) FLOW_NOISE / (dt theta))^2, an uncertainty of the prior as large as itself.
+    I starts at and never falls under least = (sqrt(2) FLOW_NOISE / (dt theta))^2, an uncertainty of the prior as large as itself.
     A frame whose motion shows less than that noise teaches nothing, and makes nothing forgotten.
 
     Args:
@@ -70,7 +74,8 @@ def update_flow(estimate: Estimate, memory: FlowMemory, t: float, xy: Array, twi
     least = (np.sqrt(2) * FLOW_NOISE / (dt * theta)) ** 2
     teaches = known & (evidence > least)
     information = np.maximum(memory.information, least)
-    information = np.where(teaches, information * np.exp(-dt / estimate.forget_s) + evidence, information)
+    forgotten = np.exp(-dt / estimate.forget_s * evidence / (evidence + CLEAR * least))
+    information = np.where(teaches, information * forgotten + evidence, information)
     innovation = np.einsum("ni,ni->n", phi, y - phi * theta[:, None])
     theta = theta + np.where(teaches, innovation / information, 0.0)
     low, high = 1 / (RANGE * estimate.initial_m), RANGE / estimate.initial_m

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from cv2.typing import MatLike
 
-from vstestbed.geometry import Array, inverse, rigid_error
+from vstestbed.geometry import Array, exp, inverse, rigid_error
 
 _K = np.eye(3)
 CLEARLY_WORSE = 6.0
@@ -21,6 +21,18 @@ does not continue it."""
 WIDE = 0.2
 """A ray with less than this of its unit length along z (78 degrees off axis) is not given to the solvers as x/z, y/z."""
 
+FITS = 0.5
+"""A pose whose pixel error is more than this share of the image points' spread is no solution."""
+DOUBTFUL = 0.3
+"""IPPE's poses with an error above this share of the spread may be nonsense out of a half turn."""
+NEAR_HALF_TURN = 0.3
+"""IPPE's rotations this near to a half turn [rad] are not relied upon; farther off its nonsense shows in the error."""
+ROUNDING = 1e-12
+"""Pixel errors (normalised) that differ by this are equal."""
+_START_VECTOR = np.array([[0.0], [0.0], [1.0]])
+_START = exp(np.array([0, 0, 0, 0, 0, 1.0]))[:3, :3]
+_TURN = exp(np.array([0, 0, 0, 0.5, 0.7, 1.1]))
+
 
 def solve_pose(xy: Array, points: Array, previous: Array | None = None) -> Array | None:
     """Pose T_camera_target (4, 4) from N >= 3 points and their normalised image coordinates; None where it cannot be told.
@@ -30,7 +42,11 @@ def solve_pose(xy: Array, points: Array, previous: Array | None = None) -> Array
       one nearer to `previous`;
     - SQPnP for points in space (N >= 4);
     - P3P for three points: the pose nearest to `previous`, None without one.
-    A pose that puts a point behind the camera is no solution. Points on one line have none.
+    A pose that puts a point behind the camera is no solution, nor is one that leaves half of the image's spread unexplained.
+    Points on one line have none.
+
+    IPPE hands its rotation out as a vector, which is lost near a half turn; where that may have happened the points are
+    solved once more, turned. The refinement works on turned points at all times and is kept where it fits better.
 
     Args:
         xy: normalised, undistorted coordinates, shape (N, 2).
@@ -49,18 +65,21 @@ def solve_pose(xy: Array, points: Array, previous: Array | None = None) -> Array
         return None
     if len(points) == 3:
         return None if previous is None else _continue(_three(xy, points), previous)
-    flag = cv2.SOLVEPNP_IPPE if shape == "plane" else cv2.SOLVEPNP_SQPNP
-    _, rotations, translations, errors = cv2.solvePnPGeneric(points, xy, _K, None, flags=flag)
-    found = [(float(e), r, t, _matrix(r, t)) for r, t, e in zip(rotations, translations, errors.ravel(), strict=True)]
-    found = [f for f in found if math.isfinite(f[0]) and _in_front(f[3], points)]
+    planar = shape == "plane"
+    spread = _spread(xy)
+    found = _candidates(xy, points, planar)
+    if planar and any(_doubtful(f, spread) for f in found):
+        found += [(e, r, T @ _TURN) for e, r, T in _candidates(xy, points @ _TURN[:3, :3].T, planar)]
+    found = sorted((f for f in found if f[0] < FITS * spread), key=_error)
+    while found and not _in_front(found[0][2], points):
+        found.pop(0)
     if not found:
         return None
-    found.sort(key=lambda f: f[0])
-    best = found[0]
-    if previous is not None and len(found) > 1 and found[1][0] < CLEARLY_WORSE * best[0]:
-        best = min(found, key=lambda f: _step(f[3], previous))
-    refined = _matrix(*cv2.solvePnPRefineVVS(points, xy, _K, None, best[1], best[2]))
-    return refined if _in_front(refined, points) else best[3]
+    error, _, T = found[0]
+    if previous is not None and len(found) > 1 and found[1][0] <= CLEARLY_WORSE * error:
+        rivals = [f for f in found if f[0] <= CLEARLY_WORSE * error and _in_front(f[2], points)]
+        error, _, T = min(rivals, key=lambda f: _step(f[2], previous))
+    return _refine(xy, points, T, error)
 
 
 def solve_pose_from_rays(rays: Array, points: Array, previous: Array | None = None) -> Array | None:
@@ -90,6 +109,47 @@ def three_ray_poses(rays: Array, points: Array) -> list[Array]:
     if rays[:, 2].min() <= WIDE or _layout(np.ascontiguousarray(points).tobytes()) == "line":
         return []
     return _three(rays[:, :2] / rays[:, 2:], points)
+
+
+def _candidates(xy: Array, points: Array, planar: bool) -> list[tuple[float, MatLike, Array]]:
+    """Of each pose the solver finds: the error [rms of one coordinate], the rotation vector (3, 1), the pose (4, 4)."""
+    flag = cv2.SOLVEPNP_IPPE if planar else cv2.SOLVEPNP_SQPNP
+    _, rotations, translations, errors = cv2.solvePnPGeneric(points, xy, _K, None, flags=flag)
+    return [(e, r, _matrix(r, t)) for r, t, e in zip(rotations, translations, errors.ravel().tolist(), strict=True)]
+
+
+def _error(candidate: tuple[float, MatLike, Array]) -> float:
+    return candidate[0]
+
+
+def _doubtful(candidate: tuple[float, MatLike, Array], spread: float) -> bool:
+    """True where the rotation vector is near a half turn, or came out of one as nonsense (nan, or a pose that does not fit)."""
+    error, vector, _ = candidate
+    return not (error < DOUBTFUL * spread and abs(cv2.norm(vector) - math.pi) > NEAR_HALF_TURN)
+
+
+def _refine(xy: Array, points: Array, T: Array, error: float) -> Array:
+    """The pose after virtual visual servoing, or the given one of the given error where that fits better.
+
+    A rotation vector is exact to rounding only away from 0 and from a half turn (OpenCV's is 0 under 1e-5 rad), hence the
+    points are turned beforehand so that the refinement starts at one radian.
+    """
+    turn = _START.T @ T[:3, :3]
+    turned = points @ turn.T
+    refined = _matrix(*cv2.solvePnPRefineVVS(turned, xy, _K, None, _START_VECTOR.copy(), T[:3, 3:].copy()))
+    p = turned @ refined[:3, :3].T + refined[:3, 3]
+    z = p[:, 2:]
+    residual = p[:, :2] / z - xy
+    if not (math.sqrt(np.vdot(residual, residual) / xy.size) <= error + ROUNDING and z.min() > 0):
+        return T
+    refined[:3, :3] = refined[:3, :3] @ turn
+    return refined
+
+
+def _spread(xy: Array) -> float:
+    """Rms distance of the image coordinates (N, 2) from their mean, of one coordinate."""
+    d = xy - xy.sum(axis=0) / len(xy)
+    return math.sqrt(np.vdot(d, d) / xy.size)
 
 
 def _three(xy: Array, points: Array) -> list[Array]:
