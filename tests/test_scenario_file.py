@@ -428,7 +428,7 @@ class TestContradictions:
         assert str(caught.value).startswith("--set: goal.T_camera_target: is a view in which markers 0, 1, 2, 3 are outside")
 
     def test_a_setting_elsewhere_is_blamed_too(self) -> None:
-        with pytest.raises(ScenarioError, match="^--set: goal"):
+        with pytest.raises(ScenarioError, match=r"^--set: goal"):
             load("arm_ibvs", {"camera.width": 100})
 
     @pytest.mark.parametrize(
