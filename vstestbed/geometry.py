@@ -7,6 +7,7 @@ A twist is (vx, vy, vz, wx, wy, wz) of a frame, expressed in that frame unless t
 
 from __future__ import annotations
 
+import math
 from functools import cached_property
 from typing import TYPE_CHECKING, Annotated
 
@@ -120,16 +121,15 @@ def quaternion_wxyz(R: Array) -> Array:
     The column of 4 q q^T with the largest diagonal element, normalised: no small divisor anywhere.
     Reference: Shepperd 1978, doi:10.2514/3.55767b.
     """
-    m = np.array(
-        [
-            [1 + R[0, 0] + R[1, 1] + R[2, 2], R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]],
-            [R[2, 1] - R[1, 2], 1 + R[0, 0] - R[1, 1] - R[2, 2], R[0, 1] + R[1, 0], R[0, 2] + R[2, 0]],
-            [R[0, 2] - R[2, 0], R[0, 1] + R[1, 0], 1 - R[0, 0] + R[1, 1] - R[2, 2], R[1, 2] + R[2, 1]],
-            [R[1, 0] - R[0, 1], R[0, 2] + R[2, 0], R[1, 2] + R[2, 1], 1 - R[0, 0] - R[1, 1] + R[2, 2]],
-        ]
+    xx, xy, xz, yx, yy, yz, zx, zy, zz = R.ravel().tolist()
+    columns = (
+        (1 + xx + yy + zz, zy - yz, xz - zx, yx - xy),
+        (zy - yz, 1 + xx - yy - zz, yx + xy, xz + zx),
+        (xz - zx, yx + xy, 1 - xx + yy - zz, zy + yz),
+        (yx - xy, xz + zx, zy + yz, 1 - xx - yy + zz),
     )
-    q = m[int(np.argmax(np.diag(m)))]
-    q = q / np.linalg.norm(q)
+    largest = max(range(4), key=lambda i: columns[i][i])
+    q = np.array(columns[largest]) / math.hypot(*columns[largest])
     return -q if q[0] < 0 else q
 
 
@@ -151,5 +151,7 @@ def pose_from(position: Array, q_wxyz: Array) -> Array:
 
 def rigid_error(T_a: Array, T_b: Array) -> tuple[float, float]:
     """Distance [m] of the origins and angle [rad] between two poses (4, 4)."""
-    angle = rotation_angle(T_a[:3, :3].T @ T_b[:3, :3])
-    return float(np.linalg.norm(T_a[:3, 3] - T_b[:3, 3])), float(angle)
+    d = T_a[:3, 3] - T_b[:3, 3]
+    xx, xy, xz, yx, yy, yz, zx, zy, zz = (T_a[:3, :3].T @ T_b[:3, :3]).ravel().tolist()
+    angle = math.atan2(math.hypot(zy - yz, xz - zx, yx - xy), xx + yy + zz - 1)
+    return math.sqrt(float(d @ d)), angle

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -10,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from vstestbed.camera import Frame
-from vstestbed.geometry import Array, inverse
+from vstestbed.geometry import Array
 from vstestbed.observation import Encoders
 from vstestbed.provenance import versions
 from vstestbed.recording import Layout, Log, Recording, Tick, Watcher
@@ -69,8 +70,9 @@ class _Servo:
         s, began = self.scenario, time.perf_counter()
         view = TruthView(shot.truth.p_camera, shot.truth.hidden) if s.detector.needs_truth else None
         self.seeing, detection = self.detector.detect(self.seeing, shot.frame, view, s.camera, s.target, self.rng)
-        last = self.before or shot
-        twist = s.robot.measured_twist(last.encoders, shot.encoders, shot.t - last.t, shot.ordered, self.mount)
+        last, twist = self.before or shot, shot.ordered
+        if self.observer.uses_motion(detection):
+            twist = s.robot.measured_twist(last.encoders, shot.encoders, shot.t - last.t, shot.ordered, self.mount)
         self.observing, seen = self.observer.observe(self.observing, shot.t, detection, twist, self.rng)
         detected = time.perf_counter()
         self.control, command = s.law.step(self.control, seen, self.goal, self.basis)
@@ -79,8 +81,8 @@ class _Servo:
         self.spent["detect"] += detected - began
         self.spent["law"] += time.perf_counter() - detected
         lost = int(np.count_nonzero(seen.usable)) < self.needed
-        error = seen.uv - self.goal.uv
-        error_px = float("nan") if lost else float(np.sqrt(np.nanmean(error * error)))
+        error = (seen.uv - self.goal.uv)[seen.seen]
+        error_px = math.nan if lost else math.sqrt(float(np.vdot(error, error)) / error.size)
         image = shot.frame.image if shot.frame else None
         tick = Tick(self.count, lost, error_px, seen, command, allocation, shot.truth, image)
         self.count += 1
@@ -90,7 +92,7 @@ class _Servo:
 
 def _evidence(scenario: Scenario, tick: Tick) -> Evidence:
     """What the judge may look at: the truth, beside what was seen and ordered."""
-    T_target_camera = inverse(tick.truth.T_world_target) @ tick.truth.T_world_camera
+    away = tick.truth.T_world_camera[:3, 3] - tick.truth.T_world_target[:3, 3]
     return Evidence(
         t=tick.observation.t,
         lost=tick.lost,
@@ -100,8 +102,8 @@ def _evidence(scenario: Scenario, tick: Tick) -> Evidence:
         command_size=float(np.abs(tick.command.twist).max()),
         scale=tick.allocation.scale,
         limit=tick.allocation.limit,
-        distance=float(np.linalg.norm(T_target_camera[:3, 3])),
-        behind=isinstance(scenario.target, Square) and bool(T_target_camera[2, 3] >= 0),
+        distance=math.sqrt(float(away @ away)),
+        behind=isinstance(scenario.target, Square) and float(away @ tick.truth.T_world_target[:3, 2]) >= 0,
         contact=tick.truth.contact,
     )
 

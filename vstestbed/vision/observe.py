@@ -50,6 +50,10 @@ class Observer:
         """The memory before the first frame."""
         return ObserverMemory(flow=init_flow(self.depth, len(self.target.points)) if isinstance(self.depth, Estimate) else None)
 
+    def uses_motion(self, detection: Detection) -> bool:
+        """Whether `observe` will look at the twist: to estimate depth, or to carry the pose on where markers are missing."""
+        return isinstance(self.depth, Estimate) or not np.isfinite(detection.uv).all()
+
     def observe(
         self, memory: ObserverMemory, t: float, detection: Detection, twist: Array, rng: np.random.Generator
     ) -> tuple[ObserverMemory, Observation]:
