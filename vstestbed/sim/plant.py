@@ -33,7 +33,8 @@ class MujocoPlant:
         self.step_s, self.steps_per_frame = parts.step, steps_per_frame
         self._points = parts.target.points
         self._T_world_target = parts.target.pose.T
-        self._ctrl = [stage.model.actuator_ctrladr[stage.model.actuator(f"robot/{name}").id] for name in parts.robot.joints]
+        ctrl = [stage.model.actuator_ctrladr[stage.model.actuator(f"robot/{name}").id] for name in parts.robot.joints]
+        self._ctrl = np.array(ctrl, dtype=int)
         bodies = [stage.model.body(i).name.startswith("robot/") for i in range(stage.model.nbody)]
         self._robot_geoms = np.array(bodies)[stage.model.geom_bodyid]
         self._velocity = np.zeros(6)

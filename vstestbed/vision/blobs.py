@@ -175,11 +175,15 @@ class Blobs:
 
     def _worst(self, area: Array, expected: Array, edge: float) -> tuple[int, float]:
         """Which area (N,) is farthest from the expected one, and by how much, in units of what is allowed; unseen ones are not."""
-        allowed = self.area_tolerance * expected + AREA_NOISE_PX + edge * 2 * np.sqrt(math.pi * expected)
-        misfit = np.abs(area - expected) / allowed
-        misfit[np.isnan(misfit) & np.isfinite(area)] = np.inf
-        worst = int(np.nanargmax(misfit))
-        return worst, float(misfit[worst])
+        worst, most = 0, -1.0
+        for i, (a, e) in enumerate(zip(area.tolist(), expected.tolist(), strict=True)):
+            if math.isnan(a):
+                continue
+            allowed = self.area_tolerance * e + AREA_NOISE_PX + edge * 2 * math.sqrt(math.pi * e)
+            misfit = math.inf if math.isnan(e) else abs(a - e) / allowed
+            if misfit > most:
+                worst, most = i, misfit
+        return worst, most
 
 
 def _first_of_three(rays: Array, area: Array, camera: Camera, target: Target) -> Array | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import numpy as np
 
@@ -43,11 +44,13 @@ def centre_bias(camera: Camera, target: Target, T_camera_target: Array) -> tuple
 
     Reference: Heikkila & Silven 1997, doi:10.1109/CVPR.1997.609468 (the bias in closed form for a pinhole and a disc).
     """
-    p = transform(T_camera_target, target.points)
-    rim = _disc_rim(p, T_camera_target, target.marker.radius) if target.marker.kind == "disc" else _sphere_rim(p, target.marker.radius)
-    n = len(p)
-    uv = camera.project(np.concatenate([p, rim.reshape(-1, 3)]))
-    q = uv[n:].reshape(n, CORNERS + 1, 2) - uv[:n, None]
+    points, radius = target.points, target.marker.radius
+    if target.marker.kind == "disc":
+        p = transform(T_camera_target, _disc_rims(points.tobytes(), radius)).reshape(len(points), -1, 3)
+    else:
+        p = _sphere_rims(transform(T_camera_target, points), radius)
+    uv = camera.project(p)
+    q = uv[:, 1:] - uv[:, :1]
     here, there = q[:, :-1], q[:, 1:]
     a = here[..., 0] * there[..., 1] - here[..., 1] * there[..., 0]
     twice_area = a.sum(axis=1)
@@ -56,13 +59,16 @@ def centre_bias(camera: Camera, target: Target, T_camera_target: Array) -> tuple
     return bias, 0.5 * np.abs(twice_area)
 
 
-def _disc_rim(p: Array, T: Array, radius: float) -> Array:
-    """Rims of discs in the target's xy plane, shape (N, CORNERS + 1, 3)."""
-    return p[:, None] + radius * (_COS[:, None] * T[:3, 0] + _SIN[:, None] * T[:3, 1])
+@lru_cache(maxsize=256)
+def _disc_rims(points: bytes, radius: float) -> Array:
+    """Each disc's centre (points (N, 3) as bytes) and rim in the target's frame, shape (N (CORNERS + 2), 3), made once."""
+    centre = np.frombuffer(points).reshape(-1, 1, 3)
+    rim = centre + radius * np.stack([_COS, _SIN, np.zeros_like(_COS)], axis=-1)
+    return np.concatenate([centre, rim], axis=1).reshape(-1, 3)
 
 
-def _sphere_rim(p: Array, radius: float) -> Array:
-    """Circles in which the rays from the camera touch spheres, shape (N, CORNERS + 1, 3); NaN from within a sphere.
+def _sphere_rims(p: Array, radius: float) -> Array:
+    """Centres, and circles in which the rays from the camera touch the spheres, shape (N, CORNERS + 2, 3); NaN from within.
 
     Reference for the basis across a ray: Duff et al. 2017, Building an orthonormal basis, revisited, JCGT 6(1).
     """
@@ -77,4 +83,4 @@ def _sphere_rim(p: Array, radius: float) -> Array:
     e1 = np.stack([1 + sign * x * x * a, sign * b, -sign * x], axis=-1)
     e2 = np.stack([b, sign + y * y * a, -y], axis=-1)
     circle = _COS[:, None] * e1[:, None] + _SIN[:, None] * e2[:, None]
-    return p[:, None] * shrink[:, None, None] + rho[:, None, None] * circle
+    return np.concatenate([p[:, None], p[:, None] * shrink[:, None, None] + rho[:, None, None] * circle], axis=1)

@@ -86,8 +86,10 @@ def noise_level(image: Image) -> float:
 def chroma_mask(image: Image, threshold: int) -> Image:
     """255 where the chroma is over the threshold, else 0: shape (H, W) of an RGB image (H, W, 3)."""
     height, width = image.shape[:2]
+    if height * width <= STRIP_PX:
+        return np.asarray(cv2.threshold(chroma(image), threshold, 255, cv2.THRESH_BINARY)[1], np.uint8)
     mask = np.empty((height, width), np.uint8)
-    rows = min(height, max(1, STRIP_PX // width))
+    rows = max(1, STRIP_PX // width)
     buffers = np.empty((4, rows, width), np.uint8)
     for top in range(0, height, rows):
         strip = image[top : top + rows]
@@ -120,14 +122,15 @@ def find_blobs(image: Image, window: Window, threshold: int, least_area: float, 
     part = image[top:bottom, left:right]
     mask = chroma_mask(_smoothed(part) if noise > 0 else part, threshold)
     blobs = []
-    for contour in cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[0]:
+    contours = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[0]
+    for contour in contours:
         x, y, w, h = cv2.boundingRect(contour)
         if w * h < least_area:
             continue
-        alone = np.zeros((h + 4, w + 4), np.uint8)
-        inner = alone[2:-2, 2:-2]
-        cv2.drawContours(inner, [contour], 0, 255, cv2.FILLED, offset=(-x, -y))
-        cv2.bitwise_and(inner, mask[y : y + h, x : x + w], inner)
+        alone = mask[y : y + h, x : x + w]
+        if len(contours) > 1:
+            filled = cv2.drawContours(np.zeros((h, w), np.uint8), [contour], 0, 255, cv2.FILLED, offset=(-x, -y))
+            alone = np.asarray(cv2.bitwise_and(alone, filled), np.uint8)
         blob = _blob(image, alone, (left + x, top + y, left + x + w, top + y + h), rim, noise)
         if blob is not None and blob.area >= least_area:
             blobs.append(blob)
@@ -135,21 +138,23 @@ def find_blobs(image: Image, window: Window, threshold: int, least_area: float, 
 
 
 def _blob(image: Image, alone: Image, box: Window, rim: Rim, noise: float) -> Blob | None:
-    """One blob from its own pixels: 255 in `alone`, its box and two pixels more on each side.
+    """One blob from its own pixels in its box: 255 in `alone`.
 
-    Moments are taken within the blob's own box, so that they are the same numbers whatever window it was found in.
+    Moments are taken within the blob's own box (of two pixels more on each side where pixels at the rim count by
+    coverage), so that they are the same numbers whatever window it was found in.
     An ellipse with second central moments mu (per area) has area 4 pi sqrt(det mu); a blob that is smaller than that
     has a piece missing. (Coverage is an ellipse smeared over a pixel, which adds 1/12 to mu_xx and mu_yy.)
     """
     height, width = image.shape[:2]
-    left, top = max(box[0] - 2, 0), max(box[1] - 2, 0)
-    right, bottom = min(box[2] + 2, width), min(box[3] + 2, height)
-    alone = alone[top - box[1] + 2 : bottom - box[1] + 2, left - box[0] + 2 : right - box[0] + 2]
-    part = image[top:bottom, left:right]
-    if noise > 0:
-        m = cv2.moments(_noisy_coverage(part, alone, rim))
+    left, top = box[:2]
+    if noise > 0 or rim != "sharp":
+        left, top = max(left - 2, 0), max(top - 2, 0)
+        part = image[top : box[3] + 2, left : box[2] + 2]
+        found = np.zeros(part.shape[:2], np.uint8)
+        found[box[1] - top : box[3] - top, box[0] - left : box[2] - left] = alone
+        m = cv2.moments(_noisy_coverage(part, found, rim) if noise > 0 else _coverage(chroma(part), found, rim))
     else:
-        m = cv2.moments(alone if rim == "sharp" else _coverage(chroma(part), alone, rim))
+        m = cv2.moments(alone)
     mass = m["m00"]
     if mass <= 0:
         return None

@@ -12,7 +12,13 @@ from cv2.typing import MatLike
 
 from vstestbed.geometry import Array, exp, inverse, rigid_error
 
-_K = np.eye(3)
+_K, _EYE = np.eye(3), np.eye(4)
+STANDS = 1e-3
+"""A pose that continues the last one stands where its pixel error is under this share of the image points' spread: a mirror
+pose that fits as well as that cannot be told from the right one."""
+CONTINUES = 0.2
+"""Farther from the last pose than this (radians plus share of the distance) it does not continue it; the refinement's few
+rounds reach rounding from nearer."""
 CLEARLY_WORSE = 6.0
 """Of two mirror poses, the one whose pixels fit this many times worse is out, whatever came before."""
 SAME_SCENE = 0.5
@@ -37,7 +43,7 @@ _TURN = exp(np.array([0, 0, 0, 0.5, 0.7, 1.1]))
 def solve_pose(xy: Array, points: Array, previous: Array | None = None) -> Array | None:
     """Pose T_camera_target (4, 4) from N >= 3 points and their normalised image coordinates; None where it cannot be told.
 
-    Minimises sum |xy_i - project(T p_i)|^2, starting from
+    Minimises sum |xy_i - project(T p_i)|^2, starting from the previous pose and, where that leads to no good fit, from
     - IPPE for coplanar points (N >= 4), both of its poses weighed: the better fit where it fits clearly better, else the
       one nearer to `previous`;
     - SQPnP for points in space (N >= 4);
@@ -65,21 +71,24 @@ def solve_pose(xy: Array, points: Array, previous: Array | None = None) -> Array
         return None
     if len(points) == 3:
         return None if previous is None else _continue(_three(xy, points), previous)
-    planar = shape == "plane"
     spread = _spread(xy)
+    if previous is not None:
+        T, error = _refine(xy, points, previous)
+        if error < STANDS * spread and _step(T, previous) < CONTINUES:
+            return T
+    planar = shape == "plane"
     found = _candidates(xy, points, planar)
-    if planar and any(_doubtful(f, spread) for f in found):
-        found += [(e, r, T @ _TURN) for e, r, T in _candidates(xy, points @ _TURN[:3, :3].T, planar)]
-    found = sorted((f for f in found if f[0] < FITS * spread), key=_error)
-    while found and not _in_front(found[0][2], points):
-        found.pop(0)
-    if not found:
+    if planar and any(_doubtful(error, angle, spread) for error, angle, _ in found):
+        found += [(error, angle, T @ _TURN) for error, angle, T in _candidates(xy, points @ _TURN[:3, :3].T, planar)]
+    fitting = [(error, T) for error, _, T in found if error < FITS * spread and _in_front(T, points)]
+    if not fitting:
         return None
-    error, _, T = found[0]
-    if previous is not None and len(found) > 1 and found[1][0] <= CLEARLY_WORSE * error:
-        rivals = [f for f in found if f[0] <= CLEARLY_WORSE * error and _in_front(f[2], points)]
-        error, _, T = min(rivals, key=lambda f: _step(f[2], previous))
-    return _refine(xy, points, T, error)
+    least = min(fitting, key=_error)
+    if previous is not None:
+        rivals = [f for f in fitting if f[0] <= CLEARLY_WORSE * least[0]]
+        least = rivals[0] if len(rivals) == 1 else min(rivals, key=lambda f: _step(f[1], previous))
+    T, error = _refine(xy, points, least[1])
+    return T if error <= least[0] + ROUNDING else least[1]
 
 
 def solve_pose_from_rays(rays: Array, points: Array, previous: Array | None = None) -> Array | None:
@@ -111,25 +120,24 @@ def three_ray_poses(rays: Array, points: Array) -> list[Array]:
     return _three(rays[:, :2] / rays[:, 2:], points)
 
 
-def _candidates(xy: Array, points: Array, planar: bool) -> list[tuple[float, MatLike, Array]]:
-    """Of each pose the solver finds: the error [rms of one coordinate], the rotation vector (3, 1), the pose (4, 4)."""
+def _candidates(xy: Array, points: Array, planar: bool) -> list[tuple[float, float, Array]]:
+    """Of each pose the solver finds: the error [rms of one coordinate], the length of the rotation vector, the pose (4, 4)."""
     flag = cv2.SOLVEPNP_IPPE if planar else cv2.SOLVEPNP_SQPNP
     _, rotations, translations, errors = cv2.solvePnPGeneric(points, xy, _K, None, flags=flag)
-    return [(e, r, _matrix(r, t)) for r, t, e in zip(rotations, translations, errors.ravel().tolist(), strict=True)]
+    return [(e, cv2.norm(r), _matrix(r, t)) for r, t, e in zip(rotations, translations, errors.ravel().tolist(), strict=True)]
 
 
-def _error(candidate: tuple[float, MatLike, Array]) -> float:
+def _error(candidate: tuple[float, Array]) -> float:
     return candidate[0]
 
 
-def _doubtful(candidate: tuple[float, MatLike, Array], spread: float) -> bool:
-    """True where the rotation vector is near a half turn, or came out of one as nonsense (nan, or a pose that does not fit)."""
-    error, vector, _ = candidate
-    return not (error < DOUBTFUL * spread and abs(cv2.norm(vector) - math.pi) > NEAR_HALF_TURN)
+def _doubtful(error: float, angle: float, spread: float) -> bool:
+    """True where the rotation is near a half turn, or came out of one as nonsense (nan, or a pose that does not fit)."""
+    return not (error < DOUBTFUL * spread and abs(angle - math.pi) > NEAR_HALF_TURN)
 
 
-def _refine(xy: Array, points: Array, T: Array, error: float) -> Array:
-    """The pose after virtual visual servoing, or the given one of the given error where that fits better.
+def _refine(xy: Array, points: Array, T: Array) -> tuple[Array, float]:
+    """The pose after virtual visual servoing from a given one, and its error; infinite where a point comes behind the camera.
 
     A rotation vector is exact to rounding only away from 0 and from a half turn (OpenCV's is 0 under 1e-5 rad), hence the
     points are turned beforehand so that the refinement starts at one radian.
@@ -137,13 +145,14 @@ def _refine(xy: Array, points: Array, T: Array, error: float) -> Array:
     turn = _START.T @ T[:3, :3]
     turned = points @ turn.T
     refined = _matrix(*cv2.solvePnPRefineVVS(turned, xy, _K, None, _START_VECTOR.copy(), T[:3, 3:].copy()))
-    p = turned @ refined[:3, :3].T + refined[:3, 3]
+    p = turned @ refined[:3, :3].T
+    p += refined[:3, 3]
     z = p[:, 2:]
-    residual = p[:, :2] / z - xy
-    if not (math.sqrt(np.vdot(residual, residual) / xy.size) <= error + ROUNDING and z.min() > 0):
-        return T
+    residual = p[:, :2] / z
+    residual -= xy
+    error = math.sqrt(np.vdot(residual, residual) / xy.size) if (z > 0).all() else math.inf
     refined[:3, :3] = refined[:3, :3] @ turn
-    return refined
+    return refined, error
 
 
 def _spread(xy: Array) -> float:
@@ -169,18 +178,18 @@ def _continue(poses: list[Array], previous: Array) -> Array | None:
 def _step(T: Array, previous: Array) -> float:
     """How far apart two poses are: the angle [rad] plus the distance as a share of that to the target."""
     distance, angle = rigid_error(T, previous)
-    return angle + distance / float(np.linalg.norm(previous[:3, 3]))
+    return angle + distance / math.hypot(*previous[:3, 3].tolist())
 
 
 def _matrix(rotation_vector: MatLike, translation: MatLike) -> Array:
-    T = np.eye(4)
+    T = _EYE.copy()
     T[:3, :3] = cv2.Rodrigues(rotation_vector)[0]
     T[:3, 3:] = translation
     return T
 
 
 def _in_front(T: Array, points: Array) -> bool:
-    return float((points @ T[2, :3]).min()) + T[2, 3] > 0
+    return bool((points @ T[2, :3] > -T[2, 3]).all())
 
 
 def _looking_along(direction: Array) -> Array:
