@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 import vstestbed as vs
+from vstestbed.errors import ParameterError
 
 NAMES = {"Outcome", "Recording", "Scenario", "features", "load", "run", "run_into"}
 
@@ -48,3 +51,15 @@ def test_features_are_reached_from_the_top() -> None:
 
     L = vs.features.Point().interaction(np.zeros((4, 2)), np.ones(4))
     assert L.shape == (8, 6)
+
+
+def test_a_name_in_place_of_a_scenario_is_refused_with_what_to_write() -> None:
+    """run wants a loaded scenario."""
+    with pytest.raises(ParameterError, match=r"vstestbed\.load"):
+        vs.run("arm_ibvs")  # pyright: ignore[reportArgumentType]
+
+
+def test_the_readme_has_no_blank_left_to_fill() -> None:
+    """What was to be measured has been measured."""
+    text = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+    assert re.findall(r"\b(?:TODO|TBD|FIXME|BENCH[A-Z]+)\b", text) == []

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from vstestbed.camera import Frame
+from vstestbed.errors import ParameterError
 from vstestbed.geometry import Array
 from vstestbed.observation import Encoders
 from vstestbed.provenance import versions
@@ -146,8 +147,11 @@ def run(scenario: Scenario, watch: Iterable[Watcher] = ()) -> Recording:
         watch: told of every frame. A KeyboardInterrupt ends the run with the outcome `interrupted`.
 
     Raises:
+        ParameterError: it is no Scenario.
         EnvironmentLackError: a picture is needed and OpenGL does not work here.
     """
+    if not isinstance(scenario, Scenario):
+        raise ParameterError("scenario", "must be a Scenario: vstestbed.run(vstestbed.load('arm_ibvs'))", scenario)
     began = time.perf_counter()
     layout = Layout(scenario)
     log, watchers = Log(layout.columns), tuple(watch)

@@ -29,6 +29,10 @@ BOARD_MARGIN = 1.5
 """The board behind a square reaches this many marker radii beyond the markers' edges."""
 FREE_HOUSING = 6.0
 """The free camera's housing is drawn this many times as large as the arm's: it is seen from farther away."""
+SEE_FACES = 0.35
+"""The overview of a free camera stands this far behind the side (tangent), so that the markers' faces show."""
+WIDE_PICTURE = 16 / 9
+"""Width over height of the film that the overview is framed for."""
 GLOW = 1000.0
 """Emission of an unlit marker, whose own colour is divided by it: emission gives the exact colour 255 * rgba, and what
 the scene's lights add (the plain colour times their brightness) is under half a grey level."""
@@ -97,18 +101,23 @@ def _add_robot(scene: mujoco.MjSpec, robot: Robot) -> tuple[mujoco.MjsBody, Arra
 
 
 def _frame_overview(scene: mujoco.MjSpec, parts: Parts) -> None:
-    """Put the overview beside the way from the free camera's start to the target, so far off that both are in view."""
+    """Look at the free camera's way from the side: start left, target right, room for a retreat by half of the way.
+
+    The way runs across the picture whatever its direction, since up means nothing to a camera that flies.
+    """
     start, target = parts.robot.flange_pose(parts.robot.configuration())[:3, 3], parts.target.pose.T[:3, 3]
-    middle, way = (start + target) / 2, target - start
-    radius = max(float(np.linalg.norm(way)) / 2 * 1.4, 0.5) + float(np.linalg.norm(parts.target.points, axis=1).max())
-    side = np.cross(way, [0, 0, 1.0])
-    side = side / np.linalg.norm(side) if np.linalg.norm(side) > 0.1 * np.linalg.norm(way) + 1e-9 else np.array([0, -1.0, 0])
-    out = side - 0.35 * way / max(float(np.linalg.norm(way)), 1e-9)  # a little from behind, to see the markers' faces
+    length = max(float(np.linalg.norm(target - start)), 1e-9)
+    way = (target - start) / length if length > 1e-6 else parts.target.pose.T[:3, 2]
+    up = np.array([0, 0, 1.0]) if abs(way[2]) < 0.9 else np.array([0, 1.0, 0])
+    out = np.cross(way, up)
+    out = out / np.linalg.norm(out) - SEE_FACES * way
     out /= np.linalg.norm(out)
-    camera = scene.camera("overview")
-    right = np.cross([0, 0, 1.0], out)
+    right = way - (way @ out) * out
     right /= np.linalg.norm(right)
-    camera.pos = middle + out * radius / np.tan(np.radians(camera.fovy / 2))
+    camera = scene.camera("overview")
+    half_width = 0.75 * length + float(np.linalg.norm(parts.target.points, axis=1).max()) + 0.5
+    middle = target - 0.75 * length * way
+    camera.pos = middle + out * half_width / (np.tan(np.radians(camera.fovy / 2)) * WIDE_PICTURE)
     camera.alt.xyaxes = [*right, *np.cross(out, right)]
 
 
