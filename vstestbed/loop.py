@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from vstestbed.camera import Frame
+from vstestbed.camera import Frame, Look
 from vstestbed.errors import ParameterError
 from vstestbed.geometry import Array
 from vstestbed.observation import Encoders
@@ -47,6 +47,7 @@ def _observer(scenario: Scenario) -> Observer:
         goal=scenario.goal_view,
         depth=scenario.law.depth,
         pixel_sigma_px=scenario.noise.pixel_sigma_px,
+        wanted=scenario.law.inputs,
     )
 
 
@@ -58,13 +59,16 @@ class _Servo:
         self.goal = scenario.goal_view
         self.mount = Mount.of(scenario.camera.mount.T)
         self.basis = scenario.robot.motion_basis(self.mount)
-        self.needed = scenario.law.markers_needed(self.basis)
         self.rng = scenario.rng(NOISE_STREAM)
         self.observer = _observer(scenario)
         self.seeing, self.observing, self.control = scenario.detector.init(), self.observer.init(), scenario.law.init(self.goal)
         self.detector: Detector[Any] = scenario.detector
         self.count = 0
         self.before: Shot | None = None
+
+    def look(self) -> Look | None:
+        """Where the detector is going to look next, as far as it knows by now."""
+        return self.detector.look(self.seeing, self.scenario.camera, self.scenario.target)
 
     def arrive(self, shot: Shot) -> Tick:
         """Detect, observe, decide, move."""
@@ -81,7 +85,7 @@ class _Servo:
         self.plant.apply(allocation.setpoint)
         self.spent["detect"] += detected - began
         self.spent["law"] += time.perf_counter() - detected
-        lost = int(np.count_nonzero(seen.usable)) < self.needed
+        lost = bool(command.held)
         error = (seen.uv - self.goal.uv)[seen.seen]
         error_px = math.nan if lost else math.sqrt(float(np.vdot(error, error)) / error.size)
         image = shot.frame.image if shot.frame else None
@@ -117,9 +121,9 @@ def _until_the_end(scenario: Scenario, plant: Plant, note: Callable[[Tick], None
     twist, moved = np.zeros(6), np.zeros(6)
     while True:
         if step == next_capture:
-            frame, truth = plant.capture()
+            frame, truth = plant.capture(servo.look())
             if frame is not None and line.delay_steps > 0:
-                frame = Frame(frame.t, frame.image.copy())  # it will wait while the next ones are taken
+                frame = frame.copy()  # it will wait while the next ones are taken
             line.push(step, Shot(frame, step * plant.step_s, truth, plant.encoders(), moved / plant.steps_per_frame))
             moved = np.zeros(6)
             next_capture += plant.steps_per_frame

@@ -15,15 +15,25 @@ from vstestbed.spec import OneOf, spec
 
 
 @dataclass(frozen=True, slots=True)
+class Relative:
+    """This view against the goal's, from the image of one plane: the homography H (3, 3) with Z/Z* m = H m*, and R_camera_goal."""
+
+    H: Array
+    R_camera_goal: Array
+
+
+@dataclass(frozen=True, slots=True)
 class Observation:
     """What the camera and the robot's own sensors tell at one frame; nothing of the simulator's truth.
 
     Attributes:
         t: time of exposure [s].
         uv: measured marker pixels, shape (N, 2), NaN where a marker is not seen.
-        xy: the same, normalised and undistorted, shape (N, 2).
+        xy: the same, normalised and undistorted, shape (N, 2); NaN also where a wide lens sees a marker beside or behind it.
         depth: Z of each marker as the scenario says it is found [m], shape (N,), NaN where unknown.
         T_camera_target: estimated pose (4, 4), or None where it is not estimated.
+        ray, range: unit rays (N, 3) to the markers and distances (N,) [m] along them, for laws that ask for them.
+        relative: this view against the goal's, for laws that ask for it.
     """
 
     t: float
@@ -31,16 +41,14 @@ class Observation:
     xy: Array
     depth: Array
     T_camera_target: Array | None = None
+    ray: Array | None = None
+    range: Array | None = None
+    relative: Relative | None = None
 
     @property
     def seen(self) -> NDArray[np.bool_]:
         """Which markers are seen, shape (N,)."""
-        return np.isfinite(self.xy[:, 0])
-
-    @property
-    def usable(self) -> NDArray[np.bool_]:
-        """Which markers are seen and have a depth, shape (N,)."""
-        return np.isfinite(self.xy[:, 0]) & np.isfinite(self.depth)
+        return np.isfinite(self.uv[:, 0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,19 +61,23 @@ class Encoders:
 
 @dataclass(frozen=True, slots=True)
 class Goal:
-    """The goal view: pixels uv (N, 2), normalised xy (N, 2), depth (N,) [m], and the pose they come from."""
+    """The goal view through a calibrated camera: uv (N, 2), xy (N, 2), depth (N,), ray (N, 3), range (N,), and its pose."""
 
     uv: Array
     xy: Array
     depth: Array
+    ray: Array
+    range: Array
     T_camera_target: Array
+    camera: Camera
 
     @classmethod
     def from_view(cls, camera: Camera, points: Array, T_camera_target: Array) -> Goal:
         """The view that `camera` has of target points (N, 3) from the relative pose T_camera_target (4, 4)."""
         p = transform(T_camera_target, points)
-        uv = camera.project(p)
-        return cls(uv=uv, xy=camera.normalise(uv), depth=p[:, 2], T_camera_target=T_camera_target)
+        uv, reach = camera.project(p), np.linalg.norm(p, axis=-1)
+        xy = camera.normalise(uv)
+        return cls(uv, xy, p[:, 2], p / reach[:, None], reach, T_camera_target, camera)
 
 
 @spec

@@ -65,6 +65,6 @@ def picture() -> Picture:
         physics.data.mocap_pos[0] = T[:3, 3]
         physics.data.mocap_quat[0] = quaternion_wxyz(T[:3, :3])
         physics.forward()
-        return Frame(t=t, image=eye.render())
+        return Frame(t=t, images=(eye.render(),))
 
     return take

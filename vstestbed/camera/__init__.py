@@ -5,10 +5,10 @@ thus covers u in [-0.5, W - 0.5]. Camera axes: x right, y down, z forward. `uv` 
 (X/Z, Y/Z), `depth` is Z, `range` is the norm.
 """
 
-from vstestbed.camera.base import Camera, Frame
+from vstestbed.camera.base import Camera, Frame, Image, Look, Panel, Window
 from vstestbed.camera.perspective import Perspective
 from vstestbed.spec import OneOf
 
 CAMERAS = OneOf("camera", Perspective, default="perspective")
 
-__all__ = ["CAMERAS", "Camera", "Frame", "Perspective"]
+__all__ = ["CAMERAS", "Camera", "Frame", "Image", "Look", "Panel", "Perspective", "Window"]

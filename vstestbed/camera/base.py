@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Annotated, Literal
 
 import numpy as np
@@ -14,12 +15,39 @@ from vstestbed.geometry import Array, Pose
 from vstestbed.spec import spec
 
 
+Image = NDArray[np.uint8]
+Window = tuple[int, int, int, int]
+"""Left, top, right, bottom [px]; right and bottom are the first column and row that no longer belong to it."""
+Look = tuple[tuple[Window, ...], ...]
+"""Where somebody is going to look: for each panel of a camera its windows, none where the panel does not matter."""
+
+
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """A picture and the time it was taken: t [s], image (H, W, 3) uint8 RGB."""
+    """What a camera gives: t [s] of exposure, and one picture (H, W, 3) uint8 RGB a panel, None for one not wanted.
+
+    What lies outside of the windows that were asked for may be blank.
+    """
 
     t: float
-    image: NDArray[np.uint8]
+    images: tuple[Image | None, ...]
+
+    @property
+    def image(self) -> Image | None:
+        """The first panel's picture: the whole of it for every lens that has one image plane."""
+        return self.images[0]
+
+    def copy(self) -> Frame:
+        """The same with pictures of its own."""
+        return Frame(self.t, tuple(None if image is None else image.copy() for image in self.images))
+
+
+@dataclass(frozen=True, slots=True)
+class Panel:
+    """One picture of a camera: the lens through which it is seen, and how that stands in the camera, R_camera_panel (3, 3)."""
+
+    lens: Camera
+    R_camera_panel: Array
 
 
 @spec
@@ -49,6 +77,11 @@ class Camera(ABC):
     def period(self) -> float:
         """Time between pictures [s]."""
         return 1.0 / self.rate_hz
+
+    @cached_property
+    def panels(self) -> tuple[Panel, ...]:
+        """The pictures in which markers are looked for: the camera's own, unless its lens has no image plane."""
+        return (Panel(self, np.eye(3)),)
 
     @abstractmethod
     def project(self, p_camera: Array) -> Array:

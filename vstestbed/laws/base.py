@@ -43,6 +43,15 @@ class Law(Protocol[M]):
         """The law's word in a scenario."""
         ...
 
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """The fields of an Observation that it looks at."""
+        ...
+
+    def markers_needed(self, basis: Array) -> int:
+        """How many markers must be seen at least for the robot's motions, basis (6, n)."""
+        ...
+
     def init(self, goal: Goal) -> M:
         """The memory before the first frame."""
         ...

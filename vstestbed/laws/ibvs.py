@@ -8,21 +8,15 @@ from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Ge
-from numpy.typing import NDArray
 
-from vstestbed.features import FEATURES, Point
+from vstestbed.features import FEATURES, Line, Point, Polar, Polygon, Spherical
 from vstestbed.geometry import Array
 from vstestbed.laws.base import Command, ConstantGain, Gain, TwistLimits
+from vstestbed.laws.select import Rows, usable_rows
+from vstestbed.laws.solve import least_squares
+from vstestbed.laws.visibility import Visibility
 from vstestbed.observation import Depth, Goal, Observation, PnP
 from vstestbed.spec import spec
-
-Rows = slice | NDArray[np.bool_]
-"""Which markers' rows are taken."""
-TOO_FEW, NO_DEPTH = "too few markers in sight", "the depth of the markers in sight cannot be told"
-"""Why the law orders rest."""
-PINV_RCOND = 1e-6
-"""Cut-off of the pseudo-inverse: singular values under this share of the largest count as zero:
-a direction that pixels do not tell is not moved in."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,13 +33,19 @@ class IBVS:
 
     With `smooth_start_s` = tau the command grows from rest: u - u(0) exp(-t/tau).
 
+    Errata. Chapter 16 of Corke 2017 has polar and spherical features as here (eqs 16.9, 16.15), but theta = asin(r) in
+    eq. 16.11, which is wrong behind the camera's equator; each feature says what it does instead. With an exact half turn
+    the matrix at the current view makes points diverge, the one at the goal takes the camera through the target, their mean
+    stands still: that is the law, not a defect.
+
     Args:
         gain: lambda [1/s], a number or an adaptive gain of pinv(L B) e, the motion still to be made.
         feature: what s is.
         interaction: L at the current view, at the desired one, or the mean of both matrices.
-        depth: where Z in L comes from.
+        depth: where Z (for `spherical` the range) in L comes from.
         smooth_start_s: tau [s]; 0 starts with the full command.
         limits: largest speed and rate of the commanded twist.
+        visibility: keeps markers off the picture's border.
 
     References: Chaumette & Hutchinson 2006, eqs 3-5, doi:10.1109/MRA.2006.250573; mean matrix: Malis 2004,
     doi:10.1109/ROBOT.2004.1308092; smooth start: Mansard & Chaumette 2007, doi:10.1109/TRO.2006.889487.
@@ -53,11 +53,17 @@ class IBVS:
 
     kind: Literal["ibvs"] = "ibvs"
     gain: Gain = ConstantGain()
-    feature: Annotated[Point, FEATURES] = Point()
+    feature: Annotated[Point | Polar | Spherical | Polygon | Line, FEATURES] = Point()
     interaction: Literal["current", "desired", "mean"] = "current"
     depth: Depth = PnP()
     smooth_start_s: Annotated[float, Ge(0)] = 0.0
     limits: TwistLimits = TwistLimits()
+    visibility: Visibility = Visibility()
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """The fields of an Observation that its feature takes."""
+        return self.feature.inputs
 
     def init(self, goal: Goal) -> IBVSMemory:
         """No command given yet."""
@@ -65,32 +71,36 @@ class IBVS:
 
     def markers_needed(self, basis: Array) -> int:
         """How many markers must be seen for as many equations as the robot has motions (6, n)."""
-        return math.ceil(basis.shape[1] / 2)
+        rows = self.feature.rows_per_marker
+        return max(self.feature.least_markers, math.ceil(basis.shape[1] / rows) if rows else 0)
 
     def step(self, memory: IBVSMemory, observation: Observation, goal: Goal, basis: Array) -> tuple[IBVSMemory, Command]:
         """One frame, with the markers that are seen; rest when they are too few for the robot's motions."""
-        usable, needed = observation.usable, self.markers_needed(basis)
-        if np.count_nonzero(usable) < needed:
-            blind = np.count_nonzero(observation.seen) < needed
-            return IBVSMemory(), Command.rest(basis, TOO_FEW if blind else NO_DEPTH)
-        seen: Rows = usable
-        if usable.all():
-            seen = slice(None)  # a view is cheaper than a selection
-        e = self.feature.error(self.feature.measure(observation.xy[seen]), self.feature.measure(goal.xy[seen]))
-        L = self._interaction(observation, goal, seen)
-        solved = np.asarray(np.linalg.lstsq(L @ basis, e, rcond=PINV_RCOND)[0], dtype=float)  # pinv(L B) e
+        rows = usable_rows(observation, self.inputs, self.markers_needed(basis))
+        if isinstance(rows, str):
+            return IBVSMemory(), Command.rest(basis, rows)
+        what = self.inputs[0]
+        e = self.feature.error(
+            self.feature.measure(getattr(observation, what)[rows]), self.feature.measure(getattr(goal, what)[rows])
+        )
+        solved = least_squares(self._interaction(observation, goal, rows) @ basis, e)  # pinv(L B) e
         u = -self.gain.at(solved) * solved
         if self.smooth_start_s > 0:
             u0 = u if memory.u0 is None else memory.u0
             memory = IBVSMemory(observation.t if memory.u0 is None else memory.t0, u0)
             u = u - u0 * math.exp(-(observation.t - memory.t0) / self.smooth_start_s)
+        if self.visibility.margin_px > 0:
+            u = u + self.visibility.push(observation, goal, basis)
         scale = self.limits.scale(basis @ u)
         return memory, Command(u=u * scale, twist=basis @ u * scale, scale=scale)
 
-    def _interaction(self, observation: Observation, goal: Goal, seen: Rows) -> Array:
+    def _interaction(self, observation: Observation, goal: Goal, rows: Rows) -> Array:
+        what, distance = self.inputs
         if self.interaction == "desired":
-            return self.feature.interaction(goal.xy[seen], goal.depth[seen])
-        L = self.feature.interaction(observation.xy[seen], observation.depth[seen])
+            return self.feature.interaction(getattr(goal, what)[rows], getattr(goal, distance)[rows])
+        L = self.feature.interaction(getattr(observation, what)[rows], getattr(observation, distance)[rows])
         if self.interaction == "mean":
-            L = 0.5 * (L + self.feature.interaction(goal.xy[seen], goal.depth[seen]))
+            L = 0.5 * (L + self.feature.interaction(getattr(goal, what)[rows], getattr(goal, distance)[rows]))
         return L
+
+

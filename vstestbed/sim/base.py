@@ -7,7 +7,7 @@ from typing import Protocol
 
 from numpy.typing import NDArray
 
-from vstestbed.camera import Frame
+from vstestbed.camera import Frame, Look
 from vstestbed.geometry import Array
 from vstestbed.observation import Encoders
 
@@ -47,8 +47,11 @@ class Plant(Protocol):
         """Wall time spent on pictures so far [s]."""
         ...
 
-    def capture(self) -> tuple[Frame | None, Truth]:
-        """The picture (None where no detector asks for one; it holds until the next capture) and the truth, now."""
+    def capture(self, look: Look | None = None) -> tuple[Frame | None, Truth]:
+        """The picture (None where no detector asks for one; it holds until the next capture) and the truth, now.
+
+        look: where the detector is going to look; None for everywhere.
+        """
         ...
 
     def encoders(self) -> Encoders:

@@ -45,7 +45,7 @@ def pixel_convention(camera: Camera | None = None) -> PixelCheck:
         stage.place(0.0, target.pose.T, np.zeros(0), np.eye(4))
         image = eye.picture()
         detector = Blobs()
-        _, found = detector.detect(detector.init(), Frame(0.0, image), None, camera, target, np.random.default_rng(0))
+        _, found = detector.detect(detector.init(), Frame(0.0, (image,)), None, camera, target, np.random.default_rng(0))
     finally:
         stage.close()
     return PixelCheck(found.uv - camera.project(transform(target.pose.T, target.points)), eye.renderer)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from vstestbed.camera import Frame
+from vstestbed.camera import Frame, Look
 from vstestbed.geometry import Array, exp, inverse, transform
 from vstestbed.observation import Encoders
 from vstestbed.sim.base import Truth
@@ -39,7 +39,7 @@ class IdealPlant:
         """Wall time spent on pictures so far [s]."""
         return self._eye.spent_s if self._eye else 0.0
 
-    def capture(self) -> tuple[Frame | None, Truth]:
+    def capture(self, look: Look | None = None) -> tuple[Frame | None, Truth]:
         """The picture, where one is wanted, and the truth."""
         t = self._steps * self.step_s
         T = self._T.copy()
@@ -49,7 +49,7 @@ class IdealPlant:
             self._stage.place(t, self._T_world_target, NONE, T)
             hidden = self._stage.hidden(T, p_camera)
         if self._eye is not None:
-            frame = Frame(t, self._eye.glimpse())
+            frame = Frame(t, self._eye.glimpse(look))
         truth = Truth(T, self._T_world_target, self._twist, NONE, NONE, NONE, p_camera, hidden, contact=False)
         return frame, truth
 

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 from dm_control.rl.control import PhysicsError
 
-from vstestbed.camera import Frame
+from vstestbed.camera import Frame, Look
 from vstestbed.geometry import Array, inverse, transform
 from vstestbed.observation import Encoders
 from vstestbed.sim.base import Truth
@@ -60,7 +60,7 @@ class MujocoPlant:
         """Wall time spent on pictures so far [s]."""
         return self._eye.spent_s if self._eye else 0.0
 
-    def capture(self) -> tuple[Frame | None, Truth]:
+    def capture(self, look: Look | None = None) -> tuple[Frame | None, Truth]:
         """The picture, where one is wanted, and the truth, now."""
         stage = self._stage
         model, data = stage.model, stage.data
@@ -75,7 +75,7 @@ class MujocoPlant:
         hidden = stage.hidden(T, p_camera) if self._see_hidden else self._visible
         q, qd, ctrl = data.qpos[stage.qpos], data.qvel[stage.qvel], data.ctrl[self._ctrl]
         truth = Truth(T, self._T_world_target, twist, q, qd, ctrl, p_camera, hidden, self._touches())
-        frame = Frame(t, self._eye.glimpse()) if self._eye else None
+        frame = Frame(t, self._eye.glimpse(look)) if self._eye else None
         return frame, truth
 
     def _touches(self) -> bool:

@@ -10,17 +10,13 @@ import mujoco
 import numpy as np
 from dm_control import mujoco as dm
 from dm_control.mujoco import wrapper
-from numpy.typing import NDArray
 
-from vstestbed.camera import Camera, Perspective
+from vstestbed.camera import Camera, Image, Look, Perspective
 from vstestbed.errors import EnvironmentLackError, ParameterError
 from vstestbed.sim import gl
 from vstestbed.sim.pinhole import pinhole_of, resampling_maps
 from vstestbed.sim.scene import LENS_GROUP
 from vstestbed.sim.stage import Stage
-
-Image = NDArray[np.uint8]
-
 
 class View:
     """One camera of a stage, kept; `picture` renders what it sees now.
@@ -90,10 +86,13 @@ class Eye:
 
     def picture(self) -> Image:
         """The picture now, (H, W, 3) uint8 RGB, its own for good."""
-        return np.ascontiguousarray(self.glimpse())
+        return np.ascontiguousarray(self.glimpse()[0])
 
-    def glimpse(self) -> Image:
-        """The picture now; it may lie in the renderer's buffer, and then holds only until the next one."""
+    def glimpse(self, look: Look | None = None) -> tuple[Image | None, ...]:
+        """The pictures now, one a panel; they may lie in the renderer's buffer, and then hold only until the next ones.
+
+        look: where somebody is going to look; a panel with no window is left out, any other is drawn whole.
+        """
         start = time.perf_counter()
         image = self._view.raw()
         if self._maps is not None:
@@ -103,4 +102,4 @@ class Eye:
             noise = self._rng.standard_normal(image.shape, dtype=np.float32) * np.float32(self._sigma)
             image = np.clip(image + noise + 0.5, 0, 255).astype(np.uint8)
         self.spent_s += time.perf_counter() - start
-        return image
+        return (image,)

@@ -8,7 +8,7 @@ from typing import ClassVar, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from vstestbed.camera import Camera, Frame
+from vstestbed.camera import Camera, Frame, Look
 from vstestbed.geometry import Array
 from vstestbed.target import Target
 
@@ -34,12 +34,12 @@ class Detection:
 
     Attributes:
         uv: pixels of the marker centres, shape (N, 2), NaN where a marker is not seen.
-        depth: true Z of each marker, shape (N,) [m]; only the oracle has it.
+        p_camera: true marker centres in the camera frame, shape (N, 3) [m]; only the oracle has them.
         T_camera_target: the target's pose (4, 4), where the detector solved it on its way.
     """
 
     uv: Array
-    depth: Array | None = None
+    p_camera: Array | None = None
     T_camera_target: Array | None = None
 
     @property
@@ -66,6 +66,10 @@ class Detector(Protocol[M]):
 
     def init(self) -> M:
         """The memory before the first picture."""
+        ...
+
+    def look(self, memory: M, camera: Camera, target: Target) -> Look | None:
+        """Where it is going to look in the next picture; None for everywhere."""
         ...
 
     def detect(

@@ -9,14 +9,14 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from annotated_types import Ge, Gt, Le, Lt
 
-from vstestbed.camera import Camera, Frame, Perspective
+from vstestbed.camera import Camera, Frame, Look, Perspective, Window
 from vstestbed.errors import ParameterError
 from vstestbed.geometry import Array
 from vstestbed.spec import spec
 from vstestbed.target import Target
 from vstestbed.vision.base import Detection, TruthView
 from vstestbed.vision.centre import centre_bias
-from vstestbed.vision.find import Blob, Image, Window, find_blobs, noise_level
+from vstestbed.vision.find import Blob, Image, find_blobs, noise_level
 from vstestbed.vision.pose import solve_pose_from_rays, three_ray_poses
 
 AREA_NOISE_PX = 3.5
@@ -88,6 +88,11 @@ class Blobs:
         """Nothing seen yet."""
         return BlobsMemory()
 
+    def look(self, memory: BlobsMemory, camera: Camera, target: Target) -> Look | None:
+        """Windows round the predicted markers; None where one is lost."""
+        windows = _windows(memory, camera.width, camera.height, self.window_margin_px) if memory.blobs else None
+        return None if windows is None else (tuple(windows),)
+
     def detect(
         self, memory: BlobsMemory, frame: Frame | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
     ) -> tuple[BlobsMemory, Detection]:
@@ -96,7 +101,7 @@ class Blobs:
         Raises:
             ParameterError: there is no picture.
         """
-        if frame is None:
+        if frame is None or frame.image is None:
             raise ParameterError("frame", "is missing: detector blobs needs a picture; use detector oracle where there is none")
         noise = noise_level(frame.image)
         blobs = self._track(frame.image, noise, memory, camera, target) or self._search(frame.image, noise, camera, target)

@@ -11,9 +11,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-Image = NDArray[np.uint8]
-Window = tuple[int, int, int, int]
-"""Left, top, right, bottom [px]; right and bottom are the first column and row that no longer belong to it."""
+from vstestbed.camera import Image, Window
+
 Rim = Literal["sharp", "binary", "grey"]
 
 STRIP_PX = 38400

@@ -13,6 +13,7 @@ from vstestbed.observation import AtGoal, Constant, Depth, Estimate, Goal, Obser
 from vstestbed.target import Target
 from vstestbed.vision.base import Detection
 from vstestbed.vision.flow_depth import FlowMemory, init_flow, update_flow
+from vstestbed.vision.homography import relative_view
 from vstestbed.vision.pose import solve_pose_from_rays
 
 NEAREST_M = 0.01
@@ -38,6 +39,7 @@ class Observer:
         goal: the goal view.
         depth: where depths come from.
         pixel_sigma_px: standard deviation of the noise added to every measured coordinate, whatever detected it [px].
+        wanted: fields of the observation that the law looks at: `ray` and `relative` are made only where they are wanted.
     """
 
     camera: Camera
@@ -45,6 +47,7 @@ class Observer:
     goal: Goal
     depth: Depth
     pixel_sigma_px: float = 0.0
+    wanted: tuple[str, ...] = ()
 
     def init(self) -> ObserverMemory:
         """The memory before the first frame."""
@@ -82,8 +85,14 @@ class Observer:
         flow = memory.flow
         if isinstance(self.depth, Estimate) and flow is not None:
             flow = update_flow(self.depth, flow, t, xy, twist)
-        depth = self._depth(detection, T, flow)
-        return ObserverMemory(t, T, flow), Observation(t=t, uv=uv, xy=xy, depth=depth, T_camera_target=T)
+        depth, reach = self._distances(detection, T, flow, xy)
+        ray = self.camera.ray(uv) if self._rays else None
+        relative = relative_view(self.goal.xy, xy, self.goal.T_camera_target[:3, 2]) if "relative" in self.wanted else None
+        return ObserverMemory(t, T, flow), Observation(t, uv, xy, depth, T, ray, reach, relative)
+
+    @property
+    def _rays(self) -> bool:
+        return "ray" in self.wanted
 
     def _pose(self, uv: Array, t: float, memory: ObserverMemory, hint: Array | None, twist: Array) -> Array | None:
         """The pose solved from noisy or bare pixels; else the last one, carried on."""
@@ -95,20 +104,29 @@ class Observer:
         found = solve_pose_from_rays(self.camera.ray(uv[seen]), self.target.points[seen], carried)
         return carried if found is None else found
 
-    def _depth(self, detection: Detection, T: Array | None, flow: FlowMemory | None) -> Array:
-        """Depth of each marker (N,) [m], NaN where it is not known."""
+    def _distances(self, detection: Detection, T: Array | None, flow: FlowMemory | None, xy: Array) -> tuple[Array, Array | None]:
+        """Depth of each marker (N,) and, where the law wants it, range (N,) [m]; NaN where not known.
+
+        A constant is taken for either; an estimate by flow is of depth, and tells the range of what is in front.
+        """
         n = len(detection.uv)
         match self.depth:
+            case PnP() if T is None:
+                return np.full(n, np.nan), np.full(n, np.nan) if self._rays else None
             case PnP():
-                return np.full(n, np.nan) if T is None else np.maximum(transform(T, self.target.points)[:, 2], NEAREST_M)
+                p = transform(T, self.target.points)
+                depth = np.where(np.isfinite(xy[:, 0]), np.maximum(p[:, 2], NEAREST_M), p[:, 2])
+                return depth, np.linalg.norm(p, axis=1) if self._rays else None
             case Constant(depth_m=depth):
-                return np.full(n, depth)
+                return np.full(n, depth), np.full(n, depth) if self._rays else None
             case AtGoal():
-                return self.goal.depth
+                return self.goal.depth, self.goal.range
             case Estimate() if flow is not None:
-                return 1 / flow.inverse_depth
-            case OracleDepth() if detection.depth is not None:
-                return detection.depth
+                depth = 1 / flow.inverse_depth
+                return depth, depth * np.sqrt(1 + (xy * xy).sum(axis=1)) if self._rays else None
+            case OracleDepth() if detection.p_camera is not None:
+                p = detection.p_camera
+                return p[:, 2], np.linalg.norm(p, axis=1) if self._rays else None
             case OracleDepth():
                 raise ParameterError("depth", "oracle is only with detector {kind: oracle}; valid here: pnp, constant, goal, estimate")
             case _:

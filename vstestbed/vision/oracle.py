@@ -7,7 +7,7 @@ from typing import ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from vstestbed.camera import Camera, Frame
+from vstestbed.camera import Camera, Frame, Look
 from vstestbed.errors import ParameterError
 from vstestbed.geometry import Array
 from vstestbed.spec import spec
@@ -35,10 +35,13 @@ class Oracle:
     def init(self) -> None:
         """The oracle remembers nothing."""
 
+    def look(self, memory: None, camera: Camera, target: Target) -> Look | None:
+        """It looks at no picture."""
+
     def detect(
         self, memory: None, frame: Frame | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
     ) -> tuple[None, Detection]:
-        """True pixels (N, 2) and depths (N,) of what can be seen, NaN for the rest.
+        """True pixels (N, 2) and centres (N, 3) of what can be seen, NaN for the rest.
 
         Raises:
             ParameterError: no truth was given.
@@ -51,7 +54,7 @@ class Oracle:
         if self.field_of_view == "limited":
             seen &= ~view.hidden & _whole(uv, p, camera, target.marker.radius)
         mask = np.where(seen, 1.0, np.nan)
-        return None, Detection(uv=uv * mask[:, None], depth=p[:, 2] * mask)
+        return None, Detection(uv=uv * mask[:, None], p_camera=p * mask[:, None])
 
 
 def _whole(uv: Array, p: Array, camera: Camera, radius: float) -> NDArray[np.bool_]:

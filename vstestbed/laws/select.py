@@ -1,0 +1,33 @@
+"""Which markers a law may work with, and the words for why it orders rest."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vstestbed.observation import Observation
+
+Rows = slice | NDArray[np.bool_]
+"""Which markers' rows are taken."""
+TOO_FEW, NO_DEPTH, NO_POSE = "too few markers in sight", "the depth of the markers in sight cannot be told", "the pose cannot be told"
+"""Why a law orders rest."""
+ALL = slice(None)
+
+
+def usable_rows(observation: Observation, inputs: tuple[str, ...], needed: int) -> Rows | str:
+    """The markers for which all of the inputs are known, or why there are fewer than needed.
+
+    Args:
+        observation: what was seen.
+        inputs: names of fields of the observation, the first of image coordinates (N, 2) or rays (N, 3), the others (N,).
+        needed: how many markers it takes.
+    """
+    usable = np.isfinite(getattr(observation, inputs[0])[:, 0])
+    seen = usable
+    for name in inputs[1:]:
+        usable = usable & np.isfinite(getattr(observation, name))
+    if usable.all() and len(usable) >= needed:
+        return ALL  # a view is cheaper than a selection
+    if np.count_nonzero(usable) >= needed:
+        return usable
+    return TOO_FEW if np.count_nonzero(seen) < needed else NO_DEPTH
