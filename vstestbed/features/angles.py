@@ -15,7 +15,8 @@ def wrap(angle: Array) -> Array:
     """The same angle in (-pi, pi] rad, any shape; what lies there already is returned as it is, bit by bit."""
     angle = np.asarray(angle, dtype=float)
     turned = angle - 2 * np.pi * np.ceil((angle - np.pi) / (2 * np.pi))
-    return np.where(turned <= -np.pi, np.pi, np.minimum(turned, np.pi))
+    turned = np.where(turned <= -np.pi, np.pi, np.minimum(turned, np.pi))  # rounding, just past an odd multiple of pi
+    return np.where((angle > -np.pi) & (angle <= np.pi), angle, turned)
 
 
 def wrap_together(angle: Array) -> Array:
@@ -34,4 +35,4 @@ def wrap_together(angle: Array) -> Array:
 def bounded_inverse(x: Array) -> Array:
     """1/x for x > 1e-3, below that x/1e-6: continuous, never above 1e3, zero at zero; x >= 0, any shape."""
     x = np.asarray(x, dtype=float)
-    return np.where(x > FLOOR, 1 / np.maximum(x, FLOOR), x / FLOOR**2)
+    return np.where(x > FLOOR, 1 / np.maximum(x, FLOOR), x / FLOOR / FLOOR)
