@@ -2,27 +2,70 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import ClassVar, Protocol
 
+import numpy as np
+
+from vstestbed.errors import ParameterError
 from vstestbed.geometry import Array
 
 
 class Feature(Protocol):
-    """A feature s(x) of N image points, with s_dot = L v for a still target and v the camera's twist in its own frame."""
+    """A feature s(x) of N markers, with e_dot = L v for a still target and v the camera's twist in its own frame.
+
+    What it takes is named in `inputs`: the fields of an observation and of a goal, for most ("xy", "depth"), for those
+    that see all around ("ray", "range"). s may hold more numbers than e has rows: what `error` needs to tell e.
+    Between two views of one scene s_dot and e_dot are the same thing: L is the derivative of error(s(t), s*) at s* = s.
+
+    Attributes:
+        inputs: the two fields it takes.
+        rows_per_marker: rows k of L and e that stand together for each marker, in the markers' order; 0 where the rows
+            belong to the set as a whole.
+        least_markers: how many markers it needs to exist.
+    """
+
+    inputs: ClassVar[tuple[str, ...]]
+    rows_per_marker: ClassVar[int]
+    least_markers: ClassVar[int]
 
     @property
     def kind(self) -> str:
         """The feature's word in a scenario."""
         ...
 
-    def measure(self, xy: Array) -> Array:
-        """Feature vector s (..., k N) of normalised points xy (..., N, 2)."""
+    def measure(self, x: Array, /) -> Array:
+        """Feature vector s of the first input, e.g. xy (..., N, 2)."""
         ...
 
-    def interaction(self, xy: Array, depth: Array) -> Array:
-        """Interaction matrix L (..., k N, 6) at xy (..., N, 2) with depth (..., N) [m]."""
+    def interaction(self, x: Array, distance: Array, /) -> Array:
+        """Interaction matrix L (..., rows, 6) of both inputs, e.g. xy (..., N, 2) and depth (..., N) [m]."""
         ...
 
-    def error(self, s: Array, s_star: Array) -> Array:
-        """Error e (..., k N): s - s*, angles wrapped where the feature has them."""
+    def error(self, s: Array, s_star: Array, /) -> Array:
+        """Error e (..., rows): s - s*, angles wrapped where the feature has them."""
         ...
+
+
+def checked(x: Array, distance: Array, inputs: tuple[str, ...], least: int = 1) -> tuple[Array, Array]:
+    """Both inputs of a feature as floating-point arrays that belong together.
+
+    Args:
+        x: coordinates (..., N, 2) for xy, (..., N, 3) for ray.
+        distance: depth or range of each (..., N) [m].
+        inputs: their names.
+        least: the smallest N.
+
+    Raises:
+        ParameterError: the shapes do not belong together, the markers are too few, or a distance is not positive.
+    """
+    x, distance = np.asarray(x, dtype=float), np.asarray(distance, dtype=float)
+    name, of = inputs
+    size = 3 if name == "ray" else 2
+    if x.shape[-1:] != (size,) or x.shape[:-1] != distance.shape:
+        raise ParameterError(of, f"must have the shape (..., N) of {name} (..., N, {size}) = {x.shape}", distance.shape)
+    if x.ndim < 2 or x.shape[-2] < least:
+        raise ParameterError(name, f"must have the shape (..., N, {size}) with at least {least} markers", x.shape)
+    if not (distance > 0).all():
+        behind = ": what is at or behind the lens has no image" if of == "depth" else ""
+        raise ParameterError(of, f"must be > 0 m for every point{behind}")
+    return x, distance

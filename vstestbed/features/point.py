@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
-from vstestbed.errors import ParameterError
+from vstestbed.features.base import checked
 from vstestbed.geometry import Array
 from vstestbed.spec import spec
 
@@ -22,6 +22,9 @@ class Point:
     """
 
     kind: Literal["point"] = "point"
+    inputs: ClassVar[tuple[str, ...]] = ("xy", "depth")
+    rows_per_marker: ClassVar[int] = 2
+    least_markers: ClassVar[int] = 1
 
     def measure(self, xy: Array) -> Array:
         """The vector s (..., 2N) of xy (..., N, 2)."""
@@ -33,11 +36,7 @@ class Point:
         Raises:
             ParameterError: the shapes do not belong together, or a depth is not positive.
         """
-        xy, depth = np.asarray(xy, dtype=float), np.asarray(depth, dtype=float)
-        if xy.shape[-1] != 2 or xy.shape[:-1] != depth.shape:
-            raise ParameterError("depth", f"must have the shape (..., N) of xy (..., N, 2) = {xy.shape}", depth.shape)
-        if not (depth > 0).all():
-            raise ParameterError("depth", "must be > 0 m for every point: what is at or behind the lens has no image")
+        xy, depth = checked(xy, depth, self.inputs)
         x, y, inv_z = xy[..., 0], xy[..., 1], 1.0 / depth
         L = np.zeros((*xy.shape, 6))
         L[..., 0, 0] = L[..., 1, 1] = -inv_z

@@ -1,0 +1,61 @@
+"""The polar feature: its numbers, the wrapped error, the principal point."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from vstestbed.errors import ParameterError
+from vstestbed.features import Polar
+from vstestbed.features.angles import FLOOR
+
+
+def test_measure():
+    xy = np.array([[0.3, 0.4], [0, -0.2], [-0.1, 0]])
+    np.testing.assert_allclose(Polar().measure(xy), [0.5, np.arctan2(4, 3), 0.2, -np.pi / 2, 0.1, np.pi], rtol=1e-15)
+
+
+def test_only_the_angles_are_wrapped():
+    s, s_star = np.array([4.0, 3, 0.5, -3]), np.array([0.5, -3, 0.5, 3])
+    e = Polar().error(s, s_star)
+    # 3 - (-3) = 6 is 6 - 2 pi; a difference of 3.5 in r is no angle.
+    np.testing.assert_allclose(e, [3.5, 6 - 2 * np.pi, 0, 2 * np.pi - 6], atol=1e-15)
+    np.testing.assert_array_equal(s, [4.0, 3, 0.5, -3])
+
+
+def test_half_turn_gives_every_point_the_same_error():
+    xy = np.array([[0.2, 0.1], [-0.1, 0.2], [-0.2, -0.1], [0.1, -0.2]])
+    rng = np.random.default_rng(0)
+    turned = -xy + 1e-9 * rng.normal(size=(50, 4, 2))  # the last bits decide what sign each pi has
+    alone = Polar().measure(turned)[:, 1::2] - Polar().measure(xy)[1::2]
+    wrapped = (alone + np.pi) % (2 * np.pi) - np.pi
+    assert (np.abs(wrapped.sum(axis=-1)) < 3 * np.pi).any()  # wrapped alone, signs are mixed
+    e = Polar().error(Polar().measure(turned), Polar().measure(xy))
+    np.testing.assert_allclose(np.abs(e[:, 1::2].sum(axis=-1)), 4 * np.pi, rtol=1e-7)
+    np.testing.assert_allclose(e[:, 0::2], 0, atol=1e-8)
+
+
+def test_bounded_at_the_principal_point():
+    xy = np.array([[0.0, 0], [1e-12, 0], [0, -1e-5], [FLOOR, 0]])
+    L = Polar().interaction(xy, np.full(4, 0.5)).reshape(4, 2, 6)
+    np.testing.assert_array_equal(L[0, 1], [0, 0, 0, 0, 0, -1])
+    # 1/(r Z) is at most 1/(0.001 * 0.5) = 2000.
+    assert np.isfinite(L).all() and np.abs(L).max() <= 2000 * (1 + 1e-12)
+    np.testing.assert_allclose(L[3, 1], [0, -2000, 0, 1000, 0, -1], atol=1e-9)
+    assert np.isfinite(Polar().measure(xy)).all()
+
+
+def test_batches_are_single_ones_stacked():
+    rng = np.random.default_rng(1)
+    xy, depth = rng.normal(size=(2, 3, 4, 2)), rng.uniform(0.5, 2, (2, 3, 4))
+    L, s = Polar().interaction(xy, depth), Polar().measure(xy)
+    e = Polar().error(s, s[0, 0])
+    assert (L.shape, s.shape, e.shape) == ((2, 3, 8, 6), (2, 3, 8), (2, 3, 8))
+    for i in np.ndindex(2, 3):
+        np.testing.assert_array_equal(L[i], Polar().interaction(xy[i], depth[i]))
+        np.testing.assert_array_equal(e[i], Polar().error(s[i], s[0, 0]))
+
+
+def test_depth_behind_the_camera():
+    with pytest.raises(ParameterError, match="no image"):
+        Polar().interaction(np.zeros((2, 2)), np.array([1.0, -1]))

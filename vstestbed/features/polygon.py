@@ -1,0 +1,133 @@
+"""The polygon of the markers as one thing: how large it is and how it is turned."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from vstestbed.errors import ParameterError
+from vstestbed.features.angles import bounded_inverse, wrap
+from vstestbed.features.base import checked
+from vstestbed.features.point import Point
+from vstestbed.geometry import Array
+from vstestbed.spec import spec
+
+SHARE = 0.8
+"""A segment counts from this share of the longest one's length on; a square's sides (0.71 of its diagonals) do not."""
+SizeError = Literal["difference", "ratio", "log"]
+
+
+@spec
+class Polygon:
+    """Size sigma = sqrt(area) and the angle of the longest segment between two markers; e and L have these two rows.
+
+    area = |sum_i x_i y_i+1 - x_i+1 y_i| / 2 over the markers in their order. Two markers have none: sigma = 0, row 0.
+    A segment (i, j), i < j, is d = p_j - p_i and turns by (dx dy_dot - dy dx_dot)/|d|^2: by -1 for wz, not by +1.
+
+    Which segment is the longest may change as the camera moves, and two often are equally long (a square's diagonals).
+    So e takes of every segment the angle from its own place in the goal, e_ij, and blends those that are nearly the
+    longest now: e = arg(sum w_ij exp(i e_ij)), w_ij = max(0, |d_ij|/longest - 0.8)^2. A segment enters and leaves with
+    weight 0, hence no jump; one that leads by a fifth is alone; a turn about the optical axis is told exactly whichever
+    lead. L has the same weights. It is the exact derivative where the e_ij agree, so at the goal and for such turns.
+    For this s holds sigma and then every d (..., 1 + N (N-1)), pairs in the order (0, 1), (0, 2), ..., (1, 2), ...
+
+    Reference: Corke 2017, Robotics, Vision & Control, section 16.1, doi:10.1007/978-3-319-54413-7, with the sign of
+    the angle's motion corrected; the rows are the chain rule over those of `Point`.
+    """
+
+    kind: Literal["polygon"] = "polygon"
+    inputs: ClassVar[tuple[str, ...]] = ("xy", "depth")
+    rows_per_marker: ClassVar[int] = 0
+    least_markers: ClassVar[int] = 2
+
+    def measure(self, xy: Array) -> Array:
+        """The vector s (..., 1 + N (N-1)) of xy (..., N, 2): sigma, then dx, dy of every segment."""
+        d = segments(xy)
+        return np.concatenate([size(xy)[..., None], d.reshape(*d.shape[:-2], 2 * d.shape[-2])], axis=-1)
+
+    def interaction(self, xy: Array, depth: Array) -> Array:
+        """L (..., 2, 6) of xy (..., N, 2) and depth (..., N) [m]: the rows of sigma and of the angle.
+
+        Raises:
+            ParameterError: the shapes do not belong together, there is one marker only, or a depth is not positive.
+        """
+        xy, depth = checked(xy, depth, self.inputs, self.least_markers)
+        points = Point().interaction(xy, depth).reshape(*xy.shape, 6)
+        return np.stack([_size_row(xy, points), _angle_row(xy, points)], axis=-2)
+
+    def error(self, s: Array, s_star: Array) -> Array:
+        """Error e (..., 2): sigma - sigma*, and the angle in (-pi, pi] rad by which the longest segment is turned from its goal."""
+        s, s_star = np.asarray(s, dtype=float), np.asarray(s_star, dtype=float)
+        d, d_star = (v[..., 1:].reshape(*v.shape[:-1], -1, 2) for v in (s, s_star))
+        turned = angle_error(d, d_star)
+        return np.stack([np.broadcast_to(size_error(s[..., 0], s_star[..., 0]), turned.shape), turned], axis=-1)
+
+
+def size(xy: Array) -> Array:
+    """Sigma (...), the root of the area of the polygon with vertices xy (..., N, 2) in their order."""
+    return np.sqrt(np.abs(_signed_area(np.asarray(xy, dtype=float))))
+
+
+def size_error(sigma: Array, sigma_star: Array, form: SizeError = "difference") -> Array:
+    """How far sigma is from its goal, any shape: sigma - sigma*, sigma/sigma* - 1 or log(sigma/sigma*).
+
+    Positive where the target looks too large, that is where the camera is too close. For a target that faces the camera
+    sigma_dot = sigma vz/Z, so the last is that of the depth, log(Z*/Z).
+
+    Raises:
+        ParameterError: a ratio or a logarithm of a size that is not positive.
+    """
+    sigma, sigma_star = np.asarray(sigma, dtype=float), np.asarray(sigma_star, dtype=float)
+    if form == "difference":
+        return sigma - sigma_star
+    if not ((sigma > 0).all() and (sigma_star > 0).all()):
+        raise ParameterError("sigma", f"must be > 0, now and at the goal, for the error {form!r}: the markers must span an area")
+    return np.log(sigma / sigma_star) if form == "log" else sigma / sigma_star - 1
+
+
+def segments(xy: Array) -> Array:
+    """The vectors p_j - p_i (..., N (N-1)/2, 2) between all markers i < j of xy (..., N, 2)."""
+    xy = np.asarray(xy, dtype=float)
+    i, j = np.triu_indices(xy.shape[-2], 1)
+    return xy[..., j, :] - xy[..., i, :]
+
+
+def angle_error(d: Array, d_star: Array) -> Array:
+    """Angle in (-pi, pi] rad by which the longest of the segments d (..., P, 2) is turned from d_star; see `Polygon`."""
+    z, z_star = d[..., 0] + 1j * d[..., 1], d_star[..., 0] + 1j * d_star[..., 1]
+    turn = z * np.conj(z_star)
+    blend = np.sum(_weights(d) * turn / np.maximum(np.abs(turn), np.finfo(float).tiny), axis=-1)
+    return wrap(np.angle(blend))
+
+
+def _weights(d: Array) -> Array:
+    """How much each segment (..., P, 2) counts (..., P): 1 in all, 0 where the longest has no length."""
+    length = np.hypot(d[..., 0], d[..., 1])
+    longest = np.maximum(length.max(axis=-1, keepdims=True), np.finfo(float).tiny)
+    weight = np.maximum(0, length / longest - SHARE) ** 2
+    return weight / np.maximum(weight.sum(axis=-1, keepdims=True), np.finfo(float).tiny)
+
+
+def _signed_area(xy: Array) -> Array:
+    x, y = xy[..., 0], xy[..., 1]
+    return 0.5 * np.sum(x * np.roll(y, -1, axis=-1) - np.roll(x, -1, axis=-1) * y, axis=-1)
+
+
+def _size_row(xy: Array, points: Array) -> Array:
+    """Row (..., 6) of sigma: area_dot / (2 sigma), from the rows (..., N, 2, 6) of the points."""
+    area = _signed_area(xy)
+    after, before = np.roll(xy, -1, axis=-2), np.roll(xy, 1, axis=-2)
+    slope = 0.5 * np.stack([after[..., 1] - before[..., 1], before[..., 0] - after[..., 0]], axis=-1)
+    half_inv = 0.5 * bounded_inverse(np.sqrt(np.abs(area))) * np.sign(area)
+    return half_inv[..., None] * np.einsum("...nc,...nck->...k", slope, points)
+
+
+def _angle_row(xy: Array, points: Array) -> Array:
+    """Row (..., 6) of the longest segment's angle, from the rows (..., N, 2, 6) of the points."""
+    d = segments(xy)
+    i, j = np.triu_indices(xy.shape[-2], 1)
+    d_rows = points[..., j, :, :] - points[..., i, :, :]
+    across = np.stack([-d[..., 1], d[..., 0]], axis=-1)
+    share = _weights(d) * bounded_inverse(np.hypot(d[..., 0], d[..., 1])) ** 2
+    return np.einsum("...p,...pc,...pck->...k", share, across, d_rows)

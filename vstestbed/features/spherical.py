@@ -1,0 +1,61 @@
+"""Points on the unit sphere around the camera's centre."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from vstestbed.features.angles import bounded_inverse, wrap_together
+from vstestbed.features.base import checked
+from vstestbed.geometry import Array
+from vstestbed.spec import spec
+
+
+@spec
+class Spherical:
+    """Colatitude theta = atan2(hypot(X, Y), Z) and longitude phi = atan2(Y, X) of each ray; rows theta1, phi1, theta2, ...
+
+    theta_dot = -cos theta (c vx + s vy)/R + sin theta vz/R + s wx - c wy
+    phi_dot   = (s vx - c vy)/(R sin theta) + (c wx + s wy) cos theta/sin theta - wz,   c = cos phi, s = sin phi
+
+    R is the range, not the depth. theta lies in [0, pi]; an arc sine would fold what is behind the equator to the front.
+    On the axis phi is not defined: for sin theta < 1e-3 the factor 1/sin theta falls linearly to zero (`bounded_inverse`).
+
+    Reference: Corke 2017, Robotics, Vision & Control, eq. 16.15, doi:10.1007/978-3-319-54413-7.
+    """
+
+    kind: Literal["spherical"] = "spherical"
+    inputs: ClassVar[tuple[str, ...]] = ("ray", "range")
+    rows_per_marker: ClassVar[int] = 2
+    least_markers: ClassVar[int] = 1
+
+    def measure(self, ray: Array) -> Array:
+        """The vector s (..., 2N) [rad] of rays (..., N, 3), of any length."""
+        ray = np.asarray(ray, dtype=float)
+        X, Y, Z = ray[..., 0], ray[..., 1], ray[..., 2]
+        s = np.stack([np.arctan2(np.hypot(X, Y), Z), np.arctan2(Y, X)], axis=-1)
+        return s.reshape(*ray.shape[:-2], 2 * ray.shape[-2])
+
+    def interaction(self, ray: Array, range_: Array) -> Array:
+        """L (..., 2N, 6) of rays (..., N, 3) and the distance of each point from the camera's centre (..., N) [m].
+
+        Raises:
+            ParameterError: the shapes do not belong together, or a range is not positive.
+        """
+        ray, range_ = checked(ray, range_, self.inputs)
+        s = self.measure(ray).reshape(*ray.shape[:-1], 2)
+        (cos_t, cos), (sin_t, sin) = np.moveaxis(np.cos(s), -1, 0), np.moveaxis(np.sin(s), -1, 0)
+        inv_r, inv_sin = 1 / range_, bounded_inverse(sin_t)
+        L = np.zeros((*s.shape, 6))
+        L[..., 0, 0], L[..., 0, 1], L[..., 0, 2] = -cos_t * cos * inv_r, -cos_t * sin * inv_r, sin_t * inv_r
+        L[..., 0, 3], L[..., 0, 4] = sin, -cos
+        L[..., 1, 0], L[..., 1, 1] = sin * inv_sin * inv_r, -cos * inv_sin * inv_r
+        L[..., 1, 3], L[..., 1, 4], L[..., 1, 5] = cos * cos_t * inv_sin, sin * cos_t * inv_sin, -1
+        return L.reshape(*ray.shape[:-2], 2 * ray.shape[-2], 6)
+
+    def error(self, s: Array, s_star: Array) -> Array:
+        """Error s - s* (..., 2N); theta as it is, phi wrapped, all with one sign near a half turn (`wrap_together`)."""
+        e = np.subtract(s, s_star, dtype=float)
+        e[..., 1::2] = wrap_together(e[..., 1::2])
+        return e

@@ -1,0 +1,91 @@
+"""The rotation between two camera frames as an angle times an axis."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from vstestbed.geometry import Array, skew
+from vstestbed.spec import spec
+
+
+@spec
+class ThetaU:
+    """theta u of the rotation between the camera now and at the goal: three rows that need a pose, not pixels.
+
+    Args:
+        rotation: which one. "cdRc" is the camera's now in the goal's frame, R_goal_camera; "cRcd" its inverse,
+            R_camera_goal. c stands for the camera, cd for the camera desired.
+
+    Reference: Chaumette & Hutchinson 2006, section on PBVS, doi:10.1109/MRA.2006.250573.
+    """
+
+    kind: Literal["theta_u"] = "theta_u"
+    rotation: Literal["cdRc", "cRcd"] = "cdRc"
+    inputs: ClassVar[tuple[str, ...]] = ("T_camera_target",)
+    rows_per_marker: ClassVar[int] = 0
+
+    def measure(self, R: Array) -> Array:
+        """The vector s (..., 3) [rad] of the rotation R (..., 3, 3) that `rotation` names."""
+        return theta_u(R)
+
+    def interaction(self, R: Array) -> Array:
+        """L (..., 3, 6) of the rotation R (..., 3, 3) that `rotation` names: [0, L_w] for cdRc.
+
+        R_dot is R [w]x for cdRc and -[w]x R for cRcd, so that the second is minus the first at -theta u.
+        """
+        s = theta_u(R)
+        L = np.zeros((*s.shape, 6))
+        L[..., 3:] = rotation_interaction(s) if self.rotation == "cdRc" else -rotation_interaction(-s)
+        return L
+
+    def error(self, s: Array, s_star: Array) -> Array:
+        """The difference s - s* (..., 3) [rad]; at the goal s* = 0."""
+        return np.subtract(s, s_star, dtype=float)
+
+
+def theta_u(R: Array) -> Array:
+    """The vector theta u (..., 3) [rad], theta in [0, pi], of rotations R (..., 3, 3), exact near 0 and near a half turn.
+
+    By the unit quaternion (w, q), w >= 0: theta = 2 atan2(|q|, w). At an exact half turn u and -u are the same; then the
+    largest component of u is positive.
+    """
+    quaternion = _quaternion(np.asarray(R, dtype=float))
+    w, q = quaternion[..., :1], quaternion[..., 1:]
+    n = np.linalg.norm(q, axis=-1, keepdims=True)
+    some = n > 0
+    return q * np.where(some, 2 * np.arctan2(n, w) / np.where(some, n, 1), 2.0)
+
+
+def rotation_interaction(theta_u: Array) -> Array:
+    """L_w (..., 3, 3) with (theta u)_dot = L_w w for R_dot = R [w]x, of theta u (..., 3) [rad], theta <= pi.
+
+    L_w = I + S/2 + c S^2,  S = [theta u]x,  c = (1 - (theta/2) cot(theta/2))/theta^2; below 0.1 rad the series
+    1/12 + theta^2/720 + theta^4/30240, whose next term is under 1e-12.
+
+    Reference: Malis, Chaumette & Boudet 1999, doi:10.1109/70.760345, in the frame of w.
+    """
+    theta2 = np.sum(np.square(theta_u), axis=-1)
+    small = theta2 < 1e-2
+    half = 0.5 * np.sqrt(np.where(small, 1, theta2))
+    series = 1 / 12 + theta2 / 720 + theta2**2 / 30240
+    c = np.where(small, series, (1 - half * np.cos(half) / np.sin(half)) / (4 * half * half))
+    S = skew(theta_u)
+    return np.eye(3) + 0.5 * S + c[..., None, None] * (S @ S)
+
+
+def _quaternion(R: Array) -> Array:
+    """Unit quaternions (w, x, y, z) (..., 4), w >= 0, of R (..., 3, 3); see `geometry.quaternion_wxyz` for one."""
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = (np.moveaxis(row, -1, 0) for row in np.moveaxis(R, -2, 0))
+    columns = [
+        (1 + xx + yy + zz, zy - yz, xz - zx, yx - xy),
+        (zy - yz, 1 + xx - yy - zz, yx + xy, xz + zx),
+        (xz - zx, yx + xy, 1 - xx + yy - zz, zy + yz),
+        (yx - xy, xz + zx, zy + yz, 1 - xx - yy + zz),
+    ]
+    four = np.stack([np.stack(column, axis=-1) for column in columns], axis=-1)  # 4 q q^T
+    largest = np.diagonal(four, axis1=-2, axis2=-1).argmax(axis=-1)
+    q = np.take_along_axis(four, largest[..., None, None], axis=-1)[..., 0]
+    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    return np.where(q[..., :1] < 0, -q, q)
