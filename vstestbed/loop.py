@@ -13,6 +13,7 @@ import numpy as np
 from vstestbed.camera import Frame, Look
 from vstestbed.errors import ParameterError
 from vstestbed.geometry import Array
+from vstestbed.laws import Law
 from vstestbed.observation import Encoders
 from vstestbed.provenance import versions
 from vstestbed.recording import Layout, Log, Recording, Tick, Watcher
@@ -63,6 +64,7 @@ class _Servo:
         self.observer = _observer(scenario)
         self.seeing, self.observing, self.control = scenario.detector.init(), self.observer.init(), scenario.law.init(self.goal)
         self.detector: Detector[Any] = scenario.detector
+        self.law: Law[Any] = scenario.law
         self.count = 0
         self.before: Shot | None = None
 
@@ -80,7 +82,7 @@ class _Servo:
             twist = s.robot.measured_twist(last.encoders, shot.encoders, shot.t - last.t, shot.ordered, self.mount)
         self.observing, seen = self.observer.observe(self.observing, shot.t, detection, twist, self.rng)
         detected = time.perf_counter()
-        self.control, command = s.law.step(self.control, seen, self.goal, self.basis)
+        self.control, command = self.law.step(self.control, seen, self.goal, self.basis)
         allocation = s.robot.allocate(command.twist, self.plant.encoders(), self.mount, s.camera.period)
         self.plant.apply(allocation.setpoint)
         self.spent["detect"] += detected - began

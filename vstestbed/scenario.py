@@ -12,7 +12,7 @@ from annotated_types import Ge
 from vstestbed.camera import CAMERAS, Perspective
 from vstestbed.errors import ParameterError
 from vstestbed.geometry import Array, Pose, inverse, transform
-from vstestbed.laws import IBVS, LAWS
+from vstestbed.laws import IBVS, LAWS, PBVS, Hybrid, Partitioned
 from vstestbed.observation import Goal, OracleDepth, PnP
 from vstestbed.robots import ROBOTS, Free, Mount, Puma560
 from vstestbed.sim.clock import Clock
@@ -67,7 +67,7 @@ class Scenario:
     camera: Annotated[Perspective, CAMERAS] = Perspective()
     target: Annotated[Square | Points, TARGETS]
     detector: Annotated[Blobs | Oracle, DETECTORS] = Blobs()
-    law: Annotated[IBVS, LAWS]
+    law: Annotated[IBVS | Partitioned | PBVS | Hybrid, LAWS]
     goal: GoalView
     stop: Stop = Stop()
     noise: Noise = Noise()

@@ -270,7 +270,7 @@ def test_no_half_pixel_bias() -> None:
     offsets = []
     for _ in range(40):
         centres = CAMERA.project(transform(Pose(xyz=(0, 0, 1)).T, target.points)) + rng.uniform(-0.5, 0.5, 2)
-        found = _detect(Frame(t=0.0, images=(_drawn(centres, target.colors, 7.68)), target, blobs,))
+        found = _detect(Frame(t=0.0, images=(_drawn(centres, target.colors, 7.68),)), target, blobs)
         assert found.seen.all()
         offsets.append(found.uv - centres)
     # 160 markers with .07 px of rounding: the mean is known within .006 px.
@@ -281,7 +281,7 @@ def test_noise_in_the_picture() -> None:
     target = _square(Disc(radius=0.02))
     centres = CAMERA.project(transform(Pose(xyz=(0, 0, 1)).T, target.points))
     image = _drawn(centres, target.colors, 7.68).astype(float) + np.random.default_rng(0).normal(0, 8, (480, 640, 3))
-    found = _detect(Frame(t=0.0, images=(np.clip(np.round(image), 0, 255).astype(np.uint8)), target,))
+    found = _detect(Frame(t=0.0, images=(np.clip(np.round(image), 0, 255).astype(np.uint8),)), target)
     assert found.seen.all()
     assert np.abs(found.uv - centres).max() < 0.3
 
@@ -356,7 +356,7 @@ def test_noise_alone_holds_no_markers() -> None:
 def test_grey_pictures_hold_no_markers() -> None:
     target, blobs = _square(Disc(radius=0.02)), Blobs()
     ramp = np.repeat(np.tile(np.arange(640) * 255 // 639, (480, 1))[..., None], 3, axis=2).astype(np.uint8)
-    memory, found = blobs.detect(blobs.init(), Frame(t=0.0, images=(ramp), None, CAMERA, target, RNG,))
+    memory, found = blobs.detect(blobs.init(), Frame(t=0.0, images=(ramp,)), None, CAMERA, target, RNG)
     assert not found.seen.any()
     assert memory.blobs == (None,) * 4
     assert memory.T_camera_target is None

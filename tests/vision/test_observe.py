@@ -28,7 +28,7 @@ def _detection(T: Array, lost: tuple[int, ...] = (), oracle: bool = False) -> De
     p = transform(T, TARGET.points)
     uv = CAMERA.project(p)
     uv[list(lost)] = np.nan
-    return Detection(uv=uv, depth=p[:, 2] if oracle else None)
+    return Detection(uv=uv, p_camera=p if oracle else None)
 
 
 def _once(depth: Depth, detection: Detection) -> Observation:

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from vstestbed.geometry import Array, Pose
 from vstestbed.spec import spec
 
-
 Image = NDArray[np.uint8]
 Window = tuple[int, int, int, int]
 """Left, top, right, bottom [px]; right and bottom are the first column and row that no longer belong to it."""

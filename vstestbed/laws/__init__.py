@@ -1,9 +1,12 @@
 """Control laws: what the camera saw, in; a velocity, out. A law never touches a simulator."""
 
 from vstestbed.laws.base import Command, Law
+from vstestbed.laws.hybrid import Hybrid
 from vstestbed.laws.ibvs import IBVS
+from vstestbed.laws.partitioned import Partitioned
+from vstestbed.laws.pbvs import PBVS
 from vstestbed.spec import OneOf
 
-LAWS = OneOf("law", IBVS)
+LAWS = OneOf("law", IBVS, Partitioned, PBVS, Hybrid)
 
-__all__ = ["IBVS", "LAWS", "Command", "Law"]
+__all__ = ["IBVS", "LAWS", "PBVS", "Command", "Hybrid", "Law", "Partitioned"]

@@ -82,7 +82,7 @@ class Hybrid:
         return None if T is None else (T[:3, 3] / o[2], goal.T_camera_target[:3, :3] @ T[:3, :3].T)
 
     def feature(self, m: Array, R_goal_camera: Array, goal_origin: Array) -> tuple[Array, Array]:
-        """e (6,) and L (6, 6) of the origin at m Z* (3,), the rotation (3, 3), and the origin at the goal (3,) [m]."""
+        """The error (6,) and L (6, 6), of the origin at m Z* (3,), the rotation (3, 3), and the origin at the goal (3,) [m]."""
         xy, goal_xy, ratio = m[:2] / m[2], goal_origin[:2] / goal_origin[2], m[2]
         Z = ratio * goal_origin[2]
         L = np.zeros((6, 6))

@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-import numpy as np
 from annotated_types import Ge
 
 from vstestbed.features import FEATURES, Line, Point, Polar, Polygon, Spherical
@@ -80,9 +79,7 @@ class IBVS:
         if isinstance(rows, str):
             return IBVSMemory(), Command.rest(basis, rows)
         what = self.inputs[0]
-        e = self.feature.error(
-            self.feature.measure(getattr(observation, what)[rows]), self.feature.measure(getattr(goal, what)[rows])
-        )
+        e = self.feature.error(self.feature.measure(getattr(observation, what)[rows]), self.feature.measure(getattr(goal, what)[rows]))
         solved = least_squares(self._interaction(observation, goal, rows) @ basis, e)  # pinv(L B) e
         u = -self.gain.at(solved) * solved
         if self.smooth_start_s > 0:
@@ -102,5 +99,3 @@ class IBVS:
         if self.interaction == "mean":
             L = 0.5 * (L + self.feature.interaction(getattr(goal, what)[rows], getattr(goal, distance)[rows]))
         return L
-
-

@@ -90,9 +90,7 @@ class Partitioned:
             raise ParameterError("law.kind", words)
         return 3
 
-    def step(
-        self, memory: PartitionedMemory, observation: Observation, goal: Goal, basis: Array
-    ) -> tuple[PartitionedMemory, Command]:
+    def step(self, memory: PartitionedMemory, observation: Observation, goal: Goal, basis: Array) -> tuple[PartitionedMemory, Command]:
         """One frame, with the markers that are seen; rest when they are too few."""
         rows = usable_rows(observation, self.inputs, self.markers_needed(basis))
         if isinstance(rows, str):
@@ -104,7 +102,7 @@ class Partitioned:
         if self.visibility.margin_px > 0:
             twist = twist + basis @ self.visibility.push(observation, goal, basis)
         twist = twist * (scale := self.limits.scale(twist))
-        return PartitionedMemory(turn), Command(u=np.linalg.solve(basis, twist), twist=twist, scale=scale)
+        return PartitionedMemory(turn), Command(u=least_squares(basis, twist), twist=twist, scale=scale)
 
     def _twist(self, observation: Observation, goal: Goal, rows: Rows, along: float, about: float) -> Array:
         xy = observation.xy[rows]
@@ -118,9 +116,9 @@ class Partitioned:
 
     def _turn(self, memory: PartitionedMemory, angle: float) -> float:
         """The turn still to be made [rad]: the way chosen at the first frame, gone on with."""
-        ways = [angle + k * 2 * math.pi for k in (-1, 0, 1)]
-        if memory.turn is not None:
-            return min(ways, key=lambda way: abs(way - memory.turn))
+        last, ways = memory.turn, [angle + k * 2 * math.pi for k in (-1, 0, 1)]
+        if last is not None:
+            return min(ways, key=lambda way: abs(way - last))
         if self.turn_limits_deg is None:
             return angle
         low, high = (math.radians(limit) for limit in self.turn_limits_deg)

@@ -66,7 +66,7 @@ class PBVS:
         return None, Command(u=u * scale, twist=basis @ u * scale, scale=scale)
 
     def feature(self, T_camera_target: Array, T_goal_target: Array) -> tuple[Array, Array]:
-        """s (6,) and L (6, 6) at two poses (4, 4) of the target, in the camera's frame and in the goal's."""
+        """The vector s (6,) and L (6, 6) at two poses (4, 4) of the target, in the camera's frame and in the goal's."""
         T = T_goal_target @ inverse(T_camera_target)  # T_goal_camera
         L = np.zeros((6, 6))
         L[3:] = _THETA_U.interaction(T[:3, :3])

@@ -18,6 +18,7 @@ from vstestbed.sim.pinhole import pinhole_of, resampling_maps
 from vstestbed.sim.scene import LENS_GROUP
 from vstestbed.sim.stage import Stage
 
+
 class View:
     """One camera of a stage, kept; `picture` renders what it sees now.
 

@@ -38,7 +38,7 @@ def relative_view(goal_xy: Array, xy: Array, goal_normal: Array) -> Relative | N
         return None
     H = H if ratios.min() > 0 else -H
     _, rotations, _, normals = cv2.decomposeHomographyMat(H, _K)
-    best = max(range(len(rotations)), key=lambda i: _fit(normals[i].ravel(), goal_xy, goal_normal))
+    best = max(range(len(rotations)), key=lambda i: _fit(np.asarray(normals[i], dtype=float).ravel(), goal_xy, goal_normal))
     return Relative(H=H, R_camera_goal=np.asarray(rotations[best], dtype=float))
 
 

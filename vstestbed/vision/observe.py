@@ -111,12 +111,12 @@ class Observer:
         """
         n = len(detection.uv)
         match self.depth:
-            case PnP() if T is None:
-                return np.full(n, np.nan), np.full(n, np.nan) if self._rays else None
-            case PnP():
+            case PnP() if T is not None:
                 p = transform(T, self.target.points)
                 depth = np.where(np.isfinite(xy[:, 0]), np.maximum(p[:, 2], NEAREST_M), p[:, 2])
                 return depth, np.linalg.norm(p, axis=1) if self._rays else None
+            case PnP():
+                return np.full(n, np.nan), np.full(n, np.nan) if self._rays else None
             case Constant(depth_m=depth):
                 return np.full(n, depth), np.full(n, depth) if self._rays else None
             case AtGoal():
