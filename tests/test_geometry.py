@@ -12,6 +12,8 @@ from vstestbed.errors import ParameterError
 from vstestbed.geometry import (
     Pose,
     adjoint,
+    angles,
+    direction,
     exp,
     inverse,
     pose_from,
@@ -125,3 +127,17 @@ class TestPoses:
             Pose(xyz=(1, 2))
         with pytest.raises(ParameterError, match="rpy_deg"):
             Pose(rpy_deg=(1, 2, float("nan")))
+
+
+def test_angles_and_directions_are_inverse():
+    p = np.random.default_rng(5).standard_normal((3, 1000, 3))
+    theta_phi = angles(p)
+    unit = p / np.linalg.norm(p, axis=-1, keepdims=True)
+    np.testing.assert_allclose(np.cos(theta_phi[..., 0]), unit[..., 2], atol=1e-15)
+    np.testing.assert_allclose(direction(theta_phi), unit, atol=1e-15)
+
+
+def test_angles_on_and_near_the_axis():
+    p = np.array([[0, 0, 2.0], [-0.0, 0.0, -1.0], [1e-12, 0, 1.0], [0, 1e-12, -1.0], [0, 0, 0]])
+    expected = [[0, 0], [np.pi, 0], [1e-12, 0], [np.pi - 1e-12, np.pi / 2], [np.nan, np.nan]]
+    np.testing.assert_allclose(angles(p), expected, rtol=1e-15, atol=0)

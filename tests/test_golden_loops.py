@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import functools
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,11 @@ import pytest
 from spatialmath import SE3, UnitQuaternion
 
 import vstestbed as vs
+from vstestbed import loop
 from vstestbed.camera import Perspective
+from vstestbed.features import Point, Polar
 from vstestbed.geometry import Pose
-from vstestbed.laws import IBVS
+from vstestbed.laws import IBVS, PBVS, Hybrid
 from vstestbed.laws.base import AdaptiveGain, ConstantGain
 from vstestbed.observation import OracleDepth
 from vstestbed.robots import Free
@@ -28,7 +31,7 @@ HERE = Path(__file__).parent / "golden"
 SET = json.loads((HERE / "closed_loop_scenarios.json").read_text())
 STARTS = {s["name"]: s for s in SET["scenarios"]}
 with (HERE / "closed_loop_summary.csv").open() as file:
-    ROWS = [row for row in csv.DictReader(file) if row["law"].startswith("ibvs_point")]
+    ROWS = list(csv.DictReader(file))
 # f = 800 px on 1000 x 1000; the picture has no border for this oracle.
 CAMERA = Perspective(width=1000, height=1000, focal_length_m=0.008, pixel_size_m=1e-5, rate_hz=1 / SET["dt"])
 # Exact half turns: rounding decides where the camera goes before it ends (tests/golden/README.md), not how it ends.
@@ -41,10 +44,23 @@ def pose(xyz: list[float], q_xyzw: list[float]) -> Pose:
     return Pose(xyz=tuple(map(float, xyz)), rpy_deg=tuple(map(float, T.rpy(order="zyx", unit="deg"))))
 
 
+def law_of(name: str, interaction: str) -> IBVS | PBVS | Hybrid:
+    """The law that a row of the golden file is about; there, every angle is wrapped by itself."""
+    family, _, variant = name.partition("_")
+    gain = ConstantGain(value=SET["gain"])
+    if family == "pbvs":
+        return PBVS(gain=gain, translation=variant)  # pyright: ignore[reportArgumentType]
+    if family == "vs2half":  # two ways to write the rotation, which move alike: tried with our two sources of it
+        return Hybrid(gain=gain, source="homography" if variant == "cdRc" else "model")
+    if variant == "point_adaptive":
+        gain = AdaptiveGain(at_zero=4, at_infinity=0.4, slope_at_zero=30)
+    feature = Polar(together=False) if variant == "polar" else Point()
+    return IBVS(gain=gain, feature=feature, interaction=interaction.lower(), depth=OracleDepth())  # pyright: ignore[reportArgumentType]
+
+
 @functools.cache
 def fly(start: str, law: str, interaction: str) -> vs.Recording:
     s = STARTS[start]
-    gain = AdaptiveGain(at_zero=4, at_infinity=0.4, slope_at_zero=30) if law == "ibvs_point_adaptive" else ConstantGain(value=SET["gain"])
     goal = np.linalg.inv(pose(s["wtc_goal"], s["wqc_goal_xyzw"]).T)
     assert np.array_equal(goal[:3, :3], np.eye(3))
     scenario = Scenario(
@@ -52,10 +68,10 @@ def fly(start: str, law: str, interaction: str) -> vs.Recording:
         camera=CAMERA,
         target=Square(side=2 * s["square_half_side"], pose=Pose()),
         detector=Oracle(field_of_view="unlimited"),
-        law=IBVS(gain=gain, interaction=interaction.lower(), depth=OracleDepth()),
+        law=law_of(law, interaction),
         goal=GoalView(T_camera_target=Pose(xyz=tuple(goal[:3, 3].tolist()))),
-        # RMS of 8 coordinates at f = 800: a norm of 1e-4 is .028 px.
-        stop=Stop(duration_s=SET["max_iterations"] * SET["dt"], converged=Converged(error_px=0.02, hold_s=0)),
+        # RMS of 8 coordinates at f = 800: a norm of 1e-5, at which the golden runs end, is .0028 px.
+        stop=Stop(duration_s=SET["max_iterations"] * SET["dt"], converged=Converged(error_px=1e-5 * 800 / np.sqrt(8), hold_s=0)),
     )
     return vs.run(scenario)
 
@@ -71,9 +87,28 @@ def first_under(r: vs.Recording, norm: float) -> int:
     return int(np.argmax(r["error_px"] * np.sqrt(8) / CAMERA.f < norm))
 
 
-@pytest.mark.parametrize("row", ROWS, ids=lambda row: f"{row['scenario']}-{row['law'][5:]}-{row['L'].lower()}")
-def test_golden_row(row: dict[str, str]):
+def decided_by_rounding(row: dict[str, str]) -> bool:
+    """Rows in which rounding, or the choice of an angle's branch, says where the camera goes (tests/golden/README.md)."""
+    polar = row["law"] == "ibvs_polar"
+    return polar and (row["scenario"] in HALF_TURNS or (row["scenario"], row["L"]) == ("visp_tutorial", "DESIRED"))
+
+
+def name(row: dict[str, str]) -> str:
+    return f"{row['scenario']}-{row['law']}-{row['L'].lower()}"
+
+
+@pytest.mark.parametrize("row", [row for row in ROWS if not decided_by_rounding(row)], ids=name)
+def test_golden_row(row: dict[str, str], monkeypatch: pytest.MonkeyPatch):
+    if name(row) == "book_sph-ibvs_polar-desired":
+        # The camera goes behind the target's plane with all points in front of its lens, which ends a run here, not there.
+        assert status(fly(row["scenario"], row["law"], row["L"])) == "target_plane_crossed_or_behind"
+        seen_from_behind = loop._evidence
+        monkeypatch.setattr(loop, "_evidence", lambda scenario, tick: replace(seen_from_behind(scenario, tick), behind=False))
+        fly.cache_clear()
     r = fly(row["scenario"], row["law"], row["L"])
+    if row["status"] == "target_plane_crossed_or_behind":
+        assert r.outcome is vs.Outcome.target_lost
+        return
     assert status(r) == row["status"]
     if row["status"] != "converged":
         assert row["scenario"] in HALF_TURNS
@@ -90,7 +125,10 @@ def test_every_start_is_there():
     assert {(row["scenario"], row["law"], row["L"]) for row in ROWS} == {
         (start, law, L)
         for start in STARTS
-        for law, L in (("ibvs_point", "CURRENT"), ("ibvs_point", "DESIRED"), ("ibvs_point", "MEAN"), ("ibvs_point_adaptive", "CURRENT"))
+        for law, L in (
+            *((f"ibvs_{feature}", L) for feature in ("point", "polar") for L in ("CURRENT", "DESIRED", "MEAN")),
+            *((law, "CURRENT") for law in ("ibvs_point_adaptive", "pbvs_cdMc", "pbvs_cMcd", "pbvs_cMo", "vs2half_cdRc", "vs2half_cRcd")),
+        )
     }
     assert len(STARTS) == 8
 

@@ -109,6 +109,24 @@ def adjoint(T_a_b: Array) -> Array:
     return out
 
 
+def angles(p: Array) -> Array:
+    """Directions p (..., 3), of any length, as (theta, phi) (..., 2) [rad]: from the z axis in [0, pi], and about it from x to y.
+
+    theta = atan2(hypot(X, Y), Z), phi = atan2(Y, X): exact near the axis too; on it phi is 0. NaN for no direction (p = 0).
+    """
+    x, y, z = p[..., 0], p[..., 1], p[..., 2]
+    across = np.hypot(x, y)
+    theta = np.where((across > 0) | (z != 0), np.arctan2(across, z), np.nan)
+    return np.stack([theta, np.where(across > 0, np.arctan2(y, x), 0.0 * theta)], axis=-1)
+
+
+def direction(theta_phi: Array) -> Array:
+    """Unit vectors (..., 3) of angles (theta, phi) (..., 2) [rad]: the inverse of `angles`."""
+    theta, phi = theta_phi[..., 0], theta_phi[..., 1]
+    across = np.sin(theta)
+    return np.stack([across * np.cos(phi), across * np.sin(phi), np.cos(theta)], axis=-1)
+
+
 def rotation_angle(R: Array) -> Array:
     """Angle of a rotation (..., 3, 3) in [0, pi] rad; exact near 0 and near pi (half-angle arc tangent)."""
     sine = np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], axis=-1)

@@ -2,13 +2,30 @@
 
 The centre of the first pixel is (0, 0), u to the right, v down (OpenCV's convention); a picture of W x H pixels
 thus covers u in [-0.5, W - 0.5]. Camera axes: x right, y down, z forward. `uv` is pixels, `xy` is normalised
-(X/Z, Y/Z), `depth` is Z, `range` is the norm.
+(X/Z, Y/Z), `depth` is Z, `range` is the norm; theta is a ray's angle from z, phi its angle about z, from x towards y.
 """
 
 from vstestbed.camera.base import Camera, Frame, Image, Look, Panel, Window
+from vstestbed.camera.catadioptric import Catadioptric
+from vstestbed.camera.fisheye import Fisheye
 from vstestbed.camera.perspective import Perspective
+from vstestbed.camera.radial import Radial
+from vstestbed.camera.spherical import Spherical
 from vstestbed.spec import OneOf
 
-CAMERAS = OneOf("camera", Perspective, default="perspective")
+CAMERAS = OneOf("camera", Perspective, Fisheye, Catadioptric, Spherical, default="perspective")
 
-__all__ = ["CAMERAS", "Camera", "Frame", "Image", "Look", "Panel", "Perspective", "Window"]
+__all__ = [
+    "CAMERAS",
+    "Camera",
+    "Catadioptric",
+    "Fisheye",
+    "Frame",
+    "Image",
+    "Look",
+    "Panel",
+    "Perspective",
+    "Radial",
+    "Spherical",
+    "Window",
+]

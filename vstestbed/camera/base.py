@@ -8,9 +8,10 @@ from functools import cached_property
 from typing import Annotated, Literal
 
 import numpy as np
-from annotated_types import Ge, Gt, Le
+from annotated_types import Ge, Gt, Le, Len
 from numpy.typing import NDArray
 
+from vstestbed.errors import ParameterError
 from vstestbed.geometry import Array, Pose
 from vstestbed.spec import spec
 
@@ -19,6 +20,8 @@ Window = tuple[int, int, int, int]
 """Left, top, right, bottom [px]; right and bottom are the first column and row that no longer belong to it."""
 Look = tuple[tuple[Window, ...], ...]
 """Where somebody is going to look: for each panel of a camera its windows, none where the panel does not matter."""
+FORWARD_COSINE = 1e-6
+"""A ray has normalised coordinates when its Z is larger: from there on X/Z is no measure of anything."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +64,7 @@ class Camera(ABC):
         multisampling: samples per pixel of the rendered picture (0: one sample, cheap, jagged marker borders).
         shadows: whether the servo camera's picture has shadows (cost: several times the frame).
         renderer: `gl` (OpenGL) or `auto` (the best that works on this machine).
+        principal_px: (cx, cy) [px], where the optical axis meets the picture; default its middle ((W-1)/2, (H-1)/2).
     """
 
     width: Annotated[int, Ge(8), Le(8192)] = 640
@@ -71,6 +75,12 @@ class Camera(ABC):
     multisampling: Literal[0, 2, 4, 8, 16] = 0
     shadows: bool = False
     renderer: Literal["auto", "gl"] = "auto"
+    principal_px: Annotated[tuple[float, ...], Len(2, 2)] | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse a principal point outside the picture."""
+        if self.principal_px is not None and not self.inside(np.array(self.principal_px)):
+            raise ParameterError("principal_px", f"must lie in the {self.width} x {self.height} picture", self.principal_px)
 
     @property
     def period(self) -> float:
@@ -82,17 +92,26 @@ class Camera(ABC):
         """The pictures in which markers are looked for: the camera's own, unless its lens has no image plane."""
         return (Panel(self, np.eye(3)),)
 
+    @cached_property
+    def centre(self) -> Array:
+        """Principal point (cx, cy) [px], shape (2,)."""
+        if self.principal_px is not None:
+            return np.array(self.principal_px, dtype=float)
+        return np.array([(self.width - 1) / 2, (self.height - 1) / 2])
+
     @abstractmethod
     def project(self, p_camera: Array) -> Array:
         """Pixels uv (..., N, 2) of points p_camera (..., N, 3) [m]; NaN where the lens cannot see that direction."""
 
     @abstractmethod
     def ray(self, uv: Array) -> Array:
-        """Unit rays (..., N, 3) in the camera frame of pixels uv (..., N, 2): the inverse of `project`."""
+        """Unit rays (..., N, 3) in the camera frame of pixels uv (..., N, 2): the inverse of `project`, NaN where there is none."""
 
-    @abstractmethod
     def normalise(self, uv: Array) -> Array:
-        """Normalised coordinates xy (..., N, 2) = (X/Z, Y/Z) of pixels uv (..., N, 2)."""
+        """Normalised coordinates xy (..., N, 2) = (X/Z, Y/Z) of pixels uv (..., N, 2); NaN for rays sideways and back."""
+        ray = self.ray(uv)
+        z = ray[..., 2:]
+        return ray[..., :2] / np.where(z > FORWARD_COSINE, z, np.nan)
 
     def inside(self, uv: Array, margin: float = 0.0) -> NDArray[np.bool_]:
         """Whether pixels uv (..., N, 2) lie in the picture, at least `margin` px from its border; NaN does not."""

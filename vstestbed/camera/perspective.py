@@ -28,7 +28,6 @@ class Perspective(Camera):
     Args:
         fovy_deg: full vertical field of view [deg], f = (H/2) / tan(fovy/2); default 64.
         focal_length_m, pixel_size_m: instead of fovy_deg, lens and pixel pitch [m], f = focal_length / pixel_size.
-        principal_px: (cx, cy) [px]; default the middle of the picture ((W-1)/2, (H-1)/2).
         distortion: (k1, k2, p1, p2, k3), applied to the rendered picture.
 
     Reference: Brown 1971; OpenCV's calibration module for the order of the coefficients.
@@ -38,11 +37,11 @@ class Perspective(Camera):
     fovy_deg: Annotated[float, Gt(0), Lt(175)] | None = None
     focal_length_m: Annotated[float, Gt(0)] | None = None
     pixel_size_m: Annotated[float, Gt(0)] | None = None
-    principal_px: Annotated[tuple[float, ...], Len(2, 2)] | None = None
     distortion: Annotated[tuple[float, ...], Len(5, 5)] | None = None
 
     def __post_init__(self) -> None:
         """Refuse contradictory intrinsics and a distortion that folds the picture over itself."""
+        super().__post_init__()
         if (self.focal_length_m is None) != (self.pixel_size_m is None):
             missing = "pixel_size_m" if self.pixel_size_m is None else "focal_length_m"
             raise ParameterError(missing, "is missing: a lens is given by focal_length_m and pixel_size_m together")
@@ -50,8 +49,6 @@ class Perspective(Camera):
             raise ParameterError("fovy_deg", "and focal_length_m say the same thing twice; give one of them")
         if self.focal_length_m is None and self.fovy_deg is None:
             object.__setattr__(self, "fovy_deg", DEFAULT_FOVY_DEG)  # so that the scenario as run tells it
-        if self.principal_px is not None and not self.inside(np.array(self.principal_px)):
-            raise ParameterError("principal_px", f"must lie in the {self.width} x {self.height} picture", self.principal_px)
         if self.distortion is not None:
             self._check_distortion()
 
@@ -71,13 +68,6 @@ class Perspective(Camera):
         if self.focal_length_m is not None and self.pixel_size_m is not None:
             return self.focal_length_m / self.pixel_size_m
         return self.height / 2 / math.tan(math.radians(self.fovy_deg or DEFAULT_FOVY_DEG) / 2)
-
-    @cached_property
-    def centre(self) -> Array:
-        """Principal point (cx, cy) [px], shape (2,)."""
-        if self.principal_px is not None:
-            return np.array(self.principal_px, dtype=float)
-        return np.array([(self.width - 1) / 2, (self.height - 1) / 2])
 
     @cached_property
     def K(self) -> Array:

@@ -6,7 +6,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from vstestbed.features.angles import bounded_inverse, wrap_together
+from vstestbed.features.angles import bounded_inverse, wrap, wrap_together
 from vstestbed.features.base import checked
 from vstestbed.geometry import Array
 from vstestbed.spec import spec
@@ -22,10 +22,15 @@ class Polar:
     A point at the principal point has no angle: for r < 1e-3 the factor 1/r falls linearly to zero (`bounded_inverse`),
     so that of the row of phi nothing but -wz stays at r = 0.
 
+    Args:
+        together: near a half turn, all angles turn the same way (`wrap_together`); else each is wrapped alone, as in print,
+            and rounding sends some one way and some the other.
+
     Reference: Corke 2017, Robotics, Vision & Control, eq. 16.9, doi:10.1007/978-3-319-54413-7.
     """
 
     kind: Literal["polar"] = "polar"
+    together: bool = True
     inputs: ClassVar[tuple[str, ...]] = ("xy", "depth")
     rows_per_marker: ClassVar[int] = 2
     least_markers: ClassVar[int] = 1
@@ -56,5 +61,5 @@ class Polar:
     def error(self, s: Array, s_star: Array) -> Array:
         """Error s - s* (..., 2N); the angles wrapped, all with one sign near a half turn (`wrap_together`)."""
         e = np.subtract(s, s_star, dtype=float)
-        e[..., 1::2] = wrap_together(e[..., 1::2])
+        e[..., 1::2] = wrap_together(e[..., 1::2]) if self.together else wrap(e[..., 1::2])
         return e

@@ -6,7 +6,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from vstestbed.features.angles import bounded_inverse, wrap_together
+from vstestbed.features.angles import bounded_inverse, wrap, wrap_together
 from vstestbed.features.base import checked
 from vstestbed.geometry import Array
 from vstestbed.spec import spec
@@ -22,10 +22,15 @@ class Spherical:
     R is the range, not the depth. theta lies in [0, pi]; an arc sine would fold what is behind the equator to the front.
     On the axis phi is not defined: for sin theta < 1e-3 the factor 1/sin theta falls linearly to zero (`bounded_inverse`).
 
+    Args:
+        together: near a half turn, all angles turn the same way (`wrap_together`); else each is wrapped alone, as in print,
+            and rounding sends some one way and some the other.
+
     Reference: Corke 2017, Robotics, Vision & Control, eq. 16.15, doi:10.1007/978-3-319-54413-7.
     """
 
     kind: Literal["spherical"] = "spherical"
+    together: bool = True
     inputs: ClassVar[tuple[str, ...]] = ("ray", "range")
     rows_per_marker: ClassVar[int] = 2
     least_markers: ClassVar[int] = 1
@@ -57,5 +62,5 @@ class Spherical:
     def error(self, s: Array, s_star: Array) -> Array:
         """Error s - s* (..., 2N); theta as it is, phi wrapped, all with one sign near a half turn (`wrap_together`)."""
         e = np.subtract(s, s_star, dtype=float)
-        e[..., 1::2] = wrap_together(e[..., 1::2])
+        e[..., 1::2] = wrap_together(e[..., 1::2]) if self.together else wrap(e[..., 1::2])
         return e

@@ -6,7 +6,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from vstestbed.features import Point, ThetaU
+from vstestbed.features import LogDepth, Point, ThetaU
 from vstestbed.geometry import Array
 from vstestbed.laws.base import Command, ConstantGain, Gain, TwistLimits
 from vstestbed.laws.select import NO_POSE, TOO_FEW
@@ -15,7 +15,7 @@ from vstestbed.laws.visibility import Visibility
 from vstestbed.observation import Depth, Goal, Observation, PnP
 from vstestbed.spec import spec
 
-_THETA_U, _POINT = ThetaU(), Point()
+_THETA_U, _POINT, _LOG_DEPTH = ThetaU(), Point(), LogDepth()
 
 
 @spec
@@ -85,8 +85,6 @@ class Hybrid:
         """The error (6,) and L (6, 6), of the origin at m Z* (3,), the rotation (3, 3), and the origin at the goal (3,) [m]."""
         xy, goal_xy, ratio = m[:2] / m[2], goal_origin[:2] / goal_origin[2], m[2]
         Z = ratio * goal_origin[2]
-        L = np.zeros((6, 6))
-        L[:2] = _POINT.interaction(xy[None], np.array([Z]))
-        L[2] = 0.0, 0.0, -1 / Z, -xy[1], xy[0], 0.0
-        L[3:] = _THETA_U.interaction(R_goal_camera)
+        at, depth = xy[None], np.array([Z])
+        L = np.concatenate([_POINT.interaction(at, depth), _LOG_DEPTH.interaction(at, depth), _THETA_U.interaction(R_goal_camera)])
         return np.concatenate([xy - goal_xy, [np.log(ratio)], _THETA_U.measure(R_goal_camera)]), L

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Gt, Len
@@ -68,12 +68,16 @@ class Partitioned:
     depth: Depth = PnP()
     limits: TwistLimits = TwistLimits()
     visibility: Visibility = Visibility()
-    inputs: ClassVar[tuple[str, ...]] = ("xy", "depth")
 
     def __post_init__(self) -> None:
         """Refuse limits that leave no way to turn."""
         if self.turn_limits_deg is not None and not self.turn_limits_deg[0] <= 0 <= self.turn_limits_deg[1]:
             raise ParameterError("turn_limits_deg", "must be [low, high] with low <= 0 <= high", self.turn_limits_deg)
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """The fields of an Observation that it looks at."""
+        return ("xy", "depth")
 
     def init(self, goal: Goal) -> PartitionedMemory:
         """No turn chosen yet."""

@@ -6,8 +6,8 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from vstestbed.features import ThetaU
-from vstestbed.geometry import Array, inverse, skew
+from vstestbed.features import ThetaU, Translation
+from vstestbed.geometry import Array, inverse
 from vstestbed.laws.base import Command, ConstantGain, Gain, TwistLimits
 from vstestbed.laws.select import NO_POSE, TOO_FEW
 from vstestbed.laws.solve import least_squares
@@ -19,12 +19,13 @@ _THETA_U = ThetaU()
 
 @spec
 class PBVS:
-    """u = -lambda pinv(L B) s with s = (t, theta u), zero at the goal; the camera twist is v = B u.
+    """u = -lambda pinv(L B) e with e = (t - t*, theta u); the camera twist is v = B u.
 
     The rotation is theta u of R = R_goal_camera; the translation t and its rows of L, with o the target's origin:
     `cdMc`  t of the camera in the goal's frame,            L_t = [R, 0]: the camera goes straight to its goal;
     `cMcd`  t of the goal in the camera's frame,            L_t = [-I, [t]x]: the same way;
-    `cMo`   t_camera_o - t_goal_o,                          L_t = [-I, [t_camera_o]x]: the target's origin goes straight in the image.
+    `cMo`   t of the target in the camera's frame,          L_t = [-I, [t]x]: the target's origin goes straight to where it is
+    in the goal's frame, so that it stays in view.
     The pose comes from the markers' pixels and the known target (perspective-n-point); its errors are the law's.
 
     Errata. Corke 2017, section 15.1, moves the camera by a share of the pose error at each step, SE3 interpolation, which is
@@ -43,7 +44,11 @@ class PBVS:
     translation: Literal["cdMc", "cMcd", "cMo"] = "cdMc"
     limits: TwistLimits = TwistLimits()
     depth: ClassVar[Depth] = PnP()
-    inputs: ClassVar[tuple[str, ...]] = ("T_camera_target",)
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """The fields of an Observation that it looks at."""
+        return ("T_camera_target",)
 
     def init(self, goal: Goal) -> None:
         """No memory."""
@@ -59,23 +64,17 @@ class PBVS:
             return None, Command.rest(basis, TOO_FEW)
         if T is None:
             return None, Command.rest(basis, NO_POSE)
-        s, L = self.feature(T, goal.T_camera_target)
-        solved = least_squares(L @ basis, s)
+        e, L = self.feature(T, goal.T_camera_target)
+        solved = least_squares(L @ basis, e)
         u = -self.gain.at(solved) * solved
         scale = self.limits.scale(basis @ u)
         return None, Command(u=u * scale, twist=basis @ u * scale, scale=scale)
 
     def feature(self, T_camera_target: Array, T_goal_target: Array) -> tuple[Array, Array]:
-        """The vector s (6,) and L (6, 6) at two poses (4, 4) of the target, in the camera's frame and in the goal's."""
-        T = T_goal_target @ inverse(T_camera_target)  # T_goal_camera
-        L = np.zeros((6, 6))
-        L[3:] = _THETA_U.interaction(T[:3, :3])
-        if self.translation == "cdMc":
-            t, L[:3, :3] = T[:3, 3], T[:3, :3]
-        else:
-            t = at = -T[:3, :3].T @ T[:3, 3]
-            if self.translation == "cMo":
-                at = T_camera_target[:3, 3]
-                t = at - T_goal_target[:3, 3]
-            L[:3, :3], L[:3, 3:] = -np.eye(3), skew(at)
-        return np.concatenate([t, _THETA_U.measure(T[:3, :3])]), L
+        """The error (6,) and L (6, 6) at two poses (4, 4) of the target, in the camera's frame and in the goal's."""
+        T_goal_camera = T_goal_target @ inverse(T_camera_target)
+        seen = {"cdMc": T_goal_camera, "cMcd": inverse(T_goal_camera), "cMo": T_camera_target}[self.translation]
+        t, R = Translation(pose=self.translation), T_goal_camera[:3, :3]
+        s_star = T_goal_target[:3, 3] if self.translation == "cMo" else np.zeros(3)
+        e = np.concatenate([t.error(t.measure(seen), s_star), _THETA_U.measure(R)])
+        return e, np.concatenate([t.interaction(seen), _THETA_U.interaction(R)])

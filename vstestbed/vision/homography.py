@@ -8,22 +8,19 @@ import numpy as np
 from vstestbed.geometry import Array
 from vstestbed.observation import Relative
 
-_K = np.eye(3)
-
 
 def relative_view(goal_xy: Array, xy: Array, goal_normal: Array) -> Relative | None:
     """The Euclidean homography H = R + t n^T / d from the goal's view to this one, and R; None where it cannot be told.
 
     H maps m* (goal, normalised, third coordinate 1) to (Z/Z*) m: its scale is the one that makes the middle singular value
-    1, its sign the one that keeps the points in front of the camera. It falls apart in up to four ways; of those that leave
-    the points on the plane's visible side, the one whose normal is nearest to the goal's is taken.
+    1, its sign the one that keeps the points in front of the camera. (OpenCV's own decomposition gives nan at some half turns
+    and loses half of the digits near the goal, hence `_rotation`.)
 
     Args:
         goal_xy, xy: normalised coordinates of N >= 4 points of one plane in either view, shape (N, 2); NaN where not seen.
         goal_normal: unit normal (3,) of the plane in the goal's frame, away from the camera, as the goal view has it.
 
-    References: Faugeras & Lustman 1988, doi:10.1142/S0218001488000285; Malis & Vargas 2007, INRIA report 6303 (the
-    analytic decomposition that OpenCV uses).
+    Reference: Ma, Soatto, Kosecka & Sastry 2004, An Invitation to 3-D Vision, section 5.3.3, doi:10.1007/978-0-387-21779-6.
     """
     seen = np.isfinite(xy[:, 0]) & np.isfinite(goal_xy[:, 0])
     if np.count_nonzero(seen) < 4:
@@ -37,12 +34,28 @@ def relative_view(goal_xy: Array, xy: Array, goal_normal: Array) -> Relative | N
     if ratios.min() < 0 < ratios.max():
         return None
     H = H if ratios.min() > 0 else -H
-    _, rotations, _, normals = cv2.decomposeHomographyMat(H, _K)
-    best = max(range(len(rotations)), key=lambda i: _fit(np.asarray(normals[i], dtype=float).ravel(), goal_xy, goal_normal))
-    return Relative(H=H, R_camera_goal=np.asarray(rotations[best], dtype=float))
+    return Relative(H=H, R_camera_goal=_rotation(H, goal_xy, goal_normal))
 
 
-def _fit(n: Array, goal_xy: Array, goal_normal: Array) -> float:
-    """How well a normal suits: its cosine to the goal's; less than any cosine where it puts a point behind the plane."""
-    visible = (goal_xy @ n[:2] + n[2]).min() > 0
-    return float(n @ goal_normal) - (0.0 if visible or not n.any() else 2.0)
+def _rotation(H: Array, goal_xy: Array, goal_normal: Array) -> Array:
+    """R of H = R + t n^T/d: with v1, v2, v3 the right singular vectors of H and 1 the middle singular value,
+
+    n = v2 x u,  R = [H v2, H u, H v2 x H u] [v2, u, v2 x u]^T,  u = (a v1 +- b v3)/sqrt(a^2 + b^2),  a^2 = 1 - s3^2, b^2 = s1^2 - 1.
+    H keeps the lengths of v2 and u, which lie in the plane. Of the two, the one whose normal is nearest to the goal's and
+    leaves the points in front of the plane. A pure rotation has no normal, and any u will do.
+    """
+    (s1, _, s3), Vt = np.linalg.svd(H)[1:]
+    v1, v2, v3 = Vt
+    a, b = np.sqrt(max(1 - s3 * s3, 0.0)), np.sqrt(max(s1 * s1 - 1, 0.0))
+    size = np.hypot(a, b)
+    a, b = (a / size, b / size) if size > 0 else (1.0, 0.0)
+    ways = []
+    for u in (a * v1 + b * v3, a * v1 - b * v3):
+        n = np.cross(v2, u)
+        n = n if n[2] > 0 else -n
+        visible = (goal_xy @ n[:2] + n[2]).min() > 0
+        ways.append((float(n @ goal_normal) - (0.0 if visible else 2.0), u))
+    u = max(ways, key=lambda way: way[0])[1]
+    plane, seen = np.stack([v2, u, np.cross(v2, u)]), np.stack([H @ v2, H @ u, np.cross(H @ v2, H @ u)])
+    U, _, Wt = np.linalg.svd(seen.T @ plane)
+    return U @ Wt

@@ -1,0 +1,76 @@
+"""What the wide lenses share: a picture that depends on the angle from the optical axis alone, theta up to 180 degrees."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from functools import cached_property
+from typing import Annotated
+
+import numpy as np
+from annotated_types import Gt
+
+from vstestbed.camera.base import Camera
+from vstestbed.geometry import Array, angles, direction
+from vstestbed.spec import spec
+
+RIM = 1e-9
+"""Relative rounding at the border of the image circle that still belongs to it."""
+
+
+@spec
+class Radial(Camera):
+    """Lens with a symmetric picture, u = f m(theta) cos(phi) + cx, v = f m(theta) sin(phi) + cy; square pixels.
+
+    theta = atan2(hypot(X, Y), Z) is the angle from the optical axis, phi = atan2(Y, X) the one about it. A lens says m
+    (`radius`), its inverse (`angle`) and between which theta it sees (`reach`).
+
+    Args:
+        focal_length_px: f [px]; by default such that the image circle, of radius f m(theta_max), touches the borders of the
+            picture's shorter side, as seen from its middle: f = min(W, H) / 2 / m(theta_max).
+    """
+
+    focal_length_px: Annotated[float, Gt(0)] | None = None
+
+    @property
+    @abstractmethod
+    def reach(self) -> tuple[float, float]:
+        """Smallest and largest angle from the axis that the lens sees [rad]."""
+
+    @abstractmethod
+    def radius(self, theta: Array) -> Array:
+        """Distance m from the principal point in focal lengths [1] of angles theta (...) within the lens's reach [rad]."""
+
+    @abstractmethod
+    def angle(self, radius: Array) -> Array:
+        """Angles theta (...) [rad] of distances m (...) from the principal point: the inverse of `radius`."""
+
+    @cached_property
+    def ring(self) -> tuple[float, float]:
+        """Inner and outer distance from the principal point of what is seen, in focal lengths [1]."""
+        inner, outer = self.radius(np.array(self.reach)).tolist()
+        return inner, outer
+
+    @cached_property
+    def f(self) -> float:
+        """Focal length [px]: pixels a radian on the axis of an equidistant lens."""
+        return self.focal_length_px or min(self.width, self.height) / 2 / self.ring[1]
+
+    def project(self, p_camera: Array) -> Array:
+        """Pixels uv (..., N, 2) of points (..., N, 3); NaN out of the lens's reach, and at the lens itself."""
+        theta_phi = angles(p_camera)
+        r = self.f * self.radius(_within(theta_phi[..., 0], self.reach))
+        phi = theta_phi[..., 1]
+        return np.stack([r * np.cos(phi), r * np.sin(phi)], axis=-1) + self.centre
+
+    def ray(self, uv: Array) -> Array:
+        """Unit rays (..., N, 3) of pixels uv (..., N, 2); NaN outside the image circle and in its blind middle."""
+        m = (uv - self.centre) / self.f
+        theta = self.angle(_within(np.hypot(m[..., 0], m[..., 1]), self.ring))
+        return direction(np.stack([theta, np.arctan2(m[..., 1], m[..., 0])], axis=-1))
+
+
+def _within(value: Array, limits: tuple[float, float]) -> Array:
+    """`value`, clipped to limits that it misses by rounding, and NaN where it misses them by more."""
+    low, high = limits
+    slack = RIM * high
+    return np.where((value >= low - slack) & (value <= high + slack), np.clip(value, low, high), np.nan)
