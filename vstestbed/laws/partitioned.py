@@ -36,7 +36,7 @@ class PartitionedMemory:
 class Partitioned:
     """vz and wz by the size and the angle of the markers' polygon, the other four by the points.
 
-    v_z  = -gain_z e_sigma,  w_z = gain_z e_angle
+    v_z  = -gain_z e_sigma,  w_z = gain_turn e_angle
     v_xy = pinv(L_xy) (-lambda e - L_z (v_z, w_z))
 
     e_sigma is positive where the target looks too large: sigma/sigma* - 1 (`ratio`), log(sigma/sigma*) (`log`, that of the
@@ -49,7 +49,7 @@ class Partitioned:
 
     Args:
         gain: lambda [1/s], of the points.
-        gain_z: of size and angle [1/s].
+        gain_z, gain_turn: of the size and of the angle [1/s].
         sigma: which error of the size.
         turn_limits_deg: how far the camera may turn about its axis in all, seen from where it began (low, high) [deg]: the
             shorter way that stays between them is taken, even the long way round. Without limits, the shorter way.
@@ -63,6 +63,7 @@ class Partitioned:
     kind: Literal["partitioned"] = "partitioned"
     gain: Gain = ConstantGain()
     gain_z: Annotated[float, Gt(0)] = 1.0
+    gain_turn: Annotated[float, Gt(0)] = 0.5
     sigma: Literal["difference", "ratio", "log"] = "ratio"
     turn_limits_deg: Annotated[tuple[float, ...], Len(2, 2)] | None = None
     depth: Depth = PnP()
@@ -102,7 +103,7 @@ class Partitioned:
         xy, goal_xy = observation.xy[rows], goal.xy[rows]
         turn = self._turn(memory, float(angle_error(segments(xy), segments(goal_xy))))
         along = -self.gain_z * float(size_error(size(xy), size(goal_xy), self.sigma))
-        twist = self._twist(observation, goal, rows, along, self.gain_z * turn)
+        twist = self._twist(observation, goal, rows, along, self.gain_turn * turn)
         if self.visibility.margin_px > 0:
             twist = twist + basis @ self.visibility.push(observation, goal, basis)
         twist = twist * (scale := self.limits.scale(twist))

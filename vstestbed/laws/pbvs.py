@@ -23,7 +23,7 @@ class PBVS:
 
     The rotation is theta u of R = R_goal_camera; the translation t and its rows of L, with o the target's origin:
     `cdMc`  t of the camera in the goal's frame,            L_t = [R, 0]: the camera goes straight to its goal;
-    `cMcd`  t of the goal in the camera's frame,            L_t = [-I, [t]x]: the same way;
+    `cMcd`  t of the goal in the camera's frame,            L_t = [-I, [t]x]: the goal comes straight at the camera;
     `cMo`   t of the target in the camera's frame,          L_t = [-I, [t]x]: the target's origin goes straight to where it is
     in the goal's frame, so that it stays in view.
     The pose comes from the markers' pixels and the known target (perspective-n-point); its errors are the law's.

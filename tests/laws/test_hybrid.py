@@ -1,0 +1,66 @@
+"""2.5D: finite differences of its error, both sources of rotation and ratio agree, the target's image goes straight."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import vstestbed as vs
+from tests.laws.flight import book_camera, fly
+from tests.laws.test_pbvs import camera_poses
+from vstestbed.geometry import Array, Pose, exp, inverse, transform
+from vstestbed.laws import Hybrid
+from vstestbed.laws.select import NO_POSE
+from vstestbed.observation import Goal, Observation
+from vstestbed.target import Square
+from vstestbed.vision.homography import relative_view
+
+CAMERA, POINTS = book_camera(), Square(side=0.5, pose=Pose()).points
+TILTED = Pose(xyz=(0.1, -0.05, 1.1), rpy_deg=(20, 10, -15)).T
+AWAY = Pose(xyz=(0.2, -0.1, 1.6), rpy_deg=(10, -25, 70)).T
+
+
+def view(T: Array, goal: Goal) -> Observation:
+    p = transform(T, POINTS)
+    uv = CAMERA.project(p)
+    xy = CAMERA.normalise(uv)
+    relative = relative_view(goal.xy, xy, goal.T_camera_target[:3, 2])
+    return Observation(t=0, uv=uv, xy=xy, depth=p[:, 2], T_camera_target=T, relative=relative)
+
+
+def test_the_matrix_is_the_derivative_of_the_error():
+    goal, law, h = Goal.from_view(CAMERA, POINTS, TILTED), Hybrid(source="model"), 1e-6
+
+    def feature(T: Array) -> tuple[Array, Array]:
+        return law.feature(T[:3, 3] / TILTED[2, 3], TILTED[:3, :3] @ T[:3, :3].T, goal.T_camera_target[:3, 3])
+
+    L = feature(AWAY)[1]
+    for i, twist in enumerate(np.eye(6)):
+        ahead, back = (feature(exp(-s * h * twist) @ AWAY)[0] for s in (1, -1))
+        assert (ahead - back) / (2 * h) == pytest.approx(L[:, i], abs=1e-8)
+
+
+@pytest.mark.parametrize("goal_pose", [Pose(xyz=(0, 0, 1)).T, TILTED], ids=["square", "tilted"])
+def test_homography_and_model_order_the_same(goal_pose: Array):
+    goal = Goal.from_view(CAMERA, POINTS, goal_pose)
+    o = view(AWAY, goal)
+    twists = [Hybrid(source=source).step(None, o, goal, np.eye(6))[1].twist for source in ("homography", "model")]  # pyright: ignore[reportArgumentType]
+    assert twists[0] == pytest.approx(twists[1], abs=1e-6)  # findHomography computes in single precision
+
+
+def test_the_image_of_the_targets_origin_goes_straight():
+    r = fly(Hybrid(), (0.6, 0.3, -2.0), rpy_deg=(8, -14, 100))
+    assert r.outcome is vs.Outcome.converged
+    o = np.array([inverse(T)[:3, 3] for T in camera_poses(r)])
+    xy = o[:, :2] / o[:, 2:]
+    way = xy[0] / np.linalg.norm(xy[0])
+    assert np.abs(xy[:, 0] * way[1] - xy[:, 1] * way[0]).max() < 5e-3  # of 1: the goal's image is (0, 0)
+
+
+def test_views_that_cannot_be_compared_bring_rest():
+    goal = Goal.from_view(CAMERA, POINTS, TILTED)
+    o = view(AWAY, goal)
+    blind = Observation(t=0, uv=o.uv, xy=o.xy, depth=o.depth, T_camera_target=None, relative=None)
+    for law in (Hybrid(), Hybrid(source="model")):
+        command = law.step(None, blind, goal, np.eye(6))[1]
+        assert command.held == NO_POSE and not command.twist.any()
