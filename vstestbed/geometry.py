@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from annotated_types import Len
@@ -78,23 +78,48 @@ def exp(xi: Array) -> Array:
     Reference: Lynch & Park 2017, Modern Robotics, eqs 3.51 and 3.88.
     """
     xi = np.asarray(xi, dtype=float)
-    v, w = xi[..., :3], xi[..., 3:]
-    theta2 = np.einsum("...i,...i->...", w, w)
+    if xi.ndim == 1:
+        return _exp_of_one(xi.tolist())
+    vx, vy, vz, x, y, z = np.moveaxis(xi, -1, 0)
+    theta2 = x * x + y * y + z * z
     theta = np.sqrt(theta2)
     small = theta < 1e-4
     safe = np.where(small, 1.0, theta)
-    a = np.where(small, 1 - theta2 / 6, np.sin(safe) / safe)
-    b = np.where(small, 0.5 - theta2 / 24, 2 * np.sin(safe / 2) ** 2 / safe**2)
-    c = np.where(small, 1 / 6 - theta2 / 120, (safe - np.sin(safe)) / safe**3)
-    S = skew(w)
-    S2 = S @ S
+    sine = np.sin(safe)
+    a = np.where(small, 1 - theta2 / 6, sine / safe)
+    b = np.where(small, 0.5 - theta2 / 24, 2 * np.square(np.sin(safe / 2) / safe))
+    c = np.where(small, 1 / 6 - theta2 / 120, (safe - sine) / safe**3)
     out = np.zeros((*xi.shape[:-1], 4, 4))
-    a, b, c = a[..., None, None], b[..., None, None], c[..., None, None]
-    eye = np.eye(3)
-    out[..., :3, :3] = eye + a * S + b * S2
-    out[..., :3, 3] = ((eye + b * S + c * S2) @ v[..., None])[..., 0]
+    for row, values in enumerate(_exp_entries(vx, vy, vz, x, y, z, a, b, c)):
+        for column, value in enumerate(values):
+            out[..., row, column] = value
     out[..., 3, 3] = 1.0
     return out
+
+
+def _exp_of_one(xi: list[float]) -> Array:
+    """`exp` of six numbers: the time loop's case, for which arrays cost ten times the arithmetic."""
+    vx, vy, vz, x, y, z = xi
+    theta2 = x * x + y * y + z * z
+    theta = math.sqrt(theta2)
+    if theta < 1e-4:
+        a, b, c = 1 - theta2 / 6, 0.5 - theta2 / 24, 1 / 6 - theta2 / 120
+    else:
+        a, b, c = math.sin(theta) / theta, 2 * math.sin(theta / 2) ** 2 / theta2, (theta - math.sin(theta)) / (theta2 * theta)
+    return np.array([*_exp_entries(vx, vy, vz, x, y, z, a, b, c), (0.0, 0.0, 0.0, 1.0)])
+
+
+def _exp_entries(vx: Any, vy: Any, vz: Any, x: Any, y: Any, z: Any, a: Any, b: Any, c: Any) -> tuple[tuple[Any, ...], ...]:
+    """The first three rows of `exp`, from numbers or from arrays; S^2 v = w (w.v) - theta^2 v, S v = w x v."""
+    bx, by, bz = b * x, b * y, b * z
+    xx, yy, zz, xy, xz, yz = bx * x, by * y, bz * z, bx * y, bx * z, by * z
+    ax, ay, az = a * x, a * y, a * z
+    one, along = 1 - c * (x * x + y * y + z * z), c * (x * vx + y * vy + z * vz)
+    return (
+        (1 - yy - zz, xy - az, xz + ay, one * vx + by * vz - bz * vy + along * x),
+        (xy + az, 1 - xx - zz, yz - ax, one * vy + bz * vx - bx * vz + along * y),
+        (xz - ay, yz + ax, 1 - xx - yy, one * vz + bx * vy - by * vx + along * z),
+    )
 
 
 def adjoint(T_a_b: Array) -> Array:

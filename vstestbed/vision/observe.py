@@ -39,7 +39,8 @@ class Observer:
         goal: the goal view.
         depth: where depths come from.
         pixel_sigma_px: standard deviation of the noise added to every measured coordinate, whatever detected it [px].
-        wanted: fields of the observation that the law looks at: `ray` and `relative` are made only where they are wanted.
+        wanted: fields of the observation that the law looks at: `ray`, `relative` and a pose that the detector has not
+            solved are made only where they are wanted.
     """
 
     camera: Camera
@@ -79,7 +80,7 @@ class Observer:
         uv, T = detection.uv, detection.T_camera_target
         if self.pixel_sigma_px > 0:
             uv = uv + rng.normal(0.0, self.pixel_sigma_px, uv.shape)
-        if T is None or self.pixel_sigma_px > 0:
+        if self._poses and (T is None or self.pixel_sigma_px > 0):
             T = self._pose(uv, t, memory, T, twist)
         xy = self.camera.normalise(uv)
         flow = memory.flow
@@ -93,6 +94,10 @@ class Observer:
     @property
     def _rays(self) -> bool:
         return "ray" in self.wanted
+
+    @property
+    def _poses(self) -> bool:
+        return isinstance(self.depth, PnP) or "T_camera_target" in self.wanted
 
     def _pose(self, uv: Array, t: float, memory: ObserverMemory, hint: Array | None, twist: Array) -> Array | None:
         """The pose solved from noisy or bare pixels; else the last one, carried on."""
