@@ -9,7 +9,7 @@ from typing import Annotated
 import numpy as np
 from annotated_types import Ge
 
-from vstestbed.camera import CAMERAS, Perspective
+from vstestbed.camera import CAMERAS, Catadioptric, Fisheye, Perspective, Spherical
 from vstestbed.errors import ParameterError
 from vstestbed.geometry import Array, Pose, inverse, transform
 from vstestbed.laws import IBVS, LAWS, PBVS, Hybrid, Partitioned
@@ -64,7 +64,7 @@ class Scenario:
     description: str = ""
     seed: Annotated[int, Ge(0)] = 0
     robot: Annotated[Free | Puma560, ROBOTS]
-    camera: Annotated[Perspective, CAMERAS] = Perspective()
+    camera: Annotated[Perspective | Fisheye | Catadioptric | Spherical, CAMERAS] = Perspective()
     target: Annotated[Square | Points, TARGETS]
     detector: Annotated[Blobs | Oracle, DETECTORS] = Blobs()
     law: Annotated[IBVS | Partitioned | PBVS | Hybrid, LAWS]

@@ -28,20 +28,21 @@ FORWARD_COSINE = 1e-6
 class Frame:
     """What a camera gives: t [s] of exposure, and one picture (H, W, 3) uint8 RGB a panel, None for one not wanted.
 
-    What lies outside of the windows that were asked for may be blank.
+    What lies outside of the windows that were asked for may be blank; `whole` says that nothing is.
     """
 
     t: float
     images: tuple[Image | None, ...]
+    whole: bool = True
 
     @property
     def image(self) -> Image | None:
-        """The first panel's picture: the whole of it for every lens that has one image plane."""
-        return self.images[0]
+        """The camera's own picture, where it was drawn whole: None for a lens that has none of its own, only panels."""
+        return self.images[0] if self.whole and len(self.images) == 1 else None
 
     def copy(self) -> Frame:
         """The same with pictures of its own."""
-        return Frame(self.t, tuple(None if image is None else image.copy() for image in self.images))
+        return Frame(self.t, tuple(None if image is None else image.copy() for image in self.images), self.whole)
 
 
 @dataclass(frozen=True, slots=True)
