@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from vstestbed.errors import RunFolderError
-from vstestbed.geometry import Array, inverse, quaternion_wxyz, rigid_error
+from vstestbed.geometry import Array, angles, inverse, quaternion_wxyz, rigid_error
 from vstestbed.laws import Command
 from vstestbed.metrics import summarise
 from vstestbed.observation import Observation
@@ -38,8 +38,8 @@ class Tick:
 
     Attributes:
         frame: number of the frame. lost: too few markers seen. error_px: RMS of goal minus measured over the coordinates
-        seen, NaN when lost. image: the servo camera's picture (it holds until the
-        next frame), None where no detector asked for one.
+        seen, NaN when lost. image: the servo camera's own picture (it holds until the
+        next frame), None where none was taken, or not the whole of it.
     """
 
     frame: int
@@ -66,11 +66,13 @@ class Layout:
     All that was seen and all that was true (act_, q_, ctrl_, ...) is of the exposure at t. The row's command cmd_ is what
     the law made of that picture; it holds from t_cmd = t + latency on. made_ is the twist that the robot's limits and its
     damping near singularities leave of it, and scale is made_ over what the law wanted, its own limits included.
+    For a camera without an image plane, theta and phi [rad] are the measured ray's angles from the axis and about it.
     """
 
     def __init__(self, scenario: Scenario):
         n, joints = len(scenario.target.points), scenario.robot.joints
-        per_marker = ("u", "v", "u_true", "v_true", "u_goal", "v_goal", "depth")
+        self._angles = len(scenario.camera.panels) > 1
+        per_marker = ("u", "v", "u_true", "v_true", "u_goal", "v_goal", "depth") + (("theta", "phi") if self._angles else ())
         self.columns: tuple[str, ...] = (
             "t",
             "frame",
@@ -102,12 +104,13 @@ class Layout:
             self._target, self._goal_pose = truth.T_world_target, truth.T_world_target @ self._T_target_goal
             self._target_pose = _pose(truth.T_world_target)
         true_uv = self._camera.project(truth.p_camera).tolist()
-        markers = zip(o.uv.tolist(), true_uv, self._goal_uv, o.depth.tolist(), strict=True)
+        directions = angles(self._camera.ray(o.uv)).tolist() if self._angles else [()] * len(true_uv)
+        markers = zip(o.uv.tolist(), true_uv, self._goal_uv, o.depth.tolist(), directions, strict=True)
         return [
             o.t,
             float(tick.frame),
             float(tick.lost),
-            *(x for uv, true, goal, depth in markers for x in (*uv, *true, *goal, depth)),
+            *(x for uv, true, goal, depth, direction in markers for x in (*uv, *true, *goal, depth, *direction)),
             tick.error_px,
             *_pose(truth.T_world_camera),
             *self._target_pose,

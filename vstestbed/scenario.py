@@ -9,7 +9,7 @@ from typing import Annotated
 import numpy as np
 from annotated_types import Ge
 
-from vstestbed.camera import CAMERAS, Perspective
+from vstestbed.camera import CAMERAS, Catadioptric, Fisheye, Perspective, Spherical
 from vstestbed.errors import ParameterError
 from vstestbed.geometry import Array, Pose, inverse, transform
 from vstestbed.laws import IBVS, LAWS, PBVS, Hybrid, Partitioned
@@ -45,6 +45,8 @@ class Noise:
     pixel_sigma_px: Annotated[float, Ge(0)] = 0.0
 
 
+PLANE_INPUTS = {"xy", "depth", "relative"}
+"""Fields of an observation that exist only for what is in front of the camera."""
 START_STREAM, NOISE_STREAM, IMAGE_STREAM = 0, 1, 2
 """Independent random streams of one seed: the start, the noise of measured pixels, the noise of pictures."""
 TRIES = 1000
@@ -64,7 +66,7 @@ class Scenario:
     description: str = ""
     seed: Annotated[int, Ge(0)] = 0
     robot: Annotated[Free | Puma560, ROBOTS]
-    camera: Annotated[Perspective, CAMERAS] = Perspective()
+    camera: Annotated[Perspective | Fisheye | Catadioptric | Spherical, CAMERAS] = Perspective()
     target: Annotated[Square | Points, TARGETS]
     detector: Annotated[Blobs | Oracle, DETECTORS] = Blobs()
     law: Annotated[IBVS | Partitioned | PBVS | Hybrid, LAWS]
@@ -97,16 +99,24 @@ class Scenario:
             raise ParameterError("law.depth", words)
 
     def _check_goal(self) -> None:
-        limited = not (isinstance(self.detector, Oracle) and self.detector.field_of_view == "unlimited")
         p = transform(self.goal.T_camera_target.T, self.target.points)
-        behind = [str(i) for i in np.flatnonzero(p[:, 2] <= 0)]
-        outside = [str(i) for i in np.flatnonzero(~self.camera.inside(self.camera.project(p)))]
-        bad = behind or (outside if limited else [])
-        if bad:
-            where = "behind the camera" if behind else f"outside the {self.camera.width} x {self.camera.height} picture"
-            markers = f"marker {bad[0]} is" if len(bad) == 1 else f"markers {', '.join(bad)} are"
-            words = f"is a view in which {markers} {where}; move the goal back, or use a wider camera or a smaller target"
-            raise ParameterError("goal.T_camera_target", words)
+        uv, plane = self.camera.project(p), PLANE_INPUTS & set(self.law.inputs)
+        limited = not (isinstance(self.detector, Oracle) and self.detector.field_of_view == "unlimited")
+        picture = limited and len(self.camera.panels) == 1
+        behind = p[:, 2] <= 0 if plane or isinstance(self.camera, Perspective) else np.zeros(len(p), dtype=bool)
+        outside = ~(self.camera.inside(uv) if picture else np.isfinite(uv[:, 0]))
+        bad = [str(i) for i in np.flatnonzero(behind if behind.any() else outside)]
+        if not bad:
+            return
+        where, remedy = f"outside the {self.camera.width} x {self.camera.height} picture", "a wider camera"
+        if behind.any():
+            where = "behind the camera"
+            if not isinstance(self.camera, Perspective):
+                where += f", where law {self.law.kind} has no image plane to work in"
+                remedy = "a law of rays (feature spherical) or poses"
+        markers = f"marker {bad[0]} is" if len(bad) == 1 else f"markers {', '.join(bad)} are"
+        words = f"is a view in which {markers} {where}; move the goal back, or use {remedy} or a smaller target"
+        raise ParameterError("goal.T_camera_target", words)
 
     @cached_property
     def goal_view(self) -> Goal:
@@ -142,8 +152,7 @@ class Scenario:
         T_world_camera = robot.flange_pose(robot.configuration()) @ self.camera.mount.T
         T = inverse(T_world_camera) @ self.target.pose.T
         p = transform(T, self.target.points)
-        faces = T[2, 2] > 0.17 or not isinstance(self.target, Square)  # within 80 degrees of square to the target
-        if not faces or (p[:, 2] <= 0).any():
-            return False
-        margin = VIEW_MARGIN_PX + self.camera.f * self.target.marker.radius / float(p[:, 2].min())
-        return bool(self.camera.inside(self.camera.project(p), margin).all())
+        facing = float(T[:3, 2] @ T[:3, 3]) / max(float(np.linalg.norm(T[:3, 3])), 1e-9)  # of the plane, for who looks at it
+        turned = T[2, 2] if isinstance(self.camera, Perspective) else facing
+        faces = turned > 0.17 or not isinstance(self.target, Square)  # within 80 degrees of square to the target
+        return bool(faces and self.camera.whole(p, self.target.marker.radius, VIEW_MARGIN_PX).all())

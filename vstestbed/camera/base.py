@@ -28,20 +28,21 @@ FORWARD_COSINE = 1e-6
 class Frame:
     """What a camera gives: t [s] of exposure, and one picture (H, W, 3) uint8 RGB a panel, None for one not wanted.
 
-    What lies outside of the windows that were asked for may be blank.
+    What lies outside of the windows that were asked for may be blank; `whole` says that nothing is.
     """
 
     t: float
     images: tuple[Image | None, ...]
+    whole: bool = True
 
     @property
     def image(self) -> Image | None:
-        """The first panel's picture: the whole of it for every lens that has one image plane."""
-        return self.images[0]
+        """The camera's own picture, where it was drawn whole: None for a lens that has none of its own, only panels."""
+        return self.images[0] if self.whole and len(self.images) == 1 else None
 
     def copy(self) -> Frame:
         """The same with pictures of its own."""
-        return Frame(self.t, tuple(None if image is None else image.copy() for image in self.images))
+        return Frame(self.t, tuple(None if image is None else image.copy() for image in self.images), self.whole)
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,3 +119,33 @@ class Camera(ABC):
         high = np.array([self.width, self.height]) - 0.5 - margin
         with np.errstate(invalid="ignore"):
             return np.all((uv >= -0.5 + margin) & (uv <= high), axis=-1)
+
+    def whole(self, p_camera: Array, radius: float, margin: float = 0.0) -> NDArray[np.bool_]:
+        """Whether markers of a radius [m] at p_camera (N, 3) lie in the picture, at least `margin` px from its border, shape (N,).
+
+        A marker's apparent half width (height) is the root of the squared shifts in u (in v) that one radius makes along
+        the two directions of `across`; one radius to any side the lens must see it as well. In a camera with panels a
+        marker is whole that is so in one of them.
+        """
+        if len(self.panels) > 1:
+            return np.any([p.lens.whole(p_camera @ p.R_camera_panel, radius, margin) for p in self.panels], axis=0)
+        uv = self.project(p_camera)
+        a, b = (radius * direction for direction in self.across(p_camera))
+        opposite = self.project(p_camera - a) + self.project(p_camera - b)
+        size = np.array([self.width, self.height])
+        with np.errstate(invalid="ignore"):
+            half = np.hypot(self.project(p_camera + a) - uv, self.project(p_camera + b) - uv)
+            clear = np.minimum(uv + 0.5, size - 0.5 - uv) - margin >= half
+            return np.all(clear & np.isfinite(opposite), axis=-1)
+
+    def across(self, p_camera: Array) -> tuple[Array, Array]:
+        """For each point (N, 3) two unit vectors, each (N, 3) or (3,), along which a marker there extends: square to its ray.
+
+        Reference: Duff et al. 2017, Building an orthonormal basis, revisited, JCGT 6(1).
+        """
+        with np.errstate(invalid="ignore", divide="ignore"):
+            x, y, z = (p_camera / np.linalg.norm(p_camera, axis=-1, keepdims=True)).T
+        sign = np.copysign(1.0, z)
+        a = -1 / (sign + z)
+        first = np.stack([1 + sign * x * x * a, sign * x * y * a, -sign * x], axis=-1)
+        return first, np.stack([x * y * a, sign + y * y * a, -y], axis=-1)

@@ -17,6 +17,8 @@ from vstestbed.spec import spec
 DEFAULT_FOVY_DEG = 64.0
 """8 mm lens on a 10.24 mm sensor, the textbook's default camera (Corke 2017, section 11.1.2) at 4:3."""
 
+X_AXIS, Y_AXIS = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
+
 
 @spec
 class Perspective(Camera):
@@ -96,6 +98,10 @@ class Perspective(Camera):
                 inside = (xy * xy).sum(axis=-1, keepdims=True) < self.reach2
                 xy = self._distort(np.where(inside, xy, np.nan))
         return xy * self.f + self.centre
+
+    def across(self, p_camera: Array) -> tuple[Array, Array]:
+        """The camera's x and y (3,), whatever the point: in a plane picture a marker extends along the plane."""
+        return X_AXIS, Y_AXIS
 
     def normalise(self, uv: Array) -> Array:
         """Normalised, undistorted coordinates xy (..., N, 2) of pixels uv (..., N, 2)."""

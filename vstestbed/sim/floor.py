@@ -6,8 +6,11 @@ import time
 from dataclasses import dataclass
 
 import mujoco
+import numpy as np
 
-from vstestbed.geometry import Array
+from vstestbed.geometry import Array, inverse, transform
+from vstestbed.sim.cube import drawn_for
+from vstestbed.sim.pinhole import Pinhole
 from vstestbed.sim.render import View
 from vstestbed.sim.scene import Parts
 from vstestbed.sim.stage import Stage
@@ -33,11 +36,11 @@ def measure_floor(parts: Parts, steps_per_frame: int, ctrl: Array, q: Array, T_w
         parts: the scene. steps_per_frame: physics steps between frames.
         ctrl: actuator controls of each frame (frames, nu); q: joint angles of each frame (frames, n).
         T_world_camera: camera poses (frames, 4, 4), which place the free camera.
-        pictures: whether the run rendered at all.
+        pictures: whether the run rendered at all; of several faces of a cube, only those with a marker in them are.
     """
     stage = Stage(parts, samples=parts.camera.multisampling)
-    camera = parts.camera
-    view = View(stage, "eye", camera.width, camera.height, camera.shadows, "own") if pictures else None
+    drawn = drawn_for(parts.camera) if pictures else ()
+    views = [View(stage, p.name, p.width, p.height, parts.camera.shadows, "own") for p in drawn]
     target = parts.target.pose.T
     stage.place(0.0, target, q[0], T_world_camera[0])
     mujoco.mj_forward(stage.model, stage.data)
@@ -45,8 +48,10 @@ def measure_floor(parts: Parts, steps_per_frame: int, ctrl: Array, q: Array, T_w
     for frame in range(len(ctrl)):
         if parts.robot.model is None:
             stage.place(0.0, target, q[frame], T_world_camera[frame])
+        p_camera = transform(inverse(T_world_camera[frame]) @ target, parts.target.points)
+        looked_at = [view for view, p in zip(views, drawn, strict=True) if _holds(p, p_camera, alone=len(drawn) == 1)]
         began = time.perf_counter()
-        if view is not None:
+        for view in looked_at:
             view.raw()
         rendered = time.perf_counter()
         if parts.robot.model is not None:
@@ -57,3 +62,9 @@ def measure_floor(parts: Parts, steps_per_frame: int, ctrl: Array, q: Array, T_w
         render += rendered - began
     stage.close()
     return Floor(physics, render)
+
+
+def _holds(face: Pinhole, p_camera: Array, alone: bool) -> bool:
+    """Whether one of the markers (N, 3) lies in the middle part of a face, |x|, |y| <= z in its axes; the only picture always counts."""
+    p = p_camera @ face.R_camera_face
+    return alone or bool((np.abs(p[:, :2]).max(axis=1) <= p[:, 2]).any())

@@ -49,7 +49,7 @@ class IdealPlant:
             self._stage.place(t, self._T_world_target, NONE, T)
             hidden = self._stage.hidden(T, p_camera)
         if self._eye is not None:
-            frame = Frame(t, self._eye.glimpse(look))
+            frame = Frame(t, self._eye.glimpse(look), self._eye.whole)
         truth = Truth(T, self._T_world_target, self._twist, NONE, NONE, NONE, p_camera, hidden, contact=False)
         return frame, truth
 

@@ -75,7 +75,7 @@ class MujocoPlant:
         hidden = stage.hidden(T, p_camera) if self._see_hidden else self._visible
         q, qd, ctrl = data.qpos[stage.qpos], data.qvel[stage.qvel], data.ctrl[self._ctrl]
         truth = Truth(T, self._T_world_target, twist, q, qd, ctrl, p_camera, hidden, self._touches())
-        frame = Frame(t, self._eye.glimpse(look)) if self._eye else None
+        frame = Frame(t, self._eye.glimpse(look), self._eye.whole) if self._eye else None
         return frame, truth
 
     def _touches(self) -> bool:

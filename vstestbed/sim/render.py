@@ -12,9 +12,10 @@ from dm_control import mujoco as dm
 from dm_control.mujoco import wrapper
 
 from vstestbed.camera import Camera, Image, Look, Perspective
-from vstestbed.errors import EnvironmentLackError, ParameterError
+from vstestbed.errors import EnvironmentLackError
 from vstestbed.sim import gl
-from vstestbed.sim.pinhole import pinhole_of, resampling_maps
+from vstestbed.sim.cube import cube_of, drawn_for
+from vstestbed.sim.pinhole import resampling_maps
 from vstestbed.sim.scene import LENS_GROUP
 from vstestbed.sim.stage import Stage
 
@@ -70,37 +71,63 @@ class View:
 class Eye:
     """The servo camera's picture through its lens, with sensor noise.
 
+    A pinhole lens is drawn as it is, a distorted one resampled from a pinhole picture. A lens with panels gives them. Any
+    other is put together from the faces of a cube round it, of which only those are drawn that somebody looks at.
+
     Args:
         stage: the scene. camera: the lens. image_sigma: standard deviation of the noise of each channel, in grey levels
         (of 255). rng: where the noise comes from.
+
+    Attributes:
+        renderer: what draws. spent_s: wall time spent on pictures [s]. whole: whether the last pictures show all there is.
     """
 
     def __init__(self, stage: Stage, camera: Camera, image_sigma: float = 0.0, rng: np.random.Generator | None = None):
-        if not isinstance(camera, Perspective):
-            raise ParameterError("camera.kind", "has no picture", type(camera).__name__)
-        pinhole = pinhole_of(camera)
-        self._maps = resampling_maps(camera, pinhole)
+        drawn = drawn_for(camera)
+        self._maps = resampling_maps(camera, drawn[0]) if isinstance(camera, Perspective) else None
+        self._cube = None if isinstance(camera, Perspective) else cube_of(camera)
+        self._panels = len(camera.panels)
         self._sigma, self._rng = image_sigma, rng
-        self._view = View(stage, "eye", pinhole.width, pinhole.height, camera.shadows, "own")
-        self.renderer = self._view.renderer
+        self._views = [View(stage, p.name, p.width, p.height, camera.shadows, "own") for p in drawn]
+        self.renderer = self._views[0].renderer
         self.spent_s = 0.0
+        self.whole = True
 
     def picture(self) -> Image:
-        """The picture now, (H, W, 3) uint8 RGB, its own for good."""
+        """The camera's own picture now, (H, W, 3) uint8 RGB, its own for good; a lens with panels is drawn for it all around."""
+        if self._cube is not None and self._panels > 1:
+            return self._cube.compose(dict(enumerate(image for image in self.glimpse() if image is not None)))
         return np.ascontiguousarray(self.glimpse()[0])
 
     def glimpse(self, look: Look | None = None) -> tuple[Image | None, ...]:
         """The pictures now, one a panel; they may lie in the renderer's buffer, and then hold only until the next ones.
 
-        look: where somebody is going to look; a panel with no window is left out, any other is drawn whole.
+        look: where somebody is going to look; a panel with no window is left out, any other is drawn whole, but for
+        faces of the cube without a part in its windows, which are black.
         """
         start = time.perf_counter()
-        image = self._view.raw()
-        if self._maps is not None:
-            still = np.ascontiguousarray(image)
-            image = np.asarray(cv2.remap(still, *self._maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.uint8)
+        if self._cube is None:
+            images = (self._resampled(self._views[0].raw()),)
+        elif self._panels > 1:
+            images = tuple(view.raw() if look is None or look[i] else None for i, view in enumerate(self._views))
+            self.whole = look is None or all(look)
+        else:
+            faces = range(len(self._views)) if look is None else self._cube.needed(look[0])
+            images = (self._cube.compose({i: self._views[i].raw() for i in faces}),)
+            self.whole = len(faces) == len(self._views)
         if self._sigma > 0 and self._rng is not None:
-            noise = self._rng.standard_normal(image.shape, dtype=np.float32) * np.float32(self._sigma)
-            image = np.clip(image + noise + 0.5, 0, 255).astype(np.uint8)
+            images = tuple(None if image is None else self._noisy(image, self._rng) for image in images)
         self.spent_s += time.perf_counter() - start
-        return (image,)
+        return images
+
+    def _resampled(self, image: Image) -> Image:
+        """A drawn picture through a distorted lens; the same where there is no distortion."""
+        if self._maps is None:
+            return image
+        still = np.ascontiguousarray(image)
+        return np.asarray(cv2.remap(still, *self._maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.uint8)
+
+    def _noisy(self, image: Image, rng: np.random.Generator) -> Image:
+        """The picture with the sensor's noise."""
+        noise = rng.standard_normal(image.shape, dtype=np.float32) * np.float32(self._sigma)
+        return np.clip(image + noise + 0.5, 0, 255).astype(np.uint8)

@@ -1,6 +1,7 @@
 """Scene: world + robot + camera + target in one MuJoCo model, composed with MjSpec under prefixes, compiled once.
 
-Names: joints and actuators `robot/joint_1`, ..., the servo camera `eye` (site `eye` has its computer-vision axes), the
+Names: joints and actuators `robot/joint_1`, ..., the servo camera `eye` (site `eye` has its computer-vision axes; a lens that
+sees more than one pinhole picture holds has `eye_right`, `eye_left`, `eye_up`, `eye_down`, `eye_back` at the same place), the
 outside view `overview`, the target's body `target/frame` (mocap), its markers sites `target/marker_0`, `target/marker_1`, ...,
 plates `plate_0`, ... Geom groups: 0 the room, 1 what encloses the lens (left out of the servo camera's own picture,
 since the textbook's camera sits at the wrist's centre, inside the hand), 2 the robot, 3 the target.
@@ -14,11 +15,10 @@ import mujoco
 import numpy as np
 
 from vstestbed.assets import model_path
-from vstestbed.camera import Camera, Perspective
-from vstestbed.errors import ParameterError
+from vstestbed.camera import Camera
 from vstestbed.geometry import FLIP, Array, quaternion_wxyz
 from vstestbed.robots import Robot
-from vstestbed.sim.pinhole import pinhole_of
+from vstestbed.sim.cube import drawn_for
 from vstestbed.sim.world import AWAY, World
 from vstestbed.target import Disc, Square, Target
 
@@ -122,22 +122,24 @@ def _frame_overview(scene: mujoco.MjSpec, parts: Parts) -> None:
 
 
 def _add_camera(body: mujoco.MjsBody, T_body_camera: Array, camera: Camera, housing: float) -> None:
-    """The servo camera `eye` (MuJoCo axes), the site `eye` (computer-vision axes), and a housing to look at, 5 cm times `housing`."""
+    """The servo camera `eye` (MuJoCo axes), the site `eye` (computer-vision axes), and a housing to look at, 5 cm times `housing`.
+
+    A lens that sees beyond a plane has a camera for each face of the cube that it sees: `eye` ahead, `eye_right`, ...
+    """
     pos = T_body_camera[:3, 3]
-    quat_gl = quaternion_wxyz((T_body_camera @ FLIP)[:3, :3])
     quat_cv = quaternion_wxyz(T_body_camera[:3, :3])
-    if not isinstance(camera, Perspective):
-        raise ParameterError("camera.kind", "has no picture yet", camera)
-    view = pinhole_of(camera)
-    body.add_camera(
-        name="eye",
-        pos=pos,
-        quat=quat_gl,
-        resolution=[view.width, view.height],
-        sensor_size=[view.width * PITCH_M, view.height * PITCH_M],
-        focal_pixel=[camera.f, camera.f],
-        principal_pixel=list(view.mujoco_principal),
-    )
+    for view in drawn_for(camera):
+        T_camera_view = np.eye(4)
+        T_camera_view[:3, :3] = view.R_camera_face
+        body.add_camera(
+            name=view.name,
+            pos=pos,
+            quat=quaternion_wxyz((T_body_camera @ T_camera_view @ FLIP)[:3, :3]),
+            resolution=[view.width, view.height],
+            sensor_size=[view.width * PITCH_M, view.height * PITCH_M],
+            focal_pixel=[view.f, view.f],
+            principal_pixel=list(view.mujoco_principal),
+        )
     body.add_site(name="eye", pos=pos, quat=quat_cv, group=SITE_GROUP, size=[0.005] * 3)
     box, glass = [0.025, 0.02, 0.03], [0.013, 0.012, 0]
     for name, kind, size, grey, along in (

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
@@ -11,36 +10,19 @@ from annotated_types import Ge, Gt, Le, Lt
 
 from vstestbed.camera import Camera, Frame, Look, Perspective, Window
 from vstestbed.errors import ParameterError
-from vstestbed.geometry import Array
 from vstestbed.spec import spec
 from vstestbed.target import Target
 from vstestbed.vision.base import Detection, TruthView
-from vstestbed.vision.centre import centre_bias
 from vstestbed.vision.find import Blob, Image, find_blobs, noise_level
-from vstestbed.vision.pose import solve_pose_from_rays, three_ray_poses
+from vstestbed.vision.measure import Measure
+from vstestbed.vision.track import BlobsMemory, at_border, hand_over, largest, look_of, moves_of, windows
 
-AREA_NOISE_PX = 3.5
-"""What rounding to pixels does to a blob's area, three standard deviations [px^2] (drawn ellipses of 2 to 8 px radius)."""
 EDGE_PX = 0.15
 """How far inside or outside of the true border a smoothed, shaded blob's border may lie [px] (rendered balls of 5 px and more)."""
-SAME_BIAS_PX = 0.02
-"""A bias that differs by less from the one assumed stands: solving the pose again would change it by a tenth of that."""
-MOST_ROUNDS = 3
-"""Poses solved at most for one picture, besides one for each marker that is left out."""
-SURPRISE = 0.15
-"""Sum over three markers of |log(area / expected)|: under .05 for the right pose of rendered discs, over .6 for most others."""
-MOST_WINDOWED = 0.3
-"""Share of the picture that windows may cover together; beyond it, one search of the whole picture is quicker."""
 
 
-@dataclass(frozen=True, slots=True)
-class BlobsMemory:
-    """Each marker's blob in the last picture (None: lost) and its move since the one before [px]; the last pose and bias."""
-
-    blobs: tuple[Blob | None, ...] = ()
-    moves: tuple[tuple[float, float], ...] = ()
-    T_camera_target: Array | None = None
-    bias: Array | None = None
+Found = tuple[int, Blob] | None
+"""A marker's blob and the panel of the camera in which it is; None: not found."""
 
 
 @spec
@@ -48,7 +30,8 @@ class Blobs:
     """Markers by colour: chroma mask, contours, moments; told apart by the hue at the centroid.
 
     A tracked marker is looked for in a window round its predicted position (last + last move); when one is lost, the
-    whole picture is searched. What is reported are images of marker centres: the centroid less perspective's bias, from
+    whole picture is searched. In a camera with panels it is handed from one panel to the next before it comes to a border;
+    where the panels overlap it counts once. What is reported are images of marker centres: the centroid less perspective's bias, from
     the pose that the markers themselves give. A blob is not reported if it touches the picture's border, if its shape
     is not an ellipse's, or if its area is not what the pose makes expect (something stands before it); the worst such
     marker is left out and the pose solved anew until all fit. Three markers and no pose before: of the poses they leave,
@@ -89,9 +72,8 @@ class Blobs:
         return BlobsMemory()
 
     def look(self, memory: BlobsMemory, camera: Camera, target: Target) -> Look | None:
-        """Windows round the predicted markers; None where one is lost."""
-        windows = _windows(memory, camera.width, camera.height, self.window_margin_px) if memory.blobs else None
-        return None if windows is None else (tuple(windows),)
+        """Windows round the predicted markers, in a camera with panels also where they may cross a seam; None where one is lost."""
+        return look_of(memory, camera, self.window_margin_px) if memory.blobs else None
 
     def detect(
         self, memory: BlobsMemory, frame: Frame | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
@@ -101,135 +83,61 @@ class Blobs:
         Raises:
             ParameterError: there is no picture.
         """
-        if frame is None or frame.image is None:
+        if frame is None or all(image is None for image in frame.images):
             raise ParameterError("frame", "is missing: detector blobs needs a picture; use detector oracle where there is none")
-        noise = noise_level(frame.image)
-        blobs = self._track(frame.image, noise, memory, camera, target) or self._search(frame.image, noise, camera, target)
-        uv, T, bias = self._measure(blobs, EDGE_PX if noise > 0 or _smooth(camera) else 0.0, memory, camera, target)
+        noise = max(noise_level(image) for image in frame.images if image is not None)
+        found = self._track(frame, noise, memory, camera, target) or self._search(frame, noise, camera, target)
+        blobs, panels = [f[1] if f else None for f in found], [f[0] if f else 0 for f in found]
+        edge = EDGE_PX if noise > 0 or _smooth(camera.panels[0].lens) else 0.0
+        measure = Measure(camera, target, panels, self.area_tolerance, edge)
+        uv, T, bias = measure.centres(blobs, memory, self.correct_centre)
         kept = T if T is not None else memory.T_camera_target
-        return BlobsMemory(tuple(blobs), _moves(memory, blobs), kept, bias), Detection(uv=uv, T_camera_target=T)
+        after = BlobsMemory(tuple(blobs), moves_of(memory, blobs, panels, camera), kept, bias, tuple(panels))
+        if len(camera.panels) > 1:
+            after = hand_over(after, camera, self.window_margin_px)
+        return after, Detection(uv=uv, T_camera_target=T)
 
-    def _look(self, image: Image, window: Window, noise: float, camera: Camera) -> list[Blob]:
-        rim = self.moments if _smooth(camera) or (noise > 0 and self.moments == "binary") else "sharp"
+    def _look(self, image: Image, window: Window, noise: float, lens: Camera) -> list[Blob]:
+        rim = self.moments if _smooth(lens) or (noise > 0 and self.moments == "binary") else "sharp"
         return find_blobs(image, window, self.chroma, self.least_area_px, rim, noise)
 
-    def _track(self, image: Image, noise: float, memory: BlobsMemory, camera: Camera, target: Target) -> list[Blob | None] | None:
-        """Each marker's blob, the nearest to its prediction in a window of its own; None: the whole picture must be searched."""
-        height, width = image.shape[:2]
-        windows = _windows(memory, width, height, self.window_margin_px)
-        if windows is None:
+    def _track(self, frame: Frame, noise: float, memory: BlobsMemory, camera: Camera, target: Target) -> list[Found] | None:
+        """Each marker's blob, the nearest to its prediction in a window of its own; None: whole pictures must be searched."""
+        own = windows(memory, camera, self.window_margin_px)
+        if own is None:
             return None
-        blobs: list[Blob | None] = []
-        for hue, last, (du, dv), window in zip(target.hues_deg, memory.blobs, memory.moves, windows, strict=True):
-            mine = self._of_hue(hue, self._look(image, window, noise, camera), len(windows))
+        found: list[Found] = []
+        for hue, last, (du, dv), panel, window in zip(target.hues_deg, memory.blobs, memory.moves, memory.panels, own, strict=True):
+            image, lens = frame.images[panel], camera.panels[panel].lens
+            if image is None:
+                return None
+            mine = [b for b in self._look(image, window, noise, lens) if self._is_of(b, hue, len(own))]
             u, v = (last.u + du, last.v + dv) if last else (math.nan, math.nan)
             blob = min(mine, key=lambda b: math.hypot(b.u - u, b.v - v), default=None)
-            if blob is None or blob.cut_by(window, width, height):
+            if blob is None or blob.cut_by(window, lens.width, lens.height):
                 return None
-            blobs.append(blob)
-        return blobs
+            if len(camera.panels) > 1 and at_border(blob, lens):
+                return None  # another panel may have the whole of it
+            found.append((panel, blob))
+        return found
 
-    def _search(self, image: Image, noise: float, camera: Camera, target: Target) -> list[Blob | None]:
-        """Each marker's blob in the whole picture: of those with its hue, whole ones first, the largest."""
-        height, width = image.shape[:2]
-        found = self._look(image, (0, 0, width, height), noise, camera)
+    def _search(self, frame: Frame, noise: float, camera: Camera, target: Target) -> list[Found]:
+        """Each marker's blob in whole pictures: of those with its hue, whole ones first, the largest."""
+        found: list[tuple[int, Blob]] = []
+        for panel, image in enumerate(frame.images):
+            if image is not None:
+                lens = camera.panels[panel].lens
+                found += [(panel, b) for b in self._look(image, (0, 0, lens.width, lens.height), noise, lens)]
         hues = target.hues_deg
-        return [max(self._of_hue(hue, found, len(hues)), key=lambda b: (b.whole, b.area), default=None) for hue in hues]
+        return [largest([f for f in found if self._is_of(f[1], hue, len(hues))], camera) for hue in hues]
 
-    def _of_hue(self, hue_deg: float, found: list[Blob], n_hues: int) -> list[Blob]:
+    def _is_of(self, blob: Blob, hue_deg: float, n_hues: int) -> bool:
+        """Whether a blob has a marker's hue."""
         tolerance = min(self.hue_tolerance_deg, 180 / n_hues)
-        return [b for b in found if abs((b.hue_deg - hue_deg + 180) % 360 - 180) <= tolerance]
-
-    def _measure(
-        self, blobs: list[Blob | None], edge: float, memory: BlobsMemory, camera: Camera, target: Target
-    ) -> tuple[Array, Array | None, Array]:
-        """Marker centres (N, 2), the pose, and perspective's bias (N, 2), from blobs whose borders are right within `edge` [px].
-
-        The pose is solved from centroids less the bias of the last picture, which gives this picture's bias; where that
-        is not the same within SAME_BIAS_PX, once more.
-        """
-        whole = [b if b and b.whole else None for b in blobs]
-        centroid = np.array([(b.u, b.v) if b else (np.nan, np.nan) for b in whole])
-        area = np.array([b.area if b else np.nan for b in whole])
-        assumed = np.zeros_like(centroid) if memory.bias is None else memory.bias
-        T = self._pose(centroid - assumed, area, memory.T_camera_target, camera, target)
-        for _ in range(len(blobs) + MOST_ROUNDS):
-            if T is None:
-                break
-            bias, expected = centre_bias(camera, target, T)
-            worst, misfit = self._worst(area, expected, edge)
-            if misfit > 1:
-                centroid[worst] = area[worst] = np.nan
-            elif not np.abs(bias - assumed).max() > SAME_BIAS_PX:
-                break
-            assumed = bias
-            T = self._pose(centroid - assumed, area, T if memory.T_camera_target is None else memory.T_camera_target, camera, target)
-        if T is None and memory.T_camera_target is not None:
-            assumed = centre_bias(camera, target, memory.T_camera_target)[0]
-        return (centroid - assumed if self.correct_centre else centroid), T, assumed
-
-    def _pose(self, uv: Array, area: Array, previous: Array | None, camera: Camera, target: Target) -> Array | None:
-        seen = np.isfinite(uv[:, 0])
-        n = int(np.count_nonzero(seen))
-        if n < 3:
-            return None
-        rays, points = (camera.ray(uv), target.points) if n == len(seen) else (camera.ray(uv[seen]), target.points[seen])
-        if len(points) == 3 and previous is None:
-            return _first_of_three(rays, area, camera, target)
-        return solve_pose_from_rays(rays, points, previous)
-
-    def _worst(self, area: Array, expected: Array, edge: float) -> tuple[int, float]:
-        """Which area (N,) is farthest from the expected one, and by how much, in units of what is allowed; unseen ones are not."""
-        worst, most = 0, -1.0
-        for i, (a, e) in enumerate(zip(area.tolist(), expected.tolist(), strict=True)):
-            if math.isnan(a):
-                continue
-            allowed = self.area_tolerance * e + AREA_NOISE_PX + edge * 2 * math.sqrt(math.pi * e)
-            misfit = math.inf if math.isnan(e) else abs(a - e) / allowed
-            if misfit > most:
-                worst, most = i, misfit
-        return worst, most
+        return abs((blob.hue_deg - hue_deg + 180) % 360 - 180) <= tolerance
 
 
-def _first_of_three(rays: Array, area: Array, camera: Camera, target: Target) -> Array | None:
-    """Of the poses that rays (3, 3) leave, the one that makes the areas (N,) least surprising; None if even that does not fit."""
-
-    def surprise(T: Array) -> float:
-        return float(np.nansum(np.abs(np.log(area / centre_bias(camera, target, T)[1]))))
-
-    poses = three_ray_poses(rays, target.points[np.isfinite(area)])
-    best = min(poses, key=surprise, default=None)
-    return best if best is not None and surprise(best) < SURPRISE else None
-
-
-def _smooth(camera: Camera) -> bool:
+def _smooth(lens: Camera) -> bool:
     """Whether pixels at a marker's rim mix colours: several samples a pixel, or a picture interpolated for a lens."""
-    plain = isinstance(camera, Perspective) and camera.distortion is None
-    return camera.multisampling > 0 or not plain
-
-
-def _moves(memory: BlobsMemory, blobs: list[Blob | None]) -> tuple[tuple[float, float], ...]:
-    """By how much each blob has moved since the last picture [px]; nothing where it was not seen then or is not now."""
-    before = memory.blobs or (None,) * len(blobs)
-    return tuple((b.u - a.u, b.v - a.v) if a and b else (0.0, 0.0) for a, b in zip(before, blobs, strict=True))
-
-
-def _windows(memory: BlobsMemory, width: int, height: int, margin: int) -> list[Window] | None:
-    """A window round each marker's predicted blob, within the picture; None where one is lost or the whole is quicker."""
-    windows: list[Window] = []
-    for blob, (du, dv) in zip(memory.blobs, memory.moves, strict=True):
-        if blob is None:
-            return None
-        left, top, right, bottom = blob.box
-        grow_u, grow_v = margin + abs(du) / 2, margin + abs(dv) / 2
-        window = (
-            max(0, int(left + du - grow_u)),
-            max(0, int(top + dv - grow_v)),
-            min(width, math.ceil(right + du + grow_u)),
-            min(height, math.ceil(bottom + dv + grow_v)),
-        )
-        if window[0] >= window[2] or window[1] >= window[3]:
-            return None
-        windows.append(window)
-    covered = sum((w[2] - w[0]) * (w[3] - w[1]) for w in windows)
-    return windows if windows and covered <= MOST_WINDOWED * width * height else None
+    plain = isinstance(lens, Perspective) and lens.distortion is None
+    return lens.multisampling > 0 or not plain

@@ -5,11 +5,9 @@ from __future__ import annotations
 from typing import ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vstestbed.camera import Camera, Frame, Look
 from vstestbed.errors import ParameterError
-from vstestbed.geometry import Array
 from vstestbed.spec import spec
 from vstestbed.target import Target
 from vstestbed.vision.base import Detection, TruthView
@@ -19,12 +17,11 @@ from vstestbed.vision.base import Detection, TruthView
 class Oracle:
     """True projections and true depths; pixel noise is the scenario's `noise.pixel_sigma_px`, added by the `Observer`.
 
-    A marker behind the camera is never seen. With a limited field of view, neither is one that is hidden, outside the
-    picture or cut by its border: whose centre is nearer to the border than the marker's apparent half width (height), the
-    root of the squared shifts in u (in v) that one marker radius along the camera's x and along its y make.
+    What the lens cannot see is never seen: with a perspective one, all that is behind it. With a limited field of view,
+    neither is a marker that is hidden, outside the picture or cut by its border (`Camera.whole`).
 
     Args:
-        field_of_view: `limited` by the picture and by what stands in the way, or `unlimited`: all that is in front.
+        field_of_view: `limited` by the picture and by what stands in the way, or `unlimited`: all that the lens can project.
     """
 
     kind: Literal["oracle"] = "oracle"
@@ -52,15 +49,6 @@ class Oracle:
         uv = camera.project(p)
         seen = np.isfinite(uv[:, 0])
         if self.field_of_view == "limited":
-            seen &= ~view.hidden & _whole(uv, p, camera, target.marker.radius)
+            seen &= ~view.hidden & camera.whole(p, target.marker.radius)
         mask = np.where(seen, 1.0, np.nan)
         return None, Detection(uv=uv * mask[:, None], p_camera=p * mask[:, None])
-
-
-def _whole(uv: Array, p: Array, camera: Camera, radius: float) -> NDArray[np.bool_]:
-    """Whether the markers at p (N, 3) lie in the picture with a margin of their apparent radius, shape (N,)."""
-    across = camera.project(p + np.array([radius, 0, 0])) - uv
-    down = camera.project(p + np.array([0, radius, 0])) - uv
-    size = np.array([camera.width, camera.height])
-    with np.errstate(invalid="ignore"):
-        return np.all(np.minimum(uv + 0.5, size - 0.5 - uv) >= np.hypot(across, down), axis=-1)

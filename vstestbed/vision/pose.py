@@ -101,23 +101,35 @@ def solve_pose_from_rays(rays: Array, points: Array, previous: Array | None = No
         return None
     if rays[:, 2].min() > WIDE:
         return solve_pose(rays[:, :2] / rays[:, 2:], points, previous)
-    mean = rays.mean(axis=0)
-    if np.linalg.norm(mean) < WIDE:
+    T = _virtual(rays)
+    if T is None:
         return None
-    T = np.eye(4)
-    T[:3, :3] = _looking_along(mean)
     turned = rays @ T[:3, :3]
-    if turned[:, 2].min() <= WIDE:
-        return None
     found = solve_pose(turned[:, :2] / turned[:, 2:], points, None if previous is None else inverse(T) @ previous)
     return None if found is None else T @ found
 
 
 def three_ray_poses(rays: Array, points: Array) -> list[Array]:
-    """All poses (4, 4), at most four, that put three points (3, 3) [m] on three rays (3, 3) within 78 degrees of the axis."""
-    if rays[:, 2].min() <= WIDE or _layout(np.ascontiguousarray(points).tobytes()) == "line":
+    """All poses (4, 4), at most four, that put three points (3, 3) [m] on three rays (3, 3) within 78 degrees of one direction."""
+    if _layout(np.ascontiguousarray(points).tobytes()) == "line":
         return []
-    return _three(rays[:, :2] / rays[:, 2:], points)
+    if rays[:, 2].min() > WIDE:
+        return _three(rays[:, :2] / rays[:, 2:], points)
+    T = _virtual(rays)
+    if T is None:
+        return []
+    turned = rays @ T[:3, :3]
+    return [T @ found for found in _three(turned[:, :2] / turned[:, 2:], points)]
+
+
+def _virtual(rays: Array) -> Array | None:
+    """T_camera_virtual (4, 4) of a camera at the same place that looks along the rays' mean; None where it does not see all."""
+    mean = rays.mean(axis=0)
+    if np.linalg.norm(mean) < WIDE:
+        return None
+    T = np.eye(4)
+    T[:3, :3] = _looking_along(mean)
+    return T if (rays @ T[:3, 2]).min() > WIDE else None
 
 
 def _candidates(xy: Array, points: Array, planar: bool) -> list[tuple[float, float, Array]]:
