@@ -16,7 +16,7 @@ from vstestbed.geometry import Array
 from vstestbed.sim.pinhole import Pinhole, covering, pinhole_of, pixel_grid
 
 NOWHERE = -10.0
-"""Where a pixel that sees nothing lies in the drawn pictures [px]: outside of all of them, so that it stays black."""
+"""Where a pixel that a face does not hold lies in it [px]: outside, so that cv2.remap leaves it alone."""
 MOST_PX = 2048.0
 """Largest focal length of a drawn face [px]; a lens that has more pixels a radian is blurred."""
 SEAM_PX = 24
@@ -24,18 +24,26 @@ SEAM_PX = 24
 
 
 @dataclass(frozen=True)
+class Patch:
+    """What one face gives to the picture: rows and columns of its part, and for cv2.remap where they lie in the face."""
+
+    rows: slice
+    columns: slice
+    maps: tuple[NDArray[np.int16], NDArray[np.uint16]]
+
+
+@dataclass(frozen=True)
 class Cube:
     """How a camera's own picture comes from drawn faces.
 
     Attributes:
-        faces: the faces that the lens can see.
+        faces: the faces that the lens can see. patches: what each gives.
         owner: which of them each pixel is taken from, shape (H, W); -1 where the lens sees nothing.
-        maps: for cv2.remap, where each pixel lies in the faces put one below the other.
     """
 
     faces: tuple[Pinhole, ...]
+    patches: tuple[Patch, ...]
     owner: NDArray[np.int8]
-    maps: tuple[NDArray[np.int16], NDArray[np.uint16]]
 
     def needed(self, windows: Iterable[Window]) -> set[int]:
         """The faces that have a part in windows of the camera's picture, or come within SEAM_PX of one."""
@@ -47,13 +55,12 @@ class Cube:
 
     def compose(self, drawn: dict[int, Image]) -> Image:
         """The camera's picture (H, W, 3) from drawn faces; black where a face is missing or the lens sees nothing."""
-        atlas = np.zeros((sum(f.height for f in self.faces), max(f.width for f in self.faces), 3), np.uint8)
-        top = 0
-        for i, face in enumerate(self.faces):
-            if i in drawn:
-                atlas[top : top + face.height, : face.width] = drawn[i]
-            top += face.height
-        return np.asarray(cv2.remap(atlas, *self.maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT), np.uint8)
+        image = np.zeros((*self.owner.shape, 3), np.uint8)
+        for i, face in drawn.items():
+            patch = self.patches[i]
+            into = image[patch.rows, patch.columns]
+            cv2.remap(np.ascontiguousarray(face), *patch.maps, cv2.INTER_LINEAR, dst=into, borderMode=cv2.BORDER_TRANSPARENT)
+        return image
 
 
 @lru_cache(maxsize=4)
@@ -72,22 +79,28 @@ def cube_of(camera: Camera) -> Cube:
     best = np.where(seen, np.argmax(along, axis=0), -1)
     fine = along.max(axis=0) / _angle_to_next(rays)
     faces: list[Pinhole] = []
+    patches: list[Patch] = []
     owner = np.full(best.shape, -1, np.int8)
-    u, v = np.full(best.shape, NOWHERE, np.float32), np.full(best.shape, NOWHERE, np.float32)
-    top = 0
     for index, name in enumerate(names):
         mine = best == index
         if not mine.any():
             continue
         turned = rays[mine] @ CUBE[name]
         face = _face(camera, index, name, turned, float(min(np.nanmax(fine[mine]), MOST_PX)))
-        px = turned[:, :2] / turned[:, 2:] * face.f + face.centre
-        u[mine], v[mine] = px[:, 0], px[:, 1] + top
+        patches.append(_patch(mine, turned[:, :2] / turned[:, 2:] * face.f + face.centre))
         owner[mine] = len(faces)
         faces.append(face)
-        top += face.height
-    coarse, rest = cv2.convertMaps(u, v, cv2.CV_16SC2)
-    return Cube(tuple(faces), owner, (np.asarray(coarse, np.int16), np.asarray(rest, np.uint16)))
+    return Cube(tuple(faces), tuple(patches), owner)
+
+
+def _patch(mine: NDArray[np.bool_], px: Array) -> Patch:
+    """The part of the picture that holds the pixels `mine` (H, W), which lie at px (N, 2) in the face."""
+    v, u = np.nonzero(mine)
+    rows, columns = slice(int(v.min()), int(v.max()) + 1), slice(int(u.min()), int(u.max()) + 1)
+    at = np.full((*mine.shape, 2), NOWHERE, np.float32)
+    at[mine] = px
+    coarse, rest = cv2.convertMaps(at[rows, columns, 0].copy(), at[rows, columns, 1].copy(), cv2.CV_16SC2)
+    return Patch(rows, columns, (np.asarray(coarse, np.int16), np.asarray(rest, np.uint16)))
 
 
 def _face(camera: Camera, index: int, name: str, turned: Array, f: float) -> Pinhole:
