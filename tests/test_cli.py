@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from vstestbed import cli
 from vstestbed.assets import bundled_scenarios
+from vstestbed.cli_tools import Room
 from vstestbed.scenario_file import KINDS
 from vstestbed.sim import gl
 
@@ -230,7 +230,7 @@ class TestNoOpenGL:
 
 
 class TestListAndSchema:
-    @pytest.mark.parametrize("room", [room.value for room in cli.Room])
+    @pytest.mark.parametrize("room", [room.value for room in Room])
     def test_a_room_has_one_line_a_member(self, command, room: str) -> None:
         ended = command("list", room)
         members = bundled_scenarios() if room == "scenarios" else KINDS[room].members
@@ -240,7 +240,7 @@ class TestListAndSchema:
 
     def test_without_a_room_it_lists_all(self, command) -> None:
         out = command("list").out
-        assert [line[:-1] for line in out.splitlines() if not line.startswith(" ")] == [room.value for room in cli.Room]
+        assert [line[:-1] for line in out.splitlines() if not line.startswith(" ")] == [room.value for room in Room]
         assert "  arm_ibvs  " in out
 
     def test_the_schema_is_json(self, command) -> None:
@@ -250,7 +250,7 @@ class TestListAndSchema:
 
     def test_help_and_version(self, command) -> None:
         assert "Commands:" in command("--help").out
-        for name in ("run", "list", "schema", "render", "report", "doctor", "bench"):
+        for name in ("run", "list", "schema", "render", "report", "doctor", "bench", "flow"):
             ended = command(name, "--help")
             assert ended.code == 0
             assert ended.out.startswith(f"Usage: vstestbed {name}")

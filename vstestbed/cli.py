@@ -1,8 +1,7 @@
-"""The command line: parses, calls, prints. Heavy imports happen inside the commands, so that --help is quick."""
+"""The command line: runs and what is made of them; how a command ends. Heavy imports happen inside, so that --help is quick."""
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 from collections.abc import Callable, Iterator
@@ -13,11 +12,11 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
+from vstestbed.cli_tools import Json, Plugins, load_scenario, tools
 from vstestbed.errors import ParameterError, RunFolderError, VstestbedError
 
 if TYPE_CHECKING:
     from vstestbed.recording import Recording, Tick, Watcher
-    from vstestbed.scenario import Scenario
 
 app = typer.Typer(
     help="Visual servoing meets real dynamics: run scenarios, film them, look at the results.",
@@ -26,7 +25,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-GOAL_REACHED, BUG, BAD_INPUT, NOT_REACHED, LACKING, INTERRUPTED = 0, 1, 2, 3, 4, 130
+GOAL_REACHED, BUG, BAD_INPUT, NOT_REACHED, INTERRUPTED = 0, 1, 2, 3, 130
 UsageMistake: type[Exception] = typer.BadParameter.__mro__[2]  # click's ClickException, whether typer imports click or carries it
 
 
@@ -39,20 +38,6 @@ class FilmChoice(str, Enum):
     none = "none"
 
 
-class Room(str, Enum):
-    """What `list` lists."""
-
-    scenarios = "scenarios"
-    robots = "robots"
-    cameras = "cameras"
-    targets = "targets"
-    features = "features"
-    laws = "laws"
-    detectors = "detectors"
-
-
-Plugins = Annotated[list[str] | None, typer.Option("--plugin", metavar="MODULE", help="Import a module that adds kinds.")]
-Json = Annotated[bool, typer.Option("--json", help="Print summary.json and nothing else on standard output.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no words.")]
 
 
@@ -87,7 +72,7 @@ def run(
     from vstestbed.progress import Progress
     from vstestbed.runs import new_folder, run_into
 
-    chosen = _load(scenario, set_, plugin, seed)
+    chosen = load_scenario(scenario, set_, plugin, seed)
     folder = new_folder(chosen, out)
     with Progress(chosen, shown=not quiet and not as_json) as progress, _interrupts() as watch:
         recording = run_into(folder, chosen, video.value, [progress, watch], progress.say)
@@ -95,20 +80,6 @@ def run(
     if recording.outcome.name == "interrupted":
         raise typer.Exit(INTERRUPTED)
     raise typer.Exit(GOAL_REACHED if recording.outcome.success else NOT_REACHED)
-
-
-def _load(name: str, settings: list[str] | None, plugins: list[str] | None, seed: int | None = None) -> Scenario:
-    from vstestbed.scenario_file import load, load_plugins
-    from vstestbed.yaml_tree import read_value
-
-    load_plugins(plugins or [])
-    overrides: dict[str, object] = {}
-    for setting in settings or []:
-        key, equals, value = setting.partition("=")
-        if not equals or not all(part.strip() for part in key.split(".")):
-            raise ParameterError("--set", "needs the form a.b=value", setting)
-        overrides[key.strip()] = read_value(value)
-    return load(name, overrides, seed)
 
 
 @contextmanager
@@ -144,36 +115,6 @@ def _tell(recording: Recording, folder: Path, films: str, as_json: bool, quiet: 
         from vstestbed.progress import words
 
         typer.echo(words(recording, folder, filmed=films != "none"), err=True)
-
-
-@app.command("list")
-def list_(room: Annotated[Room | None, typer.Argument(help="What to list. [default: everything]")] = None, plugin: Plugins = None) -> None:
-    """What there is, one line each."""
-    from vstestbed.assets import bundled_scenarios
-    from vstestbed.scenario_file import KINDS, load, load_plugins
-
-    load_plugins(plugin or [])
-    for name in [room] if room else list(Room):
-        if room is None:
-            typer.echo(f"{name.value}:")
-        indent = "" if room else "  "
-        if name is Room.scenarios:
-            lines = [(stem, load(stem).description) for stem in bundled_scenarios()]
-        else:
-            lines = [(kind, (cls.__doc__ or "").strip().split("\n")[0]) for kind, cls in KINDS[name.value].members.items()]
-        width = max((len(kind) for kind, _ in lines), default=0)
-        for kind, text in lines:
-            typer.echo(f"{indent}{kind:{width}}  {text}")
-
-
-@app.command()
-def schema(plugin: Plugins = None) -> None:
-    """JSON Schema of a scenario, for editors."""
-    from vstestbed.scenario_file import load_plugins
-    from vstestbed.scenario_file import schema as scenario_schema
-
-    load_plugins(plugin or [])
-    typer.echo(json.dumps(scenario_schema(), indent=1))
 
 
 @app.command()
@@ -231,31 +172,7 @@ def report(
         typer.echo(str(page), err=True)
 
 
-@app.command()
-def doctor() -> None:
-    """Versions, OpenGL, codecs, cores: what works here, and the command that mends what does not."""
-    from vstestbed.doctor import examine
-
-    sound = True
-    for finding in examine():
-        typer.echo(str(finding))
-        sound = sound and finding.works
-    raise typer.Exit(GOAL_REACHED if sound else LACKING)
-
-
-@app.command()
-def bench(
-    scenario: Annotated[str, typer.Argument(help="A bundled scenario's name, or a YAML file.")] = "arm_ibvs",
-    set_: Annotated[list[str] | None, typer.Option("--set", metavar="a.b=value", help="Change a field before it is checked.")] = None,
-    repeats: Annotated[int, typer.Option(min=1, help="Runs, each beside its floor.")] = 5,
-    as_json: Json = False,
-    plugin: Plugins = None,
-) -> None:
-    """Real-time factor and where the time goes, against the floor: the same physics steps and pictures, nothing else."""
-    from vstestbed.bench import measure
-
-    result = measure(_load(scenario, set_, plugin), repeats)
-    typer.echo(json.dumps(result.as_dict(), indent=1) if as_json else result.words())
+app.add_typer(tools)
 
 
 def main(argv: list[str] | None = None) -> NoReturn:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import base64
-import errno
 import json
-import os
 from collections.abc import Callable, Mapping
 from html import escape
 from pathlib import Path
@@ -13,9 +11,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 import polars as pl
 
-from vstestbed.errors import OutputError, RunFolderError, VstestbedError
+from vstestbed.errors import RunFolderError, VstestbedError
 from vstestbed.report import figures, numbers, path3d
 from vstestbed.report.canvas import style, to_svg
+from vstestbed.report.files import write_whole
 from vstestbed.report.template import PAGE, STYLE
 from vstestbed.report.tracks import Setting, Tracks
 
@@ -67,7 +66,7 @@ def write_report(run_dir: Path, log: pl.DataFrame | None = None, setting: Settin
     text = render_page(
         _log(run_dir) if log is None else log, summary, scenario_text, videos, setting or _setting(run_dir / "scenario.yaml")
     )
-    return _write(run_dir / "report.html", text)
+    return write_whole(run_dir / "report.html", text)
 
 
 def render_page(
@@ -174,16 +173,3 @@ def _setting(path: Path) -> Setting:
         return Setting(
             description="The scenario uses kinds that this installation lacks: the figures show no picture border and no goal view."
         )
-
-
-def _write(path: Path, text: str) -> Path:
-    """Write under another name first: a report under its name is always whole."""
-    part = path.with_name(path.name + ".part")
-    try:
-        part.write_text(text, encoding="utf-8")
-        part.replace(path)
-    except OSError as error:
-        part.unlink(missing_ok=True)
-        full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-        raise OutputError(path, os.strerror(error.errno or 0), "free some space or give another folder", 4 if full else 2) from error
-    return path

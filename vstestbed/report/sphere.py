@@ -1,0 +1,71 @@
+"""The unit sphere around the camera's centre in 3-D: its net, its axes, and where it is looked at from.
+
+Camera axes (x right, y down, z forward) are drawn as (x, z, -y), so that down is down.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vstestbed.geometry import Array
+from vstestbed.report.canvas import AXIS_COLORS, INK, RULE
+
+if TYPE_CHECKING:
+    from mpl_toolkits.mplot3d import Axes3D
+
+
+def drawn(p: Array) -> Array:
+    """Camera coordinates (..., 3) as matplotlib's x, y, z, first axis first: shape (3, ...)."""
+    p = np.asarray(p, dtype=float)
+    return np.stack([p[..., 0], p[..., 2], -p[..., 1]])
+
+
+def ray_at(theta: Array, phi: Array) -> Array:
+    """Unit rays (..., 3) at colatitude theta and longitude phi [rad]."""
+    theta, phi = np.broadcast_arrays(theta, phi)
+    return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
+
+
+def towards_viewer(axes: Axes3D) -> Array:
+    """Unit vector (3,) in camera coordinates from the centre to whoever looks at the axes."""
+    elevation, azimuth = np.radians(axes.elev), np.radians(axes.azim)
+    return np.array([np.cos(elevation) * np.cos(azimuth), -np.sin(elevation), np.cos(elevation) * np.sin(azimuth)])
+
+
+def draw_net(axes: Axes3D, reach: float, step: float, hide_back: bool = False) -> None:
+    """Circles of equal theta every `step` [rad] up to `reach`, and meridians every 30 degrees; the far side paler or hidden."""
+    line = np.linspace(0, 2 * np.pi, 121)
+    lines = [ray_at(theta, line) for theta in np.arange(step, min(reach, np.pi - 1e-6) + 1e-6, step)]
+    lines += [ray_at(np.linspace(0, reach, 61), phi) for phi in np.arange(12) * np.pi / 6]
+    viewer = towards_viewer(axes)
+    for p in lines:
+        front = (p @ viewer >= 0)[:, None] if hide_back else np.ones((len(p), 1), dtype=bool)
+        axes.plot(*drawn(np.where(front, p, np.nan)), color=RULE, linewidth=0.6)
+
+
+def draw_axes(axes: Axes3D, length: float, start: float = 0.0) -> None:
+    """The optical axis z as a dashed line from `start` to beyond the sphere, x and y as short lines, each with its letter."""
+    tip = np.array([0, 0, start + length])
+    axes.plot(*drawn(np.stack([[0, 0, start], tip])), color=INK, linewidth=1.3, linestyle=(0, (4, 2)))
+    axes.text(*(drawn(tip * 1.06).tolist()), "z", color=INK, ha="center", va="center")
+
+
+def draw_cross_axes(axes: Axes3D, at: Array, length: float) -> None:
+    """Short lines along x and y from the point `at` (3,), in the axes' colours, with their letters."""
+    for axis, name in enumerate("xy"):
+        tip = np.array(at, dtype=float)
+        tip[axis] += length
+        axes.plot(*drawn(np.stack([at, tip])), color=AXIS_COLORS[axis], linewidth=1.3)
+        axes.text(*(drawn(at + 1.15 * (tip - at)).tolist()), name, color=AXIS_COLORS[axis], ha="center", va="center")
+
+
+def frame(axes: Axes3D, low: Array, high: Array, elev: float, azim: float, zoom: float) -> None:
+    """Show the box from `low` to `high` (3,) of camera coordinates in equal scale, without matplotlib's own axes."""
+    corners = np.sort(np.stack([drawn(low), drawn(high)]), axis=0)
+    limits: dict[str, Any] = {f"{name}lim": tuple(corners[:, i].tolist()) for i, name in enumerate("xyz")}
+    axes.set(**limits)
+    axes.set_box_aspect(np.ptp(corners, axis=0), zoom=zoom)
+    axes.view_init(elev=elev, azim=azim)
+    axes.set_axis_off()
