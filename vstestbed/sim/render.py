@@ -14,6 +14,7 @@ from dm_control.mujoco import wrapper
 from vstestbed.camera import Camera, Image, Look, Perspective
 from vstestbed.errors import EnvironmentLackError, ParameterError
 from vstestbed.sim import gl
+from vstestbed.sim.noise import noisy
 from vstestbed.sim.pinhole import pinhole_of, resampling_maps
 from vstestbed.sim.scene import LENS_GROUP
 from vstestbed.sim.stage import Stage
@@ -75,6 +76,8 @@ class Eye:
         (of 255). rng: where the noise comes from.
     """
 
+    draws_windows = False
+
     def __init__(self, stage: Stage, camera: Camera, image_sigma: float = 0.0, rng: np.random.Generator | None = None):
         if not isinstance(camera, Perspective):
             raise ParameterError("camera.kind", "has no picture", type(camera).__name__)
@@ -99,8 +102,6 @@ class Eye:
         if self._maps is not None:
             still = np.ascontiguousarray(image)
             image = np.asarray(cv2.remap(still, *self._maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.uint8)
-        if self._sigma > 0 and self._rng is not None:
-            noise = self._rng.standard_normal(image.shape, dtype=np.float32) * np.float32(self._sigma)
-            image = np.clip(image + noise + 0.5, 0, 255).astype(np.uint8)
+        image = noisy(image, self._sigma, self._rng)
         self.spent_s += time.perf_counter() - start
         return (image,)
