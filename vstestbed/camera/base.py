@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated, Literal
 
@@ -28,11 +28,12 @@ FORWARD_COSINE = 1e-6
 class Frame:
     """What a camera gives: t [s] of exposure, and one picture (H, W, 3) uint8 RGB a panel, None for one not wanted.
 
-    What lies outside of the windows that were asked for may be blank.
+    What lies outside of the windows that were asked for may be blank; then it is not `whole`.
     """
 
     t: float
     images: tuple[Image | None, ...]
+    whole: bool = True
 
     @property
     def image(self) -> Image | None:
@@ -41,7 +42,7 @@ class Frame:
 
     def copy(self) -> Frame:
         """The same with pictures of its own."""
-        return Frame(self.t, tuple(None if image is None else image.copy() for image in self.images))
+        return replace(self, images=tuple(None if image is None else image.copy() for image in self.images))
 
 
 @dataclass(frozen=True, slots=True)

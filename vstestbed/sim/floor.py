@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import mujoco
 
 from vstestbed.geometry import Array
-from vstestbed.sim.render import View
+from vstestbed.sim.pictures import bare_of
 from vstestbed.sim.scene import Parts
 from vstestbed.sim.stage import Stage
 
@@ -29,6 +29,8 @@ class Floor:
 def measure_floor(parts: Parts, steps_per_frame: int, ctrl: Array, q: Array, T_world_camera: Array, pictures: bool) -> Floor:
     """Replay a recorded run's controls with bare `mj_step`, and its views with bare renders of the kept camera.
 
+    Rays draw whole pictures here, so that a run, which draws windows, may cost less.
+
     Args:
         parts: the scene. steps_per_frame: physics steps between frames.
         ctrl: actuator controls of each frame (frames, nu); q: joint angles of each frame (frames, n).
@@ -37,7 +39,7 @@ def measure_floor(parts: Parts, steps_per_frame: int, ctrl: Array, q: Array, T_w
     """
     stage = Stage(parts, samples=parts.camera.multisampling)
     camera = parts.camera
-    view = View(stage, "eye", camera.width, camera.height, camera.shadows, "own") if pictures else None
+    picture = bare_of(stage, camera) if pictures else None
     target = parts.target.pose.T
     stage.place(0.0, target, q[0], T_world_camera[0])
     mujoco.mj_forward(stage.model, stage.data)
@@ -46,8 +48,8 @@ def measure_floor(parts: Parts, steps_per_frame: int, ctrl: Array, q: Array, T_w
         if parts.robot.model is None:
             stage.place(0.0, target, q[frame], T_world_camera[frame])
         began = time.perf_counter()
-        if view is not None:
-            view.raw()
+        if picture is not None:
+            picture()
         rendered = time.perf_counter()
         if parts.robot.model is not None:
             stage.data.ctrl[: ctrl.shape[1]] = ctrl[frame]

@@ -9,8 +9,7 @@ from dm_control.rl.control import PhysicsError
 from vstestbed.camera import Frame, Look
 from vstestbed.geometry import Array, inverse, transform
 from vstestbed.observation import Encoders
-from vstestbed.sim.base import Truth
-from vstestbed.sim.render import Eye
+from vstestbed.sim.base import Eyes, Truth
 from vstestbed.sim.scene import Parts
 from vstestbed.sim.stage import Stage
 
@@ -27,7 +26,7 @@ class MujocoPlant:
         eye: makes the pictures; None where no detector needs them. see_hidden: cast rays for the truth's `hidden`.
     """
 
-    def __init__(self, stage: Stage, start: Array, steps_per_frame: int, eye: Eye | None, see_hidden: bool):
+    def __init__(self, stage: Stage, start: Array, steps_per_frame: int, eye: Eyes | None, see_hidden: bool):
         self._stage, self._eye, self._see_hidden = stage, eye, see_hidden
         parts: Parts = stage.parts
         self.step_s, self.steps_per_frame = parts.step, steps_per_frame
@@ -75,7 +74,9 @@ class MujocoPlant:
         hidden = stage.hidden(T, p_camera) if self._see_hidden else self._visible
         q, qd, ctrl = data.qpos[stage.qpos], data.qvel[stage.qvel], data.ctrl[self._ctrl]
         truth = Truth(T, self._T_world_target, twist, q, qd, ctrl, p_camera, hidden, self._touches())
-        frame = Frame(t, self._eye.glimpse(look)) if self._eye else None
+        frame = None
+        if self._eye is not None:
+            frame = Frame(t, self._eye.glimpse(look), whole=look is None or not self._eye.draws_windows)
         return frame, truth
 
     def _touches(self) -> bool:

@@ -97,10 +97,10 @@ def _texels(model: mujoco.MjModel, texture: int) -> NDArray[np.float32]:
     height, width, channels = model.tex_height[texture], model.tex_width[texture], model.tex_nchannel[texture]
     start = model.tex_adr[texture]
     pixels = model.tex_data[start : start + height * width * channels].reshape(height, width, channels)
-    return np.broadcast_to(pixels[..., :3], (height, width, 3)).astype(np.float32) / 255
+    return np.broadcast_to(pixels[..., :3], (height, width, 3)).astype(np.float32) / np.float32(255)
 
 
-def _sky(model: mujoco.MjModel) -> tuple[Array, Array]:
+def _sky(model: mujoco.MjModel) -> tuple[Array, NDArray[np.float32]]:
     """A sky that depends on the elevation alone: sines (M,) of elevations, rising, and colours (M, 3) there; black without a skybox."""
     for texture in np.flatnonzero(model.tex_type == SKYBOX):
         faces = _texels(model, int(texture))
@@ -115,4 +115,4 @@ def _sky(model: mujoco.MjModel) -> tuple[Array, Array]:
         tints = np.concatenate([down[:middle, middle], right[::-1, middle], up[:middle, middle]])
         order = np.argsort(sines)
         return sines[order], tints[order]
-    return np.zeros(1), np.zeros((1, 3))
+    return np.zeros(1), np.zeros((1, 3), np.float32)
