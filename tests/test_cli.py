@@ -11,7 +11,7 @@ import pytest
 from vstestbed.assets import bundled_scenarios
 from vstestbed.cli_tools import Room
 from vstestbed.scenario_file import KINDS
-from vstestbed.sim import gl
+from vstestbed.sim import gl, pictures
 
 NO_FILM = ("--video", "none")
 
@@ -39,7 +39,7 @@ class TestBadInput:
             (["quick.yaml", "--set", "law.gain=[1"], "--set value is not YAML: expected ',' or ']'"),
             (["quick.yaml", "--set", "target.side.x=1"], "--set: target.side.x: target.side is a value, not a block, got 0.4"),
             (["quick.yaml", "--set", "robot.start.nominal.xyz.3=1"], "there is no item 3 in a list of 3 (the first is item 0)"),
-            (["quick.yaml", "--set", "law=nbvs"], "--set: law: is no law; valid kinds: ibvs, got 'nbvs'"),
+            (["quick.yaml", "--set", "law=nbvs"], "--set: law: is no law; valid kinds: hybrid, ibvs, partitioned, pbvs, got 'nbvs'"),
             (["quick.yaml", "--set", "law.depth=oracle", "--set", "detector=blobs"], "law.depth: may be oracle only with detector"),
             (["ibvs_retreat", "--seed", "1"], "robot.start.random: is missing: a seed draws the start from it"),
             (["quick.yaml", "--plugin", "no_such_module"], "--plugin cannot be imported"),
@@ -199,7 +199,7 @@ class TestNoOpenGL:
     def test_switched_off_is_exit_4_with_the_hint_and_no_folder(self, command, quick: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setenv("MUJOCO_GL", "disable")
         monkeypatch.setattr(gl, "_lack", [])
-        ended = command("run", "quick.yaml", "--set", "detector=blobs", *NO_FILM)
+        ended = command("run", "quick.yaml", "--set", "detector=blobs", "--set", "camera.renderer=gl", *NO_FILM)
         assert (ended.code, ended.out) == (4, "")
         assert ended.err == "no OpenGL: MUJOCO_GL=disable is set; unset MUJOCO_GL or set MUJOCO_GL=egl\n"
         assert [p.name for p in Path().iterdir()] == ["quick.yaml"]
@@ -208,11 +208,26 @@ class TestNoOpenGL:
         monkeypatch.setenv("MUJOCO_GL", "disable")
         assert command("run", "quick.yaml", *NO_FILM, "--quiet").code == 0
 
+    def test_rays_take_its_place_with_a_line_that_says_so(self, command, quick: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setenv("MUJOCO_GL", "disable")
+        monkeypatch.setattr(gl, "_lack", [])
+        pictures._say.cache_clear()
+        ended = [command("run", "quick.yaml", "--set", "detector=blobs", "--set", "stop.duration_s=0.2", *NO_FILM) for _ in range(2)]
+        assert [e.code for e in ended] == [3, 3]
+        note = "no OpenGL: MUJOCO_GL=disable is set; rays draw the pictures instead, films without shadows"
+        assert [e.err.splitlines().count(note) for e in ended] == [1, 0]
+
+    def test_quiet_is_quiet_about_it(self, command, quick: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setenv("MUJOCO_GL", "disable")
+        pictures._say.cache_clear()
+        ended = command("run", "quick.yaml", "--set", "detector=blobs", "--set", "stop.duration_s=0.2", *NO_FILM, "--quiet")
+        assert (ended.code, ended.out, ended.err) == (3, "", "")
+
     @pytest.mark.parametrize(
         ("hide", "line"),
         [
             ({"LD_LIBRARY_PATH": "fake"}, "no OpenGL: libEGL.so.1 not found; on Debian or Ubuntu: apt-get install libegl1 libgl1"),
-            ({"__EGL_VENDOR_LIBRARY_FILENAMES": "/none"}, "no OpenGL: Cannot initialize a headless EGL display; on Debian or"),
+            ({"__EGL_VENDOR_LIBRARY_FILENAMES": "/none"}, "no OpenGL: libEGL starts no display; on Debian or"),
             ({"MUJOCO_GL": "vulkan"}, "no OpenGL: MUJOCO_GL=vulkan is set, and there is no such backend"),
         ],
     )
@@ -221,7 +236,7 @@ class TestNoOpenGL:
         (tmp_path / "fake").mkdir()
         (tmp_path / "fake" / "libEGL.so.1").touch()
         words, environment = vstestbed_process
-        words = [*words, "run", "quick.yaml", "--set", "detector=blobs"]
+        words = [*words, "run", "quick.yaml", "--set", "detector=blobs", "--set", "camera.renderer=gl"]
         done = subprocess.run(words, cwd=tmp_path, env=environment | hide, capture_output=True, text=True, check=False)
         assert done.returncode == 4, done.stderr
         assert done.stderr.startswith(line)
@@ -290,7 +305,7 @@ class Timid(IBVS):
         encoding="utf-8",
     )
     timid = ("--set", "law={kind: timid, gain: 6}")
-    assert "valid kinds: ibvs, got" in command("run", "quick.yaml", *timid).err  # a file alone never imports code
+    assert "valid kinds: hybrid, ibvs, partitioned, pbvs, got" in command("run", "quick.yaml", *timid).err  # a file alone never imports code
     with_plugin = ("--plugin", "timid_law")
     bold, shy = (
         json.loads(command("run", "quick.yaml", *NO_FILM, "--json", *with_plugin, *timid, "--set", f"law.share={share}").out)

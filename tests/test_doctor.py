@@ -18,7 +18,7 @@ def pixel_errors(monkeypatch: pytest.MonkeyPatch):
     import vstestbed.sim.check
 
     def set_(errors: np.ndarray) -> None:
-        monkeypatch.setattr(vstestbed.sim.check, "pixel_convention", lambda: PixelCheck(errors, "a renderer"))
+        monkeypatch.setattr(vstestbed.sim.check, "pixel_convention", lambda renderer: PixelCheck(errors, "a renderer"))
 
     return set_
 
@@ -59,8 +59,11 @@ def test_no_opengl_is_told_with_its_remedy_and_exit_4(command, monkeypatch: pyte
     lines = ended.out.splitlines()
     at = next(i for i, line in enumerate(lines) if line.startswith("NO "))
     assert ended.code == 4
-    assert lines[at].split(None, 2)[1:] == ["OpenGL", "no OpenGL: MUJOCO_GL=disable is set"]
+    words = "no OpenGL: MUJOCO_GL=disable is set; rays draw the pictures instead, without shadows and textures"
+    assert lines[at].split(None, 2)[1:] == ["OpenGL", words]
     assert lines[at + 1].strip() == "unset MUJOCO_GL or set MUJOCO_GL=egl"
+    assert lines[at + 2].startswith("ok  pixels")
+    assert lines[at + 2].endswith("by rays (mj_multiRay)")
     assert lines[-1].startswith("ok  video")  # it goes on after what does not work
 
 

@@ -229,7 +229,7 @@ class TestLogPart:
         for i in range(5):
             row = rng.standard_normal(len(layout.columns)) * 10.0 ** rng.integers(-300, 300, len(layout.columns))
             row[:6] = i / 25, i, i % 2, np.nan, np.inf, -0.0
-            writer.append(row)
+            writer.append(row.tolist())
         writer.close()
         return tmp_path / "log.part"
 

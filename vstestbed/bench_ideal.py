@@ -114,7 +114,9 @@ def _starts(runs: int) -> Array:
     """Poses T_camera_target (runs, 4, 4) about 2 m in front of the target, turned by up to 60 degrees about the axis."""
     rng = np.random.default_rng(0)
     xyz, yaw = rng.uniform(-0.3, 0.3, (runs, 3)), rng.uniform(-60, 60, runs)
-    return np.array([inverse(Pose(xyz=(x, y, z - 2), rpy_deg=(0, 0, a)).T) for (x, y, z), a in zip(xyz.tolist(), yaw.tolist(), strict=True)])
+    return np.array(
+        [inverse(Pose(xyz=(x, y, z - 2), rpy_deg=(0, 0, a)).T) for (x, y, z), a in zip(xyz.tolist(), yaw.tolist(), strict=True)]
+    )
 
 
 def _one_run(scenario: Scenario) -> tuple[int, float]:
@@ -127,15 +129,17 @@ def _batch(scenario: Scenario, start: Array) -> tuple[int, float]:
     law = scenario.law
     assert isinstance(law, IBVS)
     done, seconds = _timed(
-        lambda: fly(
-            law,
-            scenario.goal_view,
-            scenario.target.points,
-            start,
-            period=scenario.camera.period,
-            steps=BATCH_STEPS,
-            error_px=1e-9,
-        ).run_steps
+        lambda: (
+            fly(
+                law,
+                scenario.goal_view,
+                scenario.target.points,
+                start,
+                period=scenario.camera.period,
+                steps=BATCH_STEPS,
+                error_px=1e-9,
+            ).run_steps
+        )
     )
     return done, done / seconds
 

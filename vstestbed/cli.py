@@ -69,12 +69,13 @@ def run(
     plugin: Plugins = None,
 ) -> None:
     """One closed-loop run, with its folder of results."""
-    from vstestbed.progress import Progress
+    from vstestbed.progress import Progress, show_notes
     from vstestbed.runs import new_folder, run_into
 
     chosen = load_scenario(scenario, set_, plugin, seed)
     folder = new_folder(chosen, out)
     with Progress(chosen, shown=not quiet and not as_json) as progress, _interrupts() as watch:
+        show_notes(not quiet)
         recording = run_into(folder, chosen, video.value, [progress, watch], progress.say)
     _tell(recording, folder, video.value, as_json, quiet)
     if recording.outcome.name == "interrupted":
@@ -127,6 +128,7 @@ def render(
     plugin: Plugins = None,
 ) -> None:
     """Film a recorded run again, from any camera, without simulating."""
+    from vstestbed.progress import show_notes
     from vstestbed.recording import read_log
     from vstestbed.scenario_file import load, load_plugins
     from vstestbed.video.film import film_log
@@ -136,6 +138,7 @@ def render(
     _must_be_run(run_dir)
     scenario = load(run_dir / "scenario.yaml")
     log = read_log(run_dir, scenario)
+    show_notes(not quiet)
     film = film_log(scenario, log, camera, out or run_dir / f"{camera}.mp4", size_px)
     if film is None:
         raise ParameterError("RUN_DIR", "has a log without frames; there is nothing to film", str(run_dir))

@@ -63,30 +63,33 @@ def _data() -> Finding:
 
 
 def _pictures() -> Iterator[Finding]:
-    """OpenGL, then the pixel convention: where a rendered ball is against where the camera model says it is."""
+    """OpenGL, or rays in its place, then the pixel convention: where a rendered ball is against where the camera model says it is."""
     from vstestbed.sim import gl
+    from vstestbed.sim.check import pixel_convention
 
     try:
-        from vstestbed.sim.check import pixel_convention
-
-        check = pixel_convention()
+        check = pixel_convention("gl")
     except (VstestbedError, ImportError) as error:
         lack = gl.explain(error) if isinstance(error, ImportError) else error
         words, _, remedy = str(lack or error).partition("; ")
-        yield Finding("OpenGL", False, words, remedy)
-        return
-    yield Finding("OpenGL", True, check.renderer)
-    yield _pixels(check.errors)
+        yield Finding("OpenGL", False, f"{words}; rays draw the pictures instead, without shadows and textures", remedy)
+        check = pixel_convention("rays")
+    else:
+        yield Finding("OpenGL", True, check.renderer)
+    yield _pixels(check.errors, check.renderer)
 
 
-def _pixels(errors: Array) -> Finding:
+def _pixels(errors: Array, renderer: str) -> Finding:
     """What the distances (N, 2) of drawn from expected balls tell [px]; NaN where a ball was not found."""
     seen = np.isfinite(errors).all(axis=1)
     remedy = "this OpenGL driver does not draw what it is told; try another MUJOCO_GL, or another driver"
+    if renderer.startswith("rays"):
+        remedy = "this MuJoCo does not cast rays as it should; install the version in requirements.lock"
     if not seen.all():
         return Finding("pixels", False, f"only {np.count_nonzero(seen)} of {len(errors)} rendered balls were found in the picture", remedy)
     worst = float(np.abs(errors).max())
     found = f"{len(errors)} rendered balls within {worst:.3f} px of the camera model ({PIXEL_TOLERANCE_PX} allowed)"
+    found += f", by {renderer}" if renderer.startswith("rays") else ""
     return Finding("pixels", worst < PIXEL_TOLERANCE_PX, found, remedy)
 
 

@@ -90,7 +90,7 @@ class _Servo:
         lost = bool(command.held)
         error = (seen.uv - self.goal.uv)[seen.seen]
         error_px = math.nan if lost else math.sqrt(float(np.vdot(error, error)) / error.size)
-        image = shot.frame.image if shot.frame else None
+        image = shot.frame.image if shot.frame and shot.frame.whole else None
         tick = Tick(self.count, lost, error_px, seen, command, allocation, shot.truth, image)
         self.count += 1
         self.before = shot
@@ -123,7 +123,8 @@ def _until_the_end(scenario: Scenario, plant: Plant, note: Callable[[Tick], None
     twist, moved = np.zeros(6), np.zeros(6)
     while True:
         if step == next_capture:
-            frame, truth = plant.capture(servo.look())
+            # with pictures still on their way, nobody knows yet where to look
+            frame, truth = plant.capture(servo.look() if line.next_due() is None else None)
             if frame is not None and line.delay_steps > 0:
                 frame = frame.copy()  # it will wait while the next ones are taken
             line.push(step, Shot(frame, step * plant.step_s, truth, plant.encoders(), moved / plant.steps_per_frame))
@@ -154,7 +155,7 @@ def run(scenario: Scenario, watch: Iterable[Watcher] = ()) -> Recording:
 
     Raises:
         ParameterError: it is no Scenario.
-        EnvironmentLackError: a picture is needed and OpenGL does not work here.
+        EnvironmentLackError: a picture is needed that only OpenGL can draw, and it does not work here.
     """
     if not isinstance(scenario, Scenario):
         raise ParameterError("scenario", "must be a Scenario: vstestbed.run(vstestbed.load('arm_ibvs'))", scenario)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING
@@ -53,6 +54,15 @@ class Progress:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         """Take the bar away."""
         self._bar.stop()
+
+
+def show_notes(shown: bool) -> None:
+    """Let what the library has to say (that rays draw instead of OpenGL) pass to standard error as it is, or not."""
+    logger = logging.getLogger("vstestbed")
+    logger.setLevel(logging.WARNING if shown else logging.ERROR)
+    if logging.lastResort is not None:
+        logger.addHandler(logging.lastResort)
+        logger.propagate = False
 
 
 def words(recording: Recording, folder: Path, filmed: bool) -> str:

@@ -88,7 +88,7 @@ def test_grey_moments_with_multisampling(picture: Picture, marker: Marker, bound
 def test_pose_comes_with_the_detection(picture: Picture) -> None:
     target = _square(Disc(radius=0.02))
     found = _detect(picture(target, FRONT, CAMERA), target)
-    assert found.depth is None
+    assert found.p_camera is None
     assert found.T_camera_target is not None
     distance, angle = rigid_error(found.T_camera_target, FRONT)
     assert distance < 3e-3

@@ -25,7 +25,7 @@ def test_true_pixels_and_true_depths() -> None:
     p = np.array([[0, 0, 1], [0.1, 0.2, 2], [-0.3, 0.1, 1.5]])
     found = _ask(Oracle(), p)
     assert found.uv == pytest.approx(CAMERA.project(p), abs=0)
-    assert found.depth == pytest.approx(p[:, 2], abs=0)
+    assert found.p_camera == pytest.approx(p, abs=0)
     assert found.T_camera_target is None
 
 
@@ -33,8 +33,6 @@ def test_true_pixels_and_true_depths() -> None:
 def test_never_behind_the_camera(field_of_view: str) -> None:
     found = _ask(Oracle(field_of_view=field_of_view), [[0, 0, -1], [0, 0, 0], [0, 0, 1]])  # type: ignore[arg-type]
     assert found.seen.tolist() == [False, False, True]
-    assert found.depth is not None
-    assert np.isnan(found.depth).tolist() == [True, True, False]
 
 
 def test_limited_field_of_view() -> None:

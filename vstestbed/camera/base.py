@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated, Literal
 
@@ -42,7 +42,7 @@ class Frame:
 
     def copy(self) -> Frame:
         """The same with pictures of its own."""
-        return Frame(self.t, tuple(None if image is None else image.copy() for image in self.images), self.whole)
+        return replace(self, images=tuple(None if image is None else image.copy() for image in self.images))
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +64,8 @@ class Camera(ABC):
         mount: pose of the camera in the robot's flange (or body) frame.
         multisampling: samples per pixel of the rendered picture (0: one sample, cheap, jagged marker borders).
         shadows: whether the servo camera's picture has shadows (cost: several times the frame).
-        renderer: `gl` (OpenGL) or `auto` (the best that works on this machine).
+        renderer: `gl` (OpenGL), `rays` (each pixel's ray cast by MuJoCo: no shadows, no textures) or `auto` (OpenGL where it works,
+            else rays).
         principal_px: (cx, cy) [px], where the optical axis meets the picture; default its middle ((W-1)/2, (H-1)/2).
     """
 
@@ -75,7 +76,7 @@ class Camera(ABC):
     mount: Pose = Pose()
     multisampling: Literal[0, 2, 4, 8, 16] = 0
     shadows: bool = False
-    renderer: Literal["auto", "gl"] = "auto"
+    renderer: Literal["auto", "gl", "rays"] = "auto"
     principal_px: Annotated[tuple[float, ...], Len(2, 2)] | None = None
 
     def __post_init__(self) -> None:

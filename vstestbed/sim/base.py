@@ -7,7 +7,7 @@ from typing import Protocol
 
 from numpy.typing import NDArray
 
-from vstestbed.camera import Frame, Look
+from vstestbed.camera import Frame, Image, Look
 from vstestbed.geometry import Array
 from vstestbed.observation import Encoders
 
@@ -34,6 +34,26 @@ class Truth:
     p_camera: Array
     hidden: NDArray
     contact: bool
+
+
+class Eyes(Protocol):
+    """What makes the servo camera's pictures.
+
+    Attributes:
+        renderer: its name. spent_s: wall time spent so far [s]. whole: whether the last pictures show all there is.
+    """
+
+    renderer: str
+    spent_s: float
+    whole: bool
+
+    def picture(self) -> Image:
+        """The camera's own picture now, (H, W, 3) uint8 RGB, its own for good."""
+        ...
+
+    def glimpse(self, look: Look | None = None) -> tuple[Image | None, ...]:
+        """The pictures now, one a panel, as far as somebody looks at them; they hold until the next ones."""
+        ...
 
 
 class Plant(Protocol):

@@ -33,7 +33,7 @@ def build_plant(
         image_sigma, rng: noise of the pictures [grey levels] and where it comes from.
 
     Raises:
-        EnvironmentLackError: a picture is needed and OpenGL does not work here.
+        EnvironmentLackError: a picture is needed that only OpenGL can draw, and it does not work here.
     """
     from vstestbed.sim.scene import Parts
 
@@ -44,11 +44,11 @@ def build_plant(
         from vstestbed.sim.ideal import IdealPlant
 
         return IdealPlant(parts, robot.flange_pose(robot.configuration()), steps_per_frame), "none"
-    from vstestbed.sim.render import Eye
+    from vstestbed.sim.pictures import eye_of
     from vstestbed.sim.stage import Stage
 
     stage = Stage(parts, samples=camera.multisampling)
-    eye = Eye(stage, camera, image_sigma, rng) if needs_image else None
+    eye = eye_of(stage, camera, image_sigma, rng) if needs_image else None
     renderer = eye.renderer if eye else "none"
     if ideal:
         from vstestbed.sim.ideal import IdealPlant

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from vstestbed.camera import Camera, Frame, Perspective
 from vstestbed.geometry import Array, Pose, transform
 from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart
-from vstestbed.sim.render import Eye
+from vstestbed.sim.pictures import eye_of
 from vstestbed.sim.scene import Parts
 from vstestbed.sim.stage import Stage
 from vstestbed.sim.world import World
@@ -29,19 +30,19 @@ class PixelCheck:
     renderer: str
 
 
-def pixel_convention(camera: Camera | None = None) -> PixelCheck:
+def pixel_convention(renderer: Literal["auto", "gl", "rays"] = "auto", camera: Camera | None = None) -> PixelCheck:
     """Render twelve balls, find them as a detector does, and compare with the projection of their centres.
 
     Raises:
-        EnvironmentLackError: no OpenGL here.
+        EnvironmentLackError: renderer is gl, and OpenGL does not work here.
     """
-    camera = camera or Perspective(multisampling=4)
+    camera = replace(camera or Perspective(multisampling=4), renderer=renderer)
     target = Points(at=BALLS, pose=Pose(xyz=(0, 0, 1.2)), marker=Sphere(radius=0.035, lit=False))
     robot = Free(start=FreeStart(nominal=Pose()))
     parts = Parts(robot, camera, target, World(floor_z=-20.0), step=0.002)
     stage = Stage(parts, samples=camera.multisampling)
     try:
-        eye = Eye(stage, camera)
+        eye = eye_of(stage, camera)
         stage.place(0.0, target.pose.T, np.zeros(0), np.eye(4))
         image = eye.picture()
         detector = Blobs()

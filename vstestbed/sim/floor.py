@@ -6,12 +6,9 @@ import time
 from dataclasses import dataclass
 
 import mujoco
-import numpy as np
 
 from vstestbed.geometry import Array, inverse, transform
-from vstestbed.sim.cube import drawn_for
-from vstestbed.sim.pinhole import Pinhole
-from vstestbed.sim.render import View
+from vstestbed.sim.pictures import bare_of
 from vstestbed.sim.scene import Parts
 from vstestbed.sim.stage import Stage
 
@@ -32,6 +29,8 @@ class Floor:
 def measure_floor(parts: Parts, steps_per_frame: int, ctrl: Array, q: Array, T_world_camera: Array, pictures: bool) -> Floor:
     """Replay a recorded run's controls with bare `mj_step`, and its views with bare renders of the kept camera.
 
+    Rays draw whole pictures here, so that a run, which draws windows, may cost less.
+
     Args:
         parts: the scene. steps_per_frame: physics steps between frames.
         ctrl: actuator controls of each frame (frames, nu); q: joint angles of each frame (frames, n).
@@ -39,8 +38,7 @@ def measure_floor(parts: Parts, steps_per_frame: int, ctrl: Array, q: Array, T_w
         pictures: whether the run rendered at all; of several faces of a cube, only those with a marker in them are.
     """
     stage = Stage(parts, samples=parts.camera.multisampling)
-    drawn = drawn_for(parts.camera) if pictures else ()
-    views = [View(stage, p.name, p.width, p.height, parts.camera.shadows, "own") for p in drawn]
+    picture = bare_of(stage, parts.camera) if pictures else None
     target = parts.target.pose.T
     stage.place(0.0, target, q[0], T_world_camera[0])
     mujoco.mj_forward(stage.model, stage.data)
@@ -49,10 +47,9 @@ def measure_floor(parts: Parts, steps_per_frame: int, ctrl: Array, q: Array, T_w
         if parts.robot.model is None:
             stage.place(0.0, target, q[frame], T_world_camera[frame])
         p_camera = transform(inverse(T_world_camera[frame]) @ target, parts.target.points)
-        looked_at = [view for view, p in zip(views, drawn, strict=True) if _holds(p, p_camera, alone=len(drawn) == 1)]
         began = time.perf_counter()
-        for view in looked_at:
-            view.raw()
+        if picture is not None:
+            picture(p_camera)
         rendered = time.perf_counter()
         if parts.robot.model is not None:
             stage.data.ctrl[: ctrl.shape[1]] = ctrl[frame]
@@ -62,9 +59,3 @@ def measure_floor(parts: Parts, steps_per_frame: int, ctrl: Array, q: Array, T_w
         render += rendered - began
     stage.close()
     return Floor(physics, render)
-
-
-def _holds(face: Pinhole, p_camera: Array, alone: bool) -> bool:
-    """Whether one of the markers (N, 3) lies in the middle part of a face, |x|, |y| <= z in its axes; the only picture always counts."""
-    p = p_camera @ face.R_camera_face
-    return alone or bool((np.abs(p[:, :2]).max(axis=1) <= p[:, 2]).any())

@@ -11,6 +11,9 @@ from vstestbed.errors import EnvironmentLackError
 REMEDY = "on Debian or Ubuntu: apt-get install libegl1 libgl1 (then `vstestbed doctor` tells whether it works)"
 LIBRARIES = {"egl": ("libEGL.so.1", "libGL.so.1"), "osmesa": ("libOSMesa.so.8",), "glfw": ("libGL.so.1",)}
 """What each backend of MuJoCo loads, by its word in MUJOCO_GL."""
+DRIVER_REMEDY = "on Debian or Ubuntu: apt-get install libegl-mesa0 libgl1-mesa-dri"
+DEVICE_PLATFORM = 0x313F
+"""EGL_PLATFORM_DEVICE_EXT."""
 ON, OFF = ("", "1", "on", "true", "enable", "enabled"), ("0", "off", "false", "disable", "disabled")
 _lack: list[tuple[str, str]] = []
 """Why `choose_backend` switched OpenGL off: (lack, remedy)."""
@@ -25,6 +28,24 @@ def missing_libraries(backend: str = "egl") -> list[str]:
         except OSError:
             missing.append(name)
     return missing
+
+
+def _egl_starts() -> bool:
+    """Whether some EGL device starts a display, asked as both libraries ask when they are imported (a first start takes 25 ms)."""
+    egl = ctypes.CDLL("libEGL.so.1")
+    pointer, number = ctypes.c_void_p, ctypes.c_int
+    egl.eglGetProcAddress.restype, egl.eglGetProcAddress.argtypes = pointer, [ctypes.c_char_p]
+    egl.eglInitialize.argtypes = [pointer, pointer, pointer]
+    address = [egl.eglGetProcAddress(name) for name in (b"eglQueryDevicesEXT", b"eglGetPlatformDisplayEXT")]
+    if not all(address):
+        return False
+    query = ctypes.CFUNCTYPE(ctypes.c_uint, number, pointer, pointer)(address[0])
+    display_of = ctypes.CFUNCTYPE(pointer, ctypes.c_uint, pointer, pointer)(address[1])
+    devices, count = (pointer * 16)(), number()
+    if not query(16, devices, ctypes.byref(count)):
+        return False
+    displays = [display_of(DEVICE_PLATFORM, device, None) for device in devices[: count.value]]
+    return any(display and egl.eglInitialize(display, None, None) for display in displays)
 
 
 def choose_backend() -> None:
@@ -51,6 +72,8 @@ def _lack_of(backend: str, said: bool) -> tuple[str, str] | None:
     if missing := missing_libraries(backend):
         words = f"{' and '.join(missing)} not found" + (f", which MUJOCO_GL={backend} needs" if said else "")
         return words, "unset MUJOCO_GL or set MUJOCO_GL=egl" if said and backend != "egl" else REMEDY
+    if backend == "egl" and not _egl_starts():
+        return "libEGL starts no display", DRIVER_REMEDY
     if backend == "glfw" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         return "MUJOCO_GL=glfw needs a display, and there is none", "unset MUJOCO_GL or set MUJOCO_GL=egl"
     return None
@@ -73,7 +96,7 @@ def explain(error: ImportError) -> EnvironmentLackError | None:
     words = str(error).rstrip(".")
     if "EGL" not in words:
         return None
-    return EnvironmentLackError(f"no OpenGL: {words}", "on Debian or Ubuntu: apt-get install libegl-mesa0 libgl1-mesa-dri")
+    return EnvironmentLackError(f"no OpenGL: {words}", DRIVER_REMEDY)
 
 
 def renderer_string() -> str:

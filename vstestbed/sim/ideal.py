@@ -7,8 +7,7 @@ import numpy as np
 from vstestbed.camera import Frame, Look
 from vstestbed.geometry import Array, exp, inverse, transform
 from vstestbed.observation import Encoders
-from vstestbed.sim.base import Truth
-from vstestbed.sim.render import Eye
+from vstestbed.sim.base import Eyes, Truth
 from vstestbed.sim.scene import Parts
 from vstestbed.sim.stage import Stage
 
@@ -23,7 +22,7 @@ class IdealPlant:
         eye: makes the pictures; None where no detector needs them. stage: tells what is hidden; None where nothing is.
     """
 
-    def __init__(self, parts: Parts, start: Array, steps_per_frame: int, stage: Stage | None = None, eye: Eye | None = None):
+    def __init__(self, parts: Parts, start: Array, steps_per_frame: int, stage: Stage | None = None, eye: Eyes | None = None):
         self.step_s, self.steps_per_frame = parts.step, steps_per_frame
         self._mount = parts.camera.mount.T
         self._T = start @ self._mount

@@ -37,6 +37,11 @@ class Pinhole:
         """MuJoCo's principalpixel: cx = W/2 - 0.5 - principalpixel_x, and y alike."""
         return self.width / 2 - 0.5 - self.centre[0], self.height / 2 - 0.5 - self.centre[1]
 
+    def holds(self, p_camera: Array) -> bool:
+        """Whether one of the points (N, 3) lies in the middle part of its face of the cube, |x|, |y| <= z in its axes."""
+        p = p_camera @ self.R_camera_face
+        return bool((np.abs(p[:, :2]).max(axis=1) <= p[:, 2]).any())
+
 
 def covering(px: Array, f: float, face: str = "front") -> Pinhole:
     """The picture that holds all of px (..., 2), pixels from its principal point, each with the four pixels round it."""

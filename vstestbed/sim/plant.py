@@ -9,8 +9,7 @@ from dm_control.rl.control import PhysicsError
 from vstestbed.camera import Frame, Look
 from vstestbed.geometry import Array, inverse, transform
 from vstestbed.observation import Encoders
-from vstestbed.sim.base import Truth
-from vstestbed.sim.render import Eye
+from vstestbed.sim.base import Eyes, Truth
 from vstestbed.sim.scene import Parts
 from vstestbed.sim.stage import Stage
 
@@ -27,7 +26,7 @@ class MujocoPlant:
         eye: makes the pictures; None where no detector needs them. see_hidden: cast rays for the truth's `hidden`.
     """
 
-    def __init__(self, stage: Stage, start: Array, steps_per_frame: int, eye: Eye | None, see_hidden: bool):
+    def __init__(self, stage: Stage, start: Array, steps_per_frame: int, eye: Eyes | None, see_hidden: bool):
         self._stage, self._eye, self._see_hidden = stage, eye, see_hidden
         parts: Parts = stage.parts
         self.step_s, self.steps_per_frame = parts.step, steps_per_frame

@@ -15,6 +15,7 @@ from vstestbed.camera import Camera, Image, Look, Perspective
 from vstestbed.errors import EnvironmentLackError
 from vstestbed.sim import gl
 from vstestbed.sim.cube import cube_of, drawn_for
+from vstestbed.sim.noise import noisy
 from vstestbed.sim.pinhole import resampling_maps
 from vstestbed.sim.scene import LENS_GROUP
 from vstestbed.sim.stage import Stage
@@ -115,8 +116,7 @@ class Eye:
             faces = range(len(self._views)) if look is None else self._cube.needed(look[0])
             images = (self._cube.compose({i: self._views[i].raw() for i in faces}),)
             self.whole = len(faces) == len(self._views)
-        if self._sigma > 0 and self._rng is not None:
-            images = tuple(None if image is None else self._noisy(image, self._rng) for image in images)
+        images = tuple(None if image is None else noisy(image, self._sigma, self._rng) for image in images)
         self.spent_s += time.perf_counter() - start
         return images
 
@@ -126,8 +126,3 @@ class Eye:
             return image
         still = np.ascontiguousarray(image)
         return np.asarray(cv2.remap(still, *self._maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.uint8)
-
-    def _noisy(self, image: Image, rng: np.random.Generator) -> Image:
-        """The picture with the sensor's noise."""
-        noise = rng.standard_normal(image.shape, dtype=np.float32) * np.float32(self._sigma)
-        return np.clip(image + noise + 0.5, 0, 255).astype(np.uint8)

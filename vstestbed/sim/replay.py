@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from vstestbed.camera import Camera
+from vstestbed.camera import Camera, Image
 from vstestbed.errors import ParameterError
 from vstestbed.geometry import Array
 from vstestbed.robots import Robot
-from vstestbed.sim.render import Eye, Image, View
+from vstestbed.sim.base import Eyes
+from vstestbed.sim.pictures import Outside, eye_of, view_of
 from vstestbed.sim.scene import Parts
 from vstestbed.sim.stage import Stage
 from vstestbed.sim.world import World
@@ -22,15 +23,15 @@ class Replay:
     """A stage of its own beside the run's, so that filming changes nothing of what is measured.
 
     Raises:
-        EnvironmentLackError: OpenGL does not work here.
+        EnvironmentLackError: OpenGL is asked for, and does not work here.
     """
 
     def __init__(self, robot: Robot, camera: Camera, target: Target, world: World):
         self._parts = Parts(robot, camera, target, world, step=camera.period)
         self._stage = Stage(self._parts, samples=FILM_SAMPLES)
         self._stage.model.vis.quality.shadowsize = FILM_SHADOW_PX
-        self._own: tuple[Stage, Eye] | None = None
-        self._views: dict[str, View] = {}
+        self._own: tuple[Stage, Eyes] | None = None
+        self._views: dict[str, Outside] = {}
 
     @property
     def cameras(self) -> list[str]:
@@ -50,15 +51,15 @@ class Replay:
             stage.place(t, T_world_target, q, T_world_camera)
             return eye.picture()
         if camera not in self._views:
-            self._views[camera] = View(self._stage, camera, width, height, shadows=True, style="outside")
+            self._views[camera] = view_of(self._stage, camera, width, height, self._parts.camera)
         self._stage.place(t, T_world_target, q, T_world_camera)
         return self._views[camera].picture()
 
-    def _servo_eye(self) -> tuple[Stage, Eye]:
+    def _servo_eye(self) -> tuple[Stage, Eyes]:
         """A second stage with the servo camera's own quality, made when first asked for."""
         if self._own is None:
             stage = Stage(self._parts, samples=self._parts.camera.multisampling)
-            self._own = stage, Eye(stage, self._parts.camera)
+            self._own = stage, eye_of(stage, self._parts.camera)
         return self._own
 
     def close(self) -> None:
