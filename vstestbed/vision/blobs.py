@@ -18,6 +18,7 @@ from vstestbed.vision.base import Detection, TruthView
 from vstestbed.vision.centre import centre_bias
 from vstestbed.vision.find import Blob, Image, Window, find_blobs, noise_level
 from vstestbed.vision.pose import solve_pose_from_rays, three_ray_poses
+from vstestbed.vision.windows import windows_round
 
 AREA_NOISE_PX = 3.5
 """What rounding to pixels does to a blob's area, three standard deviations [px^2] (drawn ellipses of 2 to 8 px radius)."""
@@ -29,8 +30,6 @@ MOST_ROUNDS = 3
 """Poses solved at most for one picture, besides one for each marker that is left out."""
 SURPRISE = 0.15
 """Sum over three markers of |log(area / expected)|: under .05 for the right pose of rendered discs, over .6 for most others."""
-MOST_WINDOWED = 0.3
-"""Share of the picture that windows may cover together; beyond it, one search of the whole picture is quicker."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +82,7 @@ class Blobs:
     window_margin_px: Annotated[int, Ge(2)] = 8
     needs_image: ClassVar[bool] = True
     needs_truth: ClassVar[bool] = False
+    markers: ClassVar[tuple[str, ...]] = ("disc", "sphere")
 
     def init(self) -> BlobsMemory:
         """Nothing seen yet."""
@@ -111,7 +111,7 @@ class Blobs:
     def _track(self, image: Image, noise: float, memory: BlobsMemory, camera: Camera, target: Target) -> list[Blob | None] | None:
         """Each marker's blob, the nearest to its prediction in a window of its own; None: the whole picture must be searched."""
         height, width = image.shape[:2]
-        windows = _windows(memory, width, height, self.window_margin_px)
+        windows = windows_round([b.box if b else None for b in memory.blobs], memory.moves, width, height, self.window_margin_px)
         if windows is None:
             return None
         blobs: list[Blob | None] = []
@@ -207,24 +207,3 @@ def _moves(memory: BlobsMemory, blobs: list[Blob | None]) -> tuple[tuple[float, 
     """By how much each blob has moved since the last picture [px]; nothing where it was not seen then or is not now."""
     before = memory.blobs or (None,) * len(blobs)
     return tuple((b.u - a.u, b.v - a.v) if a and b else (0.0, 0.0) for a, b in zip(before, blobs, strict=True))
-
-
-def _windows(memory: BlobsMemory, width: int, height: int, margin: int) -> list[Window] | None:
-    """A window round each marker's predicted blob, within the picture; None where one is lost or the whole is quicker."""
-    windows: list[Window] = []
-    for blob, (du, dv) in zip(memory.blobs, memory.moves, strict=True):
-        if blob is None:
-            return None
-        left, top, right, bottom = blob.box
-        grow_u, grow_v = margin + abs(du) / 2, margin + abs(dv) / 2
-        window = (
-            max(0, int(left + du - grow_u)),
-            max(0, int(top + dv - grow_v)),
-            min(width, math.ceil(right + du + grow_u)),
-            min(height, math.ceil(bottom + dv + grow_v)),
-        )
-        if window[0] >= window[2] or window[1] >= window[3]:
-            return None
-        windows.append(window)
-    covered = sum((w[2] - w[0]) * (w[3] - w[1]) for w in windows)
-    return windows if windows and covered <= MOST_WINDOWED * width * height else None

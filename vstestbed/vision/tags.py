@@ -1,0 +1,162 @@
+"""Square tags (AprilTag, ArUco): found and read by OpenCV, measured along their edges, tracked in windows."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Annotated, ClassVar, Literal
+
+import cv2
+import numpy as np
+from annotated_types import Ge, Gt, Lt
+
+from vstestbed.camera import Camera, Frame
+from vstestbed.errors import ParameterError
+from vstestbed.geometry import Array
+from vstestbed.spec import spec
+from vstestbed.target import Tag, Target
+from vstestbed.vision.base import Detection, TruthView
+from vstestbed.vision.find import Image, Window
+from vstestbed.vision.pose import solve_pose_from_rays
+from vstestbed.vision.tag_edges import measure_edges
+from vstestbed.vision.tag_print import dictionary
+from vstestbed.vision.windows import windows_round
+
+CONTOUR_PX = math.sqrt(0.5)
+"""Corners of a contour lie this far inside the black square [px]: it runs through the middles of the outermost black pixels."""
+QUIET = 0.25
+"""A window has this share of a tag's size round it, besides its margin: the quiet zone and a little more."""
+
+
+@dataclass(frozen=True, slots=True)
+class TagsMemory:
+    """Each tag's corners (4, 2) in the last picture [px] (None: lost) and its move since the one before; the last pose."""
+
+    corners: tuple[Array | None, ...] = ()
+    moves: tuple[tuple[float, float], ...] = ()
+    T_camera_target: Array | None = None
+
+
+@spec
+class Tags:
+    """Markers that are tags, told apart by their numbers; a marker's pixel is the image of its tag's centre.
+
+    OpenCV finds and reads the tags, and gives corners to within a pixel. From there each edge is measured in the grey
+    picture and the four lines crossed (`measure_edges`): corners to .01 px, without a constant offset, where OpenCV's own
+    refinements leave .4 px (`subpix`), .7 (`contour`) or (+.43, +.43) (`apriltag`), for rendered tags of 20 to 60 px. The
+    diagonals of the corners' rays cross in the centre's ray, whatever the perspective and the lens. The pose is solved from
+    all corners; one tag suffices.
+
+    A tracked tag is looked for in a window round its predicted place (last + last move); when one is lost, the whole
+    picture is searched. A tag is not reported if it touches the picture's border, if it cannot be read without an error,
+    or if a point of its edges is off its line or without contrast (something stands before it). Tags need 1.5 px a module.
+
+    Args:
+        astray_px: largest distance of an edge's point from the edge's line [px].
+        contrast: least step from black to white at an edge's point, as a share of the tag's median step.
+        window_margin_px: what a window has round the predicted tag and its quiet zone, besides half of its last move.
+
+    Reference: Garrido-Jurado et al. 2014, doi:10.1016/j.patcog.2014.01.005 (finding and reading square tags).
+    """
+
+    kind: Literal["tags"] = "tags"
+    astray_px: Annotated[float, Gt(0)] = 1.0
+    contrast: Annotated[float, Gt(0), Lt(1)] = 0.4
+    window_margin_px: Annotated[int, Ge(2)] = 8
+    needs_image: ClassVar[bool] = True
+    needs_truth: ClassVar[bool] = False
+    markers: ClassVar[tuple[str, ...]] = ("tag",)
+
+    def init(self) -> TagsMemory:
+        """Nothing seen yet."""
+        return TagsMemory()
+
+    def detect(
+        self, memory: TagsMemory, frame: Frame | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
+    ) -> tuple[TagsMemory, Detection]:
+        """Tag centres (N, 2) [px] in one picture, NaN where not seen, and the pose (4, 4) where it can be solved.
+
+        Raises:
+            ParameterError: there is no picture, or the target's markers are not tags.
+        """
+        if frame is None:
+            raise ParameterError("frame", "is missing: detector tags needs a picture; use detector oracle where there is none")
+        tag, n = target.marker, len(target.points)
+        if not isinstance(tag, Tag):
+            raise ParameterError("target.marker", "must be tag for detector tags", tag.kind)
+        grey = np.asarray(cv2.cvtColor(frame.image, cv2.COLOR_RGB2GRAY), np.uint8)
+        found = self._track(grey, memory, tag, n) or self._look(grey, (0, 0, grey.shape[1], grey.shape[0]), tag, n)
+        uv, T = _measure(found, memory.T_camera_target, camera, target, tag)
+        corners = tuple(found.get(i) for i in range(n))
+        kept = T if T is not None else memory.T_camera_target
+        return TagsMemory(corners, _moves(memory, corners), kept), Detection(uv=uv, T_camera_target=T)
+
+    def _track(self, grey: Image, memory: TagsMemory, tag: Tag, n: int) -> dict[int, Array] | None:
+        """Corners of all tags, each from a window of its own; None: the whole picture must be searched."""
+        height, width = grey.shape
+        boxes = [None if c is None else _box(c) for c in memory.corners]
+        windows = windows_round(boxes, memory.moves, width, height, self.window_margin_px)
+        if windows is None:
+            return None
+        found: dict[int, Array] = {}
+        for i, window in enumerate(windows):
+            mine = self._look(grey, window, tag, n).get(i)
+            if mine is None:
+                return None
+            found[i] = mine
+        return found
+
+    def _look(self, grey: Image, window: Window, tag: Tag, n: int) -> dict[int, Array]:
+        """Corners (4, 2) [px] by marker, of the whole tags of the target that are seen in a window of the picture."""
+        left, top, right, bottom = window
+        quads, numbers, _ = _reader(tag.family).detectMarkers(grey[top:bottom, left:right])
+        if numbers is None:
+            return {}
+        markers = np.asarray(numbers).ravel() - tag.first_id
+        mine = (markers >= 0) & (markers < n)
+        rough = np.concatenate(list(quads)).astype(float)[mine]
+        out = rough - rough.mean(axis=1, keepdims=True)
+        rough += (left, top) + CONTOUR_PX * out / np.linalg.norm(out, axis=-1, keepdims=True)
+        edges = measure_edges(grey, rough, tag.modules)
+        good = (edges.astray <= self.astray_px) & (edges.contrast >= self.contrast) & (edges.border >= 0)
+        return dict(zip(markers[mine][good].tolist(), edges.corners[good], strict=True))
+
+
+@lru_cache
+def _reader(family: str) -> cv2.aruco.ArucoDetector:
+    """OpenCV's detector for a family: corners on contours, no wrong module allowed."""
+    how = cv2.aruco.DetectorParameters()
+    how.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_CONTOUR
+    how.errorCorrectionRate = 0.0
+    return cv2.aruco.ArucoDetector(dictionary(family), how)
+
+
+def _measure(found: dict[int, Array], previous: Array | None, camera: Camera, target: Target, tag: Tag) -> tuple[Array, Array | None]:
+    """Pixels of all centres (N, 2) and the pose, from the corners (4, 2) of those that are seen."""
+    uv = np.full((len(target.points), 2), np.nan)
+    if not found:
+        return uv, None
+    seen = list(found)
+    rays = camera.ray(np.stack(list(found.values())))
+    diagonals = np.cross(rays[:, :2], rays[:, 2:])
+    centre = np.cross(diagonals[:, 0], diagonals[:, 1])
+    centre *= np.sign((centre * rays.sum(axis=1)).sum(axis=-1, keepdims=True))
+    uv[seen] = camera.project(centre)
+    points = target.points[seen][:, None] + tag.corners
+    return uv, solve_pose_from_rays(rays.reshape(-1, 3), points.reshape(-1, 3), previous)
+
+
+def _box(corners: Array) -> Window:
+    """What a tag (4, 2) takes of the picture with its quiet zone."""
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    room = QUIET * (high - low).max()
+    (left, top), (right, bottom) = (low - room).tolist(), (high + room + 1).tolist()
+    return int(left), int(top), math.ceil(right), math.ceil(bottom)
+
+
+def _moves(memory: TagsMemory, corners: tuple[Array | None, ...]) -> tuple[tuple[float, float], ...]:
+    """By how much each tag has moved since the last picture [px]; nothing where it was not seen then or is not now."""
+    before = memory.corners or (None,) * len(corners)
+    moves = [np.zeros(2) if a is None or b is None else (b - a).mean(axis=0) for a, b in zip(before, corners, strict=True)]
+    return tuple((float(du), float(dv)) for du, dv in moves)
