@@ -99,14 +99,14 @@ class Tag:
         return self._family[1]
 
     @property
-    def _family(self) -> tuple[int, int]:
-        kind, bits, *count = self.family.split("_")
-        return APRILTAGS[bits] if kind == "apriltag" else (int(bits[0]), int(count[0]))
-
-    @property
     def tile(self) -> float:
         """Edge with the quiet zone [m]."""
         return self.size * (self.modules + 2) / self.modules
+
+    @property
+    def _family(self) -> tuple[int, int]:
+        kind, bits, *count = self.family.split("_")
+        return APRILTAGS[bits] if kind == "apriltag" else (int(bits[0]), int(count[0]))
 
     @property
     def radius(self) -> float:

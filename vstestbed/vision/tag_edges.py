@@ -58,20 +58,26 @@ def measure_edges(grey: Image, corners: Array, modules: int) -> Edges:
         corners: shape (N, 4, 2) [px], clockwise from the tag's own upper left.
         modules: along a tag's edge.
     """
+    with np.errstate(divide="ignore", invalid="ignore"):  # lines that never cross give NaN, which no one takes for a tag
+        edges = _measured_once(grey, corners, modules)
+        for _ in range(ROUNDS - 1):
+            if np.abs(edges.corners - corners).max() < STEADY_PX:
+                break
+            corners, edges = edges.corners, _measured_once(grey, edges.corners, modules)
+    return edges
+
+
+def _measured_once(grey: Image, corners: Array, modules: int) -> Edges:
     size = np.array([grey.shape[1], grey.shape[0]]) - 1
-    if not len(corners):
-        return Edges(corners, *np.zeros((3, 0)))
-    for last in range(ROUNDS - 1, -1, -1):
-        middle, reach = _profiles(corners, modules)
-        where = (middle[..., None, :] + ACROSS[:, None] * reach[..., None, :]).astype(np.float32)
-        profile = cv2.remap(grey, where.reshape(1, -1, 2), None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        share, step = _crossing(np.asarray(profile, float).reshape(where.shape[:-1]))
-        before, (corners, misfit) = corners, _cross(middle + share[..., None] * reach)
-        if last == 0 or np.abs(corners - before).max() < STEADY_PX:
-            contrast = step.min(axis=(1, 2)) / np.maximum(np.median(step, axis=(1, 2)), 1.0)
-            border = np.minimum(where, size - where).min(axis=(1, 2, 3, 4))
-            return Edges(corners, np.abs(misfit).max(axis=(1, 2)), contrast, border)
-    raise AssertionError("unreachable")
+    middle, reach = _profiles(corners, modules)
+    where = (middle[..., None, :] + ACROSS[:, None] * reach[..., None, :]).astype(np.float32)
+    u, v = where.reshape(1, -1, 2)[..., 0], where.reshape(1, -1, 2)[..., 1]
+    profile = cv2.remap(grey, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    share, step = _crossing(np.asarray(profile, float).reshape(where.shape[:-1]))
+    measured, misfit = _cross(middle + share[..., None] * reach)
+    contrast = step.min(axis=(1, 2)) / np.maximum(np.median(step, axis=(1, 2)), 1.0)
+    border = np.minimum(where, size - where).min(axis=(1, 2, 3, 4))
+    return Edges(measured, np.abs(misfit).max(axis=(1, 2)), contrast, border)
 
 
 def _profiles(corners: Array, modules: int) -> tuple[Array, Array]:
