@@ -14,6 +14,7 @@ import pytest
 
 import vstestbed as vs
 from vstestbed import loop
+from vstestbed.camera import Look
 from vstestbed.geometry import Array
 from vstestbed.recording import Tick, read_log
 from vstestbed.runs import run_into

@@ -59,7 +59,12 @@ class TestOneMistake:
     @pytest.mark.parametrize(
         ("old", "new", "line"),
         [
-            ("law: {", "lwa: {", "s.yaml:1:1: law: is missing; valid kinds: hybrid, ibvs, partitioned, pbvs\ns.yaml:9:1: lwa: unknown field; did you mean 'law'?"),
+            (
+                "law: {",
+                "lwa: {",
+                "s.yaml:1:1: law: is missing; valid kinds: hybrid, ibvs, partitioned, pbvs\n"
+                "s.yaml:9:1: lwa: unknown field; did you mean 'law'?",
+            ),
             ("gain: 0.5", "gian: 0.5", "s.yaml:9:19: law.gian: unknown field; did you mean 'gain'?"),
             ("gain: 0.5", "feature: {kind: point, deepth: 1}", "s.yaml:9:42: law.feature.deepth: unknown field; valid: kind"),
             ("q_deg: [", "qdeg: [", "s.yaml:3:21: robot.start.nominal.qdeg: unknown field; did you mean 'q_deg'?"),

@@ -8,6 +8,7 @@ import io
 import json
 import os
 import re
+import shutil
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -18,7 +19,7 @@ from vstestbed.loop import run
 from vstestbed.recording import Layout, PartWriter, Recording, Tick, Watcher, read_log
 from vstestbed.scenario import Scenario
 from vstestbed.scenario_file import dump
-from vstestbed.sim.build import scene_xml
+from vstestbed.sim.build import SceneFiles, scene_files
 
 if TYPE_CHECKING:
     from vstestbed.video.film import Film
@@ -31,6 +32,8 @@ FILM_CAMERAS: dict[str, dict[str, str]] = {
     "none": {},
 }
 OWN_FILES = ("scenario.yaml", "model.xml", "log.part")
+ASSETS = "assets"
+"""The folder of the files that model.xml names."""
 NO_SPACE = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 
@@ -125,7 +128,7 @@ def run_into(
     """
     with _all_or_nothing(folder):
         write_whole(folder / "scenario.yaml", dump(scenario))
-        write_whole(folder / "model.xml", scene_xml(scenario.robot, scenario.camera, scenario.target, scenario.world, scenario.physics))
+        _write_scene(folder, scene_files(scenario.robot, scenario.camera, scenario.target, scenario.world, scenario.physics))
         with _filming(folder, scenario, films) as cameras:
             log = _LogOnDisk(folder, scenario)
             try:
@@ -135,6 +138,15 @@ def run_into(
             recording.time_ms["video"] = 1e3 * sum(film.spent_s for film in cameras)
     finish(folder, recording, stage)
     return recording
+
+
+def _write_scene(folder: Path, scene: SceneFiles) -> None:
+    """`model.xml`, with the files that it names beside it."""
+    for name, content in scene.assets.items():
+        with writing(folder):
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        write_whole(folder / name, content)
+    write_whole(folder / "model.xml", scene.xml)
 
 
 @contextmanager
@@ -147,6 +159,7 @@ def _all_or_nothing(folder: Path) -> Iterator[None]:
             raise
         for made in OWN_FILES:
             (folder / made).unlink(missing_ok=True)
+        shutil.rmtree(folder / ASSETS, ignore_errors=True)
         with contextlib.suppress(OSError):  # a folder that something else stands in stays
             folder.rmdir()
             for parent in folder.parents[:2] if folder.parts[0] == "runs" else ():

@@ -20,7 +20,7 @@ from vstestbed.sim.world import World
 from vstestbed.spec import spec
 from vstestbed.stop import Stop
 from vstestbed.target import TARGETS, Points, Square
-from vstestbed.vision import DETECTORS, Blobs, Oracle
+from vstestbed.vision import DETECTORS, Blobs, Oracle, Tags
 
 
 @spec
@@ -68,7 +68,7 @@ class Scenario:
     robot: Annotated[Free | Puma560, ROBOTS]
     camera: Annotated[Perspective | Fisheye | Catadioptric | Spherical, CAMERAS] = Perspective()
     target: Annotated[Square | Points, TARGETS]
-    detector: Annotated[Blobs | Oracle, DETECTORS] = Blobs()
+    detector: Annotated[Blobs | Tags | Oracle, DETECTORS] = Blobs()
     law: Annotated[IBVS | Partitioned | PBVS | Hybrid, LAWS]
     goal: GoalView
     stop: Stop = Stop()
@@ -88,7 +88,11 @@ class Scenario:
         self._check_goal()
 
     def _check_markers(self) -> None:
-        points = self.target.points
+        points, marker, seen = self.target.points, self.target.marker.kind, self.detector.markers
+        if seen and marker not in seen:
+            words = f"may not be {marker}: detector {self.detector.kind} sees {', '.join(seen)}; with {marker} use"
+            able = [kind for kind, member in DETECTORS.members.items() if not member.markers or marker in member.markers]
+            raise ParameterError("target.marker", f"{words} detector {' or '.join(able)}")
         needed = self.law.markers_needed(self.robot.motion_basis(Mount.of(self.camera.mount.T)))
         if len(points) < needed:
             markers = f"{len(points)} marker{'s' * (len(points) != 1)}"

@@ -7,11 +7,12 @@ squarely, so that the goal view "1 m in front" is T_camera_target = (0, 0, 1) wi
 from __future__ import annotations
 
 import colorsys
+import math
 from functools import cached_property
 from typing import Annotated, Literal
 
 import numpy as np
-from annotated_types import Gt, Len
+from annotated_types import Ge, Gt, Len
 
 from vstestbed.errors import ParameterError
 from vstestbed.geometry import Array, Pose, Triple
@@ -38,8 +39,89 @@ class Sphere:
     lit: bool = True
 
 
-MARKERS = OneOf("marker", Disc, Sphere, default="disc")
-Marker = Annotated[Disc | Sphere, MARKERS]
+Family = Literal[
+    "apriltag_16h5",
+    "apriltag_25h9",
+    "apriltag_36h10",
+    "apriltag_36h11",
+    "aruco_4x4_50",
+    "aruco_4x4_100",
+    "aruco_4x4_250",
+    "aruco_4x4_1000",
+    "aruco_5x5_50",
+    "aruco_5x5_100",
+    "aruco_5x5_250",
+    "aruco_5x5_1000",
+    "aruco_6x6_50",
+    "aruco_6x6_100",
+    "aruco_6x6_250",
+    "aruco_6x6_1000",
+    "aruco_7x7_50",
+    "aruco_7x7_100",
+    "aruco_7x7_250",
+    "aruco_7x7_1000",
+]
+"""Families of square tags. AprilTag: bits and least Hamming distance of two tags; ArUco: bits and number of tags."""
+APRILTAGS = {"16h5": (4, 30), "25h9": (5, 35), "36h10": (6, 2320), "36h11": (6, 587)}
+"""Bits along a side and number of tags of the AprilTag families."""
+
+
+@spec
+class Tag:
+    """A square black-and-white tag in the target's plane; marker i carries the number first_id + i.
+
+    A white quiet zone of one module surrounds the black square. Its rows run along the target's x, the first at the least y.
+
+    Args:
+        family: which set of tags.
+        size: edge of the black square [m].
+        first_id: the first marker's number.
+        lit: shaded by the scene's lights, else of constant brightness.
+
+    Reference: Olson 2011, doi:10.1109/ICRA.2011.5979561 (AprilTag); Garrido-Jurado et al. 2014,
+    doi:10.1016/j.patcog.2014.01.005 (ArUco).
+    """
+
+    kind: Literal["tag"] = "tag"
+    family: Family = "apriltag_36h11"
+    size: Annotated[float, Gt(0)] = 0.1
+    first_id: Annotated[int, Ge(0)] = 0
+    lit: bool = True
+
+    @property
+    def modules(self) -> int:
+        """Modules along the black square's edge, its border of one module on each side included."""
+        return self._family[0] + 2
+
+    @property
+    def count(self) -> int:
+        """How many tags the family has."""
+        return self._family[1]
+
+    @property
+    def tile(self) -> float:
+        """Edge with the quiet zone [m]."""
+        return self.size * (self.modules + 2) / self.modules
+
+    @property
+    def _family(self) -> tuple[int, int]:
+        kind, bits, *count = self.family.split("_")
+        return APRILTAGS[bits] if kind == "apriltag" else (int(bits[0]), int(count[0]))
+
+    @property
+    def radius(self) -> float:
+        """Of the circle round the tag with its quiet zone [m]: what the tag needs, however it is turned."""
+        return self.tile / math.sqrt(2)
+
+    @property
+    def corners(self) -> Array:
+        """The black square's corners from its centre, shape (4, 3) [m], in the order in which detectors give them."""
+        h = self.size / 2
+        return np.array([[-h, -h, 0], [h, -h, 0], [h, h, 0], [-h, h, 0]])
+
+
+MARKERS = OneOf("marker", Disc, Sphere, Tag, default="disc")
+Marker = Annotated[Disc | Sphere | Tag, MARKERS]
 
 
 @spec
@@ -77,12 +159,19 @@ class Target:
         """The saturated colours of these hues, shape (N, 3) in 0..1."""
         return np.array([colorsys.hsv_to_rgb(hue / 360, 1.0, 1.0) for hue in self.hues_deg])
 
-    def _check_spacing(self) -> None:
-        p = self.points
+    def _check_markers(self) -> None:
+        p, marker = self.points, self.marker
         gaps = np.linalg.norm(p[:, None] - p[None], axis=-1) + np.eye(len(p)) * 1e9
-        if gaps.min() <= 2 * self.marker.radius:
+        if gaps.min() <= 2 * marker.radius:
+            if isinstance(marker, Tag):
+                most = gaps.min() / 2 / marker.radius * marker.size
+                words = f"must be under {most:.4g} m: with its quiet zone a tag takes the room of a circle round it, and markers"
+                raise ParameterError("marker.size", f"{words} are {gaps.min():.4g} m apart", marker.size)
             words = f"must be under half of the smallest gap between markers, {gaps.min():.4g} m"
-            raise ParameterError("marker.radius", words, self.marker.radius)
+            raise ParameterError("marker.radius", words, marker.radius)
+        if isinstance(marker, Tag) and marker.first_id + len(p) > marker.count:
+            words = f"must be at most {marker.count - len(p)}: family {marker.family} has {marker.count} tags, and {len(p)} are needed"
+            raise ParameterError("marker.first_id", words, marker.first_id)
 
 
 @spec
@@ -93,8 +182,8 @@ class Square(Target):
     side: Annotated[float, Gt(0)]
 
     def __post_init__(self) -> None:
-        """Refuse markers that overlap."""
-        self._check_spacing()
+        """Refuse markers that overlap, and numbers that no tag has."""
+        self._check_markers()
 
     @cached_property
     def points(self) -> Array:
@@ -111,8 +200,8 @@ class Points(Target):
     at: Annotated[tuple[Triple, ...], Len(1, 24)]
 
     def __post_init__(self) -> None:
-        """Refuse markers that overlap."""
-        self._check_spacing()
+        """Refuse markers that overlap, and numbers that no tag has."""
+        self._check_markers()
 
     @cached_property
     def points(self) -> Array:

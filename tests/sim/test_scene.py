@@ -14,7 +14,7 @@ from vstestbed.errors import ParameterError
 from vstestbed.geometry import FLIP, Pose, transform
 from vstestbed.robots.puma560 import JOINT_LIMITS, SERVOS, forward
 from vstestbed.scenario import Scenario
-from vstestbed.sim.build import scene_xml
+from vstestbed.sim.build import scene_files
 from vstestbed.sim.clock import Clock
 from vstestbed.sim.scene import Parts, compose
 
@@ -45,7 +45,7 @@ def pose_of(xpos: np.ndarray, xmat: np.ndarray) -> np.ndarray:
 def test_model_xml_loads_alone(name: str, nu: int, nq: int, tmp_path: Path):
     s = vs.load(name, {"camera.mount": MOUNT, "target.pose": TILTED, "goal.T_camera_target": {"xyz": [0, 0, 1.2]}})
     file = tmp_path / "model.xml"
-    file.write_text(scene_xml(s.robot, s.camera, s.target, s.world, s.physics))
+    file.write_text(scene_files(s.robot, s.camera, s.target, s.world, s.physics).xml)
     alone, composed = mujoco.MjModel.from_xml_path(str(file)), compiled(s)
     for model in (alone, composed):
         assert (model.nq, model.nu, model.ncam) == (nq, nu, 2)

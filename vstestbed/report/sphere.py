@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from vstestbed.geometry import Array
 from vstestbed.report.canvas import AXIS_COLORS, INK, RULE
@@ -22,10 +23,10 @@ def drawn(p: Array) -> Array:
     return np.stack([p[..., 0], p[..., 2], -p[..., 1]])
 
 
-def ray_at(theta: Array, phi: Array) -> Array:
+def ray_at(theta: ArrayLike, phi: ArrayLike) -> Array:
     """Unit rays (..., 3) at colatitude theta and longitude phi [rad]."""
-    theta, phi = np.broadcast_arrays(theta, phi)
-    return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
+    a, b = np.broadcast_arrays(np.asarray(theta, float), np.asarray(phi, float))
+    return np.stack([np.sin(a) * np.cos(b), np.sin(a) * np.sin(b), np.cos(a)], axis=-1)
 
 
 def towards_viewer(axes: Axes3D) -> Array:
@@ -49,7 +50,7 @@ def draw_axes(axes: Axes3D, length: float, start: float = 0.0) -> None:
     """The optical axis z as a dashed line from `start` to beyond the sphere, x and y as short lines, each with its letter."""
     tip = np.array([0, 0, start + length])
     axes.plot(*drawn(np.stack([[0, 0, start], tip])), color=INK, linewidth=1.3, linestyle=(0, (4, 2)))
-    axes.text(*(drawn(tip * 1.06).tolist()), "z", color=INK, ha="center", va="center")
+    _letter(axes, tip * 1.06, "z", INK)
 
 
 def draw_cross_axes(axes: Axes3D, at: Array, length: float) -> None:
@@ -58,7 +59,11 @@ def draw_cross_axes(axes: Axes3D, at: Array, length: float) -> None:
         tip = np.array(at, dtype=float)
         tip[axis] += length
         axes.plot(*drawn(np.stack([at, tip])), color=AXIS_COLORS[axis], linewidth=1.3)
-        axes.text(*(drawn(at + 1.15 * (tip - at)).tolist()), name, color=AXIS_COLORS[axis], ha="center", va="center")
+        _letter(axes, at + 1.15 * (tip - at), name, AXIS_COLORS[axis])
+
+
+def _letter(axes: Any, at: Array, word: str, color: str) -> None:  # matplotlib's stubs know only the flat axes' text
+    axes.text(*drawn(at).tolist(), word, color=color, ha="center", va="center")
 
 
 def frame(axes: Axes3D, low: Array, high: Array, elev: float, azim: float, zoom: float) -> None:
@@ -66,6 +71,7 @@ def frame(axes: Axes3D, low: Array, high: Array, elev: float, azim: float, zoom:
     corners = np.sort(np.stack([drawn(low), drawn(high)]), axis=0)
     limits: dict[str, Any] = {f"{name}lim": tuple(corners[:, i].tolist()) for i, name in enumerate("xyz")}
     axes.set(**limits)
-    axes.set_box_aspect(np.ptp(corners, axis=0), zoom=zoom)
+    box: dict[str, Any] = {"zoom": zoom}  # a float, whatever the stubs say
+    axes.set_box_aspect(np.ptp(corners, axis=0), **box)
     axes.view_init(elev=elev, azim=azim)
     axes.set_axis_off()

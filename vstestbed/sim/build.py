@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from vstestbed.camera import Camera
@@ -59,12 +61,20 @@ def build_plant(
     return MujocoPlant(stage, robot.configuration(), steps_per_frame, eye, see_hidden=needs_truth), renderer
 
 
-def scene_xml(robot: Robot, camera: Camera, target: Target, world: World, clock: Clock) -> str:
-    """The compiled scene as MJCF that loads alone; its keyframe `start` is the nominal start."""
+@dataclass(frozen=True, slots=True)
+class SceneFiles:
+    """A scene as MJCF, and the files beside it that it names, by their paths from there; together they load alone."""
+
+    xml: str
+    assets: dict[str, bytes]
+
+
+def scene_files(robot: Robot, camera: Camera, target: Target, world: World, clock: Clock) -> SceneFiles:
+    """The compiled scene; its keyframe `start` is the nominal start."""
     from vstestbed.sim.scene import Parts, compose, start_keyframe
 
     parts = Parts(robot, camera, target, world, clock.resolve(camera)[0])
     spec = compose(parts)
     start_keyframe(spec, parts)
     spec.compile()
-    return spec.to_xml()
+    return SceneFiles(spec.to_xml(), dict(spec.assets))

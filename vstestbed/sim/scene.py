@@ -20,11 +20,16 @@ from vstestbed.geometry import FLIP, Array, quaternion_wxyz
 from vstestbed.robots import Robot
 from vstestbed.sim.cube import drawn_for
 from vstestbed.sim.world import AWAY, World
-from vstestbed.target import Disc, Square, Target
+from vstestbed.target import Disc, Marker, Sphere, Square, Tag, Target
+from vstestbed.vision.tag_print import tag_png
 
 LENS_GROUP, ROBOT_GROUP, TARGET_GROUP, SITE_GROUP = 1, 2, 3, 4
-DISC_HALF_THICKNESS = 1e-4
-"""Half height of a disc marker [m]: its front face lies at z = 0 of the target frame, its rim adds under 0.02 px at 1 m."""
+ASSETS = "assets"
+"""The folder beside model.xml with the files that it names."""
+HALF_THICKNESS = 1e-4
+"""Half height of a flat marker [m]: its front face lies at z = 0 of the target frame, its rim adds under 0.02 px at 1 m."""
+FACE_VIEWER = (0, 1, 0, 0)
+"""A half turn about x (wxyz): the face that MuJoCo draws a texture on upright, +z with y up, looks at the viewer, y down."""
 BOARD_MARGIN = 1.5
 """The board behind a square reaches this many marker radii beyond the markers' edges."""
 FREE_HOUSING = 6.0
@@ -157,19 +162,40 @@ def _add_target(scene: mujoco.MjSpec, target: Target) -> None:
     marker = target.marker
     for i, (p, rgb) in enumerate(zip(target.points, target.colors, strict=True)):
         emission = 0.0 if marker.lit else GLOW
+        rgb = np.ones(3) if isinstance(marker, Tag) else rgb
         rgba = [*(rgb if marker.lit else rgb / GLOW), 1.0]
-        scene.add_material(name=f"target/color_{i}", rgba=rgba, specular=0, shininess=0, emission=emission)
+        paint = scene.add_material(name=f"target/color_{i}", rgba=rgba, specular=0, shininess=0, emission=emission)
+        if isinstance(marker, Tag):
+            paint.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = _tag_texture(scene, marker, marker.first_id + i)
         body.add_site(name=f"target/marker_{i}", pos=p, group=SITE_GROUP, size=[0.005] * 3)
-        disc = isinstance(marker, Disc)
-        kind = mujoco.mjtGeom.mjGEOM_CYLINDER if disc else mujoco.mjtGeom.mjGEOM_SPHERE
-        size = [marker.radius, DISC_HALF_THICKNESS, 0] if disc else [marker.radius, 0, 0]
-        centre = p + np.array([0, 0, DISC_HALF_THICKNESS if disc else 0.0])
-        geom = _visual(body, f"target/marker_{i}", kind, size, rgba, TARGET_GROUP, centre)
+        kind, size = _shape(marker)
+        centre = p + np.array([0, 0, 0.0 if isinstance(marker, Sphere) else HALF_THICKNESS])
+        geom = _visual(body, f"target/marker_{i}", kind, size, rgba, TARGET_GROUP, centre, FACE_VIEWER)
         geom.material = f"target/color_{i}"
     if isinstance(target, Square):
         half = target.side / 2 + (1 + BOARD_MARGIN) * marker.radius
-        z = 0.01 + (1.5 * DISC_HALF_THICKNESS if isinstance(marker, Disc) else marker.radius)
+        z = 0.01 + (marker.radius if isinstance(marker, Sphere) else 1.5 * HALF_THICKNESS)
         _visual(body, "target/board", mujoco.mjtGeom.mjGEOM_BOX, [half, half, 0.01], [0.86, 0.86, 0.85, 1], TARGET_GROUP, [0, 0, z])
+
+
+def _shape(marker: Marker) -> tuple[mujoco.mjtGeom, list[float]]:
+    """The geom of a marker, and its size."""
+    match marker:
+        case Disc(radius=radius):
+            return mujoco.mjtGeom.mjGEOM_CYLINDER, [radius, HALF_THICKNESS, 0]
+        case Sphere(radius=radius):
+            return mujoco.mjtGeom.mjGEOM_SPHERE, [radius, 0, 0]
+        case Tag(tile=edge):
+            return mujoco.mjtGeom.mjGEOM_BOX, [edge / 2, edge / 2, HALF_THICKNESS]
+
+
+def _tag_texture(scene: mujoco.MjSpec, tag: Tag, number: int) -> str:
+    """Name of the texture of a tag, which is made in memory as the file that it becomes beside model.xml."""
+    name = f"{tag.family}_{number}"
+    scene.texturedir = ASSETS
+    scene.assets = {**scene.assets, f"{ASSETS}/{name}.png": tag_png(tag, number)}
+    scene.add_texture(name=f"target/{name}", type=mujoco.mjtTexture.mjTEXTURE_2D, file=f"{name}.png")
+    return f"target/{name}"
 
 
 def start_keyframe(scene: mujoco.MjSpec, parts: Parts) -> None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from vstestbed.geometry import Array, inverse, quaternion_wxyz
 from vstestbed.sim.scene import LENS_GROUP, Parts, compose
 from vstestbed.sim.world import plate_position
+from vstestbed.target import Sphere
 
 
 class Stage:
@@ -75,7 +76,8 @@ class Stage:
 
         What encloses the lens is left out of the cast (as in the picture).
         """
-        slack = self.parts.target.marker.radius + 0.002
+        marker = self.parts.target.marker
+        slack = (marker.radius if isinstance(marker, Sphere) else 0.0) + 0.002
         groups = np.ones(6, dtype=np.uint8)
         groups[LENS_GROUP] = 0
         p_world = p_camera @ T_world_camera[:3, :3].T

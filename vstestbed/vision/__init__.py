@@ -12,10 +12,11 @@ from vstestbed.vision.centre import centre_bias
 from vstestbed.vision.observe import Observer, ObserverMemory
 from vstestbed.vision.oracle import Oracle
 from vstestbed.vision.pose import solve_pose, solve_pose_from_rays
+from vstestbed.vision.tags import Tags
 
 cv2.setNumThreads(1)
 
-DETECTORS = OneOf("detector", Blobs, Oracle, default="blobs")
+DETECTORS = OneOf("detector", Blobs, Tags, Oracle, default="blobs")
 
 __all__ = [
     "DETECTORS",
@@ -25,6 +26,7 @@ __all__ = [
     "Observer",
     "ObserverMemory",
     "Oracle",
+    "Tags",
     "TruthView",
     "centre_bias",
     "solve_pose",

@@ -63,6 +63,8 @@ class Detector(Protocol[M]):
     """Whether it looks at the picture."""
     needs_truth: ClassVar[bool]
     """Whether it looks behind the scenes: the oracle."""
+    markers: ClassVar[tuple[str, ...]]
+    """Kinds of markers that it can see; empty: any."""
 
     def init(self) -> M:
         """The memory before the first picture."""

@@ -66,6 +66,7 @@ class Blobs:
     window_margin_px: Annotated[int, Ge(2)] = 8
     needs_image: ClassVar[bool] = True
     needs_truth: ClassVar[bool] = False
+    markers: ClassVar[tuple[str, ...]] = ("disc", "sphere")
 
     def init(self) -> BlobsMemory:
         """Nothing seen yet."""

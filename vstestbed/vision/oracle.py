@@ -28,6 +28,7 @@ class Oracle:
     field_of_view: Literal["limited", "unlimited"] = "limited"
     needs_image: ClassVar[bool] = False
     needs_truth: ClassVar[bool] = True
+    markers: ClassVar[tuple[str, ...]] = ()
 
     def init(self) -> None:
         """The oracle remembers nothing."""

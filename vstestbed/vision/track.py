@@ -10,16 +10,13 @@ import numpy as np
 from vstestbed.camera import Camera, Look, Window
 from vstestbed.geometry import Array
 from vstestbed.vision.find import Blob
+from vstestbed.vision.windows import Move, window_round, windows_round
 
-MOST_WINDOWED = 0.3
-"""Share of all panels that windows may cover together; beyond it, one search of the whole pictures is quicker."""
 REACH = 0.1
 """A camera with panels is asked for windows that are larger by this share of a panel on each side, and for the next panel
 where such a window leaves the first: a marker that turns up beside its own window is then still in a picture."""
 TWIN_COSINE = math.cos(math.radians(3))
 """Two blobs of one hue nearer to each other than 3 degrees, in two panels that overlap, are one marker seen twice."""
-
-Move = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,26 +35,7 @@ class BlobsMemory:
 
 def windows(memory: BlobsMemory, camera: Camera, margin: int) -> list[Window] | None:
     """A window round each marker's predicted blob, within its panel; None where one is lost or the whole is quicker."""
-    out: list[Window] = []
-    for blob, move, panel in zip(memory.blobs, memory.moves, memory.panels, strict=True):
-        window = _window(blob, move, camera.panels[panel].lens, margin) if blob else None
-        if window is None:
-            return None
-        out.append(window)
-    covered = sum((w[2] - w[0]) * (w[3] - w[1]) for w in out)
-    return out if out and covered <= MOST_WINDOWED * sum(p.lens.width * p.lens.height for p in camera.panels) else None
-
-
-def _window(blob: Blob, move: Move, lens: Camera, margin: float) -> Window | None:
-    (left, top, right, bottom), (du, dv) = blob.box, move
-    grow_u, grow_v = margin + abs(du) / 2, margin + abs(dv) / 2
-    window = (
-        max(0, int(left + du - grow_u)),
-        max(0, int(top + dv - grow_v)),
-        min(lens.width, math.ceil(right + du + grow_u)),
-        min(lens.height, math.ceil(bottom + dv + grow_v)),
-    )
-    return window if window[0] < window[2] and window[1] < window[3] else None
+    return windows_round([b.box if b else None for b in memory.blobs], memory.moves, memory.panels, camera, margin)
 
 
 def look_of(memory: BlobsMemory, camera: Camera, margin: int) -> Look | None:
@@ -74,7 +52,7 @@ def look_of(memory: BlobsMemory, camera: Camera, margin: int) -> Look | None:
         panels = [home] if _slack(blob, move, lens) >= wide else range(len(out))
         for panel in panels:
             seen = (blob, move) if panel == home else seen_from(blob, move, home, panel, camera)
-            window = _window(*seen, camera.panels[panel].lens, wide) if seen else None
+            window = window_round(seen[0].box, seen[1], camera.panels[panel].lens, wide) if seen else None
             if window is not None:
                 out[panel].append(window)
     return tuple(tuple(some) for some in out)
