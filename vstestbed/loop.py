@@ -6,13 +6,14 @@ import math
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from operator import mul
 from typing import Any
 
 import numpy as np
 
 from vstestbed.camera import Frame, Look
 from vstestbed.errors import ParameterError
-from vstestbed.geometry import Array
+from vstestbed.geometry import Array, all_finite
 from vstestbed.laws import Law
 from vstestbed.observation import Encoders
 from vstestbed.provenance import versions
@@ -88,10 +89,12 @@ class _Servo:
         self.spent["detect"] += detected - began
         self.spent["law"] += time.perf_counter() - detected
         lost = bool(command.held)
-        error = (seen.uv - self.goal.uv)[seen.seen]
+        error = seen.uv - self.goal.uv
+        if not (all_seen := all_finite(error)):
+            error = error[seen.seen]
         error_px = math.nan if lost else math.sqrt(float(np.vdot(error, error)) / error.size)
         image = shot.frame.image if shot.frame and shot.frame.whole else None
-        tick = Tick(self.count, lost, error_px, seen, command, allocation, shot.truth, image)
+        tick = Tick(self.count, lost, all_seen, error_px, seen, command, allocation, shot.truth, image)
         self.count += 1
         self.before = shot
         return tick
@@ -99,18 +102,19 @@ class _Servo:
 
 def _evidence(scenario: Scenario, tick: Tick) -> Evidence:
     """What the judge may look at: the truth, beside what was seen and ordered."""
-    away = tick.truth.T_world_camera[:3, 3] - tick.truth.T_world_target[:3, 3]
+    T = tick.truth.T_world_target
+    away = (tick.truth.T_world_camera[:3, 3] - T[:3, 3]).tolist()
     return Evidence(
         t=tick.observation.t,
         lost=tick.lost,
         held=tick.command.held,
-        all_seen=bool(tick.observation.seen.all()),
+        all_seen=tick.all_seen,
         error_px=tick.error_px,
-        command_size=float(np.abs(tick.command.twist).max()),
+        command_size=max(map(abs, tick.command.twist.tolist())),
         scale=tick.allocation.scale,
         limit=tick.allocation.limit,
-        distance=math.sqrt(float(away @ away)),
-        behind=isinstance(scenario.target, Square) and float(away @ tick.truth.T_world_target[:3, 2]) >= 0,
+        distance=math.hypot(*away),
+        behind=isinstance(scenario.target, Square) and sum(map(mul, away, T[:3, 2].tolist())) >= 0,
         contact=tick.truth.contact,
     )
 
@@ -161,7 +165,7 @@ def run(scenario: Scenario, watch: Iterable[Watcher] = ()) -> Recording:
         raise ParameterError("scenario", "must be a Scenario: vstestbed.run(vstestbed.load('arm_ibvs'))", scenario)
     began = time.perf_counter()
     layout = Layout(scenario)
-    log, watchers = Log(layout.columns), tuple(watch)
+    log, watchers = Log(layout), tuple(watch)
     spent: dict[str, float] = dict.fromkeys(PARTS, 0.0)
     plant, renderer = build_plant(
         scenario.robot,
@@ -177,7 +181,7 @@ def run(scenario: Scenario, watch: Iterable[Watcher] = ()) -> Recording:
 
     def note(tick: Tick) -> None:
         start = time.perf_counter()
-        log.append(layout.row(tick))
+        log.append(tick)
         spent["record"] += time.perf_counter() - start
         for watcher in watchers:
             watcher.tick(tick)

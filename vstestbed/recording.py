@@ -6,16 +6,16 @@ read at any length (a last line without an end is left out); `log.parquet` is wr
 
 from __future__ import annotations
 
-import array
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import numpy as np
 
 from vstestbed.errors import RunFolderError
-from vstestbed.geometry import Array, angles, inverse, quaternion_wxyz, rigid_error
+from vstestbed.geometry import Array, angles, inverse, quaternion_wxyz, rotation_angle
 from vstestbed.laws import Command
 from vstestbed.metrics import summarise
 from vstestbed.observation import Observation
@@ -37,13 +37,14 @@ class Tick:
     """One frame: what was seen, what was ordered, what was true at the time of exposure.
 
     Attributes:
-        frame: number of the frame. lost: too few markers seen. error_px: RMS of goal minus measured over the coordinates
-        seen, NaN when lost. image: the servo camera's own picture (it holds until the
-        next frame), None where none was taken, or not the whole of it.
+        frame: number of the frame. lost: too few markers seen. all_seen: every marker is. error_px: RMS of goal minus measured
+        over the coordinates seen, NaN when lost. image: the servo camera's own picture (it holds until the next frame),
+        None where none was taken, or not the whole of it.
     """
 
     frame: int
     lost: bool
+    all_seen: bool
     error_px: float
     observation: Observation
     command: Command
@@ -61,7 +62,7 @@ class Watcher(Protocol):
 
 
 class Layout:
-    """The columns of a scenario's log, and how a tick becomes one row of numbers.
+    """The columns of a scenario's log, and how ticks become rows of numbers.
 
     All that was seen and all that was true (act_, q_, ctrl_, ...) is of the exposure at t. The row's command cmd_ is what
     the law made of that picture; it holds from t_cmd = t + latency on. made_ is the twist that the robot's limits and its
@@ -90,58 +91,98 @@ class Layout:
             "scale",
             *(f"{kind}_{joint}" for joint in joints for kind in ("q", "qd", "ctrl")),
         )
-        self._camera, self._goal = scenario.camera, scenario.goal_view
+        goal = scenario.goal_view
+        self._camera, self._goal_uv = scenario.camera, goal.uv
         self._latency = scenario.camera.latency_s
-        self._goal_uv = self._goal.uv.tolist()
-        self._T_target_goal = inverse(self._goal.T_camera_target)
-        self._target = self._goal_pose = np.zeros((4, 4))
-        self._target_pose: list[float] = []
+        self._T_target_goal = inverse(goal.T_camera_target)
 
-    def row(self, tick: Tick) -> list[float]:
-        """The tick as numbers, in the order of `columns`. (Lists of floats: arrays this short cost five times as much.)"""
-        o, truth = tick.observation, tick.truth
-        if truth.T_world_target is not self._target:  # a still target is the same array at each frame
-            self._target, self._goal_pose = truth.T_world_target, truth.T_world_target @ self._T_target_goal
-            self._target_pose = _pose(truth.T_world_target)
-        true_uv = self._camera.project(truth.p_camera).tolist()
-        directions = angles(self._camera.ray(o.uv)).tolist() if self._angles else [()] * len(true_uv)
-        markers = zip(o.uv.tolist(), true_uv, self._goal_uv, o.depth.tolist(), directions, strict=True)
-        return [
-            o.t,
-            float(tick.frame),
-            float(tick.lost),
-            *(x for uv, true, goal, depth, direction in markers for x in (*uv, *true, *goal, depth, *direction)),
-            tick.error_px,
-            *_pose(truth.T_world_camera),
-            *self._target_pose,
-            *rigid_error(truth.T_world_camera, self._goal_pose),
-            o.t + self._latency,
-            *tick.command.twist.tolist(),
-            *truth.twist.tolist(),
-            *tick.allocation.twist.tolist(),
-            tick.allocation.scale * tick.command.scale,
-            *(x for joint in zip(truth.q.tolist(), truth.qd.tolist(), truth.ctrl.tolist(), strict=True) for x in joint),
-        ]
+    def rows(self, ticks: Sequence[Kept]) -> Array:
+        """Ticks as numbers, shape (len(ticks), columns): one at a time on disk, many at once in memory, the same numbers."""
+        t, frame, lost, error, scale, *rest = zip(*ticks, strict=True)
+        uv, depth, p_camera, T_camera, T_target, ordered, twist, made, *joints = (np.array(some) for some in rest)
+        goal = np.broadcast_to(self._goal_uv, uv.shape)
+        markers = [uv, self._camera.project(p_camera), goal, depth[..., None], *([angles(self._camera.ray(uv))] if self._angles else [])]
+        when, n = np.array(t), len(ticks)
+        return np.concatenate(
+            [
+                np.column_stack([when, frame, lost]),
+                np.concatenate(markers, axis=-1).reshape(n, -1),
+                np.array(error)[:, None],
+                _poses(T_camera),
+                _poses(T_target),
+                np.column_stack([*self._away(T_camera, T_target), when + self._latency]),
+                ordered,
+                twist,
+                made,
+                np.array(scale)[:, None],
+                np.stack(joints, axis=-1).reshape(n, 3 * joints[0].shape[1]),
+            ],
+            axis=1,
+        )
 
-
-def _pose(T: Array) -> list[float]:
-    return [*T[:3, 3].tolist(), *quaternion_wxyz(T[:3, :3]).tolist()]
+    def _away(self, T_camera: Array, T_target: Array) -> tuple[Array, Array]:
+        """Distance [m] and angle [rad] from the goal pose, (n,) each."""
+        T_goal = T_target @ self._T_target_goal
+        angle = rotation_angle(T_camera[:, :3, :3].mT @ T_goal[:, :3, :3])
+        return np.linalg.norm(T_camera[:, :3, 3] - T_goal[:, :3, 3], axis=1), angle
 
 
-@dataclass
+Kept = tuple[Any, ...]
+"""What a log keeps of a tick: numbers and arrays, no picture."""
+
+
+def kept(tick: Tick) -> Kept:
+    """The numbers and arrays of a tick that `Layout.rows` makes rows of."""
+    o, truth = tick.observation, tick.truth
+    return (
+        o.t,
+        tick.frame,
+        tick.lost,
+        tick.error_px,
+        tick.allocation.scale * tick.command.scale,
+        o.uv,
+        o.depth,
+        truth.p_camera,
+        truth.T_world_camera,
+        truth.T_world_target,
+        tick.command.twist,
+        truth.twist,
+        tick.allocation.twist,
+        truth.q,
+        truth.qd,
+        truth.ctrl,
+    )
+
+
+def _poses(T: Array) -> Array:
+    return np.concatenate([T[:, :3, 3], quaternion_wxyz(T[:, :3, :3])], axis=1)
+
+
 class Log:
-    """Rows in memory, one after the other in one flat block of doubles."""
+    """Ticks in memory; every CHUNK of them become rows at once, which costs a tenth of one at a time."""
 
-    columns: tuple[str, ...]
-    values: array.array = field(default_factory=lambda: array.array("d"))
+    CHUNK: ClassVar[int] = 256
 
-    def append(self, row: list[float]) -> None:
-        """Add one row of len(columns) numbers."""
-        self.values.extend(row)
+    def __init__(self, layout: Layout):
+        self._layout = layout
+        self._rows: list[Array] = []
+        self._waiting: list[Kept] = []
+
+    def append(self, tick: Tick) -> None:
+        """Keep one more tick. Nobody may write again into its arrays."""
+        self._waiting.append(kept(tick))
+        if len(self._waiting) == self.CHUNK:
+            self._turn()
+
+    def _turn(self) -> None:
+        if self._waiting:
+            self._rows.append(self._layout.rows(self._waiting))
+            self._waiting = []
 
     def table(self) -> Array:
         """All rows, shape (rows, columns)."""
-        return np.frombuffer(self.values, dtype=float).reshape(-1, len(self.columns)) if self.values else np.zeros((0, len(self.columns)))
+        self._turn()
+        return np.concatenate(self._rows) if self._rows else np.zeros((0, len(self._layout.columns)))
 
 
 @dataclass(frozen=True)
@@ -207,7 +248,7 @@ class PartWriter:
         self._file.write(",".join(layout.columns) + "\n")
 
     def append(self, row: list[float]) -> None:
-        """Add one row."""
+        """Add one row of `Layout.rows`."""
         self._file.write(",".join(map(repr, row)) + "\n")
 
     def close(self) -> None:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Literal
 
 from vstestbed.errors import EnvironmentLackError, OutputError, RunFolderError
 from vstestbed.loop import run
-from vstestbed.recording import Layout, PartWriter, Recording, Tick, Watcher, read_log
+from vstestbed.recording import Layout, PartWriter, Recording, Tick, Watcher, kept, read_log
 from vstestbed.scenario import Scenario
 from vstestbed.scenario_file import dump
 from vstestbed.sim.build import SceneFiles, scene_files
@@ -104,7 +104,7 @@ class _LogOnDisk:
     def tick(self, tick: Tick) -> None:
         """Append a frame."""
         with writing(self._folder):
-            self._writer.append(self._layout.row(tick))
+            self._writer.append(self._layout.rows([kept(tick)])[0].tolist())
 
     def close(self) -> None:
         """Close the file; what could not be written of its last line is given up (the run has ended with that error)."""

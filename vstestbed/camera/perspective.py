@@ -90,7 +90,7 @@ class Perspective(Camera):
     def project(self, p_camera: Array) -> Array:
         """Pixels uv (..., N, 2) of points (..., N, 3); NaN at or behind the lens (Z <= 0), and beyond the distortion's reach."""
         z = p_camera[..., 2:]
-        if self.distortion is None and (z > 0).all():
+        if self.distortion is None and np.logical_and.reduce(z > 0, axis=None):
             return p_camera[..., :2] / z * self.f + self.centre
         with np.errstate(divide="ignore", invalid="ignore"):
             xy = np.where(z > 0, p_camera[..., :2] / z, np.nan)

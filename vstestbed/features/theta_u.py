@@ -6,7 +6,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from vstestbed.geometry import Array, skew
+from vstestbed.geometry import Array, quaternion_wxyz, skew
 from vstestbed.spec import spec
 
 
@@ -51,7 +51,7 @@ def theta_u(R: Array) -> Array:
     By the unit quaternion (w, q), w >= 0: theta = 2 atan2(|q|, w). At an exact half turn u and -u are the same; then the
     largest component of u is positive.
     """
-    quaternion = _quaternion(np.asarray(R, dtype=float))
+    quaternion = quaternion_wxyz(np.asarray(R, dtype=float))
     w, q = quaternion[..., :1], quaternion[..., 1:]
     n = np.linalg.norm(q, axis=-1, keepdims=True)
     some = n > 0
@@ -73,19 +73,3 @@ def rotation_interaction(theta_u: Array) -> Array:
     c = np.where(small, series, (1 - half * np.cos(half) / np.sin(half)) / (4 * half * half))
     S = skew(theta_u)
     return np.eye(3) + 0.5 * S + c[..., None, None] * (S @ S)
-
-
-def _quaternion(R: Array) -> Array:
-    """Unit quaternions (w, x, y, z) (..., 4), w >= 0, of R (..., 3, 3); see `geometry.quaternion_wxyz` for one."""
-    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = (np.moveaxis(row, -1, 0) for row in np.moveaxis(R, -2, 0))
-    columns = [
-        (1 + xx + yy + zz, zy - yz, xz - zx, yx - xy),
-        (zy - yz, 1 + xx - yy - zz, yx + xy, xz + zx),
-        (xz - zx, yx + xy, 1 - xx + yy - zz, zy + yz),
-        (yx - xy, xz + zx, zy + yz, 1 - xx - yy + zz),
-    ]
-    four = np.stack([np.stack(column, axis=-1) for column in columns], axis=-1)  # 4 q q^T
-    largest = np.diagonal(four, axis1=-2, axis2=-1).argmax(axis=-1)
-    q = np.take_along_axis(four, largest[..., None, None], axis=-1)[..., 0]
-    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
-    return np.where(q[..., :1] < 0, -q, q)

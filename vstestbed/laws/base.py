@@ -117,9 +117,17 @@ class TwistLimits:
 
     def scale(self, twist: Array) -> float:
         """Factor in (0, 1] that brings a twist (6,) within the limits."""
+        if self.speed_mps is None and self.rate_radps is None:
+            return 1.0
         factor = 1.0
         for limit, part in ((self.speed_mps, twist[:3]), (self.rate_radps, twist[3:])):
             size = float(np.sqrt(part @ part))
             if limit is not None and size > limit:
                 factor = min(factor, limit / size)
         return factor
+
+    def command(self, u: Array, basis: Array) -> Command:
+        """The order for a motion u (n,) of a robot whose motions are `basis` (6, n), within the limits."""
+        twist = basis @ u
+        factor = self.scale(twist)
+        return Command(u=u * factor, twist=twist * factor, scale=factor)

@@ -70,8 +70,7 @@ class Hybrid:
         u = -self.gain.at(solved) * solved
         if self.visibility.margin_px > 0:
             u = u + self.visibility.push(observation, goal, basis)
-        scale = self.limits.scale(basis @ u)
-        return None, Command(u=u * scale, twist=basis @ u * scale, scale=scale)
+        return None, self.limits.command(u, basis)
 
     def _compare(self, observation: Observation, goal: Goal) -> tuple[Array, Array] | None:
         """The target's origin over Z* (3,) in the camera's frame, and R_goal_camera (3, 3)."""

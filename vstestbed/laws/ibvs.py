@@ -88,8 +88,7 @@ class IBVS:
             u = u - u0 * math.exp(-(observation.t - memory.t0) / self.smooth_start_s)
         if self.visibility.margin_px > 0:
             u = u + self.visibility.push(observation, goal, basis)
-        scale = self.limits.scale(basis @ u)
-        return memory, Command(u=u * scale, twist=basis @ u * scale, scale=scale)
+        return memory, self.limits.command(u, basis)
 
     def _interaction(self, observation: Observation, goal: Goal, rows: Rows) -> Array:
         what, distance = self.inputs

@@ -67,8 +67,7 @@ class PBVS:
         e, L = self.feature(T, goal.T_camera_target)
         solved = least_squares(L @ basis, e)
         u = -self.gain.at(solved) * solved
-        scale = self.limits.scale(basis @ u)
-        return None, Command(u=u * scale, twist=basis @ u * scale, scale=scale)
+        return None, self.limits.command(u, basis)
 
     def feature(self, T_camera_target: Array, T_goal_target: Array) -> tuple[Array, Array]:
         """The error (6,) and L (6, 6) at two poses (4, 4) of the target, in the camera's frame and in the goal's."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from vstestbed.geometry import all_finite
 from vstestbed.observation import Observation
 
 Rows = slice | NDArray[np.bool_]
@@ -22,12 +23,12 @@ def usable_rows(observation: Observation, inputs: tuple[str, ...], needed: int) 
         inputs: names of fields of the observation, the first of image coordinates (N, 2) or rays (N, 3), the others (N,).
         needed: how many markers it takes.
     """
+    if len(observation.uv) >= needed and all(all_finite(getattr(observation, name)) for name in inputs):
+        return ALL  # a view is cheaper than a selection
     usable = np.isfinite(getattr(observation, inputs[0])[:, 0])
     seen = usable
     for name in inputs[1:]:
         usable = usable & np.isfinite(getattr(observation, name))
-    if usable.all() and len(usable) >= needed:
-        return ALL  # a view is cheaper than a selection
     if np.count_nonzero(usable) >= needed:
         return usable
     return TOO_FEW if np.count_nonzero(seen) < needed else NO_DEPTH

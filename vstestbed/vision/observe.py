@@ -8,7 +8,7 @@ import numpy as np
 
 from vstestbed.camera import Camera
 from vstestbed.errors import ParameterError
-from vstestbed.geometry import Array, exp, transform
+from vstestbed.geometry import Array, all_finite, exp, transform
 from vstestbed.observation import AtGoal, Constant, Depth, Estimate, Goal, Observation, OracleDepth, PnP
 from vstestbed.target import Target
 from vstestbed.vision.base import Detection
@@ -56,7 +56,7 @@ class Observer:
 
     def uses_motion(self, detection: Detection) -> bool:
         """Whether `observe` will look at the twist: to estimate depth, or to carry the pose on where markers are missing."""
-        return isinstance(self.depth, Estimate) or not np.isfinite(detection.uv).all()
+        return isinstance(self.depth, Estimate) or not all_finite(detection.uv)
 
     def observe(
         self, memory: ObserverMemory, t: float, detection: Detection, twist: Array, rng: np.random.Generator

@@ -8,6 +8,7 @@ import numpy as np
 
 from vstestbed.camera import Camera, Frame, Look
 from vstestbed.errors import ParameterError
+from vstestbed.geometry import all_finite
 from vstestbed.spec import spec
 from vstestbed.target import Target
 from vstestbed.vision.base import Detection, TruthView
@@ -48,6 +49,8 @@ class Oracle:
             raise ParameterError("view", "is missing: the oracle needs the true view of the target; use detector blobs where there is none")
         p = view.p_camera
         uv = camera.project(p)
+        if self.field_of_view == "unlimited" and all_finite(uv):
+            return None, Detection(uv=uv, p_camera=p)
         seen = np.isfinite(uv[:, 0])
         if self.field_of_view == "limited":
             seen &= ~view.hidden & camera.whole(p, target.marker.radius)
