@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from functools import cache
+from typing import Any
+
 import numpy as np
 
 from vstestbed.geometry import Array
@@ -21,12 +24,17 @@ def least_squares(A: Array, b: Array) -> Array:
 
     Reference: Golub & Van Loan 2013, Matrix Computations, section 5.5.
     """
-    from scipy.linalg.lapack import dgelsy  # .2 s that listing and checking scenarios can do without
-
     m, n = A.shape
     if not (m and n):
         return np.zeros(n)
     wide = np.zeros((max(m, n), 1))
     wide[:m, 0] = b
-    _, x, *_ = dgelsy(A, wide, np.zeros((n, 1), np.int32), PINV_RCOND, BLOCK * (n + 1))
+    _, x, *_ = _gelsy()(A, wide, np.zeros((n, 1), np.int32), PINV_RCOND, BLOCK * (n + 1))
     return x[:n, 0]
+
+
+@cache
+def _gelsy() -> Any:
+    from scipy.linalg import get_lapack_funcs  # .2 s that listing and checking scenarios can do without
+
+    return get_lapack_funcs("gelsy", dtype=np.float64)
