@@ -1,4 +1,4 @@
-"""Every law on the arm, from pixels, from twenty random starts each. Long: pytest -m study -s prints the table of the README."""
+"""Every law on the arm, a wide lens and tags, from pixels, from twenty random starts each. Long: pytest -m study -s prints the table."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ import pytest
 import vstestbed as vs
 
 SEEDS = 20
-LAWS = ("arm_polar", "arm_spherical", "arm_partitioned", "arm_pbvs", "arm_hybrid")
+SCENARIOS = ("arm_polar", "arm_spherical", "arm_partitioned", "arm_pbvs", "arm_hybrid", "arm_fisheye", "arm_tags")
 CANNOT = {("arm_partitioned", 7): vs.Outcome.joint_limit, ("arm_partitioned", 15): vs.Outcome.joint_limit}
 """Starts that a law cannot handle, and how they end: the partitioned law's way takes the wrist through its singularity
 (joint 5 passes zero), where joint 4 turns until it meets its limit, whatever the gains."""
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize("name", SCENARIOS)
 def test_arrives_from_everywhere(name: str, capsys: pytest.CaptureFixture[str]):
     runs = [vs.run(vs.load(name).randomised(seed)) for seed in range(SEEDS)]
     arrived = [r for r in runs if r.outcome.success]
