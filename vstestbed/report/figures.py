@@ -24,6 +24,8 @@ BAND: dict[str, Any] = {"linewidth": 4.0, "alpha": 0.28}
 START: dict[str, Any] = {"marker": "o", "markersize": 5, "linestyle": "none"}
 END: dict[str, Any] = {"marker": "x", "markersize": 6, "markeredgewidth": 1.6, "linestyle": "none"}
 AIM: dict[str, Any] = {"marker": "D", "markersize": 8, "markerfacecolor": "none", "markeredgewidth": 1.4, "linestyle": "none"}
+LEAST_TWIST, LEAST_DEPTH = 2e-3, 0.02
+"""What the axes of twists [m/s, rad/s] and of depths (as a share of the depth) span at least."""
 PARTS = (("v", "translation [m/s]"), ("w", "rotation [rad/s]"))
 
 
@@ -127,6 +129,7 @@ def twist(tracks: Tracks) -> Figure:
             true, command = tracks.column(f"act_{part}{axis}"), tracks.column(f"cmd_{part}{axis}")
             axes.plot(tracks.t, true, color=color, **BAND)
             axes.plot(told, command, color=color, linewidth=1.1, label=f"{part}$_{axis}$", **_dot(command))
+        _least_span(axes, LEAST_TWIST)
         _shade_lost(axes, tracks)
         axes.set_ylabel(label)
         axes.legend(handles=axes.get_lines()[2::2], loc="upper right", ncols=3)
@@ -145,6 +148,7 @@ def depth(tracks: Tracks) -> Figure | None:
         if true is not None:
             axes.plot(tracks.t, true[:, i], color=color, **BAND)
         axes.plot(tracks.t, used[:, i], color=color, linewidth=1.0, **_dot(used[:, i]))
+    _least_span(axes, LEAST_DEPTH * float(np.nanmedian(np.abs(used))))
     _shade_lost(axes, tracks)
     _time_axis(axes, tracks)
     axes.set_ylabel("depth [m]")
@@ -200,6 +204,13 @@ def _positive(value: Array) -> Array:
 def _dot(value: Array) -> dict[str, Any]:
     """A point marker where a line would show nothing: a single value, or a single one between gaps."""
     return {"marker": "."} if np.isfinite(value).sum() <= 1 else {}
+
+
+def _least_span(axes: Axes, least: float) -> None:
+    """Widen the upright axis about its middle where it spans less than `least`: noise shall not fill the height."""
+    low, high = axes.get_ylim()
+    if high - low < least:
+        axes.set_ylim((low + high - least) / 2, (low + high + least) / 2)
 
 
 def _shade_lost(axes: Axes, tracks: Tracks) -> None:
