@@ -62,13 +62,11 @@ def draw_axes(axes: Axes3D, length: float, start: float = 0.0) -> None:
     _letter(axes, tip * 1.06, "z", INK)
 
 
-def draw_cross_axes(axes: Axes3D, at: Array, length: float) -> None:
-    """Short lines along x and y from the point `at` (3,), in the axes' colours, with their letters."""
-    for axis, name in enumerate("xy"):
-        tip = np.array(at, dtype=float)
-        tip[axis] += length
-        axes.plot(*drawn(np.stack([at, tip])), color=AXIS_COLORS[axis], linewidth=1.3)
-        _letter(axes, at + 1.3 * (tip - at), name, AXIS_COLORS[axis])
+def draw_cross_axes(axes: Axes3D, at: Array, length: float, start: float = 0.0) -> None:
+    """Lines of this length along x and y, `start` away from the point `at` (3,), in the axes' colours, with their letters."""
+    for direction, name, color in zip(np.eye(3), "xy", AXIS_COLORS, strict=False):
+        axes.plot(*drawn(at + np.outer([start, start + length], direction)), color=color, linewidth=1.3)
+        _letter(axes, at + (start + 1.3 * length) * direction, name, color)
 
 
 def _letter(axes: Any, at: Array, word: str, color: str) -> None:  # matplotlib's stubs know only the flat axes' text
