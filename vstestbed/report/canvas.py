@@ -12,9 +12,13 @@ import io
 import re
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from mpl_toolkits.mplot3d import Axes3D
 
 INK = "#010203"
 RULE = "#a1b2c3"
@@ -74,6 +78,54 @@ def new_figure(height_in: float, width_in: float = WIDTH_IN) -> Figure:
     figure = Figure(figsize=(width_in, height_in), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
+
+
+def new_space(figure: Figure, **options: Any) -> Axes3D:
+    """3-D axes for a figure that has nothing else but a legend at its foot; `fill` gives them their place."""
+    figure.set_layout_engine("none")
+    width, height = figure.get_size_inches()
+    side = 0.8 * min(width, height)
+    return figure.add_axes((0.1, 0.1, side / width, side / height), projection="3d", **options)  # pyright: ignore[reportReturnType]
+
+
+def fill(axes: Axes3D, box: bool, legend_in: float = 0.3) -> None:
+    """Scale and shift a 3-D picture, all its words included, so that it fills its figure above the legend.
+
+    Args:
+        axes: from `new_space`, drawn complete.
+        box: whether they have their box and ticks.
+        legend_in: height to leave for the legend [in].
+    """
+    figure: Any = axes.figure
+    width, height = figure.get_size_inches()
+    margin = 0.08  # [in]
+    low, high = np.array([margin, legend_in + margin]), np.array([width - margin, height - margin])
+    for artist in (*axes.lines, *axes.collections):
+        artist.set_clip_on(False)  # else at the border of a square that the figure does not show
+    for _ in range(3):  # letters do not grow with the picture
+        figure.draw_without_rendering()
+        extent = _extent(axes, box) / figure.dpi
+        scale = float(((high - low) / np.ptp(extent, axis=0)).min())
+        place = axes.get_position().get_points() * (width, height)
+        corner, opposite = (low + high) / 2 + scale * (place - extent.mean(axis=0))
+        axes.set_position((*(corner / (width, height)), *((opposite - corner) / (width, height))))
+
+
+def _extent(axes: Any, box: bool) -> NDArray[np.float64]:
+    """Lower left and upper right corner (2, 2) [px] of what 3-D axes show: lines, words, and where they have them box and ticks."""
+    from mpl_toolkits.mplot3d.proj3d import proj_transform
+
+    shown: list[Any] = [line.get_data_3d() for line in axes.get_lines()]
+    shown += [np.reshape(word.get_position_3d(), (3, 1)) for word in axes.texts]
+    if box:
+        shown.append(np.array(np.meshgrid(axes.get_xlim(), axes.get_ylim(), axes.get_zlim())).reshape(3, -1))
+    x, y, z = np.concatenate(shown, axis=1)
+    flat = proj_transform(x, y, z, axes.get_proj())[:2]
+    pixels = axes.transData.transform(np.stack(flat, axis=-1))
+    if box:
+        renderer = axes.figure.canvas.get_renderer()
+        pixels = np.concatenate([pixels, *(axis.get_tightbbox(renderer).get_points() for axis in (axes.xaxis, axes.yaxis, axes.zaxis))])
+    return np.stack([np.nanmin(pixels, axis=0), np.nanmax(pixels, axis=0)])
 
 
 def to_svg(figure: Figure, key: str, label: str) -> str:

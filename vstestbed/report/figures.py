@@ -21,6 +21,11 @@ if TYPE_CHECKING:
     from matplotlib.lines import Line2D
 
 BAND: dict[str, Any] = {"linewidth": 4.0, "alpha": 0.28}
+START: dict[str, Any] = {"marker": "o", "markersize": 5, "linestyle": "none"}
+END: dict[str, Any] = {"marker": "x", "markersize": 6, "markeredgewidth": 1.6, "linestyle": "none"}
+AIM: dict[str, Any] = {"marker": "D", "markersize": 8, "markerfacecolor": "none", "markeredgewidth": 1.4, "linestyle": "none"}
+LEAST_TWIST, LEAST_DEPTH = 2e-3, 0.02
+"""What the axes of twists [m/s, rad/s] and of depths (as a share of the depth) span at least."""
 PARTS = (("v", "translation [m/s]"), ("w", "rotation [rad/s]"))
 
 
@@ -32,26 +37,28 @@ def features(tracks: Tracks) -> Figure | None:
     aspect = height / width if width and height else 0.75
     figure = new_figure(min(max(WIDTH_IN * aspect, 2.5), 6.5) + 0.5)
     axes = figure.add_subplot()
-    true, measured, goal = tracks.pixels("_true"), tracks.pixels(), tracks.pixels("_goal")
-    for i, color in enumerate(marker_colors(tracks.markers)):
-        axes.plot(*true[:, i].T, color=color, **BAND)
-        axes.plot(*measured[:, i].T, color=color, linewidth=1.0)
-        axes.plot(*_edge(measured[:, i], 0), "o", color=color, markersize=5)
-        axes.plot(*_edge(measured[:, i], -1), "x", color=color, markersize=6, markeredgewidth=1.6)
-        axes.plot(*_edge(goal[:, i], -1), "D", color=color, markersize=8, markerfacecolor="none", markeredgewidth=1.4)
+    draw_trails(axes, tracks.pixels(), tracks.pixels("_true"), tracks.pixels("_goal"))
     _frame_picture(axes, width, height)
-    figure.legend(handles=_feature_keys(), loc="outside lower center", ncols=5)
+    figure.legend(handles=trail_keys(), loc="outside lower center", ncols=5)
     return figure
 
 
-def _feature_keys() -> list[Line2D]:
+def draw_trails(axes: Axes, measured: Array, true: Array, goal: Array) -> None:
+    """The markers' ways in a plane, each (T, N, 2), first coordinate across, with start, end and goal."""
+    for i, color in enumerate(marker_colors(measured.shape[1])):
+        axes.plot(*true[:, i].T, color=color, **BAND)
+        axes.plot(*measured[:, i].T, color=color, linewidth=1.0)
+        for at, look in ((edge(measured[:, i], 0), START), (edge(measured[:, i], -1), END), (edge(goal[:, i], -1), AIM)):
+            axes.plot(*at, color=color, **look)
+
+
+def trail_keys() -> list[Line2D]:
+    """What the marks and lines of a trail mean, for a legend."""
     from matplotlib.lines import Line2D
 
-    key: dict[str, Any] = {"color": INK, "linestyle": "none"}
+    marks = [Line2D([], [], color=INK, label=label, **look) for look, label in ((START, "start"), (END, "end"), (AIM, "goal"))]
     return [
-        Line2D([], [], marker="o", markersize=5, label="start", **key),
-        Line2D([], [], marker="x", markersize=6, markeredgewidth=1.6, label="end", **key),
-        Line2D([], [], marker="D", markersize=7, markerfacecolor="none", label="goal", **key),
+        *marks,
         Line2D([], [], color=INK, linewidth=1.0, label="measured"),
         Line2D([], [], color=INK, label="true", **BAND),
     ]
@@ -122,6 +129,7 @@ def twist(tracks: Tracks) -> Figure:
             true, command = tracks.column(f"act_{part}{axis}"), tracks.column(f"cmd_{part}{axis}")
             axes.plot(tracks.t, true, color=color, **BAND)
             axes.plot(told, command, color=color, linewidth=1.1, label=f"{part}$_{axis}$", **_dot(command))
+        _least_span(axes, LEAST_TWIST)
         _shade_lost(axes, tracks)
         axes.set_ylabel(label)
         axes.legend(handles=axes.get_lines()[2::2], loc="upper right", ncols=3)
@@ -140,6 +148,7 @@ def depth(tracks: Tracks) -> Figure | None:
         if true is not None:
             axes.plot(tracks.t, true[:, i], color=color, **BAND)
         axes.plot(tracks.t, used[:, i], color=color, linewidth=1.0, **_dot(used[:, i]))
+    _least_span(axes, LEAST_DEPTH * float(np.nanmedian(np.abs(used))))
     _shade_lost(axes, tracks)
     _time_axis(axes, tracks)
     axes.set_ylabel("depth [m]")
@@ -181,10 +190,10 @@ def _plain(name: str) -> str:
     return name.replace("$", r"\$").lstrip("_") or "(unnamed)"
 
 
-def _edge(uv: Array, which: int) -> Array:
-    """The first (0) or last (-1) finite point of a trail (T, 2), as a (2, 1) array; empty where there is none."""
-    finite = uv[np.isfinite(uv).all(axis=1)]
-    return finite[[which]].T if len(finite) else np.empty((2, 0))
+def edge(trail: Array, which: int) -> Array:
+    """The first (0) or last (-1) finite point of a trail (T, k), as a (k, 1) array; empty where there is none."""
+    finite = trail[np.isfinite(trail).all(axis=1)]
+    return finite[[which]].T if len(finite) else np.empty((trail.shape[1], 0))
 
 
 def _positive(value: Array) -> Array:
@@ -195,6 +204,13 @@ def _positive(value: Array) -> Array:
 def _dot(value: Array) -> dict[str, Any]:
     """A point marker where a line would show nothing: a single value, or a single one between gaps."""
     return {"marker": "."} if np.isfinite(value).sum() <= 1 else {}
+
+
+def _least_span(axes: Axes, least: float) -> None:
+    """Widen the upright axis about its middle where it spans less than `least`: noise shall not fill the height."""
+    low, high = axes.get_ylim()
+    if high - low < least:
+        axes.set_ylim((low + high - least) / 2, (low + high + least) / 2)
 
 
 def _shade_lost(axes: Axes, tracks: Tracks) -> None:

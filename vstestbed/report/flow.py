@@ -153,20 +153,34 @@ def _frame_plane(grid: Any, plane: Plane, spacing: Array) -> None:
 
 
 def draw_sphere(depth: float = 1.0) -> Figure:
-    """The six fields on the unit sphere around the camera, seen from its front; the far side is left out."""
+    """The six fields on the unit sphere around the camera, seen from outside, more from ahead; the far side is left out."""
     ray, rates = sphere_flow(depth)
-    figure = new_figure(6.6, 9.0)
+    figure = new_figure(6.7, 9.0)
+    figure.set_layout_engine("none")
     for i, (rate, motion) in enumerate(zip(rates, MOTIONS, strict=True)):
-        axes: Axes3D = figure.add_subplot(2, 3, i + 1, projection="3d")
-        sphere.frame(axes, np.full(3, -1.0), np.full(3, 1.0), elev=24, azim=52, zoom=1.25)
-        sphere.draw_net(axes, PI, PI / 6, hide_back=True)
-        near = ray @ sphere.towards_viewer(axes) > 0.08
-        arrow = 0.24 * rate[near] / np.linalg.norm(rate, axis=-1).max()
-        axes.quiver(*sphere.drawn(ray[near]), *sphere.drawn(arrow), color=LINE_COLORS[0], linewidth=1.1, arrow_length_ratio=0.4)
-        sphere.draw_axes(axes, 0.6, start=1.0)
-        axes.set_title(motion)
-    figure.suptitle(f"spherical, distance {depth:g} m; z: the optical axis; the camera's side of x, y shows behind")
+        place = (i % 3 / 3, (0.1 if i >= 3 else 3.1) / 6.7, 1 / 3, 3.0 / 6.7)  # 3 in by 3 in each
+        axes: Axes3D = figure.add_axes(place, projection="3d")  # pyright: ignore[reportAssignmentType]
+        _draw_ball(axes, ray, rate)
+        axes.set_title(motion, x=0.1, y=0.87)
+    title = f"spherical, distance {depth:g} m: the unit sphere around the camera, seen from outside"
+    figure.text(0.02, 0.985, title, va="top", fontsize=11)
+    words = "Dashed: the optical axis z. The dark circle, 90 deg from it, divides what is ahead of the camera from what is behind."
+    figure.text(0.02, 0.95, words, va="top")
     return figure
+
+
+def _draw_ball(axes: Axes3D, ray: Array, rate: Array) -> None:
+    """Sphere, camera axes, and the arrows of one motion: their feet (N, 3) and velocities (N, 3)."""
+    sphere.frame(axes, np.full(3, -1.0), np.full(3, 1.0), elev=24, azim=52, zoom=1.36)
+    sphere.draw_net(axes, PI, PI / 6, hide_back=True)
+    sphere.draw_curve(axes, sphere.ray_at(PI / 2, np.linspace(0, 2 * PI, 121)), hide_back=True, color=INK, linewidth=1.1)
+    near = ray @ sphere.towards_viewer(axes) > 0.08
+    arrow = 0.24 * rate[near] / np.linalg.norm(rate, axis=-1).max()
+    axes.quiver(*sphere.drawn(ray[near]), *sphere.drawn(arrow), color=LINE_COLORS[0], linewidth=1.1, arrow_length_ratio=0.4)
+    sphere.draw_axes(axes, 0.4, start=1.0)
+    sphere.draw_cross_axes(axes, np.zeros(3), 0.2, start=1.05)
+    for artist in (*axes.lines, *axes.collections):
+        artist.set_clip_on(False)
 
 
 def write_flow(name: str, depth: float = 1.0, out: Path | None = None) -> list[Path]:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 import polars as pl
 
 from vstestbed.errors import RunFolderError, VstestbedError
-from vstestbed.report import figures, numbers, path3d
+from vstestbed.report import angles, figures, numbers, path3d
 from vstestbed.report.canvas import style, to_svg
 from vstestbed.report.files import write_whole
 from vstestbed.report.template import PAGE, STYLE
@@ -33,6 +33,24 @@ PLOTS: Final[tuple[Plot, ...]] = (
         "Features in the image",
         "The way of each marker through the picture; the frame is the picture's border.",
         figures.features,
+    ),
+    (
+        "polar",
+        "Features in polar coordinates",
+        "As the law sees them: the angle about the optical axis, drawn on beyond a half turn, and the distance from it.",
+        angles.polar,
+    ),
+    (
+        "spherical",
+        "Features in spherical coordinates",
+        "As the law sees them: the angle about the optical axis, drawn on beyond a half turn, and the angle from it.",
+        angles.spherical,
+    ),
+    (
+        "sphere",
+        "Features on the sphere",
+        "The unit sphere around the camera, seen from outside and ahead; z is the optical axis. What is paler lies on the far side.",
+        angles.on_sphere,
     ),
     ("error", "Error in the image", "Root mean square over the coordinates, goal minus measured.", figures.error),
     ("path", "Camera path", "In the world, equal scale on all axes; pyramids look where the camera looks.", path3d.camera_path),

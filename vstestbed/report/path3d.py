@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vstestbed.geometry import Array, inverse, transform
-from vstestbed.report.canvas import AXIS_COLORS, GOAL, INK, LINE_COLORS, RULE, marker_colors, new_figure
+from vstestbed.report.canvas import AXIS_COLORS, GOAL, INK, LINE_COLORS, RULE, fill, marker_colors, new_figure, new_space
 from vstestbed.report.tracks import Tracks
 
 if TYPE_CHECKING:
@@ -33,12 +33,13 @@ def camera_path(tracks: Tracks) -> Figure | None:
         shown.append(transform(targets[-1], tracks.setting.points))
     points = np.concatenate(shown)
     figure = new_figure(4.0)
-    axes: Axes3D = figure.add_subplot(projection="3d")
+    axes = new_space(figure)
     size = 0.13 * float(np.ptp(points, axis=0).max() or 1.0)
     _draw_cameras(axes, cameras, goal, size)
     _draw_target(axes, targets, tracks.setting.points, size)
     _equal_scale(axes, points, size)
-    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=5)
+    fill(axes, box=True)
+    figure.legend(*axes.get_legend_handles_labels(), loc="lower center", ncols=5)
     return figure
 
 

@@ -16,6 +16,9 @@ from vstestbed.report.canvas import AXIS_COLORS, INK, RULE
 if TYPE_CHECKING:
     from mpl_toolkits.mplot3d import Axes3D
 
+FAR = 0.4
+"""How much of its opacity a line keeps on the far side."""
+
 
 def drawn(p: Array) -> Array:
     """Camera coordinates (..., 3) as matplotlib's x, y, z, first axis first: shape (3, ...)."""
@@ -35,31 +38,35 @@ def towards_viewer(axes: Axes3D) -> Array:
     return np.array([np.cos(elevation) * np.cos(azimuth), -np.sin(elevation), np.cos(elevation) * np.sin(azimuth)])
 
 
+def draw_curve(axes: Axes3D, p: Array, alpha: float = 1.0, hide_back: bool = False, **look: Any) -> None:
+    """A line through points of the sphere (T, 3); what lies on the far side is paler, or left out."""
+    near = np.where((p @ towards_viewer(axes) >= 0)[:, None], p, np.nan)
+    if not hide_back:
+        axes.plot(*drawn(p), alpha=FAR * alpha, **look)
+    axes.plot(*drawn(near), alpha=alpha, **look)
+
+
 def draw_net(axes: Axes3D, reach: float, step: float, hide_back: bool = False) -> None:
     """Circles of equal theta every `step` [rad] up to `reach`, and meridians every 30 degrees; the far side paler or hidden."""
     line = np.linspace(0, 2 * np.pi, 121)
     lines = [ray_at(theta, line) for theta in np.arange(step, min(reach, np.pi - 1e-6) + 1e-6, step)]
     lines += [ray_at(np.linspace(0, reach, 61), phi) for phi in np.arange(12) * np.pi / 6]
-    viewer = towards_viewer(axes)
     for p in lines:
-        front = (p @ viewer >= 0)[:, None] if hide_back else np.ones((len(p), 1), dtype=bool)
-        axes.plot(*drawn(np.where(front, p, np.nan)), color=RULE, linewidth=0.6)
+        draw_curve(axes, p, hide_back=hide_back, color=RULE, linewidth=0.6)
 
 
 def draw_axes(axes: Axes3D, length: float, start: float = 0.0) -> None:
-    """The optical axis z as a dashed line from `start` to beyond the sphere, x and y as short lines, each with its letter."""
+    """The optical axis as a dashed line of this length from z = `start` on, with its letter."""
     tip = np.array([0, 0, start + length])
     axes.plot(*drawn(np.stack([[0, 0, start], tip])), color=INK, linewidth=1.3, linestyle=(0, (4, 2)))
     _letter(axes, tip * 1.06, "z", INK)
 
 
-def draw_cross_axes(axes: Axes3D, at: Array, length: float) -> None:
-    """Short lines along x and y from the point `at` (3,), in the axes' colours, with their letters."""
-    for axis, name in enumerate("xy"):
-        tip = np.array(at, dtype=float)
-        tip[axis] += length
-        axes.plot(*drawn(np.stack([at, tip])), color=AXIS_COLORS[axis], linewidth=1.3)
-        _letter(axes, at + 1.15 * (tip - at), name, AXIS_COLORS[axis])
+def draw_cross_axes(axes: Axes3D, at: Array, length: float, start: float = 0.0) -> None:
+    """Lines of this length along x and y, `start` away from the point `at` (3,), in the axes' colours, with their letters."""
+    for direction, name, color in zip(np.eye(3), "xy", AXIS_COLORS, strict=False):
+        axes.plot(*drawn(at + np.outer([start, start + length], direction)), color=color, linewidth=1.3)
+        _letter(axes, at + (start + 1.3 * length) * direction, name, color)
 
 
 def _letter(axes: Any, at: Array, word: str, color: str) -> None:  # matplotlib's stubs know only the flat axes' text

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from vstestbed.geometry import Array, inverse, rotation_from_quaternion, transform
 
 if TYPE_CHECKING:
+    from vstestbed.camera import Camera
+    from vstestbed.features import Feature
     from vstestbed.scenario import Scenario
 
 MOST_ROWS = 4000
@@ -30,6 +32,8 @@ class Setting:
         points: marker centres in the target frame, shape (N, 3) [m].
         T_camera_target: the goal view, shape (4, 4).
         description: the scenario's own words.
+        feature: what the law works with, where it is an image feature.
+        camera: the servo camera.
     """
 
     width: int | None = None
@@ -38,6 +42,8 @@ class Setting:
     points: Array | None = None
     T_camera_target: Array | None = None
     description: str = ""
+    feature: Feature | None = None
+    camera: Camera | None = None
 
     @classmethod
     def of(cls, scenario: Scenario) -> Setting:
@@ -50,6 +56,8 @@ class Setting:
             points=scenario.target.points,
             T_camera_target=getattr(view, "T", view),
             description=scenario.description,
+            feature=getattr(scenario.law, "feature", None),
+            camera=scenario.camera,
         )
 
 
