@@ -6,7 +6,6 @@ import time
 from typing import Literal
 
 import cv2
-import mujoco
 import numpy as np
 from dm_control import mujoco as dm
 from dm_control.mujoco import wrapper
@@ -49,14 +48,11 @@ class View:
             self._option.sitegroup[:] = 0
             self._flags = {"shadow": shadows, "reflection": False}
             self.renderer = ""
-            contexts = stage.physics.contexts
+            contexts = stage.physics.fitting_contexts()
             if contexts is None or contexts.gl is None or contexts.mujoco is None:
                 raise EnvironmentLackError("no OpenGL context", gl.REMEDY)
             with contexts.gl.make_current() as context:
                 self.renderer = context.call(gl.renderer_string)
-                buffer = contexts.mujoco.ptr
-                if buffer.offWidth < width or buffer.offHeight < height:
-                    context.call(mujoco.mjr_resizeOffscreen, vis.offwidth, vis.offheight, buffer)
         except Exception as error:  # EGL, PyOpenGL and MuJoCo raise half a dozen types when a driver is broken
             raise EnvironmentLackError(f"OpenGL does not work here: {error}", gl.REMEDY) from error
 

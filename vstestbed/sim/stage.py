@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
-from dm_control import mujoco as dm
 from dm_control.mujoco import wrapper
 from numpy.typing import NDArray
 
 from vstestbed.geometry import Array, inverse, quaternion_wxyz
+from vstestbed.sim.contexts import Physics
 from vstestbed.sim.scene import LENS_GROUP, Parts, compose
 from vstestbed.sim.world import plate_position
 from vstestbed.target import Sphere
@@ -27,7 +27,7 @@ class Stage:
         self.spec = compose(parts)
         model = self.spec.compile()
         model.vis.quality.offsamples = samples
-        self.physics = dm.Physics.from_model(wrapper.MjModel(model))
+        self.physics = Physics.from_model(wrapper.MjModel(model))
         self.model, self.data = self.physics.model.ptr, self.physics.data.ptr
         self._target = self.model.body("target/frame").mocapid[0]
         self._plates = [self.model.body(f"plate_{i}").mocapid[0] for i in range(len(parts.world.plates))]
