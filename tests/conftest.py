@@ -53,8 +53,8 @@ def vstestbed_process() -> tuple[list[str], dict[str, str]]:
 @pytest.fixture
 def own_kinds() -> Iterator[None]:
     """Lets a test add kinds to the rooms' lists, and takes them out again."""
-    from vstestbed.scenario_file import KINDS
     from vstestbed.spec import rebuild_specs
+    from vstestbed.validation import KINDS
 
     before = {room: dict(kinds.members) for room, kinds in KINDS.items()}
     yield

@@ -10,8 +10,8 @@ import pytest
 
 from vstestbed.assets import bundled_scenarios
 from vstestbed.cli_tools import Room
-from vstestbed.scenario_file import KINDS
 from vstestbed.sim import gl, pictures
+from vstestbed.validation import KINDS
 
 NO_FILM = ("--video", "none")
 

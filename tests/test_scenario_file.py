@@ -15,8 +15,9 @@ from ruamel.yaml import YAML
 from vstestbed.assets import bundled_scenarios
 from vstestbed.errors import ParameterError, ScenarioError
 from vstestbed.laws import IBVS
-from vstestbed.scenario_file import KINDS, dump, find, load, load_plugins, parse, schema
+from vstestbed.scenario_file import dump, find, load, load_plugins, parse, schema
 from vstestbed.spec import spec
+from vstestbed.validation import KINDS
 from vstestbed.yaml_tree import read_value
 
 GOOD = """\

@@ -52,7 +52,8 @@ def load_scenario(name: str, settings: list[str] | None, plugins: list[str] | No
 def list_(room: Annotated[Room | None, typer.Argument(help="What to list. [default: everything]")] = None, plugin: Plugins = None) -> None:
     """What there is, one line each."""
     from vstestbed.assets import bundled_scenarios
-    from vstestbed.scenario_file import KINDS, load, load_plugins
+    from vstestbed.scenario_file import load, load_plugins
+    from vstestbed.validation import KINDS
 
     load_plugins(plugin or [])
     for name in [room] if room else list(Room):
