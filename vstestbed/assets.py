@@ -25,3 +25,8 @@ def model_path(name: str) -> Path:
 def bundled_scenarios() -> dict[str, Path]:
     """Name and path of every scenario that comes with the package, sorted."""
     return {p.stem: p for p in sorted(folder("scenarios").glob("*.yaml"))}
+
+
+def bundled_comparisons() -> dict[str, Path]:
+    """Name and path of every comparison that comes with the package, sorted."""
+    return {p.stem: p for p in sorted((folder("scenarios") / "compare").glob("*.yaml"))}

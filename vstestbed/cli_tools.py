@@ -36,16 +36,22 @@ Json = Annotated[bool, typer.Option("--json", help="Print summary.json and nothi
 def load_scenario(name: str, settings: list[str] | None, plugins: list[str] | None, seed: int | None = None) -> Scenario:
     """A scenario as words on the command line choose and change it."""
     from vstestbed.scenario_file import load, load_plugins
-    from vstestbed.yaml_tree import read_value
 
     load_plugins(plugins or [])
+    return load(name, settings_of(settings), seed)
+
+
+def settings_of(settings: list[str] | None) -> dict[str, object]:
+    """The values of `--set` by dotted path."""
+    from vstestbed.yaml_tree import read_value
+
     overrides: dict[str, object] = {}
     for setting in settings or []:
         key, equals, value = setting.partition("=")
         if not equals or not all(part.strip() for part in key.split(".")):
             raise ParameterError("--set", "needs the form a.b=value", setting)
         overrides[key.strip()] = read_value(value)
-    return load(name, overrides, seed)
+    return overrides
 
 
 @tools.command("list")

@@ -13,6 +13,25 @@ from vstestbed.stop import Outcome
 
 Columns = Mapping[str, Array]
 
+FIGURES = (
+    "sim_time_s",
+    "frames",
+    "frames_lost",
+    "time_to_converge_s",
+    "final_error_px",
+    "final_position_error_m",
+    "final_rotation_error_deg",
+    "path_length_m",
+    "path_ratio",
+    "max_retreat_m",
+    "max_rotation_deg",
+    "max_feature_excursion_px",
+    "min_border_margin_px",
+    "peak_speed_mps",
+    "peak_rate_radps",
+    "saturated_fraction",
+)
+"""The names of a run's figures."""
 SATURATED = 0.999
 """A command scaled under this counts as saturated."""
 

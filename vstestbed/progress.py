@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from vstestbed.recording import Recording, Tick
@@ -47,6 +47,51 @@ class Progress:
         self._bar.update(self._task, description=words)
 
     def __enter__(self) -> Progress:
+        """Show the bar."""
+        self._bar.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        """Take the bar away."""
+        self._bar.stop()
+
+
+class Counter:
+    """A progress bar on standard error while a comparison goes: runs done, failures, time left; nothing where that is no terminal.
+
+    Args:
+        total: how many runs. done: how many of them were done before. shown: False for silence.
+    """
+
+    def __init__(self, total: int, done: int, shown: bool):
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+        from rich.progress import Progress as Bar
+
+        console = Console(stderr=True)
+        self._bar = Bar(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("runs   {task.fields[failed]} failed   left"),
+            TimeRemainingColumn(),
+            console=console,
+            disable=not (shown and console.is_terminal),
+            transient=True,
+        )
+        self._failed = 0
+        self._task = self._bar.add_task("comparing", total=total, completed=done, failed=0)
+
+    def run_done(self, job: object, summary: dict[str, Any]) -> None:
+        """Move the bar."""
+        self._failed += not summary["success"]
+        self._bar.update(self._task, advance=1, failed=self._failed)
+
+    def say(self, words: str) -> None:
+        """Say what is being done after the runs."""
+        self._bar.update(self._task, description=words)
+
+    def __enter__(self) -> Counter:
         """Show the bar."""
         self._bar.start()
         return self

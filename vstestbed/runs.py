@@ -113,7 +113,12 @@ class _LogOnDisk:
 
 
 def run_into(
-    folder: Path, scenario: Scenario, films: Films = "both", watch: Iterable[Watcher] = (), stage: Callable[[str], None] = lambda _: None
+    folder: Path,
+    scenario: Scenario,
+    films: Films = "both",
+    watch: Iterable[Watcher] = (),
+    stage: Callable[[str], None] = lambda _: None,
+    report: bool = True,
 ) -> Recording:
     """Run a scenario and leave its folder: scenario, model, log, summary, films, report.
 
@@ -122,6 +127,7 @@ def run_into(
         films: which films to make.
         watch: further watchers, such as a progress bar.
         stage: told in a few words what is being done after the run.
+        report: whether to write the report, which can be made later, too.
 
     Raises:
         EnvironmentLackError: no OpenGL, no codec, no space. OutputError: the folder cannot be written.
@@ -136,7 +142,12 @@ def run_into(
             finally:
                 log.close()
             recording.time_ms["video"] = 1e3 * sum(film.spent_s for film in cameras)
-    finish(folder, recording, stage)
+    finish(folder, recording)
+    if report:
+        from vstestbed.report import Setting, write_report
+
+        stage("writing the report")
+        write_report(folder, log=recording.frame(), setting=Setting.of(recording.scenario))
     return recording
 
 
@@ -196,15 +207,11 @@ def _filming(folder: Path, scenario: Scenario, films: Films) -> Iterator[list[Fi
         replay.close()
 
 
-def finish(folder: Path, recording: Recording, stage: Callable[[str], None]) -> None:
-    """Turn `log.part` into `log.parquet`, write the summary and the report."""
-    from vstestbed.report import Setting, write_report
-
+def finish(folder: Path, recording: Recording) -> None:
+    """Turn `log.part` into `log.parquet`, write the summary."""
     log = recording.frame()
     parquet = io.BytesIO()
     log.write_parquet(parquet, compression="zstd", statistics=False)
     write_whole(folder / "log.parquet", parquet.getvalue())
     (folder / "log.part").unlink(missing_ok=True)
     write_whole(folder / "summary.json", json.dumps(recording.summary(), indent=1) + "\n")
-    stage("writing the report")
-    write_report(folder, log=log, setting=Setting.of(recording.scenario))

@@ -83,7 +83,7 @@ def parse(text: str, file: str, overrides: Mapping[str, object] | None = None, s
     except ScenarioError as error:
         raise (_blame_settings(error, text, file) if overrides else error) from None
     try:
-        return scenario if seed is None else _seeded(scenario, seed)
+        return scenario if seed is None else seeded(scenario, seed)
     except ParameterError as error:
         where = place_of(tuple(error.field.split(".")), marks, file)
         raise ScenarioError([Mistake(where, error.field, error.problem)]) from None
@@ -99,8 +99,12 @@ def _blame_settings(error: ScenarioError, text: str, file: str) -> ScenarioError
     return ScenarioError([m if (m.field, m.sentence) in own else dataclasses.replace(m, where="--set") for m in error.mistakes])
 
 
-def _seeded(scenario: Scenario, seed: int) -> Scenario:
-    """The seed's start; without a random block a seed still draws the noise, and is refused where there is none."""
+def seeded(scenario: Scenario, seed: int) -> Scenario:
+    """What a seed draws: the start; without a random block the noise alone.
+
+    Raises:
+        ParameterError: there is neither, or no start has the target in view.
+    """
     noise = scenario.noise
     if scenario.robot.start.random is None and (noise.image_sigma > 0 or noise.pixel_sigma_px > 0):
         return dataclasses.replace(scenario, seed=seed)
@@ -118,12 +122,17 @@ def _required() -> str:
 
 def dump(scenario: Scenario) -> str:
     """The scenario as YAML, every default written out; `parse` of it gives the same scenario."""
+    return dump_mapping(scenario)
+
+
+def dump_mapping(spec: object) -> str:
+    """A spec as YAML, every default written out."""
     yaml = YAML()
     yaml.default_flow_style = None
     yaml.width = 120
     out = io.StringIO()
     yaml.representer.add_representer(type(None), lambda r, _: r.represent_scalar("tag:yaml.org,2002:null", "null"))
-    yaml.dump(to_mapping(scenario), out)
+    yaml.dump(to_mapping(spec), out)
     return out.getvalue()
 
 

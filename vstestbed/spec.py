@@ -157,4 +157,6 @@ def to_mapping(value: Any) -> Any:
         return {name: to_mapping(getattr(value, name)) for name in names}
     if isinstance(value, tuple | list):
         return [to_mapping(v) for v in value]
+    if isinstance(value, dict):
+        return {name: to_mapping(v) for name, v in value.items()}
     return value

@@ -129,3 +129,19 @@ def film_log(scenario: Scenario, log: polars.DataFrame, camera: str, path: Path,
         raise
     finally:
         replay.close()
+
+
+def picture_of_the_end(scenario: Scenario, log: polars.DataFrame, path: Path, size: tuple[int, int] = (480, 270)) -> None:
+    """A PNG of the last frame of a recorded run, from outside.
+
+    Raises:
+        EnvironmentLackError: no OpenGL.
+    """
+    m = Moment.of_row(log.row(-1, named=True), scenario.robot.joints, len(scenario.target.points))
+    replay = replay_of(scenario)
+    try:
+        image = replay.picture("overview", *size, m.t, m.T_world_target, m.q, m.T_world_camera)
+    finally:
+        replay.close()
+    draw_caption(image, scenario.name or scenario.law.kind, t=m.t, error_px=m.error_px)
+    path.write_bytes(cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))[1].tobytes())

@@ -1,0 +1,119 @@
+"""Compare controllers: every scenario with every variation from every seed, in parallel; one table, one report, one film."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from vstestbed.compare.campaign import Campaign, Told
+from vstestbed.compare.folder import new_folder, read_plan, resumable, table_of, write_plan, write_table
+from vstestbed.compare.plan import Comparison, Controller, Job, chosen, controllers, jobs
+from vstestbed.compare.pools import pool_of
+from vstestbed.errors import ParameterError
+from vstestbed.scenario_file import load_plugins
+
+if TYPE_CHECKING:
+    import polars
+
+__all__ = ["Campaign", "Comparison", "Controller", "Job", "chosen", "compare", "controllers", "jobs"]
+
+
+def compare(
+    scenarios: Sequence[str | Path],
+    vary: Mapping[str, Sequence[object]] | None = None,
+    seeds: int | None = None,
+    jobs: int | None = None,
+    executor: str = "local",
+    out: Path | None = None,
+    resume: bool = False,
+    set: Mapping[str, object] | None = None,
+    plugins: Sequence[str] = (),
+    film: bool = True,
+    told: Told = lambda job, summary: None,
+) -> polars.DataFrame:
+    """Run a comparison and leave its folder; the table has one row a run.
+
+    In a script it belongs under `if __name__ == "__main__":`, since worker processes import the script.
+
+    Args:
+        scenarios: paths or bundled names; or one comparison, by path or bundled name.
+        vary: lists of values by dotted path; every combination is run. seeds: how many; None for the nominal start alone.
+        jobs: worker processes; None for as many as there are cores. executor: `local` or `dask://HOST:PORT`.
+        out: the folder; None for `runs/compare/<number>`. resume: run only what is missing in `out`.
+        set: values by dotted path for all scenarios. plugins: modules that add kinds. film: whether to film the first seed.
+        told: hears of every run that is done.
+
+    Raises:
+        ScenarioError, ParameterError: bad input, found before anything runs. OutputError: `out` is taken.
+        EnvironmentLackError: no OpenGL where a run needs it, no space, no cluster.
+    """
+    campaign, comparison = prepare(scenarios, vary or {}, seeds, out, resume, set or {}, plugins, film)
+    return carry_out(campaign, comparison, jobs, executor, told)
+
+
+def carry_out(
+    campaign: Campaign,
+    comparison: Comparison,
+    jobs: int | None = None,
+    executor: str = "local",
+    told: Told = lambda job, summary: None,
+    stage: Callable[[str], None] = lambda words: None,
+) -> polars.DataFrame:
+    """Do what is missing of a comparison, then its table, film and report; `stage` is told what is being done after the runs."""
+    try:
+        if campaign.missing:
+            with closing(pool_of(executor, workers(jobs, len(campaign.missing)))) as pool:
+                campaign.run(pool, told)
+    finally:
+        table = table_of(campaign.folder, campaign.jobs)
+        write_table(campaign.folder, table)
+    finish(campaign, comparison, table, stage)
+    return table
+
+
+def prepare(
+    scenarios: Sequence[str | Path],
+    vary: Mapping[str, Sequence[object]],
+    seeds: int | None,
+    out: Path | None,
+    resume: bool,
+    settings: Mapping[str, object],
+    plugins: Sequence[str],
+    film: bool,
+) -> tuple[Campaign, Comparison]:
+    """Check everything, open the folder, write the plan."""
+    load_plugins(plugins)
+    asked = None
+    if scenarios:
+        asked = chosen([str(s) for s in scenarios], settings, {path: tuple(values) for path, values in vary.items()}, seeds)
+    elif not resume:
+        raise ParameterError("SCENARIO", "is missing: name scenarios to compare, or a comparison")
+    comparison = read_plan(resumable(out)) if resume else asked
+    if comparison is None or (asked is not None and _essence(asked) != _essence(comparison)):
+        raise ParameterError("--resume", "goes on with what the folder compares, which is something else; leave the rest out", str(out))
+    found = controllers(comparison)
+    folder = new_folder(out) if out is None or not resume else out
+    if not resume:
+        write_plan(folder, comparison)
+    first = 0 if comparison.seeds is not None else None
+    return Campaign(folder, jobs(found, comparison.seeds), tuple(plugins), (first,) if film else ()), comparison
+
+
+def _essence(comparison: Comparison) -> tuple[object, ...]:
+    """What makes two comparisons the same, wherever their files are."""
+    return tuple(Path(n).stem for n in comparison.base), comparison.set, comparison.axes, comparison.seeds
+
+
+def workers(asked: int | None, runs: int) -> int:
+    """How many worker processes: as many as asked for, else one a core; no more than there are runs."""
+    if asked is not None and asked < 1:
+        raise ParameterError("--jobs", "must be 1 or more", asked)
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return max(1, min(asked or cores, runs))
+
+
+def finish(campaign: Campaign, comparison: Comparison, table: polars.DataFrame, stage: Callable[[str], None]) -> None:
+    """Film and report of what is done."""

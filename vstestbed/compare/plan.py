@@ -1,0 +1,165 @@
+"""What is compared: scenarios, the values that are varied, seeds; and the runs that this makes."""
+
+from __future__ import annotations
+
+import itertools
+import re
+import zlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+from annotated_types import Ge, Len
+
+from vstestbed.assets import bundled_comparisons
+from vstestbed.errors import ParameterError, ScenarioError
+from vstestbed.metrics import FIGURES
+from vstestbed.scenario import Scenario
+from vstestbed.scenario_file import load, seeded, text_of
+from vstestbed.spec import spec
+from vstestbed.validation import build
+from vstestbed.yaml_tree import plain_mapping
+
+AS_IT_IS = "as_it_is"
+"""The variant of a scenario of which nothing is varied."""
+
+
+@spec
+class Comparison:
+    """Every scenario with every combination of the axes' values, from each seed.
+
+    Args:
+        base: scenarios, by path or bundled name.
+        set: values by dotted path, for all of them.
+        axes: lists of values by dotted path; every combination is run.
+        seeds: how many; seed i draws the start, the noise and the delays of run i, the same for every controller.
+            None: the nominal start, once.
+        metrics: names of `summary.json` that the report is about; none: those of `report`.
+    """
+
+    description: str = ""
+    base: Annotated[tuple[str, ...], Len(1)]
+    set: dict[str, Any] = field(default_factory=dict)
+    axes: dict[str, tuple[Any, ...]] = field(default_factory=dict)
+    seeds: Annotated[int, Ge(1)] | None = None
+    metrics: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be told apart, and figures that no run has."""
+        if len({Path(name).stem for name in self.base}) < len(self.base):
+            raise ParameterError("base", "must name each scenario once, and no two of one file name", list(self.base))
+        for path, values in self.axes.items():
+            if len({repr(v) for v in values}) < len(values) or not values:
+                raise ParameterError(f"axes.{path}", "must be a list of different values", list(values))
+            if path in self.set:
+                raise ParameterError(f"axes.{path}", "is also in `set`; leave one of the two out")
+        for name in self.metrics:
+            if name not in FIGURES:
+                raise ParameterError("metrics", f"must be figures of summary.json: {', '.join(FIGURES)}", name)
+
+
+@dataclass(frozen=True)
+class Controller:
+    """One scenario with one combination of the axes' values, from its nominal start."""
+
+    scenario: Scenario
+    values: Mapping[str, object]
+    folder: str
+    """Where its runs go, below the comparison's folder."""
+    draws: bool
+    """Whether a seed draws anything."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """One run to be done."""
+
+    controller: Controller
+    seed: int | None
+
+    @property
+    def folder(self) -> str:
+        """Where the run goes, below the comparison's folder."""
+        return f"{self.controller.folder}/{'nominal' if self.seed is None else self.seed}"
+
+    def scenario(self) -> Scenario:
+        """The scenario with the start and the noise that the seed draws."""
+        found = self.controller
+        return found.scenario if self.seed is None or not found.draws else seeded(found.scenario, self.seed)
+
+
+def controllers(comparison: Comparison) -> list[Controller]:
+    """All controllers, each checked: bad input is found before anything runs.
+
+    Raises:
+        ScenarioError: a scenario is wrong, or becomes so with a value of an axis.
+        ParameterError: more than one seed for a scenario in which a seed draws nothing.
+    """
+    made = []
+    for name in comparison.base:
+        for values in _combinations(comparison.axes):
+            scenario = load(name, dict(comparison.set) | values)
+            draws = scenario.robot.start.random is not None or scenario.noise.image_sigma > 0 or scenario.noise.pixel_sigma_px > 0
+            if not draws and (comparison.seeds or 1) > 1:
+                words = "is missing, and there is no noise: every seed would give the same run; add one of them, or leave --seeds out"
+                raise ParameterError(f"{scenario.name}: robot.start.random", words)
+            folder = f"runs/{_word(Path(name).stem)}/{_variant(values)}"
+            while folder in {c.folder for c in made}:
+                folder += "_"  # other values of the same letters
+            made.append(Controller(scenario, values, folder, draws))
+    return made
+
+
+def _combinations(axes: Mapping[str, tuple[object, ...]]) -> Iterator[dict[str, object]]:
+    for values in itertools.product(*axes.values()):
+        yield dict(zip(axes, values, strict=True))
+
+
+def _variant(values: Mapping[str, object]) -> str:
+    return ",".join(f"{path}={_word(str(value))}" for path, value in values.items()) or AS_IT_IS
+
+
+def _word(text: str) -> str:
+    """A text as a part of a file name, no longer than file systems take."""
+    word = re.sub(r"[^\w.+-]+", "_", text).strip("._") or "value"
+    return word if len(word) <= 60 else f"{word[:48]}_{zlib.crc32(text.encode()):08x}"
+
+
+def jobs(found: list[Controller], seeds: int | None) -> list[Job]:
+    """Every run, seed by seed, so that what is done so far can be compared."""
+    return [Job(c, seed) for seed in (range(seeds) if seeds is not None else (None,)) for c in found]
+
+
+def read_comparison(path: Path) -> Comparison:
+    """A comparison's YAML file; scenario files in `base` are looked for beside it first.
+
+    Raises:
+        ScenarioError: everything that is wrong in it, at once.
+    """
+    plain, marks = plain_mapping(text_of(path), str(path), "a comparison needs base")
+    read = build(Comparison, plain, marks, str(path))
+    return replace(read, base=tuple(str(path.parent / n) if (path.parent / n).is_file() else n for n in read.base))
+
+
+def chosen(names: list[str], settings: Mapping[str, object], axes: Mapping[str, tuple[object, ...]], seeds: int | None) -> Comparison:
+    """What the words of a command line ask for: scenarios, or one comparison by its file or bundled name, changed by the rest.
+
+    Raises:
+        ScenarioError, ParameterError: something of it is wrong.
+    """
+    path = bundled_comparisons().get(names[0], Path(names[0])) if len(names) == 1 else None
+    if path is None or not _is_comparison(path):
+        return Comparison(base=tuple(names), set=dict(settings), axes=dict(axes), seeds=seeds)
+    read = read_comparison(path)
+    return replace(read, set=read.set | dict(settings), axes=read.axes | dict(axes), seeds=read.seeds if seeds is None else seeds)
+
+
+def _is_comparison(path: Path) -> bool:
+    """Whether a file is a comparison's: it has `base` at its top."""
+    if not path.is_file():
+        return False
+    try:
+        return "base" in plain_mapping(text_of(path), str(path), "")[0]
+    except ScenarioError:
+        return False
