@@ -142,7 +142,8 @@ class DaskPool:
         except (OSError, ValueError) as error:
             words = "start a scheduler (`dask scheduler`) and workers (`dask worker HOST:PORT --nthreads 1`) first"
             raise EnvironmentLackError(f"no dask scheduler answers at {address} ({error})", words) from None
-        self.room = 2 * max(1, sum(self._client.nthreads().values()))
+        threads: Any = self._client.nthreads()
+        self.room = 2 * max(1, sum(threads.values()))  # the next one is there when a worker is free
 
     def submit(self, task: Task) -> Future[Files]:
         """Do this run on some worker; the scheduler gives it to another one when that dies."""

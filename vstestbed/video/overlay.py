@@ -105,7 +105,7 @@ class Overlay:
             self._strokes(image, self._drawable(goal_uv), _DIAMOND, max(8.0, self.size[1] / 36), closed=True)
         self._strokes(image, uv, _CROSS, max(5.0, self.size[1] / 56), closed=False)
         if lost:
-            _banner(image, "TARGET LOST")
+            draw_banner(image, "TARGET LOST")
 
     def _drawable(self, uv: Array) -> Array:
         """The pixels, NaN where they are so far out that OpenCV's integers would overflow."""
@@ -147,31 +147,43 @@ def draw_caption(image: Image, title: str, *, t: float, error_px: float) -> None
     base, pad = height - round(0.55 * size), round(0.7 * size)
     time_text, error_text = f"{t:.2f} s", f"error {error_px:.2f} px" if math.isfinite(error_px) else "error \u2013"
     error_at = pad + round(5.2 * size)
-    _text(image, time_text, (pad, base), PAPER, size)
-    _text(image, error_text, (error_at, base), PAPER, size)
-    title_at = width - pad - _text_width(title, size)
+    draw_text(image, time_text, (pad, base), PAPER, size)
+    draw_text(image, error_text, (error_at, base), PAPER, size)
+    title_at = width - pad - text_width(title, size)
     if title and title_at > error_at + 8.5 * size:
-        _text(image, title, (title_at, base), MUTED, size)
+        draw_text(image, title, (title_at, base), MUTED, size)
 
 
-def _banner(image: Image, words: str) -> None:
-    """White words on red in the upper middle of the picture."""
+def draw_banner(image: Image, words: str, color: Color = ALARM) -> None:
+    """White words on a colour, red by default, in the upper middle of the picture; shortened to its width, in place."""
     height, width = image.shape[:2]
     size = max(13, round(height / 18))
-    text = _text_width(words, size)
+    words = shortened(words, size, width - 3 * size, weight=600)
+    text = text_width(words, size, weight=600)
     left, top = (width - text) // 2, round(0.06 * height)
-    cv2.rectangle(image, (left - size, top), (left + text + size, top + round(1.8 * size)), ALARM, -1)
-    _text(image, words, (left, top + round(1.26 * size)), PAPER, size, weight=600)
+    cv2.rectangle(image, (left - size, top), (left + text + size, top + round(1.8 * size)), color, -1)
+    draw_text(image, words, (left, top + round(1.26 * size)), PAPER, size, weight=600)
 
 
-def _text(image: Image, words: str, at: tuple[int, int], color: Color, size: int, weight: int = 400) -> None:
+def shortened(words: str, size: int, width: int, weight: int = 400) -> str:
+    """The words, or both their ends around dots, so that they fit into that width [px]."""
+    for kept in range(len(words), 0, -1):
+        head = (kept + 1) // 2
+        text = words if kept == len(words) else f"{words[:head].rstrip()}\u2026{words[len(words) - kept + head :].lstrip()}"
+        if text_width(text, size, weight) <= width:
+            return text
+    return ""
+
+
+def draw_text(image: Image, words: str, at: tuple[int, int], color: Color, size: int, weight: int = 400) -> None:
+    """Write words from pixel `at` (left end of the base line) on, `size` high [px], in place."""
     cv2.putText(image, words, at, color, _font(), size, weight)
 
 
 @lru_cache(maxsize=64)
-def _text_width(words: str, size: int) -> int:
+def text_width(words: str, size: int, weight: int = 400) -> int:
     """Width of the words at that height [px]."""
-    return int(cv2.getTextSize((0, 0), words, (0, 0), _font(), size, 400)[2])
+    return int(cv2.getTextSize((0, 0), words, (0, 0), _font(), size, weight)[2])
 
 
 @lru_cache(maxsize=1)
