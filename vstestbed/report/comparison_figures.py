@@ -29,6 +29,8 @@ BANDS = 4
 PANELS = 24
 LINES = 200
 """Controllers that get a panel of their own, and single runs drawn in all of them together."""
+LEAST_DIFFERENCE = 1e-9
+"""What is smaller, in any unit, is rounding."""
 EACH_LEAST, EACH_MOST = 5, 30
 
 
@@ -75,7 +77,7 @@ def each_run(data: Data, width_in: float) -> Figure:
     """A panel a controller: single runs as thin lines, median and band on them, the others' medians in grey."""
     n = min(len(data.labels), PANELS)
     columns = min(n, 4 if width_in > 5 else 2)
-    figure = new_figure(width_in / max(columns, 2) * 0.8 * -(-n // columns) + 0.3, width_in)
+    figure = new_figure(width_in / max(columns, 3) * 0.8 * -(-n // columns) + 0.3, width_in)
     grid = figure.subplots(-(-n // columns), columns, sharex=True, sharey=True, squeeze=False)
     quartiles = [data.series.quartiles(i) for i in range(len(data.labels))]
     for i, axes in enumerate(np.ravel(grid)):
@@ -167,12 +169,16 @@ def differences(data: Data, width_in: float) -> Figure | None:
     grid, figure = metric_panels(data, width_in, height, 5, names)
     for axes, metric in zip(grid, data.comparison.shown, strict=False):
         axes.axvline(0, color=INK, linewidth=0.8)
+        reach = LEAST_DIFFERENCE
         for y, pair in enumerate(rows):
             d = pair.differences[metric.name]
             color = LINE_COLORS[1] if d.real else LINE_COLORS[7]
             if np.isfinite(d.low):
                 axes.plot([d.low, d.high], [y, y], color=color, linewidth=1.8)
+            reach = max(reach, *np.abs(np.nan_to_num([d.mean, d.low, d.high])))
             axes.plot(d.mean, y, "o" if d.real else "D", color=color, markersize=4, markerfacecolor=color if d.real else "none")
+        if reach == LEAST_DIFFERENCE:  # rounding shall not fill the width
+            axes.set_xlim(-1, 1)
     return figure
 
 

@@ -52,9 +52,9 @@ def differences(comparison: Comparison, made: list[Pair]) -> str:
     labels = [c.label for c in comparison.controllers]
     parts = [_against(comparison, against(made, i), labels, i) for i in references]
     note = (
-        "On how many seeds one of the two alone reached the goal, or both; p: how often chance alone would be as lopsided (McNemar). "
-        "Then the mean of this line minus the other over the seeds on which both reached the goal, its 95 % bootstrap interval below. "
-        f"Bold with a dot: the interval excludes zero, the difference is real. Here stand {len(made) * (1 + len(comparison.shown))} tests; "
+        "Reached the goal: on how many more seeds; p says how often chance alone would be as lopsided (McNemar). "
+        "The numbers: the mean of this line minus the other over the seeds on which both reached the goal, its 95 % bootstrap interval "
+        f"below. Bold with a dot: the interval excludes zero, the difference is real. Here stand {len(made) * (1 + len(comparison.shown))} tests; "
         "of tests where nothing differs, one in twenty looks real all the same."
     )
     return f'<section><h2>Paired differences</h2>{_chooser(labels, len(parts))}{"".join(parts)}<p class="soft">{note}</p></section>'
@@ -68,30 +68,24 @@ def _chooser(labels: Sequence[str], n: int) -> str:
 
 
 def _against(comparison: Comparison, made: list[Pair], labels: Sequence[str], reference: int) -> str:
-    heads = [
-        f"Against {labels[reference]}",
-        "Reached by this alone",
-        "by the other alone",
-        "by both",
-        "p",
-        *(m.label for m in comparison.shown),
-    ]
-    lines: list[list[Cell]] = []
-    for pair in made:
-        s = pair.success
-        p = f"{s.p:.2g}" if s.p >= 1e-3 else "&lt; 0.001"
-        line: list[Cell] = [(labels[pair.b], escape(labels[pair.b])), (s.only_b, str(s.only_b)), (s.only_a, str(s.only_a))]
-        line.append((s.both, str(s.both)))
-        line.append((s.p, _real(p) if pair.success_is_real else p))
-        lines.append(line + [_difference(pair, m) for m in comparison.shown])
+    heads = [f"Against {labels[reference]}", "Reached the goal", *(m.label for m in comparison.shown)]
+    lines = [[(labels[p.b], escape(labels[p.b])), _goals(p), *(_difference(p, m) for m in comparison.shown)] for p in made]
     return f'<div class="against" data-reference="{reference}">{table(heads, lines)}</div>'
+
+
+def _goals(pair: Pair) -> Cell:
+    s = pair.success
+    more = signed(s.only_b - s.only_a)
+    p = f"p = {s.p:.2g}" if s.p >= 1e-3 else "p &lt; 0.001"
+    counts = "".join(map(_below, (p, f"only this: {s.only_b}", f"only other: {s.only_a}", f"both: {s.both}", f"neither: {s.neither}")))
+    return s.only_b - s.only_a, f"{_real(more) if pair.success_is_real else more} {counts}"
 
 
 def _difference(pair: Pair, metric: Metric) -> Cell:
     d = pair.differences[metric.name]
     if d.n == 0:
         return None, "–"
-    interval = f"[{signed(d.low)}, {signed(d.high)}]" if math.isfinite(d.low) else "no interval"
+    interval = f"[{signed(d.low)},<br>{signed(d.high)}]" if math.isfinite(d.low) else "no interval"
     mean = signed(d.mean)
     count = _below(f"n = {d.n}") if d.n < pair.success.both else ""
     return d.mean, f"{_real(mean) if d.real else mean} {_below(interval)}{count}"
@@ -122,12 +116,12 @@ STYLE = """
 .outcome.open { background: #55606c; }
 .outcome ul { margin: 8px 0 0; padding-left: 1.2em; }
 .wide { overflow-x: auto; background: var(--card); border: 1px solid var(--rule); border-radius: 10px; margin: 8px 0; }
-table { border-collapse: collapse; width: 100%; font-size: .88rem; font-variant-numeric: tabular-nums; }
-th, td { padding: 7px 9px; text-align: right; vertical-align: top; border-top: 1px solid var(--rule); font-weight: 400; }
-thead th { border-top: 0; vertical-align: bottom; font-size: .8rem; }
+table { border-collapse: collapse; width: 100%; font-size: .84rem; font-variant-numeric: tabular-nums; }
+th, td { padding: 6px 7px; text-align: right; vertical-align: top; border-top: 1px solid var(--rule); font-weight: 400; }
+thead th { border-top: 0; vertical-align: bottom; font-size: .78rem; }
 th:first-child { text-align: left; min-width: 8em; overflow-wrap: anywhere; }
 tbody th { font-weight: 600; }
-td small { display: block; color: var(--soft); white-space: nowrap; }
+td small { font-size: .76rem; display: block; color: var(--soft); white-space: nowrap; }
 td { white-space: nowrap; }
 .real { color: var(--accent); }
 th button { all: unset; cursor: pointer; color: var(--soft); line-height: 1.25; }

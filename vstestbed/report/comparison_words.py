@@ -5,10 +5,13 @@ from __future__ import annotations
 import math
 from html import escape
 
-from vstestbed.report.comparison import Comparison, Controller
+from vstestbed.report.comparison import Comparison, Controller, Metric
 from vstestbed.report.comparison_pairs import MOST_CONTROLLERS, TIME, Pair, against
 from vstestbed.report.numbers import number
 from vstestbed.statistics import success_rate
+
+MOST_OTHERS = 4
+"""So many other numbers in which two controllers differ are named in the answer; the table has all."""
 
 
 def headline(comparison: Comparison, made: list[Pair]) -> str:
@@ -49,8 +52,10 @@ def _overall(labels: list[str], made: list[Pair]) -> tuple[str, bool]:
         return f"{words} {_ways(closest.turned())}.", True
     if max(wins) == 0:
         real = any(p.success_is_real or p.differences[TIME.name].real for p in made)
-        words = "None of them is better in all that counts." if real else f"No difference between them that {runs(seeds)} each could show."
-        return words, False
+        if real:
+            return "None of them is better: who reaches the goal more often does so later.", False
+        what = "of success or of time" if any(map(_others, made)) else "between them"
+        return f"No difference {what} that {runs(seeds)} each could show.", False
     ahead = [i for i in range(len(labels)) if i not in beaten]
     if ahead and all(wins[i] == len(labels) - len(ahead) for i in ahead):
         words = f"{_list([labels[i] for i in ahead])} are better than the rest; {runs(seeds)} each show neither of them ahead."
@@ -64,6 +69,9 @@ def _of_two(labels: list[str], pair: Pair) -> tuple[str, bool]:
             often = pair.b if pair.success.only_b > pair.success.only_a else pair.a
             other = pair.a + pair.b - often
             return f"{labels[often]} reaches the goal more often, {labels[other]} sooner.", False
+        if others := [m.title.lower() for m in _others(pair)][:MOST_OTHERS]:
+            words = f"Neither reaches the goal more often or sooner, as far as {runs(pair.seeds)} each could show"
+            return f"{words}; they differ in {_list(others)}.", False
         return f"No difference between {labels[pair.a]} and {labels[pair.b]} that {runs(pair.seeds)} each could show.", False
     pair = pair if pair.better == pair.b else pair.turned()
     return f"{labels[pair.b]} is better than {labels[pair.a]}: it {_ways(pair)}.", True
@@ -97,14 +105,13 @@ def pair_words(pair: Pair, labels: list[str]) -> str:
     if n == 0:
         return f"{b} and {a} share no seed: they cannot be compared."
     if s.only_a == s.only_b == 0:
-        where = {0: "on no seed", n: "on the only seed" if n == 1 else f"on all {n} seeds"}.get(
-            s.both, f"on the same {s.both} of {n} seeds"
-        )
+        every = "on the only seed" if n == 1 else f"on all {n} seeds"
+        where = {0: "on no seed", n: every}.get(s.both, f"on the same {s.both} of {n} seeds")
         goal = f"{b} and {a} reached the goal {where}."
     else:
         proof = f"a real difference ({_p(s.p)})" if pair.success_is_real else f"no difference that {runs(n)} could show ({_p(s.p)})"
         goal = f"{b} reached the goal on {of_b} of {n} seeds, {a} on {of_a}: {proof}."
-    return f"{goal} {_time_words(pair, a, b)}".strip()
+    return " ".join(filter(None, (goal, _time_words(pair, a, b), _other_words(pair))))
 
 
 def _time_words(pair: Pair, a: str, b: str) -> str:
@@ -118,6 +125,18 @@ def _time_words(pair: Pair, a: str, b: str) -> str:
         way = "sooner" if time.mean < 0 else "later"
         return f"{b} converged {number(abs(time.mean))} s{_share(pair)} {way} than {a}, a real difference ({interval})."
     return f"Their times to converge show no difference that {time.n} seeds could show (mean {signed(time.mean)} s, {interval})."
+
+
+def _other_words(pair: Pair) -> str:
+    """In what else they differ."""
+    told = [f"{m.title.lower()} ({f'{signed(pair.differences[m.name].mean)} {m.unit}'.strip()})" for m in _others(pair)]
+    more = f", and {len(told) - MOST_OTHERS} more" if len(told) > MOST_OTHERS else ""
+    return f"They really differ in {', '.join(told[:MOST_OTHERS])}{more}." if told else ""
+
+
+def _others(pair: Pair) -> list[Metric]:
+    """The metrics but time in which the two really differ."""
+    return [Metric.of(name) for name, d in pair.differences.items() if d.real and name != TIME.name]
 
 
 def _share(pair: Pair) -> str:
