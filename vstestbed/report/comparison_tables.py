@@ -54,8 +54,8 @@ def differences(comparison: Comparison, made: list[Pair]) -> str:
     note = (
         "Reached the goal: on how many more seeds; p says how often chance alone would be as lopsided (McNemar). "
         "The numbers: the mean of this line minus the other over the seeds on which both reached the goal, its 95 % bootstrap interval "
-        f"below. Bold with a dot: the interval excludes zero, the difference is real. Here stand {len(made) * (1 + len(comparison.shown))} tests; "
-        "of tests where nothing differs, one in twenty looks real all the same."
+        f"below. Bold with a dot: the interval excludes zero, the difference is real. There are {len(made) * (1 + len(comparison.shown))} "
+        "tests in all; of tests where nothing differs, one in twenty looks real all the same."
     )
     return f'<section><h2>Paired differences</h2>{_chooser(labels, len(parts))}{"".join(parts)}<p class="soft">{note}</p></section>'
 
