@@ -182,10 +182,10 @@ def _moving(tracks: Tracks, stem: str) -> list[str]:
 def _name_keys(names: list[str]) -> list[Line2D]:
     from matplotlib.lines import Line2D
 
-    return [Line2D([], [], color=LINE_COLORS[i % len(LINE_COLORS)], label=_plain(n)) for i, n in enumerate(names)]
+    return [Line2D([], [], color=LINE_COLORS[i % len(LINE_COLORS)], label=plain(n)) for i, n in enumerate(names)]
 
 
-def _plain(name: str) -> str:
+def plain(name: str) -> str:
     """A name that matplotlib takes as it stands: no mathematics, not hidden by a leading underscore."""
     return name.replace("$", r"\$").lstrip("_") or "(unnamed)"
 

@@ -6,7 +6,6 @@ The arrows are columns of the feature's interaction matrix, for points that stan
 
 from __future__ import annotations
 
-import io
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -19,8 +18,7 @@ from vstestbed.errors import ParameterError
 from vstestbed.features import Feature, Point, Polar, Spherical
 from vstestbed.geometry import Array
 from vstestbed.report import sphere
-from vstestbed.report.canvas import INK, LINE_COLORS, new_figure, style
-from vstestbed.report.files import write_whole
+from vstestbed.report.canvas import INK, LINE_COLORS, new_figure, save, style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -198,14 +196,7 @@ def write_flow(name: str, depth: float = 1.0, out: Path | None = None) -> list[P
     if out.suffix.lower() not in FORMATS:
         raise ParameterError("--out", f"must end in {', '.join(FORMATS[:-1])} or {FORMATS[-1]}", str(out))
     with style():
-        made = [_write(draw_plane(name, depth), out)]
+        made = [save(draw_plane(name, depth), out)]
         if name == "spherical":
-            made.append(_write(draw_sphere(depth), out.with_name(f"{out.stem}_sphere{out.suffix}")))
+            made.append(save(draw_sphere(depth), out.with_name(f"{out.stem}_sphere{out.suffix}")))
     return made
-
-
-def _write(figure: Figure, path: Path) -> Path:
-    kind, sink = path.suffix.lower()[1:], io.BytesIO()
-    undated: dict[str, Any] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind, {})
-    figure.savefig(sink, format=kind, dpi=150, facecolor="white", metadata=undated)
-    return write_whole(path, sink.getvalue())

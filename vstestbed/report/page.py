@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import json
 from collections.abc import Callable, Mapping
 from html import escape
@@ -15,6 +14,7 @@ from vstestbed.errors import RunFolderError, VstestbedError
 from vstestbed.report import angles, figures, numbers, path3d
 from vstestbed.report.canvas import style, to_svg
 from vstestbed.report.files import write_whole
+from vstestbed.report.pieces import figure, film, folded
 from vstestbed.report.template import PAGE, STYLE
 from vstestbed.report.tracks import Setting, Tracks
 
@@ -82,7 +82,7 @@ def write_report(run_dir: Path, log: pl.DataFrame | None = None, setting: Settin
     summary = _summary(run_dir)
     videos = {path.stem: path for path in (run_dir / f"{name}.mp4" for name in FILMS) if path.is_file()}
     text = render_page(
-        _log(run_dir) if log is None else log, summary, scenario_text, videos, setting or _setting(run_dir / "scenario.yaml")
+        _log(run_dir) if log is None else log, summary, scenario_text, videos, setting or setting_of(run_dir / "scenario.yaml")
     )
     return write_whole(run_dir / "report.html", text)
 
@@ -108,9 +108,9 @@ def render_page(
         f'<section><h2>Figures</h2><div class="plots">{_figures(Tracks.of(log, setting))}</div></section>',
         _films(videos),
         numbers.timing(summary),
-        _folded("Scenario", scenario_text),
+        folded("Scenario", scenario_text),
         numbers.provenance(summary),
-        _folded("All numbers (summary.json)", json.dumps(dict(summary), indent=2, default=str)),
+        folded("All numbers (summary.json)", json.dumps(dict(summary), indent=2, default=str)),
     ]
     words = f'<p class="soft">{escape(setting.description)}</p>' if setting.description else ""
     title = f"{name}: {numbers.outcome_words(summary)}"
@@ -122,11 +122,9 @@ def _figures(tracks: Tracks) -> str:
     made = []
     with style():
         for key, title, caption, draw in PLOTS:
-            figure = draw(tracks)
-            if figure is None:
-                continue
-            svg = to_svg(figure, key, title)
-            made.append(f"<figure><h3>{escape(title)}</h3>{svg}<figcaption>{escape(caption)}</figcaption></figure>")
+            drawn = draw(tracks)
+            if drawn is not None:
+                made.append(figure(title, to_svg(drawn, key, title), caption))
     return "".join(made)
 
 
@@ -135,22 +133,10 @@ def _films(videos: Mapping[str, Path]) -> str:
     left, made = EMBED_BYTES, []
     for word, path in videos.items():
         size = path.stat().st_size
-        if size <= left:
-            left -= size
-            source = "data:video/mp4;base64," + base64.b64encode(path.read_bytes()).decode("ascii")
-            caption = ""
-        else:
-            source = escape(path.name)
-            caption = f'<figcaption>Beside this page: <a href="{source}">{source}</a></figcaption>'
-        title = escape(FILMS.get(word, word))
-        made.append(
-            f'<figure><h3>{title}</h3><video controls muted playsinline preload="metadata" src="{source}"></video>{caption}</figure>'
-        )
+        inside = size <= left
+        left -= size if inside else 0
+        made.append(film(FILMS.get(word, word), path, inside))
     return f'<section class="films"><h2>Films</h2><div class="grid">{"".join(made)}</div></section>' if made else ""
-
-
-def _folded(title: str, text: str) -> str:
-    return f"<details><summary>{escape(title)}</summary><pre>{escape(text)}</pre></details>"
 
 
 def _read(path: Path) -> str:
@@ -181,7 +167,7 @@ def _summary(run_dir: Path) -> dict[str, Any]:
         raise RunFolderError(run_dir, f"summary.json is damaged ({error})") from error
 
 
-def _setting(path: Path) -> Setting:
+def setting_of(path: Path) -> Setting:
     """The facts of the scenario; none of them where it uses kinds that this installation does not have."""
     from vstestbed.scenario_file import load
 
