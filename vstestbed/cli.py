@@ -163,15 +163,21 @@ def _size(text: str | None) -> tuple[int, int] | None:
 
 @app.command()
 def report(
-    run_dir: Annotated[Path, typer.Argument(metavar="DIR", help="A run's folder.")], quiet: Quiet = False, plugin: Plugins = None
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="A run's folder, or a comparison's.")],
+    quiet: Quiet = False,
+    plugin: Plugins = None,
 ) -> None:
     """Write report.html again."""
+    from vstestbed.compare import is_comparison, report_again
     from vstestbed.report import write_report
     from vstestbed.scenario_file import load_plugins
 
     load_plugins(plugin or [])
-    _must_be_run(run_dir)
-    page = write_report(run_dir)
+    if is_comparison(folder):
+        page = report_again(folder)
+    else:
+        _must_be_run(folder)
+        page = write_report(folder)
     if not quiet:
         typer.echo(str(page), err=True)
 

@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vstestbed.compare.campaign import Campaign, Told
-from vstestbed.compare.folder import new_folder, read_plan, resumable, table_of, write_plan, write_table
+from vstestbed.compare.folder import PLAN, new_folder, read_plan, resumable, table_of, write_plan, write_table
 from vstestbed.compare.plan import Comparison, Controller, Job, chosen, controllers, jobs
 from vstestbed.compare.pools import pool_of
+from vstestbed.compare.results import finish
 from vstestbed.errors import ParameterError
 from vstestbed.scenario_file import load_plugins
 
@@ -70,7 +71,7 @@ def carry_out(
     finally:
         table = table_of(campaign.folder, campaign.jobs)
         write_table(campaign.folder, table)
-    finish(campaign, comparison, table, stage)
+    finish(campaign.folder, comparison, table, stage)
     return table
 
 
@@ -115,5 +116,15 @@ def workers(asked: int | None, runs: int) -> int:
     return max(1, min(asked or cores, runs))
 
 
-def finish(campaign: Campaign, comparison: Comparison, table: polars.DataFrame, stage: Callable[[str], None]) -> None:
-    """Film and report of what is done."""
+def is_comparison(folder: Path) -> bool:
+    """Whether a folder is a comparison's."""
+    return (folder / PLAN).is_file()
+
+
+def report_again(folder: Path) -> Path:
+    """Table, film and report of a comparison's folder again, from its runs."""
+    comparison = read_plan(folder)
+    table = table_of(folder, jobs(controllers(comparison), comparison.seeds))
+    write_table(folder, table)
+    finish(folder, comparison, table, lambda words: None)
+    return folder / "report.html"
