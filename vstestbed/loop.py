@@ -88,10 +88,10 @@ class _Servo:
         self.plant.apply(allocation.setpoint)
         self.spent["detect"] += detected - began
         self.spent["law"] += time.perf_counter() - detected
-        lost = bool(command.held)
         error = seen.uv - self.goal.uv
         if not (all_seen := all_finite(error)):
             error = error[seen.seen]
+        lost = bool(command.held) or not error.size  # a law may order motion although it sees nothing
         error_px = math.nan if lost else math.sqrt(float(np.vdot(error, error)) / error.size)
         image = shot.frame.image if shot.frame and shot.frame.whole else None
         tick = Tick(self.count, lost, all_seen, error_px, seen, command, allocation, shot.truth, image)

@@ -119,6 +119,7 @@ def run_into(
     watch: Iterable[Watcher] = (),
     stage: Callable[[str], None] = lambda _: None,
     report: bool = True,
+    overview_px: tuple[int, int] | None = None,
 ) -> Recording:
     """Run a scenario and leave its folder: scenario, model, log, summary, films, report.
 
@@ -128,6 +129,7 @@ def run_into(
         watch: further watchers, such as a progress bar.
         stage: told in a few words what is being done after the run.
         report: whether to write the report, which can be made later, too.
+        overview_px: width and height of the film from outside; None for the usual ones.
 
     Raises:
         EnvironmentLackError: no OpenGL, no codec, no space. OutputError: the folder cannot be written.
@@ -135,7 +137,7 @@ def run_into(
     with _all_or_nothing(folder):
         write_whole(folder / "scenario.yaml", dump(scenario))
         _write_scene(folder, scene_files(scenario.robot, scenario.camera, scenario.target, scenario.world, scenario.physics))
-        with _filming(folder, scenario, films) as cameras:
+        with _filming(folder, scenario, films, overview_px) as cameras:
             log = _LogOnDisk(folder, scenario)
             try:
                 recording = run(scenario, [log, *cameras, *watch])
@@ -185,7 +187,7 @@ def _has_frames(folder: Path) -> bool:
 
 
 @contextmanager
-def _filming(folder: Path, scenario: Scenario, films: Films) -> Iterator[list[Film]]:
+def _filming(folder: Path, scenario: Scenario, films: Films, overview_px: tuple[int, int] | None) -> Iterator[list[Film]]:
     """The films that are asked for; finished when the run ends, also an interrupted one, and gone when it fails."""
     wanted = FILM_CAMERAS[films]
     if not wanted:
@@ -194,7 +196,8 @@ def _filming(folder: Path, scenario: Scenario, films: Films) -> Iterator[list[Fi
     from vstestbed.video.film import Film, replay_of
 
     replay = replay_of(scenario)
-    reel = [Film(scenario, camera, folder / f"{name}.mp4", replay) for name, camera in wanted.items()]
+    sizes = {"overview": overview_px}
+    reel = [Film(scenario, camera, folder / f"{name}.mp4", replay, sizes.get(name)) for name, camera in wanted.items()]
     try:
         yield reel
         for film in reel:

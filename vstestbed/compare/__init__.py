@@ -33,6 +33,7 @@ def compare(
     set: Mapping[str, object] | None = None,
     plugins: Sequence[str] = (),
     film: bool = True,
+    report: bool = True,
     told: Told = lambda job, summary: None,
 ) -> polars.DataFrame:
     """Run a comparison and leave its folder; the table has one row a run.
@@ -44,7 +45,8 @@ def compare(
         vary: lists of values by dotted path; every combination is run. seeds: how many; None for the nominal start alone.
         jobs: worker processes; None for as many as there are cores. executor: `local` or `dask://HOST:PORT`.
         out: the folder; None for `runs/compare/<number>`. resume: run only what is missing in `out`.
-        set: values by dotted path for all scenarios. plugins: modules that add kinds. film: whether to film the first seed.
+        set: values by dotted path for all scenarios. plugins: modules that add kinds.
+        film: whether to film the first seed. report: whether to write the page and the figures.
         told: hears of every run that is done.
 
     Raises:
@@ -52,7 +54,7 @@ def compare(
         EnvironmentLackError: no OpenGL where a run needs it, no space, no cluster.
     """
     campaign, comparison = prepare(scenarios, vary or {}, seeds, out, resume, set or {}, plugins, film)
-    return carry_out(campaign, comparison, jobs, executor, told)
+    return carry_out(campaign, comparison, jobs, executor, told, report=report)
 
 
 def carry_out(
@@ -62,6 +64,7 @@ def carry_out(
     executor: str = "local",
     told: Told = lambda job, summary: None,
     stage: Callable[[str], None] = lambda words: None,
+    report: bool = True,
 ) -> polars.DataFrame:
     """Do what is missing of a comparison, then its table, film and report; `stage` is told what is being done after the runs."""
     try:
@@ -71,7 +74,8 @@ def carry_out(
     finally:
         table = table_of(campaign.folder, campaign.jobs)
         write_table(campaign.folder, table)
-    finish(campaign.folder, comparison, table, stage)
+    if report:
+        finish(campaign.folder, comparison, table, stage)
     return table
 
 

@@ -138,7 +138,7 @@ class DaskPool:
         except ImportError:
             raise EnvironmentLackError("dask.distributed is not installed", "pip install 'vstestbed[cluster]'") from None
         try:
-            self._client = Client(f"tcp://{address}", timeout="10s", set_as_default=False)
+            self._client = Client(f"tcp://{address}", timeout="5s", set_as_default=False)
         except (OSError, ValueError) as error:
             words = "start a scheduler (`dask scheduler`) and workers (`dask worker HOST:PORT --nthreads 1`) first"
             raise EnvironmentLackError(f"no dask scheduler answers at {address} ({error})", words) from None
