@@ -60,7 +60,7 @@ def _frame(axes: Axes, data: Data, metric: Metric) -> tuple[float, float]:
 
 
 def _draw_strip(axes: Axes, line: int, controller: Controller, metric: Metric, limits: tuple[float, float], most: int) -> None:
-    """The points of a controller on its line, its quartiles as a bar, and at the right edge how many runs have no value."""
+    """The points of a controller on its line, its quartiles as a bar, and right of the frame how many runs have no value."""
     values = controller.values(metric)
     known = np.isfinite(values)
     shown = known & (np.cumsum(known) <= most)
@@ -75,9 +75,7 @@ def _draw_strip(axes: Axes, line: int, controller: Controller, metric: Metric, l
         axes.plot(made.median, line - 0.08, "|", color=INK, markersize=11, markeredgewidth=1.5)
     missing = int((~known).sum())
     if missing:
-        axes.text(
-            1.0, line + 0.3, f"{missing} without", transform=axes.get_yaxis_transform(), ha="right", va="center", color=LOST, fontsize=6.5
-        )
+        axes.text(1.01, line + 0.27, f"{missing}–", transform=axes.get_yaxis_transform(), va="center", color=LOST, fontsize=6.5)
 
 
 def _draw_failures(axes: Axes, values: Array, y: float, limits: tuple[float, float]) -> None:
