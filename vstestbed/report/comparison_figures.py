@@ -71,7 +71,7 @@ def medians(data: Data, width_in: float) -> Figure:
     axes.set_xlabel("time [s]")
     axes.set_ylabel("RMS error [px]")
     _legend(figure, data)
-    if data.threshold_px:
+    if data.threshold_px and axes.get_yscale() == "log":
         axes.annotate(f"{data.threshold_px:g} px", (1, data.threshold_px), xycoords=axes.get_yaxis_transform(), va="bottom", ha="right")
     return figure
 
@@ -106,7 +106,8 @@ def _draw_runs(axes: Axes, data: Data, i: int, n: int) -> None:
     success = data.comparison.controllers[i].success
     for error, reached in zip(data.series.errors[i][:most], success, strict=False):
         line = _shown(error.astype(float))
-        axes.plot(data.series.t, line, color=look(i)["color"] if reached else LOST, linewidth=0.5, alpha=0.45 if reached else 0.8)
+        color, alpha, order = (look(i)["color"], 0.45, 2) if reached else (LOST, 0.9, 4)  # failures on top
+        axes.plot(data.series.t, line, color=color, linewidth=0.5, alpha=alpha, zorder=order)
         seen = np.flatnonzero(np.isfinite(line))
         if not reached and len(seen):
             axes.plot(data.series.t[seen[-1]], line[seen[-1]], "x", color=LOST, markersize=4)
@@ -168,7 +169,7 @@ def differences(data: Data, width_in: float) -> Figure | None:
     if not rows:
         return None
     names = [wrapped(f"{data.labels[p.b]} \N{MINUS SIGN} {data.labels[p.a]}", 30) for p in rows]
-    height = 0.22 * sum(name.count("\n") + 1 for name in names) + 0.06 * len(rows) + 0.75
+    height = 0.22 * sum(name.count("\n") + 1 for name in names) + 0.06 * len(rows) + 1.0
     grid, figure = metric_panels(data, width_in, height, 5, names)
     for axes, metric in zip(grid, data.comparison.shown, strict=False):
         axes.axvline(0, color=INK, linewidth=0.8)
@@ -209,7 +210,10 @@ def _keys_in(data: Data) -> float:
 
 
 def _legend_columns(data: Data) -> int:
-    return 1 if max(map(len, data.labels)) > 26 else min(len(data.labels), 2 if max(map(len, data.labels)) > 14 else 3)
+    """As many as fit, with columns of equal length."""
+    n, longest = len(data.labels), max(map(len, data.labels))
+    most = next((columns for columns, letters in ((4, 8), (3, 14), (2, 26)) if longest <= letters), 1)
+    return -(-n // -(-n // most))
 
 
 def _legend(figure: Figure, data: Data) -> None:
