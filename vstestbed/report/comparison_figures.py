@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vstestbed.geometry import Array
-from vstestbed.report.canvas import GOAL, INK, LINE_COLORS, LOST, RULE, new_figure, note
+from vstestbed.report.canvas import INK, LINE_COLORS, LOST, RULE, new_figure, note
 from vstestbed.report.comparison import Comparison
 from vstestbed.report.comparison_pairs import TIME, Pair
 from vstestbed.report.comparison_series import Series
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+THRESHOLD: dict[str, Any] = {"color": INK, "linestyle": (0, (2, 2)), "linewidth": 0.8, "alpha": 0.7}
 DASHES: tuple[Any, ...] = ("-", (0, (5, 2)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)))
 BANDS = 4
 """Up to so many controllers, quartile bands are drawn in one picture."""
@@ -70,13 +71,15 @@ def medians(data: Data, width_in: float) -> Figure:
     axes.set_xlabel("time [s]")
     axes.set_ylabel("RMS error [px]")
     _legend(figure, data)
+    if data.threshold_px and axes.get_yscale() == "log":
+        axes.annotate(f"{data.threshold_px:g} px", (1, data.threshold_px), xycoords=axes.get_yaxis_transform(), va="bottom", ha="right")
     return figure
 
 
 def each_run(data: Data, width_in: float) -> Figure:
     """A panel a controller: single runs as thin lines, median and band on them, the others' medians in grey."""
     n = min(len(data.labels), PANELS)
-    columns = min(n, 4 if width_in > 5 else 2)
+    columns = -(-n // -(-n // 4))  # rows of equal length
     figure = new_figure(width_in / max(columns, 3) * 0.8 * -(-n // columns) + 0.3, width_in)
     grid = figure.subplots(-(-n // columns), columns, sharex=True, sharey=True, squeeze=False)
     quartiles = [data.series.quartiles(i) for i in range(len(data.labels))]
@@ -103,7 +106,8 @@ def _draw_runs(axes: Axes, data: Data, i: int, n: int) -> None:
     success = data.comparison.controllers[i].success
     for error, reached in zip(data.series.errors[i][:most], success, strict=False):
         line = _shown(error.astype(float))
-        axes.plot(data.series.t, line, color=look(i)["color"] if reached else LOST, linewidth=0.5, alpha=0.45 if reached else 0.8)
+        color, alpha, order = (look(i)["color"], 0.45, 2) if reached else (LOST, 0.9, 4)  # failures on top
+        axes.plot(data.series.t, line, color=color, linewidth=0.5, alpha=alpha, zorder=order)
         seen = np.flatnonzero(np.isfinite(line))
         if not reached and len(seen):
             axes.plot(data.series.t[seen[-1]], line[seen[-1]], "x", color=LOST, markersize=4)
@@ -138,7 +142,7 @@ def _error_axes(axes: Axes, data: Data, quartiles: Sequence[Array]) -> None:
     axes.set_ylim(0.7 * min(low, data.threshold_px or low), 1.5 * high)
     axes.set_xlim(0, data.series.t[-1])
     for panel in everywhere if data.threshold_px else ():
-        panel.axhline(data.threshold_px, color=GOAL, linestyle="--", linewidth=1.0)
+        panel.axhline(data.threshold_px, **THRESHOLD)
 
 
 def success(data: Data, width_in: float) -> Figure:
@@ -165,7 +169,7 @@ def differences(data: Data, width_in: float) -> Figure | None:
     if not rows:
         return None
     names = [wrapped(f"{data.labels[p.b]} \N{MINUS SIGN} {data.labels[p.a]}", 30) for p in rows]
-    height = 0.22 * sum(name.count("\n") + 1 for name in names) + 0.06 * len(rows) + 0.75
+    height = 0.22 * sum(name.count("\n") + 1 for name in names) + 0.06 * len(rows) + 1.0
     grid, figure = metric_panels(data, width_in, height, 5, names)
     for axes, metric in zip(grid, data.comparison.shown, strict=False):
         axes.axvline(0, color=INK, linewidth=0.8)
@@ -193,7 +197,7 @@ def metric_panels(data: Data, width_in: float, panel_in: float, columns: int, na
     grid[0].set_yticks(range(len(names)), names)
     grid[0].set_ylim(len(names) - 0.4, -0.6)
     for axes, metric in zip(grid, data.comparison.shown, strict=False):
-        axes.set_xlabel(wrapped(metric.label, 22))
+        axes.set_xlabel(wrapped(metric.label, 18))
         axes.grid(axis="y", visible=False)
         axes.tick_params(axis="y", length=0)
         axes.locator_params(axis="x", nbins=3)
@@ -206,7 +210,10 @@ def _keys_in(data: Data) -> float:
 
 
 def _legend_columns(data: Data) -> int:
-    return 1 if max(map(len, data.labels)) > 26 else min(len(data.labels), 2 if max(map(len, data.labels)) > 14 else 3)
+    """As many as fit, with columns of equal length."""
+    n, longest = len(data.labels), max(map(len, data.labels))
+    most = next((columns for columns, letters in ((4, 8), (3, 14), (2, 26)) if longest <= letters), 1)
+    return -(-n // -(-n // most))
 
 
 def _legend(figure: Figure, data: Data) -> None:

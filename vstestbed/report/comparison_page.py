@@ -37,7 +37,7 @@ PLOTS: Final[tuple[Plot, ...]] = (
         "error",
         "Error over time",
         "Median over the runs, with the band from the first to the third quartile for up to four controllers. A run that has ended holds "
-        "its last value; one without target in sight, or without a log, counts as farther away than all others. Dashed: the threshold.",
+        "its last value; one without target in sight, or without a log, counts as farther away than all others. Dotted: the threshold.",
         1,
         comparison_figures.medians,
     ),
@@ -52,7 +52,7 @@ PLOTS: Final[tuple[Plot, ...]] = (
         "runs",
         "Error of single runs",
         "Thin: the first runs of each controller, those in red did not reach the goal, a cross where they were last seen. "
-        "Thick: median and quartiles of all its runs. Grey: the other controllers' medians. Dashed: the threshold. Up to 24 controllers.",
+        "Thick: median and quartiles of all its runs. Grey: the other controllers' medians. Dotted: the threshold. Up to 24 controllers.",
         2,
         comparison_figures.each_run,
     ),
@@ -60,8 +60,8 @@ PLOTS: Final[tuple[Plot, ...]] = (
         "distributions",
         "All runs in numbers",
         "A point a run; bar and stroke: quartiles and median, as in the table. Red crosses: runs that did not reach the goal, an arrow "
-        "at the edge where they lie beyond it; in red how many runs have no such number. Of very many runs the first are drawn; "
-        "the bars are of all.",
+        "at the edge where they lie beyond it; a red number right of the frame counts the runs that have no such number. Of very many "
+        "runs the first are drawn; the bars are of all.",
         2,
         comparison_strips.distributions,
     ),
@@ -110,7 +110,8 @@ def write_comparison_report(
         _provenance(comparison, command),
         comparison_tables.SCRIPT,
     ]
-    heading = " against ".join(dict.fromkeys(map(str, table["scenario"].to_list()))) or "Comparison"
+    scenarios = list(dict.fromkeys(map(str, table["scenario"].to_list())))
+    heading = " against ".join(scenarios) if 0 < len(scenarios) <= 3 else f"Comparison of {len(scenarios)} scenarios"
     words = f'<p class="soft">{escape(_plan_words(comparison))}</p>'
     words = (f"<p>{escape(description)}</p>" if description else "") + words
     page = PAGE.format(
@@ -134,6 +135,7 @@ def _write_figures(place: Path, data: Data) -> None:
             drawn = draw(data, COLUMN_IN[columns])
             if drawn is not None:
                 save(drawn, place / f"{key}.pdf")
+                drawn.set_layout_engine("none")  # the places found stay; to find them again would take as long
                 save(drawn, place / f"{key}.png", DPI)
 
 

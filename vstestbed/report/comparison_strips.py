@@ -26,7 +26,7 @@ WIDE = 30.0
 def distributions(data: Data, width_in: float) -> Figure:
     """A panel a metric, a line a controller; failed runs as red crosses below the line, beyond the frame as arrows at its edge."""
     names = [wrapped(label) for label in data.labels]
-    height = 0.27 * sum(name.count("\n") + 1 for name in names) + 0.15 * len(names) + 0.7
+    height = 0.27 * sum(name.count("\n") + 1 for name in names) + 0.15 * len(names) + 0.95
     grid, figure = metric_panels(data, width_in, height, 5, names)
     for axes, metric in zip(grid, data.comparison.shown, strict=False):
         limits = _frame(axes, data, metric)
@@ -60,7 +60,7 @@ def _frame(axes: Axes, data: Data, metric: Metric) -> tuple[float, float]:
 
 
 def _draw_strip(axes: Axes, line: int, controller: Controller, metric: Metric, limits: tuple[float, float], most: int) -> None:
-    """The points of a controller on its line, its quartiles as a bar, and at the right edge how many runs have no value."""
+    """The points of a controller on its line, its quartiles as a bar, and right of the frame how many runs have no value."""
     values = controller.values(metric)
     known = np.isfinite(values)
     shown = known & (np.cumsum(known) <= most)
@@ -75,9 +75,7 @@ def _draw_strip(axes: Axes, line: int, controller: Controller, metric: Metric, l
         axes.plot(made.median, line - 0.08, "|", color=INK, markersize=11, markeredgewidth=1.5)
     missing = int((~known).sum())
     if missing:
-        axes.text(
-            1.0, line + 0.3, f"{missing} without", transform=axes.get_yaxis_transform(), ha="right", va="center", color=LOST, fontsize=6.5
-        )
+        axes.text(1.01, line + 0.27, f"{missing} n/a", transform=axes.get_yaxis_transform(), va="center", color=LOST, fontsize=6.5)
 
 
 def _draw_failures(axes: Axes, values: Array, y: float, limits: tuple[float, float]) -> None:

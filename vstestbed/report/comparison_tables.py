@@ -119,7 +119,7 @@ STYLE = """
 table { border-collapse: collapse; width: 100%; font-size: .84rem; font-variant-numeric: tabular-nums; }
 th, td { padding: 6px 7px; text-align: right; vertical-align: top; border-top: 1px solid var(--rule); font-weight: 400; }
 thead th { border-top: 0; vertical-align: bottom; font-size: .78rem; }
-th:first-child { text-align: left; min-width: 8em; overflow-wrap: anywhere; }
+th:first-child { text-align: left; min-width: 9.5em; overflow-wrap: break-word; }
 tbody th { font-weight: 600; }
 td small { font-size: .76rem; display: block; color: var(--soft); white-space: nowrap; }
 td { white-space: nowrap; }
@@ -130,6 +130,7 @@ th[aria-sort=ascending] button::after { content: " ▲"; } th[aria-sort=descendi
 select { font: inherit; }
 .plan { display: grid; grid-template-columns: max-content 1fr; gap: 2px 18px; }
 .plan dt { color: var(--soft); } .plan dd { margin: 0; overflow-wrap: anywhere; }
+.failure summary .soft { font-weight: 400; }
 .broad { margin-top: 14px; }
 .gallery { display: grid; grid-template-columns: repeat(auto-fill, minmax(200px, 1fr)); gap: 10px; margin-top: 10px; }
 .gallery img { display: block; width: 100%; height: auto; border-radius: 6px; }

@@ -20,8 +20,12 @@ def headline(comparison: Comparison, made: list[Pair]) -> str:
         return _box(_alone(comparison.controllers[0]), [], decided=False)
     labels = [c.label for c in comparison.controllers]
     strong, decided = _overall(labels, made)
-    told = sorted(made, key=lambda p: p.better is None)[: MOST_CONTROLLERS * (MOST_CONTROLLERS - 1) // 2]
-    return _box(strong, [pair_words(p, labels) for p in told], decided)
+    wins = [sum(p.better == i for p in made) for i in range(len(labels))]
+    best = wins.index(max(wins))
+    first = made if len(made) <= 3 else [p for p in made if best in (p.a, p.b)][:MOST_CONTROLLERS]
+    rest = "".join(f"<li>{escape(pair_words(p, labels))}</li>" for p in made if p not in first)
+    folded = f"<details><summary>The other pairs in words</summary><ul>{rest}</ul></details>" if rest else ""
+    return _box(strong, [pair_words(p, labels) for p in first], decided) + folded
 
 
 def _box(strong: str, sentences: list[str], decided: bool) -> str:
