@@ -213,7 +213,7 @@ class TestResume:
     @pytest.mark.parametrize("moments", [(0.1, 0.4), pytest.param(tuple(0.07 * i for i in range(10)), marks=pytest.mark.study)])
     def test_killed_again_and_again(self, quick: Path, tmp_path: Path, vstestbed_process: Any, moments: tuple[float, ...]):
         words, environment = vstestbed_process
-        whole = compare([quick], GAINS, seeds=len(moments) + 4, jobs=2, out=tmp_path / "whole", film=False, report=False)
+        whole = compare([quick], GAINS, seeds=8 * len(moments), jobs=2, out=tmp_path / "whole", film=False, report=False)
         out, runs = tmp_path / "c", tmp_path / "c" / "runs"
         line = [
             *words,
@@ -222,7 +222,7 @@ class TestResume:
             "--vary",
             "law.gain=3.0,6.0",
             "--seeds",
-            str(len(moments) + 4),
+            str(8 * len(moments)),
             "--no-film",
             "--out",
             str(out),
