@@ -119,7 +119,7 @@ def run_into(
     watch: Iterable[Watcher] = (),
     stage: Callable[[str], None] = lambda _: None,
     report: bool = True,
-    overview_px: tuple[int, int] | None = None,
+    tile_px: tuple[int, int] | None = None,
 ) -> Recording:
     """Run a scenario and leave its folder: scenario, model, log, summary, films, report.
 
@@ -129,7 +129,7 @@ def run_into(
         watch: further watchers, such as a progress bar.
         stage: told in a few words what is being done after the run.
         report: whether to write the report, which can be made later, too.
-        overview_px: width and height of the film from outside; None for the usual ones.
+        tile_px: width and height of a film from outside that is quick to make, without shadows; None for the usual one.
 
     Raises:
         EnvironmentLackError: no OpenGL, no codec, no space. OutputError: the folder cannot be written.
@@ -137,7 +137,7 @@ def run_into(
     with _all_or_nothing(folder):
         write_whole(folder / "scenario.yaml", dump(scenario))
         _write_scene(folder, scene_files(scenario.robot, scenario.camera, scenario.target, scenario.world, scenario.physics))
-        with _filming(folder, scenario, films, overview_px) as cameras:
+        with _filming(folder, scenario, films, tile_px) as cameras:
             log = _LogOnDisk(folder, scenario)
             try:
                 recording = run(scenario, [log, *cameras, *watch])
@@ -187,7 +187,7 @@ def _has_frames(folder: Path) -> bool:
 
 
 @contextmanager
-def _filming(folder: Path, scenario: Scenario, films: Films, overview_px: tuple[int, int] | None) -> Iterator[list[Film]]:
+def _filming(folder: Path, scenario: Scenario, films: Films, tile_px: tuple[int, int] | None) -> Iterator[list[Film]]:
     """The films that are asked for; finished when the run ends, also an interrupted one, and gone when it fails."""
     wanted = FILM_CAMERAS[films]
     if not wanted:
@@ -195,8 +195,8 @@ def _filming(folder: Path, scenario: Scenario, films: Films, overview_px: tuple[
         return
     from vstestbed.video.film import Film, replay_of
 
-    replay = replay_of(scenario)
-    sizes = {"overview": overview_px}
+    replay = replay_of(scenario, shadows=tile_px is None)
+    sizes = {"overview": tile_px}
     reel = [Film(scenario, camera, folder / f"{name}.mp4", replay, sizes.get(name)) for name, camera in wanted.items()]
     try:
         yield reel

@@ -17,8 +17,8 @@ from vstestbed.stop import Outcome
 
 Files = dict[str, bytes]
 """A run's folder: content by file name."""
-OVERVIEW_PX = (480, 270)
-"""Size of the films from outside [px]: as wide as their column in the film of all; a fourth of the usual work."""
+TILE_PX = (480, 270)
+"""Size of the films from outside [px]: as wide as their column in the film of all; a sixth of the usual work."""
 _loaded: set[str] = set()
 
 
@@ -51,7 +51,7 @@ def do(task: Task) -> Files:
         folder = Path(place) / "run"
         folder.mkdir()
         try:
-            recording = run_into(folder, scenario, "both" if task.filmed else "none", report=False, overview_px=OVERVIEW_PX)
+            recording = run_into(folder, scenario, "both" if task.filmed else "none", report=False, tile_px=TILE_PX)
             if not recording.outcome.success and len(recording.table):
                 _picture_of_the_end(scenario, folder)
         except EnvironmentLackError:

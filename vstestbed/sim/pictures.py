@@ -52,7 +52,7 @@ def eye_of(stage: Stage, camera: Camera, image_sigma: float = 0.0, rng: np.rando
     return _chosen(camera, by_gl, by_rays)
 
 
-def view_of(stage: Stage, name: str, width: int, height: int, camera: Camera) -> Outside:
+def view_of(stage: Stage, name: str, width: int, height: int, camera: Camera, shadows: bool = True) -> Outside:
     """What makes the pictures of one of the scene's cameras, as the servo camera's `renderer` says; rays draw no shadows.
 
     Raises:
@@ -62,7 +62,7 @@ def view_of(stage: Stage, name: str, width: int, height: int, camera: Camera) ->
     def by_gl() -> Outside:
         from vstestbed.sim.render import View
 
-        return View(stage, name, width, height, shadows=True, style="outside")
+        return View(stage, name, width, height, shadows, style="outside")
 
     def by_rays() -> Outside:
         from vstestbed.sim.rays import RayView

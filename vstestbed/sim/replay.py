@@ -22,14 +22,18 @@ FILM_SHADOW_PX = 2048
 class Replay:
     """A stage of its own beside the run's, so that filming changes nothing of what is measured.
 
+    Args:
+        robot, camera, target, world: the scene. shadows: whether the views from outside have them (three times the work).
+
     Raises:
         EnvironmentLackError: OpenGL is asked for, and does not work here.
     """
 
-    def __init__(self, robot: Robot, camera: Camera, target: Target, world: World):
+    def __init__(self, robot: Robot, camera: Camera, target: Target, world: World, shadows: bool = True):
         self._parts = Parts(robot, camera, target, world, step=camera.period)
         self._stage = Stage(self._parts, samples=FILM_SAMPLES)
         self._stage.model.vis.quality.shadowsize = FILM_SHADOW_PX
+        self._shadows = shadows
         self._own: tuple[Stage, Eyes] | None = None
         self._views: dict[str, Outside] = {}
 
@@ -51,7 +55,7 @@ class Replay:
             stage.place(t, T_world_target, q, T_world_camera)
             return eye.picture()
         if camera not in self._views:
-            self._views[camera] = view_of(self._stage, camera, width, height, self._parts.camera)
+            self._views[camera] = view_of(self._stage, camera, width, height, self._parts.camera, self._shadows)
         self._stage.place(t, T_world_target, q, T_world_camera)
         return self._views[camera].picture()
 

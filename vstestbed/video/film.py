@@ -107,9 +107,9 @@ class Film:
         self._writer.abort()
 
 
-def replay_of(scenario: Scenario) -> Replay:
+def replay_of(scenario: Scenario, shadows: bool = True) -> Replay:
     """A replay of a scenario's scene."""
-    return Replay(scenario.robot, scenario.camera, scenario.target, scenario.world)
+    return Replay(scenario.robot, scenario.camera, scenario.target, scenario.world, shadows)
 
 
 def film_log(scenario: Scenario, log: polars.DataFrame, camera: str, path: Path, size: tuple[int, int] | None = None) -> Path | None:
