@@ -86,6 +86,7 @@ class Scenario:
             raise ParameterError("stop.duration_s", f"must be at least one camera period, {self.camera.period:g} s", self.stop.duration_s)
         self._check_markers()
         self._check_goal()
+        self.law.check(self.target.points, self.goal_view)
 
     def _check_markers(self) -> None:
         points, marker, seen = self.target.points, self.target.marker.kind, self.detector.markers

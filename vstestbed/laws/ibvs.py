@@ -11,7 +11,7 @@ from annotated_types import Ge
 from vstestbed.features import FEATURES, Line, Point, Polar, Polygon, Spherical
 from vstestbed.geometry import Array
 from vstestbed.laws.base import Command, ConstantGain, Gain, TwistLimits
-from vstestbed.laws.select import Rows, usable_rows
+from vstestbed.laws.select import Rows, require_area, usable_rows
 from vstestbed.laws.solve import least_squares
 from vstestbed.laws.visibility import Visibility
 from vstestbed.observation import Depth, Goal, Observation, PnP
@@ -63,6 +63,11 @@ class IBVS:
     def inputs(self) -> tuple[str, ...]:
         """The fields of an Observation that its feature takes."""
         return self.feature.inputs
+
+    def check(self, points: Array, goal: Goal) -> None:
+        """Refuse, with the feature `polygon`, a goal view of three or more markers without a size (`require_area`)."""
+        if isinstance(self.feature, Polygon) and len(points) > 2:
+            require_area(goal)
 
     def init(self, goal: Goal) -> IBVSMemory:
         """No command given yet."""
