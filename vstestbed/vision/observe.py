@@ -88,7 +88,7 @@ class Observer:
             flow = update_flow(self.depth, flow, t, xy, twist)
         depth, reach = self._distances(detection, T, flow, xy)
         ray = self.camera.ray(uv) if self._rays else None
-        relative = relative_view(self.goal.xy, xy, self.goal.T_camera_target[:3, 2]) if "relative" in self.wanted else None
+        relative = relative_view(self.goal.xy, xy, self.goal.normal) if "relative" in self.wanted else None
         return ObserverMemory(t, T, flow), Observation(t, uv, xy, depth, T, ray, reach, relative)
 
     @property
