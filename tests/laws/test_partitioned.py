@@ -144,3 +144,13 @@ class TestNoArea:
     def test_a_bow_tie_is_refused(self, law: Law, order: tuple[int, ...]):  # type: ignore[type-arg]
         with pytest.raises(ParameterError, match=r"^target spans no area in the goal view.*order"):
             fly(law, at=tuple(map(tuple, POINTS[list(order)].tolist())))
+
+
+def test_three_markers_are_refused_though_three_of_four_carry_on():
+    three = tuple(map(tuple, POINTS[:3].tolist()))
+    with pytest.raises(ParameterError, match=r"^target has 3 markers, and law partitioned needs 4 or more: three look"):
+        fly(Partitioned(depth=TRUE), at=three)
+    goal = Goal.from_view(book_camera(), POINTS, Pose(xyz=(0, 0, 1)).T)
+    p = POINTS + [0, 0, 1.5]
+    xy = np.where([[False], [False], [False], [True]], np.nan, p[:, :2] / p[:, 2:])
+    assert not Partitioned().step(Partitioned().init(goal), Observation(0, xy, xy, p[:, 2]), goal, np.eye(6))[1].held

@@ -35,7 +35,9 @@ class IBVS:
     Errata. Chapter 16 of Corke 2017 has polar and spherical features as here (eqs 16.9, 16.15), but theta = asin(r) in
     eq. 16.11, which is wrong behind the camera's equator; each feature says what it does instead. With an exact half turn
     the matrix at the current view makes points diverge, the one at the goal takes the camera through the target, their mean
-    stands still: that is the law, not a defect.
+    stands still: that is the law, not a defect. Three markers look the same from up to four places, and with points (`point`,
+    `polar`, `spherical`) e is zero at each of them: the law may come to rest at another one than the goal. Four in one plane
+    have one.
 
     Args:
         gain: lambda [1/s], a number or an adaptive gain of pinv(L B) e, the motion still to be made.

@@ -81,7 +81,13 @@ class Partitioned:
         return ("xy", "depth")
 
     def check(self, points: Array, goal: Goal) -> None:
-        """Refuse a goal view without a size (`require_area`)."""
+        """Refuse fewer than four markers, and a goal view without a size (`require_area`).
+
+        Three look the same from up to four places: the points' error vanishes at each, and size and angle with it.
+        """
+        if len(points) < 4:
+            words = f"has {len(points)} markers, and law partitioned needs 4 or more: three look as at the goal from up to four places"
+            raise ParameterError("target", words)
         require_area(goal)
 
     def init(self, goal: Goal) -> PartitionedMemory:
@@ -89,7 +95,7 @@ class Partitioned:
         return PartitionedMemory()
 
     def markers_needed(self, basis: Array) -> int:
-        """Three markers span an area.
+        """Three markers span an area: enough to go on with while others are hidden, not to begin with (`check`).
 
         Raises:
             ParameterError: the robot cannot move its camera in all six directions.
