@@ -57,7 +57,8 @@ class Hybrid:
         return ("relative",) if self.source == "homography" else ("T_camera_target",)
 
     def check(self, points: Array, goal: Goal) -> None:
-        """Refuse, for a homography, markers that are not in one plane or of which all but one lie on a line."""
+        """Refuse what `visibility` does; for a homography, markers not in one plane, and all of them but one on a line."""
+        self.visibility.check(goal)
         if self.source == "model":
             return
         *_, thickness = reaches = _reaches(points)

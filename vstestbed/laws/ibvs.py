@@ -67,7 +67,8 @@ class IBVS:
         return self.feature.inputs
 
     def check(self, points: Array, goal: Goal) -> None:
-        """Refuse, with the feature `polygon`, a goal view of three or more markers without a size (`require_area`)."""
+        """Refuse what `visibility` does; with the feature `polygon`, a goal view of three or more markers without a size."""
+        self.visibility.check(goal)
         if isinstance(self.feature, Polygon) and len(points) > 2:
             require_area(goal)
 

@@ -81,7 +81,7 @@ class Partitioned:
         return ("xy", "depth")
 
     def check(self, points: Array, goal: Goal) -> None:
-        """Refuse fewer than four markers, and a goal view without a size (`require_area`).
+        """Refuse fewer than four markers, a goal view without a size (`require_area`), and what `visibility` does.
 
         Three look the same from up to four places: the points' error vanishes at each, and size and angle with it.
         """
@@ -89,6 +89,7 @@ class Partitioned:
             words = f"has {len(points)} markers, and law partitioned needs 4 or more: three look as at the goal from up to four places"
             raise ParameterError("target", words)
         require_area(goal)
+        self.visibility.check(goal)
 
     def init(self, goal: Goal) -> PartitionedMemory:
         """No turn chosen yet."""
