@@ -112,7 +112,7 @@ class AtGoal:
 
 @spec
 class Estimate:
-    """Each marker's inverse depth by recursive least squares on its optical flow under the camera's own motion.
+    """Each marker's inverse range by recursive least squares on the flow of its ray under the camera's own motion.
 
     The motion is what the robot measures of itself: an arm's encoders; the ideal camera moves as commanded. (The commanded
     twist of an arm would not do: its servos lag, and the first frame's command has not moved anything yet.)
