@@ -176,3 +176,21 @@ def test_estimate_of_what_is_behind_the_camera() -> None:
         T = inverse(exp(twist * DT)) @ T
     assert seen.range == pytest.approx(np.linalg.norm(p, axis=1), rel=5e-3)
     assert seen.depth == pytest.approx(p[:, 2], rel=5e-3)
+
+
+def test_a_pixel_that_noise_puts_off_the_map_costs_no_more_than_itself() -> None:
+    camera = Spherical(width=720, height=720)
+    T = Pose(xyz=(0.2, 0.2, -1)).T  # marker 0 straight behind, at the rim of the map
+    uv = camera.project(transform(T, TARGET.points))
+    out = uv.copy()
+    out[0] += 0.5 * (uv[0] - camera.centre) / np.linalg.norm(uv[0] - camera.centre)
+    assert np.isnan(camera.ray(out[0])).all()
+    observer = Observer(camera=camera, target=TARGET, goal=Goal.from_view(camera, TARGET.points, T), depth=PnP(), wanted=("ray", "range"))
+    memory, rng = observer.init(), np.random.default_rng(0)
+    memory, _ = observer.observe(memory, 0.0, Detection(uv=uv), REST, rng)
+    moved = inverse(exp(np.array([0.01, 0, 0, 0, 0, 0]))) @ T
+    now = camera.project(transform(moved, TARGET.points))
+    now[0] = out[0]
+    seen = observer.observe(memory, DT, Detection(uv=now), REST, rng)[1]
+    assert seen.T_camera_target is not None
+    assert rigid_error(seen.T_camera_target, moved) == pytest.approx((0, 0), abs=1e-4)  # by the other three

@@ -80,11 +80,11 @@ class Observer:
         uv, T = detection.uv, detection.T_camera_target
         if self.pixel_sigma_px > 0:
             uv = uv + rng.normal(0.0, self.pixel_sigma_px, uv.shape)
-        if self._poses and (T is None or self.pixel_sigma_px > 0):
-            T = self._pose(uv, t, memory, T, twist)
-        xy, ray, flow = self.camera.normalise(uv), None, memory.flow
-        if self._rays or flow is not None:
-            ray = self.camera.ray(uv)
+        xy, flow = self.camera.normalise(uv), memory.flow
+        solve = self._poses and (T is None or self.pixel_sigma_px > 0)
+        ray = self.camera.ray(uv) if solve or self._rays or flow is not None else None
+        if solve and ray is not None:
+            T = self._pose(ray, t, memory, T, twist)
         if isinstance(self.depth, Estimate) and flow is not None and ray is not None:
             flow = update_flow(self.depth, flow, t, ray, twist)
         depth, reach = self._distances(detection, T, flow, xy)
@@ -99,14 +99,14 @@ class Observer:
     def _poses(self) -> bool:
         return isinstance(self.depth, PnP) or "T_camera_target" in self.wanted
 
-    def _pose(self, uv: Array, t: float, memory: ObserverMemory, hint: Array | None, twist: Array) -> Array | None:
-        """The pose solved from noisy or bare pixels; else the last one, carried on."""
+    def _pose(self, ray: Array, t: float, memory: ObserverMemory, hint: Array | None, twist: Array) -> Array | None:
+        """The pose solved from the rays (N, 3) of noisy or bare pixels; else the last one, carried on."""
         last = memory.T_camera_target
         carried = hint if last is None else exp(-twist * (t - memory.t)) @ last
-        seen = np.isfinite(uv[:, 0])
+        seen = np.isfinite(ray[:, 0])  # noise may put a pixel outside a lens's circle
         if np.count_nonzero(seen) < 3:
             return carried
-        found = solve_pose_from_rays(self.camera.ray(uv[seen]), self.target.points[seen], carried)
+        found = solve_pose_from_rays(ray[seen], self.target.points[seen], carried)
         return carried if found is None else found
 
     def _distances(self, detection: Detection, T: Array | None, flow: FlowMemory | None, xy: Array) -> tuple[Array, Array | None]:
