@@ -63,7 +63,8 @@ class Polar:
 
     def error(self, s: Array, s_star: Array) -> Array:
         """Error s - s* (..., 2N); the angles wrapped, and weighted near the principal point (`bearing_error`)."""
-        e = np.subtract(s, s_star, dtype=float)
+        s, s_star = np.asarray(s, dtype=float), np.asarray(s_star, dtype=float)
+        e = s - s_star
         r, r_star = s[..., 0::2], s_star[..., 0::2]
         e[..., 1::2] = bearing_error(s[..., 1::2], s_star[..., 1::2], r, r_star, self.together)
         return e

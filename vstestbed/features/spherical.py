@@ -63,7 +63,8 @@ class Spherical:
 
     def error(self, s: Array, s_star: Array) -> Array:
         """Error s - s* (..., 2N); theta as it is, phi wrapped, and weighted near the axis (`bearing_error`)."""
-        e = np.subtract(s, s_star, dtype=float)
+        s, s_star = np.asarray(s, dtype=float), np.asarray(s_star, dtype=float)
+        e = s - s_star
         sine, sine_star = np.sin(s[..., 0::2]), np.sin(s_star[..., 0::2])
         e[..., 1::2] = bearing_error(s[..., 1::2], s_star[..., 1::2], sine, sine_star, self.together)
         return e
