@@ -328,3 +328,9 @@ def test_bench_tells_of_the_loop_and_its_floor(command, quick: Path) -> None:
     assert result["scenario"] == "quick"
     assert result["frames"] == 30
     assert {"physics", "render", "detect", "law", "record", "other", "whole"} <= set(result["ms_per_frame"])
+
+
+def test_flow_into_a_folder_that_is_not_there_says_so(command) -> None:
+    ended = command("flow", "--out", "nodir/x.png")
+    assert ended.code == 2
+    assert ended.err.strip() == "nodir/x.png: the folder nodir does not exist; make it, or give another with --out"

@@ -451,3 +451,10 @@ class TestContradictions:
     def test_parts_that_do_not_belong_together(self, settings: dict[str, object], words: str) -> None:
         with pytest.raises(ScenarioError, match=words):
             load("arm_ibvs", settings)
+
+    @pytest.mark.parametrize("name", ["arm_pbvs", "arm_hybrid"])
+    def test_a_law_without_a_depth_is_not_told_to_change_it(self, name: str) -> None:
+        line = [[-0.2, 0, 0], [0, 0, 0], [0.1, 0, 0], [0.2, 0, 0]]
+        target = {"kind": "points", "at": line, "pose": {"xyz": [1.5, 0, 0.7], "rpy_deg": [0, 90, 0]}}
+        with pytest.raises(ScenarioError, match=r"^--set: target: has all markers on one line"):
+            load(name, {"target": target})

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from vstestbed.errors import EnvironmentLackError, ParameterError
+from vstestbed.errors import EnvironmentLackError, OutputError, ParameterError
 
 if TYPE_CHECKING:
     from vstestbed.scenario import Scenario
@@ -129,5 +129,7 @@ def flow(
     """Draw the optical flow of the six camera motions, in a feature's own coordinates."""
     from vstestbed.report.flow import write_flow
 
+    if out is not None and not out.parent.is_dir():
+        raise OutputError(out, f"the folder {out.parent} does not exist", "make it, or give another with --out")
     for path in write_flow(feature, depth, out):
         typer.echo(str(path))

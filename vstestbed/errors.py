@@ -81,6 +81,7 @@ class EnvironmentLackError(VstestbedError):
     exit_code = 4
 
     def __init__(self, lack: str, remedy: str):
+        self.lack, self.remedy = lack, remedy
         super().__init__(f"{lack}; {remedy}")
 
 

@@ -61,7 +61,11 @@ class Encoders:
 
 @dataclass(frozen=True, slots=True)
 class Goal:
-    """The goal view through a calibrated camera: uv (N, 2), xy (N, 2), depth (N,), ray (N, 3), range (N,), and its pose."""
+    """The goal view through a calibrated camera: uv (N, 2), xy (N, 2), depth (N,), ray (N, 3), range (N,), and its pose.
+
+    `middle` (3,) is the mean of the markers in the camera's frame [m], `normal` (3,) the unit normal of the plane that fits
+    them best, away from the camera.
+    """
 
     uv: Array
     xy: Array
@@ -70,14 +74,18 @@ class Goal:
     range: Array
     T_camera_target: Array
     camera: Camera
+    middle: Array
+    normal: Array
 
     @classmethod
     def from_view(cls, camera: Camera, points: Array, T_camera_target: Array) -> Goal:
         """The view that `camera` has of target points (N, 3) from the relative pose T_camera_target (4, 4)."""
         p = transform(T_camera_target, points)
         uv, reach = camera.project(p), np.linalg.norm(p, axis=-1)
-        xy = camera.normalise(uv)
-        return cls(uv, xy, p[:, 2], p / reach[:, None], reach, T_camera_target, camera)
+        xy, middle = camera.normalise(uv), p.mean(axis=0)
+        normal = np.linalg.svd(p - middle)[2][2]
+        normal = normal if normal @ middle > 0 else -normal
+        return cls(uv, xy, p[:, 2], p / reach[:, None], reach, T_camera_target, camera, middle, normal)
 
 
 @spec
@@ -104,7 +112,7 @@ class AtGoal:
 
 @spec
 class Estimate:
-    """Each marker's inverse depth by recursive least squares on its optical flow under the camera's own motion.
+    """Each marker's inverse range by recursive least squares on the flow of its ray under the camera's own motion.
 
     The motion is what the robot measures of itself: an arm's encoders; the ideal camera moves as commanded. (The commanded
     twist of an arm would not do: its servos lag, and the first frame's command has not moved anything yet.)

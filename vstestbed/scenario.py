@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import cached_property
 from typing import Annotated
 
@@ -86,6 +86,7 @@ class Scenario:
             raise ParameterError("stop.duration_s", f"must be at least one camera period, {self.camera.period:g} s", self.stop.duration_s)
         self._check_markers()
         self._check_goal()
+        self.law.check(self.target.points, self.goal_view)
 
     def _check_markers(self) -> None:
         points, marker, seen = self.target.points, self.target.marker.kind, self.detector.markers
@@ -99,8 +100,11 @@ class Scenario:
             raise ParameterError("target", f"has {markers}, and law {self.law.kind} needs {needed} or more for this robot's motions")
         spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
         if isinstance(self.law.depth, PnP) and spread[1] < 1e-6 * spread[0]:
-            words = "may not be pnp: all markers lie on one line, which leaves the pose open; use goal or estimate"
-            raise ParameterError("law.depth", words)
+            if any(field.name == "depth" for field in fields(self.law)):
+                words = "may not be pnp: all markers lie on one line, which leaves the pose open; use goal or estimate"
+                raise ParameterError("law.depth", words)
+            words = f"has all markers on one line, which leaves the pose open that law {self.law.kind} works with; use other places"
+            raise ParameterError("target", words)
 
     def _check_goal(self) -> None:
         p = transform(self.goal.T_camera_target.T, self.target.points)

@@ -68,6 +68,13 @@ def test_what_is_not_seen_has_no_vote():
     assert np.isnan(together[3])
 
 
+def test_an_angle_without_a_vote_follows_the_others_where_it_is_far_and_stays_where_it_is_near():
+    votes = np.array([True, True, False])
+    np.testing.assert_allclose(wrap_together(deg(179, 178, -179), votes), deg(179, 178, 181), atol=1e-14)
+    np.testing.assert_allclose(wrap_together(deg(179, 178, -10), votes), deg(179, 178, -10), atol=1e-14)
+    np.testing.assert_allclose(wrap_together(deg(179, -178, -10), votes), deg(179, 182, -10), atol=1e-14)
+
+
 def test_bounded_inverse():
     x = np.array([2.0, 1.001 * FLOOR, FLOOR, 0.5 * FLOOR, 0.0])
     np.testing.assert_allclose(bounded_inverse(x), [0.5, 1 / (1.001 * FLOOR), 1 / FLOOR, 0.5 / FLOOR, 0], rtol=1e-12)

@@ -78,6 +78,16 @@ def test_features_of_markers(kind):
     assert worst(measured, L) < 1e-6
 
 
+@pytest.mark.parametrize("kind", list(FEATURES.members))
+def test_lists_will_do(kind):
+    feature = FEATURES.members[kind]()
+    x = seen(in_front(np.random.default_rng(0))[0], feature.inputs)[0]
+    s = feature.measure(x.tolist())
+    np.testing.assert_array_equal(s, feature.measure(x))
+    np.testing.assert_array_equal(feature.interaction(x.tolist(), [1] * 4), feature.interaction(x, np.ones(4)))
+    np.testing.assert_array_equal(feature.error(s.tolist(), s.tolist()), feature.error(s, s))
+
+
 @pytest.mark.parametrize("n", [2, 3])
 @pytest.mark.parametrize("kind", ["line", "polygon"])
 def test_features_of_fewer_markers(kind, n):

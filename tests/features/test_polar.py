@@ -7,7 +7,7 @@ import pytest
 
 from vstestbed.errors import ParameterError
 from vstestbed.features import Polar
-from vstestbed.features.angles import FLOOR
+from vstestbed.features.angles import CENTRE
 
 
 def test_measure():
@@ -36,13 +36,28 @@ def test_half_turn_gives_every_point_the_same_error():
 
 
 def test_bounded_at_the_principal_point():
-    xy = np.array([[0.0, 0], [1e-12, 0], [0, -1e-5], [FLOOR, 0]])
+    xy = np.array([[0.0, 0], [1e-12, 0], [0, -1e-5], [CENTRE, 0]])
     L = Polar().interaction(xy, np.full(4, 0.5)).reshape(4, 2, 6)
-    np.testing.assert_array_equal(L[0, 1], [0, 0, 0, 0, 0, -1])
-    # 1/(r Z) is at most 1/(0.001 * 0.5) = 2000.
-    assert np.isfinite(L).all() and np.abs(L).max() <= 2000 * (1 + 1e-12)
-    np.testing.assert_allclose(L[3, 1], [0, -2000, 0, 1000, 0, -1], atol=1e-9)
+    np.testing.assert_array_equal(L[0, 1], np.zeros(6))
+    # w^2/(r Z) is at most 1/(0.01 * 0.5) = 200.
+    assert np.isfinite(L).all() and np.abs(L).max() <= 200 * (1 + 1e-12)
+    np.testing.assert_allclose(L[3, 1], [0, -200, 0, 100, 0, -1], atol=1e-9)
     assert np.isfinite(Polar().measure(xy)).all()
+
+
+def test_next_to_the_principal_point_the_error_is_as_small_as_the_way_to_go():
+    near = np.array([[0.3, 0.2], [1e-5, 0]])
+    e = Polar().error(Polar().measure(near), Polar().measure(near * [[1], [-1]]))
+    assert abs(e[3]) == pytest.approx(np.pi * 1e-6)  # half a turn round a goal 1e-5 away
+    away = Polar().measure(np.array([[0.3, 0.2], [0.01, 0]]))
+    np.testing.assert_allclose(Polar().error(away, Polar().measure(np.array([[0.2, 0.3], [0, -0.01]])))[3], np.pi / 2)
+
+
+def test_a_marker_at_the_principal_point_has_no_say_in_the_half_turn():
+    xy = np.array([[0.2, 0.1], [-0.1, 0.2], [1e-9, 0]])
+    turned = np.array([[-0.2, -0.1 + 1e-6], [0.1 - 1e-6, -0.2], [1e-9, 1e-9]])
+    e = Polar().error(Polar().measure(turned), Polar().measure(xy))
+    assert abs(e[1] + e[3]) == pytest.approx(2 * np.pi, abs=1e-4)
 
 
 def test_batches_are_single_ones_stacked():

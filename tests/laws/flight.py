@@ -12,7 +12,7 @@ from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart
 from vstestbed.scenario import GoalView, Scenario
 from vstestbed.stop import Converged, Stop
-from vstestbed.target import Square
+from vstestbed.target import Points, Square
 from vstestbed.vision import Oracle
 
 
@@ -34,14 +34,19 @@ def fly(
     duration_s: float = 120.0,
     unlimited: bool = True,
     rpy_deg: tuple[float, float, float] | None = None,
+    at: tuple[tuple[float, float, float], ...] | None = None,
 ) -> vs.Recording:
-    """A flight to the view from goal_z straight in front of a square, until the 2-norm of the 8 pixel errors is under norm_px."""
+    """A flight to the view from goal_z straight in front of a square, until the 2-norm of the 8 pixel errors is under norm_px.
+
+    With `at` the target has its markers there in place of a square's corners.
+    """
     angles = (0.0, 0.0, float(np.degrees(yaw))) if rpy_deg is None else rpy_deg
+    pose = Pose(xyz=(0, 0, target_z))
     return vs.run(
         Scenario(
             robot=Free(start=FreeStart(nominal=Pose(xyz=xyz, rpy_deg=angles))),
             camera=book_camera(rate_hz),  # pyright: ignore[reportArgumentType]
-            target=Square(side=side, pose=Pose(xyz=(0, 0, target_z))),
+            target=Square(side=side, pose=pose) if at is None else Points(at=at, pose=pose),
             detector=Oracle(field_of_view="unlimited" if unlimited else "limited"),
             law=law,  # pyright: ignore[reportArgumentType]
             goal=GoalView(T_camera_target=Pose(xyz=(0, 0, goal_z))),

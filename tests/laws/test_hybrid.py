@@ -8,6 +8,7 @@ import pytest
 import vstestbed as vs
 from tests.laws.flight import book_camera, fly
 from tests.laws.test_pbvs import camera_poses
+from vstestbed.errors import ParameterError
 from vstestbed.geometry import Array, Pose, exp, inverse, transform
 from vstestbed.laws import Hybrid
 from vstestbed.laws.select import NO_POSE
@@ -24,7 +25,7 @@ def view(T: Array, goal: Goal) -> Observation:
     p = transform(T, POINTS)
     uv = CAMERA.project(p)
     xy = CAMERA.normalise(uv)
-    relative = relative_view(goal.xy, xy, goal.T_camera_target[:3, 2])
+    relative = relative_view(goal.xy, xy, goal.normal)
     return Observation(t=0, uv=uv, xy=xy, depth=p[:, 2], T_camera_target=T, relative=relative)
 
 
@@ -64,3 +65,25 @@ def test_views_that_cannot_be_compared_bring_rest():
     for law in (Hybrid(), Hybrid(source="model")):
         command = law.step(None, blind, goal, np.eye(6))[1]
         assert command.held == NO_POSE and not command.twist.any()
+
+
+OFF_THE_ORIGIN = ((-0.25, -0.25, 0.5), (0.25, -0.25, 0.5), (0.25, 0.25, 0.5), (-0.25, 0.25, 0.5))
+SLANTED = ((-0.25, -0.25, 0.2), (0.25, -0.25, 0.4), (0.25, 0.25, 0.4), (-0.25, 0.25, 0.2))
+
+
+@pytest.mark.parametrize("at", [OFF_THE_ORIGIN, SLANTED], ids=["z = .5", "slanted"])
+def test_markers_in_another_plane_than_the_origins(at: tuple[tuple[float, float, float], ...]):
+    runs = [fly(Hybrid(source=source), (0.3, 0.3, -2), 0.4, at=at) for source in ("homography", "model")]  # pyright: ignore[reportArgumentType]
+    assert all(r.outcome is vs.Outcome.converged for r in runs)
+    assert len(runs[0]["t"]) == pytest.approx(len(runs[1]["t"]), abs=1)
+
+
+@pytest.mark.parametrize(
+    ("fourth", "words"),
+    [((-0.25, 0.25, 0.2), "markers in space.*source: model"), ((0.0, -0.25, 0.0), "all markers but one on a line.*source: model")],
+)
+def test_markers_that_make_no_homography_are_refused(fourth: tuple[float, float, float], words: str):
+    at = ((-0.25, -0.25, 0.0), (0.25, -0.25, 0.0), (0.25, 0.25, 0.0), fourth)
+    with pytest.raises(ParameterError, match=f"^target has {words}"):
+        fly(Hybrid(), at=at)
+    assert fly(Hybrid(source="model"), (0.1, 0, -1.2), at=at).outcome is vs.Outcome.converged

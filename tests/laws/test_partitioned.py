@@ -6,15 +6,16 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
-from tests.laws.flight import fly, pixels
+from tests.laws.flight import book_camera, fly, pixels
 from vstestbed.errors import ParameterError
 from vstestbed.features import Point, Polygon
 from vstestbed.geometry import Pose, exp, inverse, transform
-from vstestbed.laws import Partitioned
+from vstestbed.laws import IBVS, Law, Partitioned
 from vstestbed.laws.base import ConstantGain
 from vstestbed.laws.partitioned import XY, Z
+from vstestbed.laws.select import NO_AREA
 from vstestbed.laws.visibility import Visibility
-from vstestbed.observation import OracleDepth
+from vstestbed.observation import Goal, Observation, OracleDepth
 from vstestbed.target import Square
 
 TRUE = OracleDepth()
@@ -120,3 +121,36 @@ class TestVisibility:
 def test_a_robot_without_six_motions_is_refused():
     with pytest.raises(ParameterError, match="all six directions"):
         Partitioned().markers_needed(np.eye(6)[:, :3])
+
+
+class TestNoArea:
+    """Three of four markers on one line: without the fourth there is no size."""
+
+    PINS = ((-0.25, 0.0, 0.0), (0.0, 0.0, 0.0), (0.25, 0.0, 0.0), (0.0, 0.25, 0.0))
+
+    def test_rest_until_the_fourth_is_back(self):
+        p = np.array(self.PINS) + [0, 0, 1.5]
+        goal = Goal.from_view(book_camera(), np.array(self.PINS), Pose(xyz=(0, 0, 1)).T)
+        xy = p[:, :2] / p[:, 2:]
+        hidden = np.where([[False], [False], [False], [True]], np.nan, xy)
+        for sigma in ("ratio", "log", "difference"):
+            law = Partitioned(sigma=sigma)
+            command = law.step(law.init(goal), Observation(0, hidden, hidden, p[:, 2]), goal, np.eye(6))[1]
+            assert command.held == NO_AREA and not command.twist.any()
+            assert not law.step(law.init(goal), Observation(0, xy, xy, p[:, 2]), goal, np.eye(6))[1].held
+
+    @pytest.mark.parametrize("law", [Partitioned(depth=TRUE), IBVS(feature=Polygon(), depth=TRUE)], ids=lambda law: law.kind)
+    @pytest.mark.parametrize("order", [(0, 2, 1, 3), (0, 1, 3, 2)], ids=str)
+    def test_a_bow_tie_is_refused(self, law: Law, order: tuple[int, ...]):  # type: ignore[type-arg]
+        with pytest.raises(ParameterError, match=r"^target spans no area in the goal view.*order"):
+            fly(law, at=tuple(map(tuple, POINTS[list(order)].tolist())))
+
+
+def test_three_markers_are_refused_though_three_of_four_carry_on():
+    three = tuple(map(tuple, POINTS[:3].tolist()))
+    with pytest.raises(ParameterError, match=r"^target has 3 markers, and law partitioned needs 4 or more: three look"):
+        fly(Partitioned(depth=TRUE), at=three)
+    goal = Goal.from_view(book_camera(), POINTS, Pose(xyz=(0, 0, 1)).T)
+    p = POINTS + [0, 0, 1.5]
+    xy = np.where([[False], [False], [False], [True]], np.nan, p[:, :2] / p[:, 2:])
+    assert not Partitioned().step(Partitioned().init(goal), Observation(0, xy, xy, p[:, 2]), goal, np.eye(6))[1].held

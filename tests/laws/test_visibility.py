@@ -6,11 +6,14 @@ import numpy as np
 import pytest
 
 from tests.laws.flight import book_camera
+from vstestbed.camera import Catadioptric, Fisheye, Spherical
+from vstestbed.errors import ParameterError
 from vstestbed.features import Point
+from vstestbed.features import Spherical as SphericalFeature
 from vstestbed.geometry import Array, Pose, transform
-from vstestbed.laws import IBVS, Hybrid, Law
+from vstestbed.laws import IBVS, Hybrid, Law, Partitioned
 from vstestbed.laws.base import ConstantGain
-from vstestbed.laws.visibility import Visibility
+from vstestbed.laws.visibility import Visibility, pixel_interaction
 from vstestbed.observation import Goal, Observation
 from vstestbed.target import Square
 from vstestbed.vision.homography import relative_view
@@ -72,3 +75,56 @@ def test_laws_add_it_to_their_own_motion(law: type[IBVS | Hybrid]):
     gain = ConstantGain(value=0.5)
     push = FIELD.push(view(MARKER_0_NEAR_LEFT), GOAL, np.eye(6))
     assert twist(law(gain=gain, visibility=FIELD)) == pytest.approx(twist(law(gain=gain)) + push, abs=1e-12)
+
+
+class TestOtherLenses:
+    EYE = Fisheye(width=640, height=640, fov_deg=180)
+    """3.56 px to the degree, its circle 320 px in radius, a corner of the picture 453 px from the middle."""
+
+    @pytest.mark.parametrize("degrees", [(75, 45), (80, 225), (50, 10)], ids=str)
+    def test_the_circle_of_a_wide_lens_is_its_border(self, degrees: tuple[float, float]):
+        theta, phi = np.radians(degrees)
+        p = 1.5 * np.array([[np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)]])
+        uv = self.EYE.project(p)
+        goal = Goal.from_view(self.EYE, POINTS, Pose(xyz=(0, 0, 1)).T)
+        u = Visibility(margin_px=60).push(Observation(0, uv, self.EYE.normalise(uv), p[:, 2]), goal, np.eye(6))
+        flow = (pixel_interaction(self.EYE, p) @ u)[0]
+        off = (320 * (1 - degrees[0] / 90)) / 60
+        inwards = -np.array([np.cos(phi), np.sin(phi)])
+        assert flow == pytest.approx(inwards * (20 * (1 / off - 1) / off**2 if off < 1 else 0), abs=1e-5)
+
+    def test_what_is_beside_the_camera_is_pushed_too(self):
+        """At 100 degrees from the axis there are no normalised coordinates; a law of rays still keeps it in."""
+        eye, theta = Fisheye(width=640, height=640, fov_deg=210), np.radians(100)
+        ray = np.array([[np.sin(theta), 0, np.cos(theta)]])
+        uv = eye.project(ray)
+        goal = Goal.from_view(eye, POINTS, Pose(xyz=(0, 0, 1)).T)
+        seen = Observation(0, uv, eye.normalise(uv), ray[:, 2] * 2, ray=ray, range=np.array([2.0]))
+        flow = (pixel_interaction(eye, 2 * ray) @ Visibility(margin_px=60).push(seen, goal, np.eye(6)))[0]
+        assert flow[0] < -1 and abs(flow[1]) < 1e-6
+
+    def test_a_mirrors_blind_middle_is_a_border(self):
+        mirror = Catadioptric(width=640, height=640, blind_deg=20)
+        inner = mirror.f * mirror.ring[0]
+        distance, inwards = mirror.borders(mirror.centre + np.array([[inner + 5, 0.0]]))
+        assert distance[0, -1] == pytest.approx(5)
+        assert inwards[0, -1] == pytest.approx([1, 0])
+
+    def test_a_camera_without_a_border_is_refused(self):
+        goal = Goal.from_view(Spherical(), POINTS, Pose(xyz=(0, 0, 1)).T)
+        with pytest.raises(ParameterError, match=r"^law.visibility.margin_px must be 0 with a camera that sees all round"):
+            IBVS(feature=SphericalFeature(), visibility=FIELD).check(POINTS, goal)
+
+
+def test_pixel_interaction_of_a_pinhole_is_that_of_points():
+    o = view(MARKER_0_NEAR_LEFT)
+    p = transform(MARKER_0_NEAR_LEFT, POINTS)
+    assert pixel_interaction(CAMERA, p).reshape(8, 6) == pytest.approx(800 * Point().interaction(o.xy, o.depth), abs=1e-5)
+
+
+@pytest.mark.parametrize("law", [IBVS, Partitioned, Hybrid], ids=lambda law: law.__name__)
+def test_a_goal_within_the_margin_is_refused(law: type[IBVS | Partitioned | Hybrid]):
+    """The markers' goal is 300 px from the border of 1000."""
+    law(visibility=Visibility(margin_px=299)).check(POINTS, GOAL)
+    with pytest.raises(ParameterError, match=r"^law.visibility.margin_px reaches marker 0 of the goal view, 300 px from the picture"):
+        law(visibility=Visibility(margin_px=301)).check(POINTS, GOAL)

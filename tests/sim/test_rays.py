@@ -263,6 +263,8 @@ class TestChoice:
         assert eye_of(arm(), camera).renderer == "rays (mj_multiRay)"
         with pytest.raises(EnvironmentLackError, match="no OpenGL: MUJOCO_GL=disable is set"):
             eye_of(arm(), replace(camera, renderer="gl"))
+        with pytest.raises(EnvironmentLackError, match=r"shadows need OpenGL \(no OpenGL: MUJOCO_GL=disable is set\); unset MUJOCO_GL"):
+            eye_of(arm(), replace(camera, shadows=True))
 
 
 def test_arm_ibvs_converges_with_the_same_bytes_each_time():

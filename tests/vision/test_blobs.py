@@ -301,6 +301,13 @@ def test_noise_is_estimated_from_the_picture(picture: Picture, sigma: float) -> 
     assert (noise_level(image) == 0) == (sigma == 0)
 
 
+@pytest.mark.parametrize("height", [8, 16, 30, 31, 60])
+def test_noise_of_a_low_picture(height: int) -> None:
+    rng = np.random.default_rng(3)
+    assert noise_level(np.full((height, 640, 3), 90, np.uint8)) == 0
+    assert noise_level(rng.normal(90, 10, (height, 640, 3)).astype(np.uint8)) == pytest.approx(10, rel=0.2)  # one row of 640
+
+
 @pytest.mark.parametrize("camera", [CAMERA, Perspective(multisampling=4)], ids=["sharp", "smooth"])
 def test_centroids_scatter_with_the_noise(picture: Picture, camera: Perspective) -> None:
     target, blobs, rng = _square(Disc(radius=0.02)), Blobs(), np.random.default_rng(4)

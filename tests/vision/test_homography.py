@@ -64,3 +64,11 @@ def test_three_points_make_no_homography():
     xy = project(GOAL)
     xy[0] = np.nan
     assert relative_view(project(GOAL), xy, GOAL[:3, 2]) is None
+
+
+@pytest.mark.parametrize("noise", [0, 0.3 / 800])
+def test_all_points_but_one_on_a_line_make_no_homography(noise: float):
+    points = np.array([[-0.25, 0, 0], [0, 0, 0], [0.25, 0, 0], [0, 0.25, 0]])
+    views = [transform(T, points) for T in (GOAL, *(some_pose() for _ in range(50)))]
+    goal, *others = (p[:, :2] / p[:, 2:] for p in views)
+    assert all(relative_view(goal, xy + RNG.normal(0, noise, (4, 2)), GOAL[:3, 2]) is None for xy in others)

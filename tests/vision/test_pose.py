@@ -66,6 +66,26 @@ def test_exact_pixels_give_the_exact_pose(points: Array) -> None:
         assert rigid_error(found, T) == pytest.approx((0, 0), abs=1e-6)  # single-precision stop of the refinement
 
 
+THREE_IN_LINE = np.array([[-0.25, 0, 0], [0, 0, 0], [0.25, 0, 0], [0, 0.25, 0]])
+FOUR_IN_LINE = np.vstack([THREE_IN_LINE, [[0.1, 0, 0]]])
+
+
+@pytest.mark.parametrize("points", [THREE_IN_LINE, FOUR_IN_LINE, THREE_IN_LINE @ exp(np.array([0, 0, 0, 0.3, 1, 0.5]))[:3, :3].T])
+def test_all_but_one_on_a_line_fix_a_pose_and_no_homography(points: Array) -> None:
+    for T in [*_random_poses(50), _pose(0.3, 0.2, 3.14159, (0.1, 0, 1))]:
+        found = solve_pose(_see(T, points), points)
+        assert found is not None
+        assert rigid_error(found, T) == pytest.approx((0, 0), abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    "xy", [[[-0.2, 0.1], [-0.1, 0.1], [0.1, 0.1], [0.2, 0.1]], [[0.1, 0.1]] * 4, [[0, 0], [0.1, 0], [0.2, 0], [0, 0.1]]]
+)
+def test_pixels_from_which_the_solver_makes_nothing_raise_nothing(xy: list[list[float]]) -> None:
+    found = solve_pose(np.array(xy, dtype=float), SQUARE)  # OpenCV then hands out None for its errors
+    assert found is None or np.isfinite(found).all()
+
+
 def test_noise_of_a_third_of_a_pixel() -> None:
     # .2 m square at .8 m, .3 px at f = 540 px: 1.4 mm and .6 degrees are known; the mirror pose would be off by tens of degrees.
     rng = np.random.default_rng(0)

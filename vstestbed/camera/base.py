@@ -20,6 +20,8 @@ Window = tuple[int, int, int, int]
 """Left, top, right, bottom [px]; right and bottom are the first column and row that no longer belong to it."""
 Look = tuple[tuple[Window, ...], ...]
 """Where somebody is going to look: for each panel of a camera its windows, none where the panel does not matter."""
+SIDES = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
+"""The way inwards from a picture's left, top, right and bottom side."""
 FORWARD_COSINE = 1e-6
 """A ray has normalised coordinates when its Z is larger: from there on X/Z is no measure of anything."""
 
@@ -120,6 +122,14 @@ class Camera(ABC):
         high = np.array([self.width, self.height]) - 0.5 - margin
         with np.errstate(invalid="ignore"):
             return np.all((uv >= -0.5 + margin) & (uv <= high), axis=-1)
+
+    def borders(self, uv: Array) -> tuple[Array, Array]:
+        """How far pixels uv (N, 2) are from each border of the picture (N, B) [px], and the way inwards from it (N, B, 2), unit.
+
+        Here the four sides: left, top, right, bottom.
+        """
+        high = np.array([self.width, self.height]) - 0.5
+        return np.concatenate([uv + 0.5, high - uv], axis=1), np.broadcast_to(SIDES, (len(uv), 4, 2))
 
     def whole(self, p_camera: Array, radius: float, margin: float = 0.0) -> NDArray[np.bool_]:
         """Whether markers of a radius [m] at p_camera (N, 3) lie in the picture, at least `margin` px from its border, shape (N,).

@@ -68,6 +68,15 @@ class Radial(Camera):
         theta = self.angle(_within(np.hypot(m[..., 0], m[..., 1]), self.ring))
         return direction(np.stack([theta, np.arctan2(m[..., 1], m[..., 0])], axis=-1))
 
+    def borders(self, uv: Array) -> tuple[Array, Array]:
+        """As of any camera, and of the image circle; of the blind middle too, where the lens has one."""
+        distance, inwards = super().borders(uv)
+        d = uv - self.centre
+        r = np.linalg.norm(d, axis=1, keepdims=True)
+        out, (inner, outer) = d / np.maximum(r, 1e-9), (self.f * m for m in self.ring)
+        distance, inwards = np.hstack([distance, outer - r]), np.hstack([inwards, -out[:, None]])
+        return (distance, inwards) if inner == 0 else (np.hstack([distance, r - inner]), np.hstack([inwards, out[:, None]]))
+
 
 def _within(value: Array, limits: tuple[float, float]) -> Array:
     """`value`, clipped to limits that it misses by rounding, and NaN where it misses them by more."""

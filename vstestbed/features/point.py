@@ -28,6 +28,7 @@ class Point:
 
     def measure(self, xy: Array) -> Array:
         """The vector s (..., 2N) of xy (..., N, 2)."""
+        xy = np.asarray(xy, dtype=float)
         return xy.reshape(*xy.shape[:-2], 2 * xy.shape[-2])
 
     def interaction(self, xy: Array, depth: Array) -> Array:
@@ -48,4 +49,4 @@ class Point:
 
     def error(self, s: Array, s_star: Array) -> Array:
         """The difference s - s*, shape (..., 2N)."""
-        return s - s_star
+        return np.subtract(s, s_star, dtype=float)

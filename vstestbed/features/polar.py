@@ -6,7 +6,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from vstestbed.features.angles import bounded_inverse, wrap, wrap_together
+from vstestbed.features.angles import bearing_error, bearing_weight
 from vstestbed.features.base import checked
 from vstestbed.geometry import Array
 from vstestbed.spec import spec
@@ -19,8 +19,10 @@ class Polar:
     r_dot   = -(c vx + s vy)/Z + r vz/Z + (1 + r^2) (s wx - c wy)
     phi_dot = (s vx - c vy)/(r Z) + (c wx + s wy)/r - wz,   c = cos phi, s = sin phi
 
-    A point at the principal point has no angle: for r < 1e-3 the factor 1/r falls linearly to zero (`bounded_inverse`),
-    so that of the row of phi nothing but -wz stays at r = 0.
+    A point at the principal point has no angle: the row of phi has the factor w(r)^2 in L and w(r) w(r*) in e, with
+    w(r) = min(1, r/0.01) (`bearing_weight`). Beyond some 4 to 8 pixels it is 1; at r = 0 the row says nothing.
+    (The row of r, too, has no direction there. Where the goal has a marker at the centre, the matrix of the desired view
+    knows it as little as that: with few other markers, take the current one or the mean.)
 
     Args:
         together: near a half turn, all angles turn the same way (`wrap_together`); else each is wrapped alone, as in print,
@@ -50,16 +52,19 @@ class Polar:
         xy, depth = checked(xy, depth, self.inputs)
         s = self.measure(xy).reshape(xy.shape)
         r, cos, sin, inv_z = s[..., 0], np.cos(s[..., 1]), np.sin(s[..., 1]), 1 / depth
-        inv_r = bounded_inverse(r)
+        weight = bearing_weight(r) ** 2
+        inv_r = weight / np.where(r > 0, r, 1)
         L = np.zeros((*xy.shape, 6))
         L[..., 0, 0], L[..., 0, 1], L[..., 0, 2] = -cos * inv_z, -sin * inv_z, r * inv_z
         L[..., 0, 3], L[..., 0, 4] = (1 + r * r) * sin, -(1 + r * r) * cos
         L[..., 1, 0], L[..., 1, 1] = sin * inv_r * inv_z, -cos * inv_r * inv_z
-        L[..., 1, 3], L[..., 1, 4], L[..., 1, 5] = cos * inv_r, sin * inv_r, -1
+        L[..., 1, 3], L[..., 1, 4], L[..., 1, 5] = cos * inv_r, sin * inv_r, -weight
         return L.reshape(*xy.shape[:-2], 2 * xy.shape[-2], 6)
 
     def error(self, s: Array, s_star: Array) -> Array:
-        """Error s - s* (..., 2N); the angles wrapped, all with one sign near a half turn (`wrap_together`)."""
-        e = np.subtract(s, s_star, dtype=float)
-        e[..., 1::2] = wrap_together(e[..., 1::2]) if self.together else wrap(e[..., 1::2])
+        """Error s - s* (..., 2N); the angles wrapped, and weighted near the principal point (`bearing_error`)."""
+        s, s_star = np.asarray(s, dtype=float), np.asarray(s_star, dtype=float)
+        e = s - s_star
+        r, r_star = s[..., 0::2], s_star[..., 0::2]
+        e[..., 1::2] = bearing_error(s[..., 1::2], s_star[..., 1::2], r, r_star, self.together)
         return e

@@ -15,6 +15,8 @@ from vstestbed.spec import spec
 
 SHARE = 0.8
 """A segment counts from this share of the longest one's length on; a square's sides (0.71 of its diagonals) do not."""
+FLAT = 1e-2
+"""Sigma under this share of the longest segment is no size: markers on one line, a plane edge on, loops that cancel."""
 SizeError = Literal["difference", "ratio", "log"]
 
 
@@ -67,6 +69,14 @@ class Polygon:
 def size(xy: Array) -> Array:
     """Sigma (...), the root of the area of the polygon with vertices xy (..., N, 2) in their order."""
     return np.sqrt(np.abs(_signed_area(np.asarray(xy, dtype=float))))
+
+
+def spans_area(sigma: Array, d: Array) -> bool:
+    """Whether a polygon's size sigma (), with the segments d (P, 2) between its vertices, is one that can be told.
+
+    Not where the vertices lie on one line, nor where it crosses itself and its loops, which run opposite ways, cancel.
+    """
+    return bool(sigma > FLAT * np.hypot(d[:, 0], d[:, 1]).max())
 
 
 def size_error(sigma: Array, sigma_star: Array, form: SizeError = "difference") -> Array:

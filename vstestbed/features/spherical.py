@@ -6,7 +6,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from vstestbed.features.angles import bounded_inverse, wrap, wrap_together
+from vstestbed.features.angles import bearing_error, bearing_weight
 from vstestbed.features.base import checked
 from vstestbed.geometry import Array
 from vstestbed.spec import spec
@@ -20,7 +20,8 @@ class Spherical:
     phi_dot   = (s vx - c vy)/(R sin theta) + (c wx + s wy) cos theta/sin theta - wz,   c = cos phi, s = sin phi
 
     R is the range, not the depth. theta lies in [0, pi]; an arc sine would fold what is behind the equator to the front.
-    On the axis phi is not defined: for sin theta < 1e-3 the factor 1/sin theta falls linearly to zero (`bounded_inverse`).
+    On the axis, ahead as behind, phi is not defined: its row has the factor w(sin theta)^2 in L and w(sin theta) w(sin theta*)
+    in e, with w(r) = min(1, r/0.01) (`bearing_weight`). Beyond .6 degrees it is 1; on the axis the row says nothing.
 
     Args:
         together: near a half turn, all angles turn the same way (`wrap_together`); else each is wrapped alone, as in print,
@@ -51,16 +52,19 @@ class Spherical:
         ray, range_ = checked(ray, range_, self.inputs)
         s = self.measure(ray).reshape(*ray.shape[:-1], 2)
         (cos_t, cos), (sin_t, sin) = np.moveaxis(np.cos(s), -1, 0), np.moveaxis(np.sin(s), -1, 0)
-        inv_r, inv_sin = 1 / range_, bounded_inverse(sin_t)
+        inv_r, weight = 1 / range_, bearing_weight(sin_t) ** 2
+        inv_sin = weight / np.where(sin_t > 0, sin_t, 1)
         L = np.zeros((*s.shape, 6))
         L[..., 0, 0], L[..., 0, 1], L[..., 0, 2] = -cos_t * cos * inv_r, -cos_t * sin * inv_r, sin_t * inv_r
         L[..., 0, 3], L[..., 0, 4] = sin, -cos
         L[..., 1, 0], L[..., 1, 1] = sin * inv_sin * inv_r, -cos * inv_sin * inv_r
-        L[..., 1, 3], L[..., 1, 4], L[..., 1, 5] = cos * cos_t * inv_sin, sin * cos_t * inv_sin, -1
+        L[..., 1, 3], L[..., 1, 4], L[..., 1, 5] = cos * cos_t * inv_sin, sin * cos_t * inv_sin, -weight
         return L.reshape(*ray.shape[:-2], 2 * ray.shape[-2], 6)
 
     def error(self, s: Array, s_star: Array) -> Array:
-        """Error s - s* (..., 2N); theta as it is, phi wrapped, all with one sign near a half turn (`wrap_together`)."""
-        e = np.subtract(s, s_star, dtype=float)
-        e[..., 1::2] = wrap_together(e[..., 1::2]) if self.together else wrap(e[..., 1::2])
+        """Error s - s* (..., 2N); theta as it is, phi wrapped, and weighted near the axis (`bearing_error`)."""
+        s, s_star = np.asarray(s, dtype=float), np.asarray(s_star, dtype=float)
+        e = s - s_star
+        sine, sine_star = np.sin(s[..., 0::2]), np.sin(s_star[..., 0::2])
+        e[..., 1::2] = bearing_error(s[..., 1::2], s_star[..., 1::2], sine, sine_star, self.together)
         return e

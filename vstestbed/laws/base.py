@@ -52,6 +52,14 @@ class Law(Protocol[M]):
         """How many markers must be seen at least for the robot's motions, basis (6, n)."""
         ...
 
+    def check(self, points: Array, goal: Goal) -> None:
+        """Refuse markers (N, 3) in the target frame [m], or a goal view of them, that it cannot work with.
+
+        Raises:
+            ParameterError: it names a field of the scenario (`target`, `law.visibility`, ...).
+        """
+        ...
+
     def init(self, goal: Goal) -> M:
         """The memory before the first frame."""
         ...

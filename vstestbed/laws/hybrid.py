@@ -6,8 +6,9 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
+from vstestbed.errors import ParameterError
 from vstestbed.features import LogDepth, Point, ThetaU
-from vstestbed.geometry import Array
+from vstestbed.geometry import Array, inverse
 from vstestbed.laws.base import Command, ConstantGain, Gain, TwistLimits
 from vstestbed.laws.select import NO_POSE, TOO_FEW
 from vstestbed.laws.solve import least_squares
@@ -15,6 +16,8 @@ from vstestbed.laws.visibility import Visibility
 from vstestbed.observation import Depth, Goal, Observation, PnP
 from vstestbed.spec import spec
 
+FLAT = 1e-3
+"""Markers that reach less far than this share of the set's length off a plane (a line) lie on it."""
 _THETA_U, _POINT, _LOG_DEPTH = ThetaU(), Point(), LogDepth()
 
 
@@ -22,17 +25,19 @@ _THETA_U, _POINT, _LOG_DEPTH = ThetaU(), Point(), LogDepth()
 class Hybrid:
     """u = -lambda pinv(L B) e with e = (x - x*, y - y*, log(Z/Z*), theta u), camera twist v = B u.
 
-    (x, y) is the image of the target's origin, Z its depth, R_goal_camera the rotation of theta u. They come
-    - from the `homography` between the goal view and this one: the target's plane takes m* (goal) to Z/Z* m = H m*, and
-      H = R + t n^T/d* falls apart into the rotation, the ratio Z/Z* and the image of the origin without the target's
-      measures; the depth Z* at the goal is known;
+    (x, y) is the image of the markers' middle (their mean in space), Z its depth, R_goal_camera the rotation of theta u. They
+    come
+    - from the `homography` between the goal view and this one: the markers' plane, in which their middle lies, takes m*
+      (goal) to Z/Z* m = H m*, and H = R + t n^T/d* falls apart into the rotation, the ratio Z/Z* and the image of the middle
+      without the target's measures; the depth Z* at the goal is known;
     - or from the `model`: the pose by perspective-n-point.
-    The origin's image is a linear function of time, so that the target stays in view for small rotations, and the law has
+    The middle's image is a linear function of time, so that the target stays in view for small rotations, and the law has
     no local minimum and no singularity in front of the target.
 
     Args:
         gain: lambda [1/s].
-        source: `homography` (default, for markers in one plane, four or more of them seen) or `model`.
+        source: `homography` (default, for markers in one plane, four or more of them seen, not all but one on a line) or
+            `model`.
         limits: largest speed and rate of the commanded twist.
         visibility: keeps markers off the picture's border.
 
@@ -51,6 +56,20 @@ class Hybrid:
         """The field of an Observation that it looks at."""
         return ("relative",) if self.source == "homography" else ("T_camera_target",)
 
+    def check(self, points: Array, goal: Goal) -> None:
+        """Refuse what `visibility` does; for a homography, markers not in one plane, and all of them but one on a line."""
+        self.visibility.check(goal)
+        if self.source == "model":
+            return
+        *_, thickness = reaches = _reaches(points)
+        if thickness > FLAT * reaches[0]:
+            words = "has markers in space, and a homography takes them to lie in one plane; use law.source: model"
+        elif any(_reaches(np.delete(points, i, axis=0))[1] <= FLAT * reaches[0] for i in range(len(points))):
+            words = "has all markers but one on a line, which leaves the homography open; use law.source: model, or other places"
+        else:
+            return
+        raise ParameterError("target", words)
+
     def init(self, goal: Goal) -> None:
         """No memory."""
 
@@ -65,7 +84,7 @@ class Hybrid:
         compared = self._compare(observation, goal)
         if compared is None:
             return None, Command.rest(basis, NO_POSE)
-        e, L = self.feature(*compared, goal.T_camera_target[:3, 3])
+        e, L = self.feature(*compared, goal.middle)
         solved = least_squares(L @ basis, e)
         u = -self.gain.at(solved) * solved
         if self.visibility.margin_px > 0:
@@ -73,17 +92,25 @@ class Hybrid:
         return None, self.limits.command(u, basis)
 
     def _compare(self, observation: Observation, goal: Goal) -> tuple[Array, Array] | None:
-        """The target's origin over Z* (3,) in the camera's frame, and R_goal_camera (3, 3)."""
-        o, relative = goal.T_camera_target[:3, 3], observation.relative
+        """The markers' middle over Z* (3,) in the camera's frame, and R_goal_camera (3, 3)."""
+        o, relative = goal.middle, observation.relative
         if self.source == "homography":
             return None if relative is None else (relative.H @ (o / o[2]), relative.R_camera_goal.T)
         T = observation.T_camera_target
-        return None if T is None else (T[:3, 3] / o[2], goal.T_camera_target[:3, :3] @ T[:3, :3].T)
+        if T is None:
+            return None
+        T_camera_goal = T @ inverse(goal.T_camera_target)
+        return (T_camera_goal[:3, :3] @ o + T_camera_goal[:3, 3]) / o[2], T_camera_goal[:3, :3].T
 
-    def feature(self, m: Array, R_goal_camera: Array, goal_origin: Array) -> tuple[Array, Array]:
-        """The error (6,) and L (6, 6), of the origin at m Z* (3,), the rotation (3, 3), and the origin at the goal (3,) [m]."""
-        xy, goal_xy, ratio = m[:2] / m[2], goal_origin[:2] / goal_origin[2], m[2]
-        Z = ratio * goal_origin[2]
+    def feature(self, m: Array, R_goal_camera: Array, goal_middle: Array) -> tuple[Array, Array]:
+        """The error (6,) and L (6, 6), of the middle at m Z* (3,), the rotation (3, 3), and the middle at the goal (3,) [m]."""
+        xy, goal_xy, ratio = m[:2] / m[2], goal_middle[:2] / goal_middle[2], m[2]
+        Z = ratio * goal_middle[2]
         at, depth = xy[None], np.array([Z])
         L = np.concatenate([_POINT.interaction(at, depth), _LOG_DEPTH.interaction(at, depth), _THETA_U.interaction(R_goal_camera)])
         return np.concatenate([xy - goal_xy, [np.log(ratio)], _THETA_U.measure(R_goal_camera)]), L
+
+
+def _reaches(points: Array) -> Array:
+    """How far points (N, 3) reach along their own three axes, from the longest to the shortest (3,) [m]."""
+    return np.linalg.svd(points - points.mean(axis=0), compute_uv=False).astype(float)

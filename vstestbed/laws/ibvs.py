@@ -11,7 +11,7 @@ from annotated_types import Ge
 from vstestbed.features import FEATURES, Line, Point, Polar, Polygon, Spherical
 from vstestbed.geometry import Array
 from vstestbed.laws.base import Command, ConstantGain, Gain, TwistLimits
-from vstestbed.laws.select import Rows, usable_rows
+from vstestbed.laws.select import Rows, require_area, usable_rows
 from vstestbed.laws.solve import least_squares
 from vstestbed.laws.visibility import Visibility
 from vstestbed.observation import Depth, Goal, Observation, PnP
@@ -35,7 +35,9 @@ class IBVS:
     Errata. Chapter 16 of Corke 2017 has polar and spherical features as here (eqs 16.9, 16.15), but theta = asin(r) in
     eq. 16.11, which is wrong behind the camera's equator; each feature says what it does instead. With an exact half turn
     the matrix at the current view makes points diverge, the one at the goal takes the camera through the target, their mean
-    stands still: that is the law, not a defect.
+    stands still: that is the law, not a defect. Three markers look the same from up to four places, and with points (`point`,
+    `polar`, `spherical`) e is zero at each of them: the law may come to rest at another one than the goal. Four in one plane
+    have one.
 
     Args:
         gain: lambda [1/s], a number or an adaptive gain of pinv(L B) e, the motion still to be made.
@@ -63,6 +65,12 @@ class IBVS:
     def inputs(self) -> tuple[str, ...]:
         """The fields of an Observation that its feature takes."""
         return self.feature.inputs
+
+    def check(self, points: Array, goal: Goal) -> None:
+        """Refuse what `visibility` does; with the feature `polygon`, a goal view of three or more markers without a size."""
+        self.visibility.check(goal)
+        if isinstance(self.feature, Polygon) and len(points) > 2:
+            require_area(goal)
 
     def init(self, goal: Goal) -> IBVSMemory:
         """No command given yet."""

@@ -11,10 +11,10 @@ from annotated_types import Gt, Len
 
 from vstestbed.errors import ParameterError
 from vstestbed.features import Point
-from vstestbed.features.polygon import angle_error, segments, size, size_error
+from vstestbed.features.polygon import angle_error, segments, size, size_error, spans_area
 from vstestbed.geometry import Array
 from vstestbed.laws.base import Command, ConstantGain, Gain, TwistLimits
-from vstestbed.laws.select import Rows, usable_rows
+from vstestbed.laws.select import NO_AREA, Rows, require_area, usable_rows
 from vstestbed.laws.solve import least_squares
 from vstestbed.laws.visibility import Visibility
 from vstestbed.observation import Depth, Goal, Observation, PnP
@@ -80,12 +80,23 @@ class Partitioned:
         """The fields of an Observation that it looks at."""
         return ("xy", "depth")
 
+    def check(self, points: Array, goal: Goal) -> None:
+        """Refuse fewer than four markers, a goal view without a size (`require_area`), and what `visibility` does.
+
+        Three look the same from up to four places: the points' error vanishes at each, and size and angle with it.
+        """
+        if len(points) < 4:
+            words = f"has {len(points)} markers, and law partitioned needs 4 or more: three look as at the goal from up to four places"
+            raise ParameterError("target", words)
+        require_area(goal)
+        self.visibility.check(goal)
+
     def init(self, goal: Goal) -> PartitionedMemory:
         """No turn chosen yet."""
         return PartitionedMemory()
 
     def markers_needed(self, basis: Array) -> int:
-        """Three markers span an area.
+        """Three markers span an area: enough to go on with while others are hidden, not to begin with (`check`).
 
         Raises:
             ParameterError: the robot cannot move its camera in all six directions.
@@ -96,13 +107,16 @@ class Partitioned:
         return 3
 
     def step(self, memory: PartitionedMemory, observation: Observation, goal: Goal, basis: Array) -> tuple[PartitionedMemory, Command]:
-        """One frame, with the markers that are seen; rest when they are too few."""
+        """One frame, with the markers that are seen; rest when they are too few or span no area."""
         rows = usable_rows(observation, self.inputs, self.markers_needed(basis))
         if isinstance(rows, str):
             return memory, Command.rest(basis, rows)
         xy, goal_xy = observation.xy[rows], goal.xy[rows]
-        turn = self._turn(memory, float(angle_error(segments(xy), segments(goal_xy))))
-        along = -self.gain_z * float(size_error(size(xy), size(goal_xy), self.sigma))
+        sigma, d, sigma_star, d_star = size(xy), segments(xy), size(goal_xy), segments(goal_xy)
+        if not (spans_area(sigma, d) and spans_area(sigma_star, d_star)):
+            return memory, Command.rest(basis, NO_AREA)
+        turn = self._turn(memory, float(angle_error(d, d_star)))
+        along = -self.gain_z * float(size_error(sigma, sigma_star, self.sigma))
         twist = self._twist(observation, goal, rows, along, self.gain_turn * turn)
         if self.visibility.margin_px > 0:
             twist = twist + basis @ self.visibility.push(observation, goal, basis)

@@ -5,12 +5,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from vstestbed.errors import ParameterError
+from vstestbed.features.polygon import segments, size, spans_area
 from vstestbed.geometry import all_finite
-from vstestbed.observation import Observation
+from vstestbed.observation import Goal, Observation
 
 Rows = slice | NDArray[np.bool_]
 """Which markers' rows are taken."""
 TOO_FEW, NO_DEPTH, NO_POSE = "too few markers in sight", "the depth of the markers in sight cannot be told", "the pose cannot be told"
+NO_AREA = "the markers in sight span no area"
 """Why a law orders rest."""
 ALL = slice(None)
 
@@ -32,3 +35,14 @@ def usable_rows(observation: Observation, inputs: tuple[str, ...], needed: int) 
     if np.count_nonzero(usable) >= needed:
         return usable
     return TOO_FEW if np.count_nonzero(seen) < needed else NO_DEPTH
+
+
+def require_area(goal: Goal) -> None:
+    """Refuse a goal view in which the markers' polygon has no size.
+
+    Raises:
+        ParameterError: it has none.
+    """
+    if not spans_area(size(goal.xy), segments(goal.xy)):
+        words = "spans no area in the goal view, which is where size is told from; markers may not lie on one line, and they are taken"
+        raise ParameterError("target", f"{words} in their order, round the polygon: a bow tie's two loops cancel")

@@ -7,7 +7,8 @@ from typing import Annotated
 import numpy as np
 from annotated_types import Ge, Gt
 
-from vstestbed.features import Point
+from vstestbed.camera import Camera
+from vstestbed.errors import ParameterError
 from vstestbed.geometry import Array
 from vstestbed.laws.select import usable_rows
 from vstestbed.laws.solve import least_squares
@@ -16,19 +17,19 @@ from vstestbed.spec import spec
 
 NEAREST = 0.2
 """The field grows no more nearer to the border than this share of the margin."""
-STEP_PX = 0.5
-"""A pixel's motion is turned into normalised coordinates by a difference over this [px]."""
-
-_POINT = Point()
+STEP = 1e-6
+"""A lens's picture is differentiated over motions of this size [m, rad]."""
 
 
 @spec
 class Visibility:
     """Markers within a margin of the picture's border are pushed inwards.
 
+    The border: the picture's sides, for fisheye and catadioptric lenses also the image circle (and a mirror's blind middle).
+
     With d the distance of a marker to a border, d0 the margin and x = d/d0, the field is the negative gradient of the
     potential (1/x - 1)^2 / 2: the marker's image is to move inwards at  f = strength (1/x - 1)/x^2  [px/s], nothing beyond
-    the margin; the camera makes as much of it as it can: u = pinv(L B) f with the rows of the markers concerned. One marker at the border
+    the margin; the camera makes as much of it as it can: u = pinv(L B) f with the rows of the pixels concerned. One marker at the border
     pans the camera; all of them, as under a large rotation, make it back off.
 
     Args:
@@ -42,28 +43,54 @@ class Visibility:
     margin_px: Annotated[float, Ge(0)] = 0.0
     strength_pxps: Annotated[float, Gt(0)] = 20.0
 
+    def check(self, goal: Goal) -> None:
+        """Refuse a goal with a marker inside the margin: the field would hold the camera off it.
+
+        Raises:
+            ParameterError: one is, or the camera's picture has no border.
+        """
+        if self.margin_px == 0:
+            return
+        if len(goal.camera.panels) > 1:
+            words = "must be 0 with a camera that sees all round: its picture has no border to keep off"
+            raise ParameterError("law.visibility.margin_px", words, self.margin_px)
+        nearest = goal.camera.borders(goal.uv)[0].min(axis=1)
+        marker = int(nearest.argmin())
+        if nearest[marker] <= self.margin_px:
+            words = f"reaches marker {marker} of the goal view, {nearest[marker]:.4g} px from the picture's border, and would hold it off"
+            raise ParameterError("law.visibility.margin_px", f"{words} its goal; use less, or a goal farther back", self.margin_px)
+
     def push(self, observation: Observation, goal: Goal, basis: Array) -> Array:
         """The motion (n,) that keeps markers off the border; zero where none is near it. `goal` knows the lens."""
-        rows = usable_rows(observation, ("xy", "depth"), 1)
         nothing = np.zeros(basis.shape[1])
+        around = observation.ray is not None and observation.range is not None
+        rows = usable_rows(observation, ("ray", "range") if around else ("xy", "depth"), 1)
         if isinstance(rows, str):
             return nothing
-        camera, uv = goal.camera, observation.uv[rows]
-        speed = self._inwards(uv, camera.width, camera.height)
+        speed = self._inwards(goal.camera, observation.uv[rows])
         near = speed.any(axis=1)
         if not near.any():
             return nothing
-        uv, speed, depth = uv[near], speed[near], observation.depth[rows][near]
-        size = np.linalg.norm(speed, axis=1, keepdims=True)
-        xy = camera.normalise(uv)
-        flow = (camera.normalise(uv + STEP_PX * speed / size) - xy) / STEP_PX * size
-        return least_squares(_POINT.interaction(xy, depth) @ basis, flow.ravel())
+        L = pixel_interaction(goal.camera, _points(observation)[rows][near])
+        return least_squares(L.reshape(-1, 6) @ basis, speed[near].ravel())
 
-    def _inwards(self, uv: Array, width: int, height: int) -> Array:
+    def _inwards(self, camera: Camera, uv: Array) -> Array:
         """Wanted speed of pixels uv (N, 2) in the image [px/s], shape (N, 2)."""
-        high = np.array([width, height]) - 0.5
-        return self._speed(uv + 0.5) - self._speed(high - uv)
-
-    def _speed(self, distance: Array) -> Array:
+        distance, inwards = camera.borders(uv)
         x = np.clip(distance / self.margin_px, NEAREST, 1.0)
-        return self.strength_pxps * (1 / x - 1) / x**2
+        return np.einsum("nb,nbk->nk", self.strength_pxps * (1 / x - 1) / x**2, inwards)
+
+
+def _points(observation: Observation) -> Array:
+    """Where the markers are in the camera's frame as far as the law knows, shape (N, 3) [m]."""
+    if observation.ray is not None and observation.range is not None:
+        return observation.ray * observation.range[:, None]
+    xy = observation.xy
+    return np.column_stack([xy, np.ones(len(xy))]) * observation.depth[:, None]
+
+
+def pixel_interaction(camera: Camera, p: Array) -> Array:
+    """L (N, 2, 6) of the pixels of points p (N, 3) [m] in any lens, uv_dot = L v, by differences over p_dot = -v - w x p."""
+    flow = np.concatenate([np.broadcast_to(-np.eye(3)[:, None], (3, len(p), 3)), -np.cross(np.eye(3)[:, None], p)])
+    L = (camera.project(p + STEP * flow) - camera.project(p - STEP * flow)) / (2 * STEP)
+    return np.nan_to_num(np.moveaxis(L, 0, -1))  # not a number: at the very rim of what the lens sees

@@ -105,8 +105,11 @@ def _chosen(camera: Camera, by_gl: Callable[[], T], by_rays: Callable[[], T]) ->
         lack = gl.explain(error) if isinstance(error, ImportError) else error
         if camera.renderer == "gl" or lack is None:
             raise
-    made = by_rays()
-    _say(str(lack).partition("; ")[0])
+    try:
+        made = by_rays()
+    except EnvironmentLackError as refused:  # what rays cannot draw, and why it is left to them
+        raise EnvironmentLackError(f"{refused.lack} ({lack.lack})", lack.remedy) from None
+    _say(lack.lack)
     return made
 
 

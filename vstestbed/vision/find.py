@@ -24,7 +24,8 @@ ROUGHNESS_PX = {"sharp": 1.0, "binary": 1.5, "grey": 1.5}
 7 % are hidden is past both."""
 
 NOISE_ROWS = 60
-"""A picture's noise is estimated from every so many rows: 480 rows give 5112 differences, enough for a few percent."""
+"""A picture's noise is estimated from every so many rows: 480 rows give 5112 differences, enough for a few percent.
+Of a lower picture the row in the middle is taken."""
 MEDIAN_STEP = 0.6745 * math.sqrt(2)
 """Median absolute difference of two independent Gaussian numbers, in their standard deviations."""
 NOISE_ROUGHNESS_PX = 0.1
@@ -75,7 +76,8 @@ def noise_level(image: Image) -> float:
     exactly 0 without noise. Noise under about .7 is lost in the rounding to grey levels. A backdrop as rough as noise
     counts as noise.
     """
-    rows = np.ascontiguousarray(image[NOISE_ROWS // 2 :: NOISE_ROWS, :, 1])
+    first = min(NOISE_ROWS, len(image)) // 2
+    rows = np.ascontiguousarray(image[first::NOISE_ROWS, :, 1])
     steps = cv2.absdiff(rows[:, 1:], rows[:, :-1])
     if 2 * cv2.countNonZero(steps) <= steps.size:
         return 0.0

@@ -52,7 +52,7 @@ class Observer:
 
     def init(self) -> ObserverMemory:
         """The memory before the first frame."""
-        return ObserverMemory(flow=init_flow(self.depth, len(self.target.points)) if isinstance(self.depth, Estimate) else None)
+        return ObserverMemory(flow=init_flow(len(self.target.points)) if isinstance(self.depth, Estimate) else None)
 
     def uses_motion(self, detection: Detection) -> bool:
         """Whether `observe` will look at the twist: to estimate depth, or to carry the pose on where markers are missing."""
@@ -80,16 +80,16 @@ class Observer:
         uv, T = detection.uv, detection.T_camera_target
         if self.pixel_sigma_px > 0:
             uv = uv + rng.normal(0.0, self.pixel_sigma_px, uv.shape)
-        if self._poses and (T is None or self.pixel_sigma_px > 0):
-            T = self._pose(uv, t, memory, T, twist)
-        xy = self.camera.normalise(uv)
-        flow = memory.flow
-        if isinstance(self.depth, Estimate) and flow is not None:
-            flow = update_flow(self.depth, flow, t, xy, twist)
+        xy, flow = self.camera.normalise(uv), memory.flow
+        solve = self._poses and (T is None or self.pixel_sigma_px > 0)
+        ray = self.camera.ray(uv) if solve or self._rays or flow is not None else None
+        if solve and ray is not None:
+            T = self._pose(ray, t, memory, T, twist)
+        if isinstance(self.depth, Estimate) and flow is not None and ray is not None:
+            flow = update_flow(self.depth, flow, t, ray, twist)
         depth, reach = self._distances(detection, T, flow, xy)
-        ray = self.camera.ray(uv) if self._rays else None
-        relative = relative_view(self.goal.xy, xy, self.goal.T_camera_target[:3, 2]) if "relative" in self.wanted else None
-        return ObserverMemory(t, T, flow), Observation(t, uv, xy, depth, T, ray, reach, relative)
+        relative = relative_view(self.goal.xy, xy, self.goal.normal) if "relative" in self.wanted else None
+        return ObserverMemory(t, T, flow), Observation(t, uv, xy, depth, T, ray if self._rays else None, reach, relative)
 
     @property
     def _rays(self) -> bool:
@@ -99,20 +99,20 @@ class Observer:
     def _poses(self) -> bool:
         return isinstance(self.depth, PnP) or "T_camera_target" in self.wanted
 
-    def _pose(self, uv: Array, t: float, memory: ObserverMemory, hint: Array | None, twist: Array) -> Array | None:
-        """The pose solved from noisy or bare pixels; else the last one, carried on."""
+    def _pose(self, ray: Array, t: float, memory: ObserverMemory, hint: Array | None, twist: Array) -> Array | None:
+        """The pose solved from the rays (N, 3) of noisy or bare pixels; else the last one, carried on."""
         last = memory.T_camera_target
         carried = hint if last is None else exp(-twist * (t - memory.t)) @ last
-        seen = np.isfinite(uv[:, 0])
+        seen = np.isfinite(ray[:, 0])  # noise may put a pixel outside a lens's circle
         if np.count_nonzero(seen) < 3:
             return carried
-        found = solve_pose_from_rays(self.camera.ray(uv[seen]), self.target.points[seen], carried)
+        found = solve_pose_from_rays(ray[seen], self.target.points[seen], carried)
         return carried if found is None else found
 
     def _distances(self, detection: Detection, T: Array | None, flow: FlowMemory | None, xy: Array) -> tuple[Array, Array | None]:
         """Depth of each marker (N,) and, where the law wants it, range (N,) [m]; NaN where not known.
 
-        A constant is taken for either; an estimate by flow is of depth, and tells the range of what is in front.
+        A constant is taken for either; an estimate by flow is of range, and tells the depth too.
         """
         n = len(detection.uv)
         match self.depth:
@@ -127,8 +127,8 @@ class Observer:
             case AtGoal():
                 return self.goal.depth, self.goal.range
             case Estimate() if flow is not None:
-                depth = 1 / flow.inverse_depth
-                return depth, depth * np.sqrt(1 + (xy * xy).sum(axis=1)) if self._rays else None
+                reach = 1 / flow.inverse_range
+                return reach * flow.ray[:, 2], reach if self._rays else None
             case OracleDepth() if detection.p_camera is not None:
                 p = detection.p_camera
                 return p[:, 2], np.linalg.norm(p, axis=1) if self._rays else None

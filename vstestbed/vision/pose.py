@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
+from itertools import combinations
 from typing import Literal
 
 import cv2
@@ -47,6 +48,8 @@ def solve_pose(xy: Array, points: Array, previous: Array | None = None) -> Array
     - IPPE for coplanar points (N >= 4), both of its poses weighed: the better fit where it fits clearly better, else the
       one nearer to `previous`;
     - SQPnP for points in space (N >= 4);
+    - P3P for points of which all but one lie on a line: they fix no homography, which IPPE starts from, and SQPnP finds a
+      lesser minimum for one view in fourteen. The pose that three of them leave and the others fit best;
     - P3P for three points: the pose nearest to `previous`, None without one.
     A pose that puts a point behind the camera is no solution, nor is one that leaves half of the image's spread unexplained.
     Points on one line have none.
@@ -77,7 +80,7 @@ def solve_pose(xy: Array, points: Array, previous: Array | None = None) -> Array
         if error < STANDS * spread and _step(T, previous) < CONTINUES:
             return T
     planar = shape == "plane"
-    found = _candidates(xy, points, planar)
+    found = _from_three(xy, points) if shape == "line and one" else _candidates(xy, points, planar)
     if planar and any(_doubtful(error, angle, spread) for error, angle, _ in found):
         found += [(error, angle, T @ _TURN) for error, angle, T in _candidates(xy, points @ _TURN[:3, :3].T, planar)]
     fitting = [(error, T) for error, _, T in found if error < FITS * spread and _in_front(T, points)]
@@ -135,8 +138,18 @@ def _virtual(rays: Array) -> Array | None:
 def _candidates(xy: Array, points: Array, planar: bool) -> list[tuple[float, float, Array]]:
     """Of each pose the solver finds: the error [rms of one coordinate], the length of the rotation vector, the pose (4, 4)."""
     flag = cv2.SOLVEPNP_IPPE if planar else cv2.SOLVEPNP_SQPNP
-    _, rotations, translations, errors = cv2.solvePnPGeneric(points, xy, _K, None, flags=flag)
+    found, rotations, translations, errors = cv2.solvePnPGeneric(points, xy, _K, None, flags=flag)
+    if not found:
+        return []
     return [(e, cv2.norm(r), _matrix(r, t)) for r, t, e in zip(rotations, translations, errors.ravel().tolist(), strict=True)]
+
+
+def _from_three(xy: Array, points: Array) -> list[tuple[float, float, Array]]:
+    """As `_candidates`, of the poses that three of the points leave: the three that span the largest triangle."""
+    triples = np.array(list(combinations(range(len(points)), 3)))
+    a, b, c = np.moveaxis(points[triples], 1, 0)
+    chosen = triples[np.linalg.norm(np.cross(b - a, c - a), axis=1).argmax()]
+    return [(_misfit(T, xy, points), 0.0, T) for T in _three(xy[chosen], points[chosen])]
 
 
 def _error(candidate: tuple[float, Array]) -> float:
@@ -157,14 +170,19 @@ def _refine(xy: Array, points: Array, T: Array) -> tuple[Array, float]:
     turn = _START.T @ T[:3, :3]
     turned = points @ turn.T
     refined = _matrix(*cv2.solvePnPRefineVVS(turned, xy, _K, None, _START_VECTOR.copy(), T[:3, 3:].copy()))
-    p = turned @ refined[:3, :3].T
-    p += refined[:3, 3]
+    error = _misfit(refined, xy, turned)
+    refined[:3, :3] = refined[:3, :3] @ turn
+    return refined, error
+
+
+def _misfit(T: Array, xy: Array, points: Array) -> float:
+    """Rms error of one image coordinate under a pose; infinite where a point comes behind the camera."""
+    p = points @ T[:3, :3].T
+    p += T[:3, 3]
     z = p[:, 2:]
     residual = p[:, :2] / z
     residual -= xy
-    error = math.sqrt(np.vdot(residual, residual) / xy.size) if (z > 0).all() else math.inf
-    refined[:3, :3] = refined[:3, :3] @ turn
-    return refined, error
+    return math.sqrt(np.vdot(residual, residual) / xy.size) if (z > 0).all() else math.inf
 
 
 def _spread(xy: Array) -> float:
@@ -213,10 +231,21 @@ def _looking_along(direction: Array) -> Array:
 
 
 @lru_cache(maxsize=4096)
-def _layout(points: bytes) -> Literal["line", "plane", "space"]:
+def _layout(points: bytes) -> Literal["line", "line and one", "plane", "space"]:
     """How points (N, 3) lie, given as bytes so that the answer can be kept: the same few sets come back at each frame."""
     p = np.frombuffer(points).reshape(-1, 3)
-    s = np.linalg.svd(p - p.mean(axis=0), compute_uv=False)
-    if s[1] < 1e-6 * s[0] or s[0] == 0:
+    s = _extent(p)
+    if _flat(s, 1):
         return "line"
-    return "plane" if len(p) == 3 or s[2] < 1e-6 * s[0] else "space"
+    if len(p) > 3 and not _flat(s, 2):
+        return "space"
+    return "line and one" if any(_flat(_extent(np.delete(p, i, axis=0)), 1) for i in range(len(p))) else "plane"
+
+
+def _extent(points: Array) -> Array:
+    """Singular values (3,) [m] of points (N, 3) about their mean: how far they reach along their own three axes."""
+    return np.linalg.svd(points - points.mean(axis=0), compute_uv=False).astype(float)
+
+
+def _flat(extent: Array, axis: int) -> bool:
+    return bool(extent[axis] <= 1e-6 * extent[0])
