@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -10,6 +11,9 @@ from pathlib import Path
 import pytest
 
 import vstestbed.sim  # noqa: F401 - chooses MUJOCO_GL before any test imports mujoco
+
+if "PYTEST_XDIST_WORKER" in os.environ:  # tests side by side: Mesa draws with a core each
+    os.environ.setdefault("LP_NUM_THREADS", "0")
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 
@@ -43,8 +47,6 @@ def command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capt
 @pytest.fixture
 def vstestbed_process() -> tuple[list[str], dict[str, str]]:
     """The words and the environment that start vstestbed as a process of its own."""
-    import os
-
     paths = [str(REPOSITORY), os.environ.get("PYTHONPATH", "")]
     environment = {k: v for k, v in os.environ.items() if k not in ("MUJOCO_GL", "PYOPENGL_PLATFORM")}
     return [sys.executable, "-m", "vstestbed"], environment | {"PYTHONPATH": os.pathsep.join(filter(None, paths))}

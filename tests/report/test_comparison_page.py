@@ -172,7 +172,7 @@ def test_nothing_but_crashes_still_has_a_report(tmp_path: Path) -> None:
 
 
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("controllers", [1, 5, 9, 30])
+@pytest.mark.parametrize("controllers", [1, 5, 9, pytest.param(30, marks=pytest.mark.study)])
 def test_any_number_of_controllers(tmp_path: Path, controllers: int) -> None:
     frame = build(tmp_path, {f"a controller with a long name, number {k}": 1 + 0.2 * k for k in range(controllers)}, 2)
     path = write_comparison_report(tmp_path, frame, (), metrics=("time_to_converge_s", "time_ms.physics"))
