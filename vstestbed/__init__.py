@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from vstestbed import features
+    from vstestbed.comparing import compare
     from vstestbed.loop import run
     from vstestbed.recording import Recording
     from vstestbed.runs import run_into
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from vstestbed.stop import Outcome
 
 _HOMES = {
+    "compare": "vstestbed.comparing",
     "run": "vstestbed.loop",
     "run_into": "vstestbed.runs",
     "load": "vstestbed.scenario_file",
@@ -30,7 +32,7 @@ _HOMES = {
     "Outcome": "vstestbed.stop",
 }
 
-__all__ = ["Outcome", "Recording", "Scenario", "features", "load", "run", "run_into"]
+__all__ = ["Outcome", "Recording", "Scenario", "compare", "features", "load", "run", "run_into"]
 
 
 def __getattr__(name: str) -> object:

@@ -168,7 +168,7 @@ def report(
     plugin: Plugins = None,
 ) -> None:
     """Write report.html again."""
-    from vstestbed.compare import is_comparison, report_again
+    from vstestbed.comparing import is_comparison, report_again
     from vstestbed.report import write_report
     from vstestbed.scenario_file import load_plugins
 

@@ -32,7 +32,7 @@ def compare(
     plugin: Plugins = None,
 ) -> None:
     """Every scenario, with every value that is varied, from every seed: one table, one report, one film."""
-    from vstestbed.compare import carry_out, prepare
+    from vstestbed.comparing import carry_out, prepare
     from vstestbed.progress import Counter, show_notes
 
     axes = {path: tuple(_values(text)) for path, text in _pairs(vary)}

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from multiprocessing import get_context
 from typing import Any, Protocol
 
-from vstestbed.compare.worker import Files, Task, begin, do, process_id
+from vstestbed.comparing.worker import Files, Task, begin, do, process_id
 from vstestbed.errors import EnvironmentLackError, ParameterError
 
 ONE_CORE = {"LP_NUM_THREADS": "0", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from vstestbed.compare.plan import Comparison
+from vstestbed.comparing.plan import Comparison
 
 if TYPE_CHECKING:
     import polars

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from vstestbed.compare.folder import is_done, store
-from vstestbed.compare.plan import Job
-from vstestbed.compare.pools import Pool, WorkerLostError
-from vstestbed.compare.worker import Files, Task, crashed, task_of
+from vstestbed.comparing.folder import is_done, store
+from vstestbed.comparing.plan import Job
+from vstestbed.comparing.pools import Pool, WorkerLostError
+from vstestbed.comparing.worker import Files, Task, crashed, task_of
 from vstestbed.errors import VstestbedError
 
 MOST_TRIES = 2

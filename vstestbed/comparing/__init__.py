@@ -8,11 +8,11 @@ from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from vstestbed.compare.campaign import Campaign, Told
-from vstestbed.compare.folder import PLAN, new_folder, read_plan, resumable, table_of, write_plan, write_table
-from vstestbed.compare.plan import Comparison, Controller, Job, chosen, controllers, jobs
-from vstestbed.compare.pools import pool_of
-from vstestbed.compare.results import finish
+from vstestbed.comparing.campaign import Campaign, Told
+from vstestbed.comparing.folder import PLAN, new_folder, read_plan, resumable, table_of, write_plan, write_table
+from vstestbed.comparing.plan import Comparison, Controller, Job, chosen, controllers, jobs
+from vstestbed.comparing.pools import pool_of
+from vstestbed.comparing.results import finish
 from vstestbed.errors import ParameterError
 from vstestbed.scenario_file import load_plugins
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from vstestbed.assets import bundled_comparisons
-from vstestbed.compare import Comparison, chosen, controllers, jobs
-from vstestbed.compare.plan import read_comparison
+from vstestbed.comparing import Comparison, chosen, controllers, jobs
+from vstestbed.comparing.plan import read_comparison
 from vstestbed.errors import ParameterError, ScenarioError
 
 

@@ -10,8 +10,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from vstestbed.compare.plan import Comparison, Job, read_comparison
-from vstestbed.compare.worker import Files
+from vstestbed.comparing.plan import Comparison, Job, read_comparison
+from vstestbed.comparing.worker import Files
 from vstestbed.errors import OutputError, ParameterError, RunFolderError
 from vstestbed.runs import write_whole, writing
 from vstestbed.scenario_file import dump_mapping, text_of

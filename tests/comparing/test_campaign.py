@@ -17,10 +17,10 @@ import polars as pl
 import pytest
 
 import vstestbed as vs
-from vstestbed.compare import Campaign, Comparison, compare, controllers, jobs
-from vstestbed.compare.folder import table_of
-from vstestbed.compare.pools import LocalPool, WorkerLostError
-from vstestbed.compare.worker import Task, crashed, do, task_of
+from vstestbed.comparing import Campaign, Comparison, compare, controllers, jobs
+from vstestbed.comparing.folder import table_of
+from vstestbed.comparing.pools import LocalPool, WorkerLostError
+from vstestbed.comparing.worker import Task, crashed, do, task_of
 from vstestbed.errors import EnvironmentLackError, ParameterError
 
 GAINS = {"law.gain": (3.0, 6.0)}
