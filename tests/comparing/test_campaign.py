@@ -13,6 +13,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import polars as pl
 import pytest
 
@@ -22,6 +23,7 @@ from vstestbed.comparing.folder import table_of
 from vstestbed.comparing.pools import LocalPool, WorkerLostError
 from vstestbed.comparing.worker import Task, crashed, do, task_of
 from vstestbed.errors import EnvironmentLackError, ParameterError
+from vstestbed.statistics import paired_difference
 
 GAINS = {"law.gain": (3.0, 6.0)}
 BROKEN = '''
@@ -128,9 +130,19 @@ def test_the_table_says_what_the_summaries_say(quick: Path, tmp_path: Path):
         assert row["final_error_px"] == summary["final_error_px"]
         assert row["time_ms.law"] == summary["time_ms"]["law"]
         assert {p.name for p in folder.iterdir()} == {"scenario.yaml", "model.xml", "log.parquet", "summary.json"}
-    # The gain says how quickly the error goes: exp(-gain t), within two frames of 40 ms.
-    slow, quick_ = (table.filter(pl.col("law.gain") == g)["time_to_converge_s"].to_numpy() for g in (3.0, 6.0))
-    assert slow == pytest.approx(2 * quick_, abs=0.1)
+
+
+def test_the_paired_difference_of_two_gains_is_what_theory_gives(quick: Path, tmp_path: Path):
+    """The error falls as exp(-gain t), so a run takes log(error at the start / threshold) / gain."""
+    table = compare([quick], GAINS, seeds=8, jobs=2, out=tmp_path / "c", film=False, report=False)
+    slow, fast = (table.filter(pl.col("law.gain") == gain) for gain in GAINS["law.gain"])
+    first = [pl.read_parquet(tmp_path / "c" / folder / "log.parquet")["error_px"][0] for folder in slow["folder"]]
+    theory = np.log(np.array(first) / 0.2) * (1 / 3 - 1 / 6)
+    found = paired_difference(slow["time_to_converge_s"].to_numpy(), fast["time_to_converge_s"].to_numpy())
+    assert found.real
+    assert found.low <= theory.mean() + 0.04 and theory.mean() - 0.04 <= found.high  # times are whole frames of 40 ms
+    same = paired_difference(slow["time_to_converge_s"].to_numpy(), slow["time_to_converge_s"].to_numpy())
+    assert (same.mean, same.low, same.high, same.real) == (0, 0, 0, False)
 
 
 def test_laws_that_raise_diverge_lose_and_kill(quick: Path, tmp_path: Path, plugin: str):
