@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-import errno
 import io
 import json
-import os
 import re
 import shutil
 from collections.abc import Callable, Iterable, Iterator
@@ -14,7 +12,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from vstestbed.errors import EnvironmentLackError, OutputError, RunFolderError
+from vstestbed.errors import OutputError, RunFolderError
+from vstestbed.files import write_whole, writing
 from vstestbed.loop import run
 from vstestbed.recording import Layout, PartWriter, Recording, Tick, Watcher, kept, read_log
 from vstestbed.scenario import Scenario
@@ -34,37 +33,6 @@ FILM_CAMERAS: dict[str, dict[str, str]] = {
 OWN_FILES = ("scenario.yaml", "model.xml", "log.part")
 ASSETS = "assets"
 """The folder of the files that model.xml names."""
-NO_SPACE = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
-
-
-@contextmanager
-def writing(path: Path) -> Iterator[None]:
-    """Turn the system's errors while something is written under `path` into sentences.
-
-    Raises:
-        EnvironmentLackError: no space left. OutputError: no permission, not a folder, a broken disk.
-    """
-    try:
-        yield
-    except OSError as error:
-        if error.errno in NO_SPACE:
-            raise EnvironmentLackError(f"{path}: no space left on the disk", "free some, or choose another place with --out DIR") from error
-        raise OutputError(path, f"cannot be written ({error.strerror or error})", "choose another place with --out DIR") from error
-
-
-def write_whole(path: Path, content: str | bytes) -> None:
-    """Write a file in one piece: it appears whole or not at all, also when the machine loses power."""
-    part = path.with_name(path.name + ".part")
-    try:
-        with writing(path):
-            with part.open("wb") as file:
-                file.write(content.encode() if isinstance(content, str) else content)
-                file.flush()
-                os.fsync(file.fileno())
-            part.replace(path)
-    except BaseException:
-        part.unlink(missing_ok=True)
-        raise
 
 
 def new_folder(scenario: Scenario, out: Path | None) -> Path:

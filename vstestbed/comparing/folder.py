@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from vstestbed.comparing.plan import Comparison, Job, read_comparison
 from vstestbed.comparing.worker import Files
 from vstestbed.errors import OutputError, ParameterError, RunFolderError
-from vstestbed.runs import write_whole, writing
+from vstestbed.files import write_whole, writing
 from vstestbed.scenario_file import dump_mapping, text_of
 
 if TYPE_CHECKING:

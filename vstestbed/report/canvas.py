@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vstestbed.report.files import write_whole
+from vstestbed.files import write_whole
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

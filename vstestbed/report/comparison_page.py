@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Final
 import polars as pl
 
 from vstestbed.errors import OutputError
+from vstestbed.files import write_whole
 from vstestbed.report import comparison_failures, comparison_figures, comparison_strips, comparison_tables, comparison_words, numbers
 from vstestbed.report.canvas import WIDTH_IN, save, style, to_svg
 from vstestbed.report.comparison import DEFAULT_METRICS, Comparison, value_words
 from vstestbed.report.comparison_figures import Data
 from vstestbed.report.comparison_pairs import pairs
 from vstestbed.report.comparison_series import read_series
-from vstestbed.report.files import write_whole
 from vstestbed.report.page import setting_of
 from vstestbed.report.pieces import figure, film
 from vstestbed.report.template import PAGE, STYLE

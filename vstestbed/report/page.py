@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any, Final
 import polars as pl
 
 from vstestbed.errors import RunFolderError, VstestbedError
+from vstestbed.files import write_whole
 from vstestbed.report import angles, figures, numbers, path3d
 from vstestbed.report.canvas import style, to_svg
-from vstestbed.report.files import write_whole
 from vstestbed.report.pieces import figure, film, folded
 from vstestbed.report.template import PAGE, STYLE
 from vstestbed.report.tracks import Setting, Tracks
