@@ -32,9 +32,10 @@ def compare(
     plugin: Plugins = None,
 ) -> None:
     """Every scenario, with every value that is varied, from every seed: one table, one report, one film."""
-    from vstestbed.comparing import carry_out, prepare
+    from vstestbed.comparing import carry_out, must_be_known, prepare
     from vstestbed.progress import Counter, show_notes
 
+    must_be_known(executor)
     axes = {path: tuple(_values(text)) for path, text in _pairs(vary)}
     campaign, comparison = prepare(scenarios or [], axes, seeds, out, resume, settings_of(set_), plugin or [], film)
     show_notes(not quiet)

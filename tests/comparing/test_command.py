@@ -75,6 +75,7 @@ def test_bad_input(command, quick: Path, words: list[str], line: str):
     assert (ended.code, ended.out) == (2, "")
     assert line in ended.err
     assert "Traceback" not in ended.err
+    assert not Path("runs").exists()
 
 
 def test_a_folder_that_holds_something_stays_as_it_is(command, quick: Path):

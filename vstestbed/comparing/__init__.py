@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from vstestbed.comparing.campaign import Campaign, Told
 from vstestbed.comparing.folder import PLAN, new_folder, read_plan, resumable, table_of, write_plan, write_table
 from vstestbed.comparing.plan import Comparison, Controller, Job, chosen, controllers, jobs
-from vstestbed.comparing.pools import pool_of
+from vstestbed.comparing.pools import must_be_known, pool_of
 from vstestbed.comparing.results import finish
 from vstestbed.errors import ParameterError
 from vstestbed.scenario_file import load_plugins
@@ -19,7 +19,7 @@ from vstestbed.scenario_file import load_plugins
 if TYPE_CHECKING:
     import polars
 
-__all__ = ["Campaign", "Comparison", "Controller", "Job", "chosen", "compare", "controllers", "jobs"]
+__all__ = ["Campaign", "Comparison", "Controller", "Job", "chosen", "compare", "controllers", "jobs", "must_be_known"]
 
 
 def compare(
@@ -53,6 +53,7 @@ def compare(
         ScenarioError, ParameterError: bad input, found before anything runs. OutputError: `out` is taken.
         EnvironmentLackError: no OpenGL where a run needs it, no space, no cluster.
     """
+    must_be_known(executor)
     campaign, comparison = prepare(scenarios, vary or {}, seeds, out, resume, set or {}, plugins, film)
     return carry_out(campaign, comparison, jobs, executor, told, report=report)
 

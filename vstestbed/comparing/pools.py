@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import signal
 from collections.abc import Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
@@ -188,8 +189,11 @@ def pool_of(executor: str, workers: int) -> Pool:
     Raises:
         ParameterError: another word. EnvironmentLackError: see DaskPool.
     """
-    if executor == "local":
-        return LocalPool(workers)
-    if executor.startswith(DASK) and len(executor) > len(DASK):
-        return DaskPool(executor.removeprefix(DASK))
-    raise ParameterError("--executor", "must be local or dask://HOST:PORT", executor)
+    must_be_known(executor)
+    return LocalPool(workers) if executor == "local" else DaskPool(executor.removeprefix(DASK))
+
+
+def must_be_known(executor: str) -> None:
+    """Refuse what is no executor."""
+    if executor != "local" and not re.fullmatch(DASK + r"[^/\s]+:\d+", executor):
+        raise ParameterError("--executor", "must be local or dask://HOST:PORT", executor)
