@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
@@ -14,7 +15,7 @@ from vstestbed.comparing.plan import Comparison, Controller, Job, chosen, contro
 from vstestbed.comparing.pools import must_be_known, pool_of
 from vstestbed.comparing.results import finish
 from vstestbed.errors import ParameterError
-from vstestbed.scenario_file import load_plugins
+from vstestbed.scenario_file import dump, load_plugins
 
 if TYPE_CHECKING:
     import polars
@@ -53,6 +54,8 @@ def compare(
         ScenarioError, ParameterError: bad input, found before anything runs. OutputError: `out` is taken.
         EnvironmentLackError: no OpenGL where a run needs it, no space, no cluster.
     """
+    if getattr(multiprocessing.current_process(), "_inheriting", False):  # a worker that imports the script
+        raise ParameterError("compare", "must stand under `if __name__ == '__main__':` in a script, which worker processes import")
     must_be_known(executor)
     campaign, comparison = prepare(scenarios, vary or {}, seeds, out, resume, set or {}, plugins, film)
     return carry_out(campaign, comparison, jobs, executor, told, report=report)
@@ -98,9 +101,12 @@ def prepare(
     elif not resume:
         raise ParameterError("SCENARIO", "is missing: name scenarios to compare, or a comparison")
     comparison = read_plan(resumable(out)) if resume else asked
-    if comparison is None or (asked is not None and _essence(asked) != _essence(comparison)):
-        raise ParameterError("--resume", "goes on with what the folder compares, which is something else; leave the rest out", str(out))
+    if comparison is None:
+        raise ParameterError("SCENARIO", "is missing: name scenarios to compare, or a comparison")
     found = controllers(comparison)
+    if asked is not None and asked is not comparison and _essence(asked, controllers(asked)) != _essence(comparison, found):
+        words = "goes on with what the folder compares, which is something else (its `scenarios` are copies); leave the rest out"
+        raise ParameterError("--resume", words, str(out))
     folder = new_folder(out) if out is None or not resume else out
     if not resume:
         write_plan(folder, comparison)
@@ -108,9 +114,9 @@ def prepare(
     return Campaign(folder, jobs(found, comparison.seeds), tuple(plugins), (first,) if film else ()), comparison
 
 
-def _essence(comparison: Comparison) -> tuple[object, ...]:
+def _essence(comparison: Comparison, found: list[Controller]) -> tuple[object, ...]:
     """What makes two comparisons the same, wherever their files are."""
-    return tuple(Path(n).stem for n in comparison.base), comparison.set, comparison.axes, comparison.seeds
+    return comparison.seeds, [(dump(c.scenario), c.folder) for c in found]
 
 
 def workers(asked: int | None, runs: int) -> int:

@@ -73,8 +73,11 @@ def read_plan(folder: Path) -> Comparison:
 
 
 def is_done(folder: Path, job: Job) -> bool:
-    """Whether a run is there (a folder that is there is whole)."""
-    return (folder / job.folder).is_dir()
+    """Whether a run is there, with its summary."""
+    try:
+        return bool(json.loads((folder / job.folder / "summary.json").read_text(encoding="utf-8")))
+    except (OSError, ValueError):
+        return False
 
 
 def store(folder: Path, job: Job, files: Files, attempts: int) -> dict[str, Any]:
@@ -96,6 +99,8 @@ def store(folder: Path, job: Job, files: Files, attempts: int) -> dict[str, Any]
                 file.flush()
                 os.fsync(file.fileno())
         _sync(part)
+        if place.exists():  # without its summary
+            shutil.rmtree(place)
         part.rename(place)
         _sync(place.parent)
     return summary
@@ -122,11 +127,7 @@ def table_of(folder: Path, jobs: Sequence[Job]) -> polars.DataFrame:
 
 
 def _row(folder: Path, job: Job) -> dict[str, Any]:
-    place = folder / job.folder
-    try:
-        summary = json.loads((place / "summary.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise RunFolderError(place, f"its summary.json cannot be read ({error}); remove the folder and --resume") from None
+    summary = json.loads((folder / job.folder / "summary.json").read_text(encoding="utf-8"))
     values = {path: value if isinstance(value, int | float | str) else json.dumps(value) for path, value in job.controller.values.items()}
     first = {"scenario": job.controller.scenario.name} | values | {"seed": summary.pop("seed"), "folder": job.folder}
     return first | _flat(summary, "")

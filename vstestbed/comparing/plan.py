@@ -50,7 +50,7 @@ class Comparison:
         if len({Path(name).stem for name in self.base}) < len(self.base):
             raise ParameterError("base", "must name each scenario once, and no two of one file name", list(self.base))
         for path, values in self.axes.items():
-            if len({repr(v) for v in values}) < len(values) or not values:
+            if not values or any(_same(a, b) for a, b in itertools.combinations(values, 2)):
                 raise ParameterError(f"axes.{path}", "must be a list of different values", list(values))
             if path in self.set:
                 raise ParameterError(f"axes.{path}", "is also in `set`; leave one of the two out")
@@ -100,7 +100,8 @@ def controllers(comparison: Comparison) -> list[Controller]:
     for name in comparison.base:
         for values in _combinations(comparison.axes):
             scenario = load(name, dict(comparison.set) | values)
-            draws = scenario.robot.start.random is not None or scenario.noise.image_sigma > 0 or scenario.noise.pixel_sigma_px > 0
+            noise = scenario.noise.pixel_sigma_px > 0 or (scenario.noise.image_sigma > 0 and scenario.detector.needs_image)
+            draws = scenario.robot.start.random is not None or noise
             if not draws and (comparison.seeds or 1) > 1:
                 words = "is missing, and there is no noise: every seed would give the same run; add one of them, or leave --seeds out"
                 raise ParameterError(f"{scenario.name}: robot.start.random", words)
@@ -109,6 +110,11 @@ def controllers(comparison: Comparison) -> list[Controller]:
                 folder += "_"  # other values of the same letters
             made.append(Controller(scenario, values, folder, draws))
     return made
+
+
+def _same(a: object, b: object) -> bool:
+    """Whether two values are one: 3 and 3.0 are, 1 and true are not."""
+    return a == b and isinstance(a, bool) == isinstance(b, bool)
 
 
 def _combinations(axes: Mapping[str, tuple[object, ...]]) -> Iterator[dict[str, object]]:

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import os
 import re
+import shutil
 import signal
+import tempfile
+import uuid
 from collections.abc import Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -27,7 +31,10 @@ class Pool(Protocol):
     A future whose worker died raises WorkerLostError; the pool has replaced the worker by then.
     """
 
-    room: int
+    @property
+    def room(self) -> int:
+        """How many runs may be under way now."""
+        ...
 
     def submit(self, task: Task) -> Future[Files]:
         """Do this run."""
@@ -47,28 +54,43 @@ class WorkerLostError(Exception):
 
 
 @contextmanager
-def _environment(values: dict[str, str]) -> Iterator[None]:
-    """Environment variables for processes that are started meanwhile; what the user has set stays."""
-    added = {k: v for k, v in values.items() if k not in os.environ}
-    os.environ.update(added)
+def _environment(usual: dict[str, str], ours: dict[str, str]) -> Iterator[None]:
+    """Environment variables for a process that is started meanwhile: the usual ones where the user has set none, and ours."""
+    before = dict(os.environ)
+    os.environ.update({k: v for k, v in usual.items() if k not in before} | ours)
     try:
         yield
     finally:
-        for name in added:
-            del os.environ[name]
+        for name in usual | ours:
+            os.environ.pop(name, None)
+        os.environ.update(before)
 
 
 class _Slot:
     """One worker process, started anew when it has died. (One executor each: a death breaks an executor as a whole.)"""
 
-    def __init__(self) -> None:
+    def __init__(self, place: str):
+        self._place = place
+        self.broken = False
         self.start()
 
     def start(self) -> None:
-        """Start the process."""
+        """Start the process; what it writes for a while goes to the pool's own place."""
         self.executor = ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=begin, initargs=(True,))
-        with _environment(ONE_CORE):
+        self.broken = False
+        with _environment(ONE_CORE, {"TMPDIR": self._place}):
             self.pid = self.executor.submit(process_id)
+
+    def run(self, task: Task) -> Future[Files]:
+        """Do a run, in a new process where the last one has died."""
+        try:
+            if not self.broken:
+                return self.executor.submit(do, task)
+        except BrokenProcessPool:  # killed while it had nothing to do
+            pass
+        self.end()
+        self.start()
+        return self.executor.submit(do, task)
 
     def end(self) -> None:
         """Kill the process."""
@@ -86,8 +108,9 @@ class LocalPool:
 
     def __init__(self, jobs: int):
         self.room = jobs
-        self._free = [_Slot() for _ in range(jobs)]
-        self._busy: dict[Future[Files], _Slot] = {}
+        self._place = tempfile.mkdtemp(prefix="vstestbed_")
+        self._slots = [_Slot(self._place) for _ in range(jobs)]
+        self._free = list(self._slots)
         self._tries: dict[str, int] = {}
 
     def submit(self, task: Task) -> Future[Files]:
@@ -96,17 +119,14 @@ class LocalPool:
         self._tries[task.folder] = self._tries.get(task.folder, 0) + 1
         outer: Future[Files] = Future()
         outer.set_running_or_notify_cancel()
-        self._busy[outer] = slot
-        slot.executor.submit(do, task).add_done_callback(lambda inner: self._hand_over(inner, outer))
+        slot.run(task).add_done_callback(lambda inner: self._hand_over(inner, slot, outer))
         return outer
 
-    def _hand_over(self, inner: Future[Files], outer: Future[Files]) -> None:
-        slot = self._busy.pop(outer)
-        error = inner.exception()
+    def _hand_over(self, inner: Future[Files], slot: _Slot, outer: Future[Files]) -> None:
+        error = WorkerLostError("the pool is closed") if inner.cancelled() else inner.exception()
         if isinstance(error, BrokenProcessPool):
-            slot.end()
-            slot.start()
-            error = WorkerLostError("its worker process died")
+            slot.broken = True
+            error = WorkerLostError("its worker process died") if _answered(slot) else EnvironmentLackError(NO_WORKERS, UNDER_MAIN)
         self._free.append(slot)
         if error is not None:
             outer.set_exception(error)
@@ -118,9 +138,18 @@ class LocalPool:
         return self._tries.get(task.folder, 0)
 
     def close(self) -> None:
-        """Kill all workers."""
-        for slot in [*self._free, *self._busy.values()]:
+        """Kill all workers, take away what they had begun to write."""
+        for slot in self._slots:
             slot.end()
+        shutil.rmtree(self._place, ignore_errors=True)
+
+
+NO_WORKERS, UNDER_MAIN = "worker processes cannot start", "in a script, call compare under `if __name__ == '__main__':`"
+
+
+def _answered(slot: _Slot) -> bool:
+    """Whether a slot's process has ever done anything."""
+    return slot.pid.done() and slot.pid.exception() is None
 
 
 class DaskPool:
@@ -143,44 +172,58 @@ class DaskPool:
         except (OSError, ValueError) as error:
             words = "start a scheduler (`dask scheduler`) and workers (`dask worker HOST:PORT --nthreads 1`) first"
             raise EnvironmentLackError(f"no dask scheduler answers at {address} ({error})", words) from None
+        self._name = f"vstestbed-{uuid.uuid4().hex}"
+        self._begun: dict[str, list[str]] = {}
+        if not self._threads():
+            logging.getLogger("vstestbed").warning("no workers at %s yet; waiting for some", address)
+
+    def _threads(self) -> int:
         threads: Any = self._client.nthreads()
-        self.room = 2 * max(1, sum(threads.values()))  # the next one is there when a worker is free
+        return sum(threads.values())
+
+    @property
+    def room(self) -> int:
+        """Two runs for each of the workers that there are now, so that the next one is there when a worker is free."""
+        return 2 * max(1, self._threads())
 
     def submit(self, task: Task) -> Future[Files]:
         """Do this run on some worker; the scheduler gives it to another one when that dies."""
-        future = self._client.submit(_begun, task, key=f"vstestbed-{task.folder}-{id(task)}", retries=0, pure=False)
+        keys = self._begun.setdefault(task.folder, [])
+        keys.append(f"{self._name}-{task.folder}-{len(keys)}")
+        future = self._client.submit(_do_on_dask, task, keys[-1], key=keys[-1], retries=0, pure=False)
         outer: Future[Files] = Future()
         outer.set_running_or_notify_cancel()
         future.add_done_callback(lambda inner: _hand_over_from_dask(inner, outer))
         return outer
 
     def tries(self, task: Task) -> int:
-        """How often a run has been begun."""
-        return sum(folder == task.folder for _, folder in self._client.get_events(TOPIC))  # type: ignore[misc]
+        """How often a run has been begun: each worker that begins it says so under a name of its own."""
+        return sum(len(self._client.get_events(key)) for key in self._begun.get(task.folder, []))  # type: ignore[arg-type]
 
     def close(self) -> None:
         """Leave the cluster, which goes on; runs that nobody waits for are cancelled."""
         self._client.close()
 
 
-TOPIC = "vstestbed-runs-begun"
-
-
-def _begun(task: Task) -> Files:
+def _do_on_dask(task: Task, key: str) -> Files:
     from distributed import get_worker
 
-    get_worker().log_event(TOPIC, task.folder)
+    get_worker().log_event(key, "begun")
     return do(task)
 
 
 def _hand_over_from_dask(inner: Any, outer: Future[Files]) -> None:
+    """Whatever has become of it: somebody waits for `outer`."""
     from distributed.scheduler import KilledWorker
 
-    error = inner.exception()
-    if error is None:
+    try:
+        if inner.status == "cancelled":
+            raise EnvironmentLackError("the dask scheduler is gone", "start it again, then go on with --resume")
+        if (error := inner.exception()) is not None:
+            raise WorkerLostError("its worker died") if isinstance(error, KilledWorker) else error
         outer.set_result(inner.result())
-    else:
-        outer.set_exception(WorkerLostError("its worker died") if isinstance(error, KilledWorker) else error)
+    except BaseException as error:
+        outer.set_exception(error)
 
 
 def pool_of(executor: str, workers: int) -> Pool:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import shlex
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vstestbed.comparing.plan import Comparison
+from vstestbed.yaml_tree import read_value
 
 if TYPE_CHECKING:
     import polars
@@ -68,4 +70,7 @@ def _value(value: object) -> str:
         return {True: "true", False: "false", None: "null"}[value]
     if isinstance(value, dict):
         return "{" + ", ".join(f"{k}: {_value(v)}" for k, v in value.items()) + "}"
-    return "[" + ", ".join(map(_value, value)) + "]" if isinstance(value, list | tuple) else str(value)
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(_value, value)) + "]"
+    plain = str(value)
+    return json.dumps(value) if isinstance(value, str) and read_value(f"[{plain}]") != [value] else plain

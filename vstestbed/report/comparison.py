@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import polars as pl
@@ -117,13 +117,15 @@ class Comparison:
     def controllers(self) -> tuple[Controller, ...]:
         """The controllers, in order of first appearance."""
         keys = self.table.select("scenario", *self.axes).rows()
-        words = [(str(scenario), *map(value_words, values)) for scenario, *values in keys]
-        rows: dict[tuple[str, ...], list[int]] = {}
-        for i, key in enumerate(words):
+        rows: dict[tuple[Any, ...], list[int]] = {}
+        for i, key in enumerate(keys):
             rows.setdefault(key, []).append(i)
         several = len({key[0] for key in rows}) > 1
         names = short_names(self.axes)
-        return tuple(Controller(_label(key, names, several), self.table[index].sort("seed")) for key, index in rows.items())
+        labels = [_label((str(key[0]), *map(value_words, key[1:])), names, several) for key in rows]
+        if len(set(labels)) < len(labels):  # values that differ beyond the digits that are usually shown
+            labels = [_label(tuple(map(str, key)), names, several) for key in rows]
+        return tuple(Controller(label, self.table[index].sort("seed")) for label, index in zip(labels, rows.values(), strict=True))
 
 
 def _label(key: tuple[str, ...], names: Sequence[str], several: bool) -> str:
