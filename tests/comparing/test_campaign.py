@@ -181,8 +181,37 @@ def test_a_worker_killed_in_the_middle_is_replaced(quick: Path, tmp_path: Path):
         assert slot.pid.result() != before
 
 
+@pytest.mark.parametrize("later_s", [0.0, 1.0])  # before its pool hears of it, and after
+def test_a_worker_that_dies_while_it_has_nothing_to_do_is_no_loss(quick: Path, tmp_path: Path, later_s: float):
+    campaign = Campaign(tmp_path, jobs(controllers(Comparison(base=(str(quick),), seeds=2)), 2))
+    with closing(LocalPool(1)) as pool:
+        pid = pool._slots[0].pid.result()
+        os.kill(pid, signal.SIGKILL)
+        gone(pid)
+        time.sleep(later_s)
+        campaign.run(pool)
+    assert table_of(tmp_path, campaign.jobs)["outcome"].to_list() == ["converged", "converged"]
+
+
+def test_dask_counts_the_tries_of_one_comparison_alone(quick: Path, tmp_path: Path, cluster: str):
+    for name in ("first", "second"):
+        table = compare([quick], seeds=2, executor=cluster, out=tmp_path / name, film=False, report=False)
+        assert table["attempts"].to_list() == [1, 1]
+
+
+def test_a_script_without_a_main_guard_is_told_so(quick: Path, tmp_path: Path, vstestbed_process: Any):
+    script = tmp_path / "script.py"
+    script.write_text("import vstestbed as vs\nvs.compare(['quick.yaml'], seeds=2, jobs=1, film=False)\n", encoding="utf-8")
+    words, environment = vstestbed_process
+    done = subprocess.run([words[0], str(script)], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode != 0
+    assert "under `if __name__ == '__main__':`" in done.stderr.splitlines()[-1]
+    assert not list(tmp_path.glob("runs/compare/*/runs/*/*/*"))
+
+
 def test_workers_end_with_the_pool(quick: Path):
     pool = LocalPool(2)
+    pool.submit(task_of("runs/a", vs.load(quick, {"stop.duration_s": 1e5, "law.gain": 1e-4}), False, ()))
     pids = [slot.pid.result() for slot in pool._free]
     pool.close()
     for pid in pids:
@@ -208,8 +237,9 @@ class TestResume:
         (out / "runs/quick/law.gain=3.0/1").rename(tmp_path / "taken")
         (out / "runs/quick/law.gain=6.0/1").rename(out / "runs/quick/law.gain=6.0/1.part")  # as a power cut leaves it
         kept = (out / "runs/quick/law.gain=3.0/0/summary.json").stat().st_mtime_ns
+        (out / "runs/quick/law.gain=6.0/0/summary.json").write_text("{", encoding="utf-8")  # as a broken disk leaves it
         again = compare([], out=out, resume=True, jobs=1, film=False, report=False, told=lambda job, summary: told.append(job.folder))
-        assert sorted(told) == ["runs/quick/law.gain=3.0/1", "runs/quick/law.gain=6.0/1"]
+        assert sorted(told) == ["runs/quick/law.gain=3.0/1", "runs/quick/law.gain=6.0/0", "runs/quick/law.gain=6.0/1"]
         assert (out / "runs/quick/law.gain=3.0/0/summary.json").stat().st_mtime_ns == kept
         assert timeless(again).equals(timeless(whole))
         assert not list(out.glob("**/*.part"))
@@ -217,8 +247,10 @@ class TestResume:
     def test_it_goes_on_with_what_the_folder_compares(self, quick: Path, tmp_path: Path):
         out = tmp_path / "c"
         compare([quick], GAINS, seeds=1, jobs=1, out=out, film=False, report=False)
-        quick.write_text(quick.read_text().replace("gain: 6", "gain: 5"))
         assert len(compare([quick], GAINS, seeds=1, jobs=1, out=out, resume=True, film=False, report=False)) == 2
+        quick.write_text(quick.read_text().replace("side: 0.4", "side: 0.3"))
+        with pytest.raises(ParameterError, match="--resume goes on with what the folder compares"):
+            compare([quick], GAINS, seeds=1, out=out, resume=True)
         with pytest.raises(ParameterError, match="--resume goes on with what the folder compares"):
             compare([quick], {"law.gain": (1.0, 2.0)}, seeds=1, out=out, resume=True)
 

@@ -43,6 +43,9 @@ def test_one_seed_gives_every_controller_the_same_start_and_other_seeds_others(q
 def test_seeds_that_draw_nothing_are_refused_with_the_reason():
     with pytest.raises(ParameterError, match=r"polar_book.*robot.start.random is missing, and there is no noise: every seed would"):
         controllers(Comparison(base=("polar_book",), seeds=2, set={"robot.start.random": None}))
+    unseen = {"robot.start.random": None, "noise.image_sigma": 2, "detector": "oracle"}
+    with pytest.raises(ParameterError, match="every seed would"):
+        controllers(Comparison(base=("polar_book",), seeds=2, set=unseen))
     noisy = Comparison(base=("polar_book",), seeds=2, set={"robot.start.random": None, "noise.pixel_sigma_px": 0.1})
     first, second = (j.scenario() for j in jobs(controllers(noisy), 2))
     assert (first.seed, second.seed) == (0, 1)
@@ -61,6 +64,7 @@ def test_names_that_folders_cannot_have_and_values_that_look_alike(quick: Path):
     [
         ("base must name each scenario once", {"base": ("arm_ibvs", "arm_ibvs")}),
         ("axes.law.gain must be a list of different values", {"axes": {"law.gain": (1, 1)}}),
+        ("axes.law.gain must be a list of different values", {"axes": {"law.gain": (3, 3.0)}}),
         ("axes.law.gain must be a list of different values", {"axes": {"law.gain": ()}}),
         ("axes.law.gain is also in `set`", {"axes": {"law.gain": (1, 2)}, "set": {"law.gain": 1}}),
         ("metrics must be figures of summary.json: .*got 'speed'", {"metrics": ("speed",)}),
