@@ -198,6 +198,7 @@ def test_a_folder_that_cannot_be_written_is_told(tmp_path: Path) -> None:
     assert not (tmp_path / "report.html").exists()
 
 
+@pytest.mark.study
 def test_a_thousand_runs_fit_in_a_page(tmp_path: Path) -> None:
     kinds = ("timed_out", "target_lost", "converged", "crashed")
     failing = {(n, k): kinds[k % 4] for n in ("one", "two") for k in range(0, 250, 3)}
