@@ -344,9 +344,9 @@ def cluster() -> Iterator[str]:
         yield made.scheduler_address.replace("tcp://", "dask://")
 
 
-def test_nobody_at_the_address():
+def test_nobody_at_the_address(tmp_path: Path):
     with pytest.raises(EnvironmentLackError, match=r"no dask scheduler answers at 127.0.0.1:9 .*dask worker"):
-        compare(["ibvs_book"], out=None, executor="dask://127.0.0.1:9", film=False, report=False)
+        compare(["ibvs_book"], out=tmp_path / "c", executor="dask://127.0.0.1:9", film=False, report=False)
 
 
 def test_a_word_that_is_no_executor(quick: Path, tmp_path: Path):
