@@ -40,6 +40,7 @@ def test_runs_that_fail_are_no_failure_of_the_command(command, quick: Path):
     assert ended.err.startswith("1 of 2 runs reached the goal; 1 did not reach the goal\n")
     table = pl.read_parquet("runs/compare/001/comparison.parquet")
     assert table["outcome"].to_list() == ["timed_out", "converged"]
+    assert not Path("runs/compare/001/figures/differences.png").exists()  # no seed on which both arrived: nothing to draw
     assert (Path("runs/compare/001") / table["folder"][0] / "end.png").read_bytes().startswith(b"\x89PNG")
 
 

@@ -164,10 +164,10 @@ def success(data: Data, width_in: float) -> Figure:
 
 
 def differences(data: Data, width_in: float) -> Figure | None:
-    """A forest plot: the mean paired difference of each number with its interval, real ones in colour."""
+    """A forest plot: the mean paired difference of each number with its interval, real ones in colour; None where there is none."""
     rows = data.pairs if len(data.labels) <= BANDS else [p for p in data.pairs if p.a == 0]
-    if not rows:
-        return None
+    if not any(np.isfinite(p.differences[m.name].low) for p in rows for m in data.comparison.shown):
+        return None  # one controller, or none that share two seeds on which both reached the goal
     names = [wrapped(f"{data.labels[p.b]} \N{MINUS SIGN} {data.labels[p.a]}", 30) for p in rows]
     height = 0.22 * sum(name.count("\n") + 1 for name in names) + 0.06 * len(rows) + 1.0
     grid, figure = metric_panels(data, width_in, height, 5, names)
