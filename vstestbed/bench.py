@@ -89,7 +89,7 @@ def measure(scenario: Scenario, repeats: int = 5) -> Bench:
 
 
 def _floor(scenario: Scenario, recording: Recording) -> Floor:
-    step, steps_per_frame = scenario.physics.resolve(scenario.camera)
+    step, steps_per_frame = scenario.clock
     parts = Parts(scenario.robot, scenario.camera, scenario.target, scenario.world, step)
     joints = scenario.robot.joints
 

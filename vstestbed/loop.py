@@ -13,18 +13,20 @@ import numpy as np
 
 from vstestbed.camera import Frame, Look
 from vstestbed.errors import ParameterError
-from vstestbed.geometry import Array, all_finite
+from vstestbed.geometry import Array, all_finite, inverse
+from vstestbed.goal import GoalViews
 from vstestbed.laws import Law
-from vstestbed.observation import Encoders
+from vstestbed.observation import Encoders, Observation
 from vstestbed.provenance import versions
 from vstestbed.recording import Layout, Log, Recording, Tick, Watcher
 from vstestbed.robots import Mount
-from vstestbed.scenario import IMAGE_STREAM, NOISE_STREAM, Scenario
+from vstestbed.scenario import IMAGE_STREAM, NOISE_STREAM, SENSOR_STREAM, Scenario
 from vstestbed.sim.base import Plant, Truth
 from vstestbed.sim.build import build_plant
 from vstestbed.sim.timing import DelayLine
 from vstestbed.stop import Evidence, Judge, Outcome
 from vstestbed.target import Square
+from vstestbed.task import band_of, estimated, off, slipped
 from vstestbed.vision import Detector, Observer, TruthView
 
 PARTS = ("physics", "render", "detect", "law", "record", "video")
@@ -50,6 +52,7 @@ def _observer(scenario: Scenario) -> Observer:
         depth=scenario.law.depth,
         pixel_sigma_px=scenario.noise.pixel_sigma_px,
         wanted=scenario.law.inputs,
+        grounded=scenario.robot.grounded,
     )
 
 
@@ -58,7 +61,8 @@ class _Servo:
 
     def __init__(self, scenario: Scenario, plant: Plant, spent: dict[str, float]):
         self.scenario, self.plant, self.spent = scenario, plant, spent
-        self.goal = scenario.goal_view
+        self.view = 0
+        self.goal = scenario.goal_views[0]
         self.mount = Mount.of(scenario.camera.mount.T)
         self.basis = scenario.robot.motion_basis(self.mount)
         self.rng = scenario.rng(NOISE_STREAM)
@@ -68,6 +72,7 @@ class _Servo:
         self.law: Law[Any] = scenario.law
         self.count = 0
         self.before: Shot | None = None
+        self.seen_before: Observation | None = None
 
     def look(self) -> Look | None:
         """Where the detector is going to look next, as far as it knows by now."""
@@ -81,7 +86,9 @@ class _Servo:
         last, twist = self.before or shot, shot.ordered
         if self.observer.uses_motion(detection):
             twist = s.robot.measured_twist(last.encoders, shot.encoders, shot.t - last.t, shot.ordered, self.mount)
-        self.observing, seen = self.observer.observe(self.observing, shot.t, detection, twist, self.rng)
+        compass = shot.encoders.instruments.get("compass")
+        heading = None if compass is None else float(compass[0])
+        self.observing, seen = self.observer.observe(self.observing, shot.t, detection, twist, self.rng, heading)
         detected = time.perf_counter()
         self.control, command = self.law.step(self.control, seen, self.goal, self.basis)
         allocation = s.robot.allocate(command.twist, self.plant.encoders(), self.mount, s.camera.period)
@@ -94,15 +101,38 @@ class _Servo:
         lost = bool(command.held) or not error.size  # a law may order motion although it sees nothing
         error_px = math.nan if lost else math.sqrt(float(np.vdot(error, error)) / error.size)
         image = shot.frame.image if shot.frame and shot.frame.whole else None
-        tick = Tick(self.count, lost, all_seen, error_px, seen, command, allocation, shot.truth, image)
+        slip, estimate = self._slip(last, shot, seen), (math.nan, math.nan)
+        if s.stop.converged.by_estimate:
+            estimate = estimated(seen, self.goal)
+        tick = Tick(
+            self.count, lost, all_seen, error_px, seen, command, allocation, shot.truth, image, self.goal, self.view, slip, estimate
+        )
         self.count += 1
-        self.before = shot
+        self.before, self.seen_before = shot, seen
+        self._pass_view(tick)
         return tick
+
+    def _slip(self, last: Shot, shot: Shot, seen: Observation) -> float:
+        """For the log: what the encoders did not notice [m/s]."""
+        if seen.odometry is None or self.seen_before is None or self.seen_before.odometry is None:
+            return 0.0
+        back = self.mount.T_flange_camera
+        T_before, T_now = (s.truth.T_world_camera @ inverse(back) for s in (last, shot))
+        return slipped(T_before, T_now, self.seen_before.odometry, seen.odometry, shot.t - last.t)
+
+    def _pass_view(self, tick: Tick) -> None:
+        """Via points: on to the next view when this one is near enough."""
+        goal = self.scenario.goal
+        if isinstance(goal, GoalViews) and tick.error_px < goal.threshold_px and self.view + 1 < len(goal.views):
+            self.view += 1
+            self.goal = self.scenario.goal_views[self.view]
+            self.control = self.law.init(self.goal)
 
 
 def _evidence(scenario: Scenario, tick: Tick) -> Evidence:
     """What the judge may look at: the truth, beside what was seen and ordered."""
     T = tick.truth.T_world_target
+    T_base = tick.truth.T_world_camera @ inverse(scenario.camera.mount.T)
     away = (tick.truth.T_world_camera[:3, 3] - T[:3, 3]).tolist()
     return Evidence(
         t=tick.observation.t,
@@ -116,12 +146,16 @@ def _evidence(scenario: Scenario, tick: Tick) -> Evidence:
         distance=math.hypot(*away),
         behind=isinstance(scenario.target, Square) and sum(map(mul, away, T[:3, 2].tolist())) >= 0,
         contact=tick.truth.contact,
+        last_view=tick.view + 1 == len(scenario.goal_views),
+        position_m=tick.estimate[0],
+        rotation_rad=tick.estimate[1],
+        off_m=off(scenario, T_base, T),
     )
 
 
 def _until_the_end(scenario: Scenario, plant: Plant, note: Callable[[Tick], None], spent: dict[str, float]) -> tuple[Outcome, str]:
     """Capture every `steps_per_frame` steps, deliver after the camera's latency, stop when the judge says so."""
-    servo, judge = _Servo(scenario, plant, spent), Judge(scenario.stop)
+    servo, judge = _Servo(scenario, plant, spent), Judge(scenario.stop, band_of(scenario))
     line: DelayLine[Shot] = DelayLine(round(scenario.camera.latency_s / plant.step_s))
     step, next_capture = 0, 0
     twist, moved = np.zeros(6), np.zeros(6)
@@ -177,6 +211,7 @@ def run(scenario: Scenario, watch: Iterable[Watcher] = ()) -> Recording:
         needs_truth=scenario.detector.needs_truth,
         image_sigma=scenario.noise.image_sigma,
         rng=scenario.rng(IMAGE_STREAM),
+        sensor_rng=scenario.rng(SENSOR_STREAM),
     )
 
     def note(tick: Tick) -> None:

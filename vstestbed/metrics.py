@@ -76,7 +76,11 @@ def _time_to_converge(scenario: Scenario, outcome: Outcome, log: Columns) -> flo
     if outcome is not Outcome.converged or not len(log["t"]):
         return None
     whole = np.all([np.isfinite(log[f"u_{i}"]) for i in range(len(scenario.target.points))], axis=0)
-    over = np.flatnonzero(~((log["error_px"] < scenario.stop.converged.error_px) & whole))
+    reached, none = scenario.stop.converged, np.full(len(log["t"]), np.nan)
+    estimate = [log[name] if reached.by_estimate else none for name in ("est_position_m", "est_rotation_rad")]
+    rows = zip(whole, log["error_px"], *estimate, strict=True)
+    last_view = log["view"] == len(scenario.goal_views) - 1 if len(scenario.goal_views) > 1 else np.ones(len(whole), dtype=bool)
+    over = np.flatnonzero(~(np.array([reached.near(*row) for row in rows]) & last_view & ~log["lost"].astype(bool)))
     first = int(over[-1]) + 1 if len(over) else 0
     return float(log["t"][first]) if first < len(log["t"]) else None
 

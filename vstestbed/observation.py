@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
 import numpy as np
@@ -34,6 +35,9 @@ class Observation:
         T_camera_target: estimated pose (4, 4), or None where it is not estimated.
         ray, range: unit rays (N, 3) to the markers and distances (N,) [m] along them, for laws that ask for them.
         relative: this view against the goal's, for laws that ask for it.
+        odometry: a ground vehicle's way since the start by its encoders alone, (x, y, heading) [m, rad] from where it stood.
+        place: a ground vehicle's (x, y, heading) [m, rad] in the world, from its landmarks, compass and encoders; None
+            where it is not known yet, or the target is no landmark.
     """
 
     t: float
@@ -44,6 +48,8 @@ class Observation:
     ray: Array | None = None
     range: Array | None = None
     relative: Relative | None = None
+    odometry: Array | None = None
+    place: Array | None = None
 
     @property
     def seen(self) -> NDArray[np.bool_]:
@@ -53,10 +59,16 @@ class Observation:
 
 @dataclass(frozen=True, slots=True)
 class Encoders:
-    """What a robot measures of its own joints: q [rad], qd [rad/s], shape (n,) each."""
+    """What a robot measures of itself at one instant.
+
+    Attributes:
+        q, qd: its joints [rad, rad/s], shape (n,) each.
+        instruments: readings of what else it carries (compass, gyro, ...), by the name of the sensor.
+    """
 
     q: Array
     qd: Array
+    instruments: Mapping[str, Array] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +76,8 @@ class Goal:
     """The goal view through a calibrated camera: uv (N, 2), xy (N, 2), depth (N,), ray (N, 3), range (N,), and its pose.
 
     `middle` (3,) is the mean of the markers in the camera's frame [m], `normal` (3,) the unit normal of the plane that fits
-    them best, away from the camera.
+    them best, away from the camera. Tasks that are not told by a view have more: `place` (x, y, heading) where a vehicle
+    shall stand [m, rad], `gap_m` what it shall keep from the target. `T_base_camera` is the known mount.
     """
 
     uv: Array
@@ -76,11 +89,22 @@ class Goal:
     camera: Camera
     middle: Array
     normal: Array
+    place: Array | None = None
+    gap_m: float | None = None
+
+    @property
+    def T_base_camera(self) -> Array:
+        """The camera's mount, as the robot knows it (4, 4)."""
+        return self.camera.mount.T
 
     @classmethod
     def from_view(cls, camera: Camera, points: Array, T_camera_target: Array) -> Goal:
         """The view that `camera` has of target points (N, 3) from the relative pose T_camera_target (4, 4)."""
-        p = transform(T_camera_target, points)
+        return cls.of_points(camera, transform(T_camera_target, points), T_camera_target)
+
+    @classmethod
+    def of_points(cls, camera: Camera, p: Array, T_camera_target: Array) -> Goal:
+        """The view of points p (N, 3) in the camera's frame [m]."""
         uv, reach = camera.project(p), np.linalg.norm(p, axis=-1)
         xy, middle = camera.normalise(uv), p.mean(axis=0)
         normal = np.linalg.svd(p - middle)[2][2]
@@ -134,5 +158,16 @@ class OracleDepth:
     kind: Literal["oracle"] = "oracle"
 
 
-DEPTHS = OneOf("depth", PnP, Constant, AtGoal, Estimate, OracleDepth)
-Depth = Annotated[PnP | Constant | AtGoal | Estimate | OracleDepth, DEPTHS]
+@spec
+class OnFloor:
+    """For a vehicle: depth from its place on the floor, solved from two or more landmarks of known height.
+
+    The mount is known, the vehicle stands upright: three unknowns, where `pnp` has six and needs three markers. A vehicle
+    that pitches on its suspension is off by as much. Of a single landmark the heading stays as it was.
+    """
+
+    kind: Literal["floor"] = "floor"
+
+
+DEPTHS = OneOf("depth", PnP, Constant, AtGoal, Estimate, OnFloor, OracleDepth)
+Depth = Annotated[PnP | Constant | AtGoal | Estimate | OnFloor | OracleDepth, DEPTHS]

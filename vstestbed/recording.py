@@ -16,18 +16,23 @@ import numpy as np
 
 from vstestbed.errors import RunFolderError
 from vstestbed.geometry import Array, angles, inverse, quaternion_wxyz, rotation_angle
+from vstestbed.goal import KEPT
+from vstestbed.ground import place_of, relative
 from vstestbed.laws import Command
 from vstestbed.metrics import summarise
-from vstestbed.observation import Observation
+from vstestbed.observation import Goal, Observation
 from vstestbed.robots import Allocation
 from vstestbed.scenario import Scenario
 from vstestbed.sim.base import Truth
 from vstestbed.stop import Outcome
+from vstestbed.task import off
 
 if TYPE_CHECKING:
     import polars
     from numpy.typing import NDArray
 
+ESTIMATE = ("est_position_m", "est_rotation_rad")
+PLACE = ("x", "y", "heading")
 POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
 
@@ -39,7 +44,9 @@ class Tick:
     Attributes:
         frame: number of the frame. lost: too few markers seen. all_seen: every marker is. error_px: RMS of goal minus measured
         over the coordinates seen, NaN when lost. image: the servo camera's own picture (it holds until the next frame),
-        None where none was taken, or not the whole of it.
+        None where none was taken, or not the whole of it. goal: what the law wanted to see, the scenario's view number `view`.
+        slip_mps: how fast a vehicle slid over the floor, unnoticed by its encoders. estimate: how far the robot thinks it is
+        from its goal [m, rad], NaN where that does not count.
     """
 
     frame: int
@@ -51,6 +58,10 @@ class Tick:
     allocation: Allocation
     truth: Truth
     image: NDArray[np.uint8] | None
+    goal: Goal
+    view: int = 0
+    slip_mps: float = 0.0
+    estimate: tuple[float, float] = (math.nan, math.nan)
 
 
 class Watcher(Protocol):
@@ -68,10 +79,15 @@ class Layout:
     the law made of that picture; it holds from t_cmd = t + latency on. made_ is the twist that the robot's limits and its
     damping near singularities leave of it, and scale is made_ over what the law wanted, its own limits included.
     For a camera without an image plane, theta and phi [rad] are the measured ray's angles from the axis and about it.
+    Of several goal views, `view` is the one that counted. Of a vehicle: base_ its true place, est_ the one it knows of by
+    landmarks, compass and encoders, odo_ the one by encoders alone (x, y [m], heading [rad]), slip_mps how fast it slid over
+    the floor, unnoticed by its encoders. Where the goal counts as reached by the robot's own estimate, est_position_m and
+    est_rotation_rad are that. Of a task without an end, off_m is its true error.
     """
 
     def __init__(self, scenario: Scenario):
-        n, joints = len(scenario.target.points), scenario.robot.joints
+        n, robot = len(scenario.target.points), scenario.robot
+        self._grounded = robot.grounded
         self._angles = len(scenario.camera.panels) > 1
         per_marker = ("u", "v", "u_true", "v_true", "u_goal", "v_goal", "depth") + (("theta", "phi") if self._angles else ())
         self.columns: tuple[str, ...] = (
@@ -89,19 +105,25 @@ class Layout:
             *(f"act_{name}" for name in TWIST),
             *(f"made_{name}" for name in TWIST),
             "scale",
-            *(f"{kind}_{joint}" for joint in joints for kind in ("q", "qd", "ctrl")),
+            *(f"{name}_{part}" for name in ("base", "est", "odo") for part in PLACE if robot.grounded),
+            *(("slip_mps",) if robot.grounded else ()),
+            *(("view",) if len(scenario.goal_views) > 1 else ()),
+            *(("off_m",) if isinstance(scenario.goal, KEPT) else ()),
+            *(ESTIMATE if scenario.stop.converged.by_estimate else ()),
+            *(f"{kind}_{joint}" for kind in ("q", "qd") for joint in robot.joints),
+            *(f"ctrl_{actuator}" for actuator in robot.actuators),
         )
-        goal = scenario.goal_view
-        self._camera, self._goal_uv = scenario.camera, goal.uv
+        self._scenario, self._camera = scenario, scenario.camera
         self._latency = scenario.camera.latency_s
-        self._T_target_goal = inverse(goal.T_camera_target)
+        self._T_camera_base = inverse(scenario.camera.mount.T)
+        self._start = robot.configuration() if robot.grounded else np.zeros(3)
 
     def rows(self, ticks: Sequence[Kept]) -> Array:
         """Ticks as numbers, shape (len(ticks), columns): one at a time on disk, many at once in memory, the same numbers."""
         t, frame, lost, error, scale, *rest = zip(*ticks, strict=True)
-        uv, depth, p_camera, T_camera, T_target, ordered, twist, made, *joints = (np.array(some) for some in rest)
-        goal = np.broadcast_to(self._goal_uv, uv.shape)
-        markers = [uv, self._camera.project(p_camera), goal, depth[..., None], *([angles(self._camera.ray(uv))] if self._angles else [])]
+        uv, depth, p_camera, T_camera, T_target, ordered, twist, made, goal_uv, T_goal, *more = (np.array(some) for some in rest)
+        est, odo, slip, view, estimate, *joints = more
+        markers = [uv, self._camera.project(p_camera), goal_uv, depth[..., None], *([angles(self._camera.ray(uv))] if self._angles else [])]
         when, n = np.array(t), len(ticks)
         return np.concatenate(
             [
@@ -110,23 +132,42 @@ class Layout:
                 np.array(error)[:, None],
                 _poses(T_camera),
                 _poses(T_target),
-                np.column_stack([*self._away(T_camera, T_target), when + self._latency]),
+                np.column_stack([*self._away(T_camera, T_target, T_goal), when + self._latency]),
                 ordered,
                 twist,
                 made,
                 np.array(scale)[:, None],
-                np.stack(joints, axis=-1).reshape(n, 3 * joints[0].shape[1]),
+                *(self._of_vehicle(T_camera, est, odo, slip) if self._grounded else ()),
+                *((view[:, None],) if len(self._scenario.goal_views) > 1 else ()),
+                *((self._off(T_camera, T_target)[:, None],) if isinstance(self._scenario.goal, KEPT) else ()),
+                *((estimate,) if self._scenario.stop.converged.by_estimate else ()),
+                *joints,
             ],
             axis=1,
         )
 
-    def _away(self, T_camera: Array, T_target: Array) -> tuple[Array, Array]:
-        """Distance [m] and angle [rad] from the goal pose, (n,) each."""
-        T_goal = T_target @ self._T_target_goal
+    def _away(self, T_camera: Array, T_target: Array, T_camera_target: Array) -> tuple[Array, Array]:
+        """Distance [m] and angle [rad] of the camera, or of the vehicle on the floor, from the goal pose, (n,) each."""
+        T_goal = T_target @ inverse(T_camera_target)
+        if self._grounded:
+            step = relative(place_of(T_goal @ self._T_camera_base), place_of(T_camera @ self._T_camera_base))
+            return np.hypot(step[:, 0], step[:, 1]), np.abs(step[:, 2])
         angle = rotation_angle(T_camera[:, :3, :3].mT @ T_goal[:, :3, :3])
         return np.linalg.norm(T_camera[:, :3, 3] - T_goal[:, :3, 3], axis=1), angle
 
+    def _of_vehicle(self, T_camera: Array, est: Array, odo: Array, slip: Array) -> list[Array]:
+        """Its true place, the one that it knows of, the one by odometry from where it really started, and its slip."""
+        c, s = np.cos(self._start[2]), np.sin(self._start[2])
+        way = np.column_stack([c * odo[:, 0] - s * odo[:, 1], s * odo[:, 0] + c * odo[:, 1], odo[:, 2]]) + self._start
+        return [place_of(T_camera @ self._T_camera_base), est, way, slip[:, None]]
 
+    def _off(self, T_camera: Array, T_target: Array) -> Array:
+        T_base = T_camera @ self._T_camera_base
+        return np.array([off(self._scenario, b, t) for b, t in zip(T_base, T_target, strict=True)])
+
+
+NOWHERE = np.full(3, np.nan)
+"""The place of a robot that has none."""
 Kept = tuple[Any, ...]
 """What a log keeps of a tick: numbers and arrays, no picture."""
 
@@ -148,6 +189,13 @@ def kept(tick: Tick) -> Kept:
         tick.command.twist,
         truth.twist,
         tick.allocation.twist,
+        tick.goal.uv,
+        tick.goal.T_camera_target,
+        NOWHERE if o.place is None else o.place,
+        NOWHERE if o.odometry is None else o.odometry,
+        tick.slip_mps,
+        tick.view,
+        tick.estimate,
         truth.q,
         truth.qd,
         truth.ctrl,

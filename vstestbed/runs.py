@@ -104,7 +104,9 @@ def run_into(
     """
     with _all_or_nothing(folder):
         write_whole(folder / "scenario.yaml", dump(scenario))
-        _write_scene(folder, scene_files(scenario.robot, scenario.camera, scenario.target, scenario.world, scenario.physics))
+        _write_scene(
+            folder, scene_files(scenario.robot, scenario.camera, scenario.target, scenario.world, scenario.physics, scenario.sights)
+        )
         with _filming(folder, scenario, films, tile_px) as cameras:
             log = _LogOnDisk(folder, scenario)
             try:

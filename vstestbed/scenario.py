@@ -11,7 +11,9 @@ from annotated_types import Ge
 
 from vstestbed.camera import CAMERAS, Catadioptric, Fisheye, Perspective, Spherical
 from vstestbed.errors import ParameterError
-from vstestbed.geometry import Array, Pose, inverse, transform
+from vstestbed.geometry import Array, inverse
+from vstestbed.goal import AnyGoal, GoalGap, GoalLine, GoalPlace, GoalView, GoalViewFrom, GoalViews
+from vstestbed.ground import pose_on_ground
 from vstestbed.laws import IBVS, LAWS, PBVS, Hybrid, Partitioned
 from vstestbed.observation import Goal, OracleDepth, PnP
 from vstestbed.robots import ROBOTS, Free, Mount, Puma560
@@ -19,15 +21,8 @@ from vstestbed.sim.clock import Clock
 from vstestbed.sim.world import World
 from vstestbed.spec import spec
 from vstestbed.stop import Stop
-from vstestbed.target import TARGETS, Points, Square
+from vstestbed.target import TARGETS, Carried, Points, Square
 from vstestbed.vision import DETECTORS, Blobs, Oracle, Tags
-
-
-@spec
-class GoalView:
-    """The goal as a view: the pose T_camera_target from which the target shall be seen."""
-
-    T_camera_target: Pose
 
 
 @spec
@@ -47,8 +42,8 @@ class Noise:
 
 PLANE_INPUTS = {"xy", "depth", "relative"}
 """Fields of an observation that exist only for what is in front of the camera."""
-START_STREAM, NOISE_STREAM, IMAGE_STREAM = 0, 1, 2
-"""Independent random streams of one seed: the start, the noise of measured pixels, the noise of pictures."""
+START_STREAM, NOISE_STREAM, IMAGE_STREAM, SENSOR_STREAM = 0, 1, 2, 3
+"""Independent random streams of one seed: the start, the noise of measured pixels, of pictures, of the robot's own sensors."""
 TRIES = 1000
 """How many random starts are drawn at most until the target is in view."""
 VIEW_MARGIN_PX = 10.0
@@ -70,7 +65,7 @@ class Scenario:
     target: Annotated[Square | Points, TARGETS]
     detector: Annotated[Blobs | Tags | Oracle, DETECTORS] = Blobs()
     law: Annotated[IBVS | Partitioned | PBVS | Hybrid, LAWS]
-    goal: GoalView
+    goal: AnyGoal
     stop: Stop = Stop()
     noise: Noise = Noise()
     world: World = World()
@@ -81,12 +76,24 @@ class Scenario:
         if isinstance(self.law.depth, OracleDepth) and not isinstance(self.detector, Oracle):
             words = "may be oracle only with detector: {kind: oracle}; with pixels use pnp, constant, goal or estimate"
             raise ParameterError("law.depth", words)
-        self.physics.resolve(self.camera)
+        self.clock  # noqa: B018 - refuses steps that do not fit
+        self._check_task()
         if self.stop.duration_s < self.camera.period:
             raise ParameterError("stop.duration_s", f"must be at least one camera period, {self.camera.period:g} s", self.stop.duration_s)
         self._check_markers()
         self._check_goal()
         self.law.check(self.target.points, self.goal_view)
+
+    def _check_task(self) -> None:
+        kind, tasks = self.goal.kind, self.law.tasks
+        task = "view" if isinstance(self.goal, GoalView | GoalViewFrom | GoalViews) else kind
+        if task not in tasks:
+            raise ParameterError("goal", f"may not be of kind {kind} with law {self.law.kind}, which takes {' or '.join(tasks)}")
+        if not self.robot.grounded and (task != "view" or any(isinstance(v, GoalViewFrom) for v in self._views)):
+            raise ParameterError("goal", f"of kind {kind} is for a vehicle; robot {self.robot.kind} takes T_camera_target")
+        carried = isinstance(self.target.motion, Carried)
+        if carried and any(isinstance(v, GoalViewFrom | GoalPlace) for v in self._views):
+            raise ParameterError("goal", f"of kind {kind} needs a target that stands still; a carried one is followed by a gap")
 
     def _check_markers(self) -> None:
         points, marker, seen = self.target.points, self.target.marker.kind, self.detector.markers
@@ -94,7 +101,7 @@ class Scenario:
             words = f"may not be {marker}: detector {self.detector.kind} sees {', '.join(seen)}; with {marker} use"
             able = [kind for kind, member in DETECTORS.members.items() if not member.markers or marker in member.markers]
             raise ParameterError("target.marker", f"{words} detector {' or '.join(able)}")
-        needed = self.law.markers_needed(self.robot.motion_basis(Mount.of(self.camera.mount.T)))
+        needed = max(self.law.markers_needed(self.robot.motion_basis(Mount.of(self.camera.mount.T))), 1)
         if len(points) < needed:
             markers = f"{len(points)} marker{'s' * (len(points) != 1)}"
             raise ParameterError("target", f"has {markers}, and law {self.law.kind} needs {needed} or more for this robot's motions")
@@ -107,7 +114,14 @@ class Scenario:
             raise ParameterError("target", words)
 
     def _check_goal(self) -> None:
-        p = transform(self.goal.T_camera_target.T, self.target.points)
+        if isinstance(self.goal, GoalPlace | GoalGap | GoalLine):
+            return  # what is seen there is not what is asked for
+        for i, view in enumerate(self._views):
+            where = f"goal.views.{i}" if len(self._views) > 1 else "goal"
+            self._check_view(f"{where}.{'T_camera_target' if isinstance(view, GoalView) else 'view_from'}", self.goal_views[i])
+
+    def _check_view(self, field: str, goal: Goal) -> None:
+        p = self.target.seen_from(inverse(goal.T_camera_target), np.eye(4))
         uv, plane = self.camera.project(p), PLANE_INPUTS & set(self.law.inputs)
         limited = not (isinstance(self.detector, Oracle) and self.detector.field_of_view == "unlimited")
         picture = limited and len(self.camera.panels) == 1
@@ -124,17 +138,57 @@ class Scenario:
                 remedy = "a law of rays (feature spherical) or poses"
         markers = f"marker {bad[0]} is" if len(bad) == 1 else f"markers {', '.join(bad)} are"
         words = f"is a view in which {markers} {where}; move the goal back, or use {remedy} or a smaller target"
-        raise ParameterError("goal.T_camera_target", words)
+        raise ParameterError(field, words)
+
+    @property
+    def clock(self) -> tuple[float, int]:
+        """The physics step [s], and how many of them a camera frame takes."""
+        return self.physics.resolve(self.camera, self.robot.largest_step_s)
+
+    @property
+    def _views(self) -> tuple[AnyGoal, ...]:
+        return self.goal.views if isinstance(self.goal, GoalViews) else (self.goal,)
 
     @cached_property
+    def goal_views(self) -> tuple[Goal, ...]:
+        """What the law wants to see: one view, or several in turn."""
+        return tuple(self._goal_of(view) for view in self._views)
+
+    @property
     def goal_view(self) -> Goal:
-        """What the law wants to see."""
-        return Goal.from_view(self.camera, self.target.points, self.goal.T_camera_target.T)
+        """What the law wants to see in the end."""
+        return self.goal_views[-1]
+
+    def _goal_of(self, goal: AnyGoal) -> Goal:
+        """The goal as the law is told it. Tasks that are no view have one all the same: what is seen where all is well."""
+        camera, points, mount = self.camera, self.target.points, self.camera.mount.T
+        match goal:
+            case GoalView(T_camera_target=pose):
+                return Goal.from_view(camera, points, pose.T)
+            case GoalViewFrom(view_from=here) | GoalPlace(pose=here):
+                T = inverse(here.T @ mount) @ self.target.pose.T
+                return replace(Goal.from_view(camera, points, T), place=here.place)
+            case GoalGap(gap_m=gap):
+                carrier = self.target.pose.T.copy()
+                carrier[:2, 3] = 0.0  # straight ahead, the carrier turned as the vehicle is
+                T = inverse(mount) @ pose_on_ground(np.array([gap, 0.0, 0.0])) @ carrier
+                return replace(Goal.from_view(camera, points, T), gap_m=gap)
+            case _:
+                raise ParameterError("goal", f"of kind {goal.kind} needs a line on the floor as target")
+
+    @property
+    def sights(self) -> tuple[tuple[float, float, float], ...]:
+        """Places that the view from outside shall show besides the start and the target: goals, and routes."""
+        places = [goal.place for goal in self.goal_views if goal.place is not None]
+        motion = self.target.motion
+        if isinstance(motion, Carried):
+            places += list(motion.route.samples.xy[::50])
+        return tuple((float(p[0]), float(p[1]), 0.0) for p in places)
 
     @property
     def T_world_goal(self) -> Array:
         """The camera's goal pose in the world (4, 4), for a still target."""
-        return self.target.pose.T @ inverse(self.goal.T_camera_target.T)
+        return self.target.pose.T @ inverse(self.goal_view.T_camera_target)
 
     def rng(self, stream: int) -> np.random.Generator:
         """The scenario's random numbers: one independent stream each for the start and the noises."""
@@ -158,8 +212,8 @@ class Scenario:
 
     def _in_view(self, robot: Free | Puma560) -> bool:
         T_world_camera = robot.flange_pose(robot.configuration()) @ self.camera.mount.T
-        T = inverse(T_world_camera) @ self.target.pose.T
-        p = transform(T, self.target.points)
+        T = inverse(T_world_camera) @ self.target.T_world_start
+        p = self.target.seen_from(T_world_camera, self.target.T_world_start)
         facing = float(T[:3, 2] @ T[:3, 3]) / max(float(np.linalg.norm(T[:3, 3])), 1e-9)  # of the plane, for who looks at it
         turned = T[2, 2] if isinstance(self.camera, Perspective) else facing
         faces = turned > 0.17 or not isinstance(self.target, Square)  # within 80 degrees of square to the target

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import dataclasses
 import importlib.metadata
+from collections.abc import Mapping
 from typing import Any, TypeVar, dataclass_transform
 
 import pydantic
@@ -76,10 +77,18 @@ class OneOf:
         members: the spec classes; each has `kind: Literal["..."] = "..."`.
         number: (kind, field) that a bare number stands for, where one does.
         default: the kind of a block that names none, where there is one.
+        fields: kinds that a block which names none is, where it has the field.
     """
 
-    def __init__(self, what: str, *members: type, number: tuple[str, str] | None = None, default: str | None = None):
-        self.what, self.number, self.default = what, number, default
+    def __init__(
+        self,
+        what: str,
+        *members: type,
+        number: tuple[str, str] | None = None,
+        default: str | None = None,
+        fields: Mapping[str, str] | None = None,
+    ):
+        self.what, self.number, self.default, self.fields = what, number, default, dict(fields or {})
         self.members: dict[str, type] = {}
         for member in members:
             self.add(member)
@@ -110,12 +119,18 @@ class OneOf:
         words = ", ".join(sorted(self.members))
         if not isinstance(value, dict):
             raise PydanticCustomError("block", "must be a {what} block or one of the words: {words}", {"what": self.what, "words": words})
-        kind = value.get("kind", self.default)
+        told = next((kind for field, kind in self.fields.items() if field in value), self.default)
+        kind = value.get("kind", told)
         if kind is None:
-            raise PydanticCustomError("no_kind", "needs a kind; valid kinds: {words}", {"words": words})
+            raise PydanticCustomError("no_kind", "needs {words}", {"words": self._needs})
         if not isinstance(kind, str) or kind not in self.members:
             raise PydanticCustomError("unknown_kind", "is no {what}; {hint}", {"what": self.what, "hint": f"valid kinds: {words}"})
         return {**value, "kind": kind}
+
+    @property
+    def _needs(self) -> str:
+        words = f"a kind; valid kinds: {', '.join(sorted(self.members))}"
+        return f"one of the fields {', '.join(self.fields)}, or {words}" if self.fields else words
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         """Pydantic's hook: a union told apart by `kind`, a bare word standing for the block of that kind."""
@@ -126,7 +141,7 @@ class OneOf:
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         """Pydantic's hook for editors: a block of one of the kinds, or what stands for one (a bare word, a number)."""
         blocks = handler(schema)["oneOf"]
-        needs = {} if self.default else {"required": ["kind"]}
+        needs = {} if self.default or self.fields else {"required": ["kind"]}
         choices: list[dict[str, Any]] = [block | needs for block in blocks]
         words = sorted(kind for kind, member in self.members.items() if not _needed_fields(member))
         if words:

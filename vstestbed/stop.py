@@ -36,10 +36,44 @@ class Outcome(Enum):
 
 @spec
 class Converged:
-    """The goal is reached when all of its markers are seen, the RMS error is under error_px, and that for hold_s."""
+    """When the goal counts as reached: every condition given holds for hold_s. Without any, error_px is 0.2.
 
-    error_px: Annotated[float, Gt(0)] = 0.2
+    Args:
+        error_px: all markers are seen, and their RMS error is under this [px].
+        position_m, rotation_deg: by the law's own estimate (the pose from the markers; a vehicle's place) the robot is this near
+            to its goal [m, deg].
+        hold_s: for how long [s].
+    """
+
+    error_px: Annotated[float, Gt(0)] | None = None
+    position_m: Annotated[float, Gt(0)] | None = None
+    rotation_deg: Annotated[float, Gt(0)] | None = None
     hold_s: Annotated[float, Ge(0)] = 0.5
+
+    def __post_init__(self) -> None:
+        """Without a condition, 0.2 px."""
+        if self.error_px is None and self.position_m is None and self.rotation_deg is None:
+            object.__setattr__(self, "error_px", 0.2)
+
+    @property
+    def by_estimate(self) -> bool:
+        """Whether the robot's own estimate counts."""
+        return self.position_m is not None or self.rotation_deg is not None
+
+    def near(self, all_seen: bool, error_px: float, position_m: float, rotation_rad: float) -> bool:
+        """Whether the conditions hold; NaN, of what is not known, does not."""
+        if self.error_px is not None and not (all_seen and error_px < self.error_px):
+            return False
+        if self.position_m is not None and not position_m < self.position_m:
+            return False
+        return self.rotation_deg is None or math.degrees(rotation_rad) < self.rotation_deg
+
+    @property
+    def words(self) -> str:
+        """The conditions as a person says them."""
+        given = ((self.error_px, "RMS error under {:g} px"), (self.position_m, "under {:g} m"), (self.rotation_deg, "under {:g} deg"))
+        said = ", ".join(form.format(value) for value, form in given if value is not None)
+        return said if self.error_px is not None else f"by its own estimate {said} off"
 
 
 @spec
@@ -82,6 +116,9 @@ class Evidence:
         scale, limit: from the allocation of that command.
         distance: camera to target [m]; behind: the camera is behind the target's plane.
         contact: the robot touches something it should not.
+        last_view: the goal is the last of its views.
+        position_m, rotation_rad: how far the robot is from its goal by the law's own estimate, NaN where it has none.
+        off_m: true error of a task without an end [m], NaN for other tasks.
     """
 
     t: float
@@ -95,6 +132,18 @@ class Evidence:
     distance: float
     behind: bool
     contact: bool
+    last_view: bool = True
+    position_m: float = math.nan
+    rotation_rad: float = math.nan
+    off_m: float = math.nan
+
+
+@dataclass(frozen=True, slots=True)
+class Band:
+    """A task without an end: how far off it may be [m] from `settle_s` on."""
+
+    width_m: float
+    settle_s: float
 
 
 @dataclass
@@ -102,7 +151,9 @@ class Judge:
     """Watches the evidence and says when a run is over, and why: (Outcome, reason)."""
 
     stop: Stop
+    band: Band | None = None
     worked: bool = False
+    left_at: tuple[float, float] | None = None
     since: dict[str, float] = field(default_factory=dict)
 
     def _lasting(self, name: str, holds: bool, t: float) -> float:
@@ -116,13 +167,13 @@ class Judge:
         """The outcome after this frame with its reason, or None to go on."""
         goal = self.stop.converged
         self.worked = self.worked or not e.lost
-        near = not e.lost and e.all_seen and e.error_px < goal.error_px
+        near = self.band is None and not e.lost and e.last_view and goal.near(e.all_seen, e.error_px, e.position_m, e.rotation_rad)
         held = self._lasting("near", near, e.t)
         lost = self._lasting("lost", e.lost, e.t)
-        rest = self._lasting("rest", not e.lost and not near and e.command_size < REST, e.t)
+        rest = self._lasting("rest", self.band is None and not e.lost and not near and e.command_size < REST, e.t)
         blocked = self._lasting("blocked", e.limit in ("joint_limit", "singular") and e.scale < BLOCKED_SCALE, e.t)
         if held >= goal.hold_s:
-            return Outcome.converged, f"RMS error under {goal.error_px:g} px for {goal.hold_s:g} s"
+            return Outcome.converged, f"{goal.words} for {goal.hold_s:g} s"
         if e.contact:
             return Outcome.collided, "the robot touched something"
         if e.distance > FAR_M:
@@ -136,6 +187,17 @@ class Judge:
             return Outcome[e.limit], f"{Outcome[e.limit].value} for {BLOCKED_S:g} s"
         if rest >= REST_S:
             return Outcome.local_minimum, f"the commanded twist is zero at an RMS error of {e.error_px:.3g} px"
+        if self.band and e.t >= self.band.settle_s and not abs(e.off_m) <= self.band.width_m:
+            self.left_at = self.left_at or (e.t, e.off_m)
         if e.t >= self.stop.duration_s - 1e-9:
-            return Outcome.timed_out, f"{self.stop.duration_s:g} s were not enough"
+            return self._at_the_end()
         return None
+
+    def _at_the_end(self) -> tuple[Outcome, str]:
+        if self.band is None:
+            return Outcome.timed_out, f"{self.stop.duration_s:g} s were not enough"
+        width, settle = self.band.width_m, self.band.settle_s
+        if self.left_at is None:
+            return Outcome.completed, f"within {width:g} m from {settle:g} s on"
+        t, off = self.left_at
+        return Outcome.timed_out, f"out of its band of {width:g} m at {t:.3g} s, {abs(off):.3g} m off"

@@ -12,10 +12,12 @@ from functools import cached_property
 from typing import Annotated, Literal
 
 import numpy as np
-from annotated_types import Ge, Gt, Len
+from annotated_types import Ge, Gt, Le, Len
 
 from vstestbed.errors import ParameterError
-from vstestbed.geometry import Array, Pose, Triple
+from vstestbed.geometry import Array, Pose, Triple, inverse, transform
+from vstestbed.ground import pose_on_ground
+from vstestbed.route import AnyRoute
 from vstestbed.spec import OneOf, spec
 
 Radius = Annotated[float, Gt(0)]
@@ -131,8 +133,28 @@ class Still:
     kind: Literal["still"] = "still"
 
 
-MOTIONS = OneOf("motion", Still, default="still")
-Motion = Annotated[Still, MOTIONS]
+@spec
+class Carried:
+    """The target rides on a vehicle that drives along a route; `target.pose` is then where it sits in the vehicle's frame.
+
+    The vehicle has the masses, wheels and servos of its model. Its driver knows where it is (he is no part of the experiment).
+
+    Args:
+        by: the vehicle's kind. It starts on the route.
+        route: where it drives.
+        speed_mps: how fast [m/s].
+        from_m: how far along the route it starts [m].
+    """
+
+    kind: Literal["carried"] = "carried"
+    by: Literal["car", "omni"] = "car"
+    route: AnyRoute
+    speed_mps: Annotated[float, Gt(0), Le(3)] = 0.5
+    from_m: float = 0.0
+
+
+MOTIONS = OneOf("motion", Still, Carried, default="still")
+Motion = Annotated[Still | Carried, MOTIONS]
 
 
 @spec
@@ -147,6 +169,17 @@ class Target:
     def points(self) -> Array:
         """Marker centres in the target frame, shape (N, 3) [m]."""
         raise NotImplementedError
+
+    @property
+    def T_world_start(self) -> Array:
+        """Where it is at the start (4, 4)."""
+        if isinstance(self.motion, Carried):
+            return pose_on_ground(self.motion.route.at(self.motion.from_m)[:3]) @ self.pose.T
+        return self.pose.T
+
+    def seen_from(self, T_world_camera: Array, T_world_target: Array) -> Array:
+        """True marker centres in the camera's frame, shape (N, 3) [m]."""
+        return transform(inverse(T_world_camera) @ T_world_target, self.points)
 
     @cached_property
     def hues_deg(self) -> tuple[float, ...]:

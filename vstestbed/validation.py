@@ -12,10 +12,12 @@ import pydantic
 from vstestbed.camera import CAMERAS
 from vstestbed.errors import Mistake, ParameterError, ScenarioError, nearest
 from vstestbed.features import FEATURES
+from vstestbed.goal import GOALS, VIEWS
 from vstestbed.laws import LAWS
 from vstestbed.laws.base import GAINS
 from vstestbed.observation import DEPTHS
 from vstestbed.robots import ROBOTS
+from vstestbed.route import ROUTES
 from vstestbed.spec import OneOf, to_mapping
 from vstestbed.target import MARKERS, MOTIONS, TARGETS
 from vstestbed.vision import DETECTORS
@@ -33,6 +35,9 @@ KINDS: dict[str, OneOf] = {
     "laws": LAWS,
     "gains": GAINS,
     "depths": DEPTHS,
+    "goals": GOALS,
+    "views": VIEWS,
+    "routes": ROUTES,
 }
 """Every list of kinds; a plugin may add to each."""
 
@@ -90,7 +95,7 @@ def _bent(plain: Any, built: Any, key: Key) -> Iterator[tuple[Key, str]]:
         yield key, f"must be a number, got {short(plain)}"
 
 
-_DEFAULT_KINDS = {kinds.default for kinds in KINDS.values() if kinds.default}
+_DEFAULT_KINDS = {kinds.default for kinds in KINDS.values() if kinds.default} | {k for one in KINDS.values() for k in one.fields.values()}
 
 
 def _place(loc: Sequence[int | str], plain: Any) -> Key:

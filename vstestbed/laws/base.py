@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Literal, Protocol, TypeVar
+from typing import Annotated, ClassVar, Literal, Protocol, TypeVar
 
 import numpy as np
 from annotated_types import Gt
@@ -42,6 +42,9 @@ class Law(Protocol[M]):
     def kind(self) -> str:
         """The law's word in a scenario."""
         ...
+
+    tasks: ClassVar[tuple[str, ...]]
+    """What it may be asked for: `view`, `pose` (of a vehicle), `gap`, `line`."""
 
     @property
     def inputs(self) -> tuple[str, ...]:

@@ -45,6 +45,7 @@ class Hybrid:
     """
 
     kind: Literal["hybrid"] = "hybrid"
+    tasks: ClassVar[tuple[str, ...]] = ("view",)
     gain: Gain = ConstantGain()
     source: Literal["homography", "model"] = "homography"
     limits: TwistLimits = TwistLimits()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from annotated_types import Ge
 
@@ -53,6 +53,7 @@ class IBVS:
     """
 
     kind: Literal["ibvs"] = "ibvs"
+    tasks: ClassVar[tuple[str, ...]] = ("view",)
     gain: Gain = ConstantGain()
     feature: Annotated[Point | Polar | Spherical | Polygon | Line, FEATURES] = Point()
     interaction: Literal["current", "desired", "mean"] = "current"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from annotated_types import Gt, Len
@@ -61,6 +61,7 @@ class Partitioned:
     """
 
     kind: Literal["partitioned"] = "partitioned"
+    tasks: ClassVar[tuple[str, ...]] = ("view",)
     gain: Gain = ConstantGain()
     gain_z: Annotated[float, Gt(0)] = 1.0
     gain_turn: Annotated[float, Gt(0)] = 0.5

@@ -1,10 +1,12 @@
 """Robots, in numpy only: what they can do, how a command becomes a setpoint, their limits. Their bodies are in models/."""
 
-from vstestbed.robots.base import Allocation, Mount, Robot, Servo
+from vstestbed.robots.base import Allocation, Direct, Mount, Robot, Servo
 from vstestbed.robots.free import Free
 from vstestbed.robots.puma560 import Puma560
 from vstestbed.spec import OneOf
 
 ROBOTS = OneOf("robot", Free, Puma560)
+VEHICLES: dict[str, type] = {}
+"""What can carry a target."""
 
-__all__ = ["ROBOTS", "Allocation", "Free", "Mount", "Puma560", "Robot", "Servo"]
+__all__ = ["ROBOTS", "VEHICLES", "Allocation", "Direct", "Free", "Mount", "Puma560", "Robot", "Servo"]

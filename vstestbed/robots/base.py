@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal, Protocol
+from typing import Any, ClassVar, Literal, Protocol
 
 import numpy as np
 
@@ -65,16 +65,31 @@ class Servo:
 
 
 class Robot(Protocol):
-    """A robot that carries (or is) the camera. Configurations are vectors: joint angles, or a pose for the free camera."""
+    """A robot that carries (or is) the camera. Its configuration tells where it stands: joint angles, a flat pose, (x, y, heading)."""
 
-    model: ClassVar[str | None]
-    """Name of its MJCF file in models/, None for the ideal camera."""
     joints: ClassVar[tuple[str, ...]]
-    """Names of its joints, in the order of the configuration."""
+    """Joints that it measures, in the order of its encoders."""
+    actuators: ClassVar[tuple[str, ...]]
+    """Actuators, in the order of their controls."""
+    sensors: ClassVar[tuple[str, ...]]
+    """MJCF sensors that become the instruments of its encoders."""
+    rides: ClassVar[bool]
+    """Whether its base is free to go anywhere: joint `root` (or `root_x`, `root_y`, `root_yaw`) in its file."""
+    grounded: ClassVar[bool]
+    """Whether it stands on the floor and moves in the plane: its configuration is (x, y, heading)."""
+    control_period_s: ClassVar[float | None]
+    """How often its onboard controller turns the setpoint into controls [s]; None where the setpoint is the controls."""
+    largest_step_s: ClassVar[float]
+    """The largest physics step that its servos were tested at [s]."""
 
     @property
     def kind(self) -> str:
         """The robot's word in a scenario."""
+        ...
+
+    @property
+    def model(self) -> str | None:
+        """Name of its MJCF file in models/, None for the ideal camera."""
         ...
 
     @property
@@ -98,6 +113,10 @@ class Robot(Protocol):
         """Camera twists the robot can make, shape (6, n): twist = basis @ u."""
         ...
 
+    def measured(self, raw: Encoders, rng: np.random.Generator) -> Encoders:
+        """What its instruments make of perfect readings: with their noise and bias."""
+        ...
+
     def measured_twist(self, before: Encoders, now: Encoders, duration: float, ordered: Array, mount: Mount) -> Array:
         """Mean camera twist (6,) between two readings of its encoders; `ordered` where it has none."""
         ...
@@ -105,3 +124,33 @@ class Robot(Protocol):
     def allocate(self, twist: Array, encoders: Encoders, mount: Mount, period: float) -> Allocation:
         """A camera twist (6,) as a setpoint that keeps the limits for one period [s]."""
         ...
+
+    def begin(self) -> Any:
+        """The memory of its onboard controller before the start."""
+        ...
+
+    def actuate(self, memory: Any, setpoint: Array, encoders: Encoders, dt: float) -> tuple[Any, Array]:
+        """One step of its onboard controller: the next memory and the actuators' controls (nu,)."""
+        ...
+
+
+class Direct:
+    """What a robot has whose setpoint is its actuators' controls and whose instruments are exact."""
+
+    sensors: ClassVar[tuple[str, ...]] = ()
+    rides: ClassVar[bool] = False
+    grounded: ClassVar[bool] = False
+    control_period_s: ClassVar[float | None] = None
+    largest_step_s: ClassVar[float] = 0.002
+
+    def measured(self, raw: Encoders, rng: np.random.Generator) -> Encoders:
+        """The readings as they are."""
+        return raw
+
+    def begin(self) -> None:
+        """No memory."""
+        return
+
+    def actuate(self, memory: None, setpoint: Array, encoders: Encoders, dt: float) -> tuple[None, Array]:
+        """The setpoint itself."""
+        return memory, setpoint

@@ -9,7 +9,7 @@ import numpy as np
 from vstestbed.errors import ParameterError
 from vstestbed.geometry import Array, Pose, Triple
 from vstestbed.observation import Encoders
-from vstestbed.robots.base import Allocation, Mount
+from vstestbed.robots.base import Allocation, Direct, Mount
 from vstestbed.spec import spec
 
 
@@ -30,13 +30,18 @@ class FreeStart:
 
 
 @spec
-class Free:
+class Free(Direct):
     """A camera that flies without mass; its flange is the camera's body. `start.nominal` is its pose in the world."""
 
     kind: Literal["free"] = "free"
     start: FreeStart
-    model: ClassVar[str | None] = None
     joints: ClassVar[tuple[str, ...]] = ()
+    actuators: ClassVar[tuple[str, ...]] = ()
+
+    @property
+    def model(self) -> None:
+        """No body."""
+        return None
 
     @property
     def servo(self) -> None:

@@ -16,7 +16,7 @@ from annotated_types import Ge, Le, Len
 from vstestbed.errors import ParameterError
 from vstestbed.geometry import Array
 from vstestbed.observation import Encoders
-from vstestbed.robots.base import Allocation, Limit, Mount, Servo
+from vstestbed.robots.base import Allocation, Direct, Limit, Mount, Servo
 from vstestbed.spec import spec
 
 DH = np.array(
@@ -162,7 +162,7 @@ class PumaStart:
 
 
 @spec
-class Puma560:
+class Puma560(Direct):
     """The Puma 560 with a camera at its flange, driven by joint velocities.
 
     Args:
@@ -173,8 +173,8 @@ class Puma560:
     kind: Literal["puma560"] = "puma560"
     actuation: Literal["ideal", "industrial", "raw"] = "industrial"
     start: PumaStart = PumaStart()
-    model: ClassVar[str | None] = "puma560.xml"
     joints: ClassVar[tuple[str, ...]] = tuple(f"joint_{i}" for i in range(1, 7))
+    actuators: ClassVar[tuple[str, ...]] = joints
 
     def __post_init__(self) -> None:
         """Refuse a start outside the joint limits."""
@@ -182,6 +182,11 @@ class Puma560:
         for i, (q, (low, high)) in enumerate(zip(self.start.nominal.q_deg, limits, strict=True)):
             if not low <= q <= high:
                 raise ParameterError(f"start.nominal.q_deg.{i}", f"must be within joint {i + 1}'s limits {low:g} to {high:g} deg", q)
+
+    @property
+    def model(self) -> str:
+        """Its file."""
+        return "puma560.xml"
 
     @property
     def servo(self) -> Servo:

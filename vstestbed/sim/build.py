@@ -25,27 +25,29 @@ def build_plant(
     needs_truth: bool,
     image_sigma: float = 0.0,
     rng: np.random.Generator | None = None,
+    sensor_rng: np.random.Generator | None = None,
 ) -> tuple[Plant, str]:
     """Make the plant; with it the name of what renders its pictures ("none" where nothing does).
 
-    An arm is simulated by MuJoCo. The ideal camera needs MuJoCo only for pictures, or to tell what plates hide.
+    An arm or a vehicle is simulated by MuJoCo. The ideal camera needs MuJoCo only for pictures, or to tell what plates hide.
 
     Args:
         needs_image, needs_truth: what the detector looks at.
         image_sigma, rng: noise of the pictures [grey levels] and where it comes from.
+        sensor_rng: where the noise of the robot's own sensors comes from.
 
     Raises:
         EnvironmentLackError: a picture is needed that only OpenGL can draw, and it does not work here.
     """
     from vstestbed.sim.scene import Parts
 
-    step, steps_per_frame = clock.resolve(camera)
+    step, steps_per_frame = clock.resolve(camera, robot.largest_step_s)
     parts = Parts(robot, camera, target, world, step)
     ideal = robot.model is None
     if ideal and not needs_image and not world.plates:
         from vstestbed.sim.ideal import IdealPlant
 
-        return IdealPlant(parts, robot.flange_pose(robot.configuration()), steps_per_frame), "none"
+        return IdealPlant(parts, steps_per_frame), "none"
     from vstestbed.sim.pictures import eye_of
     from vstestbed.sim.stage import Stage
 
@@ -55,10 +57,10 @@ def build_plant(
     if ideal:
         from vstestbed.sim.ideal import IdealPlant
 
-        return IdealPlant(parts, robot.flange_pose(robot.configuration()), steps_per_frame, stage, eye), renderer
+        return IdealPlant(parts, steps_per_frame, stage, eye), renderer
     from vstestbed.sim.plant import MujocoPlant
 
-    return MujocoPlant(stage, robot.configuration(), steps_per_frame, eye, see_hidden=needs_truth), renderer
+    return MujocoPlant(stage, steps_per_frame, eye, needs_truth, sensor_rng or np.random.default_rng(0)), renderer
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,12 +71,23 @@ class SceneFiles:
     assets: dict[str, bytes]
 
 
-def scene_files(robot: Robot, camera: Camera, target: Target, world: World, clock: Clock) -> SceneFiles:
-    """The compiled scene; its keyframe `start` is the nominal start."""
-    from vstestbed.sim.scene import Parts, compose, start_keyframe
+def scene_files(
+    robot: Robot, camera: Camera, target: Target, world: World, clock: Clock, sights: tuple[tuple[float, float, float], ...] = ()
+) -> SceneFiles:
+    """The compiled scene; its keyframe `start` is the nominal start. `sights` are what the outside view shall show."""
+    from vstestbed.geometry import quaternion_wxyz
+    from vstestbed.sim.scene import Parts
+    from vstestbed.sim.stage import Stage
 
-    parts = Parts(robot, camera, target, world, clock.resolve(camera)[0])
-    spec = compose(parts)
-    start_keyframe(spec, parts)
+    parts = Parts(robot, camera, target, world, clock.resolve(camera, robot.largest_step_s)[0], sights)
+    stage = Stage(parts)
+    spec = stage.spec
+    if robot.model is None:
+        T = robot.flange_pose(robot.configuration())
+        body = spec.body("robot/camera")
+        body.pos, body.quat = T[:3, 3], quaternion_wxyz(T[:3, :3])
+    else:
+        spec.add_key(name="start", qpos=stage.start_qpos())
+    stage.close()
     spec.compile()
     return SceneFiles(spec.to_xml(), dict(spec.assets))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from vstestbed.camera import Frame, Look
-from vstestbed.geometry import Array, exp, inverse, transform
+from vstestbed.geometry import Array, exp
 from vstestbed.observation import Encoders
 from vstestbed.sim.base import Eyes, Truth
 from vstestbed.sim.scene import Parts
@@ -18,20 +18,19 @@ class IdealPlant:
     """T_world_camera <- T_world_camera exp([v] dt), the setpoint v held between commands.
 
     Args:
-        parts: what is in the world. start: T_world_flange (4, 4). steps_per_frame: physics steps between pictures.
+        parts: what is in the world. steps_per_frame: physics steps between pictures.
         eye: makes the pictures; None where no detector needs them. stage: tells what is hidden; None where nothing is.
     """
 
-    def __init__(self, parts: Parts, start: Array, steps_per_frame: int, stage: Stage | None = None, eye: Eyes | None = None):
+    def __init__(self, parts: Parts, steps_per_frame: int, stage: Stage | None = None, eye: Eyes | None = None):
         self.step_s, self.steps_per_frame = parts.step, steps_per_frame
-        self._mount = parts.camera.mount.T
-        self._T = start @ self._mount
+        self._T = parts.start[1]
         self._T_world_target = parts.target.pose.T
-        self._points = parts.target.points
+        self._target = parts.target
         self._stage, self._eye = stage, eye
         self._twist = np.zeros(6)
         self._steps = 0
-        self._hidden = np.zeros(len(self._points), dtype=bool)
+        self._hidden = np.zeros(len(self._target.points), dtype=bool)
 
     @property
     def render_s(self) -> float:
@@ -42,7 +41,7 @@ class IdealPlant:
         """The picture, where one is wanted, and the truth."""
         t = self._steps * self.step_s
         T = self._T.copy()
-        p_camera = transform(inverse(T) @ self._T_world_target, self._points)
+        p_camera = self._target.seen_from(T, self._T_world_target)
         hidden, frame = self._hidden, None
         if self._stage is not None:
             self._stage.place(t, self._T_world_target, NONE, T)

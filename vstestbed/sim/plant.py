@@ -2,57 +2,90 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import mujoco
 import numpy as np
 from dm_control.rl.control import PhysicsError
 
 from vstestbed.camera import Frame, Look
-from vstestbed.geometry import Array, inverse, transform
+from vstestbed.geometry import Array
 from vstestbed.observation import Encoders
 from vstestbed.sim.base import Eyes, Truth
-from vstestbed.sim.scene import Parts
+from vstestbed.sim.leader import Leader
+from vstestbed.sim.senses import Senses
 from vstestbed.sim.stage import Stage
+
+SETTLE_S = 1.0
+"""A vehicle stands this long on its springs before the start [s]."""
 
 
 class MujocoPlant:
-    """Steps a dm_control physics; setpoints are the actuators' controls.
+    """Steps a dm_control physics; setpoints go to the actuators, through the robot's onboard controller where it has one.
 
     dm_control's step ends with `mj_step1`, so that poses, the camera and velocities are those of the present time, not
     one step old. The robot starts at rest and in equilibrium: integrating servos carry the gravity load from the start,
-    as they do when brakes are released.
+    as they do when brakes are released; vehicles have sunk into their springs.
 
     Args:
-        stage: the scene. start: joint angles (n,). steps_per_frame: physics steps between pictures.
+        stage: the scene. steps_per_frame: physics steps between pictures.
         eye: makes the pictures; None where no detector needs them. see_hidden: cast rays for the truth's `hidden`.
+        rng: noise of the robot's own sensors.
     """
 
-    def __init__(self, stage: Stage, start: Array, steps_per_frame: int, eye: Eyes | None, see_hidden: bool):
+    def __init__(self, stage: Stage, steps_per_frame: int, eye: Eyes | None, see_hidden: bool, rng: np.random.Generator):
         self._stage, self._eye, self._see_hidden = stage, eye, see_hidden
-        parts: Parts = stage.parts
-        self.step_s, self.steps_per_frame = parts.step, steps_per_frame
-        self._points = parts.target.points
-        self._T_world_target = parts.target.pose.T
-        ctrl = [stage.model.actuator_ctrladr[stage.model.actuator(f"robot/{name}").id] for name in parts.robot.joints]
-        self._ctrl = np.array(ctrl, dtype=int)
-        bodies = [stage.model.body(i).name.startswith("robot/") for i in range(stage.model.nbody)]
-        self._robot_geoms = np.array(bodies)[stage.model.geom_bodyid]
+        robot, model = stage.parts.robot, stage.model
+        self.step_s, self.steps_per_frame = stage.parts.step, steps_per_frame
+        self._target = stage.parts.target
+        self._robot = robot
+        self._ctrl = np.array([model.actuator_ctrladr[model.actuator(f"robot/{name}").id] for name in robot.actuators], dtype=int)
+        bodies = [model.body(i).name.startswith("robot/") for i in range(model.nbody)]
+        self._robot_geoms = np.array(bodies)[model.geom_bodyid]
+        self._floor = model.geom("floor").id
+        self._senses = Senses(stage, rng)
+        self._leader = Leader(stage) if stage.leader else None
         self._velocity = np.zeros(6)
-        self._visible = np.zeros(len(self._points), dtype=bool)
+        self._visible = np.zeros(len(self._target.points), dtype=bool)
         self._steps = 0
-        stage.place(0.0, self._T_world_target, start)
+        self._memory: Any = robot.begin()
+        self._setpoint: Array | None = None
+        self._control_steps = max(1, round((robot.control_period_s or 0.0) / self.step_s)) if robot.control_period_s else 0
+        q, T = stage.parts.start
+        stage.place(0.0, self._target.T_world_start, q, T)
         self._settle()
+        if robot.grounded:
+            self._stand()
 
     def _settle(self) -> None:
         """Integrating servos start at q + (gravity torque) / kp."""
         model, data = self._stage.model, self._stage.data
         mujoco.mj_forward(model, data)
         for i in range(model.nu):
-            if model.actuator_actnum[i] == 1:
+            if model.actuator_dyntype[i] == mujoco.mjtDyn.mjDYN_INTEGRATOR and model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT:
                 joint = model.actuator_trnid[i, 0]
                 load = data.qfrc_bias[model.jnt_dofadr[joint]] - data.qfrc_gravcomp[model.jnt_dofadr[joint]]
                 kp = model.actuator_gainprm[i, 0]
                 data.act[model.actuator_actadr[i]] = data.qpos[model.jnt_qposadr[joint]] + load / kp
         mujoco.mj_forward(model, data)
+
+    def _stand(self) -> None:
+        """Let vehicles sink into their springs, then bring them back to where they start, at rest; the clock begins there."""
+        stage, data = self._stage, self._stage.data
+        stage.physics.step(round(SETTLE_S / self.step_s))
+        for root, T_start in (
+            (stage.root, stage.parts.start[1] @ stage.mount_inverse),
+            (stage.leader, self._target.T_world_start @ stage.target_inverse),
+        ):
+            if root is not None and T_start is not None:
+                T = root.pose(data)
+                sunk = T_start.copy()
+                sunk[2, 3] = T[2, 3]
+                root.put(data.qpos, sunk)
+        data.qvel[:] = 0.0
+        data.time = 0.0
+        mujoco.mj_forward(stage.model, data)
+        self._senses.restart()
 
     @property
     def render_s(self) -> float:
@@ -67,37 +100,64 @@ class MujocoPlant:
         if stage.parts.world.plates:
             stage.place_plates(t)
             mujoco.mj_kinematics(model, data)
-        T = stage.camera_pose()
-        p_camera = transform(inverse(T) @ self._T_world_target, self._points)
+        T, T_target = stage.camera_pose(), stage.target_pose()
+        p_camera = self._target.seen_from(T, T_target)
         mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_SITE, stage.eye, self._velocity, 1)
         twist = np.concatenate([self._velocity[3:], self._velocity[:3]])
         hidden = stage.hidden(T, p_camera) if self._see_hidden else self._visible
-        q, qd, ctrl = data.qpos[stage.qpos], data.qvel[stage.qvel], data.ctrl[self._ctrl]
-        truth = Truth(T, self._T_world_target, twist, q, qd, ctrl, p_camera, hidden, self._touches())
+        q, qd, ctrl = *self._senses.joints(), data.ctrl[self._ctrl]
+        truth = Truth(T, T_target, twist, q, qd, ctrl, p_camera, hidden, self._touches())
         frame = Frame(t, self._eye.glimpse(look), self._eye.whole) if self._eye else None
         return frame, truth
 
     def _touches(self) -> bool:
         data = self._stage.data
-        return bool(data.ncon) and bool(self._robot_geoms[data.contact.geom].any())
+        if not data.ncon:
+            return False
+        pairs = data.contact.geom
+        if self._robot.rides:  # wheels and legs are on the floor, that is what they are for
+            pairs = pairs[(pairs != self._floor).all(axis=1)]
+        return bool(self._robot_geoms[pairs].any(axis=1).any())
 
     def encoders(self) -> Encoders:
-        """Joint angles and speeds [rad, rad/s], noise-free."""
-        stage = self._stage
-        return Encoders(stage.data.qpos[stage.qpos], stage.data.qvel[stage.qvel])
+        """What the robot's own sensors tell now: the same until time passes."""
+        return self._senses.read(self._steps)
 
     def apply(self, setpoint: Array) -> None:
-        """Joint velocity setpoints (n,) [rad/s] from now on."""
-        self._stage.data.ctrl[self._ctrl] = setpoint
+        """A setpoint from now on; without an onboard controller it is the actuators' controls (n,)."""
+        self._setpoint = setpoint
+        if not self._control_steps:
+            self._stage.data.ctrl[self._ctrl] = setpoint
 
     def advance(self, steps: int) -> bool:
         """Let physics steps pass; False when MuJoCo reports an instability."""
         try:
-            self._stage.physics.step(steps)
+            if self._control_steps or self._leader:
+                self._advance_onboard(steps)
+            else:
+                self._stage.physics.step(steps)
+                self._steps += steps
         except PhysicsError:
             return False
-        self._steps += steps
         return True
+
+    def _advance_onboard(self, steps: int) -> None:
+        """Onboard controllers act every `_control_steps` steps of the physics clock, however the steps are asked for."""
+        every = self._control_steps or self._leader.steps  # type: ignore[union-attr]
+        end = self._steps + steps
+        while self._steps < end:
+            if self._steps % every == 0:
+                self._control(every * self.step_s)
+            ahead = min(every - self._steps % every, end - self._steps)
+            self._stage.physics.step(ahead)
+            self._steps += ahead
+
+    def _control(self, dt: float) -> None:
+        data = self._stage.data
+        if self._leader:
+            self._leader.drive(dt)
+        if self._control_steps and self._setpoint is not None:
+            self._memory, data.ctrl[self._ctrl] = self._robot.actuate(self._memory, self._setpoint, self.encoders(), dt)
 
     def close(self) -> None:
         """Free pictures and physics."""

@@ -23,14 +23,24 @@ class Replay:
     """A stage of its own beside the run's, so that filming changes nothing of what is measured.
 
     Args:
-        robot, camera, target, world: the scene. shadows: whether the views from outside have them (three times the work).
+        robot, camera, target, world: the scene.
+        shadows: whether the views from outside have them (three times the work).
+        sights: places that the outside view shall show.
 
     Raises:
         EnvironmentLackError: OpenGL is asked for, and does not work here.
     """
 
-    def __init__(self, robot: Robot, camera: Camera, target: Target, world: World, shadows: bool = True):
-        self._parts = Parts(robot, camera, target, world, step=camera.period)
+    def __init__(
+        self,
+        robot: Robot,
+        camera: Camera,
+        target: Target,
+        world: World,
+        shadows: bool = True,
+        sights: tuple[tuple[float, float, float], ...] = (),
+    ):
+        self._parts = Parts(robot, camera, target, world, step=camera.period, sights=sights)
         self._stage = Stage(self._parts, samples=FILM_SAMPLES)
         self._stage.model.vis.quality.shadowsize = FILM_SHADOW_PX
         self._shadows = shadows

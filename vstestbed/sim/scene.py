@@ -3,8 +3,9 @@
 Names: joints and actuators `robot/joint_1`, ..., the servo camera `eye` (site `eye` has its computer-vision axes; a lens that
 sees more than one pinhole picture holds has `eye_right`, `eye_left`, `eye_up`, `eye_down`, `eye_back` at the same place), the
 outside view `overview`, the target's body `target/frame` (mocap), its markers sites `target/marker_0`, `target/marker_1`, ...,
-plates `plate_0`, ... Geom groups: 0 the room, 1 what encloses the lens (left out of the servo camera's own picture,
-since the textbook's camera sits at the wrist's centre, inside the hand), 2 the robot, 3 the target.
+plates `plate_0`, ..., a vehicle that carries the target `leader/...`. Geom groups: 0 the room, 1 what encloses the lens (left
+out of the servo camera's own picture, since the textbook's camera sits at the wrist's centre, inside the hand), 2 the robot,
+3 the target.
 """
 
 from __future__ import annotations
@@ -16,11 +17,13 @@ import numpy as np
 
 from vstestbed.assets import model_path
 from vstestbed.camera import Camera
-from vstestbed.geometry import FLIP, Array, quaternion_wxyz
-from vstestbed.robots import Robot
+from vstestbed.geometry import FLIP, Array, quaternion_wxyz, transform
+from vstestbed.robots import VEHICLES, Robot
+from vstestbed.sim.attach import add_robot
 from vstestbed.sim.cube import drawn_for
+from vstestbed.sim.overview import frame_drive, frame_flight
 from vstestbed.sim.world import AWAY, World
-from vstestbed.target import Disc, Marker, Sphere, Square, Tag, Target
+from vstestbed.target import Carried, Disc, Marker, Sphere, Square, Tag, Target
 from vstestbed.vision.tag_print import tag_png
 
 LENS_GROUP, ROBOT_GROUP, TARGET_GROUP, SITE_GROUP = 1, 2, 3, 4
@@ -34,10 +37,6 @@ BOARD_MARGIN = 1.5
 """The board behind a square reaches this many marker radii beyond the markers' edges."""
 FREE_HOUSING = 6.0
 """The free camera's housing is drawn this many times as large as the arm's: it is seen from farther away."""
-SEE_FACES = 0.35
-"""The overview of a free camera stands this far behind the side (tangent), so that the markers' faces show."""
-WIDE_PICTURE = 16 / 9
-"""Width over height of the film that the overview is framed for."""
 GLOW = 1000.0
 """Emission of an unlit marker, whose own colour is divided by it: emission gives the exact colour 255 * rgba, and what
 the scene's lights add (the plain colour times their brightness) is under half a grey level."""
@@ -47,13 +46,27 @@ PITCH_M = 1e-5
 
 @dataclass(frozen=True)
 class Parts:
-    """What a scene is made of."""
+    """What a scene is made of. `sights` are places that the outside view shall show, beside the robot's start and the target."""
 
     robot: Robot
     camera: Camera
     target: Target
     world: World
     step: float
+    sights: tuple[tuple[float, float, float], ...] = ()
+
+    @property
+    def leader(self) -> Robot | None:
+        """The vehicle that carries the target, where one does."""
+        motion = self.target.motion
+        return VEHICLES[motion.by]() if isinstance(motion, Carried) else None
+
+    @property
+    def start(self) -> tuple[Array, Array]:
+        """Joints (n,) and the servo camera's pose (4, 4) at the nominal start."""
+        configuration = self.robot.configuration()
+        T = self.robot.flange_pose(configuration) @ self.camera.mount.T
+        return (np.zeros(len(self.robot.joints)) if self.robot.rides else configuration, T)
 
 
 def compose(parts: Parts) -> mujoco.MjSpec:
@@ -63,12 +76,12 @@ def compose(parts: Parts) -> mujoco.MjSpec:
     scene.option.timestep = parts.step
     scene.compiler.degree = False
     scene.geom("floor").pos = [0, 0, parts.world.floor_z]
-    body, T_body_flange = _add_robot(scene, parts.robot)
+    body, T_body_flange = add_robot(scene, parts.robot, "robot/", parts.world.floor_friction)
     housing = 1.0 if parts.robot.model else FREE_HOUSING
     _add_camera(body, T_body_flange @ parts.camera.mount.T, parts.camera, housing)
-    _add_target(scene, parts.target)
-    if parts.robot.model is None:
-        _frame_overview(scene, parts)
+    carrier = add_robot(scene, parts.leader, "leader/", parts.world.floor_friction)[0] if parts.leader else None
+    _add_target(scene, parts.target, carrier)
+    _frame_overview(scene, parts)
     for i, plate in enumerate(parts.world.plates):
         holder = scene.worldbody.add_body(name=f"plate_{i}", mocap=True, pos=AWAY, quat=quaternion_wxyz(plate.pose.T[:3, :3]))
         size = [plate.width / 2, plate.height / 2, 0.002]
@@ -76,54 +89,15 @@ def compose(parts: Parts) -> mujoco.MjSpec:
     return scene
 
 
-def _add_robot(scene: mujoco.MjSpec, robot: Robot) -> tuple[mujoco.MjsBody, Array]:
-    """The body that carries the camera, and the pose of the flange in it."""
-    if robot.model is None or robot.servo is None:
-        body = scene.worldbody.add_body(name="robot/camera", mocap=True)
-        return body, np.eye(4)
-    model = mujoco.MjSpec.from_file(str(model_path(robot.model)))
-    servo = robot.servo
-    for actuator in list(model.actuators):
-        profile, _, name = actuator.name.partition("_")
-        if profile == servo.prefix:
-            actuator.name = name
-        else:
-            model.delete(actuator)
-    model.option.timestep = scene.option.timestep
-    for body in model.bodies:
-        if servo.gravity_compensated:
-            body.gravcomp = 1.0
-    for joint in model.joints:
-        if not servo.friction:
-            joint.frictionloss, joint.damping = 0.0, np.zeros(3)
-    scene.attach(model, prefix="robot/", frame=scene.worldbody.add_frame())
-    flange = scene.site("robot/flange")
-    R = np.zeros(9)
-    mujoco.mju_quat2Mat(R, np.asarray(flange.quat, dtype=float))
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = R.reshape(3, 3), flange.pos
-    return flange.parent, T
-
-
 def _frame_overview(scene: mujoco.MjSpec, parts: Parts) -> None:
-    """Look at the free camera's way from the side: start left, target right, room for a retreat by half of the way.
-
-    The way runs across the picture whatever its direction, since up means nothing to a camera that flies.
-    """
-    start, target = parts.robot.flange_pose(parts.robot.configuration())[:3, 3], parts.target.pose.T[:3, 3]
-    length = max(float(np.linalg.norm(target - start)), 1e-9)
-    way = (target - start) / length if length > 1e-6 else parts.target.pose.T[:3, 2]
-    up = np.array([0, 0, 1.0]) if abs(way[2]) < 0.9 else np.array([0, 1.0, 0])
-    out = np.cross(way, up)
-    out = out / np.linalg.norm(out) - SEE_FACES * way
-    out /= np.linalg.norm(out)
-    right = way - (way @ out) * out
-    right /= np.linalg.norm(right)
-    camera = scene.camera("overview")
-    half_width = 0.75 * length + float(np.linalg.norm(parts.target.points, axis=1).max()) + 0.5
-    middle = target - 0.75 * length * way
-    camera.pos = middle + out * half_width / (np.tan(np.radians(camera.fovy / 2)) * WIDE_PICTURE)
-    camera.alt.xyaxes = [*right, *np.cross(out, right)]
+    """Arms stand where world.xml's view looks; for all that moves about the view is fitted to its way."""
+    robot, target = parts.robot, parts.target
+    if robot.model is None:
+        frame_flight(scene, robot, target)
+    elif robot.rides:
+        start = robot.flange_pose(robot.configuration())[:3, 3]
+        sights = transform(target.T_world_start, target.points)
+        frame_drive(scene, np.array([start, *parts.sights]), sights)
 
 
 def _add_camera(body: mujoco.MjsBody, T_body_camera: Array, camera: Camera, housing: float) -> None:
@@ -155,10 +129,13 @@ def _add_camera(body: mujoco.MjsBody, T_body_camera: Array, camera: Camera, hous
         _visual(body, name, kind, [x * housing for x in size], [grey, grey, grey, 1], LENS_GROUP, centre, quat_cv)
 
 
-def _add_target(scene: mujoco.MjSpec, target: Target) -> None:
-    """A mocap body with one site and one geom for each marker, and a light grey board behind a square of markers."""
-    T = target.pose.T
-    body = scene.worldbody.add_body(name="target/frame", mocap=True, pos=T[:3, 3], quat=quaternion_wxyz(T[:3, :3]))
+def _add_target(scene: mujoco.MjSpec, target: Target, carrier: mujoco.MjsBody | None) -> None:
+    """A body with one site and one geom for each marker, and a light grey board behind a square of markers.
+
+    It is put where it is told (mocap), or fixed to the vehicle that carries it.
+    """
+    T, parent = target.pose.T, carrier or scene.worldbody
+    body = parent.add_body(name="target/frame", mocap=carrier is None, pos=T[:3, 3], quat=quaternion_wxyz(T[:3, :3]))
     marker = target.marker
     for i, (p, rgb) in enumerate(zip(target.points, target.colors, strict=True)):
         emission = 0.0 if marker.lit else GLOW
@@ -196,16 +173,6 @@ def _tag_texture(scene: mujoco.MjSpec, tag: Tag, number: int) -> str:
     scene.assets = {**scene.assets, f"{ASSETS}/{name}.png": tag_png(tag, number)}
     scene.add_texture(name=f"target/{name}", type=mujoco.mjtTexture.mjTEXTURE_2D, file=f"{name}.png")
     return f"target/{name}"
-
-
-def start_keyframe(scene: mujoco.MjSpec, parts: Parts) -> None:
-    """Give the scene a keyframe `start`: joints at the nominal start, the free camera at its own."""
-    if parts.robot.model is not None:
-        scene.add_key(name="start", qpos=parts.robot.configuration())
-        return
-    T = parts.robot.flange_pose(parts.robot.configuration())
-    body = scene.body("robot/camera")
-    body.pos, body.quat = T[:3, 3], quaternion_wxyz(T[:3, :3])
 
 
 def _visual(

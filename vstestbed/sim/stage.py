@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from vstestbed.geometry import Array, inverse, quaternion_wxyz
 from vstestbed.sim.contexts import Physics
+from vstestbed.sim.roots import Root
 from vstestbed.sim.scene import LENS_GROUP, Parts, compose
 from vstestbed.sim.world import plate_position
 from vstestbed.target import Sphere
@@ -29,7 +30,10 @@ class Stage:
         model.vis.quality.offsamples = samples
         self.physics = Physics.from_model(wrapper.MjModel(model))
         self.model, self.data = self.physics.model.ptr, self.physics.data.ptr
-        self._target = self.model.body("target/frame").mocapid[0]
+        self._target = self.model.body("target/frame")
+        self.root = Root(self.model, "robot/") if parts.robot.rides else None
+        self.leader = Root(self.model, "leader/") if parts.leader else None
+        self._T_target_leader = inverse(parts.target.pose.T)
         self._plates = [self.model.body(f"plate_{i}").mocapid[0] for i in range(len(parts.world.plates))]
         self._free = self.model.body("robot/camera").mocapid[0] if parts.robot.model is None else None
         self.eye = self.model.site("eye").id
@@ -38,31 +42,50 @@ class Stage:
         self.qvel = np.array([j.dofadr[0] for j in joints], dtype=int)
 
     def place(self, t: float, T_world_target: Array, q: Array, T_world_camera: Array | None = None) -> None:
-        """Put the scene into a state; T_world_camera only counts for the free camera. Kinematics are brought up to date."""
+        """Put the scene into a state: joints q (n,); T_world_camera for what is free to go anywhere. Kinematics are brought up to date."""
         self.data.time = t
         self.place_target(T_world_target)
         self.place_plates(t)
         self.data.qpos[self.qpos] = q
         if self._free is not None and T_world_camera is not None:
-            T = T_world_camera @ self._mount_inverse
+            T = T_world_camera @ self.mount_inverse
             self.data.mocap_pos[self._free] = T[:3, 3]
             self.data.mocap_quat[self._free] = quaternion_wxyz(T[:3, :3])
+        elif self.root is not None and T_world_camera is not None:
+            self.root.put(self.data.qpos, T_world_camera @ self.mount_inverse)
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_camlight(self.model, self.data)
 
     @property
-    def _mount_inverse(self) -> Array:
+    def mount_inverse(self) -> Array:
+        """T_camera_base (4, 4)."""
         return inverse(self.parts.camera.mount.T)
 
+    @property
+    def target_inverse(self) -> Array:
+        """T_target_carrier (4, 4), for a target that is carried."""
+        return self._T_target_leader
+
     def place_target(self, T: Array) -> None:
-        """Put the target at a pose (4, 4)."""
-        self.data.mocap_pos[self._target] = T[:3, 3]
-        self.data.mocap_quat[self._target] = quaternion_wxyz(T[:3, :3])
+        """Put the target at a pose (4, 4), with the vehicle that carries it."""
+        if self.leader is not None:
+            self.leader.put(self.data.qpos, T @ self._T_target_leader)
+            return
+        mocap = self._target.mocapid[0]
+        self.data.mocap_pos[mocap] = T[:3, 3]
+        self.data.mocap_quat[mocap] = quaternion_wxyz(T[:3, :3])
 
     def place_plates(self, t: float) -> None:
         """Put the plates where they are at a time [s]."""
         for plate, mocap in zip(self.parts.world.plates, self._plates, strict=True):
             self.data.mocap_pos[mocap] = plate_position(plate, t)
+
+    def target_pose(self) -> Array:
+        """Pose (4, 4) of the target in the world."""
+        T = np.eye(4)
+        T[:3, :3] = self.data.xmat[self._target.id].reshape(3, 3)
+        T[:3, 3] = self.data.xpos[self._target.id]
+        return T
 
     def camera_pose(self) -> Array:
         """Pose (4, 4) of the servo camera in the world, computer-vision axes."""
@@ -86,6 +109,12 @@ class Stage:
         origin = np.ascontiguousarray(T_world_camera[:3, 3])
         hits = [mujoco.mj_ray(self.model, self.data, origin, d, groups, 1, -1, geom) for d in p_world / reach[:, None]]
         return np.array([0 <= hit < r - slack for hit, r in zip(hits, reach, strict=True)])
+
+    def start_qpos(self) -> Array:
+        """MuJoCo's whole state of positions (nq,) at the nominal start."""
+        q, T = self.parts.start
+        self.place(0.0, self.parts.target.T_world_start, q, T)
+        return self.data.qpos.copy()
 
     def close(self) -> None:
         """Free the OpenGL context."""

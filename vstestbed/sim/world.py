@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated
 
 import numpy as np
-from annotated_types import Ge, Gt
+from annotated_types import Ge, Gt, Le
 
 from vstestbed.errors import ParameterError
 from vstestbed.geometry import Array, Pose
@@ -40,10 +40,13 @@ class World:
 
     Args:
         floor_z: height of the floor [m]; scenes in a textbook's coordinates need it out of the way.
+        floor_friction: Coulomb friction between the floor and what stands on it, where that is less than the wheels' own;
+            .05 is ice.
         plates: what can hide markers.
     """
 
     floor_z: float = 0.0
+    floor_friction: Annotated[float, Gt(0), Le(10)] | None = None
     plates: tuple[Plate, ...] = ()
 
 

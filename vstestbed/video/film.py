@@ -34,13 +34,14 @@ class Moment:
     uv: Array
     error_px: float
     lost: bool
+    goal_uv: Array
     image: Image | None = None
 
     @classmethod
     def of_tick(cls, tick: Tick) -> Moment:
         """The moment that a tick tells of."""
         truth, seen = tick.truth, tick.observation
-        return cls(seen.t, truth.T_world_target, truth.T_world_camera, truth.q, seen.uv, tick.error_px, tick.lost, tick.image)
+        return cls(seen.t, truth.T_world_target, truth.T_world_camera, truth.q, seen.uv, tick.error_px, tick.lost, tick.goal.uv, tick.image)
 
     @classmethod
     def of_row(cls, row: dict[str, float], joints: tuple[str, ...], markers: int) -> Moment:
@@ -54,6 +55,7 @@ class Moment:
             uv=np.array([[row[f"u_{i}"], row[f"v_{i}"]] for i in range(markers)]),
             error_px=row["error_px"],
             lost=bool(row["lost"]),
+            goal_uv=np.array([[row[f"u_goal_{i}"], row[f"v_goal_{i}"]] for i in range(markers)]),
         )
 
 
@@ -71,7 +73,6 @@ class Film:
     def __init__(self, scenario: Scenario, camera: str, path: Path, replay: Replay, size: tuple[int, int] | None = None):
         self._camera, self._replay, self._size = camera, replay, size
         self._title = scenario.name or scenario.law.kind
-        self._goal_uv = scenario.goal_view.uv
         self._overlay = Overlay(scenario.camera.width, scenario.camera.height, scenario.target.colors, title=self._title)
         self._writer = VideoWriter(path, scenario.camera.rate_hz)
         self.spent_s = 0.0
@@ -86,7 +87,7 @@ class Film:
         width, height = self._size or OVERVIEW_SIZE
         if self._camera == "eye":
             image = np.array(moment.image) if moment.image is not None else self._picture(moment, width, height)
-            self._overlay.draw(image, moment.uv, self._goal_uv, t=moment.t, error_px=moment.error_px, lost=moment.lost)
+            self._overlay.draw(image, moment.uv, moment.goal_uv, t=moment.t, error_px=moment.error_px, lost=moment.lost)
             if self._size is not None:
                 image = np.asarray(cv2.resize(image, self._size, interpolation=cv2.INTER_AREA), np.uint8)
         else:
@@ -109,7 +110,7 @@ class Film:
 
 def replay_of(scenario: Scenario, shadows: bool = True) -> Replay:
     """A replay of a scenario's scene."""
-    return Replay(scenario.robot, scenario.camera, scenario.target, scenario.world, shadows)
+    return Replay(scenario.robot, scenario.camera, scenario.target, scenario.world, shadows, scenario.sights)
 
 
 def film_log(scenario: Scenario, log: polars.DataFrame, camera: str, path: Path, size: tuple[int, int] | None = None) -> Path | None:

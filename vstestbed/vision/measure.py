@@ -9,7 +9,7 @@ import numpy as np
 from vstestbed.camera import Camera
 from vstestbed.geometry import Array
 from vstestbed.target import Target
-from vstestbed.vision.centre import centre_bias
+from vstestbed.vision.centre import ball_bias, centre_bias
 from vstestbed.vision.find import Blob
 from vstestbed.vision.pose import solve_pose_from_rays, three_ray_poses
 from vstestbed.vision.track import BlobsMemory
@@ -59,7 +59,9 @@ class Measure:
                 break
             assumed = bias
             T = self._pose(centroid - assumed, area, T if memory.T_camera_target is None else memory.T_camera_target)
-        if T is None and memory.T_camera_target is not None:
+        if T is None and self._target.marker.kind == "sphere":
+            assumed = self._by_size(centroid, area)
+        elif T is None and memory.T_camera_target is not None:
             assumed = self._expected(memory.T_camera_target)[0]
         uv = centroid - assumed if correct else centroid
         return (uv if self._of is None else self._camera.project(self._rays(uv))), T, assumed
@@ -76,6 +78,18 @@ class Measure:
             there = centre_bias(self._camera.panels[panel].lens, self._target, T)
             bias[mine], area[mine] = there[0][mine], there[1][mine]
         return bias, area
+
+    def _by_size(self, centroid: Array, area: Array) -> Array:
+        """Perspective's bias (N, 2) [px] of balls too few for a pose, from the size of each; 0 for what is not seen."""
+        radius = self._target.marker.radius
+        if self._of is None:
+            bias = ball_bias(self._camera, radius, centroid, area)
+        else:
+            bias = np.zeros_like(centroid)
+            for panel in set(self._of.tolist()):
+                mine = self._of == panel
+                bias[mine] = ball_bias(self._camera.panels[panel].lens, radius, centroid[mine], area[mine])
+        return np.nan_to_num(bias)
 
     def _rays(self, uv: Array) -> Array:
         """Unit rays (N, 3) in the camera frame of pixels (N, 2) of the panels."""

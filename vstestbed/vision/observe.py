@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vstestbed.camera import Camera
 from vstestbed.errors import ParameterError
-from vstestbed.geometry import Array, all_finite, exp, transform
-from vstestbed.observation import AtGoal, Constant, Depth, Estimate, Goal, Observation, OracleDepth, PnP
-from vstestbed.target import Target
+from vstestbed.geometry import Array, adjoint, all_finite, exp, inverse, transform
+from vstestbed.ground import arc, composed, place_of, pose_on_ground
+from vstestbed.observation import AtGoal, Constant, Depth, Estimate, Goal, Observation, OnFloor, OracleDepth, PnP
+from vstestbed.target import Still, Target
 from vstestbed.vision.base import Detection
+from vstestbed.vision.floor_pose import solve_place
 from vstestbed.vision.flow_depth import FlowMemory, init_flow, update_flow
 from vstestbed.vision.homography import relative_view
 from vstestbed.vision.pose import solve_pose_from_rays
@@ -22,14 +26,19 @@ NEAREST_M = 0.01
 
 @dataclass(frozen=True, slots=True)
 class ObserverMemory:
-    """Time [s] of the last frame, the pose (4, 4) then (None: never known), and the depth estimator's memory."""
+    """Time [s] of the last frame, the pose (4, 4) then (None: never known), and the depth estimator's memory.
+
+    Of a vehicle also its place (None: never known) and its way by odometry, (x, y, heading).
+    """
 
     t: float = np.nan
     T_camera_target: Array | None = None
     flow: FlowMemory | None = None
+    place: Array | None = None
+    odometry: Array | None = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Observer:
     """Turns detections into observations.
 
@@ -41,6 +50,7 @@ class Observer:
         pixel_sigma_px: standard deviation of the noise added to every measured coordinate, whatever detected it [px].
         wanted: fields of the observation that the law looks at: `ray`, `relative` and a pose that the detector has not
             solved are made only where they are wanted.
+        grounded: the robot is a vehicle on the floor; its place is told where the target stands still.
     """
 
     camera: Camera
@@ -49,17 +59,25 @@ class Observer:
     depth: Depth
     pixel_sigma_px: float = 0.0
     wanted: tuple[str, ...] = ()
+    grounded: bool = False
 
     def init(self) -> ObserverMemory:
         """The memory before the first frame."""
-        return ObserverMemory(flow=init_flow(len(self.target.points)) if isinstance(self.depth, Estimate) else None)
+        flow = init_flow(len(self.target.points)) if isinstance(self.depth, Estimate) else None
+        return ObserverMemory(flow=flow, odometry=np.zeros(3) if self.grounded else None)
 
     def uses_motion(self, detection: Detection) -> bool:
         """Whether `observe` will look at the twist: to estimate depth, or to carry the pose on where markers are missing."""
-        return isinstance(self.depth, Estimate) or not all_finite(detection.uv)
+        return self.grounded or isinstance(self.depth, Estimate) or not all_finite(detection.uv)
 
     def observe(
-        self, memory: ObserverMemory, t: float, detection: Detection, twist: Array, rng: np.random.Generator
+        self,
+        memory: ObserverMemory,
+        t: float,
+        detection: Detection,
+        twist: Array,
+        rng: np.random.Generator,
+        compass: float | None = None,
     ) -> tuple[ObserverMemory, Observation]:
         """What a law may know of one frame.
 
@@ -73,6 +91,7 @@ class Observer:
             detection: pixels (N, 2), and what the detector found besides.
             twist: camera twist (6,) since the last frame, in the camera frame, as the robot measures it.
             rng: draws the pixel noise.
+            compass: a vehicle's heading as its compass has it [rad]; None without one.
 
         Raises:
             ParameterError: the oracle's depth is asked for and the detector is not the oracle.
@@ -83,13 +102,20 @@ class Observer:
         xy, flow = self.camera.normalise(uv), memory.flow
         solve = self._poses and (T is None or self.pixel_sigma_px > 0)
         ray = self.camera.ray(uv) if solve or self._rays or flow is not None else None
+        fresh = T is not None
         if solve and ray is not None:
-            T = self._pose(ray, t, memory, T, twist)
+            T, fresh = self._pose(ray, t, memory, T, twist)
         if isinstance(self.depth, Estimate) and flow is not None and ray is not None:
             flow = update_flow(self.depth, flow, t, ray, twist)
         depth, reach = self._distances(detection, T, flow, xy)
         relative = relative_view(self.goal.xy, xy, self.goal.normal) if "relative" in self.wanted else None
-        return ObserverMemory(t, T, flow), Observation(t, uv, xy, depth, T, ray if self._rays else None, reach, relative)
+        place, odometry = memory.place, memory.odometry
+        if odometry is not None:
+            step = np.zeros(3) if np.isnan(memory.t) else arc(self._to_base @ twist, t - memory.t)
+            odometry = composed(odometry, step)
+            place = self._place(None if place is None else composed(place, step), T if fresh else None, compass)
+        seen = Observation(t, uv, xy, depth, T, ray if self._rays else None, reach, relative, odometry, place)
+        return ObserverMemory(t, T, flow, place, odometry), seen
 
     @property
     def _rays(self) -> bool:
@@ -97,17 +123,49 @@ class Observer:
 
     @property
     def _poses(self) -> bool:
-        return isinstance(self.depth, PnP) or "T_camera_target" in self.wanted
+        return isinstance(self.depth, PnP | OnFloor) or bool({"T_camera_target", "place"} & set(self.wanted))
 
-    def _pose(self, ray: Array, t: float, memory: ObserverMemory, hint: Array | None, twist: Array) -> Array | None:
-        """The pose solved from the rays (N, 3) of noisy or bare pixels; else the last one, carried on."""
+    @cached_property
+    def _to_base(self) -> Array:
+        """Of a twist (6,) of the camera the vehicle's (vx, vy, wz), shape (3, 6)."""
+        return adjoint(self.camera.mount.T)[[0, 1, 5]]
+
+    def _place(self, carried: Array | None, T: Array | None, compass: float | None) -> Array | None:
+        """(x, y, heading): the position by what is seen, the heading by the compass; each by odometry where it lacks.
+
+        The lens's place in the map is seen whatever way the vehicle is said to head; the mount's arm leads from there to it.
+        """
+        if not isinstance(self.target.motion, Still):
+            return None
+        seen = None if T is None else self.target.pose.T @ inverse(T)
+        mount = self.camera.mount.T
+        before = carried if seen is None else place_of(seen @ inverse(mount))
+        if before is None:
+            return None
+        heading = before[2] if compass is None else compass
+        if seen is None:
+            return np.array([before[0], before[1], heading])
+        arm = pose_on_ground(np.array([0.0, 0.0, heading])) @ mount[:, 3]
+        return np.array([seen[0, 3] - arm[0], seen[1, 3] - arm[1], heading])
+
+    def _pose(self, ray: Array, t: float, memory: ObserverMemory, hint: Array | None, twist: Array) -> tuple[Array | None, bool]:
+        """The pose solved from the rays (N, 3) of noisy or bare pixels; else the last one, carried on; and whether it was solved."""
         last = memory.T_camera_target
         carried = hint if last is None else exp(-twist * (t - memory.t)) @ last
         seen = np.isfinite(ray[:, 0])  # noise may put a pixel outside a lens's circle
-        if np.count_nonzero(seen) < 3:
-            return carried
-        found = solve_pose_from_rays(ray[seen], self.target.points[seen], carried)
-        return carried if found is None else found
+        if np.count_nonzero(seen) < (1 if isinstance(self.depth, OnFloor) else 3):
+            return carried, False
+        if isinstance(self.depth, OnFloor):
+            found = self._pose_on_floor(ray[seen], seen, carried)
+        else:
+            found = solve_pose_from_rays(ray[seen], self.target.points[seen], carried)
+        return (carried, False) if found is None else (found, True)
+
+    def _pose_on_floor(self, rays: Array, seen: NDArray[np.bool_], carried: Array | None) -> Array | None:
+        mount, pose = self.camera.mount.T, self.target.pose.T
+        before = None if carried is None else place_of(pose @ inverse(mount @ carried))
+        place = solve_place(rays, transform(pose, self.target.points[seen]), mount, before)
+        return None if place is None else inverse(pose_on_ground(place) @ mount) @ pose
 
     def _distances(self, detection: Detection, T: Array | None, flow: FlowMemory | None, xy: Array) -> tuple[Array, Array | None]:
         """Depth of each marker (N,) and, where the law wants it, range (N,) [m]; NaN where not known.
@@ -116,11 +174,11 @@ class Observer:
         """
         n = len(detection.uv)
         match self.depth:
-            case PnP() if T is not None:
+            case PnP() | OnFloor() if T is not None:
                 p = transform(T, self.target.points)
                 depth = np.where(np.isfinite(xy[:, 0]), np.maximum(p[:, 2], NEAREST_M), p[:, 2])
                 return depth, np.linalg.norm(p, axis=1) if self._rays else None
-            case PnP():
+            case PnP() | OnFloor():
                 return np.full(n, np.nan), np.full(n, np.nan) if self._rays else None
             case Constant(depth_m=depth):
                 return np.full(n, depth), np.full(n, depth) if self._rays else None

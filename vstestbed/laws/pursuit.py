@@ -1,0 +1,99 @@
+"""Pure pursuit: a vehicle keeps a gap behind a point that another one carries."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Annotated, ClassVar, Literal
+
+import numpy as np
+from annotated_types import Ge, Gt
+
+from vstestbed.geometry import Array
+from vstestbed.ground import relative
+from vstestbed.laws.base import Command, TwistLimits
+from vstestbed.laws.select import NO_POSE, TOO_FEW
+from vstestbed.observation import Depth, Goal, Observation, OnFloor
+from vstestbed.spec import spec
+
+
+@dataclass(frozen=True, slots=True)
+class PursuitMemory:
+    """Of the last frame with the target in sight: its time [s], the gap [m], the way by odometry (3,), the order u (n,), and
+    the target's speed along the line of sight [m/s], filtered."""
+
+    t: float = math.nan
+    gap: float = math.nan
+    odometry: Array | None = None
+    u: Array | None = None
+    speed: float = 0.0
+
+
+@spec
+class Pursuit:
+    """v = v_target + lambda (d - d*),  w = v kappa,  kappa = 2 y / d^2,  with (x, y) the target on the floor and d its distance.
+
+    kappa is the curvature of the arc that leads from the vehicle, tangentially, to the target. The target's own speed along
+    the line of sight is told by how the gap changes and by the vehicle's encoders, v_target = d_dot + v cos(alpha), filtered
+    with the time constant `filter_s`: so the gap has no steady error behind a steady leader. While the target is out of sight
+    for less than `coast_s` the last order stands. The vehicle does not reverse: too near, it waits.
+
+    Args:
+        gain: lambda [1/s].
+        filter_s: time constant of the estimate of the target's speed [s].
+        coast_s: how long the last order stands without sight [s].
+        depth: where the target's distance comes from; `floor` needs one or two points of known height, `pnp` three or more.
+        limits: largest speed and rate of the commanded twist.
+
+    References: Coulter 1992, Implementation of the pure pursuit path tracking algorithm, CMU-RI-TR-92-01; Corke 2017,
+    Robotics, Vision & Control, section 4.2.3.
+    """
+
+    kind: Literal["pursuit"] = "pursuit"
+    tasks: ClassVar[tuple[str, ...]] = ("gap",)
+    gain: Annotated[float, Gt(0)] = 1.0
+    filter_s: Annotated[float, Gt(0)] = 0.5
+    coast_s: Annotated[float, Ge(0)] = 0.5
+    depth: Depth = OnFloor()
+    limits: TwistLimits = TwistLimits()
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """The target's pose, and the way by odometry."""
+        return ("T_camera_target", "odometry")
+
+    def markers_needed(self, basis: Array) -> int:
+        """One will do."""
+        return 1
+
+    def check(self, points: Array, goal: Goal) -> None:
+        """Any markers will do."""
+
+    def init(self, goal: Goal) -> PursuitMemory:
+        """Nothing seen yet."""
+        return PursuitMemory()
+
+    def step(self, memory: PursuitMemory, observation: Observation, goal: Goal, basis: Array) -> tuple[PursuitMemory, Command]:
+        """One frame; basis (6, n) has the speed ahead as its first column and the turn as its last."""
+        T, way = observation.T_camera_target, observation.odometry
+        if T is None or way is None or goal.gap_m is None:
+            return memory, Command.rest(basis, NO_POSE)
+        if not observation.seen.any():
+            if memory.u is not None and observation.t - memory.t <= self.coast_s:
+                return memory, replace(self.limits.command(memory.u, basis), held=TOO_FEW)
+            return memory, Command.rest(basis, TOO_FEW)
+        x, y = (goal.T_base_camera @ T)[:2, 3].tolist()
+        gap = math.hypot(x, y)
+        speed = self._target_speed(memory, observation.t, gap, way, math.atan2(y, x))
+        v = max(speed + self.gain * (gap - goal.gap_m), 0.0)
+        u = np.zeros(basis.shape[1])
+        u[0], u[-1] = v, v * 2 * y / max(gap, 1e-3) ** 2
+        return PursuitMemory(observation.t, gap, way, u, speed), self.limits.command(u, basis)
+
+    def _target_speed(self, memory: PursuitMemory, t: float, gap: float, way: Array, bearing: float) -> float:
+        if memory.odometry is None or t <= memory.t:
+            return 0.0
+        dt = t - memory.t
+        own = float(relative(memory.odometry, way)[0]) / dt
+        measured = (gap - memory.gap) / dt + own * math.cos(bearing)
+        return memory.speed + (1 - math.exp(-dt / self.filter_s)) * (measured - memory.speed)

@@ -1,0 +1,47 @@
+"""What a robot measures of itself: its joints and MJCF sensors, through its own instruments' noise."""
+
+from __future__ import annotations
+
+from types import MappingProxyType
+
+import numpy as np
+
+from vstestbed.geometry import Array
+from vstestbed.observation import Encoders
+from vstestbed.sim.stage import Stage
+
+
+class Senses:
+    """Reads a robot's encoders and instruments; the same reading until time passes, so that noise is drawn once an instant.
+
+    Args:
+        stage: the scene. rng: where noise comes from.
+    """
+
+    def __init__(self, stage: Stage, rng: np.random.Generator):
+        self._stage, self._rng = stage, rng
+        self._robot = stage.parts.robot
+        self._sensors = []
+        for name in self._robot.sensors:
+            sensor = stage.model.sensor(f"robot/{name}")
+            self._sensors.append((name, slice(sensor.adr[0], sensor.adr[0] + sensor.dim[0])))
+        self._read_at = -1
+        self._reading: Encoders | None = None
+
+    def joints(self) -> tuple[Array, Array]:
+        """True joint positions and speeds (n,) each."""
+        data = self._stage.data
+        return data.qpos[self._stage.qpos], data.qvel[self._stage.qvel]
+
+    def restart(self) -> None:
+        """Forget the last reading."""
+        self._read_at = -1
+
+    def read(self, step: int) -> Encoders:
+        """What the robot's instruments tell at a physics step."""
+        if step != self._read_at or self._reading is None:
+            q, qd = self.joints()
+            data = self._stage.data.sensordata
+            raw = Encoders(q, qd, MappingProxyType({name: data[where].copy() for name, where in self._sensors}))
+            self._reading, self._read_at = self._robot.measured(raw, self._rng), step
+        return self._reading
