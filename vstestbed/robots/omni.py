@@ -67,7 +67,7 @@ class Omni:
 
     Args:
         wheels: `rollers` (default): nine free rollers on each wheel touch the floor, and slip where it is slippery;
-            `planar`: wheels that never slip, without contact, an eighth of the cost.
+            `planar`: wheels that never slip, without contact, a tenth of the cost.
         start: where it starts on the floor.
         wheel_radius_error: relative error of the radius that the robot believes its wheels to have: .02 for 2 % too large.
     """
