@@ -1,0 +1,148 @@
+"""Omnidirectional base on four mecanum wheels: wheel kinematics both ways, odometry, limits.
+
+A wheel's rollers leave it free across their axles: the floor holds the point under the wheel only along the roller that lies
+there. With the wheel at (x, y), turning at q_dot, and that roller along (cos(phi), side):
+
+    cos(phi) (vx - wz y - R q_dot) + side (vy + wz x) = 0
+
+where phi is how far the wheel has turned from "a roller straight below", in [-pi/n, pi/n] for n rollers: a roller at 45 degrees
+to the axle is tilted by phi, and its projection on the floor turned. Print has cos(phi) = 1, as for rollers without end; a wheel
+with n rollers has the mean over a roller's turn, kappa = sin(pi/n) / (pi/n), which is .980 for nine. Thus
+
+    R q_dot = vx + side (vy + wz x) / kappa - wz y
+
+and with kappa = 1 the equations of print: vx -+ vy -+ (half base + half track) wz.
+
+Reference: Muir & Neuman 1987, "Kinematic modeling for feedback control of an omnidirectional wheeled mobile robot", ICRA, pp.
+1772-1778; Taheri, Qiao & Ghaeminezhad 2015, doi:10.5120/19804-1586. Any roller angle: Lynch & Park 2017, Modern Robotics, 13.2.
+Bodies are in models/omni.xml and models/omni_planar.xml; a test holds the files and this together.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar, Literal
+
+import numpy as np
+from annotated_types import Gt, Lt
+
+from vstestbed.geometry import Array
+from vstestbed.observation import Encoders
+from vstestbed.robots.base import Allocation, Mount
+from vstestbed.robots.ground import PLANE, GroundStart, ground_pose, motion_between
+from vstestbed.spec import spec
+
+WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
+RADIUS, HALF_BASE, HALF_TRACK, ROLLERS = 0.05, 0.15, 0.16, 9
+"""Radius of the wheels, their places at (+-HALF_BASE, +-HALF_TRACK) [m], rollers on each: those of the model."""
+PLACES = np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]]) * (HALF_BASE, HALF_TRACK)
+"""Places (x, y) of the wheels in the base frame, shape (4, 2) [m]."""
+SIDES = np.array([-1.0, 1.0, 1.0, -1.0])
+"""The roller on the floor lies along (1, side)."""
+SPEED_LIMIT = 20.0
+"""Of a wheel [rad/s]: a little under the motors' 20.9 rad/s without load (models/omni.xml)."""
+
+
+def wheel_matrix(radius: float = RADIUS, rollers: float = ROLLERS) -> Array:
+    """Wheel speeds of a motion without slip, shape (4, 3): q_dot = W @ (vx, vy, wz), in the order of WHEELS.
+
+    Row: (1, side / kappa, side x / kappa - y) / radius, with kappa = sin(pi/n) / (pi/n).
+
+    Args:
+        radius: of the wheels [m].
+        rollers: n, how many rollers a wheel has; infinity for the equations of print.
+    """
+    kappa = np.sinc(1 / rollers)
+    x, y = PLACES.T
+    return np.stack([np.ones(4), SIDES / kappa, SIDES * x / kappa - y], axis=1) / radius
+
+
+W = wheel_matrix()
+W_INVERSE = np.linalg.pinv(W)
+"""Motion from wheel speeds (3, 4). Four wheels measure three numbers: the mean where they disagree (least squares)."""
+
+
+@spec
+class Omni:
+    """A platform on four mecanum wheels, driven by wheel speeds.
+
+    Args:
+        wheels: `rollers` (default): nine free rollers on each wheel touch the floor, and slip where it is slippery;
+            `planar`: wheels that never slip, without contact, a tenth of the cost.
+        start: where it starts on the floor.
+        wheel_radius_error: relative error of the radius that the robot believes its wheels to have: .02 for 2 % too large.
+    """
+
+    kind: Literal["omni"] = "omni"
+    wheels: Literal["rollers", "planar"] = "rollers"
+    start: GroundStart = GroundStart()
+    wheel_radius_error: Annotated[float, Gt(-0.5), Lt(1)] = 0.0
+    actuators: ClassVar[tuple[str, ...]] = WHEELS
+    sensors: ClassVar[tuple[str, ...]] = ()
+    control_period_s: ClassVar[float | None] = None
+    largest_step_s: ClassVar[float] = 0.002
+
+    @property
+    def model(self) -> str:
+        """Its MJCF file."""
+        return "omni.xml" if self.wheels == "rollers" else "omni_planar.xml"
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """What its encoders read: the wheels; without wheel joints the vehicle's own joints, of which only differences are used."""
+        return WHEELS if self.wheels == "rollers" else ("root_x", "root_y", "root_yaw")
+
+    def configuration(self) -> Array:
+        """The nominal start (x, y, heading), shape (3,), [m, m, rad]."""
+        return self.start.configuration()
+
+    def randomised(self, rng: np.random.Generator) -> Omni:
+        """The same base with a start drawn from the box. ParameterError when it has none."""
+        return Omni(wheels=self.wheels, start=self.start.drawn(rng), wheel_radius_error=self.wheel_radius_error)
+
+    def flange_pose(self, configuration: Array) -> Array:
+        """T_world_base (4, 4): a camera's mount is relative to the base's frame, on the floor under its centre."""
+        return ground_pose(configuration)
+
+    def motion_basis(self, mount: Mount) -> Array:
+        """Camera twists of (vx, vy, wz) of the base, shape (6, 3), for any mount."""
+        return mount.to_camera @ PLANE
+
+    def measured(self, raw: Encoders, rng: np.random.Generator) -> Encoders:
+        """Encoders of the wheels: exact."""
+        return raw
+
+    def odometry(self, before: Encoders, now: Encoders, duration: float) -> Array:
+        """Mean motion (vx, vy, wz) of the base between two readings of its encoders, with the radius that it believes in.
+
+        Rollers: the wheels' ways by the kinematics; what slips is not known. Planar: wheels that cannot slip turn as the way
+        between the two poses asks, which an arc of constant speed gives to third order in the duration.
+        """
+        belief = 1 + self.wheel_radius_error
+        if duration <= 0:
+            return np.zeros(3)
+        if self.wheels == "planar":
+            return belief * motion_between(before.q, now.q, duration)
+        return belief * (W_INVERSE @ (now.q - before.q)) / duration
+
+    def measured_twist(self, before: Encoders, now: Encoders, duration: float, ordered: Array, mount: Mount) -> Array:
+        """Mean camera twist (6,) between two readings, from the encoders alone; zero where no time has passed."""
+        return self.motion_basis(mount) @ self.odometry(before, now, duration)
+
+    def allocate(self, twist: Array, encoders: Encoders, mount: Mount, period: float) -> Allocation:
+        """Wheel speeds (4,) [rad/s] for a camera twist (6,), scaled as a whole into their limits.
+
+        Of the base's twist only (vx, vy, wz) can be made; the rest is left out, and `twist` is without it.
+        """
+        motion = PLANE.T @ (mount.to_flange @ twist)
+        speeds = W @ motion / (1 + self.wheel_radius_error)
+        scale = min(1.0, SPEED_LIMIT / max(float(np.abs(speeds).max()), 1e-12))
+        limit: Literal["", "speed"] = "speed" if scale < 1.0 else ""
+        return Allocation(setpoint=speeds * scale, twist=self.motion_basis(mount) @ motion * scale, scale=scale, limit=limit)
+
+    def begin(self) -> None:
+        """Its speed loops are the model's: no memory."""
+        return
+
+    def actuate(self, memory: None, setpoint: Array, encoders: Encoders, dt: float) -> tuple[None, Array]:
+        """The setpoint is what the speed loops are told, ctrl (4,)."""
+        return None, setpoint
