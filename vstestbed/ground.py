@@ -36,10 +36,15 @@ class GroundPose:
 
 
 def pose_on_ground(place: Array) -> Array:
-    """T_world_base (4, 4) of a place (x, y, heading): on the floor, upright."""
-    x, y, heading = place
-    c, s = math.cos(heading), math.sin(heading)
-    return np.array([[c, -s, 0.0, x], [s, c, 0.0, y], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+    """T_world_base (..., 4, 4) of places (x, y, heading) (..., 3): on the floor, upright."""
+    place = np.asarray(place, dtype=float)
+    c, s = np.cos(place[..., 2]), np.sin(place[..., 2])
+    T = np.zeros((*place.shape[:-1], 4, 4))
+    T[..., 0, 0] = T[..., 1, 1] = c
+    T[..., 0, 1], T[..., 1, 0] = -s, s
+    T[..., :2, 3] = place[..., :2]
+    T[..., 2, 2] = T[..., 3, 3] = 1.0
+    return T
 
 
 def place_of(T: Array) -> Array:
@@ -60,17 +65,44 @@ def relative(here: Array, there: Array) -> Array:
 
 
 def composed(place: Array, step: Array) -> Array:
-    """Where a step (ahead, to the left, turn) (3,) leads from a place (3,); the heading is not wrapped."""
-    c, s = math.cos(place[2]), math.sin(place[2])
-    return np.array([place[0] + c * step[0] - s * step[1], place[1] + s * step[0] + c * step[1], place[2] + step[2]])
+    """Where steps (ahead, to the left, turn) (..., 3) lead from places (..., 3); the heading runs on, it is not wrapped."""
+    place, step = np.asarray(place, dtype=float), np.asarray(step, dtype=float)
+    c, s = np.cos(place[..., 2]), np.sin(place[..., 2])
+    ahead, left = step[..., 0], step[..., 1]
+    return place + np.stack([c * ahead - s * left, s * ahead + c * left, step[..., 2]], axis=-1)
 
 
-def arc(velocity: Array, duration: float) -> Array:
-    """The step (ahead, to the left, turn) that a constant (vx, vy, wz) in the vehicle's frame makes: an exact arc.
+def arc(motion: Array, duration: float) -> Array:
+    """The step (ahead, to the left, turn) (..., 3) that a constant motion (vx, vy, wz) in the vehicle's frame makes: an exact arc.
 
-    With a = wz duration:  dx = (vx sin a - vy (1 - cos a))/wz,  dy = (vx (1 - cos a) + vy sin a)/wz.
+    With theta = wz t and the SE(2) exponential: (ahead, left) = [[a, -b], [b, a]] (vx, vy) t,
+    a = sin(theta)/theta,  b = (1 - cos(theta))/theta.
+
+    Reference: Lynch & Park 2017, Modern Robotics, section 13.4 (odometry).
     """
-    vx, vy, wz = velocity
-    a = wz * duration
-    along, aside = (math.sin(a) / a, (1 - math.cos(a)) / a) if abs(a) > 1e-6 else (1 - a * a / 6, a / 2)
-    return np.array([(vx * along - vy * aside) * duration, (vx * aside + vy * along) * duration, a])
+    dx, dy, theta = np.moveaxis(np.asarray(motion, dtype=float) * duration, -1, 0)
+    a, b = _chord(theta)
+    return np.stack([a * dx - b * dy, b * dx + a * dy, theta], axis=-1)
+
+
+def moved(place: Array, motion: Array, duration: float) -> Array:
+    """Where a constant motion (..., 3) leads from places (..., 3) in a time [s]."""
+    return composed(place, arc(motion, duration))
+
+
+def motion_between(before: Array, now: Array, duration: float) -> Array:
+    """The constant motion (vx, vy, wz) (..., 3) that leads from one place to another in a time: the inverse of `arc`.
+
+    Args:
+        before, now: places, shape (..., 3); the way's turn is the short one, in [-pi, pi).
+        duration: [s], not 0.
+    """
+    dx, dy, theta = np.moveaxis(relative(np.asarray(before, dtype=float), np.asarray(now, dtype=float)), -1, 0)
+    a, b = _chord(theta)
+    size = a * a + b * b
+    return np.stack([(a * dx + b * dy) / size, (a * dy - b * dx) / size, theta], axis=-1) / duration
+
+
+def _chord(theta: Array) -> tuple[Array, Array]:
+    """sin(theta)/theta and (1 - cos(theta))/theta, exact at 0 too."""
+    return np.sinc(theta / np.pi), np.sin(theta / 2) * np.sinc(theta / (2 * np.pi))

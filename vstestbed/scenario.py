@@ -14,9 +14,9 @@ from vstestbed.errors import ParameterError
 from vstestbed.geometry import Array, inverse
 from vstestbed.goal import AnyGoal, GoalGap, GoalLine, GoalPlace, GoalView, GoalViewFrom, GoalViews
 from vstestbed.ground import pose_on_ground
-from vstestbed.laws import IBVS, LAWS, PBVS, Hybrid, Partitioned
+from vstestbed.laws import IBVS, LAWS, PBVS, Hybrid, Partitioned, Pursuit
 from vstestbed.observation import Goal, OracleDepth, PnP
-from vstestbed.robots import ROBOTS, Free, Mount, Puma560
+from vstestbed.robots import ROBOTS, Free, Mount, Omni, Puma560, Robot
 from vstestbed.sim.clock import Clock
 from vstestbed.sim.world import World
 from vstestbed.spec import spec
@@ -60,11 +60,11 @@ class Scenario:
     name: str = ""
     description: str = ""
     seed: Annotated[int, Ge(0)] = 0
-    robot: Annotated[Free | Puma560, ROBOTS]
+    robot: Annotated[Free | Puma560 | Omni, ROBOTS]
     camera: Annotated[Perspective | Fisheye | Catadioptric | Spherical, CAMERAS] = Perspective()
     target: Annotated[Square | Points, TARGETS]
     detector: Annotated[Blobs | Tags | Oracle, DETECTORS] = Blobs()
-    law: Annotated[IBVS | Partitioned | PBVS | Hybrid, LAWS]
+    law: Annotated[IBVS | Partitioned | PBVS | Hybrid | Pursuit, LAWS]
     goal: AnyGoal
     stop: Stop = Stop()
     noise: Noise = Noise()
@@ -121,7 +121,7 @@ class Scenario:
             self._check_view(f"{where}.{'T_camera_target' if isinstance(view, GoalView) else 'view_from'}", self.goal_views[i])
 
     def _check_view(self, field: str, goal: Goal) -> None:
-        p = self.target.seen_from(inverse(goal.T_camera_target), np.eye(4))
+        p = self.target.seen_from(inverse(goal.T_camera_target))
         uv, plane = self.camera.project(p), PLANE_INPUTS & set(self.law.inputs)
         limited = not (isinstance(self.detector, Oracle) and self.detector.field_of_view == "unlimited")
         picture = limited and len(self.camera.panels) == 1
@@ -210,10 +210,10 @@ class Scenario:
                 return replace(seeded, robot=robot)
         raise ParameterError("robot.start.random", f"gave no start in {TRIES} draws that has the whole target in view; make it smaller")
 
-    def _in_view(self, robot: Free | Puma560) -> bool:
+    def _in_view(self, robot: Robot) -> bool:
         T_world_camera = robot.flange_pose(robot.configuration()) @ self.camera.mount.T
         T = inverse(T_world_camera) @ self.target.T_world_start
-        p = self.target.seen_from(T_world_camera, self.target.T_world_start)
+        p = self.target.seen_from(inverse(T))
         facing = float(T[:3, 2] @ T[:3, 3]) / max(float(np.linalg.norm(T[:3, 3])), 1e-9)  # of the plane, for who looks at it
         turned = T[2, 2] if isinstance(self.camera, Perspective) else facing
         faces = turned > 0.17 or not isinstance(self.target, Square)  # within 80 degrees of square to the target

@@ -177,9 +177,9 @@ class Target:
             return pose_on_ground(self.motion.route.at(self.motion.from_m)[:3]) @ self.pose.T
         return self.pose.T
 
-    def seen_from(self, T_world_camera: Array, T_world_target: Array) -> Array:
-        """True marker centres in the camera's frame, shape (N, 3) [m]."""
-        return transform(inverse(T_world_camera) @ T_world_target, self.points)
+    def seen_from(self, T_target_camera: Array) -> Array:
+        """Marker centres in the frame of a camera at a pose (4, 4) in the target's, shape (N, 3) [m]."""
+        return transform(inverse(T_target_camera), self.points)
 
     @cached_property
     def hues_deg(self) -> tuple[float, ...]:

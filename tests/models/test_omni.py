@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from vstestbed.geometry import Pose
-from vstestbed.robots.ground import ground_configuration, motion_between, moved
+from vstestbed.ground import motion_between, moved, place_of
 from vstestbed.robots.omni import PLACES, RADIUS, ROLLERS, SIDES, SPEED_LIMIT, W_INVERSE, WHEELS, W
 
 MODELS = Path(__file__).parents[2] / "models"
@@ -70,7 +70,7 @@ class Drive:
         body = self.data.body("robot/base")
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = body.xmat.reshape(3, 3), body.xpos
-        return ground_configuration(T)
+        return place_of(T)
 
     @property
     def motion(self) -> np.ndarray:

@@ -5,9 +5,10 @@ import pytest
 
 from vstestbed.errors import ParameterError
 from vstestbed.geometry import Pose, exp, inverse
+from vstestbed.ground import GroundPose, moved, pose_on_ground
 from vstestbed.observation import Encoders
 from vstestbed.robots.base import Mount
-from vstestbed.robots.ground import GroundBox, GroundPose, GroundStart, ground_pose, moved
+from vstestbed.robots.ground import GroundBox, GroundStart
 from vstestbed.robots.omni import HALF_BASE, HALF_TRACK, RADIUS, SPEED_LIMIT, W_INVERSE, WHEELS, Omni, W, wheel_matrix
 
 BASE = Omni()
@@ -58,7 +59,7 @@ class TestMotionBasis:
         basis, at, dt = BASE.motion_basis(mount), np.array([1.0, -2.0, 0.7]), 1e-6
         for column in range(3):
             motion = np.eye(3)[column]
-            ends = [ground_pose(moved(at, motion, t)) @ mount.T_flange_camera for t in (-dt, dt)]
+            ends = [pose_on_ground(moved(at, motion, t)) @ mount.T_flange_camera for t in (-dt, dt)]
             step = (inverse(ends[0]) @ ends[1] - np.eye(4)) / (2 * dt)
             twist = [*step[:3, 3], step[2, 1], step[0, 2], step[1, 0]]
             # First order in dt = 1e-6 at the turning frame's start instead of its middle.
@@ -118,7 +119,7 @@ class TestOdometry:
     @staticmethod
     def leads_along_the_arc(twist, motion, mount):
         at = np.array([0.5, 0.2, 1.0])
-        start, end = (ground_pose(at_t) @ mount.T_flange_camera for at_t in (at, moved(at, motion, PERIOD)))
+        start, end = (pose_on_ground(at_t) @ mount.T_flange_camera for at_t in (at, moved(at, motion, PERIOD)))
         np.testing.assert_allclose(start @ exp(twist * PERIOD), end, atol=1e-12)
 
     def test_a_circle_closes(self):

@@ -5,8 +5,9 @@ from vstestbed.laws.hybrid import Hybrid
 from vstestbed.laws.ibvs import IBVS
 from vstestbed.laws.partitioned import Partitioned
 from vstestbed.laws.pbvs import PBVS
+from vstestbed.laws.pursuit import Pursuit
 from vstestbed.spec import OneOf
 
-LAWS = OneOf("law", IBVS, Partitioned, PBVS, Hybrid)
+LAWS = OneOf("law", IBVS, Partitioned, PBVS, Hybrid, Pursuit)
 
-__all__ = ["IBVS", "LAWS", "PBVS", "Command", "Hybrid", "Law", "Partitioned"]
+__all__ = ["IBVS", "LAWS", "PBVS", "Command", "Hybrid", "Law", "Partitioned", "Pursuit"]

@@ -20,7 +20,8 @@ from vstestbed.spec import spec
 @dataclass(frozen=True, slots=True)
 class PursuitMemory:
     """Of the last frame with the target in sight: its time [s], the gap [m], the way by odometry (3,), the order u (n,), and
-    the target's speed along the line of sight [m/s], filtered."""
+    the target's speed along the line of sight [m/s], filtered.
+    """
 
     t: float = math.nan
     gap: float = math.nan

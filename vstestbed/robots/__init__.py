@@ -2,11 +2,12 @@
 
 from vstestbed.robots.base import Allocation, Direct, Mount, Robot, Servo
 from vstestbed.robots.free import Free
+from vstestbed.robots.omni import Omni
 from vstestbed.robots.puma560 import Puma560
 from vstestbed.spec import OneOf
 
-ROBOTS = OneOf("robot", Free, Puma560)
-VEHICLES: dict[str, type] = {}
+ROBOTS = OneOf("robot", Free, Puma560, Omni)
+VEHICLES: dict[str, type] = {"omni": Omni}
 """What can carry a target."""
 
-__all__ = ["ROBOTS", "VEHICLES", "Allocation", "Direct", "Free", "Mount", "Puma560", "Robot", "Servo"]
+__all__ = ["ROBOTS", "VEHICLES", "Allocation", "Direct", "Free", "Mount", "Omni", "Puma560", "Robot", "Servo"]

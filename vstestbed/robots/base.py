@@ -67,8 +67,6 @@ class Servo:
 class Robot(Protocol):
     """A robot that carries (or is) the camera. Its configuration tells where it stands: joint angles, a flat pose, (x, y, heading)."""
 
-    joints: ClassVar[tuple[str, ...]]
-    """Joints that it measures, in the order of its encoders."""
     actuators: ClassVar[tuple[str, ...]]
     """Actuators, in the order of their controls."""
     sensors: ClassVar[tuple[str, ...]]
@@ -90,6 +88,11 @@ class Robot(Protocol):
     @property
     def model(self) -> str | None:
         """Name of its MJCF file in models/, None for the ideal camera."""
+        ...
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Joints that it measures, in the order of its encoders."""
         ...
 
     @property

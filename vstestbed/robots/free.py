@@ -35,13 +35,17 @@ class Free(Direct):
 
     kind: Literal["free"] = "free"
     start: FreeStart
-    joints: ClassVar[tuple[str, ...]] = ()
     actuators: ClassVar[tuple[str, ...]] = ()
 
     @property
     def model(self) -> None:
         """No body."""
         return None
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """None."""
+        return ()
 
     @property
     def servo(self) -> None:

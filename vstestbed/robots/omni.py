@@ -26,9 +26,10 @@ import numpy as np
 from annotated_types import Gt, Lt
 
 from vstestbed.geometry import Array
+from vstestbed.ground import motion_between, pose_on_ground
 from vstestbed.observation import Encoders
-from vstestbed.robots.base import Allocation, Mount
-from vstestbed.robots.ground import PLANE, GroundStart, ground_pose, motion_between
+from vstestbed.robots.base import Allocation, Direct, Mount
+from vstestbed.robots.ground import PLANE, GroundStart
 from vstestbed.spec import spec
 
 WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
@@ -62,7 +63,7 @@ W_INVERSE = np.linalg.pinv(W)
 
 
 @spec
-class Omni:
+class Omni(Direct):
     """A platform on four mecanum wheels, driven by wheel speeds.
 
     Args:
@@ -77,14 +78,18 @@ class Omni:
     start: GroundStart = GroundStart()
     wheel_radius_error: Annotated[float, Gt(-0.5), Lt(1)] = 0.0
     actuators: ClassVar[tuple[str, ...]] = WHEELS
-    sensors: ClassVar[tuple[str, ...]] = ()
-    control_period_s: ClassVar[float | None] = None
-    largest_step_s: ClassVar[float] = 0.002
+    rides: ClassVar[bool] = True
+    grounded: ClassVar[bool] = True
 
     @property
     def model(self) -> str:
         """Its MJCF file."""
         return "omni.xml" if self.wheels == "rollers" else "omni_planar.xml"
+
+    @property
+    def servo(self) -> None:
+        """One set of servos."""
+        return None
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -101,15 +106,11 @@ class Omni:
 
     def flange_pose(self, configuration: Array) -> Array:
         """T_world_base (4, 4): a camera's mount is relative to the base's frame, on the floor under its centre."""
-        return ground_pose(configuration)
+        return pose_on_ground(configuration)
 
     def motion_basis(self, mount: Mount) -> Array:
         """Camera twists of (vx, vy, wz) of the base, shape (6, 3), for any mount."""
         return mount.to_camera @ PLANE
-
-    def measured(self, raw: Encoders, rng: np.random.Generator) -> Encoders:
-        """Encoders of the wheels: exact."""
-        return raw
 
     def odometry(self, before: Encoders, now: Encoders, duration: float) -> Array:
         """Mean motion (vx, vy, wz) of the base between two readings of its encoders, with the radius that it believes in.
@@ -138,11 +139,3 @@ class Omni:
         scale = min(1.0, SPEED_LIMIT / max(float(np.abs(speeds).max()), 1e-12))
         limit: Literal["", "speed"] = "speed" if scale < 1.0 else ""
         return Allocation(setpoint=speeds * scale, twist=self.motion_basis(mount) @ motion * scale, scale=scale, limit=limit)
-
-    def begin(self) -> None:
-        """Its speed loops are the model's: no memory."""
-        return
-
-    def actuate(self, memory: None, setpoint: Array, encoders: Encoders, dt: float) -> tuple[None, Array]:
-        """The setpoint is what the speed loops are told, ctrl (4,)."""
-        return None, setpoint

@@ -173,8 +173,7 @@ class Puma560(Direct):
     kind: Literal["puma560"] = "puma560"
     actuation: Literal["ideal", "industrial", "raw"] = "industrial"
     start: PumaStart = PumaStart()
-    joints: ClassVar[tuple[str, ...]] = tuple(f"joint_{i}" for i in range(1, 7))
-    actuators: ClassVar[tuple[str, ...]] = joints
+    actuators: ClassVar[tuple[str, ...]] = tuple(f"joint_{i}" for i in range(1, 7))
 
     def __post_init__(self) -> None:
         """Refuse a start outside the joint limits."""
@@ -187,6 +186,11 @@ class Puma560(Direct):
     def model(self) -> str:
         """Its file."""
         return "puma560.xml"
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Each has its actuator."""
+        return self.actuators
 
     @property
     def servo(self) -> Servo:

@@ -9,6 +9,8 @@ from vstestbed.assets import model_path
 from vstestbed.geometry import Array
 from vstestbed.robots import Robot
 
+AUTO = mujoco.mjtJacobian.mjJAC_AUTO
+
 
 def add_robot(scene: mujoco.MjSpec, robot: Robot, prefix: str, friction: float | None) -> tuple[mujoco.MjsBody, Array]:
     """The body that carries the camera, and the pose (4, 4) of the flange in it.
@@ -26,6 +28,7 @@ def add_robot(scene: mujoco.MjSpec, robot: Robot, prefix: str, friction: float |
     model.option.timestep = scene.option.timestep
     scene.option.cone = max(scene.option.cone, model.option.cone)
     scene.option.impratio = max(scene.option.impratio, model.option.impratio)
+    scene.option.jacobian = max(scene.option.jacobian, model.option.jacobian) if model.option.jacobian != AUTO else scene.option.jacobian
     scene.option.density = max(scene.option.density, model.option.density)
     scene.option.viscosity = max(scene.option.viscosity, model.option.viscosity)
     if friction is not None:

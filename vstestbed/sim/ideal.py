@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from vstestbed.camera import Frame, Look
-from vstestbed.geometry import Array, exp
+from vstestbed.geometry import Array, exp, inverse
 from vstestbed.observation import Encoders
 from vstestbed.sim.base import Eyes, Truth
 from vstestbed.sim.scene import Parts
@@ -26,6 +26,7 @@ class IdealPlant:
         self.step_s, self.steps_per_frame = parts.step, steps_per_frame
         self._T = parts.start[1]
         self._T_world_target = parts.target.pose.T
+        self._T_target_world = inverse(self._T_world_target)
         self._target = parts.target
         self._stage, self._eye = stage, eye
         self._twist = np.zeros(6)
@@ -41,7 +42,7 @@ class IdealPlant:
         """The picture, where one is wanted, and the truth."""
         t = self._steps * self.step_s
         T = self._T.copy()
-        p_camera = self._target.seen_from(T, self._T_world_target)
+        p_camera = self._target.seen_from(self._T_target_world @ T)
         hidden, frame = self._hidden, None
         if self._stage is not None:
             self._stage.place(t, self._T_world_target, NONE, T)

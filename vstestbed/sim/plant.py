@@ -9,7 +9,7 @@ import numpy as np
 from dm_control.rl.control import PhysicsError
 
 from vstestbed.camera import Frame, Look
-from vstestbed.geometry import Array
+from vstestbed.geometry import Array, inverse
 from vstestbed.observation import Encoders
 from vstestbed.sim.base import Eyes, Truth
 from vstestbed.sim.leader import Leader
@@ -101,7 +101,7 @@ class MujocoPlant:
             stage.place_plates(t)
             mujoco.mj_kinematics(model, data)
         T, T_target = stage.camera_pose(), stage.target_pose()
-        p_camera = self._target.seen_from(T, T_target)
+        p_camera = self._target.seen_from(inverse(T_target) @ T)
         mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_SITE, stage.eye, self._velocity, 1)
         twist = np.concatenate([self._velocity[3:], self._velocity[:3]])
         hidden = stage.hidden(T, p_camera) if self._see_hidden else self._visible

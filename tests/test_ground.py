@@ -5,27 +5,28 @@ import pytest
 
 from vstestbed.errors import ParameterError
 from vstestbed.geometry import exp, inverse
-from vstestbed.robots.ground import PLANE, GroundBox, GroundPose, GroundStart, ground_configuration, ground_pose, motion_between, moved
+from vstestbed.ground import GroundPose, motion_between, moved, place_of, pose_on_ground
+from vstestbed.robots.ground import PLANE, GroundBox, GroundStart
 
 RNG = np.random.default_rng(0)
 
 
 def test_the_pose_has_its_x_axis_along_the_heading():
-    T = ground_pose(np.array([1.0, -2.0, np.pi / 2]))
+    T = pose_on_ground(np.array([1.0, -2.0, np.pi / 2]))
     np.testing.assert_allclose(T @ [1, 0, 0, 1], [1, -1, 0, 1], atol=1e-15)  # a metre ahead is a metre along y
     np.testing.assert_allclose(T @ [0, 0, 1, 1], [1, -2, 1, 1], atol=1e-15)
 
 
 def test_configuration_and_pose_are_inverse():
     at = RNG.uniform(-3, 3, (50, 3))
-    np.testing.assert_allclose(ground_configuration(ground_pose(at)), at, atol=1e-14)
+    np.testing.assert_allclose(place_of(pose_on_ground(at)), at, atol=1e-14)
 
 
 def test_an_arc_is_the_exponential_of_the_body_twist():
     at, motion = RNG.uniform(-3, 3, (200, 3)), RNG.uniform(-2, 2, (200, 3))
     motion[:20, 2] *= 1e-9  # nearly straight, where (1 - cos) / theta loses its digits if written so
-    T = ground_pose(at) @ exp(motion @ PLANE.T * 0.7)
-    np.testing.assert_allclose(ground_pose(moved(at, motion, 0.7)), T, atol=1e-12)
+    T = pose_on_ground(at) @ exp(motion @ PLANE.T * 0.7)
+    np.testing.assert_allclose(pose_on_ground(moved(at, motion, 0.7)), T, atol=1e-12)
 
 
 def test_a_quarter_circle():
@@ -76,4 +77,4 @@ class TestStart:
 def test_the_plane_leaves_out_what_a_floor_takes():
     np.testing.assert_array_equal(PLANE @ [1, 2, 3], [1, 2, 0, 0, 0, 3])
     np.testing.assert_array_equal(PLANE.T @ PLANE, np.eye(3))
-    assert np.allclose(inverse(ground_pose(np.zeros(3))), np.eye(4))
+    assert np.allclose(inverse(pose_on_ground(np.zeros(3))), np.eye(4))
