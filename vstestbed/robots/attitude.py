@@ -1,0 +1,122 @@
+"""Which way is up: a complementary filter of gyro and accelerometer (Mahony) on the sphere of directions.
+
+The estimate is z, the world's up in body axes, unit: its parts are (-sin pitch, cos pitch sin roll, cos pitch cos roll).
+Heading has no reference in an IMU and is left out. With the gyro's reading w, its bias b and the measured up a / |a|:
+
+    e = a / |a| x z,   z_dot = z x (w - b + k_p e),   b_dot = -k_i e.
+
+An accelerometer does not feel gravity but all other forces: a = up g + acceleration. In flight, thrust is nearly the only one,
+so it tells of the tilt only over times in which accelerations average out; hence a low gain. Where a velocity is measured its
+rate can be taken from a first (`acceleration`).
+
+Reference: Mahony, Hamel & Pflimlin 2008, doi:10.1109/TAC.2008.923738, the passive filter on one direction;
+Martin & Salaun 2010, doi:10.1109/ROBOT.2010.5509980, on what an accelerometer feels;
+Hua 2010, doi:10.1016/j.conengprac.2010.01.016, on the use of a velocity.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Literal, NamedTuple
+
+from annotated_types import Ge, Gt
+
+from vstestbed.spec import spec
+
+GRAVITY = 9.81
+"""[m/s^2], as in the scenes."""
+
+Vector = tuple[float, float, float]
+
+
+@spec
+class Filter:
+    """Gains of the attitude filter.
+
+    Args:
+        gain: k_p [1/s]: the accelerometer's direction is believed over times longer than 1 / gain.
+        bias_gain: k_i [1/s^2], for the gyro's bias.
+        acceleration: `imu` believes the accelerometer as it is, `velocity` takes the measured velocity's rate from it.
+    """
+
+    gain: Annotated[float, Gt(0)] = 0.3
+    bias_gain: Annotated[float, Ge(0)] = 0.02
+    acceleration: Literal["imu", "velocity"] = "velocity"
+
+
+class Attitude(NamedTuple):
+    """The filter's memory: `up` in body axes (3,), unit, and the gyro's `bias` (3,) [rad/s]."""
+
+    up: Vector = (0.0, 0.0, 1.0)
+    bias: Vector = (0.0, 0.0, 0.0)
+
+    @property
+    def roll(self) -> float:
+        """Roll [rad], R_level_body = Ry(pitch) Rx(roll)."""
+        return math.atan2(self.up[1], self.up[2])
+
+    @property
+    def pitch(self) -> float:
+        """Pitch [rad]."""
+        return -math.asin(max(-1.0, min(1.0, self.up[0])))
+
+    @property
+    def tilt(self) -> float:
+        """Angle between the body's z and the world's [rad]."""
+        return math.acos(max(-1.0, min(1.0, self.up[2])))
+
+
+def step(memory: Attitude, gyro: Vector, force: Vector, acceleration: Vector, filter: Filter, dt: float) -> Attitude:
+    """One step of the filter.
+
+    Args:
+        gyro: angular velocity in body axes (3,) [rad/s].
+        force: the accelerometer's reading in body axes (3,) [m/s^2]: (0, 0, g) at rest.
+        acceleration: known acceleration in body axes (3,) [m/s^2], taken from the reading; zeros where none is known.
+        dt: [s].
+    """
+    (x, y, z), (bx, by, bz) = memory
+    ax, ay, az = force[0] - acceleration[0], force[1] - acceleration[1], force[2] - acceleration[2]
+    size = math.sqrt(ax * ax + ay * ay + az * az)
+    ex = ey = ez = 0.0
+    if 0.5 * GRAVITY < size < 1.5 * GRAVITY:  # else the reading is mostly something else than gravity
+        ex, ey, ez = (ay * z - az * y) / size, (az * x - ax * z) / size, (ax * y - ay * x) / size
+    k = filter.gain
+    wx, wy, wz = gyro[0] - bx + k * ex, gyro[1] - by + k * ey, gyro[2] - bz + k * ez
+    dx, dy, dz = (y * wz - z * wy) * dt, (z * wx - x * wz) * dt, (x * wy - y * wx) * dt
+    h = 0.5 * dt
+    x, y, z = x + dx + h * (dy * wz - dz * wy), y + dy + h * (dz * wx - dx * wz), z + dz + h * (dx * wy - dy * wx)
+    n = 1.0 / math.sqrt(x * x + y * y + z * z)
+    i = filter.bias_gain * dt
+    return Attitude((x * n, y * n, z * n), (bx - i * ex, by - i * ey, bz - i * ez))
+
+
+class Level(NamedTuple):
+    """R_level_body, the body's axes in the level frame that shares its heading, as nine numbers by rows."""
+
+    xx: float
+    xy: float
+    xz: float
+    yx: float
+    yy: float
+    yz: float
+    zx: float
+    zy: float
+    zz: float
+
+    def to_level(self, v: Vector) -> Vector:
+        """A vector (3,) of body axes in the level frame."""
+        a, b, c = v
+        return self.xx * a + self.xy * b + self.xz * c, self.yy * b + self.yz * c, self.zx * a + self.zy * b + self.zz * c
+
+    def to_body(self, v: Vector) -> Vector:
+        """A vector (3,) of the level frame in body axes."""
+        a, b, c = v
+        return self.xx * a + self.zx * c, self.xy * a + self.yy * b + self.zy * c, self.xz * a + self.yz * b + self.zz * c
+
+
+def level(up: Vector) -> Level:
+    """R_level_body = Ry(pitch) Rx(roll) of an `up` (3,); x stays the heading (nose straight up or down: it has none, roll 0)."""
+    sp, cp = -up[0], math.hypot(up[1], up[2])
+    sr, cr = (up[1] / cp, up[2] / cp) if cp > 1e-6 else (0.0, 1.0)
+    return Level(cp, sp * sr, sp * cr, 0.0, cr, -sr, -sp, cp * sr, cp * cr)

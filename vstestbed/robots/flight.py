@@ -1,0 +1,160 @@
+"""The loops of flight: velocity to acceleration, acceleration to tilt and thrust, tilt to rates, rates to torques.
+
+In the level frame (x the heading, z up) and in body axes:
+
+    a      = k_v (v* - v) + k_vi int(v* - v) + r* z x v*       (x and y; z with gains of its own)
+    F      = m (a + g z),  the tilt cut to its limit; thrust = F_z / cos(tilt): the true weight is fed forward
+    w*     = k_R (rotation that takes the body's z to F) + r* up
+    torque = J (k_w (w* - w) + k_wi int(w* - w))
+
+Reference: the cascade of Mahony, Kumar & Corke 2012, doi:10.1109/MRA.2012.2206474, with the reduced attitude of
+Brescianini & D'Andrea 2020, doi:10.1016/j.automatica.2019.108703 (tilt first, heading by its rate alone).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, NamedTuple
+
+from annotated_types import Ge, Gt, Le
+
+from vstestbed.robots.attitude import GRAVITY, Level, Vector
+from vstestbed.robots.rotors import INERTIA, LAG_S, MASS, MAX_YAW_TORQUE
+from vstestbed.spec import spec
+
+Positive = Annotated[float, Gt(0)]
+NotNegative = Annotated[float, Ge(0)]
+
+RECOVER_RAD, RECOVERED_RAD = math.radians(60), math.radians(15)
+"""Tilted by more, the craft forgets its orders and levels; under the second it takes orders again."""
+MAX_TILT_RATE = 4.0
+"""[rad/s]: what the attitude loop asks for at most. The rotors' torque at hover, 2.2 Nm, stops it in .15 s."""
+MAX_YAW_ACCELERATION = 0.4
+"""[rad/s^2]: how quickly the yaw order moves; the rotors' share of yaw gives .45."""
+MAX_TRIM = 3.0
+"""Bound of the velocity loop's integral [m/s^2]: a wind of 10 m/s asks for 1.5."""
+MAX_RATE_TRIM = 3.0
+"""Bound of the rate loop's integral [rad/s^2]."""
+STILL: Vector = (0.0, 0.0, 0.0)
+
+
+@spec
+class Gains:
+    """Gains of the flight loops; each outer loop is about three times as slow as the next inner one.
+
+    Args:
+        rate, rate_integral: k_w [1/s], k_wi [1/s^2] of roll and pitch rates.
+        yaw: of the yaw rate [1/s].
+        attitude: k_R [1/s].
+        velocity, velocity_integral: k_v [1/s], k_vi [1/s^2] along x and y of the level frame.
+        climb, climb_integral: the same along z.
+        tilt_deg: largest tilt asked for [deg].
+        rotor_s: time constant that the speed controllers give the rotors [s]; without them it is .117.
+    """
+
+    rate: Positive = 14.0
+    rate_integral: NotNegative = 10.0
+    yaw: Positive = 5.0
+    attitude: Positive = 5.0
+    velocity: Positive = 1.6
+    velocity_integral: NotNegative = 0.2
+    climb: Positive = 2.5
+    climb_integral: NotNegative = 1.0
+    tilt_deg: Annotated[float, Gt(0), Le(50)] = 30.0
+    rotor_s: Annotated[float, Gt(0), Le(LAG_S)] = 0.03
+
+
+class Loops(NamedTuple):
+    """The loops' memory: integrals of velocity [m/s^2] and rates [rad/s^2], the ramped yaw order [rad/s], levelling or not."""
+
+    trim: Vector = STILL
+    rate_trim: tuple[float, float] = (0.0, 0.0)
+    yaw_rate: float = 0.0
+    levelling: bool = False
+
+
+class Push(NamedTuple):
+    """What the rotors have to make: a thrust [N] along the body's z and a torque (3,) [Nm] in body axes."""
+
+    thrust: float
+    torque: Vector
+
+
+def fly(
+    memory: Loops, order: Vector, yaw_order: float, velocity: Vector, R: Level, rates: Vector, gains: Gains, dt: float
+) -> tuple[Loops, Push]:
+    """One step of all loops.
+
+    A craft tilted beyond 60 degrees levels first: it hears no order until it is within 15 degrees, and starts then from no trim.
+
+    Args:
+        order, velocity: wanted and estimated velocity in the level frame, (3,) [m/s].
+        yaw_order: wanted rate of the heading [rad/s].
+        R: R_level_body, estimated.
+        rates: body rates, (3,) [rad/s].
+        dt: [s].
+    """
+    levelling = R.zz < math.cos(RECOVERED_RAD if memory.levelling else RECOVER_RAD)
+    most = MAX_YAW_ACCELERATION * dt
+    yaw_rate = memory.yaw_rate + max(-most, min(most, (0.0 if levelling else yaw_order) - memory.yaw_rate))
+    if levelling:
+        trim, acceleration = STILL, STILL
+    else:
+        trim, acceleration = velocity_loop(memory.trim, order, velocity, yaw_rate, gains, dt)
+    force, thrust = aim(acceleration, R, gains.tilt_deg)
+    wx, wy = attitude_loop(R.to_body(force), gains)
+    wanted = (wx + yaw_rate * R.zx, wy + yaw_rate * R.zy, yaw_rate * R.zz)
+    rate_trim, torque = rate_loop(memory.rate_trim, wanted, rates, gains, dt)
+    return Loops(trim, rate_trim, yaw_rate, levelling), Push(thrust, torque)
+
+
+def velocity_loop(trim: Vector, order: Vector, velocity: Vector, yaw_rate: float, gains: Gains, dt: float) -> tuple[Vector, Vector]:
+    """Integrals (3,) and wanted acceleration (3,) in the level frame [m/s^2], for velocities (3,) [m/s]."""
+    ex, ey, ez = order[0] - velocity[0], order[1] - velocity[1], order[2] - velocity[2]
+    k, i, c, j = gains.velocity, gains.velocity_integral * dt, gains.climb, gains.climb_integral * dt
+    tx = max(-MAX_TRIM, min(MAX_TRIM, trim[0] + i * ex))
+    ty = max(-MAX_TRIM, min(MAX_TRIM, trim[1] + i * ey))
+    tz = max(-MAX_TRIM, min(MAX_TRIM, trim[2] + j * ez))
+    wanted = k * ex + tx - yaw_rate * order[1], k * ey + ty + yaw_rate * order[0], c * ez + tz
+    return (tx, ty, tz), wanted
+
+
+def aim(acceleration: Vector, R: Level, tilt_deg: float) -> tuple[Vector, float]:
+    """The force's direction (3,) in the level frame, unit, and the thrust [N], for a wanted acceleration (3,) [m/s^2].
+
+    The vertical part is kept, the level part cut to the tilt limit. Where the craft is tilted the thrust grows with 1 / cos(tilt),
+    to twice at most; upside down it is the least.
+    """
+    ax, ay, az = acceleration
+    up = max(0.3 * GRAVITY, GRAVITY + az)
+    most, size = up * math.tan(math.radians(tilt_deg)), math.hypot(ax, ay)
+    if size > most:
+        ax, ay = ax * most / size, ay * most / size
+    n = 1.0 / math.sqrt(ax * ax + ay * ay + up * up)
+    thrust = MASS * up / max(0.5, R.zz) if R.zz > 0 else 0.3 * MASS * GRAVITY
+    return (ax * n, ay * n, up * n), thrust
+
+
+def attitude_loop(force: Vector, gains: Gains) -> tuple[float, float]:
+    """Wanted roll and pitch rates [rad/s] that turn the body's z to `force` (3,), unit, in body axes.
+
+    The rotation is by atan2(|(F_x, F_y)|, F_z) about (-F_y, F_x, 0).
+    """
+    x, y, z = force
+    sine = math.hypot(x, y)
+    if sine < 1e-9:
+        return (0.0, 0.0) if z > 0 else (MAX_TILT_RATE, 0.0)  # upside down any way is as long
+    rate = min(MAX_TILT_RATE, gains.attitude * math.atan2(sine, z)) / sine
+    return -rate * y, rate * x
+
+
+def rate_loop(
+    trim: tuple[float, float], wanted: Vector, rates: Vector, gains: Gains, dt: float
+) -> tuple[tuple[float, float], Vector]:
+    """Integrals [rad/s^2] and torque (3,) [Nm], for body rates (3,) [rad/s]. Yaw's torque stays within its share."""
+    ex, ey, ez = wanted[0] - rates[0], wanted[1] - rates[1], wanted[2] - rates[2]
+    k, i = gains.rate, gains.rate_integral * dt
+    tx = max(-MAX_RATE_TRIM, min(MAX_RATE_TRIM, trim[0] + i * ex))
+    ty = max(-MAX_RATE_TRIM, min(MAX_RATE_TRIM, trim[1] + i * ey))
+    z = max(-MAX_YAW_TORQUE, min(MAX_YAW_TORQUE, INERTIA[2] * gains.yaw * ez))
+    return (tx, ty), (INERTIA[0] * (k * ex + tx), INERTIA[1] * (k * ey + ty), z)

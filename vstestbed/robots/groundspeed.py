@@ -1,0 +1,97 @@
+"""How fast over the ground: a noisy velocity instrument, made usable at the control rate.
+
+The instrument (optical flow with a range, or Doppler) tells the velocity in body axes. Two ways to use it, both in the level
+frame, which turns with the heading at the rate r:
+
+  flow      fused with the accelerometer. With f = R_level_body a - (0, 0, g), the innovation i = R_level_body v_measured - v and
+            ignored offsets d:  v_dot = f - r z x v + 2 w i + d,  d_dot = w^2 i.
+            Quick and quiet; d takes what a tilted estimate or a biased accelerometer adds, so v has no steady error.
+  filtered  a first-order low pass: v_dot = i / tau. Quiet or quick.
+
+Reference: fixed-gain form of the observer of Hua 2010, doi:10.1016/j.conengprac.2010.01.016.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, NamedTuple
+
+from annotated_types import Ge, Gt
+
+from vstestbed.robots.attitude import GRAVITY, Level, Vector
+from vstestbed.spec import OneOf, spec
+
+READING_S = 0.02
+"""A flow sensor's exposure and period [s], 50 Hz: over such a time its noise has `sigma_mps`. Control runs faster, and each of its
+readings carries noise of the same power spectrum."""
+
+Sigma = Annotated[float, Ge(0)]
+
+
+@spec
+class Flow:
+    """A velocity fused with the accelerometer.
+
+    Args:
+        sigma_mps: noise of a reading of 20 ms on each axis [m/s].
+        scale_error: relative error of the scale (of the range behind a flow).
+        bandwidth: w [1/s]: slower than this the instrument is believed, quicker the accelerometer.
+    """
+
+    kind: Literal["flow"] = "flow"
+    sigma_mps: Sigma = 0.03
+    scale_error: Annotated[float, Gt(-1)] = 0.0
+    bandwidth: Annotated[float, Gt(0)] = 2.0
+
+
+@spec
+class Filtered:
+    """A velocity through a low pass.
+
+    Args:
+        sigma_mps, scale_error: as for `flow`.
+        tau_s: time constant of the low pass [s].
+    """
+
+    kind: Literal["filtered"] = "filtered"
+    sigma_mps: Sigma = 0.03
+    scale_error: Annotated[float, Gt(-1)] = 0.0
+    tau_s: Annotated[float, Gt(0)] = 0.1
+
+
+VELOCITIES = OneOf("velocity", Flow, Filtered)
+Source = Flow | Filtered
+VelocitySource = Annotated[Source, VELOCITIES]
+
+
+class Groundspeed(NamedTuple):
+    """Estimated `velocity` (3,) [m/s], `offset` d (3,) and `acceleration` (3,) [m/s^2], all in the level frame."""
+
+    velocity: Vector = (0.0, 0.0, 0.0)
+    offset: Vector = (0.0, 0.0, 0.0)
+    acceleration: Vector = (0.0, 0.0, 0.0)
+
+
+def step(memory: Groundspeed, R: Level, measured: Vector, force: Vector, yaw_rate: float, source: Source, dt: float) -> Groundspeed:
+    """One step of the estimate.
+
+    Args:
+        R: R_level_body, estimated.
+        measured: the instrument's velocity in body axes (3,) [m/s].
+        force: the accelerometer's reading in body axes (3,) [m/s^2].
+        yaw_rate: the level frame's rate about z [rad/s].
+        dt: [s].
+    """
+    (vx, vy, vz), (dx, dy, dz), _ = memory
+    mx, my, mz = R.to_level(measured)
+    ix, iy, iz = mx - vx, my - vy, mz - vz
+    if isinstance(source, Filtered):
+        k = 1.0 / source.tau_s
+        ax, ay, az = k * ix, k * iy, k * iz
+        v = vx + ax * dt, vy + ay * dt, vz + az * dt
+        return Groundspeed(v, (dx, dy, dz), (ax - yaw_rate * vy, ay + yaw_rate * vx, az))
+    fx, fy, fz = R.to_level(force)
+    w = source.bandwidth
+    k, j = 2.0 * w, w * w * dt
+    ax, ay, az = fx + k * ix + dx, fy + k * iy + dy, fz - GRAVITY + k * iz + dz
+    v = vx + (ax + yaw_rate * vy) * dt, vy + (ay - yaw_rate * vx) * dt, vz + az * dt
+    return Groundspeed(v, (dx + j * ix, dy + j * iy, dz + j * iz), (ax, ay, az))

@@ -1,0 +1,262 @@
+"""Quadrotor: a 4 kg craft told velocities in its level frame, flown by its own instruments.
+
+A setpoint is (vx, vy, vz, wz) of the level frame: x the heading, z up, wz the heading's rate. On board, a thousand times a second:
+attitude from the IMU (`attitude`), velocity from its instrument (`groundspeed`), the loops (`flight`), the rotors (`rotors`).
+Nothing here reads anything but `Encoders.instruments`, after `measured` has put noise and bias on them.
+Mass, rotors, drag and sensors are in `models/quadrotor.xml`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Annotated, ClassVar, Literal, NamedTuple
+
+import numpy as np
+from annotated_types import Ge, Gt
+
+from vstestbed.errors import ParameterError
+from vstestbed.geometry import Array, Triple
+from vstestbed.observation import Encoders
+from vstestbed.robots import groundspeed
+from vstestbed.robots.attitude import Attitude, Filter, level
+from vstestbed.robots.attitude import step as attitude_step
+from vstestbed.robots.base import Allocation, Mount
+from vstestbed.robots.flight import RECOVER_RAD, Gains, Loops, fly
+from vstestbed.robots.groundspeed import READING_S, Flow, Groundspeed, VelocitySource
+from vstestbed.robots.rotors import HOVER, Four, mix, speed_control
+from vstestbed.spec import spec
+
+STANDING_M = 0.172
+"""Height of the centre over the ground when the craft stands on its feet [m]."""
+HOLD = np.zeros(4)
+"""The setpoint that levels the craft and holds it where it is."""
+LEVEL_AXES = [0, 1, 2, 5]
+"""vx, vy, vz and wz of a twist."""
+
+Sigma = Annotated[float, Ge(0)]
+Positive = Annotated[float, Gt(0)]
+
+
+@spec
+class FlightPose:
+    """Where the craft hovers at the start: its centre in the world [m], its heading [deg]."""
+
+    xyz: Triple = (0.0, 0.0, 2.0)
+    yaw_deg: float = 0.0
+
+
+@spec
+class FlightBox:
+    """Half widths of a box of starts round the nominal one: along world axes [m], in heading [deg]."""
+
+    xyz: Triple = (0.0, 0.0, 0.0)
+    yaw_deg: Annotated[float, Ge(0)] = 0.0
+
+
+@spec
+class FlightStart:
+    """Where the craft hovers at the start: `nominal`, and the box from which `random` starts are drawn."""
+
+    nominal: FlightPose = FlightPose()
+    random: FlightBox | None = None
+
+
+@spec
+class Imu:
+    """Noise of each reading (at the control rate) and constant bias, in body axes.
+
+    The defaults are an MPU-6000's by its data sheet (InvenSense 2013: .005 deg/s and 400 ug per root hertz, here over 500 Hz), with
+    the bias that is left after it was calibrated.
+
+    Args:
+        gyro_sigma_radps, gyro_bias_radps: [rad/s].
+        accel_sigma_mps2, accel_bias_mps2: [m/s^2].
+    """
+
+    gyro_sigma_radps: Sigma = 0.002
+    gyro_bias_radps: Triple = (0.003, -0.002, 0.001)
+    accel_sigma_mps2: Sigma = 0.09
+    accel_bias_mps2: Triple = (0.05, -0.03, 0.08)
+
+
+class Flight(NamedTuple):
+    """The memory on board: what is estimated, the loops, W of the rotors; `armed`, and for how long a rotor has been at its limit."""
+
+    attitude: Attitude = Attitude()
+    ground: Groundspeed = Groundspeed()
+    loops: Loops = Loops()
+    W: Four = (HOVER, HOVER, HOVER, HOVER)
+    rates: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    armed: bool = True
+    limited_s: float = 0.0
+
+    @property
+    def overturned(self) -> bool:
+        """Tilted beyond 60 degrees by its own estimate."""
+        return self.attitude.tilt > RECOVER_RAD
+
+
+@spec
+class Quadrotor:
+    """A 4 kg quadrotor with four real rotors; the camera sits relative to its centre (x forward, y left, z up).
+
+    Args:
+        start: where it hovers at the start.
+        imu: noise and bias of gyro and accelerometer.
+        velocity: where the velocity comes from, `flow` or `filtered`, and its noise.
+        range_sigma_m: noise of the range finder that looks down [m].
+        attitude: gains of the attitude filter.
+        gains: gains of the flight loops.
+        max_speed_mps, max_climb_mps, max_yaw_rate_radps: limits of a setpoint, scaled as a whole.
+    """
+
+    kind: Literal["quadrotor"] = "quadrotor"
+    start: FlightStart = FlightStart()
+    imu: Imu = Imu()
+    velocity: VelocitySource = Flow()
+    range_sigma_m: Sigma = 0.01
+    attitude: Filter = Filter()
+    gains: Gains = Gains()
+    max_speed_mps: Positive = 2.0
+    max_climb_mps: Positive = 1.0
+    max_yaw_rate_radps: Positive = 0.8
+
+    model: ClassVar[str | None] = "quadrotor.xml"
+    joints: ClassVar[tuple[str, ...]] = ()
+    actuators: ClassVar[tuple[str, ...]] = ("rotor_front", "rotor_right", "rotor_back", "rotor_left")
+    sensors: ClassVar[tuple[str, ...]] = ("gyro", "accelerometer", "velocity", "range")
+    control_period_s: ClassVar[float | None] = 0.001
+    largest_step_s: ClassVar[float] = 0.001
+    """The rate loop is tuned at it."""
+
+    def __post_init__(self) -> None:
+        """Refuse a start in the ground."""
+        low = self.start.nominal.xyz[2]
+        if low < STANDING_M:
+            raise ParameterError("start.nominal.xyz.2", f"must leave the centre {STANDING_M:g} m or more above the ground", low)
+
+    def configuration(self) -> Array:
+        """The nominal start (x, y, z, yaw), [m, rad]."""
+        return np.array([*self.start.nominal.xyz, math.radians(self.start.nominal.yaw_deg)])
+
+    def randomised(self, rng: np.random.Generator) -> Quadrotor:
+        """The same craft with a start drawn from the box, not lower than it stands."""
+        box = self.start.random
+        if box is None:
+            raise ParameterError("robot.start.random", "is missing: a seed draws the start from it, e.g. {xyz: [2, 2, 1], yaw_deg: 180}")
+        xyz = np.array(self.start.nominal.xyz) + rng.uniform(-1, 1, 3) * box.xyz
+        yaw = self.start.nominal.yaw_deg + float(rng.uniform(-1, 1)) * box.yaw_deg
+        x, y, z = xyz.tolist()
+        nominal = FlightPose(xyz=(x, y, max(z, STANDING_M)), yaw_deg=yaw)
+        return replace(self, start=FlightStart(nominal=nominal, random=box))
+
+    def rest_ctrl(self) -> Array:
+        """Actuator controls, and activations, of the start: rotors that carry the weight, (4,) [(rad/s)^2]."""
+        return np.full(4, HOVER)
+
+    def flange_pose(self, configuration: Array) -> Array:
+        """T_world_base (4, 4) of a level craft at (x, y, z, yaw)."""
+        c, s = math.cos(configuration[3]), math.sin(configuration[3])
+        x, y, z = configuration[:3].tolist()
+        return np.array([(c, -s, 0, x), (s, c, 0, y), (0, 0, 1, z), (0, 0, 0, 1.0)])
+
+    def motion_basis(self, mount: Mount) -> Array:
+        """Twists (6, 4) that a camera on the level craft makes with vx, vy, vz and wz."""
+        return mount.to_camera[:, LEVEL_AXES]
+
+    def measured(self, raw: Encoders, rng: np.random.Generator) -> Encoders:
+        """The instruments' readings: the simulator's perfect ones with this craft's noise, bias and scale."""
+        imu, source, perfect = self.imu, self.velocity, raw.instruments
+        n = rng.standard_normal(10)
+        flow_sigma = source.sigma_mps * math.sqrt(READING_S / 0.001)
+        return Encoders(
+            raw.q,
+            raw.qd,
+            {
+                "gyro": perfect["gyro"] + imu.gyro_sigma_radps * n[0:3] + imu.gyro_bias_radps,
+                "accelerometer": perfect["accelerometer"] + imu.accel_sigma_mps2 * n[3:6] + imu.accel_bias_mps2,
+                "velocity": perfect["velocity"] * (1.0 + source.scale_error) + flow_sigma * n[6:9],
+                "range": perfect["range"] + self.range_sigma_m * n[9:],
+            },
+        )
+
+    def measured_twist(self, before: Encoders, now: Encoders, duration: float, ordered: Array, mount: Mount) -> Array:
+        """Mean camera twist (6,) between two readings: the mean of velocity and body rates at both, through the mount.
+
+        Taken from what flies (`reported`) where the readings hold it, else from the raw instruments.
+        """
+        sums = _body_twist(before.instruments) + _body_twist(now.instruments)
+        return mount.to_camera @ (0.5 * sums)
+
+    def allocate(self, twist: Array, encoders: Encoders, mount: Mount, period: float) -> Allocation:
+        """A camera twist (6,) as a setpoint (vx, vy, vz, wz) of the level frame, scaled as a whole into the speed limits.
+
+        What the craft cannot do at will, roll and pitch rates, is dropped.
+        """
+        u = (mount.to_flange @ twist)[LEVEL_AXES]
+        vx, vy, vz, wz = u.tolist()
+        over = max(math.hypot(vx, vy) / self.max_speed_mps, abs(vz) / self.max_climb_mps, abs(wz) / self.max_yaw_rate_radps, 1.0)
+        u /= over
+        return Allocation(setpoint=u, twist=self.motion_basis(mount) @ u, scale=1.0 / over, limit="speed" if over > 1.0 else "")
+
+    def begin(self) -> Flight:
+        """The memory of a craft that hovers, level and still."""
+        return Flight()
+
+    def actuate(self, memory: Flight, setpoint: Array, encoders: Encoders, dt: float) -> tuple[Flight, Array]:
+        """One control step: squared rotor speeds (4,) ordered, for a setpoint (vx, vy, vz, wz).
+
+        A setpoint that is not finite holds the craft where it is. A craft that is not armed lets its rotors run out.
+        """
+        told = encoders.instruments
+        gyro, force, speed = tuple(told["gyro"].tolist()), tuple(told["accelerometer"].tolist()), tuple(told["velocity"].tolist())
+        vx, vy, vz, wz = setpoint.tolist()
+        if not math.isfinite(vx + vy + vz + wz):
+            vx = vy = vz = wz = 0.0
+        R = level(memory.attitude.up)
+        still = self.attitude.acceleration == "imu"
+        known = (0.0, 0.0, 0.0) if still else R.to_body(memory.ground.acceleration)
+        attitude = attitude_step(memory.attitude, gyro, force, known, self.attitude, dt)
+        R = level(attitude.up)
+        bias = attitude.bias
+        rates = gyro[0] - bias[0], gyro[1] - bias[1], gyro[2] - bias[2]
+        ground = groundspeed.step(memory.ground, R, speed, force, memory.loops.yaw_rate, self.velocity, dt)
+        if not memory.armed:
+            W, orders = speed_control(memory.W, (0.0, 0.0, 0.0, 0.0), self.gains.rotor_s, dt)
+            return Flight(attitude, ground, Loops(), W, rates, False), np.array(orders)
+        loops, push = fly(memory.loops, (vx, vy, vz), wz, ground.velocity, R, rates, self.gains, dt)
+        mixed = mix(push.thrust, push.torque)
+        W, orders = speed_control(memory.W, mixed.W, self.gains.rotor_s, dt)
+        return Flight(attitude, ground, loops, W, rates, True, memory.limited_s + dt if mixed.cut else 0.0), np.array(orders)
+
+    def rotors_off(self, memory: Flight) -> Flight:
+        """The memory of a craft that has landed: rotors run out and stay off."""
+        return memory._replace(armed=False)
+
+    def reported(self, memory: Flight) -> Mapping[str, Array]:
+        """What the craft tells of its flight, by its own estimate, to put beside the raw readings.
+
+        `tilt`: roll and pitch (2,) [rad]; `flown_velocity`: in body axes (3,) [m/s]; `flown_rates`: body rates without bias
+        (3,) [rad/s]; `rotor_limit_s`: for how long a rotor has been at its limit (1,) [s].
+        """
+        attitude = memory.attitude
+        return {
+            "tilt": np.array([attitude.roll, attitude.pitch]),
+            "flown_velocity": np.array(level(attitude.up).to_body(memory.ground.velocity)),
+            "flown_rates": np.array(memory.rates),
+            "rotor_limit_s": np.array([memory.limited_s]),
+        }
+
+
+def descend(speed_mps: float) -> Array:
+    """The setpoint (4,) that levels the craft and lets it sink at a speed [m/s]."""
+    return np.array([0.0, 0.0, -speed_mps, 0.0])
+
+
+def _body_twist(told: Mapping[str, Array]) -> Array:
+    """(v, w) of the base in body axes (6,), by the craft's estimate, or the raw readings where there is none."""
+    if "flown_velocity" in told:
+        return np.concatenate([told["flown_velocity"], told["flown_rates"]])
+    return np.concatenate([told["velocity"], told["gyro"]])
