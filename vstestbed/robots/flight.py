@@ -2,10 +2,13 @@
 
 In the level frame (x the heading, z up) and in body axes:
 
-    a      = k_v (v* - v) + k_vi int(v* - v) + r* z x v*       (x and y; z with gains of its own)
+    a      = k_v (v* - v) + k_vi int(v_m - v) + r* z x v*      (x and y; z with gains of its own)
     F      = m (a + g z),  the tilt cut to its limit; thrust = F_z / cos(tilt): the true weight is fed forward
     w*     = k_R (rotation that takes the body's z to F) + r* up
     torque = J (k_w (w* - w) + k_wi int(w* - w))
+
+v_m is the velocity that orders should give in still air, a_m' = k_R (k_v (v* - v_m) - a_m), v_m' = a_m: the integral answers wind
+and wrong trim only, so it can be quick without overshoot after a step of the order.
 
 Reference: the cascade of Mahony, Kumar & Corke 2012, doi:10.1109/MRA.2012.2206474, with the reduced attitude of
 Brescianini & D'Andrea 2020, doi:10.1016/j.automatica.2019.108703 (tilt first, heading by its rate alone).
@@ -36,11 +39,12 @@ MAX_TRIM = 3.0
 MAX_RATE_TRIM = 3.0
 """Bound of the rate loop's integral [rad/s^2]."""
 STILL: Vector = (0.0, 0.0, 0.0)
+Model = tuple[float, float, float, float, float]
 
 
 @spec
 class Gains:
-    """Gains of the flight loops; each outer loop is about three times as slow as the next inner one.
+    """Gains of the flight loops; each outer loop is two to three times as slow as the next inner one.
 
     Args:
         rate, rate_integral: k_w [1/s], k_wi [1/s^2] of roll and pitch rates.
@@ -53,11 +57,11 @@ class Gains:
     """
 
     rate: Positive = 14.0
-    rate_integral: NotNegative = 10.0
+    rate_integral: NotNegative = 3.0
     yaw: Positive = 5.0
     attitude: Positive = 5.0
-    velocity: Positive = 1.6
-    velocity_integral: NotNegative = 0.2
+    velocity: Positive = 2.0
+    velocity_integral: NotNegative = 1.2
     climb: Positive = 2.5
     climb_integral: NotNegative = 1.0
     tilt_deg: Annotated[float, Gt(0), Le(50)] = 30.0
@@ -65,9 +69,18 @@ class Gains:
 
 
 class Loops(NamedTuple):
-    """The loops' memory: integrals of velocity [m/s^2] and rates [rad/s^2], the ramped yaw order [rad/s], levelling or not."""
+    """The loops' memory.
+
+    Attributes:
+        trim: the velocity loop's integral (3,) in the level frame [m/s^2].
+        model: v_m (3,) [m/s] and a_m along x and y (2,) [m/s^2].
+        rate_trim: the rate loop's integral (2,) [rad/s^2].
+        yaw_rate: the yaw order, its slope limited [rad/s].
+        levelling: whether the craft hears no order until it is level.
+    """
 
     trim: Vector = STILL
+    model: Model = (0.0, 0.0, 0.0, 0.0, 0.0)
     rate_trim: tuple[float, float] = (0.0, 0.0)
     yaw_rate: float = 0.0
     levelling: bool = False
@@ -98,25 +111,43 @@ def fly(
     most = MAX_YAW_ACCELERATION * dt
     yaw_rate = memory.yaw_rate + max(-most, min(most, (0.0 if levelling else yaw_order) - memory.yaw_rate))
     if levelling:
-        trim, acceleration = STILL, STILL
+        trim, model, acceleration = STILL, (*velocity, 0.0, 0.0), STILL
     else:
-        trim, acceleration = velocity_loop(memory.trim, order, velocity, yaw_rate, gains, dt)
+        model = respond(memory.model, order, gains, dt)
+        trim = retrim(memory.trim, model, velocity, yaw_rate, gains, dt)
+        acceleration = velocity_loop(trim, order, velocity, yaw_rate, gains)
     force, thrust = aim(acceleration, R, gains.tilt_deg)
     wx, wy = attitude_loop(R.to_body(force), gains)
     wanted = (wx + yaw_rate * R.zx, wy + yaw_rate * R.zy, yaw_rate * R.zz)
     rate_trim, torque = rate_loop(memory.rate_trim, wanted, rates, gains, dt)
-    return Loops(trim, rate_trim, yaw_rate, levelling), Push(thrust, torque)
+    return Loops(trim, model, rate_trim, yaw_rate, levelling), Push(thrust, torque)
 
 
-def velocity_loop(trim: Vector, order: Vector, velocity: Vector, yaw_rate: float, gains: Gains, dt: float) -> tuple[Vector, Vector]:
-    """Integrals (3,) and wanted acceleration (3,) in the level frame [m/s^2], for velocities (3,) [m/s]."""
-    ex, ey, ez = order[0] - velocity[0], order[1] - velocity[1], order[2] - velocity[2]
-    k, i, c, j = gains.velocity, gains.velocity_integral * dt, gains.climb, gains.climb_integral * dt
-    tx = max(-MAX_TRIM, min(MAX_TRIM, trim[0] + i * ex))
-    ty = max(-MAX_TRIM, min(MAX_TRIM, trim[1] + i * ey))
-    tz = max(-MAX_TRIM, min(MAX_TRIM, trim[2] + j * ez))
-    wanted = k * ex + tx - yaw_rate * order[1], k * ey + ty + yaw_rate * order[0], c * ez + tz
-    return (tx, ty, tz), wanted
+def respond(model: Model, order: Vector, gains: Gains, dt: float) -> Model:
+    """v_m and a_m after one more step, from an order (3,) [m/s]; along z, where rotors answer at once, v_m' = k_c (v* - v_m)."""
+    x, y, z, ax, ay = model
+    k, lag = gains.velocity, gains.attitude * dt
+    ax, ay = ax + lag * (k * (order[0] - x) - ax), ay + lag * (k * (order[1] - y) - ay)
+    return x + ax * dt, y + ay * dt, z + gains.climb * (order[2] - z) * dt, ax, ay
+
+
+def retrim(trim: Vector, model: Model, velocity: Vector, yaw_rate: float, gains: Gains, dt: float) -> Vector:
+    """The velocity loop's integral (3,) [m/s^2] after one more step, within bounds; it turns against the heading, as wind does."""
+    x, y, z = trim
+    i, j, turn = gains.velocity_integral * dt, gains.climb_integral * dt, yaw_rate * dt
+    x, y = x + turn * y + i * (model[0] - velocity[0]), y - turn * x + i * (model[1] - velocity[1])
+    z += j * (model[2] - velocity[2])
+    return max(-MAX_TRIM, min(MAX_TRIM, x)), max(-MAX_TRIM, min(MAX_TRIM, y)), max(-MAX_TRIM, min(MAX_TRIM, z))
+
+
+def velocity_loop(trim: Vector, order: Vector, velocity: Vector, yaw_rate: float, gains: Gains) -> Vector:
+    """Wanted acceleration (3,) in the level frame [m/s^2], for velocities (3,) [m/s]."""
+    k = gains.velocity
+    return (
+        k * (order[0] - velocity[0]) + trim[0] - yaw_rate * order[1],
+        k * (order[1] - velocity[1]) + trim[1] + yaw_rate * order[0],
+        gains.climb * (order[2] - velocity[2]) + trim[2],
+    )
 
 
 def aim(acceleration: Vector, R: Level, tilt_deg: float) -> tuple[Vector, float]:

@@ -30,6 +30,8 @@ from vstestbed.spec import spec
 
 STANDING_M = 0.172
 """Height of the centre over the ground when the craft stands on its feet [m]."""
+STANDING_MARGIN_M = 0.05
+"""A range within it of the legs' says that the feet are down: the range finder's noise and a few degrees of tilt [m]."""
 HOLD = np.zeros(4)
 """The setpoint that levels the craft and holds it where it is."""
 LEVEL_AXES = [0, 1, 2, 5]
@@ -230,6 +232,14 @@ class Quadrotor:
         mixed = mix(push.thrust, push.torque)
         W, orders = speed_control(memory.W, mixed.W, self.gains.rotor_s, dt)
         return Flight(attitude, ground, loops, W, rates, True, memory.limited_s + dt if mixed.cut else 0.0), np.array(orders)
+
+    def stands(self, memory: Flight, encoders: Encoders) -> bool:
+        """Whether the craft stands on something, by its own instruments: its range is its legs' and the rotors carry under .9 of the weight.
+
+        They do so soon after touch-down in a descent: it does not sink as ordered, so the climb loop takes thrust away.
+        """
+        near = float(encoders.instruments["range"][0]) < STANDING_M + STANDING_MARGIN_M
+        return near and sum(memory.W) < 4 * 0.9 * HOVER
 
     def rotors_off(self, memory: Flight) -> Flight:
         """The memory of a craft that has landed: rotors run out and stay off."""
