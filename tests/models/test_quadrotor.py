@@ -78,6 +78,9 @@ class TestFigures:
         near = [g for g in shown if np.linalg.norm(data.geom_xpos[g] - lens) < 0.03]
         assert near and all(air.geom_group[g] == 1 for g in near)
 
+    def test_the_range_finder_draws_no_ray(self, air):
+        assert air.vis.rgba.rangefinder[3] == 0  # by default it is yellow, as a marker may be
+
     def test_nothing_but_legs_stands_below_the_lens(self, air):
         # A ray every 2 degrees of azimuth and colatitude, up to 80 degrees off the downward axis, on the craft's own geoms.
         data = at(air, 50.0)

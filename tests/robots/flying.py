@@ -1,4 +1,6 @@
-"""The quadrotor in the world, flown by its own stack: MuJoCo around `Quadrotor`, as a plant would do it."""
+"""The quadrotor in the world, flown by its own stack: MuJoCo round `Quadrotor`, as a plant does it."""
+
+from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,28 +11,25 @@ import numpy as np
 
 from vstestbed.geometry import Array
 from vstestbed.observation import Encoders
-from vstestbed.robots.quadrotor import Flight, Imu, Quadrotor
 from vstestbed.robots.groundspeed import Flow
+from vstestbed.robots.quadrotor import Flight, FlightPose, FlightStart, Imu, Quadrotor
 
 MODELS = Path(__file__).parents[2] / "models"
-PERFECT = Imu(gyro_sigma_radps=0, gyro_bias_radps=(0, 0, 0), accel_sigma_mps2=0, accel_bias_mps2=(0, 0, 0))
-EXACT = Flow(sigma_mps=0)
 AIR = 1.184
+DT = 0.001
+QUIET = Imu(gyro_sigma_radps=0, gyro_bias_radps=(0, 0, 0), accel_sigma_mps2=0, accel_bias_mps2=(0, 0, 0))
 
 
-def compose(timestep: float = 0.001, density: float = AIR) -> mujoco.MjModel:
-    """The craft in the world under `robot/`; sim/scene does the same."""
-    world = mujoco.MjSpec.from_file(str(MODELS / "world.xml"))
-    craft = mujoco.MjSpec.from_file(str(MODELS / "quadrotor.xml"))
-    craft.option.timestep = world.option.timestep = timestep
-    craft.option.density = world.option.density = density
-    world.attach(craft, prefix="robot/", frame=world.worldbody.add_frame())
-    return world.compile()
+def perfect(height: float = 10.0, **given: object) -> Quadrotor:
+    """A craft whose instruments do not err, so that a loop's own response shows."""
+    start = FlightStart(nominal=FlightPose(xyz=(0, 0, height)))
+    return Quadrotor(**({"imu": QUIET, "velocity": Flow(sigma_mps=0), "start": start} | given))
 
 
 @dataclass(frozen=True)
 class Log:
-    """One row a control step: t (n,), position, world velocity, level velocity, body rates, roll-pitch-yaw, all (n, 3), ctrl (n, 4)."""
+    """The truth, one row a control step: t (n,); position, velocity (world), level velocity, body rates, roll-pitch-yaw (n, 3);
+    ctrl (n, 4); and the memory on board."""
 
     t: Array
     position: Array
@@ -41,69 +40,87 @@ class Log:
     ctrl: Array
     memory: list[Flight]
 
+    @property
+    def tilt(self) -> Array:
+        """Angle between the craft's z and the world's [rad]."""
+        return np.arccos(np.clip(np.cos(self.rpy[:, 0]) * np.cos(self.rpy[:, 1]), -1, 1))
+
 
 class Flown:
     """A craft in flight; `fly` goes on from where it is."""
 
-    def __init__(self, robot: Quadrotor, seed: int = 0, density: float = AIR):
-        self.robot, self.model = robot, compose(density=density)
-        self.data, self.rng, self.memory = mujoco.MjData(self.model), np.random.default_rng(seed), robot.begin()
+    def __init__(self, robot: Quadrotor, seed: int = 0):
+        self.robot, self.rng, self.memory = robot, np.random.default_rng(seed), robot.begin()
+        world = mujoco.MjSpec.from_file(str(MODELS / "world.xml"))
+        world.option.timestep, world.option.density = DT, AIR
+        craft = mujoco.MjSpec.from_file(str(MODELS / str(robot.model)))
+        craft.option.timestep, craft.option.density = DT, AIR
+        world.attach(craft, prefix="robot/", frame=world.worldbody.add_frame())
+        self.model = world.compile()
+        self.data = mujoco.MjData(self.model)
         x, y, z, yaw = robot.configuration()
         self.data.qpos[:] = [x, y, z, np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]
         self.data.act[:] = self.data.ctrl[:] = robot.rest_ctrl()
         mujoco.mj_forward(self.model, self.data)
-        self._slices = {
-            name: slice(int(self.model.sensor(f"robot/{name}").adr[0]), int(self.model.sensor(f"robot/{name}").adr[0] + self.model.sensor(f"robot/{name}").dim[0]))
-            for name in robot.sensors
-        }
+
+    @property
+    def R(self) -> Array:
+        """R_world_base (3, 3), true."""
+        return self.data.body("robot/base").xmat.reshape(3, 3)
 
     def encoders(self) -> Encoders:
         """What the craft measures now."""
-        raw = Encoders(np.zeros(0), np.zeros(0), {name: self.data.sensordata[at].copy() for name, at in self._slices.items()})
-        return self.robot.measured(raw, self.rng)
+        told = {name: self.data.sensor(f"robot/{name}").data.copy() for name in self.robot.sensors}
+        return self.robot.measured(Encoders(np.zeros(0), np.zeros(0), told), self.rng)
 
-    def turn(self, roll: float = 0.0, pitch: float = 0.0, known: bool = True) -> None:
-        """Put the craft at a tilt [rad], which its filter knows or not."""
-        yaw = self.robot.configuration()[3]
-        R = _rz(yaw) @ _ry(pitch) @ _rx(roll)
+    def tilt(self, roll: float, pitch: float = 0.0) -> None:
+        """Put the craft at a tilt [rad], which its filter knows."""
+        c, s, cp, sp = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch)
+        R = np.array([[cp, sp * s, sp * c], [0, c, -s], [-sp, cp * s, cp * c]])
         mujoco.mju_mat2Quat(self.data.qpos[3:7], R.ravel())
         mujoco.mj_forward(self.model, self.data)
-        if known:
-            self.memory = self.memory._replace(attitude=self.memory.attitude._replace(up=tuple(R[2].tolist())))
+        self.memory = self.memory._replace(attitude=self.memory.attitude._replace(up=tuple(R[2].tolist())))
 
-    def fly(self, setpoint: Array | Callable[[float], Array], duration: float, wind: Callable[[float], Array] | None = None) -> Log:
-        """Fly for a time [s] under a setpoint (4,), or one that is a function of time; wind (3,) [m/s] likewise."""
-        model, data, dt = self.model, self.data, 0.001
-        rows: list[tuple[Array, ...]] = []
-        memory: list[Flight] = []
-        for k in range(round(duration / dt)):
-            order = setpoint(k * dt) if callable(setpoint) else setpoint
+    def step(self) -> None:
+        """One physics step, sensors of the new instant."""
+        mujoco.mj_step2(self.model, self.data)
+        mujoco.mj_step1(self.model, self.data)
+
+    def fly(self, order: object, duration: float, wind: Callable[[float], object] | None = None) -> Log:
+        """Fly for a time [s] under a setpoint (4,); wind (3,) [m/s] as a function of time."""
+        setpoint, rows, memory = np.asarray(order, dtype=float), [], []
+        for k in range(round(duration / DT)):
             if wind is not None:
-                model.opt.wind[:] = wind(k * dt)
-            self.memory, data.ctrl[:] = self.robot.actuate(self.memory, np.asarray(order, dtype=float), self.encoders(), dt)
-            mujoco.mj_step2(model, data)
-            mujoco.mj_step1(model, data)
+                self.model.opt.wind[:] = wind(k * DT)
+            self.memory, self.data.ctrl[:] = self.robot.actuate(self.memory, setpoint, self.encoders(), DT)
+            self.step()
             rows.append(self._row())
             memory.append(self.memory)
-        position, velocity, level, rates, rpy, ctrl = (np.array(column) for column in zip(*rows, strict=True))
-        return Log(np.arange(1, len(rows) + 1) * dt, position, velocity, level, rates, rpy, ctrl, memory)
+        a = np.array(rows)
+        return Log(np.arange(1, len(a) + 1) * DT, a[:, :3], a[:, 3:6], a[:, 6:9], a[:, 9:12], a[:, 12:15], a[:, 15:], memory)
 
-    def _row(self) -> tuple[Array, ...]:
-        data = self.data
-        R = data.body("robot/base").xmat.reshape(3, 3)
+    def _row(self) -> list[float]:
+        R, (vx, vy, vz) = self.R, self.data.qvel[:3].tolist()
         yaw = np.arctan2(R[1, 0], R[0, 0])
-        rpy = np.array([np.arctan2(R[2, 1], R[2, 2]), -np.arcsin(np.clip(R[2, 0], -1, 1)), yaw])
-        v = data.qvel[:3].copy()
-        return data.qpos[:3].copy(), v, _rz(yaw).T @ v, data.qvel[3:].copy(), rpy, data.ctrl.copy()
+        c, s = np.cos(yaw), np.sin(yaw)
+        rpy = [np.arctan2(R[2, 1], R[2, 2]), -np.arcsin(max(-1.0, min(1.0, R[2, 0]))), yaw]
+        level = [c * vx + s * vy, c * vy - s * vx, vz]
+        return [*self.data.qpos[:3], vx, vy, vz, *level, *self.data.qvel[3:], *rpy, *self.data.ctrl]
 
 
-def _rx(a: float) -> Array:
-    return np.array([[1, 0, 0], [0, np.cos(a), -np.sin(a)], [0, np.sin(a), np.cos(a)]])
+@dataclass(frozen=True)
+class Response:
+    """A step response: 10 to 90 % rise [s], overshoot and final error as parts of the step, time to stay within 5 % [s]."""
 
+    rise: float
+    overshoot: float
+    error: float
+    settled: float
 
-def _ry(a: float) -> Array:
-    return np.array([[np.cos(a), 0, np.sin(a)], [0, 1, 0], [-np.sin(a), 0, np.cos(a)]])
-
-
-def _rz(a: float) -> Array:
-    return np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]])
+    @classmethod
+    def of(cls, t: Array, y: Array, step: float) -> Response:
+        """Of a recorded output y (n,) that went from 0 towards `step`."""
+        y = y / step
+        outside = np.nonzero(np.abs(y - 1) > 0.05)[0]
+        rise = float(t[np.argmax(y > 0.9)] - t[np.argmax(y > 0.1)])
+        return cls(rise, float(y.max() - 1), float(y[-1] - 1), float(t[outside[-1]]) if len(outside) else 0.0)

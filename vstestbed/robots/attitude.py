@@ -7,7 +7,8 @@ Heading has no reference in an IMU and is left out. With the gyro's reading w, i
 
 An accelerometer does not feel gravity but all other forces: a = up g + acceleration. In flight, thrust is nearly the only one,
 so it tells of the tilt only over times in which accelerations average out; hence a low gain. Where a velocity is measured its
-rate is taken from a first (`acceleration`): without that a step to 2 m/s puts the estimate off by 3 degrees.
+rate is taken from a first (`acceleration`): without that a step to 2 m/s puts the estimate off by 5
+degrees, and the velocity, levelled with it, overshoots by a quarter.
 
 Reference: Mahony, Hamel & Pflimlin 2008, doi:10.1109/TAC.2008.923738, the passive filter on one direction;
 Martin & Salaun 2010, doi:10.1109/ROBOT.2010.5509980, on what an accelerometer feels;

@@ -154,7 +154,7 @@ def aim(acceleration: Vector, R: Level, tilt_deg: float) -> tuple[Vector, float]
     """The force's direction (3,) in the level frame, unit, and the thrust [N], for a wanted acceleration (3,) [m/s^2].
 
     The vertical part is kept, the level part cut to the tilt limit. Where the craft is tilted the thrust grows with 1 / cos(tilt),
-    to twice at most; upside down it is the least.
+    to twice at most; upside down there is none but what turning it over needs.
     """
     ax, ay, az = acceleration
     up = max(0.3 * GRAVITY, GRAVITY + az)
@@ -162,7 +162,7 @@ def aim(acceleration: Vector, R: Level, tilt_deg: float) -> tuple[Vector, float]
     if size > most:
         ax, ay = ax * most / size, ay * most / size
     n = 1.0 / math.sqrt(ax * ax + ay * ay + up * up)
-    thrust = MASS * up / max(0.5, R.zz) if R.zz > 0 else 0.3 * MASS * GRAVITY
+    thrust = MASS * up / max(0.5, R.zz) if R.zz > 0 else 0.0
     return (ax * n, ay * n, up * n), thrust
 
 
@@ -179,9 +179,7 @@ def attitude_loop(force: Vector, gains: Gains) -> tuple[float, float]:
     return -rate * y, rate * x
 
 
-def rate_loop(
-    trim: tuple[float, float], wanted: Vector, rates: Vector, gains: Gains, dt: float
-) -> tuple[tuple[float, float], Vector]:
+def rate_loop(trim: tuple[float, float], wanted: Vector, rates: Vector, gains: Gains, dt: float) -> tuple[tuple[float, float], Vector]:
     """Integrals [rad/s^2] and torque (3,) [Nm], for body rates (3,) [rad/s]. Yaw's torque stays within its share."""
     ex, ey, ez = wanted[0] - rates[0], wanted[1] - rates[1], wanted[2] - rates[2]
     k, i = gains.rate, gains.rate_integral * dt

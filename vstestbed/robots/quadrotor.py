@@ -234,7 +234,7 @@ class Quadrotor:
         return Flight(attitude, ground, loops, W, rates, True, memory.limited_s + dt if mixed.cut else 0.0), np.array(orders)
 
     def stands(self, memory: Flight, encoders: Encoders) -> bool:
-        """Whether the craft stands on something, by its own instruments: its range is its legs' and the rotors carry under .9 of the weight.
+        """Whether the craft stands on something, by its own instruments: near the ground, rotors under .9 of the weight.
 
         They do so soon after touch-down in a descent: it does not sink as ordered, so the climb loop takes thrust away.
         """
