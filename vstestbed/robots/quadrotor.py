@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import cached_property
 from typing import Annotated, ClassVar, Literal, NamedTuple
 
 import numpy as np
@@ -125,10 +126,11 @@ class Quadrotor:
     max_climb_mps: Positive = 1.0
     max_yaw_rate_radps: Positive = 0.8
 
-    model: ClassVar[str | None] = "quadrotor.xml"
     joints: ClassVar[tuple[str, ...]] = ()
     actuators: ClassVar[tuple[str, ...]] = ("rotor_front", "rotor_right", "rotor_back", "rotor_left")
     sensors: ClassVar[tuple[str, ...]] = ("gyro", "accelerometer", "velocity", "range")
+    rides: ClassVar[bool] = True
+    grounded: ClassVar[bool] = False
     control_period_s: ClassVar[float | None] = 0.001
     largest_step_s: ClassVar[float] = 0.001
     """The rate loop is tuned at it."""
@@ -138,6 +140,16 @@ class Quadrotor:
         low = self.start.nominal.xyz[2]
         if low < STANDING_M:
             raise ParameterError("start.nominal.xyz.2", f"must leave the centre {STANDING_M:g} m or more above the ground", low)
+
+    @property
+    def model(self) -> str:
+        """Its MJCF file."""
+        return "quadrotor.xml"
+
+    @property
+    def servo(self) -> None:
+        """One set of actuators."""
+        return None
 
     def configuration(self) -> Array:
         """The nominal start (x, y, z, yaw), [m, rad]."""
@@ -170,19 +182,22 @@ class Quadrotor:
 
     def measured(self, raw: Encoders, rng: np.random.Generator) -> Encoders:
         """The instruments' readings: the simulator's perfect ones with this craft's noise, bias and scale."""
-        imu, source, perfect = self.imu, self.velocity, raw.instruments
-        n = rng.standard_normal(10)
-        flow_sigma = source.sigma_mps * math.sqrt(READING_S / 0.001)
-        return Encoders(
-            raw.q,
-            raw.qd,
-            {
-                "gyro": perfect["gyro"] + imu.gyro_sigma_radps * n[0:3] + imu.gyro_bias_radps,
-                "accelerometer": perfect["accelerometer"] + imu.accel_sigma_mps2 * n[3:6] + imu.accel_bias_mps2,
-                "velocity": perfect["velocity"] * (1.0 + source.scale_error) + flow_sigma * n[6:9],
-                "range": perfect["range"] + self.range_sigma_m * n[9:],
-            },
-        )
+        perfect, (sigma, bias) = raw.instruments, self._errors
+        e = sigma * rng.standard_normal(10) + bias
+        told = {
+            "gyro": perfect["gyro"] + e[0:3],
+            "accelerometer": perfect["accelerometer"] + e[3:6],
+            "velocity": perfect["velocity"] * (1.0 + self.velocity.scale_error) + e[6:9],
+            "range": perfect["range"] + e[9:],
+        }
+        return Encoders(raw.q, raw.qd, told)
+
+    @cached_property
+    def _errors(self) -> tuple[Array, Array]:
+        """Standard deviation and bias (10,) of gyro, accelerometer, velocity and range."""
+        imu, flow = self.imu, self.velocity.sigma_mps * math.sqrt(READING_S / 0.001)
+        sigma = np.repeat([imu.gyro_sigma_radps, imu.accel_sigma_mps2, flow, self.range_sigma_m], [3, 3, 3, 1])
+        return sigma, np.array([*imu.gyro_bias_radps, *imu.accel_bias_mps2, 0.0, 0.0, 0.0, 0.0])
 
     def measured_twist(self, before: Encoders, now: Encoders, duration: float, ordered: Array, mount: Mount) -> Array:
         """Mean camera twist (6,) between two readings: the mean of velocity and body rates at both, through the mount.
