@@ -44,6 +44,14 @@ class TestGeometry:
         np.testing.assert_allclose(found.to_level(v), R @ v, atol=1e-12)
         np.testing.assert_allclose(found.to_body(v), R.T @ v, atol=1e-12)
 
+    @pytest.mark.parametrize(("roll", "pitch"), [(0, 0), (0.3, -0.2), (-1.0, 0.9)])
+    def test_heading_rate_by_finite_differences(self, roll, pitch):
+        w, h, R = np.array([0.4, -0.7, 0.9]), 1e-6, rotation(roll, pitch)
+        S = np.array([[0, -w[2], w[1]], [w[2], 0, -w[0]], [-w[1], w[0], 0]])
+        after, before = R @ (np.eye(3) + h * S), R @ (np.eye(3) - h * S)
+        rate = (math.atan2(after[1, 0], after[0, 0]) - math.atan2(before[1, 0], before[0, 0])) / (2 * h)
+        assert level(tuple(R[2].tolist())).heading_rate(tuple(w.tolist())) == pytest.approx(rate, abs=1e-8)  # h^2 and rounding
+
     def test_nose_straight_up_is_finite(self):
         np.testing.assert_allclose(np.reshape(level((-1.0, 0.0, 0.0)), (3, 3)), rotation(0, math.pi / 2), atol=1e-12)
 

@@ -115,6 +115,10 @@ class Level(NamedTuple):
         a, b, c = v
         return self.xx * a + self.zx * c, self.xy * a + self.yy * b + self.zy * c, self.xz * a + self.yz * b + self.zz * c
 
+    def heading_rate(self, rates: Vector) -> float:
+        """Rate of the heading [rad/s], (w_y sin roll + w_z cos roll) / cos pitch, of body rates w (3,) [rad/s]; tamed near a nose-up."""
+        return (self.yy * rates[2] - self.yz * rates[1]) / max(self.xx, 0.1)
+
 
 def level(up: Vector) -> Level:
     """R_level_body = Ry(pitch) Rx(roll) of an `up` (3,); x stays the heading (nose straight up or down: it has none, roll 0)."""

@@ -239,7 +239,7 @@ class Quadrotor:
         R = level(attitude.up)
         bias = attitude.bias
         rates = gyro[0] - bias[0], gyro[1] - bias[1], gyro[2] - bias[2]
-        ground = groundspeed.step(memory.ground, R, speed, force, memory.loops.yaw_rate, self.velocity, dt)
+        ground = groundspeed.step(memory.ground, R, speed, force, R.heading_rate(rates), self.velocity, dt)
         if not memory.armed:
             W, orders = speed_control(memory.W, (0.0, 0.0, 0.0, 0.0), self.gains.rotor_s, dt)
             return Flight(attitude, ground, Loops(), W, rates, False), np.array(orders)
