@@ -28,7 +28,8 @@ def add_robot(scene: mujoco.MjSpec, robot: Robot, prefix: str, friction: float |
     model.option.timestep = scene.option.timestep
     scene.option.cone = max(scene.option.cone, model.option.cone)
     scene.option.impratio = max(scene.option.impratio, model.option.impratio)
-    scene.option.jacobian = max(scene.option.jacobian, model.option.jacobian) if model.option.jacobian != AUTO else scene.option.jacobian
+    if model.option.jacobian != AUTO:
+        scene.option.jacobian = model.option.jacobian
     scene.option.density = max(scene.option.density, model.option.density)
     scene.option.viscosity = max(scene.option.viscosity, model.option.viscosity)
     if friction is not None:
