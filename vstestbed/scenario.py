@@ -14,9 +14,9 @@ from vstestbed.errors import ParameterError
 from vstestbed.geometry import Array, inverse
 from vstestbed.goal import AnyGoal, GoalGap, GoalLine, GoalPlace, GoalView, GoalViewFrom, GoalViews
 from vstestbed.ground import pose_on_ground
-from vstestbed.laws import IBVS, LAWS, PBVS, Hybrid, Partitioned, Pursuit
+from vstestbed.laws import IBVS, LAWS, PBVS, Hybrid, Partitioned, PoseController, Pursuit
 from vstestbed.observation import Goal, OracleDepth, PnP
-from vstestbed.robots import ROBOTS, Free, Mount, Omni, Puma560, Robot
+from vstestbed.robots import ROBOTS, Car, Free, Mount, Omni, Puma560, Robot
 from vstestbed.sim.clock import Clock
 from vstestbed.sim.world import World
 from vstestbed.spec import spec
@@ -60,11 +60,11 @@ class Scenario:
     name: str = ""
     description: str = ""
     seed: Annotated[int, Ge(0)] = 0
-    robot: Annotated[Free | Puma560 | Omni, ROBOTS]
+    robot: Annotated[Free | Puma560 | Omni | Car, ROBOTS]
     camera: Annotated[Perspective | Fisheye | Catadioptric | Spherical, CAMERAS] = Perspective()
     target: Annotated[Square | Points, TARGETS]
     detector: Annotated[Blobs | Tags | Oracle, DETECTORS] = Blobs()
-    law: Annotated[IBVS | Partitioned | PBVS | Hybrid | Pursuit, LAWS]
+    law: Annotated[IBVS | Partitioned | PBVS | Hybrid | PoseController | Pursuit, LAWS]
     goal: AnyGoal
     stop: Stop = Stop()
     noise: Noise = Noise()

@@ -5,9 +5,10 @@ from vstestbed.laws.hybrid import Hybrid
 from vstestbed.laws.ibvs import IBVS
 from vstestbed.laws.partitioned import Partitioned
 from vstestbed.laws.pbvs import PBVS
+from vstestbed.laws.pose_controller import PoseController
 from vstestbed.laws.pursuit import Pursuit
 from vstestbed.spec import OneOf
 
-LAWS = OneOf("law", IBVS, Partitioned, PBVS, Hybrid, Pursuit)
+LAWS = OneOf("law", IBVS, Partitioned, PBVS, Hybrid, PoseController, Pursuit)
 
-__all__ = ["IBVS", "LAWS", "PBVS", "Command", "Hybrid", "Law", "Partitioned", "Pursuit"]
+__all__ = ["IBVS", "LAWS", "PBVS", "Command", "Hybrid", "Law", "Partitioned", "PoseController", "Pursuit"]

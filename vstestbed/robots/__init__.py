@@ -1,13 +1,14 @@
 """Robots, in numpy only: what they can do, how a command becomes a setpoint, their limits. Their bodies are in models/."""
 
 from vstestbed.robots.base import Allocation, Direct, Mount, Robot, Servo
+from vstestbed.robots.car import Car
 from vstestbed.robots.free import Free
 from vstestbed.robots.omni import Omni
 from vstestbed.robots.puma560 import Puma560
 from vstestbed.spec import OneOf
 
-ROBOTS = OneOf("robot", Free, Puma560, Omni)
-VEHICLES: dict[str, type] = {"omni": Omni}
+ROBOTS = OneOf("robot", Free, Puma560, Omni, Car)
+VEHICLES: dict[str, type] = {"omni": Omni, "car": Car}
 """What can carry a target."""
 
-__all__ = ["ROBOTS", "VEHICLES", "Allocation", "Direct", "Free", "Mount", "Omni", "Puma560", "Robot", "Servo"]
+__all__ = ["ROBOTS", "VEHICLES", "Allocation", "Car", "Direct", "Free", "Mount", "Omni", "Puma560", "Robot", "Servo"]

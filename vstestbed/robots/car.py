@@ -90,17 +90,25 @@ class Car:
     compass: Compass = Compass()
     wheel_radius_error: Annotated[float, Gt(-0.5), Lt(1)] = 0.0
     limits: CarLimits = CarLimits()
-    model: ClassVar[str | None] = "car.xml"
-    joints: ClassVar[tuple[str, ...]] = (
-        *("steering", "front_left_steer", "front_right_steer"),
-        *("rear_left", "rear_right", "front_left", "front_right"),
-    )
     actuators: ClassVar[tuple[str, ...]] = ("drive", "steering")
     sensors: ClassVar[tuple[str, ...]] = ("heading",)
     rides: ClassVar[bool] = True
     grounded: ClassVar[bool] = True
     control_period_s: ClassVar[float | None] = 0.01
     largest_step_s: ClassVar[float] = 0.002
+
+    @property
+    def model(self) -> str:
+        """Its file."""
+        return "car.xml"
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Steering and wheels."""
+        return (
+            *("steering", "front_left_steer", "front_right_steer"),
+            *("rear_left", "rear_right", "front_left", "front_right"),
+        )
 
     @property
     def servo(self) -> None:

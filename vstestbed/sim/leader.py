@@ -42,7 +42,9 @@ class Leader:
         self._memory: Any = self._robot.begin()
         self._s = motion.from_m
         self.steps = max(1, round(PERIOD_S / stage.parts.step))
-        self._nothing = Encoders(np.zeros(len(self._robot.joints)), np.zeros(len(self._robot.joints)))
+        joints = [model.joint(f"leader/{name}") for name in self._robot.joints]
+        self._qpos = np.array([j.qposadr[0] for j in joints], dtype=int)
+        self._qvel = np.array([j.dofadr[0] for j in joints], dtype=int)
 
     def drive(self, dt: float) -> None:
         """Steer for the next dt seconds."""
@@ -54,6 +56,7 @@ class Leader:
         v = self._motion.speed_mps
         w = v * (curvature / max(1 - curvature * offset, 0.1) - CROSS_GAIN * offset - HEADING_GAIN * math.sin(turn))
         twist = np.array([v, 0.0, 0.0, 0.0, 0.0, w])
-        setpoint = self._robot.allocate(twist, self._nothing, self._mount, dt).setpoint
-        self._memory, ctrl = self._robot.actuate(self._memory, setpoint, self._nothing, dt)
-        self._stage.data.ctrl[self._ctrl] = ctrl
+        data = self._stage.data
+        encoders = Encoders(data.qpos[self._qpos], data.qvel[self._qvel])
+        setpoint = self._robot.allocate(twist, encoders, self._mount, dt).setpoint
+        self._memory, data.ctrl[self._ctrl] = self._robot.actuate(self._memory, setpoint, encoders, dt)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from vstestbed.camera import Camera
 from vstestbed.errors import ParameterError
 from vstestbed.geometry import Array, adjoint, all_finite, exp, inverse, transform
-from vstestbed.ground import arc, composed, place_of, pose_on_ground
+from vstestbed.ground import arc, composed, place_of, pose_on_ground, wrapped
 from vstestbed.observation import AtGoal, Constant, Depth, Estimate, Goal, Observation, OnFloor, OracleDepth, PnP
 from vstestbed.target import Still, Target
 from vstestbed.vision.base import Detection
@@ -20,6 +21,8 @@ from vstestbed.vision.flow_depth import FlowMemory, init_flow, update_flow
 from vstestbed.vision.homography import relative_view
 from vstestbed.vision.pose import solve_pose_from_rays
 
+COMPASS_S = 0.5
+"""Time constant with which a heading by odometry follows the compass [s]."""
 NEAREST_M = 0.01
 """A depth carried on by the camera's own motion stays at or above this [m]."""
 
@@ -113,7 +116,8 @@ class Observer:
         if odometry is not None:
             step = np.zeros(3) if np.isnan(memory.t) else arc(self._to_base @ twist, t - memory.t)
             odometry = composed(odometry, step)
-            place = self._place(None if place is None else composed(place, step), T if fresh else None, compass)
+            trust = 1 - math.exp(-(t - memory.t) / COMPASS_S) if place is not None else 1.0
+            place = self._place(None if place is None else composed(place, step), T if fresh else None, compass, trust)
         seen = Observation(t, uv, xy, depth, T, ray if self._rays else None, reach, relative, odometry, place)
         return ObserverMemory(t, T, flow, place, odometry), seen
 
@@ -130,10 +134,11 @@ class Observer:
         """Of a twist (6,) of the camera the vehicle's (vx, vy, wz), shape (3, 6)."""
         return adjoint(self.camera.mount.T)[[0, 1, 5]]
 
-    def _place(self, carried: Array | None, T: Array | None, compass: float | None) -> Array | None:
+    def _place(self, carried: Array | None, T: Array | None, compass: float | None, trust: float) -> Array | None:
         """(x, y, heading): the position by what is seen, the heading by the compass; each by odometry where it lacks.
 
         The lens's place in the map is seen whatever way the vehicle is said to head; the mount's arm leads from there to it.
+        The heading is the encoders', drawn to the compass with a time constant of COMPASS_S: its bias stays, its noise less so.
         """
         if not isinstance(self.target.motion, Still):
             return None
@@ -142,7 +147,9 @@ class Observer:
         before = carried if seen is None else place_of(seen @ inverse(mount))
         if before is None:
             return None
-        heading = before[2] if compass is None else compass
+        heading = float(before[2])
+        if compass is not None:
+            heading = compass if carried is None else float(carried[2] + trust * wrapped(compass - carried[2]))
         if seen is None:
             return np.array([before[0], before[1], heading])
         arm = pose_on_ground(np.array([0.0, 0.0, heading])) @ mount[:, 3]
