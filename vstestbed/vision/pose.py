@@ -12,6 +12,7 @@ import numpy as np
 from cv2.typing import MatLike
 
 from vstestbed.geometry import Array, exp, inverse, rigid_error
+from vstestbed.vision.all_round import solve_pose_all_round
 
 _K, _EYE = np.eye(3), np.eye(4)
 STANDS = 1e-3
@@ -98,7 +99,7 @@ def solve_pose_from_rays(rays: Array, points: Array, previous: Array | None = No
     """`solve_pose` for any lens: from unit rays (N, 3) in the camera frame, also such as point sideways or back.
 
     Rays too far off axis for x/z, y/z are turned to a virtual camera that looks along their mean, solved there and
-    turned back: T_camera_target = R_camera_virtual T_virtual_target. None where the rays do not fit into one such view.
+    turned back: T_camera_target = R_camera_virtual T_virtual_target. Where no such view holds them: `solve_pose_all_round`.
     """
     if len(rays) < 3:
         return None
@@ -106,7 +107,7 @@ def solve_pose_from_rays(rays: Array, points: Array, previous: Array | None = No
         return solve_pose(rays[:, :2] / rays[:, 2:], points, previous)
     T = _virtual(rays)
     if T is None:
-        return None
+        return None if _layout(np.ascontiguousarray(points).tobytes()) == "line" else solve_pose_all_round(rays, points, previous)
     turned = rays @ T[:3, :3]
     found = solve_pose(turned[:, :2] / turned[:, 2:], points, None if previous is None else inverse(T) @ previous)
     return None if found is None else T @ found
