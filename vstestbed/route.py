@@ -60,6 +60,12 @@ class Route(ABC):
         """From its start to its end [m]."""
         return float(self.samples.s[-1])
 
+    @property
+    def least_radius_m(self) -> float:
+        """Radius of its sharpest bend [m]; infinite for a straight way."""
+        sharpest = float(np.abs(self.samples.curvature).max())
+        return 1 / sharpest if sharpest > 0 else np.inf
+
     def at(self, s: Array | float) -> Array:
         """(x, y, heading, curvature) at arc lengths s (...), shape (..., 4) [m, m, rad, 1/m].
 
@@ -134,8 +140,8 @@ class Circle(Route):
 class FigureEight(Route):
     """A figure of eight, x = length/2 sin 2 pi p, y = width/2 sin 4 pi p for p in 0..1, begun at its crossing.
 
-    Its sharpest bends, at both ends, have the radius 2 width^2 / length. Their curvature has no jumps: the speed may be
-    constant. `start` is the crossing and the direction of its first branch.
+    Its curvature has no jumps, so that the speed may be constant; `least_radius_m` is that of its sharpest bend. `start` is the
+    crossing and the direction of its first branch.
     """
 
     kind: Literal["figure_eight"] = "figure_eight"
