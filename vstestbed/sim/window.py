@@ -44,7 +44,9 @@ class PartCamera(dm.Camera):
         left, top, right, bottom = self.window
         for camera in self._scene.ptr.camera:
             _narrow(camera, self.window, self._width, self._height)
-        rect, context = mujoco.MjrRect(0, 0, right - left, bottom - top), self._physics.contexts.mujoco.ptr
+        contexts = self._physics.contexts
+        assert contexts is not None and contexts.mujoco is not None
+        rect, context = mujoco.MjrRect(0, 0, right - left, bottom - top), contexts.mujoco.ptr
         mujoco.mjr_render(rect, self._scene.ptr, context)
         part = np.empty((rect.height, rect.width, 3), np.uint8)
         mujoco.mjr_readPixels(part, None, rect, context)
