@@ -19,7 +19,7 @@ from vstestbed.assets import model_path
 from vstestbed.camera import Camera
 from vstestbed.geometry import FLIP, Array, quaternion_wxyz, transform
 from vstestbed.robots import VEHICLES, Robot
-from vstestbed.sim.attach import add_robot
+from vstestbed.sim.attach import add_robot, extent_of
 from vstestbed.sim.cube import drawn_for
 from vstestbed.sim.overview import frame_drive, frame_flight
 from vstestbed.sim.world import AWAY, World
@@ -97,7 +97,7 @@ def _frame_overview(scene: mujoco.MjSpec, parts: Parts) -> None:
     elif robot.rides:
         start = robot.flange_pose(robot.configuration())[:3, 3]
         sights = transform(target.T_world_start, target.points)
-        frame_drive(scene, np.array([start, *parts.sights]), sights)
+        frame_drive(scene, np.array([start, *parts.sights]), sights, extent_of(robot.model))
 
 
 def _add_camera(body: mujoco.MjsBody, T_body_camera: Array, camera: Camera, housing: float) -> None:
