@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import Annotated, Literal
 
 import numpy as np
-from annotated_types import Gt, Le, Len
+from annotated_types import Len
 
 from vstestbed.errors import ParameterError
 from vstestbed.geometry import Array, Pose, inverse, transform
@@ -70,6 +70,12 @@ class GroundLines(Target):
         tightest = 1 / max(float(np.abs(self.route.samples.curvature).max()), 1e-9)
         if max(map(abs, self.offsets_m)) + width >= tightest:
             raise ParameterError("offsets_m", f"must be smaller than the way's tightest radius, {tightest:.4g} m", self.offsets_m)
+
+    @property
+    def way(self) -> Array:
+        """The route in the world, every centimetre, shape (K, 2) [m]."""
+        xy = self.route.samples.xy
+        return transform(self.pose.T, np.column_stack([xy, np.zeros(len(xy))]))[:, :2]
 
     def line(self, i: int) -> Array:
         """The middle of line i in the target frame, every centimetre, shape (K, 2) [m]."""

@@ -25,7 +25,7 @@ LEAST_AHEAD_M = 0.05
 
 @dataclass(frozen=True, slots=True)
 class LineMemory:
-    """Of the last frame with a line in sight: its time [s] and the order u (n,). Where each line shall be: `aim` (lines,) to the left [m]."""
+    """Where each line shall be, `aim` (lines,) to the left [m]; of the last frame with a line in sight the time [s] and the order u (n,)."""
 
     aim: Array
     t: float = math.nan
@@ -52,13 +52,17 @@ class LineFollowing:
                lambda = 2 v / m: pure pursuit of the point at m, damping .707)
         omni:  psi_dot = -v psi / m,  y0_dot = -lambda y0 + (v - lambda x_e) psi
 
-    Where the curvature jumps, what lies ahead is steered for too early: the origin leaves the line by about k m^2 / 20, which
-    speaks for a camera under the vehicle and against one at its front. With two lines both count, in least squares; one is
+    Far from the line lambda |e| is held to v tan(approach): with J_y for what e changes by, that is a straight approach under
+    this angle.
+
+    Where the curvature jumps, what lies ahead is steered for too early: a car's origin leaves the line by
+    about k m^2 / 9, which speaks for a camera under the car and against one at its front. With two lines both count, in least squares; one is
     enough. While none is in sight for less than `coast_s` the last order stands.
 
     Args:
         gain: lambda [1/s].
         cruise_mps: v, the speed ahead of the vehicle's origin [m/s].
+        approach_deg: the steepest angle at which the line is approached [deg].
         coast_s: how long the last order stands without sight [s].
         limits: largest speed and rate of the commanded twist.
 
@@ -105,7 +109,7 @@ class LineFollowing:
         return LineMemory(memory.aim, observation.t, u), self.limits.command(u, basis)
 
     def _motion(self, xy: Array, aim: Array, goal: Goal, basis: Array) -> Array:
-        """u (n,) for lines through normalised points xy (lines, 2, 2) that shall be at `aim` (lines,) to the left."""
+        """The order (n,) for lines through normalised points xy (lines, 2, 2) that shall be at `aim` (lines,) to the left."""
         mount, v = goal.T_base_camera, self.cruise_mps
         near, far = np.moveaxis(floor_point(xy, mount)[..., 0], -1, 0)
         middle, exact = (near + far) / 2, near * far / (near + far)
