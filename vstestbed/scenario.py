@@ -123,8 +123,6 @@ class Scenario:
         if isinstance(self.goal, GoalLine) and not self.camera.inside(self.goal_view.uv).all():
             words = f"are outside the {self.camera.width} x {self.camera.height} picture even where all is well"
             raise ParameterError("target.look_m", f"{words}; turn the camera, or use a wider one or other distances")
-                "target.look_m", f"are {where}; turn the camera, or use a wider one or other distances", self.target.look_m
-            )
         if isinstance(self.goal, GoalPlace | GoalGap | GoalLine):
             return  # what is seen there is not what is asked for
         for i, view in enumerate(self._views):

@@ -25,7 +25,7 @@ LEAST_AHEAD_M = 0.05
 
 @dataclass(frozen=True, slots=True)
 class LineMemory:
-    """Where each line shall be, `aim` (lines,) to the left [m]; of the last frame with a line in sight the time [s] and the order u (n,)."""
+    """Where each line shall be, `aim` (lines,) to the left [m]; of the last frame with a line in sight its time [s] and order u (n,)."""
 
     aim: Array
     t: float = math.nan
@@ -56,8 +56,8 @@ class LineFollowing:
     this angle.
 
     Where the curvature jumps, what lies ahead is steered for too early: a car's origin leaves the line by
-    about k m^2 / 9, which speaks for a camera under the car and against one at its front. With two lines both count, in least squares; one is
-    enough. While none is in sight for less than `coast_s` the last order stands.
+    about k m^2 / 9, which speaks for a camera under the car and against one at its front. With two lines
+    both count, in least squares; one is enough. While none is in sight for less than `coast_s` the last order stands.
 
     Args:
         gain: lambda [1/s].
