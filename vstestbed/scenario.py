@@ -183,8 +183,11 @@ class Scenario:
                 T = inverse(mount) @ pose_on_ground(np.array([gap, 0.0, 0.0])) @ carrier
                 return replace(Goal.from_view(camera, points, T), gap_m=gap)
             case GoalLine(offset_m=offset) if isinstance(self.target, GroundLines):
-                nowhere = np.full((4, 4), np.nan)  # any place along the line will do
-                return Goal.of_points(camera, self.target.straight_ahead(mount, offset), nowhere)
+                p, nowhere = self.target.straight_ahead(mount, offset), np.full((4, 4), np.nan)  # any place along the line will do
+                if not np.isfinite(p).all():
+                    words = "must have the camera look ahead, or down with the top of its picture ahead: lines are met ahead of it"
+                    raise ParameterError("camera.mount", words, camera.mount.rpy_deg)
+                return Goal.of_points(camera, p, nowhere)
             case _:
                 raise ParameterError("goal", f"of kind {goal.kind} needs a line on the floor as target")
 

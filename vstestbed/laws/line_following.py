@@ -41,7 +41,10 @@ class LineFollowing:
     are those of (rho, theta) by the chain rule. Two conditions, a straight line's and a bend's, one law:
 
         e = y(x_e) - y*,  x_e = x_n x_f / (x_n + x_f)       -lambda e  = J_y B u
-        kappa = tan(phi) / (m + y(m) tan(phi))              -v kappa   = J_phi B u      (only for bases that can go sideways)
+        kappa = tan(phi) / (m + y* tan(phi))                -v kappa   = J_phi B u      (only for bases that can go sideways)
+
+    J_y is that of the line moved sideways to where it shall be: by it a turn w changes y by -(m + y* tan(phi)) w. Of a line far
+    beside the vehicle that lever, m + y tan(phi), passes zero.
 
     A painted arc of curvature k, tangent to the vehicle's way at its origin, crosses x at k x^2 / 2. Its chord is zero at x_e
     whatever k is: so e vanishes on every bend that is driven rightly, to second order. And while an arc is followed phi
@@ -116,12 +119,12 @@ class LineFollowing:
         rho, theta = np.moveaxis(Line().measure(xy), -1, 0)
         L = line_interaction(rho, theta, floor_plane(mount)) @ basis
         (e, _), (s, J) = line_on_floor(rho, theta, mount, exact)[0].T, line_on_floor(rho, theta, mount, middle)
-        rows = J @ L  # (lines, 2, n): of y at the middle, and of phi
-        kappa = np.tan(s[:, 1]) / (middle + s[:, 0] * np.tan(s[:, 1]))
+        rows, slope = J @ L, np.tan(s[:, 1])  # (lines, 2, n): of y at the middle, and of phi
+        rows[:, 0, -1] += (s[:, 0] - aim) * slope  # of the turn: m + y* tan(phi)
         steepest = v * math.tan(math.radians(self.approach_deg))
         A, b = rows[:, 0], -np.clip(self.gain * (e - aim), -steepest, steepest)
         if basis.shape[1] > 2:
-            A, b = np.concatenate([A, rows[:, 1]]), np.concatenate([b, -v * kappa])
+            A, b = np.concatenate([A, rows[:, 1]]), np.concatenate([b, -v * slope / (middle + aim * slope)])
         return np.concatenate([[v], least_squares(A[:, 1:], b - v * A[:, 0])])
 
 
