@@ -257,5 +257,3 @@ class Points(Target):
         """Marker centres in the target frame, shape (N, 3)."""
         return np.array(self.at, dtype=float)
 
-
-TARGETS = OneOf("target", Square, Points)
