@@ -98,6 +98,19 @@ class Route(ABC):
             x, y, heading, _ = self.at(s[i] + along)
         return float(s[i] + along), float(-(xy[0] - x) * np.sin(heading) + (xy[1] - y) * np.cos(heading))
 
+    def beside(self, place: Array) -> float:
+        """How far a vehicle at (x, y, heading) is to the left of the way [m], positive to its own left where it drives against it.
+
+        Where the way crosses itself, it is the branch that runs within 45 degrees of the vehicle's heading, either way.
+        """
+        way = self.samples
+        distance = np.hypot(way.xy[:, 0] - place[0], way.xy[:, 1] - place[1])
+        with_it = np.cos(way.heading - place[2])
+        near = np.where(np.abs(with_it) > np.sqrt(0.5), distance, np.inf)
+        i = int(np.argmin(near if np.isfinite(near).any() else distance))
+        offset = self.nearest(place[:2], around=float(way.s[i]), reach=3 * SPACING_M)[1]
+        return offset if with_it[i] >= 0 else -offset
+
 
 @spec
 class Straight(Route):

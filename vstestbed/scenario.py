@@ -11,18 +11,20 @@ from annotated_types import Ge
 
 from vstestbed.camera import CAMERAS, Catadioptric, Fisheye, Perspective, Spherical
 from vstestbed.errors import ParameterError
-from vstestbed.geometry import Array, inverse
+from vstestbed.geometry import Array, inverse, transform
 from vstestbed.goal import AnyGoal, GoalGap, GoalLine, GoalPlace, GoalView, GoalViewFrom, GoalViews
 from vstestbed.ground import pose_on_ground
-from vstestbed.laws import IBVS, LAWS, PBVS, Hybrid, Partitioned, PoseController, Pursuit
+from vstestbed.ground_lines import GroundLines
+from vstestbed.laws import IBVS, LAWS, PBVS, Hybrid, LineFollowing, Partitioned, PoseController, Pursuit
 from vstestbed.observation import Goal, OracleDepth, PnP
 from vstestbed.robots import ROBOTS, Car, Free, Mount, Omni, Puma560, Robot
 from vstestbed.sim.clock import Clock
 from vstestbed.sim.world import World
 from vstestbed.spec import spec
 from vstestbed.stop import Stop
-from vstestbed.target import TARGETS, Carried, Points, Square
-from vstestbed.vision import DETECTORS, Blobs, Oracle, Tags
+from vstestbed.target import Carried, Points, Square
+from vstestbed.targets import TARGETS
+from vstestbed.vision import DETECTORS, Blobs, Lines, Oracle, Tags
 
 
 @spec
@@ -62,9 +64,9 @@ class Scenario:
     seed: Annotated[int, Ge(0)] = 0
     robot: Annotated[Free | Puma560 | Omni | Car, ROBOTS]
     camera: Annotated[Perspective | Fisheye | Catadioptric | Spherical, CAMERAS] = Perspective()
-    target: Annotated[Square | Points, TARGETS]
-    detector: Annotated[Blobs | Tags | Oracle, DETECTORS] = Blobs()
-    law: Annotated[IBVS | Partitioned | PBVS | Hybrid | PoseController | Pursuit, LAWS]
+    target: Annotated[Square | Points | GroundLines, TARGETS]
+    detector: Annotated[Blobs | Tags | Lines | Oracle, DETECTORS] = Blobs()
+    law: Annotated[IBVS | Partitioned | PBVS | Hybrid | PoseController | Pursuit | LineFollowing, LAWS]
     goal: AnyGoal
     stop: Stop = Stop()
     noise: Noise = Noise()
@@ -91,6 +93,10 @@ class Scenario:
             raise ParameterError("goal", f"may not be of kind {kind} with law {self.law.kind}, which takes {' or '.join(tasks)}")
         if not self.robot.grounded and (task != "view" or any(isinstance(v, GoalViewFrom) for v in self._views)):
             raise ParameterError("goal", f"of kind {kind} is for a vehicle; robot {self.robot.kind} takes T_camera_target")
+        if isinstance(self.target, GroundLines) != (task == "line"):
+            words = "needs a line on the floor" if task == "line" else "cannot be had of lines on the floor, which have no markers"
+            other = "target: {kind: lines}" if task == "line" else "goal: {kind: line} and law: {kind: line_following}"
+            raise ParameterError("goal", f"of kind {kind} {words}; use {other}")
         carried = isinstance(self.target.motion, Carried)
         if carried and any(isinstance(v, GoalViewFrom | GoalPlace) for v in self._views):
             raise ParameterError("goal", f"of kind {kind} needs a target that stands still; a carried one is followed by a gap")
@@ -114,6 +120,9 @@ class Scenario:
             raise ParameterError("target", words)
 
     def _check_goal(self) -> None:
+        if isinstance(self.goal, GoalLine) and not self.camera.inside(self.goal_view.uv).all():
+            where = f"outside the {self.camera.width} x {self.camera.height} picture where all is well"
+            raise ParameterError("target.look_m", f"are {where}; turn the camera, or use a wider one or other distances", self.target.look_m)
         if isinstance(self.goal, GoalPlace | GoalGap | GoalLine):
             return  # what is seen there is not what is asked for
         for i, view in enumerate(self._views):
@@ -173,6 +182,9 @@ class Scenario:
                 carrier[:2, 3] = 0.0  # straight ahead, the carrier turned as the vehicle is
                 T = inverse(mount) @ pose_on_ground(np.array([gap, 0.0, 0.0])) @ carrier
                 return replace(Goal.from_view(camera, points, T), gap_m=gap)
+            case GoalLine(offset_m=offset) if isinstance(self.target, GroundLines):
+                nowhere = np.full((4, 4), np.nan)  # any place along the line will do
+                return Goal.of_points(camera, self.target.straight_ahead(mount, offset), nowhere)
             case _:
                 raise ParameterError("goal", f"of kind {goal.kind} needs a line on the floor as target")
 
@@ -180,9 +192,12 @@ class Scenario:
     def sights(self) -> tuple[tuple[float, float, float], ...]:
         """Places that the view from outside shall show besides the start and the target: goals, and routes."""
         places = [goal.place for goal in self.goal_views if goal.place is not None]
-        motion = self.target.motion
-        if isinstance(motion, Carried):
-            places += list(motion.route.samples.xy[::50])
+        target = self.target
+        if isinstance(target.motion, Carried):
+            places += list(target.motion.route.samples.xy[::50])
+        if isinstance(target, GroundLines):
+            way = target.route.samples.xy[::50]
+            places += list(transform(target.pose.T, np.column_stack([way, np.zeros(len(way))])))
         return tuple((float(p[0]), float(p[1]), 0.0) for p in places)
 
     @property

@@ -12,6 +12,7 @@ import polars as pl
 from numpy.typing import NDArray
 
 from vstestbed.geometry import Array, inverse, rotation_from_quaternion, transform
+from vstestbed.ground_lines import GroundLines
 from vstestbed.report.ride import Ride
 
 if TYPE_CHECKING:
@@ -58,7 +59,7 @@ class Setting:
             width=scenario.camera.width,
             height=scenario.camera.height,
             threshold_px=getattr(scenario.stop.converged, "error_px", None) if ends else None,
-            points=scenario.target.points,
+            points=None if isinstance(scenario.target, GroundLines) else scenario.target.points,
             T_camera_target=getattr(view, "T", view),
             description=scenario.description,
             feature=getattr(scenario.law, "feature", None),
