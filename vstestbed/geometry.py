@@ -45,6 +45,14 @@ class Pose:
 
         return SE3.Rt(SO3.RPY(*self.rpy_deg, order="zyx", unit="deg"), list(self.xyz))
 
+    @classmethod
+    def of(cls, T: Array) -> Pose:
+        """The pose with the homogeneous matrix T (4, 4); at a pitch of 90 degrees roll is 0."""
+        from spatialmath.base import tr2rpy
+
+        rpy = tr2rpy(T[:3, :3], order="zyx", unit="deg", check=False)
+        return cls(xyz=tuple(T[:3, 3].tolist()), rpy_deg=tuple(np.asarray(rpy, dtype=float).tolist()))
+
 
 def all_finite(a: Array) -> bool:
     """Whether every number is finite, by their sum: 1.0 us instead of 1.3 for eight. (None near overflow.)"""
