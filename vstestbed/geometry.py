@@ -180,6 +180,17 @@ def direction(theta_phi: Array) -> Array:
     return np.stack([across * np.cos(phi), across * np.sin(phi), np.cos(theta)], axis=-1)
 
 
+def rotation_from_rpy(rpy: Array) -> Array:
+    """R = Rz(yaw) Ry(pitch) Rx(roll) (..., 3, 3) of angles (roll, pitch, yaw) (..., 3) [rad], as `Pose` has them in degrees."""
+    (cr, cp, cy), (sr, sp, sy) = np.moveaxis(np.cos(rpy), -1, 0), np.moveaxis(np.sin(rpy), -1, 0)
+    rows = [
+        (cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr),
+        (sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr),
+        (-sp, cp * sr, cp * cr),
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
 def rotation_angle(R: Array) -> Array:
     """Angle of a rotation (..., 3, 3) in [0, pi] rad; exact near 0 and near pi (half-angle arc tangent)."""
     sine = np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], axis=-1)
