@@ -138,12 +138,13 @@ class TwistLimits:
         return factor
 
     def within(self, twist: Array) -> Array:
-        """Twists (M, 6), each shortened to within the limits."""
+        """Twists (M, 6), each as a whole shortened to within the limits."""
+        factor = np.ones((len(twist), 1))
         for limit, part in ((self.speed_mps, twist[:, :3]), (self.rate_radps, twist[:, 3:])):
             if limit is not None:
                 size = np.linalg.norm(part, axis=1, keepdims=True)
-                twist = twist * np.minimum(1.0, limit / np.maximum(size, np.finfo(float).tiny))
-        return twist
+                factor = np.minimum(factor, limit / np.maximum(size, np.finfo(float).tiny))
+        return twist * factor
 
     def command(self, u: Array, basis: Array) -> Command:
         """The order for a motion u (n,) of a robot whose motions are `basis` (6, n), within the limits."""

@@ -15,9 +15,9 @@ PINV_RCOND = 1e-6
 a direction that pixels do not tell is not moved in."""
 BLOCK = 32
 """Columns that LAPACK treats at a time; what it needs for a handful."""
-RIDGE = PINV_RCOND**2
-"""Of many problems at once: added to the diagonal of the normal equations, as a share of its mean. It damps the directions that
-the cut-off takes away, and keeps the rest to a millionth or better."""
+DEPENDENT = PINV_RCOND**2
+"""Of many problems at once: a column of whose square less than this share of the mean is left beside the columns before it says
+nothing new, and its x is 0. That is the cut-off, squared as the normal equations are."""
 STILL = 1e-12
 """Of many: A^T b under this share of |A| |b| is zero but for rounding, and so is x."""
 
@@ -26,8 +26,8 @@ def least_squares(A: Array, b: Array) -> Array:
     """The shortest x (..., n) that minimises |A x - b|, for A (..., m, n) and b (..., m).
 
     One problem by LAPACK's complete orthogonal factorisation, which takes a third of the time of a singular value
-    decomposition; the rank is told from the factors' estimated condition. Many by their normal equations with a ridge, and
-    many b of one A (m, n) by its pseudo-inverse.
+    decomposition; the rank is told from the factors' estimated condition. Many by their normal equations, and many b of
+    one A (m, n) by its pseudo-inverse. (Where A has not full rank, the many get a least x among those of some columns.)
 
     Reference: Golub & Van Loan 2013, Matrix Computations, sections 5.5 and 4.2.5 (Cholesky).
     """
@@ -47,7 +47,7 @@ def least_squares(A: Array, b: Array) -> Array:
 def _many(A: Array, b: Array) -> Array:
     """Least squares of A (M, m, n) and b (M, m), each operation over all M.
 
-    (A^T A + ridge) x = A^T b by Cholesky's C C^T, elements in loops and problems in arrays: LAPACK would be called M times.
+    A^T A x = A^T b by Cholesky's C C^T, elements in loops and problems in arrays: LAPACK would be called M times.
     """
     n = A.shape[2]
     columns = np.ascontiguousarray(A.transpose(2, 1, 0))
@@ -56,17 +56,17 @@ def _many(A: Array, b: Array) -> Array:
     G = [[_dot(columns[i], columns[j]) for j in range(i + 1)] for i in range(n)]
     size2 = np.sum([G[i][i] for i in range(n)], axis=0)
     x[:, _dot(x, x) < STILL**2 * size2 * _dot(right, right)] = 0.0
-    ridge = np.maximum(RIDGE / n * size2, np.finfo(float).tiny)
+    least = np.maximum(DEPENDENT / n * size2, np.finfo(float).tiny)
     for i in range(n):
         for j in range(i):
             for k in range(j):
                 G[i][j] -= G[i][k] * G[j][k]
             G[i][j] *= G[j][j]
             x[i] -= G[i][j] * x[j]
-        pivot = G[i][i] + ridge
+        pivot = G[i][i].copy()
         for k in range(i):
             pivot -= G[i][k] * G[i][k]
-        G[i][i] = 1 / np.sqrt(np.maximum(pivot, ridge))
+        G[i][i] = np.where(pivot > least, 1 / np.sqrt(np.maximum(pivot, least)), 0.0)
         x[i] *= G[i][i]
     for i in reversed(range(n)):
         for k in range(i + 1, n):
