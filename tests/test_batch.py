@@ -80,7 +80,11 @@ def test_golden_rows_at_once(law: str, interaction: str):
 
 
 EVERY = {
-    **{f"ibvs_{kind}": IBVS(gain=FAST, feature=FEATURES.members[kind](), interaction="mean") for kind in FEATURES.members if kind != "polygon"},
+    **{
+        f"ibvs_{kind}": IBVS(gain=FAST, feature=FEATURES.members[kind](), interaction="mean")
+        for kind in FEATURES.members
+        if kind != "polygon"
+    },
     "ibvs_current": IBVS(gain=FAST),
     "ibvs_desired": IBVS(gain=FAST, interaction="desired"),
     "ibvs_adaptive": IBVS(gain=AdaptiveGain(at_zero=3, at_infinity=1, slope_at_zero=10)),

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vstestbed.batch import Batch, Flight, fly, ideal, start_of, started_at
 from vstestbed.comparing import Comparison, controllers
@@ -18,6 +19,7 @@ from vstestbed.files import write_whole, writing
 from vstestbed.geometry import Array, Pose, inverse, rotation_from_rpy
 from vstestbed.loop import run
 from vstestbed.scenario import Scenario
+from vstestbed.stop import Outcome
 
 if TYPE_CHECKING:
     import polars
@@ -171,9 +173,10 @@ def basin(label: str, scenario: Scenario, x: Axis, y: Axis, at: Mapping[str, flo
     return replace(made, checked=len(spots), disagreements=tuple(_disagreements(made, poses, spots)))
 
 
-def _disagreements(made: Basin, poses: Array, spots: Array) -> Iterator[Disagreement]:
+def _disagreements(made: Basin, poses: Array, spots: NDArray[np.int_]) -> Iterator[Disagreement]:
+    outcomes: list[Outcome] = made.batch.outcome.tolist()
     for i in spots.tolist():
-        found, expected = run(started_at(made.scenario, poses[i])).outcome, made.batch.outcome[i]
+        found, expected = run(started_at(made.scenario, poses[i])).outcome, outcomes[i]
         if found is not expected:
             j, k = divmod(i, made.x.n)
             yield Disagreement(float(made.x.values[k]), float(made.y.values[j]), expected.name, found.name)
@@ -196,7 +199,9 @@ def table(made: Sequence[Basin]) -> polars.DataFrame:
             "farthest_m": b.batch.farthest_m,
             "final_error_px": b.batch.error_px,
         }
-        frames.append(pl.DataFrame({name: np.asarray(v).tolist() for name, v in columns.items()}).with_columns(pl.col("law").cast(pl.String)))
+        frames.append(
+            pl.DataFrame({name: np.asarray(v).tolist() for name, v in columns.items()}).with_columns(pl.col("law").cast(pl.String))
+        )
     return pl.concat(frames).fill_nan(None)
 
 

@@ -169,7 +169,7 @@ class _Runs:
 def _fly(flight: Flight, start: Array) -> Batch:
     m, stop = len(start), flight.scenario.stop
     last = flight.frames(stop.duration_s)
-    runs = _Runs(np.arange(m), start, np.full((m, flight.law.remembers), np.nan), *(np.zeros(m, dtype=int) for _ in "ab"), np.zeros(m))
+    runs = _Runs(np.arange(m), start, np.full((m, flight.law.remembers), np.nan), np.zeros(m, int), np.zeros(m, int), np.zeros(m))
     outcome, steps, near = np.full(m, None, dtype=object), np.zeros(m, dtype=int), np.full(m, -1)
     final, farthest, errors, crossed, done = start.copy(), np.zeros(m), np.full(m, np.nan), np.zeros(m, dtype=bool), 0
     for step in range(last + 1):
@@ -237,7 +237,7 @@ def _seen(s: Scenario, p: Array) -> tuple[NDArray[np.bool_], Array, NDArray[np.b
     seen = np.isfinite(uv[..., 0])
     if isinstance(s.detector, Oracle) and s.detector.field_of_view == "limited":
         seen &= s.camera.whole(p.reshape(-1, 3), s.target.marker.radius).reshape(seen.shape)
-    d, all_seen = uv - s.goal_view.uv, seen.all(axis=1)
+    d, all_seen = uv - s.goal_view.uv, np.asarray(seen.all(axis=1))
     if all_seen.all():
         return seen, np.sqrt(np.einsum("mni,mni->m", d, d) / (2 * p.shape[1])), all_seen
     d[~seen] = 0.0

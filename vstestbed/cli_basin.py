@@ -36,7 +36,9 @@ def basin(
     n: Annotated[int, typer.Option("--n", min=2, max=2000, help="Places along each axis; 316 make 100 000 starts.")] = 316,
     vary: Annotated[list[str] | None, typer.Option("--vary", metavar="a.b=v1,v2", help="A map for each of these values.")] = None,
     set_: Annotated[list[str] | None, typer.Option("--set", metavar="a.b=value", help="Change a field of all scenarios.")] = None,
-    field_of_view: Annotated[View | None, typer.Option(help="Whether the picture has a border. [default: as the oracle's, or limited]")] = None,
+    field_of_view: Annotated[
+        View | None, typer.Option(help="Whether the picture has a border. [default: as the oracle's, or limited]")
+    ] = None,
     check: Annotated[int, typer.Option(min=0, help="So many random starts also run in the full simulation.")] = 0,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of the results. [default: runs/basin/NUMBER]")] = None,
     as_json: Json = False,
@@ -66,7 +68,7 @@ def _axis(option: str, text: str, n: int) -> Axis:
     from vstestbed.basin import Axis
 
     name, _, ends = text.partition("=")
-    low, colon, high = ends.partition(":")
+    low, _, high = ends.partition(":")
     try:
         return Axis(name.strip(), float(low), float(high), n)
     except ParameterError as error:

@@ -173,7 +173,7 @@ def _combinations(comparison: Comparison) -> Iterator[tuple[dict[str, object], d
     for chosen_cases in itertools.product(*cases):
         for values in itertools.product(*comparison.axes.values()):
             of_axes = dict(zip(comparison.axes, values, strict=True))
-            names = dict(zip(comparison.cases, (name for name, _ in chosen_cases), strict=True))
+            names: dict[str, object] = dict(zip(comparison.cases, (name for name, _ in chosen_cases), strict=True))
             yield names | of_axes, merged(comparison.set, *(settings for _, settings in chosen_cases), of_axes)
 
 

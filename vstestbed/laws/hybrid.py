@@ -120,8 +120,9 @@ class Hybrid:
         """
         xy, goal_xy, ratio = m[..., :2] / m[..., 2:], goal_middle[:2] / goal_middle[2], m[..., 2:]
         at, depth = xy[..., None, :], ratio * goal_middle[2]
-        rows = (_POINT.interaction(at, depth), _LOG_DEPTH.interaction(at, depth), _THETA_U.interaction(R_goal_camera))
-        e = np.concatenate([xy - goal_xy, np.log(ratio), _THETA_U.measure(R_goal_camera)], axis=-1)
+        turn = _THETA_U.measure(R_goal_camera)
+        rows = (_POINT.interaction(at, depth), _LOG_DEPTH.interaction(at, depth), _THETA_U.interaction_at(turn))
+        e = np.concatenate([xy - goal_xy, np.log(ratio), turn], axis=-1)
         return e, np.concatenate(rows, axis=-2)
 
 

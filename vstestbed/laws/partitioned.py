@@ -14,7 +14,7 @@ from vstestbed.features import Point
 from vstestbed.features.polygon import angle_error, segments, size, size_error, spans_area
 from vstestbed.geometry import Array
 from vstestbed.laws.base import Command, ConstantGain, Gain, TwistLimits
-from vstestbed.laws.select import NO_AREA, Rows, require_area, usable_rows
+from vstestbed.laws.select import NO_AREA, require_area, usable_rows
 from vstestbed.laws.solve import least_squares
 from vstestbed.laws.views import Views
 from vstestbed.laws.visibility import Visibility

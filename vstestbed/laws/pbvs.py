@@ -89,11 +89,10 @@ class PBVS:
     def feature(self, T_camera_target: Array, T_goal_target: Array) -> tuple[Array, Array]:
         """The error (..., 6) and L (..., 6, 6) at poses of the target, (..., 4, 4) in the camera's frame and (4, 4) in the goal's."""
         T_goal_camera = T_goal_target @ inverse(T_camera_target)
-        if self.translation == "cMo":
-            seen = T_camera_target
-        else:
-            seen = T_goal_camera if self.translation == "cdMc" else inverse(T_goal_camera)
+        by_itself = T_camera_target if self.translation == "cMo" else T_goal_camera
+        seen = inverse(T_goal_camera) if self.translation == "cMcd" else by_itself
         t, R = _TRANSLATIONS[self.translation], T_goal_camera[..., :3, :3]
         s_star = T_goal_target[:3, 3] if self.translation == "cMo" else np.zeros(3)
-        e = np.concatenate([t.error(t.measure(seen), s_star), _THETA_U.measure(R)], axis=-1)
-        return e, np.concatenate([t.interaction(seen), _THETA_U.interaction(R)], axis=-2)
+        turn = _THETA_U.measure(R)
+        e = np.concatenate([t.error(t.measure(seen), s_star), turn], axis=-1)
+        return e, np.concatenate([t.interaction(seen), _THETA_U.interaction_at(turn)], axis=-2)

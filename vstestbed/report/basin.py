@@ -70,9 +70,7 @@ def draw(maps: Sequence[Map], x: AxisWords, y: AxisWords) -> Figure:
         axes.set_visible(False)
     for i, made in enumerate(maps):
         axes = grid.ravel()[i]
-        axes.imshow(
-            colours(made, soonest, latest), origin="lower", extent=(x[2], x[3], y[2], y[3]), aspect="auto", interpolation="nearest"
-        )
+        axes.imshow(colours(made, soonest, latest), origin="lower", extent=(x[2], x[3], y[2], y[3]), aspect="auto", interpolation="nearest")
         axes.grid(False)
         axes.set_title(f"{made.label}: {100 * float(np.mean(made.endings == 'converged')):.1f} %")
         if i + columns >= len(maps):
@@ -99,9 +97,7 @@ def _key(drawn: Figure, grid: Any, maps: Sequence[Map], soonest: float, latest: 
         drawn.legend(handles=patches, loc="outside lower center", ncols=min(5, len(patches)))
 
 
-def write_maps(
-    folder: Path, maps: Sequence[Map], x: AxisWords, y: AxisWords, summaries: Sequence[Mapping[str, Any]], command: str
-) -> Path:
+def write_maps(folder: Path, maps: Sequence[Map], x: AxisWords, y: AxisWords, summaries: Sequence[Mapping[str, Any]], command: str) -> Path:
     """`basin.png`, `basin.pdf` and `report.html`; gives the page.
 
     Raises:
@@ -129,9 +125,11 @@ def _table(summaries: Sequence[Mapping[str, Any]]) -> str:
     for s in summaries:
         cells = "".join(f"<td>{100 * s['shares'].get(e, 0.0):.2f}</td>" for e in endings)
         check = f"{s['agreeing']} of {s['checked']}" if s["checked"] else "-"
-        rows.append(f'<tr><th scope="row">{escape(s["label"])}</th>{cells}<td>{s["starts"]}</td><td>{s["processor_s"]:.1f}</td><td>{check}</td></tr>')
+        cells += f"<td>{s['starts']}</td><td>{s['processor_s']:.1f}</td><td>{check}</td>"
+        rows.append(f'<tr><th scope="row">{escape(s["label"])}</th>{cells}</tr>')
     tail = "<th>starts</th><th>time of one core [s]</th><th>full simulation agrees</th>"
-    return f'<h2>In numbers</h2><div class="wide"><table><thead><tr><th></th>{head}{tail}</tr></thead><tbody>{"".join(rows)}</tbody></table></div>'
+    table = f"<table><thead><tr><th></th>{head}{tail}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
+    return f'<h2>In numbers</h2><div class="wide">{table}</div>'
 
 
 def _checks(summaries: Sequence[Mapping[str, Any]]) -> str:

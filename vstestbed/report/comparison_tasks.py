@@ -124,7 +124,7 @@ def draw(found: Sequence[Cell], metrics: Sequence[str], width_in: float) -> Figu
     """A column a task, a line a metric: each law's number over the amounts; red crosses above: runs without success."""
     tasks, laws = list(dict.fromkeys(c.task for c in found)), list(dict.fromkeys(c.law for c in found))
     shown = [Metric.of(name) for name in (metrics or DRAWN)[:MOST_ROWS]]
-    drawn = new_figure(0.9 + 1.7 * len(shown), width_in)
+    drawn = new_figure(1.3 + 0.19 * width_in * len(shown), width_in)
     grid = drawn.subplots(len(shown), len(tasks), sharey="row", sharex="col", squeeze=False)
     for row, metric in enumerate(shown):
         for column, task in enumerate(tasks):
@@ -143,7 +143,7 @@ def draw(found: Sequence[Cell], metrics: Sequence[str], width_in: float) -> Figu
 
 
 def _unit(here: Sequence[Cell]) -> str:
-    return here[0].amounts[0].partition(" ")[2] or "start, by law's order"
+    return here[0].amounts[0].partition(" ")[2] or "each law in turn"
 
 
 def _panel(axes: Axes, here: Sequence[Cell], laws: Sequence[str], metric: Metric) -> None:
@@ -166,8 +166,9 @@ def _panel(axes: Axes, here: Sequence[Cell], laws: Sequence[str], metric: Metric
 
 def _crosses(axes: Axes, at: Array, place: int, of: int) -> None:
     """Runs without success at the panel's top, each law at its own height."""
-    height = np.full(len(at), 0.99 - 0.1 * place / max(of, 1))
-    axes.plot(at, height, "x", markersize=3.5, markeredgewidth=0.9, color=LOST, transform=axes.get_xaxis_transform(), clip_on=False)
+    if len(at):
+        height = np.full(len(at), 0.99 - 0.1 * place / max(of, 1))
+        axes.plot(at, height, "x", markersize=3.5, markeredgewidth=0.9, color=LOST, transform=axes.get_xaxis_transform())
 
 
 def write_task_report(
@@ -189,7 +190,7 @@ def write_task_report(
     except OSError as error:
         raise OutputError(folder / "figures", error.strerror or str(error), "give another folder") from error
     with style(paper=True):
-        drawn = draw(found, metrics, 9.5)
+        drawn = draw(found, metrics, 8.2)
         save(drawn, folder / "figures" / "tasks.pdf")
         save(drawn, folder / "figures" / "tasks.png", DPI)
     with style():
