@@ -10,6 +10,7 @@ import pytest
 import vstestbed as vs
 from tests.laws.flight import book_camera
 from tests.test_golden_loops import ROWS, SET, STARTS, decided_by_rounding, law_of, pose
+from vstestbed.assets import bundled_scenarios
 from vstestbed.batch import fly, ideal, start_of, started_at
 from vstestbed.errors import ParameterError
 from vstestbed.features import FEATURES, Line, Polar
@@ -102,7 +103,8 @@ EVERY = {
 
 
 def test_every_law_is_there():
-    assert {law.kind for law in EVERY.values()} == set(LAWS.members)
+    assert {law.kind for law in EVERY.values()} == {kind for kind, law in LAWS.members.items() if hasattr(law, "many")}
+    assert {"ibvs", "partitioned", "pbvs", "hybrid"} <= {law.kind for law in EVERY.values()}
 
 
 @pytest.mark.parametrize("limited", [False, True], ids=["unlimited", "limited"])
@@ -170,6 +172,11 @@ def test_what_a_batch_cannot_fly_is_refused_with_what_it_can():
         fly(scenario(IBVS(visibility=Visibility(margin_px=20))), start)
     with pytest.raises(ParameterError, match=r"law.depth may not be estimate.*valid: pnp, constant, goal, oracle"):
         fly(scenario(IBVS(depth=Estimate())), start)
+    with pytest.raises(ParameterError, match=r"stop.converged must be told by error_px alone"):
+        fly(replace(scenario(IBVS()), stop=Stop(converged=Converged(position_m=0.01))), start)
+    omni = next(name for name in bundled_scenarios() if name.startswith("omni"))
+    with pytest.raises(ParameterError, match=r"robot.kind moves its camera in 3 directions.*use free or puma560"):
+        ideal(vs.load(omni))
     with pytest.raises(ParameterError, match=r"`batch.ideal` makes it so"):
         fly(replace(scenario(IBVS()), noise=Noise(pixel_sigma_px=0.1)), start)
 

@@ -14,12 +14,12 @@ from vstestbed.geometry import Array, Pose, exp, inverse, transform
 from vstestbed.laws import Hybrid
 from vstestbed.laws.views import ForMany, Views
 from vstestbed.observation import Estimate, Goal, PnP
-from vstestbed.robots import Free
+from vstestbed.robots import Free, Mount
 from vstestbed.robots.free import FreeStart
 from vstestbed.scenario import PLANE_INPUTS, Noise, Scenario
 from vstestbed.sim.world import World
 from vstestbed.stop import FAR_M, REST, REST_S, Outcome
-from vstestbed.target import Square
+from vstestbed.target import Square, Still
 from vstestbed.vision import Oracle
 from vstestbed.vision.homography import left_open
 
@@ -66,9 +66,16 @@ def ideal(scenario: Scenario, field_of_view: str | None = None) -> Scenario:
     The camera starts where the scenario's robot holds it. Gains, depth, goal, stop block and the camera's rate stay.
 
     Args:
-        scenario: any robot's. field_of_view: `limited` or `unlimited`; None for that of its oracle, else limited.
+        scenario: of a robot that moves its camera in all six directions.
+        field_of_view: `limited` or `unlimited`; None for that of its oracle, else limited.
+
+    Raises:
+        ParameterError: the robot has fewer motions.
     """
     robot, camera, detector = scenario.robot, scenario.camera, scenario.detector
+    if (motions := robot.motion_basis(Mount.of(camera.mount.T)).shape[1]) != 6:
+        words = f"moves its camera in {motions} directions, and the ideal camera of a batch in all six; use free or puma560"
+        raise ParameterError("robot.kind", words, robot.kind)
     if field_of_view is None:
         field_of_view = detector.field_of_view if isinstance(detector, Oracle) else "limited"
     start = FreeStart(nominal=Pose.of(robot.flange_pose(robot.configuration())))
@@ -119,6 +126,10 @@ class Flight:
             raise ParameterError("law.visibility.margin_px", "must be 0 in a batch", visibility.margin_px)
         if isinstance(s.law.depth, Estimate):
             raise ParameterError("law.depth", "may not be estimate in a batch; valid: pnp, constant, goal, oracle")
+        if len(s.goal_views) > 1 or not isinstance(s.target.motion, Still):
+            raise ParameterError("goal", "must be one view of a target that stands still, in a batch")
+        if s.stop.converged.error_px is None or s.stop.converged.by_estimate:
+            raise ParameterError("stop.converged", "must be told by error_px alone in a batch")
         noisy = s.noise.pixel_sigma_px > 0 or s.noise.image_sigma > 0
         if not (isinstance(s.robot, Free) and isinstance(s.detector, Oracle)) or s.camera.latency_s or noisy or s.world.plates:
             words = "must have a free camera, detector oracle, no latency, no noise and no plates for a batch; `batch.ideal` makes it so"
@@ -129,6 +140,11 @@ class Flight:
         """The law, known to fly many."""
         assert isinstance(self.scenario.law, ForMany)
         return self.scenario.law
+
+    @cached_property
+    def error_px(self) -> float:
+        """Under which the goal counts as reached [px]."""
+        return s if (s := self.scenario.stop.converged.error_px) is not None else math.nan
 
     @cached_property
     def needed(self) -> int:
@@ -202,7 +218,7 @@ def _frame(flight: Flight, runs: _Runs, p: Array, step: int, last: int) -> tuple
     memory, twist, works = _orders(flight, runs, p, seen, step / s.camera.rate_hz)
     runs.memory = memory
     lost = ~works | ~np.isfinite(error)
-    near = ~lost & all_seen & (error < s.stop.converged.error_px)
+    near = ~lost & all_seen & (error < flight.error_px)
     runs.near = np.where(near, runs.near + 1, 0)
     resting = ~lost & ~near & (np.abs(twist).max(axis=1) < REST)
     runs.rest = np.where(resting, runs.rest + 1, 0)
