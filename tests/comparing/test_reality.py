@@ -11,6 +11,7 @@ import pytest
 import vstestbed as vs
 from vstestbed.comparing import chosen, controllers, jobs
 from vstestbed.geometry import Array
+from vstestbed.laws.base import TwistLimits
 from vstestbed.robots.puma560 import JOINT_LIMITS, LIMIT_MARGIN
 from vstestbed.scenario import Scenario
 
@@ -95,3 +96,33 @@ def test_noise_alone_makes_the_goal_later_but_ends_no_run():
         times[sigma] = np.mean([r.summary()["time_to_converge_s"] for r in found])  # type: ignore[misc]
     # With noise of .1 px on top, .2 px for half a second asks for an error of about .12 px: log(.2/.12)/gain = 1 s more.
     assert 0.3 < times[0.1] - times[0.0] < 2.5
+
+
+def test_noise_takes_the_mean_matrix_off_its_minimum_at_a_half_turn_and_limits_make_that_harmless():
+    whole = chosen(["canonical"], {"noise.pixel_sigma_px": 0.1, "stop.converged.error_px": 0.5}, {}, None)
+    kept = {"law": {"points_mean": whole.cases["law"]["points_mean"]}}
+    task = {"about the axis": whole.tasks["about the axis"]}
+    ends = {}
+    for speed in (None, 1.0):  # the arm's joints turn its wrist at some 1 m/s at most
+        made = replace(whole, cases=kept, tasks=task, set=whole.set | {"noise.pixel_sigma_px": 0.1})
+        (found,) = controllers(made)
+        assert found.starts is not None
+        s = found.starts[found.amounts.index("180 deg")]
+        limits = TwistLimits(speed_mps=speed, rate_radps=2.0) if speed else TwistLimits()
+        ends[speed] = vs.run(replace(s, law=replace(s.law, limits=limits))).outcome  # pyright: ignore[reportArgumentType]
+    # The matrix is nearly singular there: a tenth of a pixel orders metres a frame, through the target's plane.
+    assert ends == {None: vs.Outcome.target_lost, 1.0: vs.Outcome.converged}
+
+
+@pytest.mark.study
+@pytest.mark.parametrize(("law", "outcome"), [("pose", "joint_limit"), ("hybrid", "converged")])
+def test_a_half_turn_has_two_ways_and_joint_6_room_for_one(law: str, outcome: str):
+    whole = chosen(["canonical_arm"], {}, {}, None)
+    (found,) = controllers(
+        replace(whole, cases={"law": {law: whole.cases["law"][law]}}, tasks={"about the axis": whole.tasks["about the axis"]})
+    )
+    assert found.starts is not None
+    r = vs.run(found.starts[-1])
+    assert r.outcome.name == outcome
+    end = LIMITS[5, 1] - MARGIN if outcome == "joint_limit" else -13.985
+    assert q_deg(r)[-1, 5] == pytest.approx(end, abs=0.3)

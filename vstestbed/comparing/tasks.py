@@ -20,7 +20,7 @@ class Task:
         set: values by dotted path, for all runs of the task.
         each: lists of values by dotted path, all of one length: a run for each.
         seeds: in place of `each`: how many random starts.
-        amounts: what each run is called, with `unit`: 20 (deg), 40, ...; none: 1, 2, ...
+        amounts: what each run is called, with `unit`: 20 (deg), 40, ...; none: 1, 2, ..., of random starts the seed.
         unit: of the amounts.
     """
 
@@ -51,5 +51,6 @@ class Task:
             yield {path: values[i] for path, values in self.each.items()}
 
     def words(self) -> tuple[str, ...]:
-        """What each run is called."""
-        return tuple(f"{amount:g} {self.unit}".strip() for amount in self.amounts or range(1, self.runs + 1))
+        """What each run is called; without amounts its number, of random starts the seed."""
+        first = 0 if self.seeds is not None else 1
+        return tuple(f"{amount:g} {self.unit}".strip() for amount in self.amounts or range(first, first + self.runs))

@@ -157,7 +157,7 @@ def _panel(axes: Axes, here: Sequence[Cell], laws: Sequence[str], metric: Metric
             axes.plot(amount, np.where(good, value, np.nan), dash, marker=".", markersize=4, color=colour, label=cell.law)
             _crosses(axes, amount[~good], i, len(laws))
         else:
-            spread = i + 0.6 * (amount / amount.max() - 0.5)
+            spread = i + 0.6 * (amount / max(amount.max(), 1.0) - 0.5)
             axes.plot(spread[good], value[good], ".", markersize=3, color=colour, label=cell.law)
             _crosses(axes, spread[~good], i, len(laws))
     if not ordered:
