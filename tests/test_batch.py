@@ -110,7 +110,7 @@ def test_every_law_is_there():
 @pytest.mark.parametrize("limited", [False, True], ids=["unlimited", "limited"])
 @pytest.mark.parametrize("name", EVERY)
 def test_every_law_ends_as_in_the_time_loop(name: str, limited: bool):
-    s, starts = scenario(EVERY[name], limited=limited, error_px=0.2, hold_s=0.5), drawn(4)
+    s, starts = scenario(EVERY[name], limited=limited, error_px=0.2, hold_s=0.5), drawn(3)
     found = fly(s, starts)
     for i, start in enumerate(starts):
         r = vs.run(started_at(s, start))
