@@ -23,8 +23,8 @@ from vstestbed.ground_lines import GroundLines
 from vstestbed.robots import VEHICLES, Robot
 from vstestbed.sim.attach import add_robot, extent_of
 from vstestbed.sim.cube import drawn_for
-from vstestbed.sim.paint import add_stripe
 from vstestbed.sim.overview import frame_drive, frame_flight
+from vstestbed.sim.paint import add_stripe
 from vstestbed.sim.world import AWAY, World
 from vstestbed.target import Carried, Disc, Sphere, Square, Stripe, Tag, Target
 from vstestbed.vision.tag_print import tag_png
