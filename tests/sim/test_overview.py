@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import mujoco
 import numpy as np
 import pytest
 
 import vstestbed as vs
+from vstestbed.assets import model_path
 from vstestbed.geometry import FLIP, Array, transform
 from vstestbed.ground import moved
 from vstestbed.report.ride import ideal_way
@@ -57,7 +60,7 @@ def way(s: Scenario) -> Array:
         return np.concatenate([[start[:2]], s.target.motion.route.samples.xy[::20]])
     corners = np.array([start[:2], *(g[:2] for g in goals)])
     share = np.linspace(0, 1, 20)[:, None]
-    return np.concatenate([a + share * (b - a) for a, b in zip(corners[:-1], corners[1:], strict=True)])
+    return np.concatenate([a + share * (b - a) for a, b in pairwise(corners)])
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
@@ -76,9 +79,7 @@ def test_way_goals_and_landmarks_are_in_the_picture(name: str):
 
 def test_a_turn_away_from_the_goal_is_in_the_picture():
     # A car that sets out square to its goal swings out by its turning circle of 1 m in 6 m.
-    scene = mujoco.MjSpec()
-    scene.worldbody.add_camera(name="overview", fovy=38)
-    scene.worldbody.add_light(name="key", dir=[0.45, 0.45, -1])
+    scene = mujoco.MjSpec.from_file(str(model_path("world.xml")))
     frame_drive(scene, np.array([[0, 0, 0], [6.0, 0, 0]]), np.zeros((0, 3)), size=1.5)
     T, f = overview(scene.compile())
     turn = np.array([moved(np.array([0, 0, np.pi / 2]), np.array([1.0, 0, -1.0]), t)[:2] for t in np.linspace(0, np.pi / 2, 20)])
