@@ -57,10 +57,13 @@ class Ride:
 
 
 def _route(scenario: Scenario) -> Array:
-    """The route of what carries the target, every 5 cm."""
+    """The route of what carries the target, or of lines on the floor, every 5 cm."""
+    from vstestbed.ground_lines import GroundLines
     from vstestbed.target import Carried
 
-    motion = scenario.target.motion
+    target, motion = scenario.target, scenario.target.motion
+    if isinstance(target, GroundLines):
+        return target.way[::5]
     return motion.route.samples.xy[::5] if isinstance(motion, Carried) else np.empty((0, 2))
 
 
