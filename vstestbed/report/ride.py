@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from vstestbed.camera import Camera
     from vstestbed.scenario import Scenario
 
-RINGS, DIRECTIONS = 80, 361
+RINGS, DIRECTIONS = 120, 541
 """Grid on which what a camera sees of a plane is found out, in polar coordinates round its foot."""
 
 
