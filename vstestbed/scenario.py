@@ -11,7 +11,7 @@ from annotated_types import Ge
 
 from vstestbed.camera import CAMERAS, Catadioptric, Fisheye, Perspective, Spherical
 from vstestbed.errors import ParameterError
-from vstestbed.geometry import Array, inverse, transform
+from vstestbed.geometry import Array, inverse
 from vstestbed.goal import AnyGoal, GoalGap, GoalLine, GoalPlace, GoalView, GoalViewFrom, GoalViews
 from vstestbed.ground import pose_on_ground
 from vstestbed.ground_lines import GroundLines
