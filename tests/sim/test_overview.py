@@ -81,8 +81,8 @@ def test_way_goals_and_landmarks_are_in_the_picture(name: str):
     shown = np.concatenate([vehicle, marks])
     uv = projected(T, f, shown)
     assert np.abs(uv).max(axis=0)[0] < WIDTH / 2 and np.abs(uv).max(axis=0)[1] < HEIGHT / 2
-    # The vehicle can be known where it starts: 40 px of 960 for the base in 7 m, more for a car.
-    assert np.ptp(projected(T, f, vehicle[:8]), axis=0).max() > 40
+    # The vehicle can be known where it starts: a base of .4 m has 55 px of 960 in 7 m, and 34 at the far end of a track of 11 by 10 m.
+    assert np.ptp(projected(T, f, vehicle[:8]), axis=0).max() > 30
 
 
 def test_a_turn_away_from_the_goal_is_in_the_picture():
