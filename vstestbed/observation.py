@@ -38,6 +38,10 @@ class Observation:
         odometry: a ground vehicle's way since the start by its encoders alone, (x, y, heading) [m, rad] from where it stood.
         place: a ground vehicle's (x, y, heading) [m, rad] in the world, from its landmarks, compass and encoders; None
             where it is not known yet, or the target is no landmark.
+        twist: the camera's mean twist since the last frame as the robot measures it (6,) [m/s, rad/s], for laws that ask for it.
+
+    Where the scenario derotates, xy, depth, T_camera_target, ray, relative and twist are those of the level camera, which
+    shares the craft's place and heading; uv is what the picture shows.
     """
 
     t: float
@@ -50,6 +54,7 @@ class Observation:
     relative: Relative | None = None
     odometry: Array | None = None
     place: Array | None = None
+    twist: Array | None = None
 
     @property
     def seen(self) -> NDArray[np.bool_]:

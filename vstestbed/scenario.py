@@ -12,17 +12,18 @@ from annotated_types import Ge
 from vstestbed.camera import CAMERAS, Catadioptric, Fisheye, Perspective, Spherical
 from vstestbed.errors import ParameterError
 from vstestbed.geometry import Array, inverse
-from vstestbed.goal import AnyGoal, GoalGap, GoalLine, GoalPlace, GoalView, GoalViewFrom, GoalViews
+from vstestbed.goal import AnyGoal, GoalGap, GoalLanding, GoalLine, GoalPath, GoalPlace, GoalView, GoalViewFrom, GoalViews
 from vstestbed.ground import pose_on_ground
 from vstestbed.laws import IBVS, LAWS, PBVS, Hybrid, Partitioned, PoseController, Pursuit
 from vstestbed.observation import Goal, OracleDepth, PnP
-from vstestbed.robots import ROBOTS, Car, Free, Mount, Omni, Puma560, Robot
+from vstestbed.robots import ROBOTS, Car, Free, Mount, Omni, Puma560, Quadrotor, Robot
 from vstestbed.sim.clock import Clock
 from vstestbed.sim.world import World
 from vstestbed.spec import spec
 from vstestbed.stop import Stop
 from vstestbed.target import TARGETS, Carried, Points, Square
 from vstestbed.vision import DETECTORS, Blobs, Oracle, Tags
+from vstestbed.vision.derotate import Derotation
 
 
 @spec
@@ -54,18 +55,21 @@ VIEW_MARGIN_PX = 10.0
 class Scenario:
     """One experiment: who moves, what it sees, what it wants, how it ends. `name` is its file's name by default.
 
+    `derotation` says how the law of a craft that leans is given what it would see if it did not.
+
     Raises (from the constructor): ParameterError where two parts contradict each other.
     """
 
     name: str = ""
     description: str = ""
     seed: Annotated[int, Ge(0)] = 0
-    robot: Annotated[Free | Puma560 | Omni | Car, ROBOTS]
+    robot: Annotated[Free | Puma560 | Omni | Car | Quadrotor, ROBOTS]
     camera: Annotated[Perspective | Fisheye | Catadioptric | Spherical, CAMERAS] = Perspective()
     target: Annotated[Square | Points, TARGETS]
     detector: Annotated[Blobs | Tags | Oracle, DETECTORS] = Blobs()
     law: Annotated[IBVS | Partitioned | PBVS | Hybrid | PoseController | Pursuit, LAWS]
     goal: AnyGoal
+    derotation: Derotation = "none"
     stop: Stop = Stop()
     noise: Noise = Noise()
     world: World = World()
@@ -89,7 +93,16 @@ class Scenario:
         task = "view" if isinstance(self.goal, GoalView | GoalViewFrom | GoalViews) else kind
         if task not in tasks:
             raise ParameterError("goal", f"may not be of kind {kind} with law {self.law.kind}, which takes {' or '.join(tasks)}")
-        if not self.robot.grounded and (task != "view" or any(isinstance(v, GoalViewFrom) for v in self._views)):
+        flight = kind in ("path", "landing")
+        if flight != bool(self.robot.feet) and (flight or isinstance(self.goal, GoalViewFrom)):
+            raise ParameterError("goal", f"of kind {kind} is {'for' if flight else 'not for'} a craft that flies (robot quadrotor)")
+        if not self.robot.feet and self.derotation != "none":
+            raise ParameterError("derotation", "is for a craft that leans (robot quadrotor); here it must be none", self.derotation)
+        if not self.robot.feet and not self.world.wind.still:
+            raise ParameterError("world.wind", f"is for a craft that flies (robot quadrotor), and robot {self.robot.kind} does not feel it")
+        if kind == "landing" and self.target.pad is None:
+            raise ParameterError("target.pad", "is missing: goal of kind landing needs one, e.g. {side: 0.9}")
+        if not self.robot.grounded and not flight and (task != "view" or any(isinstance(v, GoalViewFrom) for v in self._views)):
             raise ParameterError("goal", f"of kind {kind} is for a vehicle; robot {self.robot.kind} takes T_camera_target")
         carried = isinstance(self.target.motion, Carried)
         if carried and any(isinstance(v, GoalViewFrom | GoalPlace) for v in self._views):
@@ -117,8 +130,9 @@ class Scenario:
         if isinstance(self.goal, GoalPlace | GoalGap | GoalLine):
             return  # what is seen there is not what is asked for
         for i, view in enumerate(self._views):
-            where = f"goal.views.{i}" if len(self._views) > 1 else "goal"
-            self._check_view(f"{where}.{'T_camera_target' if isinstance(view, GoalView) else 'view_from'}", self.goal_views[i])
+            where = f"goal.{'way' if isinstance(self.goal, GoalPath) else 'views'}.{i}" if len(self._views) > 1 else "goal"
+            names = {"view": "T_camera_target", "landing": "above"}
+            self._check_view(f"{where}.{names.get(view.kind, 'view_from')}", self.goal_views[i])
 
     def _check_view(self, field: str, goal: Goal) -> None:
         p = self.target.seen_from(inverse(goal.T_camera_target))
@@ -147,6 +161,8 @@ class Scenario:
 
     @property
     def _views(self) -> tuple[AnyGoal, ...]:
+        if isinstance(self.goal, GoalPath):
+            return self.goal.way
         return self.goal.views if isinstance(self.goal, GoalViews) else (self.goal,)
 
     @cached_property
@@ -163,7 +179,7 @@ class Scenario:
         """The goal as the law is told it. Tasks that are no view have one all the same: what is seen where all is well."""
         camera, points, mount = self.camera, self.target.points, self.camera.mount.T
         match goal:
-            case GoalView(T_camera_target=pose):
+            case GoalView(T_camera_target=pose) | GoalLanding(above=pose):
                 return Goal.from_view(camera, points, pose.T)
             case GoalViewFrom(view_from=here) | GoalPlace(pose=here):
                 T = inverse(here.T @ mount) @ self.target.pose.T
@@ -183,7 +199,8 @@ class Scenario:
         motion = self.target.motion
         if isinstance(motion, Carried):
             places += list(motion.route.samples.xy[::50])
-        return tuple((float(p[0]), float(p[1]), 0.0) for p in places)
+        high = [(self.target.T_world_start @ inverse(goal.T_camera_target))[:3, 3] for goal in self.goal_views if self.robot.feet]
+        return tuple((float(p[0]), float(p[1]), float(p[2]) if len(p) > 2 and self.robot.feet else 0.0) for p in places + high)
 
     @property
     def T_world_goal(self) -> Array:

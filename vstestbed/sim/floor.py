@@ -41,6 +41,7 @@ def measure_floor(parts: Parts, steps_per_frame: int, ctrl: Array, q: Array, T_w
     picture = bare_of(stage, parts.camera) if pictures else None
     target = parts.target.pose.T
     stage.place(0.0, target, q[0], T_world_camera[0])
+    stage.rest()
     mujoco.mj_forward(stage.model, stage.data)
     physics = render = 0.0
     for frame in range(len(ctrl)):
