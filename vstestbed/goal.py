@@ -152,8 +152,17 @@ class GoalLanding:
     touch_mps: Annotated[float, Gt(0)] = 0.5
 
 
-FIELDS = {"T_camera_target": "view", "view_from": "view_from", "views": "views", "pose": "pose", "gap_m": "gap", "way": "path", "above": "landing"}
+FIELDS = {
+    "T_camera_target": "view",
+    "view_from": "view_from",
+    "views": "views",
+    "pose": "pose",
+    "gap_m": "gap",
+    "way": "path",
+    "above": "landing",
+}
 GOALS = OneOf("goal", GoalView, GoalViewFrom, GoalViews, GoalPlace, GoalGap, GoalLine, GoalPath, GoalLanding, fields=FIELDS)
-AnyGoal = Annotated[GoalView | GoalViewFrom | GoalViews | GoalPlace | GoalGap | GoalLine | GoalPath | GoalLanding, GOALS]
+OnGround = GoalViewFrom | GoalPlace | GoalGap | GoalLine
+AnyGoal = Annotated[GoalView | GoalViews | OnGround | GoalPath | GoalLanding, GOALS]
 KEPT = GoalGap, GoalLine, GoalPath
 """Tasks without an end."""

@@ -14,13 +14,13 @@ import numpy as np
 from vstestbed.camera import Frame, Look
 from vstestbed.course import course_of
 from vstestbed.errors import ParameterError
+from vstestbed.flight_log import flight_row
 from vstestbed.geometry import Array, all_finite, inverse
 from vstestbed.goal import GoalLanding
 from vstestbed.laws import Law
 from vstestbed.observation import Encoders, Observation
 from vstestbed.pilot import Pilot, pilot_of
 from vstestbed.provenance import versions
-from vstestbed.flight_log import flight_row
 from vstestbed.recording import Layout, Log, Recording, Tick, Watcher
 from vstestbed.robots import Mount
 from vstestbed.scenario import IMAGE_STREAM, NOISE_STREAM, SENSOR_STREAM, Scenario
@@ -58,6 +58,7 @@ def _observer(scenario: Scenario) -> Observer:
         wanted=scenario.law.inputs,
         grounded=scenario.robot.grounded,
         derotation=scenario.derotation,
+        trim_s=scenario.level_trim_s,
     )
 
 
@@ -71,7 +72,8 @@ class _Servo:
         self.basis = scenario.robot.motion_basis(self.mount)
         self.rng = scenario.rng(NOISE_STREAM)
         self.observer = _observer(scenario)
-        self.seeing, self.observing, self.control = scenario.detector.init(), self.observer.init(), scenario.law.init(scenario.goal_views[0])
+        self.seeing, self.observing = scenario.detector.init(), self.observer.init()
+        self.control = scenario.law.init(scenario.goal_views[0])
         self.detector: Detector[Any] = scenario.detector
         self.law: Law[Any] = scenario.law
         self.count = 0

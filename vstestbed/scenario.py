@@ -55,7 +55,8 @@ VIEW_MARGIN_PX = 10.0
 class Scenario:
     """One experiment: who moves, what it sees, what it wants, how it ends. `name` is its file's name by default.
 
-    `derotation` says how the law of a craft that leans is given what it would see if it did not.
+    `derotation` says how the law of a craft that leans is given what it would see if it did not; `level_trim_s` with what time
+    constant the picture corrects the roll and pitch of its IMU for that [s] (0: not at all; `vision.derotate.trimmed`).
 
     Raises (from the constructor): ParameterError where two parts contradict each other.
     """
@@ -70,6 +71,7 @@ class Scenario:
     law: Annotated[IBVS | Partitioned | PBVS | Hybrid | PoseController | Pursuit, LAWS]
     goal: AnyGoal
     derotation: Derotation = "none"
+    level_trim_s: Annotated[float, Ge(0)] = 0.0
     stop: Stop = Stop()
     noise: Noise = Noise()
     world: World = World()
@@ -98,6 +100,9 @@ class Scenario:
             raise ParameterError("goal", f"of kind {kind} is {'for' if flight else 'not for'} a craft that flies (robot quadrotor)")
         if not self.robot.feet and self.derotation != "none":
             raise ParameterError("derotation", "is for a craft that leans (robot quadrotor); here it must be none", self.derotation)
+        if self.level_trim_s and (self.derotation == "none" or isinstance(self.target.motion, Carried)):
+            words = "corrects the tilt for a derotation by a target that stands still; here it must be 0"
+            raise ParameterError("level_trim_s", words, self.level_trim_s)
         if not self.robot.feet and not self.world.wind.still:
             raise ParameterError("world.wind", f"is for a craft that flies (robot quadrotor), and robot {self.robot.kind} does not feel it")
         if kind == "landing" and self.target.pad is None:

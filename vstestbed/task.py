@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from vstestbed.geometry import Array, inverse, rigid_error
 from vstestbed.course import Path
+from vstestbed.geometry import Array, inverse, rigid_error
 from vstestbed.goal import KEPT, GoalGap, GoalPath
 from vstestbed.ground import place_of, relative
 from vstestbed.observation import Goal, Observation

@@ -18,7 +18,6 @@ from vstestbed.laws.visibility import Visibility
 from vstestbed.observation import Depth, Goal, Observation, PnP
 from vstestbed.spec import spec
 
-
 JUMP = 0.5
 """An error that changes by more than this from one frame to the next has jumped (radians, or normalised coordinates)."""
 
@@ -63,7 +62,8 @@ class IBVS:
         visibility: keeps markers off the picture's border.
 
     References: Chaumette & Hutchinson 2006, eqs 3-5, doi:10.1109/MRA.2006.250573; mean matrix: Malis 2004,
-    doi:10.1109/ROBOT.2004.1308092; moving target: Chaumette & Hutchinson 2007, doi:10.1109/MRA.2007.339609; smooth start: Mansard & Chaumette 2007, doi:10.1109/TRO.2006.889487.
+    doi:10.1109/ROBOT.2004.1308092; moving target: Chaumette & Hutchinson 2007, doi:10.1109/MRA.2007.339609; smooth start:
+    Mansard & Chaumette 2007, doi:10.1109/TRO.2006.889487.
     """
 
     kind: Literal["ibvs"] = "ibvs"

@@ -150,13 +150,26 @@ class Robot(Protocol):
         ...
 
 
-class Direct:
+class Earthbound:
+    """What a robot has that does not fly."""
+
+    feet: ClassVar[tuple[str, ...]] = ()
+
+    def rest_ctrl(self) -> Array | None:
+        """Those of the file."""
+        return None
+
+    def reported(self, memory: Any, encoders: Encoders) -> Mapping[str, Array]:
+        """Nothing."""
+        return NOTHING
+
+
+class Direct(Earthbound):
     """What a robot has whose setpoint is its actuators' controls and whose instruments are exact."""
 
     sensors: ClassVar[tuple[str, ...]] = ()
     rides: ClassVar[bool] = False
     grounded: ClassVar[bool] = False
-    feet: ClassVar[tuple[str, ...]] = ()
     control_period_s: ClassVar[float | None] = None
     largest_step_s: ClassVar[float] = 0.002
 
@@ -171,11 +184,3 @@ class Direct:
     def actuate(self, memory: None, setpoint: Array, encoders: Encoders, dt: float) -> tuple[None, Array]:
         """The setpoint itself."""
         return memory, setpoint
-
-    def rest_ctrl(self) -> Array | None:
-        """Those of the file."""
-        return None
-
-    def reported(self, memory: Any, encoders: Encoders) -> Mapping[str, Array]:
-        """Nothing."""
-        return NOTHING

@@ -128,7 +128,6 @@ class Quadrotor:
     max_climb_mps: Positive = 1.0
     max_yaw_rate_radps: Positive = 0.8
 
-    joints: ClassVar[tuple[str, ...]] = ()
     actuators: ClassVar[tuple[str, ...]] = ("rotor_front", "rotor_right", "rotor_back", "rotor_left")
     sensors: ClassVar[tuple[str, ...]] = ("gyro", "accelerometer", "velocity", "range")
     rides: ClassVar[bool] = True
@@ -148,6 +147,11 @@ class Quadrotor:
     def model(self) -> str:
         """Its MJCF file."""
         return "quadrotor.xml"
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """None that it measures."""
+        return ()
 
     @property
     def servo(self) -> None:

@@ -17,6 +17,8 @@ Kim 2012, doi:10.1109/ICRA.2012.6225103 (virtual image plane); Corke 2017, doi:1
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -34,6 +36,35 @@ def level_from_tilt(tilt: Array, R_base_camera: Array) -> Array:
     (cr, cp), (sr, sp) = np.cos(tilt), np.sin(tilt)
     R_level_base = np.array([[cp, sp * sr, sp * cr], [0.0, cr, -sr], [-sp, cp * sr, cp * cr]])
     return R_base_camera.T @ R_level_base @ R_base_camera
+
+
+@dataclass(frozen=True, slots=True)
+class Trim:
+    """What the picture says is wrong with the IMU's roll and pitch (2,) [rad], and from how many pictures."""
+
+    angles: Array
+    count: int = 0
+
+
+NO_TRIM = Trim(np.zeros(2))
+
+
+def trimmed(trim: Trim, tilt: Array, T_camera_target: Array, T_goal_target: Array, R_base_camera: Array, share: float) -> Trim:
+    """The trim after one more picture: a biased accelerometer's steady error of the tilt goes, picture noise is averaged.
+
+    The goal view is a level craft's, so it tells which way is down in the target's frame, R_goal_target^T R_camera_base (0, 0, -1);
+    the pose tells it in the camera's. trim <- trim + k (tilt by the picture - tilt - trim).
+
+    Args:
+        trim: so far. tilt: roll and pitch by the IMU (2,) [rad].
+        T_camera_target, T_goal_target: poses (4, 4) of the target now and in the goal view.
+        R_base_camera: the mount's rotation (3, 3).
+        share: k of later pictures; the first ones are averaged.
+    """
+    down = R_base_camera.T @ np.array([0.0, 0.0, -1.0])
+    up = -R_base_camera @ T_camera_target[:3, :3] @ T_goal_target[:3, :3].T @ down
+    seen = np.array([math.atan2(up[1], up[2]), -math.asin(max(-1.0, min(1.0, float(up[0]))))])
+    return Trim(trim.angles + max(share, 1 / (trim.count + 1)) * (seen - tilt - trim.angles), trim.count + 1)
 
 
 def level_rays(ray: Array, tilt: Array, camera: Camera, how: Derotation) -> Array:

@@ -17,7 +17,7 @@ from vstestbed.ground import arc, composed, place_of, pose_on_ground, wrapped
 from vstestbed.observation import AtGoal, Constant, Depth, Estimate, Goal, Observation, OnFloor, OracleDepth, PnP
 from vstestbed.target import Still, Target
 from vstestbed.vision.base import Detection
-from vstestbed.vision.derotate import Derotation, level_from_tilt, level_rays
+from vstestbed.vision.derotate import NO_TRIM, Derotation, Trim, level_from_tilt, level_rays, trimmed
 from vstestbed.vision.floor_pose import solve_place
 from vstestbed.vision.flow_depth import FlowMemory, init_flow, update_flow
 from vstestbed.vision.homography import relative_view
@@ -33,7 +33,7 @@ NEAREST_M = 0.01
 class ObserverMemory:
     """Time [s] of the last frame, the pose (4, 4) then (None: never known), and the depth estimator's memory.
 
-    Of a vehicle also its place (None: never known) and its way by odometry, (x, y, heading).
+    Of a vehicle also its place (None: never known) and its way by odometry, (x, y, heading). Of a craft the trim of its tilt.
     """
 
     t: float = np.nan
@@ -41,6 +41,7 @@ class ObserverMemory:
     flow: FlowMemory | None = None
     place: Array | None = None
     odometry: Array | None = None
+    trim: Trim = NO_TRIM
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,6 +58,7 @@ class Observer:
             solved are made only where they are wanted.
         grounded: the robot is a vehicle on the floor; its place is told where the target stands still.
         derotation: how what a tilted craft sees is brought to its level frame (`derotate`).
+        trim_s: time constant with which the picture corrects the craft's tilt for that [s]; 0: not at all.
     """
 
     camera: Camera
@@ -67,6 +69,7 @@ class Observer:
     wanted: tuple[str, ...] = ()
     grounded: bool = False
     derotation: Derotation = "none"
+    trim_s: float = 0.0
 
     def init(self) -> ObserverMemory:
         """The memory before the first frame."""
@@ -118,8 +121,12 @@ class Observer:
         if isinstance(self.depth, Estimate) and flow is not None and ray is not None:
             flow = update_flow(self.depth, flow, t, ray, twist)
         depth, reach = self._distances(detection, T, flow, xy)
-        carried = T
+        carried, trim = T, memory.trim
         if turned is not None and ray is not None:
+            if self.trim_s > 0 and fresh and T is not None:
+                share = 0.0 if math.isnan(memory.t) else 1 - math.exp(-(t - memory.t) / self.trim_s)
+                trim = trimmed(trim, turned, T, self.goal.T_camera_target, self.camera.mount.T[:3, :3], share)
+            turned = turned + trim.angles
             ray, xy, depth, T, twist = self._level(ray, reach, depth, T, twist, turned)
         relative = relative_view(self.goal.xy, xy, self.goal.normal) if "relative" in self.wanted else None
         place, odometry = memory.place, memory.odometry
@@ -128,9 +135,10 @@ class Observer:
             odometry = composed(odometry, step)
             trust = 1 - math.exp(-(t - memory.t) / COMPASS_S) if place is not None else 1.0
             place = self._place(None if place is None else composed(place, step), T if fresh else None, compass, trust)
+        told = (ray, reach) if self._rays else (None, None)
         moving = twist if "twist" in self.wanted else None
-        seen = Observation(t, uv, xy, depth, T, ray if self._rays else None, reach if self._rays else None, relative, odometry, place, moving)
-        return ObserverMemory(t, carried, flow, place, odometry), seen
+        seen = Observation(t, uv, xy, depth, T, *told, relative, odometry, place, moving)
+        return ObserverMemory(t, carried, flow, place, odometry, trim), seen
 
     def _level(
         self, ray: Array, reach: Array | None, depth: Array, T: Array | None, twist: Array, tilt: Array
