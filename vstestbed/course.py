@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -17,6 +17,8 @@ from vstestbed.scenario import Scenario
 _TURN = ThetaU()
 JERK_PEAK = 15 / 8
 """Greatest over mean speed of a minimum-jerk motion from rest to rest."""
+DIFFERENCE_S = 1e-3
+"""Half of the time over which the wanted view's velocity is taken [s]."""
 LEAST_LEG_S = 0.5
 """A leg takes this long at least [s]."""
 DEEPEST = -0.25
@@ -54,7 +56,8 @@ class PathCourse(Course):
     def goal(self, seen: Observation) -> Goal:
         """The view of this time."""
         T, self.view = self.path.at(seen.t)
-        return Goal.from_view(self.scenario.camera, self.scenario.target.points, T)
+        goal = Goal.from_view(self.scenario.camera, self.scenario.target.points, T)
+        return replace(goal, twist=self.path.twist(seen.t))
 
     @cached_property
     def path(self) -> Path:
@@ -73,6 +76,7 @@ class Path:
         for a, b in pairwise(self._ways):
             length, angle = np.linalg.norm(b[:3, 3] - a[:3, 3]), rotation_angle(a[:3, :3].T @ b[:3, :3])
             times.append(max(JERK_PEAK * length / goal.speed_mps, JERK_PEAK * angle / turn, LEAST_LEG_S))
+        self._lead = goal.lead_s
         self._until = goal.settle_s + np.concatenate([[0.0], np.cumsum(times)])
 
     @property
@@ -95,6 +99,14 @@ class Path:
         turn = share * _TURN.measure(a[:3, :3].T @ b[:3, :3])
         T[:3, :3] = a[:3, :3] @ exp(np.concatenate([np.zeros(3), turn]))[:3, :3]
         return inverse(T), leg + 1
+
+    def twist(self, t: float) -> Array:
+        """Velocity of the wanted camera, `lead_s` ahead of a time, in its frame at that time (6,) [m/s, rad/s]."""
+        before, after = (inverse(self.at(t + self._lead + h)[0]) for h in (-DIFFERENCE_S, DIFFERENCE_S))
+        back = inverse(self.at(t)[0])[:3, :3].T
+        v = (after[:3, 3] - before[:3, 3]) / (2 * DIFFERENCE_S)
+        w = before[:3, :3] @ _TURN.measure(before[:3, :3].T @ after[:3, :3]) / (2 * DIFFERENCE_S)
+        return np.concatenate([back @ v, back @ w])
 
     def off(self, T_target_camera: Array) -> float:
         """Distance of a camera's place (4, 4) from the path [m]."""

@@ -110,6 +110,7 @@ class GoalPath:
         way: the views; the first is wanted for `settle_s`.
         speed_mps: greatest speed of the wanted view along a leg [m/s].
         turn_degps: greatest rate at which it turns [deg/s].
+        lead_s: the wanted view's velocity is ordered this much ahead, since a craft's velocity lags its order [s].
         band_m: how far off the path the camera may be from `settle_s` on [m].
         settle_s: how long it may take to the first view [s].
 
@@ -120,6 +121,7 @@ class GoalPath:
     way: Annotated[tuple[GoalView, ...], Len(2, 100)]
     speed_mps: Annotated[float, Gt(0)] = 0.5
     turn_degps: Annotated[float, Gt(0)] = 20.0
+    lead_s: Annotated[float, Ge(0)] = 0.5
     band_m: Band = 0.15
     settle_s: Settle = 10.0
 

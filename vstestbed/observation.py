@@ -82,7 +82,8 @@ class Goal:
 
     `middle` (3,) is the mean of the markers in the camera's frame [m], `normal` (3,) the unit normal of the plane that fits
     them best, away from the camera. Tasks that are not told by a view have more: `place` (x, y, heading) where a vehicle
-    shall stand [m, rad], `gap_m` what it shall keep from the target. `T_base_camera` is the known mount.
+    shall stand [m, rad], `gap_m` what it shall keep from the target. A view that moves along a path has its camera's `twist` (6,)
+    [m/s, rad/s], in the camera's frame. `T_base_camera` is the known mount.
     """
 
     uv: Array
@@ -96,6 +97,7 @@ class Goal:
     normal: Array
     place: Array | None = None
     gap_m: float | None = None
+    twist: Array | None = None
 
     @property
     def T_base_camera(self) -> Array:

@@ -41,6 +41,8 @@ class IBVS:
 
     With `smooth_start_s` = tau the command grows from rest: u - u(0) exp(-t/tau).
 
+    A view that moves along a path adds its own velocity u* to that.
+
     With `target_motion_s` a target, or a goal, that moves is followed without lag: what the robot's own measured motion u_m leaves
     unexplained of the error's change, d = pinv(L B) e_dot - u_m, filtered with that time constant, is taken off: u - d.
 
@@ -110,6 +112,8 @@ class IBVS:
         if self.target_motion_s > 0 and observation.twist is not None:
             memory = self._followed(memory, observation.t, e, LB, least_squares(basis, observation.twist))
             u = u if memory.drift is None else u - memory.drift
+        if goal.twist is not None:
+            u = u + least_squares(basis, goal.twist)
         if self.smooth_start_s > 0:
             u0 = u if memory.u0 is None else memory.u0
             memory = replace(memory, t0=observation.t if memory.u0 is None else memory.t0, u0=u0)

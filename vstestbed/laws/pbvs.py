@@ -40,7 +40,7 @@ class PBVS:
     """
 
     kind: Literal["pbvs"] = "pbvs"
-    tasks: ClassVar[tuple[str, ...]] = ("view", "path")
+    tasks: ClassVar[tuple[str, ...]] = ("view",)
     gain: Gain = ConstantGain()
     translation: Literal["cdMc", "cMcd", "cMo"] = "cdMc"
     limits: TwistLimits = TwistLimits()
