@@ -14,7 +14,7 @@ import numpy as np
 from vstestbed.camera import Frame, Look
 from vstestbed.course import course_of
 from vstestbed.errors import ParameterError
-from vstestbed.flight_log import flight_row
+from vstestbed.flight_log import flight_row, level_error
 from vstestbed.geometry import Array, all_finite, inverse
 from vstestbed.goal import GoalLanding
 from vstestbed.laws import Law
@@ -146,7 +146,7 @@ def _evidence(scenario: Scenario, tick: Tick, pilot: Pilot | None, touchdown: To
         lost=tick.lost,
         held=tick.command.held,
         all_seen=tick.all_seen,
-        error_px=tick.error_px,
+        error_px=tick.error_px if tick.flight is None else level_error(scenario, tick.observation, tick.goal),
         command_size=max(map(abs, tick.command.twist.tolist())),
         scale=tick.allocation.scale,
         limit=tick.allocation.limit,
