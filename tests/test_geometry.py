@@ -21,6 +21,7 @@ from vstestbed.geometry import (
     rigid_error,
     rotation_angle,
     rotation_from_quaternion,
+    rotation_from_rpy,
     skew,
     transform,
 )
@@ -141,3 +142,13 @@ def test_angles_on_and_near_the_axis():
     p = np.array([[0, 0, 2.0], [-0.0, 0.0, -1.0], [1e-12, 0, 1.0], [0, 1e-12, -1.0], [0, 0, 0]])
     expected = [[0, 0], [np.pi, 0], [1e-12, 0], [np.pi - 1e-12, np.pi / 2], [np.nan, np.nan]]
     np.testing.assert_allclose(angles(p), expected, rtol=1e-15, atol=0)
+
+
+def test_a_pose_is_found_again_from_its_matrix_and_many_rotations_are_as_one():
+    rng = np.random.default_rng(4)
+    rpy = np.concatenate([rng.uniform(-180, 180, (20, 3)), [[10, 90, 40], [0, -90, 0], [0, 0, 180], [0, 0, 0]]])
+    R = rotation_from_rpy(np.radians(rpy))
+    for turned, one in zip(rpy.tolist(), R, strict=True):
+        pose = Pose(xyz=(1, 2, 3), rpy_deg=tuple(turned))
+        assert one == pytest.approx(pose.T[:3, :3], abs=1e-12)
+        assert pytest.approx(pose.T, abs=1e-12) == Pose.of(pose.T).T  # at a pitch of 90 degrees, too, other angles

@@ -7,17 +7,17 @@ import statistics
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
 from vstestbed.batch import fly
 from vstestbed.errors import ParameterError
 from vstestbed.geometry import Array, Pose, inverse
-from vstestbed.laws import IBVS
 from vstestbed.loop import run
 from vstestbed.scenario import Scenario
 from vstestbed.scenario_file import load
+from vstestbed.stop import Stop
 
 NEVER_S = 1e9
 """A goal to be held this long ends no run."""
@@ -126,22 +126,8 @@ def _one_run(scenario: Scenario) -> tuple[int, float]:
 
 
 def _batch(scenario: Scenario, start: Array) -> tuple[int, float]:
-    law = scenario.law
-    assert isinstance(law, IBVS)
-    done, seconds = _timed(
-        lambda: (
-            fly(
-                law,
-                scenario.goal_view,
-                scenario.target.points,
-                start,
-                period=scenario.camera.period,
-                steps=BATCH_STEPS,
-                error_px=1e-9,
-            ).run_steps
-        )
-    )
-    return done, done / seconds
+    stop = Stop(duration_s=BATCH_STEPS * scenario.camera.period, converged=scenario.stop.converged)
+    return _timed(lambda: fly(replace(scenario, stop=stop), start).run_steps)
 
 
 def _timed(work: Callable[[], int]) -> tuple[int, float]:

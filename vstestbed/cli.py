@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
+from vstestbed.cli_basin import basins
 from vstestbed.cli_compare import comparing
 from vstestbed.cli_tools import Json, Plugins, load_scenario, tools
 from vstestbed.errors import ParameterError, RunFolderError, VstestbedError
@@ -183,6 +184,7 @@ def report(
 
 
 app.add_typer(comparing)
+app.add_typer(basins)
 app.add_typer(tools)
 
 

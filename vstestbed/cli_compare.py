@@ -36,8 +36,7 @@ def compare(
     from vstestbed.progress import Counter, show_notes
 
     must_be_known(executor)
-    axes = {path: tuple(_values(text)) for path, text in _pairs(vary)}
-    campaign, comparison = prepare(scenarios or [], axes, seeds, out, resume, settings_of(set_), plugin or [], film)
+    campaign, comparison = prepare(scenarios or [], vary_of(vary), seeds, out, resume, settings_of(set_), plugin or [], film)
     show_notes(not quiet)
     total, missing = len(campaign.jobs), len(campaign.missing)
     try:
@@ -53,6 +52,11 @@ def compare(
         sys.stdout.write(table.write_json() + "\n")
     elif not quiet:
         typer.echo(_words(table, campaign.folder), err=True)
+
+
+def vary_of(options: list[str] | None) -> dict[str, tuple[object, ...]]:
+    """The lists of values of `--vary` by dotted path."""
+    return {path: tuple(_values(text)) for path, text in _pairs(options)}
 
 
 def _pairs(options: list[str] | None) -> list[tuple[str, str]]:

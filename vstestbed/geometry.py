@@ -45,6 +45,14 @@ class Pose:
 
         return SE3.Rt(SO3.RPY(*self.rpy_deg, order="zyx", unit="deg"), list(self.xyz))
 
+    @classmethod
+    def of(cls, T: Array) -> Pose:
+        """The pose with the homogeneous matrix T (4, 4); at a pitch of 90 degrees roll is 0."""
+        from spatialmath.base import tr2rpy
+
+        rpy = tr2rpy(T[:3, :3], order="zyx", unit="deg", check=False)
+        return cls(xyz=tuple(T[:3, 3].tolist()), rpy_deg=tuple(np.asarray(rpy, dtype=float).tolist()))
+
 
 def all_finite(a: Array) -> bool:
     """Whether every number is finite, by their sum: 1.0 us instead of 1.3 for eight. (None near overflow.)"""
@@ -170,6 +178,17 @@ def direction(theta_phi: Array) -> Array:
     theta, phi = theta_phi[..., 0], theta_phi[..., 1]
     across = np.sin(theta)
     return np.stack([across * np.cos(phi), across * np.sin(phi), np.cos(theta)], axis=-1)
+
+
+def rotation_from_rpy(rpy: Array) -> Array:
+    """R = Rz(yaw) Ry(pitch) Rx(roll) (..., 3, 3) of angles (roll, pitch, yaw) (..., 3) [rad], as `Pose` has them in degrees."""
+    (cr, cp, cy), (sr, sp, sy) = np.moveaxis(np.cos(rpy), -1, 0), np.moveaxis(np.sin(rpy), -1, 0)
+    rows = [
+        (cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr),
+        (sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr),
+        (-sp, cp * sr, cp * cr),
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def rotation_angle(R: Array) -> Array:

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from vstestbed.geometry import Array, rotation_angle, rotation_from_quaternion
+from vstestbed.goal import KEPT
 from vstestbed.scenario import Scenario
 from vstestbed.stop import Outcome
 
@@ -47,6 +48,7 @@ def summarise(scenario: Scenario, outcome: Outcome, log: Columns) -> dict[str, o
     feature_overshoot: how far the true marker images went beyond their goals, as a share of the way: the largest -(e . e0)/|e0|^2 of
         the image error e and its start e0, 0 where they never did.
     min_border_margin_px: smallest distance of a true marker image to the picture's border, negative outside.
+    worst_off_m: largest true error of a task without an end from its time to settle on; only of such tasks.
     saturated_fraction: share of frames in which the law's limits, the robot's limits or its damping near a
         singularity took something off the command.
 
@@ -64,6 +66,7 @@ def summarise(scenario: Scenario, outcome: Outcome, log: Columns) -> dict[str, o
         **_image(scenario, log),
         "peak_speed_mps": _peak(log, ("vx", "vy", "vz")),
         "peak_rate_radps": _peak(log, ("wx", "wy", "wz")),
+        **_off(scenario, log),
         "saturated_fraction": float(np.mean(log["scale"] < SATURATED)) if frames else None,
     }
     return {k: _clean(v) for k, v in figures.items()}
@@ -94,6 +97,14 @@ def _final(log: Columns) -> dict[str, object]:
     last = {name: float(log[column][-1]) if len(log["t"]) else math.nan for name, column in names.items()}
     last["final_rotation_error_deg"] = math.degrees(last["final_rotation_error_deg"])
     return {k: _clean(v) for k, v in last.items()}
+
+
+def _off(scenario: Scenario, log: Columns) -> dict[str, object]:
+    goal = scenario.goal
+    if not isinstance(goal, KEPT):
+        return {}
+    settled = np.abs(log["off_m"][log["t"] >= goal.settle_s])
+    return {"worst_off_m": float(settled.max()) if len(settled) else None}
 
 
 def _columns(log: Columns, prefix: str, names: tuple[str, ...]) -> Array:

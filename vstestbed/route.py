@@ -60,6 +60,12 @@ class Route(ABC):
         """From its start to its end [m]."""
         return float(self.samples.s[-1])
 
+    @property
+    def least_radius_m(self) -> float:
+        """Radius of its sharpest bend [m]; infinite for a straight way."""
+        sharpest = float(np.abs(self.samples.curvature).max())
+        return 1 / sharpest if sharpest > 0 else np.inf
+
     def at(self, s: Array | float) -> Array:
         """(x, y, heading, curvature) at arc lengths s (...), shape (..., 4) [m, m, rad, 1/m].
 
@@ -91,6 +97,19 @@ class Route(ABC):
         if not self.closed or around is not None or 0 < i < len(s) - 1:
             x, y, heading, _ = self.at(s[i] + along)
         return float(s[i] + along), float(-(xy[0] - x) * np.sin(heading) + (xy[1] - y) * np.cos(heading))
+
+    def beside(self, place: Array) -> float:
+        """How far a vehicle at (x, y, heading) is to the left of the way [m], positive to its own left where it drives against it.
+
+        Where the way crosses itself, it is the branch that runs within 45 degrees of the vehicle's heading, either way.
+        """
+        way = self.samples
+        distance = np.hypot(way.xy[:, 0] - place[0], way.xy[:, 1] - place[1])
+        with_it = np.cos(way.heading - place[2])
+        near = np.where(np.abs(with_it) > np.sqrt(0.5), distance, np.inf)
+        i = int(np.argmin(near if np.isfinite(near).any() else distance))
+        offset = self.nearest(place[:2], around=float(way.s[i]), reach=3 * SPACING_M)[1]
+        return offset if with_it[i] >= 0 else -offset
 
 
 @spec
@@ -134,8 +153,8 @@ class Circle(Route):
 class FigureEight(Route):
     """A figure of eight, x = length/2 sin 2 pi p, y = width/2 sin 4 pi p for p in 0..1, begun at its crossing.
 
-    Its sharpest bends, at both ends, have the radius 2 width^2 / length. Their curvature has no jumps: the speed may be
-    constant. `start` is the crossing and the direction of its first branch.
+    Its curvature has no jumps, so that the speed may be constant; `least_radius_m` is that of its sharpest bend. `start` is the
+    crossing and the direction of its first branch.
     """
 
     kind: Literal["figure_eight"] = "figure_eight"

@@ -14,15 +14,17 @@ from vstestbed.errors import ParameterError
 from vstestbed.geometry import Array, inverse
 from vstestbed.goal import AnyGoal, GoalGap, GoalLanding, GoalLine, GoalPath, GoalPlace, GoalView, GoalViewFrom, GoalViews
 from vstestbed.ground import pose_on_ground
-from vstestbed.laws import IBVS, LAWS, PBVS, Hybrid, Partitioned, PoseController, Pursuit
+from vstestbed.ground_lines import GroundLines
+from vstestbed.laws import IBVS, LAWS, PBVS, Hybrid, LineFollowing, Partitioned, PoseController, Pursuit
 from vstestbed.observation import Goal, OracleDepth, PnP
 from vstestbed.robots import ROBOTS, Car, Free, Mount, Omni, Puma560, Quadrotor, Robot
 from vstestbed.sim.clock import Clock
 from vstestbed.sim.world import World
 from vstestbed.spec import spec
 from vstestbed.stop import Stop
-from vstestbed.target import TARGETS, Carried, Points, Square
-from vstestbed.vision import DETECTORS, Blobs, Oracle, Tags
+from vstestbed.target import Carried, Points, Square
+from vstestbed.targets import TARGETS
+from vstestbed.vision import DETECTORS, Blobs, Lines, Oracle, Tags
 from vstestbed.vision.derotate import Derotation
 
 
@@ -66,9 +68,9 @@ class Scenario:
     seed: Annotated[int, Ge(0)] = 0
     robot: Annotated[Free | Puma560 | Omni | Car | Quadrotor, ROBOTS]
     camera: Annotated[Perspective | Fisheye | Catadioptric | Spherical, CAMERAS] = Perspective()
-    target: Annotated[Square | Points, TARGETS]
-    detector: Annotated[Blobs | Tags | Oracle, DETECTORS] = Blobs()
-    law: Annotated[IBVS | Partitioned | PBVS | Hybrid | PoseController | Pursuit, LAWS]
+    target: Annotated[Square | Points | GroundLines, TARGETS]
+    detector: Annotated[Blobs | Tags | Lines | Oracle, DETECTORS] = Blobs()
+    law: Annotated[IBVS | Partitioned | PBVS | Hybrid | PoseController | Pursuit | LineFollowing, LAWS]
     goal: AnyGoal
     derotation: Derotation = "none"
     level_trim_s: Annotated[float, Ge(0)] = 0.0
@@ -96,22 +98,30 @@ class Scenario:
         if task not in tasks:
             raise ParameterError("goal", f"may not be of kind {kind} with law {self.law.kind}, which takes {' or '.join(tasks)}")
         flight = kind in ("path", "landing")
-        if flight != bool(self.robot.feet) and (flight or isinstance(self.goal, GoalViewFrom)):
-            raise ParameterError("goal", f"of kind {kind} is {'for' if flight else 'not for'} a craft that flies (robot quadrotor)")
-        if not self.robot.feet and self.derotation != "none":
-            raise ParameterError("derotation", "is for a craft that leans (robot quadrotor); here it must be none", self.derotation)
-        if self.level_trim_s and (self.derotation == "none" or isinstance(self.target.motion, Carried)):
-            words = "corrects the tilt for a derotation by a target that stands still; here it must be 0"
-            raise ParameterError("level_trim_s", words, self.level_trim_s)
-        if not self.robot.feet and not self.world.wind.still:
-            raise ParameterError("world.wind", f"is for a craft that flies (robot quadrotor), and robot {self.robot.kind} does not feel it")
-        if kind == "landing" and self.target.pad is None:
-            raise ParameterError("target.pad", "is missing: goal of kind landing needs one, e.g. {side: 0.9}")
+        self._check_flight(flight)
         if not self.robot.grounded and not flight and (task != "view" or any(isinstance(v, GoalViewFrom) for v in self._views)):
             raise ParameterError("goal", f"of kind {kind} is for a vehicle; robot {self.robot.kind} takes T_camera_target")
+        if isinstance(self.target, GroundLines) != (task == "line"):
+            words = "needs a line on the floor" if task == "line" else "cannot be had of lines on the floor, which have no markers"
+            other = "target: {kind: lines}" if task == "line" else "goal: {kind: line} and law: {kind: line_following}"
+            raise ParameterError("goal", f"of kind {kind} {words}; use {other}")
         carried = isinstance(self.target.motion, Carried)
         if carried and any(isinstance(v, GoalViewFrom | GoalPlace) for v in self._views):
             raise ParameterError("goal", f"of kind {kind} needs a target that stands still; a carried one is followed by a gap")
+
+    def _check_flight(self, flight: bool) -> None:
+        kind, robot = self.goal.kind, self.robot
+        if flight != bool(robot.feet) and (flight or isinstance(self.goal, GoalViewFrom)):
+            raise ParameterError("goal", f"of kind {kind} is {'for' if flight else 'not for'} a craft that flies (robot quadrotor)")
+        if not robot.feet and self.derotation != "none":
+            raise ParameterError("derotation", "is for a craft that leans (robot quadrotor); here it must be none", self.derotation)
+        if not robot.feet and not self.world.wind.still:
+            raise ParameterError("world.wind", f"is for a craft that flies (robot quadrotor), and robot {robot.kind} does not feel it")
+        if self.level_trim_s and (self.derotation == "none" or isinstance(self.target.motion, Carried)):
+            words = "corrects the tilt for a derotation by a target that stands still; here it must be 0"
+            raise ParameterError("level_trim_s", words, self.level_trim_s)
+        if kind == "landing" and self.target.pad is None:
+            raise ParameterError("target.pad", "is missing: goal of kind landing needs one, e.g. {side: 0.9}")
 
     def _check_markers(self) -> None:
         points, marker, seen = self.target.points, self.target.marker.kind, self.detector.markers
@@ -132,6 +142,9 @@ class Scenario:
             raise ParameterError("target", words)
 
     def _check_goal(self) -> None:
+        if isinstance(self.goal, GoalLine) and not self.camera.inside(self.goal_view.uv).all():
+            words = f"are outside the {self.camera.width} x {self.camera.height} picture even where all is well"
+            raise ParameterError("target.look_m", f"{words}; turn the camera, or use a wider one or other distances")
         if isinstance(self.goal, GoalPlace | GoalGap | GoalLine):
             return  # what is seen there is not what is asked for
         for i, view in enumerate(self._views):
@@ -194,6 +207,12 @@ class Scenario:
                 carrier[:2, 3] = 0.0  # straight ahead, the carrier turned as the vehicle is
                 T = inverse(mount) @ pose_on_ground(np.array([gap, 0.0, 0.0])) @ carrier
                 return replace(Goal.from_view(camera, points, T), gap_m=gap)
+            case GoalLine(offset_m=offset) if isinstance(self.target, GroundLines):
+                p, nowhere = self.target.straight_ahead(mount, offset), np.full((4, 4), np.nan)  # any place along the line will do
+                if not np.isfinite(p).all():
+                    words = "must have the camera look ahead, or down with the top of its picture ahead: lines are met ahead of it"
+                    raise ParameterError("camera.mount", words, camera.mount.rpy_deg)
+                return Goal.of_points(camera, p, nowhere)
             case _:
                 raise ParameterError("goal", f"of kind {goal.kind} needs a line on the floor as target")
 
@@ -201,11 +220,13 @@ class Scenario:
     def sights(self) -> tuple[tuple[float, float, float], ...]:
         """Places that the view from outside shall show besides the start and the target: goals, and routes."""
         places = [goal.place for goal in self.goal_views if goal.place is not None]
-        motion = self.target.motion
-        if isinstance(motion, Carried):
-            places += list(motion.route.samples.xy[::50])
-        high = [(self.target.T_world_start @ inverse(goal.T_camera_target))[:3, 3] for goal in self.goal_views if self.robot.feet]
-        return tuple((float(p[0]), float(p[1]), float(p[2]) if len(p) > 2 and self.robot.feet else 0.0) for p in places + high)
+        target = self.target
+        if isinstance(target.motion, Carried):
+            places += list(target.motion.route.samples.xy[::50])
+        if isinstance(target, GroundLines):
+            places += list(target.way[::50])
+        high = [(target.T_world_start @ inverse(goal.T_camera_target))[:3, 3] for goal in self.goal_views if self.robot.feet]
+        return (*((float(p[0]), float(p[1]), 0.0) for p in places), *((float(p[0]), float(p[1]), float(p[2])) for p in high))
 
     @property
     def T_world_goal(self) -> Array:

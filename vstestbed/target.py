@@ -122,6 +122,20 @@ class Tag:
         return np.array([[-h, -h, 0], [h, -h, 0], [h, h, 0], [-h, h, 0]])
 
 
+@spec
+class Stripe:
+    """Paint along a line on the floor, `width_m` wide [m]. Lit: shaded by the scene's lights, else of constant colour."""
+
+    kind: Literal["stripe"] = "stripe"
+    width_m: Annotated[float, Gt(0), Le(1)] = 0.03
+    lit: bool = True
+
+    @property
+    def radius(self) -> float:
+        """Half of its width [m]."""
+        return self.width_m / 2
+
+
 MARKERS = OneOf("marker", Disc, Sphere, Tag, default="disc")
 Marker = Annotated[Disc | Sphere | Tag, MARKERS]
 
@@ -177,10 +191,13 @@ class Pad:
 
 @spec
 class Target:
-    """What all targets share: pose in the world, marker, motion, a pad to land on. Subclasses give the `points`."""
+    """What all targets share: pose in the world, marker, motion, a pad to land on.
+
+    Subclasses give the `points`, and say which markers they may have.
+    """
 
     pose: Pose
-    marker: Marker = Disc()
+    marker: Disc | Sphere | Tag | Stripe = Disc()
     motion: Motion = Still()
     pad: Pad | None = None
 
@@ -231,6 +248,7 @@ class Square(Target):
     """Four markers at the corners of a square in z = 0: (-,-), (+,-), (+,+), (-,+) times side/2."""
 
     kind: Literal["square"] = "square"
+    marker: Marker = Disc()
     side: Annotated[float, Gt(0)]
 
     def __post_init__(self) -> None:
@@ -249,6 +267,7 @@ class Points(Target):
     """Markers anywhere: `at`, a list of [x, y, z] in the target frame [m]."""
 
     kind: Literal["points"] = "points"
+    marker: Marker = Disc()
     at: Annotated[tuple[Triple, ...], Len(1, 24)]
 
     def __post_init__(self) -> None:
@@ -259,6 +278,3 @@ class Points(Target):
     def points(self) -> Array:
         """Marker centres in the target frame, shape (N, 3)."""
         return np.array(self.at, dtype=float)
-
-
-TARGETS = OneOf("target", Square, Points)

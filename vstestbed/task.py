@@ -8,8 +8,9 @@ import numpy as np
 
 from vstestbed.course import Path
 from vstestbed.geometry import Array, inverse, rigid_error
-from vstestbed.goal import KEPT, GoalGap, GoalPath
+from vstestbed.goal import KEPT, GoalGap, GoalLine, GoalPath
 from vstestbed.ground import place_of, relative
+from vstestbed.ground_lines import GroundLines
 from vstestbed.observation import Goal, Observation
 from vstestbed.scenario import Scenario
 from vstestbed.stop import Band
@@ -28,6 +29,9 @@ def off(scenario: Scenario, T_world_base: Array, T_world_target: Array) -> float
         return Path(goal).off(inverse(T_world_target) @ T_world_base @ scenario.camera.mount.T)
     if isinstance(goal, GoalGap):
         return math.dist(T_world_base[:2, 3], T_world_target[:2, 3]) - goal.gap_m
+    if isinstance(goal, GoalLine) and isinstance(scenario.target, GroundLines):
+        here = place_of(inverse(T_world_target) @ T_world_base)
+        return scenario.target.route.beside(here) - goal.offset_m
     return math.nan
 
 

@@ -19,7 +19,8 @@ from vstestbed.observation import DEPTHS
 from vstestbed.robots import ROBOTS
 from vstestbed.route import ROUTES
 from vstestbed.spec import OneOf, to_mapping
-from vstestbed.target import MARKERS, MOTIONS, TARGETS
+from vstestbed.target import MARKERS, MOTIONS
+from vstestbed.targets import TARGETS
 from vstestbed.vision import DETECTORS
 from vstestbed.yaml_tree import Key, Marks, place_of, short
 

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from vstestbed.camera import Perspective
+from vstestbed.camera import Camera, Perspective
 from vstestbed.errors import ParameterError
 
 BARREL = (-0.2, 0.05, 0.001, -0.002, 0.0)
@@ -61,3 +61,14 @@ def test_bad_lenses_are_refused_in_one_sentence(values, words):
     with pytest.raises(ParameterError, match=words) as caught:
         Perspective(**values)
     assert "ArgsKwargs" not in str(caught.value)
+
+
+def test_whole_without_distortion_is_what_every_lens_says():
+    rng = np.random.default_rng(1)
+    p = np.concatenate([rng.uniform((-1.2, -1, 0.3), (1.2, 1, 3), (400, 3)), [[0.0, 0.0, -1.0], [0.1, 0.0, 0.0]]])
+    for camera in (Perspective(), Perspective(width=500, height=400, principal_px=(100.0, 260.0))):
+        for radius, margin in ((0.02, 0.0), (0.1, 10.0)):
+            found = camera.whole(p, radius, margin)
+            np.testing.assert_array_equal(found, Camera.whole(camera, p, radius, margin))
+            assert 0 < found.sum() < len(p)
+    np.testing.assert_array_equal(camera.whole(p.reshape(3, 134, 3), 0.02), camera.whole(p, 0.02).reshape(3, 134))

@@ -131,11 +131,12 @@ def test_noise_comes_from_the_generator(square):
     assert spread == pytest.approx(np.sqrt(9 + 1 / 12), rel=0.01)
 
 
+# With noise each picture is drawn whole.
 HASHES = """
 import hashlib, vstestbed as vs
 class Picture:
     def tick(self, tick): print(hashlib.sha256(tick.image.tobytes()).hexdigest())
-r = vs.run(vs.load("arm_ibvs", {"stop.duration_s": 0.16, "law.gain": 2}), [Picture()])
+r = vs.run(vs.load("arm_ibvs", {"stop.duration_s": 0.16, "law.gain": 2, "noise.image_sigma": 1.0}), [Picture()])
 print(hashlib.sha256(r.table.tobytes()).hexdigest())
 """
 

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Gt, Len, Lt
+from numpy.typing import NDArray
 
 from vstestbed.camera.base import Camera
 from vstestbed.errors import ParameterError
@@ -102,6 +103,18 @@ class Perspective(Camera):
     def across(self, p_camera: Array) -> tuple[Array, Array]:
         """The camera's x and y (3,), whatever the point: in a plane picture a marker extends along the plane."""
         return X_AXIS, Y_AXIS
+
+    def whole(self, p_camera: Array, radius: float, margin: float = 0.0) -> NDArray[np.bool_]:
+        """As `Camera.whole`, for points (..., N, 3); without distortion a radius is f radius/Z pixels on all sides."""
+        if self.distortion is not None:
+            return super().whole(p_camera, radius, margin)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            scale = np.where(p_camera[..., 2] > 0, self.f / p_camera[..., 2], np.nan)
+            half, clear = radius * scale + margin, True
+            for i, size in enumerate((self.width, self.height)):
+                at = p_camera[..., i] * scale + self.centre[i]
+                clear &= (at + 0.5 >= half) & (size - 0.5 - at >= half)
+            return np.asarray(clear)
 
     def normalise(self, uv: Array) -> Array:
         """Normalised, undistorted coordinates xy (..., N, 2) of pixels uv (..., N, 2)."""

@@ -111,12 +111,13 @@ def prepare(
     if not resume:
         write_plan(folder, comparison)
     first = 0 if comparison.seeds is not None else None
-    return Campaign(folder, jobs(found, comparison.seeds), tuple(plugins), (first,) if film else ()), comparison
+    filmed = (first,) if film and not comparison.tasks else ()  # a film of a few starts would not show a task
+    return Campaign(folder, jobs(found, comparison.seeds), tuple(plugins), filmed), comparison
 
 
 def _essence(comparison: Comparison, found: list[Controller]) -> tuple[object, ...]:
     """What makes two comparisons the same, wherever their files are."""
-    return comparison.seeds, [(dump(c.scenario), c.folder) for c in found]
+    return comparison.seeds, [(tuple(map(dump, c.starts or (c.scenario,))), c.folder, c.runs) for c in found]
 
 
 def workers(asked: int | None, runs: int) -> int:

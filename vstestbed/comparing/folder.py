@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from vstestbed.comparing.plan import Comparison, Job, read_comparison
+from vstestbed.comparing.plan import AMOUNT, Comparison, Job, read_comparison
 from vstestbed.comparing.worker import Files
 from vstestbed.errors import OutputError, ParameterError, RunFolderError
 from vstestbed.files import write_whole, writing
@@ -130,6 +130,8 @@ def _row(folder: Path, job: Job) -> dict[str, Any]:
     summary = json.loads((folder / job.folder / "summary.json").read_text(encoding="utf-8"))
     values = {path: value if isinstance(value, int | float | str) else json.dumps(value) for path, value in job.controller.values.items()}
     first = {"scenario": job.controller.scenario.name} | values | {"seed": summary.pop("seed"), "folder": job.folder}
+    if job.controller.amounts and job.seed is not None:
+        first |= {AMOUNT: job.controller.amounts[job.seed]}
     return first | _flat(summary, "")
 
 

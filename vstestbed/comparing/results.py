@@ -30,7 +30,13 @@ def finish(folder: Path, comparison: Comparison, table: polars.DataFrame, stage:
 
     if table.is_empty():
         return
-    axes = tuple(comparison.axes)
+    axes = comparison.varied
+    if comparison.tasks:
+        from vstestbed.report.comparison_tasks import write_task_report
+
+        stage("writing the report")
+        write_task_report(folder, table, axes, comparison.metrics, comparison.description, command_of(comparison))
+        return
     stage("joining the films")
     film = _film(folder, table, axes)
     stage("writing the report")
@@ -57,7 +63,9 @@ def _films(run: Path) -> tuple[Path, ...]:
 
 
 def command_of(comparison: Comparison) -> str:
-    """The command line that makes a comparison again."""
+    """The command line that makes a comparison again: without its file where words can say it, else in its folder."""
+    if comparison.cases or comparison.tasks:
+        return "vstestbed compare comparison.yaml"
     words = ["vstestbed", "compare", *(Path(name).stem if Path(name).suffix != ".yaml" else Path(name).name for name in comparison.base)]
     words += [word for path, value in comparison.set.items() for word in ("--set", f"{path}={_value(value)}")]
     words += [word for path, values in comparison.axes.items() for word in ("--vary", f"{path}={','.join(map(_value, values))}")]

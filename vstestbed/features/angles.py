@@ -17,9 +17,12 @@ CENTRE = 1e-2
 def wrap(angle: Array) -> Array:
     """The same angle in (-pi, pi] rad, any shape; what lies there already is returned as it is, bit by bit."""
     angle = np.asarray(angle, dtype=float)
+    inside = (angle > -np.pi) & (angle <= np.pi)
+    if inside.all():
+        return angle.copy()
     turned = angle - 2 * np.pi * np.ceil((angle - np.pi) / (2 * np.pi))
     turned = np.where(turned <= -np.pi, np.pi, np.minimum(turned, np.pi))  # rounding, just past an odd multiple of pi
-    return np.where((angle > -np.pi) & (angle <= np.pi), angle, turned)
+    return np.where(inside, angle, turned)
 
 
 def wrap_together(angle: Array, votes: NDArray[np.bool_] | None = None) -> Array:
@@ -31,8 +34,11 @@ def wrap_together(angle: Array, votes: NDArray[np.bool_] | None = None) -> Array
     """
     e = wrap(angle)
     heard = e if votes is None else np.where(votes, e, np.nan)
+    some_small = (np.abs(heard) <= np.pi / 2).any(axis=-1, keepdims=True)
+    if some_small.all():
+        return e
     positive = np.nansum(np.sign(heard), axis=-1, keepdims=True) >= 0
-    half_turn = ~(np.abs(heard) <= np.pi / 2).any(axis=-1, keepdims=True) & (np.abs(e) > np.pi / 2)
+    half_turn = ~some_small & (np.abs(e) > np.pi / 2)
     return np.where(half_turn & ((e > 0) != positive), e + np.where(positive, 2, -2) * np.pi, e)
 
 

@@ -44,8 +44,9 @@ class Line:
         start, end = _ends(xy)
         d = end - start
         theta = np.arctan2(d[..., 0], -d[..., 1])
-        middle = 0.5 * (start + end)
-        rho = middle[..., 0] * np.cos(theta) + middle[..., 1] * np.sin(theta)
+        # cos theta = -dy/|d|, sin theta = dx/|d|: the distance without a cosine
+        length = np.maximum(np.hypot(d[..., 0], d[..., 1]), np.finfo(float).tiny)
+        rho = (start[..., 1] * d[..., 0] - start[..., 0] * d[..., 1]) / length
         return np.stack([rho, theta], axis=-1).reshape(*xy.shape[:-2], 2 * theta.shape[-1])
 
     def interaction(self, xy: Array, depth: Array) -> Array:
@@ -103,7 +104,7 @@ def _ends(points: Array) -> tuple[Array, Array]:
     """Where each line of points (..., N, k) starts and ends, (..., lines, k)."""
     if points.shape[-2] == 2:
         return points[..., :1, :], points[..., 1:, :]
-    return points, np.roll(points, -1, axis=-2)
+    return points, np.concatenate([points[..., 1:, :], points[..., :1, :]], axis=-2)
 
 
 def _plane(start: Array, end: Array) -> Array:
@@ -113,7 +114,12 @@ def _plane(start: Array, end: Array) -> Array:
     camera's centre is a point in the picture and has none; nearer than 1 mm the plane fades to (0, 0, 0, -1).
     """
     way = end - start
-    way = way / np.maximum(np.linalg.norm(way, axis=-1, keepdims=True), np.finfo(float).tiny)
-    foot = start - np.sum(start * way, axis=-1, keepdims=True) * way
-    normal = foot * bounded_inverse(np.linalg.norm(foot, axis=-1, keepdims=True)) ** 2
+    way = way / np.maximum(np.sqrt(_dot(way, way)), np.finfo(float).tiny)
+    foot = start - _dot(start, way) * way
+    normal = foot * bounded_inverse(np.sqrt(_dot(foot, foot))) ** 2
     return np.concatenate([normal, np.full_like(normal[..., :1], -1)], axis=-1)
+
+
+def _dot(a: Array, b: Array) -> Array:
+    """Inner products (..., 1) of vectors (..., k)."""
+    return np.einsum("...i,...i->...", a, b)[..., None]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import ClassVar, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vstestbed.errors import ParameterError
 from vstestbed.features.angles import bounded_inverse, wrap
@@ -71,12 +72,12 @@ def size(xy: Array) -> Array:
     return np.sqrt(np.abs(_signed_area(np.asarray(xy, dtype=float))))
 
 
-def spans_area(sigma: Array, d: Array) -> bool:
-    """Whether a polygon's size sigma (), with the segments d (P, 2) between its vertices, is one that can be told.
+def spans_area(sigma: Array, d: Array) -> NDArray[np.bool_]:
+    """Whether a polygon's size sigma (...), with the segments d (..., P, 2) between its vertices, is one that can be told.
 
     Not where the vertices lie on one line, nor where it crosses itself and its loops, which run opposite ways, cancel.
     """
-    return bool(sigma > FLAT * np.hypot(d[:, 0], d[:, 1]).max())
+    return np.asarray(sigma > FLAT * np.hypot(d[..., 0], d[..., 1]).max(axis=-1))
 
 
 def size_error(sigma: Array, sigma_star: Array, form: SizeError = "difference") -> Array:

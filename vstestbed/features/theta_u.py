@@ -35,7 +35,10 @@ class ThetaU:
 
         R_dot is R [w]x for cdRc and -[w]x R for cRcd, so that the second is minus the first at -theta u.
         """
-        s = theta_u(R)
+        return self.interaction_at(theta_u(R))
+
+    def interaction_at(self, s: Array) -> Array:
+        """The same of s = theta u (..., 3) [rad], where that is known already."""
         L = np.zeros((*s.shape, 6))
         L[..., 3:] = rotation_interaction(s) if self.rotation == "cdRc" else -rotation_interaction(-s)
         return L

@@ -3,12 +3,13 @@
 from vstestbed.laws.base import Command, Law
 from vstestbed.laws.hybrid import Hybrid
 from vstestbed.laws.ibvs import IBVS
+from vstestbed.laws.line_following import LineFollowing
 from vstestbed.laws.partitioned import Partitioned
 from vstestbed.laws.pbvs import PBVS
 from vstestbed.laws.pose_controller import PoseController
 from vstestbed.laws.pursuit import Pursuit
 from vstestbed.spec import OneOf
 
-LAWS = OneOf("law", IBVS, Partitioned, PBVS, Hybrid, PoseController, Pursuit)
+LAWS = OneOf("law", IBVS, Partitioned, PBVS, Hybrid, PoseController, Pursuit, LineFollowing)
 
-__all__ = ["IBVS", "LAWS", "PBVS", "Command", "Hybrid", "Law", "Partitioned", "PoseController", "Pursuit"]
+__all__ = ["IBVS", "LAWS", "PBVS", "Command", "Hybrid", "Law", "LineFollowing", "Partitioned", "PoseController", "Pursuit"]

@@ -80,7 +80,7 @@ class ConstantGain:
     value: Annotated[float, Gt(0)] = 0.5
 
     def at(self, error: Array) -> float:
-        """The gain [1/s] at an error vector."""
+        """The gain [1/s] at error vectors (..., n)."""
         return self.value
 
 
@@ -109,10 +109,10 @@ class AdaptiveGain:
         if self.at_infinity >= self.at_zero:
             raise ParameterError("at_infinity", f"must be under at_zero = {self.at_zero}", self.at_infinity)
 
-    def at(self, error: Array) -> float:
-        """The gain [1/s] at an error vector (n,) in motion space."""
+    def at(self, error: Array) -> Array:
+        """The gains (..., 1) [1/s] at error vectors (..., n) in motion space."""
         span = self.at_zero - self.at_infinity
-        return span * float(np.exp(-self.slope_at_zero / span * np.abs(error).max())) + self.at_infinity
+        return span * np.exp(-self.slope_at_zero / span * np.abs(error).max(axis=-1, keepdims=True)) + self.at_infinity
 
 
 GAINS = OneOf("gain", ConstantGain, AdaptiveGain, number=("constant", "value"))
@@ -136,6 +136,15 @@ class TwistLimits:
             if limit is not None and size > limit:
                 factor = min(factor, limit / size)
         return factor
+
+    def within(self, twist: Array) -> Array:
+        """Twists (M, 6), each as a whole shortened to within the limits."""
+        factor = np.ones((len(twist), 1))
+        for limit, part in ((self.speed_mps, twist[:, :3]), (self.rate_radps, twist[:, 3:])):
+            if limit is not None:
+                size = np.linalg.norm(part, axis=1, keepdims=True)
+                factor = np.minimum(factor, limit / np.maximum(size, np.finfo(float).tiny))
+        return twist * factor
 
     def command(self, u: Array, basis: Array) -> Command:
         """The order for a motion u (n,) of a robot whose motions are `basis` (6, n), within the limits."""

@@ -12,6 +12,7 @@ from vstestbed.geometry import Array, inverse
 from vstestbed.laws.base import Command, ConstantGain, Gain, TwistLimits
 from vstestbed.laws.select import NO_POSE, TOO_FEW
 from vstestbed.laws.solve import least_squares
+from vstestbed.laws.views import Views
 from vstestbed.laws.visibility import Visibility
 from vstestbed.observation import Depth, Goal, Observation, PnP
 from vstestbed.spec import spec
@@ -98,18 +99,38 @@ class Hybrid:
         if self.source == "homography":
             return None if relative is None else (relative.H @ (o / o[2]), relative.R_camera_goal.T)
         T = observation.T_camera_target
-        if T is None:
-            return None
-        T_camera_goal = T @ inverse(goal.T_camera_target)
-        return (T_camera_goal[:3, :3] @ o + T_camera_goal[:3, 3]) / o[2], T_camera_goal[:3, :3].T
+        return None if T is None else _compared(T, goal)
+
+    @property
+    def remembers(self) -> int:
+        """Nothing."""
+        return 0
+
+    def many(self, memory: Array, views: Views, goal: Goal) -> tuple[Array, Array]:
+        """One frame of many runs (see `ForMany`): a homography of exact pixels says the same as the pose."""
+        e, L = self.feature(*_compared(views.T_camera_target, goal), goal.middle)
+        solved = least_squares(L, e)
+        return memory, self.limits.within(-self.gain.at(solved) * solved)
 
     def feature(self, m: Array, R_goal_camera: Array, goal_middle: Array) -> tuple[Array, Array]:
-        """The error (6,) and L (6, 6), of the middle at m Z* (3,), the rotation (3, 3), and the middle at the goal (3,) [m]."""
-        xy, goal_xy, ratio = m[:2] / m[2], goal_middle[:2] / goal_middle[2], m[2]
-        Z = ratio * goal_middle[2]
-        at, depth = xy[None], np.array([Z])
-        L = np.concatenate([_POINT.interaction(at, depth), _LOG_DEPTH.interaction(at, depth), _THETA_U.interaction(R_goal_camera)])
-        return np.concatenate([xy - goal_xy, [np.log(ratio)], _THETA_U.measure(R_goal_camera)]), L
+        """The error (..., 6) and L (..., 6, 6) of views.
+
+        Args:
+            m: the markers' middle over Z*, (..., 3). R_goal_camera: (..., 3, 3). goal_middle: the middle at the goal (3,) [m].
+        """
+        xy, goal_xy, ratio = m[..., :2] / m[..., 2:], goal_middle[:2] / goal_middle[2], m[..., 2:]
+        at, depth = xy[..., None, :], ratio * goal_middle[2]
+        turn = _THETA_U.measure(R_goal_camera)
+        rows = (_POINT.interaction(at, depth), _LOG_DEPTH.interaction(at, depth), _THETA_U.interaction_at(turn))
+        e = np.concatenate([xy - goal_xy, np.log(ratio), turn], axis=-1)
+        return e, np.concatenate(rows, axis=-2)
+
+
+def _compared(T_camera_target: Array, goal: Goal) -> tuple[Array, Array]:
+    """The markers' middle over Z* (..., 3) in the camera's frame, and R_goal_camera (..., 3, 3), from poses (..., 4, 4)."""
+    T_camera_goal = T_camera_target @ inverse(goal.T_camera_target)
+    R = T_camera_goal[..., :3, :3]
+    return (R @ goal.middle + T_camera_goal[..., :3, 3]) / goal.middle[2], R.mT
 
 
 def _reaches(points: Array) -> Array:

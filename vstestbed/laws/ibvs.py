@@ -12,8 +12,9 @@ from annotated_types import Ge
 from vstestbed.features import FEATURES, Line, Point, Polar, Polygon, Spherical
 from vstestbed.geometry import Array
 from vstestbed.laws.base import Command, ConstantGain, Gain, TwistLimits
-from vstestbed.laws.select import Rows, require_area, usable_rows
+from vstestbed.laws.select import ALL, Rows, require_area, usable_rows
 from vstestbed.laws.solve import least_squares
+from vstestbed.laws.views import Views
 from vstestbed.laws.visibility import Visibility
 from vstestbed.observation import Depth, Goal, Observation, PnP
 from vstestbed.spec import spec
@@ -104,9 +105,8 @@ class IBVS:
         rows = usable_rows(observation, self.feature.inputs, self.markers_needed(basis))
         if isinstance(rows, str):
             return IBVSMemory(), Command.rest(basis, rows)
-        what = self.feature.inputs[0]
-        e = self.feature.error(self.feature.measure(getattr(observation, what)[rows]), self.feature.measure(getattr(goal, what)[rows]))
-        LB = self._interaction(observation, goal, rows) @ basis
+        e, L = self.equations(*self._taken(observation, rows), *self._taken(goal, rows))
+        LB = L @ basis
         solved = least_squares(LB, e)  # pinv(L B) e
         u = -self.gain.at(solved) * solved
         if self.target_motion_s > 0 and observation.twist is not None:
@@ -131,11 +131,37 @@ class IBVS:
             drift = old + (1 - math.exp(-(t - memory.t) / self.target_motion_s)) * (now - old)
         return replace(memory, t=t, e=e, drift=drift)
 
-    def _interaction(self, observation: Observation, goal: Goal, rows: Rows) -> Array:
+    @property
+    def remembers(self) -> int:
+        """The first command, where the law starts smoothly."""
+        return 6 if self.smooth_start_s > 0 else 0
+
+    def many(self, memory: Array, views: Views, goal: Goal) -> tuple[Array, Array]:
+        """One frame of many runs (see `ForMany`)."""
+        e, L = self.equations(*self._taken(views, ALL), *self._taken(goal, ALL))
+        solved = least_squares(L, e)
+        u = -self.gain.at(solved) * solved
+        if self.smooth_start_s > 0:
+            memory = np.where(np.isnan(memory), u, memory)
+            u = u - memory * math.exp(-views.t / self.smooth_start_s)
+        return memory, self.limits.within(u)
+
+    def _taken(self, view: Observation | Goal | Views, rows: Rows) -> tuple[Array, Array]:
+        """The two inputs of the feature, of those markers."""
         what, distance = self.feature.inputs
-        if self.interaction == "desired":
-            return self.feature.interaction(getattr(goal, what)[rows], getattr(goal, distance)[rows])
-        L = self.feature.interaction(getattr(observation, what)[rows], getattr(observation, distance)[rows])
-        if self.interaction == "mean":
-            L = 0.5 * (L + self.feature.interaction(getattr(goal, what)[rows], getattr(goal, distance)[rows]))
-        return L
+        return getattr(view, what)[rows], getattr(view, distance)[rows]
+
+    def equations(self, x: Array, distance: Array, goal_x: Array, goal_distance: Array) -> tuple[Array, Array]:
+        """The error e (..., rows) and its matrix L (..., rows, 6), or (rows, 6) where that is the goal's.
+
+        Args:
+            x, distance: the feature's inputs in views of N markers, e.g. xy (..., N, 2) and depth (..., N) [m].
+            goal_x, goal_distance: the same in the goal view, (N, 2) and (N,).
+        """
+        feature = self.feature
+        e = feature.error(feature.measure(x), feature.measure(goal_x))
+        L = np.empty(0) if self.interaction == "desired" else feature.interaction(x, distance)
+        if self.interaction == "current":
+            return e, L
+        at_goal = feature.interaction(goal_x, goal_distance)
+        return e, at_goal if self.interaction == "desired" else 0.5 * (L + at_goal)

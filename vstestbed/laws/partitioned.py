@@ -14,8 +14,9 @@ from vstestbed.features import Point
 from vstestbed.features.polygon import angle_error, segments, size, size_error, spans_area
 from vstestbed.geometry import Array
 from vstestbed.laws.base import Command, ConstantGain, Gain, TwistLimits
-from vstestbed.laws.select import NO_AREA, Rows, require_area, usable_rows
+from vstestbed.laws.select import NO_AREA, require_area, usable_rows
 from vstestbed.laws.solve import least_squares
+from vstestbed.laws.views import Views
 from vstestbed.laws.visibility import Visibility
 from vstestbed.observation import Depth, Goal, Observation, PnP
 from vstestbed.spec import spec
@@ -23,13 +24,14 @@ from vstestbed.spec import spec
 XY, Z = [0, 1, 3, 4], [2, 5]
 """Columns of the twist: across the optical axis, and along and about it."""
 _POINT = Point()
+_ROUND = 2 * np.pi * np.array([-1.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True, slots=True)
 class PartitionedMemory:
     """The turn about the optical axis still to be made at the last frame [rad], not wrapped; None before the first."""
 
-    turn: float | None = None
+    turn: Array | None = None
 
 
 @spec
@@ -116,30 +118,50 @@ class Partitioned:
         sigma, d, sigma_star, d_star = size(xy), segments(xy), size(goal_xy), segments(goal_xy)
         if not (spans_area(sigma, d) and spans_area(sigma_star, d_star)):
             return memory, Command.rest(basis, NO_AREA)
-        turn = self._turn(memory, float(angle_error(d, d_star)))
-        along = -self.gain_z * float(size_error(sigma, sigma_star, self.sigma))
-        twist = self._twist(observation, goal, rows, along, self.gain_turn * turn)
+        turn = self._turn(memory.turn, angle_error(d, d_star))
+        along = -self.gain_z * size_error(sigma, sigma_star, self.sigma)
+        twist = self._twist(xy, observation.depth[rows], goal_xy, along, self.gain_turn * turn)
         if self.visibility.margin_px > 0:
             twist = twist + basis @ self.visibility.push(observation, goal, basis)
         twist = twist * (scale := self.limits.scale(twist))
         return PartitionedMemory(turn), Command(u=least_squares(basis, twist), twist=twist, scale=scale)
 
-    def _twist(self, observation: Observation, goal: Goal, rows: Rows, along: float, about: float) -> Array:
-        xy = observation.xy[rows]
-        L = _POINT.interaction(xy, observation.depth[rows])
-        e = (xy - goal.xy[rows]).ravel()
-        across = least_squares(L[:, XY], e)
-        twist = np.empty(6)
-        twist[Z] = along, about
-        twist[XY] = -self.gain.at(across) * across - least_squares(L[:, XY], L[:, Z] @ twist[Z])
+    @property
+    def remembers(self) -> int:
+        """The turn still to be made."""
+        return 1
+
+    def many(self, memory: Array, views: Views, goal: Goal) -> tuple[Array, Array]:
+        """One frame of many runs (see `ForMany`)."""
+        sigma, d, sigma_star, d_star = size(views.xy), segments(views.xy), size(goal.xy), segments(goal.xy)
+        flat = ~(spans_area(sigma, d) & spans_area(sigma_star, d_star))
+        first = np.isnan(memory[:, 0])
+        angle = angle_error(d, d_star)
+        turn = self._turn(None if first.all() else memory[:, 0], angle)
+        along = -self.gain_z * size_error(np.where(flat, sigma_star, sigma), sigma_star, self.sigma)
+        twist = self._twist(views.xy, views.depth, goal.xy, along, self.gain_turn * turn)
+        twist[flat] = np.nan
+        return turn[:, None], self.limits.within(twist)
+
+    def _twist(self, xy: Array, depth: Array, goal_xy: Array, along: Array, about: Array) -> Array:
+        """Camera twists (..., 6) at xy (..., N, 2) and depth (..., N), with v_z and w_z (...) given."""
+        L = _POINT.interaction(xy, depth)
+        across = least_squares(L[..., XY], _POINT.error(_POINT.measure(xy), _POINT.measure(goal_xy)))
+        twist = np.empty(across.shape[:-1] + (6,))
+        twist[..., 2], twist[..., 5] = along, about
+        carried = (L[..., Z] @ twist[..., Z, None])[..., 0]
+        twist[..., XY] = -self.gain.at(across) * across - least_squares(L[..., XY], carried)
         return twist
 
-    def _turn(self, memory: PartitionedMemory, angle: float) -> float:
-        """The turn still to be made [rad]: the way chosen at the first frame, gone on with."""
-        last, ways = memory.turn, [angle + k * 2 * math.pi for k in (-1, 0, 1)]
-        if last is not None:
-            return min(ways, key=lambda way: abs(way - last))
-        if self.turn_limits_deg is None:
-            return angle
-        low, high = (math.radians(limit) for limit in self.turn_limits_deg)
-        return min(ways, key=lambda way: (max(low - way, way - high, 0.0), abs(way)))
+    def _turn(self, last: Array | None, angle: Array) -> Array:
+        """The turns still to be made (...) [rad]: the way chosen at the first frame, gone on with."""
+        ways = np.asarray(angle)[..., None] + _ROUND
+        if last is None:
+            if self.turn_limits_deg is None:
+                return np.asarray(angle)
+            low, high = (math.radians(limit) for limit in self.turn_limits_deg)
+            beyond = np.maximum(np.maximum(low - ways, ways - high), 0.0)
+            cost = np.abs(ways) + 1e3 * beyond  # the shortest of those that go the least beyond the limits
+        else:
+            cost = np.abs(ways - np.asarray(last)[..., None])
+        return np.take_along_axis(ways, np.argmin(cost, axis=-1, keepdims=True), axis=-1)[..., 0]

@@ -11,10 +11,12 @@ from vstestbed.geometry import Array, inverse
 from vstestbed.laws.base import Command, ConstantGain, Gain, TwistLimits
 from vstestbed.laws.select import NO_POSE, TOO_FEW
 from vstestbed.laws.solve import least_squares
+from vstestbed.laws.views import Views
 from vstestbed.observation import Depth, Goal, Observation, PnP
 from vstestbed.spec import spec
 
 _THETA_U = ThetaU()
+_TRANSLATIONS = {"cdMc": Translation(pose="cdMc"), "cMcd": Translation(pose="cMcd"), "cMo": Translation(pose="cMo")}
 
 
 @spec
@@ -73,11 +75,24 @@ class PBVS:
         u = -self.gain.at(solved) * solved
         return None, self.limits.command(u, basis)
 
+    @property
+    def remembers(self) -> int:
+        """Nothing."""
+        return 0
+
+    def many(self, memory: Array, views: Views, goal: Goal) -> tuple[Array, Array]:
+        """One frame of many runs (see `ForMany`)."""
+        e, L = self.feature(views.T_camera_target, goal.T_camera_target)
+        solved = least_squares(L, e)
+        return memory, self.limits.within(-self.gain.at(solved) * solved)
+
     def feature(self, T_camera_target: Array, T_goal_target: Array) -> tuple[Array, Array]:
-        """The error (6,) and L (6, 6) at two poses (4, 4) of the target, in the camera's frame and in the goal's."""
+        """The error (..., 6) and L (..., 6, 6) at poses of the target, (..., 4, 4) in the camera's frame and (4, 4) in the goal's."""
         T_goal_camera = T_goal_target @ inverse(T_camera_target)
-        seen = {"cdMc": T_goal_camera, "cMcd": inverse(T_goal_camera), "cMo": T_camera_target}[self.translation]
-        t, R = Translation(pose=self.translation), T_goal_camera[:3, :3]
+        by_itself = T_camera_target if self.translation == "cMo" else T_goal_camera
+        seen = inverse(T_goal_camera) if self.translation == "cMcd" else by_itself
+        t, R = _TRANSLATIONS[self.translation], T_goal_camera[..., :3, :3]
         s_star = T_goal_target[:3, 3] if self.translation == "cMo" else np.zeros(3)
-        e = np.concatenate([t.error(t.measure(seen), s_star), _THETA_U.measure(R)])
-        return e, np.concatenate([t.interaction(seen), _THETA_U.interaction(R)])
+        turn = _THETA_U.measure(R)
+        e = np.concatenate([t.error(t.measure(seen), s_star), turn], axis=-1)
+        return e, np.concatenate([t.interaction(seen), _THETA_U.interaction_at(turn)], axis=-2)

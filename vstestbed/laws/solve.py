@@ -6,6 +6,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vstestbed.geometry import Array
 
@@ -14,16 +15,26 @@ PINV_RCOND = 1e-6
 a direction that pixels do not tell is not moved in."""
 BLOCK = 32
 """Columns that LAPACK treats at a time; what it needs for a handful."""
+DEPENDENT = PINV_RCOND**2
+"""Of many problems at once: a column of whose square less than this share of the mean is left beside the columns before it says
+nothing new, and its x is 0. That is the cut-off, squared as the normal equations are."""
+STILL = 1e-12
+"""Of many: A^T b under this share of |A| |b| is zero but for rounding, and so is x."""
 
 
 def least_squares(A: Array, b: Array) -> Array:
-    """The shortest x (n,) that minimises |A x - b|, for A (m, n) and b (m,).
+    """The shortest x (..., n) that minimises |A x - b|, for A (..., m, n) and b (..., m).
 
-    By LAPACK's complete orthogonal factorisation, which takes a third of the time of a singular value decomposition; the
-    rank is told from the factors' estimated condition.
+    One problem by LAPACK's complete orthogonal factorisation, which takes a third of the time of a singular value
+    decomposition; the rank is told from the factors' estimated condition. Many by their normal equations, and many b of
+    one A (m, n) by its pseudo-inverse. (Where A has not full rank, the many get a least x among those of some columns.)
 
-    Reference: Golub & Van Loan 2013, Matrix Computations, section 5.5.
+    Reference: Golub & Van Loan 2013, Matrix Computations, sections 5.5 and 4.2.5 (Cholesky).
     """
+    if A.ndim == 2 and b.ndim > 1:
+        return b @ np.linalg.pinv(A, PINV_RCOND).T
+    if A.ndim > 2:
+        return _many(A.reshape(-1, *A.shape[-2:]), b.reshape(-1, b.shape[-1])).reshape(*A.shape[:-2], A.shape[-1])
     m, n = A.shape
     if not (m and n):
         return np.zeros(n)
@@ -31,6 +42,42 @@ def least_squares(A: Array, b: Array) -> Array:
     wide[:m, 0] = b
     _, x, *_ = _gelsy()(A, wide, np.zeros((n, 1), np.int32), PINV_RCOND, BLOCK * (n + 1))
     return x[:n, 0]
+
+
+def _many(A: Array, b: Array) -> Array:
+    """Least squares of A (M, m, n) and b (M, m), each operation over all M.
+
+    A^T A x = A^T b by Cholesky's C C^T, elements in loops and problems in arrays: LAPACK would be called M times.
+    """
+    n = A.shape[2]
+    columns = np.ascontiguousarray(A.transpose(2, 1, 0))
+    right = np.ascontiguousarray(b.T)
+    x = np.einsum("imk,mk->ik", columns, right)
+    G = [[_dot(columns[i], columns[j]) for j in range(i + 1)] for i in range(n)]
+    size2 = np.sum([G[i][i] for i in range(n)], axis=0)
+    x[:, _dot(x, x) < STILL**2 * size2 * _dot(right, right)] = 0.0
+    least = np.maximum(DEPENDENT / n * size2, np.finfo(float).tiny)
+    for i in range(n):
+        for j in range(i):
+            for k in range(j):
+                G[i][j] -= G[i][k] * G[j][k]
+            G[i][j] *= G[j][j]
+            x[i] -= G[i][j] * x[j]
+        pivot = G[i][i].copy()
+        for k in range(i):
+            pivot -= G[i][k] * G[i][k]
+        G[i][i] = np.where(pivot > least, 1 / np.sqrt(np.maximum(pivot, least)), 0.0)
+        x[i] *= G[i][i]
+    for i in reversed(range(n)):
+        for k in range(i + 1, n):
+            x[i] -= G[k][i] * x[k]
+        x[i] *= G[i][i]
+    return x.T
+
+
+def _dot(a: Array, b: Array) -> NDArray[np.float64]:
+    """Products of the columns of a and b (m, M), shape (M,)."""
+    return np.einsum("mk,mk->k", a, b)
 
 
 @cache

@@ -96,15 +96,27 @@ def error(tracks: Tracks) -> Figure:
     threshold = tracks.setting.threshold_px
     if threshold:
         axes.axhline(threshold, color=GOAL, linestyle="--", linewidth=1.2, label=f"threshold {threshold:g} px")
-    _shade_lost(axes, tracks)
-    _time_axis(axes, tracks)
+    _mark_views(axes, tracks)
+    shade_lost(axes, tracks)
+    time_axis(axes, tracks)
     axes.set_ylabel("RMS error [px]")
     _legend(axes)
     return figure
 
 
+def _mark_views(axes: Axes, tracks: Tracks) -> None:
+    """Where one goal view was left for the next, with its number from 1 on."""
+    view = tracks.column("view")
+    for i in np.flatnonzero(np.diff(view) > 0) + 1:
+        axes.axvline(tracks.t[i], color=INK, linewidth=0.8, alpha=0.6)
+        words = f" view {view[i] + 1:.0f}"
+        axes.annotate(words, (tracks.t[i], 0.99), xycoords=("data", "axes fraction"), va="top", fontsize=8.5, annotation_clip=False)
+
+
 def pose_error(tracks: Tracks) -> Figure | None:
-    """Distance and angle of the true camera (or vehicle) from its goal over time, logarithmic."""
+    """Distance and angle of the true camera (or vehicle) from its goal over time, logarithmic; None of a task without an end."""
+    if tracks.setting.ride is not None and tracks.setting.ride.band_m is not None:
+        return None
     position, angle = tracks.column("position_error_m"), np.degrees(tracks.column("rotation_error_rad"))
     if not (np.isfinite(position).any() or np.isfinite(angle).any()):
         return None
@@ -112,9 +124,9 @@ def pose_error(tracks: Tracks) -> Figure | None:
     upper, lower = figure.subplots(2, 1, sharex=True)
     for axes, value, color, label in ((upper, position, LINE_COLORS[0], "position [m]"), (lower, angle, LINE_COLORS[1], "rotation [deg]")):
         axes.semilogy(tracks.t, _positive(value), color=color, **_dot(value))
-        _shade_lost(axes, tracks)
+        shade_lost(axes, tracks)
         axes.set_ylabel(label)
-    _time_axis(lower, tracks)
+    time_axis(lower, tracks)
     return figure
 
 
@@ -129,11 +141,11 @@ def twist(tracks: Tracks) -> Figure:
             true, command = tracks.column(f"act_{part}{axis}"), tracks.column(f"cmd_{part}{axis}")
             axes.plot(tracks.t, true, color=color, **BAND)
             axes.plot(told, command, color=color, linewidth=1.1, label=f"{part}$_{axis}$", **_dot(command))
-        _least_span(axes, LEAST_TWIST)
-        _shade_lost(axes, tracks)
+        least_span(axes, LEAST_TWIST)
+        shade_lost(axes, tracks)
         axes.set_ylabel(label)
         axes.legend(handles=axes.get_lines()[2::2], loc="upper right", ncols=3)
-    _time_axis(panels[-1], tracks)
+    time_axis(panels[-1], tracks)
     return figure
 
 
@@ -148,15 +160,17 @@ def depth(tracks: Tracks) -> Figure | None:
         if true is not None:
             axes.plot(tracks.t, true[:, i], color=color, **BAND)
         axes.plot(tracks.t, used[:, i], color=color, linewidth=1.0, **_dot(used[:, i]))
-    _least_span(axes, LEAST_DEPTH * float(np.nanmedian(np.abs(used))))
-    _shade_lost(axes, tracks)
-    _time_axis(axes, tracks)
+    least_span(axes, LEAST_DEPTH * float(np.nanmedian(np.abs(used))))
+    shade_lost(axes, tracks)
+    time_axis(axes, tracks)
     axes.set_ylabel("depth [m]")
     return figure
 
 
 def joints(tracks: Tracks) -> Figure | None:
-    """Joint positions, velocities and actuator inputs, as far as the log has them."""
+    """Joint positions, velocities and actuator inputs, as far as the log has them. A vehicle's wheels have a figure of their own."""
+    if tracks.setting.ride is not None:
+        return None
     panels = [(s, label) for s, label in (("q", "position"), ("qd", "velocity"), ("ctrl", "input")) if _moving(tracks, s)]
     if not panels:
         return None
@@ -168,9 +182,9 @@ def joints(tracks: Tracks) -> Figure | None:
             value = tracks.column(f"{stem}_{name}")
             axes.plot(tracks.t, value, color=LINE_COLORS[names.index(name) % len(LINE_COLORS)], linewidth=1.2, **_dot(value))
         axes.set_ylabel(label)
-    _time_axis(grid[-1], tracks)
+    time_axis(grid[-1], tracks)
     if len(names) <= 16:
-        figure.legend(handles=_name_keys(names), loc="outside lower center", ncols=4)
+        figure.legend(handles=line_keys(names), loc="outside lower center", ncols=4)
     return figure
 
 
@@ -179,7 +193,8 @@ def _moving(tracks: Tracks, stem: str) -> list[str]:
     return [n for n in tracks.named(stem) if np.isfinite(tracks.column(f"{stem}_{n}")).any()]
 
 
-def _name_keys(names: list[str]) -> list[Line2D]:
+def line_keys(names: list[str]) -> list[Line2D]:
+    """A legend's entry for each name, in the order of the lines' colours."""
     from matplotlib.lines import Line2D
 
     return [Line2D([], [], color=LINE_COLORS[i % len(LINE_COLORS)], label=plain(n)) for i, n in enumerate(names)]
@@ -206,19 +221,21 @@ def _dot(value: Array) -> dict[str, Any]:
     return {"marker": "."} if np.isfinite(value).sum() <= 1 else {}
 
 
-def _least_span(axes: Axes, least: float) -> None:
+def least_span(axes: Axes, least: float) -> None:
     """Widen the upright axis about its middle where it spans less than `least`: noise shall not fill the height."""
     low, high = axes.get_ylim()
     if high - low < least:
         axes.set_ylim((low + high - least) / 2, (low + high + least) / 2)
 
 
-def _shade_lost(axes: Axes, tracks: Tracks) -> None:
+def shade_lost(axes: Axes, tracks: Tracks) -> None:
+    """Mark the stretches in which the target was lost."""
     for i, (start, end) in enumerate(tracks.lost_stretches()):
         axes.axvspan(start, end, color=LOST, alpha=0.16, linewidth=0, label="target lost" if i == 0 else None)
 
 
-def _time_axis(axes: Axes, tracks: Tracks) -> None:
+def time_axis(axes: Axes, tracks: Tracks) -> None:
+    """Time across, from the log's first to its last row."""
     axes.set_xlabel("time [s]")
     t = tracks.t[np.isfinite(tracks.t)]
     if len(t) and t[-1] > t[0]:

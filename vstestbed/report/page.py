@@ -12,7 +12,7 @@ import polars as pl
 
 from vstestbed.errors import RunFolderError, VstestbedError
 from vstestbed.files import write_whole
-from vstestbed.report import angles, figures, numbers, path3d
+from vstestbed.report import angles, figures, numbers, path3d, plane, vehicle
 from vstestbed.report.canvas import style, to_svg
 from vstestbed.report.pieces import figure, film, folded
 from vstestbed.report.template import PAGE, STYLE
@@ -54,9 +54,29 @@ PLOTS: Final[tuple[Plot, ...]] = (
     ),
     ("error", "Error in the image", "Root mean square over the coordinates, goal minus measured.", figures.error),
     ("path", "Camera path", "In the world, equal scale on all axes; pyramids look where the camera looks.", path3d.camera_path),
+    (
+        "plane",
+        "Way on the floor",
+        "From above, equal scale. Shaded: what is in the picture at the landmarks' height, at the start and at the end.",
+        plane.plane,
+    ),
+    (
+        "off",
+        "Error of the task",
+        "True: how much wider than asked the gap is, or how far to the left of its line the vehicle drives.",
+        vehicle.off_task,
+    ),
     ("twist", "Camera twist", "In the camera's frame: commanded (thin line) and true (pale band).", figures.twist),
     ("pose", "Distance from the goal", "True pose against the goal pose.", figures.pose_error),
     ("depth", "Depth of the markers", "As the law used it (thin line) and true (pale band).", figures.depth),
+    (
+        "place",
+        "Error of the place known",
+        "Where the vehicle thinks it is against where it is; heading likewise, counter-clockwise.",
+        vehicle.place_error,
+    ),
+    ("wheels", "Wheels and steering", "As told (thin line) and as measured (pale band).", vehicle.wheels),
+    ("slip", "Slip", "How fast the vehicle slides over the floor, unnoticed by its encoders: mean between two frames.", vehicle.slip),
     (
         "joints",
         "Joints and actuators",

@@ -20,7 +20,12 @@ PYRAMID_LINE = [0, 1, 2, 0, 3, 4, 0, 1, 4, 3, 2]
 
 
 def camera_path(tracks: Tracks) -> Figure | None:
-    """The camera's path in the world, its view at the start, on the way and at the end, the markers, the goal view."""
+    """The camera's path in the world, its view at the start, on the way and at the end, the markers, the goal view; None of a vehicle's.
+
+    A vehicle's camera stays at its height: its way is drawn in the plane.
+    """
+    if tracks.setting.ride is not None:
+        return None
     cameras = tracks.poses("cam")
     cameras = cameras[np.isfinite(cameras).all(axis=(1, 2))]
     if len(cameras) == 0:

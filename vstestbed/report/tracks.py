@@ -12,6 +12,8 @@ import polars as pl
 from numpy.typing import NDArray
 
 from vstestbed.geometry import Array, inverse, rotation_from_quaternion, transform
+from vstestbed.ground_lines import GroundLines
+from vstestbed.report.ride import Ride
 
 if TYPE_CHECKING:
     from vstestbed.camera import Camera
@@ -34,6 +36,7 @@ class Setting:
         description: the scenario's own words.
         feature: what the law works with, where it is an image feature.
         camera: the servo camera.
+        ride: what there is to a vehicle's task on the floor.
     """
 
     width: int | None = None
@@ -44,20 +47,24 @@ class Setting:
     description: str = ""
     feature: Feature | None = None
     camera: Camera | None = None
+    ride: Ride | None = None
 
     @classmethod
     def of(cls, scenario: Scenario) -> Setting:
         """The facts of a loaded scenario; a task without a goal view or a pixel threshold leaves those out."""
+        ride = Ride.of(scenario)
+        ends = ride is None or ride.band_m is None
         view = getattr(scenario.goal, "T_camera_target", None)
         return cls(
             width=scenario.camera.width,
             height=scenario.camera.height,
-            threshold_px=getattr(scenario.stop.converged, "error_px", None),
-            points=scenario.target.points,
+            threshold_px=getattr(scenario.stop.converged, "error_px", None) if ends else None,
+            points=None if isinstance(scenario.target, GroundLines) else scenario.target.points,
             T_camera_target=getattr(view, "T", view),
             description=scenario.description,
             feature=getattr(scenario.law, "feature", None),
             camera=scenario.camera,
+            ride=ride,
         )
 
 
@@ -105,6 +112,10 @@ class Tracks:
         T[:, :3, 3] = self.columns(*(f"{stem}_{a}" for a in "xyz"))
         T[:, 3] = 0.0, 0.0, 0.0, 1.0
         return T
+
+    def places(self, stem: str) -> Array:
+        """A vehicle's places (x, y, heading) of `base` (true), `est` or `odo`, shape (T, 3); NaN where the log has none."""
+        return self.columns(*(f"{stem}_{name}" for name in ("x", "y", "heading")))
 
     @cached_property
     def markers(self) -> int:

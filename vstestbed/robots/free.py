@@ -10,6 +10,7 @@ from vstestbed.errors import ParameterError
 from vstestbed.geometry import Array, Pose, Triple
 from vstestbed.observation import Encoders
 from vstestbed.robots.base import Allocation, Direct, Mount
+from vstestbed.robots.puma560 import Puma560, PumaStart
 from vstestbed.spec import spec
 
 
@@ -23,10 +24,14 @@ class Box:
 
 @spec
 class FreeStart:
-    """Where the camera starts: `nominal`, and the box from which `random` starts are drawn."""
+    """Where the camera starts: `nominal`, and what `random` starts are drawn from.
+
+    That is a box of poses, or an arm's start block (`nominal` and `random` with their q_deg): each seed then starts the
+    camera where it starts the arm's flange, which makes ideal motion and the arm's comparable pair by pair.
+    """
 
     nominal: Pose
-    random: Box | None = None
+    random: Box | PumaStart | None = None
 
 
 @spec
@@ -61,6 +66,10 @@ class Free(Direct):
         box = self.start.random
         if box is None:
             raise ParameterError("robot.start.random", "is missing: a seed draws the start from it, e.g. {xyz: [.2, .2, .2]}")
+        if isinstance(box, PumaStart):
+            arm = Puma560(start=box).randomised(rng)
+            nominal = Pose.of(arm.flange_pose(arm.configuration()))
+            return Free(start=FreeStart(nominal=nominal, random=box))
         xyz = np.array(self.start.nominal.xyz) + rng.uniform(-1, 1, 3) * box.xyz
         rpy = np.array(self.start.nominal.rpy_deg) + rng.uniform(-1, 1, 3) * box.rpy_deg
         nominal = Pose(xyz=tuple(xyz.tolist()), rpy_deg=tuple(rpy.tolist()))

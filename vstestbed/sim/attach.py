@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import mujoco
 import numpy as np
 
@@ -61,3 +63,9 @@ def _choose_servos(model: mujoco.MjSpec, robot: Robot) -> None:
     for joint in model.joints:
         if not servo.friction:
             joint.frictionloss, joint.damping = 0.0, np.zeros(3)
+
+
+@functools.cache
+def extent_of(model: str) -> float:
+    """Size of the robot of an MJCF file, by MuJoCo's own measure [m]."""
+    return float(mujoco.MjSpec.from_file(str(model_path(model))).compile().stat.extent)

@@ -56,6 +56,8 @@ class Physics(dm.Physics):
         key = _looks(self.model.ptr)
         if key not in _kept:
             _kept[key] = wrapper.MjrContext(self.model, _contexts[0])
+            with _contexts[0].make_current() as thread:
+                thread.call(_plain_sky, _kept[key].ptr)
         _kept.move_to_end(key)
         self._contexts = Contexts(gl=_contexts[0], mujoco=_kept[key])
 
@@ -66,12 +68,26 @@ class Physics(dm.Physics):
             _kept.popitem(last=False)  # freed when no other scene holds it
 
 
+def _plain_sky(context: mujoco.MjrContext) -> None:
+    """Take the sky's texture as it is, not from a pyramid of smaller ones: it is drawn larger than it is.
+
+    The picture has the same bytes, and software OpenGL, which looks for the level of each pixel, saves a third of its time.
+    """
+    from OpenGL import GL
+
+    for kind, texture in zip(context.textureType, context.texture, strict=True):
+        if kind == mujoco.mjtTexture.mjTEXTURE_SKYBOX:
+            GL.glBindTexture(GL.GL_TEXTURE_CUBE_MAP, texture)
+            GL.glTexParameteri(GL.GL_TEXTURE_CUBE_MAP, GL.GL_TEXTURE_MIN_FILTER, GL.GL_LINEAR)
+
+
 def _looks(model: mujoco.MjModel) -> tuple[object, ...]:
     """All of a model that may go into a rendering context: sizes, shapes (planes have lists of their own), materials, textures."""
     quality, size = model.vis.quality, model.vis.global_
     names = [n for n in dir(model) if n.startswith(("tex_", "mat_", "mesh_", "hfield_", "skin_"))]
     arrays = [getattr(model, name) for name in (*names, "geom_type", "geom_size", "geom_dataid", "geom_matid")]
     numbers = (
+        model.vis.map.shadowclip * model.stat.extent,
         size.offwidth,
         size.offheight,
         quality.offsamples,

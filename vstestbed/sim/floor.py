@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import mujoco
 
-from vstestbed.geometry import Array, inverse, transform
+from vstestbed.geometry import Array, inverse
 from vstestbed.sim.pictures import bare_of
 from vstestbed.sim.scene import Parts
 from vstestbed.sim.stage import Stage
@@ -47,7 +47,7 @@ def measure_floor(parts: Parts, steps_per_frame: int, ctrl: Array, q: Array, T_w
     for frame in range(len(ctrl)):
         if parts.robot.model is None:
             stage.place(0.0, target, q[frame], T_world_camera[frame])
-        p_camera = transform(inverse(T_world_camera[frame]) @ target, parts.target.points)
+        p_camera = parts.target.seen_from(inverse(target) @ T_world_camera[frame])
         began = time.perf_counter()
         if picture is not None:
             picture(p_camera)

@@ -17,8 +17,11 @@ FROM_ABOVE = np.radians(38.0)
 """How steeply the overview of a vehicle looks down [rad]: its way shows, and its wheels too."""
 ROOM = 1.12
 """The picture is this much wider than what must be in it."""
-VEHICLE_M = 1.0
-"""Room round each place where a vehicle will be [m]."""
+ROAM = 0.12
+"""A vehicle may leave the hull of the places told by this share of their extent."""
+AZIMUTHS = np.radians(np.arange(0, 360, 10))
+LIGHT_HEIGHT = 6.0
+"""Of the light that casts shadows, over the middle of the view [m]: above whatever stands there."""
 
 
 def frame_flight(scene: mujoco.MjSpec, robot: Robot, target: Target) -> None:
@@ -42,24 +45,50 @@ def frame_flight(scene: mujoco.MjSpec, robot: Robot, target: Target) -> None:
     camera.alt.xyaxes = [*right, *np.cross(out, right)]
 
 
-def frame_drive(scene: mujoco.MjSpec, places: Array, sights: Array) -> None:
-    """Look at a vehicle's way slantingly from above, square to its longer side.
+def frame_drive(scene: mujoco.MjSpec, places: Array, sights: Array, size: float) -> None:
+    """Look at a vehicle's way slantingly from above, from the side from which it is seen largest.
+
+    The light that casts shadows is put over the way, since its depth map has a place and a size.
 
     Args:
-        places: where it will be, on the floor, shape (K, 3) [m]; with room round each.
+        places: where it will be, shape (K, 3) [m]; with room round each.
         sights: what else must be in the picture, shape (M, 3) [m].
+        size: of the vehicle [m].
     """
-    corners = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (0, 1)]) * VEHICLE_M
+    room = 0.6 * size + ROAM * float(np.linalg.norm(np.ptp(places[:, :2], axis=0)))
+    corners = np.array([[i * room, j * room, k * size] for i in (-1, 1) for j in (-1, 1) for k in (0, 1)])
     points = np.concatenate([(places[:, None] + corners).reshape(-1, 3), sights])
-    flat = points[:, :2] - points[:, :2].mean(axis=0)
-    right = np.array([*np.linalg.svd(flat, full_matrices=False)[2][0], 0.0])
-    right = right if right[0] > 1e-9 or (abs(right[0]) <= 1e-9 and right[1] > 0) else -right
-    ahead = np.cross([0.0, 0.0, 1.0], right)
-    forward = np.cos(FROM_ABOVE) * ahead - np.sin(FROM_ABOVE) * np.array([0, 0, 1.0])
-    up = np.cross(right, forward)
     camera = scene.camera("overview")
-    camera.pos = eye_for(points, right, up, np.tan(np.radians(camera.fovy / 2)))
-    camera.alt.xyaxes = [*right, *up]
+    half_height = np.tan(np.radians(camera.fovy / 2))
+    views = [_slanting(azimuth) for azimuth in AZIMUTHS]
+    eyes = [eye_for(points, right, up, half_height) for right, up in views]
+    best = min(range(len(views)), key=lambda i: _drawback(eyes[i], np.cross(views[i][1], views[i][0]), places, sights))
+    camera.pos = eyes[best]
+    camera.alt.xyaxes = np.concatenate(views[best]).tolist()
+    _light(scene, points)
+
+
+def _drawback(eye: Array, forward: Array, places: Array, sights: Array) -> float:
+    """How far off the farthest place is [m], and twice what sights stand before the nearest place: they shall not fill the picture."""
+    depths, before = (places - eye) @ forward, (sights - eye) @ forward
+    return round(float(depths.max() + 2 * max(depths.min() - before.min(initial=np.inf), 0.0)), 6)
+
+
+def _slanting(azimuth: float) -> tuple[Array, Array]:
+    """Right and up (3,) of a camera that looks down by FROM_ABOVE, ahead along an azimuth [rad]."""
+    ahead = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+    right = np.array([ahead[1], -ahead[0], 0.0])
+    return right, np.cos(FROM_ABOVE) * np.array([0, 0, 1.0]) + np.sin(FROM_ABOVE) * ahead
+
+
+def _light(scene: mujoco.MjSpec, points: Array) -> None:
+    """Make the shadows' depth map cover all points (N, 3): it is a square about the light's place, across its direction."""
+    light = scene.light("key")
+    along = np.asarray(light.dir, dtype=float) / np.linalg.norm(light.dir)
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2
+    light.pos = middle + along * (LIGHT_HEIGHT + np.ptp(points[:, 2])) / along[2]
+    reach = np.linalg.norm(np.cross(points - middle, along), axis=1).max()
+    scene.visual.map.shadowclip = reach / scene.stat.extent
 
 
 def eye_for(points: Array, right: Array, up: Array, half_height: float) -> Array:

@@ -7,10 +7,9 @@ from typing import Literal
 
 import cv2
 import numpy as np
-from dm_control import mujoco as dm
 from dm_control.mujoco import wrapper
 
-from vstestbed.camera import Camera, Image, Look, Perspective
+from vstestbed.camera import Camera, Image, Look, Perspective, Window
 from vstestbed.errors import EnvironmentLackError
 from vstestbed.sim import gl
 from vstestbed.sim.cube import cube_of, drawn_for
@@ -18,6 +17,7 @@ from vstestbed.sim.noise import noisy
 from vstestbed.sim.pinhole import resampling_maps
 from vstestbed.sim.scene import LENS_GROUP
 from vstestbed.sim.stage import Stage
+from vstestbed.sim.window import PartCamera, part_round
 
 
 class View:
@@ -41,7 +41,7 @@ class View:
         if not shadows:
             stage.model.vis.quality.shadowsize = 0  # the context would reserve its depth map
         try:
-            self._camera = dm.Camera(stage.physics, height, width, camera_id=camera)
+            self._camera = PartCamera(stage.physics, height, width, camera_id=camera)
             self._option = wrapper.MjvOption()
             self._option.geomgroup[:] = 1
             self._option.geomgroup[LENS_GROUP] = style == "outside"
@@ -60,8 +60,12 @@ class View:
         """The picture now, (H, W, 3) uint8 RGB, a copy of its own."""
         return np.ascontiguousarray(self.raw())
 
-    def raw(self) -> Image:
-        """The picture as the kept camera gives it: a view of its own buffer, overwritten by the next one."""
+    def raw(self, window: Window | None = None) -> Image:
+        """The picture as the kept camera gives it: a view of its own buffer, overwritten by the next one.
+
+        window: the part of it that is wanted; the rest is black.
+        """
+        self._camera.window = window
         return self._camera.render(scene_option=self._option, render_flag_overrides=self._flags)
 
 
@@ -84,6 +88,9 @@ class Eye:
         self._maps = resampling_maps(camera, drawn[0]) if isinstance(camera, Perspective) else None
         self._cube = None if isinstance(camera, Perspective) else cube_of(camera)
         self._panels = len(camera.panels)
+        self._size = camera.width, camera.height
+        # where a lens bends the picture, or noise is estimated from all of it, a part is not enough
+        self._parts = self._maps is None and image_sigma == 0
         self._sigma, self._rng = image_sigma, rng
         self._views = [View(stage, p.name, p.width, p.height, camera.shadows, "own") for p in drawn]
         self.renderer = self._views[0].renderer
@@ -100,11 +107,14 @@ class Eye:
         """The pictures now, one a panel; they may lie in the renderer's buffer, and then hold only until the next ones.
 
         look: where somebody is going to look; a panel with no window is left out, any other is drawn whole, but for
-        faces of the cube without a part in its windows, which are black.
+        faces of the cube without a part in its windows, which are black. Of a pinhole lens's picture the rectangle round
+        all windows is drawn, the rest is black.
         """
         start = time.perf_counter()
         if self._cube is None:
-            images = (self._resampled(self._views[0].raw()),)
+            window = part_round(look[0], *self._size) if look is not None and self._parts else None
+            images = (self._resampled(self._views[0].raw(window)),)
+            self.whole = window is None
         elif self._panels > 1:
             images = tuple(view.raw() if look is None or look[i] else None for i, view in enumerate(self._views))
             self.whole = look is None or all(look)

@@ -2,10 +2,10 @@
 
 Names: joints and actuators `robot/joint_1`, ..., the servo camera `eye` (site `eye` has its computer-vision axes; a lens that
 sees more than one pinhole picture holds has `eye_right`, `eye_left`, `eye_up`, `eye_down`, `eye_back` at the same place), the
-outside view `overview`, the target's body `target/frame` (mocap), its markers sites `target/marker_0`, `target/marker_1`, ...,
-plates `plate_0`, ..., a vehicle that carries the target `leader/...`. Geom groups: 0 the room, 1 what encloses the lens (left
-out of the servo camera's own picture, since the textbook's camera sits at the wrist's centre, inside the hand), 2 the robot,
-3 the target.
+outside view `overview`, the target's body `target/frame` (mocap), its markers sites `target/marker_0`, `target/marker_1`, ...
+(of lines on the floor, which have no places of their own, only geoms `target/line_0`, ...), plates `plate_0`, ..., a vehicle
+that carries the target `leader/...`. Geom groups: 0 the room, 1 what encloses the lens (left out of the servo camera's own
+picture, since the textbook's camera sits at the wrist's centre, inside the hand), 2 the robot, 3 the target.
 """
 
 from __future__ import annotations
@@ -17,13 +17,16 @@ import numpy as np
 
 from vstestbed.assets import model_path
 from vstestbed.camera import Camera
+from vstestbed.errors import ParameterError
 from vstestbed.geometry import FLIP, Array, quaternion_wxyz, transform
+from vstestbed.ground_lines import GroundLines
 from vstestbed.robots import VEHICLES, Robot
-from vstestbed.sim.attach import add_robot
+from vstestbed.sim.attach import add_robot, extent_of
 from vstestbed.sim.cube import drawn_for
 from vstestbed.sim.overview import frame_drive, frame_flight
+from vstestbed.sim.paint import add_stripe
 from vstestbed.sim.world import AWAY, World
-from vstestbed.target import Carried, Disc, Marker, Sphere, Square, Tag, Target
+from vstestbed.target import Carried, Disc, Sphere, Square, Stripe, Tag, Target
 from vstestbed.vision.tag_print import tag_png
 
 LENS_GROUP, ROBOT_GROUP, TARGET_GROUP, SITE_GROUP = 1, 2, 3, 4
@@ -101,7 +104,7 @@ def _frame_overview(scene: mujoco.MjSpec, parts: Parts) -> None:
     elif robot.rides:
         start = robot.flange_pose(robot.configuration())[:3, 3]
         sights = transform(target.T_world_start, target.points)
-        frame_drive(scene, np.array([start, *parts.sights]), sights)
+        frame_drive(scene, np.array([start, *parts.sights]), sights, extent_of(robot.model))
 
 
 def _add_camera(body: mujoco.MjsBody, T_body_camera: Array, camera: Camera, housing: float) -> None:
@@ -134,25 +137,28 @@ def _add_camera(body: mujoco.MjsBody, T_body_camera: Array, camera: Camera, hous
 
 
 def _add_target(scene: mujoco.MjSpec, target: Target, carrier: mujoco.MjsBody | None) -> None:
-    """A body with one site and one geom for each marker, and a light grey board behind a square of markers.
+    """A body with one site and one geom for each marker, and a light grey board behind a square of markers; of lines, their paint.
 
     It is put where it is told (mocap), or fixed to the vehicle that carries it.
     """
     T, parent = target.pose.T, carrier or scene.worldbody
     body = parent.add_body(name="target/frame", mocap=carrier is None, pos=T[:3, 3], quat=quaternion_wxyz(T[:3, :3]))
     marker = target.marker
+    if isinstance(target, GroundLines):
+        for i in range(len(target.offsets_m)):
+            rgba, paint = _paint(scene, i, target.colors[i * len(target.look_m)], marker.lit)
+            geom = add_stripe(scene, body, target, i, TARGET_GROUP)
+            geom.rgba, geom.material = rgba, paint.name
+        return
     for i, (p, rgb) in enumerate(zip(target.points, target.colors, strict=True)):
-        emission = 0.0 if marker.lit else GLOW
-        rgb = np.ones(3) if isinstance(marker, Tag) else rgb
-        rgba = [*(rgb if marker.lit else rgb / GLOW), 1.0]
-        paint = scene.add_material(name=f"target/color_{i}", rgba=rgba, specular=0, shininess=0, emission=emission)
+        rgba, paint = _paint(scene, i, np.ones(3) if isinstance(marker, Tag) else rgb, marker.lit)
         if isinstance(marker, Tag):
             paint.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = _tag_texture(scene, marker, marker.first_id + i)
         body.add_site(name=f"target/marker_{i}", pos=p, group=SITE_GROUP, size=[0.005] * 3)
         kind, size = _shape(marker)
         centre = p + np.array([0, 0, 0.0 if isinstance(marker, Sphere) else HALF_THICKNESS])
         geom = _visual(body, f"target/marker_{i}", kind, size, rgba, TARGET_GROUP, centre, FACE_VIEWER)
-        geom.material = f"target/color_{i}"
+        geom.material = paint.name
     if target.pad:
         half, thick = target.pad.side / 2, PAD_HALF_M
         body.add_geom(
@@ -171,7 +177,14 @@ def _add_target(scene: mujoco.MjSpec, target: Target, carrier: mujoco.MjsBody | 
         _visual(body, "target/board", mujoco.mjtGeom.mjGEOM_BOX, [half, half, 0.01], [0.86, 0.86, 0.85, 1], TARGET_GROUP, [0, 0, z])
 
 
-def _shape(marker: Marker) -> tuple[mujoco.mjtGeom, list[float]]:
+def _paint(scene: mujoco.MjSpec, i: int, rgb: Array, lit: bool) -> tuple[list[float], mujoco.MjsMaterial]:
+    """The colour of a marker, shaded by the scene's lights or of constant brightness: rgba, and material `target/color_i`."""
+    rgba = [*(rgb if lit else rgb / GLOW), 1.0]
+    emission = 0.0 if lit else GLOW
+    return rgba, scene.add_material(name=f"target/color_{i}", rgba=rgba, specular=0, shininess=0, emission=emission)
+
+
+def _shape(marker: Disc | Sphere | Tag | Stripe) -> tuple[mujoco.mjtGeom, list[float]]:
     """The geom of a marker, and its size."""
     match marker:
         case Disc(radius=radius):
@@ -180,6 +193,8 @@ def _shape(marker: Marker) -> tuple[mujoco.mjtGeom, list[float]]:
             return mujoco.mjtGeom.mjGEOM_SPHERE, [radius, 0, 0]
         case Tag(tile=edge):
             return mujoco.mjtGeom.mjGEOM_BOX, [edge / 2, edge / 2, HALF_THICKNESS]
+        case Stripe():
+            raise ParameterError("target.marker", "may be stripe only with target: {kind: lines}")
 
 
 def _tag_texture(scene: mujoco.MjSpec, tag: Tag, number: int) -> str:

@@ -106,7 +106,7 @@ class Stage:
     def hidden(self, T_world_camera: Array, p_camera: Array) -> NDArray[np.bool_]:
         """Which marker centres (N, 3) stand behind something: a ray from the lens meets another thing well before them.
 
-        What encloses the lens is left out of the cast (as in the picture).
+        A point that does not exist (NaN) does not. What encloses the lens is left out of the cast (as in the picture).
         """
         marker = self.parts.target.marker
         slack = (marker.radius if isinstance(marker, Sphere) else 0.0) + 0.002
@@ -116,7 +116,8 @@ class Stage:
         reach = np.linalg.norm(p_world, axis=1)
         geom = np.zeros(1, dtype=np.int32)
         origin = np.ascontiguousarray(T_world_camera[:3, 3])
-        hits = [mujoco.mj_ray(self.model, self.data, origin, d, groups, 1, -1, geom) for d in p_world / reach[:, None]]
+        rays = np.where(np.isfinite(reach), (p_world / reach[:, None]).T, [[0.0], [0.0], [1.0]]).T
+        hits = [mujoco.mj_ray(self.model, self.data, origin, np.ascontiguousarray(d), groups, 1, -1, geom) for d in rays]
         return np.array([0 <= hit < r - slack for hit, r in zip(hits, reach, strict=True)])
 
     def start_qpos(self) -> Array:

@@ -9,6 +9,7 @@ from vstestbed.spec import OneOf
 from vstestbed.vision.base import Detection, Detector, TruthView
 from vstestbed.vision.blobs import Blobs
 from vstestbed.vision.centre import centre_bias
+from vstestbed.vision.lines import Lines
 from vstestbed.vision.observe import Observer, ObserverMemory
 from vstestbed.vision.oracle import Oracle
 from vstestbed.vision.pose import solve_pose, solve_pose_from_rays
@@ -16,13 +17,14 @@ from vstestbed.vision.tags import Tags
 
 cv2.setNumThreads(1)
 
-DETECTORS = OneOf("detector", Blobs, Tags, Oracle, default="blobs")
+DETECTORS = OneOf("detector", Blobs, Tags, Lines, Oracle, default="blobs")
 
 __all__ = [
     "DETECTORS",
     "Blobs",
     "Detection",
     "Detector",
+    "Lines",
     "Observer",
     "ObserverMemory",
     "Oracle",

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import math
-
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from vstestbed.geometry import Array
 from vstestbed.observation import Relative
@@ -33,7 +32,7 @@ def relative_view(goal_xy: Array, xy: Array, goal_normal: Array) -> Relative | N
     if np.count_nonzero(seen) < 4:
         return None
     goal_xy, xy = goal_xy[seen], xy[seen]
-    if _open(goal_xy, xy):
+    if left_open(goal_xy, xy):
         return None
     H = cv2.findHomography(goal_xy, xy, 0)[0]
     if H is None or not np.isfinite(H).all():
@@ -46,25 +45,26 @@ def relative_view(goal_xy: Array, xy: Array, goal_normal: Array) -> Relative | N
     return Relative(H=H, R_camera_goal=_rotation(H, goal_xy, goal_normal))
 
 
-def _open(a: Array, b: Array) -> bool:
-    """Whether the equations b_i x H a_i = 0 leave H open: two of their nine singular values are (nearly) zero.
+def left_open(a: Array, b: Array) -> NDArray[np.bool_]:
+    """Whether the equations b_i x H a_i = 0 of points a, b (..., N, 2) leave H open: two of nine singular values are (nearly) zero.
 
     Reference: Hartley & Zisserman 2004, Multiple View Geometry, section 4.1 (the equations, and the scaling before them).
     """
-    a, b = _scaled(a), _scaled(b)
-    A = np.zeros((len(a), 2, 9))
-    A[:, 0, :2] = A[:, 1, 3:5] = a
-    A[:, 0, 2] = A[:, 1, 5] = 1
-    A[:, :, 6:8] = -b[:, :, None] * a[:, None]
-    A[:, :, 8] = -b
-    s = np.linalg.svd(A.reshape(-1, 9), compute_uv=False)
-    return bool(s[7] <= OPEN * s[0])
+    a, b = np.broadcast_arrays(_scaled(a), _scaled(b))
+    A = np.zeros((*a.shape[:-1], 2, 9))
+    A[..., 0, :2] = A[..., 1, 3:5] = a
+    A[..., 0, 2] = A[..., 1, 5] = 1
+    A[..., 6:8] = -b[..., None] * a[..., None, :]
+    A[..., 8] = -b
+    s = np.linalg.svd(A.reshape(*a.shape[:-2], -1, 9), compute_uv=False)
+    return np.asarray(s[..., 7] <= OPEN * s[..., 0])
 
 
 def _scaled(xy: Array) -> Array:
-    """Points (N, 2) about their mean, at a distance of 1 in the mean square."""
-    d = xy - xy.mean(axis=0)
-    return d / max(math.sqrt(np.vdot(d, d) / len(d)), 1e-12)
+    """Points (..., N, 2) about their mean, at a distance of 1 in the mean square."""
+    d = xy - xy.mean(axis=-2, keepdims=True)
+    size2 = np.sum(d * d, axis=(-2, -1), keepdims=True) / d.shape[-2]
+    return d / np.maximum(np.sqrt(size2), 1e-12)
 
 
 def _rotation(H: Array, goal_xy: Array, goal_normal: Array) -> Array:

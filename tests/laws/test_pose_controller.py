@@ -1,0 +1,74 @@
+"""The pose controller as a law: it chooses its direction once, arrives and stays, and says why it cannot drive."""
+
+import numpy as np
+import pytest
+
+from tests.laws.vehicles import BASIS, goal, move, observe
+from vstestbed.errors import ParameterError
+from vstestbed.ground import relative
+from vstestbed.laws import PoseController
+
+DT = 0.04
+
+
+def arrive(law, start, there, seconds=60.0):
+    """The places on the way and the commands, of a vehicle that does as told with curvature up to 1.5 1/m."""
+    want, place, memory = goal(place=np.array(there, dtype=float)), np.array(start, dtype=float), None
+    memory, ways, speeds = law.init(want), [place], []
+    for k in range(round(seconds / DT)):
+        memory, command = law.step(memory, observe(k * DT, place, ways[0]), want, BASIS)
+        v, w = command.u
+        w = np.clip(w, -1.5 * abs(v), 1.5 * abs(v))
+        place = move(place, np.array([v, w]), DT)
+        ways.append(place)
+        speeds.append(v)
+    return np.array(ways), np.array(speeds)
+
+
+@pytest.mark.parametrize(("start", "there"), [((2, 2, 0.35), (5, 5, np.pi / 2)), ((0, 0, 0), (4, -2, -0.5)), ((1, 1, 2.0), (-2, 4, 2.5))])
+def test_it_arrives_forwards_and_stays(start, there):
+    ways, speeds = arrive(PoseController(k_alpha=4, k_beta=-2.5), start, there)
+    off = relative(np.array(there, dtype=float), ways[-1])
+    assert np.hypot(*off[:2]) < 0.011  # rest_m is 1 cm
+    assert abs(off[2]) < np.radians(1)
+    assert speeds.min() >= 0 and speeds.max() <= 1
+    assert (speeds[-100:] == 0).all()
+
+
+def test_it_reverses_to_a_goal_behind_it():
+    ways, speeds = arrive(PoseController(k_alpha=4, k_beta=-2.5), (3, 1.2, 0.35), (0, 0, 0))
+    assert speeds.max() <= 0 and speeds.min() < -0.5
+    assert np.hypot(*ways[-1, :2]) < 0.011
+
+
+def test_a_direction_may_be_told():
+    _, speeds = arrive(PoseController(direction="reverse"), (2, 2, 0.35), (5, 5, np.pi / 2), seconds=1.0)
+    assert speeds.max() < 0
+
+
+def test_the_direction_is_chosen_once():
+    law, want = PoseController(), goal(place=np.array([5.0, 0.0, 0.0]))
+    memory, _ = law.step(law.init(want), observe(0, np.zeros(3), np.zeros(3)), want, BASIS)
+    assert memory.direction == 1
+    memory, command = law.step(memory, observe(1, np.array([0, 0, 3.0]), np.zeros(3)), want, BASIS)  # now it lies behind
+    assert memory.direction == 1 and command.u[0] > 0
+
+
+def test_a_missed_goal_is_not_circled():
+    law, want = PoseController(), goal(place=np.zeros(3))
+    memory, _ = law.step(law.init(want), observe(0, np.array([-1.0, 0, 0]), np.zeros(3)), want, BASIS)
+    memory, command = law.step(memory, observe(1, np.array([0.02, 0.05, 0.0]), np.zeros(3)), want, BASIS)  # abeam, 5 cm aside
+    assert memory.arrived and not command.u.any() and not command.held
+
+
+def test_without_a_place_it_rests_and_says_so():
+    law, want = PoseController(), goal(place=np.zeros(3))
+    blind = observe(0, np.zeros(3), np.zeros(3))
+    _, command = law.step(law.init(want), type(blind)(0.0, blind.uv, blind.xy, blind.depth), want, BASIS)
+    assert not command.u.any() and command.held == "the place cannot be told"
+
+
+@pytest.mark.parametrize(("gains", "field"), [({"k_rho": -1}, "k_rho"), ({"k_beta": 0.5}, "k_beta"), ({"k_alpha": 0.5}, "k_alpha")])
+def test_gains_that_are_unstable_are_refused(gains, field):
+    with pytest.raises(ParameterError, match=field):
+        PoseController(**gains)

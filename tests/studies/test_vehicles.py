@@ -1,0 +1,32 @@
+"""Vehicles from 20 random starts each, rendered; one line a start (-s shows them)."""
+
+import pytest
+
+import vstestbed as vs
+
+pytestmark = pytest.mark.study
+
+
+def arrivals(name: str, position_m: float, rotation_deg: float, **settings: object) -> int:
+    """How many of the seeds 0 to 19 end `converged` and truly that near."""
+    there = 0
+    for seed in range(20):
+        recording = vs.run(vs.load(name, settings, seed=seed))
+        m = recording.summary()
+        good = recording.outcome.name == "converged"
+        good = good and m["final_position_error_m"] < position_m and m["final_rotation_error_deg"] < rotation_deg
+        there += bool(good)
+        print(
+            name, seed, m["outcome"], f"{m['sim_time_s']:.1f} s {m['final_position_error_m']:.4f} m {m['final_rotation_error_deg']:.3f} deg"
+        )
+    return there
+
+
+@pytest.mark.parametrize("name", ["omni_ibvs", "omni_ibvs_up", "omni_catadioptric"])
+def test_the_omnidirectional_base_arrives(name):
+    assert arrivals(name, 0.02, 0.5) >= 19
+
+
+@pytest.mark.parametrize("name", ["car_pbvs", "car_parking", "car_catadioptric"])
+def test_the_car_arrives(name):
+    assert arrivals(name, 0.10, 5.0) >= 18
