@@ -1,6 +1,7 @@
 """The pilot of a craft that flies: what is done when the law cannot, by the craft's own instruments.
 
-Without a target in sight the craft holds; after a while it sinks until it stands, and rotors go off. A craft that overturned
+Without a target in sight the law rests and the craft holds (or coasts for a moment after a target that moved); after a while
+it sinks until it stands, and rotors go off. A craft that overturned
 levels by itself (its flight loops hear no order then); a rotor that stays at its limit means that orders cannot be kept: both
 give the task up, hold and sink. Nothing falls silently.
 """
@@ -68,7 +69,9 @@ class Pilot:
         if stands:
             self.off_at, self.mode = t, OFF
             return ROTORS_OFF
-        return (setpoint, HOLD, descend(SINK_MPS))[self.mode]
+        if self.mode == SINKS:
+            return descend(SINK_MPS)
+        return HOLD if self.aborted else setpoint
 
     @property
     def may_touch(self) -> bool:

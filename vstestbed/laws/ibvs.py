@@ -19,6 +19,8 @@ from vstestbed.laws.visibility import Visibility
 from vstestbed.observation import Depth, Goal, Observation, PnP
 from vstestbed.spec import spec
 
+COAST_S = 1.0
+"""How long a moving target is followed without sight [s]."""
 JUMP = 0.5
 """An error that changes by more than this from one frame to the next has jumped (radians, or normalised coordinates)."""
 
@@ -104,7 +106,7 @@ class IBVS:
         """One frame, with the markers that are seen; rest when they are too few for the robot's motions."""
         rows = usable_rows(observation, self.feature.inputs, self.markers_needed(basis))
         if isinstance(rows, str):
-            return IBVSMemory(), Command.rest(basis, rows)
+            return self._without(memory, observation.t, basis, rows)
         e, L = self.equations(*self._taken(observation, rows), *self._taken(goal, rows))
         LB = L @ basis
         solved = least_squares(LB, e)  # pinv(L B) e
@@ -121,6 +123,12 @@ class IBVS:
         if self.visibility.margin_px > 0:
             u = u + self.visibility.push(observation, goal, basis)
         return memory, self.limits.command(u, basis)
+
+    def _without(self, memory: IBVSMemory, t: float, basis: Array, why: str) -> tuple[IBVSMemory, Command]:
+        """A frame without sight: rest; a target that moved is followed by its own motion for COAST_S."""
+        if memory.drift is None or not t - memory.t <= COAST_S:
+            return IBVSMemory(), Command.rest(basis, why)
+        return replace(memory, e=None), replace(self.limits.command(-memory.drift, basis), held=why)
 
     def _followed(self, memory: IBVSMemory, t: float, e: Array, LB: Array, own: Array) -> IBVSMemory:
         """The memory with the drift d (n,) of this frame in it; a jump of the error (a marker lost, an angle wrapped) tells nothing."""
