@@ -22,6 +22,8 @@ HOLD_S = 2.0
 """How long a craft that has given up holds before it sinks [s]."""
 SINK_MPS = 0.4
 """How fast it sinks [m/s]."""
+RESUME_M = 0.5
+"""Lower than this over the ground it sets down even when it sees its target again [m]."""
 LIMIT_S = 1.0
 """How long a rotor may stand at its limit [s]."""
 DOWN_S = 0.5
@@ -87,7 +89,8 @@ class Pilot:
         self._lost_at = (t if math.isnan(self._lost_at) else self._lost_at) if lost else math.nan
         if not math.isnan(self.off_at):
             return
-        if self.aborted and self.aborted[0] is Outcome.target_lost and not lost:
+        high = told["range"][0] > RESUME_M
+        if self.aborted and self.aborted[0] is Outcome.target_lost and not lost and high:
             self.aborted = None
         if self.aborted and self.aborted[0] is not Outcome.target_lost:
             return
