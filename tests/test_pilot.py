@@ -75,8 +75,8 @@ def test_only_a_landing_ends_with_rotors_off_in_sight_of_its_target():
 
 def evidence(**given: object) -> Evidence:
     """A frame in which all is well, but for what is given."""
-    plain = dict(t=5.0, lost=False, held="", all_seen=True, error_px=9.0, command_size=1.0, scale=1.0, limit="", distance=3.0)
-    return Evidence(**(plain | {"behind": False, "contact": False, "flies": True} | given))
+    plain = {"t": 5.0, "lost": False, "held": "", "all_seen": True, "error_px": 9.0, "command_size": 1.0, "scale": 1.0, "limit": ""}
+    return Evidence(**(plain | {"distance": 3.0, "behind": False, "contact": False, "flies": True} | given))
 
 
 def test_the_judge_waits_until_the_craft_is_down():
