@@ -27,10 +27,10 @@ RNG = np.random.default_rng(0)
 class Bench:
     """A base that is put anywhere over painted lines, and pictures from it."""
 
-    def __init__(self, lines, camera, sigma=0.0, world=World()):
+    def __init__(self, lines, camera, sigma=0.0, world=None):
         robot = Omni(wheels="planar", start=GroundStart(nominal=GroundPose()))
         self.lines, self.camera = lines, camera
-        self.stage = Stage(Parts(robot, camera, lines, world, 0.002), samples=camera.multisampling)
+        self.stage = Stage(Parts(robot, camera, lines, world or World(), 0.002), samples=camera.multisampling)
         self.eye = eye_of(self.stage, camera, sigma, np.random.default_rng(1))
 
     def frame(self, x, y, heading_deg, look=None):
@@ -39,9 +39,9 @@ class Bench:
         mujoco.mj_forward(self.stage.model, self.stage.data)
         return Frame(0.0, self.eye.glimpse(look), self.eye.whole), T
 
-    def errors(self, places, detector=Lines()):
+    def errors(self, places):
         """Measured less true pixels of all points at each place, (places, N, 2); each picture on its own."""
-        out = []
+        detector, out = Lines(), []
         for place in places:
             frame, T = self.frame(*place)
             true = self.camera.project(self.lines.seen_from(inverse(self.lines.pose.T) @ T))

@@ -77,13 +77,17 @@ class LineFollowing:
 
     kind: Literal["line_following"] = "line_following"
     tasks: ClassVar[tuple[str, ...]] = ("line",)
-    inputs: ClassVar[tuple[str, ...]] = ("xy",)
     depth: ClassVar[Depth] = AtGoal()  # on the floor it depends on the look distance alone, for a camera without roll
     gain: Annotated[float, Gt(0)] = 3.0
     cruise_mps: Annotated[float, Gt(0)] = 0.8
     approach_deg: Annotated[float, Gt(0), Lt(80)] = 25.0
     coast_s: Annotated[float, Ge(0)] = 0.2
     limits: TwistLimits = TwistLimits()
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Where the lines are crossed."""
+        return ("xy",)
 
     def markers_needed(self, basis: Array) -> int:
         """The two points of a line."""
