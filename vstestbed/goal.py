@@ -1,4 +1,4 @@
-"""What a scenario wants: a view, several in turn, a place for a vehicle, a gap to keep, a line to follow."""
+"""What a scenario wants: a view, several in turn, a place for a vehicle, a gap to keep, a line or a path to follow, a pad to land on."""
 
 from __future__ import annotations
 
@@ -99,8 +99,72 @@ class GoalLine:
         return self.band_m
 
 
-FIELDS = {"T_camera_target": "view", "view_from": "view_from", "views": "views", "pose": "pose", "gap_m": "gap"}
-GOALS = OneOf("goal", GoalView, GoalViewFrom, GoalViews, GoalPlace, GoalGap, GoalLine, fields=FIELDS)
-AnyGoal = Annotated[GoalView | GoalViewFrom | GoalViews | GoalPlace | GoalGap | GoalLine, GOALS]
-KEPT = GoalGap, GoalLine
+@spec
+class GoalPath:
+    """A task without an end: fly along a path, given by views on it, and keep at its last one.
+
+    The view that is wanted moves from each of the given ones to the next, its camera along a straight line and turning evenly,
+    with the smoothest timing from rest to rest (minimum jerk), s(p) = 10 p^3 - 15 p^4 + 6 p^5.
+
+    Args:
+        way: the views; the first is wanted for `settle_s`.
+        speed_mps: greatest speed of the wanted view along a leg [m/s].
+        turn_degps: greatest rate at which it turns [deg/s].
+        lead_s: the wanted view's velocity is ordered this much ahead, since a craft's velocity lags its order [s].
+        band_m: how far off the path the camera may be from `settle_s` on [m].
+        settle_s: how long it may take to the first view [s].
+
+    Reference: Flash & Hogan 1985, doi:10.1523/JNEUROSCI.05-07-01688.1985 (minimum jerk).
+    """
+
+    kind: Literal["path"] = "path"
+    way: Annotated[tuple[GoalView, ...], Len(2, 100)]
+    speed_mps: Annotated[float, Gt(0)] = 0.5
+    turn_degps: Annotated[float, Gt(0)] = 20.0
+    lead_s: Annotated[float, Ge(0)] = 0.5
+    band_m: Band = 0.15
+    settle_s: Settle = 10.0
+
+    @property
+    def band(self) -> float:
+        """[m]."""
+        return self.band_m
+
+
+@spec
+class GoalLanding:
+    """Land on the target's pad, its origin: from the view `above` it the wanted view comes down as long as the craft is over it.
+
+    Args:
+        above: T_camera_target of the view from which it comes down; it shrinks along its translation.
+        descend_mps: how fast it comes down [m/s].
+        within_m, within_deg: while the camera is by its own estimate farther off the wanted place, sideways, or turned by more,
+            the view waits [m, deg].
+        commit_m: nearer than this to the pad it waits no more [m].
+        pad_m, touch_mps: how far from the pad's centre, and with what speed against it, a touch-down is a landing [m, m/s].
+    """
+
+    kind: Literal["landing"] = "landing"
+    above: Pose
+    descend_mps: Annotated[float, Gt(0)] = 0.3
+    within_m: Annotated[float, Gt(0)] = 0.15
+    within_deg: Annotated[float, Gt(0)] = 15.0
+    commit_m: Annotated[float, Gt(0)] = 0.4
+    pad_m: Annotated[float, Gt(0)] = 0.2
+    touch_mps: Annotated[float, Gt(0)] = 0.5
+
+
+FIELDS = {
+    "T_camera_target": "view",
+    "view_from": "view_from",
+    "views": "views",
+    "pose": "pose",
+    "gap_m": "gap",
+    "way": "path",
+    "above": "landing",
+}
+GOALS = OneOf("goal", GoalView, GoalViewFrom, GoalViews, GoalPlace, GoalGap, GoalLine, GoalPath, GoalLanding, fields=FIELDS)
+OnGround = GoalViewFrom | GoalPlace | GoalGap | GoalLine
+AnyGoal = Annotated[GoalView | GoalViews | OnGround | GoalPath | GoalLanding, GOALS]
+KEPT = GoalGap, GoalLine, GoalPath
 """Tasks without an end."""

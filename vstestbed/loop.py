@@ -5,18 +5,21 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from operator import mul
 from typing import Any
 
 import numpy as np
 
 from vstestbed.camera import Frame, Look
+from vstestbed.course import course_of
 from vstestbed.errors import ParameterError
+from vstestbed.flight_log import flight_row, level_error
 from vstestbed.geometry import Array, all_finite, inverse
-from vstestbed.goal import GoalViews
+from vstestbed.goal import GoalLanding
 from vstestbed.laws import Law
 from vstestbed.observation import Encoders, Observation
+from vstestbed.pilot import Pilot, pilot_of
 from vstestbed.provenance import versions
 from vstestbed.recording import Layout, Log, Recording, Tick, Watcher
 from vstestbed.robots import Mount
@@ -27,6 +30,7 @@ from vstestbed.sim.timing import DelayLine
 from vstestbed.stop import Evidence, Judge, Outcome
 from vstestbed.target import Square
 from vstestbed.task import band_of, estimated, off, slipped
+from vstestbed.touchdown import Touchdown
 from vstestbed.vision import Detector, Observer, TruthView
 
 PARTS = ("physics", "render", "detect", "law", "record", "video")
@@ -53,6 +57,8 @@ def _observer(scenario: Scenario) -> Observer:
         pixel_sigma_px=scenario.noise.pixel_sigma_px,
         wanted=scenario.law.inputs,
         grounded=scenario.robot.grounded,
+        derotation=scenario.derotation,
+        trim_s=scenario.level_trim_s,
     )
 
 
@@ -61,13 +67,13 @@ class _Servo:
 
     def __init__(self, scenario: Scenario, plant: Plant, spent: dict[str, float]):
         self.scenario, self.plant, self.spent = scenario, plant, spent
-        self.view = 0
-        self.goal = scenario.goal_views[0]
+        self.course, self.pilot = course_of(scenario), pilot_of(scenario)
         self.mount = Mount.of(scenario.camera.mount.T)
         self.basis = scenario.robot.motion_basis(self.mount)
         self.rng = scenario.rng(NOISE_STREAM)
         self.observer = _observer(scenario)
-        self.seeing, self.observing, self.control = scenario.detector.init(), self.observer.init(), scenario.law.init(self.goal)
+        self.seeing, self.observing = scenario.detector.init(), self.observer.init()
+        self.control = scenario.law.init(scenario.goal_views[0])
         self.detector: Detector[Any] = scenario.detector
         self.law: Law[Any] = scenario.law
         self.count = 0
@@ -88,14 +94,19 @@ class _Servo:
             twist = s.robot.measured_twist(last.encoders, shot.encoders, shot.t - last.t, shot.ordered, self.mount)
         compass = shot.encoders.instruments.get("compass")
         heading = None if compass is None else float(compass[0])
-        self.observing, seen = self.observer.observe(self.observing, shot.t, detection, twist, self.rng, heading)
+        tilt = shot.encoders.instruments.get("tilt")
+        self.observing, seen = self.observer.observe(self.observing, shot.t, detection, twist, self.rng, heading, tilt)
+        goal = self.course.goal(seen)
         detected = time.perf_counter()
-        self.control, command = self.law.step(self.control, seen, self.goal, self.basis)
-        allocation = s.robot.allocate(command.twist, self.plant.encoders(), self.mount, s.camera.period)
+        self.control, command = self.law.step(self.control, seen, goal, self.basis)
+        now = self.plant.encoders()
+        allocation = s.robot.allocate(command.twist, now, self.mount, s.camera.period)
+        if self.pilot:
+            allocation = replace(allocation, setpoint=self.pilot.order(shot.t, command.held, now.instruments, allocation.setpoint))
         self.plant.apply(allocation.setpoint)
         self.spent["detect"] += detected - began
         self.spent["law"] += time.perf_counter() - detected
-        error = seen.uv - self.goal.uv
+        error = seen.uv - goal.uv
         if not (all_seen := all_finite(error)):
             error = error[seen.seen]
         lost = bool(command.held) or not error.size  # a law may order motion although it sees nothing
@@ -103,13 +114,14 @@ class _Servo:
         image = shot.frame.image if shot.frame and shot.frame.whole else None
         slip, estimate = self._slip(last, shot, seen), (math.nan, math.nan)
         if s.stop.converged.by_estimate:
-            estimate = estimated(seen, self.goal)
-        tick = Tick(
-            self.count, lost, all_seen, error_px, seen, command, allocation, shot.truth, image, self.goal, self.view, slip, estimate
-        )
+            estimate = estimated(seen, goal)
+        flight = flight_row(s, shot.encoders, shot.truth, seen, goal, self.pilot) if self.pilot else None
+        at = self.course.view
+        tick = Tick(self.count, lost, all_seen, error_px, seen, command, allocation, shot.truth, image, goal, at, slip, estimate, flight)
         self.count += 1
         self.before, self.seen_before = shot, seen
-        self._pass_view(tick)
+        if self.course.passed(error_px):
+            self.control = self.law.init(s.goal_views[self.course.view])
         return tick
 
     def _slip(self, last: Shot, shot: Shot, seen: Observation) -> float:
@@ -120,42 +132,42 @@ class _Servo:
         T_before, T_now = (s.truth.T_world_camera @ inverse(back) for s in (last, shot))
         return slipped(T_before, T_now, self.seen_before.odometry, seen.odometry, shot.t - last.t)
 
-    def _pass_view(self, tick: Tick) -> None:
-        """Via points: on to the next view when this one is near enough."""
-        goal = self.scenario.goal
-        if isinstance(goal, GoalViews) and tick.error_px < goal.threshold_px and self.view + 1 < len(goal.views):
-            self.view += 1
-            self.goal = self.scenario.goal_views[self.view]
-            self.control = self.law.init(self.goal)
 
-
-def _evidence(scenario: Scenario, tick: Tick) -> Evidence:
+def _evidence(scenario: Scenario, tick: Tick, pilot: Pilot | None, touchdown: Touchdown | None) -> Evidence:
     """What the judge may look at: the truth, beside what was seen and ordered."""
-    T = tick.truth.T_world_target
+    T, t = tick.truth.T_world_target, tick.observation.t
     T_base = tick.truth.T_world_camera @ inverse(scenario.camera.mount.T)
+    feet = tick.truth.aloft is not None and tick.truth.aloft.feet
+    if touchdown:
+        touchdown.watch(t, T_base, T, feet)
     away = (tick.truth.T_world_camera[:3, 3] - T[:3, 3]).tolist()
     return Evidence(
-        t=tick.observation.t,
+        t=t,
         lost=tick.lost,
         held=tick.command.held,
         all_seen=tick.all_seen,
-        error_px=tick.error_px,
+        error_px=tick.error_px if tick.flight is None else level_error(scenario, tick.observation, tick.goal),
         command_size=max(map(abs, tick.command.twist.tolist())),
         scale=tick.allocation.scale,
         limit=tick.allocation.limit,
         distance=math.hypot(*away),
         behind=isinstance(scenario.target, Square) and sum(map(mul, away, T[:3, 2].tolist())) >= 0,
-        contact=tick.truth.contact,
-        last_view=tick.view + 1 == len(scenario.goal_views),
+        contact=tick.truth.contact or (feet and pilot is not None and not pilot.may_touch),
+        last_view=tick.view + 1 == len(scenario.goal_views) and touchdown is None,
         position_m=tick.estimate[0],
         rotation_rad=tick.estimate[1],
         off_m=off(scenario, T_base, T),
+        aborted=pilot.aborted if pilot else None,
+        down=pilot is not None and pilot.down(t),
+        touchdown=touchdown.verdict if touchdown else None,
+        flies=pilot is not None,
     )
 
 
 def _until_the_end(scenario: Scenario, plant: Plant, note: Callable[[Tick], None], spent: dict[str, float]) -> tuple[Outcome, str]:
     """Capture every `steps_per_frame` steps, deliver after the camera's latency, stop when the judge says so."""
     servo, judge = _Servo(scenario, plant, spent), Judge(scenario.stop, band_of(scenario))
+    touchdown = Touchdown(scenario.goal) if isinstance(scenario.goal, GoalLanding) else None
     line: DelayLine[Shot] = DelayLine(round(scenario.camera.latency_s / plant.step_s))
     step, next_capture = 0, 0
     twist, moved = np.zeros(6), np.zeros(6)
@@ -172,7 +184,7 @@ def _until_the_end(scenario: Scenario, plant: Plant, note: Callable[[Tick], None
             tick = servo.arrive(shot)
             twist = tick.allocation.twist
             note(tick)
-            if verdict := judge.verdict(_evidence(scenario, tick)):
+            if verdict := judge.verdict(_evidence(scenario, tick, servo.pilot, touchdown)):
                 return verdict
         due = line.next_due()
         ahead = next_capture - step if due is None else min(next_capture, due) - step

@@ -27,6 +27,7 @@ FIGURES = (
     "max_retreat_m",
     "max_rotation_deg",
     "max_feature_excursion_px",
+    "feature_overshoot",
     "min_border_margin_px",
     "peak_speed_mps",
     "peak_rate_radps",
@@ -44,6 +45,8 @@ def summarise(scenario: Scenario, outcome: Outcome, log: Columns) -> dict[str, o
     max_retreat_m: how much farther from the target's origin the camera came than both its start and its goal.
     max_rotation_deg: largest turn away from the starting orientation.
     max_feature_excursion_px: largest distance of a true marker image from the straight line between its start and goal.
+    feature_overshoot: how far the true marker images went beyond their goals, as a share of the way: the largest -(e . e0)/|e0|^2 of
+        the image error e and its start e0, 0 where they never did.
     min_border_margin_px: smallest distance of a true marker image to the picture's border, negative outside.
     worst_off_m: largest true error of a task without an end from its time to settle on; only of such tasks.
     saturated_fraction: share of frames in which the law's limits, the robot's limits or its damping near a
@@ -81,7 +84,8 @@ def _time_to_converge(scenario: Scenario, outcome: Outcome, log: Columns) -> flo
     whole = np.all([np.isfinite(log[f"u_{i}"]) for i in range(len(scenario.target.points))], axis=0)
     reached, none = scenario.stop.converged, np.full(len(log["t"]), np.nan)
     estimate = [log[name] if reached.by_estimate else none for name in ("est_position_m", "est_rotation_rad")]
-    rows = zip(whole, log["error_px"], *estimate, strict=True)
+    error = log["level_error_px" if scenario.robot.feet else "error_px"]
+    rows = zip(whole, error, *estimate, strict=True)
     last_view = log["view"] == len(scenario.goal_views) - 1 if len(scenario.goal_views) > 1 else np.ones(len(whole), dtype=bool)
     over = np.flatnonzero(~(np.array([reached.near(*row) for row in rows]) & last_view & ~log["lost"].astype(bool)))
     first = int(over[-1]) + 1 if len(over) else 0
@@ -127,7 +131,7 @@ def _path(scenario: Scenario, log: Columns) -> dict[str, object]:
 def _image(scenario: Scenario, log: Columns) -> dict[str, object]:
     camera, n = scenario.camera, len(scenario.target.points)
     if not len(log["t"]):
-        return {"max_feature_excursion_px": None, "min_border_margin_px": None}
+        return {"max_feature_excursion_px": None, "feature_overshoot": None, "min_border_margin_px": None}
     names = tuple(str(i) for i in range(n))
     uv = np.stack([_columns(log, "u_true", names), _columns(log, "v_true", names)], axis=-1)
     start, goal = uv[0], scenario.goal_view.uv
@@ -135,10 +139,13 @@ def _image(scenario: Scenario, log: Columns) -> dict[str, object]:
     length2 = np.maximum((along**2).sum(axis=-1), 1e-12)
     share = np.clip(((uv - start) * along).sum(axis=-1) / length2, 0, 1)
     excursion = np.linalg.norm(uv - start - share[..., None] * along, axis=-1)
+    error = (uv - goal).reshape(len(uv), -1)
+    beyond = -(error @ error[0]) / max(float(error[0] @ error[0]), 1e-12)
     margin = np.minimum(uv + 0.5, np.array([camera.width, camera.height]) - 0.5 - uv)
     known = np.isfinite(excursion)
     return {
         "max_feature_excursion_px": float(excursion[known].max()) if known.any() else None,
+        "feature_overshoot": max(0.0, float(beyond[np.isfinite(beyond)].max())) if np.isfinite(beyond).any() else None,
         "min_border_margin_px": float(margin[known].min()) if known.any() else None,
     }
 

@@ -38,6 +38,10 @@ class Observation:
         odometry: a ground vehicle's way since the start by its encoders alone, (x, y, heading) [m, rad] from where it stood.
         place: a ground vehicle's (x, y, heading) [m, rad] in the world, from its landmarks, compass and encoders; None
             where it is not known yet, or the target is no landmark.
+        twist: the camera's mean twist since the last frame as the robot measures it (6,) [m/s, rad/s], for laws that ask for it.
+
+    Where the scenario derotates, xy, depth, T_camera_target, ray, relative and twist are those of the level camera, which
+    shares the craft's place and heading; uv is what the picture shows.
     """
 
     t: float
@@ -50,6 +54,7 @@ class Observation:
     relative: Relative | None = None
     odometry: Array | None = None
     place: Array | None = None
+    twist: Array | None = None
 
     @property
     def seen(self) -> NDArray[np.bool_]:
@@ -77,7 +82,8 @@ class Goal:
 
     `middle` (3,) is the mean of the markers in the camera's frame [m], `normal` (3,) the unit normal of the plane that fits
     them best, away from the camera. Tasks that are not told by a view have more: `place` (x, y, heading) where a vehicle
-    shall stand [m, rad], `gap_m` what it shall keep from the target. `T_base_camera` is the known mount.
+    shall stand [m, rad], `gap_m` what it shall keep from the target. A view that moves along a path has its camera's `twist` (6,)
+    [m/s, rad/s], in the camera's frame. `T_base_camera` is the known mount.
     """
 
     uv: Array
@@ -91,6 +97,7 @@ class Goal:
     normal: Array
     place: Array | None = None
     gap_m: float | None = None
+    twist: Array | None = None
 
     @property
     def T_base_camera(self) -> Array:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 import numpy as np
 
 from vstestbed.errors import RunFolderError
+from vstestbed.flight_log import flight_columns
 from vstestbed.geometry import Array, angles, inverse, quaternion_wxyz, rotation_angle
 from vstestbed.goal import KEPT
 from vstestbed.ground import place_of, relative
@@ -46,7 +47,7 @@ class Tick:
         over the coordinates seen, NaN when lost. image: the servo camera's own picture (it holds until the next frame),
         None where none was taken, or not the whole of it. goal: what the law wanted to see, the scenario's view number `view`.
         slip_mps: how fast a vehicle slid over the floor, unnoticed by its encoders. estimate: how far the robot thinks it is
-        from its goal [m, rad], NaN where that does not count.
+        from its goal [m, rad], NaN where that does not count. flight: of a craft that flies, the numbers of `flight_columns`.
     """
 
     frame: int
@@ -62,6 +63,7 @@ class Tick:
     view: int = 0
     slip_mps: float = 0.0
     estimate: tuple[float, float] = (math.nan, math.nan)
+    flight: Array | None = None
 
 
 class Watcher(Protocol):
@@ -82,7 +84,7 @@ class Layout:
     Of several goal views, `view` is the one that counted. Of a vehicle: base_ its true place, est_ the one it knows of by
     landmarks, compass and encoders, odo_ the one by encoders alone (x, y [m], heading [rad]), slip_mps how fast it slid over
     the floor, unnoticed by its encoders. Where the goal counts as reached by the robot's own estimate, est_position_m and
-    est_rotation_rad are that. Of a task without an end, off_m is its true error.
+    est_rotation_rad are that. Of a task without an end, off_m is its true error. What flies has `flight_columns`.
     """
 
     def __init__(self, scenario: Scenario):
@@ -110,6 +112,7 @@ class Layout:
             *(("view",) if len(scenario.goal_views) > 1 else ()),
             *(("off_m",) if isinstance(scenario.goal, KEPT) else ()),
             *(ESTIMATE if scenario.stop.converged.by_estimate else ()),
+            *flight_columns(scenario),
             *(f"{kind}_{joint}" for kind in ("q", "qd") for joint in robot.joints),
             *(f"ctrl_{actuator}" for actuator in robot.actuators),
         )
@@ -122,7 +125,7 @@ class Layout:
         """Ticks as numbers, shape (len(ticks), columns): one at a time on disk, many at once in memory, the same numbers."""
         t, frame, lost, error, scale, *rest = zip(*ticks, strict=True)
         uv, depth, p_camera, T_camera, T_target, ordered, twist, made, goal_uv, T_goal, *more = (np.array(some) for some in rest)
-        est, odo, slip, view, estimate, *joints = more
+        est, odo, slip, view, estimate, flight, *joints = more
         markers = [uv, self._camera.project(p_camera), goal_uv, depth[..., None], *([angles(self._camera.ray(uv))] if self._angles else [])]
         when, n = np.array(t), len(ticks)
         return np.concatenate(
@@ -141,6 +144,7 @@ class Layout:
                 *((view[:, None],) if len(self._scenario.goal_views) > 1 else ()),
                 *((self._off(T_camera, T_target)[:, None],) if isinstance(self._scenario.goal, KEPT) else ()),
                 *((estimate,) if self._scenario.stop.converged.by_estimate else ()),
+                flight,
                 *joints,
             ],
             axis=1,
@@ -166,6 +170,7 @@ class Layout:
         return np.array([off(self._scenario, b, t) for b, t in zip(T_base, T_target, strict=True)])
 
 
+NO_FLIGHT = np.zeros(0)
 NOWHERE = np.full(3, np.nan)
 """The place of a robot that has none."""
 Kept = tuple[Any, ...]
@@ -196,6 +201,7 @@ def kept(tick: Tick) -> Kept:
         tick.slip_mps,
         tick.view,
         tick.estimate,
+        NO_FLIGHT if tick.flight is None else tick.flight,
         truth.q,
         truth.qd,
         truth.ctrl,

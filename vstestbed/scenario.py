@@ -12,12 +12,12 @@ from annotated_types import Ge
 from vstestbed.camera import CAMERAS, Catadioptric, Fisheye, Perspective, Spherical
 from vstestbed.errors import ParameterError
 from vstestbed.geometry import Array, inverse
-from vstestbed.goal import AnyGoal, GoalGap, GoalLine, GoalPlace, GoalView, GoalViewFrom, GoalViews
+from vstestbed.goal import AnyGoal, GoalGap, GoalLanding, GoalLine, GoalPath, GoalPlace, GoalView, GoalViewFrom, GoalViews
 from vstestbed.ground import pose_on_ground
 from vstestbed.ground_lines import GroundLines
 from vstestbed.laws import IBVS, LAWS, PBVS, Hybrid, LineFollowing, Partitioned, PoseController, Pursuit
 from vstestbed.observation import Goal, OracleDepth, PnP
-from vstestbed.robots import ROBOTS, Car, Free, Mount, Omni, Puma560, Robot
+from vstestbed.robots import ROBOTS, Car, Free, Mount, Omni, Puma560, Quadrotor, Robot
 from vstestbed.sim.clock import Clock
 from vstestbed.sim.world import World
 from vstestbed.spec import spec
@@ -25,6 +25,7 @@ from vstestbed.stop import Stop
 from vstestbed.target import Carried, Points, Square
 from vstestbed.targets import TARGETS
 from vstestbed.vision import DETECTORS, Blobs, Lines, Oracle, Tags
+from vstestbed.vision.derotate import Derotation
 
 
 @spec
@@ -56,18 +57,23 @@ VIEW_MARGIN_PX = 10.0
 class Scenario:
     """One experiment: who moves, what it sees, what it wants, how it ends. `name` is its file's name by default.
 
+    `derotation` says how the law of a craft that leans is given what it would see if it did not; `level_trim_s` with what time
+    constant the picture corrects the roll and pitch of its IMU for that [s] (0: not at all; `vision.derotate.trimmed`).
+
     Raises (from the constructor): ParameterError where two parts contradict each other.
     """
 
     name: str = ""
     description: str = ""
     seed: Annotated[int, Ge(0)] = 0
-    robot: Annotated[Free | Puma560 | Omni | Car, ROBOTS]
+    robot: Annotated[Free | Puma560 | Omni | Car | Quadrotor, ROBOTS]
     camera: Annotated[Perspective | Fisheye | Catadioptric | Spherical, CAMERAS] = Perspective()
     target: Annotated[Square | Points | GroundLines, TARGETS]
     detector: Annotated[Blobs | Tags | Lines | Oracle, DETECTORS] = Blobs()
     law: Annotated[IBVS | Partitioned | PBVS | Hybrid | PoseController | Pursuit | LineFollowing, LAWS]
     goal: AnyGoal
+    derotation: Derotation = "none"
+    level_trim_s: Annotated[float, Ge(0)] = 0.0
     stop: Stop = Stop()
     noise: Noise = Noise()
     world: World = World()
@@ -91,7 +97,9 @@ class Scenario:
         task = "view" if isinstance(self.goal, GoalView | GoalViewFrom | GoalViews) else kind
         if task not in tasks:
             raise ParameterError("goal", f"may not be of kind {kind} with law {self.law.kind}, which takes {' or '.join(tasks)}")
-        if not self.robot.grounded and (task != "view" or any(isinstance(v, GoalViewFrom) for v in self._views)):
+        flight = kind in ("path", "landing")
+        self._check_flight(flight)
+        if not self.robot.grounded and not flight and (task != "view" or any(isinstance(v, GoalViewFrom) for v in self._views)):
             raise ParameterError("goal", f"of kind {kind} is for a vehicle; robot {self.robot.kind} takes T_camera_target")
         if isinstance(self.target, GroundLines) != (task == "line"):
             words = "needs a line on the floor" if task == "line" else "cannot be had of lines on the floor, which have no markers"
@@ -100,6 +108,20 @@ class Scenario:
         carried = isinstance(self.target.motion, Carried)
         if carried and any(isinstance(v, GoalViewFrom | GoalPlace) for v in self._views):
             raise ParameterError("goal", f"of kind {kind} needs a target that stands still; a carried one is followed by a gap")
+
+    def _check_flight(self, flight: bool) -> None:
+        kind, robot = self.goal.kind, self.robot
+        if flight != bool(robot.feet) and (flight or isinstance(self.goal, GoalViewFrom)):
+            raise ParameterError("goal", f"of kind {kind} is {'for' if flight else 'not for'} a craft that flies (robot quadrotor)")
+        if not robot.feet and self.derotation != "none":
+            raise ParameterError("derotation", "is for a craft that leans (robot quadrotor); here it must be none", self.derotation)
+        if not robot.feet and not self.world.wind.still:
+            raise ParameterError("world.wind", f"is for a craft that flies (robot quadrotor), and robot {robot.kind} does not feel it")
+        if self.level_trim_s and (self.derotation == "none" or isinstance(self.target.motion, Carried)):
+            words = "corrects the tilt for a derotation by a target that stands still; here it must be 0"
+            raise ParameterError("level_trim_s", words, self.level_trim_s)
+        if kind == "landing" and self.target.pad is None:
+            raise ParameterError("target.pad", "is missing: goal of kind landing needs one, e.g. {side: 0.9}")
 
     def _check_markers(self) -> None:
         points, marker, seen = self.target.points, self.target.marker.kind, self.detector.markers
@@ -126,8 +148,9 @@ class Scenario:
         if isinstance(self.goal, GoalPlace | GoalGap | GoalLine):
             return  # what is seen there is not what is asked for
         for i, view in enumerate(self._views):
-            where = f"goal.views.{i}" if len(self._views) > 1 else "goal"
-            self._check_view(f"{where}.{'T_camera_target' if isinstance(view, GoalView) else 'view_from'}", self.goal_views[i])
+            where = f"goal.{'way' if isinstance(self.goal, GoalPath) else 'views'}.{i}" if len(self._views) > 1 else "goal"
+            names = {"view": "T_camera_target", "landing": "above"}
+            self._check_view(f"{where}.{names.get(view.kind, 'view_from')}", self.goal_views[i])
 
     def _check_view(self, field: str, goal: Goal) -> None:
         p = self.target.seen_from(inverse(goal.T_camera_target))
@@ -156,6 +179,8 @@ class Scenario:
 
     @property
     def _views(self) -> tuple[AnyGoal, ...]:
+        if isinstance(self.goal, GoalPath):
+            return self.goal.way
         return self.goal.views if isinstance(self.goal, GoalViews) else (self.goal,)
 
     @cached_property
@@ -172,7 +197,7 @@ class Scenario:
         """The goal as the law is told it. Tasks that are no view have one all the same: what is seen where all is well."""
         camera, points, mount = self.camera, self.target.points, self.camera.mount.T
         match goal:
-            case GoalView(T_camera_target=pose):
+            case GoalView(T_camera_target=pose) | GoalLanding(above=pose):
                 return Goal.from_view(camera, points, pose.T)
             case GoalViewFrom(view_from=here) | GoalPlace(pose=here):
                 T = inverse(here.T @ mount) @ self.target.pose.T
@@ -200,7 +225,8 @@ class Scenario:
             places += list(target.motion.route.samples.xy[::50])
         if isinstance(target, GroundLines):
             places += list(target.way[::50])
-        return tuple((float(p[0]), float(p[1]), 0.0) for p in places)
+        high = [(target.T_world_start @ inverse(goal.T_camera_target))[:3, 3] for goal in self.goal_views if self.robot.feet]
+        return (*((float(p[0]), float(p[1]), 0.0) for p in places), *((float(p[0]), float(p[1]), float(p[2])) for p in high))
 
     @property
     def T_world_goal(self) -> Array:

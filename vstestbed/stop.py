@@ -25,6 +25,8 @@ class Outcome(Enum):
     local_minimum = "the law orders rest away from the goal"
     diverged = "the camera left for the far distance"
     collided = "the robot touched something"
+    overturned = "the craft tilted by more than 60 degrees"
+    rotor_limit = "a rotor stood at its limit for too long"
     crashed = "the simulation became unstable"
     interrupted = "the run was interrupted"
 
@@ -119,6 +121,8 @@ class Evidence:
         last_view: the goal is the last of its views.
         position_m, rotation_rad: how far the robot is from its goal by the law's own estimate, NaN where it has none.
         off_m: true error of a task without an end [m], NaN for other tasks.
+        aborted: why a craft that flies gave its task up, if it did: then it holds, sinks, and the run ends when it stands.
+        down: it stands with its rotors off. touchdown: how a landing went, in truth; None before.
     """
 
     t: float
@@ -136,6 +140,10 @@ class Evidence:
     position_m: float = math.nan
     rotation_rad: float = math.nan
     off_m: float = math.nan
+    aborted: tuple[Outcome, str] | None = None
+    down: bool = False
+    touchdown: tuple[Outcome, str] | None = None
+    flies: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,15 +180,20 @@ class Judge:
         lost = self._lasting("lost", e.lost, e.t)
         rest = self._lasting("rest", self.band is None and not e.lost and not near and e.command_size < REST, e.t)
         blocked = self._lasting("blocked", e.limit in ("joint_limit", "singular") and e.scale < BLOCKED_SCALE, e.t)
+        if e.aborted and not e.contact:
+            return self._after_abort(e)
+        if e.touchdown and e.down:
+            return e.touchdown
         if held >= goal.hold_s:
             return Outcome.converged, f"{goal.words} for {goal.hold_s:g} s"
         if e.contact:
-            return Outcome.collided, "the robot touched something"
+            after = f", after {e.aborted[1]}" if e.aborted else ""
+            return Outcome.collided, f"the robot touched something{after}"
         if e.distance > FAR_M:
             return Outcome.diverged, f"the camera is more than {FAR_M:g} m away from the target"
         if e.behind:
             return Outcome.target_lost, "the camera crossed the plane of the target"
-        if e.lost and lost >= self.stop.lost_after_s:
+        if e.lost and lost >= self.stop.lost_after_s and not e.flies:  # a craft sets down first
             never = "" if self.worked else ", from the start on"
             return Outcome.target_lost, f"{e.held or Outcome.target_lost.value} for {self.stop.lost_after_s:g} s{never}"
         if blocked >= BLOCKED_S:
@@ -192,6 +205,13 @@ class Judge:
         if e.t >= self.stop.duration_s - 1e-9:
             return self._at_the_end()
         return None
+
+    def _after_abort(self, e: Evidence) -> tuple[Outcome, str] | None:
+        """A craft that gave up: its reason, once it stands or the time is out."""
+        if not e.aborted or not (e.down or e.t >= self.stop.duration_s - 1e-9):
+            return None
+        outcome, reason = e.aborted
+        return outcome, f"{reason}; the craft {'set down' if e.down else 'was still on its way down when the time ran out'}"
 
     def _at_the_end(self) -> tuple[Outcome, str]:
         if self.band is None:

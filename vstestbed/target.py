@@ -172,12 +172,34 @@ Motion = Annotated[Still | Carried, MOTIONS]
 
 
 @spec
+class Pad:
+    """A plate to land on: its middle is the target's origin, its upper side the target's plane z = 0 (z down).
+
+    Args:
+        side: of the square [m].
+        mass: where a vehicle carries it [kg]; by default an aluminium honeycomb of 4 kg/m^2.
+    """
+
+    side: Annotated[float, Gt(0)] = 0.9
+    mass: Annotated[float, Gt(0)] | None = None
+
+    @property
+    def weight(self) -> float:
+        """[kg]."""
+        return self.mass or 4.0 * self.side**2
+
+
+@spec
 class Target:
-    """What all targets share: pose in the world, marker, motion. Subclasses give the `points`, and say which markers they may have."""
+    """What all targets share: pose in the world, marker, motion, a pad to land on.
+
+    Subclasses give the `points`, and say which markers they may have.
+    """
 
     pose: Pose
     marker: Disc | Sphere | Tag | Stripe = Disc()
     motion: Motion = Still()
+    pad: Pad | None = None
 
     @cached_property
     def points(self) -> Array:

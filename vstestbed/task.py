@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 
+from vstestbed.course import Path
 from vstestbed.geometry import Array, inverse, rigid_error
-from vstestbed.goal import KEPT, GoalGap, GoalLine
+from vstestbed.goal import KEPT, GoalGap, GoalLine, GoalPath
 from vstestbed.ground import place_of, relative
 from vstestbed.ground_lines import GroundLines
 from vstestbed.observation import Goal, Observation
@@ -22,8 +23,10 @@ def band_of(scenario: Scenario) -> Band | None:
 
 
 def off(scenario: Scenario, T_world_base: Array, T_world_target: Array) -> float:
-    """True error of a task without an end [m]: of the gap, or sideways from the line; NaN for other tasks."""
+    """True error of a task without an end [m]: of the gap, sideways from the line, from the path; NaN for other tasks."""
     goal = scenario.goal
+    if isinstance(goal, GoalPath):
+        return Path(goal).off(inverse(T_world_target) @ T_world_base @ scenario.camera.mount.T)
     if isinstance(goal, GoalGap):
         return math.dist(T_world_base[:2, 3], T_world_target[:2, 3]) - goal.gap_m
     if isinstance(goal, GoalLine) and isinstance(scenario.target, GroundLines):

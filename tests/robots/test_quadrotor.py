@@ -12,7 +12,7 @@ from vstestbed.geometry import Pose, adjoint, inverse
 from vstestbed.observation import Encoders
 from vstestbed.robots.base import Mount
 from vstestbed.robots.groundspeed import Filtered, Flow
-from vstestbed.robots.quadrotor import HOLD, STANDING_M, FlightBox, FlightPose, FlightStart, Imu, Quadrotor, descend
+from vstestbed.robots.quadrotor import HOLD, ROTORS_OFF, STANDING_M, FlightBox, FlightPose, FlightStart, Imu, Quadrotor, descend
 from vstestbed.robots.rotors import HOVER
 
 DOWN = Mount.of(Pose(xyz=(0.1, 0.0, -0.05), rpy_deg=(180, 0, 90)).T)
@@ -105,7 +105,9 @@ class TestSetpoints:
         """By what flies: against MuJoCo's own velocity of the craft, through the mount."""
         craft = Flown(Quadrotor())
         craft.fly([0.8, -0.3, 0.2, 0.4], 3.0)
-        before = replace(craft.encoders(), instruments={**craft.encoders().instruments, **craft.robot.reported(craft.memory)})
+        before = replace(
+            craft.encoders(), instruments={**craft.encoders().instruments, **craft.robot.reported(craft.memory, craft.encoders())}
+        )
         true = DOWN.to_camera @ np.concatenate([craft.R.T @ craft.data.qvel[:3], craft.data.qvel[3:]])
         found = craft.robot.measured_twist(before, before, 0.04, np.zeros(6), DOWN)
         # The estimate's noise: 2 cm/s, and a gyro reading's .002 rad/s and what is left of its bias.
@@ -171,8 +173,8 @@ class TestDown:
         log = craft.fly(descend(0.3), 3.0)
         assert craft.robot.stands(craft.memory, craft.encoders())
         assert log.position[-1, 2] == pytest.approx(STANDING_M, abs=0.002)
-        craft.memory = craft.robot.rotors_off(craft.memory)
-        log = craft.fly(descend(0.3), 2.0)
+        craft.fly(ROTORS_OFF, 0.1)
+        log = craft.fly(descend(0.3), 2.0)  # off is off
         # exp(-2 / .117) of hover is left.
         assert craft.data.act.max() < 1.0
         assert np.abs(log.velocity[-1]).max() < 1e-3
@@ -188,6 +190,6 @@ class TestDown:
         craft = Flown(perfect())
         log = craft.fly([0, 0, 3.0, 0], 0.5)  # 7.5 m/s^2 up: 1.76 times the weight, rotors give 1.35
         assert log.memory[99].limited_s == pytest.approx(0.1, abs=0.02)
-        assert craft.robot.reported(craft.memory)["rotor_limit_s"][0] > 0.0
+        assert craft.robot.reported(craft.memory, craft.encoders())["rotor_limit_s"][0] > 0.0
         log = craft.fly(HOLD, 1.0)
         assert log.memory[-1].limited_s == 0.0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
@@ -19,13 +19,23 @@ from vstestbed.laws.visibility import Visibility
 from vstestbed.observation import Depth, Goal, Observation, PnP
 from vstestbed.spec import spec
 
+COAST_S = 1.0
+"""How long a moving target is followed without sight [s]."""
+JUMP = 0.5
+"""An error that changes by more than this from one frame to the next has jumped (radians, or normalised coordinates)."""
+
 
 @dataclass(frozen=True, slots=True)
 class IBVSMemory:
-    """Time of the first command [s] and the command that the law would have jumped to there (n,)."""
+    """Time of the first command [s] and the command that the law would have jumped to there (n,); with `target_motion_s` the last
+    frame's time [s] and error, and the drift (n,).
+    """
 
     t0: float = math.nan
     u0: Array | None = None
+    t: float = math.nan
+    e: Array | None = None
+    drift: Array | None = None
 
 
 @spec
@@ -33,6 +43,11 @@ class IBVS:
     """u = -lambda pinv(L B) e with e = s - s*, camera twist v = B u.
 
     With `smooth_start_s` = tau the command grows from rest: u - u(0) exp(-t/tau).
+
+    A view that moves along a path adds its own velocity u* to that.
+
+    With `target_motion_s` a target, or a goal, that moves is followed without lag: what the robot's own measured motion u_m leaves
+    unexplained of the error's change, d = pinv(L B) e_dot - u_m, filtered with that time constant, is taken off: u - d.
 
     Errata. Chapter 16 of Corke 2017 has polar and spherical features as here (eqs 16.9, 16.15), but theta = asin(r) in
     eq. 16.11, which is wrong behind the camera's equator; each feature says what it does instead. With an exact half turn
@@ -47,27 +62,30 @@ class IBVS:
         interaction: L at the current view, at the desired one, or the mean of both matrices.
         depth: where Z (for `spherical` the range) in L comes from.
         smooth_start_s: tau [s]; 0 starts with the full command.
+        target_motion_s: time constant of the estimate of the target's own motion [s]; 0 takes it to stand still.
         limits: largest speed and rate of the commanded twist.
         visibility: keeps markers off the picture's border.
 
     References: Chaumette & Hutchinson 2006, eqs 3-5, doi:10.1109/MRA.2006.250573; mean matrix: Malis 2004,
-    doi:10.1109/ROBOT.2004.1308092; smooth start: Mansard & Chaumette 2007, doi:10.1109/TRO.2006.889487.
+    doi:10.1109/ROBOT.2004.1308092; moving target: Chaumette & Hutchinson 2007, doi:10.1109/MRA.2007.339609; smooth start:
+    Mansard & Chaumette 2007, doi:10.1109/TRO.2006.889487.
     """
 
     kind: Literal["ibvs"] = "ibvs"
-    tasks: ClassVar[tuple[str, ...]] = ("view",)
+    tasks: ClassVar[tuple[str, ...]] = ("view", "path", "landing")
     gain: Gain = ConstantGain()
     feature: Annotated[Point | Polar | Spherical | Polygon | Line, FEATURES] = Point()
     interaction: Literal["current", "desired", "mean"] = "current"
     depth: Depth = PnP()
     smooth_start_s: Annotated[float, Ge(0)] = 0.0
+    target_motion_s: Annotated[float, Ge(0)] = 0.0
     limits: TwistLimits = TwistLimits()
     visibility: Visibility = Visibility()
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """The fields of an Observation that its feature takes."""
-        return self.feature.inputs
+        """The fields of an Observation that it looks at: those of its feature, and the robot's motion where it needs that."""
+        return (*self.feature.inputs, "twist") if self.target_motion_s > 0 else self.feature.inputs
 
     def check(self, points: Array, goal: Goal) -> None:
         """Refuse what `visibility` does; with the feature `polygon`, a goal view of three or more markers without a size."""
@@ -86,19 +104,40 @@ class IBVS:
 
     def step(self, memory: IBVSMemory, observation: Observation, goal: Goal, basis: Array) -> tuple[IBVSMemory, Command]:
         """One frame, with the markers that are seen; rest when they are too few for the robot's motions."""
-        rows = usable_rows(observation, self.inputs, self.markers_needed(basis))
+        rows = usable_rows(observation, self.feature.inputs, self.markers_needed(basis))
         if isinstance(rows, str):
-            return IBVSMemory(), Command.rest(basis, rows)
+            return self._without(memory, observation.t, basis, rows)
         e, L = self.equations(*self._taken(observation, rows), *self._taken(goal, rows))
-        solved = least_squares(L @ basis, e)  # pinv(L B) e
+        LB = L @ basis
+        solved = least_squares(LB, e)  # pinv(L B) e
         u = -self.gain.at(solved) * solved
+        if self.target_motion_s > 0 and observation.twist is not None:
+            memory = self._followed(memory, observation.t, e, LB, least_squares(basis, observation.twist))
+            u = u if memory.drift is None else u - memory.drift
+        if goal.twist is not None:
+            u = u + least_squares(basis, goal.twist)
         if self.smooth_start_s > 0:
             u0 = u if memory.u0 is None else memory.u0
-            memory = IBVSMemory(observation.t if memory.u0 is None else memory.t0, u0)
+            memory = replace(memory, t0=observation.t if memory.u0 is None else memory.t0, u0=u0)
             u = u - u0 * math.exp(-(observation.t - memory.t0) / self.smooth_start_s)
         if self.visibility.margin_px > 0:
             u = u + self.visibility.push(observation, goal, basis)
         return memory, self.limits.command(u, basis)
+
+    def _without(self, memory: IBVSMemory, t: float, basis: Array, why: str) -> tuple[IBVSMemory, Command]:
+        """A frame without sight: rest; a target that moved is followed by its own motion for COAST_S."""
+        if memory.drift is None or not t - memory.t <= COAST_S:
+            return IBVSMemory(), Command.rest(basis, why)
+        return replace(memory, e=None), replace(self.limits.command(-memory.drift, basis), held=why)
+
+    def _followed(self, memory: IBVSMemory, t: float, e: Array, LB: Array, own: Array) -> IBVSMemory:
+        """The memory with the drift d (n,) of this frame in it; a jump of the error (a marker lost, an angle wrapped) tells nothing."""
+        before, drift = memory.e, memory.drift
+        if before is not None and before.shape == e.shape and t > memory.t and np.abs(e - before).max() < JUMP:
+            now = least_squares(LB, (e - before) / (t - memory.t)) - own
+            old = np.zeros_like(now) if drift is None else drift
+            drift = old + (1 - math.exp(-(t - memory.t) / self.target_motion_s)) * (now - old)
+        return replace(memory, t=t, e=e, drift=drift)
 
     @property
     def remembers(self) -> int:
@@ -117,7 +156,7 @@ class IBVS:
 
     def _taken(self, sight: Observation | Goal | Views, rows: Rows) -> tuple[Array, Array]:
         """The two inputs of the feature, of those markers."""
-        what, distance = self.inputs
+        what, distance = self.feature.inputs
         return getattr(sight, what)[rows], getattr(sight, distance)[rows]
 
     def equations(self, x: Array, distance: Array, goal_x: Array, goal_distance: Array) -> tuple[Array, Array]:

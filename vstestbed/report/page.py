@@ -12,7 +12,7 @@ import polars as pl
 
 from vstestbed.errors import RunFolderError, VstestbedError
 from vstestbed.files import write_whole
-from vstestbed.report import angles, figures, numbers, path3d, plane, vehicle
+from vstestbed.report import angles, figures, flight, numbers, path3d, plane, vehicle
 from vstestbed.report.canvas import style, to_svg
 from vstestbed.report.pieces import figure, film, folded
 from vstestbed.report.template import PAGE, STYLE
@@ -67,6 +67,14 @@ PLOTS: Final[tuple[Plot, ...]] = (
         vehicle.off_task,
     ),
     ("twist", "Camera twist", "In the camera's frame: commanded (thin line) and true (pale band).", figures.twist),
+    (
+        "velocity",
+        "Velocity of the craft",
+        "In its level frame: ordered (thin line) and flown, by its own estimate (pale band).",
+        flight.velocity,
+    ),
+    ("tilt", "Tilt", "True (pale band) and as the craft estimates it from its IMU (thin line).", flight.tilt),
+    ("rotors", "Rotors and wind", "Speeds of the rotors, their limit dotted; the wind along the world's axes.", flight.rotors),
     ("pose", "Distance from the goal", "True pose against the goal pose.", figures.pose_error),
     ("depth", "Depth of the markers", "As the law used it (thin line) and true (pale band).", figures.depth),
     (

@@ -5,10 +5,11 @@ from vstestbed.robots.car import Car
 from vstestbed.robots.free import Free
 from vstestbed.robots.omni import Omni
 from vstestbed.robots.puma560 import Puma560
+from vstestbed.robots.quadrotor import Quadrotor
 from vstestbed.spec import OneOf
 
-ROBOTS = OneOf("robot", Free, Puma560, Omni, Car)
+ROBOTS = OneOf("robot", Free, Puma560, Omni, Car, Quadrotor)
 VEHICLES: dict[str, type] = {"omni": Omni, "car": Car}
 """What can carry a target."""
 
-__all__ = ["ROBOTS", "VEHICLES", "Allocation", "Car", "Direct", "Free", "Mount", "Omni", "Puma560", "Robot", "Servo"]
+__all__ = ["ROBOTS", "VEHICLES", "Allocation", "Car", "Direct", "Free", "Mount", "Omni", "Puma560", "Quadrotor", "Robot", "Servo"]

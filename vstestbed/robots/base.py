@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any, ClassVar, Literal, Protocol
 
 import numpy as np
@@ -10,6 +12,7 @@ import numpy as np
 from vstestbed.geometry import Array, adjoint, inverse
 from vstestbed.observation import Encoders
 
+NOTHING: Mapping[str, Array] = MappingProxyType({})
 Limit = Literal["", "speed", "joint_limit", "singular"]
 
 
@@ -75,6 +78,8 @@ class Robot(Protocol):
     """Whether its base is free to go anywhere: joint `root` (or `root_x`, `root_y`, `root_yaw`) in its file."""
     grounded: ClassVar[bool]
     """Whether it stands on the floor and moves in the plane: its configuration is (x, y, heading)."""
+    feet: ClassVar[tuple[str, ...]]
+    """Of a robot that flies: the geoms in its file that may touch the ground, and nothing else of it may. Others have none."""
     control_period_s: ClassVar[float | None]
     """How often its onboard controller turns the setpoint into controls [s]; None where the setpoint is the controls."""
     largest_step_s: ClassVar[float]
@@ -136,8 +141,30 @@ class Robot(Protocol):
         """One step of its onboard controller: the next memory and the actuators' controls (nu,)."""
         ...
 
+    def rest_ctrl(self) -> Array | None:
+        """Controls, and activations, with which it keeps its start (nu,); None where those of the file do."""
+        ...
 
-class Direct:
+    def reported(self, memory: Any, encoders: Encoders) -> Mapping[str, Array]:
+        """What its onboard controller tells of itself, to put beside the instruments' readings."""
+        ...
+
+
+class Earthbound:
+    """What a robot has that does not fly."""
+
+    feet: ClassVar[tuple[str, ...]] = ()
+
+    def rest_ctrl(self) -> Array | None:
+        """Those of the file."""
+        return None
+
+    def reported(self, memory: Any, encoders: Encoders) -> Mapping[str, Array]:
+        """Nothing."""
+        return NOTHING
+
+
+class Direct(Earthbound):
     """What a robot has whose setpoint is its actuators' controls and whose instruments are exact."""
 
     sensors: ClassVar[tuple[str, ...]] = ()

@@ -18,7 +18,7 @@ from annotated_types import Ge, Gt, Le, Lt
 from vstestbed.geometry import Array
 from vstestbed.ground import pose_on_ground
 from vstestbed.observation import Encoders
-from vstestbed.robots.base import Allocation, Limit, Mount
+from vstestbed.robots.base import Allocation, Earthbound, Limit, Mount
 from vstestbed.robots.bicycle import STANDSTILL, BicycleLimits, within_limits, yaw_rate
 from vstestbed.robots.ground import PLANE, GroundStart
 from vstestbed.spec import spec
@@ -74,7 +74,7 @@ class CarServos:
 
 
 @spec
-class Car:
+class Car(Earthbound):
     """A buggy of 60 kg with Ackermann steering and rear drive.
 
     Args:

@@ -35,6 +35,8 @@ STANDING_MARGIN_M = 0.05
 """A range within it of the legs' says that the feet are down: the range finder's noise and a few degrees of tilt [m]."""
 HOLD = np.zeros(4)
 """The setpoint that levels the craft and holds it where it is."""
+ROTORS_OFF = np.array([0.0, 0.0, -math.inf, 0.0])
+"""The setpoint of a craft that has landed: it sinks no deeper, rotors run out and stay off."""
 LEVEL_AXES = [0, 1, 2, 5]
 """vx, vy, vz and wz of a twist."""
 
@@ -126,11 +128,11 @@ class Quadrotor:
     max_climb_mps: Positive = 1.0
     max_yaw_rate_radps: Positive = 0.8
 
-    joints: ClassVar[tuple[str, ...]] = ()
     actuators: ClassVar[tuple[str, ...]] = ("rotor_front", "rotor_right", "rotor_back", "rotor_left")
     sensors: ClassVar[tuple[str, ...]] = ("gyro", "accelerometer", "velocity", "range")
     rides: ClassVar[bool] = True
     grounded: ClassVar[bool] = False
+    feet: ClassVar[tuple[str, ...]] = ("foot_front", "foot_right", "foot_back", "foot_left")
     control_period_s: ClassVar[float | None] = 0.001
     largest_step_s: ClassVar[float] = 0.001
     """The rate loop is tuned at it."""
@@ -145,6 +147,11 @@ class Quadrotor:
     def model(self) -> str:
         """Its MJCF file."""
         return "quadrotor.xml"
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """None that it measures."""
+        return ()
 
     @property
     def servo(self) -> None:
@@ -225,11 +232,13 @@ class Quadrotor:
     def actuate(self, memory: Flight, setpoint: Array, encoders: Encoders, dt: float) -> tuple[Flight, Array]:
         """One control step: squared rotor speeds (4,) ordered, for a setpoint (vx, vy, vz, wz).
 
-        A setpoint that is not finite holds the craft where it is. A craft that is not armed lets its rotors run out.
+        A setpoint that is not finite holds the craft where it is; ROTORS_OFF disarms it. A craft that is not armed lets its
+        rotors run out.
         """
         told = encoders.instruments
         gyro, force, speed = tuple(told["gyro"].tolist()), tuple(told["accelerometer"].tolist()), tuple(told["velocity"].tolist())
         vx, vy, vz, wz = setpoint.tolist()
+        armed = memory.armed and vz != -math.inf
         if not math.isfinite(vx + vy + vz + wz):
             vx = vy = vz = wz = 0.0
         R = level(memory.attitude.up)
@@ -240,7 +249,7 @@ class Quadrotor:
         bias = attitude.bias
         rates = gyro[0] - bias[0], gyro[1] - bias[1], gyro[2] - bias[2]
         ground = groundspeed.step(memory.ground, R, speed, force, R.heading_rate(rates), self.velocity, dt)
-        if not memory.armed:
+        if not armed:
             W, orders = speed_control(memory.W, (0.0, 0.0, 0.0, 0.0), self.gains.rotor_s, dt)
             return Flight(attitude, ground, Loops(), W, rates, False), np.array(orders)
         loops, push = fly(memory.loops, (vx, vy, vz), wz, ground.velocity, R, rates, self.gains, dt)
@@ -256,15 +265,11 @@ class Quadrotor:
         near = float(encoders.instruments["range"][0]) < STANDING_M + STANDING_MARGIN_M
         return near and sum(memory.W) < 4 * 0.9 * HOVER
 
-    def rotors_off(self, memory: Flight) -> Flight:
-        """The memory of a craft that has landed: rotors run out and stay off."""
-        return memory._replace(armed=False)
-
-    def reported(self, memory: Flight) -> Mapping[str, Array]:
+    def reported(self, memory: Flight, encoders: Encoders) -> Mapping[str, Array]:
         """What the craft tells of its flight, by its own estimate, to put beside the raw readings.
 
         `tilt`: roll and pitch (2,) [rad]; `flown_velocity`: in body axes (3,) [m/s]; `flown_rates`: body rates without bias
-        (3,) [rad/s]; `rotor_limit_s`: for how long a rotor has been at its limit (1,) [s].
+        (3,) [rad/s]; `rotor_limit_s`: for how long a rotor has been at its limit (1,) [s]; `overturned`, `stands`: 1 if so (1,).
         """
         attitude = memory.attitude
         return {
@@ -272,6 +277,8 @@ class Quadrotor:
             "flown_velocity": np.array(level(attitude.up).to_body(memory.ground.velocity)),
             "flown_rates": np.array(memory.rates),
             "rotor_limit_s": np.array([memory.limited_s]),
+            "overturned": np.array([float(memory.overturned)]),
+            "stands": np.array([float(self.stands(memory, encoders))]),
         }
 
 

@@ -13,6 +13,15 @@ from vstestbed.observation import Encoders
 
 
 @dataclass(frozen=True, slots=True)
+class Aloft:
+    """Of a craft that flies: the wind (3,) in the world [m/s], its actuators' activations (nu,), whether a foot touches something."""
+
+    wind: Array
+    act: Array
+    feet: bool
+
+
+@dataclass(frozen=True, slots=True)
 class Truth:
     """What the simulator knows at one instant; for the recorder, the judge and the oracle, and for nothing else.
 
@@ -22,7 +31,8 @@ class Truth:
         q, qd, ctrl: joints [rad, rad/s] and actuator controls.
         p_camera: marker centres in the camera frame (N, 3) [m].
         hidden: markers behind something, (N,) bool; all False where nobody asked.
-        contact: the robot touches something.
+        contact: the robot touches something; of one that flies, with anything but its feet.
+        aloft: what else there is of one that flies.
     """
 
     T_world_camera: Array
@@ -34,6 +44,7 @@ class Truth:
     p_camera: Array
     hidden: NDArray
     contact: bool
+    aloft: Aloft | None = None
 
 
 class Eyes(Protocol):

@@ -87,7 +87,7 @@ def scene_files(
         body = spec.body("robot/camera")
         body.pos, body.quat = T[:3, 3], quaternion_wxyz(T[:3, :3])
     else:
-        spec.add_key(name="start", qpos=stage.start_qpos())
+        spec.add_key(name="start", qpos=stage.start_qpos(), act=stage.data.act.copy(), ctrl=stage.data.ctrl.copy())
     stage.close()
     spec.compile()
     return SceneFiles(spec.to_xml(), dict(spec.assets))

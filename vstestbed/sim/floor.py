@@ -42,6 +42,7 @@ def measure_floor(parts: Parts, steps_per_frame: int, ctrl: Array, q: Array, T_w
     target = parts.target.T_world_start
     where = [stage.model.actuator_ctrladr[stage.model.actuator(f"robot/{name}").id] for name in parts.robot.actuators]
     stage.place(0.0, target, q[0], T_world_camera[0])
+    stage.rest()
     mujoco.mj_forward(stage.model, stage.data)
     physics = render = 0.0
     for frame in range(len(ctrl)):

@@ -11,11 +11,15 @@ from dm_control.rl.control import PhysicsError
 from vstestbed.camera import Frame, Look
 from vstestbed.geometry import Array, inverse
 from vstestbed.observation import Encoders
-from vstestbed.sim.base import Eyes, Truth
+from vstestbed.sim.base import Aloft, Eyes, Truth
 from vstestbed.sim.leader import Leader
 from vstestbed.sim.senses import Senses
 from vstestbed.sim.stage import Stage
+from vstestbed.sim.weather import Weather
 
+AWAY = np.eye(4)
+AWAY[2, 3] = 1000.0
+"""Where a craft is while a vehicle settles: high up [m]."""
 SETTLE_S = 1.0
 """A vehicle stands this long on its springs before the start [s]."""
 
@@ -43,6 +47,12 @@ class MujocoPlant:
         bodies = [model.body(i).name.startswith("robot/") for i in range(model.nbody)]
         self._robot_geoms = np.array(bodies)[model.geom_bodyid]
         self._floor = model.geom("floor").id
+        feet = np.zeros(model.ngeom, dtype=bool)
+        feet[[model.geom(f"robot/{name}").id for name in robot.feet]] = True
+        self._feet, self._flies = feet, bool(robot.feet)
+        wind = stage.parts.world.wind
+        self._weather = Weather(wind, model, rng.spawn(1)[0]) if self._flies else None
+        self._windy = not wind.still
         self._senses = Senses(stage, rng)
         self._leader = Leader(stage) if stage.leader else None
         self._velocity = np.zeros(6)
@@ -54,12 +64,13 @@ class MujocoPlant:
         q, T = stage.parts.start
         stage.place(0.0, self._target.T_world_start, q, T)
         self._settle()
-        if robot.grounded:
+        if robot.grounded or self._leader:
             self._stand()
 
     def _settle(self) -> None:
-        """Integrating servos start at q + (gravity torque) / kp."""
+        """Integrating servos start at q + (gravity torque) / kp, rotors at the speed that carries the craft."""
         model, data = self._stage.model, self._stage.data
+        self._stage.rest()
         mujoco.mj_forward(model, data)
         for i in range(model.nu):
             if model.actuator_dyntype[i] == mujoco.mjtDyn.mjDYN_INTEGRATOR and model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT:
@@ -72,18 +83,18 @@ class MujocoPlant:
     def _stand(self) -> None:
         """Let vehicles sink into their springs, then bring them back to where they start, at rest; the clock begins there."""
         stage, data = self._stage, self._stage.data
+        T_robot, T_leader = stage.parts.start[1] @ stage.mount_inverse, self._target.T_world_start @ stage.target_inverse
+        if self._flies and stage.root is not None:  # it would fall on the vehicle that settles
+            stage.root.put(data.qpos, AWAY @ T_robot)
         stage.physics.step(round(SETTLE_S / self.step_s))
-        for root, T_start in (
-            (stage.root, stage.parts.start[1] @ stage.mount_inverse),
-            (stage.leader, self._target.T_world_start @ stage.target_inverse),
-        ):
-            if root is not None and T_start is not None:
-                T = root.pose(data)
-                sunk = T_start.copy()
-                sunk[2, 3] = T[2, 3]
-                root.put(data.qpos, sunk)
+        for root, T_start, stands in ((stage.root, T_robot, self._robot.grounded), (stage.leader, T_leader, True)):
+            if root is not None:
+                T = T_start.copy()
+                T[2, 3] = root.pose(data)[2, 3] if stands else T[2, 3]
+                root.put(data.qpos, T)
         data.qvel[:] = 0.0
         data.time = 0.0
+        stage.rest()
         mujoco.mj_forward(stage.model, data)
         self._senses.restart()
 
@@ -106,7 +117,7 @@ class MujocoPlant:
         twist = np.concatenate([self._velocity[3:], self._velocity[:3]])
         hidden = stage.hidden(T, p_camera) if self._see_hidden else self._visible
         q, qd, ctrl = *self._senses.joints(), data.ctrl[self._ctrl]
-        truth = Truth(T, T_target, twist, q, qd, ctrl, p_camera, hidden, self._touches())
+        truth = Truth(T, T_target, twist, q, qd, ctrl, p_camera, hidden, self._touches(), self._aloft())
         frame = Frame(t, self._eye.glimpse(look), self._eye.whole) if self._eye else None
         return frame, truth
 
@@ -115,13 +126,23 @@ class MujocoPlant:
         if not data.ncon:
             return False
         pairs = data.contact.geom
+        if self._flies:
+            return bool((self._robot_geoms & ~self._feet)[pairs].any())
         if self._robot.rides:  # wheels and legs are on the floor, that is what they are for
             pairs = pairs[(pairs != self._floor).all(axis=1)]
         return bool(self._robot_geoms[pairs].any(axis=1).any())
 
+    def _aloft(self) -> Aloft | None:
+        if self._weather is None:
+            return None
+        data = self._stage.data
+        return Aloft(self._weather.now, data.act[self._stage.rotors], bool(data.ncon and self._feet[data.contact.geom].any()))
+
     def encoders(self) -> Encoders:
-        """What the robot's own sensors tell now: the same until time passes."""
-        return self._senses.read(self._steps)
+        """What the robot's own sensors, and its onboard controller, tell now: the same until time passes."""
+        raw = self._senses.read(self._steps)
+        told = self._robot.reported(self._memory, raw)
+        return Encoders(raw.q, raw.qd, {**raw.instruments, **told}) if told else raw
 
     def apply(self, setpoint: Array) -> None:
         """A setpoint from now on; without an onboard controller it is the actuators' controls (n,)."""
@@ -143,21 +164,29 @@ class MujocoPlant:
 
     def _advance_onboard(self, steps: int) -> None:
         """Onboard controllers act every `_control_steps` steps of the physics clock, however the steps are asked for."""
-        every = self._control_steps or self._leader.steps  # type: ignore[union-attr]
+        mine, theirs = self._control_steps, self._leader.steps if self._leader else 0
         end = self._steps + steps
         while self._steps < end:
-            if self._steps % every == 0:
-                self._control(every * self.step_s)
-            ahead = min(every - self._steps % every, end - self._steps)
+            ahead = end - self._steps
+            for every, act in ((theirs, self._lead), (mine, self._control)):
+                if every:
+                    if self._steps % every == 0:
+                        act(every * self.step_s)
+                    ahead = min(ahead, every - self._steps % every)
             self._stage.physics.step(ahead)
             self._steps += ahead
 
-    def _control(self, dt: float) -> None:
-        data = self._stage.data
+    def _lead(self, dt: float) -> None:
         if self._leader:
             self._leader.drive(dt)
-        if self._control_steps and self._setpoint is not None:
-            self._memory, data.ctrl[self._ctrl] = self._robot.actuate(self._memory, self._setpoint, self.encoders(), dt)
+
+    def _control(self, dt: float) -> None:
+        data = self._stage.data
+        if self._weather is not None and self._windy:
+            self._weather.blow(self._steps * self.step_s, dt)
+        if self._setpoint is not None:
+            encoders = self._senses.read(self._steps)
+            self._memory, data.ctrl[self._ctrl] = self._robot.actuate(self._memory, self._setpoint, encoders, dt)
 
     def close(self) -> None:
         """Free pictures and physics."""

@@ -43,6 +43,10 @@ FREE_HOUSING = 6.0
 GLOW = 1000.0
 """Emission of an unlit marker, whose own colour is divided by it: emission gives the exact colour 255 * rgba, and what
 the scene's lights add (the plain colour times their brightness) is under half a grey level."""
+PAD_HALF_M = 0.01
+"""Half of a landing pad's thickness [m]."""
+PAD_FRICTION = [0.8, 0.005, 0.0001]
+"""Rubber feet on a painted plate, as on a hard floor."""
 PITCH_M = 1e-5
 """Pixel pitch that MuJoCo's camera is given [m]; it drops out, since focal length and principal point are in pixels."""
 
@@ -155,7 +159,19 @@ def _add_target(scene: mujoco.MjSpec, target: Target, carrier: mujoco.MjsBody | 
         centre = p + np.array([0, 0, 0.0 if isinstance(marker, Sphere) else HALF_THICKNESS])
         geom = _visual(body, f"target/marker_{i}", kind, size, rgba, TARGET_GROUP, centre, FACE_VIEWER)
         geom.material = paint.name
-    if isinstance(target, Square):
+    if target.pad:
+        half, thick = target.pad.side / 2, PAD_HALF_M
+        body.add_geom(
+            name="target/pad",
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=[half, half, thick],
+            pos=[0, 0, thick],
+            rgba=[0.62, 0.63, 0.62, 1],
+            group=TARGET_GROUP,
+            mass=target.pad.weight,
+            friction=PAD_FRICTION,
+        )
+    elif isinstance(target, Square):
         half = target.side / 2 + (1 + BOARD_MARGIN) * marker.radius
         z = 0.01 + (marker.radius if isinstance(marker, Sphere) else 1.5 * HALF_THICKNESS)
         _visual(body, "target/board", mujoco.mjtGeom.mjGEOM_BOX, [half, half, 0.01], [0.86, 0.86, 0.85, 1], TARGET_GROUP, [0, 0, z])

@@ -37,6 +37,10 @@ class Stage:
         self._plates = [self.model.body(f"plate_{i}").mocapid[0] for i in range(len(parts.world.plates))]
         self._free = self.model.body("robot/camera").mocapid[0] if parts.robot.model is None else None
         self.eye = self.model.site("eye").id
+        actuators = [self.model.actuator(f"robot/{name}").id for name in parts.robot.actuators]
+        self._rest = parts.robot.rest_ctrl()
+        self._ctrl = self.model.actuator_ctrladr[actuators]
+        self.rotors = self.model.actuator_actadr[actuators] if self._rest is not None else np.zeros(0, dtype=int)
         joints = [self.model.joint(f"robot/{name}") for name in parts.robot.joints]
         self.qpos = np.array([j.qposadr[0] for j in joints], dtype=int)
         self.qvel = np.array([j.dofadr[0] for j in joints], dtype=int)
@@ -55,6 +59,11 @@ class Stage:
             self.root.put(self.data.qpos, T_world_camera @ self.mount_inverse)
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_camlight(self.model, self.data)
+
+    def rest(self) -> None:
+        """Controls and activations of a craft that hovers at its start; nothing for other robots."""
+        if self._rest is not None:
+            self.data.ctrl[self._ctrl] = self.data.act[self.rotors] = self._rest
 
     @property
     def mount_inverse(self) -> Array:
@@ -115,6 +124,7 @@ class Stage:
         """MuJoCo's whole state of positions (nq,) at the nominal start."""
         q, T = self.parts.start
         self.place(0.0, self.parts.target.T_world_start, q, T)
+        self.rest()
         return self.data.qpos.copy()
 
     def close(self) -> None:

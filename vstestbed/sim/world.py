@@ -1,14 +1,15 @@
-"""What else is in the world: plates that hide things."""
+"""What else is in the world: plates that hide things, and wind."""
 
 from __future__ import annotations
 
+import math
 from typing import Annotated
 
 import numpy as np
-from annotated_types import Ge, Gt, Le
+from annotated_types import Ge, Gt, Le, Len
 
 from vstestbed.errors import ParameterError
-from vstestbed.geometry import Array, Pose
+from vstestbed.geometry import Array, Pose, Triple
 from vstestbed.spec import spec
 
 
@@ -35,6 +36,55 @@ class Plate:
 
 
 @spec
+class Gust:
+    """A gust that comes and goes: v(t) = velocity/2 (1 - cos(2 pi (t - from)/duration)), the discrete gust of flight testing.
+
+    Args:
+        from_s, duration_s: when it begins, and how long it lasts [s].
+        velocity_mps: at its peak, along world axes [m/s].
+
+    Reference: MIL-F-8785C 1980, section 3.7.1.3 (a whole period of it).
+    """
+
+    from_s: Annotated[float, Ge(0)]
+    duration_s: Annotated[float, Gt(0)] = 3.0
+    velocity_mps: Triple = (5.0, 0.0, 0.0)
+
+    def at(self, t: float) -> Array:
+        """Its velocity (3,) at a time [s]."""
+        share = (t - self.from_s) / self.duration_s
+        return np.array(self.velocity_mps) * (0.5 - 0.5 * math.cos(2 * math.pi * share)) if 0 < share < 1 else np.zeros(3)
+
+
+@spec
+class Wind:
+    """The air's motion: a mean, gusts, and turbulence as a first-order Gauss-Markov process on each axis.
+
+    Args:
+        mean_mps: along world axes [m/s].
+        gusts: what comes and goes.
+        turbulence_mps: standard deviation of the turbulence [m/s].
+        turbulence_s: its correlation time [s]: L/V of Dryden's longitudinal spectrum.
+
+    Reference: Dryden's spectra as in MIL-F-8785C 1980; a hovering craft meets the longitudinal one at V = 0 only by the mean wind.
+    """
+
+    mean_mps: Triple = (0.0, 0.0, 0.0)
+    gusts: Annotated[tuple[Gust, ...], Len(0, 100)] = ()
+    turbulence_mps: Annotated[float, Ge(0)] = 0.0
+    turbulence_s: Annotated[float, Gt(0)] = 1.0
+
+    @property
+    def still(self) -> bool:
+        """No wind at all."""
+        return not (any(self.mean_mps) or self.gusts or self.turbulence_mps)
+
+    def at(self, t: float) -> Array:
+        """Mean and gusts (3,) at a time [s]."""
+        return sum((gust.at(t) for gust in self.gusts), np.array(self.mean_mps))
+
+
+@spec
 class World:
     """The room round the robot and the target.
 
@@ -43,11 +93,13 @@ class World:
         floor_friction: Coulomb friction between the floor and what stands on it, where that is less than the wheels' own;
             .05 is ice.
         plates: what can hide markers.
+        wind: what blows at craft that fly.
     """
 
     floor_z: float = 0.0
     floor_friction: Annotated[float, Gt(0), Le(10)] | None = None
     plates: tuple[Plate, ...] = ()
+    wind: Wind = Wind()
 
 
 AWAY = np.array([0.0, 0.0, -50.0])

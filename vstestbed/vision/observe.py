@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -9,12 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vstestbed.camera import Camera
+from vstestbed.camera.base import FORWARD_COSINE
 from vstestbed.errors import ParameterError
 from vstestbed.geometry import Array, adjoint, all_finite, exp, inverse, transform
 from vstestbed.ground import arc, composed, place_of, pose_on_ground, wrapped
 from vstestbed.observation import AtGoal, Constant, Depth, Estimate, Goal, Observation, OnFloor, OracleDepth, PnP
 from vstestbed.target import Still, Target
 from vstestbed.vision.base import Detection
+from vstestbed.vision.derotate import NO_TRIM, Derotation, Trim, level_from_tilt, level_rays, trimmed
 from vstestbed.vision.floor_pose import solve_place
 from vstestbed.vision.flow_depth import FlowMemory, init_flow, update_flow
 from vstestbed.vision.homography import relative_view
@@ -32,7 +35,7 @@ NEAREST_M = 0.01
 class ObserverMemory:
     """Time [s] of the last frame, the pose (4, 4) then (None: never known), and the depth estimator's memory.
 
-    Of a vehicle also its place (None: never known) and its way by odometry, (x, y, heading).
+    Of a vehicle also its place (None: never known) and its way by odometry, (x, y, heading). Of a craft the trim of its tilt.
     """
 
     t: float = np.nan
@@ -40,6 +43,7 @@ class ObserverMemory:
     flow: FlowMemory | None = None
     place: Array | None = None
     odometry: Array | None = None
+    trim: Trim = NO_TRIM
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,6 +59,8 @@ class Observer:
         wanted: fields of the observation that the law looks at: `ray`, `relative` and a pose that the detector has not
             solved are made only where they are wanted.
         grounded: the robot is a vehicle on the floor; its place is told where the target stands still.
+        derotation: how what a tilted craft sees is brought to its level frame (`derotate`).
+        trim_s: time constant with which the picture corrects the craft's tilt for that [s]; 0: not at all.
     """
 
     camera: Camera
@@ -64,6 +70,8 @@ class Observer:
     pixel_sigma_px: float = 0.0
     wanted: tuple[str, ...] = ()
     grounded: bool = False
+    derotation: Derotation = "none"
+    trim_s: float = 0.0
 
     def init(self) -> ObserverMemory:
         """The memory before the first frame."""
@@ -72,7 +80,7 @@ class Observer:
 
     def uses_motion(self, detection: Detection) -> bool:
         """Whether `observe` will look at the twist: to estimate depth, or to carry the pose on where markers are missing."""
-        return self.grounded or isinstance(self.depth, Estimate) or not all_finite(detection.uv)
+        return self.grounded or "twist" in self.wanted or isinstance(self.depth, Estimate) or not all_finite(detection.uv)
 
     def observe(
         self,
@@ -82,6 +90,7 @@ class Observer:
         twist: Array,
         rng: np.random.Generator,
         compass: float | None = None,
+        tilt: Array | None = None,
     ) -> tuple[ObserverMemory, Observation]:
         """What a law may know of one frame.
 
@@ -96,6 +105,7 @@ class Observer:
             twist: camera twist (6,) since the last frame, in the camera frame, as the robot measures it.
             rng: draws the pixel noise.
             compass: a vehicle's heading as its compass has it [rad]; None without one.
+            tilt: a craft's roll and pitch (2,) as it estimates them at the exposure [rad]; None for what cannot tilt.
 
         Raises:
             ParameterError: the oracle's depth is asked for and the detector is not the oracle.
@@ -105,13 +115,21 @@ class Observer:
             uv = uv + rng.normal(0.0, self.pixel_sigma_px, uv.shape)
         xy, flow = self.camera.normalise(uv), memory.flow
         solve = self._poses and (T is None or self.pixel_sigma_px > 0)
-        ray = self.camera.ray(uv) if solve or self._rays or flow is not None else None
+        turned = tilt if self.derotation != "none" else None
+        ray = self.camera.ray(uv) if solve or self._rays or flow is not None or turned is not None else None
         fresh = T is not None
         if solve and ray is not None:
             T, fresh = self._pose(ray, t, memory, T, twist)
         if isinstance(self.depth, Estimate) and flow is not None and ray is not None:
             flow = update_flow(self.depth, flow, t, ray, twist)
         depth, reach = self._distances(detection, T, flow, xy)
+        carried, trim = T, memory.trim
+        if turned is not None and ray is not None:
+            if self.trim_s > 0 and fresh and T is not None:
+                share = 0.0 if math.isnan(memory.t) else 1 - math.exp(-(t - memory.t) / self.trim_s)
+                trim = trimmed(trim, turned, T, self.goal.T_camera_target, self.camera.mount.T[:3, :3], share)
+            turned = turned + trim.angles
+            ray, xy, depth, T, twist = self._level(ray, reach, depth, T, twist, turned)
         relative = relative_view(self.goal.xy, xy, self.goal.normal) if "relative" in self.wanted else None
         place, odometry = memory.place, memory.odometry
         if odometry is not None:
@@ -119,12 +137,34 @@ class Observer:
             odometry = composed(odometry, step)
             trust = -np.expm1([(memory.t - t) / tau for tau in (COMPASS_S, LANDMARKS_S)])
             place = self._place(None if place is None else composed(place, step), T if fresh else None, compass, trust)
-        seen = Observation(t, uv, xy, depth, T, ray if self._rays else None, reach, relative, odometry, place)
-        return ObserverMemory(t, T, flow, place, odometry), seen
+        told = (ray, reach) if self._rays else (None, None)
+        moving = twist if "twist" in self.wanted else None
+        seen = Observation(t, uv, xy, depth, T, *told, relative, odometry, place, moving)
+        return ObserverMemory(t, carried, flow, place, odometry, trim), seen
+
+    def _level(
+        self, ray: Array, reach: Array | None, depth: Array, T: Array | None, twist: Array, tilt: Array
+    ) -> tuple[Array, Array, Array, Array | None, Array]:
+        """Rays, normalised coordinates, depths, pose and twist in the level camera's frame. Constant depths stay as they are."""
+        R = level_from_tilt(tilt, self.camera.mount.T[:3, :3])
+        ray = level_rays(ray, tilt, self.camera, self.derotation)
+        ahead = ray[:, 2:]
+        xy = ray[:, :2] / np.where(ahead > FORWARD_COSINE, ahead, np.nan)
+        if T is not None:
+            turned = np.eye(4)
+            turned[:3, :3] = R
+            T = turned @ T
+        if not isinstance(self.depth, Constant | AtGoal) and reach is not None:
+            depth = reach * ray[:, 2]
+        return ray, xy, depth, T, np.concatenate([R @ twist[:3], R @ twist[3:]])
 
     @property
     def _rays(self) -> bool:
         return "ray" in self.wanted
+
+    @property
+    def _ranges(self) -> bool:
+        return self._rays or self.derotation != "none"
 
     @property
     def _poses(self) -> bool:
@@ -191,19 +231,19 @@ class Observer:
             case PnP() | OnFloor() if T is not None:
                 p = transform(T, self.target.points)
                 depth = np.where(np.isfinite(xy[:, 0]), np.maximum(p[:, 2], NEAREST_M), p[:, 2])
-                return depth, np.linalg.norm(p, axis=1) if self._rays else None
+                return depth, np.linalg.norm(p, axis=1) if self._ranges else None
             case PnP() | OnFloor():
-                return np.full(n, np.nan), np.full(n, np.nan) if self._rays else None
+                return np.full(n, np.nan), np.full(n, np.nan) if self._ranges else None
             case Constant(depth_m=depth):
-                return np.full(n, depth), np.full(n, depth) if self._rays else None
+                return np.full(n, depth), np.full(n, depth) if self._ranges else None
             case AtGoal():
                 return self.goal.depth, self.goal.range
             case Estimate() if flow is not None:
                 reach = 1 / flow.inverse_range
-                return reach * flow.ray[:, 2], reach if self._rays else None
+                return reach * flow.ray[:, 2], reach if self._ranges else None
             case OracleDepth() if detection.p_camera is not None:
                 p = detection.p_camera
-                return p[:, 2], np.linalg.norm(p, axis=1) if self._rays else None
+                return p[:, 2], np.linalg.norm(p, axis=1) if self._ranges else None
             case OracleDepth():
                 raise ParameterError("depth", "oracle is only with detector {kind: oracle}; valid here: pnp, constant, goal, estimate")
             case _:

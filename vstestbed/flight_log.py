@@ -1,0 +1,46 @@
+"""What the log has of a flight besides what it has of every run."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from vstestbed.geometry import Array
+from vstestbed.observation import Encoders, Goal, Observation
+from vstestbed.pilot import Pilot
+from vstestbed.robots.attitude import level
+from vstestbed.scenario import Scenario
+from vstestbed.sim.base import Truth
+
+
+def flight_columns(scenario: Scenario) -> tuple[str, ...]:
+    """Names of a flight's columns; none where nothing flies.
+
+    `fly_roll`, `fly_pitch` [rad], `fly_vx`, `fly_vy`, `fly_vz` (level frame) [m/s]: the craft's own estimate; `level_error_px`: as
+    `error_px`, of what the law is given, the picture turned level as the scenario derotates; `wind_x`, ... in the world [m/s];
+    `speed_NAME`: of each rotor [rad/s]; `pilot`: 0 follows the law, 1 holds, 2 sinks, 3 rotors off.
+    """
+    if not scenario.robot.feet:
+        return ()
+    estimate = ("fly_roll", "fly_pitch", "fly_vx", "fly_vy", "fly_vz", "level_error_px", "wind_x", "wind_y", "wind_z")
+    return (*estimate, *(f"speed_{name}" for name in scenario.robot.actuators), "pilot")
+
+
+def flight_row(scenario: Scenario, encoders: Encoders, truth: Truth, seen: Observation, goal: Goal, pilot: Pilot) -> Array:
+    """The numbers of `flight_columns` at one exposure."""
+    told, aloft = encoders.instruments, truth.aloft
+    roll, pitch = told["tilt"].tolist()
+    up = (-math.sin(pitch), math.cos(pitch) * math.sin(roll), math.cos(pitch) * math.cos(roll))
+    velocity = level(up).to_level(tuple(told["flown_velocity"].tolist()))
+    wind, act = (aloft.wind, aloft.act) if aloft else (np.full(3, np.nan), np.full(len(scenario.robot.actuators), np.nan))
+    error = level_error(scenario, seen, goal)
+    return np.array([roll, pitch, *velocity, error, *wind, *np.sqrt(np.maximum(act, 0.0)), pilot.mode])
+
+
+def level_error(scenario: Scenario, seen: Observation, goal: Goal) -> float:
+    """RMS over the coordinates of goal minus what the law is given, as pixels of the camera [px]; NaN where nothing is seen."""
+    p = np.column_stack([seen.xy, np.ones(len(seen.xy))]) if seen.ray is None else seen.ray
+    error = scenario.camera.project(p) - goal.uv
+    error = error[np.isfinite(error[:, 0])]
+    return float(np.sqrt(np.mean(error**2))) if error.size else math.nan
