@@ -103,7 +103,7 @@ def test_golden_row(row: dict[str, str], monkeypatch: pytest.MonkeyPatch):
         # The camera goes behind the target's plane with all points in front of its lens, which ends a run here, not there.
         assert status(fly(row["scenario"], row["law"], row["L"])) == "target_plane_crossed_or_behind"
         seen_from_behind = loop._evidence
-        monkeypatch.setattr(loop, "_evidence", lambda scenario, tick: replace(seen_from_behind(scenario, tick), behind=False))
+        monkeypatch.setattr(loop, "_evidence", lambda *told: replace(seen_from_behind(*told), behind=False))
         fly.cache_clear()
     r = fly(row["scenario"], row["law"], row["L"])
     if row["status"] == "target_plane_crossed_or_behind":
