@@ -149,6 +149,7 @@ def test_two_times_the_same_bytes(tmp_path: Path) -> None:
     assert first is not None and second is not None and first.read_bytes() == second.read_bytes()
 
 
+@pytest.mark.study
 def test_memory_does_not_grow_with_the_films(tmp_path: Path) -> None:
     """Films of 12 s take what films of 4 s do: 200 more pictures would be 250 MB, those of the films 90 MB."""
     size = (320, 240)

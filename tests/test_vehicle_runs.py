@@ -128,6 +128,11 @@ class TestPursuit:
         true = np.hypot(recording["tgt_x"] - recording["base_x"], recording["tgt_y"] - recording["base_y"]) - 2.5
         np.testing.assert_allclose(recording["off_m"], true, atol=1e-9)
 
+    def test_a_run_too_short_to_settle_is_no_success(self):
+        short = run("car_pursuit", stop__duration_s=2, detector="oracle")
+        assert short.outcome is Outcome.timed_out
+        assert "2 s ended before the 8 s in which it may settle" in short.reason
+
     def test_a_gap_that_is_left_is_no_success(self):
         slow = run("car_pursuit", robot__limits={"speed_mps": 0.3}, stop__duration_s=12, detector="oracle")
         assert slow.outcome is Outcome.timed_out
@@ -143,6 +148,10 @@ class TestRefusals:
             ("car_pbvs", {"goal": {"gap_m": 2}}, "may not be of kind gap with law pose_controller, which takes pose"),
             ("car_pursuit", {"law": "pose_controller", "goal": {"pose": {"x": 1}}}, "needs a target that stands still"),
             ("omni_ibvs", {"law.depth": "pnp"}, "law.depth: may not be pnp: all markers lie on one line"),
+            ("arm_ibvs", {"law.depth": "floor"}, "law.depth: may be floor only for a vehicle, and robot puma560 is none"),
+            ("omni_ibvs", {"robot.wheels": "planar", "world.floor_friction": 0.05}, "is not felt by wheels: planar, which never slip"),
+            ("car_pursuit", {"law.depth": "goal"}, "may not be goal with law pursuit, which needs the pose itself; use floor or pnp"),
+            ("car_pbvs", {"stop.converged": {"error_px": 0.3}}, "stop.converged: must have position_m or rotation_deg"),
             ("omni_ibvs", {"goal": {}}, "goal: needs one of the fields T_camera_target, view_from, views, pose, gap_m"),
             ("car_pbvs", {"robot.start.nominal.heading": 3}, "did you mean 'heading_deg'?"),
         ],

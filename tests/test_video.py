@@ -72,6 +72,7 @@ def test_odd_sizes_are_padded_by_their_last_row_or_column(tmp_path: Path, height
     np.testing.assert_allclose(image[-1, -1], 90, atol=4)  # not black
 
 
+@pytest.mark.study
 def test_memory_does_not_grow_with_the_film(tmp_path: Path) -> None:
     """2000 frames of 320 x 240 are 460 MB as RGB; the encoder itself holds about 20 frames (5 MB) and its tables."""
     noise = np.random.default_rng(0).integers(80, 110, (240, 330, 3), dtype=np.uint8)

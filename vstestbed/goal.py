@@ -160,6 +160,7 @@ FIELDS = {
     "views": "views",
     "pose": "pose",
     "gap_m": "gap",
+    "offset_m": "line",
     "way": "path",
     "above": "landing",
 }

@@ -16,7 +16,7 @@ from vstestbed.goal import AnyGoal, GoalGap, GoalLanding, GoalLine, GoalPath, Go
 from vstestbed.ground import pose_on_ground
 from vstestbed.ground_lines import GroundLines
 from vstestbed.laws import IBVS, LAWS, PBVS, Hybrid, LineFollowing, Partitioned, PoseController, Pursuit
-from vstestbed.observation import Goal, OracleDepth, PnP
+from vstestbed.observation import Goal, OnFloor, OracleDepth, PnP
 from vstestbed.robots import ROBOTS, Car, Free, Mount, Omni, Puma560, Quadrotor, Robot
 from vstestbed.sim.clock import Clock
 from vstestbed.sim.world import World
@@ -105,9 +105,24 @@ class Scenario:
             words = "needs a line on the floor" if task == "line" else "cannot be had of lines on the floor, which have no markers"
             other = "target: {kind: lines}" if task == "line" else "goal: {kind: line} and law: {kind: line_following}"
             raise ParameterError("goal", f"of kind {kind} {words}; use {other}")
+        self._check_floor()
         carried = isinstance(self.target.motion, Carried)
         if carried and any(isinstance(v, GoalViewFrom | GoalPlace) for v in self._views):
             raise ParameterError("goal", f"of kind {kind} needs a target that stands still; a carried one is followed by a gap")
+
+    def _check_floor(self) -> None:
+        if isinstance(self.goal, GoalPlace) and not self.stop.converged.by_estimate and self.target.motion.kind == "still":
+            words = "must have position_m or rotation_deg for a goal of kind pose, where some of the target may be out of the picture"
+            raise ParameterError("stop.converged", words)
+        if isinstance(self.law.depth, OnFloor) and not self.robot.grounded:
+            words = f"may be floor only for a vehicle, and robot {self.robot.kind} is none; use pnp, goal or estimate"
+            raise ParameterError("law.depth", words)
+        if self.world.floor_friction is not None and getattr(self.robot, "wheels", "") == "planar":
+            words = "is not felt by wheels: planar, which never slip; use wheels: rollers"
+            raise ParameterError("world.floor_friction", words, self.world.floor_friction)
+        if self.goal.kind in ("gap", "pose") and not isinstance(self.law.depth, PnP | OnFloor):
+            words = f"may not be {self.law.depth.kind} with law {self.law.kind}, which needs the pose itself; use floor or pnp"
+            raise ParameterError("law.depth", words)
 
     def _check_flight(self, flight: bool) -> None:
         kind, robot = self.goal.kind, self.robot

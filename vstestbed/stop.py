@@ -161,6 +161,7 @@ class Judge:
     stop: Stop
     band: Band | None = None
     worked: bool = False
+    judged: bool = False
     left_at: tuple[float, float] | None = None
     since: dict[str, float] = field(default_factory=dict)
 
@@ -200,6 +201,7 @@ class Judge:
             return Outcome[e.limit], f"{Outcome[e.limit].value} for {BLOCKED_S:g} s"
         if rest >= REST_S:
             return Outcome.local_minimum, f"the commanded twist is zero at an RMS error of {e.error_px:.3g} px"
+        self.judged = self.judged or (self.band is not None and e.t >= self.band.settle_s)
         if self.band and e.t >= self.band.settle_s and not abs(e.off_m) <= self.band.width_m:
             self.left_at = self.left_at or (e.t, e.off_m)
         if e.t >= self.stop.duration_s - 1e-9:
@@ -217,6 +219,8 @@ class Judge:
         if self.band is None:
             return Outcome.timed_out, f"{self.stop.duration_s:g} s were not enough"
         width, settle = self.band.width_m, self.band.settle_s
+        if not self.judged:
+            return Outcome.timed_out, f"{self.stop.duration_s:g} s ended before the {settle:g} s in which it may settle"
         if self.left_at is None:
             return Outcome.completed, f"within {width:g} m from {settle:g} s on"
         t, off = self.left_at

@@ -132,6 +132,7 @@ def test_the_table_says_what_the_summaries_say(quick: Path, tmp_path: Path):
         assert {p.name for p in folder.iterdir()} == {"scenario.yaml", "model.xml", "log.parquet", "summary.json"}
 
 
+@pytest.mark.study
 def test_the_paired_difference_of_two_gains_is_what_theory_gives(quick: Path, tmp_path: Path):
     """The error falls as exp(-gain t), so a run takes log(error at the start / threshold) / gain."""
     table = compare([quick], GAINS, seeds=8, jobs=2, out=tmp_path / "c", film=False, report=False)

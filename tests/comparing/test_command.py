@@ -34,6 +34,7 @@ def test_it_leaves_a_whole_folder_and_says_where(command, quick: Path):
     assert (Path("alone") / "log.parquet").read_bytes() == (one / "log.parquet").read_bytes()
 
 
+@pytest.mark.study
 def test_runs_that_fail_are_no_failure_of_the_command(command, quick: Path):
     ended = command("compare", "quick.yaml", "--vary", "stop.duration_s=0.2,8", *NO_FILM)
     assert ended.code == 0
@@ -44,6 +45,7 @@ def test_runs_that_fail_are_no_failure_of_the_command(command, quick: Path):
     assert (Path("runs/compare/001") / table["folder"][0] / "end.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.study
 def test_the_first_seed_is_filmed_side_by_side(command, quick: Path):
     words = ("--set", "camera.rate_hz=10", "--set", "stop.converged.hold_s=0.1", "--jobs", 1, "--quiet")
     assert command("compare", "quick.yaml", "--vary", "law.gain=3,6", "--seeds", 2, *words).code == 0

@@ -72,6 +72,7 @@ SLANTED = ((-0.25, -0.25, 0.2), (0.25, -0.25, 0.4), (0.25, 0.25, 0.4), (-0.25, 0
 
 
 @pytest.mark.parametrize("at", [OFF_THE_ORIGIN, SLANTED], ids=["z = .5", "slanted"])
+@pytest.mark.study
 def test_markers_in_another_plane_than_the_origins(at: tuple[tuple[float, float, float], ...]):
     runs = [fly(Hybrid(source=source), (0.3, 0.3, -2), 0.4, at=at) for source in ("homography", "model")]  # pyright: ignore[reportArgumentType]
     assert all(r.outcome is vs.Outcome.converged for r in runs)

@@ -76,6 +76,7 @@ class TestBends:
         off = drive(LineFollowing(gain=4.0), CAR, lines, goal, (0, 0, 0), 18, steering_radps=100)
         assert np.abs(off).max() == pytest.approx(0.5 * 0.4**2 / 9, rel=0.15)
 
+    @pytest.mark.study
     def test_a_camera_at_the_front_cuts_it_by_a_decimetre(self):
         # It measures 1.25 to 1.55 m before the rear axle: (1.4 / .4)^2 = 12 times the way off.
         under, front = (world(BEND, *at) for at in ((UNDER, LOOK), (FRONT, (0.15, 0.45))))

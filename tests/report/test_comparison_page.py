@@ -133,6 +133,7 @@ def test_figures_are_files_for_a_paper(built: tuple[Path, pl.DataFrame]) -> None
         assert b"/XObject << >>" in pdf or not re.search(rb"/Subtype /Image", pdf)  # vectors, no picture of them
 
 
+@pytest.mark.study
 def test_the_gallery_is_limited(built: tuple[Path, pl.DataFrame], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert '<img src="data:image/png;base64,' in (built[0] / "report.html").read_text()
     frame = build(tmp_path, {"a": 1.0}, 6, {("a", k): "timed_out" for k in range(5)} | {("a", 5): "target_lost"})
@@ -146,6 +147,7 @@ def test_the_gallery_is_limited(built: tuple[Path, pl.DataFrame], tmp_path: Path
     assert write_comparison_report(tmp_path, frame, ()).read_text().count("<img") == 2
 
 
+@pytest.mark.study
 def test_a_large_film_is_linked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     frame = build(tmp_path, {"a": 1.0}, 1)
     (tmp_path / "comparison.mp4").write_bytes(b"large")
@@ -173,6 +175,7 @@ def test_nothing_but_crashes_still_has_a_report(tmp_path: Path) -> None:
 
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("controllers", [1, 5, 9, pytest.param(30, marks=pytest.mark.study)])
+@pytest.mark.study
 def test_any_number_of_controllers(tmp_path: Path, controllers: int) -> None:
     frame = build(tmp_path, {f"a controller with a long name, number {k}": 1 + 0.2 * k for k in range(controllers)}, 2)
     path = write_comparison_report(tmp_path, frame, (), metrics=("time_to_converge_s", "time_ms.physics"))

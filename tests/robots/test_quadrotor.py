@@ -137,6 +137,7 @@ class TestHover:
             pytest.param(Filtered(), 60.0, marks=pytest.mark.study),
         ],
     )
+    @pytest.mark.study
     def test_holds_with_noise_and_bias(self, velocity, duration):
         """By velocity alone, no place known, with the default noise and bias of all instruments."""
         log = Flown(Quadrotor(velocity=velocity), seed=2).fly(HOLD, duration)

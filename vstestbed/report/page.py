@@ -84,7 +84,12 @@ PLOTS: Final[tuple[Plot, ...]] = (
         vehicle.place_error,
     ),
     ("wheels", "Wheels and steering", "As told (thin line) and as measured (pale band).", vehicle.wheels),
-    ("slip", "Slip", "How fast the vehicle slides over the floor, unnoticed by its encoders: mean between two frames.", vehicle.slip),
+    (
+        "slip",
+        "Slip",
+        "How fast its way and the one by its encoders part (sliding, a wrong wheel radius): mean between two frames.",
+        vehicle.slip,
+    ),
     (
         "joints",
         "Joints and actuators",
