@@ -83,7 +83,8 @@ class Layout:
     For a camera without an image plane, theta and phi [rad] are the measured ray's angles from the axis and about it.
     Of several goal views, `view` is the one that counted. Of a vehicle: base_ its true place, est_ the one it knows of by
     landmarks, compass and encoders, odo_ the one by encoders alone (x, y [m], heading [rad]), slip_mps how fast
-    odometry and truth part (sliding over the floor, wheels of another radius than believed). Where the goal counts as reached by the robot's own estimate, est_position_m and
+    odometry and truth part (sliding over the floor, wheels of another radius than believed).
+    Where the goal counts as reached by the robot's own estimate, est_position_m and
     est_rotation_rad are that. Of a task without an end, off_m is its true error. What flies has `flight_columns`.
     """
 
