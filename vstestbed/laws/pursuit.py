@@ -77,12 +77,11 @@ class Pursuit:
     def step(self, memory: PursuitMemory, observation: Observation, goal: Goal, basis: Array) -> tuple[PursuitMemory, Command]:
         """One frame; basis (6, n) has the speed ahead as its first column and the turn as its last."""
         T, way = observation.T_camera_target, observation.odometry
-        if T is None or way is None or goal.gap_m is None:
-            return memory, Command.rest(basis, NO_POSE)
-        if not observation.seen.any():
+        if T is None or way is None or goal.gap_m is None or not observation.seen.any():
+            why = NO_POSE if observation.seen.any() else TOO_FEW
             if memory.u is not None and observation.t - memory.t <= self.coast_s:
-                return memory, replace(self.limits.command(memory.u, basis), held=TOO_FEW)
-            return memory, Command.rest(basis, TOO_FEW)
+                return memory, replace(self.limits.command(memory.u, basis), held=why)
+            return memory, Command.rest(basis, why)
         x, y = (goal.T_base_camera @ T)[:2, 3].tolist()
         gap = math.hypot(x, y)
         speed = self._target_speed(memory, observation.t, gap, way, math.atan2(y, x))

@@ -15,7 +15,7 @@ from vstestbed.errors import ParameterError
 from vstestbed.geometry import Array, adjoint, all_finite, exp, inverse, transform
 from vstestbed.ground import arc, composed, place_of, pose_on_ground, wrapped
 from vstestbed.observation import AtGoal, Constant, Depth, Estimate, Goal, Observation, OnFloor, OracleDepth, PnP
-from vstestbed.target import Still, Target
+from vstestbed.target import Carried, Still, Target
 from vstestbed.vision.base import Detection
 from vstestbed.vision.derotate import NO_TRIM, Derotation, Trim, level_from_tilt, level_rays, trimmed
 from vstestbed.vision.floor_pose import solve_place
@@ -139,7 +139,7 @@ class Observer:
             place = self._place(None if place is None else composed(place, step), T if fresh else None, compass, trust)
         told = (ray, reach) if self._rays else (None, None)
         moving = twist if "twist" in self.wanted else None
-        seen = Observation(t, uv, xy, depth, T, *told, relative, odometry, place, moving)
+        seen = Observation(t, uv, xy, depth, T if fresh or self._stays else None, *told, relative, odometry, place, moving)
         return ObserverMemory(t, carried, flow, place, odometry, trim), seen
 
     def _level(
@@ -169,6 +169,11 @@ class Observer:
     @property
     def _poses(self) -> bool:
         return isinstance(self.depth, PnP | OnFloor) or bool({"T_camera_target", "place"} & set(self.wanted))
+
+    @property
+    def _stays(self) -> bool:
+        """Whether a pose may be carried on: that of a target that another vehicle carries is known only while it is seen."""
+        return not isinstance(self.target.motion, Carried)
 
     @cached_property
     def _to_base(self) -> Array:
