@@ -16,7 +16,8 @@ import vstestbed as vs
 from vstestbed import loop
 from vstestbed.camera import Look
 from vstestbed.geometry import Array
-from vstestbed.recording import Tick, read_log
+from vstestbed.log_files import read_log
+from vstestbed.recording import Tick
 from vstestbed.runs import run_into
 from vstestbed.sim.base import Plant
 from vstestbed.sim.plant import MujocoPlant

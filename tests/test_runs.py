@@ -19,7 +19,8 @@ import polars as pl
 import pytest
 
 from vstestbed.errors import EnvironmentLackError, OutputError, RunFolderError
-from vstestbed.recording import Layout, PartWriter, read_log
+from vstestbed.log_files import PartWriter, read_log
+from vstestbed.recording import Layout
 from vstestbed.runs import new_folder, run_into, write_whole
 from vstestbed.scenario import Scenario
 from vstestbed.scenario_file import load

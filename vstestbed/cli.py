@@ -130,8 +130,8 @@ def render(
     plugin: Plugins = None,
 ) -> None:
     """Film a recorded run again, from any camera, without simulating."""
+    from vstestbed.log_files import read_log
     from vstestbed.progress import show_notes
-    from vstestbed.recording import read_log
     from vstestbed.scenario_file import load, load_plugins
     from vstestbed.video.film import film_log
 

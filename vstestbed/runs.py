@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Literal
 
 from vstestbed.errors import OutputError, RunFolderError
 from vstestbed.files import write_whole, writing
+from vstestbed.log_files import PartWriter, read_log
 from vstestbed.loop import run
-from vstestbed.recording import Layout, PartWriter, Recording, Tick, Watcher, kept, read_log
+from vstestbed.recording import Layout, Recording, Tick, Watcher, kept
 from vstestbed.scenario import Scenario
 from vstestbed.scenario_file import dump
 from vstestbed.sim.build import SceneFiles, scene_files

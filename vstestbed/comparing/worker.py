@@ -75,7 +75,7 @@ def crashed(text: str, reason: str, trace: str = "", rest: Files | None = None) 
 
 def _picture_of_the_end(scenario: Scenario, folder: Path) -> None:
     """`end.png`: the scene from outside when a run failed."""
-    from vstestbed.recording import read_log
+    from vstestbed.log_files import read_log
     from vstestbed.video.film import picture_of_the_end
 
     picture_of_the_end(scenario, read_log(folder), folder / "end.png")

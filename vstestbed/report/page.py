@@ -180,7 +180,7 @@ def _read(path: Path) -> str:
 
 
 def _log(run_dir: Path) -> pl.DataFrame:
-    from vstestbed.recording import read_log
+    from vstestbed.log_files import read_log
 
     return read_log(run_dir)
 
