@@ -1,5 +1,4 @@
-"""What a run leaves: ticks become rows, rows a log; on disk (`log_files`) it grows with the same numbers.
-"""
+"""What a run leaves: ticks become rows, rows a log; on disk (`log_files`) it grows with the same numbers."""
 
 from __future__ import annotations
 
