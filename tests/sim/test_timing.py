@@ -1,5 +1,7 @@
 """Nuisances of time: each does what it says, measured in pictures, counted in plans and in logs."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -51,7 +53,7 @@ class TestPlan:
 
     def test_exposures_stay_apart_however_they_jitter(self):
         made = plans(Timing(exposure_s=0.02, exposure_jitter_s=0.01, jitter="normal"), 2000)
-        assert all(a.opens[-1] <= b.opens[0] for a, b in zip(made, made[1:], strict=False))
+        assert all(a.opens[-1] <= b.opens[0] for a, b in itertools.pairwise(made))
         assert all(p.arrives == p.opens[-1] + 40 for p in made)  # latency counts from the exposure's end
 
     @pytest.mark.parametrize(("exposure", "pictures", "opens"), [(0.02, 99, 11), (0.02, 5, 5), (0.02, 4, 3), (0.006, 9, 5)])
@@ -171,10 +173,8 @@ class TestInRuns:
 
     def test_a_blurred_run_converges(self):
         setting = {"timing.exposure_s": 0.02, "timing.exposure_pictures": 5, "camera.rate_hz": 25, "law.gain": 1.5}
-        small = {
-            "camera": {"kind": "perspective", "width": 500, "height": 500, "focal_length_m": 0.008, "pixel_size_m": 2e-5, "rate_hz": 25}
-        }
-        r = vs.run(vs.load("ibvs_book", small | setting | {"stop.converged.error_px": 0.2}))
+        lens = {"kind": "perspective", "width": 500, "height": 500, "focal_length_m": 0.008, "pixel_size_m": 2e-5}
+        r = vs.run(vs.load("ibvs_book", {"camera": lens} | setting | {"stop.converged.error_px": 0.2}))
         assert r.outcome is vs.Outcome.converged
         seen = np.array([[r[f"{c}_{i}"] for c in "uv"] for i in range(4)])
         true = np.array([[r[f"{c}_true_{i}"] for c in "uv"] for i in range(4)])

@@ -86,4 +86,4 @@ def _shares(plant: Plant, joint: int, period: float, w: float, speed: float) -> 
 def _fit(made: Array, told: Array, first: int) -> Array:
     """(b_0, b_1) from motions made (m,) and told (m,), from the frame `first` on; a constant drift is left out."""
     A = np.column_stack([told[first:], told[first - 1 : -1], np.ones(len(told) - first)])
-    return np.linalg.lstsq(A, made[first:], rcond=None)[0][:2]
+    return np.asarray(np.linalg.lstsq(A, made[first:], rcond=None)[0][:2], dtype=float)
