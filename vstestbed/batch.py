@@ -17,6 +17,7 @@ from vstestbed.observation import Estimate, Goal, PnP
 from vstestbed.robots import Free, Mount
 from vstestbed.robots.free import FreeStart
 from vstestbed.scenario import PLANE_INPUTS, Noise, Scenario
+from vstestbed.sim.timing import Timing
 from vstestbed.sim.world import World
 from vstestbed.stop import FAR_M, REST, REST_S, Outcome
 from vstestbed.target import Square, Still
@@ -83,6 +84,7 @@ def ideal(scenario: Scenario, field_of_view: str | None = None) -> Scenario:
         scenario,
         robot=robot if isinstance(robot, Free) else Free(start=start),
         camera=replace(camera, latency_s=0.0),
+        timing=Timing(),
         detector=Oracle(field_of_view=field_of_view),  # pyright: ignore[reportArgumentType]
         noise=Noise(),
         world=World(),
@@ -130,7 +132,9 @@ class Flight:
             raise ParameterError("goal", "must be one view of a target that stands still, in a batch")
         if s.stop.converged.error_px is None or s.stop.converged.by_estimate:
             raise ParameterError("stop.converged", "must be told by error_px alone in a batch")
-        noisy = s.noise.pixel_sigma_px > 0 or s.noise.image_sigma > 0
+        noisy = s.noise.pixel_sigma_px > 0 or s.noise.image_sigma > 0 or s.timing != Timing()
+        if not (s.calibration.camera_exact and s.calibration.depth_exact):
+            raise ParameterError("calibration", "must be exact in a batch, whose poses and depths are true")
         if not (isinstance(s.robot, Free) and isinstance(s.detector, Oracle)) or s.camera.latency_s or noisy or s.world.plates:
             words = "must have a free camera, detector oracle, no latency, no noise and no plates for a batch; `batch.ideal` makes it so"
             raise ParameterError("scenario", words)

@@ -14,6 +14,8 @@ import typer
 
 from vstestbed.cli_basin import basins
 from vstestbed.cli_compare import comparing
+from vstestbed.cli_convergence import convergences
+from vstestbed.cli_delay import delays
 from vstestbed.cli_tools import Json, Plugins, load_scenario, tools
 from vstestbed.errors import ParameterError, RunFolderError, VstestbedError
 
@@ -185,6 +187,8 @@ def report(
 
 app.add_typer(comparing)
 app.add_typer(basins)
+app.add_typer(delays)
+app.add_typer(convergences)
 app.add_typer(tools)
 
 

@@ -56,7 +56,7 @@ class PathCourse(Course):
     def goal(self, seen: Observation) -> Goal:
         """The view of this time."""
         T, self.view = self.path.at(seen.t)
-        goal = Goal.from_view(self.scenario.camera, self.scenario.target.points, T)
+        goal = Goal.from_view(self.scenario.believed_camera, self.scenario.target.points, T)
         return replace(goal, twist=self.path.twist(seen.t))
 
     @cached_property
@@ -136,7 +136,7 @@ class LandingCourse(Course):
         self.t = seen.t
         T = whole.copy()
         T[:3, 3] *= self.share
-        return Goal.from_view(self.scenario.camera, self.scenario.target.points, T)
+        return Goal.from_view(self.scenario.believed_camera, self.scenario.target.points, T)
 
     def _over(self, goal: GoalLanding, seen: Observation) -> bool:
         """Whether the craft is over its pad, turned as wanted and as high as wanted; or so near that it goes on."""

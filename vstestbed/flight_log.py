@@ -41,6 +41,6 @@ def flight_row(scenario: Scenario, encoders: Encoders, truth: Truth, seen: Obser
 def level_error(scenario: Scenario, seen: Observation, goal: Goal) -> float:
     """RMS over the coordinates of goal minus what the law is given, as pixels of the camera [px]; NaN where nothing is seen."""
     p = np.column_stack([seen.xy, np.ones(len(seen.xy))]) if seen.ray is None else seen.ray
-    error = scenario.camera.project(p) - goal.uv
+    error = scenario.believed_camera.project(p) - goal.uv
     error = error[np.isfinite(error[:, 0])]
     return float(np.sqrt(np.mean(error**2))) if error.size else math.nan

@@ -118,7 +118,7 @@ def _path(scenario: Scenario, log: Columns) -> dict[str, object]:
     length = float(np.linalg.norm(np.diff(camera, axis=0), axis=1).sum())
     straight = float(log["position_error_m"][0])
     distance = np.linalg.norm(camera - target, axis=1)
-    at_goal = float(np.linalg.norm(scenario.goal_view.T_camera_target[:3, 3]))
+    at_goal = float(np.linalg.norm(scenario.goal_poses[-1][:3, 3]))
     R = rotation_from_quaternion(_columns(log, "cam", ("qw", "qx", "qy", "qz")))
     return {
         "path_length_m": length,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Literal
 
 import numpy as np
@@ -113,10 +113,24 @@ class Goal:
     def of_points(cls, camera: Camera, p: Array, T_camera_target: Array) -> Goal:
         """The view of points p (N, 3) in the camera's frame [m]."""
         uv, reach = camera.project(p), np.linalg.norm(p, axis=-1)
-        xy, middle = camera.normalise(uv), p.mean(axis=0)
-        normal = np.linalg.svd(p - middle)[2][2]
-        normal = normal if normal @ middle > 0 else -normal
-        return cls(uv, xy, p[:, 2], p / reach[:, None], reach, T_camera_target, camera, middle, normal)
+        return cls(uv, camera.normalise(uv), p[:, 2], p / reach[:, None], reach, T_camera_target, camera, *_plane(p))
+
+    @classmethod
+    def of_picture(cls, camera: Camera, uv: Array, p: Array, T_camera_target: Array) -> Goal:
+        """The view in a picture with markers at uv (N, 2), taken to be at p (N, 3) in the camera's frame [m]."""
+        reach = np.linalg.norm(p, axis=-1)
+        return cls(uv, camera.normalise(uv), p[:, 2], camera.ray(uv), reach, T_camera_target, camera, *_plane(p))
+
+    def deepened(self, scale: Array) -> Goal:
+        """The same view with each marker's depth and range times `scale` (N,), their middle's times the mean of it."""
+        return replace(self, depth=self.depth * scale, range=self.range * scale, middle=self.middle * scale.mean())
+
+
+def _plane(p: Array) -> tuple[Array, Array]:
+    """Mean (3,) of points (N, 3), and the unit normal (3,) of the plane that fits them best, away from the origin."""
+    middle = p.mean(axis=0)
+    normal = np.linalg.svd(p - middle)[2][2]
+    return middle, normal if normal @ middle > 0 else -normal
 
 
 @spec

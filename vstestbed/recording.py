@@ -11,7 +11,7 @@ import numpy as np
 
 from vstestbed.flight_log import flight_columns
 from vstestbed.geometry import Array, angles, inverse, quaternion_wxyz, rotation_angle
-from vstestbed.goal import KEPT
+from vstestbed.goal import KEPT, GoalPath
 from vstestbed.ground import place_of, relative
 from vstestbed.laws import Command
 from vstestbed.metrics import summarise
@@ -42,6 +42,7 @@ class Tick:
         None where none was taken, or not the whole of it. goal: what the law wanted to see, the scenario's view number `view`.
         slip_mps: how fast a vehicle slid over the floor, unnoticed by its encoders. estimate: how far the robot thinks it is
         from its goal [m, rad], NaN where that does not count. flight: of a craft that flies, the numbers of `flight_columns`.
+        t_cmd: when the command reaches the robot [s].
     """
 
     frame: int
@@ -58,6 +59,7 @@ class Tick:
     slip_mps: float = 0.0
     estimate: tuple[float, float] = (math.nan, math.nan)
     flight: Array | None = None
+    t_cmd: float = math.nan
 
 
 class Watcher(Protocol):
@@ -72,7 +74,7 @@ class Layout:
     """The columns of a scenario's log, and how ticks become rows of numbers.
 
     All that was seen and all that was true (act_, q_, ctrl_, ...) is of the exposure at t. The row's command cmd_ is what
-    the law made of that picture; it holds from t_cmd = t + latency on. made_ is the twist that the robot's limits and its
+    the law made of that picture; it holds from t_cmd on, when it reaches the robot. made_ is the twist that the robot's limits and its
     damping near singularities leave of it, and scale is made_ over what the law wanted, its own limits included.
     For a camera without an image plane, theta and phi [rad] are the measured ray's angles from the axis and about it.
     Of several goal views, `view` is the one that counted. Of a vehicle: base_ its true place, est_ the one it knows of by
@@ -111,17 +113,21 @@ class Layout:
             *(f"{kind}_{joint}" for kind in ("q", "qd") for joint in robot.joints),
             *(f"ctrl_{actuator}" for actuator in robot.actuators),
         )
-        self._scenario, self._camera = scenario, scenario.camera
-        self._latency = scenario.camera.latency_s
+        self._scenario, self._camera, self._believed = scenario, scenario.camera, scenario.believed_camera
+        known = (scenario.calibration.camera_exact and scenario.calibration.depth_exact) or isinstance(scenario.goal, GoalPath)
+        self._goals = None if known else np.array(scenario.goal_poses)  # what the law wants is not where the goal is
         self._T_camera_base = inverse(scenario.camera.mount.T)
         self._start = robot.configuration() if robot.grounded else np.zeros(3)
 
     def rows(self, ticks: Sequence[Kept]) -> Array:
         """Ticks as numbers, shape (len(ticks), columns): one at a time on disk, many at once in memory, the same numbers."""
-        t, frame, lost, error, scale, *rest = zip(*ticks, strict=True)
+        t, frame, lost, error, t_cmd, scale, *rest = zip(*ticks, strict=True)
         uv, depth, p_camera, T_camera, T_target, ordered, twist, made, goal_uv, T_goal, *more = (np.array(some) for some in rest)
         est, odo, slip, view, estimate, flight, *joints = more
-        markers = [uv, self._camera.project(p_camera), goal_uv, depth[..., None], *([angles(self._camera.ray(uv))] if self._angles else [])]
+        if self._goals is not None:
+            T_goal = self._goals[view]
+        seen_at = [angles(self._believed.ray(uv))] if self._angles else []
+        markers = [uv, self._camera.project(p_camera), goal_uv, depth[..., None], *seen_at]
         when, n = np.array(t), len(ticks)
         return np.concatenate(
             [
@@ -130,7 +136,7 @@ class Layout:
                 np.array(error)[:, None],
                 _poses(T_camera),
                 _poses(T_target),
-                np.column_stack([*self._away(T_camera, T_target, T_goal), when + self._latency]),
+                np.column_stack([*self._away(T_camera, T_target, T_goal), t_cmd]),
                 ordered,
                 twist,
                 made,
@@ -180,6 +186,7 @@ def kept(tick: Tick) -> Kept:
         tick.frame,
         tick.lost,
         tick.error_px,
+        tick.t_cmd,
         tick.allocation.scale * tick.command.scale,
         o.uv,
         o.depth,

@@ -9,7 +9,7 @@ from typing import Annotated
 import numpy as np
 from annotated_types import Ge
 
-from vstestbed.camera import CAMERAS, Catadioptric, Fisheye, Perspective, Spherical
+from vstestbed.camera import CAMERAS, Calibration, Camera, Catadioptric, Fisheye, Perspective, Spherical
 from vstestbed.errors import ParameterError
 from vstestbed.geometry import Array, inverse
 from vstestbed.goal import AnyGoal, GoalGap, GoalLanding, GoalLine, GoalPath, GoalPlace, GoalView, GoalViewFrom, GoalViews
@@ -19,12 +19,14 @@ from vstestbed.laws import IBVS, LAWS, PBVS, Hybrid, LineFollowing, Partitioned,
 from vstestbed.observation import Goal, OnFloor, OracleDepth, PnP
 from vstestbed.robots import ROBOTS, Car, Free, Mount, Omni, Puma560, Quadrotor, Robot
 from vstestbed.sim.clock import Clock
+from vstestbed.sim.timing import Timing
 from vstestbed.sim.world import World
 from vstestbed.spec import spec
 from vstestbed.stop import Stop
 from vstestbed.target import Carried, Points, Square
 from vstestbed.targets import TARGETS
 from vstestbed.vision import DETECTORS, Blobs, Lines, Oracle, Tags
+from vstestbed.vision.believed import pose_by_depth, shown_goal
 from vstestbed.vision.derotate import Derotation
 
 
@@ -45,8 +47,9 @@ class Noise:
 
 PLANE_INPUTS = {"xy", "depth", "relative"}
 """Fields of an observation that exist only for what is in front of the camera."""
-START_STREAM, NOISE_STREAM, IMAGE_STREAM, SENSOR_STREAM = 0, 1, 2, 3
-"""Independent random streams of one seed: the start, the noise of measured pixels, of pictures, of the robot's own sensors."""
+START_STREAM, NOISE_STREAM, IMAGE_STREAM, SENSOR_STREAM, TIMING_STREAM, DEPTH_STREAM = range(6)
+"""Independent random streams of one seed: the start, the noise of measured pixels, of pictures, of the robot's own sensors,
+of times, of depths."""
 TRIES = 1000
 """How many random starts are drawn at most until the target is in view."""
 VIEW_MARGIN_PX = 10.0
@@ -76,6 +79,8 @@ class Scenario:
     level_trim_s: Annotated[float, Ge(0)] = 0.0
     stop: Stop = Stop()
     noise: Noise = Noise()
+    calibration: Calibration = Calibration()
+    timing: Timing = Timing()
     world: World = World()
     physics: Clock = Clock()
 
@@ -84,7 +89,8 @@ class Scenario:
         if isinstance(self.law.depth, OracleDepth) and not isinstance(self.detector, Oracle):
             words = "may be oracle only with detector: {kind: oracle}; with pixels use pnp, constant, goal or estimate"
             raise ParameterError("law.depth", words)
-        self.clock  # noqa: B018 - refuses steps that do not fit
+        self.timing.check(self.camera, self.clock[0])  # a clock refuses steps that do not fit
+        self.believed_camera  # noqa: B018 - refuses errors that the lens cannot have
         self._check_task()
         if self.stop.duration_s < self.camera.period:
             raise ParameterError("stop.duration_s", f"must be at least one camera period, {self.camera.period:g} s", self.stop.duration_s)
@@ -165,10 +171,10 @@ class Scenario:
         for i, view in enumerate(self._views):
             where = f"goal.{'way' if isinstance(self.goal, GoalPath) else 'views'}.{i}" if len(self._views) > 1 else "goal"
             names = {"view": "T_camera_target", "landing": "above"}
-            self._check_view(f"{where}.{names.get(view.kind, 'view_from')}", self.goal_views[i])
+            self._check_view(f"{where}.{names.get(view.kind, 'view_from')}", self.goal_poses[i])
 
-    def _check_view(self, field: str, goal: Goal) -> None:
-        p = self.target.seen_from(inverse(goal.T_camera_target))
+    def _check_view(self, field: str, T_camera_target: Array) -> None:
+        p = self.target.seen_from(inverse(T_camera_target))
         uv, plane = self.camera.project(p), PLANE_INPUTS & set(self.law.inputs)
         limited = not (isinstance(self.detector, Oracle) and self.detector.field_of_view == "unlimited")
         picture = limited and len(self.camera.panels) == 1
@@ -208,26 +214,60 @@ class Scenario:
         """What the law wants to see in the end."""
         return self.goal_views[-1]
 
+    @cached_property
+    def believed_camera(self) -> Camera:
+        """The camera as robot, detector, observer and law know it; `camera` is what it is."""
+        return self.calibration.believed(self.camera)
+
+    @cached_property
+    def depth_scale(self) -> Array | None:
+        """By how much each marker's depth is told wrong in this run, shape (N,); None where it is not."""
+        return self.calibration.depth_scale(len(self.target.points), self.rng(DEPTH_STREAM))
+
+    @cached_property
+    def goal_poses(self) -> tuple[Array, ...]:
+        """T_camera_target (4, 4) of the true camera at the goal, of one view or of several in turn: for the log, not for the law."""
+        return tuple(self._pose_of(view, self.camera) for view in self._views)
+
     def _goal_of(self, goal: AnyGoal) -> Goal:
         """The goal as the law is told it. Tasks that are no view have one all the same: what is seen where all is well."""
-        camera, points, mount = self.camera, self.target.points, self.camera.mount.T
+        believed, points, wrong = self.believed_camera, self.target.points, self.calibration
+        if isinstance(goal, GoalLine) and isinstance(self.target, GroundLines):
+            ahead = self.target.straight_ahead(believed.mount.T, goal.offset_m)
+            if not np.isfinite(ahead).all():
+                words = "must have the camera look ahead, or down with the top of its picture ahead: lines are met ahead of it"
+                raise ParameterError("camera.mount", words, self.camera.mount.rpy_deg)
+            return Goal.of_points(believed, ahead, self._pose_of(goal, believed))
+        shown = wrong.goal == "shown" and not (wrong.camera_exact and wrong.depth_exact)
+        if shown:
+            made = shown_goal(self.camera, believed, points, self._pose_of(goal, self.camera))
+        else:
+            made = Goal.from_view(believed, points, self._pose_of(goal, believed))
+        if self.depth_scale is not None:
+            pose = pose_by_depth(made.T_camera_target, points, self.depth_scale) if shown else made.T_camera_target
+            made = replace(made.deepened(self.depth_scale), T_camera_target=pose)
+        match goal:
+            case GoalViewFrom(view_from=here) | GoalPlace(pose=here):
+                return replace(made, place=here.place)
+            case GoalGap(gap_m=gap):
+                return replace(made, gap_m=gap)
+            case _:
+                return made
+
+    def _pose_of(self, goal: AnyGoal, camera: Camera) -> Array:
+        """T_camera_target (4, 4) at the goal, for a camera with this mount."""
+        mount = camera.mount.T
         match goal:
             case GoalView(T_camera_target=pose) | GoalLanding(above=pose):
-                return Goal.from_view(camera, points, pose.T)
+                return pose.T
             case GoalViewFrom(view_from=here) | GoalPlace(pose=here):
-                T = inverse(here.T @ mount) @ self.target.pose.T
-                return replace(Goal.from_view(camera, points, T), place=here.place)
+                return inverse(here.T @ mount) @ self.target.pose.T
             case GoalGap(gap_m=gap):
                 carrier = self.target.pose.T.copy()
                 carrier[:2, 3] = 0.0  # straight ahead, the carrier turned as the vehicle is
-                T = inverse(mount) @ pose_on_ground(np.array([gap, 0.0, 0.0])) @ carrier
-                return replace(Goal.from_view(camera, points, T), gap_m=gap)
-            case GoalLine(offset_m=offset) if isinstance(self.target, GroundLines):
-                p, nowhere = self.target.straight_ahead(mount, offset), np.full((4, 4), np.nan)  # any place along the line will do
-                if not np.isfinite(p).all():
-                    words = "must have the camera look ahead, or down with the top of its picture ahead: lines are met ahead of it"
-                    raise ParameterError("camera.mount", words, camera.mount.rpy_deg)
-                return Goal.of_points(camera, p, nowhere)
+                return inverse(mount) @ pose_on_ground(np.array([gap, 0.0, 0.0])) @ carrier
+            case GoalLine() if isinstance(self.target, GroundLines):
+                return np.full((4, 4), np.nan)  # any place along the line will do
             case _:
                 raise ParameterError("goal", f"of kind {goal.kind} needs a line on the floor as target")
 
@@ -246,7 +286,7 @@ class Scenario:
     @property
     def T_world_goal(self) -> Array:
         """The camera's goal pose in the world (4, 4), for a still target."""
-        return self.target.pose.T @ inverse(self.goal_view.T_camera_target)
+        return self.target.pose.T @ inverse(self.goal_poses[-1])
 
     def rng(self, stream: int) -> np.random.Generator:
         """The scenario's random numbers: one independent stream each for the start and the noises."""

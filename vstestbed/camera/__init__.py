@@ -6,6 +6,7 @@ thus covers u in [-0.5, W - 0.5]. Camera axes: x right, y down, z forward. `uv` 
 """
 
 from vstestbed.camera.base import Camera, Frame, Image, Look, Panel, Window
+from vstestbed.camera.calibration import Calibration
 from vstestbed.camera.catadioptric import Catadioptric
 from vstestbed.camera.fisheye import Fisheye
 from vstestbed.camera.perspective import Perspective
@@ -17,6 +18,7 @@ CAMERAS = OneOf("camera", Perspective, Fisheye, Catadioptric, Spherical, default
 
 __all__ = [
     "CAMERAS",
+    "Calibration",
     "Camera",
     "Catadioptric",
     "Fisheye",

@@ -91,6 +91,18 @@ class Camera(ABC):
         """Time between pictures [s]."""
         return 1.0 / self.rate_hz
 
+    def mounted(self, mount: Pose) -> Camera:
+        """The same camera in another place on its robot."""
+        return replace(self, mount=mount)
+
+    def mistaken(self, focal_error: float, principal_px: tuple[float, float], ignores_distortion: bool) -> Camera:
+        """The same camera as somebody takes it to be: f (1 + focal_error), another principal point, no distortion.
+
+        Raises:
+            ParameterError: the lens has no such thing.
+        """
+        raise ParameterError("calibration", "may have no lens errors with this camera; mount_error it may")
+
     @cached_property
     def panels(self) -> tuple[Panel, ...]:
         """The pictures in which markers are looked for: the camera's own, unless its lens has no image plane."""

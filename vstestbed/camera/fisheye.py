@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import cached_property
 from typing import Annotated, Literal
 
@@ -44,6 +45,11 @@ class Fisheye(Radial):
         if self.reach[1] >= self.turn:
             words = f"fold the picture over itself within fov_deg = {self.fov_deg:g}; use smaller coefficients or a fov_deg below"
             raise ParameterError("coefficients", f"{words} {math.degrees(2 * self.turn):.4g}", self.coefficients)
+
+    def mistaken(self, focal_error: float, principal_px: tuple[float, float], ignores_distortion: bool) -> Radial:
+        """The same camera as somebody takes it to be; without its distortion it is the equidistant lens."""
+        lens = super().mistaken(focal_error, principal_px, ignores_distortion=False)
+        return replace(lens, coefficients=(0.0,) * 4) if isinstance(lens, Fisheye) and ignores_distortion else lens
 
     @property
     def reach(self) -> tuple[float, float]:

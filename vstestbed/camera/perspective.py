@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import cached_property
 from typing import Annotated, Literal
 
@@ -71,6 +72,16 @@ class Perspective(Camera):
         if self.focal_length_m is not None and self.pixel_size_m is not None:
             return self.focal_length_m / self.pixel_size_m
         return self.height / 2 / math.tan(math.radians(self.fovy_deg or DEFAULT_FOVY_DEG) / 2)
+
+    def mistaken(self, focal_error: float, principal_px: tuple[float, float], ignores_distortion: bool) -> Perspective:
+        """The same camera as somebody takes it to be."""
+        f, pixel = self.f * (1 + focal_error), self.pixel_size_m
+        given: dict[str, float | None] = {"fovy_deg": math.degrees(2 * math.atan(self.height / 2 / f))}
+        if pixel is not None:
+            given = {"fovy_deg": None, "focal_length_m": f * pixel}
+        elif not focal_error:
+            given = {}
+        return replace(self, **given, principal_px=principal_px, distortion=None if ignores_distortion else self.distortion)
 
     @cached_property
     def K(self) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from dataclasses import replace
 from functools import cached_property
 from typing import Annotated
 
@@ -10,6 +11,7 @@ import numpy as np
 from annotated_types import Gt
 
 from vstestbed.camera.base import Camera
+from vstestbed.errors import ParameterError
 from vstestbed.geometry import Array, angles, direction
 from vstestbed.spec import spec
 
@@ -54,6 +56,12 @@ class Radial(Camera):
     def f(self) -> float:
         """Focal length [px]: pixels a radian on the axis of an equidistant lens."""
         return self.focal_length_px or min(self.width, self.height) / 2 / self.ring[1]
+
+    def mistaken(self, focal_error: float, principal_px: tuple[float, float], ignores_distortion: bool) -> Radial:
+        """The same camera as somebody takes it to be. It has no distortion to be ignored, unless the lens says so."""
+        if ignores_distortion:
+            raise ParameterError("calibration.ignores_distortion", "is for the lenses perspective and fisheye, which have one")
+        return replace(self, focal_length_px=self.f * (1 + focal_error), principal_px=principal_px)
 
     def project(self, p_camera: Array) -> Array:
         """Pixels uv (..., N, 2) of points (..., N, 3); NaN out of the lens's reach, and at the lens itself."""

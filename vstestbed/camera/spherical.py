@@ -12,6 +12,7 @@ from vstestbed.camera.base import Panel
 from vstestbed.camera.cube import CUBE
 from vstestbed.camera.perspective import Perspective
 from vstestbed.camera.radial import Radial
+from vstestbed.errors import ParameterError
 from vstestbed.geometry import Array
 from vstestbed.spec import spec
 
@@ -49,6 +50,10 @@ class Spherical(Radial):
             shadows=self.shadows,
         )
         return tuple(Panel(lens, R) for R in CUBE.values())
+
+    def mistaken(self, focal_error: float, principal_px: tuple[float, float], ignores_distortion: bool) -> Spherical:
+        """Refused: markers are found in the panels, whose rays are known; the map of the sphere is only what is shown of them."""
+        raise ParameterError("calibration", "may have no lens errors with camera spherical, which has no one lens; mount_error it may")
 
     @property
     def reach(self) -> tuple[float, float]:

@@ -144,7 +144,7 @@ def _controller(
     starts = None if task is None or not task.each else tuple(load(name, merged(settings, one)) for one in task.settings())
     scenario = starts[0] if starts else load(name, settings)
     noise = scenario.noise.pixel_sigma_px > 0 or (scenario.noise.image_sigma > 0 and scenario.detector.needs_image)
-    draws = scenario.robot.start.random is not None or noise
+    draws = scenario.robot.start.random is not None or noise or scenario.timing.draws or scenario.calibration.depth_spread > 0
     runs = None if task is None else task.runs
     if not draws and starts is None and (runs or seeds or 1) > 1:
         words = "is missing, and there is no noise: every seed would give the same run; add one of them, or leave --seeds out"

@@ -88,5 +88,5 @@ class Free(Direct):
         return ordered
 
     def allocate(self, twist: Array, encoders: Encoders, mount: Mount, period: float) -> Allocation:
-        """The twist of the camera itself: no limits."""
-        return Allocation(setpoint=twist, twist=twist)
+        """The twist of the flange that moves the camera so: no limits."""
+        return Allocation(setpoint=mount.to_flange @ twist, twist=twist)

@@ -62,8 +62,12 @@ class Eyes(Protocol):
         """The camera's own picture now, (H, W, 3) uint8 RGB, its own for good."""
         ...
 
-    def glimpse(self, look: Look | None = None) -> tuple[Image | None, ...]:
-        """The pictures now, one a panel, as far as somebody looks at them; they hold until the next ones."""
+    def glimpse(self, look: Look | None = None, clean: bool = False) -> tuple[Image | None, ...]:
+        """The pictures now, one a panel, as far as somebody looks at them; they hold until the next ones. clean: without noise."""
+        ...
+
+    def grained(self, image: Image) -> Image:
+        """A clean picture with the sensor's noise."""
         ...
 
 
@@ -83,6 +87,18 @@ class Plant(Protocol):
 
         look: where the detector is going to look; None for everywhere.
         """
+        ...
+
+    def expose(self, weight: float, look: Look | None = None) -> None:
+        """Let in the light of now, for a share `weight` of a picture's exposure; nothing where no detector asks for pictures."""
+        ...
+
+    def developed(self, t: float) -> Frame | None:
+        """The picture of what was let in since the last one, stamped t [s]."""
+        ...
+
+    def truth(self) -> Truth:
+        """The truth, now."""
         ...
 
     def encoders(self) -> Encoders:

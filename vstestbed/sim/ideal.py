@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from vstestbed.camera import Frame, Look
-from vstestbed.geometry import Array, exp, inverse
+from vstestbed.geometry import Array, adjoint, exp, inverse
 from vstestbed.observation import Encoders
 from vstestbed.sim.base import Eyes, Truth
+from vstestbed.sim.exposure import Exposure
 from vstestbed.sim.scene import Parts
 from vstestbed.sim.stage import Stage
 
@@ -15,7 +16,7 @@ NONE = np.zeros(0)
 
 
 class IdealPlant:
-    """T_world_camera <- T_world_camera exp([v] dt), the setpoint v held between commands.
+    """T_world_camera <- T_world_camera exp([v] dt), v the twist of the camera when its flange has the setpoint's, which is held.
 
     Args:
         parts: what is in the world. steps_per_frame: physics steps between pictures.
@@ -25,10 +26,12 @@ class IdealPlant:
     def __init__(self, parts: Parts, steps_per_frame: int, stage: Stage | None = None, eye: Eyes | None = None):
         self.step_s, self.steps_per_frame = parts.step, steps_per_frame
         self._T = parts.start[1]
+        self._to_camera = adjoint(inverse(parts.camera.mount.T))
         self._T_world_target = parts.target.pose.T
         self._T_target_world = inverse(self._T_world_target)
         self._target = parts.target
         self._stage, self._eye = stage, eye
+        self._exposure = Exposure(eye) if eye else None
         self._twist = np.zeros(6)
         self._steps = 0
         self._hidden = np.zeros(len(self._target.points), dtype=bool)
@@ -40,25 +43,42 @@ class IdealPlant:
 
     def capture(self, look: Look | None = None) -> tuple[Frame | None, Truth]:
         """The picture, where one is wanted, and the truth."""
-        t = self._steps * self.step_s
+        truth = self.truth()
+        frame = Frame(self._t, self._eye.glimpse(look), self._eye.whole) if self._eye else None
+        return frame, truth
+
+    @property
+    def _t(self) -> float:
+        return self._steps * self.step_s
+
+    def truth(self) -> Truth:
+        """The truth, now; the stage is brought up to it."""
         T = self._T.copy()
         p_camera = self._target.seen_from(self._T_target_world @ T)
-        hidden, frame = self._hidden, None
+        hidden = self._hidden
         if self._stage is not None:
-            self._stage.place(t, self._T_world_target, NONE, T)
+            self._stage.place(self._t, self._T_world_target, NONE, T)
             hidden = self._stage.hidden(T, p_camera)
-        if self._eye is not None:
-            frame = Frame(t, self._eye.glimpse(look), self._eye.whole)
-        truth = Truth(T, self._T_world_target, self._twist, NONE, NONE, NONE, p_camera, hidden, contact=False)
-        return frame, truth
+        return Truth(T, self._T_world_target, self._twist, NONE, NONE, NONE, p_camera, hidden, contact=False)
+
+    def expose(self, weight: float, look: Look | None = None) -> None:
+        """Let in the light of now, where a detector asks for pictures."""
+        if self._stage is not None:
+            self._stage.place(self._t, self._T_world_target, NONE, self._T)
+        if self._exposure is not None:
+            self._exposure.add(weight, look)
+
+    def developed(self, t: float) -> Frame | None:
+        """The picture of what was let in since the last one."""
+        return self._exposure.developed(t) if self._exposure else None
 
     def encoders(self) -> Encoders:
         """No joints."""
         return Encoders(NONE, NONE)
 
     def apply(self, setpoint: Array) -> None:
-        """Move with this camera twist (6,) from now on."""
-        self._twist = setpoint
+        """Move the flange with this twist (6,) from now on."""
+        self._twist = self._to_camera @ setpoint
 
     def advance(self, steps: int) -> bool:
         """Let time pass, in one exact exponential."""

@@ -12,6 +12,7 @@ from vstestbed.camera import Frame, Look
 from vstestbed.geometry import Array, inverse
 from vstestbed.observation import Encoders
 from vstestbed.sim.base import Aloft, Eyes, Truth
+from vstestbed.sim.exposure import Exposure
 from vstestbed.sim.leader import Leader
 from vstestbed.sim.senses import Senses
 from vstestbed.sim.stage import Stage
@@ -39,6 +40,7 @@ class MujocoPlant:
 
     def __init__(self, stage: Stage, steps_per_frame: int, eye: Eyes | None, see_hidden: bool, rng: np.random.Generator):
         self._stage, self._eye, self._see_hidden = stage, eye, see_hidden
+        self._exposure = Exposure(eye) if eye else None
         robot, model = stage.parts.robot, stage.model
         self.step_s, self.steps_per_frame = stage.parts.step, steps_per_frame
         self._target = stage.parts.target
@@ -105,21 +107,38 @@ class MujocoPlant:
 
     def capture(self, look: Look | None = None) -> tuple[Frame | None, Truth]:
         """The picture, where one is wanted, and the truth, now."""
+        truth = self.truth()
+        frame = Frame(self._steps * self.step_s, self._eye.glimpse(look), self._eye.whole) if self._eye else None
+        return frame, truth
+
+    def _place_plates(self) -> None:
+        stage = self._stage
+        if stage.parts.world.plates:
+            stage.place_plates(self._steps * self.step_s)
+            mujoco.mj_kinematics(stage.model, stage.data)
+
+    def truth(self) -> Truth:
+        """The truth, now."""
         stage = self._stage
         model, data = stage.model, stage.data
-        t = self._steps * self.step_s
-        if stage.parts.world.plates:
-            stage.place_plates(t)
-            mujoco.mj_kinematics(model, data)
+        self._place_plates()
         T, T_target = stage.camera_pose(), stage.target_pose()
         p_camera = self._target.seen_from(inverse(T_target) @ T)
         mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_SITE, stage.eye, self._velocity, 1)
         twist = np.concatenate([self._velocity[3:], self._velocity[:3]])
         hidden = stage.hidden(T, p_camera) if self._see_hidden else self._visible
         q, qd, ctrl = *self._senses.joints(), data.ctrl[self._ctrl]
-        truth = Truth(T, T_target, twist, q, qd, ctrl, p_camera, hidden, self._touches(), self._aloft())
-        frame = Frame(t, self._eye.glimpse(look), self._eye.whole) if self._eye else None
-        return frame, truth
+        return Truth(T, T_target, twist, q, qd, ctrl, p_camera, hidden, self._touches(), self._aloft())
+
+    def expose(self, weight: float, look: Look | None = None) -> None:
+        """Let in the light of now, where a detector asks for pictures."""
+        self._place_plates()
+        if self._exposure is not None:
+            self._exposure.add(weight, look)
+
+    def developed(self, t: float) -> Frame | None:
+        """The picture of what was let in since the last one."""
+        return self._exposure.developed(t) if self._exposure else None
 
     def _touches(self) -> bool:
         data = self._stage.data

@@ -213,28 +213,33 @@ class RayEye:
         """The camera's own picture now, (H, W, 3) uint8 RGB, its own for good."""
         return self._draw(Panel(self._camera, np.eye(3)), -1 if self._camera.panels[0].lens is not self._camera else 0, None)
 
-    def glimpse(self, look: Look | None = None) -> tuple[Image | None, ...]:
+    def grained(self, image: Image) -> Image:
+        """A clean picture with the sensor's noise."""
+        return noisy(image, self._sigma, self._rng)
+
+    def glimpse(self, look: Look | None = None, clean: bool = False) -> tuple[Image | None, ...]:
         """The pictures now, one a panel, each its own for good.
 
         look: where somebody is going to look; a panel with no window is left out, others are blank outside of their windows.
+        clean: without noise.
         """
         start = time.perf_counter()
         images = []
         for i, panel in enumerate(self._camera.panels):
             windows = None if look is None else look[i]
-            images.append(None if windows == () else self._draw(panel, i, windows))
+            images.append(None if windows == () else self._draw(panel, i, windows, clean))
         self.whole = look is None
         self.spent_s += time.perf_counter() - start
         return tuple(images)
 
-    def _draw(self, panel: Panel, name: int, windows: tuple[Window, ...] | None) -> Image:
+    def _draw(self, panel: Panel, name: int, windows: tuple[Window, ...] | None, clean: bool = False) -> Image:
         if name not in self._rasters:
             self._rasters[name] = Raster(panel.lens, panel.R_camera_panel, self._camera.multisampling)
         raster = self._rasters[name]
         image = np.full((raster.height, raster.width, 3), BLANK, np.uint8)
         whole = ((0, 0, raster.width, raster.height),)
         raster.draw(image, whole if windows is None else windows, self._caster, self._stage.camera_pose())
-        return noisy(image, self._sigma, self._rng)
+        return image if clean else self.grained(image)
 
 
 def refuse(camera: Camera, textured_target: bool) -> None:

@@ -103,12 +103,12 @@ class Eye:
             return self._cube.compose(dict(enumerate(image for image in self.glimpse() if image is not None)))
         return np.ascontiguousarray(self.glimpse()[0])
 
-    def glimpse(self, look: Look | None = None) -> tuple[Image | None, ...]:
+    def glimpse(self, look: Look | None = None, clean: bool = False) -> tuple[Image | None, ...]:
         """The pictures now, one a panel; they may lie in the renderer's buffer, and then hold only until the next ones.
 
         look: where somebody is going to look; a panel with no window is left out, any other is drawn whole, but for
         faces of the cube without a part in its windows, which are black. Of a pinhole lens's picture the rectangle round
-        all windows is drawn, the rest is black.
+        all windows is drawn, the rest is black. clean: without noise.
         """
         start = time.perf_counter()
         if self._cube is None:
@@ -122,9 +122,14 @@ class Eye:
             faces = range(len(self._views)) if look is None else self._cube.needed(look[0])
             images = (self._cube.compose({i: self._views[i].raw() for i in faces}),)
             self.whole = len(faces) == len(self._views)
-        images = tuple(None if image is None else noisy(image, self._sigma, self._rng) for image in images)
+        if not clean:
+            images = tuple(None if image is None else self.grained(image) for image in images)
         self.spent_s += time.perf_counter() - start
         return images
+
+    def grained(self, image: Image) -> Image:
+        """A clean picture with the sensor's noise."""
+        return noisy(image, self._sigma, self._rng)
 
     def _resampled(self, image: Image) -> Image:
         """A drawn picture through a distorted lens; the same where there is no distortion."""

@@ -1,35 +1,149 @@
-"""Camera latency on the physics clock: a line of frames on their way to the law."""
+"""Time on the physics clock, in whole steps: exposure, latency, jitter and lost pictures of the camera, latency of commands."""
 
 from __future__ import annotations
 
 from collections import deque
-from typing import Generic, TypeVar
+from dataclasses import dataclass
+from typing import Annotated, Generic, Literal, TypeVar
+
+import numpy as np
+from annotated_types import Ge, Le, Lt
+from numpy.typing import NDArray
+
+from vstestbed.camera import Camera
+from vstestbed.errors import ParameterError
+from vstestbed.geometry import Array
+from vstestbed.spec import spec
 
 T = TypeVar("T")
 
 
-class DelayLine(Generic[T]):
-    """What was captured at step k is delivered at step k + delay, in order.
+@spec
+class Timing:
+    """When pictures are taken and arrive, and when commands do, beside the camera's rate and latency. All in whole physics steps.
+
+    A picture is stamped with the middle of its exposure, and its stamp is right. It arrives `camera.latency_s` after the
+    exposure's end, never before the one taken before it.
 
     Args:
-        delay_steps: whole physics steps between exposure and delivery, >= 0.
+        exposure_s: how long the shutter is open [s]: the picture is the mean of pictures taken meanwhile (motion blur).
+        exposure_pictures: of how many, at most one a physics step.
+        jitter: how jitters are distributed: `uniform` within +- the number given, or `normal` with it as standard deviation.
+        exposure_jitter_s: of the instant at which each picture is taken [s]. latency_jitter_s: of the time until it arrives [s].
+        drop_probability: how likely a picture never arrives.
+        command_latency_s: time from a law's command to the robot's new setpoint [s].
     """
 
-    def __init__(self, delay_steps: int):
+    exposure_s: Annotated[float, Ge(0)] = 0.0
+    exposure_pictures: Annotated[int, Ge(3), Le(999)] = 9
+    jitter: Literal["uniform", "normal"] = "uniform"
+    exposure_jitter_s: Annotated[float, Ge(0)] = 0.0
+    latency_jitter_s: Annotated[float, Ge(0), Le(60)] = 0.0
+    drop_probability: Annotated[float, Ge(0), Lt(1)] = 0.0
+    command_latency_s: Annotated[float, Ge(0), Le(60)] = 0.0
+
+    @property
+    def draws(self) -> bool:
+        """Whether a seed makes a difference."""
+        return self.exposure_jitter_s > 0 or self.latency_jitter_s > 0 or self.drop_probability > 0
+
+    def check(self, camera: Camera, step_s: float) -> None:
+        """Refuse exposures that are too short for the physics clock, and those that would overlap.
+
+        Raises:
+            ParameterError: with the limit.
+        """
+        if self.exposure_s and round(self.exposure_s / step_s) < 2:
+            words = f"must be 0 or at least two physics steps, {2 * step_s:g} s, whose pictures are averaged; or give physics.step_s"
+            raise ParameterError("timing.exposure_s", words, self.exposure_s)
+        room = camera.period - self.exposure_s
+        if room < 0:
+            raise ParameterError("timing.exposure_s", f"must be at most the camera's period, {camera.period:g} s", self.exposure_s)
+        if self.exposure_jitter_s > room / 2:
+            words = f"must be at most {room / 2:g} s, half of what the exposure leaves of the camera's period"
+            raise ParameterError("timing.exposure_jitter_s", words, self.exposure_jitter_s)
+
+    def jittered(self, size_s: float, rng: np.random.Generator) -> float:
+        """A jitter of this size [s]."""
+        if size_s == 0:
+            return 0.0
+        return float(rng.uniform(-size_s, size_s) if self.jitter == "uniform" else rng.normal(0.0, size_s))
+
+
+@dataclass(frozen=True, slots=True)
+class Planned:
+    """A picture to be taken: its number, the step of its middle, steps at which the shutter is open with their weights, its arrival."""
+
+    frame: int
+    middle: int
+    opens: tuple[int, ...]
+    weights: tuple[float, ...]
+    arrives: int
+
+
+class Shutter:
+    """Says when the camera takes its pictures; those that will be lost are not taken at all.
+
+    Args:
+        timing, camera: as the scenario says. step_s: of the physics [s]. steps_per_frame: in a camera's period.
+        rng: draws jitters and losses.
+    """
+
+    def __init__(self, timing: Timing, camera: Camera, step_s: float, steps_per_frame: int, rng: np.random.Generator):
+        self._timing, self._step_s, self._per_frame, self._rng = timing, step_s, steps_per_frame, rng
+        self._latency = camera.latency_s
+        self._half = round(timing.exposure_s / step_s / 2)
+        self._offsets, self._weights = _opening(self._half, timing.exposure_pictures)
+        self._room = (steps_per_frame - 2 * self._half) // 2
+        self._frame = -1
+
+    def following(self) -> Planned:
+        """The next picture that arrives."""
+        timing, rng = self._timing, self._rng
+        while True:
+            self._frame += 1
+            shift = round(timing.jittered(timing.exposure_jitter_s, rng) / self._step_s)
+            middle = max(0, self._frame * self._per_frame + max(-self._room, min(self._room, shift)))
+            late = max(0.0, self._latency + timing.jittered(timing.latency_jitter_s, rng))
+            if timing.drop_probability == 0 or rng.random() >= timing.drop_probability:
+                opens = tuple(max(0, middle + int(offset)) for offset in self._offsets)
+                return Planned(self._frame, middle, opens, self._weights, middle + self._half + round(late / self._step_s))
+
+
+def _opening(half: int, most: int) -> tuple[NDArray[np.int_], tuple[float, ...]]:
+    """Steps from the middle at which an exposure of 2 half steps is sampled, symmetric, and their weights (trapezoids, sum 1)."""
+    if half == 0:
+        return np.zeros(1, dtype=int), (1.0,)
+    n = min(2 * half + 1, most - 1 + most % 2)  # odd: the middle is one of them
+    offsets = np.round(np.linspace(-half, half, n)).astype(int)
+    weights: Array = np.gradient(offsets.astype(float))
+    weights[[0, -1]] /= 2
+    return offsets, tuple((weights / weights.sum()).tolist())
+
+
+class DelayLine(Generic[T]):
+    """What is pushed at step k comes out at step k + delay, in order: nothing overtakes what was pushed before.
+
+    Args:
+        delay_steps: whole physics steps between in and out, >= 0.
+    """
+
+    def __init__(self, delay_steps: int = 0):
         self.delay_steps = delay_steps
         self._waiting: deque[tuple[int, T]] = deque()
 
     def push(self, step: int, item: T) -> None:
-        """Something was captured at this step."""
-        self._waiting.append((step + self.delay_steps, item))
+        """Something goes in at this step."""
+        due = step + self.delay_steps
+        self._waiting.append((max(due, self._waiting[-1][0]) if self._waiting else due, item))
 
     def pop_due(self, step: int) -> list[T]:
-        """What arrives at or before this step, oldest first."""
+        """What comes out at or before this step, oldest first."""
         due = []
         while self._waiting and self._waiting[0][0] <= step:
             due.append(self._waiting.popleft()[1])
         return due
 
     def next_due(self) -> int | None:
-        """The step of the next delivery, None when nothing is on its way."""
+        """The step at which the next one comes out, None when nothing is on its way."""
         return self._waiting[0][0] if self._waiting else None

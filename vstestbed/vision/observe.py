@@ -17,6 +17,7 @@ from vstestbed.ground import arc, composed, place_of, pose_on_ground, wrapped
 from vstestbed.observation import AtGoal, Constant, Depth, Estimate, Goal, Observation, OnFloor, OracleDepth, PnP
 from vstestbed.target import Carried, Still, Target
 from vstestbed.vision.base import Detection
+from vstestbed.vision.believed import pose_by_depth
 from vstestbed.vision.derotate import NO_TRIM, Derotation, Trim, level_from_tilt, level_rays, trimmed
 from vstestbed.vision.floor_pose import solve_place
 from vstestbed.vision.flow_depth import FlowMemory, init_flow, update_flow
@@ -61,6 +62,7 @@ class Observer:
         grounded: the robot is a vehicle on the floor; its place is told where the target stands still.
         derotation: how what a tilted craft sees is brought to its level frame (`derotate`).
         trim_s: time constant with which the picture corrects the craft's tilt for that [s]; 0: not at all.
+        depth_scale: by how much each marker's depth is told wrong, shape (N,); None where it is not. The memory stays right.
     """
 
     camera: Camera
@@ -72,6 +74,7 @@ class Observer:
     grounded: bool = False
     derotation: Derotation = "none"
     trim_s: float = 0.0
+    depth_scale: Array | None = None
 
     def init(self) -> ObserverMemory:
         """The memory before the first frame."""
@@ -137,9 +140,13 @@ class Observer:
             odometry = composed(odometry, step)
             trust = -np.expm1([(memory.t - t) / tau for tau in (COMPASS_S, LANDMARKS_S)])
             place = self._place(None if place is None else composed(place, step), T if fresh else None, compass, trust)
+        pose = T if fresh or self._stays else None
+        if self.depth_scale is not None:
+            depth, reach = depth * self.depth_scale, None if reach is None else reach * self.depth_scale
+            pose = None if pose is None else pose_by_depth(pose, self.target.points, self.depth_scale)
         told = (ray, reach) if self._rays else (None, None)
         moving = twist if "twist" in self.wanted else None
-        seen = Observation(t, uv, xy, depth, T if fresh or self._stays else None, *told, relative, odometry, place, moving)
+        seen = Observation(t, uv, xy, depth, pose, *told, relative, odometry, place, moving)
         return ObserverMemory(t, carried, flow, place, odometry, trim), seen
 
     def _level(

@@ -1,0 +1,81 @@
+"""What is believed of a camera, where that differs from what it is."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Annotated, Literal
+
+import numpy as np
+from annotated_types import Ge, Gt, Le, Len, Lt
+
+from vstestbed.camera.base import Camera
+from vstestbed.geometry import Array, Pose
+from vstestbed.spec import spec
+
+
+@spec
+class Calibration:
+    """How wrong the calibration is that robot, detector, observer and law work with. The simulator's camera stays as it is.
+
+    Believed mount = true mount * mount_error; believed focal length = true one * (1 + focal_error); believed principal
+    point = true one + principal_error_px.
+
+    Args:
+        mount_error: where the believed camera stands in the true one's frame [m, deg].
+        focal_error: relative error of the focal length [1].
+        principal_error_px: error of the principal point (u, v) [px].
+        ignores_distortion: the lens's distortion is not known of: a perspective lens is taken for a pinhole, a fisheye for
+            equidistant.
+        depth_factor, depth_spread: of every depth Z_i (and range) that the law is told, wherever it comes from, and of the
+            distance in an estimated pose: Z_i * factor * exp(spread n_i), with one normal number n_i for each marker and run.
+        goal: how the goal view was given. `told`: as a pose in numbers; the pixels wanted are those that the believed
+            camera would see there, and a law ends where the true one sees them: off by the error of the calibration.
+            `shown`: the robot stood there once and its true camera took the picture; pose and depth at the goal are what
+            the believed calibration makes of that picture, so that errors before and after cancel at the goal.
+
+    Reference: for how far laws bear such errors, Chaumette & Hutchinson 2006, doi:10.1109/MRA.2006.250573, and Malis & Rives
+    2003, doi:10.1109/ROBOT.2003.1241749.
+    """
+
+    mount_error: Pose = Pose()
+    focal_error: Annotated[float, Gt(-0.9), Lt(9)] = 0.0
+    principal_error_px: Annotated[tuple[float, ...], Len(2, 2)] = (0.0, 0.0)
+    ignores_distortion: bool = False
+    depth_factor: Annotated[float, Gt(0), Le(100)] = 1.0
+    depth_spread: Annotated[float, Ge(0), Le(3)] = 0.0
+    goal: Literal["told", "shown"] = "told"
+
+    @cached_property
+    def lens_exact(self) -> bool:
+        """Whether pixels are turned into rays as they came."""
+        return not (self.focal_error or any(self.principal_error_px) or self.ignores_distortion)
+
+    @cached_property
+    def camera_exact(self) -> bool:
+        """Whether the camera is what it is believed to be."""
+        return self.lens_exact and self.mount_error == Pose()
+
+    @cached_property
+    def depth_exact(self) -> bool:
+        """Whether depths are told as they are found."""
+        return self.depth_factor == 1 and self.depth_spread == 0
+
+    def depth_scale(self, markers: int, rng: np.random.Generator) -> Array | None:
+        """By how much each marker's depth is told wrong in one run, shape (markers,); None where it is not."""
+        if self.depth_exact:
+            return None
+        return self.depth_factor * np.exp(self.depth_spread * rng.standard_normal(markers))
+
+    def believed(self, camera: Camera) -> Camera:
+        """The camera as robot, detector, observer and law know it.
+
+        Raises:
+            ParameterError: the lens has nothing to be wrong about, or is impossible with this error.
+        """
+        if self.camera_exact:
+            return camera
+        mount = Pose.of(camera.mount.T @ self.mount_error.T)
+        if self.lens_exact:
+            return camera.mounted(mount)
+        principal = camera.centre + self.principal_error_px
+        return camera.mistaken(self.focal_error, (float(principal[0]), float(principal[1])), self.ignores_distortion).mounted(mount)

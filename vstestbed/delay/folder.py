@@ -1,0 +1,63 @@
+"""What a study of delay leaves: a table, figures, a page, each whole or not at all."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+
+from vstestbed.delay.measure import Limit
+from vstestbed.delay.theory import AS_TOLD, closed_form, locus
+from vstestbed.errors import OutputError
+from vstestbed.files import write_whole, writing
+from vstestbed.report.delay import Branches, write_page
+
+BEYOND = 1.3
+"""The root locus is drawn up to this many times the gain limit."""
+
+
+def new_folder(out: Path | None) -> Path:
+    """The folder of a study: `out`, or the next free number in runs/delay.
+
+    Raises:
+        OutputError: it holds something already.
+    """
+    if out is None:
+        parent = Path("runs") / "delay"
+        taken = [int(p.name) for p in parent.iterdir() if p.name.isdecimal()] if parent.is_dir() else []
+        return parent / f"{max(taken, default=0) + 1:03d}"
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise OutputError(out, "exists and is not an empty folder", "give a new one")
+    return out
+
+
+def write(folder: Path, limits: Sequence[Limit], name: str, command: str = "") -> Path:
+    """`delay.csv`, `delay.parquet`, `delay.json` (with every joint's lag), `delay.png`, `delay.pdf`, `report.html`; the page's path.
+
+    Raises:
+        OutputError, EnvironmentLackError: a file cannot be written.
+    """
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    rows = [limit.row() for limit in limits]
+    table, parquet = pl.DataFrame(rows, infer_schema_length=None), io.BytesIO()
+    table.write_parquet(parquet)
+    write_whole(folder / "delay.parquet", parquet.getvalue())
+    write_whole(folder / "delay.csv", table.write_csv())
+    lags = [row | {"lags": [asdict(lag) for lag in limit.lags]} for row, limit in zip(rows, limits, strict=True)]
+    write_whole(folder / "delay.json", json.dumps(lags, indent=1) + "\n")
+    return write_page(folder, name, rows, [branches(limit) for limit in limits], command)
+
+
+def branches(limit: Limit) -> Branches:
+    """The root locus of one delay, with the measured lag of the joint that goes first where there is one."""
+    first = next((lag.shares for lag in limit.lags if lag.joint == limit.joint), AS_TOLD)
+    end = limit.g_lag or closed_form(limit.delay_frames)
+    gains = np.linspace(1e-6, BEYOND * end, 400)
+    at_limit = locus(limit.delay_frames, np.array([limit.g]), first)[0]
+    return Branches(limit.delay_frames, locus(limit.delay_frames, gains, first), at_limit)
