@@ -1,4 +1,4 @@
-"""What a scenario wants: a view, several in turn, a place for a vehicle, a gap to keep, a line to follow."""
+"""What a scenario wants: a view, several in turn, a place for a vehicle, a gap to keep, a line to follow, a view to keep."""
 
 from __future__ import annotations
 
@@ -99,8 +99,29 @@ class GoalLine:
         return self.band_m
 
 
+@spec
+class GoalTrack:
+    """A task without an end: keep the view of a target that moves.
+
+    Args:
+        T_camera_target: the pose from which the target shall be seen at all times.
+        band_m: how far the camera may be from there once settled [m].
+        settle_s: how long it may take to settle [s].
+    """
+
+    kind: Literal["track"] = "track"
+    T_camera_target: Pose
+    band_m: Band = 0.05
+    settle_s: Settle = 5.0
+
+    @property
+    def band(self) -> float:
+        """[m]."""
+        return self.band_m
+
+
 FIELDS = {"T_camera_target": "view", "view_from": "view_from", "views": "views", "pose": "pose", "gap_m": "gap"}
-GOALS = OneOf("goal", GoalView, GoalViewFrom, GoalViews, GoalPlace, GoalGap, GoalLine, fields=FIELDS)
-AnyGoal = Annotated[GoalView | GoalViewFrom | GoalViews | GoalPlace | GoalGap | GoalLine, GOALS]
-KEPT = GoalGap, GoalLine
+GOALS = OneOf("goal", GoalView, GoalViewFrom, GoalViews, GoalPlace, GoalGap, GoalLine, GoalTrack, fields=FIELDS)
+AnyGoal = Annotated[GoalView | GoalViewFrom | GoalViews | GoalPlace | GoalGap | GoalLine | GoalTrack, GOALS]
+KEPT = GoalGap, GoalLine, GoalTrack
 """Tasks without an end."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from operator import mul
 from typing import Any
 
@@ -16,16 +16,16 @@ from vstestbed.errors import ParameterError
 from vstestbed.geometry import Array, all_finite, inverse
 from vstestbed.goal import GoalViews
 from vstestbed.laws import Law
-from vstestbed.observation import Encoders, Observation
+from vstestbed.observation import Encoders, Observation, OwnMotion
 from vstestbed.provenance import versions
 from vstestbed.recording import Layout, Log, Recording, Tick, Watcher
 from vstestbed.robots import Mount
-from vstestbed.scenario import IMAGE_STREAM, NOISE_STREAM, SENSOR_STREAM, Scenario
+from vstestbed.scenario import IMAGE_STREAM, MOTION_STREAM, NOISE_STREAM, SENSOR_STREAM, Scenario
 from vstestbed.sim.base import Plant, Truth
 from vstestbed.sim.build import build_plant
 from vstestbed.sim.timing import DelayLine
 from vstestbed.stop import Evidence, Judge, Outcome
-from vstestbed.target import Square
+from vstestbed.target import Held, Square
 from vstestbed.task import band_of, estimated, off, slipped
 from vstestbed.vision import Detector, Observer, TruthView
 
@@ -35,13 +35,17 @@ PARTS = ("physics", "render", "detect", "law", "record", "video")
 
 @dataclass(frozen=True, slots=True)
 class Shot:
-    """A picture on its way to the law, with what the robot measured at its exposure and the mean twist ordered since the last."""
+    """A picture on its way to the law, with what the robot measured at its exposure and the mean twist ordered since the last.
+
+    `way` is the sum of all that was ordered until the exposure, (6,) [m, rad].
+    """
 
     frame: Frame | None
     t: float
     truth: Truth
     encoders: Encoders
     ordered: Array
+    way: Array
 
 
 def _observer(scenario: Scenario) -> Observer:
@@ -63,7 +67,9 @@ class _Servo:
         self.scenario, self.plant, self.spent = scenario, plant, spent
         self.view = 0
         self.goal = scenario.goal_views[0]
+        self.held = isinstance(scenario.target.motion, Held)
         self.mount = Mount.of(scenario.camera.mount.T)
+        self.last_twist = np.zeros(6)
         self.basis = scenario.robot.motion_basis(self.mount)
         self.rng = scenario.rng(NOISE_STREAM)
         self.observer = _observer(scenario)
@@ -78,20 +84,39 @@ class _Servo:
         """Where the detector is going to look next, as far as it knows by now."""
         return self.detector.look(self.seeing, self.scenario.camera, self.scenario.target)
 
-    def arrive(self, shot: Shot) -> Tick:
-        """Detect, observe, decide, move."""
+    def _mount_at(self, q: Array) -> Mount:
+        """The camera's mount; of one that watches the hand, where it is against the flange at the joints q."""
+        if not self.held:
+            return self.mount
+        return Mount.facing(inverse(self.scenario.robot.flange_pose(q)) @ self.mount.T_flange_camera)
+
+    def _own_motion(self, last: Shot, shot: Shot, now: float, way: Array) -> OwnMotion:
+        """What the robot knows of the camera's motion since the last picture, and since this one's exposure."""
+        robot, since, age, encoders = self.scenario.robot, shot.t - last.t, now - shot.t, self.plant.encoders()
+        twist = robot.measured_twist(last.encoders, shot.encoders, since, shot.ordered, self._mount_at(shot.encoders.q))
+        moved = way - shot.way
+        if age > 0:
+            moved = robot.measured_twist(shot.encoders, encoders, age, moved / age, self._mount_at(encoders.q)) * age
+        return OwnMotion(twist, since, moved, age, self.last_twist)
+
+    def arrive(self, shot: Shot, now: float, way: Array) -> Tick:
+        """Detect, observe, decide, move: at a time `now` [s], when `way` has been ordered in all."""
         s, began = self.scenario, time.perf_counter()
         view = TruthView(shot.truth.p_camera, shot.truth.hidden) if s.detector.needs_truth else None
         self.seeing, detection = self.detector.detect(self.seeing, shot.frame, view, s.camera, s.target, self.rng)
         last, twist = self.before or shot, shot.ordered
         if self.observer.uses_motion(detection):
-            twist = s.robot.measured_twist(last.encoders, shot.encoders, shot.t - last.t, shot.ordered, self.mount)
+            twist = s.robot.measured_twist(last.encoders, shot.encoders, shot.t - last.t, shot.ordered, self._mount_at(shot.encoders.q))
         compass = shot.encoders.instruments.get("compass")
         heading = None if compass is None else float(compass[0])
         self.observing, seen = self.observer.observe(self.observing, shot.t, detection, twist, self.rng, heading)
+        if "motion" in s.law.inputs:
+            seen = replace(seen, motion=self._own_motion(last, shot, now, way))
         detected = time.perf_counter()
         self.control, command = self.law.step(self.control, seen, self.goal, self.basis)
-        allocation = s.robot.allocate(command.twist, self.plant.encoders(), self.mount, s.camera.period)
+        encoders = self.plant.encoders()
+        allocation = s.robot.allocate(command.twist, encoders, self._mount_at(encoders.q), s.camera.period)
+        self.last_twist = allocation.twist
         self.plant.apply(allocation.setpoint)
         self.spent["detect"] += detected - began
         self.spent["law"] += time.perf_counter() - detected
@@ -158,18 +183,18 @@ def _until_the_end(scenario: Scenario, plant: Plant, note: Callable[[Tick], None
     servo, judge = _Servo(scenario, plant, spent), Judge(scenario.stop, band_of(scenario))
     line: DelayLine[Shot] = DelayLine(round(scenario.camera.latency_s / plant.step_s))
     step, next_capture = 0, 0
-    twist, moved = np.zeros(6), np.zeros(6)
+    twist, moved, way = np.zeros(6), np.zeros(6), np.zeros(6)
     while True:
         if step == next_capture:
             # with pictures still on their way, nobody knows yet where to look
             frame, truth = plant.capture(servo.look() if line.next_due() is None else None)
             if frame is not None and line.delay_steps > 0:
                 frame = frame.copy()  # it will wait while the next ones are taken
-            line.push(step, Shot(frame, step * plant.step_s, truth, plant.encoders(), moved / plant.steps_per_frame))
+            line.push(step, Shot(frame, step * plant.step_s, truth, plant.encoders(), moved / plant.steps_per_frame, way))
             moved = np.zeros(6)
             next_capture += plant.steps_per_frame
         for shot in line.pop_due(step):
-            tick = servo.arrive(shot)
+            tick = servo.arrive(shot, step * plant.step_s, way)
             twist = tick.allocation.twist
             note(tick)
             if verdict := judge.verdict(_evidence(scenario, tick)):
@@ -182,6 +207,7 @@ def _until_the_end(scenario: Scenario, plant: Plant, note: Callable[[Tick], None
         spent["physics"] += time.perf_counter() - start
         step += ahead
         moved += twist * ahead
+        way = way + twist * (ahead * plant.step_s)
 
 
 def run(scenario: Scenario, watch: Iterable[Watcher] = ()) -> Recording:
@@ -212,6 +238,7 @@ def run(scenario: Scenario, watch: Iterable[Watcher] = ()) -> Recording:
         image_sigma=scenario.noise.image_sigma,
         rng=scenario.rng(IMAGE_STREAM),
         sensor_rng=scenario.rng(SENSOR_STREAM),
+        motion_rng=scenario.rng(MOTION_STREAM),
     )
 
     def note(tick: Tick) -> None:

@@ -31,6 +31,10 @@ FIGURES = (
     "peak_speed_mps",
     "peak_rate_radps",
     "saturated_fraction",
+    "tracking_rms_px",
+    "tracking_max_px",
+    "tracking_rms_m",
+    "tracking_max_m",
 )
 """The names of a run's figures."""
 SATURATED = 0.999
@@ -48,6 +52,8 @@ def summarise(scenario: Scenario, outcome: Outcome, log: Columns) -> dict[str, o
     worst_off_m: largest true error of a task without an end from its time to settle on; only of such tasks.
     saturated_fraction: share of frames in which the law's limits, the robot's limits or its damping near a
         singularity took something off the command.
+    tracking_*: of a target that moves, the true error once settled (`goal.settle_s`): RMS over all coordinates of the
+        markers and the largest of one frame [px], RMS and largest distance of the camera from its goal pose [m].
 
     Args:
         scenario: the experiment. outcome: how it ended. log: the columns of the log by name, shape (frames,) each.
@@ -65,6 +71,7 @@ def summarise(scenario: Scenario, outcome: Outcome, log: Columns) -> dict[str, o
         "peak_rate_radps": _peak(log, ("wx", "wy", "wz")),
         **_off(scenario, log),
         "saturated_fraction": float(np.mean(log["scale"] < SATURATED)) if frames else None,
+        **_tracking(scenario, log),
     }
     return {k: _clean(v) for k, v in figures.items()}
 
@@ -141,6 +148,18 @@ def _image(scenario: Scenario, log: Columns) -> dict[str, object]:
         "max_feature_excursion_px": float(excursion[known].max()) if known.any() else None,
         "min_border_margin_px": float(margin[known].min()) if known.any() else None,
     }
+
+
+def _tracking(scenario: Scenario, log: Columns) -> dict[str, object]:
+    names = ("tracking_rms_px", "tracking_max_px", "tracking_rms_m", "tracking_max_m")
+    settled = log["t"] >= (scenario.goal.settle_s if isinstance(scenario.goal, KEPT) else 0.0)
+    if not scenario.target.moves or not settled.any():
+        return dict.fromkeys(names)
+    markers = range(len(scenario.target.points))
+    uv = np.stack([log[f"{c}_true_{i}"] - log[f"{c}_goal_{i}"] for i in markers for c in "uv"], axis=1)[settled]
+    frames, metres = np.sqrt(np.mean(uv**2, axis=1)), log["position_error_m"][settled]
+    values = (np.sqrt(np.mean(frames**2)), frames.max(), np.sqrt(np.mean(metres**2)), metres.max())
+    return {name: float(value) for name, value in zip(names, values, strict=True)}
 
 
 def _peak(log: Columns, names: tuple[str, ...]) -> float | None:

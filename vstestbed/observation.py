@@ -24,6 +24,23 @@ class Relative:
 
 
 @dataclass(frozen=True, slots=True)
+class OwnMotion:
+    """The camera's own motion, by what the robot measures of itself (joints) and what it ordered.
+
+    Attributes:
+        twist: mean twist (6,) since the last picture, and since_s for how long that was [s]; 0 at the first.
+        moved: way (6,) since the exposure until now, [m, rad]; age_s: how long ago the exposure was [s].
+        ordered: the twist (6,) that was ordered last.
+    """
+
+    twist: Array
+    since_s: float
+    moved: Array
+    age_s: float
+    ordered: Array
+
+
+@dataclass(frozen=True, slots=True)
 class Observation:
     """What the camera and the robot's own sensors tell at one frame; nothing of the simulator's truth.
 
@@ -38,6 +55,7 @@ class Observation:
         odometry: a ground vehicle's way since the start by its encoders alone, (x, y, heading) [m, rad] from where it stood.
         place: a ground vehicle's (x, y, heading) [m, rad] in the world, from its landmarks, compass and encoders; None
             where it is not known yet, or the target is no landmark.
+        motion: the camera's own motion, for laws that ask for it.
     """
 
     t: float
@@ -50,6 +68,7 @@ class Observation:
     relative: Relative | None = None
     odometry: Array | None = None
     place: Array | None = None
+    motion: OwnMotion | None = None
 
     @property
     def seen(self) -> NDArray[np.bool_]:

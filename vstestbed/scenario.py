@@ -12,17 +12,18 @@ from annotated_types import Ge
 from vstestbed.camera import CAMERAS, Catadioptric, Fisheye, Perspective, Spherical
 from vstestbed.errors import ParameterError
 from vstestbed.geometry import Array, inverse, transform
-from vstestbed.goal import AnyGoal, GoalGap, GoalLine, GoalPlace, GoalView, GoalViewFrom, GoalViews
+from vstestbed.goal import AnyGoal, GoalGap, GoalLine, GoalPlace, GoalTrack, GoalView, GoalViewFrom, GoalViews
 from vstestbed.ground import pose_on_ground
 from vstestbed.ground_lines import GroundLines
 from vstestbed.laws import IBVS, LAWS, PBVS, Hybrid, LineFollowing, Partitioned, PoseController, Pursuit
 from vstestbed.observation import Goal, OracleDepth, PnP
 from vstestbed.robots import ROBOTS, Car, Free, Mount, Omni, Puma560, Robot
 from vstestbed.sim.clock import Clock
+from vstestbed.sim.start import camera_start, target_start
 from vstestbed.sim.world import World
 from vstestbed.spec import spec
 from vstestbed.stop import Stop
-from vstestbed.target import Carried, Points, Square
+from vstestbed.target import Carried, Held, Points, Square
 from vstestbed.targets import TARGETS
 from vstestbed.vision import DETECTORS, Blobs, Lines, Oracle, Tags
 
@@ -44,8 +45,9 @@ class Noise:
 
 PLANE_INPUTS = {"xy", "depth", "relative"}
 """Fields of an observation that exist only for what is in front of the camera."""
-START_STREAM, NOISE_STREAM, IMAGE_STREAM, SENSOR_STREAM = 0, 1, 2, 3
-"""Independent random streams of one seed: the start, the noise of measured pixels, of pictures, of the robot's own sensors."""
+START_STREAM, NOISE_STREAM, IMAGE_STREAM, SENSOR_STREAM, MOTION_STREAM = 0, 1, 2, 3, 11
+"""Independent random streams of one seed: the start, the noise of measured pixels, of pictures, of the robot's own sensors, and
+the target's random walk."""
 TRIES = 1000
 """How many random starts are drawn at most until the target is in view."""
 VIEW_MARGIN_PX = 10.0
@@ -88,7 +90,7 @@ class Scenario:
 
     def _check_task(self) -> None:
         kind, tasks = self.goal.kind, self.law.tasks
-        task = "view" if isinstance(self.goal, GoalView | GoalViewFrom | GoalViews) else kind
+        task = "view" if isinstance(self.goal, GoalView | GoalViewFrom | GoalViews | GoalTrack) else kind
         if task not in tasks:
             raise ParameterError("goal", f"may not be of kind {kind} with law {self.law.kind}, which takes {' or '.join(tasks)}")
         if not self.robot.grounded and (task != "view" or any(isinstance(v, GoalViewFrom) for v in self._views)):
@@ -97,9 +99,10 @@ class Scenario:
             words = "needs a line on the floor" if task == "line" else "cannot be had of lines on the floor, which have no markers"
             other = "target: {kind: lines}" if task == "line" else "goal: {kind: line} and law: {kind: line_following}"
             raise ParameterError("goal", f"of kind {kind} {words}; use {other}")
-        carried = isinstance(self.target.motion, Carried)
-        if carried and any(isinstance(v, GoalViewFrom | GoalPlace) for v in self._views):
-            raise ParameterError("goal", f"of kind {kind} needs a target that stands still; a carried one is followed by a gap")
+        if self.target.moves and any(isinstance(v, GoalViewFrom | GoalPlace) for v in self._views):
+            raise ParameterError("goal", f"of kind {kind} needs a target that stands still; one that moves is followed by a gap or a view")
+        if isinstance(self.target.motion, Held) and not isinstance(self.robot, Puma560):
+            raise ParameterError("target.motion", f"held is for an arm's hand; robot {self.robot.kind} has none, use puma560")
 
     def _check_markers(self) -> None:
         points, marker, seen = self.target.points, self.target.marker.kind, self.detector.markers
@@ -127,7 +130,7 @@ class Scenario:
             return  # what is seen there is not what is asked for
         for i, view in enumerate(self._views):
             where = f"goal.views.{i}" if len(self._views) > 1 else "goal"
-            self._check_view(f"{where}.{'T_camera_target' if isinstance(view, GoalView) else 'view_from'}", self.goal_views[i])
+            self._check_view(f"{where}.{'view_from' if isinstance(view, GoalViewFrom) else 'T_camera_target'}", self.goal_views[i])
 
     def _check_view(self, field: str, goal: Goal) -> None:
         p = self.target.seen_from(inverse(goal.T_camera_target))
@@ -172,7 +175,7 @@ class Scenario:
         """The goal as the law is told it. Tasks that are no view have one all the same: what is seen where all is well."""
         camera, points, mount = self.camera, self.target.points, self.camera.mount.T
         match goal:
-            case GoalView(T_camera_target=pose):
+            case GoalView(T_camera_target=pose) | GoalTrack(T_camera_target=pose):
                 return Goal.from_view(camera, points, pose.T)
             case GoalViewFrom(view_from=here) | GoalPlace(pose=here):
                 T = inverse(here.T @ mount) @ self.target.pose.T
@@ -202,8 +205,8 @@ class Scenario:
 
     @property
     def T_world_goal(self) -> Array:
-        """The camera's goal pose in the world (4, 4), for a still target."""
-        return self.target.pose.T @ inverse(self.goal_view.T_camera_target)
+        """The camera's goal pose in the world (4, 4), of the target where it starts."""
+        return self.target.T_world_start @ inverse(self.goal_view.T_camera_target)
 
     def rng(self, stream: int) -> np.random.Generator:
         """The scenario's random numbers: one independent stream each for the start and the noises."""
@@ -226,8 +229,7 @@ class Scenario:
         raise ParameterError("robot.start.random", f"gave no start in {TRIES} draws that has the whole target in view; make it smaller")
 
     def _in_view(self, robot: Robot) -> bool:
-        T_world_camera = robot.flange_pose(robot.configuration()) @ self.camera.mount.T
-        T = inverse(T_world_camera) @ self.target.T_world_start
+        T = inverse(camera_start(robot, self.camera, self.target)) @ target_start(robot, self.target)
         p = self.target.seen_from(inverse(T))
         facing = float(T[:3, 2] @ T[:3, 3]) / max(float(np.linalg.norm(T[:3, 3])), 1e-9)  # of the plane, for who looks at it
         turned = T[2, 2] if isinstance(self.camera, Perspective) else facing

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from vstestbed.geometry import Array, inverse, rigid_error
-from vstestbed.goal import KEPT, GoalGap, GoalLine
+from vstestbed.goal import KEPT, GoalGap, GoalLine, GoalTrack
 from vstestbed.ground import place_of, relative
 from vstestbed.ground_lines import GroundLines
 from vstestbed.observation import Goal, Observation
@@ -22,13 +22,16 @@ def band_of(scenario: Scenario) -> Band | None:
 
 
 def off(scenario: Scenario, T_world_base: Array, T_world_target: Array) -> float:
-    """True error of a task without an end [m]: of the gap, or sideways from the line; NaN for other tasks."""
+    """True error of a task without an end [m]: of the gap, sideways from the line, of the camera's place; NaN for other tasks."""
     goal = scenario.goal
     if isinstance(goal, GoalGap):
         return math.dist(T_world_base[:2, 3], T_world_target[:2, 3]) - goal.gap_m
     if isinstance(goal, GoalLine) and isinstance(scenario.target, GroundLines):
         here = place_of(inverse(T_world_target) @ T_world_base)
         return scenario.target.route.beside(here) - goal.offset_m
+    if isinstance(goal, GoalTrack):
+        T_camera = T_world_base @ scenario.camera.mount.T
+        return rigid_error(T_camera, T_world_target @ inverse(goal.T_camera_target.T))[0]
     return math.nan
 
 

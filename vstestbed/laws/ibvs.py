@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
@@ -12,6 +12,7 @@ from annotated_types import Ge
 from vstestbed.features import FEATURES, Line, Point, Polar, Polygon, Spherical
 from vstestbed.geometry import Array
 from vstestbed.laws.base import Command, ConstantGain, Gain, TwistLimits
+from vstestbed.laws.feedforward import Change, Estimator, Feedforward, Integral, NoFeedforward, Trend, follow, look_ahead
 from vstestbed.laws.select import ALL, Rows, require_area, usable_rows
 from vstestbed.laws.solve import least_squares
 from vstestbed.laws.views import Views
@@ -22,10 +23,16 @@ from vstestbed.spec import spec
 
 @dataclass(frozen=True, slots=True)
 class IBVSMemory:
-    """Time of the first command [s] and the command that the law would have jumped to there (n,)."""
+    """Time of the first command [s] and the command that the law would have jumped to there (n,).
+
+    Of a law with feedforward also the last picture, what is known of the target's motion, and the integral (n,).
+    """
 
     t0: float = math.nan
     u0: Array | None = None
+    seen: Observation | None = None
+    trend: Trend | None = None
+    integral: Array | None = None
 
 
 @spec
@@ -49,6 +56,7 @@ class IBVS:
         smooth_start_s: tau [s]; 0 starts with the full command.
         limits: largest speed and rate of the commanded twist.
         visibility: keeps markers off the picture's border.
+        feedforward: what is done about a target that moves.
 
     References: Chaumette & Hutchinson 2006, eqs 3-5, doi:10.1109/MRA.2006.250573; mean matrix: Malis 2004,
     doi:10.1109/ROBOT.2004.1308092; smooth start: Mansard & Chaumette 2007, doi:10.1109/TRO.2006.889487.
@@ -63,11 +71,12 @@ class IBVS:
     smooth_start_s: Annotated[float, Ge(0)] = 0.0
     limits: TwistLimits = TwistLimits()
     visibility: Visibility = Visibility()
+    feedforward: Feedforward = NoFeedforward()
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """The fields of an Observation that its feature takes."""
-        return self.feature.inputs
+        """The fields of an Observation that its feature takes, and the camera's own motion for feedforward."""
+        return self.feature.inputs + (("motion",) if isinstance(self.feedforward, Estimator) else ())
 
     def check(self, points: Array, goal: Goal) -> None:
         """Refuse what `visibility` does; with the feature `polygon`, a goal view of three or more markers without a size."""
@@ -86,19 +95,49 @@ class IBVS:
 
     def step(self, memory: IBVSMemory, observation: Observation, goal: Goal, basis: Array) -> tuple[IBVSMemory, Command]:
         """One frame, with the markers that are seen; rest when they are too few for the robot's motions."""
-        rows = usable_rows(observation, self.inputs, self.markers_needed(basis))
+        before = memory
+        rows = usable_rows(observation, self.feature.inputs, self.markers_needed(basis))
         if isinstance(rows, str):
             return IBVSMemory(), Command.rest(basis, rows)
         e, L = self.equations(*self._taken(observation, rows), *self._taken(goal, rows))
         solved = least_squares(L @ basis, e)  # pinv(L B) e
-        u = -self.gain.at(solved) * solved
+        memory, solved, aside = self._beforehand(memory, observation, solved, basis)
+        u = -self.gain.at(solved) * solved - aside
         if self.smooth_start_s > 0:
             u0 = u if memory.u0 is None else memory.u0
-            memory = IBVSMemory(observation.t if memory.u0 is None else memory.t0, u0)
+            memory = replace(memory, t0=observation.t if memory.u0 is None else memory.t0, u0=u0)
             u = u - u0 * math.exp(-(observation.t - memory.t0) / self.smooth_start_s)
         if self.visibility.margin_px > 0:
             u = u + self.visibility.push(observation, goal, basis)
-        return memory, self.limits.command(u, basis)
+        command = self.limits.command(u, basis)
+        if isinstance(self.feedforward, Integral) and command.scale < 1:
+            memory = replace(memory, integral=before.integral)
+        return memory, command
+
+    def _beforehand(self, memory: IBVSMemory, seen: Observation, solved: Array, basis: Array) -> tuple[IBVSMemory, Array, Array]:
+        """The motion still to be made (n,) at the time looked ahead to, and what is ordered beside the gain's share of it (n,)."""
+        kind, motion = self.feedforward, seen.motion
+        if isinstance(kind, Integral):
+            since = seen.t - memory.seen.t if memory.seen else 0.0
+            total = solved * since + (0 if memory.integral is None else memory.integral)
+            return replace(memory, seen=seen, integral=total), solved, kind.rate_per_s2 * total
+        if isinstance(kind, NoFeedforward) or motion is None:
+            return memory, solved, np.zeros_like(solved)
+        change = self._change(memory.seen, seen, self.markers_needed(basis)) if memory.seen else None
+        trend = follow(kind, memory.trend, change, basis, motion)
+        shift, rate = look_ahead(kind, trend, basis, motion)
+        return replace(memory, seen=seen, trend=trend), solved + shift, rate
+
+    def _change(self, before: Observation, now: Observation, needed: int) -> Change | None:
+        """How the feature changed between two pictures, by the markers that both have."""
+        what, distance = self.feature.inputs
+        both = np.isfinite(getattr(before, what)[:, 0]) & np.isfinite(getattr(now, what)[:, 0])
+        both &= np.isfinite(getattr(before, distance)) & np.isfinite(getattr(now, distance))
+        if np.count_nonzero(both) < needed:
+            return None
+        (x0, d0), (x1, d1) = ((getattr(o, what)[both], getattr(o, distance)[both]) for o in (before, now))
+        L = (self.feature.interaction(x0, d0) + self.feature.interaction(x1, d1)) / 2
+        return Change(self.feature.error(self.feature.measure(x1), self.feature.measure(x0)), L)
 
     @property
     def remembers(self) -> int:
@@ -117,7 +156,7 @@ class IBVS:
 
     def _taken(self, view: Observation | Goal | Views, rows: Rows) -> tuple[Array, Array]:
         """The two inputs of the feature, of those markers."""
-        what, distance = self.inputs
+        what, distance = self.feature.inputs
         return getattr(view, what)[rows], getattr(view, distance)[rows]
 
     def equations(self, x: Array, distance: Array, goal_x: Array, goal_distance: Array) -> tuple[Array, Array]:

@@ -48,6 +48,14 @@ class Mount:
         """The mount of a camera at a pose (4, 4) in the flange frame."""
         return cls(T_flange_camera, adjoint(T_flange_camera), adjoint(inverse(T_flange_camera)))
 
+    @classmethod
+    def facing(cls, T_flange_camera: Array) -> Mount:
+        """Of a camera in the room that watches the flange, now at a pose (4, 4) in its frame.
+
+        The camera's twist against what the flange holds is minus the flange's own: v_camera = -Ad(T_camera_flange) v_flange.
+        """
+        return cls(T_flange_camera, -adjoint(T_flange_camera), -adjoint(inverse(T_flange_camera)))
+
 
 @dataclass(frozen=True, slots=True)
 class Servo:

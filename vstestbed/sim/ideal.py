@@ -6,6 +6,7 @@ import numpy as np
 
 from vstestbed.camera import Frame, Look
 from vstestbed.geometry import Array, exp, inverse
+from vstestbed.motion import Path
 from vstestbed.observation import Encoders
 from vstestbed.sim.base import Eyes, Truth
 from vstestbed.sim.scene import Parts
@@ -20,9 +21,11 @@ class IdealPlant:
     Args:
         parts: what is in the world. steps_per_frame: physics steps between pictures.
         eye: makes the pictures; None where no detector needs them. stage: tells what is hidden; None where nothing is.
+        path: where the target is at a time; None for one that stands still.
     """
 
-    def __init__(self, parts: Parts, steps_per_frame: int, stage: Stage | None = None, eye: Eyes | None = None):
+    def __init__(self, parts: Parts, steps_per_frame: int, stage: Stage | None = None, eye: Eyes | None = None, path: Path | None = None):
+        self._path = path
         self.step_s, self.steps_per_frame = parts.step, steps_per_frame
         self._T = parts.start[1]
         self._T_world_target = parts.target.pose.T
@@ -42,6 +45,9 @@ class IdealPlant:
         """The picture, where one is wanted, and the truth."""
         t = self._steps * self.step_s
         T = self._T.copy()
+        if self._path is not None:
+            self._T_world_target = self._path(t)
+            self._T_target_world = inverse(self._T_world_target)
         p_camera = self._target.seen_from(self._T_target_world @ T)
         hidden, frame = self._hidden, None
         if self._stage is not None:

@@ -9,7 +9,8 @@ import numpy as np
 from dm_control.rl.control import PhysicsError
 
 from vstestbed.camera import Frame, Look
-from vstestbed.geometry import Array, inverse
+from vstestbed.geometry import Array, adjoint, inverse
+from vstestbed.motion import Path
 from vstestbed.observation import Encoders
 from vstestbed.sim.base import Eyes, Truth
 from vstestbed.sim.leader import Leader
@@ -30,10 +31,19 @@ class MujocoPlant:
     Args:
         stage: the scene. steps_per_frame: physics steps between pictures.
         eye: makes the pictures; None where no detector needs them. see_hidden: cast rays for the truth's `hidden`.
-        rng: noise of the robot's own sensors.
+        rng: noise of the robot's own sensors. path: where a target that moves by itself is at a time, None for any other.
     """
 
-    def __init__(self, stage: Stage, steps_per_frame: int, eye: Eyes | None, see_hidden: bool, rng: np.random.Generator):
+    def __init__(
+        self,
+        stage: Stage,
+        steps_per_frame: int,
+        eye: Eyes | None,
+        see_hidden: bool,
+        rng: np.random.Generator,
+        path: Path | None = None,
+    ):
+        self._path = path
         self._stage, self._eye, self._see_hidden = stage, eye, see_hidden
         robot, model = stage.parts.robot, stage.model
         self.step_s, self.steps_per_frame = stage.parts.step, steps_per_frame
@@ -52,7 +62,7 @@ class MujocoPlant:
         self._setpoint: Array | None = None
         self._control_steps = max(1, round((robot.control_period_s or 0.0) / self.step_s)) if robot.control_period_s else 0
         q, T = stage.parts.start
-        stage.place(0.0, self._target.T_world_start, q, T)
+        stage.place(0.0, stage.parts.T_world_target if path is None else path(0.0), q, T)
         self._settle()
         if robot.grounded:
             self._stand()
@@ -97,18 +107,26 @@ class MujocoPlant:
         stage = self._stage
         model, data = stage.model, stage.data
         t = self._steps * self.step_s
-        if stage.parts.world.plates:
+        if stage.parts.world.plates or self._path is not None:
             stage.place_plates(t)
+            if self._path is not None:
+                stage.place_target(self._path(t))
             mujoco.mj_kinematics(model, data)
         T, T_target = stage.camera_pose(), stage.target_pose()
         p_camera = self._target.seen_from(inverse(T_target) @ T)
-        mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_SITE, stage.eye, self._velocity, 1)
-        twist = np.concatenate([self._velocity[3:], self._velocity[:3]])
+        twist = self._twist(stage.eye)
+        if stage.parts.held:  # the camera against the target that the hand holds
+            twist = -adjoint(inverse(T) @ T_target) @ self._twist(stage.held_site)
         hidden = stage.hidden(T, p_camera) if self._see_hidden else self._visible
         q, qd, ctrl = *self._senses.joints(), data.ctrl[self._ctrl]
         truth = Truth(T, T_target, twist, q, qd, ctrl, p_camera, hidden, self._touches())
         frame = Frame(t, self._eye.glimpse(look), self._eye.whole) if self._eye else None
         return frame, truth
+
+    def _twist(self, site: int) -> Array:
+        """True twist (6,) of a site in its own frame."""
+        mujoco.mj_objectVelocity(self._stage.model, self._stage.data, mujoco.mjtObj.mjOBJ_SITE, site, self._velocity, 1)
+        return np.concatenate([self._velocity[3:], self._velocity[:3]])
 
     def _touches(self) -> bool:
         data = self._stage.data

@@ -8,7 +8,8 @@ import numpy as np
 from annotated_types import Ge, Gt, Le
 
 from vstestbed.errors import ParameterError
-from vstestbed.geometry import Array, Pose
+from vstestbed.geometry import Pose
+from vstestbed.motion import PLATE_MOTIONS, OwnMotion, Path, Still
 from vstestbed.spec import spec
 
 
@@ -20,9 +21,11 @@ class Plate:
         pose: its centre in the world; the plate spans its x and y axes.
         width, height: size along x and y [m].
         from_s, until_s: when it is there [s].
+        motion: how it moves about its pose, in its own axes; a random walk of a plate is always the same one.
     """
 
     pose: Pose
+    motion: Annotated[OwnMotion, PLATE_MOTIONS] = Still()
     width: Annotated[float, Gt(0)] = 0.5
     height: Annotated[float, Gt(0)] = 0.5
     from_s: Annotated[float, Ge(0)] = 0.0
@@ -54,6 +57,9 @@ AWAY = np.array([0.0, 0.0, -50.0])
 """Where plates are while they are not there: under the floor [m]."""
 
 
-def plate_position(plate: Plate, t: float) -> Array:
-    """Where a plate's centre is at a time [s], shape (3,)."""
-    return plate.pose.T[:3, 3] if plate.from_s - 1e-9 <= t < plate.until_s - 1e-9 else AWAY
+def plate_path(plate: Plate) -> Path:
+    """Where a plate is at a time [s], as a function that gives its pose (4, 4)."""
+    rest, displacement = plate.pose.T, plate.motion.path(np.random.default_rng(0))
+    away = rest.copy()
+    away[:3, 3] = AWAY
+    return lambda t: rest @ displacement(t) if plate.from_s - 1e-9 <= t < plate.until_s - 1e-9 else away

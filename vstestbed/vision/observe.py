@@ -14,7 +14,7 @@ from vstestbed.errors import ParameterError
 from vstestbed.geometry import Array, adjoint, all_finite, exp, inverse, transform
 from vstestbed.ground import arc, composed, place_of, pose_on_ground, wrapped
 from vstestbed.observation import AtGoal, Constant, Depth, Estimate, Goal, Observation, OnFloor, OracleDepth, PnP
-from vstestbed.target import Still, Target
+from vstestbed.target import Target
 from vstestbed.vision.base import Detection
 from vstestbed.vision.floor_pose import solve_place
 from vstestbed.vision.flow_depth import FlowMemory, init_flow, update_flow
@@ -140,7 +140,7 @@ class Observer:
         The lens's place in the map is seen whatever way the vehicle is said to head; the mount's arm leads from there to it.
         The heading is the encoders', drawn to the compass with a time constant of COMPASS_S: its bias stays, its noise less so.
         """
-        if not isinstance(self.target.motion, Still):
+        if self.target.moves:
             return None
         seen = None if T is None else self.target.pose.T @ inverse(T)
         mount = self.camera.mount.T
