@@ -11,6 +11,7 @@ from vstestbed.geometry import Array, rotation_angle, rotation_from_quaternion
 from vstestbed.goal import KEPT
 from vstestbed.scenario import Scenario
 from vstestbed.stop import Outcome
+from vstestbed.target import Held
 
 Columns = Mapping[str, Array]
 
@@ -123,6 +124,11 @@ def _path(scenario: Scenario, log: Columns) -> dict[str, object]:
     distance = np.linalg.norm(camera - target, axis=1)
     at_goal = float(np.linalg.norm(scenario.goal_view.T_camera_target[:3, 3]))
     R = rotation_from_quaternion(_columns(log, "cam", ("qw", "qx", "qy", "qz")))
+    if isinstance(scenario.target.motion, Held):  # the way of the hand, as the camera's way against it
+        R_target = rotation_from_quaternion(_columns(log, "tgt", ("qw", "qx", "qy", "qz")))
+        R, camera = R_target.mT @ R, np.einsum("nji,nj->ni", R_target, camera - target)
+        target = np.zeros_like(camera)
+        length = float(np.linalg.norm(np.diff(camera, axis=0), axis=1).sum())
     return {
         "path_length_m": length,
         "path_ratio": length / straight if straight > 1e-3 else None,

@@ -108,7 +108,7 @@ class AlphaBeta:
     """
 
     kind: Literal["alpha_beta"] = "alpha_beta"
-    alpha: Annotated[float, Gt(0), Le(1)] = 0.6
+    alpha: Annotated[float, Gt(0), Le(1)] = 0.8
     predict_s: Ahead = 0.0
 
     def update(self, trend: Trend | None, step: Array | None, dt: float, size: int) -> Trend:
@@ -163,7 +163,7 @@ class KalmanCV(_Kalman):
 
     kind: Literal["kalman_cv"] = "kalman_cv"
     order = 2
-    bandwidth_hz: Bandwidth = 3.0
+    bandwidth_hz: Bandwidth = 5.0
     predict_s: Ahead = 0.0
 
 
