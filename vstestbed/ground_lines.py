@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import Annotated, Literal
 
 import numpy as np
-from annotated_types import Gt, Le, Len
+from annotated_types import Len
 
 from vstestbed.errors import ParameterError
 from vstestbed.geometry import Array, Pose, inverse, transform

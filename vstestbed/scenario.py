@@ -125,7 +125,9 @@ class Scenario:
     def _check_goal(self) -> None:
         if isinstance(self.goal, GoalLine) and not self.camera.inside(self.goal_view.uv).all():
             where = f"outside the {self.camera.width} x {self.camera.height} picture where all is well"
-            raise ParameterError("target.look_m", f"are {where}; turn the camera, or use a wider one or other distances", self.target.look_m)
+            raise ParameterError(
+                "target.look_m", f"are {where}; turn the camera, or use a wider one or other distances", self.target.look_m
+            )
         if isinstance(self.goal, GoalPlace | GoalGap | GoalLine):
             return  # what is seen there is not what is asked for
         for i, view in enumerate(self._views):

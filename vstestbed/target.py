@@ -279,4 +279,3 @@ class Points(Target):
     def points(self) -> Array:
         """Marker centres in the target frame, shape (N, 3)."""
         return np.array(self.at, dtype=float)
-

@@ -47,7 +47,7 @@ class Trend:
 
     @property
     def rate(self) -> Array:
-        """tau (n,) at the last exposure [m/s, rad/s]."""
+        """Tau (n,) at the last exposure [m/s, rad/s]."""
         return self.state[1]
 
     def ahead(self, duration: float) -> tuple[Array, Array]:

@@ -105,7 +105,7 @@ class LineFollowing:
         return LineMemory(memory.aim, observation.t, u), self.limits.command(u, basis)
 
     def _motion(self, xy: Array, aim: Array, goal: Goal, basis: Array) -> Array:
-        """u (n,) for lines through normalised points xy (lines, 2, 2) that shall be at `aim` (lines,) to the left."""
+        """U (n,) for lines through normalised points xy (lines, 2, 2) that shall be at `aim` (lines,) to the left."""
         mount, v = goal.T_base_camera, self.cruise_mps
         near, far = np.moveaxis(floor_point(xy, mount)[..., 0], -1, 0)
         middle, exact = (near + far) / 2, near * far / (near + far)

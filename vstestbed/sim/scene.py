@@ -23,8 +23,8 @@ from vstestbed.ground_lines import GroundLines
 from vstestbed.robots import VEHICLES, Robot
 from vstestbed.sim.attach import add_robot, extent_of
 from vstestbed.sim.cube import drawn_for
-from vstestbed.sim.paint import add_stripe
 from vstestbed.sim.overview import frame_drive, frame_flight
+from vstestbed.sim.paint import add_stripe
 from vstestbed.sim.start import camera_start, target_start
 from vstestbed.sim.world import AWAY, World
 from vstestbed.target import Carried, Disc, Held, Sphere, Square, Stripe, Tag, Target
