@@ -55,6 +55,7 @@ def _observer(scenario: Scenario) -> Observer:
         goal=scenario.goal_view,
         depth=scenario.law.depth,
         pixel_sigma_px=scenario.noise.pixel_sigma_px,
+        dropout=scenario.noise.dropout,
         wanted=scenario.law.inputs,
         grounded=scenario.robot.grounded,
     )
@@ -239,6 +240,7 @@ def run(scenario: Scenario, watch: Iterable[Watcher] = ()) -> Recording:
         rng=scenario.rng(IMAGE_STREAM),
         sensor_rng=scenario.rng(SENSOR_STREAM),
         motion_rng=scenario.rng(MOTION_STREAM),
+        drift=scenario.noise.drift,
     )
 
     def note(tick: Tick) -> None:

@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import Annotated
 
 import numpy as np
-from annotated_types import Ge
+from annotated_types import Ge, Lt
 
 from vstestbed.camera import CAMERAS, Catadioptric, Fisheye, Perspective, Spherical
 from vstestbed.errors import ParameterError
@@ -19,6 +19,7 @@ from vstestbed.laws import IBVS, LAWS, PBVS, Hybrid, LineFollowing, Partitioned,
 from vstestbed.observation import Goal, OracleDepth, PnP
 from vstestbed.robots import ROBOTS, Car, Free, Mount, Omni, Puma560, Robot
 from vstestbed.sim.clock import Clock
+from vstestbed.sim.noise import Drift
 from vstestbed.sim.start import camera_start, target_start
 from vstestbed.sim.world import World
 from vstestbed.spec import spec
@@ -37,10 +38,14 @@ class Noise:
             does to a measured coordinate is up to the detector: with `blobs` and its `grey` moments, scatter in proportion,
             about .0025 px a grey level for discs of 8 px radius. Under 1 it has hardly any effect, above 20 markers get lost.
         pixel_sigma_px: standard deviation of Gaussian noise on each measured coordinate, whatever the detector [px].
+        dropout: probability of each marker in each picture not to be reported, whatever the detector.
+        drift: of the picture's brightness and colour.
     """
 
     image_sigma: Annotated[float, Ge(0)] = 0.0
     pixel_sigma_px: Annotated[float, Ge(0)] = 0.0
+    dropout: Annotated[float, Ge(0), Lt(1)] = 0.0
+    drift: Drift = Drift()
 
 
 PLANE_INPUTS = {"xy", "depth", "relative"}

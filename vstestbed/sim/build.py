@@ -10,6 +10,7 @@ from vstestbed.camera import Camera
 from vstestbed.robots import Robot
 from vstestbed.sim.base import Plant
 from vstestbed.sim.clock import Clock
+from vstestbed.sim.noise import NO_DRIFT, Drift
 from vstestbed.sim.world import World
 from vstestbed.target import Target
 
@@ -27,6 +28,7 @@ def build_plant(
     rng: np.random.Generator | None = None,
     sensor_rng: np.random.Generator | None = None,
     motion_rng: np.random.Generator | None = None,
+    drift: Drift = NO_DRIFT,
 ) -> tuple[Plant, str]:
     """Make the plant; with it the name of what renders its pictures ("none" where nothing does).
 
@@ -36,6 +38,7 @@ def build_plant(
         needs_image, needs_truth: what the detector looks at.
         image_sigma, rng: noise of the pictures [grey levels] and where it comes from.
         sensor_rng: where the noise of the robot's own sensors comes from. motion_rng: what draws a target's random walk.
+        drift: of the camera's gains.
 
     Raises:
         EnvironmentLackError: a picture is needed that only OpenGL can draw, and it does not work here.
@@ -59,10 +62,10 @@ def build_plant(
     if ideal:
         from vstestbed.sim.ideal import IdealPlant
 
-        return IdealPlant(parts, steps_per_frame, stage, eye, path), renderer
+        return IdealPlant(parts, steps_per_frame, stage, eye, path, drift), renderer
     from vstestbed.sim.plant import MujocoPlant
 
-    return MujocoPlant(stage, steps_per_frame, eye, needs_truth, sensor_rng or np.random.default_rng(0), path), renderer
+    return MujocoPlant(stage, steps_per_frame, eye, needs_truth, sensor_rng or np.random.default_rng(0), path, drift), renderer
 
 
 @dataclass(frozen=True, slots=True)

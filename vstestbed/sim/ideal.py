@@ -9,6 +9,7 @@ from vstestbed.geometry import Array, exp, inverse
 from vstestbed.motion import Path
 from vstestbed.observation import Encoders
 from vstestbed.sim.base import Eyes, Truth
+from vstestbed.sim.noise import NO_DRIFT, Drift
 from vstestbed.sim.scene import Parts
 from vstestbed.sim.stage import Stage
 
@@ -21,11 +22,19 @@ class IdealPlant:
     Args:
         parts: what is in the world. steps_per_frame: physics steps between pictures.
         eye: makes the pictures; None where no detector needs them. stage: tells what is hidden; None where nothing is.
-        path: where the target is at a time; None for one that stands still.
+        path: where the target is at a time; None for one that stands still. drift: of the camera's gains.
     """
 
-    def __init__(self, parts: Parts, steps_per_frame: int, stage: Stage | None = None, eye: Eyes | None = None, path: Path | None = None):
-        self._path = path
+    def __init__(
+        self,
+        parts: Parts,
+        steps_per_frame: int,
+        stage: Stage | None = None,
+        eye: Eyes | None = None,
+        path: Path | None = None,
+        drift: Drift = NO_DRIFT,
+    ):
+        self._path, self._drift = path, drift
         self.step_s, self.steps_per_frame = parts.step, steps_per_frame
         self._T = parts.start[1]
         self._T_world_target = parts.target.pose.T
@@ -54,7 +63,7 @@ class IdealPlant:
             self._stage.place(t, self._T_world_target, NONE, T)
             hidden = self._stage.hidden(T, p_camera)
         if self._eye is not None:
-            frame = Frame(t, self._eye.glimpse(look), self._eye.whole)
+            frame = self._drift.of(Frame(t, self._eye.glimpse(look), self._eye.whole))
         truth = Truth(T, self._T_world_target, self._twist, NONE, NONE, NONE, p_camera, hidden, contact=False)
         return frame, truth
 

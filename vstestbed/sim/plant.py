@@ -13,6 +13,7 @@ from vstestbed.geometry import Array, adjoint, inverse
 from vstestbed.motion import Path
 from vstestbed.observation import Encoders
 from vstestbed.sim.base import Eyes, Truth
+from vstestbed.sim.noise import NO_DRIFT, Drift
 from vstestbed.sim.leader import Leader
 from vstestbed.sim.senses import Senses
 from vstestbed.sim.stage import Stage
@@ -31,7 +32,7 @@ class MujocoPlant:
     Args:
         stage: the scene. steps_per_frame: physics steps between pictures.
         eye: makes the pictures; None where no detector needs them. see_hidden: cast rays for the truth's `hidden`.
-        rng: noise of the robot's own sensors. path: where a target that moves by itself is at a time, None for any other.
+        rng: noise of the robot's own sensors. path: where a target that moves by itself is at a time, None for any other. drift: of the camera's gains.
     """
 
     def __init__(
@@ -42,8 +43,9 @@ class MujocoPlant:
         see_hidden: bool,
         rng: np.random.Generator,
         path: Path | None = None,
+        drift: Drift = NO_DRIFT,
     ):
-        self._path = path
+        self._path, self._drift = path, drift
         self._stage, self._eye, self._see_hidden = stage, eye, see_hidden
         robot, model = stage.parts.robot, stage.model
         self.step_s, self.steps_per_frame = stage.parts.step, steps_per_frame
@@ -107,7 +109,7 @@ class MujocoPlant:
         stage = self._stage
         model, data = stage.model, stage.data
         t = self._steps * self.step_s
-        if stage.parts.world.plates or self._path is not None:
+        if stage.parts.world.plates or stage.parts.world.decoys or self._path is not None:
             stage.place_plates(t)
             if self._path is not None:
                 stage.place_target(self._path(t))
@@ -120,7 +122,7 @@ class MujocoPlant:
         hidden = stage.hidden(T, p_camera) if self._see_hidden else self._visible
         q, qd, ctrl = *self._senses.joints(), data.ctrl[self._ctrl]
         truth = Truth(T, T_target, twist, q, qd, ctrl, p_camera, hidden, self._touches())
-        frame = Frame(t, self._eye.glimpse(look), self._eye.whole) if self._eye else None
+        frame = self._drift.of(Frame(t, self._eye.glimpse(look), self._eye.whole)) if self._eye else None
         return frame, truth
 
     def _twist(self, site: int) -> Array:

@@ -105,6 +105,9 @@ def compose(parts: Parts) -> mujoco.MjSpec:
         holder = scene.worldbody.add_body(name=f"plate_{i}", mocap=True, pos=AWAY, quat=quaternion_wxyz(plate.pose.T[:3, :3]))
         size = [plate.width / 2, plate.height / 2, 0.002]
         _visual(holder, f"plate_{i}", mujoco.mjtGeom.mjGEOM_BOX, size, [0.45, 0.45, 0.47, 1], 0)
+    for i, decoy in enumerate(parts.world.decoys):
+        holder = scene.worldbody.add_body(name=f"decoy_{i}", mocap=True, pos=decoy.xyz)
+        _visual(holder, f"decoy_{i}", mujoco.mjtGeom.mjGEOM_SPHERE, [decoy.radius, 0, 0], [*decoy.color, 1], 0)
     return scene
 
 

@@ -11,7 +11,7 @@ from vstestbed.geometry import Array, inverse, quaternion_wxyz
 from vstestbed.sim.contexts import Physics
 from vstestbed.sim.roots import Root
 from vstestbed.sim.scene import LENS_GROUP, Parts, compose
-from vstestbed.sim.world import plate_path
+from vstestbed.sim.world import decoy_path, plate_path
 from vstestbed.target import Sphere
 
 
@@ -34,8 +34,10 @@ class Stage:
         self.root = Root(self.model, "robot/") if parts.robot.rides else None
         self.leader = Root(self.model, "leader/") if parts.leader else None
         self._T_target_leader = inverse(parts.target.pose.T)
-        self._plate_paths = [plate_path(plate) for plate in parts.world.plates]
-        self._plates = [self.model.body(f"plate_{i}").mocapid[0] for i in range(len(parts.world.plates))]
+        world = parts.world
+        self._plate_paths = [*map(plate_path, world.plates), *map(decoy_path, world.decoys)]
+        names = [f"plate_{i}" for i in range(len(world.plates))] + [f"decoy_{i}" for i in range(len(world.decoys))]
+        self._plates = [self.model.body(name).mocapid[0] for name in names]
         self._free = self.model.body("robot/camera").mocapid[0] if parts.robot.model is None else None
         self.eye = self.model.site("eye").id
         self.held_site = self.model.site("target/frame").id if parts.held else -1
@@ -80,7 +82,7 @@ class Stage:
         self.data.mocap_quat[mocap] = quaternion_wxyz(T[:3, :3])
 
     def place_plates(self, t: float) -> None:
-        """Put the plates where they are at a time [s]."""
+        """Put the plates and decoys where they are at a time [s]."""
         for path, mocap in zip(self._plate_paths, self._plates, strict=True):
             T = path(t)
             self.data.mocap_pos[mocap] = T[:3, 3]

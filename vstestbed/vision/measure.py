@@ -7,10 +7,11 @@ import math
 import numpy as np
 
 from vstestbed.camera import Camera
-from vstestbed.geometry import Array
+from vstestbed.geometry import Array, transform
 from vstestbed.target import Target
 from vstestbed.vision.centre import ball_bias, centre_bias
 from vstestbed.vision.find import Blob
+from vstestbed.vision.match import allowed_px
 from vstestbed.vision.pose import solve_pose_from_rays, three_ray_poses
 from vstestbed.vision.track import BlobsMemory
 
@@ -36,6 +37,8 @@ class Measure:
     def __init__(self, camera: Camera, target: Target, panels: list[int], area_tolerance: float, edge: float):
         self._camera, self._target, self._tolerance, self._edge = camera, target, area_tolerance, edge
         self._of = None if len(camera.panels) == 1 else np.array(panels)
+        self.aliens = np.zeros(len(target.points), dtype=bool)
+        """Which blobs are no markers of this target: the pose of the others rules them out, (N,)."""
 
     def centres(self, blobs: list[Blob | None], memory: BlobsMemory, correct: bool) -> tuple[Array, Array | None, Array]:
         """Marker centres (N, 2) in the camera's own pixels, the pose (4, 4), and perspective's bias (N, 2) in the panels'.
@@ -53,7 +56,11 @@ class Measure:
                 break
             bias, expected = self._expected(T)
             worst, misfit = self._worst(area, expected)
-            if misfit > 1:
+            alien = self._alien(T, centroid, bias, area, memory.T_camera_target) if misfit <= 1 or self._of is None else None
+            if alien is not None:
+                centroid[alien] = area[alien] = np.nan
+                self.aliens[alien] = True
+            elif misfit > 1:
                 centroid[worst] = area[worst] = np.nan
             elif not np.abs(bias - assumed).max() > SAME_BIAS_PX:
                 break
@@ -65,6 +72,37 @@ class Measure:
             assumed = self._expected(memory.T_camera_target)[0]
         uv = centroid - assumed if correct else centroid
         return (uv if self._of is None else self._camera.project(self._rays(uv))), T, assumed
+
+    def _alien(self, T: Array, centroid: Array, bias: Array, area: Array, previous: Array | None) -> int | None:
+        """The blob that does not belong to the others, where the pose of all does not explain where they are; None if it does.
+
+        That one is left out whose others agree best: in place and, since three points always do, in area.
+        """
+        seen = np.flatnonzero(np.isfinite(centroid[:, 0]))
+        if self._of is not None or len(seen) < 4:
+            return None
+        allowed = allowed_px(centroid)
+        if not self._off(T, centroid, bias)[seen].max() > allowed:
+            return None
+        best, culprit = math.inf, None
+        for i in seen.tolist():
+            others, left = centroid.copy(), area.copy()
+            others[i] = left[i] = np.nan
+            pose = self._first_of_three(self._rays((others - bias)[seen[seen != i]]), left) if len(seen) == 4 else None
+            pose = self._pose(others - bias, left, previous) if pose is None else pose
+            if pose is None:
+                continue
+            there, expected = self._expected(pose)
+            surprise = float(np.nanmean(np.abs(np.log(left / expected)))) / SURPRISE
+            score = surprise + float(self._off(pose, others, there)[seen[seen != i]].max()) / allowed
+            if score < best:
+                best, culprit = score, i
+        return culprit
+
+    def _off(self, T: Array, centroid: Array, bias: Array) -> Array:
+        """How far each centroid (N, 2) is from where a pose has it, (N,) [px]."""
+        uv = self._camera.project(transform(T, self._target.points)) + bias
+        return np.linalg.norm(centroid - uv, axis=1)
 
     def _expected(self, T_camera_target: Array) -> tuple[Array, Array]:
         """Perspective's bias (N, 2) [px] and the area (N,) [px^2] of each marker in its panel."""

@@ -51,6 +51,7 @@ class Observer:
         goal: the goal view.
         depth: where depths come from.
         pixel_sigma_px: standard deviation of the noise added to every measured coordinate, whatever detected it [px].
+        dropout: probability of each marker in each picture not to be reported.
         wanted: fields of the observation that the law looks at: `ray`, `relative` and a pose that the detector has not
             solved are made only where they are wanted.
         grounded: the robot is a vehicle on the floor; its place is told where the target stands still.
@@ -61,6 +62,7 @@ class Observer:
     goal: Goal
     depth: Depth
     pixel_sigma_px: float = 0.0
+    dropout: float = 0.0
     wanted: tuple[str, ...] = ()
     grounded: bool = False
 
@@ -71,7 +73,7 @@ class Observer:
 
     def uses_motion(self, detection: Detection) -> bool:
         """Whether `observe` will look at the twist: to estimate depth, or to carry the pose on where markers are missing."""
-        return self.grounded or isinstance(self.depth, Estimate) or not all_finite(detection.uv)
+        return self.grounded or self.dropout > 0 or isinstance(self.depth, Estimate) or not all_finite(detection.uv)
 
     def observe(
         self,
@@ -100,6 +102,9 @@ class Observer:
             ParameterError: the oracle's depth is asked for and the detector is not the oracle.
         """
         uv, T = detection.uv, detection.T_camera_target
+        if self.dropout > 0:
+            dropped = rng.random(len(uv)) < self.dropout
+            uv, T = np.where(dropped[:, None], np.nan, uv), None if dropped.any() else T
         if self.pixel_sigma_px > 0:
             uv = uv + rng.normal(0.0, self.pixel_sigma_px, uv.shape)
         xy, flow = self.camera.normalise(uv), memory.flow
