@@ -20,6 +20,7 @@ from vstestbed.observation import Encoders, Observation, OwnMotion
 from vstestbed.provenance import versions
 from vstestbed.recording import Layout, Log, Recording, Tick, Watcher
 from vstestbed.robots import Mount
+from vstestbed.robots.base import Redundant
 from vstestbed.scenario import IMAGE_STREAM, MOTION_STREAM, NOISE_STREAM, SENSOR_STREAM, Scenario
 from vstestbed.sim.base import Plant, Truth
 from vstestbed.sim.build import build_plant
@@ -116,7 +117,10 @@ class _Servo:
         detected = time.perf_counter()
         self.control, command = self.law.step(self.control, seen, self.goal, self.basis)
         encoders = self.plant.encoders()
-        allocation = s.robot.allocate(command.twist, encoders, self._mount_at(encoders.q), s.camera.period)
+        mount, twist = self._mount_at(encoders.q), command.twist
+        if command.free is not None and isinstance(s.robot, Redundant):
+            twist = twist + s.robot.aside(command.free, encoders, mount)
+        allocation = s.robot.allocate(twist, encoders, mount, s.camera.period)
         self.last_twist = allocation.twist
         self.plant.apply(allocation.setpoint)
         self.spent["detect"] += detected - began

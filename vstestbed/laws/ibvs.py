@@ -14,7 +14,7 @@ from vstestbed.geometry import Array
 from vstestbed.laws.base import Command, ConstantGain, Gain, TwistLimits
 from vstestbed.laws.feedforward import Change, Estimator, Feedforward, Integral, NoFeedforward, Trend, follow, look_ahead
 from vstestbed.laws.select import ALL, Rows, require_area, usable_rows
-from vstestbed.laws.solve import least_squares
+from vstestbed.laws.solve import least_squares, null_space
 from vstestbed.laws.views import Views
 from vstestbed.laws.visibility import Visibility
 from vstestbed.observation import Depth, Goal, Observation, PnP
@@ -57,6 +57,8 @@ class IBVS:
         limits: largest speed and rate of the commanded twist.
         visibility: keeps markers off the picture's border.
         feedforward: what is done about a target that moves.
+        redundant: work with fewer markers than tell of all of the robot's motions, two on an arm, say. The motions that they do
+            not tell of are not made, unless the robot has an end of its own for them (`robot.avoid_limits`).
 
     References: Chaumette & Hutchinson 2006, eqs 3-5, doi:10.1109/MRA.2006.250573; mean matrix: Malis 2004,
     doi:10.1109/ROBOT.2004.1308092; smooth start: Mansard & Chaumette 2007, doi:10.1109/TRO.2006.889487.
@@ -72,6 +74,7 @@ class IBVS:
     limits: TwistLimits = TwistLimits()
     visibility: Visibility = Visibility()
     feedforward: Feedforward = NoFeedforward()
+    redundant: bool = False
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -90,7 +93,7 @@ class IBVS:
 
     def markers_needed(self, basis: Array) -> int:
         """How many markers must be seen for as many equations as the robot has motions (6, n)."""
-        rows = self.feature.rows_per_marker
+        rows = 0 if self.redundant else self.feature.rows_per_marker
         return max(self.feature.least_markers, math.ceil(basis.shape[1] / rows) if rows else 0)
 
     def step(self, memory: IBVSMemory, observation: Observation, goal: Goal, basis: Array) -> tuple[IBVSMemory, Command]:
@@ -112,6 +115,8 @@ class IBVS:
         command = self.limits.command(u, basis)
         if isinstance(self.feedforward, Integral) and command.scale < 1:
             memory = replace(memory, integral=before.integral)
+        if self.redundant:
+            command = replace(command, free=basis @ null_space(L @ basis))
         return memory, command
 
     def _beforehand(self, memory: IBVSMemory, seen: Observation, solved: Array, basis: Array) -> tuple[IBVSMemory, Array, Array]:

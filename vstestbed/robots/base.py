@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal, Protocol
+from typing import Any, ClassVar, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -142,6 +142,15 @@ class Robot(Protocol):
 
     def actuate(self, memory: Any, setpoint: Array, encoders: Encoders, dt: float) -> tuple[Any, Array]:
         """One step of its onboard controller: the next memory and the actuators' controls (nu,)."""
+        ...
+
+
+@runtime_checkable
+class Redundant(Protocol):
+    """A robot that has ends of its own for the motions which a law leaves open."""
+
+    def aside(self, free: Array, encoders: Encoders, mount: Mount) -> Array:
+        """A camera twist (6,) in the span of `free` (6, k), which is added to the law's."""
         ...
 
 
