@@ -13,10 +13,17 @@ from vstestbed.spec import OneOf, spec
 
 @spec
 class GoalView:
-    """The goal as a view: the pose T_camera_target from which the target shall be seen."""
+    """The goal as a view: the pose T_camera_target from which the target shall be seen.
+
+    Args:
+        T_camera_target: the pose.
+        markers: numbers of the markers that count, from 0; None: all. The others need not be in the picture there: nearby an
+            inner set, far away an outer one.
+    """
 
     kind: Literal["view"] = "view"
     T_camera_target: Pose
+    markers: Annotated[tuple[Annotated[int, Ge(0)], ...], Len(1, 24)] | None = None
 
 
 @spec

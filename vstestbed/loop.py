@@ -114,6 +114,7 @@ class _Servo:
         self.observing, seen = self.observer.observe(self.observing, shot.t, detection, twist, self.rng, heading)
         if "motion" in s.law.inputs:
             seen = replace(seen, motion=self._own_motion(last, shot, now, way))
+        seen = seen.only(self.goal.counted)
         detected = time.perf_counter()
         self.control, command = self.law.step(self.control, seen, self.goal, self.basis)
         encoders = self.plant.encoders()
@@ -128,6 +129,7 @@ class _Servo:
         error = seen.uv - self.goal.uv
         if not (all_seen := all_finite(error)):
             error = error[seen.seen]
+            all_seen = self.goal.counted is not None and bool(seen.seen[self.goal.counted].all())
         lost = bool(command.held) or not error.size  # a law may order motion although it sees nothing
         error_px = math.nan if lost else math.sqrt(float(np.vdot(error, error)) / error.size)
         image = shot.frame.image if shot.frame and shot.frame.whole else None

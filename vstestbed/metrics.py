@@ -86,7 +86,9 @@ def _time_to_converge(scenario: Scenario, outcome: Outcome, log: Columns) -> flo
     """Start of the last unbroken stretch under the threshold, when the run converged [s]."""
     if outcome is not Outcome.converged or not len(log["t"]):
         return None
-    whole = np.all([np.isfinite(log[f"u_{i}"]) for i in range(len(scenario.target.points))], axis=0)
+    counted = scenario.goal_view.counted
+    markers = range(len(scenario.target.points)) if counted is None else np.flatnonzero(counted)
+    whole = np.all([np.isfinite(log[f"u_{i}"]) for i in markers], axis=0)
     reached, none = scenario.stop.converged, np.full(len(log["t"]), np.nan)
     estimate = [log[name] if reached.by_estimate else none for name in ("est_position_m", "est_rotation_rad")]
     rows = zip(whole, log["error_px"], *estimate, strict=True)

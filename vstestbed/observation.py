@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Literal
 
 import numpy as np
@@ -75,6 +75,18 @@ class Observation:
         """Which markers are seen, shape (N,)."""
         return np.isfinite(self.uv[:, 0])
 
+    def only(self, counted: NDArray[np.bool_] | None) -> Observation:
+        """The same without the markers that do not count, (N,) bool; all count where that is None."""
+        if counted is None:
+            return self
+        out = ~counted
+        gone = {name: _without(getattr(self, name), out) for name in ("uv", "xy", "depth", "ray", "range")}
+        return replace(self, **gone)
+
+
+def _without(a: Array | None, out: NDArray[np.bool_]) -> Array | None:
+    return None if a is None else np.where(out if a.ndim == 1 else out[:, None], np.nan, a)
+
 
 @dataclass(frozen=True, slots=True)
 class Encoders:
@@ -96,7 +108,7 @@ class Goal:
 
     `middle` (3,) is the mean of the markers in the camera's frame [m], `normal` (3,) the unit normal of the plane that fits
     them best, away from the camera. Tasks that are not told by a view have more: `place` (x, y, heading) where a vehicle
-    shall stand [m, rad], `gap_m` what it shall keep from the target. `T_base_camera` is the known mount.
+    shall stand [m, rad], `gap_m` what it shall keep from the target. `counted` (N,) says which markers count, None: all. `T_base_camera` is the known mount.
     """
 
     uv: Array
@@ -110,6 +122,7 @@ class Goal:
     normal: Array
     place: Array | None = None
     gap_m: float | None = None
+    counted: NDArray[np.bool_] | None = None
 
     @property
     def T_base_camera(self) -> Array:

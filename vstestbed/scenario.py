@@ -127,6 +127,16 @@ class Scenario:
             words = f"has all markers on one line, which leaves the pose open that law {self.law.kind} works with; use other places"
             raise ParameterError("target", words)
 
+    def _check_counted(self, view: GoalView, field: str) -> None:
+        """Refuse a view in which markers count that do not exist, or too few for the law."""
+        if view.markers is None:
+            return
+        n, needed = len(self.target.points), self.law.markers_needed(self.robot.motion_basis(Mount.of(self.camera.mount.T)))
+        if max(view.markers) >= n:
+            raise ParameterError(field, f"must be numbers of markers, 0 to {n - 1}", list(view.markers))
+        if len(set(view.markers)) < needed:
+            raise ParameterError(field, f"must name {needed} markers or more for law {self.law.kind}", list(view.markers))
+
     def _check_goal(self) -> None:
         if isinstance(self.goal, GoalLine) and not self.camera.inside(self.goal_view.uv).all():
             where = f"outside the {self.camera.width} x {self.camera.height} picture where all is well"
@@ -137,16 +147,19 @@ class Scenario:
             return  # what is seen there is not what is asked for
         for i, view in enumerate(self._views):
             where = f"goal.views.{i}" if len(self._views) > 1 else "goal"
+            if isinstance(view, GoalView):
+                self._check_counted(view, f"{where}.markers")
             self._check_view(f"{where}.{'view_from' if isinstance(view, GoalViewFrom) else 'T_camera_target'}", self.goal_views[i])
 
     def _check_view(self, field: str, goal: Goal) -> None:
         p = self.target.seen_from(inverse(goal.T_camera_target))
+        counted = np.ones(len(p), dtype=bool) if goal.counted is None else goal.counted
         uv, plane = self.camera.project(p), PLANE_INPUTS & set(self.law.inputs)
         limited = not (isinstance(self.detector, Oracle) and self.detector.field_of_view == "unlimited")
         picture = limited and len(self.camera.panels) == 1
         behind = p[:, 2] <= 0 if plane or isinstance(self.camera, Perspective) else np.zeros(len(p), dtype=bool)
         outside = ~(self.camera.inside(uv) if picture else np.isfinite(uv[:, 0]))
-        bad = [str(i) for i in np.flatnonzero(behind if behind.any() else outside)]
+        bad = [str(i) for i in np.flatnonzero(behind if behind.any() else outside & counted)]
         if not bad:
             return
         where, remedy = f"outside the {self.camera.width} x {self.camera.height} picture", "a wider camera"
@@ -182,8 +195,11 @@ class Scenario:
         """The goal as the law is told it. Tasks that are no view have one all the same: what is seen where all is well."""
         camera, points, mount = self.camera, self.target.points, self.camera.mount.T
         match goal:
-            case GoalView(T_camera_target=pose) | GoalTrack(T_camera_target=pose):
+            case GoalTrack(T_camera_target=pose):
                 return Goal.from_view(camera, points, pose.T)
+            case GoalView(T_camera_target=pose, markers=markers):
+                goal = Goal.from_view(camera, points, pose.T)
+                return goal if markers is None else replace(goal, counted=np.isin(np.arange(len(points)), markers))
             case GoalViewFrom(view_from=here) | GoalPlace(pose=here):
                 T = inverse(here.T @ mount) @ self.target.pose.T
                 return replace(Goal.from_view(camera, points, T), place=here.place)
