@@ -14,6 +14,7 @@ from vstestbed.sim import gl, pictures
 from vstestbed.validation import KINDS
 
 NO_FILM = ("--video", "none")
+LAW_WORDS = ", ".join(sorted(KINDS["laws"].members))
 
 
 class TestBadInput:
@@ -39,7 +40,7 @@ class TestBadInput:
             (["quick.yaml", "--set", "law.gain=[1"], "--set value is not YAML: expected ',' or ']'"),
             (["quick.yaml", "--set", "target.side.x=1"], "--set: target.side.x: target.side is a value, not a block, got 0.4"),
             (["quick.yaml", "--set", "robot.start.nominal.xyz.3=1"], "there is no item 3 in a list of 3 (the first is item 0)"),
-            (["quick.yaml", "--set", "law=nbvs"], "--set: law: is no law; valid kinds: hybrid, ibvs, partitioned, pbvs, got 'nbvs'"),
+            (["quick.yaml", "--set", "law=nbvs"], f"--set: law: is no law; valid kinds: {LAW_WORDS}, got 'nbvs'"),
             (["quick.yaml", "--set", "law.depth=oracle", "--set", "detector=blobs"], "law.depth: may be oracle only with detector"),
             (["ibvs_retreat", "--seed", "1"], "robot.start.random: is missing: a seed draws the start from it"),
             (["quick.yaml", "--plugin", "no_such_module"], "--plugin cannot be imported"),
@@ -306,7 +307,7 @@ class Timid(IBVS):
     )
     timid = ("--set", "law={kind: timid, gain: 6}")
     refused = command("run", "quick.yaml", *timid).err  # a file alone never imports code
-    assert "valid kinds: hybrid, ibvs, partitioned, pbvs, got" in refused
+    assert f"valid kinds: {LAW_WORDS}, got" in refused
     with_plugin = ("--plugin", "timid_law")
     bold, shy = (
         json.loads(command("run", "quick.yaml", *NO_FILM, "--json", *with_plugin, *timid, "--set", f"law.share={share}").out)

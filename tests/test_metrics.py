@@ -113,3 +113,9 @@ def test_every_promised_name_is_there(scenario: Scenario):
         real_time_factor time_ms versions"""
     for frames in (0, 3):
         assert set(promised.split()) <= set(recording(scenario, frames).summary())
+
+
+def test_a_task_without_an_end_tells_its_worst_error_once_settled():
+    pursuit = vs.load("car_pursuit", {"goal.settle_s": 0.2})
+    assert recording(pursuit, 5, vs.Outcome.completed, off_m=[1, 0.5, -0.25, 0.125, 0]).summary()["worst_off_m"] == 0.25
+    assert "worst_off_m" not in recording(vs.load("ibvs_book"), 5).summary()

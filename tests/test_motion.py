@@ -89,7 +89,9 @@ def test_what_is_seen_is_where_the_target_is():
 
 def test_a_random_walk_belongs_to_the_seed():
     motion = {"kind": "random_walk", "rms_m": [0.1, 0.1, 0.0]}
-    runs = [vs.run(vs.load("arm_ibvs", {"detector": "oracle", "target.motion": motion, "stop.duration_s": 0.4, "seed": s})) for s in (1, 1, 2)]
+    runs = [
+        vs.run(vs.load("arm_ibvs", {"detector": "oracle", "target.motion": motion, "stop.duration_s": 0.4, "seed": s})) for s in (1, 1, 2)
+    ]
     assert np.array_equal(runs[0]["tgt_y"], runs[1]["tgt_y"])
     assert not np.allclose(runs[0]["tgt_y"], runs[2]["tgt_y"])
 

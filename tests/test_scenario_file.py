@@ -333,8 +333,10 @@ class TestBundled:
         scenario = load(name)
         assert scenario.name == name
         assert scenario.description.endswith(".")
-        assert scenario.camera.inside(scenario.goal_view.uv).all()
-        assert scenario._in_view(scenario.robot), "the start does not see the whole target"
+        if scenario.goal.kind in ("view", "view_from", "views"):  # for other tasks some of the target may be out of sight
+            assert scenario.camera.inside(scenario.goal_view.uv).all()
+        if scenario.goal.kind != "line":
+            assert scenario._in_view(scenario.robot), "the start does not see the whole target"
 
     @pytest.mark.parametrize("name", NAMES)
     def test_what_is_written_reads_back_as_the_same_scenario(self, name: str) -> None:

@@ -71,6 +71,12 @@ class GroundLines(Target):
         if max(map(abs, self.offsets_m)) + width >= tightest:
             raise ParameterError("offsets_m", f"must be smaller than the way's tightest radius, {tightest:.4g} m", self.offsets_m)
 
+    @property
+    def way(self) -> Array:
+        """The route in the world, every centimetre, shape (K, 2) [m]."""
+        xy = self.route.samples.xy
+        return transform(self.pose.T, np.column_stack([xy, np.zeros(len(xy))]))[:, :2]
+
     def line(self, i: int) -> Array:
         """The middle of line i in the target frame, every centimetre, shape (K, 2) [m]."""
         return self._beside(self.offsets_m[i])

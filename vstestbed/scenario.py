@@ -11,7 +11,7 @@ from annotated_types import Ge, Lt
 
 from vstestbed.camera import CAMERAS, Catadioptric, Fisheye, Perspective, Spherical
 from vstestbed.errors import ParameterError
-from vstestbed.geometry import Array, inverse, transform
+from vstestbed.geometry import Array, inverse
 from vstestbed.goal import AnyGoal, GoalGap, GoalLine, GoalPlace, GoalTrack, GoalView, GoalViewFrom, GoalViews
 from vstestbed.ground import pose_on_ground
 from vstestbed.ground_lines import GroundLines
@@ -139,10 +139,8 @@ class Scenario:
 
     def _check_goal(self) -> None:
         if isinstance(self.goal, GoalLine) and not self.camera.inside(self.goal_view.uv).all():
-            where = f"outside the {self.camera.width} x {self.camera.height} picture where all is well"
-            raise ParameterError(
-                "target.look_m", f"are {where}; turn the camera, or use a wider one or other distances", self.target.look_m
-            )
+            words = f"are outside the {self.camera.width} x {self.camera.height} picture even where all is well"
+            raise ParameterError("target.look_m", f"{words}; turn the camera, or use a wider one or other distances")
         if isinstance(self.goal, GoalPlace | GoalGap | GoalLine):
             return  # what is seen there is not what is asked for
         for i, view in enumerate(self._views):
@@ -209,8 +207,11 @@ class Scenario:
                 T = inverse(mount) @ pose_on_ground(np.array([gap, 0.0, 0.0])) @ carrier
                 return replace(Goal.from_view(camera, points, T), gap_m=gap)
             case GoalLine(offset_m=offset) if isinstance(self.target, GroundLines):
-                nowhere = np.full((4, 4), np.nan)  # any place along the line will do
-                return Goal.of_points(camera, self.target.straight_ahead(mount, offset), nowhere)
+                p, nowhere = self.target.straight_ahead(mount, offset), np.full((4, 4), np.nan)  # any place along the line will do
+                if not np.isfinite(p).all():
+                    words = "must have the camera look ahead, or down with the top of its picture ahead: lines are met ahead of it"
+                    raise ParameterError("camera.mount", words, camera.mount.rpy_deg)
+                return Goal.of_points(camera, p, nowhere)
             case _:
                 raise ParameterError("goal", f"of kind {goal.kind} needs a line on the floor as target")
 
@@ -222,8 +223,7 @@ class Scenario:
         if isinstance(target.motion, Carried):
             places += list(target.motion.route.samples.xy[::50])
         if isinstance(target, GroundLines):
-            way = target.route.samples.xy[::50]
-            places += list(transform(target.pose.T, np.column_stack([way, np.zeros(len(way))])))
+            places += list(target.way[::50])
         return tuple((float(p[0]), float(p[1]), 0.0) for p in places)
 
     @property

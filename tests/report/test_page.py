@@ -132,7 +132,8 @@ def summary(**changes: object) -> dict[str, Any]:
 
 
 OF_ANGLES = ("polar", "spherical", "sphere")  # figures of two features alone
-EVERY_FIGURE = [title for key, title, _, _ in page.PLOTS if key not in OF_ANGLES]
+OF_VEHICLES = ("plane", "off", "place", "wheels", "slip")
+EVERY_FIGURE = [title for key, title, _, _ in page.PLOTS if key not in (*OF_ANGLES, *OF_VEHICLES)]
 
 
 def test_the_page_stands_alone_and_has_it_all(tmp_path: Path) -> None:

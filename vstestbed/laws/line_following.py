@@ -25,7 +25,7 @@ LEAST_AHEAD_M = 0.05
 
 @dataclass(frozen=True, slots=True)
 class LineMemory:
-    """Of the last frame with a line in sight: its time [s] and the order u (n,). Where each line shall be: `aim` (lines,) to the left [m]."""
+    """Where each line shall be, `aim` (lines,) to the left [m]; of the last frame with a line in sight its time [s] and order u (n,)."""
 
     aim: Array
     t: float = math.nan
@@ -41,7 +41,10 @@ class LineFollowing:
     are those of (rho, theta) by the chain rule. Two conditions, a straight line's and a bend's, one law:
 
         e = y(x_e) - y*,  x_e = x_n x_f / (x_n + x_f)       -lambda e  = J_y B u
-        kappa = tan(phi) / (m + y(m) tan(phi))              -v kappa   = J_phi B u      (only for bases that can go sideways)
+        kappa = tan(phi) / (m + y* tan(phi))                -v kappa   = J_phi B u      (only for bases that can go sideways)
+
+    J_y is that of the line moved sideways to where it shall be: by it a turn w changes y by -(m + y* tan(phi)) w. Of a line far
+    beside the vehicle that lever, m + y tan(phi), passes zero.
 
     A painted arc of curvature k, tangent to the vehicle's way at its origin, crosses x at k x^2 / 2. Its chord is zero at x_e
     whatever k is: so e vanishes on every bend that is driven rightly, to second order. And while an arc is followed phi
@@ -52,13 +55,17 @@ class LineFollowing:
                lambda = 2 v / m: pure pursuit of the point at m, damping .707)
         omni:  psi_dot = -v psi / m,  y0_dot = -lambda y0 + (v - lambda x_e) psi
 
-    Where the curvature jumps, what lies ahead is steered for too early: the origin leaves the line by about k m^2 / 20, which
-    speaks for a camera under the vehicle and against one at its front. With two lines both count, in least squares; one is
-    enough. While none is in sight for less than `coast_s` the last order stands.
+    Far from the line lambda |e| is held to v tan(approach): with J_y for what e changes by, that is a straight approach under
+    this angle.
+
+    Where the curvature jumps, what lies ahead is steered for too early: a car's origin leaves the line by
+    about k m^2 / 9, which speaks for a camera under the car and against one at its front. With two lines
+    both count, in least squares; one is enough. While none is in sight for less than `coast_s` the last order stands.
 
     Args:
         gain: lambda [1/s].
         cruise_mps: v, the speed ahead of the vehicle's origin [m/s].
+        approach_deg: the steepest angle at which the line is approached [deg].
         coast_s: how long the last order stands without sight [s].
         limits: largest speed and rate of the commanded twist.
 
@@ -70,13 +77,17 @@ class LineFollowing:
 
     kind: Literal["line_following"] = "line_following"
     tasks: ClassVar[tuple[str, ...]] = ("line",)
-    inputs: ClassVar[tuple[str, ...]] = ("xy",)
     depth: ClassVar[Depth] = AtGoal()  # on the floor it depends on the look distance alone, for a camera without roll
     gain: Annotated[float, Gt(0)] = 3.0
     cruise_mps: Annotated[float, Gt(0)] = 0.8
     approach_deg: Annotated[float, Gt(0), Lt(80)] = 25.0
     coast_s: Annotated[float, Ge(0)] = 0.2
     limits: TwistLimits = TwistLimits()
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Where the lines are crossed."""
+        return ("xy",)
 
     def markers_needed(self, basis: Array) -> int:
         """The two points of a line."""
@@ -105,19 +116,19 @@ class LineFollowing:
         return LineMemory(memory.aim, observation.t, u), self.limits.command(u, basis)
 
     def _motion(self, xy: Array, aim: Array, goal: Goal, basis: Array) -> Array:
-        """U (n,) for lines through normalised points xy (lines, 2, 2) that shall be at `aim` (lines,) to the left."""
+        """The order (n,) for lines through normalised points xy (lines, 2, 2) that shall be at `aim` (lines,) to the left."""
         mount, v = goal.T_base_camera, self.cruise_mps
         near, far = np.moveaxis(floor_point(xy, mount)[..., 0], -1, 0)
         middle, exact = (near + far) / 2, near * far / (near + far)
         rho, theta = np.moveaxis(Line().measure(xy), -1, 0)
         L = line_interaction(rho, theta, floor_plane(mount)) @ basis
         (e, _), (s, J) = line_on_floor(rho, theta, mount, exact)[0].T, line_on_floor(rho, theta, mount, middle)
-        rows = J @ L  # (lines, 2, n): of y at the middle, and of phi
-        kappa = np.tan(s[:, 1]) / (middle + s[:, 0] * np.tan(s[:, 1]))
+        rows, slope = J @ L, np.tan(s[:, 1])  # (lines, 2, n): of y at the middle, and of phi
+        rows[:, 0, -1] += (s[:, 0] - aim) * slope  # of the turn: m + y* tan(phi)
         steepest = v * math.tan(math.radians(self.approach_deg))
         A, b = rows[:, 0], -np.clip(self.gain * (e - aim), -steepest, steepest)
         if basis.shape[1] > 2:
-            A, b = np.concatenate([A, rows[:, 1]]), np.concatenate([b, -v * kappa])
+            A, b = np.concatenate([A, rows[:, 1]]), np.concatenate([b, -v * slope / (middle + aim * slope)])
         return np.concatenate([[v], least_squares(A[:, 1:], b - v * A[:, 0])])
 
 

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
 DART = np.array([[1.0, 0.0], [-0.7, 0.55], [-0.35, 0.0], [-0.7, -0.55]])
 """A vehicle as an arrow head of length about 1, ahead along x."""
-HEADINGS = 12
-"""How many headings are drawn along the way."""
+HEADING_EVERY = 0.09
+"""Headings are drawn along the way at this distance, as a share of the figure's extent."""
 TRUE, ESTIMATED, ODOMETRY = LINE_COLORS[0], LINE_COLORS[1], LINE_COLORS[3]
 
 
@@ -99,16 +99,17 @@ def _draw_ways(axes: Axes, tracks: Tracks, ride: Ride, span: float) -> None:
         label = f"{ride.ideal_name}: at most {_length(farthest(known, ride.ideal))} off"
         axes.plot(*ride.ideal.T, color=INK, linewidth=1.0, linestyle=(0, (5, 2)), label=label, zorder=3)
     known = true[np.isfinite(true).all(axis=1)]
-    for place in known[_evenly(known[:, :2])]:
+    for place in known[_evenly(known[:, :2], HEADING_EVERY * span)]:
         _dart(axes, place, 0.022 * span, None, TRUE, filled=True)
     _dart(axes, known[0], 0.05 * span, "start", INK, filled=False)
     _dart(axes, known[-1], 0.05 * span, "end", TRUE, filled=True)
 
 
-def _evenly(xy: Array) -> Any:
-    """Indices of points (T, 2) at about even distances along their way, its ends left out."""
+def _evenly(xy: Array, distance: float) -> Any:
+    """Indices of points (T, 2) at about even distances along their way, its ends left out; of a long way no more than 30."""
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1))])
-    return np.unique(np.searchsorted(along, np.linspace(0, along[-1], HEADINGS + 2)[1:-1]))
+    count = min(int(along[-1] / distance), 30)
+    return np.unique(np.searchsorted(along, np.linspace(0, along[-1], count + 2)[1:-1]))
 
 
 def _draw_landmarks(axes: Axes, landmarks: Array) -> None:

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from vstestbed.camera import Camera
     from vstestbed.scenario import Scenario
 
-RINGS, DIRECTIONS = 80, 361
+RINGS, DIRECTIONS = 120, 541
 """Grid on which what a camera sees of a plane is found out, in polar coordinates round its foot."""
 
 
@@ -57,10 +57,13 @@ class Ride:
 
 
 def _route(scenario: Scenario) -> Array:
-    """The route of what carries the target, every 5 cm."""
+    """The route of what carries the target, or of lines on the floor, every 5 cm."""
+    from vstestbed.ground_lines import GroundLines
     from vstestbed.target import Carried
 
-    motion = scenario.target.motion
+    target, motion = scenario.target, scenario.target.motion
+    if isinstance(target, GroundLines):
+        return target.way[::5]
     return motion.route.samples.xy[::5] if isinstance(motion, Carried) else np.empty((0, 2))
 
 

@@ -98,7 +98,7 @@ def off_task(tracks: Tracks) -> Figure | None:
         words = f"band, {ride.band_m:g} m to each side"
         axes.fill_between([ride.settle_s, last], -ride.band_m, ride.band_m, color=GOAL, alpha=0.14, linewidth=0, label=words)
         worst = _worst(tracks.t, value, ride.settle_s)
-        axes.set_title("" if np.isnan(worst) else f"at most {worst:.3f} m off once settled")
+        axes.set_title("" if np.isnan(worst) else f"at most {worst:.3f} m off once settled", loc="left")
     axes.axhline(0, color=RULE, linewidth=0.8)
     axes.plot(tracks.t, value, color=LINE_COLORS[0])
     shade_lost(axes, tracks)

@@ -71,7 +71,7 @@ def frame_drive(scene: mujoco.MjSpec, places: Array, sights: Array, size: float)
 def _drawback(eye: Array, forward: Array, places: Array, sights: Array) -> float:
     """How far off the farthest place is [m], and twice what sights stand before the nearest place: they shall not fill the picture."""
     depths, before = (places - eye) @ forward, (sights - eye) @ forward
-    return round(float(depths.max() + 2 * max(depths.min() - before.min(), 0.0)), 6)
+    return round(float(depths.max() + 2 * max(depths.min() - before.min(initial=np.inf), 0.0)), 6)
 
 
 def _slanting(azimuth: float) -> tuple[Array, Array]:

@@ -13,8 +13,8 @@ from vstestbed.geometry import Array, adjoint, inverse
 from vstestbed.motion import Path
 from vstestbed.observation import Encoders
 from vstestbed.sim.base import Eyes, Truth
-from vstestbed.sim.noise import NO_DRIFT, Drift
 from vstestbed.sim.leader import Leader
+from vstestbed.sim.noise import NO_DRIFT, Drift
 from vstestbed.sim.senses import Senses
 from vstestbed.sim.stage import Stage
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import cv2
 import numpy as np
@@ -123,11 +123,11 @@ class Lines:
         hues, lefts = target.hues_deg, np.full(n, np.nan)
         for k, strip in enumerate(strips):
             floor = _from_above(frame, strip)
-            colour, hsv = chroma(floor), cv2.cvtColor(floor, cv2.COLOR_RGB2HSV)
+            colour, hue = chroma(floor), np.asarray(cv2.cvtColor(floor, cv2.COLOR_RGB2HSV)[..., 0], np.uint8)
             for i in range(k, n, len(strips)):
-                mask = self._mask(colour, hsv[..., 0], hues[i], n // len(strips))
+                mask = self._mask(colour, hue, hues[i], n // len(strips))
                 lefts[i] = self._cross(strip, colour, mask, target.marker.width_m, last[i])
-        aheads = np.tile([s.ahead for s in strips], n // len(strips))
+        aheads = np.tile(np.array([s.ahead for s in strips]), n // len(strips))
         uv = camera.project(on_foot(camera.mount.T, np.column_stack([aheads, lefts])))
         return LinesMemory(strips, np.where(np.isfinite(lefts), lefts, last)), Detection(uv=uv)
 
@@ -159,7 +159,7 @@ class Lines:
         return float(strip.lefts[0] + crossing * (strip.lefts[1] - strip.lefts[0]))
 
 
-def _fit(points: Array) -> tuple[float, float]:
+def _fit(points: NDArray[np.floating[Any]]) -> tuple[float, float]:
     """Slope and value at 0 of the line through points (K, 2), robustly: outliers over a unit or so count little."""
     vx, vy, x0, y0 = cv2.fitLine(points.astype(np.float32), cv2.DIST_HUBER, 0, 1e-3, 1e-3).ravel().tolist()
     slope = vy / vx if abs(vx) > 1e-6 else math.copysign(1e6, vy)
@@ -173,14 +173,15 @@ def _strip(camera: Camera, ahead: float, reach: float) -> Strip:
         ParameterError: the camera does not see the floor there.
     """
     mount, step = camera.mount.T, 0.002
-    here, on, left = camera.project(on_foot(mount, np.array([[ahead, 0], [ahead + step, 0], [ahead, step]])))
+    here, on, left = camera.project(on_foot(mount, np.array([[ahead, 0.0], [ahead + step, 0.0], [ahead, step]])))
     row_m, column_m = (float(np.clip(step / np.linalg.norm(uv - here), FINEST_M, COARSEST_M)) for uv in (on, left))
     if not math.isfinite(row_m + column_m):
         raise ParameterError("target.look_m", "must be where the camera sees the floor", ahead)
     half = math.ceil(reach / column_m)
-    lefts = np.arange(half, -half - 1, -1) * column_m  # as in the picture, left at the left
-    aheads = ahead + (np.arange(ROWS) - ROWS // 2) * row_m
-    p = on_foot(mount, np.stack(np.meshgrid(aheads, lefts, indexing="ij"), axis=-1))
+    lefts: Array = np.arange(half, -half - 1, -1, dtype=np.float64) * column_m  # as in the picture, left at the left
+    aheads: Array = ahead + (np.arange(ROWS, dtype=np.float64) - ROWS // 2) * row_m
+    floor = np.stack(np.meshgrid(aheads, lefts, indexing="ij"), axis=-1)
+    p = on_foot(mount, floor.astype(np.float64))
     maps = []
     for panel in camera.panels:
         uv = panel.lens.project(p @ panel.R_camera_panel)
@@ -194,8 +195,10 @@ def _from_above(frame: Frame, strip: Strip) -> Image:
     for image, uv in zip(frame.images, strip.maps, strict=True):
         if image is None or not np.isfinite(uv[..., 0]).any():
             continue
-        places = np.where(np.isfinite(uv), uv, np.float32(-9))
-        seen = cv2.remap(image, places, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=BACKDROP)
+        u, v = np.moveaxis(np.where(np.isfinite(uv), uv, np.float32(-9)), -1, 0)
+        seen = cv2.remap(
+            image, np.ascontiguousarray(u), np.ascontiguousarray(v), cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=BACKDROP
+        )
         seen = np.asarray(seen, np.uint8)
         out = seen if out is None else np.where((out == BACKDROP).all(axis=-1, keepdims=True), seen, out)
     return np.full((*strip.maps[0].shape[:2], 3), BACKDROP[0], np.uint8) if out is None else out

@@ -1,0 +1,145 @@
+"""Line following without masses and pictures: exact in bends, poles as told, corners cut as told, recovery, refusals."""
+
+import numpy as np
+import pytest
+
+from vstestbed.camera import Perspective
+from vstestbed.errors import ParameterError
+from vstestbed.geometry import Pose
+from vstestbed.ground import moved, pose_on_ground
+from vstestbed.ground_lines import GroundLines
+from vstestbed.laws import LineFollowing
+from vstestbed.observation import Goal, Observation
+from vstestbed.robots import Mount
+from vstestbed.robots.ground import PLANE
+from vstestbed.route import Circle, Piece, Straight, Track
+
+UNDER = Pose(xyz=(0.5, 0, 0.3), rpy_deg=(180, 0, -90))
+LOOK = (-0.25, 0.05)  # .25 and .55 m before the rear axle: m = .4
+FRONT = Pose(xyz=(1.1, 0, 0.35), rpy_deg=(-150, 0, -90))
+CAR, OMNI = PLANE[:, [0, 2]], PLANE
+DT, SUB = 0.04, 8
+BEND = Track(pieces=(Piece(length_m=5), Piece(turn_deg=180, radius_m=2.0), Piece(length_m=5)))
+
+
+def world(route, mount=UNDER, look=LOOK, offsets=(0.0,), offset=0.0):
+    lines = GroundLines(route=route, look_m=look, offsets_m=offsets)
+    camera = Perspective(width=640, height=480, fovy_deg=120, mount=mount)
+    return lines, Goal.of_points(camera, lines.straight_ahead(mount.T, offset), np.eye(4))
+
+
+def observe(lines, goal, place, t=0.0):
+    p = lines.seen_from(pose_on_ground(np.asarray(place, dtype=float)) @ goal.T_base_camera)
+    uv = goal.camera.project(p)
+    return Observation(t=t, uv=uv, xy=goal.camera.normalise(uv), depth=p[:, 2])
+
+
+def drive(law, plane, lines, goal, start, seconds, steering_radps=2.0):
+    """Offsets from the way, a frame at a time; a car's steering (wheelbase 1 m) turns no faster than given."""
+    basis, place = Mount.of(goal.T_base_camera).to_camera @ plane, np.array(start, dtype=float)
+    memory, steering, off = law.init(goal), 0.0, []
+    for k in range(round(seconds / DT)):
+        off.append(lines.route.beside(place))
+        memory, command = law.step(memory, observe(lines, goal, place, k * DT), goal, basis)
+        ordered = motion = plane[[0, 1, 5]] @ command.u
+        for _ in range(SUB):
+            if plane is CAR:
+                wanted = np.clip(np.arctan(ordered[2] / ordered[0]), -1, 1)
+                steering += np.clip(wanted - steering, -steering_radps * DT / SUB, steering_radps * DT / SUB)
+                motion = np.array([ordered[0], 0, ordered[0] * np.tan(steering)])
+            place = moved(place, motion, DT / SUB)
+    return np.array(off)
+
+
+class TestBends:
+    @pytest.mark.parametrize("plane", [CAR, OMNI], ids=["car", "omni"])
+    @pytest.mark.parametrize(("radius", "bound"), [(2.0, 2e-3), (-2.0, 2e-3), (6.0, 5e-5)])
+    def test_a_constant_curvature_leaves_no_error_to_second_order(self, plane, radius, bound):
+        # What is left is of fourth order, x^4 / 8 R^3 (.5 m, 2 m: 1 mm), and with three times the radius 27 times less.
+        lines, goal = world(Circle(radius_m=radius))
+        off = drive(LineFollowing(), plane, lines, goal, (0, 0, 0), 12)
+        assert np.abs(off[-100:]).max() < bound
+
+    def test_between_two_lines(self):
+        lines, goal = world(Circle(radius_m=2.0), look=(-0.1, 0.1), offsets=(0.25, -0.25))
+        off = drive(LineFollowing(), OMNI, lines, goal, (0, 0, 0), 10)
+        assert np.abs(off[-100:]).max() < 2e-3
+
+    def test_beside_a_line(self):
+        lines, goal = world(Circle(radius_m=2.0), offset=0.2)
+        off = drive(LineFollowing(), CAR, lines, goal, (0, 0.2, 0), 12)
+        np.testing.assert_allclose(off[-100:], 0.2, atol=2e-3)
+
+    def test_where_it_begins_the_corner_is_cut_as_told(self):
+        # k m^2 / 9 = 9 mm for the lookahead of .4 m and a bend of 2 m, with the gain of damping .707, 2 v / m.
+        lines, goal = world(BEND)
+        off = drive(LineFollowing(gain=4.0), CAR, lines, goal, (0, 0, 0), 18, steering_radps=100)
+        assert np.abs(off).max() == pytest.approx(0.5 * 0.4**2 / 9, rel=0.15)
+
+    def test_a_camera_at_the_front_cuts_it_by_a_decimetre(self):
+        # It measures 1.25 to 1.55 m before the rear axle: (1.4 / .4)^2 = 12 times the way off.
+        under, front = (world(BEND, *at) for at in ((UNDER, LOOK), (FRONT, (0.15, 0.45))))
+        best = [drive(LineFollowing(gain=1.6 / m), CAR, *at, (0, 0, 0), 18) for at, m in ((under, 0.4), (front, 1.4))]
+        assert np.abs(best[0]).max() < 0.015 and np.abs(best[1]).max() > 0.1
+
+
+class TestPoles:
+    def test_the_car_comes_back_as_the_linear_system_does(self):
+        # y0'' + (lambda x_e + v)/m y0' + lambda v/m y0 = 0, x_e = .25 x .55 / .8; 5 mm off: linear to a part in a thousand.
+        law, (lines, goal) = LineFollowing(gain=2.0), world(Straight(length_m=30))
+        off = drive(law, CAR, lines, goal, (1, 0.005, 0), 3, steering_radps=100)
+        m, exact, v, gain = 0.4, 0.25 * 0.55 / 0.8, 0.8, 2.0
+        y, slope, h, told = 0.005, 0.0, DT / 100, []
+        for k in range(round(3 / h)):
+            if k % 100 == 0:
+                told.append(y)
+            y, slope = y + h * slope, slope - h * ((gain * exact + v) / m * slope + gain * v / m * y)
+        # The law acts on pictures that are up to .04 s old: some 6 % of the largest rate, .4 /s, times 5 mm.
+        np.testing.assert_allclose(off, told, atol=3e-4)
+
+    def test_the_base_comes_back_as_an_exponential(self):
+        law, (lines, goal) = LineFollowing(gain=2.0), world(Straight(length_m=30))
+        off = drive(law, OMNI, lines, goal, (1, 0.02, 0), 2)
+        np.testing.assert_allclose(off, 0.02 * (1 - 2.0 * DT) ** np.arange(len(off)), atol=1e-6)  # held for a frame
+
+
+class TestRecovery:
+    @pytest.mark.parametrize("plane", [CAR, OMNI], ids=["car", "omni"])
+    @pytest.mark.parametrize(("side", "turn"), [(0.3, 20), (0.3, -20), (-0.3, 20), (-0.3, -20)])
+    def test_from_30_cm_and_20_degrees(self, plane, side, turn):
+        lines, goal = world(Straight(length_m=30))
+        off = drive(LineFollowing(), plane, lines, goal, (1, side, np.radians(turn)), 5)
+        assert np.abs(off[round(2.5 / DT) :]).max() < 0.03 and abs(off[-1]) < 0.002
+
+    def test_far_away_it_comes_straight_at_the_angle_of_approach(self):
+        lines, goal = world(Straight(length_m=30))
+        off = drive(LineFollowing(approach_deg=20), CAR, lines, goal, (1, 1.5, 0), 4)
+        fall = -np.diff(off)[50:75] / DT
+        np.testing.assert_allclose(fall, 0.8 * np.sin(np.radians(20)), rtol=0.02)
+
+
+class TestSight:
+    def test_one_line_of_two_is_enough(self):
+        lines, goal = world(Straight(length_m=9), look=(-0.1, 0.1), offsets=(0.25, -0.25))
+        basis, law = Mount.of(goal.T_base_camera).to_camera @ OMNI, LineFollowing()
+        seen = observe(lines, goal, (3, 0.05, 0))
+        _, whole = law.step(law.init(goal), seen, goal, basis)
+        seen.xy[2] = np.nan  # half of the second line: no line
+        _, half = law.step(law.init(goal), seen, goal, basis)
+        np.testing.assert_allclose(half.u, whole.u, atol=1e-9)
+        assert not half.held
+
+    def test_out_of_sight_it_coasts_and_then_rests(self):
+        lines, goal = world(Straight(length_m=9))
+        basis, law = Mount.of(goal.T_base_camera).to_camera @ CAR, LineFollowing(coast_s=0.2)
+        memory, first = law.step(law.init(goal), observe(lines, goal, (3, 0.05, 0)), goal, basis)
+        memory, coasting = law.step(memory, observe(lines, goal, (30, 0, 0), 0.2), goal, basis)
+        np.testing.assert_array_equal(coasting.u, first.u)
+        _, resting = law.step(memory, observe(lines, goal, (30, 0, 0), 0.24), goal, basis)
+        assert coasting.held and resting.held and not resting.u.any()
+
+
+def test_refuses_to_look_beside_itself():
+    lines, goal = world(Straight(length_m=9), look=(-0.8, -0.4))
+    with pytest.raises(ParameterError, match="before the vehicle's origin"):
+        LineFollowing().check(lines.points, goal)
