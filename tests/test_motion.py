@@ -49,12 +49,12 @@ class TestRandomWalk:
         assert not np.allclose(forwards, places(self.WALK, seed=4))
 
     def test_it_has_the_spread_and_the_speed_that_it_says(self):
-        x = places(self.WALK, np.arange(10, 2000, 0.1))
-        # 2000 s hold about 2000 / (1/.5/pi) independent places: their deviation is known within 3 %.
-        assert np.std(x, axis=0) == pytest.approx([0.1, 0.05, 0.0], rel=0.06)
-        fine = places(self.WALK, np.arange(10, 400, 0.01))
+        x = places(self.WALK, np.arange(10, 400, 0.1))
+        # 400 s hold some 600 independent places: their deviation is known within 3 %.
+        assert np.std(x, axis=0) == pytest.approx([0.1, 0.05, 0.0], rel=0.12)
+        fine = places(self.WALK, np.arange(10, 100, 0.01))
         speed = np.diff(fine, axis=0) / 0.01
-        assert np.std(speed[:, 0]) == pytest.approx(0.1 * np.pi, rel=0.1)
+        assert np.std(speed[:, 0]) == pytest.approx(0.1 * np.pi, rel=0.15)
 
     def test_it_starts_at_rest_and_never_jumps(self):
         x = places(self.WALK, np.arange(0, 5, 0.001))
@@ -89,9 +89,8 @@ def test_what_is_seen_is_where_the_target_is():
 
 def test_a_random_walk_belongs_to_the_seed():
     motion = {"kind": "random_walk", "rms_m": [0.1, 0.1, 0.0]}
-    runs = [
-        vs.run(vs.load("arm_ibvs", {"detector": "oracle", "target.motion": motion, "stop.duration_s": 0.4, "seed": s})) for s in (1, 1, 2)
-    ]
+    setting = {"detector": "oracle", "target.motion": motion, "stop.duration_s": 0.4}
+    runs = [vs.run(vs.load("arm_ibvs", setting | {"seed": seed})) for seed in (1, 1, 2)]
     assert np.array_equal(runs[0]["tgt_y"], runs[1]["tgt_y"])
     assert not np.allclose(runs[0]["tgt_y"], runs[2]["tgt_y"])
 

@@ -108,7 +108,8 @@ class Goal:
 
     `middle` (3,) is the mean of the markers in the camera's frame [m], `normal` (3,) the unit normal of the plane that fits
     them best, away from the camera. Tasks that are not told by a view have more: `place` (x, y, heading) where a vehicle
-    shall stand [m, rad], `gap_m` what it shall keep from the target. `counted` (N,) says which markers count, None: all. `T_base_camera` is the known mount.
+    shall stand [m, rad], `gap_m` what it shall keep from the target.
+    `counted` (N,) says which markers count, None: all. `T_base_camera` is the known mount.
     """
 
     uv: Array

@@ -196,8 +196,8 @@ class Scenario:
             case GoalTrack(T_camera_target=pose):
                 return Goal.from_view(camera, points, pose.T)
             case GoalView(T_camera_target=pose, markers=markers):
-                goal = Goal.from_view(camera, points, pose.T)
-                return goal if markers is None else replace(goal, counted=np.isin(np.arange(len(points)), markers))
+                whole = Goal.from_view(camera, points, pose.T)
+                return whole if markers is None else replace(whole, counted=np.isin(np.arange(len(points)), markers))
             case GoalViewFrom(view_from=here) | GoalPlace(pose=here):
                 T = inverse(here.T @ mount) @ self.target.pose.T
                 return replace(Goal.from_view(camera, points, T), place=here.place)

@@ -32,7 +32,8 @@ class MujocoPlant:
     Args:
         stage: the scene. steps_per_frame: physics steps between pictures.
         eye: makes the pictures; None where no detector needs them. see_hidden: cast rays for the truth's `hidden`.
-        rng: noise of the robot's own sensors. path: where a target that moves by itself is at a time, None for any other. drift: of the camera's gains.
+        rng: noise of the robot's own sensors. path: where a target that moves by itself is at a time, None for any other.
+        drift: of the camera's gains.
     """
 
     def __init__(
