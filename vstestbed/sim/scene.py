@@ -116,6 +116,8 @@ def _show_hand(scene: mujoco.MjSpec) -> None:
     for geom in list(scene.geoms):
         if geom.group == LENS_GROUP and geom.name.startswith("robot/"):
             if "camera" in geom.name:
+                for pair in [p for p in scene.pairs if geom.name in (p.geomname1, p.geomname2)]:
+                    scene.delete(pair)
                 scene.delete(geom)
             else:
                 geom.group = ROBOT_GROUP
