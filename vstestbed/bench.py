@@ -91,13 +91,15 @@ def measure(scenario: Scenario, repeats: int = 5) -> Bench:
 def _floor(scenario: Scenario, recording: Recording) -> Floor:
     step, steps_per_frame = scenario.clock
     parts = Parts(scenario.robot, scenario.camera, scenario.target, scenario.world, step)
-    joints = scenario.robot.joints
+    robot = scenario.robot
 
-    def joined(kind: str) -> Array:
-        columns = [recording[f"{kind}_{joint}"] for joint in joints]
+    def joined(kind: str, names: tuple[str, ...]) -> Array:
+        columns = [recording[f"{kind}_{name}"] for name in names]
         return np.column_stack(columns) if columns else np.zeros((len(recording.table), 0))
 
     T = np.tile(np.eye(4), (len(recording.table), 1, 1))
     T[:, :3, 3] = np.column_stack([recording[f"cam_{a}"] for a in "xyz"])
     T[:, :3, :3] = rotation_from_quaternion(np.column_stack([recording[f"cam_q{a}"] for a in "wxyz"]))
-    return measure_floor(parts, steps_per_frame, joined("ctrl"), joined("q"), T, scenario.detector.needs_image)
+    return measure_floor(
+        parts, steps_per_frame, joined("ctrl", robot.actuators), joined("q", robot.joints), T, scenario.detector.needs_image
+    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import cached_property
 from typing import Annotated, Literal
@@ -11,7 +12,7 @@ from annotated_types import Len
 
 from vstestbed.errors import ParameterError
 from vstestbed.geometry import Array, Pose, inverse, transform
-from vstestbed.ground import pose_on_ground, relative
+from vstestbed.ground import pose_on_ground
 from vstestbed.route import AnyRoute, Straight
 from vstestbed.spec import spec
 from vstestbed.target import Still, Stripe, Target
@@ -108,7 +109,7 @@ class GroundLines(Target):
         Of several crossings it is the one nearest to straight ahead.
         """
         foot = foot_of(T_target_camera)
-        xy = np.array([_crossing(line, foot, ahead) for line in self._lines for ahead in self.look_m])
+        xy = np.concatenate([_crossings(line, foot, self.look_m) for line in self._lines])
         return on_foot(T_target_camera, xy)
 
     def straight_ahead(self, T_base_camera: Array, offset: float) -> Array:
@@ -124,12 +125,15 @@ class GroundLines(Target):
         return tuple(360 * i / n for i in range(n) for _ in self.look_m)
 
 
-def _crossing(line: Array, foot: Array, ahead: float) -> tuple[float, float]:
-    """(ahead, left) where a line (K, 2) crosses a distance ahead of a ground frame (x, y, heading) [m]; NaN where it does not."""
-    places = relative(foot, np.column_stack([line, np.zeros(len(line))]))
-    x, y = places[:, 0] - ahead, places[:, 1]
-    at = np.flatnonzero((x[:-1] < 0) != (x[1:] < 0))
-    if not len(at):
-        return float("nan"), float("nan")
-    left = y[at] - x[at] * (y[at + 1] - y[at]) / (x[at + 1] - x[at])
-    return ahead, float(left[np.argmin(np.abs(left))])
+def _crossings(line: Array, foot: Array, aheads: tuple[float, ...]) -> Array:
+    """(ahead, left) where a line (K, 2) crosses distances ahead of a ground frame (x, y, heading) [m], (n, 2); NaN where it does not."""
+    d, c, s = line - foot[:2], math.cos(foot[2]), math.sin(foot[2])
+    x, y = c * d[:, 0] + s * d[:, 1], c * d[:, 1] - s * d[:, 0]
+    out = np.full((len(aheads), 2), np.nan)
+    for point, ahead in zip(out, aheads, strict=True):
+        before = x < ahead
+        at = np.flatnonzero(before[:-1] != before[1:])
+        if len(at):
+            left = y[at] + (ahead - x[at]) * (y[at + 1] - y[at]) / (x[at + 1] - x[at])
+            point[:] = ahead, left[np.argmin(np.abs(left))]
+    return out

@@ -120,11 +120,12 @@ def words(recording: Recording, folder: Path, filmed: bool) -> str:
 
     error = figure("final_error_px", "px in the image", digits=3) if s["final_error_px"] is not None else "target not in sight"
     pose = f"{figure('final_position_error_m', 'mm', 1000)} and {figure('final_rotation_error_deg', 'deg', digits=3)} from the goal"
+    error = f"{figure('worst_off_m', 'm', digits=4)} off at most once settled" if "worst_off_m" in s else f"{error}, camera {pose}"
     speed = figure("real_time_factor", "times real time", digits=1) + (" with films and log" if filmed else " with its log")
     return "\n".join(
         [
             f"{s['outcome']}: {s['reason']}",
-            f"  error     {error}, camera {pose}" if s["frames"] else "  error     not a single frame was seen",
+            f"  error     {error}" if s["frames"] else "  error     not a single frame was seen",
             f"  time      {figure('sim_time_s', 's')} simulated in {figure('wall_time_s', 's')}: {speed}",
             f"  results   {folder} (open report.html)",
         ]

@@ -29,7 +29,7 @@ def arrive(law, start, there, seconds=60.0):
 def test_it_arrives_forwards_and_stays(start, there):
     ways, speeds = arrive(PoseController(k_alpha=4, k_beta=-2.5), start, there)
     off = relative(np.array(there, dtype=float), ways[-1])
-    assert np.hypot(*off[:2]) < 0.011  # rest_m is 1 cm
+    assert np.hypot(*off[:2]) < 0.021  # rest_m is 2 cm
     assert abs(off[2]) < np.radians(1)
     assert speeds.min() >= 0 and speeds.max() <= 1
     assert (speeds[-100:] == 0).all()
@@ -38,7 +38,7 @@ def test_it_arrives_forwards_and_stays(start, there):
 def test_it_reverses_to_a_goal_behind_it():
     ways, speeds = arrive(PoseController(k_alpha=4, k_beta=-2.5), (3, 1.2, 0.35), (0, 0, 0))
     assert speeds.max() <= 0 and speeds.min() < -0.5
-    assert np.hypot(*ways[-1, :2]) < 0.011
+    assert np.hypot(*ways[-1, :2]) < 0.021
 
 
 def test_a_direction_may_be_told():

@@ -8,6 +8,7 @@ import pytest
 import vstestbed as vs
 from vstestbed.camera import Perspective, Spherical
 from vstestbed.geometry import Array
+from vstestbed.report import Setting
 from vstestbed.report.ride import Ride, farthest, ideal_way, seen_at
 
 AHEAD = np.array([[0, 0, 1.0, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
@@ -58,6 +59,16 @@ def test_only_what_drives_has_a_ride():
     ride = Ride.of(vs.load("car_pursuit"))
     assert ride is not None and ride.band_m == pytest.approx(0.25) and ride.settle_s == 8 and not len(ride.goals)
     assert np.ptp(ride.route, axis=0) == pytest.approx([14, 14], abs=4)  # a figure of eight of 14 by 8 m, turned
+
+
+def test_lines_on_the_floor_are_the_route():
+    s = vs.load("omni_line", {"target.pose": {"xyz": [1, 2, 0], "rpy_deg": [0, 0, 90]}})
+    ride = Ride.of(s)
+    assert ride is not None and ride.band_m == 0.05
+    start, first = s.target.route.start, ride.route[1] - ride.route[0]
+    assert ride.route[0] == pytest.approx([1 - start.y, 2 + start.x])
+    assert np.arctan2(*first[::-1]) == pytest.approx(np.pi / 2 + start.heading)
+    assert Setting.of(s).points is None  # what moves along with the camera is no landmark
 
 
 @pytest.mark.parametrize("name", ["car_pbvs", "car_parking"])

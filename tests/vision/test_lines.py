@@ -39,9 +39,9 @@ class Bench:
         mujoco.mj_forward(self.stage.model, self.stage.data)
         return Frame(0.0, self.eye.glimpse(look), self.eye.whole), T
 
-    def errors(self, places, detector=None):
+    def errors(self, places):
         """Measured less true pixels of all points at each place, (places, N, 2); each picture on its own."""
-        out, detector = [], detector or Lines()
+        detector, out = Lines(), []
         for place in places:
             frame, T = self.frame(*place)
             true = self.camera.project(self.lines.seen_from(inverse(self.lines.pose.T) @ T))

@@ -159,10 +159,10 @@ class IBVS:
             u = u - memory * math.exp(-views.t / self.smooth_start_s)
         return memory, self.limits.within(u)
 
-    def _taken(self, seen: Observation | Goal | Views, rows: Rows) -> tuple[Array, Array]:
+    def _taken(self, sight: Observation | Goal | Views, rows: Rows) -> tuple[Array, Array]:
         """The two inputs of the feature, of those markers."""
         what, distance = self.feature.inputs
-        return getattr(seen, what)[rows], getattr(seen, distance)[rows]
+        return getattr(sight, what)[rows], getattr(sight, distance)[rows]
 
     def equations(self, x: Array, distance: Array, goal_x: Array, goal_distance: Array) -> tuple[Array, Array]:
         """The error e (..., rows) and its matrix L (..., rows, 6), or (rows, 6) where that is the goal's.

@@ -86,7 +86,7 @@ class LineFollowing:
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """Where the lines are crossed."""
+        """Where the lines cross the look distances."""
         return ("xy",)
 
     def markers_needed(self, basis: Array) -> int:

@@ -51,7 +51,7 @@ class PoseController:
     k_alpha: float = 5.0
     k_beta: float = -2.0
     direction: Literal["auto", "forward", "reverse"] = "auto"
-    rest_m: Annotated[float, Gt(0)] = 0.01
+    rest_m: Annotated[float, Gt(0)] = 0.02
     pass_m: Annotated[float, Ge(0)] = 0.1
     speed_mps: Annotated[float, Gt(0)] = 1.0
     depth: Depth = PnP()

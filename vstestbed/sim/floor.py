@@ -39,7 +39,8 @@ def measure_floor(parts: Parts, steps_per_frame: int, ctrl: Array, q: Array, T_w
     """
     stage = Stage(parts, samples=parts.camera.multisampling)
     picture = bare_of(stage, parts.camera) if pictures else None
-    target = parts.target.pose.T
+    target = parts.target.T_world_start
+    where = [stage.model.actuator_ctrladr[stage.model.actuator(f"robot/{name}").id] for name in parts.robot.actuators]
     stage.place(0.0, target, q[0], T_world_camera[0])
     mujoco.mj_forward(stage.model, stage.data)
     physics = render = 0.0
@@ -52,7 +53,7 @@ def measure_floor(parts: Parts, steps_per_frame: int, ctrl: Array, q: Array, T_w
             picture(p_camera)
         rendered = time.perf_counter()
         if parts.robot.model is not None:
-            stage.data.ctrl[: ctrl.shape[1]] = ctrl[frame]
+            stage.data.ctrl[where] = ctrl[frame]
             for _ in range(steps_per_frame):
                 mujoco.mj_step(stage.model, stage.data)
             physics += time.perf_counter() - rendered

@@ -17,8 +17,8 @@ FROM_ABOVE = np.radians(38.0)
 """How steeply the overview of a vehicle looks down [rad]: its way shows, and its wheels too."""
 ROOM = 1.12
 """The picture is this much wider than what must be in it."""
-ROAM = 0.12
-"""A vehicle may leave the hull of the places told by this share of their extent."""
+ROAM, ROAM_M = 0.12, 0.8
+"""A vehicle may leave the hull of the places told by this share of their extent, and no more than this [m]."""
 AZIMUTHS = np.radians(np.arange(0, 360, 10))
 LIGHT_HEIGHT = 6.0
 """Of the light that casts shadows, over the middle of the view [m]: above whatever stands there."""
@@ -55,7 +55,7 @@ def frame_drive(scene: mujoco.MjSpec, places: Array, sights: Array, size: float)
         sights: what else must be in the picture, shape (M, 3) [m].
         size: of the vehicle [m].
     """
-    room = 0.6 * size + ROAM * float(np.linalg.norm(np.ptp(places[:, :2], axis=0)))
+    room = 0.6 * size + min(ROAM * float(np.linalg.norm(np.ptp(places[:, :2], axis=0))), ROAM_M)
     corners = np.array([[i * room, j * room, k * size] for i in (-1, 1) for j in (-1, 1) for k in (0, 1)])
     points = np.concatenate([(places[:, None] + corners).reshape(-1, 3), sights])
     camera = scene.camera("overview")

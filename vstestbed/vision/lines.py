@@ -26,6 +26,8 @@ LEAST_ROWS = 5
 """A line is not told from fewer."""
 FINEST_M, COARSEST_M = 5e-4, 0.02
 """Between these lies the raster of a strip [m]; else a raster unit is a pixel."""
+OUTSIDE = np.float32(-9)
+"""Where a picture has no pixel [px]: far enough out for interpolation to find nothing there."""
 BACKDROP = (128, 128, 128)
 """What is outside of the picture: of no colour."""
 
@@ -36,19 +38,19 @@ class Strip:
 
     Attributes:
         ahead: of its middle row [m]. row_m, column_m: the raster [m]. lefts: of the columns' middles, shape (K,) [m].
-        maps: for each of the camera's panels the pixels (ROWS, K, 2), NaN where it does not see the place.
+        maps: for each of the camera's panels the pixels u and v, each (ROWS, K), or OUTSIDE where it does not see the place.
     """
 
     ahead: float
     row_m: float
     column_m: float
     lefts: Array
-    maps: tuple[NDArray[np.float32], ...]
+    maps: tuple[tuple[NDArray[np.float32], NDArray[np.float32]], ...]
 
     def window(self, panel: int, lens: Camera) -> Window | None:
         """The piece of a panel's picture that it is made of; None where there is none."""
-        uv = self.maps[panel].reshape(-1, 2)
-        uv = uv[np.isfinite(uv[:, 0])]
+        uv = np.stack(self.maps[panel], axis=-1).reshape(-1, 2)
+        uv = uv[uv[:, 0] != OUTSIDE]
         if not len(uv):
             return None
         (left, top), (right, bottom) = (np.floor(uv.min(axis=0)) - 1).astype(int), (np.ceil(uv.max(axis=0)) + 2).astype(int)
@@ -134,8 +136,8 @@ class Lines:
     def _mask(self, colour: Image, hue: Image, hue_deg: float, lines: int) -> Image:
         """1 where a raster unit is of a line's hue. OpenCV's hue is in steps of 2 degrees."""
         tolerance = min(self.hue_tolerance_deg, 180 / lines)
-        apart = np.abs((2.0 * hue - hue_deg + 180) % 360 - 180)
-        return ((colour > self.chroma) & (apart <= tolerance)).astype(np.uint8)
+        apart = np.abs((2.0 * np.arange(256) - hue_deg + 180) % 360 - 180)
+        return ((colour > self.chroma) & (apart <= tolerance)[hue]).astype(np.uint8)
 
     def _cross(self, strip: Strip, colour: Image, mask: Image, width_m: float, last: float) -> float:
         """How far to the left a line crosses the middle of its strip [m]; NaN where it cannot be told."""
@@ -185,20 +187,17 @@ def _strip(camera: Camera, ahead: float, reach: float) -> Strip:
     maps = []
     for panel in camera.panels:
         uv = panel.lens.project(p @ panel.R_camera_panel)
-        maps.append(np.where(panel.lens.inside(uv)[..., None], uv, np.nan).astype(np.float32))
+        u, v = np.moveaxis(np.where(panel.lens.inside(uv)[..., None], uv, OUTSIDE), -1, 0)
+        maps.append((np.ascontiguousarray(u, np.float32), np.ascontiguousarray(v, np.float32)))
     return Strip(ahead, row_m, column_m, lefts, tuple(maps))
 
 
 def _from_above(frame: Frame, strip: Strip) -> Image:
     """The strip's picture (ROWS, K, 3); of several panels that see a place, the first that was drawn."""
     out: Image | None = None
-    for image, uv in zip(frame.images, strip.maps, strict=True):
-        if image is None or not np.isfinite(uv[..., 0]).any():
+    for image, maps in zip(frame.images, strip.maps, strict=True):
+        if image is None or (maps[0] == OUTSIDE).all():
             continue
-        u, v = np.moveaxis(np.where(np.isfinite(uv), uv, np.float32(-9)), -1, 0)
-        seen = cv2.remap(
-            image, np.ascontiguousarray(u), np.ascontiguousarray(v), cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=BACKDROP
-        )
-        seen = np.asarray(seen, np.uint8)
+        seen = np.asarray(cv2.remap(image, *maps, cv2.INTER_LINEAR, None, cv2.BORDER_CONSTANT, BACKDROP), np.uint8)
         out = seen if out is None else np.where((out == BACKDROP).all(axis=-1, keepdims=True), seen, out)
-    return np.full((*strip.maps[0].shape[:2], 3), BACKDROP[0], np.uint8) if out is None else out
+    return np.full((*strip.maps[0][0].shape, 3), BACKDROP[0], np.uint8) if out is None else out

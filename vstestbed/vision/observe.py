@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -23,6 +22,8 @@ from vstestbed.vision.pose import solve_pose_from_rays
 
 COMPASS_S = 0.5
 """Time constant with which a heading by odometry follows the compass [s]."""
+LANDMARKS_S = 0.25
+"""Time constant with which a position by odometry follows the landmarks [s]."""
 NEAREST_M = 0.01
 """A depth carried on by the camera's own motion stays at or above this [m]."""
 
@@ -121,7 +122,7 @@ class Observer:
         if odometry is not None:
             step = np.zeros(3) if np.isnan(memory.t) else arc(self._to_base @ twist, t - memory.t)
             odometry = composed(odometry, step)
-            trust = 1 - math.exp(-(t - memory.t) / COMPASS_S) if place is not None else 1.0
+            trust = -np.expm1([(memory.t - t) / tau for tau in (COMPASS_S, LANDMARKS_S)])
             place = self._place(None if place is None else composed(place, step), T if fresh else None, compass, trust)
         seen = Observation(t, uv, xy, depth, T, ray if self._rays else None, reach, relative, odometry, place)
         return ObserverMemory(t, T, flow, place, odometry), seen
@@ -139,11 +140,12 @@ class Observer:
         """Of a twist (6,) of the camera the vehicle's (vx, vy, wz), shape (3, 6)."""
         return adjoint(self.camera.mount.T)[[0, 1, 5]]
 
-    def _place(self, carried: Array | None, T: Array | None, compass: float | None, trust: float) -> Array | None:
+    def _place(self, carried: Array | None, T: Array | None, compass: float | None, trust: Array) -> Array | None:
         """(x, y, heading): the position by what is seen, the heading by the compass; each by odometry where it lacks.
 
         The lens's place in the map is seen whatever way the vehicle is said to head; the mount's arm leads from there to it.
-        The heading is the encoders', drawn to the compass with a time constant of COMPASS_S: its bias stays, its noise less so.
+        Both are carried on by the encoders and drawn to what is seen and read, with time constants LANDMARKS_S and COMPASS_S, of
+        which `trust` (2,) is what a frame makes, compass first: biases stay, noise less so.
         """
         if self.target.moves:
             return None
@@ -154,11 +156,14 @@ class Observer:
             return None
         heading = float(before[2])
         if compass is not None:
-            heading = compass if carried is None else float(carried[2] + trust * wrapped(compass - carried[2]))
+            heading = compass if carried is None else float(carried[2] + trust[0] * wrapped(compass - carried[2]))
         if seen is None:
             return np.array([before[0], before[1], heading])
         arm = pose_on_ground(np.array([0.0, 0.0, heading])) @ mount[:, 3]
-        return np.array([seen[0, 3] - arm[0], seen[1, 3] - arm[1], heading])
+        xy = seen[:2, 3] - arm[:2]
+        if carried is not None:
+            xy = carried[:2] + trust[1] * (xy - carried[:2])
+        return np.array([xy[0], xy[1], heading])
 
     def _pose(self, ray: Array, t: float, memory: ObserverMemory, hint: Array | None, twist: Array) -> tuple[Array | None, bool]:
         """The pose solved from the rays (N, 3) of noisy or bare pixels; else the last one, carried on; and whether it was solved."""
@@ -171,6 +176,8 @@ class Observer:
             found = self._pose_on_floor(ray[seen], seen, carried)
         else:
             found = solve_pose_from_rays(ray[seen], self.target.points[seen], carried)
+            if found is None and carried is None and self.grounded:  # three markers leave up to four poses: one stands on the floor
+                found = solve_pose_from_rays(ray[seen], self.target.points[seen], self._pose_on_floor(ray[seen], seen, None))
         return (carried, False) if found is None else (found, True)
 
     def _pose_on_floor(self, rays: Array, seen: NDArray[np.bool_], carried: Array | None) -> Array | None:
