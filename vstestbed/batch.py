@@ -126,6 +126,8 @@ class Flight:
         visibility = getattr(s.law, "visibility", None)
         if visibility is not None and visibility.margin_px > 0:
             raise ParameterError("law.visibility.margin_px", "must be 0 in a batch", visibility.margin_px)
+        if getattr(getattr(s.law, "feedforward", None), "kind", "none") != "none":
+            raise ParameterError("law.feedforward", "must be none in a batch")
         if isinstance(s.law.depth, Estimate):
             raise ParameterError("law.depth", "may not be estimate in a batch; valid: pnp, constant, goal, oracle")
         if len(s.goal_views) > 1 or not isinstance(s.target.motion, Still):

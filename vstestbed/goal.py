@@ -1,4 +1,4 @@
-"""What a scenario wants: a view, several in turn, a place for a vehicle, a gap to keep, a line or a path to follow, a pad to land on."""
+"""What a scenario wants: a view, several in turn, one to keep; a place for a vehicle, a gap, a line or a path to keep to, a pad."""
 
 from __future__ import annotations
 
@@ -13,10 +13,17 @@ from vstestbed.spec import OneOf, spec
 
 @spec
 class GoalView:
-    """The goal as a view: the pose T_camera_target from which the target shall be seen."""
+    """The goal as a view: the pose T_camera_target from which the target shall be seen.
+
+    Args:
+        T_camera_target: the pose.
+        markers: numbers of the markers that count, from 0; None: all. The others need not be in the picture there: nearby an
+            inner set, far away an outer one.
+    """
 
     kind: Literal["view"] = "view"
     T_camera_target: Pose
+    markers: Annotated[tuple[Annotated[int, Ge(0)], ...], Len(1, 24)] | None = None
 
 
 @spec
@@ -132,6 +139,27 @@ class GoalPath:
 
 
 @spec
+class GoalTrack:
+    """A task without an end: keep the view of a target that moves.
+
+    Args:
+        T_camera_target: the pose from which the target shall be seen at all times.
+        band_m: how far the camera may be from there once settled [m].
+        settle_s: how long it may take to settle [s].
+    """
+
+    kind: Literal["track"] = "track"
+    T_camera_target: Pose
+    band_m: Band = 0.05
+    settle_s: Settle = 5.0
+
+    @property
+    def band(self) -> float:
+        """[m]."""
+        return self.band_m
+
+
+@spec
 class GoalLanding:
     """Land on the target's pad, its origin: from the view `above` it the wanted view comes down as long as the craft is over it.
 
@@ -164,8 +192,8 @@ FIELDS = {
     "way": "path",
     "above": "landing",
 }
-GOALS = OneOf("goal", GoalView, GoalViewFrom, GoalViews, GoalPlace, GoalGap, GoalLine, GoalPath, GoalLanding, fields=FIELDS)
+GOALS = OneOf("goal", GoalView, GoalViewFrom, GoalViews, GoalPlace, GoalGap, GoalLine, GoalPath, GoalLanding, GoalTrack, fields=FIELDS)
 OnGround = GoalViewFrom | GoalPlace | GoalGap | GoalLine
-AnyGoal = Annotated[GoalView | GoalViews | OnGround | GoalPath | GoalLanding, GOALS]
-KEPT = GoalGap, GoalLine, GoalPath
+AnyGoal = Annotated[GoalView | GoalViews | OnGround | GoalPath | GoalLanding | GoalTrack, GOALS]
+KEPT = GoalGap, GoalLine, GoalPath, GoalTrack
 """Tasks without an end."""

@@ -11,6 +11,7 @@ from vstestbed.geometry import Array, rotation_angle, rotation_from_quaternion
 from vstestbed.goal import KEPT
 from vstestbed.scenario import Scenario
 from vstestbed.stop import Outcome
+from vstestbed.target import Held
 
 Columns = Mapping[str, Array]
 
@@ -32,6 +33,10 @@ FIGURES = (
     "peak_speed_mps",
     "peak_rate_radps",
     "saturated_fraction",
+    "tracking_rms_px",
+    "tracking_max_px",
+    "tracking_rms_m",
+    "tracking_max_m",
 )
 """The names of a run's figures."""
 SATURATED = 0.999
@@ -51,6 +56,8 @@ def summarise(scenario: Scenario, outcome: Outcome, log: Columns) -> dict[str, o
     worst_off_m: largest true error of a task without an end from its time to settle on; only of such tasks.
     saturated_fraction: share of frames in which the law's limits, the robot's limits or its damping near a
         singularity took something off the command.
+    tracking_*: of a target that moves, the true error once settled (`goal.settle_s`): RMS over all coordinates of the
+        markers and the largest of one frame [px], RMS and largest distance of the camera from its goal pose [m].
 
     Args:
         scenario: the experiment. outcome: how it ended. log: the columns of the log by name, shape (frames,) each.
@@ -68,6 +75,7 @@ def summarise(scenario: Scenario, outcome: Outcome, log: Columns) -> dict[str, o
         "peak_rate_radps": _peak(log, ("wx", "wy", "wz")),
         **_off(scenario, log),
         "saturated_fraction": float(np.mean(log["scale"] < SATURATED)) if frames else None,
+        **_tracking(scenario, log),
     }
     return {k: _clean(v) for k, v in figures.items()}
 
@@ -81,7 +89,9 @@ def _time_to_converge(scenario: Scenario, outcome: Outcome, log: Columns) -> flo
     """Start of the last unbroken stretch under the threshold, when the run converged [s]."""
     if outcome is not Outcome.converged or not len(log["t"]):
         return None
-    whole = np.all([np.isfinite(log[f"u_{i}"]) for i in range(len(scenario.target.points))], axis=0)
+    counted = scenario.goal_view.counted
+    markers = range(len(scenario.target.points)) if counted is None else np.flatnonzero(counted)
+    whole = np.all([np.isfinite(log[f"u_{i}"]) for i in markers], axis=0)
     reached, none = scenario.stop.converged, np.full(len(log["t"]), np.nan)
     estimate = [log[name] if reached.by_estimate else none for name in ("est_position_m", "est_rotation_rad")]
     error = log["level_error_px" if scenario.robot.feet else "error_px"]
@@ -120,6 +130,11 @@ def _path(scenario: Scenario, log: Columns) -> dict[str, object]:
     distance = np.linalg.norm(camera - target, axis=1)
     at_goal = float(np.linalg.norm(scenario.goal_poses[-1][:3, 3]))
     R = rotation_from_quaternion(_columns(log, "cam", ("qw", "qx", "qy", "qz")))
+    if isinstance(scenario.target.motion, Held):  # the way of the hand, as the camera's way against it
+        R_target = rotation_from_quaternion(_columns(log, "tgt", ("qw", "qx", "qy", "qz")))
+        R, camera = R_target.mT @ R, np.einsum("nji,nj->ni", R_target, camera - target)
+        target = np.zeros_like(camera)
+        length = float(np.linalg.norm(np.diff(camera, axis=0), axis=1).sum())
     return {
         "path_length_m": length,
         "path_ratio": length / straight if straight > 1e-3 else None,
@@ -148,6 +163,19 @@ def _image(scenario: Scenario, log: Columns) -> dict[str, object]:
         "feature_overshoot": max(0.0, float(beyond[np.isfinite(beyond)].max())) if np.isfinite(beyond).any() else None,
         "min_border_margin_px": float(margin[known].min()) if known.any() else None,
     }
+
+
+def _tracking(scenario: Scenario, log: Columns) -> dict[str, object]:
+    names = ("tracking_rms_px", "tracking_max_px", "tracking_rms_m", "tracking_max_m")
+    settled = log["t"] >= (scenario.goal.settle_s if isinstance(scenario.goal, KEPT) else 0.0)
+    if not scenario.target.moves or not settled.any():
+        nothing: dict[str, object] = {}
+        return nothing | dict.fromkeys(names)
+    markers = range(len(scenario.target.points))
+    uv = np.stack([log[f"{c}_true_{i}"] - log[f"{c}_goal_{i}"] for i in markers for c in "uv"], axis=1)[settled]
+    frames, metres = np.sqrt(np.mean(uv**2, axis=1)), log["position_error_m"][settled]
+    values = (np.sqrt(np.mean(frames**2)), frames.max(), np.sqrt(np.mean(metres**2)), metres.max())
+    return {name: float(value) for name, value in zip(names, values, strict=True)}
 
 
 def _peak(log: Columns, names: tuple[str, ...]) -> float | None:

@@ -24,6 +24,23 @@ class Relative:
 
 
 @dataclass(frozen=True, slots=True)
+class OwnMotion:
+    """The camera's own motion, by what the robot measures of itself (joints) and what it ordered.
+
+    Attributes:
+        twist: mean twist (6,) since the last picture, and since_s for how long that was [s]; 0 at the first.
+        moved: way (6,) since the exposure until now, [m, rad]; age_s: how long ago the exposure was [s].
+        ordered: the twist (6,) that was ordered last.
+    """
+
+    twist: Array
+    since_s: float
+    moved: Array
+    age_s: float
+    ordered: Array
+
+
+@dataclass(frozen=True, slots=True)
 class Observation:
     """What the camera and the robot's own sensors tell at one frame; nothing of the simulator's truth.
 
@@ -38,9 +55,9 @@ class Observation:
         odometry: a ground vehicle's way since the start by its encoders alone, (x, y, heading) [m, rad] from where it stood.
         place: a ground vehicle's (x, y, heading) [m, rad] in the world, from its landmarks, compass and encoders; None
             where it is not known yet, or the target is no landmark.
-        twist: the camera's mean twist since the last frame as the robot measures it (6,) [m/s, rad/s], for laws that ask for it.
+        motion: the camera's own motion, for laws that ask for it.
 
-    Where the scenario derotates, xy, depth, T_camera_target, ray, relative and twist are those of the level camera, which
+    Where the scenario derotates, xy, depth, T_camera_target, ray, relative and motion are those of the level camera, which
     shares the craft's place and heading; uv is what the picture shows.
     """
 
@@ -54,12 +71,24 @@ class Observation:
     relative: Relative | None = None
     odometry: Array | None = None
     place: Array | None = None
-    twist: Array | None = None
+    motion: OwnMotion | None = None
 
     @property
     def seen(self) -> NDArray[np.bool_]:
         """Which markers are seen, shape (N,)."""
         return np.isfinite(self.uv[:, 0])
+
+    def only(self, counted: NDArray[np.bool_] | None) -> Observation:
+        """The same without the markers that do not count, (N,) bool; all count where that is None."""
+        if counted is None:
+            return self
+        out = ~counted
+        gone = {name: _without(getattr(self, name), out) for name in ("uv", "xy", "depth", "ray", "range")}
+        return replace(self, **gone)
+
+
+def _without(a: Array | None, out: NDArray[np.bool_]) -> Array | None:
+    return None if a is None else np.where(out if a.ndim == 1 else out[:, None], np.nan, a)
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +112,7 @@ class Goal:
     `middle` (3,) is the mean of the markers in the camera's frame [m], `normal` (3,) the unit normal of the plane that fits
     them best, away from the camera. Tasks that are not told by a view have more: `place` (x, y, heading) where a vehicle
     shall stand [m, rad], `gap_m` what it shall keep from the target. A view that moves along a path has its camera's `twist` (6,)
-    [m/s, rad/s], in the camera's frame. `T_base_camera` is the known mount.
+    [m/s, rad/s], in the camera's frame. `counted` (N,) says which markers count, None: all. `T_base_camera` is the known mount.
     """
 
     uv: Array
@@ -98,6 +127,7 @@ class Goal:
     place: Array | None = None
     gap_m: float | None = None
     twist: Array | None = None
+    counted: NDArray[np.bool_] | None = None
 
     @property
     def T_base_camera(self) -> Array:

@@ -7,23 +7,26 @@ from functools import cached_property
 from typing import Annotated
 
 import numpy as np
-from annotated_types import Ge
+from annotated_types import Ge, Lt
+from numpy.typing import NDArray
 
 from vstestbed.camera import CAMERAS, Calibration, Camera, Catadioptric, Fisheye, Perspective, Spherical
 from vstestbed.errors import ParameterError
 from vstestbed.geometry import Array, inverse
-from vstestbed.goal import AnyGoal, GoalGap, GoalLanding, GoalLine, GoalPath, GoalPlace, GoalView, GoalViewFrom, GoalViews
+from vstestbed.goal import AnyGoal, GoalGap, GoalLanding, GoalLine, GoalPath, GoalPlace, GoalTrack, GoalView, GoalViewFrom, GoalViews
 from vstestbed.ground import pose_on_ground
 from vstestbed.ground_lines import GroundLines
 from vstestbed.laws import IBVS, LAWS, PBVS, Hybrid, LineFollowing, Partitioned, PoseController, Pursuit
 from vstestbed.observation import Goal, OnFloor, OracleDepth, PnP
 from vstestbed.robots import ROBOTS, Car, Free, Mount, Omni, Puma560, Quadrotor, Robot
 from vstestbed.sim.clock import Clock
+from vstestbed.sim.noise import Drift
+from vstestbed.sim.start import camera_start, target_start
 from vstestbed.sim.timing import Timing
 from vstestbed.sim.world import World
 from vstestbed.spec import spec
 from vstestbed.stop import Stop
-from vstestbed.target import Carried, Points, Square
+from vstestbed.target import Carried, Held, Points, Square
 from vstestbed.targets import TARGETS
 from vstestbed.vision import DETECTORS, Blobs, Lines, Oracle, Tags
 from vstestbed.vision.believed import pose_by_depth, shown_goal
@@ -39,17 +42,21 @@ class Noise:
             does to a measured coordinate is up to the detector: with `blobs` and its `grey` moments, scatter in proportion,
             about .0025 px a grey level for discs of 8 px radius. Under 1 it has hardly any effect, above 20 markers get lost.
         pixel_sigma_px: standard deviation of Gaussian noise on each measured coordinate, whatever the detector [px].
+        dropout: probability of each marker in each picture not to be reported, whatever the detector.
+        drift: of the picture's brightness and colour.
     """
 
     image_sigma: Annotated[float, Ge(0)] = 0.0
     pixel_sigma_px: Annotated[float, Ge(0)] = 0.0
+    dropout: Annotated[float, Ge(0), Lt(1)] = 0.0
+    drift: Drift = Drift()
 
 
 PLANE_INPUTS = {"xy", "depth", "relative"}
 """Fields of an observation that exist only for what is in front of the camera."""
-START_STREAM, NOISE_STREAM, IMAGE_STREAM, SENSOR_STREAM, TIMING_STREAM, DEPTH_STREAM = range(6)
+START_STREAM, NOISE_STREAM, IMAGE_STREAM, SENSOR_STREAM, TIMING_STREAM, DEPTH_STREAM, MOTION_STREAM = range(7)
 """Independent random streams of one seed: the start, the noise of measured pixels, of pictures, of the robot's own sensors,
-of times, of depths."""
+of times, of depths, and the target's random walk."""
 TRIES = 1000
 """How many random starts are drawn at most until the target is in view."""
 VIEW_MARGIN_PX = 10.0
@@ -100,7 +107,7 @@ class Scenario:
 
     def _check_task(self) -> None:
         kind, tasks = self.goal.kind, self.law.tasks
-        task = "view" if isinstance(self.goal, GoalView | GoalViewFrom | GoalViews) else kind
+        task = "view" if isinstance(self.goal, GoalView | GoalViewFrom | GoalViews | GoalTrack) else kind
         if task not in tasks:
             raise ParameterError("goal", f"may not be of kind {kind} with law {self.law.kind}, which takes {' or '.join(tasks)}")
         flight = kind in ("path", "landing")
@@ -112,9 +119,10 @@ class Scenario:
             other = "target: {kind: lines}" if task == "line" else "goal: {kind: line} and law: {kind: line_following}"
             raise ParameterError("goal", f"of kind {kind} {words}; use {other}")
         self._check_floor()
-        carried = isinstance(self.target.motion, Carried)
-        if carried and any(isinstance(v, GoalViewFrom | GoalPlace) for v in self._views):
-            raise ParameterError("goal", f"of kind {kind} needs a target that stands still; a carried one is followed by a gap")
+        if self.target.moves and any(isinstance(v, GoalViewFrom | GoalPlace) for v in self._views):
+            raise ParameterError("goal", f"of kind {kind} needs a target that stands still; one that moves is followed by a gap or a view")
+        if isinstance(self.target.motion, Held) and not isinstance(self.robot, Puma560):
+            raise ParameterError("target.motion", f"held is for an arm's hand; robot {self.robot.kind} has none, use puma560")
 
     def _check_floor(self) -> None:
         if isinstance(self.goal, GoalPlace) and not self.stop.converged.by_estimate and self.target.motion.kind == "still":
@@ -162,6 +170,16 @@ class Scenario:
             words = f"has all markers on one line, which leaves the pose open that law {self.law.kind} works with; use other places"
             raise ParameterError("target", words)
 
+    def _check_counted(self, view: GoalView, field: str) -> None:
+        """Refuse a view in which markers count that do not exist, or too few for the law."""
+        if view.markers is None:
+            return
+        n, needed = len(self.target.points), self.law.markers_needed(self.robot.motion_basis(Mount.of(self.camera.mount.T)))
+        if max(view.markers) >= n:
+            raise ParameterError(field, f"must be numbers of markers, 0 to {n - 1}", list(view.markers))
+        if len(set(view.markers)) < needed:
+            raise ParameterError(field, f"must name {needed} markers or more for law {self.law.kind}", list(view.markers))
+
     def _check_goal(self) -> None:
         if isinstance(self.goal, GoalLine) and not self.camera.inside(self.goal_view.uv).all():
             words = f"are outside the {self.camera.width} x {self.camera.height} picture even where all is well"
@@ -170,17 +188,20 @@ class Scenario:
             return  # what is seen there is not what is asked for
         for i, view in enumerate(self._views):
             where = f"goal.{'way' if isinstance(self.goal, GoalPath) else 'views'}.{i}" if len(self._views) > 1 else "goal"
-            names = {"view": "T_camera_target", "landing": "above"}
-            self._check_view(f"{where}.{names.get(view.kind, 'view_from')}", self.goal_poses[i])
+            names = {"view_from": "view_from", "landing": "above"}
+            if isinstance(view, GoalView):
+                self._check_counted(view, f"{where}.markers")
+            self._check_view(f"{where}.{names.get(view.kind, 'T_camera_target')}", self.goal_poses[i], self.goal_views[i].counted)
 
-    def _check_view(self, field: str, T_camera_target: Array) -> None:
+    def _check_view(self, field: str, T_camera_target: Array, counted: NDArray[np.bool_] | None) -> None:
         p = self.target.seen_from(inverse(T_camera_target))
+        counted = np.ones(len(p), dtype=bool) if counted is None else counted
         uv, plane = self.camera.project(p), PLANE_INPUTS & set(self.law.inputs)
         limited = not (isinstance(self.detector, Oracle) and self.detector.field_of_view == "unlimited")
         picture = limited and len(self.camera.panels) == 1
         behind = p[:, 2] <= 0 if plane or isinstance(self.camera, Perspective) else np.zeros(len(p), dtype=bool)
         outside = ~(self.camera.inside(uv) if picture else np.isfinite(uv[:, 0]))
-        bad = [str(i) for i in np.flatnonzero(behind if behind.any() else outside)]
+        bad = [str(i) for i in np.flatnonzero(behind if behind.any() else outside & counted)]
         if not bad:
             return
         where, remedy = f"outside the {self.camera.width} x {self.camera.height} picture", "a wider camera"
@@ -247,6 +268,8 @@ class Scenario:
             pose = pose_by_depth(made.T_camera_target, points, self.depth_scale) if shown else made.T_camera_target
             made = replace(made.deepened(self.depth_scale), T_camera_target=pose)
         match goal:
+            case GoalView(markers=markers) if markers is not None:
+                return replace(made, counted=np.isin(np.arange(len(points)), markers))
             case GoalViewFrom(view_from=here) | GoalPlace(pose=here):
                 return replace(made, place=here.place)
             case GoalGap(gap_m=gap):
@@ -258,7 +281,7 @@ class Scenario:
         """T_camera_target (4, 4) at the goal, for a camera with this mount."""
         mount = camera.mount.T
         match goal:
-            case GoalView(T_camera_target=pose) | GoalLanding(above=pose):
+            case GoalView(T_camera_target=pose) | GoalTrack(T_camera_target=pose) | GoalLanding(above=pose):
                 return pose.T
             case GoalViewFrom(view_from=here) | GoalPlace(pose=here):
                 return inverse(here.T @ mount) @ self.target.pose.T
@@ -285,8 +308,8 @@ class Scenario:
 
     @property
     def T_world_goal(self) -> Array:
-        """The camera's goal pose in the world (4, 4), for a still target."""
-        return self.target.pose.T @ inverse(self.goal_poses[-1])
+        """The camera's goal pose in the world (4, 4), of the target where it starts."""
+        return self.target.T_world_start @ inverse(self.goal_poses[-1])
 
     def rng(self, stream: int) -> np.random.Generator:
         """The scenario's random numbers: one independent stream each for the start and the noises."""
@@ -309,8 +332,7 @@ class Scenario:
         raise ParameterError("robot.start.random", f"gave no start in {TRIES} draws that has the whole target in view; make it smaller")
 
     def _in_view(self, robot: Robot) -> bool:
-        T_world_camera = robot.flange_pose(robot.configuration()) @ self.camera.mount.T
-        T = inverse(T_world_camera) @ self.target.T_world_start
+        T = inverse(camera_start(robot, self.camera, self.target)) @ target_start(robot, self.target)
         p = self.target.seen_from(inverse(T))
         facing = float(T[:3, 2] @ T[:3, 3]) / max(float(np.linalg.norm(T[:3, 3])), 1e-9)  # of the plane, for who looks at it
         turned = T[2, 2] if isinstance(self.camera, Perspective) else facing

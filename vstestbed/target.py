@@ -17,6 +17,7 @@ from annotated_types import Ge, Gt, Le, Len
 from vstestbed.errors import ParameterError
 from vstestbed.geometry import Array, Pose, Triple, inverse, transform
 from vstestbed.ground import pose_on_ground
+from vstestbed.motion import OWN_MOTIONS, Circle, Line, Lissajous, Path, RandomWalk, Sinusoid, Still
 from vstestbed.route import AnyRoute
 from vstestbed.spec import OneOf, spec
 
@@ -141,13 +142,6 @@ Marker = Annotated[Disc | Sphere | Tag, MARKERS]
 
 
 @spec
-class Still:
-    """The target does not move."""
-
-    kind: Literal["still"] = "still"
-
-
-@spec
 class Carried:
     """The target rides on a vehicle that drives along a route; `target.pose` is then where it sits in the vehicle's frame.
 
@@ -167,8 +161,18 @@ class Carried:
     from_m: float = 0.0
 
 
-MOTIONS = OneOf("motion", Still, Carried, default="still")
-Motion = Annotated[Still | Carried, MOTIONS]
+@spec
+class Held:
+    """The robot's hand holds the target, and the camera stands in the room (eye to hand).
+
+    `target.pose` is then where the target sits in the flange's frame, `camera.mount` where the camera stands in the world.
+    """
+
+    kind: Literal["held"] = "held"
+
+
+MOTIONS = OneOf("motion", *OWN_MOTIONS, Carried, Held, default="still")
+Motion = Annotated[Still | Line | Circle | Sinusoid | Lissajous | RandomWalk | Carried | Held, MOTIONS]
 
 
 @spec
@@ -207,11 +211,30 @@ class Target:
         raise NotImplementedError
 
     @property
+    def moves(self) -> bool:
+        """Whether it does anything but stand in the world."""
+        return not isinstance(self.motion, Still)
+
+    @property
+    def moves_by_itself(self) -> bool:
+        """Whether it moves along a path of its own, whatever the vehicles and the robot do."""
+        return self.moves and not isinstance(self.motion, Carried | Held)
+
+    def path(self, rng: np.random.Generator) -> Path:
+        """Its pose in the world (4, 4) as a function of time, for a target that moves by itself or stands still."""
+        if isinstance(self.motion, Carried | Held):
+            raise ParameterError("target.motion", "has no path of its own: it goes where it is carried")
+        rest, displacement = self.pose.T, self.motion.path(rng)
+        return lambda t: rest @ displacement(t)
+
+    @property
     def T_world_start(self) -> Array:
-        """Where it is at the start (4, 4)."""
+        """Where it is at the start (4, 4); what the hand holds depends on the robot (`sim.scene.Parts.T_world_target`)."""
         if isinstance(self.motion, Carried):
             return pose_on_ground(self.motion.route.at(self.motion.from_m)[:3]) @ self.pose.T
-        return self.pose.T
+        if isinstance(self.motion, Held):
+            return self.pose.T
+        return self.path(np.random.default_rng(0))(0.0)
 
     def seen_from(self, T_target_camera: Array) -> Array:
         """Marker centres in the frame of a camera at a pose (4, 4) in the target's, shape (N, 3) [m]."""

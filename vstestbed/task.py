@@ -8,7 +8,7 @@ import numpy as np
 
 from vstestbed.course import Path
 from vstestbed.geometry import Array, inverse, rigid_error
-from vstestbed.goal import KEPT, GoalGap, GoalLine, GoalPath
+from vstestbed.goal import KEPT, GoalGap, GoalLine, GoalPath, GoalTrack
 from vstestbed.ground import place_of, relative
 from vstestbed.ground_lines import GroundLines
 from vstestbed.observation import Goal, Observation
@@ -23,7 +23,7 @@ def band_of(scenario: Scenario) -> Band | None:
 
 
 def off(scenario: Scenario, T_world_base: Array, T_world_target: Array) -> float:
-    """True error of a task without an end [m]: of the gap, sideways from the line, from the path; NaN for other tasks."""
+    """True error of a task without an end [m]: of the gap, off the line, the path, the camera's place; NaN for other tasks."""
     goal = scenario.goal
     if isinstance(goal, GoalPath):
         return Path(goal).off(inverse(T_world_target) @ T_world_base @ scenario.camera.mount.T)
@@ -32,6 +32,9 @@ def off(scenario: Scenario, T_world_base: Array, T_world_target: Array) -> float
     if isinstance(goal, GoalLine) and isinstance(scenario.target, GroundLines):
         here = place_of(inverse(T_world_target) @ T_world_base)
         return scenario.target.route.beside(here) - goal.offset_m
+    if isinstance(goal, GoalTrack):
+        T_camera = T_world_base @ scenario.camera.mount.T
+        return rigid_error(T_camera, T_world_target @ inverse(goal.T_camera_target.T))[0]
     return math.nan
 
 

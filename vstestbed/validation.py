@@ -15,6 +15,7 @@ from vstestbed.features import FEATURES
 from vstestbed.goal import GOALS, VIEWS
 from vstestbed.laws import LAWS
 from vstestbed.laws.base import GAINS
+from vstestbed.laws.feedforward import FEEDFORWARDS
 from vstestbed.observation import DEPTHS
 from vstestbed.robots import ROBOTS
 from vstestbed.route import ROUTES
@@ -36,6 +37,7 @@ KINDS: dict[str, OneOf] = {
     "laws": LAWS,
     "gains": GAINS,
     "depths": DEPTHS,
+    "feedforwards": FEEDFORWARDS,
     "goals": GOALS,
     "views": VIEWS,
     "routes": ROUTES,

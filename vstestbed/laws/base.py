@@ -21,13 +21,15 @@ class Command:
     """What a law orders: u (n,) in the robot's motion space, the camera twist (6,) = basis @ u it stands for.
 
     `held` is why a law orders rest although the goal is not reached ("" while it works); `scale` is the factor by which
-    the law's own limits on the twist shortened it.
+    the law's own limits on the twist shortened it. `free` (6, k) are unit twists that change nothing of what the law looks at,
+    where there are such: the robot may use them for ends of its own.
     """
 
     u: Array
     twist: Array
     held: str = ""
     scale: float = 1.0
+    free: Array | None = None
 
     @classmethod
     def rest(cls, basis: Array, why: str) -> Command:

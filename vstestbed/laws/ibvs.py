@@ -12,8 +12,9 @@ from annotated_types import Ge
 from vstestbed.features import FEATURES, Line, Point, Polar, Polygon, Spherical
 from vstestbed.geometry import Array
 from vstestbed.laws.base import Command, ConstantGain, Gain, TwistLimits
+from vstestbed.laws.feedforward import Change, Estimator, Feedforward, Integral, NoFeedforward, Trend, follow, look_ahead
 from vstestbed.laws.select import ALL, Rows, require_area, usable_rows
-from vstestbed.laws.solve import least_squares
+from vstestbed.laws.solve import least_squares, null_space
 from vstestbed.laws.views import Views
 from vstestbed.laws.visibility import Visibility
 from vstestbed.observation import Depth, Goal, Observation, PnP
@@ -21,21 +22,21 @@ from vstestbed.spec import spec
 
 COAST_S = 1.0
 """How long a moving target is followed without sight [s]."""
-JUMP = 0.5
-"""An error that changes by more than this from one frame to the next has jumped (radians, or normalised coordinates)."""
 
 
 @dataclass(frozen=True, slots=True)
 class IBVSMemory:
-    """Time of the first command [s] and the command that the law would have jumped to there (n,); with `target_motion_s` the last
-    frame's time [s] and error, and the drift (n,).
+    """Time of the first command [s] and the command that the law would have jumped to there (n,).
+
+    Of a law with feedforward also the last picture, its time [s], what is known of the target's motion, and the integral (n,).
     """
 
     t0: float = math.nan
     u0: Array | None = None
+    seen: Observation | None = None
     t: float = math.nan
-    e: Array | None = None
-    drift: Array | None = None
+    trend: Trend | None = None
+    integral: Array | None = None
 
 
 @spec
@@ -46,8 +47,7 @@ class IBVS:
 
     A view that moves along a path adds its own velocity u* to that.
 
-    With `target_motion_s` a target, or a goal, that moves is followed without lag: what the robot's own measured motion u_m leaves
-    unexplained of the error's change, d = pinv(L B) e_dot - u_m, filtered with that time constant, is taken off: u - d.
+    With `feedforward` a target that moves is followed without lag (`feedforward.py`), for COAST_S also unseen.
 
     Errata. Chapter 16 of Corke 2017 has polar and spherical features as here (eqs 16.9, 16.15), but theta = asin(r) in
     eq. 16.11, which is wrong behind the camera's equator; each feature says what it does instead. With an exact half turn
@@ -62,9 +62,11 @@ class IBVS:
         interaction: L at the current view, at the desired one, or the mean of both matrices.
         depth: where Z (for `spherical` the range) in L comes from.
         smooth_start_s: tau [s]; 0 starts with the full command.
-        target_motion_s: time constant of the estimate of the target's own motion [s]; 0 takes it to stand still.
         limits: largest speed and rate of the commanded twist.
         visibility: keeps markers off the picture's border.
+        feedforward: what is done about a target that moves.
+        redundant: work with fewer markers than tell of all of the robot's motions, two on an arm, say. The motions that they do
+            not tell of are not made, unless the robot has an end of its own for them (`robot.avoid_limits`).
 
     References: Chaumette & Hutchinson 2006, eqs 3-5, doi:10.1109/MRA.2006.250573; mean matrix: Malis 2004,
     doi:10.1109/ROBOT.2004.1308092; moving target: Chaumette & Hutchinson 2007, doi:10.1109/MRA.2007.339609; smooth start:
@@ -78,14 +80,15 @@ class IBVS:
     interaction: Literal["current", "desired", "mean"] = "current"
     depth: Depth = PnP()
     smooth_start_s: Annotated[float, Ge(0)] = 0.0
-    target_motion_s: Annotated[float, Ge(0)] = 0.0
     limits: TwistLimits = TwistLimits()
     visibility: Visibility = Visibility()
+    feedforward: Feedforward = NoFeedforward()
+    redundant: bool = False
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """The fields of an Observation that it looks at: those of its feature, and the robot's motion where it needs that."""
-        return (*self.feature.inputs, "twist") if self.target_motion_s > 0 else self.feature.inputs
+        """The fields of an Observation that its feature takes, and the camera's own motion for feedforward."""
+        return self.feature.inputs + (("motion",) if isinstance(self.feedforward, Estimator) else ())
 
     def check(self, points: Array, goal: Goal) -> None:
         """Refuse what `visibility` does; with the feature `polygon`, a goal view of three or more markers without a size."""
@@ -99,21 +102,19 @@ class IBVS:
 
     def markers_needed(self, basis: Array) -> int:
         """How many markers must be seen for as many equations as the robot has motions (6, n)."""
-        rows = self.feature.rows_per_marker
+        rows = 0 if self.redundant else self.feature.rows_per_marker
         return max(self.feature.least_markers, math.ceil(basis.shape[1] / rows) if rows else 0)
 
     def step(self, memory: IBVSMemory, observation: Observation, goal: Goal, basis: Array) -> tuple[IBVSMemory, Command]:
         """One frame, with the markers that are seen; rest when they are too few for the robot's motions."""
+        before = memory
         rows = usable_rows(observation, self.feature.inputs, self.markers_needed(basis))
         if isinstance(rows, str):
-            return self._without(memory, observation.t, basis, rows)
+            return self._without(memory, observation, basis, rows)
         e, L = self.equations(*self._taken(observation, rows), *self._taken(goal, rows))
-        LB = L @ basis
-        solved = least_squares(LB, e)  # pinv(L B) e
-        u = -self.gain.at(solved) * solved
-        if self.target_motion_s > 0 and observation.twist is not None:
-            memory = self._followed(memory, observation.t, e, LB, least_squares(basis, observation.twist))
-            u = u if memory.drift is None else u - memory.drift
+        solved = least_squares(L @ basis, e)  # pinv(L B) e
+        memory, solved, aside = self._beforehand(memory, observation, solved, basis)
+        u = -self.gain.at(solved) * solved - aside
         if goal.twist is not None:
             u = u + least_squares(basis, goal.twist)
         if self.smooth_start_s > 0:
@@ -122,22 +123,45 @@ class IBVS:
             u = u - u0 * math.exp(-(observation.t - memory.t0) / self.smooth_start_s)
         if self.visibility.margin_px > 0:
             u = u + self.visibility.push(observation, goal, basis)
-        return memory, self.limits.command(u, basis)
+        command = self.limits.command(u, basis)
+        if isinstance(self.feedforward, Integral) and command.scale < 1:
+            memory = replace(memory, integral=before.integral)
+        if self.redundant:
+            command = replace(command, free=basis @ null_space(L @ basis))
+        return memory, command
 
-    def _without(self, memory: IBVSMemory, t: float, basis: Array, why: str) -> tuple[IBVSMemory, Command]:
+    def _beforehand(self, memory: IBVSMemory, seen: Observation, solved: Array, basis: Array) -> tuple[IBVSMemory, Array, Array]:
+        """The motion still to be made (n,) at the time looked ahead to, and what is ordered beside the gain's share of it (n,)."""
+        kind, motion = self.feedforward, seen.motion
+        if isinstance(kind, Integral):
+            since = seen.t - memory.seen.t if memory.seen else 0.0
+            total = solved * since + (0 if memory.integral is None else memory.integral)
+            return replace(memory, seen=seen, integral=total), solved, kind.rate_per_s2 * total
+        if isinstance(kind, NoFeedforward) or motion is None:
+            return memory, solved, np.zeros_like(solved)
+        change = self._change(memory.seen, seen, self.markers_needed(basis)) if memory.seen else None
+        trend = follow(kind, memory.trend, change, basis, motion)
+        shift, rate = look_ahead(kind, trend, basis, motion)
+        return replace(memory, seen=seen, t=seen.t, trend=trend), solved + shift, rate
+
+    def _change(self, before: Observation, now: Observation, needed: int) -> Change | None:
+        """How the feature changed between two pictures, by the markers that both have."""
+        what, distance = self.feature.inputs
+        both = np.isfinite(getattr(before, what)[:, 0]) & np.isfinite(getattr(now, what)[:, 0])
+        both &= np.isfinite(getattr(before, distance)) & np.isfinite(getattr(now, distance))
+        if np.count_nonzero(both) < needed:
+            return None
+        (x0, d0), (x1, d1) = ((getattr(o, what)[both], getattr(o, distance)[both]) for o in (before, now))
+        L = (self.feature.interaction(x0, d0) + self.feature.interaction(x1, d1)) / 2
+        return Change(self.feature.error(self.feature.measure(x1), self.feature.measure(x0)), L)
+
+    def _without(self, memory: IBVSMemory, seen: Observation, basis: Array, why: str) -> tuple[IBVSMemory, Command]:
         """A frame without sight: rest; a target that moved is followed by its own motion for COAST_S."""
-        if memory.drift is None or not t - memory.t <= COAST_S:
+        kind, trend, motion = self.feedforward, memory.trend, seen.motion
+        if not isinstance(kind, Estimator) or trend is None or motion is None or not seen.t - memory.t <= COAST_S:
             return IBVSMemory(), Command.rest(basis, why)
-        return replace(memory, e=None), replace(self.limits.command(-memory.drift, basis), held=why)
-
-    def _followed(self, memory: IBVSMemory, t: float, e: Array, LB: Array, own: Array) -> IBVSMemory:
-        """The memory with the drift d (n,) of this frame in it; a jump of the error (a marker lost, an angle wrapped) tells nothing."""
-        before, drift = memory.e, memory.drift
-        if before is not None and before.shape == e.shape and t > memory.t and np.abs(e - before).max() < JUMP:
-            now = least_squares(LB, (e - before) / (t - memory.t)) - own
-            old = np.zeros_like(now) if drift is None else drift
-            drift = old + (1 - math.exp(-(t - memory.t) / self.target_motion_s)) * (now - old)
-        return replace(memory, t=t, e=e, drift=drift)
+        trend = follow(kind, trend, None, basis, motion)
+        return replace(memory, seen=None, trend=trend), replace(self.limits.command(-trend.rate, basis), held=why)
 
     @property
     def remembers(self) -> int:

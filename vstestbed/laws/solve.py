@@ -80,6 +80,13 @@ def _dot(a: Array, b: Array) -> NDArray[np.float64]:
     return np.einsum("mk,mk->k", a, b)
 
 
+def null_space(A: Array) -> Array:
+    """Orthonormal columns (n, k) that A (m, n) takes to nothing: those that `least_squares` leaves alone."""
+    _, s, Vt = np.linalg.svd(A)
+    rank = int(np.count_nonzero(s > PINV_RCOND * s[0])) if len(s) else 0
+    return np.asarray(Vt[rank:].T, dtype=float)
+
+
 @cache
 def _gelsy() -> Any:
     from scipy.linalg import get_lapack_funcs  # .2 s that listing and checking scenarios can do without

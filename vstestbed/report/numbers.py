@@ -36,6 +36,13 @@ ROWS: Final = (
     ("peak_rate_radps", "Peak rate of turn", "rad/s"),
     ("saturated_fraction", "Frames with a limited command", "%"),
 )
+TRACKING_ROWS: Final = (
+    ("tracking_rms_px", "Tracking error, RMS", "px"),
+    ("tracking_max_px", "Tracking error, largest", "px"),
+    ("tracking_rms_m", "Camera from its goal, RMS", "m"),
+    ("tracking_max_m", "Camera from its goal, largest", "m"),
+)
+"""Of a target that moves, once settled."""
 
 
 def headline(summary: Summary) -> str:
@@ -60,7 +67,7 @@ def tiles(summary: Summary) -> str:
 def table(summary: Summary) -> str:
     """The other numbers, one a line."""
     made = []
-    for key, name, unit in ROWS:
+    for key, name, unit in ROWS + tuple(row for row in TRACKING_ROWS if summary.get(row[0]) is not None):
         value = summary.get(key)
         if unit == "%" and isinstance(value, float):
             value = 100 * value

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, ClassVar, Literal, Protocol
+from typing import Any, ClassVar, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -50,6 +50,14 @@ class Mount:
     def of(cls, T_flange_camera: Array) -> Mount:
         """The mount of a camera at a pose (4, 4) in the flange frame."""
         return cls(T_flange_camera, adjoint(T_flange_camera), adjoint(inverse(T_flange_camera)))
+
+    @classmethod
+    def facing(cls, T_flange_camera: Array) -> Mount:
+        """Of a camera in the room that watches the flange, now at a pose (4, 4) in its frame.
+
+        The camera's twist against what the flange holds is minus the flange's own: v_camera = -Ad(T_camera_flange) v_flange.
+        """
+        return cls(T_flange_camera, -adjoint(T_flange_camera), -adjoint(inverse(T_flange_camera)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,6 +155,15 @@ class Robot(Protocol):
 
     def reported(self, memory: Any, encoders: Encoders) -> Mapping[str, Array]:
         """What its onboard controller tells of itself, to put beside the instruments' readings."""
+        ...
+
+
+@runtime_checkable
+class Redundant(Protocol):
+    """A robot that has ends of its own for the motions which a law leaves open."""
+
+    def aside(self, free: Array, encoders: Encoders, mount: Mount) -> Array:
+        """A camera twist (6,) in the span of `free` (6, k), which is added to the law's."""
         ...
 
 

@@ -8,6 +8,7 @@ Dynamics, gears and friction are in `models/puma560.xml`; a test holds the two f
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
@@ -129,6 +130,9 @@ LIMIT_MARGIN = np.radians(1.0)
 LIMIT_HORIZON_S = 0.25
 """Near its limit a joint may move so fast that it would reach the margin in this time, not faster [s]."""
 
+INNER = 0.8
+"""Share of a joint's range in its middle in which it is far from its limits."""
+
 SERVOS = {
     "ideal": Servo("ideal", friction=False, gravity_compensated=True),
     "industrial": Servo("industrial", friction=True, gravity_compensated=False),
@@ -168,11 +172,14 @@ class Puma560(Direct):
     Args:
         actuation: `ideal`, `industrial` (default) or `raw`: which servo amplifiers the joints have.
         start: joint angles at the start; the textbook's by default (its +180 deg for joint 3 is -180 within the limits).
+        avoid_limits: how fast joints in the outer fifth of their range move back towards its middle [1/s], where the law leaves
+            motions open (`law.redundant`); 0: the arm makes none of them.
     """
 
     kind: Literal["puma560"] = "puma560"
     actuation: Literal["ideal", "industrial", "raw"] = "industrial"
     start: PumaStart = PumaStart()
+    avoid_limits: Annotated[float, Ge(0), Le(10)] = 0.0
     actuators: ClassVar[tuple[str, ...]] = tuple(f"joint_{i}" for i in range(1, 7))
 
     def __post_init__(self) -> None:
@@ -209,7 +216,7 @@ class Puma560(Direct):
         q = np.array(self.start.nominal.q_deg) + rng.uniform(-1, 1, 6) * box.q_deg
         q = np.clip(q, *np.degrees(JOINT_LIMITS).T)
         nominal = JointAngles(q_deg=tuple(q.tolist()))
-        return Puma560(actuation=self.actuation, start=PumaStart(nominal=nominal, random=box))
+        return replace(self, start=PumaStart(nominal=nominal, random=box))
 
     def flange_pose(self, configuration: Array) -> Array:
         """T_world_flange (4, 4); the base stands at the world's origin."""
@@ -225,6 +232,23 @@ class Puma560(Direct):
             return np.zeros(6)
         J = jacobian((before.q + now.q) / 2)
         return mount.to_camera @ (J @ ((now.q - before.q) / duration))
+
+    def aside(self, free: Array, encoders: Encoders, mount: Mount) -> Array:
+        """The open motion that comes nearest to moving joints off their limits.
+
+        Wanted: dq_i = -avoid_limits (q_i - edge_i) beyond the edge of the middle four fifths of a joint's range, else 0. Of the
+        joint motions that the free twists make, J^-1 free z, the one nearest to it, by least squares: the distance to the
+        limits never grows by it.
+
+        References: Liegeois 1977, doi:10.1109/TSMC.1977.4309644; Chaumette & Marchand 2001, doi:10.1109/70.964671.
+        """
+        low, high = (JOINT_LIMITS.mean(axis=1) + side * INNER * np.ptp(JOINT_LIMITS, axis=1) / 2 for side in (-1, 1))
+        wanted = -self.avoid_limits * (encoders.q - np.clip(encoders.q, low, high))
+        if free.shape[1] == 0 or not wanted.any():
+            return np.zeros(6)
+        J = jacobian(encoders.q)
+        ways = np.column_stack([resolved_rate(J, mount.to_flange @ twist, NO_LIMITS) for twist in free.T])
+        return free @ np.linalg.lstsq(ways, wanted, rcond=1e-6)[0]
 
     def allocate(self, twist: Array, encoders: Encoders, mount: Mount, period: float) -> Allocation:
         """Joint speeds for a camera twist (6,): damped resolved rate, then scaled as a whole into speed and position limits.

@@ -10,6 +10,7 @@ from vstestbed.camera import Camera
 from vstestbed.robots import Robot
 from vstestbed.sim.base import Plant
 from vstestbed.sim.clock import Clock
+from vstestbed.sim.noise import NO_DRIFT, Drift
 from vstestbed.sim.world import World
 from vstestbed.target import Target
 
@@ -26,6 +27,8 @@ def build_plant(
     image_sigma: float = 0.0,
     rng: np.random.Generator | None = None,
     sensor_rng: np.random.Generator | None = None,
+    motion_rng: np.random.Generator | None = None,
+    drift: Drift = NO_DRIFT,
 ) -> tuple[Plant, str]:
     """Make the plant; with it the name of what renders its pictures ("none" where nothing does).
 
@@ -34,7 +37,8 @@ def build_plant(
     Args:
         needs_image, needs_truth: what the detector looks at.
         image_sigma, rng: noise of the pictures [grey levels] and where it comes from.
-        sensor_rng: where the noise of the robot's own sensors comes from.
+        sensor_rng: where the noise of the robot's own sensors comes from. motion_rng: what draws a target's random walk.
+        drift: of the camera's gains.
 
     Raises:
         EnvironmentLackError: a picture is needed that only OpenGL can draw, and it does not work here.
@@ -44,10 +48,11 @@ def build_plant(
     step, steps_per_frame = clock.resolve(camera, robot.largest_step_s)
     parts = Parts(robot, camera, target, world, step)
     ideal = robot.model is None
+    path = target.path(motion_rng or np.random.default_rng(0)) if target.moves_by_itself else None
     if ideal and not needs_image and not world.plates:
         from vstestbed.sim.ideal import IdealPlant
 
-        return IdealPlant(parts, steps_per_frame), "none"
+        return IdealPlant(parts, steps_per_frame, path=path), "none"
     from vstestbed.sim.pictures import eye_of
     from vstestbed.sim.stage import Stage
 
@@ -57,10 +62,10 @@ def build_plant(
     if ideal:
         from vstestbed.sim.ideal import IdealPlant
 
-        return IdealPlant(parts, steps_per_frame, stage, eye), renderer
+        return IdealPlant(parts, steps_per_frame, stage, eye, path, drift), renderer
     from vstestbed.sim.plant import MujocoPlant
 
-    return MujocoPlant(stage, steps_per_frame, eye, needs_truth, sensor_rng or np.random.default_rng(0)), renderer
+    return MujocoPlant(stage, steps_per_frame, eye, needs_truth, sensor_rng or np.random.default_rng(0), path, drift), renderer
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,9 +6,11 @@ import numpy as np
 
 from vstestbed.camera import Frame, Look
 from vstestbed.geometry import Array, adjoint, exp, inverse
+from vstestbed.motion import Path
 from vstestbed.observation import Encoders
 from vstestbed.sim.base import Eyes, Truth
 from vstestbed.sim.exposure import Exposure
+from vstestbed.sim.noise import NO_DRIFT, Drift
 from vstestbed.sim.scene import Parts
 from vstestbed.sim.stage import Stage
 
@@ -21,9 +23,19 @@ class IdealPlant:
     Args:
         parts: what is in the world. steps_per_frame: physics steps between pictures.
         eye: makes the pictures; None where no detector needs them. stage: tells what is hidden; None where nothing is.
+        path: where the target is at a time; None for one that stands still. drift: of the camera's gains.
     """
 
-    def __init__(self, parts: Parts, steps_per_frame: int, stage: Stage | None = None, eye: Eyes | None = None):
+    def __init__(
+        self,
+        parts: Parts,
+        steps_per_frame: int,
+        stage: Stage | None = None,
+        eye: Eyes | None = None,
+        path: Path | None = None,
+        drift: Drift = NO_DRIFT,
+    ):
+        self._path, self._drift = path, drift
         self.step_s, self.steps_per_frame = parts.step, steps_per_frame
         self._T = parts.start[1]
         self._to_camera = adjoint(inverse(parts.camera.mount.T))
@@ -44,16 +56,22 @@ class IdealPlant:
     def capture(self, look: Look | None = None) -> tuple[Frame | None, Truth]:
         """The picture, where one is wanted, and the truth."""
         truth = self.truth()
-        frame = Frame(self._t, self._eye.glimpse(look), self._eye.whole) if self._eye else None
+        frame = self._drift.of(Frame(self._t, self._eye.glimpse(look), self._eye.whole)) if self._eye else None
         return frame, truth
 
     @property
     def _t(self) -> float:
         return self._steps * self.step_s
 
+    def _move_target(self) -> None:
+        if self._path is not None:
+            self._T_world_target = self._path(self._t)
+            self._T_target_world = inverse(self._T_world_target)
+
     def truth(self) -> Truth:
         """The truth, now; the stage is brought up to it."""
         T = self._T.copy()
+        self._move_target()
         p_camera = self._target.seen_from(self._T_target_world @ T)
         hidden = self._hidden
         if self._stage is not None:
@@ -63,6 +81,7 @@ class IdealPlant:
 
     def expose(self, weight: float, look: Look | None = None) -> None:
         """Let in the light of now, where a detector asks for pictures."""
+        self._move_target()
         if self._stage is not None:
             self._stage.place(self._t, self._T_world_target, NONE, self._T)
         if self._exposure is not None:
@@ -70,7 +89,7 @@ class IdealPlant:
 
     def developed(self, t: float) -> Frame | None:
         """The picture of what was let in since the last one."""
-        return self._exposure.developed(t) if self._exposure else None
+        return self._drift.of(self._exposure.developed(t)) if self._exposure else None
 
     def encoders(self) -> Encoders:
         """No joints."""

@@ -9,11 +9,13 @@ import numpy as np
 from dm_control.rl.control import PhysicsError
 
 from vstestbed.camera import Frame, Look
-from vstestbed.geometry import Array, inverse
+from vstestbed.geometry import Array, adjoint, inverse
+from vstestbed.motion import Path
 from vstestbed.observation import Encoders
 from vstestbed.sim.base import Aloft, Eyes, Truth
 from vstestbed.sim.exposure import Exposure
 from vstestbed.sim.leader import Leader
+from vstestbed.sim.noise import NO_DRIFT, Drift
 from vstestbed.sim.senses import Senses
 from vstestbed.sim.stage import Stage
 from vstestbed.sim.weather import Weather
@@ -35,10 +37,22 @@ class MujocoPlant:
     Args:
         stage: the scene. steps_per_frame: physics steps between pictures.
         eye: makes the pictures; None where no detector needs them. see_hidden: cast rays for the truth's `hidden`.
-        rng: noise of the robot's own sensors.
+        rng: noise of the robot's own sensors. path: where a target that moves by itself is at a time, None for any other.
+        drift: of the camera's gains.
     """
 
-    def __init__(self, stage: Stage, steps_per_frame: int, eye: Eyes | None, see_hidden: bool, rng: np.random.Generator):
+    def __init__(
+        self,
+        stage: Stage,
+        steps_per_frame: int,
+        eye: Eyes | None,
+        see_hidden: bool,
+        rng: np.random.Generator,
+        path: Path | None = None,
+        drift: Drift = NO_DRIFT,
+    ):
+        self._path, self._drift = path, drift
+        self._scenery = bool(stage.parts.world.plates or stage.parts.world.decoys or path)
         self._stage, self._eye, self._see_hidden = stage, eye, see_hidden
         self._exposure = Exposure(eye) if eye else None
         robot, model = stage.parts.robot, stage.model
@@ -64,7 +78,7 @@ class MujocoPlant:
         self._setpoint: Array | None = None
         self._control_steps = max(1, round((robot.control_period_s or 0.0) / self.step_s)) if robot.control_period_s else 0
         q, T = stage.parts.start
-        stage.place(0.0, self._target.T_world_start, q, T)
+        stage.place(0.0, stage.parts.T_world_target if path is None else path(0.0), q, T)
         self._settle()
         if robot.grounded or self._leader:
             self._stand()
@@ -108,37 +122,45 @@ class MujocoPlant:
     def capture(self, look: Look | None = None) -> tuple[Frame | None, Truth]:
         """The picture, where one is wanted, and the truth, now."""
         truth = self.truth()
-        frame = Frame(self._steps * self.step_s, self._eye.glimpse(look), self._eye.whole) if self._eye else None
+        frame = self._drift.of(Frame(self._steps * self.step_s, self._eye.glimpse(look), self._eye.whole)) if self._eye else None
         return frame, truth
 
-    def _place_plates(self) -> None:
-        stage = self._stage
-        if stage.parts.world.plates:
-            stage.place_plates(self._steps * self.step_s)
+    def _move_scenery(self) -> None:
+        """Put what moves by itself where it is now."""
+        stage, t = self._stage, self._steps * self.step_s
+        if self._scenery:
+            stage.place_plates(t)
+            if self._path is not None:
+                stage.place_target(self._path(t))
             mujoco.mj_kinematics(stage.model, stage.data)
 
     def truth(self) -> Truth:
         """The truth, now."""
         stage = self._stage
-        model, data = stage.model, stage.data
-        self._place_plates()
+        self._move_scenery()
         T, T_target = stage.camera_pose(), stage.target_pose()
         p_camera = self._target.seen_from(inverse(T_target) @ T)
-        mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_SITE, stage.eye, self._velocity, 1)
-        twist = np.concatenate([self._velocity[3:], self._velocity[:3]])
+        twist = self._twist(stage.eye)
+        if stage.parts.held:  # the camera against the target that the hand holds
+            twist = -adjoint(inverse(T) @ T_target) @ self._twist(stage.held_site)
         hidden = stage.hidden(T, p_camera) if self._see_hidden else self._visible
-        q, qd, ctrl = *self._senses.joints(), data.ctrl[self._ctrl]
+        q, qd, ctrl = *self._senses.joints(), stage.data.ctrl[self._ctrl]
         return Truth(T, T_target, twist, q, qd, ctrl, p_camera, hidden, self._touches(), self._aloft())
 
     def expose(self, weight: float, look: Look | None = None) -> None:
         """Let in the light of now, where a detector asks for pictures."""
-        self._place_plates()
+        self._move_scenery()
         if self._exposure is not None:
             self._exposure.add(weight, look)
 
     def developed(self, t: float) -> Frame | None:
         """The picture of what was let in since the last one."""
-        return self._exposure.developed(t) if self._exposure else None
+        return self._drift.of(self._exposure.developed(t)) if self._exposure else None
+
+    def _twist(self, site: int) -> Array:
+        """True twist (6,) of a site in its own frame."""
+        mujoco.mj_objectVelocity(self._stage.model, self._stage.data, mujoco.mjtObj.mjOBJ_SITE, site, self._velocity, 1)
+        return np.concatenate([self._velocity[3:], self._velocity[:3]])
 
     def _touches(self) -> bool:
         data = self._stage.data

@@ -25,8 +25,9 @@ from vstestbed.sim.attach import add_robot, extent_of
 from vstestbed.sim.cube import drawn_for
 from vstestbed.sim.overview import frame_drive, frame_flight
 from vstestbed.sim.paint import add_stripe
+from vstestbed.sim.start import camera_start, target_start
 from vstestbed.sim.world import AWAY, World
-from vstestbed.target import Carried, Disc, Sphere, Square, Stripe, Tag, Target
+from vstestbed.target import Carried, Disc, Held, Sphere, Square, Stripe, Tag, Target
 from vstestbed.vision.tag_print import tag_png
 
 LENS_GROUP, ROBOT_GROUP, TARGET_GROUP, SITE_GROUP = 1, 2, 3, 4
@@ -69,10 +70,20 @@ class Parts:
         return VEHICLES[motion.by]() if isinstance(motion, Carried) else None
 
     @property
+    def held(self) -> bool:
+        """Whether the robot's hand holds the target, and the camera stands in the room."""
+        return isinstance(self.target.motion, Held)
+
+    @property
+    def T_world_target(self) -> Array:
+        """Where the target is at the start (4, 4)."""
+        return target_start(self.robot, self.target)
+
+    @property
     def start(self) -> tuple[Array, Array]:
         """Joints (n,) and the servo camera's pose (4, 4) at the nominal start."""
         configuration = self.robot.configuration()
-        T = self.robot.flange_pose(configuration) @ self.camera.mount.T
+        T = camera_start(self.robot, self.camera, self.target)
         return (np.zeros(len(self.robot.joints)) if self.robot.rides else configuration, T)
 
 
@@ -85,15 +96,35 @@ def compose(parts: Parts) -> mujoco.MjSpec:
     scene.geom("floor").pos = [0, 0, parts.world.floor_z]
     body, T_body_flange = add_robot(scene, parts.robot, "robot/", parts.world.floor_friction)
     housing = 1.0 if parts.robot.model else FREE_HOUSING
-    _add_camera(body, T_body_flange @ parts.camera.mount.T, parts.camera, housing)
-    carrier = add_robot(scene, parts.leader, "leader/", parts.world.floor_friction)[0] if parts.leader else None
-    _add_target(scene, parts.target, carrier)
+    if parts.held:
+        _show_hand(scene)
+        _add_camera(scene.worldbody, parts.camera.mount.T, parts.camera, housing)
+        _add_target(scene, parts.target, body, T_body_flange @ parts.target.pose.T)
+    else:
+        _add_camera(body, T_body_flange @ parts.camera.mount.T, parts.camera, housing)
+        carrier = add_robot(scene, parts.leader, "leader/", parts.world.floor_friction)[0] if parts.leader else None
+        _add_target(scene, parts.target, carrier, parts.target.pose.T)
     _frame_overview(scene, parts)
     for i, plate in enumerate(parts.world.plates):
         holder = scene.worldbody.add_body(name=f"plate_{i}", mocap=True, pos=AWAY, quat=quaternion_wxyz(plate.pose.T[:3, :3]))
         size = [plate.width / 2, plate.height / 2, 0.002]
         _visual(holder, f"plate_{i}", mujoco.mjtGeom.mjGEOM_BOX, size, [0.45, 0.45, 0.47, 1], 0)
+    for i, decoy in enumerate(parts.world.decoys):
+        holder = scene.worldbody.add_body(name=f"decoy_{i}", mocap=True, pos=decoy.xyz)
+        _visual(holder, f"decoy_{i}", mujoco.mjtGeom.mjGEOM_SPHERE, [decoy.radius, 0, 0], [*decoy.color, 1], 0)
     return scene
+
+
+def _show_hand(scene: mujoco.MjSpec) -> None:
+    """A camera in the room sees what a camera at the wrist leaves out of its picture; the drawn camera there is none."""
+    for geom in list(scene.geoms):
+        if geom.group == LENS_GROUP and geom.name.startswith("robot/"):
+            if "camera" in geom.name:
+                for pair in [p for p in scene.pairs if geom.name in (p.geomname1, p.geomname2)]:
+                    scene.delete(pair)
+                scene.delete(geom)
+            else:
+                geom.group = ROBOT_GROUP
 
 
 def _frame_overview(scene: mujoco.MjSpec, parts: Parts) -> None:
@@ -136,12 +167,12 @@ def _add_camera(body: mujoco.MjsBody, T_body_camera: Array, camera: Camera, hous
         _visual(body, name, kind, [x * housing for x in size], [grey, grey, grey, 1], LENS_GROUP, centre, quat_cv)
 
 
-def _add_target(scene: mujoco.MjSpec, target: Target, carrier: mujoco.MjsBody | None) -> None:
+def _add_target(scene: mujoco.MjSpec, target: Target, carrier: mujoco.MjsBody | None, T: Array) -> None:
     """A body with one site and one geom for each marker, and a light grey board behind a square of markers; of lines, their paint.
 
-    It is put where it is told (mocap), or fixed to the vehicle that carries it.
+    It is put where it is told (mocap), or fixed to what carries it, at the pose T (4, 4) there.
     """
-    T, parent = target.pose.T, carrier or scene.worldbody
+    parent = carrier or scene.worldbody
     body = parent.add_body(name="target/frame", mocap=carrier is None, pos=T[:3, 3], quat=quaternion_wxyz(T[:3, :3]))
     marker = target.marker
     if isinstance(target, GroundLines):
@@ -150,6 +181,8 @@ def _add_target(scene: mujoco.MjSpec, target: Target, carrier: mujoco.MjsBody | 
             geom = add_stripe(scene, body, target, i, TARGET_GROUP)
             geom.rgba, geom.material = rgba, paint.name
         return
+    if isinstance(target.motion, Held):
+        body.add_site(name="target/frame", group=SITE_GROUP, size=[0.005] * 3)
     for i, (p, rgb) in enumerate(zip(target.points, target.colors, strict=True)):
         rgba, paint = _paint(scene, i, np.ones(3) if isinstance(marker, Tag) else rgb, marker.lit)
         if isinstance(marker, Tag):

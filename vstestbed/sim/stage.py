@@ -11,7 +11,7 @@ from vstestbed.geometry import Array, inverse, quaternion_wxyz
 from vstestbed.sim.contexts import Physics
 from vstestbed.sim.roots import Root
 from vstestbed.sim.scene import LENS_GROUP, Parts, compose
-from vstestbed.sim.world import plate_position
+from vstestbed.sim.world import decoy_path, plate_path
 from vstestbed.target import Sphere
 
 
@@ -34,13 +34,17 @@ class Stage:
         self.root = Root(self.model, "robot/") if parts.robot.rides else None
         self.leader = Root(self.model, "leader/") if parts.leader else None
         self._T_target_leader = inverse(parts.target.pose.T)
-        self._plates = [self.model.body(f"plate_{i}").mocapid[0] for i in range(len(parts.world.plates))]
+        world = parts.world
+        self._plate_paths = [*map(plate_path, world.plates), *map(decoy_path, world.decoys)]
+        names = [f"plate_{i}" for i in range(len(world.plates))] + [f"decoy_{i}" for i in range(len(world.decoys))]
+        self._plates = [self.model.body(name).mocapid[0] for name in names]
         self._free = self.model.body("robot/camera").mocapid[0] if parts.robot.model is None else None
         self.eye = self.model.site("eye").id
         actuators = [self.model.actuator(f"robot/{name}").id for name in parts.robot.actuators]
         self._rest = parts.robot.rest_ctrl()
         self._ctrl = self.model.actuator_ctrladr[actuators]
         self.rotors = self.model.actuator_actadr[actuators] if self._rest is not None else np.zeros(0, dtype=int)
+        self.held_site = self.model.site("target/frame").id if parts.held else -1
         joints = [self.model.joint(f"robot/{name}") for name in parts.robot.joints]
         self.qpos = np.array([j.qposadr[0] for j in joints], dtype=int)
         self.qvel = np.array([j.dofadr[0] for j in joints], dtype=int)
@@ -76,7 +80,9 @@ class Stage:
         return self._T_target_leader
 
     def place_target(self, T: Array) -> None:
-        """Put the target at a pose (4, 4), with the vehicle that carries it."""
+        """Put the target at a pose (4, 4), with the vehicle that carries it; what the hand holds is where the joints put it."""
+        if self.parts.held:
+            return
         if self.leader is not None:
             self.leader.put(self.data.qpos, T @ self._T_target_leader)
             return
@@ -85,9 +91,11 @@ class Stage:
         self.data.mocap_quat[mocap] = quaternion_wxyz(T[:3, :3])
 
     def place_plates(self, t: float) -> None:
-        """Put the plates where they are at a time [s]."""
-        for plate, mocap in zip(self.parts.world.plates, self._plates, strict=True):
-            self.data.mocap_pos[mocap] = plate_position(plate, t)
+        """Put the plates and decoys where they are at a time [s]."""
+        for path, mocap in zip(self._plate_paths, self._plates, strict=True):
+            T = path(t)
+            self.data.mocap_pos[mocap] = T[:3, 3]
+            self.data.mocap_quat[mocap] = quaternion_wxyz(T[:3, :3])
 
     def target_pose(self) -> Array:
         """Pose (4, 4) of the target in the world."""
@@ -123,7 +131,7 @@ class Stage:
     def start_qpos(self) -> Array:
         """MuJoCo's whole state of positions (nq,) at the nominal start."""
         q, T = self.parts.start
-        self.place(0.0, self.parts.target.T_world_start, q, T)
+        self.place(0.0, self.parts.T_world_target, q, T)
         self.rest()
         return self.data.qpos.copy()
 

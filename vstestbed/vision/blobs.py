@@ -14,6 +14,7 @@ from vstestbed.spec import spec
 from vstestbed.target import Target
 from vstestbed.vision.base import Detection, TruthView
 from vstestbed.vision.find import Blob, Image, find_blobs, noise_level
+from vstestbed.vision.match import choose
 from vstestbed.vision.measure import Measure
 from vstestbed.vision.track import BlobsMemory, at_border, hand_over, largest, look_of, moves_of, windows
 
@@ -34,7 +35,9 @@ class Blobs:
     where the panels overlap it counts once. What is reported are images of marker centres: the centroid less perspective's bias, from
     the pose that the markers themselves give. A blob is not reported if it touches the picture's border, if its shape
     is not an ellipse's, or if its area is not what the pose makes expect (something stands before it); the worst such
-    marker is left out and the pose solved anew until all fit. Three markers and no pose before: of the poses they leave,
+    marker is left out and the pose solved anew until all fit. Nor is a blob reported that is far from where the pose of the others
+    has its marker: a thing of the marker's colour somewhere else; of several of one hue, that is taken which one pose of the
+    target explains together with the others (`match.choose`). Three markers and no pose before: of the poses they leave,
     the one whose areas fit best. Fewer than three: border and shape alone decide, and the bias is that of the last pose.
 
     A picture's noise is estimated from the picture (`noise_level`: 0 for a rendered one without noise). Where there is
@@ -87,12 +90,13 @@ class Blobs:
         if frame is None or all(image is None for image in frame.images):
             raise ParameterError("frame", "is missing: detector blobs needs a picture; use detector oracle where there is none")
         noise = max(noise_level(image) for image in frame.images if image is not None)
-        found = self._track(frame, noise, memory, camera, target) or self._search(frame, noise, camera, target)
+        found = self._track(frame, noise, memory, camera, target) or self._search(frame, noise, memory, camera, target)
         blobs, panels = [f[1] if f else None for f in found], [f[0] if f else 0 for f in found]
         edge = EDGE_PX if noise > 0 or _smooth(camera.panels[0].lens) else 0.0
         measure = Measure(camera, target, panels, self.area_tolerance, edge)
         uv, T, bias = measure.centres(blobs, memory, self.correct_centre)
         kept = T if T is not None else memory.T_camera_target
+        blobs = [None if alien else b for b, alien in zip(blobs, measure.aliens, strict=True)]
         after = BlobsMemory(tuple(blobs), moves_of(memory, blobs, panels, camera), kept, bias, tuple(panels))
         if len(camera.panels) > 1:
             after = hand_over(after, camera, self.window_margin_px)
@@ -122,15 +126,21 @@ class Blobs:
             found.append((panel, blob))
         return found
 
-    def _search(self, frame: Frame, noise: float, camera: Camera, target: Target) -> list[Found]:
-        """Each marker's blob in whole pictures: of those with its hue, whole ones first, the largest."""
+    def _search(self, frame: Frame, noise: float, memory: BlobsMemory, camera: Camera, target: Target) -> list[Found]:
+        """Each marker's blob in whole pictures: of those with its hue the one that the target's geometry asks for.
+
+        In a camera with panels, whole ones first, the largest.
+        """
         found: list[tuple[int, Blob]] = []
         for panel, image in enumerate(frame.images):
             if image is not None:
                 lens = camera.panels[panel].lens
                 found += [(panel, b) for b in self._look(image, (0, 0, lens.width, lens.height), noise, lens)]
         hues = target.hues_deg
-        return [largest([f for f in found if self._is_of(f[1], hue, len(hues))], camera) for hue in hues]
+        mine = [[f for f in found if self._is_of(f[1], hue, len(hues))] for hue in hues]
+        if len(camera.panels) == 1 and any(len(some) > 1 for some in mine):
+            return list(choose(mine, camera, target, memory.T_camera_target))
+        return [largest(some, camera) for some in mine]
 
     def _is_of(self, blob: Blob, hue_deg: float, n_hues: int) -> bool:
         """Whether a blob has a marker's hue."""

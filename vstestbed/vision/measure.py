@@ -7,10 +7,11 @@ import math
 import numpy as np
 
 from vstestbed.camera import Camera
-from vstestbed.geometry import Array
+from vstestbed.geometry import Array, transform
 from vstestbed.target import Target
 from vstestbed.vision.centre import ball_bias, centre_bias
 from vstestbed.vision.find import Blob
+from vstestbed.vision.match import allowed_px
 from vstestbed.vision.pose import solve_pose_from_rays, three_ray_poses
 from vstestbed.vision.track import BlobsMemory
 
@@ -36,6 +37,8 @@ class Measure:
     def __init__(self, camera: Camera, target: Target, panels: list[int], area_tolerance: float, edge: float):
         self._camera, self._target, self._tolerance, self._edge = camera, target, area_tolerance, edge
         self._of = None if len(camera.panels) == 1 else np.array(panels)
+        self.aliens = np.zeros(len(target.points), dtype=bool)
+        """Which blobs are no markers of this target: the pose of the others rules them out, (N,)."""
 
     def centres(self, blobs: list[Blob | None], memory: BlobsMemory, correct: bool) -> tuple[Array, Array | None, Array]:
         """Marker centres (N, 2) in the camera's own pixels, the pose (4, 4), and perspective's bias (N, 2) in the panels'.
@@ -53,6 +56,11 @@ class Measure:
                 break
             bias, expected = self._expected(T)
             worst, misfit = self._worst(area, expected)
+            found = self._outlier(T, centroid, bias, area, memory.T_camera_target, misfit)
+            if found is not None:
+                worst, T, assumed = found
+                centroid[worst] = area[worst] = np.nan
+                continue
             if misfit > 1:
                 centroid[worst] = area[worst] = np.nan
             elif not np.abs(bias - assumed).max() > SAME_BIAS_PX:
@@ -65,6 +73,52 @@ class Measure:
             assumed = self._expected(memory.T_camera_target)[0]
         uv = centroid - assumed if correct else centroid
         return (uv if self._of is None else self._camera.project(self._rays(uv))), T, assumed
+
+    def _outlier(
+        self, T: Array, centroid: Array, bias: Array, area: Array, previous: Array | None, misfit: float
+    ) -> tuple[int, Array, Array] | None:
+        """The blob that does not belong to the others, with their pose and bias, where the pose of all explains them badly.
+
+        That one is left out whose others agree best: in place and, since three points always do, in area. Four blobs of which
+        one is elsewhere may have a pose that nearly fits their places, but hardly one that fits their areas too.
+        """
+        seen = np.flatnonzero(np.isfinite(centroid[:, 0]))
+        if self._of is not None or len(seen) < 4:
+            return None
+        allowed = allowed_px(centroid)
+        if misfit <= 1 and self._off(T, centroid, bias)[seen].max() <= allowed:
+            return None
+        best, found = math.inf, None
+        for i in seen.tolist():
+            others, left = centroid.copy(), area.copy()
+            others[i] = left[i] = np.nan
+            pose = self._of_others(others - bias, left, previous)
+            if pose is None:
+                continue
+            there, expected = self._expected(pose)
+            surprise = float(np.nanmean(np.abs(np.log(left / expected)))) / SURPRISE
+            score = surprise + float(np.nanmax(self._off(pose, others, there))) / allowed
+            if score < best:
+                best, found = score, (i, pose, there)
+        if found is not None:
+            self.aliens[found[0]] = self._off(found[1], centroid, found[2])[found[0]] > allowed
+        return found
+
+    def _of_others(self, uv: Array, area: Array, previous: Array | None) -> Array | None:
+        """The pose of blobs without one; of three the one that continues the last pose, unless their areas ask for another."""
+        seen = np.isfinite(uv[:, 0])
+        pose = self._pose(uv, area, previous)
+        if np.count_nonzero(seen) > 3 or (pose is not None and self._surprise(pose, area) < SURPRISE):
+            return pose
+        return self._first_of_three(self._rays(uv[seen]), area)
+
+    def _surprise(self, T: Array, area: Array) -> float:
+        return float(np.nansum(np.abs(np.log(area / self._expected(T)[1]))))
+
+    def _off(self, T: Array, centroid: Array, bias: Array) -> Array:
+        """How far each centroid (N, 2) is from where a pose has it, (N,) [px]."""
+        uv = self._camera.project(transform(T, self._target.points)) + bias
+        return np.linalg.norm(centroid - uv, axis=1)
 
     def _expected(self, T_camera_target: Array) -> tuple[Array, Array]:
         """Perspective's bias (N, 2) [px] and the area (N,) [px^2] of each marker in its panel."""
@@ -115,13 +169,9 @@ class Measure:
 
     def _first_of_three(self, rays: Array, area: Array) -> Array | None:
         """Of the poses that rays (3, 3) leave, the one that makes the areas (N,) least surprising; None if even that does not fit."""
-
-        def surprise(T: Array) -> float:
-            return float(np.nansum(np.abs(np.log(area / self._expected(T)[1]))))
-
         poses = three_ray_poses(rays, self._target.points[np.isfinite(area)])
-        best = min(poses, key=surprise, default=None)
-        return best if best is not None and surprise(best) < SURPRISE else None
+        best = min(poses, key=lambda T: self._surprise(T, area), default=None)
+        return best if best is not None and self._surprise(best, area) < SURPRISE else None
 
     def _worst(self, area: Array, expected: Array) -> tuple[int, float]:
         """Which area (N,) is farthest from the expected one, and by how much, in units of what is allowed; unseen ones are not."""

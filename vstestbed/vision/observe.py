@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -14,8 +14,8 @@ from vstestbed.camera.base import FORWARD_COSINE
 from vstestbed.errors import ParameterError
 from vstestbed.geometry import Array, adjoint, all_finite, exp, inverse, transform
 from vstestbed.ground import arc, composed, place_of, pose_on_ground, wrapped
-from vstestbed.observation import AtGoal, Constant, Depth, Estimate, Goal, Observation, OnFloor, OracleDepth, PnP
-from vstestbed.target import Carried, Still, Target
+from vstestbed.observation import AtGoal, Constant, Depth, Estimate, Goal, Observation, OnFloor, OracleDepth, OwnMotion, PnP
+from vstestbed.target import Held, Target
 from vstestbed.vision.base import Detection
 from vstestbed.vision.believed import pose_by_depth
 from vstestbed.vision.derotate import NO_TRIM, Derotation, Trim, level_from_tilt, level_rays, trimmed
@@ -57,6 +57,7 @@ class Observer:
         goal: the goal view.
         depth: where depths come from.
         pixel_sigma_px: standard deviation of the noise added to every measured coordinate, whatever detected it [px].
+        dropout: probability of each marker in each picture not to be reported.
         wanted: fields of the observation that the law looks at: `ray`, `relative` and a pose that the detector has not
             solved are made only where they are wanted.
         grounded: the robot is a vehicle on the floor; its place is told where the target stands still.
@@ -70,6 +71,7 @@ class Observer:
     goal: Goal
     depth: Depth
     pixel_sigma_px: float = 0.0
+    dropout: float = 0.0
     wanted: tuple[str, ...] = ()
     grounded: bool = False
     derotation: Derotation = "none"
@@ -83,7 +85,8 @@ class Observer:
 
     def uses_motion(self, detection: Detection) -> bool:
         """Whether `observe` will look at the twist: to estimate depth, or to carry the pose on where markers are missing."""
-        return self.grounded or "twist" in self.wanted or isinstance(self.depth, Estimate) or not all_finite(detection.uv)
+        guess = isinstance(self.depth, Estimate) or self.dropout > 0 or not all_finite(detection.uv)
+        return guess or self.grounded or "motion" in self.wanted
 
     def observe(
         self,
@@ -94,6 +97,7 @@ class Observer:
         rng: np.random.Generator,
         compass: float | None = None,
         tilt: Array | None = None,
+        own: OwnMotion | None = None,
     ) -> tuple[ObserverMemory, Observation]:
         """What a law may know of one frame.
 
@@ -109,13 +113,12 @@ class Observer:
             rng: draws the pixel noise.
             compass: a vehicle's heading as its compass has it [rad]; None without one.
             tilt: a craft's roll and pitch (2,) as it estimates them at the exposure [rad]; None for what cannot tilt.
+            own: the camera's own motion, told on to a law that asks for it.
 
         Raises:
             ParameterError: the oracle's depth is asked for and the detector is not the oracle.
         """
-        uv, T = detection.uv, detection.T_camera_target
-        if self.pixel_sigma_px > 0:
-            uv = uv + rng.normal(0.0, self.pixel_sigma_px, uv.shape)
+        uv, T = self._reported(detection, rng)
         xy, flow = self.camera.normalise(uv), memory.flow
         solve = self._poses and (T is None or self.pixel_sigma_px > 0)
         turned = tilt if self.derotation != "none" else None
@@ -132,28 +135,50 @@ class Observer:
                 share = 0.0 if math.isnan(memory.t) else 1 - math.exp(-(t - memory.t) / self.trim_s)
                 trim = trimmed(trim, turned, T, self.goal.T_camera_target, self.camera.mount.T[:3, :3], share)
             turned = turned + trim.angles
-            ray, xy, depth, T, twist = self._level(ray, reach, depth, T, twist, turned)
+            R = level_from_tilt(turned, self.camera.mount.T[:3, :3])
+            ray, xy, depth, T = self._level(ray, reach, depth, T, turned, R)
+            twist = _turned(R, twist)
+            own = own and replace(own, twist=twist, moved=_turned(R, own.moved))
         relative = relative_view(self.goal.xy, xy, self.goal.normal) if "relative" in self.wanted else None
-        place, odometry = memory.place, memory.odometry
-        if odometry is not None:
-            step = np.zeros(3) if np.isnan(memory.t) else arc(self._to_base @ twist, t - memory.t)
-            odometry = composed(odometry, step)
-            trust = -np.expm1([(memory.t - t) / tau for tau in (COMPASS_S, LANDMARKS_S)])
-            place = self._place(None if place is None else composed(place, step), T if fresh else None, compass, trust)
-        pose = T if fresh or self._stays else None
-        if self.depth_scale is not None:
-            depth, reach = depth * self.depth_scale, None if reach is None else reach * self.depth_scale
-            pose = None if pose is None else pose_by_depth(pose, self.target.points, self.depth_scale)
+        odometry, place = self._driven(memory, t, twist, T if fresh else None, compass)
+        depth, reach, pose = self._scaled(depth, reach, T if fresh or self._stays else None)
         told = (ray, reach) if self._rays else (None, None)
-        moving = twist if "twist" in self.wanted else None
-        seen = Observation(t, uv, xy, depth, pose, *told, relative, odometry, place, moving)
+        seen = Observation(t, uv, xy, depth, pose, *told, relative, odometry, place, own if "motion" in self.wanted else None)
         return ObserverMemory(t, carried, flow, place, odometry, trim), seen
 
+    def _reported(self, detection: Detection, rng: np.random.Generator) -> tuple[Array, Array | None]:
+        """The detection's pixels (N, 2), some dropped and with noise, and its pose if it has one that all of them stand behind."""
+        uv, T = detection.uv, detection.T_camera_target
+        if self.dropout > 0:
+            dropped = rng.random(len(uv)) < self.dropout
+            uv, T = np.where(dropped[:, None], np.nan, uv), None if dropped.any() else T
+        if self.pixel_sigma_px > 0:
+            uv = uv + rng.normal(0.0, self.pixel_sigma_px, uv.shape)
+        return uv, T
+
+    def _scaled(self, depth: Array, reach: Array | None, pose: Array | None) -> tuple[Array, Array | None, Array | None]:
+        """Depths, ranges and pose as a scenario tells them wrong."""
+        scale = self.depth_scale
+        if scale is None:
+            return depth, reach, pose
+        wrong = None if pose is None else pose_by_depth(pose, self.target.points, scale)
+        return depth * scale, None if reach is None else reach * scale, wrong
+
+    def _driven(
+        self, memory: ObserverMemory, t: float, twist: Array, T: Array | None, compass: float | None
+    ) -> tuple[Array | None, Array | None]:
+        """A vehicle's odometry and its place, with T_camera_target (4, 4) where it is seen; None for other robots."""
+        if memory.odometry is None:
+            return None, memory.place
+        step = np.zeros(3) if np.isnan(memory.t) else arc(self._to_base @ twist, t - memory.t)
+        trust = -np.expm1([(memory.t - t) / tau for tau in (COMPASS_S, LANDMARKS_S)])
+        before = None if memory.place is None else composed(memory.place, step)
+        return composed(memory.odometry, step), self._place(before, T, compass, trust)
+
     def _level(
-        self, ray: Array, reach: Array | None, depth: Array, T: Array | None, twist: Array, tilt: Array
-    ) -> tuple[Array, Array, Array, Array | None, Array]:
-        """Rays, normalised coordinates, depths, pose and twist in the level camera's frame. Constant depths stay as they are."""
-        R = level_from_tilt(tilt, self.camera.mount.T[:3, :3])
+        self, ray: Array, reach: Array | None, depth: Array, T: Array | None, tilt: Array, R: Array
+    ) -> tuple[Array, Array, Array, Array | None]:
+        """Rays, normalised coordinates, depths and pose in the level camera's frame. Constant depths stay as they are."""
         ray = level_rays(ray, tilt, self.camera, self.derotation)
         ahead = ray[:, 2:]
         xy = ray[:, :2] / np.where(ahead > FORWARD_COSINE, ahead, np.nan)
@@ -163,7 +188,7 @@ class Observer:
             T = turned @ T
         if not isinstance(self.depth, Constant | AtGoal) and reach is not None:
             depth = reach * ray[:, 2]
-        return ray, xy, depth, T, np.concatenate([R @ twist[:3], R @ twist[3:]])
+        return ray, xy, depth, T
 
     @property
     def _rays(self) -> bool:
@@ -179,8 +204,8 @@ class Observer:
 
     @property
     def _stays(self) -> bool:
-        """Whether a pose may be carried on: that of a target that another vehicle carries is known only while it is seen."""
-        return not isinstance(self.target.motion, Carried)
+        """Whether a pose may be carried on by the camera's own motion: where a target goes that moves is known only while it is seen."""
+        return not self.target.moves or isinstance(self.target.motion, Held)
 
     @cached_property
     def _to_base(self) -> Array:
@@ -194,7 +219,7 @@ class Observer:
         Both are carried on by the encoders and drawn to what is seen and read, with time constants LANDMARKS_S and COMPASS_S, of
         which `trust` (2,) is what a frame makes, compass first: biases stay, noise less so.
         """
-        if not isinstance(self.target.motion, Still):
+        if self.target.moves:
             return None
         seen = None if T is None else self.target.pose.T @ inverse(T)
         mount = self.camera.mount.T
@@ -260,3 +285,7 @@ class Observer:
                 raise ParameterError("depth", "oracle is only with detector {kind: oracle}; valid here: pnp, constant, goal, estimate")
             case _:
                 raise ParameterError("memory", "does not belong to this depth; begin with Observer.init()")
+
+
+def _turned(R: Array, twist: Array) -> Array:
+    return np.concatenate([R @ twist[:3], R @ twist[3:]])
