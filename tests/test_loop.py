@@ -268,7 +268,7 @@ class TestTruthFence:
 
     def test_only_the_loop_opens_the_fence_and_only_for_the_oracle(self):
         opened = {f.name for f in PACKAGE.rglob("*.py") if "TruthView" in self.spoken(ast.parse(f.read_text()))}
-        assert opened == {"loop.py"}
+        assert opened == {"servo.py"}
         detectors = [vs.load("arm_ibvs", {"detector": kind}).detector for kind in ("blobs", "oracle")]
         assert [d.needs_truth for d in detectors] == [False, True]
 
