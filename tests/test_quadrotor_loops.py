@@ -9,6 +9,7 @@ import vstestbed as vs
 from vstestbed.errors import ScenarioError
 from vstestbed.goal import GoalLanding
 from vstestbed.robots.rotors import HOVER
+from vstestbed.sim.plant import MujocoPlant
 from vstestbed.stop import Outcome
 from vstestbed.touchdown import Touchdown
 
@@ -96,10 +97,37 @@ def test_one_seed_one_flight():
     assert np.abs(a["wind_x"]).max() > 0
 
 
-@pytest.mark.study
-@pytest.mark.parametrize("seed", range(20))
-def test_it_lands_on_a_moving_car(seed):
-    speed = (0.5, 0.75, 1.0)[seed % 3]
-    r = vs.run(vs.load("quadrotor_land", {"target.motion.speed_mps": speed}).randomised(seed))
-    print(seed, speed, r.outcome.name, r.reason)
-    assert r.outcome is Outcome.landed
+HIGH = {"detector.field_of_view": "unlimited", "robot.start.nominal.yaw_deg": 90, "stop.lost_after_s": 2.0}
+
+
+def test_a_blow_that_overturns_it_ends_the_task_and_it_sets_down(monkeypatch):
+    """At 1 s something hits a leg: the craft rolls over; it levels, sinks and stands before the run ends."""
+    blows = []
+    truth = MujocoPlant.truth
+
+    def struck(plant: MujocoPlant):
+        if not blows and plant._stage.data.time > 1.0:
+            blows.append(plant._stage.data.time)
+            plant._stage.data.qvel[3] += 9.0  # rad/s about its x axis
+        return truth(plant)
+
+    monkeypatch.setattr(MujocoPlant, "truth", struck)
+    start = {"robot.start.nominal.xyz": [0, 0, 4], "goal.T_camera_target.xyz": [0, 0, 3.89], "stop.duration_s": 40}
+    r = vs.run(vs.load("quadrotor_hover", ORACLE | HIGH | start))
+    assert r.outcome is Outcome.overturned, r.reason
+    assert "set down" in r.reason
+    tilt = np.degrees(np.hypot(r["fly_roll"], r["fly_pitch"]))
+    assert tilt.max() > 60
+    assert tilt[-25:].max() < 5
+    assert r["cam_z"][-1] == pytest.approx(0.172, abs=0.01)
+
+
+def test_a_draught_that_the_rotors_cannot_carry_ends_the_task_and_it_sets_down():
+    """For 5 s the air falls with up to 20 m/s: drag and weight are more than four rotors at 1000 rad/s lift."""
+    start = {"robot.start.nominal.xyz": [0, 0, 20], "goal.T_camera_target.xyz": [0, 0, 19.89], "stop.duration_s": 90}
+    draught = {"world.wind": {"gusts": [{"from_s": 0.5, "duration_s": 5, "velocity_mps": [0, 0, -20]}]}}
+    r = vs.run(vs.load("quadrotor_hover", ORACLE | HIGH | start | draught))
+    assert r.outcome is Outcome.rotor_limit, r.reason
+    assert "set down" in r.reason
+    assert max(r[f"speed_rotor_{name}"].max() for name in ("front", "left", "back", "right")) > 990
+    assert r["cam_z"][-1] == pytest.approx(0.172, abs=0.01)

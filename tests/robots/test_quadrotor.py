@@ -39,6 +39,12 @@ class TestBlock:
         assert q[:, 2].min() == pytest.approx(STANDING_M)
         assert np.all(np.ptp(q[:, [0, 1, 3]], axis=0) > [3.8, 1.9, 6.0])
 
+    def test_a_box_may_have_a_middle_of_its_own(self):
+        box = FlightBox(xyz=(1, 1, 1), about=FlightPose(xyz=(5, 6, 7)))
+        robot = Quadrotor(start=FlightStart(random=box)).randomised(np.random.default_rng(0))
+        assert np.all(np.abs(robot.configuration()[:3] - [5, 6, 7]) <= 1)
+        assert robot.start.random == box  # drawn again, it is drawn from the same box
+
     def test_no_box_no_random_start(self):
         with pytest.raises(ParameterError, match="random"):
             Quadrotor().randomised(np.random.default_rng(0))

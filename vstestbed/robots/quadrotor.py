@@ -33,6 +33,8 @@ STANDING_M = 0.172
 """Height of the centre over the ground when the craft stands on its feet [m]."""
 STANDING_MARGIN_M = 0.05
 """A range within it of the legs' says that the feet are down: the range finder's noise and a few degrees of tilt [m]."""
+STANDING_COSINE = math.cos(math.radians(30))
+"""What leans more does not stand."""
 HOLD = np.zeros(4)
 """The setpoint that levels the craft and holds it where it is."""
 ROTORS_OFF = np.array([0.0, 0.0, -math.inf, 0.0])
@@ -54,10 +56,11 @@ class FlightPose:
 
 @spec
 class FlightBox:
-    """Half widths of a box of starts round the nominal one: along world axes [m], in heading [deg]."""
+    """Half widths of a box of starts: along world axes [m], in heading [deg]; `about` is its middle, else the nominal start."""
 
     xyz: Triple = (0.0, 0.0, 0.0)
     yaw_deg: Annotated[float, Ge(0)] = 0.0
+    about: FlightPose | None = None
 
 
 @spec
@@ -167,8 +170,9 @@ class Quadrotor:
         box = self.start.random
         if box is None:
             raise ParameterError("robot.start.random", "is missing: a seed draws the start from it, e.g. {xyz: [2, 2, 1], yaw_deg: 180}")
-        xyz = np.array(self.start.nominal.xyz) + rng.uniform(-1, 1, 3) * box.xyz
-        yaw = self.start.nominal.yaw_deg + float(rng.uniform(-1, 1)) * box.yaw_deg
+        middle = box.about or self.start.nominal
+        xyz = np.array(middle.xyz) + rng.uniform(-1, 1, 3) * box.xyz
+        yaw = middle.yaw_deg + float(rng.uniform(-1, 1)) * box.yaw_deg
         x, y, z = xyz.tolist()
         nominal = FlightPose(xyz=(x, y, max(z, STANDING_M)), yaw_deg=yaw)
         return replace(self, start=FlightStart(nominal=nominal, random=box))
@@ -195,7 +199,7 @@ class Quadrotor:
             "gyro": perfect["gyro"] + e[0:3],
             "accelerometer": perfect["accelerometer"] + e[3:6],
             "velocity": perfect["velocity"] * (1.0 + self.velocity.scale_error) + e[6:9],
-            "range": perfect["range"] + e[9:],
+            "range": np.where(perfect["range"] < 0, math.inf, perfect["range"] + e[9:]),  # MuJoCo tells -1 where nothing is met
         }
         return Encoders(raw.q, raw.qd, told)
 
@@ -258,12 +262,13 @@ class Quadrotor:
         return Flight(attitude, ground, loops, W, rates, True, memory.limited_s + dt if mixed.cut else 0.0), np.array(orders)
 
     def stands(self, memory: Flight, encoders: Encoders) -> bool:
-        """Whether the craft stands on something, by its own instruments: near the ground, rotors under .9 of the weight.
+        """Whether the craft stands on something, by its own instruments: upright, near the ground, rotors under .9 of the weight.
 
         They do so soon after touch-down in a descent: it does not sink as ordered, so the climb loop takes thrust away.
         """
+        upright = math.cos(memory.attitude.roll) * math.cos(memory.attitude.pitch) > STANDING_COSINE
         near = float(encoders.instruments["range"][0]) < STANDING_M + STANDING_MARGIN_M
-        return near and sum(memory.W) < 4 * 0.9 * HOVER
+        return upright and near and sum(memory.W) < 4 * 0.9 * HOVER
 
     def reported(self, memory: Flight, encoders: Encoders) -> Mapping[str, Array]:
         """What the craft tells of its flight, by its own estimate, to put beside the raw readings.
