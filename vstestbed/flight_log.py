@@ -17,14 +17,16 @@ from vstestbed.sim.base import Truth
 def flight_columns(scenario: Scenario) -> tuple[str, ...]:
     """Names of a flight's columns; none where nothing flies.
 
-    `fly_roll`, `fly_pitch` [rad], `fly_vx`, `fly_vy`, `fly_vz` (level frame) [m/s]: the craft's own estimate; `level_error_px`: as
+    `fly_roll`, `fly_pitch` [rad], `fly_vx`, `fly_vy`, `fly_vz` (level frame) [m/s], `fly_wx`, `fly_wy`, `fly_wz` (body) [rad/s]: the
+    craft's own estimate; `ask_roll`, ..., `ask_wz`: what its velocity loop and its attitude loop ask for; `level_error_px`: as
     `error_px`, of what the law is given, the picture turned level as the scenario derotates; `wind_x`, ... in the world [m/s];
     `speed_NAME`: of each rotor [rad/s]; `pilot`: 0 follows the law, 1 holds, 2 sinks, 3 rotors off.
     """
     if not scenario.robot.feet:
         return ()
-    estimate = ("fly_roll", "fly_pitch", "fly_vx", "fly_vy", "fly_vz", "level_error_px", "wind_x", "wind_y", "wind_z")
-    return (*estimate, *(f"speed_{name}" for name in scenario.robot.actuators), "pilot")
+    estimate = ("fly_roll", "fly_pitch", "fly_vx", "fly_vy", "fly_vz", "fly_wx", "fly_wy", "fly_wz")
+    asked = ("ask_roll", "ask_pitch", "ask_wx", "ask_wy", "ask_wz")
+    return (*estimate, *asked, "level_error_px", "wind_x", "wind_y", "wind_z", *(f"speed_{name}" for name in scenario.robot.actuators), "pilot")
 
 
 def flight_row(scenario: Scenario, encoders: Encoders, truth: Truth, seen: Observation, goal: Goal, pilot: Pilot) -> Array:
@@ -35,7 +37,8 @@ def flight_row(scenario: Scenario, encoders: Encoders, truth: Truth, seen: Obser
     velocity = level(up).to_level(tuple(told["flown_velocity"].tolist()))
     wind, act = (aloft.wind, aloft.act) if aloft else (np.full(3, np.nan), np.full(len(scenario.robot.actuators), np.nan))
     error = level_error(scenario, seen, goal)
-    return np.array([roll, pitch, *velocity, error, *wind, *np.sqrt(np.maximum(act, 0.0)), pilot.mode])
+    loops = told["flown_rates"], told["asked_tilt"], told["asked_rates"]
+    return np.array([roll, pitch, *velocity, *np.concatenate(loops), error, *wind, *np.sqrt(np.maximum(act, 0.0)), pilot.mode])
 
 
 def level_error(scenario: Scenario, seen: Observation, goal: Goal) -> float:

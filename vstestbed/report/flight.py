@@ -1,4 +1,4 @@
-"""Figures over time of a flight: velocity ordered and flown, tilt, rotors, wind."""
+"""Figures over time of a flight: how velocity, attitude and rates follow what is asked of them; rotors, wind."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ def velocity(tracks: Tracks) -> Figure | None:
 
 
 def tilt(tracks: Tracks) -> Figure | None:
-    """Roll and pitch: true (pale band) and as the craft estimates them (thin line)."""
-    told, camera = tracks.columns("fly_roll", "fly_pitch"), tracks.setting.camera
+    """Roll and pitch: true (pale band), as the craft estimates them (thin line) and as its velocity loop asks for them (dotted)."""
+    told, asked, camera = tracks.columns("fly_roll", "fly_pitch"), tracks.columns("ask_roll", "ask_pitch"), tracks.setting.camera
     if camera is None or not np.isfinite(told).any():
         return None
     true = _tilt_of(tracks.poses("cam") @ inverse(camera.mount.T))
@@ -50,10 +50,28 @@ def tilt(tracks: Tracks) -> Figure | None:
     for i in range(2):
         axes.plot(tracks.t, np.degrees(true[:, i]), color=LINE_COLORS[i], **BAND)
         axes.plot(tracks.t, np.degrees(told[:, i]), color=LINE_COLORS[i], linewidth=1.0)
+        axes.plot(tracks.t, np.degrees(asked[:, i]), color=LINE_COLORS[i], linewidth=1.0, linestyle=":")
     axes.set_ylabel("tilt [deg]")
     shade_lost(axes, tracks)
     time_axis(axes, tracks)
     figure.legend(handles=line_keys(["roll", "pitch"]), loc="outside lower center", ncols=2)
+    return figure
+
+
+def rates(tracks: Tracks) -> Figure | None:
+    """Body rates: asked for by the attitude loop (thin line) and flown, by the gyro less its bias (pale band)."""
+    flown, asked = (tracks.columns(*(f"{what}_{name}" for name in ("wx", "wy", "wz"))) for what in ("fly", "ask"))
+    if not np.isfinite(flown).any():
+        return None
+    figure = new_figure(4.4)
+    grid = figure.subplots(3, 1, sharex=True)
+    for i, axes in enumerate(grid):
+        axes.axhline(0, color=RULE, linewidth=0.8)
+        axes.plot(tracks.t, np.degrees(flown[:, i]), color=LINE_COLORS[i], **BAND)
+        axes.plot(tracks.t, np.degrees(asked[:, i]), color=LINE_COLORS[i], linewidth=1.0)
+        axes.set_ylabel(f"{('roll', 'pitch', 'yaw')[i]} [deg/s]")
+        shade_lost(axes, tracks)
+    time_axis(grid[-1], tracks)
     return figure
 
 

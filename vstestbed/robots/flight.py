@@ -77,6 +77,8 @@ class Loops(NamedTuple):
         rate_trim: the rate loop's integral (2,) [rad/s^2].
         yaw_rate: the yaw order, its slope limited [rad/s].
         levelling: whether the craft hears no order until it is level.
+        force: the direction (3,) in the level frame that the velocity loop asked of the attitude loop, unit.
+        wanted: body rates (3,) that the attitude loop asked of the rate loop [rad/s].
     """
 
     trim: Vector = STILL
@@ -84,6 +86,14 @@ class Loops(NamedTuple):
     rate_trim: tuple[float, float] = (0.0, 0.0)
     yaw_rate: float = 0.0
     levelling: bool = False
+    force: Vector = (0.0, 0.0, 1.0)
+    wanted: Vector = STILL
+
+    @property
+    def tilt(self) -> tuple[float, float]:
+        """The roll and pitch asked of the attitude loop [rad]: those of a craft whose z is along `force`."""
+        x, y, z = self.force
+        return -math.asin(max(-1.0, min(1.0, y))), math.atan2(x, z)
 
 
 class Push(NamedTuple):
@@ -120,7 +130,7 @@ def fly(
     wx, wy = attitude_loop(R.to_body(force), gains)
     wanted = (wx + yaw_rate * R.zx, wy + yaw_rate * R.zy, yaw_rate * R.zz)
     rate_trim, torque = rate_loop(memory.rate_trim, wanted, rates, gains, dt)
-    return Loops(trim, model, rate_trim, yaw_rate, levelling), Push(thrust, torque)
+    return Loops(trim, model, rate_trim, yaw_rate, levelling, force, wanted), Push(thrust, torque)
 
 
 def respond(model: Model, order: Vector, gains: Gains, dt: float) -> Model:

@@ -274,13 +274,15 @@ class Quadrotor:
         """What the craft tells of its flight, by its own estimate, to put beside the raw readings.
 
         `tilt`: roll and pitch (2,) [rad]; `flown_velocity`: in body axes (3,) [m/s]; `flown_rates`: body rates without bias
-        (3,) [rad/s]; `rotor_limit_s`: for how long a rotor has been at its limit (1,) [s]; `overturned`, `stands`: 1 if so (1,).
+        (3,) [rad/s]; `asked_tilt` (2,), `asked_rates` (3,): what its loops asked for; `rotor_limit_s`: for how long a rotor has been at its limit (1,) [s]; `overturned`, `stands`: 1 if so (1,).
         """
         attitude = memory.attitude
         return {
             "tilt": np.array([attitude.roll, attitude.pitch]),
             "flown_velocity": np.array(level(attitude.up).to_body(memory.ground.velocity)),
             "flown_rates": np.array(memory.rates),
+            "asked_tilt": np.array(memory.loops.tilt),
+            "asked_rates": np.array(memory.loops.wanted),
             "rotor_limit_s": np.array([memory.limited_s]),
             "overturned": np.array([float(memory.overturned)]),
             "stands": np.array([float(self.stands(memory, encoders))]),
