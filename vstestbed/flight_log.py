@@ -26,7 +26,8 @@ def flight_columns(scenario: Scenario) -> tuple[str, ...]:
         return ()
     estimate = ("fly_roll", "fly_pitch", "fly_vx", "fly_vy", "fly_vz", "fly_wx", "fly_wy", "fly_wz")
     asked = ("ask_roll", "ask_pitch", "ask_wx", "ask_wy", "ask_wz")
-    return (*estimate, *asked, "level_error_px", "wind_x", "wind_y", "wind_z", *(f"speed_{name}" for name in scenario.robot.actuators), "pilot")
+    speeds = (f"speed_{name}" for name in scenario.robot.actuators)
+    return (*estimate, *asked, "level_error_px", "wind_x", "wind_y", "wind_z", *speeds, "pilot")
 
 
 def flight_row(scenario: Scenario, encoders: Encoders, truth: Truth, seen: Observation, goal: Goal, pilot: Pilot) -> Array:

@@ -274,7 +274,8 @@ class Quadrotor:
         """What the craft tells of its flight, by its own estimate, to put beside the raw readings.
 
         `tilt`: roll and pitch (2,) [rad]; `flown_velocity`: in body axes (3,) [m/s]; `flown_rates`: body rates without bias
-        (3,) [rad/s]; `asked_tilt` (2,), `asked_rates` (3,): what its loops asked for; `rotor_limit_s`: for how long a rotor has been at its limit (1,) [s]; `overturned`, `stands`: 1 if so (1,).
+        (3,) [rad/s]; `asked_tilt` (2,), `asked_rates` (3,): what its loops asked for; `rotor_limit_s`: for how long a rotor has been
+        at its limit (1,) [s]; `overturned`, `stands`: 1 if so (1,).
         """
         attitude = memory.attitude
         return {
