@@ -119,6 +119,8 @@ def words(recording: Recording, folder: Path, filmed: bool) -> str:
         return f"{value * factor:.{digits}f} {unit}" if isinstance(value, float) else f"no {unit}"
 
     error = figure("final_error_px", "px in the image", digits=3) if s["final_error_px"] is not None else "target not in sight"
+    if "level_error_px" in recording.columns and len(recording["level_error_px"]):
+        error += f" ({recording['level_error_px'][-1]:.3f} turned level)"
     pose = f"{figure('final_position_error_m', 'mm', 1000)} and {figure('final_rotation_error_deg', 'deg', digits=3)} from the goal"
     error = f"{figure('worst_off_m', 'm', digits=4)} off at most once settled" if "worst_off_m" in s else f"{error}, camera {pose}"
     speed = figure("real_time_factor", "times real time", digits=1) + (" with films and log" if filmed else " with its log")

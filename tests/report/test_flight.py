@@ -8,7 +8,7 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.recording import Recording
-from vstestbed.report import Setting, flight
+from vstestbed.report import Setting, figures, flight
 from vstestbed.report.tracks import Tracks
 
 
@@ -64,6 +64,14 @@ def test_rotors_with_their_limit_and_the_wind(tracks: Tracks):
     assert len(lines(speeds)) == 4
     assert max(line.get_ydata()[0] for line in speeds.get_lines()) == 1000
     assert lines(wind)[0] == pytest.approx(2.0)
+
+
+def test_the_error_that_counts_is_that_of_the_level_picture(tracks: Tracks, step: Recording):
+    figure = figures.error(tracks)
+    seen, level = (line.get_ydata() for line in figure.axes[0].get_lines()[:2])
+    assert level == pytest.approx(step["level_error_px"])
+    assert np.abs(seen - level).max() > 5  # it leans by 20 degrees
+    assert "turned level, which counts" in figure.axes[0].get_legend_handles_labels()[1]
 
 
 def test_what_does_not_fly_has_none(tracks: Tracks):

@@ -85,7 +85,10 @@ def _frame_picture(axes: Axes, width: int | None, height: int | None) -> None:
 
 
 def error(tracks: Tracks) -> Figure:
-    """RMS error in the picture over time, logarithmic, with the threshold and the stretches without target."""
+    """RMS error in the picture over time, logarithmic, with the threshold and the stretches without target.
+
+    Of a craft that leans also that of the picture turned level, by which it is judged.
+    """
     figure = new_figure(3.1)
     axes = figure.add_subplot()
     value = _positive(tracks.column("error_px"))
@@ -93,6 +96,11 @@ def error(tracks: Tracks) -> Figure:
         axes.semilogy(tracks.t, value, color=LINE_COLORS[0], **_dot(value))
     else:
         note(axes, "no frame with a measured error")
+    level = _positive(tracks.column("level_error_px"))
+    if np.isfinite(level).any():
+        for line in axes.lines:
+            line.set(label="in the picture", alpha=0.4)
+        axes.semilogy(tracks.t, level, color=LINE_COLORS[0], label="turned level, which counts")
     threshold = tracks.setting.threshold_px
     if threshold:
         axes.axhline(threshold, color=GOAL, linestyle="--", linewidth=1.2, label=f"threshold {threshold:g} px")

@@ -17,6 +17,8 @@ FROM_ABOVE = np.radians(38.0)
 """How steeply the overview of a vehicle looks down [rad]: its way shows, and its wheels too."""
 ROOM = 1.12
 """The picture is this much wider than what must be in it."""
+HEADROOM = 1.25
+"""And this much higher: a film has a strip of figures along its lower edge."""
 ROAM, ROAM_M = 0.12, 0.8
 """A vehicle may leave the hull of the places told by this share of their extent, and no more than this [m]."""
 AZIMUTHS = np.radians(np.arange(0, 360, 10))
@@ -100,7 +102,7 @@ def eye_for(points: Array, right: Array, up: Array, half_height: float) -> Array
     forward = np.cross(up, right)
     z = points @ forward
     centre, distance = np.zeros(2), 0.0
-    for i, (axis, tangent) in enumerate(((right, half_height * WIDE_PICTURE / ROOM), (up, half_height / ROOM))):
+    for i, (axis, tangent) in enumerate(((right, half_height * WIDE_PICTURE / ROOM), (up, half_height / HEADROOM))):
         low, high = (points @ axis - tangent * z).max(), (points @ axis + tangent * z).min()
         centre[i] = (low + high) / 2
         distance = max(distance, (low - high) / (2 * tangent))
