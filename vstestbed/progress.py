@@ -127,7 +127,7 @@ def words(recording: Recording, folder: Path, filmed: bool) -> str:
     return "\n".join(
         [
             f"{s['outcome']}: {s['reason']}",
-            f"  error     {error}" if s["frames"] else "  error     not a single frame was seen",
+            *([f"  error     {error}" if s["frames"] else "  error     not a single frame was seen"] if s["outcome"] != "landed" else []),
             f"  time      {figure('sim_time_s', 's')} simulated in {figure('wall_time_s', 's')}: {speed}",
             f"  results   {folder} (open report.html)",
         ]
