@@ -255,7 +255,8 @@ class TestResume:
         with pytest.raises(ParameterError, match="--resume goes on with what the folder compares"):
             compare([quick], {"law.gain": (1.0, 2.0)}, seeds=1, out=out, resume=True)
 
-    @pytest.mark.parametrize("moments", [(0.3,), pytest.param(tuple(0.07 * i for i in range(10)), marks=pytest.mark.study)])
+    @pytest.mark.study
+    @pytest.mark.parametrize("moments", [tuple(0.07 * i for i in range(10))])
     def test_killed_again_and_again(self, quick: Path, tmp_path: Path, vstestbed_process: Any, moments: tuple[float, ...]):
         words, environment = vstestbed_process
         whole = compare([quick], GAINS, seeds=8 * len(moments), jobs=2, out=tmp_path / "whole", film=False, report=False)

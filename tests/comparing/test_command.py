@@ -22,7 +22,12 @@ def test_it_leaves_a_whole_folder_and_says_where(command, quick: Path):
     assert names == {"comparison.yaml", "comparison.csv", "comparison.parquet", "figures", "report.html", "runs", "scenarios"}
     assert len(list((folder / "figures").iterdir())) == 10
     assert (folder / "scenarios" / "quick.yaml").read_text() == quick.read_text()
-    # The report again, the plan again, and a run of it again.
+
+
+@pytest.mark.study
+def test_the_report_the_plan_and_a_run_of_it_again(command, quick: Path):
+    assert command("compare", "quick.yaml", "--vary", "law.gain=3,6", "--seeds", 2, *NO_FILM).code == 0
+    folder = Path("runs/compare/001")
     (folder / "report.html").unlink()
     assert command("report", folder).code == 0
     assert "vstestbed compare" in (folder / "report.html").read_text(encoding="utf-8")

@@ -156,6 +156,7 @@ def test_a_large_film_is_linked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert Reader(text).references.count("comparison.mp4") == 2 and "data:video" not in text
 
 
+@pytest.mark.study
 def test_the_same_comparison_gives_the_same_bytes(built: tuple[Path, pl.DataFrame], tmp_path: Path) -> None:
     folder, frame = built
     before = {p.name: zlib.crc32(p.read_bytes()) for p in (folder / "figures").iterdir()}
