@@ -33,6 +33,19 @@ def compared(a: list[float | None], b: list[float | None], ok: tuple[list[bool],
     return Comparison(pl.DataFrame(rows, strict=False), (), ("time_to_converge_s",))
 
 
+def test_what_tells_of_a_run_whatever_its_end_is_of_all_runs_and_paired_on_all_seeds() -> None:
+    over = {"A": [0.6, 0.7, 0.8], "B": [0.1, 0.2, 0.4]}
+    rows = {"scenario": ["A"] * 3 + ["B"] * 3, "seed": [0, 1, 2] * 2, "success": [False] * 3 + [True] * 3}
+    frame = pl.DataFrame(rows | {"feature_overshoot": over["A"] + over["B"], "peak_speed_mps": [1.0] * 6})
+    comparison = Comparison(frame, (), ("feature_overshoot", "peak_speed_mps"))
+    failing = comparison.controllers[0]
+    assert np.median(failing.counted(comparison.shown[0])) == pytest.approx(0.7)
+    assert np.isnan(failing.counted(comparison.shown[1])).all()
+    (pair,) = pairs(comparison)
+    assert pair.differences["feature_overshoot"].mean == pytest.approx(np.mean(np.subtract(over["B"], over["A"])))
+    assert pair.differences["peak_speed_mps"].n == 0
+
+
 def test_labels_name_what_differs() -> None:
     one = table(**{"robot.actuation": ["ideal", "industrial"], "law.gain": [0.5, 2.0]})
     assert [c.label for c in Comparison(one, ("robot.actuation", "law.gain")).controllers] == [

@@ -133,7 +133,7 @@ def summary(**changes: object) -> dict[str, Any]:
 
 OF_ANGLES = ("polar", "spherical", "sphere")  # figures of two features alone
 OF_VEHICLES = ("plane", "off", "place", "wheels", "slip")
-OF_FLIGHTS = ("velocity", "tilt", "rotors")
+OF_FLIGHTS = ("velocity", "tilt", "rates", "rotors")
 EVERY_FIGURE = [title for key, title, _, _ in page.PLOTS if key not in (*OF_ANGLES, *OF_VEHICLES, *OF_FLIGHTS)]
 
 

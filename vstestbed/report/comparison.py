@@ -27,9 +27,10 @@ DEFAULT_METRICS: Final = (
     "saturated_fraction",
 )
 
-_TITLES: Final = {name: (title, unit) for name, title, unit in (*numbers.TILES, *numbers.ROWS)}
+_TITLES: Final = {name: (title, unit) for name, title, unit in (*numbers.KEPT_TILES, *numbers.TILES, *numbers.ROWS, *numbers.TRACKING_ROWS)}
 _SCALES: Final = {"final_position_error_m": ("mm", 1e3), "saturated_fraction": ("%", 1e2)}
 _FINAL: Final = ("final_error_px", "final_position_error_m", "final_rotation_error_deg")
+_WHATEVER_ITS_END: Final = ("feature_overshoot", "worst_off_m", *(name for name, _, _ in numbers.TRACKING_ROWS))
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,7 @@ class Metric:
     Attributes:
         name: in `summary.json`. title, unit: what is printed; scale: the unit's numbers over those of the summary.
         every_run: of all runs that have it, not only of those that reached the goal.
+        every_pair: compared on all seeds, too: it tells as much of a run that failed.
     """
 
     name: str
@@ -46,13 +48,15 @@ class Metric:
     unit: str = ""
     scale: float = 1.0
     every_run: bool = False
+    every_pair: bool = False
 
     @classmethod
     def of(cls, name: str) -> Metric:
         """A name of `summary.json`; one that the run's report has no words for shows as it is."""
         title, unit = _TITLES.get(name, (name, ""))
         unit, scale = _SCALES.get(name, (unit, 1.0))
-        return cls(name, title, unit, scale, name in _FINAL)
+        whole = name in _WHATEVER_ITS_END
+        return cls(name, title, unit, scale, whole or name in _FINAL, whole)
 
     @property
     def label(self) -> str:

@@ -23,7 +23,7 @@ class Pair:
 
     Attributes:
         success: on how many seeds only a, only b, both, neither reached the goal.
-        differences: b minus a of each metric in its unit, over the seeds on which both reached the goal.
+        differences: b minus a of each metric in its unit, over the seeds on which both reached the goal, or all (`every_pair`).
         means: of a, over the same seeds; what a difference is a share of.
     """
 
@@ -82,7 +82,7 @@ def _pair(comparison: Comparison, a: int, b: int) -> Pair:
     differences, means = {}, {}
     for metric in {m.name: m for m in (*comparison.shown, TIME)}.values():
         x, y = one.values(metric)[rows_a], other.values(metric)[rows_b]
-        used = both & np.isfinite(x) & np.isfinite(y)
+        used = (both | metric.every_pair) & np.isfinite(x) & np.isfinite(y)
         differences[metric.name] = paired_difference(y[used], x[used])
         means[metric.name] = float(x[used].mean()) if used.any() else np.nan
     return Pair(a, b, paired_success(one.success[rows_a], other.success[rows_b]), differences, means)

@@ -22,7 +22,8 @@ def controllers(comparison: Comparison) -> str:
     lines = [[(c.label, escape(c.label)), _rate(c), *(_spread(c, m) for m in comparison.shown)] for c in comparison.controllers]
     note = (
         "Success rate with its 95 % interval (Wilson). Of each number the median and, below it, the quartiles: final errors of "
-        "every run that has one, the others of the runs that reached the goal. A count stands below where it is not all runs."
+        "every run that has one, and what a run has on its way whatever its end (overshoot, tracking), the others of the runs that "
+        "reached the goal. A count stands below where it is not all runs."
     )
     return f'<section><h2>Controllers</h2>{table(heads, lines)}<p class="soft">{note} Click on a head to sort.</p></section>'
 
@@ -53,11 +54,18 @@ def differences(comparison: Comparison, made: list[Pair]) -> str:
     parts = [_against(comparison, against(made, i), labels, i) for i in references]
     note = (
         "Reached the goal: on how many more seeds; p says how often chance alone would be as lopsided (McNemar). "
-        "The numbers: the mean of this line minus the other over the seeds on which both reached the goal, its 95 % bootstrap interval "
+        f"The numbers: the mean of this line minus the other over the seeds on which both reached the goal{_but(comparison)}, "
+        "its 95 % bootstrap interval "
         f"below. Bold with a dot: the interval excludes zero, the difference is real. There are {len(made) * (1 + len(comparison.shown))} "
         "tests in all; of tests where nothing differs, one in twenty looks real all the same."
     )
     return f'<section><h2>Paired differences</h2>{_chooser(labels, len(parts))}{"".join(parts)}<p class="soft">{note}</p></section>'
+
+
+def _but(comparison: Comparison) -> str:
+    """Which numbers are compared on all seeds."""
+    names = [m.title for m in comparison.shown if m.every_pair]
+    return f" ({', '.join(names)}: over all seeds)" if names else ""
 
 
 def _chooser(labels: Sequence[str], n: int) -> str:

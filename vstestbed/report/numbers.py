@@ -31,6 +31,7 @@ ROWS: Final = (
     ("max_retreat_m", "Largest retreat", "m"),
     ("max_rotation_deg", "Largest rotation", "deg"),
     ("max_feature_excursion_px", "Largest feature excursion", "px"),
+    ("feature_overshoot", "Overshoot of features", "×"),
     ("min_border_margin_px", "Smallest margin to the border", "px"),
     ("peak_speed_mps", "Peak speed", "m/s"),
     ("peak_rate_radps", "Peak rate of turn", "rad/s"),
