@@ -152,7 +152,7 @@ class TestIdealCar:
         course = drive(lambda place: polar_law(place + wrong, GOAL, np.array(1), gains, 1.0), start, 1.0, LIMITS, 25.0, period=0.02)
         left = wrapped(course.place[-1, 2] - GOAL[2]) / bias
         # It stops 2 cm before; the slower root of print's gains (-.59 against -1 of the distance) has not quite faded there.
-        assert left == pytest.approx(gains.alpha / -gains.beta, rel=0.02 if gains.beta == -2.5 else 0.3)
+        assert left == pytest.approx(gains.alpha / -gains.beta, rel=0.01 if gains.beta == -2.5 else 0.12)
 
     def test_a_goal_beside_it_is_missed(self):
         """No smooth law parks a car sideways: from 3 m beside the goal it goes by and round."""
