@@ -53,6 +53,15 @@ class TestPath:
             np.testing.assert_allclose(path.twist(t), [*v, *w], atol=1e-5)
 
 
+class TestViews:
+    def test_a_view_is_passed_only_with_all_that_counts_in_sight(self):
+        """An error over one marker of three says little: what the end asks for, all seen, a via point asks for too."""
+        course = course_of(vs.load("omni_via_points"))
+        assert not course.passed(0.1, all_seen=False) and course.view == 0
+        assert not course.passed(3.1, all_seen=True) and course.view == 0
+        assert course.passed(2.9, all_seen=True) and course.view == 1
+
+
 class TestLanding:
     def seen(self, t: float, xyz: tuple[float, float, float], turn_deg: float = 0.0) -> Observation:
         nothing = np.zeros((4, 2))

@@ -40,6 +40,22 @@ def test_a_bend_of_2_m_and_another_the_other_way(name, bound):
     assert speed[50:].mean() == pytest.approx(0.8, rel=0.02)
 
 
+def test_over_the_line_but_not_along_it_is_no_success():
+    """Ice on which the wheels spin: it stands over the line, within its band."""
+    start = {"nominal": {"x": 0, "y": 0, "heading_deg": 0}}
+    stuck = run("car_line", detector="oracle", world__floor_friction=0.004, robot__start=start, stop__duration_s=5)
+    assert np.abs(stuck["off_m"]).max() < 0.05
+    assert stuck.outcome is Outcome.timed_out
+    assert "the vehicle, along its line, made 0.0" in stuck.reason and "0.8 m/s were ordered" in stuck.reason
+
+
+def test_against_the_routes_direction_it_is_the_same_line():
+    start = {"nominal": {"x": 9, "y": 0.05, "heading_deg": 185}}
+    recording = run("car_line", target__route={"kind": "straight", "length_m": 10}, robot__start=start, stop__duration_s=6)
+    assert recording.outcome is Outcome.completed, recording.reason
+    assert recording["base_x"][-1] < 5
+
+
 def test_where_the_paint_ends_the_line_is_lost():
     recording = run("car_line", target__route={"kind": "straight", "length_m": 2.0}, stop__duration_s=6)
     assert recording.outcome is Outcome.target_lost and recording["base_x"][-1] < 2.5

@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import pytest
 
-from vstestbed.stop import Converged, Evidence, Judge, Outcome, Stop
+from vstestbed.pace import Pace
+from vstestbed.stop import Band, Converged, Evidence, Judge, Outcome, Stop
 
 STOP = Stop(duration_s=10, converged=Converged(error_px=0.2, hold_s=0.5), lost_after_s=1.0)
 FINE = Evidence(
@@ -75,3 +76,44 @@ def test_a_target_that_was_seen_is_not_called_never_seen():
 
 def test_time_runs_out():
     assert judged(FINE, 10.1)[0] is Outcome.timed_out
+
+
+@pytest.mark.parametrize(
+    ("goal", "words"),
+    [
+        (Converged(error_px=0.2), "zero at an RMS error of 5 px"),
+        (Converged(position_m=0.05, rotation_deg=4), "zero 0.01 m and 9.17 deg from the goal by the robot's own estimate"),
+        (Converged(error_px=0.2, position_m=0.005), "RMS error of 5 px, 0.01 m and 9.17 deg from the goal by the robot's own estimate"),
+    ],
+)
+def test_rest_away_from_the_goal_is_told_in_what_is_measured(goal, words):
+    judge = Judge(Stop(converged=goal))
+    at_rest = replace(FINE, command_size=0.0, position_m=0.01, rotation_rad=0.16)
+    verdicts = [judge.verdict(replace(at_rest, t=k / 25)) for k in range(60)]
+    outcome, reason = next(v for v in verdicts if v)
+    assert outcome is Outcome.local_minimum and words in reason
+
+
+class TestABand:
+    BAND = Band(0.1, 4.0, (Pace("the vehicle", 0.8, 0.64),))
+
+    def ended(self, speed, off):
+        """The verdict on ten seconds at a speed, so far off its task."""
+        judge = Judge(STOP, self.BAND)
+        for k in range(251):
+            if verdict := judge.verdict(replace(FINE, t=k / 25, off_m=off(k / 25), ways=(speed * k / 25,))):
+                return verdict
+        return None
+
+    def test_kept_at_its_speed_it_is_completed(self):
+        assert self.ended(0.8, lambda t: 0.05)[0] is Outcome.completed
+
+    @pytest.mark.parametrize("speed", [0.0, 0.3, -0.8])
+    def test_within_the_band_and_too_slow_or_backwards_it_is_not(self, speed):
+        outcome, reason = self.ended(speed, lambda t: 0.05)
+        assert outcome is Outcome.timed_out
+        assert f"the vehicle made {speed:.2f} m/s in the 2 s before 4 s; 0.8 m/s were ordered" in reason
+
+    def test_the_reason_is_what_came_first(self):
+        assert "out of its band" in self.ended(0.8, lambda t: 0.2)[1]
+        assert "made 0.30 m/s" in self.ended(0.3, lambda t: 0.2 if t > 6 else 0.05)[1]

@@ -1,10 +1,13 @@
 """Vehicles in closed loop: what they know comes from pixels, compass and encoders; what slips, is hidden or wrong shows in the log."""
 
+import re
+
 import numpy as np
 import pytest
 
 import vstestbed as vs
 from vstestbed.errors import ParameterError, ScenarioError
+from vstestbed.progress import words
 from vstestbed.stop import Outcome
 
 QUICK = {"camera.width": 500, "camera.height": 500, "robot.wheels": "planar"}
@@ -46,6 +49,20 @@ class TestCar:
             off = np.hypot(recording["odo_x"] - recording["base_x"], recording["odo_y"] - recording["base_y"])
             assert low < off.max() < high
         assert ice["slip_mps"].max() > 0.2 > 10 * np.median(parked["slip_mps"])
+        # On ice it spins round as it brakes and steers; on rubber the rear wheels tell the turn within 1 deg/s.
+        assert ice["slip_radps"].max() > 5 * np.median(parked["slip_radps"]) and np.median(parked["slip_radps"]) < np.radians(1)
+
+    def test_the_closing_words_speak_of_the_vehicle(self, parked, tmp_path):
+        assert re.search(r"vehicle \d+\.\d\d mm and \d\.\d+ deg from the goal", words(parked, tmp_path, filmed=False))
+
+    def test_rest_beside_the_goal_is_told_in_metres_and_degrees(self):
+        """A compass that is 10 degrees off: the car arrives turned, and knows it."""
+        turned = run("car_pbvs", robot__compass={"bias_deg": 10, "sigma_deg": 0}, detector="oracle")
+        assert turned.outcome is Outcome.local_minimum
+        told = re.fullmatch(r"the commanded twist is zero (\S+) m and (\S+) deg from the goal by the robot's own estimate", turned.reason)
+        assert told, turned.reason
+        assert float(told[1]) == pytest.approx(turned["est_position_m"][-1], rel=0.01)
+        assert float(told[2]) == pytest.approx(np.degrees(turned["est_rotation_rad"][-1]), rel=0.01)
 
     def test_without_compass_errors_or_with_a_bias_the_heading_follows_the_compass(self):
         biased = run("car_pbvs", robot__compass={"bias_deg": 5, "sigma_deg": 0}, stop__duration_s=3.0)
@@ -102,6 +119,7 @@ class TestOmni:
         # Rollers slip a little when they start at their limits; the law sees and mends it.
         assert np.hypot(*(way["rollers"] - way["planar"]).T).max() < 0.1
         assert by["rollers"]["slip_mps"].max() > 10 * by["planar"]["slip_mps"].max()
+        assert by["rollers"]["slip_radps"].max() > 10 * by["planar"]["slip_radps"].max()
 
     def test_via_points_are_passed_in_turn(self):
         recording = run("omni_via_points", **{k.replace(".", "__"): v for k, v in QUICK.items()}, goal__threshold_px=1.5)
@@ -127,6 +145,27 @@ class TestPursuit:
         assert np.abs(recording["off_m"][settled]).max() < 0.25
         true = np.hypot(recording["tgt_x"] - recording["base_x"], recording["tgt_y"] - recording["base_y"]) - 2.5
         np.testing.assert_allclose(recording["off_m"], true, atol=1e-9)
+
+    def test_of_a_single_point_its_own_place_is_pursued_whichever_way_the_leader_heads(self):
+        route = {"kind": "circle", "radius_m": 3}
+        settings = {"target__at": [[0, 0, 0.5]], "target__motion__route": route, "camera__fovy_deg": 100, "stop__duration_s": 25}
+        recording = run("car_pursuit", detector="oracle", **settings)
+        assert recording.outcome is Outcome.completed, recording.reason
+        assert np.ptp(np.unwrap(np.arctan2(np.gradient(recording["tgt_y"]), np.gradient(recording["tgt_x"])))) > np.pi  # it has turned
+        # 2.5 m under the bearing of a ball .3 m above the lens: a car that pitches by .1 degree errs by 4 cm.
+        assert recording.summary()["worst_off_m"] < 0.25
+
+    def test_behind_a_leader_that_stands_although_told_to_drive_nothing_is_completed(self):
+        """On ice too slippery to start on, both stand where the gap is right."""
+        settings = {"world__floor_friction": 0.002, "robot__start__nominal": {"x": -2.75}, "stop__duration_s": 9}
+        stuck = run("car_pursuit", detector="oracle", **settings)
+        assert np.abs(stuck["off_m"]).max() < 0.25
+        assert stuck.outcome is Outcome.timed_out
+        assert "the vehicle ahead made 0.0" in stuck.reason and "0.5 m/s were ordered" in stuck.reason
+
+    def test_a_target_that_stands_by_scenario_may_be_waited_at(self):
+        still = {"target__motion": "still", "target__pose__xyz": [3, 0, 0.6]}
+        assert run("car_pursuit", detector="oracle", stop__duration_s=9, **still).outcome is Outcome.completed
 
     def test_a_run_too_short_to_settle_is_no_success(self):
         short = run("car_pursuit", stop__duration_s=2, detector="oracle")

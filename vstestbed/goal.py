@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 from annotated_types import Ge, Gt, Len
 
+from vstestbed.errors import ParameterError
 from vstestbed.geometry import Pose
 from vstestbed.ground import GroundPose
 from vstestbed.spec import OneOf, spec
@@ -44,12 +45,18 @@ class GoalViews:
 
     Args:
         views: the views.
-        threshold_px: RMS error of the markers seen under which a view that is not the last counts as passed [px].
+        threshold_px: RMS error under which a view that is not the last counts as passed, all markers that count in sight [px].
     """
 
     kind: Literal["views"] = "views"
-    views: Annotated[tuple[View, ...], Len(2, 100)]
+    views: Annotated[tuple[View, ...], Len(1, 100)]
     threshold_px: Annotated[float, Gt(0)] = 10.0
+
+    def __post_init__(self) -> None:
+        """Refuse a single view."""
+        if len(self.views) < 2:
+            words = "must be a list of 2 or more views; one alone is the goal itself: goal: {view_from: ...} or {T_camera_target: ...}"
+            raise ParameterError("views", words)
 
 
 @spec

@@ -25,14 +25,14 @@ from vstestbed.sim.build import build_plant
 from vstestbed.sim.timing import DelayLine
 from vstestbed.stop import Evidence, Judge, Outcome
 from vstestbed.target import Square
-from vstestbed.task import band_of, off
+from vstestbed.task import Ways, band_of, off
 from vstestbed.touchdown import Touchdown
 
 PARTS = ("physics", "render", "detect", "law", "record", "video")
 """Where a run's wall time goes."""
 
 
-def _evidence(scenario: Scenario, tick: Tick, pilot: Pilot | None, touchdown: Touchdown | None) -> Evidence:
+def _evidence(scenario: Scenario, tick: Tick, pilot: Pilot | None, touchdown: Touchdown | None, ways: Ways) -> Evidence:
     """What the judge may look at: the truth, beside what was seen and ordered."""
     T, t = tick.truth.T_world_target, tick.observation.t
     T_base = tick.truth.T_world_camera @ inverse(scenario.camera.mount.T)
@@ -56,6 +56,7 @@ def _evidence(scenario: Scenario, tick: Tick, pilot: Pilot | None, touchdown: To
         position_m=tick.estimate[0],
         rotation_rad=tick.estimate[1],
         off_m=off(scenario, T_base, T),
+        ways=ways.after(T_base, T),
         aborted=pilot.aborted if pilot else None,
         down=pilot is not None and pilot.down(t),
         touchdown=touchdown.verdict if touchdown else None,
@@ -68,14 +69,14 @@ def _until_the_end(scenario: Scenario, plant: Plant, note: Callable[[Tick], None
     servo, eye, judge = Servo(scenario, plant, spent), Eye(scenario, plant), Judge(scenario.stop, band_of(scenario))
     orders: DelayLine[Allocation] = DelayLine(round(scenario.timing.command_latency_s / plant.step_s))
     touchdown = Touchdown(scenario.goal) if isinstance(scenario.goal, GoalLanding) else None
-    step, twist = 0, np.zeros(6)
+    step, twist, ways = 0, np.zeros(6), Ways(scenario)
     while True:
         eye.act(step, servo.look)
         for shot in eye.line.pop_due(step):
             tick = servo.arrive(shot, Now(step * plant.step_s, (step + orders.delay_steps) * plant.step_s, eye.way))
             orders.push(step, tick.allocation)
             note(tick)
-            if verdict := judge.verdict(_evidence(scenario, tick, servo.pilot, touchdown)):
+            if verdict := judge.verdict(_evidence(scenario, tick, servo.pilot, touchdown, ways)):
                 return verdict
         for allocation in orders.pop_due(step):
             plant.apply(allocation.setpoint)

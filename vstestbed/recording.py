@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 ESTIMATE = ("est_position_m", "est_rotation_rad")
 PLACE = ("x", "y", "heading")
+SLIP = ("slip_mps", "slip_radps")
 POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
 
@@ -40,8 +41,8 @@ class Tick:
         frame: number of the frame. lost: too few markers seen. all_seen: every marker is. error_px: RMS of goal minus measured
         over the coordinates seen, NaN when lost. image: the servo camera's own picture (it holds until the next frame),
         None where none was taken, or not the whole of it. goal: what the law wanted to see, the scenario's view number `view`.
-        slip_mps: how fast a vehicle slid over the floor, unnoticed by its encoders. estimate: how far the robot thinks it is
-        from its goal [m, rad], NaN where that does not count. flight: of a craft that flies, the numbers of `flight_columns`.
+        slip: how fast a vehicle slid and turned on the floor, unnoticed by its encoders [m/s, rad/s]. estimate: how far the robot thinks
+        it is from its goal [m, rad], NaN where that does not count. flight: of a craft that flies, the numbers of `flight_columns`.
         t_cmd: when the command reaches the robot [s].
     """
 
@@ -56,7 +57,7 @@ class Tick:
     image: NDArray[np.uint8] | None
     goal: Goal
     view: int = 0
-    slip_mps: float = 0.0
+    slip: tuple[float, float] = (0.0, 0.0)
     estimate: tuple[float, float] = (math.nan, math.nan)
     flight: Array | None = None
     t_cmd: float = math.nan
@@ -78,8 +79,8 @@ class Layout:
     damping near singularities leave of it, and scale is made_ over what the law wanted, its own limits included.
     For a camera without an image plane, theta and phi [rad] are the measured ray's angles from the axis and about it.
     Of several goal views, `view` is the one that counted. Of a vehicle: base_ its true place, est_ the one it knows of by
-    landmarks, compass and encoders, odo_ the one by encoders alone (x, y [m], heading [rad]), slip_mps how fast
-    odometry and truth part (sliding over the floor, wheels of another radius than believed).
+    landmarks, compass and encoders, odo_ the one by encoders alone (x, y [m], heading [rad]), slip_mps and slip_radps how fast
+    odometry and truth part (sliding over the floor, turning on it, wheels of another radius than believed).
     Where the goal counts as reached by the robot's own estimate, est_position_m and
     est_rotation_rad are that. Of a task without an end, off_m is its true error. What flies has `flight_columns`.
     """
@@ -105,7 +106,7 @@ class Layout:
             *(f"made_{name}" for name in TWIST),
             "scale",
             *(f"{name}_{part}" for name in ("base", "est", "odo") for part in PLACE if robot.grounded),
-            *(("slip_mps",) if robot.grounded else ()),
+            *(SLIP if robot.grounded else ()),
             *(("view",) if len(scenario.goal_views) > 1 else ()),
             *(("off_m",) if isinstance(scenario.goal, KEPT) else ()),
             *(ESTIMATE if scenario.stop.converged.by_estimate else ()),
@@ -164,7 +165,7 @@ class Layout:
         """Its true place, the one that it knows of, the one by odometry from where it really started, and its slip."""
         c, s = np.cos(self._start[2]), np.sin(self._start[2])
         way = np.column_stack([c * odo[:, 0] - s * odo[:, 1], s * odo[:, 0] + c * odo[:, 1], odo[:, 2]]) + self._start
-        return [place_of(T_camera @ self._T_camera_base), est, way, slip[:, None]]
+        return [place_of(T_camera @ self._T_camera_base), est, way, slip]
 
     def _off(self, T_camera: Array, T_target: Array) -> Array:
         T_base = T_camera @ self._T_camera_base
@@ -200,7 +201,7 @@ def kept(tick: Tick) -> Kept:
         tick.goal.T_camera_target,
         NOWHERE if o.place is None else o.place,
         NOWHERE if o.odometry is None else o.odometry,
-        tick.slip_mps,
+        tick.slip,
         tick.view,
         tick.estimate,
         NO_FLIGHT if tick.flight is None else tick.flight,

@@ -103,13 +103,21 @@ class Route(ABC):
 
         Where the way crosses itself, it is the branch that runs within 45 degrees of the vehicle's heading, either way.
         """
+        s, with_it = self.branch(place)
+        offset = self.nearest(place[:2], around=s, reach=3 * SPACING_M)[1]
+        return offset if with_it >= 0 else -offset
+
+    def branch(self, place: Array) -> tuple[float, float]:
+        """(s, cosine) of the sample nearest to a vehicle at (x, y, heading): arc length [m], and of the angle between their headings.
+
+        Where the way crosses itself, it is on the branch that runs within 45 degrees of the vehicle's heading, either way.
+        """
         way = self.samples
         distance = np.hypot(way.xy[:, 0] - place[0], way.xy[:, 1] - place[1])
         with_it = np.cos(way.heading - place[2])
         near = np.where(np.abs(with_it) > np.sqrt(0.5), distance, np.inf)
         i = int(np.argmin(near if np.isfinite(near).any() else distance))
-        offset = self.nearest(place[:2], around=float(way.s[i]), reach=3 * SPACING_M)[1]
-        return offset if with_it[i] >= 0 else -offset
+        return float(way.s[i]), float(with_it[i])
 
 
 @spec

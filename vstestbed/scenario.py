@@ -11,6 +11,7 @@ from annotated_types import Ge, Lt
 from numpy.typing import NDArray
 
 from vstestbed.camera import CAMERAS, Calibration, Camera, Catadioptric, Fisheye, Perspective, Spherical
+from vstestbed.drivable import check_drive, check_leader
 from vstestbed.errors import ParameterError
 from vstestbed.geometry import Array, inverse
 from vstestbed.goal import AnyGoal, GoalGap, GoalLanding, GoalLine, GoalPath, GoalPlace, GoalTrack, GoalView, GoalViewFrom, GoalViews
@@ -118,25 +119,15 @@ class Scenario:
             words = "needs a line on the floor" if task == "line" else "cannot be had of lines on the floor, which have no markers"
             other = "target: {kind: lines}" if task == "line" else "goal: {kind: line} and law: {kind: line_following}"
             raise ParameterError("goal", f"of kind {kind} {words}; use {other}")
-        self._check_floor()
+        check_drive(self.robot, self.camera, self.target, self.law, self.goal, self.stop)
+        check_leader(self.target)
+        if self.world.floor_friction is not None and getattr(self.robot, "wheels", "") == "planar":
+            words = "is not felt by wheels: planar, which never slip; use wheels: rollers"
+            raise ParameterError("world.floor_friction", words, self.world.floor_friction)
         if self.target.moves and any(isinstance(v, GoalViewFrom | GoalPlace) for v in self._views):
             raise ParameterError("goal", f"of kind {kind} needs a target that stands still; one that moves is followed by a gap or a view")
         if isinstance(self.target.motion, Held) and not isinstance(self.robot, Puma560):
             raise ParameterError("target.motion", f"held is for an arm's hand; robot {self.robot.kind} has none, use puma560")
-
-    def _check_floor(self) -> None:
-        if isinstance(self.goal, GoalPlace) and not self.stop.converged.by_estimate and self.target.motion.kind == "still":
-            words = "must have position_m or rotation_deg for a goal of kind pose, where some of the target may be out of the picture"
-            raise ParameterError("stop.converged", words)
-        if isinstance(self.law.depth, OnFloor) and not self.robot.grounded:
-            words = f"may be floor only for a vehicle, and robot {self.robot.kind} is none; use pnp, goal or estimate"
-            raise ParameterError("law.depth", words)
-        if self.world.floor_friction is not None and getattr(self.robot, "wheels", "") == "planar":
-            words = "is not felt by wheels: planar, which never slip; use wheels: rollers"
-            raise ParameterError("world.floor_friction", words, self.world.floor_friction)
-        if self.goal.kind in ("gap", "pose") and not isinstance(self.law.depth, PnP | OnFloor):
-            words = f"may not be {self.law.depth.kind} with law {self.law.kind}, which needs the pose itself; use floor or pnp"
-            raise ParameterError("law.depth", words)
 
     def _check_flight(self, flight: bool) -> None:
         kind, robot = self.goal.kind, self.robot
@@ -161,14 +152,26 @@ class Scenario:
         needed = max(self.law.markers_needed(self.robot.motion_basis(Mount.of(self.camera.mount.T))), 1)
         if len(points) < needed:
             markers = f"{len(points)} marker{'s' * (len(points) != 1)}"
-            raise ParameterError("target", f"has {markers}, and law {self.law.kind} needs {needed} or more for this robot's motions")
+            words = f"has {markers}, and law {self.law.kind} needs {needed} or more for this robot's motions"
+            less = self._needed_on_floor
+            enough = less is not None and len(points) >= less
+            raise ParameterError("target", words + (f"; with law.depth floor {less} will do" if enough else ""))
         spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-        if isinstance(self.law.depth, PnP) and spread[1] < 1e-6 * spread[0]:
+        if isinstance(self.law.depth, PnP) and (len(points) < 3 or spread[1] < 1e-6 * spread[0]):
             if any(field.name == "depth" for field in fields(self.law)):
-                words = "may not be pnp: all markers lie on one line, which leaves the pose open; use goal or estimate"
-                raise ParameterError("law.depth", words)
+                poses = self.goal.kind in ("gap", "pose")
+                depths = "floor" if poses else "floor, goal or estimate" if self.robot.grounded else "goal or estimate"
+                which = "all markers lie on one line" if len(points) > 1 else "there is a single marker"
+                raise ParameterError("law.depth", f"may not be pnp: {which}, which leaves the pose open; use {depths}")
             words = f"has all markers on one line, which leaves the pose open that law {self.law.kind} works with; use other places"
             raise ParameterError("target", words)
+
+    @property
+    def _needed_on_floor(self) -> int | None:
+        """How many markers the law would need with depth `floor`; None where it has another than `pnp`, or none of the two."""
+        if not self.robot.grounded or not isinstance(self.law.depth, PnP) or isinstance(self.law, PBVS | Hybrid | LineFollowing):
+            return None
+        return replace(self.law, depth=OnFloor()).markers_needed(self.robot.motion_basis(Mount.of(self.camera.mount.T)))
 
     def _check_counted(self, view: GoalView, field: str) -> None:
         """Refuse a view in which markers count that do not exist, or too few for the law."""

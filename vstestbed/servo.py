@@ -114,7 +114,7 @@ class Servo:
         at, n = self.course.view, shot.number
         tick = Tick(n, lost, all_seen, error_px, seen, command, allocation, shot.truth, image, goal, at, slip, estimate, flight, now.t_cmd)
         self.before, self.seen_before = shot, seen
-        if self.course.passed(error_px):
+        if self.course.passed(error_px, all_seen):
             self.control = self.law.init(s.goal_views[self.course.view])
         return tick
 
@@ -147,10 +147,10 @@ class Servo:
             return replace(allocation, setpoint=self.pilot.order(t, command.held, encoders.instruments, allocation.setpoint))
         return allocation
 
-    def _slip(self, last: Shot, shot: Shot, seen: Observation) -> float:
-        """For the log: what the encoders did not notice [m/s]."""
+    def _slip(self, last: Shot, shot: Shot, seen: Observation) -> tuple[float, float]:
+        """For the log: what the encoders did not notice [m/s, rad/s]."""
         if seen.odometry is None or self.seen_before is None or self.seen_before.odometry is None:
-            return 0.0
+            return 0.0, 0.0
         back = self.scenario.camera.mount.T
         T_before, T_now = (s.truth.T_world_camera @ inverse(back) for s in (last, shot))
         return slipped(T_before, T_now, self.seen_before.odometry, seen.odometry, shot.t - last.t)

@@ -9,6 +9,7 @@ from typing import Annotated
 
 from annotated_types import Ge, Gt
 
+from vstestbed.pace import Pace, PaceMaker
 from vstestbed.spec import spec
 
 
@@ -120,7 +121,8 @@ class Evidence:
         contact: the robot touches something it should not.
         last_view: the goal is the last of its views.
         position_m, rotation_rad: how far the robot is from its goal by the law's own estimate, NaN where it has none.
-        off_m: true error of a task without an end [m], NaN for other tasks.
+        off_m: true error of a task without an end [m], NaN for other tasks. ways: true ways so far of what shall keep going [m],
+            in the order of the band's paces.
         aborted: why a craft that flies gave its task up, if it did: then it holds, sinks, and the run ends when it stands.
         down: it stands with its rotors off. touchdown: how a landing went, in truth; None before.
     """
@@ -140,6 +142,7 @@ class Evidence:
     position_m: float = math.nan
     rotation_rad: float = math.nan
     off_m: float = math.nan
+    ways: tuple[float, ...] = ()
     aborted: tuple[Outcome, str] | None = None
     down: bool = False
     touchdown: tuple[Outcome, str] | None = None
@@ -148,10 +151,11 @@ class Evidence:
 
 @dataclass(frozen=True, slots=True)
 class Band:
-    """A task without an end: how far off it may be [m] from `settle_s` on."""
+    """A task without an end: how far off it may be [m] from `settle_s` on, and what shall keep going all the while."""
 
     width_m: float
     settle_s: float
+    paces: tuple[Pace, ...] = ()
 
 
 @dataclass
@@ -164,6 +168,10 @@ class Judge:
     judged: bool = False
     left_at: tuple[float, float] | None = None
     since: dict[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Nothing watched yet."""
+        self.pacemaker = PaceMaker(self.band.paces, self.band.settle_s) if self.band and self.band.paces else None
 
     def _lasting(self, name: str, holds: bool, t: float) -> float:
         """For how long a condition has held without a break [s]; -inf when it does not hold."""
@@ -200,13 +208,24 @@ class Judge:
         if blocked >= BLOCKED_S:
             return Outcome[e.limit], f"{Outcome[e.limit].value} for {BLOCKED_S:g} s"
         if rest >= REST_S:
-            return Outcome.local_minimum, f"the commanded twist is zero at an RMS error of {e.error_px:.3g} px"
+            return Outcome.local_minimum, f"the commanded twist is zero {self._away(e)}"
         self.judged = self.judged or (self.band is not None and e.t >= self.band.settle_s)
         if self.band and e.t >= self.band.settle_s and not abs(e.off_m) <= self.band.width_m:
             self.left_at = self.left_at or (e.t, e.off_m)
+        if self.pacemaker:
+            self.pacemaker.watch(e.t, e.ways, e.t >= self.stop.duration_s - 1e-9)
         if e.t >= self.stop.duration_s - 1e-9:
             return self._at_the_end()
         return None
+
+    def _away(self, e: Evidence) -> str:
+        """How far from the goal it rests, by what counts: the picture's error, the robot's own estimate."""
+        goal, said = self.stop.converged, []
+        if goal.error_px is not None:
+            said.append(f"at an RMS error of {e.error_px:.3g} px")
+        if goal.by_estimate:
+            said.append(f"{e.position_m:.3g} m and {math.degrees(e.rotation_rad):.3g} deg from the goal by the robot's own estimate")
+        return ", ".join(said)
 
     def _after_abort(self, e: Evidence) -> tuple[Outcome, str] | None:
         """A craft that gave up: its reason, once it stands or the time is out."""
@@ -221,6 +240,9 @@ class Judge:
         width, settle = self.band.width_m, self.band.settle_s
         if not self.judged:
             return Outcome.timed_out, f"{self.stop.duration_s:g} s ended before the {settle:g} s in which it may settle"
+        slow = self.pacemaker.slow if self.pacemaker else None
+        if slow and (self.left_at is None or slow[0] < self.left_at[0]):
+            return Outcome.timed_out, slow[1]
         if self.left_at is None:
             return Outcome.completed, f"within {width:g} m from {settle:g} s on"
         t, off = self.left_at

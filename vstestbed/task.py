@@ -4,22 +4,82 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from vstestbed.course import Path
 from vstestbed.geometry import Array, inverse, rigid_error
 from vstestbed.goal import KEPT, GoalGap, GoalLine, GoalPath, GoalTrack
-from vstestbed.ground import place_of, relative
+from vstestbed.ground import place_of, relative, wrapped
 from vstestbed.ground_lines import GroundLines
+from vstestbed.laws import LineFollowing
 from vstestbed.observation import Goal, Observation
+from vstestbed.pace import Pace
+from vstestbed.route import Route
 from vstestbed.scenario import Scenario
 from vstestbed.stop import Band
+from vstestbed.target import Carried
+
+STEADY = 0.8
+"""Who shall keep a speed must make this share of it. A straight approach to a line, at 25 degrees, has .91; a start within the first
+two seconds .87; steady driving .98 and more."""
+FOLLOWS = 0.5
+"""Who follows must make this share of the leader's: it cuts corners, and waits where it is too near."""
+ALONG_M = 0.5
+"""How far from where it was a frame ago its place along a line is looked for [m]: at 3 m/s and 10 Hz .3 m."""
 
 
 def band_of(scenario: Scenario) -> Band | None:
-    """The band of a task without an end."""
-    goal = scenario.goal
-    return Band(goal.band, goal.settle_s) if isinstance(goal, KEPT) else None
+    """The band of a task without an end, and the speeds that belong to it.
+
+    A line is followed at the speed that the law orders. A gap is kept behind a vehicle that drives as the scenario says: behind
+    one that stands although it is told to drive nothing has been shown, nor by one that stands while the other drives round it.
+    Behind a target that stands by scenario (`motion: still`) the gap is a place to wait at; and what moves by itself goes as told.
+    """
+    goal, law, motion = scenario.goal, scenario.law, scenario.target.motion
+    if not isinstance(goal, KEPT):
+        return None
+    paces: tuple[Pace, ...] = ()
+    if isinstance(goal, GoalLine) and isinstance(law, LineFollowing):
+        paces = (Pace("the vehicle, along its line,", law.cruise_mps, STEADY * law.cruise_mps),)
+    if isinstance(goal, GoalGap) and isinstance(motion, Carried):
+        v = motion.speed_mps
+        paces = (Pace("the vehicle ahead", v, STEADY * v), Pace("the vehicle that follows", v, FOLLOWS * v))
+    return Band(goal.band, goal.settle_s, paces)
+
+
+class Ways:
+    """How far what shall keep going has come, in truth, frame by frame: the ways that the band's paces are about."""
+
+    def __init__(self, scenario: Scenario):
+        self._target, self._paced = scenario.target, bool((band := band_of(scenario)) and band.paces)
+        self._T_target_leader = inverse(scenario.target.pose.T)
+        self._before: tuple[Array, Array] | None = None
+        self._s, self._sense = math.nan, 1.0
+        self._ways = [0.0, 0.0]
+
+    def after(self, T_world_base: Array, T_world_target: Array) -> tuple[float, ...]:
+        """The ways [m] when vehicle and target are at these poses (4, 4); nothing where no pace is asked for."""
+        if not self._paced:
+            return ()
+        if isinstance(self._target, GroundLines):
+            return (self._along(self._target.route, place_of(inverse(T_world_target) @ T_world_base)),)
+        places = T_world_target @ self._T_target_leader, T_world_base
+        if self._before is not None:
+            steps = [math.dist(a[:2, 3], b[:2, 3]) for a, b in zip(self._before, places, strict=True)]
+            self._ways = [way + step for way, step in zip(self._ways, steps, strict=True)]
+        self._before = places
+        return tuple(self._ways)
+
+    def _along(self, route: Route, place: Array) -> float:
+        """Way along a line, in the sense in which the vehicle faced it at the start: a line has no direction of its own.
+
+        A step is that of the vehicle beside the line, ds (1 - curvature offset): in a bend its own way is the longer or shorter one.
+        """
+        if math.isnan(self._s):
+            self._s, with_it = route.branch(place)
+            self._sense = 1.0 if with_it >= 0 else -1.0
+        s, offset = route.nearest(place[:2], around=self._s, reach=ALONG_M)
+        self._ways[0] += self._sense * (s - self._s) * (1 - float(route.at(s)[3]) * offset)
+        self._s = s
+        return self._ways[0]
 
 
 def off(scenario: Scenario, T_world_base: Array, T_world_target: Array) -> float:
@@ -51,13 +111,14 @@ def estimated(seen: Observation, goal: Goal) -> tuple[float, float]:
     return math.nan, math.nan
 
 
-def slipped(T_before: Array, T_now: Array, odometry_before: Array, odometry_now: Array, duration: float) -> float:
-    """How fast a vehicle slid over the floor between two frames, unnoticed by its encoders [m/s].
+def slipped(T_before: Array, T_now: Array, odometry_before: Array, odometry_now: Array, duration: float) -> tuple[float, float]:
+    """How fast a vehicle slid over the floor and turned on it between two frames, unnoticed by its encoders [m/s, rad/s], sizes.
 
     The true step less the one by odometry, both in the vehicle's frame before it.
     """
     if duration <= 0:
-        return 0.0
+        return 0.0, 0.0
     true = relative(place_of(T_before), place_of(T_now))
     told = relative(odometry_before, odometry_now)
-    return float(np.hypot(*(true - told)[:2])) / duration
+    ahead, left, turn = true - told
+    return math.hypot(ahead, left) / duration, abs(float(wrapped(turn))) / duration

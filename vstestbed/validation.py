@@ -104,14 +104,16 @@ _DEFAULT_KINDS = {kinds.default for kinds in KINDS.values() if kinds.default} | 
 def _place(loc: Sequence[int | str], plain: Any) -> Key:
     """Pydantic's location without the kind tags that it puts between a block and its fields."""
     key: list[int | str] = []
-    here = plain
+    here, tagged = plain, False
     for part in loc:
         is_tag = isinstance(here, dict) and part not in here and here.get("kind") == part
         is_tag = is_tag or (isinstance(here, str) and here == part)
-        is_tag = is_tag or (isinstance(here, dict) and "kind" not in here and part in _DEFAULT_KINDS)
+        is_tag = is_tag or (isinstance(here, dict) and "kind" not in here and part in _DEFAULT_KINDS and not tagged)
         number_tag = isinstance(here, int | float) and not isinstance(here, bool)
         if is_tag or number_tag:
+            tagged = True  # a block has one; what follows may be a field of the same name
             continue
+        tagged = False
         key.append(part)
         if isinstance(here, dict):
             here = here.get(part)  # type: ignore[arg-type]

@@ -5,6 +5,7 @@ import pytest
 
 from tests.laws.vehicles import BASIS, goal, move, observe
 from vstestbed.laws import Pursuit
+from vstestbed.observation import PnP
 
 DT = 0.04
 
@@ -41,6 +42,11 @@ def test_it_drives_the_leaders_own_circle():
     """The arc that leads tangentially to the leader is, once settled, the leader's circle itself: no corner is cut."""
     _, place = follow(Pursuit(), circle, seconds=80)
     assert np.hypot(place[0], place[1] - 4) == pytest.approx(4, abs=0.01)
+
+
+def test_a_pose_without_the_floor_needs_three_points():
+    assert Pursuit().markers_needed(BASIS) == 1
+    assert Pursuit(depth=PnP()).markers_needed(BASIS) == 3
 
 
 def test_too_near_it_waits():

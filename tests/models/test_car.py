@@ -326,3 +326,21 @@ def test_under_the_polar_law_it_drives_as_the_ideal_bicycle(rubber, start, way):
     apart = np.linalg.norm(np.array(places)[::5, None, :2] - ideal.place[:, :2], axis=2).min(axis=1)
     assert apart.max() < 0.04  # measured .008 and .018: less than a servo's lag of .05 s at 1 m/s
     assert np.linalg.norm(places[-1][:2] - goal[:2]) < 0.03 and abs(places[-1][2] - goal[2]) < np.radians(1)
+
+
+def test_its_ends_and_its_tightest_circle_are_what_scenarios_are_checked_against():
+    """The bumpers' ends by the compiled boxes round all geoms; the circle is that of the turning tests at the steering's limit."""
+    model = compose()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    ends = ends_of(model, data)
+    assert ends == pytest.approx(Car.ends_m, abs=1e-3)
+    assert Car().turning_radius_m == pytest.approx(WHEELBASE / np.tan(1.0)) == pytest.approx(0.642, abs=1e-3)
+
+
+def ends_of(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[float, float]:
+    """Least and largest x of a vehicle's geoms [m]."""
+    own = np.flatnonzero(model.geom_bodyid > 0)
+    middle = np.array([data.geom_xpos[g] + data.geom_xmat[g].reshape(3, 3) @ model.geom_aabb[g, :3] for g in own])
+    half = np.array([np.abs(data.geom_xmat[g].reshape(3, 3)) @ model.geom_aabb[g, 3:] for g in own])
+    return float((middle - half)[:, 0].min()), float((middle + half)[:, 0].max())

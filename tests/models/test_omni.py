@@ -10,7 +10,7 @@ import pytest
 
 from vstestbed.geometry import Pose
 from vstestbed.ground import motion_between, moved, place_of
-from vstestbed.robots.omni import PLACES, RADIUS, ROLLERS, SIDES, SPEED_LIMIT, W_INVERSE, WHEELS, W
+from vstestbed.robots.omni import PLACES, RADIUS, ROLLERS, SIDES, SPEED_LIMIT, W_INVERSE, WHEELS, Omni, W
 
 MODELS = Path(__file__).parents[2] / "models"
 STEP = 0.002
@@ -179,6 +179,19 @@ class TestFigures:
     def test_colours_are_no_markers(self, wheels):
         rgb = compose(wheels).mat_rgba[:, :3]
         assert np.all(np.ptp(rgb, axis=1) < 0.18)
+
+
+def test_its_ends_are_what_scenarios_are_checked_against(wheels):
+    """By the compiled boxes round all geoms; the rollers' reach depends by .6 mm on how the wheels stand."""
+    model = compose(wheels)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    own = np.flatnonzero(model.geom_bodyid > 0)
+    R = data.geom_xmat[own].reshape(-1, 3, 3)
+    middle = data.geom_xpos[own] + np.einsum("nij,nj->ni", R, model.geom_aabb[own, :3])
+    half = np.einsum("nij,nj->ni", np.abs(R), model.geom_aabb[own, 3:])
+    assert ((middle - half)[:, 0].min(), (middle + half)[:, 0].max()) == pytest.approx(Omni.ends_m, abs=1.5e-3)
+    assert Omni.top_speed_mps == pytest.approx(SPEED_LIMIT / W[0, 0])
 
 
 class TestView:

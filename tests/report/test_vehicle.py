@@ -69,6 +69,14 @@ def test_slip_is_in_millimetres_and_noise_does_not_fill_the_height():
     assert figure is not None
     assert figure.axes[0].get_lines()[0].get_ydata() == pytest.approx(0.02 + 0 * T)
     assert figure.axes[0].get_ylim()[1] > 0.5
+    assert len(figure.axes) == 1  # a log of before the turn was told
+
+
+def test_slip_in_yaw_stands_below():
+    figure = vehicle.slip(tracks(slip_mps=0 * T, slip_radps=np.radians(3) + 0 * T))
+    assert figure is not None
+    assert figure.axes[1].get_lines()[0].get_ydata() == pytest.approx(3 + 0 * T)
+    assert figure.axes[1].get_ylabel() == "in yaw [deg/s]"
 
 
 def test_changes_of_the_goal_view_are_marked():

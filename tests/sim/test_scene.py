@@ -127,3 +127,23 @@ class TestClock:
         # What it recommends is taken.
         advice = float(words.split("; ")[1].split(" does")[0])
         assert Clock(step_s=advice).resolve(camera)[1] >= 1
+
+
+@pytest.mark.parametrize(("name", "foot"), [("car_pbvs", 0.40), ("car_catadioptric", 0.40), ("omni_ibvs", 0.119), ("car_line", 0.38)])
+def test_a_vehicles_camera_stands_on_a_post_that_it_does_not_see(name: str, foot: float):
+    """From the deck's nearest point (for the one under the chassis its lower side) to the camera's housing."""
+    s = vs.load(name)
+    model = compiled(s)
+    data = at_start(model)
+    post, body = model.geom("eye_post"), model.body("robot/base")
+    assert (post.group[0], post.contype[0], post.conaffinity[0]) == (1, 0, 0)
+    assert post.bodyid[0] == body.id and np.ptp(post.rgba[:3]) < 0.18  # grey: saturated pixels are markers
+    middle, along = data.geom("eye_post").xpos, data.geom("eye_post").xmat.reshape(3, 3)[:, 2] * post.size[1]
+    low, high = sorted((middle - along, middle + along), key=lambda p: abs(p[2] - foot))
+    assert low[2] == pytest.approx(foot, abs=1e-6)
+    np.testing.assert_allclose(high, data.geom("eye_box").xpos, atol=1e-6)
+
+
+def test_an_arms_camera_has_no_post():
+    with pytest.raises(KeyError, match="eye_post"):
+        compiled(vs.load("arm_ibvs")).geom("eye_post")

@@ -198,6 +198,7 @@ class DaskPool:
 
     def tries(self, task: Task) -> int:
         """How often a run has been begun: each worker that begins it says so under a name of its own."""
+        # get_events is typed as what asynchronous clients give, too: there it is a coroutine
         return sum(len(self._client.get_events(key)) for key in self._begun.get(task.folder, []))  # type: ignore[arg-type]
 
     def close(self) -> None:

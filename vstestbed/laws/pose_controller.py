@@ -37,7 +37,7 @@ class PoseController:
     Args:
         k_rho, k_alpha, k_beta: gains [1/s]; the textbook's by default. 1, 4, -2.5 suit starts from anywhere better.
         direction: `auto`, `forward` or `reverse`.
-        rest_m, pass_m: how near counts as there [m].
+        rest_m, pass_m: how near counts as there [m]; rest_m under `stop.converged.position_m`, which would not be reached.
         speed_mps: largest speed [m/s].
         depth: where the place comes from: `pnp` of three or more landmarks; `floor` of one or two as well.
         limits: largest speed and rate of the commanded camera twist.

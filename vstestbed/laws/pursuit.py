@@ -13,7 +13,7 @@ from vstestbed.geometry import Array
 from vstestbed.ground import relative
 from vstestbed.laws.base import Command, TwistLimits
 from vstestbed.laws.select import NO_POSE, TOO_FEW
-from vstestbed.observation import Depth, Goal, Observation, OnFloor
+from vstestbed.observation import Depth, Goal, Observation, OnFloor, PnP
 from vstestbed.spec import spec
 
 
@@ -43,7 +43,8 @@ class Pursuit:
         gain: lambda [1/s].
         filter_s: time constant of the estimate of the target's speed [s].
         coast_s: how long the last order stands without sight [s].
-        depth: where the target's distance comes from; `floor` needs one or two points of known height, `pnp` three or more.
+        depth: where the target's distance comes from; `floor` needs one or two points of known height, `pnp` three or more. What is
+            pursued is the target's origin; a single point tells its own place and no heading, and so must be over the origin.
         limits: largest speed and rate of the commanded twist.
 
     References: Coulter 1992, Implementation of the pure pursuit path tracking algorithm, CMU-RI-TR-92-01; Corke 2017,
@@ -64,8 +65,8 @@ class Pursuit:
         return ("T_camera_target", "odometry")
 
     def markers_needed(self, basis: Array) -> int:
-        """One will do."""
-        return 1
+        """With the floor known one tells where it is; a pose without it needs three."""
+        return 3 if isinstance(self.depth, PnP) else 1
 
     def check(self, points: Array, goal: Goal) -> None:
         """Any markers will do."""

@@ -93,7 +93,7 @@ PLOTS: Final[tuple[Plot, ...]] = (
     (
         "slip",
         "Slip",
-        "How fast its way and the one by its encoders part (sliding, a wrong wheel radius): mean between two frames.",
+        "How fast its way and turn and those by its encoders part (sliding, a wrong wheel radius): mean between two frames.",
         vehicle.slip,
     ),
     (

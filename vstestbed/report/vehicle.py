@@ -72,17 +72,20 @@ def place_error(tracks: Tracks) -> Figure | None:
 
 
 def slip(tracks: Tracks) -> Figure | None:
-    """How fast the vehicle slid over the floor, unnoticed by its encoders."""
-    value = tracks.column("slip_mps")
-    if not np.isfinite(value).any():
+    """How fast the vehicle slid over the floor and, below, turned on it, unnoticed by its encoders; logs of old lack the turn."""
+    rows = (("slip_mps", 1e3, 1.0, "slip [mm/s]"), ("slip_radps", 180 / np.pi, 0.1, "in yaw [deg/s]"))
+    panels = [(tracks.column(name) * factor, least, label) for name, factor, least, label in rows]
+    panels = [panel for panel in panels if np.isfinite(panel[0]).any()]
+    if not panels:
         return None
-    figure = new_figure(2.6)
-    axes = figure.add_subplot()
-    axes.plot(tracks.t, 1e3 * value, color=LINE_COLORS[0], linewidth=1.0)
-    least_span(axes, 1.0)
-    axes.set_ylim(bottom=0)
-    axes.set_ylabel("slip [mm/s]")
-    time_axis(axes, tracks)
+    figure = new_figure(0.9 + 1.7 * len(panels))
+    grid = np.ravel(figure.subplots(len(panels), 1, sharex=True, squeeze=False))
+    for axes, (value, least, label) in zip(grid, panels, strict=True):
+        axes.plot(tracks.t, value, color=LINE_COLORS[0], linewidth=1.0)
+        least_span(axes, least)
+        axes.set_ylim(bottom=0)
+        axes.set_ylabel(label)
+    time_axis(grid[-1], tracks)
     return figure
 
 

@@ -94,6 +94,8 @@ class Car(Earthbound):
     sensors: ClassVar[tuple[str, ...]] = ("heading",)
     rides: ClassVar[bool] = True
     grounded: ClassVar[bool] = True
+    ends_m: ClassVar[tuple[float, float]] = (-0.188, 1.208)
+    """Where its bumpers end, behind and ahead of its origin [m]."""
     control_period_s: ClassVar[float | None] = 0.01
     largest_step_s: ClassVar[float] = 0.002
 
@@ -114,6 +116,16 @@ class Car(Earthbound):
     def servo(self) -> None:
         """All actuators of its file."""
         return
+
+    @property
+    def turning_radius_m(self) -> float:
+        """Of its tightest circle, of the middle of the rear axle: L / tan(steering) [m]."""
+        return WHEELBASE / math.tan(self.limits.steering_rad)
+
+    @property
+    def top_speed_mps(self) -> float:
+        """[m/s]."""
+        return self.limits.speed_mps
 
     @property
     def believed_radius(self) -> float:

@@ -80,6 +80,12 @@ class Omni(Direct):
     actuators: ClassVar[tuple[str, ...]] = WHEELS
     rides: ClassVar[bool] = True
     grounded: ClassVar[bool] = True
+    ends_m: ClassVar[tuple[float, float]] = (-0.208, 0.208)
+    """Where its wheels end, behind and ahead of its origin [m]."""
+    turning_radius_m: ClassVar[float] = 0.0
+    """It turns on the spot [m]."""
+    top_speed_mps: ClassVar[float] = SPEED_LIMIT * RADIUS
+    """Straight ahead [m/s]."""
 
     @property
     def model(self) -> str:

@@ -39,6 +39,10 @@ FACE_VIEWER = (0, 1, 0, 0)
 """A half turn about x (wxyz): the face that MuJoCo draws a texture on upright, +z with y up, looks at the viewer, y down."""
 BOARD_MARGIN = 1.5
 """The board behind a square reaches this many marker radii beyond the markers' edges."""
+HOUSING_M = 0.03
+"""The middle of a camera's housing is this far behind its lens [m]."""
+POST_RADIUS_M, POST_GREY = 0.012, [0.5, 0.51, 0.53, 1.0]
+"""A tube of 24 mm, anodised."""
 FREE_HOUSING = 6.0
 """The free camera's housing is drawn this many times as large as the arm's: it is seen from farther away."""
 GLOW = 1000.0
@@ -102,6 +106,8 @@ def compose(parts: Parts) -> mujoco.MjSpec:
         _add_target(scene, parts.target, body, T_body_flange @ parts.target.pose.T)
     else:
         _add_camera(body, T_body_flange @ parts.camera.mount.T, parts.camera, housing)
+        if parts.robot.grounded:
+            _add_post(body, scene.geom("robot/deck"), T_body_flange @ parts.camera.mount.T)
         carrier = add_robot(scene, parts.leader, "leader/", parts.world.floor_friction)[0] if parts.leader else None
         _add_target(scene, parts.target, carrier, parts.target.pose.T)
     _frame_overview(scene, parts)
@@ -160,11 +166,21 @@ def _add_camera(body: mujoco.MjsBody, T_body_camera: Array, camera: Camera, hous
     body.add_site(name="eye", pos=pos, quat=quat_cv, group=SITE_GROUP, size=[0.005] * 3)
     box, glass = [0.025, 0.02, 0.03], [0.013, 0.012, 0]
     for name, kind, size, grey, along in (
-        ("eye_box", mujoco.mjtGeom.mjGEOM_BOX, box, 0.17, -0.03),
+        ("eye_box", mujoco.mjtGeom.mjGEOM_BOX, box, 0.17, -HOUSING_M),
         ("eye_lens", mujoco.mjtGeom.mjGEOM_CYLINDER, glass, 0.3, 0.012),
     ):
         centre = pos + T_body_camera[:3, 2] * (along * housing)
         _visual(body, name, kind, [x * housing for x in size], [grey, grey, grey, 1], LENS_GROUP, centre, quat_cv)
+
+
+def _add_post(body: mujoco.MjsBody, deck: mujoco.MjsGeom, T_body_camera: Array) -> None:
+    """What a vehicle's camera stands or hangs on: a post from the nearest point of the deck, in the group that the camera leaves out."""
+    middle, half = np.asarray(deck.pos, dtype=float), np.asarray(deck.size, dtype=float)
+    head = T_body_camera[:3, 3] - HOUSING_M * T_body_camera[:3, 2]
+    foot = np.clip(head, middle - half, middle + half)
+    if np.linalg.norm(head - foot) > POST_RADIUS_M:
+        post = _visual(body, "eye_post", mujoco.mjtGeom.mjGEOM_CAPSULE, [POST_RADIUS_M, 0, 0], POST_GREY, LENS_GROUP)
+        post.fromto = [*foot, *head]
 
 
 def _add_target(scene: mujoco.MjSpec, target: Target, carrier: mujoco.MjsBody | None, T: Array) -> None:
