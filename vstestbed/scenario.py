@@ -14,8 +14,7 @@ from vstestbed.camera import CAMERAS, Calibration, Camera, Catadioptric, Fisheye
 from vstestbed.drivable import check_drive, check_leader
 from vstestbed.errors import ParameterError
 from vstestbed.geometry import Array, inverse
-from vstestbed.goal import AnyGoal, GoalGap, GoalLanding, GoalLine, GoalPath, GoalPlace, GoalTrack, GoalView, GoalViewFrom, GoalViews
-from vstestbed.ground import pose_on_ground
+from vstestbed.goal import AnyGoal, GoalGap, GoalLine, GoalPath, GoalPlace, GoalTrack, GoalView, GoalViewFrom, GoalViews
 from vstestbed.ground_lines import GroundLines
 from vstestbed.laws import IBVS, LAWS, PBVS, Hybrid, LineFollowing, Partitioned, PoseController, Pursuit
 from vstestbed.observation import Goal, OnFloor, OracleDepth, PnP
@@ -30,8 +29,8 @@ from vstestbed.stop import Stop
 from vstestbed.target import Carried, Held, Points, Square
 from vstestbed.targets import TARGETS
 from vstestbed.vision import DETECTORS, Blobs, Lines, Oracle, Tags
-from vstestbed.vision.believed import pose_by_depth, shown_goal
 from vstestbed.vision.derotate import Derotation
+from vstestbed.wanted import goal_pose, told_goal
 
 
 @spec
@@ -251,51 +250,16 @@ class Scenario:
     @cached_property
     def goal_poses(self) -> tuple[Array, ...]:
         """T_camera_target (4, 4) of the true camera at the goal, of one view or of several in turn: for the log, not for the law."""
-        return tuple(self._pose_of(view, self.camera) for view in self._views)
+        return tuple(goal_pose(view, self.target, self.camera.mount.T) for view in self._views)
 
     def _goal_of(self, goal: AnyGoal) -> Goal:
-        """The goal as the law is told it. Tasks that are no view have one all the same: what is seen where all is well."""
-        believed, points, wrong = self.believed_camera, self.target.points, self.calibration
-        if isinstance(goal, GoalLine) and isinstance(self.target, GroundLines):
-            ahead = self.target.straight_ahead(believed.mount.T, goal.offset_m)
-            if not np.isfinite(ahead).all():
-                words = "must have the camera look ahead, or down with the top of its picture ahead: lines are met ahead of it"
-                raise ParameterError("camera.mount", words, self.camera.mount.rpy_deg)
-            return Goal.of_points(believed, ahead, self._pose_of(goal, believed))
-        shown = wrong.goal == "shown" and not (wrong.camera_exact and wrong.depth_exact)
-        if shown:
-            made = shown_goal(self.camera, believed, points, self._pose_of(goal, self.camera))
-        else:
-            made = Goal.from_view(believed, points, self._pose_of(goal, believed))
-        if self.depth_scale is not None:
-            pose = pose_by_depth(made.T_camera_target, points, self.depth_scale) if shown else made.T_camera_target
-            made = replace(made.deepened(self.depth_scale), T_camera_target=pose)
-        match goal:
-            case GoalView(markers=markers) if markers is not None:
-                return replace(made, counted=np.isin(np.arange(len(points)), markers))
-            case GoalViewFrom(view_from=here) | GoalPlace(pose=here):
-                return replace(made, place=here.place)
-            case GoalGap(gap_m=gap):
-                return replace(made, gap_m=gap)
-            case _:
-                return made
+        return told_goal(goal, self.camera, self.believed_camera, self.target, self.depth_scale, self._shown)
 
-    def _pose_of(self, goal: AnyGoal, camera: Camera) -> Array:
-        """T_camera_target (4, 4) at the goal, for a camera with this mount."""
-        mount = camera.mount.T
-        match goal:
-            case GoalView(T_camera_target=pose) | GoalTrack(T_camera_target=pose) | GoalLanding(above=pose):
-                return pose.T
-            case GoalViewFrom(view_from=here) | GoalPlace(pose=here):
-                return inverse(here.T @ mount) @ self.target.pose.T
-            case GoalGap(gap_m=gap):
-                carrier = self.target.pose.T.copy()
-                carrier[:2, 3] = 0.0  # straight ahead, the carrier turned as the vehicle is
-                return inverse(mount) @ pose_on_ground(np.array([gap, 0.0, 0.0])) @ carrier
-            case GoalLine() if isinstance(self.target, GroundLines):
-                return np.full((4, 4), np.nan)  # any place along the line will do
-            case _:
-                raise ParameterError("goal", f"of kind {goal.kind} needs a line on the floor as target")
+    @property
+    def _shown(self) -> bool:
+        """Whether the goal was shown through the true camera, and differs thereby from what is told."""
+        wrong = self.calibration
+        return wrong.goal == "shown" and not (wrong.camera_exact and wrong.depth_exact)
 
     @property
     def sights(self) -> tuple[tuple[float, float, float], ...]:
