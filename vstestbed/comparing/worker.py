@@ -87,12 +87,9 @@ def task_of(folder: str, scenario: Scenario, filmed: bool, plugins: tuple[str, .
 
 
 def begin(parent_must_live: bool) -> None:
-    """What a worker process does first: leave Ctrl-C to its parent, share the cores, end when the parent is gone."""
+    """What a worker process does first: leave Ctrl-C to its parent, end when the parent is gone."""
     import signal
 
-    import cv2
-
-    cv2.setNumThreads(1)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if parent_must_live:
         import multiprocessing
