@@ -16,6 +16,7 @@ from vstestbed.geometry import (
     direction,
     exp,
     inverse,
+    log,
     pose_from,
     quaternion_wxyz,
     rigid_error,
@@ -66,6 +67,12 @@ class TestExponential:
         # exp(2 x) = exp(x) exp(x), on both sides of the series' border: rounding only.
         np.testing.assert_allclose(exp(2 * twist), exp(twist) @ exp(twist), atol=1e-14)
         np.testing.assert_allclose(exp(-twist), inverse(exp(twist)), atol=1e-15)
+
+    @pytest.mark.parametrize("size", [0.0, 1e-8, 1.99e-4, 2.01e-4, 0.3, 3.14])
+    def test_the_logarithm_undoes_it(self, size: float):
+        twist = np.array([0.3, -0.2, 0.5, *(size * AXES[2])])
+        # Rounding; towards half a turn the quaternion's first number is the difference of nearly equal ones.
+        np.testing.assert_allclose(log(exp(twist)), twist, atol=1e-11 if size > 3 else 1e-14)
 
     def test_without_rotation_it_translates(self):
         np.testing.assert_array_equal(exp(np.array([1.0, 2, 3, 0, 0, 0]))[:3, 3], [1, 2, 3])

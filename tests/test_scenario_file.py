@@ -72,6 +72,7 @@ class TestOneMistake:
             ),
             ("gain: 0.5", "gian: 0.5", "s.yaml:9:19: law.gian: unknown field; did you mean 'gain'?"),
             ("gain: 0.5", "feature: {kind: point, deepth: 1}", "s.yaml:9:42: law.feature.deepth: unknown field; valid: kind"),
+            ("gain: 0.5", "gain: {kind: constant, slope_at_zero: 1}", "law.gain.slope_at_zero: unknown field of constant; adaptive has it"),
             ("q_deg: [", "qdeg: [", "s.yaml:3:21: robot.start.nominal.qdeg: unknown field; did you mean 'q_deg'?"),
             ("side: 0.5", "side: wide", "s.yaml:7:3: target.side: must be a number, got 'wide'"),
             ("side: 0.5", 'side: "0.5"', "s.yaml:7:3: target.side: must be a number, got '0.5'"),
@@ -471,6 +472,14 @@ class TestContradictions:
     def test_parts_that_do_not_belong_together(self, settings: dict[str, object], words: str) -> None:
         with pytest.raises(ScenarioError, match=words):
             load("arm_ibvs", settings)
+
+    def test_a_field_of_another_law_is_told_as_such(self) -> None:
+        with pytest.raises(ScenarioError, match=r"^--set: law.feedforward: unknown field of hybrid; ibvs and pbvs have it$"):
+            load("arm_hybrid", {"law.feedforward": "none"})
+
+    def test_a_field_within_a_list_has_its_whole_place(self) -> None:
+        with pytest.raises(ScenarioError, match=r"^--set: goal.views.0.marker: unknown field; did you mean 'markers'"):
+            load("arm_docking", {"goal.views.0.marker": [1]})
 
     @pytest.mark.parametrize("name", ["arm_pbvs", "arm_hybrid"])
     def test_a_law_without_a_depth_is_not_told_to_change_it(self, name: str) -> None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from vstestbed.batch import Batch, Flight, fly, ideal, start_of, started_at
 from vstestbed.comparing import Comparison, controllers
-from vstestbed.errors import OutputError, ParameterError
+from vstestbed.errors import ParameterError
 from vstestbed.files import write_whole, writing
 from vstestbed.geometry import Array, Pose, inverse, rotation_from_rpy
 from vstestbed.loop import run
@@ -227,21 +227,6 @@ def write(folder: Path, made: Sequence[Basin], command: str = "") -> Path:
     maps = [Map(b.label, b.endings.reshape(shape), b.time_to_converge_s.reshape(shape)) for b in made]
     x, y = made[0].x, made[0].y
     return write_maps(folder, maps, (x.name, x.unit, x.low, x.high), (y.name, y.unit, y.low, y.high), summaries, command)
-
-
-def new_folder(out: Path | None) -> Path:
-    """The folder for a map: `out`, or the next free number in runs/basin.
-
-    Raises:
-        OutputError: it holds something already.
-    """
-    if out is None:
-        parent = Path("runs") / "basin"
-        taken = [int(p.name) for p in parent.iterdir() if p.name.isdecimal()] if parent.is_dir() else []
-        return parent / f"{max(taken, default=0) + 1:03d}"
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise OutputError(out, "exists and is not an empty folder", "give a new one")
-    return out
 
 
 def each(

@@ -46,15 +46,16 @@ def basin(
     plugin: Plugins = None,
 ) -> None:
     """From where each law reaches its goal, and why not from elsewhere: a map of ideal runs over two coordinates of the start."""
-    from vstestbed.basin import each, laws, new_folder, write
+    from vstestbed.basin import each, laws, write
     from vstestbed.cli_compare import vary_of
     from vstestbed.comparing import chosen
+    from vstestbed.files import new_study_folder
     from vstestbed.scenario_file import load_plugins
 
     load_plugins(plugin or [])
     across, up, rest = _axis("--x", x, n), _axis("--y", y, n), dict(_coordinate("--at", text) for text in at or [])
     found = laws(chosen(scenarios, settings_of(set_), vary_of(vary), None), None if field_of_view is None else field_of_view.value)
-    folder = new_folder(out)
+    folder = new_study_folder("basin", out)
     shown = not (quiet or as_json)
     made = each(found, across, up, rest, check, lambda one: typer.echo(_words(one), err=True) if shown else None)
     page = write(folder, made, shlex.join(["vstestbed", *sys.argv[1:]]) if len(sys.argv) > 1 else "")

@@ -29,11 +29,12 @@ def convergence(
     """How many seeds reach the goal over two varied fields, one map a law; runs leave no folders of their own."""
     from vstestbed.cli_compare import vary_of
     from vstestbed.comparing import chosen
-    from vstestbed.convergence import Study, new_folder, summaries, write
+    from vstestbed.convergence import Study, summaries, write
+    from vstestbed.files import new_study_folder
     from vstestbed.scenario_file import load_plugins
 
     load_plugins(plugin or [])
-    study, folder = Study(chosen(scenarios, settings_of(set_), vary_of(vary), seeds)), new_folder(out)
+    study, folder = Study(chosen(scenarios, settings_of(set_), vary_of(vary), seeds)), new_study_folder("convergence", out)
     shown = not (quiet or as_json)
 
     def told(done: int, of: int) -> None:

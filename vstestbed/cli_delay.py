@@ -33,9 +33,10 @@ def delay(
 
     The oracle detects, so that nothing but dynamics and delay counts. An arm's servos are measured, too.
     """
-    from vstestbed.delay import find_limits, new_folder, write
+    from vstestbed.delay import find_limits, write
+    from vstestbed.files import new_study_folder
 
-    chosen, folder = load_scenario(scenario, set_, plugin), new_folder(out)
+    chosen, folder = load_scenario(scenario, set_, plugin), new_study_folder("delay", out)
     shown = not (quiet or as_json)
     limits = find_limits(chosen, _numbers(frames), lambda one: typer.echo(_words(one), err=True) if shown else None)
     page = write(folder, limits, chosen.name, shlex.join(["vstestbed", *sys.argv[1:]]) if len(sys.argv) > 1 else "")

@@ -17,7 +17,7 @@ import polars as pl
 
 from vstestbed.comparing import Comparison, Job, controllers, jobs
 from vstestbed.comparing import workers as workers_of
-from vstestbed.errors import OutputError, ParameterError
+from vstestbed.errors import ParameterError
 from vstestbed.files import write_whole, writing
 from vstestbed.loop import run
 from vstestbed.report.convergence import Panel, write_page
@@ -133,21 +133,6 @@ def write(folder: Path, study: Study, ended: Sequence[tuple[Job, Ended]], comman
 
 def _short(value: object) -> str:
     return ", ".join(_short(v) for v in value) if isinstance(value, list | tuple) else str(value)
-
-
-def new_folder(out: Path | None) -> Path:
-    """The folder of a map: `out`, or the next free number in runs/convergence.
-
-    Raises:
-        OutputError: it holds something already.
-    """
-    if out is None:
-        parent = Path("runs") / "convergence"
-        taken = [int(p.name) for p in parent.iterdir() if p.name.isdecimal()] if parent.is_dir() else []
-        return parent / f"{max(taken, default=0) + 1:03d}"
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise OutputError(out, "exists and is not an empty folder", "give a new one")
-    return out
 
 
 def summaries(panels: Sequence[Panel]) -> Iterator[dict[str, object]]:

@@ -150,6 +150,22 @@ def _exp_entries(vx: Any, vy: Any, vz: Any, x: Any, y: Any, z: Any, a: Any, b: A
     )
 
 
+def log(T: Array) -> Array:
+    """The twist (6,) with exp(twist) = T (4, 4) that turns by at most half a turn.
+
+    w = theta u, v = (I - S/2 + (1 - theta/2 cot(theta/2)) / theta^2 S^2) t with S = [w]x.
+
+    Reference: Lynch & Park 2017, Modern Robotics, eq. 3.92.
+    """
+    q, t = quaternion_wxyz(T[:3, :3]), T[:3, 3]
+    sine = float(np.linalg.norm(q[1:]))
+    half = math.atan2(sine, float(q[0]))
+    small = half < 1e-4
+    S = skew(w := q[1:] * (2.0 if small else 2 * half / sine))
+    share = 1 / 12 if small else (1 - half / math.tan(half)) / (4 * half * half)
+    return np.concatenate([t - S @ t / 2 + share * (S @ (S @ t)), w])
+
+
 def adjoint(T_a_b: Array) -> Array:
     """Twist transform [[R, [t]x R], [0, R]] between two frames on one body, twist_a = A twist_b.
 

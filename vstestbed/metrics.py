@@ -7,8 +7,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from vstestbed.geometry import Array, rotation_angle, rotation_from_quaternion
-from vstestbed.goal import KEPT
+from vstestbed.geometry import Array, inverse, pose_from, rotation_angle, rotation_from_quaternion
+from vstestbed.goal import KEPT, GoalViews
 from vstestbed.scenario import Scenario
 from vstestbed.stop import Outcome
 from vstestbed.target import Held
@@ -56,8 +56,9 @@ def summarise(scenario: Scenario, outcome: Outcome, log: Columns) -> dict[str, o
     worst_off_m: largest true error of a task without an end from its time to settle on; only of such tasks.
     saturated_fraction: share of frames in which the law's limits, the robot's limits or its damping near a
         singularity took something off the command.
-    tracking_*: of a target that moves, the true error once settled (`goal.settle_s`): RMS over all coordinates of the
-        markers and the largest of one frame [px], RMS and largest distance of the camera from its goal pose [m].
+    tracking_*: of a target that moves (in the hand, only where a view is to be kept), the true error once settled
+        (`goal.settle_s`): RMS over all coordinates of the markers and the largest of one frame [px], RMS and largest distance
+        of the camera from its goal pose [m].
 
     Args:
         scenario: the experiment. outcome: how it ended. log: the columns of the log by name, shape (frames,) each.
@@ -127,6 +128,9 @@ def _path(scenario: Scenario, log: Columns) -> dict[str, object]:
     camera, target = _columns(log, "cam", ("x", "y", "z")), _columns(log, "tgt", ("x", "y", "z"))
     length = float(np.linalg.norm(np.diff(camera, axis=0), axis=1).sum())
     straight = float(log["position_error_m"][0])
+    if isinstance(scenario.goal, GoalViews):  # the last of the views is where it goes
+        T = pose_from(target[0], _columns(log, "tgt", ("qw", "qx", "qy", "qz"))[0]) @ inverse(scenario.goal_poses[-1])
+        straight = float(np.linalg.norm(T[:3, 3] - camera[0]))
     distance = np.linalg.norm(camera - target, axis=1)
     at_goal = float(np.linalg.norm(scenario.goal_poses[-1][:3, 3]))
     R = rotation_from_quaternion(_columns(log, "cam", ("qw", "qx", "qy", "qz")))
@@ -168,7 +172,8 @@ def _image(scenario: Scenario, log: Columns) -> dict[str, object]:
 def _tracking(scenario: Scenario, log: Columns) -> dict[str, object]:
     names = ("tracking_rms_px", "tracking_max_px", "tracking_rms_m", "tracking_max_m")
     settled = log["t"] >= (scenario.goal.settle_s if isinstance(scenario.goal, KEPT) else 0.0)
-    if not scenario.target.moves or not settled.any():
+    asked = isinstance(scenario.goal, KEPT) or not isinstance(scenario.target.motion, Held)  # what the hand brings is no pursuit
+    if not (scenario.target.moves and asked and settled.any()):
         nothing: dict[str, object] = {}
         return nothing | dict.fromkeys(names)
     markers = range(len(scenario.target.points))

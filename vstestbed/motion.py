@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 import numpy as np
 from annotated_types import Ge, Gt
 
-from vstestbed.geometry import Array, Pose, Triple
+from vstestbed.geometry import Array, Pose, Triple, rotation_from_rpy
 from vstestbed.spec import OneOf, spec
 
 Path = Callable[[float], Array]
@@ -96,8 +96,10 @@ class Sinusoid:
 
         def at(t: float) -> Array:
             s = math.sin(w * t)
-            D = _rpy(np.radians(rpy * s)) if rpy.any() else np.eye(4)
+            D = np.eye(4)
             D[:3, 3] = xyz * s
+            if rpy.any():
+                D[:3, :3] = rotation_from_rpy(np.radians(rpy * s))
             return D
 
         return at
@@ -172,18 +174,6 @@ class RandomWalk:
         F = np.asarray(expm(np.array([[0.0, 1.0], [-W * W, -2 * DAMPING * W]]) * dt), dtype=float)
         stationary = np.diag([1.0, W * W])
         return F, np.asarray(np.linalg.cholesky(stationary - F @ stationary @ F.T), dtype=float)
-
-
-def _rpy(angles: Array) -> Array:
-    """Rz(yaw) Ry(pitch) Rx(roll) as a pose (4, 4), angles (3,) [rad]."""
-    (cr, cp, cy), (sr, sp, sy) = np.cos(angles), np.sin(angles)
-    D = np.eye(4)
-    D[:3, :3] = [
-        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-        [-sp, cp * sr, cp * cr],
-    ]
-    return D
 
 
 OWN_MOTIONS = (Still, Line, Circle, Sinusoid, Lissajous, RandomWalk)

@@ -151,7 +151,7 @@ def _sentence(detail: Any, cls: type) -> str:
     """Pydantic's finding in this project's words, with what was found."""
     kind, found = detail["type"], detail["input"]
     if kind == "unexpected_keyword_argument":
-        return f"unknown field; {nearest(str(detail['loc'][-1]), _fields_at(detail['loc'][:-1], cls))}"
+        return _unknown(str(detail["loc"][-1]), *_block_at(detail["loc"][:-1], cls))
     kinds = KINDS.get(f"{detail['loc'][-1]}s") if detail["loc"] else None
     if kind == "missing":
         return _WORDS[kind] + (f"; valid kinds: {', '.join(sorted(kinds.members))}" if kinds else "")
@@ -166,15 +166,33 @@ def _is_spec(value: object) -> TypeGuard[type]:
     return isinstance(value, type) and dataclasses.is_dataclass(value)
 
 
-def _fields_at(loc: Sequence[int | str], cls: type) -> list[str]:
-    """Names of the fields of the spec class at a pydantic location in `cls` (where kinds stand as tags)."""
+def _unknown(name: str, block: type, room: OneOf | None) -> str:
+    """What is said of a field that a block does not have: who else of its room has it, or what it may have been meant to be."""
+    able = [kind for kind, member in room.members.items() if name in _fields(member)] if room else []
+    if able and room:
+        kind = next(kind for kind, member in room.members.items() if member is block)
+        words = f"{', '.join(able[:-1])} and {able[-1]} have" if able[1:] else f"{able[0]} has"
+        return f"unknown field of {kind}; {words} it"
+    return f"unknown field; {nearest(name, _fields(block))}"
+
+
+def _fields(block: type) -> list[str]:
+    return [f.name for f in dataclasses.fields(block) if f.init]  # type: ignore[arg-type]
+
+
+def _block_at(loc: Sequence[int | str], cls: type) -> tuple[type, OneOf | None]:
+    """The spec class at a pydantic location in `cls` (where kinds stand as tags), and the room it is one of, where there is one."""
+    room, asked = None, None
     for part in loc:
-        by_kind = {k: m for one in KINDS.values() for k, m in one.members.items()}
-        if isinstance(part, str) and (field := _spec_of_field(cls, part)) is not None:
-            cls = field
-        elif isinstance(part, str) and part in by_kind:
-            cls = by_kind[part]
-    return [f.name for f in dataclasses.fields(cls) if f.init]  # type: ignore[arg-type]
+        if isinstance(part, int):
+            continue
+        if (field := _spec_of_field(cls, part)) is not None:
+            cls, room = field, None
+        rooms = [one for one in (asked, *KINDS.values()) if one is not None and part in one.members]
+        if rooms and field is None:
+            cls, room = rooms[0].members[part], rooms[0]
+        asked = KINDS.get(f"{part}s", asked)
+    return cls, room
 
 
 def _spec_of_field(cls: type, name: str) -> type | None:

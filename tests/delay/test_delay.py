@@ -37,7 +37,7 @@ def arm() -> Callable[[str], Scenario]:
     )
 
 
-@pytest.mark.parametrize("d", [0, 1, 3, 5])
+@pytest.mark.parametrize("d", [0, 5])
 def test_the_ideal_camera_goes_unstable_where_theory_says(free, d):
     start, g = displaced(free), closed_form(d)
     # The bound is 5 %; it is a tenth of that (the study below).
@@ -96,13 +96,13 @@ def command(words: list[str]) -> int:
 
 def test_command_leaves_its_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     out = tmp_path / "study"
-    words = ["delay", "ibvs_book", "--frames", "0,1", "--set", "camera.rate_hz=20", "--set", "law.gain=0.8", "--out", str(out), "--json"]
+    words = ["delay", "ibvs_book", "--frames", "1", "--set", "camera.rate_hz=20", "--set", "law.gain=0.8", "--out", str(out), "--json"]
     assert command(words) == 0
     rows = json.loads(capsys.readouterr().out)
-    assert [row["delay_frames"] for row in rows] == [0, 1]
-    assert [row["gain_limit"] for row in rows] == pytest.approx([40, 20], rel=0.005)  # 2 and 1 over .05 s
+    assert [row["delay_frames"] for row in rows] == [1]
+    assert [row["gain_limit"] for row in rows] == pytest.approx([20], rel=0.005)  # 1 over .05 s
     assert {p.name for p in out.iterdir()} == {"delay.csv", "delay.parquet", "delay.json", "delay.png", "delay.pdf", "report.html"}
-    assert pl.read_parquet(out / "delay.parquet")["measured_to_theory"].to_list() == pytest.approx([1, 1], rel=0.005)
+    assert pl.read_parquet(out / "delay.parquet")["measured_to_theory"].to_list() == pytest.approx([1], rel=0.005)
     page = (out / "report.html").read_text()
     assert "gain limit [1/s]" in page and "data:image/png" in page
     assert command(words) == 2  # never over an older study

@@ -102,9 +102,10 @@ def tracking(feedforward, motion=CIRCLE, **settings):
         "detector": "oracle",
         "noise.pixel_sigma_px": 0.05,
         "target.motion": motion,
-        "law.feedforward": feedforward,
         "stop.duration_s": 15,
     }
+    if feedforward:
+        setting["law.feedforward"] = feedforward
     return vs.run(vs.load("arm_track_circle", setting | settings)).summary()["tracking_rms_m"]
 
 
@@ -122,6 +123,15 @@ class TestOnTheIdealCamera:
 
     def test_a_target_that_never_repeats(self):
         assert tracking({"kind": "kalman_ca", "predict_s": 0.06}, WANDER) < tracking({"kind": "none"}, WANDER) / 3.5
+
+    def test_a_law_of_poses_follows_as_well(self):
+        alone, ahead, predicted = (
+            tracking(None, law={"kind": "pbvs", "gain": 1.0, "feedforward": kind})
+            for kind in ({"kind": "none"}, {"kind": "kalman_cv"}, {"kind": "kalman_ca", "predict_s": 0.06})
+        )
+        assert alone == pytest.approx(0.083, rel=0.06)  # as with points: the lag is the loop's
+        assert ahead < alone / 5
+        assert predicted < ahead / 2
 
     def test_integral_action_follows_a_constant_speed_without_an_error(self):
         line = {"kind": "line", "velocity_mps": [0.03, 0, 0]}

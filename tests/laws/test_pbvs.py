@@ -77,7 +77,7 @@ class TestRest:
         p = transform(GOAL.T_camera_target, POINTS)
         uv = np.where(np.arange(4)[:, None] < seen, CAMERA.project(p), np.nan)
         o = Observation(t=0, uv=uv, xy=CAMERA.normalise(uv), depth=p[:, 2], T_camera_target=T)
-        command = PBVS().step(None, o, GOAL, np.eye(6))[1]
+        command = PBVS().step(PBVS().init(GOAL), o, GOAL, np.eye(6))[1]
         assert not command.u.any() or not command.held
         return command.held
 

@@ -83,6 +83,22 @@ def test_a_decoy_that_passes_in_front_of_a_marker_does_not_take_it_along(picture
     assert whole > 12  # of 20: it is lost only while the two touch
 
 
+@pytest.mark.parametrize("known", [True, False], ids=["tracked before", "first picture"])
+def test_with_a_marker_hidden_none_jumps_to_decoys_of_all_hues(picture: Picture, known: bool) -> None:
+    """Three markers continue a pose that is known; without one any three blobs make a pose, and nothing is told from another."""
+    blobs, p = Blobs(), transform(FRONT, TARGET.points)[0] * 0.9
+    memory = blobs.init()
+    if known:
+        memory, _ = blobs.detect(memory, picture(TARGET, FRONT, CAMERA, ""), None, CAMERA, TARGET, RNG)
+    decoys = "".join(_ball(m, -0.45 + 0.3 * m, (-0.36, 0.36)[m % 2], 0.024) for m in range(4))
+    extra = SCREEN.format(x=p[0], y=p[1], z=p[2]) + decoys
+    _, found = blobs.detect(memory, picture(TARGET, FRONT, CAMERA, extra), None, CAMERA, TARGET, RNG)
+    if known:
+        _check(found, [False, True, True, True], FRONT)
+    else:
+        assert not found.seen.any()
+
+
 def test_tracked_windows_are_not_left_for_a_decoy_nearby(picture: Picture) -> None:
     blobs = Blobs()
     memory = blobs.init()

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 from vstestbed.comparing.plan import AMOUNT, Comparison, Job, read_comparison
 from vstestbed.comparing.worker import Files
-from vstestbed.errors import OutputError, ParameterError, RunFolderError
-from vstestbed.files import write_whole, writing
+from vstestbed.errors import ParameterError, RunFolderError
+from vstestbed.files import new_study_folder, write_whole, writing
 from vstestbed.scenario_file import dump_mapping, text_of
 
 if TYPE_CHECKING:
@@ -30,15 +30,10 @@ def new_folder(out: Path | None) -> Path:
     Raises:
         OutputError: it holds something already, or cannot be made.
     """
-    if out is None:
-        parent = Path("runs") / "compare"
-        taken = [int(p.name) for p in parent.iterdir() if p.name.isdecimal()] if parent.is_dir() else []
-        out = parent / f"{max(taken, default=0) + 1:03d}"
-    with writing(out):
-        if out.exists() and (not out.is_dir() or any(out.iterdir())):
-            raise OutputError(out, "exists and is not an empty folder", "give a new one, or --resume to go on with what is there")
-        out.mkdir(parents=True, exist_ok=True)
-    return out
+    folder = new_study_folder("compare", out, "give a new one, or --resume to go on with what is there")
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    return folder
 
 
 def resumable(out: Path | None) -> Path:

@@ -1,7 +1,7 @@
 """Delay: the gain at which a visual servo goes unstable, measured beside what theory says."""
 
-from vstestbed.delay.folder import new_folder, write
+from vstestbed.delay.folder import write
 from vstestbed.delay.lag import Lag
 from vstestbed.delay.measure import Limit, find_limits
 
-__all__ = ["Lag", "Limit", "find_limits", "new_folder", "write"]
+__all__ = ["Lag", "Limit", "find_limits", "write"]

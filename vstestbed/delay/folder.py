@@ -13,27 +13,11 @@ import polars as pl
 
 from vstestbed.delay.measure import Limit
 from vstestbed.delay.theory import AS_TOLD, closed_form, locus
-from vstestbed.errors import OutputError
 from vstestbed.files import write_whole, writing
 from vstestbed.report.delay import Branches, write_page
 
 BEYOND = 1.3
 """The root locus is drawn up to this many times the gain limit."""
-
-
-def new_folder(out: Path | None) -> Path:
-    """The folder of a study: `out`, or the next free number in runs/delay.
-
-    Raises:
-        OutputError: it holds something already.
-    """
-    if out is None:
-        parent = Path("runs") / "delay"
-        taken = [int(p.name) for p in parent.iterdir() if p.name.isdecimal()] if parent.is_dir() else []
-        return parent / f"{max(taken, default=0) + 1:03d}"
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise OutputError(out, "exists and is not an empty folder", "give a new one")
-    return out
 
 
 def write(folder: Path, limits: Sequence[Limit], name: str, command: str = "") -> Path:

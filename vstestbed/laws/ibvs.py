@@ -12,7 +12,8 @@ from annotated_types import Ge
 from vstestbed.features import FEATURES, Line, Point, Polar, Polygon, Spherical
 from vstestbed.geometry import Array
 from vstestbed.laws.base import Command, ConstantGain, Gain, TwistLimits
-from vstestbed.laws.feedforward import Change, Estimator, Feedforward, Integral, NoFeedforward, Trend, follow, look_ahead
+from vstestbed.laws.feedforward import Change, Feedforward, NoFeedforward
+from vstestbed.laws.following import NOTHING, Followed, beforehand, inputs_of, unseen, unwound
 from vstestbed.laws.select import ALL, Rows, require_area, usable_rows
 from vstestbed.laws.solve import least_squares, null_space
 from vstestbed.laws.views import Views
@@ -20,23 +21,14 @@ from vstestbed.laws.visibility import Visibility
 from vstestbed.observation import Depth, Goal, Observation, PnP
 from vstestbed.spec import spec
 
-COAST_S = 1.0
-"""How long a moving target is followed without sight [s]."""
-
 
 @dataclass(frozen=True, slots=True)
 class IBVSMemory:
-    """Time of the first command [s] and the command that the law would have jumped to there (n,).
-
-    Of a law with feedforward also the last picture, its time [s], what is known of the target's motion, and the integral (n,).
-    """
+    """Time of the first command [s], the command that the law would have jumped to there (n,), and what feedforward remembers."""
 
     t0: float = math.nan
     u0: Array | None = None
-    seen: Observation | None = None
-    t: float = math.nan
-    trend: Trend | None = None
-    integral: Array | None = None
+    followed: Followed = NOTHING
 
 
 @spec
@@ -47,7 +39,7 @@ class IBVS:
 
     A view that moves along a path adds its own velocity u* to that.
 
-    With `feedforward` a target that moves is followed without lag (`feedforward.py`), for COAST_S also unseen.
+    With `feedforward` a target that moves is followed without lag (`feedforward.py`), for a second also unseen.
 
     Errata. Chapter 16 of Corke 2017 has polar and spherical features as here (eqs 16.9, 16.15), but theta = asin(r) in
     eq. 16.11, which is wrong behind the camera's equator; each feature says what it does instead. With an exact half turn
@@ -88,7 +80,7 @@ class IBVS:
     @property
     def inputs(self) -> tuple[str, ...]:
         """The fields of an Observation that its feature takes, and the camera's own motion for feedforward."""
-        return self.feature.inputs + (("motion",) if isinstance(self.feedforward, Estimator) else ())
+        return self.feature.inputs + inputs_of(self.feedforward)
 
     def check(self, points: Array, goal: Goal) -> None:
         """Refuse what `visibility` does; with the feature `polygon`, a goal view of three or more markers without a size."""
@@ -107,13 +99,13 @@ class IBVS:
 
     def step(self, memory: IBVSMemory, observation: Observation, goal: Goal, basis: Array) -> tuple[IBVSMemory, Command]:
         """One frame, with the markers that are seen; rest when they are too few for the robot's motions."""
-        before = memory
-        rows = usable_rows(observation, self.feature.inputs, self.markers_needed(basis))
+        rows, before = usable_rows(observation, self.feature.inputs, self.markers_needed(basis)), memory.followed
         if isinstance(rows, str):
             return self._without(memory, observation, basis, rows)
         e, L = self.equations(*self._taken(observation, rows), *self._taken(goal, rows))
         solved = least_squares(L @ basis, e)  # pinv(L B) e
-        memory, solved, aside = self._beforehand(memory, observation, solved, basis)
+        change = self._change(before.seen, observation, self.markers_needed(basis)) if before.seen and before.trend else None
+        followed, solved, aside = beforehand(self.feedforward, before, observation, solved, change, basis)
         u = -self.gain.at(solved) * solved - aside
         if goal.twist is not None:
             u = u + least_squares(basis, goal.twist)
@@ -124,25 +116,9 @@ class IBVS:
         if self.visibility.margin_px > 0:
             u = u + self.visibility.push(observation, goal, basis)
         command = self.limits.command(u, basis)
-        if isinstance(self.feedforward, Integral) and command.scale < 1:
-            memory = replace(memory, integral=before.integral)
         if self.redundant:
             command = replace(command, free=basis @ null_space(L @ basis))
-        return memory, command
-
-    def _beforehand(self, memory: IBVSMemory, seen: Observation, solved: Array, basis: Array) -> tuple[IBVSMemory, Array, Array]:
-        """The motion still to be made (n,) at the time looked ahead to, and what is ordered beside the gain's share of it (n,)."""
-        kind, motion = self.feedforward, seen.motion
-        if isinstance(kind, Integral):
-            since = seen.t - memory.seen.t if memory.seen else 0.0
-            total = solved * since + (0 if memory.integral is None else memory.integral)
-            return replace(memory, seen=seen, integral=total), solved, kind.rate_per_s2 * total
-        if isinstance(kind, NoFeedforward) or motion is None:
-            return memory, solved, np.zeros_like(solved)
-        change = self._change(memory.seen, seen, self.markers_needed(basis)) if memory.seen else None
-        trend = follow(kind, memory.trend, change, basis, motion)
-        shift, rate = look_ahead(kind, trend, basis, motion)
-        return replace(memory, seen=seen, t=seen.t, trend=trend), solved + shift, rate
+        return replace(memory, followed=unwound(before, followed, command)), command
 
     def _change(self, before: Observation, now: Observation, needed: int) -> Change | None:
         """How the feature changed between two pictures, by the markers that both have."""
@@ -156,12 +132,12 @@ class IBVS:
         return Change(self.feature.error(self.feature.measure(x1), self.feature.measure(x0)), L)
 
     def _without(self, memory: IBVSMemory, seen: Observation, basis: Array, why: str) -> tuple[IBVSMemory, Command]:
-        """A frame without sight: rest; a target that moved is followed by its own motion for COAST_S."""
-        kind, trend, motion = self.feedforward, memory.trend, seen.motion
-        if not isinstance(kind, Estimator) or trend is None or motion is None or not seen.t - memory.t <= COAST_S:
+        """A frame without sight: rest; a target that moved is followed by its own motion for a while."""
+        gone_on = unseen(self.feedforward, memory.followed, seen, basis)
+        if gone_on is None:
             return IBVSMemory(), Command.rest(basis, why)
-        trend = follow(kind, trend, None, basis, motion)
-        return replace(memory, seen=None, trend=trend), replace(self.limits.command(-trend.rate, basis), held=why)
+        followed, u = gone_on
+        return replace(memory, followed=followed), replace(self.limits.command(u, basis), held=why)
 
     @property
     def remembers(self) -> int:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import ClassVar, Literal
 
 import numpy as np
 
 from vstestbed.features import ThetaU, Translation
-from vstestbed.geometry import Array, inverse
+from vstestbed.geometry import Array, inverse, log
 from vstestbed.laws.base import Command, ConstantGain, Gain, TwistLimits
+from vstestbed.laws.feedforward import Change, Feedforward, NoFeedforward
+from vstestbed.laws.following import NOTHING, Followed, beforehand, inputs_of, unseen, unwound
 from vstestbed.laws.select import NO_POSE, TOO_FEW
 from vstestbed.laws.solve import least_squares
 from vstestbed.laws.views import Views
@@ -30,6 +33,9 @@ class PBVS:
     in the goal's frame, so that it stays in view.
     The pose comes from the markers' pixels and the known target (perspective-n-point); its errors are the law's.
 
+    With `feedforward` a target that moves is followed without lag (`feedforward.py`), for a second also unseen. Its displacement
+    between two pictures is that of the poses, log(T_before T_now^-1), less the camera's own.
+
     Errata. Corke 2017, section 15.1, moves the camera by a share of the pose error at each step, SE3 interpolation, which is
     `cdMc` in steps of finite length; here it is a velocity, and the robot's dynamics are in between.
 
@@ -37,6 +43,7 @@ class PBVS:
         gain: lambda [1/s].
         translation: which of the three.
         limits: largest speed and rate of the commanded twist.
+        feedforward: what is done about a target that moves.
 
     Reference: Chaumette & Hutchinson 2006, eqs 15-20, doi:10.1109/MRA.2006.250573.
     """
@@ -46,34 +53,43 @@ class PBVS:
     gain: Gain = ConstantGain()
     translation: Literal["cdMc", "cMcd", "cMo"] = "cdMc"
     limits: TwistLimits = TwistLimits()
+    feedforward: Feedforward = NoFeedforward()
     depth: ClassVar[Depth] = PnP()
 
     @property
     def inputs(self) -> tuple[str, ...]:
         """The fields of an Observation that it looks at."""
-        return ("T_camera_target",)
+        return ("T_camera_target", *inputs_of(self.feedforward))
 
     def check(self, points: Array, goal: Goal) -> None:
         """Any will do."""
 
-    def init(self, goal: Goal) -> None:
-        """No memory."""
+    def init(self, goal: Goal) -> Followed:
+        """Nothing known of the target's motion."""
+        return NOTHING
 
     def markers_needed(self, basis: Array) -> int:
         """Three markers leave a pose that continues the last one."""
         return 3
 
-    def step(self, memory: None, observation: Observation, goal: Goal, basis: Array) -> tuple[None, Command]:
+    def step(self, memory: Followed, observation: Observation, goal: Goal, basis: Array) -> tuple[Followed, Command]:
         """One frame; rest where no pose can be told."""
         T = observation.T_camera_target
-        if np.count_nonzero(observation.seen) < self.markers_needed(basis):
-            return None, Command.rest(basis, TOO_FEW)
-        if T is None:
-            return None, Command.rest(basis, NO_POSE)
+        if T is None or np.count_nonzero(observation.seen) < self.markers_needed(basis):
+            return self._without(memory, observation, basis, NO_POSE if T is None else TOO_FEW)
         e, L = self.feature(T, goal.T_camera_target)
         solved = least_squares(L @ basis, e)
-        u = -self.gain.at(solved) * solved
-        return None, self.limits.command(u, basis)
+        followed, solved, aside = beforehand(self.feedforward, memory, observation, solved, _change(memory.seen, T), basis)
+        command = self.limits.command(-self.gain.at(solved) * solved - aside, basis)
+        return unwound(memory, followed, command), command
+
+    def _without(self, memory: Followed, seen: Observation, basis: Array, why: str) -> tuple[Followed, Command]:
+        """A frame without a pose: rest, or on with the target's own motion."""
+        gone_on = unseen(self.feedforward, memory, seen, basis)
+        if gone_on is None:
+            return NOTHING, Command.rest(basis, why)
+        followed, u = gone_on
+        return followed, replace(self.limits.command(u, basis), held=why)
 
     @property
     def remembers(self) -> int:
@@ -96,3 +112,10 @@ class PBVS:
         turn = _THETA_U.measure(R)
         e = np.concatenate([t.error(t.measure(seen), s_star), turn], axis=-1)
         return e, np.concatenate([t.interaction(seen), _THETA_U.interaction_at(turn)], axis=-2)
+
+
+def _change(before: Observation | None, T_now: Array) -> Change | None:
+    """How the pose (4, 4) changed since the last picture, as a displacement of the camera against the target, (6,)."""
+    if before is None or before.T_camera_target is None:
+        return None
+    return Change(log(before.T_camera_target @ inverse(T_now)), np.eye(6))
