@@ -122,6 +122,7 @@ def test_a_blow_that_overturns_it_ends_the_task_and_it_sets_down(monkeypatch):
     assert r["cam_z"][-1] == pytest.approx(0.172, abs=0.01)
 
 
+@pytest.mark.study
 def test_a_draught_that_the_rotors_cannot_carry_ends_the_task_and_it_sets_down():
     """For 5 s the air falls with up to 20 m/s: drag and weight are more than four rotors at 1000 rad/s lift."""
     start = {"robot.start.nominal.xyz": [0, 0, 20], "goal.T_camera_target.xyz": [0, 0, 19.89], "stop.duration_s": 90}

@@ -293,7 +293,7 @@ def start(tmp_path: Path, vstestbed_process: tuple[list[str], dict[str, str]]) -
 
 
 class TestCutOff:
-    @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+    @pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.study)])
     def test_an_interrupt_leaves_a_whole_folder(self, start: Start, quick: Path, tmp_path: Path, number: signal.Signals) -> None:
         films = ("--set", "detector=blobs") if number == signal.SIGINT else NO_FILM
         process = start(*ENDLESS, *films)
@@ -312,7 +312,7 @@ class TestCutOff:
         for film in folder.glob("*.mp4"):
             assert pictures_of(film) == frames
 
-    @pytest.mark.parametrize(("more", "frames"), [(("--set", "detector=blobs"), 3), (NO_FILM, 40)])
+    @pytest.mark.parametrize(("more", "frames"), [pytest.param(("--set", "detector=blobs"), 3, marks=pytest.mark.study), (NO_FILM, 40)])
     def test_a_kill_leaves_what_there_was_and_nothing_that_looks_finished(
         self, start: Start, quick: Path, tmp_path: Path, command, more: tuple[str, ...], frames: int
     ) -> None:

@@ -65,6 +65,7 @@ def test_size_length_and_bars(tmp_path: Path) -> None:
     assert (pictures[10, 10:400, 480] > 200).all()  # a line between columns
 
 
+@pytest.mark.study
 def test_every_film_shows_its_newest_picture_of_the_moment(tmp_path: Path) -> None:
     rates = {(0, 0): 25.0, (0, 1): 10.0, (1, 0): 30.0, (1, 1): 12.5}
     films = {place: film(tmp_path / f"{rate}{place[0]}.mp4", 3.2, rate) for place, rate in rates.items()}
@@ -76,7 +77,7 @@ def test_every_film_shows_its_newest_picture_of_the_moment(tmp_path: Path) -> No
         np.testing.assert_array_equal(number(pictures, column, row), np.append(newest, 30 * [round(3.2 * own_hz) - 1]))
 
 
-@pytest.mark.parametrize("rate_hz", [10.0, 50.0])
+@pytest.mark.parametrize("rate_hz", [10.0, pytest.param(50.0, marks=pytest.mark.study)])
 def test_the_rate_can_be_given(tmp_path: Path, rate_hz: float) -> None:
     run = Column("a", (film(tmp_path / "a.mp4", 2.0),), "")
     pictures, rate = read(side_by_side([run], tmp_path / "all.mp4", rate_hz))
