@@ -13,7 +13,7 @@ from tests.test_golden_loops import ROWS, SET, STARTS, decided_by_rounding, law_
 from vstestbed.assets import bundled_scenarios
 from vstestbed.batch import fly, ideal, start_of, started_at
 from vstestbed.errors import ParameterError
-from vstestbed.features import FEATURES, Line, Polar
+from vstestbed.features import FEATURES, Line, Polar, Polygon
 from vstestbed.geometry import Array, Pose, inverse
 from vstestbed.laws import IBVS, LAWS, PBVS, Hybrid, Law, Partitioned
 from vstestbed.laws.base import AdaptiveGain, ConstantGain, TwistLimits
@@ -23,7 +23,7 @@ from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart
 from vstestbed.scenario import GoalView, Noise, Scenario
 from vstestbed.stop import Converged, Stop
-from vstestbed.target import Square
+from vstestbed.target import Points, Square
 from vstestbed.vision import Oracle
 
 FAST = ConstantGain(value=2.5)
@@ -194,3 +194,21 @@ def test_the_ideal_camera_starts_where_the_arm_holds_it():
 def test_polar_features_wrapped_alone_fly_too():
     s, starts = scenario(IBVS(feature=Polar(together=False), interaction="mean", gain=FAST)), drawn(3, yaw=60)
     assert [o.name for o in fly(s, starts).outcome] == [vs.run(started_at(s, start)).outcome.name for start in starts]
+
+
+@pytest.mark.parametrize(
+    ("law", "markers"),
+    [(IBVS(redundant=True, depth=OracleDepth(), gain=FAST), 2), (IBVS(feature=Polygon(), gain=FAST), 4)],
+    ids=["two", "polygon"],
+)
+def test_a_law_that_leaves_motions_open_does_not_make_them(law: IBVS, markers: int):
+    """Fewer equations than motions: the shortest twist, as in the time loop."""
+    corners = ((-0.25, -0.25, 0.0), (0.25, -0.25, 0.0), (0.25, 0.25, 0.0), (-0.25, 0.25, 0.0))
+    s = replace(scenario(law, duration_s=4.0), target=Points(at=corners[:markers], pose=Pose()))
+    starts = drawn(4, yaw=60)
+    found = fly(s, starts)
+    for i, start in enumerate(starts):
+        r = vs.run(started_at(s, start))
+        assert (found.outcome[i], found.steps[i]) == (r.outcome, len(r["t"]) - 1)
+        # Normal equations against a factorisation: a few digits less than rounding.
+        assert inverse(found.T_camera_target[i])[:3, 3] == pytest.approx([r[f"cam_{n}"][-1] for n in "xyz"], abs=1e-6)

@@ -24,6 +24,18 @@ def test_many_are_as_each_alone():
     np.testing.assert_allclose([least_squares(a, e) for a, e in zip(A, b, strict=True)], expected, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.parametrize("rows", [2, 4, 5])
+def test_with_fewer_equations_than_unknowns_many_get_the_shortest(rows: int):
+    A, b = problems(100)
+    A, b = A[:, :rows], b[:, :rows]
+    expected = np.array([np.linalg.pinv(a, PINV_RCOND) @ e for a, e in zip(A, b, strict=True)])
+    # Normal equations square the condition, as above.
+    np.testing.assert_allclose(least_squares(A, b), expected, rtol=1e-6, atol=1e-9 * np.abs(expected).max())
+    A[:50, 1], b[:50, 1] = A[:50, 0], b[:50, 0]  # one marker that says the same twice
+    expected = np.array([np.linalg.pinv(a, PINV_RCOND) @ e for a, e in zip(A, b, strict=True)])
+    np.testing.assert_allclose(least_squares(A, b), expected, rtol=1e-6, atol=1e-9 * np.abs(expected).max())
+
+
 def test_one_matrix_with_many_right_sides():
     A, b = problems(50)
     np.testing.assert_allclose(least_squares(A[0], b), b @ np.linalg.pinv(A[0]).T, rtol=1e-9, atol=1e-12)

@@ -27,9 +27,9 @@ def least_squares(A: Array, b: Array) -> Array:
 
     One problem by LAPACK's complete orthogonal factorisation, which takes a third of the time of a singular value
     decomposition; the rank is told from the factors' estimated condition. Many by their normal equations, and many b of
-    one A (m, n) by its pseudo-inverse. (Where A has not full rank, the many get a least x among those of some columns.)
+    one A (m, n) by its pseudo-inverse. (Of many, an A whose rank is under both m and n gives a least x among those of some columns.)
 
-    Reference: Golub & Van Loan 2013, Matrix Computations, sections 5.5 and 4.2.5 (Cholesky).
+    Reference: Golub & Van Loan 2013, Matrix Computations, sections 5.5, 5.6 and 4.2.5 (Cholesky).
     """
     if A.ndim == 2 and b.ndim > 1:
         return b @ np.linalg.pinv(A, PINV_RCOND).T
@@ -45,17 +45,29 @@ def least_squares(A: Array, b: Array) -> Array:
 
 
 def _many(A: Array, b: Array) -> Array:
-    """Least squares of A (M, m, n) and b (M, m), each operation over all M.
+    """Least squares of A (M, m, n) and b (M, m), each operation over all M; with fewer equations than unknowns the shortest x.
 
-    A^T A x = A^T b by Cholesky's C C^T, elements in loops and problems in arrays: LAPACK would be called M times.
+    A^T A x = A^T b, or A A^T y = b with x = A^T y, by Cholesky's C C^T, elements in loops and problems in arrays: LAPACK
+    would be called M times.
     """
-    n = A.shape[2]
-    columns = np.ascontiguousarray(A.transpose(2, 1, 0))
     right = np.ascontiguousarray(b.T)
+    if A.shape[1] < A.shape[2]:
+        rows = np.ascontiguousarray(A.transpose(1, 2, 0))
+        return np.asarray(np.einsum("mik,mk->ki", rows, _cholesky(rows, right.copy(), np.zeros(len(b)))))
+    columns = np.ascontiguousarray(A.transpose(2, 1, 0))
     x = np.einsum("imk,mk->ik", columns, right)
+    return _cholesky(columns, x, STILL**2 * _dot(right, right)).T
+
+
+def _cholesky(columns: Array, x: Array, still2: Array) -> Array:
+    """What solves C^T C x = the given x (n, M), which it overwrites: the columns (n, m, M) are C's.
+
+    Right sides whose square is under still2 (M,) times that of C count as zero.
+    """
+    n = len(columns)
     G = [[_dot(columns[i], columns[j]) for j in range(i + 1)] for i in range(n)]
     size2 = np.sum([G[i][i] for i in range(n)], axis=0)
-    x[:, _dot(x, x) < STILL**2 * size2 * _dot(right, right)] = 0.0
+    x[:, _dot(x, x) < still2 * size2] = 0.0
     least = np.maximum(DEPENDENT / n * size2, np.finfo(float).tiny)
     for i in range(n):
         for j in range(i):
@@ -72,7 +84,7 @@ def _many(A: Array, b: Array) -> Array:
         for k in range(i + 1, n):
             x[i] -= G[k][i] * x[k]
         x[i] *= G[i][i]
-    return x.T
+    return x
 
 
 def _dot(a: Array, b: Array) -> NDArray[np.float64]:
