@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 
 import numpy as np
@@ -37,6 +38,7 @@ def test_a_grid_in_the_frame_of_the_goal_camera():
         ("--y must be another coordinate than --x", "x", "x", {}),
         ("--at must be one of x, y, z, roll, pitch, yaw that is not on the map, got 'y'", "x", "y", {"y": 1}),
         ("--at must be one of", "x", "y", {"depth": 1}),
+        ("--at z must be a finite number, got nan", "x", "y", {"z": math.nan}),
     ],
 )
 def test_what_a_grid_refuses(words: str, x: str, y: str, at: dict[str, float]):
@@ -63,6 +65,20 @@ def test_a_comparison_names_its_laws():
     assert [label for label, _ in found] == ["interaction=current", "interaction=mean"]
 
 
+def test_maps_that_would_be_the_same_are_refused():
+    varied = {"robot.actuation": ("ideal", "industrial")}
+    with pytest.raises(ParameterError, match="`actuation=industrial` would make the same map as `actuation=ideal`: its cameras are ideal"):
+        laws(chosen(["arm_ibvs"], {}, varied, None))
+    with pytest.raises(ParameterError, match="`friction, points` would make the same map as `dynamics, points`"):
+        laws(chosen(["realism"], {}, {}, None))
+
+
+def test_a_target_that_moves_has_no_map():
+    for name, kind in (("arm_track_circle", "circle"), ("arm_eye_to_hand", "held")):
+        with pytest.raises(ParameterError, match=f"target.motion must be still in a batch, got '{kind}'"):
+            laws(chosen([name], {}, {}, None))
+
+
 def run(*words: object) -> int:
     with pytest.raises(SystemExit) as ended:
         main([str(w) for w in words])
@@ -79,11 +95,17 @@ def test_the_command_leaves_a_folder(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert [t["label"] for t in told] == ["interaction=current", "interaction=desired"]
     assert all(t["starts"] == 144 and t["checked"] == 5 and t["agreeing"] == 5 for t in told)
     assert sum(told[0]["shares"].values()) == pytest.approx(1)
+    assert told[0]["x"] == {"name": "x", "low": -1.0, "high": 1.0, "n": 12, "unit": "m"} and told[0]["y"]["unit"] == "deg"
+    assert {name: one["value"] for name, one in told[0]["fixed"].items()} == pytest.approx(
+        {"y": 0, "z": -1, "roll": 0, "pitch": 0}, abs=1e-9
+    )
+    assert told[0]["fixed"]["roll"]["unit"] == "deg" and told[0]["field_of_view"] == "unlimited"
     table = pl.read_parquet(out / "basin.parquet")
     assert len(table) == 288 and {"law", "x", "yaw", "outcome", "steps", "time_to_converge_s"} <= set(table.columns)
     assert table.filter(pl.col("outcome") != "converged")["time_to_converge_s"].null_count() == (table["outcome"] != "converged").sum()
     assert (out / "basin.png").read_bytes()[:4] == b"\x89PNG" and (out / "basin.pdf").read_bytes()[:4] == b"%PDF"
     page = (out / "report.html").read_text()
+    assert "in the frame of its goal; y 0 m, z -1 m, roll 0 deg, pitch 0 deg." in page and "picture without border" in page
     assert "interaction=desired" in page and "data:image/png;base64" in page
     assert not list(out.glob("*.part"))
     assert run(*words, "--out", out) == 2
@@ -97,6 +119,7 @@ def test_the_command_leaves_a_folder(tmp_path: Path, capsys: pytest.CaptureFixtu
         (("--x", "depth=0:1", "--y", "y=0:1"), "--x must be one of x, y, z, roll, pitch, yaw, got 'depth'"),
         (("--x", "x=1:0", "--y", "y=0:1"), "x must have a range low:high with low < high"),
         (("--x", "x=0:1", "--y", "y=0:1", "--at", "z"), "--at needs the form NAME=VALUE"),
+        (("--x", "x=0:1", "--y", "y=0:1", "--at", "z=1", "--at", "z=2"), "--at must give each coordinate once, got 'z'"),
         (("--x", "x=0:1", "--y", "y=0:1", "--set", "law.depth=estimate"), "law.depth may not be estimate in a batch"),
     ],
 )
@@ -118,7 +141,7 @@ def test_a_start_that_the_simulation_ends_otherwise_is_listed(monkeypatch: pytes
 @pytest.mark.study
 @pytest.mark.parametrize("view", ["unlimited", "limited"])
 def test_a_hundred_thousand_starts_of_every_law(view: str):
-    """Under 20 s of one core a law at gain x step = .1, and 98 % of 200 spots end as in the full simulation."""
+    """Under 20 s of one core a law at gain x step = .1, and 98 % of 200 spots end as in the time loop."""
     x, y, at = Axis("x", -2, 2, 316), Axis("yaw", -180, 180, 316), {"z": -1.0, "y": 0.0}
     for label, s in laws(chosen(["canonical"], {"camera.rate_hz": 5}, {}, None), view):
         made = basin.basin(label, s, x, y, at, check=200)

@@ -20,6 +20,7 @@ from vstestbed.geometry import Array, Pose, inverse, rotation_from_rpy
 from vstestbed.loop import run
 from vstestbed.scenario import Scenario
 from vstestbed.stop import Outcome
+from vstestbed.vision import Oracle
 
 if TYPE_CHECKING:
     import polars
@@ -56,12 +57,17 @@ class Axis:
     @property
     def unit(self) -> str:
         """Metres or degrees."""
-        return "m" if COORDINATES.index(self.name) < 3 else "deg"
+        return unit_of(self.name)
+
+
+def unit_of(coordinate: str) -> str:
+    """Metres or degrees."""
+    return "m" if COORDINATES.index(coordinate) < 3 else "deg"
 
 
 @dataclass(frozen=True)
 class Disagreement:
-    """A start whose run in the full simulation ended otherwise than in the batch; x, y: its coordinates on the map."""
+    """A start whose run in the time loop (`full`) ended otherwise than in the batch; x, y: its coordinates on the map."""
 
     x: float
     y: float
@@ -75,14 +81,16 @@ class Basin:
 
     Attributes:
         label: what the law is called. scenario: as flown, ideal.
-        x, y: the axes. batch: how each start ended, x fastest. processor_s: time of one core that it took [s].
-        checked: how many starts were also run in the full simulation; disagreements: those that ended otherwise.
+        x, y: the axes. fixed: the other coordinates of every start [m or deg].
+        batch: how each start ended, x fastest. processor_s: time of one core that it took [s].
+        checked: how many starts were also flown one by one, in the time loop; disagreements: those that ended otherwise.
     """
 
     label: str
     scenario: Scenario
     x: Axis
     y: Axis
+    fixed: Mapping[str, float]
     batch: Batch
     processor_s: float
     checked: int = 0
@@ -103,8 +111,13 @@ class Basin:
         """The map in numbers."""
         names, counts = np.unique(self.endings.astype(str), return_counts=True)
         shares = dict(zip(names.tolist(), (counts / counts.sum()).tolist(), strict=True))
+        detector = self.scenario.detector
         return {
             "label": self.label,
+            "x": vars(self.x) | {"unit": self.x.unit},
+            "y": vars(self.y) | {"unit": self.y.unit},
+            "fixed": {name: {"value": value, "unit": unit_of(name)} for name, value in self.fixed.items()},
+            "field_of_view": detector.field_of_view if isinstance(detector, Oracle) else None,
             "starts": int(counts.sum()),
             "shares": dict(sorted(shares.items(), key=lambda item: -item[1])),
             "run_steps": self.batch.run_steps,
@@ -121,17 +134,28 @@ def _gain_step(scenario: Scenario) -> float | None:
     return None if value is None else value * scenario.camera.period
 
 
-def starts(scenario: Scenario, x: Axis, y: Axis, at: Mapping[str, float]) -> Array:
-    """Poses T_camera_target (n_y n_x, 4, 4), x fastest; coordinates not on the map are `at`'s, else those of the scenario's start."""
+def fixed(scenario: Scenario, x: Axis, y: Axis, at: Mapping[str, float]) -> dict[str, float]:
+    """The coordinates that are not on the map, by name [m or deg]: `at`'s, else those of the scenario's start.
+
+    Raises:
+        ParameterError: both axes are one, or `at` names one of them, or what is no coordinate, or is no number.
+    """
     if x.name == y.name:
         raise ParameterError("--y", "must be another coordinate than --x", y.name)
     if unknown := [name for name in at if name not in COORDINATES or name in (x.name, y.name)]:
         raise ParameterError("--at", f"must be one of {', '.join(COORDINATES)} that is not on the map", unknown[0])
+    if endless := [name for name, value in at.items() if not math.isfinite(value)]:
+        raise ParameterError("--at", f"{endless[0]} must be a finite number", at[endless[0]])
+    own = Pose.of(scenario.goal_view.T_camera_target @ inverse(start_of(scenario)))
+    values = dict(zip(COORDINATES, (*own.xyz, *own.rpy_deg), strict=True)) | dict(at)
+    return {name: values[name] for name in COORDINATES if name not in (x.name, y.name)}
+
+
+def starts(scenario: Scenario, x: Axis, y: Axis, at: Mapping[str, float]) -> Array:
+    """Poses T_camera_target (n_y n_x, 4, 4), x fastest; coordinates not on the map are `at`'s, else those of the scenario's start."""
     T_goal_target = scenario.goal_view.T_camera_target
-    own = Pose.of(T_goal_target @ inverse(start_of(scenario)))
     place = np.empty((y.n, x.n, 6))
-    place[:] = [*own.xyz, *own.rpy_deg]
-    for name, value in at.items():
+    for name, value in fixed(scenario, x, y, at).items():
         place[..., COORDINATES.index(name)] = value
     place[..., COORDINATES.index(x.name)] = x.values
     place[..., COORDINATES.index(y.name)] = y.values[:, None]
@@ -145,20 +169,25 @@ def laws(comparison: Comparison, field_of_view: str | None = None) -> list[tuple
     """What is mapped: every scenario with every case and varied value, ideal, and what each is called; each can fly a batch.
 
     Raises:
-        ParameterError, ScenarioError: one of them cannot.
+        ParameterError, ScenarioError: one of them cannot; or two differ only in what an ideal camera does without.
     """
-    made = []
+    made: list[tuple[str, Scenario]] = []
     for c in controllers(replace(comparison, tasks={}, seeds=None)):
         words = [str(v) if name in comparison.cases else f"{name.split('.')[-1]}={v}" for name, v in c.values.items()]
         label = ", ".join(([c.scenario.name] if len(comparison.base) > 1 or not words else []) + words)
         scenario = ideal(c.scenario, field_of_view)
         Flight(scenario)
+        if same := [other for other, s in made if s == scenario]:
+            words = (
+                f"`{label}` would make the same map as `{same[0]}`: its cameras are ideal, without the arm's dynamics, latency and noise"
+            )
+            raise ParameterError("scenario", f"{words}; leave one of the two out")
         made.append((label, scenario))
     return made
 
 
 def basin(label: str, scenario: Scenario, x: Axis, y: Axis, at: Mapping[str, float] | None = None, check: int = 0, seed: int = 0) -> Basin:
-    """The map of an ideal scenario's law; `check` random starts of it are run in the full simulation as well.
+    """The map of an ideal scenario's law; `check` random starts of it are flown in the time loop as well.
 
     Raises:
         ParameterError: the axes or the law will not do.
@@ -166,7 +195,7 @@ def basin(label: str, scenario: Scenario, x: Axis, y: Axis, at: Mapping[str, flo
     poses = starts(scenario, x, y, at or {})
     began = NOW()
     batch = fly(scenario, poses)
-    made = Basin(label, scenario, x, y, batch, NOW() - began)
+    made = Basin(label, scenario, x, y, fixed(scenario, x, y, at or {}), batch, NOW() - began)
     if not check:
         return made
     spots = np.random.default_rng(seed).choice(len(poses), min(check, len(poses)), replace=False)

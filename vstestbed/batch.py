@@ -71,9 +71,11 @@ def ideal(scenario: Scenario, field_of_view: str | None = None) -> Scenario:
         field_of_view: `limited` or `unlimited`; None for that of its oracle, else limited.
 
     Raises:
-        ParameterError: the robot has fewer motions.
+        ParameterError: the robot has fewer motions, or the target moves.
     """
     robot, camera, detector = scenario.robot, scenario.camera, scenario.detector
+    if not isinstance(scenario.target.motion, Still):
+        raise ParameterError("target.motion", "must be still in a batch", scenario.target.motion.kind)
     if (motions := robot.motion_basis(Mount.of(camera.mount.T)).shape[1]) != 6:
         words = f"moves its camera in {motions} directions, and the ideal camera of a batch in all six; use free or puma560"
         raise ParameterError("robot.kind", words, robot.kind)

@@ -39,7 +39,7 @@ def basin(
     field_of_view: Annotated[
         View | None, typer.Option(help="Whether the picture has a border. [default: as the oracle's, or limited]")
     ] = None,
-    check: Annotated[int, typer.Option(min=0, help="So many random starts also run in the full simulation.")] = 0,
+    check: Annotated[int, typer.Option(min=0, help="So many random starts also fly one by one, in the time loop of `run`.")] = 0,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of the results. [default: runs/basin/NUMBER]")] = None,
     as_json: Json = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No words.")] = False,
@@ -53,7 +53,7 @@ def basin(
     from vstestbed.scenario_file import load_plugins
 
     load_plugins(plugin or [])
-    across, up, rest = _axis("--x", x, n), _axis("--y", y, n), dict(_coordinate("--at", text) for text in at or [])
+    across, up, rest = _axis("--x", x, n), _axis("--y", y, n), _coordinates("--at", at or [])
     found = laws(chosen(scenarios, settings_of(set_), vary_of(vary), None), None if field_of_view is None else field_of_view.value)
     folder = new_study_folder("basin", out)
     shown = not (quiet or as_json)
@@ -86,11 +86,20 @@ def _coordinate(option: str, text: str) -> tuple[str, float]:
         raise ParameterError(option, "needs the form NAME=VALUE, such as z=-1", text) from None
 
 
+def _coordinates(option: str, texts: list[str]) -> dict[str, float]:
+    found: dict[str, float] = {}
+    for name, value in (_coordinate(option, text) for text in texts):
+        if name in found:
+            raise ParameterError(option, "must give each coordinate once", name)
+        found[name] = value
+    return found
+
+
 def _words(made: Basin) -> str:
     summary = made.summary()
     shares = ", ".join(f"{ending.replace('_', ' ')} {100 * share:.1f} %" for ending, share in summary["shares"].items())
     lines = [f"{made.label}: {shares}; {summary['starts']} starts in {made.processor_s:.1f} s of one core"]
     if made.checked:
-        lines.append(f"  the full simulation agrees on {summary['agreeing']} of {made.checked}")
+        lines.append(f"  the time loop agrees on {summary['agreeing']} of {made.checked}")
     lines += [f"    not at {made.x.name} {d.x:g}, {made.y.name} {d.y:g}: {d.batch} here, {d.full} there" for d in made.disagreements]
     return "\n".join(lines)

@@ -108,12 +108,34 @@ def write_maps(folder: Path, maps: Sequence[Map], x: AxisWords, y: AxisWords, su
         save(drawn, folder / "basin.pdf", DPI)
         png = save(drawn, folder / "basin.png", DPI)
     picture = f'<img src="{data_url("image/png", png.read_bytes())}" alt="Basins of attraction" style="width: 100%; height: auto">'
-    caption = f"Start of the camera, {x[0]} and {y[0]} in the frame of its goal. Blue converges, darker later."
+    caption = (
+        f"Start of the camera, {x[0]} and {y[0]} in the frame of its goal{_elsewhere(summaries)}. Ideal cameras, without latency or "
+        f"noise{_border(summaries)}. Blue converges, darker later; the number is its share."
+    )
     body = figure("How each start ended", picture, caption) + _table(summaries) + _checks(summaries)
     if command:
         body += f"<section><h2>How it was made</h2><p>Made again by<br><code>{escape(command)}</code></p></section>"
     page = PAGE.format(title="Basins of attraction", style=STYLE + TABLES, heading="Basins of attraction", description="", body=body)
     return write_whole(folder / "report.html", page)
+
+
+def _placed(summary: Mapping[str, Any]) -> str:
+    return ", ".join(f"{name} {round(one['value'], 6) + 0.0:g} {one['unit']}" for name, one in summary["fixed"].items())
+
+
+def _elsewhere(summaries: Sequence[Mapping[str, Any]]) -> str:
+    """The coordinates that are not on the map; of each law where they differ."""
+    words = [_placed(s) for s in summaries]
+    if len(set(words)) > 1:
+        return "; " + "; ".join(f"{s['label']}: {at}" for s, at in zip(summaries, words, strict=True))
+    return f"; {words[0]}" if words else ""
+
+
+def _border(summaries: Sequence[Mapping[str, Any]]) -> str:
+    views = {s["field_of_view"] for s in summaries}
+    return (
+        {"limited": "; the picture has its border", "unlimited": "; picture without border"}.get(views.pop(), "") if len(views) == 1 else ""
+    )
 
 
 def _table(summaries: Sequence[Mapping[str, Any]]) -> str:
@@ -127,7 +149,7 @@ def _table(summaries: Sequence[Mapping[str, Any]]) -> str:
         check = f"{s['agreeing']} of {s['checked']}" if s["checked"] else "-"
         cells += f"<td>{s['starts']}</td><td>{s['processor_s']:.1f}</td><td>{check}</td>"
         rows.append(f'<tr><th scope="row">{escape(s["label"])}</th>{cells}</tr>')
-    tail = "<th>starts</th><th>time of one core [s]</th><th>full simulation agrees</th>"
+    tail = "<th>starts</th><th>time of one core [s]</th><th>time loop agrees</th>"
     table = f"<table><thead><tr><th></th>{head}{tail}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
     return f'<h2>In numbers</h2><div class="wide">{table}</div>'
 
@@ -137,4 +159,4 @@ def _checks(summaries: Sequence[Mapping[str, Any]]) -> str:
     if not found:
         return ""
     lines = "".join(f"<li>{escape(label)} at ({d['x']:g}, {d['y']:g}): {d['batch']} here, {d['full']} there</li>" for label, d in found)
-    return f'<h2>Where the full simulation ends otherwise</h2><ul class="runs">{lines}</ul>'
+    return f'<h2>Where the time loop ends otherwise</h2><ul class="runs">{lines}</ul>'
