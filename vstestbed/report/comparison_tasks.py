@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
@@ -65,11 +65,22 @@ class Cell:
         counted = counted[np.isfinite(counted)]
         return float(np.median(counted)) if len(counted) else float("nan")
 
+    def spread(self, metric: Metric) -> str:
+        """Median and largest of a number over the runs that it counts, those that reached the goal; empty where none has it."""
+        counted = self.controller.counted(metric)
+        counted = counted[np.isfinite(counted)]
+        return f"{_digits(float(np.median(counted)))}, {_digits(float(counted.max()))}" if len(counted) else ""
+
     def words(self) -> list[str]:
         """How many reached the goal, how fast, and each failure by its outcome."""
         good, n = int(self.controller.success.sum()), len(self.controller.success)
         first = f"{good} of {n}" + (f", {self.time_s:.1f} s" if good else "")
         return [first] + [f"{_numbers(amounts)}: {outcome.replace('_', ' ')}" for outcome, amounts in self.failed.items()]
+
+
+def _digits(value: float) -> str:
+    """Three digits; under a millionth, which no metric's unit can tell from rounding, 0."""
+    return "0" if abs(value) < 1e-6 else f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
 
 
 def _numbers(amounts: Sequence[str]) -> str:
@@ -94,20 +105,33 @@ def _ordered(values: pl.Series) -> list[str]:
     return list(dict.fromkeys(map(str, values.to_list())))
 
 
-def markdown(found: Sequence[Cell]) -> str:
-    """The table for a README: a line a law, a column a task."""
+def markdown(found: Sequence[Cell], metrics: Sequence[str] = ()) -> str:
+    """The table for a README: a line a law, a column a task; then one for each metric but the time, median and largest."""
+    first = _markdown(found, lambda cell: "; ".join(cell.words()))
+    return "\n".join([first, *(f"{m.label}: median, largest\n\n{_markdown(found, _spread_of(m))}" for m in _tabled(metrics))])
+
+
+def _tabled(metrics: Sequence[str]) -> list[Metric]:
+    return [Metric.of(name) for name in metrics if name != TIME]
+
+
+def _spread_of(metric: Metric) -> Callable[[Cell], str]:
+    return lambda cell: cell.spread(metric)
+
+
+def _markdown(found: Sequence[Cell], words: Callable[[Cell], str]) -> str:
     tasks, laws = list(dict.fromkeys(c.task for c in found)), list(dict.fromkeys(c.law for c in found))
     of = {(c.law, c.task): c for c in found}
     lines = ["| | " + " | ".join(tasks) + " |", "|---" * (len(tasks) + 1) + "|"]
-    lines += [f"| `{law}` | " + " | ".join("; ".join(of[law, t].words()) if (law, t) in of else "" for t in tasks) + " |" for law in laws]
+    lines += [f"| `{law}` | " + " | ".join(words(of[law, t]) if (law, t) in of else "" for t in tasks) + " |" for law in laws]
     return "\n".join(lines) + "\n"
 
 
-def _html(found: Sequence[Cell]) -> str:
+def _html(found: Sequence[Cell], cell: Callable[[Cell | None], str]) -> str:
     tasks, laws = list(dict.fromkeys(c.task for c in found)), list(dict.fromkeys(c.law for c in found))
     of = {(c.law, c.task): c for c in found}
     head = "".join(f"<th>{escape(t)}</th>" for t in tasks)
-    rows = "".join(f'<tr><th scope="row">{escape(law)}</th>{"".join(_td(of.get((law, t))) for t in tasks)}</tr>' for law in laws)
+    rows = "".join(f'<tr><th scope="row">{escape(law)}</th>{"".join(cell(of.get((law, t))) for t in tasks)}</tr>' for law in laws)
     return f'<div class="wide"><table><thead><tr><th></th>{head}</tr></thead><tbody>{rows}</tbody></table></div>'
 
 
@@ -118,6 +142,17 @@ def _td(cell: Cell | None) -> str:
     rate = success_rate(int(cell.controller.success.sum()), len(cell.controller.success))
     interval = f"<small>[{100 * rate.low:.0f}, {100 * rate.high:.0f}] %</small>"
     return f"<td>{escape(first)}{interval}{''.join(f'<small>{escape(f)}</small>' for f in failures)}</td>"
+
+
+def _spreads(found: Sequence[Cell], metrics: Sequence[str]) -> str:
+    """A table for each metric but the time."""
+    tables = [f"<h3>{escape(m.label)}</h3>{_html(found, _td_of(m))}" for m in _tabled(metrics)]
+    words = "<p>Median and largest over the runs that reached the goal.</p>"
+    return f"<section><h2>In numbers</h2>{words}{''.join(tables)}</section>" if tables else ""
+
+
+def _td_of(metric: Metric) -> Callable[[Cell | None], str]:
+    return lambda cell: f"<td>{escape(cell.spread(metric)) if cell else ''}</td>"
 
 
 def draw(found: Sequence[Cell], metrics: Sequence[str], width_in: float) -> Figure:
@@ -195,15 +230,16 @@ def write_task_report(
         save(drawn, folder / "figures" / "tasks.png", DPI)
     with style():
         svg = to_svg(draw(found, metrics, 13.0), "tasks", "Each law over the amounts of each task")
-    write_whole(folder / "tasks.md", markdown(found))
+    write_whole(folder / "tasks.md", markdown(found, metrics))
     n, good = len(table), int(table["success"].cast(pl.Boolean, strict=False).fill_null(False).sum())
     caption = "Numbers of the runs that reached the goal; red crosses at the top: runs that did not, each law at its own height."
     failed = comparison_failures.section(folder, Comparison(table, axes, metrics))
     body = [
         f"<p>{good} of {n} runs reached the goal. Each cell: how many, the median time to converge, the 95 % interval of the rate, "
         "and each failure by its outcome.</p>",
-        _html(found),
+        _html(found, _td),
         f'<section><h2>Figure</h2><div class="broad">{figure("Over the amounts", svg, caption)}</div></section>',
+        _spreads(found, metrics),
         failed,
         f"<section><h2>How it was made</h2><p>Made again by<br><code>{escape(command)}</code></p></section>",
     ]
