@@ -106,12 +106,8 @@ def test_golden_row(row: dict[str, str], monkeypatch: pytest.MonkeyPatch):
         monkeypatch.setattr(loop, "_evidence", lambda *told: replace(seen_from_behind(*told), behind=False))
         fly.cache_clear()
     r = fly(row["scenario"], row["law"], row["L"])
-    if row["status"] == "target_plane_crossed_or_behind":
-        assert r.outcome is vs.Outcome.target_lost
-        return
     assert status(r) == row["status"]
     if row["status"] != "converged":
-        assert row["scenario"] in HALF_TURNS
         return
     # The golden files' own tolerances; distances have four digits.
     for norm, column in ((1e-3, "it_e<1e-3"), (1e-4, "it_e<1e-4")):
