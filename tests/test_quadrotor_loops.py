@@ -42,6 +42,15 @@ def test_without_derotation_the_lean_is_taken_for_an_error():
     assert over[1] > 1.5 * over[0]  # measured 2.5 to 6 over 20 starts
 
 
+def test_feedforward_takes_no_lean_for_a_target_that_moves():
+    """What the craft rolls and pitches does not show in a view that is turned level; its rates must not be taken out of it."""
+    quick = {"kind": "kalman_cv", "bandwidth_hz": 5.0}  # the estimate of a standing target's speed is fed back at once
+    r = run("quadrotor_hover", law__feedforward=quick, stop__duration_s=8.0)
+    assert set(r["pilot"]) == {0}
+    assert np.degrees(np.hypot(r["fly_roll"], r["fly_pitch"])).max() < 5  # rocked, rotors at their limits, when rates were taken out
+    assert np.hypot(r["cam_x"][-1], r["cam_y"][-1]) < 0.25
+
+
 def test_blind_it_holds_sinks_and_stands():
     # Points 3 m to the side, and a wall before them from .6 s on.
     wall = {"pose": {"xyz": [1.9, 0, 1], "rpy_deg": [0, 90, 0]}, "width": 4, "height": 8, "from_s": 0.6}
