@@ -31,6 +31,8 @@ from vstestbed.spec import spec
 
 STANDING_M = 0.172
 """Height of the centre over the ground when the craft stands on its feet [m]."""
+LOWEST_M = 0.2
+"""The lowest start: it hovers there, its feet 3 cm above the ground [m]."""
 STANDING_MARGIN_M = 0.05
 """A range within it of the legs' says that the feet are down: the range finder's noise and a few degrees of tilt [m]."""
 STANDING_COSINE = math.cos(math.radians(30))
@@ -102,8 +104,8 @@ class Flight(NamedTuple):
 
     @property
     def overturned(self) -> bool:
-        """Tilted beyond 60 degrees by its own estimate."""
-        return self.attitude.tilt > RECOVER_RAD
+        """Tilted beyond 60 degrees by its own estimate, or on its way back from there."""
+        return self.attitude.tilt > RECOVER_RAD or self.loops.levelling
 
 
 @spec
@@ -141,10 +143,10 @@ class Quadrotor:
     """The rate loop is tuned at it."""
 
     def __post_init__(self) -> None:
-        """Refuse a start in the ground."""
+        """Refuse a start in the ground, or on it: the craft hovers."""
         low = self.start.nominal.xyz[2]
-        if low < STANDING_M:
-            raise ParameterError("start.nominal.xyz.2", f"must leave the centre {STANDING_M:g} m or more above the ground", low)
+        if low < LOWEST_M:
+            raise ParameterError("start.nominal.xyz.2", f"must leave the centre {LOWEST_M:g} m or more above the ground", low)
 
     @property
     def model(self) -> str:
@@ -166,7 +168,7 @@ class Quadrotor:
         return np.array([*self.start.nominal.xyz, math.radians(self.start.nominal.yaw_deg)])
 
     def randomised(self, rng: np.random.Generator) -> Quadrotor:
-        """The same craft with a start drawn from the box, not lower than it stands."""
+        """The same craft with a start drawn from the box, not so low that it would stand."""
         box = self.start.random
         if box is None:
             raise ParameterError("robot.start.random", "is missing: a seed draws the start from it, e.g. {xyz: [2, 2, 1], yaw_deg: 180}")
@@ -174,7 +176,7 @@ class Quadrotor:
         xyz = np.array(middle.xyz) + rng.uniform(-1, 1, 3) * box.xyz
         yaw = middle.yaw_deg + float(rng.uniform(-1, 1)) * box.yaw_deg
         x, y, z = xyz.tolist()
-        nominal = FlightPose(xyz=(x, y, max(z, STANDING_M)), yaw_deg=yaw)
+        nominal = FlightPose(xyz=(x, y, max(z, LOWEST_M)), yaw_deg=yaw)
         return replace(self, start=FlightStart(nominal=nominal, random=box))
 
     def rest_ctrl(self) -> Array:
