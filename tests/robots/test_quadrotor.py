@@ -200,6 +200,18 @@ class TestDown:
         assert np.degrees(log.tilt[-1]) < 0.1
         assert np.abs(log.position[-1, :2]).max() < 0.15
 
+    @pytest.mark.parametrize("speed", [0.2, 0.4])
+    def test_it_knows_at_once_that_it_stands(self, speed):
+        """On a deck that moves, in wind, a craft that is light on its feet slides off: it must not wait for its climb loop."""
+        craft, told, touched = Flown(Quadrotor(start=FlightStart(nominal=FlightPose(xyz=(0, 0, 0.4)))), seed=4), [], []
+        for _ in range(200):
+            craft.fly(descend(speed), 0.01, lambda t: (6, 0, 0))
+            told.append(craft.robot.stands(craft.memory, craft.encoders()))
+            touched.append(craft.data.ncon > 0)
+        first = touched.index(True)
+        assert not any(told[:first])  # 5 cm before, still sinking as told
+        assert told.index(True) - first < 12  # hundredths of a second; by its rotors alone .5 s and more
+
     def test_hovering_low_is_not_standing(self):
         craft = Flown(Quadrotor(start=FlightStart(nominal=FlightPose(xyz=(0, 0, 0.2)))))
         craft.fly(HOLD, 0.5)

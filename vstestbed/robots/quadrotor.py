@@ -35,6 +35,8 @@ LOWEST_M = 0.2
 """The lowest start: it hovers there, its feet 3 cm above the ground [m]."""
 STANDING_MARGIN_M = 0.05
 """A range within it of the legs' says that the feet are down: the range finder's noise and a few degrees of tilt [m]."""
+STOPPED_MPS = 0.12
+"""What sinks slower than its orders ask for by more, near the ground, is stopped by it [m/s]; noise of the estimate is .02."""
 STANDING_COSINE = math.cos(math.radians(30))
 """What leans more does not stand."""
 HOLD = np.zeros(4)
@@ -264,13 +266,15 @@ class Quadrotor:
         return Flight(attitude, ground, loops, W, rates, True, memory.limited_s + dt if mixed.cut else 0.0), np.array(orders)
 
     def stands(self, memory: Flight, encoders: Encoders) -> bool:
-        """Whether the craft stands on something, by its own instruments: upright, near the ground, rotors under .9 of the weight.
+        """Whether the craft stands on something, by its own instruments: upright, near the ground, and it does not sink as ordered.
 
-        They do so soon after touch-down in a descent: it does not sink as ordered, so the climb loop takes thrust away.
+        That shows at once in its speed beside the one that its orders should give (`Loops.model`), and where it is told to stay at
+        a height under the ground, or sinks slowly, soon after in its rotors: the climb loop takes thrust away, to under .9 of the weight.
         """
         upright = math.cos(memory.attitude.roll) * math.cos(memory.attitude.pitch) > STANDING_COSINE
         near = float(encoders.instruments["range"][0]) < STANDING_M + STANDING_MARGIN_M
-        return upright and near and sum(memory.W) < 4 * 0.9 * HOVER
+        stopped = memory.armed and memory.ground.velocity[2] - memory.loops.model[2] > STOPPED_MPS
+        return upright and near and (stopped or sum(memory.W) < 4 * 0.9 * HOVER)
 
     def reported(self, memory: Flight, encoders: Encoders) -> Mapping[str, Array]:
         """What the craft tells of its flight, by its own estimate, to put beside the raw readings.
