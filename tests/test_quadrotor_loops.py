@@ -122,6 +122,16 @@ def test_before_its_first_order_it_holds():
     assert np.degrees(r["fly_roll"][r["t"] < 0.55][-1]) < -2  # it heads along y, so it rolls; towards 5.6 degrees
 
 
+def test_a_path_is_flown_to_its_end_and_in_time():
+    """Who stops on the way has not flown it, nor has who waits at its beginning, to which the path comes back."""
+    short = {"stop.duration_s": 6, "goal.settle_s": 1, "robot.start.nominal": {"xyz": [-1.5, -1.5, 2.5], "yaw_deg": 0}}
+    r = vs.run(vs.load("quadrotor_path", ORACLE | short))
+    assert r.outcome is Outcome.timed_out and "on the way" in r.reason
+    waits = vs.run(vs.load("quadrotor_path", ORACLE | short | {"robot.max_speed_mps": 0.01, "goal.speed_mps": 2, "goal.turn_degps": 90}))
+    assert waits.outcome is Outcome.timed_out and "out of its band" in waits.reason
+    assert waits["off_m"].max() > 1
+
+
 def test_one_seed_one_flight():
     scenario = replace(vs.load("quadrotor_gust", ORACLE | {"stop.duration_s": 1.0}), seed=3)
     a, b = vs.run(scenario), vs.run(scenario)
