@@ -115,7 +115,7 @@ class Path:
         return np.concatenate([back @ v, back @ w])
 
     def off(self, T_target_camera: Array, t: float) -> float:
-        """Distance of a camera's place (4, 4) at a time [s] [m] from the part of the path where the wanted view is within LATE_S of then."""
+        """How far [m] a camera (4, 4) is at a time [s] from the part of the path where the wanted view is within LATE_S of then."""
         until = self._until
         first, last = np.clip([t - LATE_S, t + LATE_S], until[0], until[-1])
         x, nearest = T_target_camera[:3, 3], np.inf
