@@ -33,14 +33,21 @@ class TestPath:
         t = np.arange(3.0, 10.5, 0.01)
         x = self.places(t)
         assert np.linalg.norm(np.diff(x, axis=0), axis=1).max() / 0.01 == pytest.approx(0.5, rel=1e-3)
-        assert max(self.path.off(inverse(self.path.at(s)[0])) for s in t) < 1e-12
+        assert max(self.path.off(inverse(self.path.at(s)[0]), s) for s in t) < 1e-12
 
-    def test_off_is_the_distance_from_the_nearest_leg(self):
-        T = inverse(WAY[0].T_camera_target.T)
+    def test_off_is_the_distance_from_the_path(self):
+        T = inverse(self.path.at(6.75)[0])  # halfway along the first leg
         T[:3, 3] += [0.5, 0.2, 0.1]
-        assert self.path.off(T) == pytest.approx(np.hypot(0.2, 0.1))
+        assert self.path.off(T, 6.75) == pytest.approx(np.hypot(0.2, 0.1))  # a second ahead
         T[:3, 3] = inverse(WAY[0].T_camera_target.T)[:3, 3] - [0.3, 0, 0]  # before the beginning
-        assert self.path.off(T) == pytest.approx(0.3)
+        assert self.path.off(T, 3.0) == pytest.approx(0.3)
+
+    def test_who_waits_on_the_path_is_off_it(self):
+        first, last = (inverse(WAY[i].T_camera_target.T) for i in (0, 2))
+        assert self.path.off(first, 0.0) == self.path.off(first, 5.0) == 0
+        assert self.path.off(first, 10.0) == pytest.approx(np.linalg.norm(self.places([8.0])[0] - first[:3, 3]))
+        assert self.path.off(last, self.path.end_s + 30) == pytest.approx(0, abs=1e-12)
+        assert self.path.off(first, self.path.end_s + 30) == pytest.approx(np.linalg.norm(last[:3, 3] - first[:3, 3]))
 
     def test_its_twist_is_its_poses_derivative(self):
         path = Path(GoalPath(way=WAY, speed_mps=0.5, settle_s=3.0, lead_s=0.0))

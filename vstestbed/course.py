@@ -21,6 +21,8 @@ DIFFERENCE_S = 1e-3
 """Half of the time over which the wanted view's velocity is taken [s]."""
 LEAST_LEG_S = 0.5
 """A leg takes this long at least [s]."""
+LATE_S = 2.0
+"""Who flies a path may be ahead of the wanted view, or behind it, by so much [s]."""
 DEEPEST = -0.25
 """A landing's view is wanted down to this share of its first height: the order to sink lasts until the craft stands."""
 
@@ -66,6 +68,11 @@ class PathCourse(Course):
         return Path(self.scenario.goal)
 
 
+def _smooth(p: float) -> float:
+    """The share of a leg that is behind at a share p of its time: minimum jerk."""
+    return p**3 * (10 - 15 * p + 6 * p * p)
+
+
 class Path:
     """The poses along a `GoalPath`."""
 
@@ -92,8 +99,7 @@ class Path:
         if leg >= len(self._ways) - 1:
             return inverse(self._ways[-1]), len(self._ways) - 1
         a, b = self._ways[leg], self._ways[leg + 1]
-        p = (t - self._until[leg]) / (self._until[leg + 1] - self._until[leg])
-        share = p**3 * (10 - 15 * p + 6 * p * p)
+        share = _smooth((t - self._until[leg]) / (self._until[leg + 1] - self._until[leg]))
         T = np.eye(4)
         T[:3, 3] = (1 - share) * a[:3, 3] + share * b[:3, 3]
         turn = share * _TURN.measure(a[:3, :3].T @ b[:3, :3])
@@ -108,12 +114,18 @@ class Path:
         w = before[:3, :3] @ _TURN.measure(before[:3, :3].T @ after[:3, :3]) / (2 * DIFFERENCE_S)
         return np.concatenate([back @ v, back @ w])
 
-    def off(self, T_target_camera: Array) -> float:
-        """Distance of a camera's place (4, 4) from the path [m]."""
+    def off(self, T_target_camera: Array, t: float) -> float:
+        """How far [m] a camera (4, 4) is at a time [s] from the part of the path where the wanted view is within LATE_S of then."""
+        until = self._until
+        first, last = np.clip([t - LATE_S, t + LATE_S], until[0], until[-1])
         x, nearest = T_target_camera[:3, 3], np.inf
-        for a, b in pairwise(T[:3, 3] for T in self._ways):
-            along = b - a
-            share = np.clip((x - a) @ along / max(along @ along, 1e-12), 0, 1)
+        for leg in range(len(until) - 1):
+            began, ended = until[leg], until[leg + 1]
+            if began > last or ended < first:
+                continue
+            a, along = self._ways[leg][:3, 3], self._ways[leg + 1][:3, 3] - self._ways[leg][:3, 3]
+            low, high = (_smooth(np.clip((when - began) / (ended - began), 0, 1)) for when in (first, last))
+            share = np.clip((x - a) @ along / max(along @ along, 1e-12), low, high)
             nearest = min(nearest, float(np.linalg.norm(x - a - share * along)))
         return nearest
 

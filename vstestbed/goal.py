@@ -125,7 +125,7 @@ class GoalPath:
         speed_mps: greatest speed of the wanted view along a leg [m/s].
         turn_degps: greatest rate at which it turns [deg/s].
         lead_s: the wanted view's velocity is ordered this much ahead, since a craft's velocity lags its order [s].
-        band_m: how far off the path the camera may be from `settle_s` on [m].
+        band_m: how far off the path the camera may be from `settle_s` on [m]: off the part where the wanted view is within 2 s of then.
         settle_s: how long it may take to the first view [s].
 
     Reference: Flash & Hogan 1985, doi:10.1523/JNEUROSCI.05-07-01688.1985 (minimum jerk).

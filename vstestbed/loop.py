@@ -55,7 +55,7 @@ def _evidence(scenario: Scenario, tick: Tick, pilot: Pilot | None, touchdown: To
         last_view=tick.view + 1 == len(scenario.goal_views) and touchdown is None,
         position_m=tick.estimate[0],
         rotation_rad=tick.estimate[1],
-        off_m=off(scenario, T_base, T),
+        off_m=off(scenario, T_base, T, t),
         ways=ways.after(T_base, T),
         aborted=pilot.aborted if pilot else None,
         down=pilot is not None and pilot.down(t),

@@ -123,7 +123,8 @@ def words(recording: Recording, folder: Path, filmed: bool) -> str:
         error += f" ({recording['level_error_px'][-1]:.3f} turned level)"
     pose = f"{figure('final_position_error_m', 'mm', 1000)} and {figure('final_rotation_error_deg', 'deg', digits=3)} from the goal"
     who = "vehicle" if recording.scenario.robot.grounded else "camera"
-    error = f"{figure('worst_off_m', 'm', digits=4)} off at most once settled" if "worst_off_m" in s else f"{error}, {who} {pose}"
+    kept = f"{figure('worst_off_m', 'm', digits=4)} off at most once settled" if s.get("worst_off_m") is not None else "not settled yet"
+    error = kept if "worst_off_m" in s else f"{error}, {who} {pose}"
     speed = figure("real_time_factor", "times real time", digits=1) + (" with films and log" if filmed else " with its log")
     return "\n".join(
         [

@@ -144,7 +144,7 @@ class Layout:
                 np.array(scale)[:, None],
                 *(self._of_vehicle(T_camera, est, odo, slip) if self._grounded else ()),
                 *((view[:, None],) if len(self._scenario.goal_views) > 1 else ()),
-                *((self._off(T_camera, T_target)[:, None],) if isinstance(self._scenario.goal, KEPT) else ()),
+                *((self._off(when, T_camera, T_target)[:, None],) if isinstance(self._scenario.goal, KEPT) else ()),
                 *((estimate,) if self._scenario.stop.converged.by_estimate else ()),
                 flight,
                 *joints,
@@ -167,9 +167,9 @@ class Layout:
         way = np.column_stack([c * odo[:, 0] - s * odo[:, 1], s * odo[:, 0] + c * odo[:, 1], odo[:, 2]]) + self._start
         return [place_of(T_camera @ self._T_camera_base), est, way, slip]
 
-    def _off(self, T_camera: Array, T_target: Array) -> Array:
+    def _off(self, when: Array, T_camera: Array, T_target: Array) -> Array:
         T_base = T_camera @ self._T_camera_base
-        return np.array([off(self._scenario, b, t) for b, t in zip(T_base, T_target, strict=True)])
+        return np.array([off(self._scenario, *these) for these in zip(T_base, T_target, when, strict=True)])
 
 
 NO_FLIGHT = np.zeros(0)

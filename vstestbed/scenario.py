@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from vstestbed.camera import CAMERAS, Calibration, Camera, Catadioptric, Fisheye, Perspective, Spherical
 from vstestbed.drivable import check_drive, check_leader
 from vstestbed.errors import ParameterError
+from vstestbed.flyable import check_level
 from vstestbed.geometry import Array, inverse
 from vstestbed.goal import AnyGoal, GoalGap, GoalLine, GoalPath, GoalPlace, GoalTrack, GoalView, GoalViewFrom, GoalViews
 from vstestbed.ground_lines import GroundLines
@@ -193,7 +194,9 @@ class Scenario:
             names = {"view_from": "view_from", "landing": "above"}
             if isinstance(view, GoalView):
                 self._check_counted(view, f"{where}.markers")
-            self._check_view(f"{where}.{names.get(view.kind, 'T_camera_target')}", self.goal_poses[i], self.goal_views[i].counted)
+            field = f"{where}.{names.get(view.kind, 'T_camera_target')}"
+            self._check_view(field, self.goal_poses[i], self.goal_views[i].counted)
+            check_level(self.robot, self.camera, self.target, self.goal_poses[i], field)
 
     def _check_view(self, field: str, T_camera_target: Array, counted: NDArray[np.bool_] | None) -> None:
         p = self.target.seen_from(inverse(T_camera_target))

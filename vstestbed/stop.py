@@ -151,11 +151,12 @@ class Evidence:
 
 @dataclass(frozen=True, slots=True)
 class Band:
-    """A task without an end: how far off it may be [m] from `settle_s` on, and what shall keep going all the while."""
+    """A task without an end: how far off it may be [m] from `settle_s` on, what shall keep going all the while, until when at least [s]."""
 
     width_m: float
     settle_s: float
     paces: tuple[Pace, ...] = ()
+    until_s: float = 0.0
 
 
 @dataclass
@@ -243,6 +244,8 @@ class Judge:
         slow = self.pacemaker.slow if self.pacemaker else None
         if slow and (self.left_at is None or slow[0] < self.left_at[0]):
             return Outcome.timed_out, slow[1]
+        if self.left_at is None and self.stop.duration_s < self.band.until_s:
+            return Outcome.timed_out, f"{self.stop.duration_s:g} s ended on the way: its end is reached at {self.band.until_s:.3g} s"
         if self.left_at is None:
             return Outcome.completed, f"within {width:g} m from {settle:g} s on"
         t, off = self.left_at

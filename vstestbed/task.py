@@ -42,7 +42,7 @@ def band_of(scenario: Scenario) -> Band | None:
     if isinstance(goal, GoalGap) and isinstance(motion, Carried):
         v = motion.speed_mps
         paces = (Pace("the vehicle ahead", v, STEADY * v), Pace("the vehicle that follows", v, FOLLOWS * v))
-    return Band(goal.band, goal.settle_s, paces)
+    return Band(goal.band, goal.settle_s, paces, Path(goal).end_s if isinstance(goal, GoalPath) else 0.0)
 
 
 class Ways:
@@ -82,11 +82,11 @@ class Ways:
         return self._ways[0]
 
 
-def off(scenario: Scenario, T_world_base: Array, T_world_target: Array) -> float:
-    """True error of a task without an end [m]: of the gap, off the line, the path, the camera's place; NaN for other tasks."""
+def off(scenario: Scenario, T_world_base: Array, T_world_target: Array, t: float) -> float:
+    """True error of a task without an end at a time t [s], [m]: of the gap, off the line, the path, the camera's place; NaN for others."""
     goal = scenario.goal
     if isinstance(goal, GoalPath):
-        return Path(goal).off(inverse(T_world_target) @ T_world_base @ scenario.camera.mount.T)
+        return Path(goal).off(inverse(T_world_target) @ T_world_base @ scenario.camera.mount.T, t)
     if isinstance(goal, GoalGap):
         return math.dist(T_world_base[:2, 3], T_world_target[:2, 3]) - goal.gap_m
     if isinstance(goal, GoalLine) and isinstance(scenario.target, GroundLines):

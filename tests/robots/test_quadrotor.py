@@ -12,7 +12,7 @@ from vstestbed.geometry import Pose, adjoint, inverse
 from vstestbed.observation import Encoders
 from vstestbed.robots.base import Mount
 from vstestbed.robots.groundspeed import Filtered, Flow
-from vstestbed.robots.quadrotor import HOLD, ROTORS_OFF, STANDING_M, FlightBox, FlightPose, FlightStart, Imu, Quadrotor, descend
+from vstestbed.robots.quadrotor import HOLD, LOWEST_M, ROTORS_OFF, STANDING_M, FlightBox, FlightPose, FlightStart, Imu, Quadrotor, descend
 from vstestbed.robots.rotors import HOVER
 
 DOWN = Mount.of(Pose(xyz=(0.1, 0.0, -0.05), rpy_deg=(180, 0, 90)).T)
@@ -29,14 +29,14 @@ class TestBlock:
 
     def test_a_start_in_the_ground_is_refused(self):
         with pytest.raises(ParameterError, match=r"start\.nominal\.xyz\.2"):
-            Quadrotor(start=FlightStart(nominal=FlightPose(xyz=(0, 0, 0.1))))
+            Quadrotor(start=FlightStart(nominal=FlightPose(xyz=(0, 0, STANDING_M))))  # on its feet it does not hover
 
     def test_random_starts_fill_their_box_and_stay_above_the_ground(self):
         robot = Quadrotor(start=FlightStart(nominal=FlightPose(xyz=(0, 0, 2.0)), random=FlightBox(xyz=(2, 1, 3), yaw_deg=180)))
         rng = np.random.default_rng(0)
         q = np.array([robot.randomised(rng).configuration() for _ in range(300)])
         assert np.all(np.abs(q) <= [2, 1, 5, math.pi])
-        assert q[:, 2].min() == pytest.approx(STANDING_M)
+        assert q[:, 2].min() == pytest.approx(LOWEST_M)
         assert np.all(np.ptp(q[:, [0, 1, 3]], axis=0) > [3.8, 1.9, 6.0])
 
     def test_a_box_may_have_a_middle_of_its_own(self):
@@ -171,6 +171,18 @@ class TestHover:
         assert np.abs(log.position[:, 2] - 2.0).max() < 0.1
 
 
+def test_overturned_is_told_until_it_is_level_again():
+    """A tilt beyond 60 degrees may be over before the next picture; that it happened is told until it takes orders again."""
+    craft = Flown(perfect(height=40.0))
+    craft.tilt(roll=math.radians(62))
+    log = craft.fly(HOLD, 2.0)
+    told = np.array([m.overturned for m in log.memory])
+    degrees = np.degrees(log.tilt)
+    level = int(np.argmax(degrees < 14.5))  # from 15 degrees on, half a degree for what its estimate is off
+    assert told[: level - 50].all() and not told[level:].any()
+    assert np.ptp(degrees[told]) > 40
+
+
 class TestDown:
     def test_it_descends_stands_and_stops(self):
         craft = Flown(Quadrotor(start=FlightStart(nominal=FlightPose(xyz=(0, 0, 1.0)))), seed=4)
@@ -187,6 +199,18 @@ class TestDown:
         assert np.abs(log.velocity[-1]).max() < 1e-3
         assert np.degrees(log.tilt[-1]) < 0.1
         assert np.abs(log.position[-1, :2]).max() < 0.15
+
+    @pytest.mark.parametrize("speed", [0.2, 0.4])
+    def test_it_knows_at_once_that_it_stands(self, speed):
+        """On a deck that moves, in wind, a craft that is light on its feet slides off: it must not wait for its climb loop."""
+        craft, told, touched = Flown(Quadrotor(start=FlightStart(nominal=FlightPose(xyz=(0, 0, 0.4)))), seed=4), [], []
+        for _ in range(200):
+            craft.fly(descend(speed), 0.01, lambda t: (6, 0, 0))
+            told.append(craft.robot.stands(craft.memory, craft.encoders()))
+            touched.append(craft.data.ncon > 0)
+        first = touched.index(True)
+        assert not any(told[:first])  # 5 cm before, still sinking as told
+        assert told.index(True) - first < 12  # hundredths of a second; by its rotors alone .5 s and more
 
     def test_hovering_low_is_not_standing(self):
         craft = Flown(Quadrotor(start=FlightStart(nominal=FlightPose(xyz=(0, 0, 0.2)))))

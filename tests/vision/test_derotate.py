@@ -5,7 +5,7 @@ import pytest
 
 from vstestbed.camera import Perspective, Spherical
 from vstestbed.geometry import Pose, exp
-from vstestbed.vision.derotate import NO_TRIM, level_from_tilt, level_rays, trimmed
+from vstestbed.vision.derotate import NO_TRIM, level_from_tilt, level_rays, level_twist, trimmed
 
 DOWN = Pose(xyz=(0.0, 0.0, 0.0), rpy_deg=(180, 0, 0))
 ROUND = Spherical(width=640, height=640, mount=DOWN)
@@ -73,3 +73,27 @@ def test_the_picture_takes_a_bias_off_the_tilt():
         trim = trimmed(trim, true + bias, T, goal, DOWN.T[:3, :3], 0.01)
     # Noise of .5 deg through k = .01: .5 sqrt(.01 / 2) = .035 deg; three of them.
     np.testing.assert_allclose(np.degrees(trim.angles), np.degrees(-bias), atol=0.11)
+
+
+@pytest.mark.parametrize("mount", [DOWN, Pose(xyz=(0.1, 0.05, -0.1), rpy_deg=(180, 20, 45))])
+def test_a_level_camera_moves_with_the_craft_and_turns_with_its_heading_alone(mount):
+    """Against finite differences of a craft that moves, rolls, pitches and yaws at once."""
+    rates, speeds, start = np.array([0.7, -0.9, 0.4]), np.array([0.6, -0.3, 0.2]), np.array([0.3, -0.4, 0.8])
+    h, M = 1e-5, mount.T
+
+    def poses(t: float) -> tuple[np.ndarray, np.ndarray]:
+        """T_world_camera and that of the level camera, which is where it is."""
+        roll, pitch, yaw = start + rates * t
+        T = Pose(xyz=tuple(speeds * t), rpy_deg=tuple(np.degrees([roll, pitch, yaw]))).T @ M
+        level = Pose(rpy_deg=(0, 0, float(np.degrees(yaw)))).T @ M
+        level[:3, 3] = T[:3, 3]
+        return T, level
+
+    def twist(i: int) -> np.ndarray:
+        before, now, after = (poses(t)[i] for t in (-h, 0, h))
+        turn = before[:3, :3].T @ after[:3, :3]
+        w = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2
+        return np.concatenate([now[:3, :3].T @ (after[:3, 3] - before[:3, 3]), w]) / (2 * h)
+
+    # Differences of second order: h^2.
+    np.testing.assert_allclose(level_twist(twist(0), start[:2], M[:3, :3]), twist(1), atol=1e-8)

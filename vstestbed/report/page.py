@@ -63,7 +63,7 @@ PLOTS: Final[tuple[Plot, ...]] = (
     (
         "off",
         "Error of the task",
-        "True: how far the camera is from its place, how much wider than asked the gap is, or how far left of its line the vehicle is.",
+        "True: how far the camera is off its place or path, the gap wider than asked, the vehicle left of its line.",
         vehicle.off_task,
     ),
     ("twist", "Camera twist", "In the camera's frame: commanded (thin line) and true (pale band).", figures.twist),

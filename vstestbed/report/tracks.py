@@ -37,6 +37,7 @@ class Setting:
         feature: what the law works with, where it is an image feature.
         camera: the servo camera.
         ride: what there is to a vehicle's task on the floor.
+        band_m, settle_s: of a task without an end: how far off it may be [m], from when on [s].
     """
 
     width: int | None = None
@@ -48,23 +49,28 @@ class Setting:
     feature: Feature | None = None
     camera: Camera | None = None
     ride: Ride | None = None
+    band_m: float | None = None
+    settle_s: float = 0.0
 
     @classmethod
     def of(cls, scenario: Scenario) -> Setting:
         """The facts of a loaded scenario; a task without a goal view or a pixel threshold leaves those out."""
-        ride = Ride.of(scenario)
-        ends = ride is None or ride.band_m is None
+        from vstestbed.goal import KEPT
+
+        ride, kept = Ride.of(scenario), scenario.goal if isinstance(scenario.goal, KEPT) else None
         view = getattr(scenario.goal, "T_camera_target", None)
         return cls(
             width=scenario.camera.width,
             height=scenario.camera.height,
-            threshold_px=getattr(scenario.stop.converged, "error_px", None) if ends else None,
+            threshold_px=getattr(scenario.stop.converged, "error_px", None) if kept is None else None,
             points=None if isinstance(scenario.target, GroundLines) else scenario.target.points,
             T_camera_target=getattr(view, "T", view),
             description=scenario.description,
             feature=getattr(scenario.law, "feature", None),
             camera=scenario.camera,
             ride=ride,
+            band_m=kept.band if kept else None,
+            settle_s=kept.settle_s if kept else 0.0,
         )
 
 

@@ -91,16 +91,16 @@ def slip(tracks: Tracks) -> Figure | None:
 
 def off_task(tracks: Tracks) -> Figure | None:
     """True error of a task without an end, with the band that it shall stay in once settled."""
-    value, ride = tracks.column("off_m"), tracks.setting.ride
+    value, known = tracks.column("off_m"), tracks.setting.ride or tracks.setting
+    band, settle = known.band_m, known.settle_s
     if not np.isfinite(value).any():
         return None
     figure = new_figure(3.1)
     axes = figure.add_subplot()
-    if ride is not None and ride.band_m is not None:
-        last = max(float(np.nanmax(tracks.t)), ride.settle_s)
-        words = f"band, {ride.band_m:g} m to each side"
-        axes.fill_between([ride.settle_s, last], -ride.band_m, ride.band_m, color=GOAL, alpha=0.14, linewidth=0, label=words)
-        worst = _worst(tracks.t, value, ride.settle_s)
+    if band is not None:
+        last = max(float(np.nanmax(tracks.t)), settle)
+        axes.fill_between([settle, last], -band, band, color=GOAL, alpha=0.14, linewidth=0, label=f"band, {band:g} m to each side")
+        worst = _worst(tracks.t, value, settle)
         axes.set_title("" if np.isnan(worst) else f"at most {worst:.3f} m off once settled", loc="left")
     axes.axhline(0, color=RULE, linewidth=0.8)
     axes.plot(tracks.t, value, color=LINE_COLORS[0])

@@ -31,8 +31,12 @@ from vstestbed.spec import spec
 
 STANDING_M = 0.172
 """Height of the centre over the ground when the craft stands on its feet [m]."""
+LOWEST_M = 0.2
+"""The lowest start: it hovers there, its feet 3 cm above the ground [m]."""
 STANDING_MARGIN_M = 0.05
 """A range within it of the legs' says that the feet are down: the range finder's noise and a few degrees of tilt [m]."""
+STOPPED_MPS = 0.12
+"""What sinks slower than its orders ask for by more, near the ground, is stopped by it [m/s]; noise of the estimate is .02."""
 STANDING_COSINE = math.cos(math.radians(30))
 """What leans more does not stand."""
 HOLD = np.zeros(4)
@@ -102,8 +106,8 @@ class Flight(NamedTuple):
 
     @property
     def overturned(self) -> bool:
-        """Tilted beyond 60 degrees by its own estimate."""
-        return self.attitude.tilt > RECOVER_RAD
+        """Tilted beyond 60 degrees by its own estimate, or on its way back from there."""
+        return self.attitude.tilt > RECOVER_RAD or self.loops.levelling
 
 
 @spec
@@ -141,10 +145,10 @@ class Quadrotor:
     """The rate loop is tuned at it."""
 
     def __post_init__(self) -> None:
-        """Refuse a start in the ground."""
+        """Refuse a start in the ground, or on it: the craft hovers."""
         low = self.start.nominal.xyz[2]
-        if low < STANDING_M:
-            raise ParameterError("start.nominal.xyz.2", f"must leave the centre {STANDING_M:g} m or more above the ground", low)
+        if low < LOWEST_M:
+            raise ParameterError("start.nominal.xyz.2", f"must leave the centre {LOWEST_M:g} m or more above the ground", low)
 
     @property
     def model(self) -> str:
@@ -166,7 +170,7 @@ class Quadrotor:
         return np.array([*self.start.nominal.xyz, math.radians(self.start.nominal.yaw_deg)])
 
     def randomised(self, rng: np.random.Generator) -> Quadrotor:
-        """The same craft with a start drawn from the box, not lower than it stands."""
+        """The same craft with a start drawn from the box, not so low that it would stand."""
         box = self.start.random
         if box is None:
             raise ParameterError("robot.start.random", "is missing: a seed draws the start from it, e.g. {xyz: [2, 2, 1], yaw_deg: 180}")
@@ -174,7 +178,7 @@ class Quadrotor:
         xyz = np.array(middle.xyz) + rng.uniform(-1, 1, 3) * box.xyz
         yaw = middle.yaw_deg + float(rng.uniform(-1, 1)) * box.yaw_deg
         x, y, z = xyz.tolist()
-        nominal = FlightPose(xyz=(x, y, max(z, STANDING_M)), yaw_deg=yaw)
+        nominal = FlightPose(xyz=(x, y, max(z, LOWEST_M)), yaw_deg=yaw)
         return replace(self, start=FlightStart(nominal=nominal, random=box))
 
     def rest_ctrl(self) -> Array:
@@ -262,13 +266,15 @@ class Quadrotor:
         return Flight(attitude, ground, loops, W, rates, True, memory.limited_s + dt if mixed.cut else 0.0), np.array(orders)
 
     def stands(self, memory: Flight, encoders: Encoders) -> bool:
-        """Whether the craft stands on something, by its own instruments: upright, near the ground, rotors under .9 of the weight.
+        """Whether the craft stands on something, by its own instruments: upright, near the ground, and it does not sink as ordered.
 
-        They do so soon after touch-down in a descent: it does not sink as ordered, so the climb loop takes thrust away.
+        That shows at once in its speed beside the one that its orders should give (`Loops.model`), and where it is told to stay at
+        a height under the ground, or sinks slowly, soon after in its rotors: the climb loop takes thrust away, to under .9 of the weight.
         """
         upright = math.cos(memory.attitude.roll) * math.cos(memory.attitude.pitch) > STANDING_COSINE
         near = float(encoders.instruments["range"][0]) < STANDING_M + STANDING_MARGIN_M
-        return upright and near and sum(memory.W) < 4 * 0.9 * HOVER
+        stopped = memory.armed and memory.ground.velocity[2] - memory.loops.model[2] > STOPPED_MPS
+        return upright and near and (stopped or sum(memory.W) < 4 * 0.9 * HOVER)
 
     def reported(self, memory: Flight, encoders: Encoders) -> Mapping[str, Array]:
         """What the craft tells of its flight, by its own estimate, to put beside the raw readings.

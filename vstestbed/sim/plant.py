@@ -23,6 +23,8 @@ from vstestbed.sim.weather import Weather
 AWAY = np.eye(4)
 AWAY[2, 3] = 1000.0
 """Where a craft is while a vehicle settles: high up [m]."""
+SILENCE_S, SILENCE_PICTURES = 0.5, 3
+"""An order to a craft that flies lasts so long [s], or so many of the camera's periods where they are longer: then it holds."""
 SETTLE_S = 1.0
 """A vehicle stands this long on its springs before the start [s]."""
 
@@ -75,7 +77,8 @@ class MujocoPlant:
         self._visible = np.zeros(len(self._target.points), dtype=bool)
         self._steps = 0
         self._memory: Any = robot.begin()
-        self._setpoint: Array | None = None
+        self._setpoint: Array | None = np.full(len(robot.actuators), np.nan) if self._flies else None  # it holds until it is told
+        self._heard, self._patience = 0, max(round(SILENCE_S / self.step_s), SILENCE_PICTURES * steps_per_frame)
         self._control_steps = max(1, round((robot.control_period_s or 0.0) / self.step_s)) if robot.control_period_s else 0
         q, T = stage.parts.start
         stage.place(0.0, stage.parts.T_world_target if path is None else path(0.0), q, T)
@@ -187,7 +190,7 @@ class MujocoPlant:
 
     def apply(self, setpoint: Array) -> None:
         """A setpoint from now on; without an onboard controller it is the actuators' controls (n,)."""
-        self._setpoint = setpoint
+        self._setpoint, self._heard = setpoint, self._steps
         if not self._control_steps:
             self._stage.data.ctrl[self._ctrl] = setpoint
 
@@ -225,9 +228,12 @@ class MujocoPlant:
         data = self._stage.data
         if self._weather is not None and self._windy:
             self._weather.blow(self._steps * self.step_s, dt)
-        if self._setpoint is not None:
+        setpoint = self._setpoint
+        if setpoint is not None:
+            if self._flies and self._steps - self._heard > self._patience:
+                setpoint = np.full_like(setpoint, np.nan)
             encoders = self._senses.read(self._steps)
-            self._memory, data.ctrl[self._ctrl] = self._robot.actuate(self._memory, self._setpoint, encoders, dt)
+            self._memory, data.ctrl[self._ctrl] = self._robot.actuate(self._memory, setpoint, encoders, dt)
 
     def close(self) -> None:
         """Free pictures and physics."""

@@ -38,6 +38,22 @@ def level_from_tilt(tilt: Array, R_base_camera: Array) -> Array:
     return R_base_camera.T @ R_level_base @ R_base_camera
 
 
+def level_twist(twist: Array, tilt: Array, R_base_camera: Array) -> Array:
+    """Twist (6,) of the level camera, in its own frame, from the camera's: it shares the place, and turns with the heading alone.
+
+    The heading's rate is w_z + w_x tan(pitch), w the craft's rates in level axes; tamed near a nose straight up.
+
+    Args:
+        twist: of the camera in its own frame (6,) [m/s, rad/s].
+        tilt: roll and pitch (2,) [rad].
+        R_base_camera: the mount's rotation (3, 3).
+    """
+    R = level_from_tilt(tilt, R_base_camera)
+    wx, _, wz = (R_base_camera @ R @ twist[3:]).tolist()
+    heading = wz + wx * math.sin(tilt[1]) / max(math.cos(tilt[1]), 0.1)
+    return np.concatenate([R @ twist[:3], heading * R_base_camera[2]])
+
+
 @dataclass(frozen=True, slots=True)
 class Trim:
     """What the picture says is wrong with the IMU's roll and pitch (2,) [rad], and from how many pictures."""

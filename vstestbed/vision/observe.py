@@ -18,7 +18,7 @@ from vstestbed.observation import AtGoal, Constant, Depth, Estimate, Goal, Obser
 from vstestbed.target import Held, Target
 from vstestbed.vision.base import Detection
 from vstestbed.vision.believed import pose_by_depth
-from vstestbed.vision.derotate import NO_TRIM, Derotation, Trim, level_from_tilt, level_rays, trimmed
+from vstestbed.vision.derotate import NO_TRIM, Derotation, Trim, level_from_tilt, level_rays, level_twist, trimmed
 from vstestbed.vision.floor_pose import solve_place
 from vstestbed.vision.flow_depth import FlowMemory, init_flow, update_flow
 from vstestbed.vision.homography import relative_view
@@ -135,10 +135,10 @@ class Observer:
                 share = 0.0 if math.isnan(memory.t) else 1 - math.exp(-(t - memory.t) / self.trim_s)
                 trim = trimmed(trim, turned, T, self.goal.T_camera_target, self.camera.mount.T[:3, :3], share)
             turned = turned + trim.angles
-            R = level_from_tilt(turned, self.camera.mount.T[:3, :3])
-            ray, xy, depth, T = self._level(ray, reach, depth, T, turned, R)
-            twist = _turned(R, twist)
-            own = own and replace(own, twist=twist, moved=_turned(R, own.moved))
+            mount = self.camera.mount.T[:3, :3]
+            ray, xy, depth, T = self._level(ray, reach, depth, T, turned, level_from_tilt(turned, mount))
+            if own is not None:
+                own = replace(own, twist=level_twist(own.twist, turned, mount), moved=level_twist(own.moved, turned, mount))
         relative = relative_view(self.goal.xy, xy, self.goal.normal) if "relative" in self.wanted else None
         odometry, place = self._driven(memory, t, twist, T if fresh else None, compass)
         depth, reach, pose = self._scaled(depth, reach, T if fresh or self._stays else None)
@@ -285,7 +285,3 @@ class Observer:
                 raise ParameterError("depth", "oracle is only with detector {kind: oracle}; valid here: pnp, constant, goal, estimate")
             case _:
                 raise ParameterError("memory", "does not belong to this depth; begin with Observer.init()")
-
-
-def _turned(R: Array, twist: Array) -> Array:
-    return np.concatenate([R @ twist[:3], R @ twist[3:]])
