@@ -97,7 +97,11 @@ def name(row: dict[str, str]) -> str:
     return f"{row['scenario']}-{row['law']}-{row['L'].lower()}"
 
 
-@pytest.mark.parametrize("row", [row for row in ROWS if not decided_by_rounding(row)], ids=name)
+TOLD = [row for row in ROWS if not decided_by_rounding(row)]
+"""The batched loop holds all of them (tests/test_batch.py); of the time loop every fourth is quick enough to be run each time."""
+
+
+@pytest.mark.parametrize("row", [pytest.param(row, id=name(row), marks=[pytest.mark.study] if i % 4 else []) for i, row in enumerate(TOLD)])
 def test_golden_row(row: dict[str, str], monkeypatch: pytest.MonkeyPatch):
     if name(row) == "book_sph-ibvs_polar-desired":
         # The camera goes behind the target's plane with all points in front of its lens, which ends a run here, not there.

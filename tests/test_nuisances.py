@@ -128,6 +128,7 @@ class TestShadows:
         assert min(len(d) for d in dark) > 300
         assert np.linalg.norm(dark[1].mean(axis=0) - dark[0].mean(axis=0)) > 20  # .2 m at 1 m is some 77 px, less where it leaves the board
 
+    @pytest.mark.study
     def test_a_run_meets_it(self):
         """It passes over two markers on the way; a lit disc loses a fourth of its light, and keeps its hue."""
         s = vs.load("arm_ibvs")

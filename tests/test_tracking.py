@@ -73,6 +73,7 @@ class TestEyeToHand:
 
 
 class TestDocking:
+    @pytest.mark.study
     def test_the_inner_markers_take_over(self):
         r = vs.run(vs.load("arm_docking", {"stop.converged.error_px": 1.0, "law.gain": 1.0}))
         assert r.outcome is vs.Outcome.converged

@@ -138,6 +138,7 @@ class TestOmni:
 
 
 class TestPursuit:
+    @pytest.mark.study
     def test_the_gap_is_kept_from_rendered_pictures(self):
         recording = run("car_pursuit", stop__duration_s=12)
         assert recording.outcome is Outcome.completed, recording.reason

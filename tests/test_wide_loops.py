@@ -105,6 +105,7 @@ def test_random_starts_have_the_target_in_view_all_around():
         assert s.camera.whole(s.target.points @ p[:3, :3].T + p[:3, 3], s.target.marker.radius).all()
 
 
+@pytest.mark.study
 def test_films_and_a_film_again(command: Callable[..., Ended], tmp_path: Path):
     import av
 

@@ -146,6 +146,7 @@ def test_the_paired_difference_of_two_gains_is_what_theory_gives(quick: Path, tm
     assert (same.mean, same.low, same.high, same.real) == (0, 0, 0, False)
 
 
+@pytest.mark.study
 def test_laws_that_raise_diverge_lose_and_kill(quick: Path, tmp_path: Path, plugin: str):
     laws = (
         {"kind": "ibvs", "gain": 6.0},
@@ -182,7 +183,7 @@ def test_a_worker_killed_in_the_middle_is_replaced(quick: Path, tmp_path: Path):
         assert slot.pid.result() != before
 
 
-@pytest.mark.parametrize("later_s", [0.0, 1.0])  # before its pool hears of it, and after
+@pytest.mark.parametrize("later_s", [0.0, pytest.param(1.0, marks=pytest.mark.study)])  # before its pool hears of it, and after
 def test_a_worker_that_dies_while_it_has_nothing_to_do_is_no_loss(quick: Path, tmp_path: Path, later_s: float):
     campaign = Campaign(tmp_path, jobs(controllers(Comparison(base=(str(quick),), seeds=2)), 2))
     with closing(LocalPool(1)) as pool:

@@ -12,6 +12,9 @@ from vstestbed.comparing import Comparison, chosen, controllers, jobs
 from vstestbed.comparing.plan import read_comparison
 from vstestbed.errors import ParameterError, ScenarioError
 
+LONG = ("canonical_arm", "calibration_error", "depth_error", "realism")
+"""Comparisons of hundreds of scenarios: reading them all takes seconds."""
+
 
 def of(*base: object, seeds: int | None = None, **axes: tuple[object, ...]) -> Comparison:
     return Comparison(base=tuple(map(str, base)), axes={k.replace("__", "."): v for k, v in axes.items()}, seeds=seeds)
@@ -101,7 +104,7 @@ class TestFile:
             f"{path}:3:1: metrix: unknown field; did you mean 'metrics'?",
         ]
 
-    @pytest.mark.parametrize("name", bundled_comparisons())
+    @pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.study] if n in LONG else []) for n in bundled_comparisons()])
     def test_bundled_ones_can_be_run(self, name: str):
         comparison = chosen([name], {}, {}, None)
         assert controllers(comparison)

@@ -279,7 +279,7 @@ def test_arm_ibvs_converges_with_the_same_bytes_each_time():
     assert np.median(np.abs(off)) < 0.1
 
 
-@pytest.mark.parametrize("latency_s", [0.0, 0.04, 0.1])
+@pytest.mark.parametrize("latency_s", [0.0, pytest.param(0.04, marks=pytest.mark.study), pytest.param(0.1, marks=pytest.mark.study)])
 def test_nothing_is_lost_for_looking_in_windows(latency_s: float):
     """However late pictures come: with some on their way, whole ones are cast."""
     settings = {"camera.renderer": "rays", "camera.latency_s": latency_s, "law.gain": 1.0, "stop.duration_s": 0.8}

@@ -65,7 +65,8 @@ def test_industrial_arrives_from_everywhere(capsys: pytest.CaptureFixture[str]):
     assert not failed, "\n".join(failed)
 
 
-@pytest.mark.parametrize("seed", [None, *(pytest.param(seed, marks=pytest.mark.study) for seed in range(5))])
+@pytest.mark.study
+@pytest.mark.parametrize("seed", [None, *range(5)])
 def test_raw_stops_inside_its_dead_band(seed: int | None, capsys: pytest.CaptureFixture[str]):
     bundled = vs.load("arm_ibvs_raw")
     scenario = bundled if seed is None else bundled.randomised(seed)

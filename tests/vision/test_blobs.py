@@ -157,6 +157,7 @@ def test_half_hidden_is_not_seen_and_spoils_nothing(picture: Picture, offset: fl
     assert np.linalg.norm(found.uv - true, axis=1)[found.seen].max() < 0.35
 
 
+@pytest.mark.study
 def test_little_hidden_shifts_little(picture: Picture) -> None:
     # However much of a marker is hidden, what is reported is never off by more than about a pixel.
     target = _square(Disc(radius=0.02))
@@ -308,7 +309,9 @@ def test_noise_of_a_low_picture(height: int) -> None:
     assert noise_level(rng.normal(90, 10, (height, 640, 3)).astype(np.uint8)) == pytest.approx(10, rel=0.2)  # one row of 640
 
 
-@pytest.mark.parametrize("camera", [CAMERA, Perspective(multisampling=4)], ids=["sharp", "smooth"])
+@pytest.mark.parametrize(
+    "camera", [pytest.param(CAMERA, id="sharp"), pytest.param(Perspective(multisampling=4), id="smooth", marks=pytest.mark.study)]
+)
 def test_centroids_scatter_with_the_noise(picture: Picture, camera: Perspective) -> None:
     target, blobs, rng = _square(Disc(radius=0.02)), Blobs(), np.random.default_rng(4)
     frames = [picture(target, T, camera) for T in _poses(20)]
