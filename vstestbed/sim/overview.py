@@ -24,6 +24,8 @@ ROAM, ROAM_M = 0.12, 0.8
 AZIMUTHS = np.radians(np.arange(0, 360, 10))
 LIGHT_HEIGHT = 6.0
 """Of the light that casts shadows, over the middle of the view [m]: above whatever stands there."""
+LEAST_REACH = 7.0
+"""The depth map of shadows covers this much to each side at least [m]: a tighter one speckles what is lit."""
 
 
 def frame_flight(scene: mujoco.MjSpec, robot: Robot, target: Target) -> None:
@@ -90,7 +92,7 @@ def _light(scene: mujoco.MjSpec, points: Array) -> None:
     middle = (points.min(axis=0) + points.max(axis=0)) / 2
     light.pos = middle + along * (LIGHT_HEIGHT + np.ptp(points[:, 2])) / along[2]
     reach = np.linalg.norm(np.cross(points - middle, along), axis=1).max()
-    scene.visual.map.shadowclip = reach / scene.stat.extent
+    scene.visual.map.shadowclip = max(float(reach), LEAST_REACH) / scene.stat.extent
 
 
 def eye_for(points: Array, right: Array, up: Array, half_height: float) -> Array:
