@@ -31,7 +31,7 @@ FAST = ConstantGain(value=2.5)
 BOUND = 1e-3 * 800 / np.sqrt(8)  # a norm of 1e-3 of the eight normalised coordinates
 
 
-def scenario(law: Law, *, limited: bool = False, error_px: float = BOUND, hold_s: float = 0.0, duration_s: float = 20.0) -> Scenario:  # type: ignore[type-arg]
+def scenario(law: Law, *, limited: bool = False, error_px: float = BOUND, hold_s: float = 0.0, duration_s: float = 20.0) -> Scenario:
     """The ideal camera 1 m before a square of .5 m, f = 800 px on 1000 x 1000, 25 Hz."""
     return Scenario(
         robot=Free(start=FreeStart(nominal=Pose(xyz=(0, 0, -1)))),
@@ -117,7 +117,7 @@ def test_every_law_ends_as_in_the_time_loop(name: str, limited: bool):
         last = len(r["t"]) - 1
         assert (found.outcome[i], found.steps[i]) == (r.outcome, last)
         if r.outcome is vs.Outcome.converged:
-            assert found.near[i] / 25 == pytest.approx(r.summary()["time_to_converge_s"])  # type: ignore[arg-type]
+            assert found.near[i] / 25 == pytest.approx(r.summary()["time_to_converge_s"])
             # Least squares by normal equations and by a factorisation: they agree to a few digits less than rounding.
             p, q = inverse(found.T_camera_target[i])[:3, 3], [r[f"cam_{n}"][-1] for n in "xyz"]
             assert p == pytest.approx(q, abs=1e-6)

@@ -115,9 +115,9 @@ class TestLatency:
         build = loop.build_plant
 
         def wrapped(*parts: object, **needs: object) -> tuple[Plant, str]:
-            plant, renderer = build(*parts, **needs)  # type: ignore[arg-type]
+            plant, renderer = build(*parts, **needs)
             made.append(Watched(plant))
-            return made[-1], renderer  # type: ignore[return-value]
+            return made[-1], renderer
 
         monkeypatch.setattr(loop, "build_plant", wrapped)
         return made

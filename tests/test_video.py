@@ -161,7 +161,7 @@ def test_pictures_must_be_bytes_of_one_size(tmp_path: Path) -> None:
         with pytest.raises(ParameterError, match="first frame"):
             writer.write(np.zeros((48, 66, 3), np.uint8))
         with pytest.raises(ParameterError, match="uint8"):
-            writer.write(np.zeros((48, 64, 3)))  # type: ignore[arg-type]
+            writer.write(np.zeros((48, 64, 3)))
 
 
 def drawn(uv: list[list[float]], goal: list[list[float]] | None, lost: bool = False, error_px: float = 1.0) -> np.ndarray:

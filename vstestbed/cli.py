@@ -214,7 +214,7 @@ def _guarded(command: Callable[[], object], debug: bool = False) -> int:
             raise
         return _failed(lack, debug)
     except UsageMistake as error:
-        error.show()  # type: ignore[attr-defined]
+        error.show()  # type: ignore[attr-defined] - a ClickException, which typer hands on untyped
         return BAD_INPUT
     except (typer.Abort, KeyboardInterrupt):
         typer.echo("interrupted", err=True)

@@ -71,6 +71,17 @@ Band = Annotated[float, Gt(0)]
 Settle = Annotated[float, Ge(0)]
 
 
+class _Band:
+    """What tasks without an end have: a band in which the true error stays once settled."""
+
+    band_m: float
+
+    @property
+    def band(self) -> float:
+        """Half its width [m]."""
+        return self.band_m
+
+
 @spec
 class GoalGap:
     """A task without an end: keep a distance, on the floor, from the vehicle's origin to the target's.
@@ -93,7 +104,7 @@ class GoalGap:
 
 
 @spec
-class GoalLine:
+class GoalLine(_Band):
     """A task without an end: keep the vehicle's origin over the line on the floor that the target is.
 
     Args:
@@ -107,14 +118,9 @@ class GoalLine:
     band_m: Band = 0.05
     settle_s: Settle = 5.0
 
-    @property
-    def band(self) -> float:
-        """[m]."""
-        return self.band_m
-
 
 @spec
-class GoalPath:
+class GoalPath(_Band):
     """A task without an end: fly along a path, given by views on it, and keep at its last one.
 
     The view that is wanted moves from each of the given ones to the next, its camera along a straight line and turning evenly,
@@ -139,14 +145,9 @@ class GoalPath:
     band_m: Band = 0.15
     settle_s: Settle = 10.0
 
-    @property
-    def band(self) -> float:
-        """[m]."""
-        return self.band_m
-
 
 @spec
-class GoalTrack:
+class GoalTrack(_Band):
     """A task without an end: keep the view of a target that moves.
 
     Args:
@@ -159,11 +160,6 @@ class GoalTrack:
     T_camera_target: Pose
     band_m: Band = 0.05
     settle_s: Settle = 5.0
-
-    @property
-    def band(self) -> float:
-        """[m]."""
-        return self.band_m
 
 
 @spec

@@ -116,7 +116,7 @@ def _is_kind(word: str) -> bool:
 
 
 def _required() -> str:
-    needed = [f.name for f in dataclasses.fields(Scenario) if f.default is dataclasses.MISSING]  # type: ignore[arg-type]
+    needed = [f.name for f in dataclasses.fields(Scenario) if f.default is dataclasses.MISSING]
     return ", ".join(needed[:-1]) + " and " + needed[-1]
 
 

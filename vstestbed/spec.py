@@ -65,7 +65,7 @@ def _with_our_errors(cls: Any) -> None:
 def rebuild_specs() -> None:
     """Build every spec's validator anew, in the order of definition: needed once after a `OneOf` has grown."""
     for cls in _SPECS:
-        rebuild_dataclass(cls, force=True)  # type: ignore[arg-type]
+        rebuild_dataclass(cls, force=True)
         _with_our_errors(cls)  # pydantic has put its own constructor back
 
 
@@ -153,13 +153,13 @@ class OneOf:
 
 def _needed_fields(cls: type) -> list[str]:
     missing = dataclasses.MISSING
-    fields = dataclasses.fields(cls)  # type: ignore[arg-type]
+    fields = dataclasses.fields(cls)
     return [f.name for f in fields if f.init and f.default is missing and f.default_factory is missing]
 
 
 def kind_of(cls: type) -> str:
     """The word that a spec class has as its `kind`."""
-    for field in dataclasses.fields(cls):  # type: ignore[arg-type]
+    for field in dataclasses.fields(cls):
         if field.name == "kind":
             return str(field.default)
     raise ParameterError("kind", f"is missing: {cls.__name__} needs `kind: Literal['...'] = '...'`")

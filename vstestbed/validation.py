@@ -116,7 +116,7 @@ def _place(loc: Sequence[int | str], plain: Any) -> Key:
         tagged = False
         key.append(part)
         if isinstance(here, dict):
-            here = here.get(part)  # type: ignore[arg-type]
+            here = here.get(part)
         elif isinstance(here, list) and isinstance(part, int) and part < len(here):
             here = here[part]
         else:
@@ -177,7 +177,7 @@ def _unknown(name: str, block: type, room: OneOf | None) -> str:
 
 
 def _fields(block: type) -> list[str]:
-    return [f.name for f in dataclasses.fields(block) if f.init]  # type: ignore[arg-type]
+    return [f.name for f in dataclasses.fields(block) if f.init]
 
 
 def _block_at(loc: Sequence[int | str], cls: type) -> tuple[type, OneOf | None]:

@@ -120,7 +120,7 @@ def test_noise_alone_makes_the_goal_later_but_ends_no_run():
         )
         found = [vs.run(replace(s, seed=seed)) for seed in range(4 if sigma else 1)]
         assert all(r.outcome is vs.Outcome.converged for r in found)
-        times[sigma] = np.mean([r.summary()["time_to_converge_s"] for r in found])  # type: ignore[misc]
+        times[sigma] = np.mean([r.summary()["time_to_converge_s"] for r in found])
     # With noise of .1 px on top, .2 px for half a second asks for an error of about .12 px: log(.2/.12)/gain = 1 s more.
     assert 0.3 < times[0.1] - times[0.0] < 2.5
 

@@ -180,7 +180,7 @@ def test_canonical_cells_are_the_golden_ones(law: str):
             assert farthest_m == pytest.approx(float(row["max_cam_dist_m"]), abs=1e-3)
             # A golden path ends at a norm of 1e-5, ours at 1e-3: the camera is then a few mm from its goal (t_err_m goes with the norm).
             rest_m = 100 * float(row["t_err_m"])
-            assert r.summary()["path_length_m"] == pytest.approx(float(row["path_len_m"]), abs=1e-3 + rest_m)  # type: ignore[arg-type]
+            assert r.summary()["path_length_m"] == pytest.approx(float(row["path_len_m"]), abs=1e-3 + rest_m)
 
 
 def amounts_of(controller: Controller) -> list[tuple[float, np.ndarray]]:

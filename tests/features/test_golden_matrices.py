@@ -20,7 +20,7 @@ def columns(name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Inputs (20, k), s (20, m) and L (20, m, 6) of one feature, all cases as one batch."""
     cases = GOLDEN[name]["cases"]
     assert len(cases) == 20
-    return tuple(np.array([case[key] for case in cases]) for key in ("in", "s", "L"))  # type: ignore[return-value]
+    return tuple(np.array([case[key] for case in cases]) for key in ("in", "s", "L"))
 
 
 def agree(ours: np.ndarray, golden: np.ndarray) -> None:

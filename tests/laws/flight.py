@@ -22,7 +22,7 @@ def book_camera(rate_hz: float = 25.0) -> Camera:
 
 
 def fly(
-    law: Law,  # type: ignore[type-arg]
+    law: Law,
     xyz: tuple[float, float, float] = (0, 0, -1),
     yaw: float = 0.0,
     *,

@@ -14,7 +14,7 @@ from vstestbed.observation import OracleDepth
 TRUE = OracleDepth()
 
 
-def half_turn(law: Law) -> vs.Recording:  # type: ignore[type-arg]
+def half_turn(law: Law) -> vs.Recording:
     return fly(law, (0, 0, -1), np.pi)
 
 
@@ -37,7 +37,7 @@ def test_points_with_the_mean_matrix_stand_still():
     assert r["error_px"][-1] == pytest.approx(2 * 200, rel=1e-3)  # every marker where the opposite one should be
 
 
-LAWS: dict[str, Law] = {  # type: ignore[type-arg]
+LAWS: dict[str, Law] = {
     "polar, current": IBVS(feature=Polar(), interaction="current", depth=TRUE),
     "polar, mean": IBVS(feature=Polar(), interaction="mean", depth=TRUE),
     "spherical, current": IBVS(feature=Spherical(), interaction="current", depth=TRUE),

@@ -105,7 +105,7 @@ class TestGains:
     @pytest.mark.parametrize("gain", [0, -1, float("nan")])
     def test_gains_that_do_not_lead_to_the_goal_are_refused(self, gain: float):
         with pytest.raises(ParameterError, match=r"greater than 0|finite"):
-            IBVS(gain=gain)  # type: ignore[arg-type]
+            IBVS(gain=gain)
 
     def test_the_command_is_linear_in_the_gain(self):
         u = [command(IBVS(gain=ConstantGain(value=g)), look()) for g in (0.5, 1.5)]
@@ -193,4 +193,4 @@ def test_interaction_choices():
     e = (o.xy - GOAL.xy).ravel()
     now, then = Point().interaction(o.xy, o.depth), Point().interaction(GOAL.xy, GOAL.depth)
     for word, L in {"current": now, "desired": then, "mean": (now + then) / 2}.items():
-        np.testing.assert_allclose(command(IBVS(interaction=word), o), -0.5 * np.linalg.pinv(L) @ e, rtol=1e-10)  # type: ignore[arg-type]
+        np.testing.assert_allclose(command(IBVS(interaction=word), o), -0.5 * np.linalg.pinv(L) @ e, rtol=1e-10)

@@ -141,7 +141,7 @@ class TestNoArea:
 
     @pytest.mark.parametrize("law", [Partitioned(depth=TRUE), IBVS(feature=Polygon(), depth=TRUE)], ids=lambda law: law.kind)
     @pytest.mark.parametrize("order", [(0, 2, 1, 3), (0, 1, 3, 2)], ids=str)
-    def test_a_bow_tie_is_refused(self, law: Law, order: tuple[int, ...]):  # type: ignore[type-arg]
+    def test_a_bow_tie_is_refused(self, law: Law, order: tuple[int, ...]):
         with pytest.raises(ParameterError, match=r"^target spans no area in the goal view.*order"):
             fly(law, at=tuple(map(tuple, POINTS[list(order)].tolist())))
 

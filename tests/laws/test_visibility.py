@@ -69,7 +69,7 @@ def test_all_markers_at_the_border_make_the_camera_back_off():
 
 @pytest.mark.parametrize("law", [IBVS, Hybrid], ids=lambda law: law.__name__)
 def test_laws_add_it_to_their_own_motion(law: type[IBVS | Hybrid]):
-    def twist(made: Law) -> Array:  # type: ignore[type-arg]
+    def twist(made: Law) -> Array:
         return made.step(made.init(GOAL), view(MARKER_0_NEAR_LEFT), GOAL, np.eye(6))[1].twist
 
     gain = ConstantGain(value=0.5)

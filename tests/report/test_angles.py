@@ -44,7 +44,7 @@ def tracks(camera: Camera, feature: Feature | None, angle: Array, lost: slice = 
 def lines(figure: object, marker: int) -> list[Array]:
     """What is drawn of one marker in the plane: true, measured, start, end, goal, each (T, 2), phi first in units of pi."""
     first = LINES_PER_MARKER * marker
-    return [line.get_xydata() for line in figure.axes[0].lines[first : first + LINES_PER_MARKER]]  # type: ignore[attr-defined]
+    return [line.get_xydata() for line in figure.axes[0].lines[first : first + LINES_PER_MARKER]]
 
 
 def whole_turns(phi: Array) -> None:

@@ -169,7 +169,7 @@ class TestSpec:
 
     def test_unknown_wheels_are_refused(self):
         with pytest.raises(ParameterError, match="wheels"):
-            Omni(wheels="tracks")  # type: ignore[arg-type]
+            Omni(wheels="tracks")
 
     def test_setpoints_go_to_the_servos_as_they_are(self):
         memory, ctrl = BASE.actuate(BASE.begin(), np.arange(4.0), readings(np.zeros(4)), 0.002)

@@ -125,7 +125,7 @@ def renders(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     plain, make = View.raw, View.__init__
 
     def named(self: View, stage: Stage, camera: str, *args: object) -> None:
-        make(self, stage, camera, *args)  # type: ignore[arg-type]
+        make(self, stage, camera, *args)
         self.__dict__["name"] = camera
 
     def counted(self: View) -> object:
@@ -155,7 +155,7 @@ def test_only_faces_that_are_looked_at_are_drawn(renders: list[str]):
         assert len(renders) == len(faces)
         assert not eye.whole
         for left, top, right, bottom in look[0]:
-            np.testing.assert_array_equal(image[top:bottom, left:right], eye.picture()[top:bottom, left:right])  # type: ignore[index]
+            np.testing.assert_array_equal(image[top:bottom, left:right], eye.picture()[top:bottom, left:right])
     stage.close()
 
 

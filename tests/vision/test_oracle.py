@@ -31,7 +31,7 @@ def test_true_pixels_and_true_depths() -> None:
 
 @pytest.mark.parametrize("field_of_view", ["limited", "unlimited"])
 def test_never_behind_the_camera(field_of_view: str) -> None:
-    found = _ask(Oracle(field_of_view=field_of_view), [[0, 0, -1], [0, 0, 0], [0, 0, 1]])  # type: ignore[arg-type]
+    found = _ask(Oracle(field_of_view=field_of_view), [[0, 0, -1], [0, 0, 0], [0, 0, 1]])
     assert found.seen.tolist() == [False, False, True]
 
 
