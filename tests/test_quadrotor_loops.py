@@ -92,6 +92,7 @@ def test_a_touchdown_is_judged_by_place_and_speed():
         ("arm_ibvs", {"world.wind.mean_mps": [1, 0, 0]}, "world.wind"),
         ("quadrotor_land", {"target.pad": None}, "target.pad"),
         ("quadrotor_land", {"level_trim_s": 5}, "level_trim_s"),
+        ("quadrotor_hover", {"target.motion": {"kind": "line", "velocity_mps": [0.1, 0, 0]}}, "level_trim_s"),
         # Views that a level craft does not have: leant, upside down, of points on a slope, through a camera that looks aside
         ("quadrotor_hover", {"goal.T_camera_target.rpy_deg": [20, 0, 90]}, "goal.T_camera_target: is the view .* leans by 20 deg"),
         ("quadrotor_hover", {"goal.T_camera_target.rpy_deg": [180, 0, 90]}, "leans by 180 deg"),

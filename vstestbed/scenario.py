@@ -137,7 +137,7 @@ class Scenario:
             raise ParameterError("derotation", "is for a craft that leans (robot quadrotor); here it must be none", self.derotation)
         if not robot.feet and not self.world.wind.still:
             raise ParameterError("world.wind", f"is for a craft that flies (robot quadrotor), and robot {robot.kind} does not feel it")
-        if self.level_trim_s and (self.derotation == "none" or isinstance(self.target.motion, Carried)):
+        if self.level_trim_s and (self.derotation == "none" or self.target.moves):
             words = "corrects the tilt for a derotation by a target that stands still; here it must be 0"
             raise ParameterError("level_trim_s", words, self.level_trim_s)
         if kind == "landing" and self.target.pad is None:

@@ -138,12 +138,11 @@ class TestHover:
         ("velocity", "duration"),
         [
             (Flow(), 20.0),
-            (Filtered(), 20.0),
+            pytest.param(Filtered(), 20.0, marks=pytest.mark.study),
             pytest.param(Flow(), 60.0, marks=pytest.mark.study),
             pytest.param(Filtered(), 60.0, marks=pytest.mark.study),
         ],
     )
-    @pytest.mark.study
     def test_holds_with_noise_and_bias(self, velocity, duration):
         """By velocity alone, no place known, with the default noise and bias of all instruments."""
         log = Flown(Quadrotor(velocity=velocity), seed=2).fly(HOLD, duration)
