@@ -1,9 +1,8 @@
 """The pilot of a craft that flies: what is done when the law cannot, by the craft's own instruments.
 
 Without a target in sight the law rests and the craft holds (or coasts for a moment after a target that moved); after a while
-it sinks until it stands, and rotors go off. A craft that overturned
-levels by itself (its flight loops hear no order then); a rotor that stays at its limit means that orders cannot be kept: both
-give the task up, hold and sink. Nothing falls silently.
+it sinks until it stands, and rotors go off. A craft that overturned levels by itself (its flight loops hear no order then); a
+rotor that stays at its limit means that orders cannot be kept: both give the task up, hold and sink. Nothing falls silently.
 """
 
 from __future__ import annotations
