@@ -30,7 +30,7 @@ class Ended:
 @pytest.fixture
 def command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., Ended]:
     """`vstestbed WORDS` in this process, in an empty current folder."""
-    from vstestbed.cli import main
+    from vstestbed.cli.app import main
 
     monkeypatch.chdir(tmp_path)
 
@@ -55,8 +55,8 @@ def vstestbed_process() -> tuple[list[str], dict[str, str]]:
 @pytest.fixture
 def own_kinds() -> Iterator[None]:
     """Lets a test add kinds to the rooms' lists, and takes them out again."""
-    from vstestbed.spec import rebuild_specs
-    from vstestbed.validation import KINDS
+    from vstestbed.core.spec import rebuild_specs
+    from vstestbed.scenario.validation import KINDS
 
     before = {room: dict(kinds.members) for room, kinds in KINDS.items()}
     yield

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import vstestbed as vs
-from vstestbed.errors import ParameterError
+from vstestbed.core.errors import ParameterError
 
 NAMES = {"Outcome", "Recording", "Scenario", "features", "load", "run", "run_into"}
 
@@ -27,7 +27,7 @@ def test_an_unknown_name_is_refused_with_the_list() -> None:
         _ = vs.lod
 
 
-@pytest.mark.parametrize("module", ["vstestbed", "vstestbed.cli"])
+@pytest.mark.parametrize("module", ["vstestbed", "vstestbed.cli.app"])
 def test_importing_costs_no_heavy_package(module: str, vstestbed_process: tuple[list[str], dict[str, str]]) -> None:
     """`--help` has to come at once, so nothing that takes more than some milliseconds may be imported for it."""
     heavy = ["numpy", "mujoco", "dm_control", "cv2", "polars", "matplotlib", "spatialmath", "pydantic", "ruamel", "av", "scipy", "rich"]

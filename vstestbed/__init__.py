@@ -14,22 +14,22 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from vstestbed import features
-    from vstestbed.comparing import compare
-    from vstestbed.loop import run
-    from vstestbed.recording import Recording
-    from vstestbed.runs import run_into
-    from vstestbed.scenario import Scenario
-    from vstestbed.scenario_file import load
-    from vstestbed.stop import Outcome
+    from vstestbed.experiments.comparison import compare
+    from vstestbed.experiments.run_folder import run_into
+    from vstestbed.loop.recording import Recording
+    from vstestbed.loop.run import run
+    from vstestbed.scenario.load import load
+    from vstestbed.scenario.scenario import Scenario
+    from vstestbed.scenario.stop import Outcome
 
 _HOMES = {
-    "compare": "vstestbed.comparing",
-    "run": "vstestbed.loop",
-    "run_into": "vstestbed.runs",
-    "load": "vstestbed.scenario_file",
-    "Scenario": "vstestbed.scenario",
-    "Recording": "vstestbed.recording",
-    "Outcome": "vstestbed.stop",
+    "compare": "vstestbed.experiments.comparison",
+    "run": "vstestbed.loop.run",
+    "run_into": "vstestbed.experiments.run_folder",
+    "load": "vstestbed.scenario.load",
+    "Scenario": "vstestbed.scenario.scenario",
+    "Recording": "vstestbed.loop.recording",
+    "Outcome": "vstestbed.scenario.stop",
 }
 
 __all__ = ["Outcome", "Recording", "Scenario", "compare", "features", "load", "run", "run_into"]

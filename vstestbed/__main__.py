@@ -1,5 +1,5 @@
 """`python -m vstestbed` is the command line."""
 
-from vstestbed.cli import main
+from vstestbed.cli.app import main
 
 main()

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from vstestbed.camera import Calibration, Catadioptric, Fisheye, Perspective, Spherical
-from vstestbed.errors import ParameterError
-from vstestbed.geometry import Pose
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Pose
 
 P = np.array([[0.3, -0.2, 1.5], [-0.4, 0.1, 0.9]])
 PIXELS = Perspective(width=1000, height=1000, focal_length_m=0.008, pixel_size_m=1e-5)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from vstestbed.camera import Catadioptric, Perspective
-from vstestbed.errors import ParameterError
-from vstestbed.geometry import direction
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import direction
 
 
 def some_rays(degrees: float, n: int = 1000) -> np.ndarray:

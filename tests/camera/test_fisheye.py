@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from vstestbed.camera import Fisheye
-from vstestbed.errors import ParameterError
-from vstestbed.geometry import direction
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import direction
 
 CALIBRATED = (-0.03, 0.01, -0.006, 0.0009)
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from vstestbed.camera import Camera, Perspective
-from vstestbed.errors import ParameterError
+from vstestbed.core.errors import ParameterError
 
 BARREL = (-0.2, 0.05, 0.001, -0.002, 0.0)
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from vstestbed.camera import CAMERAS, Catadioptric, Fisheye, Radial, Spherical
-from vstestbed.errors import ParameterError
-from vstestbed.geometry import direction
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import direction
 
 LENSES = [
     Fisheye(),

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from vstestbed.camera import Fisheye, Spherical
-from vstestbed.errors import ParameterError
-from vstestbed.geometry import direction
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import direction
 
 
 def test_the_picture_is_the_equidistant_map():

@@ -7,9 +7,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from vstestbed.core.geometry import exp, inverse, transform
 from vstestbed.features import FEATURES, LogDepth, ThetaU, Translation
 from vstestbed.features.line import line_interaction
-from vstestbed.geometry import exp, inverse, transform
 
 CASES = 200
 STEP = 1e-6

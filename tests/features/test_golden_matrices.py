@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from vstestbed.core.geometry import exp
 from vstestbed.features import Line, LogDepth, Polar, Polygon, ThetaU, Translation
 from vstestbed.features.line import line_interaction
 from vstestbed.features.theta_u import theta_u
-from vstestbed.geometry import exp
 
 GOLDEN = json.loads((Path(__file__).parents[1] / "golden" / "interaction_matrices.json").read_text())
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from vstestbed.core.geometry import Pose, inverse, transform
+from vstestbed.core.planar import moved, pose_on_ground
 from vstestbed.features.ground_line import floor_plane, floor_point, line_on_floor
 from vstestbed.features.line import Line, line_interaction
-from vstestbed.geometry import Pose, inverse, transform
-from vstestbed.ground import moved, pose_on_ground
 from vstestbed.robots import Mount
 from vstestbed.robots.ground import PLANE
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vstestbed.errors import ParameterError
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import exp, inverse, transform
 from vstestbed.features import Point
-from vstestbed.geometry import exp, inverse, transform
 
 GOLDEN = json.loads((Path(__file__).parents[1] / "golden" / "interaction_matrices.json").read_text())["point"]["cases"]
 

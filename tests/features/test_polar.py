@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vstestbed.errors import ParameterError
+from vstestbed.core.errors import ParameterError
 from vstestbed.features import Polar
 from vstestbed.features.angles import CENTRE
 

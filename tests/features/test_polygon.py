@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vstestbed.errors import ParameterError
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import exp, inverse, transform
 from vstestbed.features import Polygon
 from vstestbed.features.polygon import angle_error, segments, size, size_error
-from vstestbed.geometry import exp, inverse, transform
 
 SQUARE = 0.25 * np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
 GOAL = np.eye(4)

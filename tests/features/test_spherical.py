@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vstestbed.errors import ParameterError
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import exp, inverse
 from vstestbed.features import Spherical
-from vstestbed.geometry import exp, inverse
 
 
 def rays(theta: np.ndarray, phi: np.ndarray) -> np.ndarray:

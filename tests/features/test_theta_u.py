@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vstestbed.errors import ParameterError
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import exp
 from vstestbed.features import LogDepth, ThetaU
 from vstestbed.features.theta_u import rotation_interaction, theta_u
-from vstestbed.geometry import exp
 
 
 def rotations(tu: np.ndarray) -> np.ndarray:

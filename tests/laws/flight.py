@@ -6,13 +6,13 @@ import numpy as np
 
 import vstestbed as vs
 from vstestbed.camera import Camera, Perspective
-from vstestbed.geometry import Array, Pose
+from vstestbed.core.geometry import Array, Pose
 from vstestbed.laws import Law
 from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart
-from vstestbed.scenario import GoalView, Scenario
-from vstestbed.stop import Converged, Stop
-from vstestbed.target import Points, Square
+from vstestbed.scenario.scenario import GoalView, Scenario
+from vstestbed.scenario.stop import Converged, Stop
+from vstestbed.targets.base import Points, Square
 from vstestbed.vision import Oracle
 
 

@@ -8,8 +8,8 @@ import pytest
 import vstestbed as vs
 from tests.laws.flight import fly
 from vstestbed.features import Polar, Spherical
+from vstestbed.features.depth import OracleDepth
 from vstestbed.laws import IBVS
-from vstestbed.observation import OracleDepth
 
 SQUARE_AND_CENTRE = ((-0.25, -0.25, 0.0), (0.25, -0.25, 0.0), (0.25, 0.25, 0.0), (-0.25, 0.25, 0.0), (0.0, 0.0, 0.0))
 

@@ -9,8 +9,8 @@ import pytest
 from scipy.linalg import solve_discrete_are
 
 import vstestbed as vs
+from vstestbed.features.observation import OwnMotion
 from vstestbed.laws.feedforward import AlphaBeta, Change, KalmanCA, KalmanCV, follow, look_ahead, white_noise
-from vstestbed.observation import OwnMotion
 
 DT = 0.04
 STILL = OwnMotion(np.zeros(6), DT, np.zeros(6), 0.0, np.zeros(6))

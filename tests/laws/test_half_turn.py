@@ -8,8 +8,8 @@ import pytest
 import vstestbed as vs
 from tests.laws.flight import fly
 from vstestbed.features import Line, Point, Polar, Spherical
+from vstestbed.features.depth import OracleDepth
 from vstestbed.laws import IBVS, PBVS, Hybrid, Law, Partitioned
-from vstestbed.observation import OracleDepth
 
 TRUE = OracleDepth()
 

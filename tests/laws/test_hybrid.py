@@ -8,13 +8,13 @@ import pytest
 import vstestbed as vs
 from tests.laws.flight import book_camera, fly
 from tests.laws.test_pbvs import camera_poses
-from vstestbed.errors import ParameterError
-from vstestbed.geometry import Array, Pose, exp, inverse, transform
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array, Pose, exp, inverse, transform
+from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import Hybrid
 from vstestbed.laws.select import NO_POSE
-from vstestbed.observation import Goal, Observation
-from vstestbed.target import Square
-from vstestbed.vision.homography import relative_view
+from vstestbed.targets.base import Square
+from vstestbed.vision.pose.homography import relative_view
 
 CAMERA, POINTS = book_camera(), Square(side=0.5, pose=Pose()).points
 TILTED = Pose(xyz=(0.1, -0.05, 1.1), rpy_deg=(20, 10, -15)).T

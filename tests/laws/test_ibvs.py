@@ -11,13 +11,13 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.camera import Perspective
-from vstestbed.errors import ParameterError
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array, Pose, adjoint, transform
 from vstestbed.features import Point
-from vstestbed.geometry import Array, Pose, adjoint, transform
+from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import IBVS
 from vstestbed.laws.base import AdaptiveGain, ConstantGain, TwistLimits
-from vstestbed.observation import Goal, Observation
-from vstestbed.target import Square
+from vstestbed.targets.base import Square
 
 GOLDEN = json.loads((Path(__file__).parents[1] / "golden" / "interaction_matrices.json").read_text())
 CAMERA, POINTS = Perspective(), Square(side=0.5, pose=Pose()).points

@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 
 from vstestbed.camera import Perspective
-from vstestbed.errors import ParameterError
-from vstestbed.geometry import Pose
-from vstestbed.ground import moved, pose_on_ground
-from vstestbed.ground_lines import GroundLines
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Pose
+from vstestbed.core.planar import moved, pose_on_ground
+from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import LineFollowing
-from vstestbed.observation import Goal, Observation
 from vstestbed.robots import Mount
 from vstestbed.robots.ground import PLANE
-from vstestbed.route import Circle, Piece, Straight, Track
+from vstestbed.targets.ground_lines import GroundLines
+from vstestbed.targets.route import Circle, Piece, Straight, Track
 
 UNDER = Pose(xyz=(0.5, 0, 0.3), rpy_deg=(180, 0, -90))
 LOOK = (-0.25, 0.05)  # .25 and .55 m before the rear axle: m = .4

@@ -7,16 +7,17 @@ import pytest
 
 import vstestbed as vs
 from tests.laws.flight import book_camera, fly, pixels
-from vstestbed.errors import ParameterError
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Pose, exp, inverse, transform
 from vstestbed.features import Point, Polygon
-from vstestbed.geometry import Pose, exp, inverse, transform
+from vstestbed.features.depth import OracleDepth
+from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import IBVS, Law, Partitioned
 from vstestbed.laws.base import ConstantGain
 from vstestbed.laws.partitioned import XY, Z
 from vstestbed.laws.select import NO_AREA
 from vstestbed.laws.visibility import Visibility
-from vstestbed.observation import Goal, Observation, OracleDepth
-from vstestbed.target import Square
+from vstestbed.targets.base import Square
 
 TRUE = OracleDepth()
 POINTS = Square(side=0.5, pose=Pose()).points

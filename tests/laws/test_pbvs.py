@@ -9,11 +9,11 @@ import pytest
 
 import vstestbed as vs
 from tests.laws.flight import book_camera, fly, pixels
-from vstestbed.geometry import Pose, exp, inverse, transform
+from vstestbed.core.geometry import Pose, exp, inverse, transform
+from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import PBVS
 from vstestbed.laws.select import NO_POSE, TOO_FEW
-from vstestbed.observation import Goal, Observation
-from vstestbed.target import Square
+from vstestbed.targets.base import Square
 
 Way = Literal["cdMc", "cMcd", "cMo"]
 CAMERA, POINTS = book_camera(), Square(side=0.5, pose=Pose()).points
@@ -59,7 +59,7 @@ def test_the_targets_origin_goes_straight_in_the_image():
 
 
 def camera_poses(r: vs.Recording) -> list[np.ndarray]:
-    from vstestbed.geometry import pose_from
+    from vstestbed.core.geometry import pose_from
 
     columns = np.column_stack([r[f"cam_{n}"] for n in ("x", "y", "z", "qw", "qx", "qy", "qz")])
     return [pose_from(row[:3], row[3:]) for row in columns]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
-from vstestbed.geometry import exp, inverse, transform
+from vstestbed.core.geometry import exp, inverse, transform
 from vstestbed.robots import Mount
 from vstestbed.robots.ground import PLANE
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from vstestbed.errors import ParameterError
-from vstestbed.ground import wrapped
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.planar import wrapped
 from vstestbed.laws.polar_pose import PolarGains, direction_to, polar, polar_law
 from vstestbed.robots.bicycle import BicycleLimits, Drive, drive
 
@@ -61,7 +61,7 @@ class TestCoordinates:
 
     def test_rates_are_the_kinematics(self):
         """Finite differences along the arc against rho_dot, alpha_dot and beta_dot in print."""
-        from vstestbed.ground import moved
+        from vstestbed.core.planar import moved
 
         rng, dt = np.random.default_rng(3), 1e-6
         place = np.column_stack([rng.uniform(-3, 3, (200, 2)), rng.uniform(-3, 3, 200)])

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from tests.laws.vehicles import BASIS, goal, move, observe
-from vstestbed.errors import ParameterError
-from vstestbed.ground import relative
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.planar import relative
 from vstestbed.laws import PoseController
 
 DT = 0.04

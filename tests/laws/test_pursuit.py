@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from tests.laws.vehicles import BASIS, goal, move, observe
+from vstestbed.features.depth import PnP
 from vstestbed.laws import Pursuit
-from vstestbed.observation import PnP
 
 DT = 0.04
 

@@ -7,9 +7,9 @@ import pytest
 
 from tests.laws.flight import fly, rays
 from vstestbed.features import Spherical
+from vstestbed.features.depth import OracleDepth
 from vstestbed.laws import IBVS
 from vstestbed.laws.base import ConstantGain
-from vstestbed.observation import OracleDepth
 
 
 # Counted with the start as the first step: 67, 74, 85, from code that is not ours.

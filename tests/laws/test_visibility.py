@@ -7,16 +7,16 @@ import pytest
 
 from tests.laws.flight import book_camera
 from vstestbed.camera import Catadioptric, Fisheye, Spherical
-from vstestbed.errors import ParameterError
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array, Pose, transform
 from vstestbed.features import Point
 from vstestbed.features import Spherical as SphericalFeature
-from vstestbed.geometry import Array, Pose, transform
+from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import IBVS, Hybrid, Law, Partitioned
 from vstestbed.laws.base import ConstantGain
 from vstestbed.laws.visibility import Visibility, pixel_interaction
-from vstestbed.observation import Goal, Observation
-from vstestbed.target import Square
-from vstestbed.vision.homography import relative_view
+from vstestbed.targets.base import Square
+from vstestbed.vision.pose.homography import relative_view
 
 CAMERA, POINTS = book_camera(), Square(side=0.5, pose=Pose()).points
 GOAL = Goal.from_view(CAMERA, POINTS, Pose(xyz=(0, 0, 1)).T)

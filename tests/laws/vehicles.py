@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from vstestbed.camera import Perspective
-from vstestbed.geometry import Array, Pose, inverse
-from vstestbed.ground import composed, moved, pose_on_ground, relative
-from vstestbed.observation import Goal, Observation
+from vstestbed.core.geometry import Array, Pose, inverse
+from vstestbed.core.planar import composed, moved, pose_on_ground, relative
+from vstestbed.features.observation import Goal, Observation
 from vstestbed.robots.ground import PLANE
 
 CAMERA = Perspective(mount=Pose(xyz=(0.2, 0, 0.8), rpy_deg=(-90, 0, -90)))

@@ -8,10 +8,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from vstestbed.ground import moved
+from vstestbed.core.planar import moved
 from vstestbed.laws.polar_pose import PolarGains, polar_law
-from vstestbed.observation import Encoders
-from vstestbed.robots.base import Mount
+from vstestbed.robots.base import Encoders, Mount
 from vstestbed.robots.bicycle import drive
 from vstestbed.robots.car import RADIUS, TRACK, WHEELBASE, Car, CarLimits, CarServos
 

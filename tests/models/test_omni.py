@@ -8,8 +8,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from vstestbed.geometry import Pose
-from vstestbed.ground import motion_between, moved, place_of
+from vstestbed.core.geometry import Pose
+from vstestbed.core.planar import motion_between, moved, place_of
 from vstestbed.robots.omni import PLACES, RADIUS, ROLLERS, SIDES, SPEED_LIMIT, W_INVERSE, WHEELS, Omni, W
 
 MODELS = Path(__file__).parents[2] / "models"

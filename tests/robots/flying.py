@@ -9,8 +9,8 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from vstestbed.geometry import Array
-from vstestbed.observation import Encoders
+from vstestbed.core.geometry import Array
+from vstestbed.robots.base import Encoders
 from vstestbed.robots.groundspeed import Flow
 from vstestbed.robots.quadrotor import Flight, FlightPose, FlightStart, Imu, Quadrotor
 

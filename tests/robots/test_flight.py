@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.robots.flying import DT, Flown, Log, Response, perfect
-from vstestbed.geometry import Array
+from vstestbed.core.geometry import Array
 from vstestbed.robots.attitude import GRAVITY, Filter, level
 from vstestbed.robots.flight import MAX_TILT_RATE, Gains, aim, attitude_loop, rate_loop
 from vstestbed.robots.quadrotor import HOLD

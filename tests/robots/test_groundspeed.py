@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vstestbed.errors import ParameterError
+from vstestbed.core.errors import ParameterError
 from vstestbed.robots.attitude import GRAVITY, level
 from vstestbed.robots.groundspeed import READING_S, VELOCITIES, Filtered, Flow, Groundspeed, step
 

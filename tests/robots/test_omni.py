@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
-from vstestbed.errors import ParameterError
-from vstestbed.geometry import Pose, exp, inverse
-from vstestbed.ground import GroundPose, moved, pose_on_ground
-from vstestbed.observation import Encoders
-from vstestbed.robots.base import Mount
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Pose, exp, inverse
+from vstestbed.core.planar import GroundPose, moved, pose_on_ground
+from vstestbed.robots.base import Encoders, Mount
 from vstestbed.robots.ground import GroundBox, GroundStart
 from vstestbed.robots.omni import HALF_BASE, HALF_TRACK, RADIUS, SPEED_LIMIT, W_INVERSE, WHEELS, Omni, W, wheel_matrix
 

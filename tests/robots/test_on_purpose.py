@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
-from vstestbed.assets import model_path
-from vstestbed.geometry import exp, inverse
-from vstestbed.observation import Encoders
-from vstestbed.robots.base import Mount
+from vstestbed.core.assets import model_path
+from vstestbed.core.geometry import exp, inverse
+from vstestbed.robots.base import Encoders, Mount
 from vstestbed.robots.puma560 import JOINT_LIMITS, SPEED_LIMITS, Puma560, forward, jacobian
 
 UNLIMITED = {"kind": "oracle", "field_of_view": "unlimited"}

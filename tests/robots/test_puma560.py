@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from vstestbed.errors import ParameterError
-from vstestbed.geometry import Pose, inverse
-from vstestbed.observation import Encoders
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Pose, inverse
 from vstestbed.robots import Mount, Puma560
+from vstestbed.robots.base import Encoders
 from vstestbed.robots.puma560 import (
     JOINT_LIMITS,
     LIMIT_HORIZON_S,

@@ -3,16 +3,8 @@
 import numpy as np
 import pytest
 
-from vstestbed.geometry import exp, inverse
-from vstestbed.robots.puma560 import (
-    JOINT_LIMITS,
-    REACH_UNIT,
-    SPEED_LIMITS,
-    forward,
-    jacobian,
-    kinematics,
-    resolved_rate,
-)
+from vstestbed.core.geometry import exp, inverse
+from vstestbed.robots.puma560 import JOINT_LIMITS, REACH_UNIT, SPEED_LIMITS, forward, jacobian, kinematics, resolved_rate
 
 Q0 = np.radians([0, 45, -180, 0, 45, -45])
 SCALE = np.array([1 / REACH_UNIT] * 3 + [1.0] * 3)

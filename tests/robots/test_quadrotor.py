@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 from tests.robots.flying import Flown, perfect
-from vstestbed.errors import ParameterError
-from vstestbed.geometry import Pose, adjoint, inverse
-from vstestbed.observation import Encoders
-from vstestbed.robots.base import Mount
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Pose, adjoint, inverse
+from vstestbed.robots.base import Encoders, Mount
 from vstestbed.robots.groundspeed import Filtered, Flow
 from vstestbed.robots.quadrotor import HOLD, LOWEST_M, ROTORS_OFF, STANDING_M, FlightBox, FlightPose, FlightStart, Imu, Quadrotor, descend
 from vstestbed.robots.rotors import HOVER

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
-from vstestbed.geometry import Array, Pose, adjoint, exp, inverse, rigid_error
+from vstestbed.core.geometry import Array, Pose, adjoint, exp, inverse, rigid_error
 from vstestbed.robots import Mount
 from vstestbed.robots.puma560 import forward
 from vstestbed.sim.base import Plant, Truth

@@ -7,8 +7,8 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.camera import Perspective
-from vstestbed.errors import ParameterError
-from vstestbed.geometry import exp
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import exp
 from vstestbed.sim.base import Plant
 from vstestbed.sim.build import build_plant
 from vstestbed.sim.timing import DelayLine, Planned, Shutter, Timing

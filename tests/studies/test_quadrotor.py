@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
-from vstestbed.recording import Recording
+from vstestbed.loop.recording import Recording
 
 pytestmark = pytest.mark.study
 SEEDS = range(20)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
-from vstestbed.geometry import Array
+from vstestbed.core.geometry import Array
 from vstestbed.robots.puma560 import jacobian
-from vstestbed.scenario import Scenario
-from vstestbed.sim.scene import Parts, compose
+from vstestbed.scenario.scenario import Scenario
+from vstestbed.sim.scene.compose import Parts, compose
 
 SEEDS = 20
 JOINTS = [f"joint_{i}" for i in range(1, 7)]

@@ -13,8 +13,8 @@ import pytest
 from dm_control import mujoco
 
 from vstestbed.camera import Frame, Perspective
-from vstestbed.geometry import Array, quaternion_wxyz
-from vstestbed.target import Target
+from vstestbed.core.geometry import Array, quaternion_wxyz
+from vstestbed.targets.base import Target
 
 Picture = Callable[..., Frame]
 

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from vstestbed.camera import Perspective, Spherical
-from vstestbed.errors import ParameterError
-from vstestbed.geometry import Array, Pose, exp, inverse, rigid_error, transform
-from vstestbed.observation import AtGoal, Constant, Depth, Estimate, Goal, Observation, OracleDepth, PnP
-from vstestbed.target import Square
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array, Pose, exp, inverse, rigid_error, transform
+from vstestbed.features.depth import AtGoal, Constant, Depth, Estimate, OracleDepth, PnP
+from vstestbed.features.observation import Goal, Observation
+from vstestbed.targets.base import Square
 from vstestbed.vision import Detection, Observer
 
 CAMERA = Perspective(distortion=(-0.1, 0.02, 0.001, -0.001, 0.0))

@@ -12,7 +12,7 @@ from vstestbed.camera.fisheye import Fisheye
 from vstestbed.camera.perspective import Perspective
 from vstestbed.camera.radial import Radial
 from vstestbed.camera.spherical import Spherical
-from vstestbed.spec import OneOf
+from vstestbed.core.spec import OneOf
 
 CAMERAS = OneOf("camera", Perspective, Fisheye, Catadioptric, Spherical, default="perspective")
 

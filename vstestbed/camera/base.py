@@ -11,9 +11,9 @@ import numpy as np
 from annotated_types import Ge, Gt, Le, Len
 from numpy.typing import NDArray
 
-from vstestbed.errors import ParameterError
-from vstestbed.geometry import Array, Pose
-from vstestbed.spec import spec
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array, Pose
+from vstestbed.core.spec import spec
 
 Image = NDArray[np.uint8]
 Window = tuple[int, int, int, int]

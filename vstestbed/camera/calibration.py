@@ -9,8 +9,8 @@ import numpy as np
 from annotated_types import Ge, Gt, Le, Len, Lt
 
 from vstestbed.camera.base import Camera
-from vstestbed.geometry import Array, Pose
-from vstestbed.spec import spec
+from vstestbed.core.geometry import Array, Pose
+from vstestbed.core.spec import spec
 
 
 @spec

@@ -9,9 +9,9 @@ import numpy as np
 from annotated_types import Ge, Gt, Le, Lt
 
 from vstestbed.camera.radial import Radial
-from vstestbed.errors import ParameterError
-from vstestbed.geometry import Array
-from vstestbed.spec import spec
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array
+from vstestbed.core.spec import spec
 
 
 @spec

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from vstestbed.geometry import Array
+from vstestbed.core.geometry import Array
 
 
 def _face(x: tuple[int, int, int], y: tuple[int, int, int]) -> Array:

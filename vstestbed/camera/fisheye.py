@@ -11,9 +11,9 @@ import numpy as np
 from annotated_types import Gt, Le, Len
 
 from vstestbed.camera.radial import Radial
-from vstestbed.errors import ParameterError
-from vstestbed.geometry import Array
-from vstestbed.spec import spec
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array
+from vstestbed.core.spec import spec
 
 KNOTS, ROUNDS = 257, 8
 """The inverse's table, and its Newton rounds: 3 reach rounding, 8 do next to an angle where the polynomial turns."""

@@ -12,9 +12,9 @@ from annotated_types import Gt, Len, Lt
 from numpy.typing import NDArray
 
 from vstestbed.camera.base import Camera
-from vstestbed.errors import ParameterError
-from vstestbed.geometry import Array
-from vstestbed.spec import spec
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array
+from vstestbed.core.spec import spec
 
 DEFAULT_FOVY_DEG = 64.0
 """8 mm lens on a 10.24 mm sensor, the textbook's default camera (Corke 2017, section 11.1.2) at 4:3."""

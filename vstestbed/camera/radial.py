@@ -11,9 +11,9 @@ import numpy as np
 from annotated_types import Gt
 
 from vstestbed.camera.base import Camera
-from vstestbed.errors import ParameterError
-from vstestbed.geometry import Array, angles, direction
-from vstestbed.spec import spec
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array, angles, direction
+from vstestbed.core.spec import spec
 
 RIM = 1e-9
 """Relative rounding at the border of the image circle that still belongs to it."""

@@ -12,9 +12,9 @@ from vstestbed.camera.base import Panel
 from vstestbed.camera.cube import CUBE
 from vstestbed.camera.perspective import Perspective
 from vstestbed.camera.radial import Radial
-from vstestbed.errors import ParameterError
-from vstestbed.geometry import Array
-from vstestbed.spec import spec
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array
+from vstestbed.core.spec import spec
 
 FACE_DEG = 100.0
 """Field of view of each of the six pictures [deg]: 10 more than a cube's face, so that a marker at a seam, up to 5 degrees

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from vstestbed.geometry import Array
+from vstestbed.core.geometry import Array
 
 FLOOR = 1e-3
 """Radius, in normalised coordinates or as the sine of a colatitude, under which a bearing is not trusted: about one

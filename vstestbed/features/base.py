@@ -6,8 +6,8 @@ from typing import ClassVar, Protocol
 
 import numpy as np
 
-from vstestbed.errors import ParameterError
-from vstestbed.geometry import Array
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array
 
 
 class Feature(Protocol):

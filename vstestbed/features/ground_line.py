@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from vstestbed.geometry import Array
+from vstestbed.core.geometry import Array
 
 
 def floor_plane(T_base_camera: Array) -> Array:

@@ -6,10 +6,10 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from vstestbed.errors import ParameterError
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array
+from vstestbed.core.spec import spec
 from vstestbed.features.base import checked
-from vstestbed.geometry import Array
-from vstestbed.spec import spec
 
 
 @spec

@@ -6,9 +6,9 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
+from vstestbed.core.geometry import Array
+from vstestbed.core.spec import spec
 from vstestbed.features.base import checked
-from vstestbed.geometry import Array
-from vstestbed.spec import spec
 
 
 @spec

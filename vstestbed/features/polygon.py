@@ -7,12 +7,12 @@ from typing import ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from vstestbed.errors import ParameterError
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array
+from vstestbed.core.spec import spec
 from vstestbed.features.angles import bounded_inverse, wrap
 from vstestbed.features.base import checked
 from vstestbed.features.point import Point
-from vstestbed.geometry import Array
-from vstestbed.spec import spec
 
 SHARE = 0.8
 """A segment counts from this share of the longest one's length on; a square's sides (0.71 of its diagonals) do not."""

@@ -6,8 +6,8 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from vstestbed.geometry import Array, skew
-from vstestbed.spec import spec
+from vstestbed.core.geometry import Array, skew
+from vstestbed.core.spec import spec
 
 
 @spec

@@ -1,5 +1,6 @@
 """Control laws: what the camera saw, in; a velocity, out. A law never touches a simulator."""
 
+from vstestbed.core.spec import OneOf
 from vstestbed.laws.base import Command, Law
 from vstestbed.laws.hybrid import Hybrid
 from vstestbed.laws.ibvs import IBVS
@@ -8,7 +9,6 @@ from vstestbed.laws.partitioned import Partitioned
 from vstestbed.laws.pbvs import PBVS
 from vstestbed.laws.pose_controller import PoseController
 from vstestbed.laws.pursuit import Pursuit
-from vstestbed.spec import OneOf
 
 LAWS = OneOf("law", IBVS, Partitioned, PBVS, Hybrid, PoseController, Pursuit, LineFollowing)
 

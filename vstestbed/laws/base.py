@@ -8,10 +8,10 @@ from typing import Annotated, ClassVar, Literal, Protocol, TypeVar
 import numpy as np
 from annotated_types import Gt
 
-from vstestbed.errors import ParameterError
-from vstestbed.geometry import Array
-from vstestbed.observation import Goal, Observation
-from vstestbed.spec import OneOf, spec
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array
+from vstestbed.core.spec import OneOf, spec
+from vstestbed.features.observation import Goal, Observation
 
 M = TypeVar("M")
 

@@ -24,10 +24,10 @@ from typing import Annotated, Literal
 import numpy as np
 from annotated_types import Ge, Gt, Le
 
-from vstestbed.geometry import Array
+from vstestbed.core.geometry import Array
+from vstestbed.core.spec import OneOf, spec
+from vstestbed.features.observation import OwnMotion
 from vstestbed.laws.solve import least_squares
-from vstestbed.observation import OwnMotion
-from vstestbed.spec import OneOf, spec
 
 Ahead = Annotated[float, Ge(0), Le(2)]
 LEARNS = 1e3

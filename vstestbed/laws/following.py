@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vstestbed.geometry import Array
+from vstestbed.core.geometry import Array
+from vstestbed.features.observation import Observation
 from vstestbed.laws.base import Command
 from vstestbed.laws.feedforward import Change, Estimator, Feedforward, Integral, NoFeedforward, Trend, follow, look_ahead
-from vstestbed.observation import Observation
 
 COAST_S = 1.0
 """How long a moving target is followed without sight [s]."""

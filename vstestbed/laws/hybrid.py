@@ -6,16 +6,17 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from vstestbed.errors import ParameterError
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array, inverse
+from vstestbed.core.spec import spec
 from vstestbed.features import LogDepth, Point, ThetaU
-from vstestbed.geometry import Array, inverse
+from vstestbed.features.depth import Depth, PnP
+from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.base import Command, ConstantGain, Gain, TwistLimits
 from vstestbed.laws.select import NO_POSE, TOO_FEW
 from vstestbed.laws.solve import least_squares
 from vstestbed.laws.views import Views
 from vstestbed.laws.visibility import Visibility
-from vstestbed.observation import Depth, Goal, Observation, PnP
-from vstestbed.spec import spec
 
 FLAT = 1e-3
 """Markers that reach less far than this share of the set's length off a plane (a line) lie on it."""

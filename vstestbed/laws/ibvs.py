@@ -9,8 +9,11 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from annotated_types import Ge
 
+from vstestbed.core.geometry import Array
+from vstestbed.core.spec import spec
 from vstestbed.features import FEATURES, Line, Point, Polar, Polygon, Spherical
-from vstestbed.geometry import Array
+from vstestbed.features.depth import Depth, PnP
+from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.base import Command, ConstantGain, Gain, TwistLimits
 from vstestbed.laws.feedforward import Change, Feedforward, NoFeedforward
 from vstestbed.laws.following import NOTHING, Followed, beforehand, inputs_of, unseen, unwound
@@ -18,8 +21,6 @@ from vstestbed.laws.select import ALL, Rows, require_area, usable_rows
 from vstestbed.laws.solve import least_squares, null_space
 from vstestbed.laws.views import Views
 from vstestbed.laws.visibility import Visibility
-from vstestbed.observation import Depth, Goal, Observation, PnP
-from vstestbed.spec import spec
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,15 +9,16 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from annotated_types import Ge, Gt, Lt
 
-from vstestbed.errors import ParameterError
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array
+from vstestbed.core.spec import spec
+from vstestbed.features.depth import AtGoal, Depth
 from vstestbed.features.ground_line import floor_plane, floor_point, line_on_floor
 from vstestbed.features.line import Line, line_interaction
-from vstestbed.geometry import Array
+from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.base import Command, TwistLimits
 from vstestbed.laws.select import TOO_FEW
 from vstestbed.laws.solve import least_squares
-from vstestbed.observation import AtGoal, Depth, Goal, Observation
-from vstestbed.spec import spec
 
 LEAST_AHEAD_M = 0.05
 """The middle of both look distances must be this far before the vehicle's origin: its turn is a speed over that distance."""

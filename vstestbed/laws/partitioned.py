@@ -9,17 +9,18 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from annotated_types import Gt, Len
 
-from vstestbed.errors import ParameterError
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array
+from vstestbed.core.spec import spec
 from vstestbed.features import Point
+from vstestbed.features.depth import Depth, PnP
+from vstestbed.features.observation import Goal, Observation
 from vstestbed.features.polygon import angle_error, segments, size, size_error, spans_area
-from vstestbed.geometry import Array
 from vstestbed.laws.base import Command, ConstantGain, Gain, TwistLimits
 from vstestbed.laws.select import NO_AREA, require_area, usable_rows
 from vstestbed.laws.solve import least_squares
 from vstestbed.laws.views import Views
 from vstestbed.laws.visibility import Visibility
-from vstestbed.observation import Depth, Goal, Observation, PnP
-from vstestbed.spec import spec
 
 XY, Z = [0, 1, 3, 4], [2, 5]
 """Columns of the twist: across the optical axis, and along and about it."""

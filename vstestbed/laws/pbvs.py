@@ -7,16 +7,17 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
+from vstestbed.core.geometry import Array, inverse, log
+from vstestbed.core.spec import spec
 from vstestbed.features import ThetaU, Translation
-from vstestbed.geometry import Array, inverse, log
+from vstestbed.features.depth import Depth, PnP
+from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.base import Command, ConstantGain, Gain, TwistLimits
 from vstestbed.laws.feedforward import Change, Feedforward, NoFeedforward
 from vstestbed.laws.following import NOTHING, Followed, beforehand, inputs_of, unseen, unwound
 from vstestbed.laws.select import NO_POSE, TOO_FEW
 from vstestbed.laws.solve import least_squares
 from vstestbed.laws.views import Views
-from vstestbed.observation import Depth, Goal, Observation, PnP
-from vstestbed.spec import spec
 
 _THETA_U = ThetaU()
 _TRANSLATIONS = {"cdMc": Translation(pose="cdMc"), "cMcd": Translation(pose="cMcd"), "cMo": Translation(pose="cMo")}

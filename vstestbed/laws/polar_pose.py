@@ -25,9 +25,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vstestbed.errors import ParameterError
-from vstestbed.geometry import Array
-from vstestbed.ground import wrapped
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array
+from vstestbed.core.planar import wrapped
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,12 +8,13 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from annotated_types import Ge, Gt
 
-from vstestbed.errors import ParameterError
-from vstestbed.geometry import Array
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array
+from vstestbed.core.spec import spec
+from vstestbed.features.depth import Depth, PnP
+from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.base import Command, TwistLimits
 from vstestbed.laws.polar_pose import PolarGains, direction_to, polar, polar_law
-from vstestbed.observation import Depth, Goal, Observation, PnP
-from vstestbed.spec import spec
 
 NO_PLACE = "the place cannot be told"
 

@@ -9,12 +9,13 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from annotated_types import Ge, Gt
 
-from vstestbed.geometry import Array
-from vstestbed.ground import relative
+from vstestbed.core.geometry import Array
+from vstestbed.core.planar import relative
+from vstestbed.core.spec import spec
+from vstestbed.features.depth import Depth, OnFloor, PnP
+from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.base import Command, TwistLimits
 from vstestbed.laws.select import NO_POSE, TOO_FEW
-from vstestbed.observation import Depth, Goal, Observation, OnFloor, PnP
-from vstestbed.spec import spec
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from vstestbed.errors import ParameterError
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import all_finite
+from vstestbed.features.observation import Goal, Observation
 from vstestbed.features.polygon import segments, size, spans_area
-from vstestbed.geometry import all_finite
-from vstestbed.observation import Goal, Observation
 
 Rows = slice | NDArray[np.bool_]
 """Which markers' rows are taken."""

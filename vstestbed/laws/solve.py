@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vstestbed.geometry import Array
+from vstestbed.core.geometry import Array
 
 PINV_RCOND = 1e-6
 """Cut-off of the pseudo-inverse: singular values under about this share of the largest count as zero:

@@ -8,8 +8,9 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from vstestbed.geometry import Array
-from vstestbed.observation import AtGoal, Constant, Depth, Goal
+from vstestbed.core.geometry import Array
+from vstestbed.features.depth import AtGoal, Constant, Depth
+from vstestbed.features.observation import Goal
 
 
 @dataclass(frozen=True)

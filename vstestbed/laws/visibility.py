@@ -8,12 +8,12 @@ import numpy as np
 from annotated_types import Ge, Gt
 
 from vstestbed.camera import Camera
-from vstestbed.errors import ParameterError
-from vstestbed.geometry import Array
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array
+from vstestbed.core.spec import spec
+from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.select import usable_rows
 from vstestbed.laws.solve import least_squares
-from vstestbed.observation import Goal, Observation
-from vstestbed.spec import spec
 
 NEAREST = 0.2
 """The field grows no more nearer to the border than this share of the margin."""

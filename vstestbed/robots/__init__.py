@@ -1,12 +1,12 @@
 """Robots, in numpy only: what they can do, how a command becomes a setpoint, their limits. Their bodies are in models/."""
 
+from vstestbed.core.spec import OneOf
 from vstestbed.robots.base import Allocation, Direct, Mount, Robot, Servo
 from vstestbed.robots.car import Car
 from vstestbed.robots.free import Free
 from vstestbed.robots.omni import Omni
 from vstestbed.robots.puma560 import Puma560
 from vstestbed.robots.quadrotor import Quadrotor
-from vstestbed.spec import OneOf
 
 ROBOTS = OneOf("robot", Free, Puma560, Omni, Car, Quadrotor)
 VEHICLES: dict[str, type] = {"omni": Omni, "car": Car}

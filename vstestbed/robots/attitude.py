@@ -22,7 +22,7 @@ from typing import Annotated, Literal, NamedTuple
 
 from annotated_types import Ge, Gt
 
-from vstestbed.spec import spec
+from vstestbed.core.spec import spec
 
 GRAVITY = 9.81
 """[m/s^2], as in the scenes."""

@@ -3,17 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, ClassVar, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
-from vstestbed.geometry import Array, adjoint, inverse
-from vstestbed.observation import Encoders
+from vstestbed.core.geometry import Array, adjoint, inverse
 
 NOTHING: Mapping[str, Array] = MappingProxyType({})
 Limit = Literal["", "speed", "joint_limit", "singular"]
+
+
+@dataclass(frozen=True, slots=True)
+class Encoders:
+    """What a robot measures of itself at one instant.
+
+    Attributes:
+        q, qd: its joints [rad, rad/s], shape (n,) each.
+        instruments: readings of what else it carries (compass, gyro, ...), by the name of the sensor.
+    """
+
+    q: Array
+    qd: Array
+    instruments: Mapping[str, Array] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

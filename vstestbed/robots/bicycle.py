@@ -17,8 +17,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vstestbed.geometry import Array
-from vstestbed.ground import moved
+from vstestbed.core.geometry import Array
+from vstestbed.core.planar import moved
 
 STANDSTILL = 1e-6
 """Slower than this [m/s] a car stands: no steering angle follows from a yaw rate."""

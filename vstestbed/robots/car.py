@@ -15,13 +15,12 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from annotated_types import Ge, Gt, Le, Lt
 
-from vstestbed.geometry import Array
-from vstestbed.ground import pose_on_ground
-from vstestbed.observation import Encoders
-from vstestbed.robots.base import Allocation, Earthbound, Limit, Mount
+from vstestbed.core.geometry import Array
+from vstestbed.core.planar import pose_on_ground
+from vstestbed.core.spec import spec
+from vstestbed.robots.base import Allocation, Earthbound, Encoders, Limit, Mount
 from vstestbed.robots.bicycle import STANDSTILL, BicycleLimits, within_limits, yaw_rate
 from vstestbed.robots.ground import PLANE, GroundStart
-from vstestbed.spec import spec
 
 WHEELBASE, TRACK, RADIUS = 1.0, 0.6, 0.15
 """[m], those of the model."""

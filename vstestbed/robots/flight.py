@@ -21,9 +21,9 @@ from typing import Annotated, NamedTuple
 
 from annotated_types import Ge, Gt, Le
 
+from vstestbed.core.spec import spec
 from vstestbed.robots.attitude import GRAVITY, Level, Vector
 from vstestbed.robots.rotors import INERTIA, LAG_S, MASS, MAX_YAW_TORQUE
-from vstestbed.spec import spec
 
 Positive = Annotated[float, Gt(0)]
 NotNegative = Annotated[float, Ge(0)]

@@ -6,12 +6,11 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from vstestbed.errors import ParameterError
-from vstestbed.geometry import Array, Pose, Triple
-from vstestbed.observation import Encoders
-from vstestbed.robots.base import Allocation, Direct, Mount
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array, Pose, Triple
+from vstestbed.core.spec import spec
+from vstestbed.robots.base import Allocation, Direct, Encoders, Mount
 from vstestbed.robots.puma560 import Puma560, PumaStart
-from vstestbed.spec import spec
 
 
 @spec

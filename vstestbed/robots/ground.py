@@ -11,10 +11,10 @@ from typing import Annotated
 import numpy as np
 from annotated_types import Ge, Le
 
-from vstestbed.errors import ParameterError
-from vstestbed.geometry import Array
-from vstestbed.ground import GroundPose
-from vstestbed.spec import spec
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array
+from vstestbed.core.planar import GroundPose
+from vstestbed.core.spec import spec
 
 PLANE = np.zeros((6, 3))
 """The body twist (v, w) of a planar motion: PLANE @ (vx, vy, wz). Its transpose takes the motion out of a twist."""

@@ -17,8 +17,8 @@ from typing import Annotated, Literal, NamedTuple
 
 from annotated_types import Ge, Gt
 
+from vstestbed.core.spec import OneOf, spec
 from vstestbed.robots.attitude import GRAVITY, Level, Vector
-from vstestbed.spec import OneOf, spec
 
 READING_S = 0.02
 """A flow sensor's exposure and period [s], 50 Hz: over such a time its noise has `sigma_mps`. Control runs faster, and each of its

@@ -25,12 +25,11 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from annotated_types import Gt, Lt
 
-from vstestbed.geometry import Array
-from vstestbed.ground import motion_between, pose_on_ground
-from vstestbed.observation import Encoders
-from vstestbed.robots.base import Allocation, Direct, Mount
+from vstestbed.core.geometry import Array
+from vstestbed.core.planar import motion_between, pose_on_ground
+from vstestbed.core.spec import spec
+from vstestbed.robots.base import Allocation, Direct, Encoders, Mount
 from vstestbed.robots.ground import PLANE, GroundStart
-from vstestbed.spec import spec
 
 WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 RADIUS, HALF_BASE, HALF_TRACK, ROLLERS = 0.05, 0.15, 0.16, 9

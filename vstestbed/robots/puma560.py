@@ -14,11 +14,10 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from annotated_types import Ge, Le, Len
 
-from vstestbed.errors import ParameterError
-from vstestbed.geometry import Array
-from vstestbed.observation import Encoders
-from vstestbed.robots.base import Allocation, Direct, Limit, Mount, Servo
-from vstestbed.spec import spec
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array
+from vstestbed.core.spec import spec
+from vstestbed.robots.base import Allocation, Direct, Encoders, Limit, Mount, Servo
 
 DH = np.array(
     [

@@ -17,17 +17,16 @@ from typing import Annotated, ClassVar, Literal, NamedTuple
 import numpy as np
 from annotated_types import Ge, Gt
 
-from vstestbed.errors import ParameterError
-from vstestbed.geometry import Array, Triple
-from vstestbed.observation import Encoders
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array, Triple
+from vstestbed.core.spec import spec
 from vstestbed.robots import groundspeed
 from vstestbed.robots.attitude import Attitude, Filter, level
 from vstestbed.robots.attitude import step as attitude_step
-from vstestbed.robots.base import Allocation, Mount
+from vstestbed.robots.base import Allocation, Encoders, Mount
 from vstestbed.robots.flight import RECOVER_RAD, Gains, Loops, fly
 from vstestbed.robots.groundspeed import READING_S, Flow, Groundspeed, VelocitySource
 from vstestbed.robots.rotors import HOVER, Four, mix, speed_control
-from vstestbed.spec import spec
 
 STANDING_M = 0.172
 """Height of the centre over the ground when the craft stands on its feet [m]."""

@@ -1,5 +1,5 @@
 """The only room with mujoco and dm_control: scenes, pictures, physics, the ideal camera, timing."""
 
-from vstestbed.sim import gl as _gl
+from vstestbed.sim.render import gl_probe as _gl
 
 _gl.choose_backend()  # before the first import of mujoco anywhere: both libraries read MUJOCO_GL when imported

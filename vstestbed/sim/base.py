@@ -8,8 +8,8 @@ from typing import Protocol
 from numpy.typing import NDArray
 
 from vstestbed.camera import Frame, Image, Look
-from vstestbed.geometry import Array
-from vstestbed.observation import Encoders
+from vstestbed.core.geometry import Array
+from vstestbed.robots.base import Encoders
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,9 +10,9 @@ from vstestbed.camera import Camera
 from vstestbed.robots import Robot
 from vstestbed.sim.base import Plant
 from vstestbed.sim.clock import Clock
-from vstestbed.sim.noise import NO_DRIFT, Drift
-from vstestbed.sim.world import World
-from vstestbed.target import Target
+from vstestbed.sim.render.noise import NO_DRIFT, Drift
+from vstestbed.sim.scene.world import World
+from vstestbed.targets.base import Target
 
 
 def build_plant(
@@ -43,7 +43,7 @@ def build_plant(
     Raises:
         EnvironmentLackError: a picture is needed that only OpenGL can draw, and it does not work here.
     """
-    from vstestbed.sim.scene import Parts
+    from vstestbed.sim.scene.compose import Parts
 
     step, steps_per_frame = clock.resolve(camera, robot.largest_step_s)
     parts = Parts(robot, camera, target, world, step)
@@ -53,8 +53,8 @@ def build_plant(
         from vstestbed.sim.ideal import IdealPlant
 
         return IdealPlant(parts, steps_per_frame, path=path), "none"
-    from vstestbed.sim.pictures import eye_of
-    from vstestbed.sim.stage import Stage
+    from vstestbed.sim.render.pictures import eye_of
+    from vstestbed.sim.scene.stage import Stage
 
     stage = Stage(parts, samples=camera.multisampling)
     eye = eye_of(stage, camera, image_sigma, rng) if needs_image else None
@@ -80,9 +80,9 @@ def scene_files(
     robot: Robot, camera: Camera, target: Target, world: World, clock: Clock, sights: tuple[tuple[float, float, float], ...] = ()
 ) -> SceneFiles:
     """The compiled scene; its keyframe `start` is the nominal start. `sights` are what the outside view shall show."""
-    from vstestbed.geometry import quaternion_wxyz
-    from vstestbed.sim.scene import Parts
-    from vstestbed.sim.stage import Stage
+    from vstestbed.core.geometry import quaternion_wxyz
+    from vstestbed.sim.scene.compose import Parts
+    from vstestbed.sim.scene.stage import Stage
 
     parts = Parts(robot, camera, target, world, clock.resolve(camera, robot.largest_step_s)[0], sights)
     stage = Stage(parts)

@@ -8,8 +8,8 @@ from typing import Annotated
 from annotated_types import Gt
 
 from vstestbed.camera import Camera
-from vstestbed.errors import ParameterError
-from vstestbed.spec import spec
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.spec import spec
 
 LARGEST_STEP_S = 0.002
 """The arm's servos are tuned and tested at 1 and 2 ms [s]."""

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from vstestbed.camera import Frame, Look
-from vstestbed.geometry import Array, adjoint, exp, inverse
-from vstestbed.motion import Path
-from vstestbed.observation import Encoders
+from vstestbed.core.geometry import Array, adjoint, exp, inverse
+from vstestbed.robots.base import Encoders
 from vstestbed.sim.base import Eyes, Truth
-from vstestbed.sim.exposure import Exposure
-from vstestbed.sim.noise import NO_DRIFT, Drift
-from vstestbed.sim.scene import Parts
-from vstestbed.sim.stage import Stage
+from vstestbed.sim.render.exposure import Exposure
+from vstestbed.sim.render.noise import NO_DRIFT, Drift
+from vstestbed.sim.scene.compose import Parts
+from vstestbed.sim.scene.stage import Stage
+from vstestbed.targets.motion import Path
 
 NONE = np.zeros(0)
 

@@ -9,16 +9,16 @@ import numpy as np
 from dm_control.rl.control import PhysicsError
 
 from vstestbed.camera import Frame, Look
-from vstestbed.geometry import Array, adjoint, inverse
-from vstestbed.motion import Path
-from vstestbed.observation import Encoders
+from vstestbed.core.geometry import Array, adjoint, inverse
+from vstestbed.robots.base import Encoders
 from vstestbed.sim.base import Aloft, Eyes, Truth
-from vstestbed.sim.exposure import Exposure
-from vstestbed.sim.leader import Leader
-from vstestbed.sim.noise import NO_DRIFT, Drift
+from vstestbed.sim.render.exposure import Exposure
+from vstestbed.sim.render.noise import NO_DRIFT, Drift
+from vstestbed.sim.scene.lead_vehicle import Leader
+from vstestbed.sim.scene.stage import Stage
+from vstestbed.sim.scene.wind import Weather
 from vstestbed.sim.senses import Senses
-from vstestbed.sim.stage import Stage
-from vstestbed.sim.weather import Weather
+from vstestbed.targets.motion import Path
 
 AWAY = np.eye(4)
 AWAY[2, 3] = 1000.0

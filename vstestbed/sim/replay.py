@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from vstestbed.camera import Camera, Image
-from vstestbed.errors import ParameterError
-from vstestbed.geometry import Array
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array
 from vstestbed.robots import Robot
 from vstestbed.sim.base import Eyes
-from vstestbed.sim.pictures import Outside, eye_of, view_of
-from vstestbed.sim.scene import Parts
-from vstestbed.sim.stage import Stage
-from vstestbed.sim.world import World
-from vstestbed.target import Target
+from vstestbed.sim.render.pictures import Outside, eye_of, view_of
+from vstestbed.sim.scene.compose import Parts
+from vstestbed.sim.scene.stage import Stage
+from vstestbed.sim.scene.world import World
+from vstestbed.targets.base import Target
 
 FILM_SAMPLES = 4
 """Multisampling of the outside view: films are made to be looked at."""

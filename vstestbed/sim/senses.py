@@ -6,9 +6,9 @@ from types import MappingProxyType
 
 import numpy as np
 
-from vstestbed.geometry import Array
-from vstestbed.observation import Encoders
-from vstestbed.sim.stage import Stage
+from vstestbed.core.geometry import Array
+from vstestbed.robots.base import Encoders
+from vstestbed.sim.scene.stage import Stage
 
 
 class Senses:

@@ -11,9 +11,9 @@ from annotated_types import Ge, Le, Lt
 from numpy.typing import NDArray
 
 from vstestbed.camera import Camera
-from vstestbed.errors import ParameterError
-from vstestbed.geometry import Array
-from vstestbed.spec import spec
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array
+from vstestbed.core.spec import spec
 
 T = TypeVar("T")
 

@@ -5,15 +5,15 @@ OpenCV keeps to one thread: a run's numbers do not depend on the machine's cores
 
 import cv2
 
-from vstestbed.spec import OneOf
+from vstestbed.core.spec import OneOf
 from vstestbed.vision.base import Detection, Detector, TruthView
-from vstestbed.vision.blobs import Blobs
-from vstestbed.vision.centre import centre_bias
-from vstestbed.vision.lines import Lines
+from vstestbed.vision.detect.blobs import Blobs
+from vstestbed.vision.detect.centre import centre_bias
+from vstestbed.vision.detect.lines import Lines
+from vstestbed.vision.detect.oracle import Oracle
+from vstestbed.vision.detect.tags import Tags
 from vstestbed.vision.observe import Observer, ObserverMemory
-from vstestbed.vision.oracle import Oracle
-from vstestbed.vision.pose import solve_pose, solve_pose_from_rays
-from vstestbed.vision.tags import Tags
+from vstestbed.vision.pose.pnp import solve_pose, solve_pose_from_rays
 
 cv2.setNumThreads(1)
 

@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 
-from vstestbed.geometry import Array, exp, skew
+from vstestbed.core.geometry import Array, exp, skew
 
 ROUNDS = 20
 """Gauss-Newton steps at most; five do from a frame ago."""

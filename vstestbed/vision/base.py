@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vstestbed.camera import Camera, Frame, Look
-from vstestbed.geometry import Array
-from vstestbed.target import Target
+from vstestbed.core.geometry import Array
+from vstestbed.targets.base import Target
 
 M = TypeVar("M")
 

@@ -11,18 +11,19 @@ from numpy.typing import NDArray
 
 from vstestbed.camera import Camera
 from vstestbed.camera.base import FORWARD_COSINE
-from vstestbed.errors import ParameterError
-from vstestbed.geometry import Array, adjoint, all_finite, exp, inverse, transform
-from vstestbed.ground import arc, composed, place_of, pose_on_ground, wrapped
-from vstestbed.observation import AtGoal, Constant, Depth, Estimate, Goal, Observation, OnFloor, OracleDepth, OwnMotion, PnP
-from vstestbed.target import Held, Target
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array, adjoint, all_finite, exp, inverse, transform
+from vstestbed.core.planar import arc, composed, place_of, pose_on_ground, wrapped
+from vstestbed.features.depth import AtGoal, Constant, Depth, Estimate, OnFloor, OracleDepth, PnP
+from vstestbed.features.observation import Goal, Observation, OwnMotion
+from vstestbed.targets.base import Held, Target
 from vstestbed.vision.base import Detection
-from vstestbed.vision.believed import pose_by_depth
-from vstestbed.vision.derotate import NO_TRIM, Derotation, Trim, level_from_tilt, level_rays, level_twist, trimmed
-from vstestbed.vision.floor_pose import solve_place
-from vstestbed.vision.flow_depth import FlowMemory, init_flow, update_flow
-from vstestbed.vision.homography import relative_view
-from vstestbed.vision.pose import solve_pose_from_rays
+from vstestbed.vision.pose.calibration_error import pose_by_depth
+from vstestbed.vision.pose.derotate import NO_TRIM, Derotation, Trim, level_from_tilt, level_rays, level_twist, trimmed
+from vstestbed.vision.pose.floor_pose import solve_place
+from vstestbed.vision.pose.flow_depth import FlowMemory, init_flow, update_flow
+from vstestbed.vision.pose.homography import relative_view
+from vstestbed.vision.pose.pnp import solve_pose_from_rays
 
 COMPASS_S = 0.5
 """Time constant with which a heading by odometry follows the compass [s]."""

@@ -1,0 +1,101 @@
+"""`vstestbed compare`: words, files, exit codes, what it leaves."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import polars as pl
+import pytest
+
+import vstestbed as vs
+
+NO_FILM = ("--no-film", "--jobs", 1)
+
+
+def test_it_leaves_a_whole_folder_and_says_where(command, quick: Path):
+    ended = command("compare", "quick.yaml", "--vary", "law.gain=3,6", "--seeds", 2, *NO_FILM)
+    folder = Path("runs/compare/001")
+    assert (ended.code, ended.out) == (0, "")
+    assert ended.err == f"4 of 4 runs reached the goal\n  results   {folder} (open report.html)\n"
+    names = {p.name for p in folder.iterdir()}
+    assert names == {"comparison.yaml", "comparison.csv", "comparison.parquet", "figures", "report.html", "runs", "scenarios"}
+    assert len(list((folder / "figures").iterdir())) == 10
+    assert (folder / "scenarios" / "quick.yaml").read_text() == quick.read_text()
+
+
+@pytest.mark.study
+def test_the_report_the_plan_and_a_run_of_it_again(command, quick: Path):
+    assert command("compare", "quick.yaml", "--vary", "law.gain=3,6", "--seeds", 2, *NO_FILM).code == 0
+    folder = Path("runs/compare/001")
+    (folder / "report.html").unlink()
+    assert command("report", folder).code == 0
+    assert "vstestbed compare" in (folder / "report.html").read_text(encoding="utf-8")
+    again = command("compare", folder / "comparison.yaml", *NO_FILM, "--json")
+    assert [row["seed"] for row in json.loads(again.out)] == [0, 0, 1, 1]
+    assert Path("runs/compare/002").is_dir()
+    one = folder / "runs/quick/law.gain=3/1"
+    assert command("run", one / "scenario.yaml", "--video", "none", "--quiet", "--out", "alone").code == 0
+    assert (Path("alone") / "log.parquet").read_bytes() == (one / "log.parquet").read_bytes()
+
+
+@pytest.mark.study
+def test_runs_that_fail_are_no_failure_of_the_command(command, quick: Path):
+    ended = command("compare", "quick.yaml", "--vary", "stop.duration_s=0.2,8", *NO_FILM)
+    assert ended.code == 0
+    assert ended.err.startswith("1 of 2 runs reached the goal; 1 did not reach the goal\n")
+    table = pl.read_parquet("runs/compare/001/comparison.parquet")
+    assert table["outcome"].to_list() == ["timed_out", "converged"]
+    assert not Path("runs/compare/001/figures/differences.png").exists()  # no seed on which both arrived: nothing to draw
+    assert (Path("runs/compare/001") / table["folder"][0] / "end.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.study
+def test_the_first_seed_is_filmed_side_by_side(command, quick: Path):
+    words = ("--set", "camera.rate_hz=10", "--set", "stop.converged.hold_s=0.1", "--jobs", 1, "--quiet")
+    assert command("compare", "quick.yaml", "--vary", "law.gain=3,6", "--seeds", 2, *words).code == 0
+    folder = Path("runs/compare/001")
+    assert (folder / "comparison.mp4").stat().st_size > 1000
+    filmed = {p.parent.name for p in folder.glob("runs/*/*/*/overview.mp4")}
+    assert filmed == {"0"}
+    assert "<video" in (folder / "report.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        ([], "SCENARIO is missing: name scenarios to compare, or a comparison"),
+        (["nowhere"], "nowhere: no such file, and no bundled scenario"),
+        (["quick.yaml", "--vary", "law.gain"], "--vary needs the form a.b=v1,v2, got 'law.gain'"),
+        (["quick.yaml", "--vary", "law.gain=1,1"], "axes.law.gain must be a list of different values"),
+        (["quick.yaml", "--vary", "law.gain=1,-1"], "--set: law.gain"),
+        (["quick.yaml", "--vary", "law.gian=1,2"], "--set: law.gian: unknown field; did you mean 'gain'?"),
+        (["quick.yaml", "--vary", "law.gain=1", "--vary", "law.gain=2"], "--vary names a field twice"),
+        (["ibvs_retreat", "--seeds", "3"], "ibvs_retreat: robot.start.random is missing, and there is no noise: every seed would"),
+        (["quick.yaml", "--executor", "ray"], "--executor must be local or dask://HOST:PORT, got 'ray'"),
+        (["--resume"], "--resume needs the comparison's folder: --out DIR"),
+        (["--resume", "--out", "nowhere"], "nowhere: no such folder"),
+        (["quick.yaml", "quick.yaml"], "base must name each scenario once"),
+    ],
+)
+def test_bad_input(command, quick: Path, words: list[str], line: str):
+    ended = command("compare", *words, *NO_FILM)
+    assert (ended.code, ended.out) == (2, "")
+    assert line in ended.err
+    assert "Traceback" not in ended.err
+    assert not Path("runs").exists()
+
+
+def test_a_folder_that_holds_something_stays_as_it_is(command, quick: Path):
+    Path("mine").mkdir()
+    Path("mine/thesis.tex").touch()
+    ended = command("compare", "quick.yaml", "--out", "mine", *NO_FILM)
+    assert ended.code == 2
+    assert ended.err == "mine: exists and is not an empty folder; give a new one, or --resume to go on with what is there\n"
+    assert [p.name for p in Path("mine").iterdir()] == ["thesis.tex"]
+
+
+def test_from_python_also_after_the_room_has_been_imported():
+    import vstestbed.experiments.comparison
+
+    assert vs.compare is vstestbed.experiments.comparison.compare

@@ -1,0 +1,133 @@
+"""The doctor: what it looks at, and that what does not work comes with the words that mend it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from vstestbed.cli import doctor
+from vstestbed.cli.doctor import Finding, examine
+from vstestbed.core.errors import EnvironmentLackError
+from vstestbed.sim.render import gl_probe as gl
+from vstestbed.sim.render.pixel_check import PixelCheck
+
+
+@pytest.fixture
+def pixel_errors(monkeypatch: pytest.MonkeyPatch):
+    """Sets what the check of pixels finds."""
+    import vstestbed.sim.render.pixel_check
+
+    def set_(errors: np.ndarray) -> None:
+        monkeypatch.setattr(vstestbed.sim.check, "pixel_convention", lambda renderer: PixelCheck(errors, "a renderer"))
+
+    return set_
+
+
+def test_everything_works_here_and_is_told_in_a_line_each(command) -> None:
+    ended = command("doctor")
+    words = [line[3:16].strip() for line in ended.out.splitlines()]
+    assert words == ["python", "packages", "cores", "scenarios", "OpenGL", "pixels", "video"]
+    assert ended.code == 0, ended.out
+    assert all(line.startswith("ok ") for line in ended.out.splitlines())
+
+
+def test_rendered_balls_are_where_the_camera_model_says() -> None:
+    """The pixel convention, proven on this machine's OpenGL: half a pixel off would be 5 times the tolerance."""
+    pixels = next(f for f in examine() if f.what == "pixels")
+    assert pixels.works, pixels.found
+    assert "12 rendered balls" in pixels.found
+
+
+def test_half_a_pixel_off_is_found(pixel_errors) -> None:
+    pixel_errors(np.full((12, 2), 0.5))
+    pixels = next(f for f in examine() if f.what == "pixels")
+    assert not pixels.works
+    assert "0.500 px" in pixels.found
+
+
+def test_a_ball_that_is_not_drawn_is_counted(pixel_errors) -> None:
+    pixel_errors(np.vstack([np.zeros((10, 2)), np.full((2, 2), np.nan)]))
+    pixels = next(f for f in examine() if f.what == "pixels")
+    assert not pixels.works
+    assert pixels.found == "only 10 of 12 rendered balls were found in the picture"
+
+
+def test_no_opengl_is_told_with_its_remedy_and_exit_4(command, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MUJOCO_GL", "disable")
+    monkeypatch.setattr(gl, "_lack", [])
+    ended = command("doctor")
+    lines = ended.out.splitlines()
+    at = next(i for i, line in enumerate(lines) if line.startswith("NO "))
+    assert ended.code == 4
+    words = "no OpenGL: MUJOCO_GL=disable is set; rays draw the pictures instead, without shadows and textures"
+    assert lines[at].split(None, 2)[1:] == ["OpenGL", words]
+    assert lines[at + 1].strip() == "unset MUJOCO_GL or set MUJOCO_GL=egl"
+    assert lines[at + 2].startswith("ok  pixels")
+    assert lines[at + 2].endswith("by rays (mj_multiRay)")
+    assert lines[-1].startswith("ok  video")  # it goes on after what does not work
+
+
+def test_the_pair_of_mujoco_and_dm_control_that_does_not_work_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(doctor, "versions", lambda: {"mujoco": "4.0.0", "dm_control": "1.0.50", "python": "3.11"})
+    packages = next(f for f in examine() if f.what == "packages")
+    assert not packages.works
+    assert "pip install 'mujoco>=3.17,<4'" in packages.remedy
+
+
+def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(doctor, "versions", lambda: {"mujoco": "3.17.0", "opencv": "missing"})
+    packages = next(f for f in examine() if f.what == "packages")
+    assert not packages.works
+    assert "opencv missing" in packages.found
+
+
+def test_a_finding_is_one_line_and_two_where_something_is_to_be_done() -> None:
+    assert str(Finding("cores", True, "2", "buy more")) == "ok  cores        2"
+    assert str(Finding("video", False, "no libx264", "reinstall av")) == "NO  video        no libx264\n" + " " * 17 + "reinstall av"
+
+
+class TestChoiceOfBackend:
+    """`gl` decides before MuJoCo is imported: these call it with libraries and variables made up."""
+
+    @pytest.fixture(autouse=True)
+    def clean(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(gl, "_lack", [])
+        monkeypatch.setattr(gl, "missing_libraries", lambda backend="egl": [])
+        for name in ("MUJOCO_GL", "PYOPENGL_PLATFORM"):
+            monkeypatch.setenv(name, "")
+        for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+            monkeypatch.delenv(name, raising=False)
+
+    @pytest.mark.parametrize("said", ["", "egl", "EGL", "on", "1"])
+    def test_egl_is_taken(self, said: str, monkeypatch: pytest.MonkeyPatch) -> None:
+        import os
+
+        monkeypatch.setenv("MUJOCO_GL", said)
+        gl.choose_backend()
+        assert (os.environ["MUJOCO_GL"], os.environ["PYOPENGL_PLATFORM"]) == ("egl", "egl")
+        gl.require()
+
+    def test_without_the_libraries_the_remedy_installs_them(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(gl, "missing_libraries", lambda backend="egl": ["libEGL.so.1", "libGL.so.1"])
+        gl.choose_backend()
+        with pytest.raises(EnvironmentLackError, match=r"no OpenGL: libEGL.so.1 and libGL.so.1 not found; .*install libegl1 libgl1"):
+            gl.require()
+
+    @pytest.mark.parametrize(
+        ("said", "words"),
+        [
+            ("vulkan", "MUJOCO_GL=vulkan is set, and there is no such backend; unset MUJOCO_GL, or set it to egl, glfw, osmesa"),
+            ("glfw", "MUJOCO_GL=glfw needs a display, and there is none; unset MUJOCO_GL or set MUJOCO_GL=egl"),
+            ("off", "MUJOCO_GL=disable is set; unset MUJOCO_GL or set MUJOCO_GL=egl"),
+        ],
+    )
+    def test_what_cannot_work_is_told_before_mujoco_dies_of_it(self, said: str, words: str, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setenv("MUJOCO_GL", said)
+        gl.choose_backend()
+        with pytest.raises(EnvironmentLackError) as told:
+            gl.require()
+        assert str(told.value) == f"no OpenGL: {words}"
+
+    def test_only_an_import_error_about_the_driver_is_explained(self) -> None:
+        assert gl.explain(ImportError("No module named 'polars'")) is None
+        assert "libegl-mesa0" in str(gl.explain(ImportError("Cannot initialize a headless EGL display.")))

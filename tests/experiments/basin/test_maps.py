@@ -1,0 +1,151 @@
+"""Maps of basins of attraction: their grid, what they leave, and the command."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+import vstestbed as vs
+from vstestbed.cli.app import main
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Pose, inverse
+from vstestbed.experiments.basin import maps as basin
+from vstestbed.experiments.basin.batch import ideal, start_of, started_at
+from vstestbed.experiments.basin.maps import Axis, laws, starts
+from vstestbed.experiments.comparison import chosen
+
+FAST = {"law.gain": 1.0, "detector": {"kind": "oracle", "field_of_view": "unlimited"}}
+"""A tenth a step with ibvs_book's ten pictures a second."""
+
+
+def test_a_grid_in_the_frame_of_the_goal_camera():
+    s = ideal(vs.load("ibvs_book", FAST))
+    poses = starts(s, Axis("x", -1, 1, 3), Axis("yaw", 0, 90, 2), {"z": -2.0, "roll": 10.0})
+    # The other coordinates are the start's own: the camera at (1, 1, -3), its goal at (0, 0, 2), both looking along z.
+    expected = Pose(xyz=(-1, 1, -2), rpy_deg=(10, 0, 90)).T
+    assert inverse(poses[3] @ inverse(s.goal_view.T_camera_target)) == pytest.approx(expected, abs=1e-12)
+    assert starts(s, Axis("x", 1, 2, 2), Axis("y", 1, 2, 2), {})[0] == pytest.approx(start_of(s), abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("words", "x", "y", "at"),
+    [
+        ("--y must be another coordinate than --x", "x", "x", {}),
+        ("--at must be one of x, y, z, roll, pitch, yaw that is not on the map, got 'y'", "x", "y", {"y": 1}),
+        ("--at must be one of", "x", "y", {"depth": 1}),
+        ("--at z must be a finite number, got nan", "x", "y", {"z": math.nan}),
+    ],
+)
+def test_what_a_grid_refuses(words: str, x: str, y: str, at: dict[str, float]):
+    with pytest.raises(ParameterError, match=words):
+        starts(ideal(vs.load("ibvs_book")), Axis(x, 0, 1, 2), Axis(y, 0, 1, 2), at)
+
+
+def test_points_retreat_to_infinity_only_near_the_half_turn():
+    s = ideal(vs.load("ibvs_book", FAST))
+    made = basin.basin("points", s, Axis("yaw", 0, 180, 19), Axis("x", -0.5, 0.5, 3), {"y": 0, "z": 0}, check=8)
+    ends = made.endings.reshape(3, 19)
+    assert (ends[:, :14] == "converged").all()  # up to 130 degrees
+    assert (ends[:, -1] == "diverged").all()
+    assert made.checked == 8 and made.disagreements == ()
+    times = made.time_to_converge_s.reshape(3, 19)
+    assert np.isfinite(times[:, :14]).all() and np.isnan(times[:, -1]).all()
+
+
+def test_a_comparison_names_its_laws():
+    found = laws(chosen(["canonical"], {"camera.rate_hz": 5}, {}, None))
+    assert [label for label, _ in found][:3] == ["points", "points_desired", "points_mean"]
+    assert len(found) == 10 and all(s.camera.rate_hz == 5 for _, s in found)
+    found = laws(chosen(["ibvs_book"], {}, {"law.interaction": ("current", "mean")}, None), "unlimited")
+    assert [label for label, _ in found] == ["interaction=current", "interaction=mean"]
+
+
+def test_maps_that_would_be_the_same_are_refused():
+    varied = {"robot.actuation": ("ideal", "industrial")}
+    with pytest.raises(ParameterError, match="`actuation=industrial` would make the same map as `actuation=ideal`: its cameras are ideal"):
+        laws(chosen(["arm_ibvs"], {}, varied, None))
+    with pytest.raises(ParameterError, match="`friction, points` would make the same map as `dynamics, points`"):
+        laws(chosen(["realism"], {}, {}, None))
+
+
+def test_a_target_that_moves_has_no_map():
+    for name, kind in (("arm_track_circle", "circle"), ("arm_eye_to_hand", "held")):
+        with pytest.raises(ParameterError, match=f"target.motion must be still in a batch, got '{kind}'"):
+            laws(chosen([name], {}, {}, None))
+
+
+def run(*words: object) -> int:
+    with pytest.raises(SystemExit) as ended:
+        main([str(w) for w in words])
+    return int(ended.value.code or 0)
+
+
+def test_the_command_leaves_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    out = tmp_path / "map"
+    words = ["basin", "ibvs_book", "--set", "law.gain=1", "--x", "x=-1:1", "--y", "yaw=-180:180", "--at", "z=-1", "--at", "y=0", "--n", 12]
+    code = run(*words, "--vary", "law.interaction=current,desired", "--check", 5, "--field-of-view", "unlimited", "--out", out, "--json")
+    assert code == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told == json.loads((out / "basin.json").read_text())
+    assert [t["label"] for t in told] == ["interaction=current", "interaction=desired"]
+    assert all(t["starts"] == 144 and t["checked"] == 5 and t["agreeing"] == 5 for t in told)
+    assert sum(told[0]["shares"].values()) == pytest.approx(1)
+    assert told[0]["x"] == {"name": "x", "low": -1.0, "high": 1.0, "n": 12, "unit": "m"} and told[0]["y"]["unit"] == "deg"
+    assert {name: one["value"] for name, one in told[0]["fixed"].items()} == pytest.approx(
+        {"y": 0, "z": -1, "roll": 0, "pitch": 0}, abs=1e-9
+    )
+    assert told[0]["fixed"]["roll"]["unit"] == "deg" and told[0]["field_of_view"] == "unlimited"
+    table = pl.read_parquet(out / "basin.parquet")
+    assert len(table) == 288 and {"law", "x", "yaw", "outcome", "steps", "time_to_converge_s"} <= set(table.columns)
+    assert table.filter(pl.col("outcome") != "converged")["time_to_converge_s"].null_count() == (table["outcome"] != "converged").sum()
+    assert (out / "basin.png").read_bytes()[:4] == b"\x89PNG" and (out / "basin.pdf").read_bytes()[:4] == b"%PDF"
+    page = (out / "report.html").read_text()
+    assert "in the frame of its goal; y 0 m, z -1 m, roll 0 deg, pitch 0 deg." in page and "picture without border" in page
+    assert "interaction=desired" in page and "data:image/png;base64" in page
+    assert not list(out.glob("*.part"))
+    assert run(*words, "--out", out) == 2
+    assert "exists and is not an empty folder" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("--x", "x=-1", "--y", "y=0:1"), "--x needs the form NAME=LOW:HIGH"),
+        (("--x", "depth=0:1", "--y", "y=0:1"), "--x must be one of x, y, z, roll, pitch, yaw, got 'depth'"),
+        (("--x", "x=1:0", "--y", "y=0:1"), "x must have a range low:high with low < high"),
+        (("--x", "x=0:1", "--y", "y=0:1", "--at", "z"), "--at needs the form NAME=VALUE"),
+        (("--x", "x=0:1", "--y", "y=0:1", "--at", "z=1", "--at", "z=2"), "--at must give each coordinate once, got 'z'"),
+        (("--x", "x=0:1", "--y", "y=0:1", "--set", "law.depth=estimate"), "law.depth may not be estimate in a batch"),
+    ],
+)
+def test_mistakes_are_told(words: tuple[str, ...], told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert run("basin", "ibvs_book", *words, "--out", tmp_path / "map") == 2
+    assert told in capsys.readouterr().err
+    assert not (tmp_path / "map").exists()
+
+
+def test_a_start_that_the_simulation_ends_otherwise_is_listed(monkeypatch: pytest.MonkeyPatch):
+    s = ideal(vs.load("ibvs_book", FAST))
+    flown = basin.run
+    monkeypatch.setattr(basin, "run", lambda one: flown(started_at(one, inverse(Pose(xyz=(0, 0, 2), rpy_deg=(0, 0, 180)).T))))
+    made = basin.basin("points", s, Axis("x", -0.1, 0.1, 2), Axis("y", -0.1, 0.1, 2), {"z": -0.1, "yaw": 0}, check=4)
+    assert made.checked == len(made.disagreements) == 4
+    assert {d.batch for d in made.disagreements} == {"converged"} and {d.full for d in made.disagreements} <= {"diverged", "target_lost"}
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("view", ["unlimited", "limited"])
+def test_a_hundred_thousand_starts_of_every_law(view: str):
+    """Under 20 s of one core a law at gain x step = .1, and 98 % of 200 spots end as in the time loop."""
+    x, y, at = Axis("x", -2, 2, 316), Axis("yaw", -180, 180, 316), {"z": -1.0, "y": 0.0}
+    for label, s in laws(chosen(["canonical"], {"camera.rate_hz": 5}, {}, None), view):
+        made = basin.basin(label, s, x, y, at, check=200)
+        print(view, json.dumps(made.summary()))
+        assert made.summary()["gain_step"] == pytest.approx(0.1)
+        assert made.processor_s < 20
+        assert len(made.disagreements) <= 4

@@ -1,0 +1,110 @@
+"""What a comparison runs: controllers, seeds, folders, and what is refused before anything runs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vstestbed.core.assets import bundled_comparisons
+from vstestbed.core.errors import ParameterError, ScenarioError
+from vstestbed.experiments.comparison import Comparison, chosen, controllers, jobs
+from vstestbed.experiments.comparison.plan import read_comparison
+
+LONG = ("canonical_arm", "calibration_error", "depth_error", "realism")
+"""Comparisons of hundreds of scenarios: reading them all takes seconds."""
+
+
+def of(*base: object, seeds: int | None = None, **axes: tuple[object, ...]) -> Comparison:
+    return Comparison(base=tuple(map(str, base)), axes={k.replace("__", "."): v for k, v in axes.items()}, seeds=seeds)
+
+
+def test_every_combination_from_every_seed_seed_by_seed(quick: Path):
+    found = controllers(of(quick, "ibvs_book", law__gain=(1.0, 2.0), camera__latency_s=(0.0, 0.1)))
+    assert len(found) == 8
+    assert [c.folder for c in found[:2]] == [
+        "runs/quick/law.gain=1.0,camera.latency_s=0.0",
+        "runs/quick/law.gain=1.0,camera.latency_s=0.1",
+    ]
+    assert found[3].scenario.law.gain.value == 2.0
+    assert found[3].scenario.camera.latency_s == 0.1
+    made = jobs(controllers(of(quick, seeds=3, law__gain=(1.0, 2.0))), 3)
+    assert [(j.seed, j.controller.values["law.gain"]) for j in made] == [(0, 1.0), (0, 2.0), (1, 1.0), (1, 2.0), (2, 1.0), (2, 2.0)]
+    assert made[-1].folder == "runs/quick/law.gain=2.0/2"
+    assert [j.folder for j in jobs(controllers(of(quick)), None)] == ["runs/quick/as_it_is/nominal"]
+
+
+def test_one_seed_gives_every_controller_the_same_start_and_other_seeds_others(quick: Path):
+    made = jobs(controllers(of("arm_ibvs", "arm_pbvs", "arm_hybrid", seeds=3)), 3)
+    starts = np.array([j.scenario().robot.configuration() for j in made]).reshape(3, 3, 6)
+    np.testing.assert_array_equal(starts, np.broadcast_to(starts[:, :1], starts.shape))
+    assert np.abs(np.diff(starts[:, 0], axis=0)).max() > 0.01
+    assert [j.scenario().seed for j in made] == [0, 0, 0, 1, 1, 1, 2, 2, 2]
+
+
+def test_seeds_that_draw_nothing_are_refused_with_the_reason():
+    with pytest.raises(ParameterError, match=r"polar_book.*robot.start.random is missing, and there is no noise: every seed would"):
+        controllers(Comparison(base=("polar_book",), seeds=2, set={"robot.start.random": None}))
+    unseen = {"robot.start.random": None, "noise.image_sigma": 2, "detector": "oracle"}
+    with pytest.raises(ParameterError, match="every seed would"):
+        controllers(Comparison(base=("polar_book",), seeds=2, set=unseen))
+    noisy = Comparison(base=("polar_book",), seeds=2, set={"robot.start.random": None, "noise.pixel_sigma_px": 0.1})
+    first, second = (j.scenario() for j in jobs(controllers(noisy), 2))
+    assert (first.seed, second.seed) == (0, 1)
+    np.testing.assert_array_equal(first.robot.configuration(), second.robot.configuration())
+
+
+def test_names_that_folders_cannot_have_and_values_that_look_alike(quick: Path):
+    found = controllers(of(quick, description=("a/b: c", "a b; c", "x" * 300)))
+    folders = [c.folder for c in found]
+    assert len(set(folders)) == 3
+    assert all(len(part) < 100 and "/" not in part for f in folders for part in f.split("/", 2)[2:])
+
+
+@pytest.mark.parametrize(
+    ("words", "changes"),
+    [
+        ("base must name each scenario once", {"base": ("arm_ibvs", "arm_ibvs")}),
+        ("axes.law.gain must be a list of different values", {"axes": {"law.gain": (1, 1)}}),
+        ("axes.law.gain must be a list of different values", {"axes": {"law.gain": (3, 3.0)}}),
+        ("axes.law.gain must be a list of different values", {"axes": {"law.gain": ()}}),
+        ("axes.law.gain is also in `set`", {"axes": {"law.gain": (1, 2)}, "set": {"law.gain": 1}}),
+        ("metrics must be figures of summary.json: .*got 'speed'", {"metrics": ("speed",)}),
+    ],
+)
+def test_what_is_refused(words: str, changes: dict[str, object]):
+    with pytest.raises(ParameterError, match=words):
+        Comparison(**({"base": ("arm_ibvs",)} | changes))
+
+
+def test_a_value_that_no_scenario_takes_is_found_before_anything_runs(quick: Path):
+    with pytest.raises(ScenarioError, match=r"law.gain"):
+        controllers(of(quick, law__gain=(1.0, -1.0)))
+    with pytest.raises(ScenarioError, match="no such file, and no bundled scenario"):
+        controllers(of(quick, "arm_ibsv"))
+
+
+class TestFile:
+    def test_it_is_read_beside_its_scenarios_and_changed_by_words(self, quick: Path, tmp_path: Path):
+        path = tmp_path / "mine.yaml"
+        path.write_text("base: [quick.yaml]\nset: {law.gain: 2}\naxes: {camera.latency_s: [0, 0.1]}\nseeds: 4\nmetrics: [path_ratio]\n")
+        read = read_comparison(path)
+        assert (read.base, read.seeds, read.axes["camera.latency_s"]) == ((str(quick),), 4, (0, 0.1))
+        asked = chosen([str(path)], {"law.gain": 3}, {}, 2)
+        assert (asked.set["law.gain"], asked.seeds, asked.metrics) == (3, 2, ("path_ratio",))
+
+    def test_its_mistakes_have_their_place(self, tmp_path: Path):
+        path = tmp_path / "mine.yaml"
+        path.write_text("base: [arm_ibvs]\nseeds: 0\nmetrix: [path_ratio]\n")
+        with pytest.raises(ScenarioError) as found:
+            read_comparison(path)
+        assert str(found.value).splitlines() == [
+            f"{path}:2:1: seeds: must be >= 1, got 0",
+            f"{path}:3:1: metrix: unknown field; did you mean 'metrics'?",
+        ]
+
+    @pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.study] if n in LONG else []) for n in bundled_comparisons()])
+    def test_bundled_ones_can_be_run(self, name: str):
+        comparison = chosen([name], {}, {}, None)
+        assert controllers(comparison)

@@ -1,0 +1,220 @@
+"""Comparisons of tasks and of named cases: their runs, their table, their page; and the canonical ones against golden numbers."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+import vstestbed as vs
+from tests.loop.test_golden_loops import ROWS
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import inverse, rotation_angle
+from vstestbed.experiments.comparison import Comparison, chosen, compare, controllers, jobs
+from vstestbed.experiments.comparison.plan import Controller, merged
+from vstestbed.experiments.comparison.starts import Task
+
+YAML = """
+description: Two laws turn back.
+base: [ibvs_book]
+set:
+  name: turns
+  robot.start.random: null
+  target.pose.xyz: [0, 0, 0]
+  detector: {kind: oracle, field_of_view: unlimited}
+  stop: {duration_s: 20, converged: {error_px: 1, hold_s: 0}}
+cases:
+  law:
+    points: {law: {kind: ibvs, gain: 1.0, depth: oracle}}
+    pose: {law: {kind: pbvs, gain: 1.0}}
+tasks:
+  turn:
+    unit: deg
+    amounts: [45, 180]
+    each: {robot.start.nominal: [{xyz: [0, 0, -1], rpy_deg: [0, 0, 45]}, {xyz: [0, 0, -1], rpy_deg: [0, 0, 180]}]}
+  random: {seeds: 2, set: {robot.start: {nominal: {xyz: [0, 0, -2]}, random: {rpy_deg: [5, 5, 40]}}}}
+metrics: [time_to_converge_s, max_retreat_m, max_rotation_deg]
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    place = tmp_path_factory.mktemp("tasks")
+    (place / "turns.yaml").write_text(YAML)
+    compare([str(place / "turns.yaml")], out=place / "out", jobs=1)
+    return place / "out"
+
+
+class TestPlan:
+    def test_every_case_in_every_task(self):
+        whole = chosen(["canonical"], {}, {}, None)
+        found = controllers(replace(whole, cases={"law": {law: whole.cases["law"][law] for law in ("points", "pose")}}))
+        assert len(found) == 2 * 5
+        assert found[1].values == {"law": "points", "task": "along the axis"} and found[1].amounts[0] == "-0.5 m"
+        made = jobs(found, None)
+        assert len(made) == 2 * (10 + 7 + 5 + 8 + 20)
+        assert made[0].folder == "runs/ibvs_book/law=points,task=about_the_axis/0"
+        assert len({job.folder for job in made}) == len(made)
+
+    def test_later_settings_come_later(self):
+        assert list(merged({"law.gain": 1, "a": 1}, {"law": {}}, {"law.gain": 2})) == ["a", "law", "law.gain"]
+        made = Comparison(
+            base=("ibvs_book",),
+            set={"camera.rate_hz": 20, "law.interaction": "mean"},
+            cases={"law": {"pose": {"law": {"kind": "pbvs"}}}},
+            axes={"law.gain": (0.1, 0.3)},
+        )
+        assert [(c.scenario.law.kind, c.scenario.law.gain.value) for c in controllers(made)] == [("pbvs", 0.1), ("pbvs", 0.3)]
+
+    def test_an_axis_may_list_whole_blocks(self):
+        blocks = ({"kind": "pbvs"}, {"kind": "hybrid", "gain": 1.0})
+        found = controllers(Comparison(base=("ibvs_book",), axes={"law": blocks}))
+        assert [c.scenario.law.kind for c in found] == ["pbvs", "hybrid"]
+
+    @pytest.mark.parametrize(
+        ("words", "changes"),
+        [
+            ("seeds stand beside `tasks`", {"seeds": 3, "tasks": {"a": Task(seeds=2)}}),
+            ("cases.outcome must have a name of its own", {"cases": {"outcome": {"a": {}}}}),
+            ("cases.law must have a name of its own, and one case or more", {"cases": {"law": {}}}),
+        ],
+    )
+    def test_what_is_refused(self, words: str, changes: dict[str, object]):
+        with pytest.raises(ParameterError, match=words):
+            Comparison(**({"base": ("ibvs_book",)} | changes))  # pyright: ignore[reportArgumentType]
+
+    @pytest.mark.parametrize(
+        ("words", "block"),
+        [
+            ("each or seeds must say", {}),
+            ("each or seeds must say", {"each": {"a": (1,)}, "seeds": 2}),
+            ("must have one value or more for each run", {"each": {"a": (1, 2), "b": (1,)}}),
+            ("amounts must name each of the 2 runs", {"each": {"a": (1, 2)}, "amounts": (1.0,)}),
+        ],
+    )
+    def test_a_task_that_does_not_add_up(self, words: str, block: dict[str, object]):
+        with pytest.raises(ParameterError, match=words):
+            Task(**block)  # pyright: ignore[reportArgumentType]
+
+
+class TestFolder:
+    def test_one_row_a_run_with_its_task_and_amount(self, folder: Path):
+        table = pl.read_parquet(folder / "comparison.parquet")
+        assert len(table) == 2 * 4
+        assert table.columns[:6] == ["scenario", "law", "task", "seed", "folder", "amount"]
+        turns = table.filter(pl.col("task") == "turn").select("law", "amount", "outcome").rows()
+        assert turns == [
+            ("points", "45 deg", "converged"),
+            ("pose", "45 deg", "converged"),
+            ("points", "180 deg", "diverged"),
+            ("pose", "180 deg", "converged"),
+        ]
+
+    def test_the_table_names_each_failure(self, folder: Path):
+        lines = (folder / "tasks.md").read_text().splitlines()
+        assert lines[0] == "| | turn | random |"
+        assert lines[2].startswith("| `points` | 1 of 2, ") and "; 180 deg: diverged | 2 of 2, " in lines[2]
+        assert lines[3].startswith("| `pose` | 2 of 2, ")
+        page = (folder / "report.html").read_text()
+        assert "Largest retreat [m]" in page
+        assert "180 deg: diverged" in page and "vstestbed compare comparison.yaml" in page
+        assert (folder / "figures" / "tasks.png").is_file() and (folder / "figures" / "tasks.pdf").is_file()
+
+    def test_other_metrics_have_a_table_of_median_and_largest(self, folder: Path):
+        whole = (folder / "tasks.md").read_text()
+        labels = ("Largest retreat [m]", "Largest rotation [deg]")
+        retreat, rotation = (whole.split(f"{label}: median, largest\n\n")[1].split("\n\n")[0] for label in labels)
+        assert "Time to converge [s]" not in whole
+        # Of the points' turns only that of 45 degrees arrives: a retreat of 1 / cos(22.5 deg) - 1 = .082 m, in steps of a tenth 1 cm more.
+        median, largest = retreat.splitlines()[2].split("|")[2].split(",")
+        assert float(median) == float(largest) == pytest.approx(0.082, abs=0.012)
+        assert retreat.splitlines()[3].startswith("| `pose` | 0, 0 |")
+        # The pose law turns by 45 and 180 degrees and no more, less what the threshold leaves.
+        median, largest = rotation.splitlines()[3].split("|")[2].split(",")
+        assert float(median) == pytest.approx(112.5, abs=1) and float(largest) == pytest.approx(180, abs=1)
+
+    def test_its_plan_makes_the_same_again(self, folder: Path):
+        again = controllers(chosen([str(folder / "comparison.yaml")], {}, {}, None))
+        assert [(c.folder, c.runs) for c in again] == [
+            (f"runs/ibvs_book/law={law},task={task}", 2) for law in ("points", "pose") for task in ("turn", "random")
+        ]
+
+
+GOLDEN_LAWS = {
+    "points": ("ibvs_point", "CURRENT"),
+    "points_desired": ("ibvs_point", "DESIRED"),
+    "points_mean": ("ibvs_point", "MEAN"),
+    "polar": ("ibvs_polar", "MEAN"),
+    "pose": ("pbvs_cdMc", "CURRENT"),
+    "pose_origin": ("pbvs_cMo", "CURRENT"),
+    "hybrid": ("vs2half_cdRc", "CURRENT"),
+}
+GOLDEN_STARTS = {("about the axis", "90 deg"): "rotz90", ("about the axis", "180 deg"): "rotz180", ("along the axis", "1 m"): "ztrans"}
+
+
+def tasks_of(comparison: str, law: str, *names: str) -> dict[str, Controller]:
+    """One law's controllers of a comparison, by task."""
+    whole = chosen([comparison], {}, {}, None)
+    wanted = {name: task for name, task in whole.tasks.items() if name in names}
+    found = controllers(replace(whole, cases={"law": {law: whole.cases["law"][law]}}, tasks=wanted))
+    return {str(c.values["task"]): c for c in found}
+
+
+@pytest.mark.parametrize("law", GOLDEN_LAWS)
+def test_canonical_cells_are_the_golden_ones(law: str):
+    found = tasks_of("canonical", law, *(task for task, _ in GOLDEN_STARTS))
+    for (task, amount), start in GOLDEN_STARTS.items():
+        controller = found[task]
+        assert controller.starts is not None
+        r = vs.run(controller.starts[controller.amounts.index(amount)])
+        row = next(g for g in ROWS if (g["scenario"], g["law"], g["L"]) == (start, *GOLDEN_LAWS[law]))
+        expected = {"target_plane_crossed_or_behind": "target_lost", "diverged_dist>200m": "diverged"}.get(row["status"], row["status"])
+        assert r.outcome.name == expected
+        if expected == "converged":  # the golden files' own tolerances
+            assert abs(len(r["t"]) - 1 - int(row["it_e<1e-3"])) <= 1
+            farthest_m = np.linalg.norm([r["cam_x"], r["cam_y"], r["cam_z"]], axis=0).max()
+            assert farthest_m == pytest.approx(float(row["max_cam_dist_m"]), abs=1e-3)
+            # A golden path ends at a norm of 1e-5, ours at 1e-3: the camera is then a few mm from its goal (t_err_m goes with the norm).
+            rest_m = 100 * float(row["t_err_m"])
+            assert r.summary()["path_length_m"] == pytest.approx(float(row["path_len_m"]), abs=1e-3 + rest_m)
+
+
+def amounts_of(controller: Controller) -> list[tuple[float, np.ndarray]]:
+    """Each amount with T_goal_camera of its start."""
+    made = []
+    assert controller.starts is not None
+    for words, s in zip(controller.amounts, controller.starts, strict=True):
+        T = inverse(s.T_world_goal) @ s.robot.flange_pose(s.robot.configuration())
+        made.append((float(words.split()[0]), T))
+    return made
+
+
+@pytest.mark.parametrize("comparison", ["canonical", "canonical_arm"])
+def test_starts_are_what_their_amounts_say(comparison: str):
+    found = tasks_of(comparison, "points", "about the axis", "along the axis", "camera turned", "target turned")
+    # Joint angles are written to 1e-4 deg, which over an arm of .9 m is 2 um, and .001 deg.
+    for amount, T in amounts_of(found["about the axis"]):
+        assert T[:3, 3] == pytest.approx([0, 0, 0], abs=1e-5)
+        assert math.degrees(rotation_angle(T[:3, :3])) == pytest.approx(amount, abs=1e-3) and abs(T[2, 2] - 1) < 1e-6
+    for amount, T in amounts_of(found["along the axis"]):
+        assert T[:3, 3] == pytest.approx([0, 0, -amount], abs=1e-5) and rotation_angle(T[:3, :3]) < 1e-5
+    for amount, T in amounts_of(found["camera turned"]):
+        assert T[:3, 3] == pytest.approx([0, 0, 0], abs=1e-5)
+        assert math.degrees(rotation_angle(T[:3, :3])) == pytest.approx(amount, abs=1e-3) and abs(T[1, 1] - 1) < 1e-6
+    for amount, T in amounts_of(found["target turned"]):
+        to_target = np.array([0, 0, 1.0]) - T[:3, 3]
+        assert np.linalg.norm(to_target) == pytest.approx(1, abs=1e-5) and T[:3, 2] == pytest.approx(to_target, abs=1e-5)
+        assert math.degrees(rotation_angle(T[:3, :3])) == pytest.approx(amount, abs=1e-3)
+
+
+def test_the_ideal_camera_of_realism_starts_where_the_arm_does():
+    whole = chosen(["realism"], {}, {}, None)
+    found = controllers(replace(whole, cases=whole.cases | {"law": {"points": whole.cases["law"]["points"]}}))
+    free, arm = (jobs([c for c in found if c.values["world"] == world], 3) for world in ("ideal", "noise"))
+    for one, other in zip(free, arm, strict=True):
+        a, b = one.scenario(), other.scenario()
+        assert a.robot.flange_pose(a.robot.configuration()) == pytest.approx(b.robot.flange_pose(b.robot.configuration()), abs=1e-12)

@@ -1,0 +1,127 @@
+"""Measured gain limits against the discrete loop; the command and its folder."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+import vstestbed as vs
+from vstestbed.cli import app as cli
+from vstestbed.core.errors import ParameterError
+from vstestbed.experiments.delay.lag import measure_lags
+from vstestbed.experiments.delay.measure import OFF, OFF_WITH_FRICTION, displaced, find_limit, find_limits, growth, prepared
+from vstestbed.experiments.delay.theory import closed_form, gain_limit
+from vstestbed.scenario.scenario import Scenario
+
+PERIOD = 0.04
+
+
+@pytest.fixture(scope="module")
+def free() -> Scenario:
+    return prepared(vs.load("ibvs_book", {"camera.rate_hz": 25}))
+
+
+@pytest.fixture(scope="module")
+def arm() -> Callable[[str], Scenario]:
+    at_goal = prepared(vs.load("arm_ibvs", {"robot.actuation": "ideal"}))
+    start = at_goal.robot.start
+    return lambda actuation: vs.load(
+        "arm_ibvs",
+        {
+            "robot": {"kind": "puma560", "actuation": actuation, "start": {"nominal": {"q_deg": list(start.nominal.q_deg)}}},
+            "detector": {"kind": "oracle", "field_of_view": "unlimited"},
+        },
+    )
+
+
+@pytest.mark.parametrize("d", [0, 5])
+def test_the_ideal_camera_goes_unstable_where_theory_says(free, d):
+    start, g = displaced(free), closed_form(d)
+    # The bound is 5 %; it is a tenth of that (the study below).
+    assert growth(start, 0.98 * g / PERIOD, d) < 1 < growth(start, 1.02 * g / PERIOD, d)
+
+
+def test_bisection_lands_on_the_limit(free):
+    limit = find_limit(free, 1)
+    assert limit.g == pytest.approx(1.0, rel=0.003)  # the bracket that is left
+    assert limit.gain == pytest.approx(25.0, rel=0.003) and limit.g_lag is None and limit.runs == 11
+
+
+def test_an_arm_with_ideal_servos_goes_unstable_where_theory_says(arm):
+    start, g = displaced(arm("ideal")), closed_form(2)
+    assert growth(start, 0.97 * g / PERIOD, 2) < 1 < growth(start, 1.03 * g / PERIOD, 2)
+
+
+def test_an_arm_with_industrial_servos_goes_unstable_where_their_lag_says(arm):
+    at_goal = arm("industrial")
+    lags = measure_lags(at_goal, 2, OFF_WITH_FRICTION)
+    # Integrating servos rise in 40 ms; at the swing of the limit they lag by 27 to 40 ms.
+    assert all(0.02 < lag.lag_s < 0.05 and 0.85 < lag.gain < 1.05 for lag in lags)
+    g = min(gain_limit(2, lag.shares) for lag in lags)
+    assert g < 0.9 * closed_form(2)  # a shift that theory without lag does not explain
+    start = displaced(at_goal)
+    assert growth(start, 0.95 * g / PERIOD, 2) < 1 < growth(start, 1.05 * g / PERIOD, 2)
+
+
+def test_ideal_servos_hardly_lag(arm):
+    for lag in measure_lags(arm("ideal"), 2, OFF):
+        assert lag.shares == pytest.approx((1.0, 0.0), abs=0.01) and abs(lag.lag_s) < 0.5e-3
+
+
+@pytest.mark.parametrize(
+    ("name", "settings", "words"),
+    [
+        ("omni_ibvs", {}, "must be free or puma560"),
+        ("partitioned_book", {}, "one gain for all directions"),
+        ("ibvs_retreat", {"goal.T_camera_target": {"xyz": [0, 0, 1]}}, None),
+    ],
+)
+def test_what_has_no_such_limit_is_refused(name, settings, words):
+    scenario = vs.load(name, settings)
+    if words is None:
+        assert prepared(scenario).robot.start.nominal.xyz[2] == pytest.approx(scenario.T_world_goal[2, 3])
+        return
+    with pytest.raises(ParameterError, match=words):
+        prepared(scenario)
+
+
+def command(words: list[str]) -> int:
+    with pytest.raises(SystemExit) as ended:
+        cli.main(words)
+    return int(ended.value.code or 0)
+
+
+def test_command_leaves_its_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    out = tmp_path / "study"
+    words = ["delay", "ibvs_book", "--frames", "1", "--set", "camera.rate_hz=20", "--set", "law.gain=0.8", "--out", str(out), "--json"]
+    assert command(words) == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert [row["delay_frames"] for row in rows] == [1]
+    assert [row["gain_limit"] for row in rows] == pytest.approx([20], rel=0.005)  # 1 over .05 s
+    assert {p.name for p in out.iterdir()} == {"delay.csv", "delay.parquet", "delay.json", "delay.png", "delay.pdf", "report.html"}
+    assert pl.read_parquet(out / "delay.parquet")["measured_to_theory"].to_list() == pytest.approx([1], rel=0.005)
+    page = (out / "report.html").read_text()
+    assert "gain limit [1/s]" in page and "data:image/png" in page
+    assert command(words) == 2  # never over an older study
+    assert command(["delay", "ibvs_book", "--frames", "one"]) == 2
+
+
+@pytest.mark.study
+@pytest.mark.parametrize(
+    ("name", "settings", "of_theory", "of_lag"),
+    [
+        ("ibvs_book", {"camera.rate_hz": 25}, [0.005] * 6, None),
+        ("arm_ibvs", {"robot.actuation": "ideal"}, [0.05] * 6, [0.02] * 6),
+        # Without delay the swing is so quick (4 frames) that friction decides more than two numbers can tell.
+        ("arm_ibvs", {"robot.actuation": "industrial"}, None, [0.08, 0.03, 0.03, 0.03, 0.03, 0.03]),
+    ],
+)
+def test_limits_from_no_delay_to_five_frames(name, settings, of_theory, of_lag):
+    limits = find_limits(vs.load(name, settings), range(6), lambda limit: print(limit.row()))
+    if of_theory:
+        assert np.all([abs(x.g / x.g_theory - 1) < bound for x, bound in zip(limits, of_theory, strict=True)])
+    if of_lag:
+        assert np.all([x.g_lag is not None and abs(x.g / x.g_lag - 1) < bound for x, bound in zip(limits, of_lag, strict=True)])

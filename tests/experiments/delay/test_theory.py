@@ -1,0 +1,58 @@
+"""The discrete loop on paper: limits, poles, lag, against closed forms and plain iteration."""
+
+import math
+
+import numpy as np
+import pytest
+
+from vstestbed.core.errors import ParameterError
+from vstestbed.experiments.delay.theory import closed_form, gain_limit, locus, polynomial, roots, swing_frames
+
+
+def iterated(g: float, d: int, shares: tuple[float, ...], steps: int = 4000) -> float:
+    """How the loop s(k+1) = s(k) - g sum b_j s(k-d-j) grows in a step, late, from 1 and zeros before."""
+    s = np.zeros(steps + 1 + d + len(shares))
+    s[d + len(shares)] = 1.0
+    for k in range(d + len(shares), len(s) - 1):
+        s[k + 1] = s[k] - g * sum(b * s[k - d - j] for j, b in enumerate(shares))
+        if abs(s[k + 1]) > 1e100:
+            return math.inf
+    size = np.abs(s)
+    return float(size[-200:].max() / max(size[-1200:-1000].max(), 1e-300)) ** 1e-3
+
+
+@pytest.mark.parametrize(("d", "limit"), list(enumerate([2, 1, 0.618, 0.445, 0.347, 0.285])))
+def test_limits_of_pure_delay(d, limit):
+    assert closed_form(d) == pytest.approx(limit, abs=5e-4)  # as in print, three digits
+    assert gain_limit(d) == pytest.approx(closed_form(d), rel=1e-8)
+    poles = roots(closed_form(d), d)
+    assert abs(poles[0]) == pytest.approx(1, abs=1e-9)
+    assert 2 * math.pi / abs(np.angle(poles[0])) == pytest.approx(swing_frames(d), rel=1e-9)
+
+
+@pytest.mark.parametrize(("d", "shares"), [(0, (1.0,)), (2, (1.0,)), (1, (0.4, 0.6)), (3, (0.7, 0.2, 0.1))])
+def test_a_loop_iterated_goes_unstable_where_its_poles_say(d, shares):
+    limit = gain_limit(d, shares)
+    assert iterated(0.99 * limit, d, shares) < 1 < iterated(1.01 * limit, d, shares)
+
+
+@pytest.mark.parametrize(("tau_ms", "higher"), [(1, 0.05), (2, 0.11), (5, 0.33)])
+def test_a_servos_lag_without_delay(tau_ms, higher):
+    # First-order servo, tau much under the period T = 40 ms: b = (1 - tau/T, tau/T), and z = -1 is a pole at g = 2/(1 - 2 tau/T).
+    a = tau_ms / 40
+    assert gain_limit(0, (1 - a, a)) == pytest.approx(2 / (1 - 2 * a), rel=1e-8) == pytest.approx(2 * (1 + higher), rel=0.01)
+
+
+def test_branches_are_followed():
+    gains = np.linspace(1e-3, 1.5, 3000)
+    ways = locus(2, gains)
+    assert ways.shape == (3000, 3)
+    for i in (0, 1500, 2999):
+        np.testing.assert_allclose(np.poly(ways[i]), polynomial(gains[i], 2), atol=1e-9)
+    # From one gain to the next .0005 apart a pole moves little, but where two meet (square root of the step).
+    assert np.abs(np.diff(ways, axis=0)).max() < 0.05
+
+
+def test_a_servo_that_goes_backwards_is_refused():
+    with pytest.raises(ParameterError, match="more than 0"):
+        gain_limit(1, (0.5, -0.7))

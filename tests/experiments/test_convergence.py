@@ -1,0 +1,76 @@
+"""Convergence maps: what makes one, its cells, the command and its folder."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from vstestbed.cli.app import main
+from vstestbed.core.errors import ParameterError
+from vstestbed.experiments.comparison import Comparison, chosen
+from vstestbed.experiments.convergence import Ended, Study
+from vstestbed.scenario.load import load
+
+AXES = {"calibration.depth_factor": (0.5, 1.0), "law.gain": (1.0, 2.0)}
+
+
+def test_the_bundled_maps_are_maps():
+    for name, cells in (("depth_error", 42), ("calibration_error", 45)):
+        study = Study(chosen([name], {}, {}, None))
+        x, y = study.comparison.axes.values()
+        assert len(x) * len(y) == cells
+        laws = study.comparison.cases["law"]
+        assert list(laws) == ["point", "polar", "PBVS", "2.5D"]
+        for law in laws.values():  # the farthest corner of each map can be flown
+            corner = {path: values[-1] for path, values in study.comparison.axes.items()}
+            assert load(study.comparison.base[0], dict(study.comparison.set) | law | corner).calibration.goal == "shown"
+
+
+@pytest.mark.parametrize(
+    ("axes", "seeds", "words"),
+    [({"law.gain": (1.0, 2.0)}, 1, "axes must be two"), (AXES, None, "seeds must be given")],
+)
+def test_what_makes_no_map_is_refused(axes, seeds, words):
+    with pytest.raises(ParameterError, match=words):
+        Study(Comparison(base=("ibvs_book",), axes=axes, seeds=seeds))
+
+
+def test_a_cell_counts_its_own_runs():
+    study = Study(Comparison(base=("ibvs_book",), axes=AXES, seeds=2))
+    ended = []
+    for job in study.runs:
+        good = job.controller.values["law.gain"] == 2.0 or job.seed == 0
+        ended.append((job, Ended("converged" if good else "target_lost", good, 1.0, 0.25 if good else 9.0)))
+    (panel,) = study.panels(ended)
+    np.testing.assert_array_equal(panel.share, [[0.5, 0.5], [1.0, 1.0]])  # rows: the second axis
+    assert panel.others.tolist() == [["target_lost"] * 2, ["", ""]]
+    np.testing.assert_array_equal(panel.away_m, 0.25)
+
+
+def test_command_leaves_its_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    out = tmp_path / "map"
+    words = ["convergence", "ibvs_book", "pbvs_book", "--seeds", "1", "--jobs", "1", "--out", str(out), "--json"]
+    words += ["--set", "detector={kind: oracle, field_of_view: unlimited}", "--set", "law.gain=1"]
+    # A goal told in metres and depths seen double: a picture is reached all the same, a pose is not.
+    words += ["--vary", "calibration.depth_factor=1,2", "--vary", "camera.rate_hz=10,20"]
+    with pytest.raises(SystemExit) as ended:
+        main(words)
+    assert ended.value.code == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert [(row["scenario"], row["calibration.depth_factor"], row["outcome"]) for row in rows] == [
+        ("ibvs_book", "1", "converged"),
+        ("ibvs_book", "1", "converged"),
+        ("ibvs_book", "2", "converged"),
+        ("ibvs_book", "2", "converged"),
+        ("pbvs_book", "1", "converged"),
+        ("pbvs_book", "1", "converged"),
+        ("pbvs_book", "2", "local_minimum"),
+        ("pbvs_book", "2", "local_minimum"),
+    ]
+    names = {"convergence.csv", "convergence.parquet", "convergence.png", "convergence.pdf", "report.html"}
+    assert {p.name for p in out.iterdir()} == names
+    assert len(pl.read_parquet(out / "convergence.parquet")) == 8
+    page = (out / "report.html").read_text()
+    assert "Share of 1 seeds" in page and "pbvs_book: median distance" in page

@@ -1,0 +1,97 @@
+"""Views that move: along a path, and down onto a pad."""
+
+import numpy as np
+import pytest
+
+import vstestbed as vs
+from vstestbed.core.geometry import Pose, inverse
+from vstestbed.features.observation import Observation
+from vstestbed.loop.reference import DEEPEST, LandingCourse, Path, course_of
+from vstestbed.scenario.goal import GoalPath, GoalView
+
+WAY = (
+    GoalView(T_camera_target=Pose(xyz=(1, 0, 2))),
+    GoalView(T_camera_target=Pose(xyz=(-1, 0, 2))),
+    GoalView(T_camera_target=Pose(xyz=(-1, 1, 2), rpy_deg=(0, 0, 60))),
+)
+
+
+class TestPath:
+    path = Path(GoalPath(way=WAY, speed_mps=0.5, settle_s=3.0))
+
+    def places(self, t):
+        return np.array([inverse(self.path.at(x)[0])[:3, 3] for x in t])
+
+    def test_it_waits_goes_and_stays(self):
+        first, last = inverse(WAY[0].T_camera_target.T), inverse(WAY[2].T_camera_target.T)
+        np.testing.assert_allclose(self.places([0.0, 3.0]), [first[:3, 3]] * 2)
+        np.testing.assert_allclose(self.places([self.path.end_s, 99.0]), [last[:3, 3]] * 2, atol=1e-12)
+        # The first leg: 2 m at .5 m/s at most, 15/8 of the mean.
+        assert self.path.at(3.0 + 7.49)[1] == 1 and self.path.at(3.0 + 7.51)[1] == 2
+
+    def test_it_never_exceeds_its_speed_and_stays_on_the_line(self):
+        t = np.arange(3.0, 10.5, 0.01)
+        x = self.places(t)
+        assert np.linalg.norm(np.diff(x, axis=0), axis=1).max() / 0.01 == pytest.approx(0.5, rel=1e-3)
+        assert max(self.path.off(inverse(self.path.at(s)[0]), s) for s in t) < 1e-12
+
+    def test_off_is_the_distance_from_the_path(self):
+        T = inverse(self.path.at(6.75)[0])  # halfway along the first leg
+        T[:3, 3] += [0.5, 0.2, 0.1]
+        assert self.path.off(T, 6.75) == pytest.approx(np.hypot(0.2, 0.1))  # a second ahead
+        T[:3, 3] = inverse(WAY[0].T_camera_target.T)[:3, 3] - [0.3, 0, 0]  # before the beginning
+        assert self.path.off(T, 3.0) == pytest.approx(0.3)
+
+    def test_who_waits_on_the_path_is_off_it(self):
+        first, last = (inverse(WAY[i].T_camera_target.T) for i in (0, 2))
+        assert self.path.off(first, 0.0) == self.path.off(first, 5.0) == 0
+        assert self.path.off(first, 10.0) == pytest.approx(np.linalg.norm(self.places([8.0])[0] - first[:3, 3]))
+        assert self.path.off(last, self.path.end_s + 30) == pytest.approx(0, abs=1e-12)
+        assert self.path.off(first, self.path.end_s + 30) == pytest.approx(np.linalg.norm(last[:3, 3] - first[:3, 3]))
+
+    def test_its_twist_is_its_poses_derivative(self):
+        path = Path(GoalPath(way=WAY, speed_mps=0.5, settle_s=3.0, lead_s=0.0))
+        for t in (5.0, 9.0, 12.0, 13.5):
+            h = 1e-4
+            before, now, after = (inverse(path.at(t + d)[0]) for d in (-h, 0, h))
+            v = now[:3, :3].T @ (after[:3, 3] - before[:3, 3]) / (2 * h)
+            turn = now[:3, :3].T @ (after[:3, :3] - before[:3, :3]) / (2 * h)
+            w = np.array([turn[2, 1], turn[0, 2], turn[1, 0]])
+            np.testing.assert_allclose(path.twist(t), [*v, *w], atol=1e-5)
+
+
+class TestViews:
+    def test_a_view_is_passed_only_with_all_that_counts_in_sight(self):
+        """An error over one marker of three says little: what the end asks for, all seen, a via point asks for too."""
+        course = course_of(vs.load("omni_via_points"))
+        assert not course.passed(0.1, all_seen=False) and course.view == 0
+        assert not course.passed(3.1, all_seen=True) and course.view == 0
+        assert course.passed(2.9, all_seen=True) and course.view == 1
+
+
+class TestLanding:
+    def seen(self, t: float, xyz: tuple[float, float, float], turn_deg: float = 0.0) -> Observation:
+        nothing = np.zeros((4, 2))
+        pose = Pose(xyz=xyz, rpy_deg=(0, 0, 45 + turn_deg)).T
+        return Observation(t, nothing, nothing, np.ones(4), T_camera_target=pose)
+
+    def course(self) -> LandingCourse:
+        course = course_of(vs.load("quadrotor_land"))
+        assert isinstance(course, LandingCourse)
+        return course
+
+    @pytest.mark.parametrize(("xyz", "turn"), [((0.3, 0, 1.5), 0), ((0, 0, 2.2), 0), ((0, 0, 1.5), 30)])
+    def test_it_waits_while_the_craft_is_not_over_its_pad(self, xyz, turn):
+        course = self.course()
+        for k in range(50):
+            course.goal(self.seen(0.04 * k, xyz, turn))
+        assert course.share == 1.0
+
+    def test_it_comes_down_at_its_speed_and_goes_on_when_near(self):
+        course, height = self.course(), 1.5
+        for k in range(26):
+            goal = course.goal(self.seen(0.04 * k, (0, 0, height * course.share)))
+        np.testing.assert_allclose(goal.T_camera_target[:3, 3], [0, 0, 1.25], atol=1e-9)  # .25 m/s for a second
+        for k in range(26, 300):
+            course.goal(self.seen(0.04 * k, (0.3, 0, 0.2)))  # off its pad, but too near to wait
+        assert course.share == DEEPEST

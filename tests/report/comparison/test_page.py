@@ -1,0 +1,220 @@
+"""The comparison's page and figures, from folders of runs that never happened."""
+
+from __future__ import annotations
+
+import re
+import zlib
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from tests.report.comparison.comparisons import build
+from tests.report.html import Reader, checked
+from vstestbed.core.errors import OutputError
+from vstestbed.report import write_comparison_report
+from vstestbed.report.comparison import failures as comparison_failures
+from vstestbed.report.comparison import page as comparison_page
+from vstestbed.report.comparison.columns import DEFAULT_METRICS
+from vstestbed.report.comparison.statistics import success_rate
+from vstestbed.report.run.numbers import number
+
+FAILING = {("slow", 0): "timed_out", ("slow", 5): "timed_out", ("fast", 3): "target_lost", ("fast", 7): "crashed"}
+FIGURES = ["Error over time", "Success over time", "Error of single runs", "All runs in numbers", "Paired differences"]
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, pl.DataFrame]:
+    """A comparison of two controllers, 12 seeds each, of which four runs fail and one was done twice, and its report."""
+    folder = tmp_path_factory.mktemp("comparison")
+    frame = build(folder, {"slow": 0.8, "fast": 1.6}, 12, FAILING)
+    again = (pl.col("scenario") == "slow") & (pl.col("seed") == 4)
+    frame = frame.with_columns(pl.when(again).then(2).otherwise("attempts").alias("attempts"))
+    (folder / "runs/slow/base/0/end.png").write_bytes(b"\x89PNG picture")
+    (folder / "comparison.mp4").write_bytes(b"a film")
+    path = write_comparison_report(
+        folder, frame, (), description="Two <gains>.", command="vstestbed compare slow fast --seeds 12", film=folder / "comparison.mp4"
+    )
+    assert path == folder / "report.html"
+    return folder, frame
+
+
+@pytest.fixture(scope="module")
+def page(built: tuple[Path, pl.DataFrame]) -> str:
+    return (built[0] / "report.html").read_text(encoding="utf-8")
+
+
+def test_the_page_stands_alone_and_has_it_all(page: str) -> None:
+    reader = checked(page)
+    assert reader.figures == FIGURES
+    for words in (
+        "Two <gains>.",
+        "fast is better than slow",
+        "2 controllers, 12 seeds, 24 runs",
+        "4 runs of 24 did not reach the goal",
+        "The same seed, side by side",
+        "vstestbed compare slow fast --seeds 12",
+        "0 to 11",
+        "mujoco 3.17.0",
+    ):
+        assert words in reader.text
+    assert "data:video/mp4;base64," in page and "prefers-color-scheme: dark" in page
+    assert "#010203" not in page and "#a1b2c3" not in page
+
+
+def test_the_table_agrees_with_numpy(built: tuple[Path, pl.DataFrame], page: str) -> None:
+    text = checked(page).text
+    frame = built[1]
+    for name in ("slow", "fast"):
+        rows = frame.filter(pl.col("scenario") == name)
+        rate = success_rate(10, 12)
+        assert f"{name} 83 % [{100 * rate.low:.0f}, {100 * rate.high:.0f}] 10 of 12" in text
+        for column, every_run, scale in (
+            ("time_to_converge_s", False, 1),
+            ("final_position_error_m", True, 1e3),
+            ("peak_speed_mps", False, 1),
+        ):
+            used = (rows if every_run else rows.filter("success"))[column].drop_nulls().to_numpy() * scale
+            q1, median, q3 = (number(float(q)) for q in np.quantile(used, [0.25, 0.5, 0.75]))
+            assert f"{median} [{q1}, {q3}]{f' n = {len(used)}' if len(used) < 12 else ''}" in text
+    assert "12.5 [12.5, 12.5]" in text  # saturated, in percent
+
+
+def test_paired_differences_agree_with_numpy(built: tuple[Path, pl.DataFrame], page: str) -> None:
+    wide = built[1].pivot("scenario", index="seed", values=["success", "time_to_converge_s"])
+    both = wide.filter(pl.col("success_slow") & pl.col("success_fast"))
+    mean = float((both["time_to_converge_s_fast"] - both["time_to_converge_s_slow"]).mean())  # pyright: ignore[reportArgumentType]
+    assert len(both) == 8
+    text = checked(page).text
+    assert f"● −{number(-mean)} [" in text
+    assert "Against fast Reached the goal" in text and f"● +{number(-mean)} [" in text  # and turned round
+    assert "0 p = 1 only this: 2 only other: 2 both: 8 neither: 0" in text
+
+
+def test_cells_carry_what_they_sort_by(page: str) -> None:
+    table = page[page.index("<table") : page.index("</table>")]
+    heads = len(re.findall(r'<th scope="col" aria-sort="none"><button type="button">', table))
+    assert heads == 2 + len(DEFAULT_METRICS)
+    rows = re.findall(r"<tr>(.*?)</tr>", table)[1:]
+    values = [re.findall(r'data-value="([^"]*)"', row) for row in rows]
+    assert [len(v) for v in values] == [heads, heads]
+    assert [v[0] for v in values] == ["slow", "fast"] and float(values[0][1]) == pytest.approx(10 / 12, abs=1e-8)
+
+
+def test_failures_are_listed_with_seeds_and_commands(built: tuple[Path, pl.DataFrame], page: str) -> None:
+    text = checked(page).text
+    assert "Timed out 2 runs:" in text and "slow: seeds 0, 5" in text
+    assert "Target lost 1 run: too few markers for 1 s" in text and "fast: seed 3" in text
+    assert "Crashed 1 run: ValueError: the law broke" in text and "Traceback: <ValueError>: the law broke" in text
+    for name, seed in FAILING:
+        assert f"vstestbed run {(built[0] / f'runs/{name}/base/{seed}/scenario.yaml').as_posix()}" in text
+    assert page.count("<code>vstestbed run") == 4
+    reasons = built[1].filter(pl.col("outcome") == "timed_out")["reason"].to_list()
+    assert all(f"slow, seed {seed}: {reason}" in text for seed, reason in zip((0, 5), reasons, strict=True))  # the numbers differ
+    assert "Its worker died once; done again: slow, seed 4 (converged)" in text
+
+
+def test_commands_are_quoted_for_a_shell() -> None:
+    failure = comparison_failures.Failure("a", 0, "timed_out", "", Path("my runs/a&b/0"))
+    assert failure.command == "vstestbed run 'my runs/a&b/0/scenario.yaml'"
+
+
+def test_figures_are_files_for_a_paper(built: tuple[Path, pl.DataFrame]) -> None:
+    place = built[0] / "figures"
+    names = [key for key, *_ in comparison_page.PLOTS]
+    assert sorted(p.name for p in place.iterdir()) == sorted(f"{n}.{end}" for n in names for end in ("pdf", "png"))
+    for name, _, _, columns, _ in comparison_page.PLOTS:
+        pdf, png = (place / f"{name}.pdf").read_bytes(), (place / f"{name}.png").read_bytes()
+        assert pdf.startswith(b"%PDF-") and pdf.rstrip().endswith(b"%%EOF")
+        assert b"/FontFile2" in pdf and b"/Type3" not in pdf  # letters are embedded whole
+        box = re.search(rb"/MediaBox \[\s*0 0 ([\d.]+) ([\d.]+)", pdf)
+        assert box is not None and float(box[1]) == pytest.approx(72 * comparison_page.COLUMN_IN[columns])
+        assert float(box[2]) < 72 * 9  # as high as a page at most
+        assert png.startswith(b"\x89PNG") and int.from_bytes(png[16:20], "big") == round(300 * comparison_page.COLUMN_IN[columns])
+        assert b"/XObject << >>" in pdf or not re.search(rb"/Subtype /Image", pdf)  # vectors, no picture of them
+
+
+@pytest.mark.study
+def test_the_gallery_is_limited(built: tuple[Path, pl.DataFrame], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert '<img src="data:image/png;base64,' in (built[0] / "report.html").read_text()
+    frame = build(tmp_path, {"a": 1.0}, 6, {("a", k): "timed_out" for k in range(5)} | {("a", 5): "target_lost"})
+    for k in range(6):
+        (tmp_path / f"runs/a/base/{k}/end.png").write_bytes(bytes(100))
+    monkeypatch.setattr(comparison_failures, "PICTURES", 3)
+    text = write_comparison_report(tmp_path, frame, ()).read_text()
+    assert text.count("<img") == 3 and "How they ended (3 of 6, every kind in turn)" in text
+    assert "a, seed 5: target lost" in checked(text).text  # the rare kind is not crowded out
+    monkeypatch.setattr(comparison_failures, "PICTURE_BYTES", 250)
+    assert write_comparison_report(tmp_path, frame, ()).read_text().count("<img") == 2
+
+
+@pytest.mark.study
+def test_a_large_film_is_linked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    frame = build(tmp_path, {"a": 1.0}, 1)
+    (tmp_path / "comparison.mp4").write_bytes(b"large")
+    monkeypatch.setattr(comparison_page, "FILM_BYTES", 4)
+    text = write_comparison_report(tmp_path, frame, (), film=tmp_path / "comparison.mp4").read_text()
+    assert Reader(text).references.count("comparison.mp4") == 2 and "data:video" not in text
+
+
+@pytest.mark.study
+def test_the_same_comparison_gives_the_same_bytes(built: tuple[Path, pl.DataFrame], tmp_path: Path) -> None:
+    folder, frame = built
+    before = {p.name: zlib.crc32(p.read_bytes()) for p in (folder / "figures").iterdir()}
+    page = write_comparison_report(folder, frame, ()).read_bytes()
+    after = {p.name: zlib.crc32(p.read_bytes()) for p in (folder / "figures").iterdir()}
+    assert before == after and write_comparison_report(folder, frame, ()).read_bytes() == page
+
+
+@pytest.mark.filterwarnings("error")
+def test_nothing_but_crashes_still_has_a_report(tmp_path: Path) -> None:
+    frame = build(tmp_path, {"a": 1.0, "b": 2.0}, 2, {(n, k): "crashed" for n in "ab" for k in range(2)})
+    reader = checked(write_comparison_report(tmp_path, frame, ()).read_text())
+    assert reader.figures == [name for name in FIGURES if name != "Paired differences"]  # there are no pairs to draw
+    assert "4 runs of 4 did not reach the goal" in reader.text and "no run with a log" in reader.text
+    assert "b and a reached the goal on no seed." in reader.text
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("controllers", [1, 5, 9, pytest.param(30, marks=pytest.mark.study)])
+@pytest.mark.study
+def test_any_number_of_controllers(tmp_path: Path, controllers: int) -> None:
+    frame = build(tmp_path, {f"a controller with a long name, number {k}": 1 + 0.2 * k for k in range(controllers)}, 2)
+    path = write_comparison_report(tmp_path, frame, (), metrics=("time_to_converge_s", "time_ms.physics"))
+    reader = checked(path.read_text())
+    assert reader.figures == (FIGURES if controllers > 1 else FIGURES[:-1])
+    assert ("Paired differences" in reader.text) == (controllers > 1)
+    assert "time_ms.physics" in reader.text
+
+
+def test_text_is_escaped(tmp_path: Path) -> None:
+    frame = build(tmp_path, {"a": 1.0}, 2, {("a", 0): "timed_out"}).with_columns(
+        pl.lit("<b>$x_1$</b>").alias("scenario"), pl.lit("<i>gone</i>").alias("reason")
+    )
+    text = checked(write_comparison_report(tmp_path, frame, (), command="a && <b>").read_text()).text
+    assert "<b>$x_1$</b>" in text and "<i>gone</i>" in text and "a && <b>" in text
+
+
+def test_a_folder_that_cannot_be_written_is_told(tmp_path: Path) -> None:
+    frame = build(tmp_path, {"a": 1.0}, 1)
+    (tmp_path / "figures").write_text("a file in the way")
+    with pytest.raises(OutputError, match="figures"):
+        write_comparison_report(tmp_path, frame, ())
+    assert not (tmp_path / "report.html").exists()
+
+
+@pytest.mark.study
+def test_a_thousand_runs_fit_in_a_page(tmp_path: Path) -> None:
+    kinds = ("timed_out", "target_lost", "converged", "crashed")
+    failing = {(n, k): kinds[k % 4] for n in ("one", "two") for k in range(0, 250, 3)}
+    frame = build(tmp_path, {"one": 0.8, "two": 1.0, "three": 1.2, "four": 1.6}, 250, failing)
+    (tmp_path / "comparison.mp4").write_bytes(bytes(comparison_page.FILM_BYTES))
+    for k in range(0, 250, 3):
+        (tmp_path / f"runs/one/base/{k}/end.png").write_bytes(bytes(150_000))
+    path = write_comparison_report(tmp_path, frame, (), film=tmp_path / "comparison.mp4")
+    assert path.stat().st_size < 20e6
+    text = path.read_text()
+    checked(text)
+    assert len(re.sub(r"base64,[\w+/=]*", "", text)) < 4e6  # what is not film or picture, so that it opens at once
+    assert len(re.findall("<(?:use|path)", text)) < 25_000

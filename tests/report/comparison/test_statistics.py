@@ -1,0 +1,157 @@
+"""Statistics of many runs: published intervals, known effects, and how often two equal controllers are told apart."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+from vstestbed.core.errors import ParameterError
+from vstestbed.report.comparison.statistics import paired_difference, paired_success, spread, success_rate
+
+SEEDS = 20
+
+
+@pytest.mark.parametrize(
+    ("successes", "n", "low", "high"),
+    [(81, 263, 0.2553, 0.3662), (15, 148, 0.0624, 0.1605), (0, 20, 0.0, 0.1611), (1, 29, 0.0061, 0.1718), (29, 29, 0.8830, 1.0)],
+)
+def test_wilson_intervals_are_those_of_newcombe_1998_table_1(successes: int, n: int, low: float, high: float) -> None:
+    rate = success_rate(successes, n)
+    assert (rate.rate, rate.successes, rate.n) == (successes / n, successes, n)
+    assert (rate.low, rate.high) == pytest.approx((low, high), abs=6e-5)  # four digits are printed
+
+
+def test_a_rate_of_nothing_says_nothing_and_a_wrong_count_is_refused() -> None:
+    rate = success_rate(0, 0)
+    assert math.isnan(rate.rate) and (rate.low, rate.high, rate.n) == (0.0, 1.0, 0)
+    assert success_rate(10, 20, confidence=0.5).high < success_rate(10, 20).high
+    for successes, n in ((-1, 5), (6, 5)):
+        with pytest.raises(ParameterError, match=r"successes must be in 0\.\.5"):
+            success_rate(successes, n)
+    with pytest.raises(ParameterError, match="confidence"):
+        success_rate(1, 2, confidence=95)
+
+
+def test_a_spread_leaves_out_what_is_unknown() -> None:
+    found = spread([4.0, None, 1.0, math.nan, 2.0, 3.0, math.inf, 5.0])
+    assert (found.q1, found.median, found.q3, found.n) == (2.0, 3.0, 4.0, 5)
+    assert spread([7.0]).q1 == spread([7.0]).q3 == 7.0
+    assert spread([None, math.nan]).n == 0 and math.isnan(spread([]).median)
+
+
+def test_a_known_effect_is_recovered() -> None:
+    """Two gains: time to converge goes with 1 / gain, so 10 s against 8 s; what a start costs is common to both."""
+    rng = np.random.default_rng(1)
+    start = rng.exponential(5.0, SEEDS)
+    slow, fast = (10.0 + start + rng.normal(0, 0.5, SEEDS) for _ in range(2))
+    found = paired_difference(slow, fast - 2.0)
+    assert found.real and found.low < 2.0 < found.high
+    assert found.high - found.low < 1.2  # 4 standard errors of 0.5 sqrt(2 / 20): the starts have fallen out
+    assert (found.n, found.mean) == (SEEDS, pytest.approx(np.mean(slow - fast) + 2.0))
+
+
+def equal_controllers(kind: str, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Results of one controller, flown twice over the same 20 starts with other noise."""
+    start = rng.uniform(0, 10, SEEDS)
+    draw = {
+        "normal": lambda: rng.normal(0, 1, SEEDS),
+        "exponential": lambda: rng.exponential(1, SEEDS),
+        "lognormal": lambda: rng.lognormal(0, 1, SEEDS),
+        "student_2": lambda: rng.standard_t(2, SEEDS),
+        "one_in_ten_wild": lambda: rng.normal(0, 1, SEEDS) * np.where(rng.random(SEEDS) < 0.1, 10, 1),
+    }[kind]
+    return start + draw(), start + draw()
+
+
+@pytest.mark.parametrize("kind", ["normal", "exponential", "lognormal", "student_2", "one_in_ten_wild"])
+def test_two_equal_controllers_come_out_as_no_difference(kind: str) -> None:
+    """At most 17 false alarms of a 5 % test in 200 comparisons: 10 are expected, 17 is the 99 % point of that."""
+    rng = np.random.default_rng(11)
+    assert sum(paired_difference(*equal_controllers(kind, rng), resamples=1999).real for _ in range(200)) <= 17
+
+
+def test_the_interval_holds_the_true_mean_of_skewed_differences() -> None:
+    """Exponential differences of mean 1: the truth lies in about 94 % of the intervals; 3 sigma of 400 is 3.6 %."""
+    rng = np.random.default_rng(5)
+    found = [paired_difference(rng.exponential(1, SEEDS), np.zeros(SEEDS), resamples=999) for _ in range(400)]
+    assert np.mean([f.low < 1.0 < f.high for f in found]) > 0.90
+
+
+def test_only_pairs_with_two_values_count() -> None:
+    a = [5.0, None, 7.0, math.nan, 9.0, 8.0, 7.5, 6.0]
+    b = [4.0, 1.0, None, math.nan, 7.0, 7.5, 6.0, math.inf]
+    found = paired_difference(a, b)
+    assert (found.n, found.mean) == (4, pytest.approx((1 + 2 + 0.5 + 1.5) / 4))
+    assert found == paired_difference([5.0, 9.0, 8.0, 7.5], [4.0, 7.0, 7.5, 6.0])
+
+
+def test_order_does_not_matter_and_the_sign_turns() -> None:
+    rng = np.random.default_rng(2)
+    a, b = rng.lognormal(0, 1, (2, SEEDS))
+    found, order = paired_difference(a, b), rng.permutation(SEEDS)
+    assert paired_difference(a[order], b[order]) == found == paired_difference(a, b)  # and again the same
+    turned = paired_difference(b, a)
+    assert (turned.mean, turned.low, turned.high) == pytest.approx((-found.mean, -found.high, -found.low), rel=1e-12)
+    other = paired_difference(a, b, seed=1)
+    assert other.low != found.low and other.low == pytest.approx(found.low, rel=0.05)  # 9999 resamples settle the ends
+    assert paired_difference(a, b, confidence=0.5).high < found.high < paired_difference(a, b, confidence=0.99).high
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.1, -3.0])
+def test_equal_differences_have_an_interval_of_one_point(shift: float) -> None:
+    b = np.random.default_rng(0).uniform(1, 100, SEEDS)
+    found = paired_difference(b + shift, b)  # 0.1 comes back with another rounding error from every pair
+    assert found.low == found.mean == found.high == pytest.approx(shift, abs=1e-12)
+    assert found.real == (shift != 0)
+
+
+def test_rounding_is_no_difference() -> None:
+    b = np.random.default_rng(0).uniform(1, 100, SEEDS)
+    assert not paired_difference(np.nextafter(b, np.inf), b).real
+
+
+def test_few_pairs() -> None:
+    nothing, one = paired_difference([], []), paired_difference([3.0], [1.0])
+    assert (nothing.n, nothing.real, one.n, one.mean, one.real) == (0, False, 1, 2.0, False)
+    assert math.isnan(nothing.mean) and math.isnan(one.low) and math.isnan(one.high)
+    two = paired_difference([1.0, 3.0], [0.0, 0.0])
+    assert two.high - two.mean == pytest.approx(12.706, abs=1e-3)  # Student's t with 1 degree of freedom, standard error 1
+    assert all(math.isfinite(paired_difference(np.arange(n), np.zeros(n)).high) for n in range(2, 9))
+
+
+def test_one_pair_of_many_that_differs_is_no_real_difference() -> None:
+    """36 % of the resamples miss that pair and have no spread: Student's t, not an infinite interval."""
+    found = paired_difference([1.0] + [0.0] * 19, np.zeros(20))
+    assert found.mean == 0.05 and not found.real
+    assert found.high == pytest.approx(0.05 + 2.093 * 0.05, abs=1e-4)
+
+
+def test_many_pairs_are_resampled_in_parts() -> None:
+    rng = np.random.default_rng(3)
+    found = paired_difference(rng.normal(0.2, 1, 3000), np.zeros(3000), resamples=999)
+    assert found.high - found.low == pytest.approx(2 * 1.96 / math.sqrt(3000), rel=0.1) and found.real
+
+
+def test_rows_must_be_of_one_length() -> None:
+    for compare in (paired_difference, paired_success):
+        with pytest.raises(ParameterError, match="same length"):
+            compare([1.0, 2.0], [1.0])
+
+
+def test_success_is_compared_on_the_seeds_where_two_controllers_disagree() -> None:
+    a = np.array([1] * 8 + [1] * 6 + [0] * 1 + [0] * 5, dtype=bool)
+    b = np.array([1] * 8 + [0] * 6 + [1] * 1 + [0] * 5, dtype=bool)
+    found = paired_success(a, b)
+    assert (found.only_a, found.only_b, found.both, found.neither) == (6, 1, 8, 5)
+    assert found.p == pytest.approx(2 * (1 + 7) / 2**7)  # 0 or 1 of 7, or 6 or 7
+    assert paired_success(b, a).p == found.p
+    assert paired_success(a, a).p == 1.0 and paired_success([], []).neither == 0
+
+
+def test_the_exact_test_of_success_never_alarms_too_often() -> None:
+    """Over all ways in which 8 seeds can disagree: P(p < 0.05) is at most 5 %."""
+    alarms = [paired_success(split, ~np.array(split)).p < 0.05 for split in itertools.product((False, True), repeat=8)]
+    assert 0 < np.mean(alarms) <= 0.05

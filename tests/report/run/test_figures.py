@@ -1,0 +1,43 @@
+"""Figures over time: noise does not fill their height."""
+
+from __future__ import annotations
+
+import numpy as np
+import polars as pl
+import pytest
+
+from vstestbed.core.geometry import Array
+from vstestbed.report import Setting
+from vstestbed.report.run import figures
+from vstestbed.report.run.tracks import Tracks
+
+T = 50
+TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
+
+
+def tracks(depth: Array, twist: Array) -> Tracks:
+    """One marker's depth (T,) [m], and all components of the commanded and the true twist (T,) [m/s or rad/s]."""
+    t = np.arange(T) / 10
+    columns = {"t": t, "t_cmd": t, "u_0": 0 * t, "v_0": 0 * t, "depth_0": depth}
+    return Tracks(pl.DataFrame(columns | {f"{kind}_{a}": twist for kind in ("cmd", "act") for a in TWIST}), Setting())
+
+
+@pytest.mark.parametrize("depth", [1.0, -3.0])
+def test_noise_does_not_fill_the_height(depth: float) -> None:
+    noise = np.random.default_rng(0).normal(0, 1e-5, T)
+    run = tracks(depth + noise, noise)
+    low, high = figures.depth(run).axes[0].get_ylim()
+    assert high - low == pytest.approx(0.02 * abs(depth), rel=1e-3)
+    assert low < depth < high
+    for axes in figures.twist(run).axes:
+        low, high = axes.get_ylim()
+        assert high - low == pytest.approx(2e-3) and low < 0 < high
+
+
+def test_real_changes_have_the_axis_that_fits_them() -> None:
+    s = np.linspace(0, 1, T)
+    run = tracks(1 + s, 0.1 * s)
+    low, high = figures.depth(run).axes[0].get_ylim()
+    assert 0.9 < low < 1 and 2 < high < 2.1
+    low, high = figures.twist(run).axes[0].get_ylim()
+    assert -0.01 < low < 0 and 0.1 < high < 0.11

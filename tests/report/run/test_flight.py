@@ -1,0 +1,80 @@
+"""Figures over time of a flight: what they draw of a short real one."""
+
+from __future__ import annotations
+
+import numpy as np
+import polars as pl
+import pytest
+
+import vstestbed as vs
+from vstestbed.loop.recording import Recording
+from vstestbed.report import Setting
+from vstestbed.report.run import figures, flight
+from vstestbed.report.run.tracks import Tracks
+
+
+@pytest.fixture(scope="module")
+def step() -> Recording:
+    """A second and a half of a large step: the craft leans and turns."""
+    return vs.run(vs.load("quadrotor_aggressive", {"detector": "oracle", "stop.duration_s": 1.5, "world.wind.mean_mps": [2, 0, 0]}))
+
+
+@pytest.fixture(scope="module")
+def tracks(step: Recording) -> Tracks:
+    return Tracks(pl.DataFrame({name: step[name] for name in step.columns}), Setting(camera=step.scenario.camera))
+
+
+def lines(axes) -> list[np.ndarray]:
+    """Plotted curves, without the rule at zero."""
+    return [np.asarray(line.get_ydata()) for line in axes.get_lines() if len(line.get_ydata()) > 2]
+
+
+def test_velocity_follows_what_is_ordered(tracks: Tracks):
+    figure = flight.velocity(tracks)
+    assert figure is not None and len(figure.axes) == 3
+    flown, ordered = max((lines(axes) for axes in figure.axes[:2]), key=lambda pair: np.abs(pair[1]).max())
+    assert np.abs(ordered).max() > 1.0 and abs(flown[0]) < 0.1  # a step from rest
+    assert abs(flown[12]) < 0.7 * abs(ordered[12])  # .5 s later it is on its way
+    assert flown[-1] == pytest.approx(ordered[-1], rel=0.25)
+
+
+def test_attitude_follows_what_the_velocity_loop_asks(tracks: Tracks, step: Recording):
+    figure = flight.tilt(tracks)
+    assert figure is not None
+    true, told, asked = lines(figure.axes[0])[:3]  # roll
+    assert np.abs(true - told).max() < 1.5  # degrees; the estimate under noise and bias
+    assert np.abs(asked).max() > 10
+    delayed = [np.abs(true[k:] - asked[: len(asked) - k]).mean() for k in range(12)]
+    assert 2 <= int(np.argmin(delayed)) <= 9  # .2 s of attitude loop and rotors at 25 Hz, never ahead of its order
+    assert np.degrees(step["ask_roll"]) == pytest.approx(asked)
+
+
+def test_rates_follow_what_the_attitude_loop_asks(tracks: Tracks):
+    figure = flight.rates(tracks)
+    assert figure is not None and [a.get_ylabel() for a in figure.axes] == ["roll [deg/s]", "pitch [deg/s]", "yaw [deg/s]"]
+    flown, asked = lines(figure.axes[0])
+    delayed = [np.abs(flown[k:] - asked[: len(asked) - k]).mean() for k in range(12)]
+    assert 1 <= int(np.argmin(delayed)) <= 5  # .11 s
+    assert np.abs(asked).max() > 20
+
+
+def test_rotors_with_their_limit_and_the_wind(tracks: Tracks):
+    figure = flight.rotors(tracks)
+    assert figure is not None
+    speeds, wind = figure.axes
+    assert len(lines(speeds)) == 4
+    assert max(line.get_ydata()[0] for line in speeds.get_lines()) == 1000
+    assert lines(wind)[0] == pytest.approx(2.0)
+
+
+def test_the_error_that_counts_is_that_of_the_level_picture(tracks: Tracks, step: Recording):
+    figure = figures.error(tracks)
+    seen, level = (line.get_ydata() for line in figure.axes[0].get_lines()[:2])
+    assert level == pytest.approx(step["level_error_px"])
+    assert np.abs(seen - level).max() > 5  # it leans by 20 degrees
+    assert "turned level, which counts" in figure.axes[0].get_legend_handles_labels()[1]
+
+
+def test_what_does_not_fly_has_none(tracks: Tracks):
+    bare = Tracks(pl.DataFrame({"t": np.arange(3.0)}), tracks.setting)
+    assert [make(bare) for make in (flight.velocity, flight.tilt, flight.rates, flight.rotors)] == [None] * 4

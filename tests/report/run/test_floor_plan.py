@@ -1,0 +1,104 @@
+"""The way on the floor: equal scale, all of it shown, told in words."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import polars as pl
+import pytest
+from matplotlib.patches import Polygon
+
+from vstestbed.camera import Perspective
+from vstestbed.core.geometry import Array, quaternion_wxyz
+from vstestbed.core.planar import pose_on_ground
+from vstestbed.report import Setting
+from vstestbed.report.html.canvas import style, to_svg
+from vstestbed.report.run import floor_plan as plane
+from vstestbed.report.run import path3d
+from vstestbed.report.run.expected_way import Ride
+from vstestbed.report.run.tracks import Tracks
+
+ARC = np.linspace(0, np.pi / 2, 60)
+PLACES = np.stack([3 * np.sin(ARC), 3 - 3 * np.cos(ARC), ARC], axis=1)
+"""A quarter turn to the left on a circle of 3 m, from the origin along x."""
+MOUNT = np.array([[0, 0, 1.0, 0.2], [-1, 0, 0, 0], [0, -1, 0, 0.5], [0, 0, 0, 1]])
+POINTS = np.array([[5, 4, 2], [-1, 4.5, 1.5]])
+RIDE = Ride(goals=np.array([[3, 3, np.pi / 2]]), route=np.empty((0, 2)), lens=Perspective())
+
+
+def tracks(ride: Ride | None, places: Array = PLACES, moving: bool = False) -> Tracks:
+    """A vehicle at these places, whose odometry drifts by 1 cm along x, landmarks standing or carried along."""
+    n = len(places)
+    T = pose_on_ground(places) @ MOUNT
+    columns = {"t": np.arange(n) / 25}
+    shift = np.linspace(0, 0.01, n)
+    for stem, more in (("base", 0.0), ("est", 0.0), ("odo", shift)):
+        columns |= {f"{stem}_x": places[:, 0] + more, f"{stem}_y": places[:, 1], f"{stem}_heading": places[:, 2]}
+    columns |= dict(zip(("cam_x", "cam_y", "cam_z"), T[:, :3, 3].T, strict=True))
+    columns |= dict(zip(("cam_qw", "cam_qx", "cam_qy", "cam_qz"), quaternion_wxyz(T[:, :3, :3]).T, strict=True))
+    target = np.c_[places[:, :2] + 1, np.zeros(n)] if moving else np.zeros((n, 3))
+    columns |= dict(zip(("tgt_x", "tgt_y", "tgt_z"), target.T, strict=True)) | {"tgt_qw": np.ones(n)}
+    columns |= {f"tgt_q{a}": np.zeros(n) for a in "xyz"}
+    return Tracks(pl.DataFrame(columns), Setting(points=POINTS, ride=ride))
+
+
+def test_a_metre_is_as_long_both_ways_and_everything_is_inside():
+    with style():
+        figure = plane.plane(tracks(RIDE))
+        assert figure is not None
+        figure.draw_without_rendering()
+        (axes,) = figure.axes
+        origin, right, up = axes.transData.transform([[0, 0], [1, 0], [0, 1]])
+        assert right[0] - origin[0] == pytest.approx(up[1] - origin[1])
+        points = np.concatenate([PLACES[:, :2], POINTS[:, :2]])
+        assert (points > [axes.get_xlim()[0], axes.get_ylim()[0]]).all() and (points < [axes.get_xlim()[1], axes.get_ylim()[1]]).all()
+        words = [text.get_text() for text in figure.legends[0].get_texts()]
+        assert {"start", "end", "goal", "landmarks", "true way", "as estimated", "by odometry alone"} == set(words)
+
+
+def test_headings_point_where_the_vehicle_did():
+    with style():
+        figure = plane.plane(tracks(RIDE))
+    assert figure is not None
+    darts = [p.get_xy() for p in figure.axes[0].patches if isinstance(p, Polygon)]
+    assert len(darts) > 8
+    for xy in darts:
+        tip, notch = xy[0], xy[2]
+        foot = notch + (tip - notch) * 0.35 / 1.35  # the place itself
+        heading = np.arctan2(*(tip - notch)[::-1])
+        at = int(np.argmin(np.linalg.norm(PLACES[:, :2] - foot, axis=1)))
+        assert heading == pytest.approx(PLACES[at, 2], abs=0.03)  # places are .027 rad apart
+
+
+def test_the_difference_from_the_ideal_is_told_in_words():
+    ideal = np.stack([3.05 * np.sin(ARC), 3 - 3.05 * np.cos(ARC)], axis=1)  # 5 cm outside all along
+    with style():
+        figure = plane.plane(tracks(replace(RIDE, ideal=ideal)))
+    assert figure is not None
+    words = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert "ideal bicycle: at most 5.0 cm off" in words
+
+
+def test_a_route_and_a_target_that_moves_are_drawn():
+    with style():
+        figure = plane.plane(tracks(replace(RIDE, goals=np.empty((0, 3)), route=PLACES[:, :2] + 1), moving=True))
+    assert figure is not None
+    words = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert {"route", "target"} <= set(words) and "goal" not in words
+
+
+def test_a_vehicle_that_stands_and_one_that_is_lost_are_drawn_too():
+    with style():
+        still = plane.plane(tracks(RIDE, np.tile(PLACES[:1], (5, 1))))
+        assert still is not None and to_svg(still, "plane", "Way").startswith("<svg")
+        gone = PLACES.copy()
+        gone[20:30] = np.nan
+        broken = plane.plane(tracks(RIDE, gone))
+        assert broken is not None and to_svg(broken, "plane", "Way").startswith("<svg")
+
+
+def test_vehicles_have_the_plane_and_others_the_space():
+    with style():
+        assert plane.plane(tracks(None)) is None and path3d.camera_path(tracks(None)) is not None
+        assert path3d.camera_path(tracks(RIDE)) is None

@@ -1,0 +1,92 @@
+"""Figures over time of vehicles: what they draw of made-up logs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import polars as pl
+import pytest
+
+from vstestbed.camera import Perspective
+from vstestbed.core.geometry import Array
+from vstestbed.report import Setting
+from vstestbed.report.run import figures, vehicle
+from vstestbed.report.run.expected_way import Ride
+from vstestbed.report.run.tracks import Tracks
+
+T = np.arange(101) / 10
+RIDE = Ride(goals=np.empty((0, 3)), route=np.empty((0, 2)), lens=Perspective())
+
+
+def tracks(ride: Ride | None = RIDE, **columns: Array) -> Tracks:
+    return Tracks(pl.DataFrame({"t": T} | columns), Setting(ride=ride))
+
+
+def test_wheels_are_shown_by_speed_and_steering_by_angle():
+    run = tracks(
+        qd_left=3 + 0 * T, q_left=3 * T, ctrl_drive=3.1 + 0 * T, q_steering=0.1 * T, qd_steering=0.1 + 0 * T, ctrl_steering=0.11 * T
+    )
+    figure = vehicle.wheels(run)
+    assert figure is not None
+    speeds, angles = figure.axes
+    assert [line.get_ydata()[-1] for line in speeds.get_lines()] == pytest.approx([3, 3.1])
+    assert [line.get_ydata()[-1] for line in angles.get_lines()] == pytest.approx([1.0, 1.1])
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["left", "drive", "steering"]
+    assert figures.joints(run) is None  # no angles that grow without bound
+    assert vehicle.wheels(tracks(ride=None, qd_left=T)) is None
+
+
+def test_the_base_without_wheel_joints_shows_what_they_were_told():
+    figure = vehicle.wheels(tracks(qd_root_x=T, ctrl_front_left=2 + 0 * T))
+    assert figure is not None
+    (axes,) = figure.axes
+    assert [line.get_ydata()[-1] for line in axes.get_lines()] == [2]
+
+
+def test_errors_of_the_place_are_told_from_the_truth():
+    true = {"base_x": T, "base_y": 0 * T, "base_heading": 3.1 + 0 * T}
+    # 3 cm ahead and 4 cm to the left; the heading beyond a half turn, 6.2 degrees on.
+    figure = vehicle.place_error(tracks(**true, est_x=T + 0.03, est_y=0.04 + 0 * T, est_heading=3.1 - 2 * np.pi + np.radians(6.2) + 0 * T))
+    assert figure is not None
+    upper, lower = figure.axes
+    assert upper.get_lines()[0].get_ydata() == pytest.approx(0.05 + 0 * T)
+    assert lower.get_lines()[0].get_ydata() == pytest.approx(6.2 + 0 * T)
+    assert vehicle.place_error(tracks(**true)) is None
+
+
+def test_the_task_has_its_band_and_its_worst_once_settled():
+    off = np.where(T < 4, 1.0, 0.02 * np.sin(5 * T))
+    figure = vehicle.off_task(tracks(replace(RIDE, band_m=0.05, settle_s=4.0), off_m=off))
+    assert figure is not None
+    axes = figure.axes[0]
+    assert axes.get_title(loc="left") == "at most 0.020 m off once settled"
+    assert axes.get_legend_handles_labels()[1] == ["band, 0.05 m to each side"]
+    assert vehicle.off_task(tracks()) is None
+
+
+def test_slip_is_in_millimetres_and_noise_does_not_fill_the_height():
+    figure = vehicle.slip(tracks(slip_mps=2e-5 + 0 * T))
+    assert figure is not None
+    assert figure.axes[0].get_lines()[0].get_ydata() == pytest.approx(0.02 + 0 * T)
+    assert figure.axes[0].get_ylim()[1] > 0.5
+    assert len(figure.axes) == 1  # a log of before the turn was told
+
+
+def test_slip_in_yaw_stands_below():
+    figure = vehicle.slip(tracks(slip_mps=0 * T, slip_radps=np.radians(3) + 0 * T))
+    assert figure is not None
+    assert figure.axes[1].get_lines()[0].get_ydata() == pytest.approx(3 + 0 * T)
+    assert figure.axes[1].get_ylabel() == "in yaw [deg/s]"
+
+
+def test_changes_of_the_goal_view_are_marked():
+    figure = figures.error(tracks(error_px=10 + T, view=np.where(T < 3, 0.0, np.where(T < 7, 1.0, 2.0))))
+    words = [text.get_text().strip() for text in figure.axes[0].texts]
+    assert words == ["view 2", "view 3"]
+
+
+def test_a_task_without_an_end_has_no_distance_from_a_goal():
+    away = {"position_error_m": 1 + T, "rotation_error_rad": 0.1 + T}
+    assert figures.pose_error(tracks(**away)) is not None
+    assert figures.pose_error(tracks(replace(RIDE, band_m=0.1), **away)) is None

@@ -1,0 +1,44 @@
+"""Paces: who shall keep going is watched over two seconds, from the time to settle on."""
+
+import pytest
+
+from vstestbed.scenario.progress_check import Pace, PaceMaker
+
+CRUISE = Pace("the vehicle", told_mps=0.8, least_mps=0.64)
+
+
+def watched(speed, until_s=10.0, from_s=4.0, dt=0.04):
+    """The pacemaker after a run whose speed is a function of time."""
+    maker, way, n = PaceMaker((CRUISE,), from_s), 0.0, round(until_s / dt)
+    for k in range(n + 1):
+        maker.watch(k * dt, (way,), at_the_end=k == n)
+        way += speed(k * dt) * dt
+    return maker.slow
+
+
+def test_a_steady_drive_is_fine_and_so_is_a_start_from_standstill():
+    assert watched(lambda t: 0.8) is None
+    assert watched(lambda t: min(0.8, 1.5 * t), from_s=0.0) is None  # the car's acceleration
+
+
+@pytest.mark.parametrize(
+    ("speed", "when", "made"),
+    [
+        (lambda t: 0.3, 4.0, "made 0.30 m/s"),  # creeps
+        (lambda t: -0.8, 4.0, "made -0.80 m/s"),  # the wrong way
+        (lambda t: 0.8 if t < 7 else 0.0, 7.44, "made 0.62 m/s"),  # stands: under .64 over 2 s after .4 s
+    ],
+)
+def test_who_is_slow_is_told_when_and_how_much(speed, when, made):
+    t, reason = watched(speed)
+    assert t == pytest.approx(when, abs=0.05)
+    assert made in reason and "0.8 m/s were ordered" in reason
+
+
+def test_what_happens_before_the_time_to_settle_does_not_count():
+    assert watched(lambda t: 0.8 if t > 2 else -0.5) is None
+
+
+def test_a_run_shorter_than_the_window_is_judged_as_a_whole():
+    assert watched(lambda t: 0.8, until_s=1.0, from_s=0.0) is None
+    assert watched(lambda t: 0.1, until_s=1.0, from_s=0.0) is not None

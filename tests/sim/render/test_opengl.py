@@ -1,0 +1,153 @@
+"""Pictures: pixels where the camera model says, exact colours, the same bytes each time."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import mujoco
+import numpy as np
+import pytest
+
+import vstestbed as vs
+from vstestbed.camera import Perspective
+from vstestbed.core.geometry import FLIP, Array, Pose, inverse, transform
+from vstestbed.robots import Free
+from vstestbed.robots.free import FreeStart
+from vstestbed.sim.render.opengl import Eye
+from vstestbed.sim.render.pixel_check import BALLS, pixel_convention
+from vstestbed.sim.scene.compose import Parts, compose
+from vstestbed.sim.scene.stage import Stage
+from vstestbed.sim.scene.world import World
+from vstestbed.targets.base import Disc, Square, Target
+
+BARREL = (-0.2, 0.05, 0.002, -0.001, 0.0)
+NONE = np.zeros(0)
+
+
+def free_parts(camera: Perspective, target: Target) -> Parts:
+    return Parts(Free(start=FreeStart(nominal=Pose())), camera, target, World(floor_z=-20.0), step=0.002)
+
+
+@pytest.mark.parametrize(
+    "camera",
+    [
+        Perspective(multisampling=4),
+        Perspective(multisampling=4, principal_px=(300.25, 255.5)),
+        Perspective(multisampling=4, focal_length_m=0.004, pixel_size_m=1e-5, width=601, height=499),
+        Perspective(multisampling=4, principal_px=(330.0, 230.0), distortion=BARREL),
+    ],
+    ids=["fovy", "principal", "focal", "distorted"],
+)
+def test_rendered_balls_lie_where_the_camera_projects_them(camera: Perspective):
+    errors = pixel_convention("gl", camera).errors
+    assert errors.shape == (12, 2)
+    # The project's promise with multisampling; half a pixel of convention or a flipped offset would be 5 times that.
+    assert np.abs(errors).max() < 0.1
+    # And no constant part: twelve balls' noise of .03 px each, averaged.
+    assert np.abs(errors.mean(axis=0)).max() < 0.03
+
+
+def test_the_distorted_case_is_really_distorted():
+    plain, lens = Perspective(principal_px=(330.0, 230.0)), Perspective(principal_px=(330.0, 230.0), distortion=BARREL)
+    balls = np.array(BALLS) + [0, 0, 1.2]
+    # By the model, the balls of the check above move by up to this much: 50 times its tolerance.
+    assert np.abs(lens.project(balls) - plain.project(balls)).max() > 5
+    corner = np.array([[0.0, 0.0]])
+    # k1 r^2 = -.13 at the corner's r = .8 (384 px focal length): tens of pixels.
+    assert np.linalg.norm(lens.normalise(corner) - plain.normalise(corner)) * plain.f > 30
+
+
+def test_mujocos_own_projection_agrees():
+    s = vs.load("arm_ibvs")
+    spec = compose(Parts(s.robot, s.camera, s.target, s.world, step=0.002))
+    for i in range(4):
+        sensor = spec.add_sensor(name=f"pixel_{i}", type=mujoco.mjtSensor.mjSENS_CAMPROJECTION)
+        sensor.objtype, sensor.objname = mujoco.mjtObj.mjOBJ_SITE, f"target/marker_{i}"
+        sensor.reftype, sensor.refname = mujoco.mjtObj.mjOBJ_CAMERA, "eye"
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    data.qpos[:] = s.robot.configuration()
+    mujoco.mj_forward(model, data)
+    T_world_camera = np.eye(4)
+    T_world_camera[:3, :3], T_world_camera[:3, 3] = data.camera("eye").xmat.reshape(3, 3) @ FLIP[:3, :3], data.camera("eye").xpos
+    uv = s.camera.project(transform(inverse(T_world_camera) @ s.target.pose.T, s.target.points))
+    theirs = np.array([data.sensor(f"pixel_{i}").data for i in range(4)])
+    # Their pixel centres are at halves. Intrinsics are kept in single precision: 1e-7 of 640 px.
+    np.testing.assert_allclose(theirs - 0.5, uv, atol=1e-3)
+
+
+@pytest.fixture(scope="module")
+def square():
+    """A stage with a square of unlit discs 1 m in front of the camera, and its eye."""
+    camera, target = Perspective(), Square(side=0.5, pose=Pose(xyz=(0, 0, 1)), marker=Disc(radius=0.03, lit=False))
+    stage = Stage(free_parts(camera, target))
+    yield stage, Eye(stage, camera)
+    stage.close()
+
+
+def view(stage: Stage, T_world_camera: Array) -> None:
+    stage.place(0.0, stage.parts.target.pose.T, NONE, T_world_camera)
+
+
+def test_unlit_markers_have_exactly_their_colour(square):
+    stage, eye = square
+    target, camera = stage.parts.target, stage.parts.camera
+    # At a slant as well: no shading.
+    for T in (np.eye(4), Pose(xyz=(0.3, -0.1, -0.2), rpy_deg=(4, -15, 20)).T):
+        view(stage, T)
+        image = eye.picture()
+        u, v = np.round(camera.project(transform(inverse(T) @ target.pose.T, target.points))).astype(int).T
+        # 0 and 255 exactly; half a grey level of rounding and half of stray light for 127.5.
+        colours = image[v, u].astype(int)
+        wanted = 255 * target.colors
+        assert np.abs(colours - wanted).max() <= 1
+        pure = np.isin(wanted, [0, 255])
+        np.testing.assert_array_equal(colours[pure], wanted[pure])
+
+
+def test_a_view_seen_again_has_the_same_bytes(square):
+    stage, eye = square
+    here, there = np.eye(4), Pose(xyz=(0.1, 0, 0)).T
+    view(stage, here)
+    first = eye.picture()
+    view(stage, there)
+    assert not np.array_equal(eye.picture(), first)
+    view(stage, here)
+    np.testing.assert_array_equal(eye.picture(), first)
+
+
+def test_noise_comes_from_the_generator(square):
+    stage, _ = square
+    view(stage, np.eye(4))
+    plain = Eye(stage, stage.parts.camera).picture()
+    noisy = [Eye(stage, stage.parts.camera, 3.0, np.random.default_rng(seed)).picture() for seed in (5, 5, 6)]
+    np.testing.assert_array_equal(noisy[0], noisy[1])
+    assert not np.array_equal(noisy[0], noisy[2])
+    middle = (plain > 20) & (plain < 235)  # where nothing is clipped
+    spread = (noisy[0].astype(float) - plain)[middle].std()
+    # 3 grey levels and 1/12 of rounding; 1e5 and more samples pin it down to half a per cent.
+    assert spread == pytest.approx(np.sqrt(9 + 1 / 12), rel=0.01)
+
+
+# With noise each picture is drawn whole.
+HASHES = """
+import hashlib, vstestbed as vs
+class Picture:
+    def tick(self, tick): print(hashlib.sha256(tick.image.tobytes()).hexdigest())
+r = vs.run(vs.load("arm_ibvs", {"stop.duration_s": 0.16, "law.gain": 2, "noise.image_sigma": 1.0}), [Picture()])
+print(hashlib.sha256(r.table.tobytes()).hexdigest())
+"""
+
+
+def test_any_number_of_raster_threads_draws_the_same_bytes():
+    # Mesa reads the number before its first context: a process for each.
+    started = [
+        subprocess.Popen([sys.executable, "-c", HASHES], env=os.environ | {"LP_NUM_THREADS": n}, stdout=subprocess.PIPE, text=True)
+        for n in ("0", "1", "2")
+    ]
+    outputs = [p.communicate(timeout=60)[0] for p in started]
+    assert all(p.returncode == 0 for p in started)
+    assert len(set(outputs[0].split())) == 6  # five different pictures and the log
+    assert outputs[0] == outputs[1] == outputs[2]

@@ -1,0 +1,90 @@
+"""Parts of pictures: what is drawn of one is what the whole picture has there."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import vstestbed as vs
+from vstestbed.camera import Perspective
+from vstestbed.scenario.scenario import Scenario
+from vstestbed.sim.render.opengl import Eye, View
+from vstestbed.sim.render.window import REACH, part_round
+from vstestbed.sim.scene.compose import Parts
+from vstestbed.sim.scene.stage import Stage
+
+WINDOWS = ((300, 100, 420, 180), (250, 150, 270, 170))
+PART = (218, 68, 452, 212)
+"""The rectangle round both, and REACH of the width, 32 px, about it."""
+
+
+def stage_of(scenario: Scenario) -> Stage:
+    s = scenario
+    stage = Stage(Parts(s.robot, s.camera, s.target, s.world, step=s.camera.period, sights=s.sights), s.camera.multisampling)
+    stage.place(0.0, s.target.T_world_start, *stage.parts.start)
+    return stage
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{}, {"camera.multisampling": 4}, {"camera.shadows": True}, {"camera.principal_px": [300.25, 255.5]}],
+    ids=["plain", "smoothed", "shadows", "principal"],
+)
+def test_a_part_is_what_the_whole_picture_has_there(changes: dict[str, object]):
+    stage = stage_of(vs.load("arm_ibvs", changes))
+    eye = Eye(stage, stage.parts.camera)
+    whole = eye.picture()
+    assert eye.whole
+    left, top, right, bottom = PART
+    (part,) = eye.glimpse((WINDOWS,))
+    assert part is not None and not eye.whole
+    apart = np.abs(part[top:bottom, left:right].astype(int) - whole[top:bottom, left:right]).max(axis=-1)
+    # Vertices are rounded to 1/256 px after a float's rounding, which differs: a pixel in some thousands is another one.
+    assert np.mean(apart > 1) < 2e-3
+    assert np.ptp(part[top:bottom, left:right]) > 100  # there is something to see
+    outside = np.ones(part.shape[:2], dtype=bool)
+    outside[top:bottom, left:right] = False
+    assert not part[outside].any()
+    np.testing.assert_array_equal(eye.picture(), whole)  # and nothing of it stays
+
+
+def test_the_next_part_has_nothing_of_the_last():
+    stage = stage_of(vs.load("arm_ibvs"))
+    eye = Eye(stage, stage.parts.camera)
+    eye.glimpse((WINDOWS,))
+    (part,) = eye.glimpse((((10, 400, 40, 430),),))
+    assert part is not None and part[390:440, :70].any() and not part[68:212, 218:452].any()
+
+
+@pytest.mark.parametrize(
+    ("camera", "sigma"),
+    [(Perspective(distortion=(-0.2, 0.05, 0.0, 0.0, 0.0)), 0.0), (Perspective(), 2.0)],
+    ids=["bent by its lens", "noise told from the whole"],
+)
+def test_where_a_part_is_not_enough_the_picture_is_whole(camera: Perspective, sigma: float):
+    stage = stage_of(replace(vs.load("arm_ibvs"), camera=camera))
+    eye = Eye(stage, camera, sigma, np.random.default_rng(0))
+    (image,) = eye.glimpse((WINDOWS,))
+    assert eye.whole and image is not None and image[10, 10].any()
+
+
+def test_windows_are_looked_at_with_room_within_the_picture():
+    assert part_round(WINDOWS, 640, 480) == PART
+    assert part_round(((0, 0, 30, 40), (600, 430, 640, 480)), 640, 480) == (0, 0, 640, 480)
+    assert part_round((), 640, 480) is None
+    assert round(REACH * 640) == 32
+
+
+def test_a_floor_casts_no_shadow_on_itself():
+    # With its own shadow, software OpenGL dotted the floor of this view from the light's side on.
+    stage = stage_of(vs.load("omni_ibvs", {"robot.wheels": "planar"}))
+    stage.model.vis.quality.shadowsize = 1024
+    view = View(stage, "overview", 480, 270, shadows=True, style="outside")
+    lit = view.picture().max(axis=-1)
+    stage.model.geom_rgba[:, 3] = np.where(stage.model.geom_group == 0, stage.model.geom_rgba[:, 3], 0)
+    stage.model.mat_rgba[[m for m in range(stage.model.nmat) if stage.model.material(m).name != "floor"], 3] = 0
+    bare = view.picture().max(axis=-1)
+    assert np.mean(lit < 120) > 1e-3  # the base, its shadow, those of the landmarks: so there are shadows
+    assert not np.any(bare < 140)  # the floor's darker squares are 155 and more

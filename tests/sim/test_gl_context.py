@@ -1,0 +1,75 @@
+"""One OpenGL context for all scenes: each is drawn as if it were alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+
+import vstestbed as vs
+from vstestbed.sim import gl_context as contexts
+from vstestbed.sim.render.opengl import Eye, View
+from vstestbed.sim.scene.compose import Parts
+from vstestbed.sim.scene.stage import Stage
+
+NAMES = ("arm_ibvs", "arm_tags", "spherical_book")
+Scene = tuple[Stage, Callable[[], np.ndarray]]
+
+
+@pytest.fixture
+def scene() -> Iterator[Callable[..., Scene]]:
+    """scene(name, outside): a bundled scenario's start with what draws it, by its own camera or from outside (with shadows)."""
+    stages: list[Stage] = []
+
+    def make(name: str, outside: bool = False) -> Scene:
+        s = vs.load(name)
+        stage = Stage(Parts(s.robot, s.camera, s.target, s.world, step=0.002), samples=4 if outside else 0)
+        flange = s.robot.flange_pose(s.robot.configuration())
+        stage.place(0.0, s.target.pose.T, s.robot.configuration() if s.robot.model else np.zeros(0), flange @ s.camera.mount.T)
+        stages.append(stage)
+        return stage, View(stage, "overview", 480, 270, shadows=True, style="outside").picture if outside else Eye(stage, s.camera).picture
+
+    yield make
+    for stage in stages:
+        stage.close()
+
+
+def test_scenes_in_turn_look_as_they_do_alone(scene: Callable[..., Scene]):
+    alone = []
+    for name in NAMES:
+        for outside in (False, True):
+            stage, picture = scene(name, outside)
+            alone.append(picture())
+            stage.close()
+    together = [scene(name, outside)[1] for name in NAMES for outside in (False, True)]
+    for order in (range(len(together)), range(len(together) - 1, -1, -1)):
+        for i in order:
+            np.testing.assert_array_equal(together[i](), alone[i])
+
+
+def test_a_scene_that_looks_the_same_takes_the_kept_context(scene: Callable[..., Scene]):
+    first, picture = scene("arm_ibvs")
+    picture()
+    kept = first.physics.contexts.mujoco
+    first.close()
+    again, picture = scene("arm_ibvs")
+    picture()
+    assert again.physics.contexts.mujoco is kept
+    other, picture = scene("arm_tags")  # other textures
+    picture()
+    assert other.physics.contexts.mujoco is not kept
+    assert other.physics.contexts.gl is again.physics.contexts.gl
+
+
+def test_few_are_kept_and_none_is_freed_while_it_is_used(scene: Callable[..., Scene]):
+    used = [scene("arm_ibvs")]
+    before = used[0][1]()
+    for width in range(100, 100 + 2 * contexts.MOST_KEPT):
+        s = vs.load("arm_ibvs", {"camera.width": 7 * width, "camera.height": 6 * width})
+        stage = Stage(Parts(s.robot, s.camera, s.target, s.world, step=0.002))
+        stage.place(0.0, s.target.pose.T, s.robot.configuration())
+        Eye(stage, s.camera).picture()
+        stage.close()
+    assert len(contexts._kept) <= contexts.MOST_KEPT
+    np.testing.assert_array_equal(used[0][1](), before)

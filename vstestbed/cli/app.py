@@ -1,0 +1,234 @@
+"""The command line: runs and what is made of them; how a command ends. Heavy imports happen inside, so that --help is quick."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, NoReturn
+
+import typer
+
+from vstestbed.cli.basin import basins
+from vstestbed.cli.compare import comparing
+from vstestbed.cli.convergence import convergences
+from vstestbed.cli.delay import delays
+from vstestbed.cli.tools import Json, Plugins, load_scenario, tools
+from vstestbed.core.errors import ParameterError, RunFolderError, VstestbedError
+
+if TYPE_CHECKING:
+    from vstestbed.loop.recording import Recording, Tick, Watcher
+
+app = typer.Typer(
+    help="Visual servoing meets real dynamics: run scenarios, film them, look at the results.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+GOAL_REACHED, BUG, BAD_INPUT, NOT_REACHED, INTERRUPTED = 0, 1, 2, 3, 130
+UsageMistake: type[Exception] = typer.BadParameter.__mro__[2]  # click's ClickException, whether typer imports click or carries it
+
+
+class FilmChoice(str, Enum):
+    """Which films `run` makes."""
+
+    camera = "camera"
+    overview = "overview"
+    both = "both"
+    none = "none"
+
+
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no words.")]
+
+
+def _version(value: bool) -> None:
+    if value:
+        from vstestbed.core.provenance import vstestbed_version
+
+        typer.echo(f"vstestbed {vstestbed_version()}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks; may stand anywhere.")] = False,  # taken out by `main`
+    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")] = False,
+) -> None:
+    """Options of the program itself."""
+
+
+@app.command()
+def run(
+    scenario: Annotated[str, typer.Argument(help="A bundled scenario's name, or a YAML file.")],
+    set_: Annotated[list[str] | None, typer.Option("--set", metavar="a.b=value", help="Change a field before it is checked.")] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Draw the start and the noise from this seed.")] = None,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of the results. [default: runs/SCENARIO/NUMBER]")] = None,
+    video: Annotated[FilmChoice, typer.Option(help="Which films to make.")] = FilmChoice.both,
+    as_json: Json = False,
+    quiet: Quiet = False,
+    plugin: Plugins = None,
+) -> None:
+    """One closed-loop run, with its folder of results."""
+    from vstestbed.cli.progress import Progress, show_notes
+    from vstestbed.experiments.run_folder import new_folder, run_into
+
+    chosen = load_scenario(scenario, set_, plugin, seed)
+    folder = new_folder(chosen, out)
+    with Progress(chosen, shown=not quiet and not as_json) as progress, _interrupts() as watch:
+        show_notes(not quiet)
+        recording = run_into(folder, chosen, video.value, [progress, watch], progress.say)
+    _tell(recording, folder, video.value, as_json, quiet)
+    if recording.outcome.name == "interrupted":
+        raise typer.Exit(INTERRUPTED)
+    raise typer.Exit(GOAL_REACHED if recording.outcome.success else NOT_REACHED)
+
+
+@contextmanager
+def _interrupts() -> Iterator[Watcher]:
+    """The first Ctrl-C (or SIGTERM) ends the run at the next frame, with a whole folder; the second one at once."""
+    import signal
+
+    class _Stop:
+        asked = False
+
+        def ask(self, *_: object) -> None:
+            self.asked = True
+            for number in numbers:
+                signal.signal(number, before[number])
+
+        def tick(self, tick: Tick) -> None:
+            if self.asked:
+                raise KeyboardInterrupt
+
+    stop, numbers = _Stop(), (signal.SIGINT, signal.SIGTERM)
+    before = {number: signal.signal(number, stop.ask) for number in numbers}
+    try:
+        yield stop
+    finally:
+        for number in numbers:
+            signal.signal(number, before[number])
+
+
+def _tell(recording: Recording, folder: Path, films: str, as_json: bool, quiet: bool) -> None:
+    if as_json:
+        typer.echo((folder / "summary.json").read_text(encoding="utf-8"), nl=False)
+    elif not quiet:
+        from vstestbed.cli.progress import words
+
+        typer.echo(words(recording, folder, filmed=films != "none"), err=True)
+
+
+@app.command()
+def render(
+    run_dir: Annotated[Path, typer.Argument(metavar="RUN_DIR", help="A run's folder.")],
+    camera: Annotated[str, typer.Option(metavar="NAME", help="eye, overview, or another camera of model.xml.")] = "overview",
+    size: Annotated[str | None, typer.Option(metavar="WxH", help="Size of the film in pixels.")] = None,
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help="The film. [default: RUN_DIR/NAME.mp4]")] = None,
+    quiet: Quiet = False,
+    plugin: Plugins = None,
+) -> None:
+    """Film a recorded run again, from any camera, without simulating."""
+    from vstestbed.cli.progress import show_notes
+    from vstestbed.loop.log_file import read_log
+    from vstestbed.report.video.film import film_log
+    from vstestbed.scenario.load import load, load_plugins
+
+    load_plugins(plugin or [])
+    size_px = _size(size)
+    _must_be_run(run_dir)
+    scenario = load(run_dir / "scenario.yaml")
+    log = read_log(run_dir, scenario)
+    show_notes(not quiet)
+    film = film_log(scenario, log, camera, out or run_dir / f"{camera}.mp4", size_px)
+    if film is None:
+        raise ParameterError("RUN_DIR", "has a log without frames; there is nothing to film", str(run_dir))
+    if not quiet:
+        typer.echo(str(film), err=True)
+
+
+def _must_be_run(folder: Path) -> None:
+    if not (folder / "scenario.yaml").is_file():
+        raise RunFolderError(folder, "no run here" if folder.is_dir() else "no such folder")
+
+
+def _size(text: str | None) -> tuple[int, int] | None:
+    if text is None:
+        return None
+    width, _, height = text.lower().partition("x")
+    if not (width.isdigit() and height.isdigit() and 16 <= int(width) <= 7680 and 16 <= int(height) <= 4320):
+        raise ParameterError("--size", "must be WIDTHxHEIGHT in pixels, such as 1280x720", text)
+    return int(width), int(height)
+
+
+@app.command()
+def report(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="A run's folder, or a comparison's.")],
+    quiet: Quiet = False,
+    plugin: Plugins = None,
+) -> None:
+    """Write report.html again."""
+    from vstestbed.experiments.comparison import is_comparison, report_again
+    from vstestbed.report import write_report
+    from vstestbed.scenario.load import load_plugins
+
+    load_plugins(plugin or [])
+    if is_comparison(folder):
+        page = report_again(folder)
+    else:
+        _must_be_run(folder)
+        page = write_report(folder)
+    if not quiet:
+        typer.echo(str(page), err=True)
+
+
+app.add_typer(comparing)
+app.add_typer(basins)
+app.add_typer(delays)
+app.add_typer(convergences)
+app.add_typer(tools)
+
+
+def main(argv: list[str] | None = None) -> NoReturn:
+    """Run the command line and exit: 0 goal reached, 1 a bug, 2 bad input, 3 not reached, 4 environment, 130 interrupted."""
+    words = sys.argv[1:] if argv is None else argv
+    given = [word for word in words if word != "--debug"]
+    sys.exit(_guarded(lambda: app(given, prog_name="vstestbed", standalone_mode=False), debug=len(given) < len(words)))
+
+
+def _guarded(command: Callable[[], object], debug: bool = False) -> int:
+    """The exit code of a command; mistakes and lacks become one message on standard error."""
+    try:
+        code = command()
+        sys.stdout.flush()
+        return code if isinstance(code, int) else GOAL_REACHED
+    except VstestbedError as error:
+        return _failed(error, debug)
+    except ImportError as error:  # the renderers look for their driver when they are imported
+        from vstestbed.sim.render import gl_probe as gl
+
+        if (lack := gl.explain(error)) is None:
+            raise
+        return _failed(lack, debug)
+    except UsageMistake as error:
+        error.show()  # type: ignore[attr-defined] - a ClickException, which typer hands on untyped
+        return BAD_INPUT
+    except (typer.Abort, KeyboardInterrupt):
+        typer.echo("interrupted", err=True)
+        return INTERRUPTED
+    except (BrokenPipeError, SystemExit):  # the reader of a pipe has gone (`| head`); typer exits by itself then
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left in the buffer goes nowhere
+        return GOAL_REACHED
+
+
+def _failed(error: VstestbedError, debug: bool) -> int:
+    if debug:
+        import traceback
+
+        traceback.print_exception(error)
+    else:
+        typer.echo(str(error), err=True)
+    return error.exit_code

@@ -1,0 +1,85 @@
+"""The command that compares. Heavy imports happen inside."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from vstestbed.cli.tools import Json, Plugins, settings_of
+from vstestbed.core.errors import ParameterError
+
+comparing = typer.Typer()
+
+
+@comparing.command()
+def compare(
+    scenarios: Annotated[
+        list[str] | None, typer.Argument(metavar="SCENARIO...", help="Scenarios, or one comparison: names or files.")
+    ] = None,
+    vary: Annotated[list[str] | None, typer.Option("--vary", metavar="a.b=v1,v2", help="Run with each of these values.")] = None,
+    set_: Annotated[list[str] | None, typer.Option("--set", metavar="a.b=value", help="Change a field of all scenarios.")] = None,
+    seeds: Annotated[int | None, typer.Option(min=1, help="How many random starts. [default: the nominal one]")] = None,
+    jobs: Annotated[int | None, typer.Option(min=1, help="Worker processes. [default: one a core]")] = None,
+    executor: Annotated[str, typer.Option(metavar="WHERE", help="local, or dask://HOST:PORT.")] = "local",
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of the results. [default: runs/compare/NUMBER]")] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Do what is missing in --out DIR.")] = False,
+    film: Annotated[bool, typer.Option("--film/--no-film", help="Film the first seed, side by side.")] = True,
+    as_json: Json = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no words.")] = False,
+    plugin: Plugins = None,
+) -> None:
+    """Every scenario, with every value that is varied, from every seed: one table, one report, one film."""
+    from vstestbed.cli.progress import Counter, show_notes
+    from vstestbed.experiments.comparison import carry_out, must_be_known, prepare
+
+    must_be_known(executor)
+    campaign, comparison = prepare(scenarios or [], vary_of(vary), seeds, out, resume, settings_of(set_), plugin or [], film)
+    show_notes(not quiet)
+    total, missing = len(campaign.jobs), len(campaign.missing)
+    try:
+        with Counter(total, total - missing, shown=not quiet and not as_json) as counter:
+            table = carry_out(campaign, comparison, jobs, executor, counter.run_done, counter.say)
+    except KeyboardInterrupt:
+        done = total - len(campaign.missing)
+        typer.echo(
+            f"interrupted: {done} of {total} runs are done; go on with: vstestbed compare --resume --out {campaign.folder}", err=True
+        )
+        raise typer.Exit(130) from None
+    if as_json:
+        sys.stdout.write(table.write_json() + "\n")
+    elif not quiet:
+        typer.echo(_words(table, campaign.folder), err=True)
+
+
+def vary_of(options: list[str] | None) -> dict[str, tuple[object, ...]]:
+    """The lists of values of `--vary` by dotted path."""
+    return {path: tuple(_values(text)) for path, text in _pairs(options)}
+
+
+def _pairs(options: list[str] | None) -> list[tuple[str, str]]:
+    pairs = []
+    for option in options or []:
+        path, equals, text = option.partition("=")
+        if not equals or not text.strip() or not all(part.strip() for part in path.split(".")):
+            raise ParameterError("--vary", "needs the form a.b=v1,v2", option)
+        pairs.append((path.strip(), text))
+    if len({path for path, _ in pairs}) < len(pairs):
+        raise ParameterError("--vary", "names a field twice; put all its values after one =", options)
+    return pairs
+
+
+def _values(text: str) -> list[object]:
+    """Values between commas that stand in no brackets: `1,2`, `[0, 1], [1, 0]`, `{kind: oracle}, blobs`."""
+    from vstestbed.scenario.yaml_marks import read_value
+
+    found = read_value(f"[{text}]")
+    return found if isinstance(found, list) else [found]
+
+
+def _words(table: Any, folder: Path) -> str:
+    done, good = len(table), int(table["success"].sum())
+    failed = f"; {done - good} did not reach the goal" if good < done else ""
+    return f"{good} of {done} runs reached the goal{failed}\n  results   {folder} (open report.html)"

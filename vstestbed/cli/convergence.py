@@ -1,0 +1,51 @@
+"""The command that maps where a law converges over two varied fields. Heavy imports happen inside."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from vstestbed.cli.tools import Json, Plugins, settings_of
+
+convergences = typer.Typer()
+
+
+@convergences.command()
+def convergence(
+    scenarios: Annotated[list[str], typer.Argument(metavar="SCENARIO...", help="Scenarios, or one comparison: names or files.")],
+    vary: Annotated[list[str] | None, typer.Option("--vary", metavar="a.b=v1,v2", help="A map's axis: first x, then y.")] = None,
+    set_: Annotated[list[str] | None, typer.Option("--set", metavar="a.b=value", help="Change a field of all scenarios.")] = None,
+    seeds: Annotated[int | None, typer.Option(min=1, help="How many random starts in each cell.")] = None,
+    jobs: Annotated[int | None, typer.Option(min=1, help="Worker processes. [default: one a core]")] = None,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of the results. [default: runs/convergence/NUMBER]")] = None,
+    as_json: Json = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No words.")] = False,
+    plugin: Plugins = None,
+) -> None:
+    """How many seeds reach the goal over two varied fields, one map a law; runs leave no folders of their own."""
+    from vstestbed.cli.compare import vary_of
+    from vstestbed.core.files import new_study_folder
+    from vstestbed.experiments.comparison import chosen
+    from vstestbed.experiments.convergence import Study, summaries, write
+    from vstestbed.scenario.load import load_plugins
+
+    load_plugins(plugin or [])
+    study, folder = Study(chosen(scenarios, settings_of(set_), vary_of(vary), seeds)), new_study_folder("convergence", out)
+    shown = not (quiet or as_json)
+
+    def told(done: int, of: int) -> None:
+        if shown and (done == of or done % 100 == 0):
+            typer.echo(f"{done} of {of} runs", err=True)
+
+    ended = study.fly(jobs, told)
+    page = write(folder, study, ended, shlex.join(["vstestbed", *sys.argv[1:]]) if len(sys.argv) > 1 else "")
+    if as_json:
+        sys.stdout.write(study.table(ended).write_json() + "\n")
+    elif not quiet:
+        for one in summaries(study.panels(ended)):
+            typer.echo(f"{one['label']}: {100 * float(str(one['converged'])):.1f} % of all runs converged", err=True)
+        typer.echo(f"  results   {page.parent} (open report.html)", err=True)

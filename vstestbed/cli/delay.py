@@ -1,0 +1,61 @@
+"""The command that measures how much gain a delay leaves. Heavy imports happen inside."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from vstestbed.cli.tools import Json, Plugins, load_scenario
+from vstestbed.core.errors import ParameterError
+
+if TYPE_CHECKING:
+    from vstestbed.experiments.delay import Limit
+
+delays = typer.Typer()
+
+
+@delays.command()
+def delay(
+    scenario: Annotated[str, typer.Argument(help="A bundled scenario's name, or a YAML file; robot free or puma560.")],
+    frames: Annotated[str, typer.Option(metavar="D1,D2,...", help="Delays, in frames of the camera.")] = "0,1,2,3,4,5",
+    set_: Annotated[list[str] | None, typer.Option("--set", metavar="a.b=value", help="Change a field before it is checked.")] = None,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of the results. [default: runs/delay/NUMBER]")] = None,
+    as_json: Json = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No words.")] = False,
+    plugin: Plugins = None,
+) -> None:
+    """The gain at which the loop goes unstable for each delay, by bisection of runs near the goal, over what theory says.
+
+    The oracle detects, so that nothing but dynamics and delay counts. An arm's servos are measured, too.
+    """
+    from vstestbed.core.files import new_study_folder
+    from vstestbed.experiments.delay import find_limits, write
+
+    chosen, folder = load_scenario(scenario, set_, plugin), new_study_folder("delay", out)
+    shown = not (quiet or as_json)
+    limits = find_limits(chosen, _numbers(frames), lambda one: typer.echo(_words(one), err=True) if shown else None)
+    page = write(folder, limits, chosen.name, shlex.join(["vstestbed", *sys.argv[1:]]) if len(sys.argv) > 1 else "")
+    if as_json:
+        sys.stdout.write(json.dumps([limit.row() for limit in limits], indent=1) + "\n")
+    elif not quiet:
+        typer.echo(f"  results   {page.parent} (open report.html)", err=True)
+
+
+def _numbers(text: str) -> list[int]:
+    try:
+        return sorted({int(part) for part in text.split(",")})
+    except ValueError:
+        raise ParameterError("--frames", "needs whole numbers between commas, such as 0,1,2", text) from None
+
+
+def _words(limit: Limit) -> str:
+    row = limit.row()
+    words = f"{row['delay_frames']} frames: unstable from {row['gain_limit']:.4g} 1/s, {row['measured_to_theory']:.3f} of theory"
+    if row["measured_to_lag"] is None:
+        return words
+    return f"{words}, {row['measured_to_lag']:.3f} with the servos' lag ({row['joint']} first, {1e3 * limit.lag_of_first:.1f} ms)"

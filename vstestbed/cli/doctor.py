@@ -1,0 +1,104 @@
+"""What works on this machine, and the command that mends what does not."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from vstestbed.core.errors import VstestbedError
+from vstestbed.core.geometry import Array
+from vstestbed.core.provenance import versions
+
+PIXEL_TOLERANCE_PX = 0.1
+"""Far more than the detector's own error (.02 to .04 px on multisampled balls), far less than a wrong convention's half pixel."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing looked at: whether it works, what was found, how to mend it."""
+
+    what: str
+    works: bool
+    found: str
+    remedy: str = ""
+
+    def __str__(self) -> str:
+        """One line, two where something is to be done."""
+        line = f"{'ok ' if self.works else 'NO '} {self.what:12} {self.found}"
+        return line if self.works or not self.remedy else f"{line}\n    {'':12} {self.remedy}"
+
+
+def examine() -> Iterator[Finding]:
+    """Everything that a run needs, looked at one after the other."""
+    yield Finding("python", sys.version_info >= (3, 11), sys.version.split()[0], "install Python 3.11 or newer")
+    yield _packages()
+    yield Finding("cores", True, f"{len(os.sched_getaffinity(0)) if hasattr(os, 'sched_getaffinity') else os.cpu_count()}")
+    yield _data()
+    yield from _pictures()
+    yield _codec()
+
+
+def _packages() -> Finding:
+    found = versions()
+    missing = [name for name, version in found.items() if version == "missing"]
+    text = ", ".join(f"{name} {version}" for name, version in found.items() if name != "python")
+    major = found["mujoco"].split(".")[0]
+    if major.isdigit() and int(major) >= 4:
+        return Finding("packages", False, text, "dm-control 1.0.50 does not work with mujoco 4: pip install 'mujoco>=3.17,<4'")
+    return Finding("packages", not missing, text, "pip install vstestbed again")
+
+
+def _data() -> Finding:
+    from vstestbed.core.assets import bundled_scenarios
+
+    try:
+        names = list(bundled_scenarios())
+    except VstestbedError as error:
+        return Finding("scenarios", False, str(error))
+    return Finding("scenarios", bool(names), f"{len(names)} bundled: {', '.join(names)}", "install vstestbed again")
+
+
+def _pictures() -> Iterator[Finding]:
+    """OpenGL, or rays in its place, then the pixel convention: where a rendered ball is against where the camera model says it is."""
+    from vstestbed.sim.render import gl_probe as gl
+    from vstestbed.sim.render.pixel_check import pixel_convention
+
+    try:
+        check = pixel_convention("gl")
+    except (VstestbedError, ImportError) as error:
+        lack = gl.explain(error) if isinstance(error, ImportError) else error
+        words, _, remedy = str(lack or error).partition("; ")
+        yield Finding("OpenGL", False, f"{words}; rays draw the pictures instead, without shadows and textures", remedy)
+        check = pixel_convention("rays")
+    else:
+        yield Finding("OpenGL", True, check.renderer)
+    yield _pixels(check.errors, check.renderer)
+
+
+def _pixels(errors: Array, renderer: str) -> Finding:
+    """What the distances (N, 2) of drawn from expected balls tell [px]; NaN where a ball was not found."""
+    seen = np.isfinite(errors).all(axis=1)
+    remedy = "this OpenGL driver does not draw what it is told; try another MUJOCO_GL, or another driver"
+    if renderer.startswith("rays"):
+        remedy = "this MuJoCo does not cast rays as it should; install the version in requirements.lock"
+    if not seen.all():
+        return Finding("pixels", False, f"only {np.count_nonzero(seen)} of {len(errors)} rendered balls were found in the picture", remedy)
+    worst = float(np.abs(errors).max())
+    found = f"{len(errors)} rendered balls within {worst:.3f} px of the camera model ({PIXEL_TOLERANCE_PX} allowed)"
+    found += f", by {renderer}" if renderer.startswith("rays") else ""
+    return Finding("pixels", worst < PIXEL_TOLERANCE_PX, found, remedy)
+
+
+def _codec() -> Finding:
+    import av
+    import av.error
+
+    try:
+        av.Codec("libx264", "w")
+    except (av.error.FFmpegError, ValueError) as error:
+        return Finding("video", False, f"no libx264 encoder ({error})", "pip install --force-reinstall --only-binary :all: av")
+    return Finding("video", True, f"libx264 through PyAV {av.__version__}")

@@ -1,0 +1,135 @@
+"""The commands beside runs: what there is, what works here, how fast it is, what a feature does. Heavy imports happen inside."""
+
+from __future__ import annotations
+
+import json
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from vstestbed.core.errors import EnvironmentLackError, OutputError, ParameterError
+
+if TYPE_CHECKING:
+    from vstestbed.scenario.scenario import Scenario
+
+tools = typer.Typer()
+
+
+class Room(str, Enum):
+    """What `list` lists."""
+
+    scenarios = "scenarios"
+    robots = "robots"
+    cameras = "cameras"
+    targets = "targets"
+    features = "features"
+    laws = "laws"
+    detectors = "detectors"
+
+
+Plugins = Annotated[list[str] | None, typer.Option("--plugin", metavar="MODULE", help="Import a module that adds kinds.")]
+Json = Annotated[bool, typer.Option("--json", help="Print summary.json and nothing else on standard output.")]
+
+
+def load_scenario(name: str, settings: list[str] | None, plugins: list[str] | None, seed: int | None = None) -> Scenario:
+    """A scenario as words on the command line choose and change it."""
+    from vstestbed.scenario.load import load, load_plugins
+
+    load_plugins(plugins or [])
+    return load(name, settings_of(settings), seed)
+
+
+def settings_of(settings: list[str] | None) -> dict[str, object]:
+    """The values of `--set` by dotted path."""
+    from vstestbed.scenario.yaml_marks import read_value
+
+    overrides: dict[str, object] = {}
+    for setting in settings or []:
+        key, equals, value = setting.partition("=")
+        if not equals or not all(part.strip() for part in key.split(".")):
+            raise ParameterError("--set", "needs the form a.b=value", setting)
+        overrides[key.strip()] = read_value(value)
+    return overrides
+
+
+@tools.command("list")
+def list_(room: Annotated[Room | None, typer.Argument(help="What to list. [default: everything]")] = None, plugin: Plugins = None) -> None:
+    """What there is, one line each."""
+    from vstestbed.core.assets import bundled_scenarios
+    from vstestbed.scenario.load import load, load_plugins
+    from vstestbed.scenario.validation import KINDS
+
+    load_plugins(plugin or [])
+    for name in [room] if room else list(Room):
+        if room is None:
+            typer.echo(f"{name.value}:")
+        indent = "" if room else "  "
+        if name is Room.scenarios:
+            lines = [(stem, load(stem).description) for stem in bundled_scenarios()]
+        else:
+            lines = [(kind, (cls.__doc__ or "").strip().split("\n")[0]) for kind, cls in KINDS[name.value].members.items()]
+        width = max((len(kind) for kind, _ in lines), default=0)
+        for kind, text in lines:
+            typer.echo(f"{indent}{kind:{width}}  {text}")
+
+
+@tools.command()
+def schema(plugin: Plugins = None) -> None:
+    """JSON Schema of a scenario, for editors."""
+    from vstestbed.scenario.load import load_plugins
+    from vstestbed.scenario.load import schema as scenario_schema
+
+    load_plugins(plugin or [])
+    typer.echo(json.dumps(scenario_schema(), indent=1))
+
+
+@tools.command()
+def doctor() -> None:
+    """Versions, OpenGL, codecs, cores: what works here, and the command that mends what does not."""
+    from vstestbed.cli.doctor import examine
+
+    sound = True
+    for finding in examine():
+        typer.echo(str(finding))
+        sound = sound and finding.works
+    raise typer.Exit(0 if sound else EnvironmentLackError.exit_code)
+
+
+@tools.command()
+def bench(
+    scenario: Annotated[str | None, typer.Argument(help="A bundled scenario's name, or a YAML file. [default: arm_ibvs]")] = None,
+    set_: Annotated[list[str] | None, typer.Option("--set", metavar="a.b=value", help="Change a field before it is checked.")] = None,
+    repeats: Annotated[int, typer.Option(min=1, help="Runs, each beside its floor.")] = 5,
+    ideal: Annotated[bool, typer.Option("--ideal", help="The ideal camera on one core instead: one run, and 1000 at once.")] = False,
+    as_json: Json = False,
+    plugin: Plugins = None,
+) -> None:
+    """Real-time factor and where the time goes, against the floor: the same physics steps and pictures, nothing else."""
+    if ideal:
+        from vstestbed.experiments.bench_ideal import measure_ideal
+
+        if scenario or set_:
+            raise ParameterError("--ideal", "measures ibvs_book as it is; it takes neither SCENARIO nor --set")
+        result = measure_ideal(repeats)
+    else:
+        from vstestbed.experiments.bench import measure
+
+        result = measure(load_scenario(scenario or "arm_ibvs", set_, plugin), repeats)
+    typer.echo(json.dumps(result.as_dict(), indent=1) if as_json else result.words())
+
+
+@tools.command()
+def flow(
+    feature: Annotated[str, typer.Option(metavar="NAME", help="point, polar or spherical.")] = "point",
+    depth: Annotated[float, typer.Option(metavar="METRES", help="Depth (spherical: distance) of every point.")] = 1.0,
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help="A .png, .svg or .pdf. [default: flow_NAME.png]")] = None,
+) -> None:
+    """Draw the optical flow of the six camera motions, in a feature's own coordinates."""
+    from vstestbed.report.studies.flow import write_flow
+
+    if out is not None and not out.parent.is_dir():
+        raise OutputError(out, f"the folder {out.parent} does not exist", "make it, or give another with --out")
+    for path in write_flow(feature, depth, out):
+        typer.echo(str(path))

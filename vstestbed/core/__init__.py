@@ -1,0 +1,1 @@
+"""What every room may use: frames and twists, the plane, specs, errors, files."""

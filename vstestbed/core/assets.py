@@ -1,0 +1,32 @@
+"""Where models/ and scenarios/ are: inside an installed package, or beside it in a checkout."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from vstestbed.core.errors import OutputError
+
+_PACKAGE = Path(__file__).resolve().parent.parent
+
+
+def folder(name: str) -> Path:
+    """The folder `models` or `scenarios`: `vstestbed/_data/<name>` in a wheel, `<checkout>/<name>` otherwise."""
+    for candidate in (_PACKAGE / "_data" / name, _PACKAGE.parent / name):
+        if candidate.is_dir():
+            return candidate
+    raise OutputError(_PACKAGE, f"the folder {name}/ is missing from the installation", "install vstestbed again")
+
+
+def model_path(name: str) -> Path:
+    """The MJCF file `name` in models/."""
+    return folder("models") / name
+
+
+def bundled_scenarios() -> dict[str, Path]:
+    """Name and path of every scenario that comes with the package, sorted."""
+    return {p.stem: p for p in sorted(folder("scenarios").glob("*.yaml"))}
+
+
+def bundled_comparisons() -> dict[str, Path]:
+    """Name and path of every comparison that comes with the package, sorted."""
+    return {p.stem: p for p in sorted((folder("scenarios") / "compare").glob("*.yaml"))}

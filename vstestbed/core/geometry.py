@@ -1,0 +1,257 @@
+"""Frames, twists and adjoints.
+
+Poses are 4x4 arrays `T_a_b` that map b-coordinates to a (inner names meet: `T_world_camera @ T_camera_target`).
+Spatialmath's SE3 stands at the edges (`Pose.SE3`); the time loop uses plain arrays, which cost a fourth of it.
+A twist is (vx, vy, vz, wx, wy, wz) of a frame, expressed in that frame unless the name says otherwise.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cached_property
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+from annotated_types import Len
+from numpy.typing import NDArray
+
+from vstestbed.core.spec import spec
+
+if TYPE_CHECKING:
+    from spatialmath import SE3
+
+Array = NDArray[np.float64]
+Triple = Annotated[tuple[float, ...], Len(3, 3)]
+
+FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
+"""Computer-vision camera axes (z forward, y down) from OpenGL's (z backward, y up), and back: its own inverse."""
+
+
+@spec
+class Pose:
+    """A pose as people write it: a translation [m] and roll-pitch-yaw angles [deg], R = Rz(yaw) Ry(pitch) Rx(roll)."""
+
+    xyz: Triple = (0.0, 0.0, 0.0)
+    rpy_deg: Triple = (0.0, 0.0, 0.0)
+
+    @cached_property
+    def T(self) -> Array:
+        """The homogeneous matrix, shape (4, 4)."""
+        return np.array(self.SE3().A, dtype=float)
+
+    def SE3(self) -> SE3:
+        """The same pose as a spatialmath object."""
+        from spatialmath import SE3, SO3
+
+        return SE3.Rt(SO3.RPY(*self.rpy_deg, order="zyx", unit="deg"), list(self.xyz))
+
+    @classmethod
+    def of(cls, T: Array) -> Pose:
+        """The pose with the homogeneous matrix T (4, 4); at a pitch of 90 degrees roll is 0."""
+        from spatialmath.base import tr2rpy
+
+        rpy = tr2rpy(T[:3, :3], order="zyx", unit="deg", check=False)
+        return cls(xyz=tuple(T[:3, 3].tolist()), rpy_deg=tuple(np.asarray(rpy, dtype=float).tolist()))
+
+
+def all_finite(a: Array) -> bool:
+    """Whether every number is finite, by their sum: 1.0 us instead of 1.3 for eight. (None near overflow.)"""
+    return math.isfinite(np.add.reduce(a, axis=None))
+
+
+def skew(w: Array) -> Array:
+    """Cross-product matrix S of w (..., 3), shape (..., 3, 3): S p = w x p."""
+    w = np.asarray(w, dtype=float)
+    S = np.zeros((*w.shape[:-1], 3, 3))
+    S[..., 2, 1], S[..., 0, 2], S[..., 1, 0] = w[..., 0], w[..., 1], w[..., 2]
+    return S - np.swapaxes(S, -1, -2)
+
+
+def inverse(T: Array) -> Array:
+    """Inverse of a rigid transform, shape (..., 4, 4)."""
+    if T.ndim == 2:
+        return _inverse_of_one(T.tolist())
+    R_t = np.swapaxes(T[..., :3, :3], -1, -2)
+    out = np.zeros_like(T)
+    out[..., :3, :3] = R_t
+    out[..., :3, 3] = -(R_t @ T[..., :3, 3:])[..., 0]
+    out[..., 3, 3] = 1.0
+    return out
+
+
+def _inverse_of_one(T: list[list[float]]) -> Array:
+    """`inverse` of one matrix: the time loop's case, as for `_exp_of_one`."""
+    (xx, xy, xz, x), (yx, yy, yz, y), (zx, zy, zz, z), _ = T
+    return np.array(
+        [
+            (xx, yx, zx, -(xx * x + yx * y + zx * z)),
+            (xy, yy, zy, -(xy * x + yy * y + zy * z)),
+            (xz, yz, zz, -(xz * x + yz * y + zz * z)),
+            (0.0, 0.0, 0.0, 1.0),
+        ]
+    )
+
+
+def transform(T: Array, p: Array) -> Array:
+    """Map points p (..., N, 3) by T (..., 4, 4)."""
+    return p @ T[..., :3, :3].mT + T[..., None, :3, 3]
+
+
+def exp(xi: Array) -> Array:
+    """SE(3) exponential of a twist times a duration, xi (..., 6) to (..., 4, 4).
+
+    With theta = |w|:  R = I + a S + b S^2,  t = (I + b S + c S^2) v,
+    a = sin(theta)/theta, b = (1 - cos(theta))/theta^2, c = (1 - a)/theta^2 (series below 1e-4 rad).
+
+    Reference: Lynch & Park 2017, Modern Robotics, eqs 3.51 and 3.88.
+    """
+    xi = np.asarray(xi, dtype=float)
+    if xi.ndim == 1:
+        return _exp_of_one(xi.tolist())
+    vx, vy, vz, x, y, z = np.moveaxis(xi, -1, 0)
+    theta2 = x * x + y * y + z * z
+    theta = np.sqrt(theta2)
+    small = theta < 1e-4
+    safe = np.where(small, 1.0, theta)
+    sine = np.sin(safe)
+    a = np.where(small, 1 - theta2 / 6, sine / safe)
+    b = np.where(small, 0.5 - theta2 / 24, 2 * np.square(np.sin(safe / 2) / safe))
+    c = np.where(small, 1 / 6 - theta2 / 120, (safe - sine) / safe**3)
+    out = np.zeros((*xi.shape[:-1], 4, 4))
+    for row, values in enumerate(_exp_entries(vx, vy, vz, x, y, z, a, b, c)):
+        for column, value in enumerate(values):
+            out[..., row, column] = value
+    out[..., 3, 3] = 1.0
+    return out
+
+
+def _exp_of_one(xi: list[float]) -> Array:
+    """`exp` of six numbers: the time loop's case, for which arrays cost ten times the arithmetic."""
+    vx, vy, vz, x, y, z = xi
+    theta2 = x * x + y * y + z * z
+    theta = math.sqrt(theta2)
+    if theta < 1e-4:
+        a, b, c = 1 - theta2 / 6, 0.5 - theta2 / 24, 1 / 6 - theta2 / 120
+    else:
+        a, b, c = math.sin(theta) / theta, 2 * math.sin(theta / 2) ** 2 / theta2, (theta - math.sin(theta)) / (theta2 * theta)
+    return np.array([*_exp_entries(vx, vy, vz, x, y, z, a, b, c), (0.0, 0.0, 0.0, 1.0)])
+
+
+def _exp_entries(vx: Any, vy: Any, vz: Any, x: Any, y: Any, z: Any, a: Any, b: Any, c: Any) -> tuple[tuple[Any, ...], ...]:
+    """The first three rows of `exp`, from numbers or from arrays; S^2 v = w (w.v) - theta^2 v, S v = w x v."""
+    bx, by, bz = b * x, b * y, b * z
+    xx, yy, zz, xy, xz, yz = bx * x, by * y, bz * z, bx * y, bx * z, by * z
+    ax, ay, az = a * x, a * y, a * z
+    one, along = 1 - c * (x * x + y * y + z * z), c * (x * vx + y * vy + z * vz)
+    return (
+        (1 - yy - zz, xy - az, xz + ay, one * vx + by * vz - bz * vy + along * x),
+        (xy + az, 1 - xx - zz, yz - ax, one * vy + bz * vx - bx * vz + along * y),
+        (xz - ay, yz + ax, 1 - xx - yy, one * vz + bx * vy - by * vx + along * z),
+    )
+
+
+def log(T: Array) -> Array:
+    """The twist (6,) with exp(twist) = T (4, 4) that turns by at most half a turn.
+
+    w = theta u, v = (I - S/2 + (1 - theta/2 cot(theta/2)) / theta^2 S^2) t with S = [w]x.
+
+    Reference: Lynch & Park 2017, Modern Robotics, eq. 3.92.
+    """
+    q, t = quaternion_wxyz(T[:3, :3]), T[:3, 3]
+    sine = float(np.linalg.norm(q[1:]))
+    half = math.atan2(sine, float(q[0]))
+    small = half < 1e-4
+    S = skew(w := q[1:] * (2.0 if small else 2 * half / sine))
+    share = 1 / 12 if small else (1 - half / math.tan(half)) / (4 * half * half)
+    return np.concatenate([t - S @ t / 2 + share * (S @ (S @ t)), w])
+
+
+def adjoint(T_a_b: Array) -> Array:
+    """Twist transform [[R, [t]x R], [0, R]] between two frames on one body, twist_a = A twist_b.
+
+    Reference: Corke 2017, Robotics, Vision & Control, eq. 3.16 (order (v, w)).
+    """
+    R = T_a_b[..., :3, :3]
+    out = np.zeros((*T_a_b.shape[:-2], 6, 6))
+    out[..., :3, :3] = out[..., 3:, 3:] = R
+    out[..., :3, 3:] = skew(T_a_b[..., :3, 3]) @ R
+    return out
+
+
+def angles(p: Array) -> Array:
+    """Directions p (..., 3), of any length, as (theta, phi) (..., 2) [rad]: from the z axis in [0, pi], and about it from x to y.
+
+    theta = atan2(hypot(X, Y), Z), phi = atan2(Y, X): exact near the axis too; on it phi is 0. NaN for no direction (p = 0).
+    """
+    x, y, z = p[..., 0], p[..., 1], p[..., 2]
+    across = np.hypot(x, y)
+    theta = np.where((across > 0) | (z != 0), np.arctan2(across, z), np.nan)
+    return np.stack([theta, np.where(across > 0, np.arctan2(y, x), 0.0 * theta)], axis=-1)
+
+
+def direction(theta_phi: Array) -> Array:
+    """Unit vectors (..., 3) of angles (theta, phi) (..., 2) [rad]: the inverse of `angles`."""
+    theta, phi = theta_phi[..., 0], theta_phi[..., 1]
+    across = np.sin(theta)
+    return np.stack([across * np.cos(phi), across * np.sin(phi), np.cos(theta)], axis=-1)
+
+
+def rotation_from_rpy(rpy: Array) -> Array:
+    """R = Rz(yaw) Ry(pitch) Rx(roll) (..., 3, 3) of angles (roll, pitch, yaw) (..., 3) [rad], as `Pose` has them in degrees."""
+    (cr, cp, cy), (sr, sp, sy) = np.moveaxis(np.cos(rpy), -1, 0), np.moveaxis(np.sin(rpy), -1, 0)
+    rows = [
+        (cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr),
+        (sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr),
+        (-sp, cp * sr, cp * cr),
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def rotation_angle(R: Array) -> Array:
+    """Angle of a rotation (..., 3, 3) in [0, pi] rad; exact near 0 and near pi (half-angle arc tangent)."""
+    sine = np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], axis=-1)
+    return np.arctan2(np.linalg.norm(sine, axis=-1), np.trace(R, axis1=-2, axis2=-1) - 1)
+
+
+def quaternion_wxyz(R: Array) -> Array:
+    """Unit quaternions (w, x, y, z) (..., 4), w >= 0, of rotation matrices (..., 3, 3).
+
+    The column of 4 q q^T with the largest diagonal element, normalised: no small divisor anywhere.
+    Reference: Shepperd 1978, doi:10.2514/3.55767b.
+    """
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = (np.moveaxis(row, -1, 0) for row in np.moveaxis(R, -2, 0))
+    columns = [
+        (1 + xx + yy + zz, zy - yz, xz - zx, yx - xy),
+        (zy - yz, 1 + xx - yy - zz, yx + xy, xz + zx),
+        (xz - zx, yx + xy, 1 - xx + yy - zz, zy + yz),
+        (yx - xy, xz + zx, zy + yz, 1 - xx - yy + zz),
+    ]
+    four = np.stack([np.stack(column, axis=-1) for column in columns], axis=-1)  # 4 q q^T
+    largest = np.diagonal(four, axis1=-2, axis2=-1).argmax(axis=-1)
+    q = np.take_along_axis(four, largest[..., None, None], axis=-1)[..., 0]
+    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    return np.where(q[..., :1] < 0, -q, q)
+
+
+def rotation_from_quaternion(q_wxyz: Array) -> Array:
+    """Rotation matrix (..., 3, 3) of a unit quaternion (..., 4) in the order (w, x, y, z)."""
+    q = np.asarray(q_wxyz, dtype=float)
+    w, u = q[..., 0, None, None], q[..., 1:]
+    S = skew(u)
+    return np.eye(3) + 2 * w * S + 2 * S @ S
+
+
+def pose_from(position: Array, q_wxyz: Array) -> Array:
+    """Homogeneous matrix (4, 4) from a position (3,) and a quaternion (w, x, y, z)."""
+    T = np.eye(4)
+    T[:3, :3] = rotation_from_quaternion(q_wxyz)
+    T[:3, 3] = position
+    return T
+
+
+def rigid_error(T_a: Array, T_b: Array) -> tuple[float, float]:
+    """Distance [m] of the origins and angle [rad] between two poses (4, 4)."""
+    d = T_a[:3, 3] - T_b[:3, 3]
+    xx, xy, xz, yx, yy, yz, zx, zy, zz = (T_a[:3, :3].T @ T_b[:3, :3]).ravel().tolist()
+    angle = math.atan2(math.hypot(zy - yz, xz - zx, yx - xy), xx + yy + zz - 1)
+    return math.sqrt(float(d @ d)), angle

@@ -1,0 +1,108 @@
+"""Places on the floor: (x, y, heading) in the world [m, rad], as poses and as what a vehicle's way changes."""
+
+from __future__ import annotations
+
+import math
+from functools import cached_property
+
+import numpy as np
+
+from vstestbed.core.geometry import Array
+from vstestbed.core.spec import spec
+
+
+@spec
+class GroundPose:
+    """A place on the floor as people write it: x, y [m] and a heading from the x axis, counter-clockwise [deg]."""
+
+    x: float = 0.0
+    y: float = 0.0
+    heading_deg: float = 0.0
+
+    @property
+    def heading(self) -> float:
+        """[rad]."""
+        return math.radians(self.heading_deg)
+
+    @cached_property
+    def place(self) -> Array:
+        """(x, y, heading), shape (3,) [m, rad]."""
+        return np.array([self.x, self.y, self.heading])
+
+    @property
+    def T(self) -> Array:
+        """T_world_base (4, 4)."""
+        return pose_on_ground(self.place)
+
+
+def pose_on_ground(place: Array) -> Array:
+    """T_world_base (..., 4, 4) of places (x, y, heading) (..., 3): on the floor, upright."""
+    place = np.asarray(place, dtype=float)
+    c, s = np.cos(place[..., 2]), np.sin(place[..., 2])
+    T = np.zeros((*place.shape[:-1], 4, 4))
+    T[..., 0, 0] = T[..., 1, 1] = c
+    T[..., 0, 1], T[..., 1, 0] = -s, s
+    T[..., :2, 3] = place[..., :2]
+    T[..., 2, 2] = T[..., 3, 3] = 1.0
+    return T
+
+
+def place_of(T: Array) -> Array:
+    """(x, y, heading) of poses T (..., 4, 4), shape (..., 3): the heading is that of the x axis, seen from above."""
+    return np.stack([T[..., 0, 3], T[..., 1, 3], np.arctan2(T[..., 1, 0], T[..., 0, 0])], axis=-1)
+
+
+def wrapped(angle: Array | float) -> Array:
+    """Angles brought into [-pi, pi) [rad]."""
+    return (np.asarray(angle, dtype=float) + np.pi) % (2 * np.pi) - np.pi
+
+
+def relative(here: Array, there: Array) -> Array:
+    """The place `there` (..., 3) as seen from `here` (..., 3): (ahead, to the left, turn), shape (..., 3)."""
+    d = there - here
+    c, s = np.cos(here[..., 2]), np.sin(here[..., 2])
+    return np.stack([c * d[..., 0] + s * d[..., 1], -s * d[..., 0] + c * d[..., 1], wrapped(d[..., 2])], axis=-1)
+
+
+def composed(place: Array, step: Array) -> Array:
+    """Where steps (ahead, to the left, turn) (..., 3) lead from places (..., 3); the heading runs on, it is not wrapped."""
+    place, step = np.asarray(place, dtype=float), np.asarray(step, dtype=float)
+    c, s = np.cos(place[..., 2]), np.sin(place[..., 2])
+    ahead, left = step[..., 0], step[..., 1]
+    return place + np.stack([c * ahead - s * left, s * ahead + c * left, step[..., 2]], axis=-1)
+
+
+def arc(motion: Array, duration: float) -> Array:
+    """The step (ahead, to the left, turn) (..., 3) that a constant motion (vx, vy, wz) in the vehicle's frame makes: an exact arc.
+
+    With theta = wz t and the SE(2) exponential: (ahead, left) = [[a, -b], [b, a]] (vx, vy) t,
+    a = sin(theta)/theta,  b = (1 - cos(theta))/theta.
+
+    Reference: Lynch & Park 2017, Modern Robotics, section 13.4 (odometry).
+    """
+    dx, dy, theta = np.moveaxis(np.asarray(motion, dtype=float) * duration, -1, 0)
+    a, b = _chord(theta)
+    return np.stack([a * dx - b * dy, b * dx + a * dy, theta], axis=-1)
+
+
+def moved(place: Array, motion: Array, duration: float) -> Array:
+    """Where a constant motion (..., 3) leads from places (..., 3) in a time [s]."""
+    return composed(place, arc(motion, duration))
+
+
+def motion_between(before: Array, now: Array, duration: float) -> Array:
+    """The constant motion (vx, vy, wz) (..., 3) that leads from one place to another in a time: the inverse of `arc`.
+
+    Args:
+        before, now: places, shape (..., 3); the way's turn is the short one, in [-pi, pi).
+        duration: [s], not 0.
+    """
+    dx, dy, theta = np.moveaxis(relative(np.asarray(before, dtype=float), np.asarray(now, dtype=float)), -1, 0)
+    a, b = _chord(theta)
+    size = a * a + b * b
+    return np.stack([(a * dx + b * dy) / size, (a * dy - b * dx) / size, theta], axis=-1) / duration
+
+
+def _chord(theta: Array) -> tuple[Array, Array]:
+    """sin(theta)/theta and (1 - cos(theta))/theta, exact at 0 too."""
+    return np.sinc(theta / np.pi), np.sin(theta / 2) * np.sinc(theta / (2 * np.pi))

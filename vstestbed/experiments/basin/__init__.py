@@ -1,0 +1,1 @@
+"""Basins of attraction: from which starts a law reaches its goal, thousands of runs at once."""

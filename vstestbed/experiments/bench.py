@@ -1,0 +1,105 @@
+"""Where the time of a run goes, and how far above its floor it is."""
+
+from __future__ import annotations
+
+import statistics
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from vstestbed.core.geometry import Array, rotation_from_quaternion
+from vstestbed.loop.recording import Recording
+from vstestbed.loop.run import run
+from vstestbed.scenario.scenario import Scenario
+from vstestbed.sim.scene.compose import Parts
+from vstestbed.sim.speed_baseline import Floor, measure_floor
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Medians over several runs, each measured beside its own floor.
+
+    Attributes:
+        scenario, frames, repeats: what was measured, how long, how often.
+        real_time_factor: simulated over wall time of the loop. ratio: wall time of the loop over its floor's.
+        ratio_low, ratio_high: smallest and largest ratio of a pair.
+        ms_per_frame: wall time by part [ms]; floor_ms: bare physics and bare pictures [ms]. setup_s: building the scene [s].
+        renderer: what drew the pictures.
+    """
+
+    scenario: str
+    frames: int
+    repeats: int
+    real_time_factor: float
+    ratio: float
+    ratio_low: float
+    ratio_high: float
+    ms_per_frame: dict[str, float]
+    floor_ms: dict[str, float]
+    setup_s: float
+    renderer: str
+
+    def as_dict(self) -> dict[str, object]:
+        """Plain values, for JSON."""
+        return asdict(self)
+
+    def words(self) -> str:
+        """A table for people."""
+        lines = [
+            f"{self.scenario}: {self.frames} frames, {self.repeats} pairs of run and floor, pictures by {self.renderer}",
+            f"  {self.ratio:.2f} times the floor ({self.ratio_low:.2f} to {self.ratio_high:.2f})",
+            f"  {self.real_time_factor:.1f} times real time, after {self.setup_s:.2f} s to build the scene",
+            "",
+            f"  {'ms a frame':12}{'run':>8}{'floor':>8}",
+        ]
+        for part, value in self.ms_per_frame.items():
+            floor = self.floor_ms.get(part)
+            lines.append(f"  {part:12}{value:8.3f}" + (f"{floor:8.3f}" if floor is not None else ""))
+        return "\n".join(lines)
+
+
+def measure(scenario: Scenario, repeats: int = 5) -> Bench:
+    """Run a scenario and its floor in turn; the first pair warms up and is not counted."""
+    pairs = []
+    for i in range(repeats + 1):
+        recording = run(scenario)
+        floor = _floor(scenario, recording)
+        if i:
+            pairs.append((recording, floor))
+    recordings, floors = [r for r, _ in pairs], [f for _, f in pairs]
+    frames = len(recordings[0].table)
+    ratios = [r.loop_s / f.total_s for r, f in pairs]
+    parts = {k: statistics.median(r.time_ms[k] / frames for r in recordings) for k in recordings[0].time_ms if k != "video"}
+    whole = statistics.median(1e3 * r.loop_s / frames for r in recordings)
+    parts["other"] = whole - sum(parts.values())
+    physics, render = (statistics.median(1e3 * getattr(f, name) / frames for f in floors) for name in ("physics_s", "render_s"))
+    return Bench(
+        scenario=scenario.name,
+        frames=frames,
+        repeats=repeats,
+        real_time_factor=statistics.median(float(r["t"][-1]) / r.loop_s for r in recordings),
+        ratio=statistics.median(ratios),
+        ratio_low=min(ratios),
+        ratio_high=max(ratios),
+        ms_per_frame=parts | {"whole": whole},
+        floor_ms={"physics": physics, "render": render, "whole": physics + render},
+        setup_s=statistics.median(r.wall_time_s - r.loop_s for r in recordings),
+        renderer=recordings[0].versions["renderer"],
+    )
+
+
+def _floor(scenario: Scenario, recording: Recording) -> Floor:
+    step, steps_per_frame = scenario.clock
+    parts = Parts(scenario.robot, scenario.camera, scenario.target, scenario.world, step)
+    robot = scenario.robot
+
+    def joined(kind: str, names: tuple[str, ...]) -> Array:
+        columns = [recording[f"{kind}_{name}"] for name in names]
+        return np.column_stack(columns) if columns else np.zeros((len(recording.table), 0))
+
+    T = np.tile(np.eye(4), (len(recording.table), 1, 1))
+    T[:, :3, 3] = np.column_stack([recording[f"cam_{a}"] for a in "xyz"])
+    T[:, :3, :3] = rotation_from_quaternion(np.column_stack([recording[f"cam_q{a}"] for a in "wxyz"]))
+    return measure_floor(
+        parts, steps_per_frame, joined("ctrl", robot.actuators), joined("q", robot.joints), T, scenario.detector.needs_image
+    )

@@ -1,0 +1,229 @@
+"""What is compared: scenarios, the values that are varied, seeds; and the runs that this makes."""
+
+from __future__ import annotations
+
+import itertools
+import re
+import zlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+from annotated_types import Ge, Len
+
+from vstestbed.core.assets import bundled_comparisons
+from vstestbed.core.errors import ParameterError, ScenarioError
+from vstestbed.core.spec import spec
+from vstestbed.experiments.comparison.starts import Task
+from vstestbed.loop.metrics import FIGURES
+from vstestbed.scenario.load import load, seeded, text_of
+from vstestbed.scenario.scenario import Scenario
+from vstestbed.scenario.validation import build
+from vstestbed.scenario.yaml_marks import plain_mapping
+
+AS_IT_IS = "as_it_is"
+"""The variant of a scenario of which nothing is varied."""
+TASK, AMOUNT = "task", "amount"
+"""Columns of a comparison with tasks."""
+OWN_COLUMNS = ("scenario", "seed", "folder", TASK, AMOUNT, "attempts", "outcome", "success", "reason", *FIGURES)
+"""Columns that no case may be called after."""
+
+
+@spec
+class Comparison:
+    """Every scenario with every combination of the cases and of the axes' values, in each task or from each seed.
+
+    Args:
+        base: scenarios, by path or bundled name.
+        set: values by dotted path, for all of them.
+        cases: several fields at once, under names: `law: {points: {law: {kind: ibvs}}, pose: {law: {kind: pbvs}}}` is what
+            an axis is for one field. They are set after `set`, in their order.
+        axes: lists of values (whole blocks, too) by dotted path; every combination is run. They are set last.
+        tasks: starts that belong together, by name, in place of seeds.
+        seeds: how many; seed i draws the start, the noise and the delays of run i, the same for every controller.
+            None: the nominal start, once.
+        metrics: names of `summary.json` that the report is about; none: those of `report`.
+    """
+
+    description: str = ""
+    base: Annotated[tuple[str, ...], Len(1)]
+    set: dict[str, Any] = field(default_factory=dict)
+    cases: dict[str, dict[str, dict[str, Any]]] = field(default_factory=dict)
+    axes: dict[str, tuple[Any, ...]] = field(default_factory=dict)
+    tasks: dict[str, Task] = field(default_factory=dict)
+    seeds: Annotated[int, Ge(1)] | None = None
+    metrics: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be told apart, and figures that no run has."""
+        if len({Path(name).stem for name in self.base}) < len(self.base):
+            raise ParameterError("base", "must name each scenario once, and no two of one file name", list(self.base))
+        for path, values in self.axes.items():
+            if not values or any(_same(a, b) for a, b in itertools.combinations(values, 2)):
+                raise ParameterError(f"axes.{path}", "must be a list of different values", list(values))
+            if path in self.set:
+                raise ParameterError(f"axes.{path}", "is also in `set`; leave one of the two out")
+        for name, cases in self.cases.items():
+            if name in (*self.axes, *OWN_COLUMNS) or not cases:
+                raise ParameterError(f"cases.{name}", "must have a name of its own, and one case or more")
+        if self.tasks and self.seeds is not None:
+            raise ParameterError("seeds", "stand beside `tasks`, which have runs of their own; leave one of the two out", self.seeds)
+        for name in self.metrics:
+            if name not in FIGURES:
+                raise ParameterError("metrics", f"must be figures of summary.json: {', '.join(FIGURES)}", name)
+
+    @property
+    def varied(self) -> tuple[str, ...]:
+        """The columns of the table that tell controllers of one scenario apart."""
+        return (*self.cases, *self.axes, *((TASK,) if self.tasks else ()))
+
+
+@dataclass(frozen=True)
+class Controller:
+    """One scenario with one combination of cases and values, from its nominal start or, in a task, from each of its starts."""
+
+    scenario: Scenario
+    values: Mapping[str, object]
+    folder: str
+    """Where its runs go, below the comparison's folder."""
+    draws: bool
+    """Whether a seed draws anything."""
+    starts: tuple[Scenario, ...] | None = None
+    """The scenario of each run of a task; None where a seed draws it."""
+    amounts: tuple[str, ...] = ()
+    """What the runs of a task are called: `20 deg`."""
+    runs: int | None = None
+    """How many runs a task has; None where the comparison says it."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """One run to be done."""
+
+    controller: Controller
+    seed: int | None
+
+    @property
+    def folder(self) -> str:
+        """Where the run goes, below the comparison's folder."""
+        return f"{self.controller.folder}/{'nominal' if self.seed is None else self.seed}"
+
+    def scenario(self) -> Scenario:
+        """The scenario with the start and the noise that the seed draws."""
+        found = self.controller
+        if found.starts is not None and self.seed is not None:
+            return replace(found.starts[self.seed], seed=self.seed)
+        return found.scenario if self.seed is None or not found.draws else seeded(found.scenario, self.seed)
+
+
+def controllers(comparison: Comparison) -> list[Controller]:
+    """All controllers, each checked: bad input is found before anything runs.
+
+    Raises:
+        ScenarioError: a scenario is wrong, or becomes so with a value of an axis.
+        ParameterError: more than one seed for a scenario in which a seed draws nothing.
+    """
+    made: list[Controller] = []
+    for name in comparison.base:
+        for shown, settings in _combinations(comparison):
+            for task_name, task in comparison.tasks.items() or ((None, None),):
+                values = shown if task_name is None else shown | {TASK: task_name}
+                folder = f"runs/{_word(Path(name).stem)}/{_variant(values)}"
+                while folder in {c.folder for c in made}:
+                    folder += "_"  # other values of the same letters
+                made.append(_controller(name, settings, values, folder, comparison.seeds, task))
+    return made
+
+
+def _controller(
+    name: str, settings: Mapping[str, object], values: Mapping[str, object], folder: str, seeds: int | None, task: Task | None
+) -> Controller:
+    if task is not None:
+        settings = merged(settings, task.set)
+    starts = None if task is None or not task.each else tuple(load(name, merged(settings, one)) for one in task.settings())
+    scenario = starts[0] if starts else load(name, settings)
+    noise = scenario.noise.pixel_sigma_px > 0 or (scenario.noise.image_sigma > 0 and scenario.detector.needs_image)
+    draws = scenario.robot.start.random is not None or noise or scenario.timing.draws or scenario.calibration.depth_spread > 0
+    runs = None if task is None else task.runs
+    if not draws and starts is None and (runs or seeds or 1) > 1:
+        words = "is missing, and there is no noise: every seed would give the same run; add one of them, or leave --seeds out"
+        raise ParameterError(f"{scenario.name}: robot.start.random", words)
+    return Controller(scenario, values, folder, draws, starts, task.words() if task else (), runs)
+
+
+def merged(*settings: Mapping[str, object]) -> dict[str, object]:
+    """Values by dotted path, one mapping after the other: what is named again moves to the end, so that it is set later."""
+    out: dict[str, object] = {}
+    for one in settings:
+        for path, value in one.items():
+            out.pop(path, None)
+            out[path] = value
+    return out
+
+
+def _same(a: object, b: object) -> bool:
+    """Whether two values are one: 3 and 3.0 are, 1 and true are not."""
+    return a == b and isinstance(a, bool) == isinstance(b, bool)
+
+
+def _combinations(comparison: Comparison) -> Iterator[tuple[dict[str, object], dict[str, object]]]:
+    """Every combination: what the table shows of it, and all settings by dotted path."""
+    cases = [list(cases.items()) for cases in comparison.cases.values()]
+    for chosen_cases in itertools.product(*cases):
+        for values in itertools.product(*comparison.axes.values()):
+            of_axes = dict(zip(comparison.axes, values, strict=True))
+            names: dict[str, object] = dict(zip(comparison.cases, (name for name, _ in chosen_cases), strict=True))
+            yield names | of_axes, merged(comparison.set, *(settings for _, settings in chosen_cases), of_axes)
+
+
+def _variant(values: Mapping[str, object]) -> str:
+    return ",".join(f"{path}={_word(str(value))}" for path, value in values.items()) or AS_IT_IS
+
+
+def _word(text: str) -> str:
+    """A text as a part of a file name, no longer than file systems take."""
+    word = re.sub(r"[^\w.+-]+", "_", text).strip("._") or "value"
+    return word if len(word) <= 60 else f"{word[:48]}_{zlib.crc32(text.encode()):08x}"
+
+
+def jobs(found: list[Controller], seeds: int | None) -> list[Job]:
+    """Every run, seed by seed, so that what is done so far can be compared; a task has as many as it says."""
+    counts = [c.runs if c.runs is not None else seeds for c in found]
+    most = max((n or 0 for n in counts), default=0)
+    once = [Job(c, None) for c, n in zip(found, counts, strict=True) if n is None]
+    return once + [Job(c, seed) for seed in range(most) for c, n in zip(found, counts, strict=True) if n is not None and seed < n]
+
+
+def read_comparison(path: Path) -> Comparison:
+    """A comparison's YAML file; scenario files in `base` are looked for beside it first.
+
+    Raises:
+        ScenarioError: everything that is wrong in it, at once.
+    """
+    plain, marks = plain_mapping(text_of(path), str(path), "a comparison needs base")
+    read = build(Comparison, plain, marks, str(path))
+    return replace(read, base=tuple(str(path.parent / n) if (path.parent / n).is_file() else n for n in read.base))
+
+
+def chosen(names: list[str], settings: Mapping[str, object], axes: Mapping[str, tuple[object, ...]], seeds: int | None) -> Comparison:
+    """What the words of a command line ask for: scenarios, or one comparison by its file or bundled name, changed by the rest.
+
+    Raises:
+        ScenarioError, ParameterError: something of it is wrong.
+    """
+    path = bundled_comparisons().get(names[0], Path(names[0])) if len(names) == 1 else None
+    if path is None or not _is_comparison(path):
+        return Comparison(base=tuple(names), set=dict(settings), axes=dict(axes), seeds=seeds)
+    read = read_comparison(path)
+    return replace(read, set=read.set | dict(settings), axes=read.axes | dict(axes), seeds=read.seeds if seeds is None else seeds)
+
+
+def _is_comparison(path: Path) -> bool:
+    """Whether a file is a comparison's: it has `base` at its top."""
+    if not path.is_file():
+        return False
+    try:
+        return "base" in plain_mapping(text_of(path), str(path), "")[0]
+    except ScenarioError:
+        return False

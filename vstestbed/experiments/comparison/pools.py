@@ -1,0 +1,243 @@
+"""Where runs are done: worker processes of this machine, or those of a dask cluster. Both take a task and give a future."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import re
+import shutil
+import signal
+import tempfile
+import uuid
+from collections.abc import Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from multiprocessing import get_context
+from typing import Any, Protocol
+
+from vstestbed.core.errors import EnvironmentLackError, ParameterError
+from vstestbed.experiments.comparison.worker import Files, Task, begin, do, process_id
+
+ONE_CORE = {"LP_NUM_THREADS": "0", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+"""A worker has one core: Mesa draws in its own thread, BLAS takes no others."""
+DASK = "dask://"
+
+
+class Pool(Protocol):
+    """Takes tasks, at most `room` at a time, and gives futures of their folders.
+
+    A future whose worker died raises WorkerLostError; the pool has replaced the worker by then.
+    """
+
+    @property
+    def room(self) -> int:
+        """How many runs may be under way now."""
+        ...
+
+    def submit(self, task: Task) -> Future[Files]:
+        """Do this run."""
+        ...
+
+    def tries(self, task: Task) -> int:
+        """How often a run has been begun."""
+        ...
+
+    def close(self) -> None:
+        """End all workers now."""
+        ...
+
+
+class WorkerLostError(Exception):
+    """The process that did a run is gone: killed, out of memory, or a crash in a library."""
+
+
+@contextmanager
+def _environment(usual: dict[str, str], ours: dict[str, str]) -> Iterator[None]:
+    """Environment variables for a process that is started meanwhile: the usual ones where the user has set none, and ours."""
+    before = dict(os.environ)
+    os.environ.update({k: v for k, v in usual.items() if k not in before} | ours)
+    try:
+        yield
+    finally:
+        for name in usual | ours:
+            os.environ.pop(name, None)
+        os.environ.update(before)
+
+
+class _Slot:
+    """One worker process, started anew when it has died. (One executor each: a death breaks an executor as a whole.)"""
+
+    def __init__(self, place: str):
+        self._place = place
+        self.broken = False
+        self.start()
+
+    def start(self) -> None:
+        """Start the process; what it writes for a while goes to the pool's own place."""
+        self.executor = ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=begin, initargs=(True,))
+        self.broken = False
+        with _environment(ONE_CORE, {"TMPDIR": self._place}):
+            self.pid = self.executor.submit(process_id)
+
+    def run(self, task: Task) -> Future[Files]:
+        """Do a run, in a new process where the last one has died."""
+        try:
+            if not self.broken:
+                return self.executor.submit(do, task)
+        except BrokenProcessPool:  # killed while it had nothing to do
+            pass
+        self.end()
+        self.start()
+        return self.executor.submit(do, task)
+
+    def end(self) -> None:
+        """Kill the process."""
+        with contextlib.suppress(Exception):
+            os.kill(self.pid.result(timeout=0), signal.SIGKILL)
+        self.executor.shutdown(wait=False, cancel_futures=True)
+
+
+class LocalPool:
+    """Processes of this machine, each with one OpenGL context and one core.
+
+    Args:
+        jobs: how many.
+    """
+
+    def __init__(self, jobs: int):
+        self.room = jobs
+        self._place = tempfile.mkdtemp(prefix="vstestbed_")
+        self._slots = [_Slot(self._place) for _ in range(jobs)]
+        self._free = list(self._slots)
+        self._tries: dict[str, int] = {}
+
+    def submit(self, task: Task) -> Future[Files]:
+        """Do this run in a free worker."""
+        slot = self._free.pop()
+        self._tries[task.folder] = self._tries.get(task.folder, 0) + 1
+        outer: Future[Files] = Future()
+        outer.set_running_or_notify_cancel()
+        slot.run(task).add_done_callback(lambda inner: self._hand_over(inner, slot, outer))
+        return outer
+
+    def _hand_over(self, inner: Future[Files], slot: _Slot, outer: Future[Files]) -> None:
+        error = WorkerLostError("the pool is closed") if inner.cancelled() else inner.exception()
+        if isinstance(error, BrokenProcessPool):
+            slot.broken = True
+            error = WorkerLostError("its worker process died") if _answered(slot) else EnvironmentLackError(NO_WORKERS, UNDER_MAIN)
+        self._free.append(slot)
+        if error is not None:
+            outer.set_exception(error)
+        else:
+            outer.set_result(inner.result())
+
+    def tries(self, task: Task) -> int:
+        """How often a run has been begun."""
+        return self._tries.get(task.folder, 0)
+
+    def close(self) -> None:
+        """Kill all workers, take away what they had begun to write."""
+        for slot in self._slots:
+            slot.end()
+        shutil.rmtree(self._place, ignore_errors=True)
+
+
+NO_WORKERS, UNDER_MAIN = "worker processes cannot start", "in a script, call compare under `if __name__ == '__main__':`"
+
+
+def _answered(slot: _Slot) -> bool:
+    """Whether a slot's process has ever done anything."""
+    return slot.pid.done() and slot.pid.exception() is None
+
+
+class DaskPool:
+    """Workers of a dask cluster, wherever they are; they need this package, and no files of this machine.
+
+    Args:
+        address: of the scheduler, HOST:PORT.
+
+    Raises:
+        EnvironmentLackError: dask.distributed is not installed, or there is nobody at the address.
+    """
+
+    def __init__(self, address: str):
+        try:
+            from distributed import Client
+        except ImportError:
+            raise EnvironmentLackError("dask.distributed is not installed", "pip install 'vstestbed[cluster]'") from None
+        try:
+            self._client = Client(f"tcp://{address}", timeout="5s", set_as_default=False)
+        except (OSError, ValueError) as error:
+            words = "start a scheduler (`dask scheduler`) and workers (`dask worker HOST:PORT --nthreads 1`) first"
+            raise EnvironmentLackError(f"no dask scheduler answers at {address} ({error})", words) from None
+        self._name = f"vstestbed-{uuid.uuid4().hex}"
+        self._begun: dict[str, list[str]] = {}
+        if not self._threads():
+            logging.getLogger("vstestbed").warning("no workers at %s yet; waiting for some", address)
+
+    def _threads(self) -> int:
+        threads: Any = self._client.nthreads()
+        return sum(threads.values())
+
+    @property
+    def room(self) -> int:
+        """Two runs for each of the workers that there are now, so that the next one is there when a worker is free."""
+        return 2 * max(1, self._threads())
+
+    def submit(self, task: Task) -> Future[Files]:
+        """Do this run on some worker; the scheduler gives it to another one when that dies."""
+        keys = self._begun.setdefault(task.folder, [])
+        keys.append(f"{self._name}-{task.folder}-{len(keys)}")
+        future = self._client.submit(_do_on_dask, task, keys[-1], key=keys[-1], retries=0, pure=False)
+        outer: Future[Files] = Future()
+        outer.set_running_or_notify_cancel()
+        future.add_done_callback(lambda inner: _hand_over_from_dask(inner, outer))
+        return outer
+
+    def tries(self, task: Task) -> int:
+        """How often a run has been begun: each worker that begins it says so under a name of its own."""
+        # get_events is typed as what asynchronous clients give, too: there it is a coroutine
+        return sum(len(self._client.get_events(key)) for key in self._begun.get(task.folder, []))  # type: ignore[arg-type]
+
+    def close(self) -> None:
+        """Leave the cluster, which goes on; runs that nobody waits for are cancelled."""
+        self._client.close()
+
+
+def _do_on_dask(task: Task, key: str) -> Files:
+    from distributed import get_worker
+
+    get_worker().log_event(key, "begun")
+    return do(task)
+
+
+def _hand_over_from_dask(inner: Any, outer: Future[Files]) -> None:
+    """Whatever has become of it: somebody waits for `outer`."""
+    from distributed.scheduler import KilledWorker
+
+    try:
+        if inner.status == "cancelled":
+            raise EnvironmentLackError("the dask scheduler is gone", "start it again, then go on with --resume")
+        if (error := inner.exception()) is not None:
+            raise WorkerLostError("its worker died") if isinstance(error, KilledWorker) else error
+        outer.set_result(inner.result())
+    except BaseException as error:
+        outer.set_exception(error)
+
+
+def pool_of(executor: str, workers: int) -> Pool:
+    """The pool that `--executor` asks for: `local`, or `dask://HOST:PORT`.
+
+    Raises:
+        ParameterError: another word. EnvironmentLackError: see DaskPool.
+    """
+    must_be_known(executor)
+    return LocalPool(workers) if executor == "local" else DaskPool(executor.removeprefix(DASK))
+
+
+def must_be_known(executor: str) -> None:
+    """Refuse what is no executor."""
+    if executor != "local" and not re.fullmatch(DASK + r"[^/\s]+:\d+", executor):
+        raise ParameterError("--executor", "must be local or dask://HOST:PORT", executor)

@@ -1,0 +1,84 @@
+"""What a comparison leaves beside its runs: the film of one seed, and the report."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from vstestbed.experiments.comparison.plan import Comparison
+from vstestbed.scenario.yaml_marks import read_value
+
+if TYPE_CHECKING:
+    import polars
+
+FILM = "comparison.mp4"
+FILMS = ("overview.mp4", "camera.mp4")
+"""A run's films, from top to bottom of its column."""
+
+
+def finish(folder: Path, comparison: Comparison, table: polars.DataFrame, stage: Callable[[str], None]) -> None:
+    """Film and report of what is done; nothing where nothing is.
+
+    Raises:
+        OutputError, EnvironmentLackError: a file cannot be written.
+    """
+    from vstestbed.report.comparison.columns import DEFAULT_METRICS
+    from vstestbed.report.comparison.page import write_comparison_report
+
+    if table.is_empty():
+        return
+    axes = comparison.varied
+    if comparison.tasks:
+        from vstestbed.report.comparison.tasks import write_task_report
+
+        stage("writing the report")
+        write_task_report(folder, table, axes, comparison.metrics, comparison.description, command_of(comparison))
+        return
+    stage("joining the films")
+    film = _film(folder, table, axes)
+    stage("writing the report")
+    metrics = comparison.metrics or DEFAULT_METRICS
+    write_comparison_report(folder, table, axes, metrics, comparison.description, command_of(comparison), film)
+
+
+def _film(folder: Path, table: polars.DataFrame, axes: tuple[str, ...]) -> Path | None:
+    """`comparison.mp4`: the first seed that has films, up to six controllers; None where none has."""
+    from vstestbed.report.comparison.columns import Comparison as View
+    from vstestbed.report.video.side_by_side import MOST, Column, side_by_side
+
+    columns = []
+    for controller in View(table, axes).controllers[:MOST]:
+        run = next((row for row in controller.runs.iter_rows(named=True) if _films(folder / row["folder"])), None)
+        if run is not None:
+            ending = f"{run['outcome']} {run['sim_time_s']:.1f} s" if run["sim_time_s"] is not None else run["outcome"]
+            columns.append(Column(controller.label, _films(folder / run["folder"]), ending, bool(run["success"])))
+    return side_by_side(columns, folder / FILM) if columns else None
+
+
+def _films(run: Path) -> tuple[Path, ...]:
+    return tuple(run / name for name in FILMS if (run / name).is_file())
+
+
+def command_of(comparison: Comparison) -> str:
+    """The command line that makes a comparison again: without its file where words can say it, else in its folder."""
+    if comparison.cases or comparison.tasks:
+        return "vstestbed compare comparison.yaml"
+    words = ["vstestbed", "compare", *(Path(name).stem if Path(name).suffix != ".yaml" else Path(name).name for name in comparison.base)]
+    words += [word for path, value in comparison.set.items() for word in ("--set", f"{path}={_value(value)}")]
+    words += [word for path, values in comparison.axes.items() for word in ("--vary", f"{path}={','.join(map(_value, values))}")]
+    return shlex.join(words + ([] if comparison.seeds is None else ["--seeds", str(comparison.seeds)]))
+
+
+def _value(value: object) -> str:
+    """A value as it is written in YAML's flow style."""
+    if isinstance(value, bool) or value is None:
+        return {True: "true", False: "false", None: "null"}[value]
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{k}: {_value(v)}" for k, v in value.items()) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(_value, value)) + "]"
+    plain = str(value)
+    return json.dumps(value) if isinstance(value, str) and read_value(f"[{plain}]") != [value] else plain

@@ -1,0 +1,109 @@
+"""What a worker does: one run, whose folder it hands back as bytes. Nothing here knows how many workers there are, or where."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+import traceback
+from dataclasses import dataclass
+from pathlib import Path
+
+from vstestbed.core.errors import EnvironmentLackError
+from vstestbed.experiments.run_folder import run_into
+from vstestbed.scenario.load import dump, load_plugins, parse
+from vstestbed.scenario.scenario import Scenario
+from vstestbed.scenario.stop import Outcome
+
+Files = dict[str, bytes]
+"""A run's folder: content by file name."""
+TILE_PX = (480, 270)
+"""Size of the films from outside [px]: as wide as their column in the film of all; a sixth of the usual work."""
+_loaded: set[str] = set()
+
+
+@dataclass(frozen=True)
+class Task:
+    """A run as it travels to a worker, which needs no file of the one who asks.
+
+    Attributes:
+        folder: the run's folder below the comparison's, its name. text: the scenario, start and noise drawn.
+        filmed: whether to make its films. plugins: modules to import first.
+    """
+
+    folder: str
+    text: str
+    filmed: bool
+    plugins: tuple[str, ...]
+
+
+def do(task: Task) -> Files:
+    """The folder of the finished run. A law, a detector, a plugin that raises ends its run as `crashed`, with the traceback.
+
+    Raises:
+        EnvironmentLackError: this machine cannot draw, or has no space: no other run would fare better.
+    """
+    for module in set(task.plugins) - _loaded:
+        load_plugins([module])
+        _loaded.add(module)
+    scenario = parse(task.text, "scenario.yaml")
+    with tempfile.TemporaryDirectory(prefix="vstestbed_") as place:
+        folder = Path(place) / "run"
+        folder.mkdir()
+        try:
+            recording = run_into(folder, scenario, "both" if task.filmed else "none", report=False, tile_px=TILE_PX)
+            if not recording.outcome.success and len(recording.table):
+                _picture_of_the_end(scenario, folder)
+        except EnvironmentLackError:
+            raise
+        except Exception as error:
+            return crashed(task.text, f"{type(error).__name__}: {error}", traceback.format_exc(), _files(folder))
+        return _files(folder)
+
+
+def _files(folder: Path) -> Files:
+    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.is_file()} if folder.is_dir() else {}
+
+
+def crashed(text: str, reason: str, trace: str = "", rest: Files | None = None) -> Files:
+    """The folder of a run that ended with an error: its scenario, what there is of its log, the summary, the traceback."""
+    scenario = parse(text, "scenario.yaml")
+    summary = {"scenario": scenario.name, "outcome": Outcome.crashed.name, "success": False, "reason": reason, "seed": scenario.seed}
+    own = {"scenario.yaml": text.encode(), "summary.json": (json.dumps(summary, indent=1) + "\n").encode()}
+    return (rest or {}) | own | ({"error.txt": trace.encode()} if trace else {})
+
+
+def _picture_of_the_end(scenario: Scenario, folder: Path) -> None:
+    """`end.png`: the scene from outside when a run failed."""
+    from vstestbed.loop.log_file import read_log
+    from vstestbed.report.video.film import picture_of_the_end
+
+    picture_of_the_end(scenario, read_log(folder), folder / "end.png")
+
+
+def task_of(folder: str, scenario: Scenario, filmed: bool, plugins: tuple[str, ...]) -> Task:
+    """A run as a task."""
+    return Task(folder, dump(scenario), filmed, plugins)
+
+
+def begin(parent_must_live: bool) -> None:
+    """What a worker process does first: leave Ctrl-C to its parent, end when the parent is gone."""
+    import signal
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if parent_must_live:
+        import multiprocessing
+        import threading
+
+        def follow() -> None:
+            parent = multiprocessing.parent_process()
+            if parent is not None:
+                parent.join()
+                os._exit(1)
+
+        threading.Thread(target=follow, daemon=True).start()
+
+
+def process_id() -> int:
+    """Of the worker: whom to end when it must not go on."""
+    return os.getpid()

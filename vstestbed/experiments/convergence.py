@@ -1,0 +1,141 @@
+"""Convergence maps: over two varied fields of a scenario, how many of its seeds reach the goal, and how the others end."""
+
+from __future__ import annotations
+
+import io
+import itertools
+import math
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.files import write_whole, writing
+from vstestbed.experiments.comparison import Comparison, Job, controllers, jobs
+from vstestbed.experiments.comparison import workers as workers_of
+from vstestbed.loop.run import run
+from vstestbed.report.studies.convergence import Panel, write_page
+from vstestbed.scenario.scenario import Scenario
+
+CHUNK = 16
+"""Runs that a worker takes at a time: a run of the ideal camera takes some 50 ms."""
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How one run ended: its outcome's word, whether that is a success, when it converged [s], how far from its true goal [m]."""
+
+    outcome: str
+    success: bool
+    time_s: float
+    away_m: float
+
+
+def fly(scenario: Scenario) -> Ended:
+    """One run in memory."""
+    made = run(scenario)
+    figures = made.summary()
+    time_s, away_m = (math.nan if figures[k] is None else float(str(figures[k])) for k in ("time_to_converge_s", "final_position_error_m"))
+    return Ended(made.outcome.name, made.outcome.success, time_s, away_m)
+
+
+@dataclass(frozen=True)
+class Study:
+    """What is mapped: a comparison with two axes, and its runs.
+
+    Raises (from the constructor): ParameterError where it has not exactly two axes, no seeds, or tasks.
+    """
+
+    comparison: Comparison
+
+    def __post_init__(self) -> None:
+        """Refuse what makes no map."""
+        c = self.comparison
+        if len(c.axes) != 2:
+            raise ParameterError("axes", "must be two in a convergence map", list(c.axes))
+        if c.tasks or c.seeds is None:
+            raise ParameterError("seeds", "must be given in a convergence map, which has no tasks")
+
+    @property
+    def runs(self) -> list[Job]:
+        """Every run."""
+        return jobs(controllers(self.comparison), self.comparison.seeds)
+
+    def fly(self, processes: int | None, told: Callable[[int, int], None] = lambda done, of: None) -> list[tuple[Job, Ended]]:
+        """All runs, in worker processes; `told` hears how many are done."""
+        runs = self.runs
+        with ProcessPoolExecutor(workers_of(processes, len(runs)), mp_context=get_context("spawn")) as pool:
+            ended = []
+            for one in pool.map(fly, (job.scenario() for job in runs), chunksize=CHUNK):
+                ended.append(one)
+                told(len(ended), len(runs))
+        return list(zip(runs, ended, strict=True))
+
+    def panels(self, ended: Sequence[tuple[Job, Ended]]) -> list[Panel]:
+        """One map for each scenario and combination of cases, in their order."""
+        axes = list(self.comparison.axes.items())
+        (x_path, xs), (y_path, ys) = axes
+        cells: dict[str, dict[tuple[str, str], list[Ended]]] = {}
+        for job, one in ended:
+            values = job.controller.values
+            names = [str(values[name]) for name in self.comparison.cases]
+            label = ", ".join(([job.controller.scenario.name] if len(self.comparison.base) > 1 or not names else []) + names)
+            cells.setdefault(label, {}).setdefault((str(values[x_path]), str(values[y_path])), []).append(one)
+        return [_panel(label, found, [str(x) for x in xs], [str(y) for y in ys]) for label, found in cells.items()]
+
+    def table(self, ended: Sequence[tuple[Job, Ended]]) -> pl.DataFrame:
+        """One row a run: scenario, cases, values, seed, how it ended."""
+        rows = [
+            {"scenario": job.controller.scenario.name}
+            | {name: str(value) for name, value in job.controller.values.items()}
+            | {"seed": job.seed, "outcome": one.outcome, "success": one.success}
+            | {"time_to_converge_s": one.time_s, "final_position_error_m": one.away_m}
+            for job, one in ended
+        ]
+        return pl.DataFrame(rows).fill_nan(None)
+
+
+def _panel(label: str, found: dict[tuple[str, str], list[Ended]], xs: list[str], ys: list[str]) -> Panel:
+    share, away = np.empty((len(ys), len(xs))), np.full((len(ys), len(xs)), np.nan)
+    others = np.full((len(ys), len(xs)), "", dtype=object)
+    for (i, y), (j, x) in itertools.product(enumerate(ys), enumerate(xs)):
+        ended = found[x, y]
+        share[i, j] = np.mean([one.success for one in ended])
+        good = [one.away_m for one in ended if one.success]
+        away[i, j] = float(np.median(good)) if good else math.nan
+        failed = Counter(one.outcome for one in ended if not one.success)
+        others[i, j] = failed.most_common(1)[0][0] if failed else ""
+    return Panel(label, share, others, away)
+
+
+def write(folder: Path, study: Study, ended: Sequence[tuple[Job, Ended]], command: str = "") -> Path:
+    """`convergence.csv`, `.parquet`, `.png`, `.pdf` and `report.html`, each whole or not at all; the page's path.
+
+    Raises:
+        OutputError, EnvironmentLackError: a file cannot be written.
+    """
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    table, parquet = study.table(ended), io.BytesIO()
+    table.write_parquet(parquet)
+    write_whole(folder / "convergence.parquet", parquet.getvalue())
+    write_whole(folder / "convergence.csv", table.write_csv())
+    axes = [(path, [_short(value) for value in values]) for path, values in study.comparison.axes.items()]
+    seeds = study.comparison.seeds or 0
+    return write_page(folder, study.panels(ended), axes[0], axes[1], seeds, study.comparison.description, command)
+
+
+def _short(value: object) -> str:
+    return ", ".join(_short(v) for v in value) if isinstance(value, list | tuple) else str(value)
+
+
+def summaries(panels: Sequence[Panel]) -> Iterator[dict[str, object]]:
+    """Each map in numbers: its share of runs that converged."""
+    for panel in panels:
+        yield {"label": panel.label, "converged": float(np.mean(panel.share))}

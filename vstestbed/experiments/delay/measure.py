@@ -1,0 +1,206 @@
+"""The gain at which a scenario's loop goes unstable, found by running it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array, Pose, exp, inverse
+from vstestbed.experiments.delay.lag import Lag, measure_lags
+from vstestbed.experiments.delay.theory import closed_form, gain_limit, swing_frames
+from vstestbed.laws.base import ConstantGain, TwistLimits
+from vstestbed.laws.visibility import Visibility
+from vstestbed.loop.run import run
+from vstestbed.robots import Free, Puma560, Robot
+from vstestbed.robots.free import FreeStart
+from vstestbed.robots.puma560 import JointAngles, PumaStart
+from vstestbed.scenario.scenario import Scenario
+from vstestbed.scenario.stop import Converged, Outcome, Stop
+from vstestbed.vision import Oracle
+
+HALVINGS = 9
+"""Of a bracket of half to one and a half times the prediction: 0.2 % of it is left."""
+SWINGS = 16
+"""A run lasts this many swings of the limit, and 40 frames more in which other modes die out."""
+OFF, OFF_WITH_FRICTION = 0.002, 0.02
+"""How far off its goal a run begins: along each axis [m], and about each axis or in each joint [rad]. Near enough for the loop to be
+linear and its servos unsaturated; joints with friction far enough for motion to count for more than friction."""
+GROWN = 20.0
+"""An error that has grown so many times is of a loop that has gone unstable, whatever it does then; so is one whose servos
+still saturate in its second half."""
+UNSATURATED = 0.999
+CALM = (Outcome.converged, Outcome.local_minimum)
+
+
+@dataclass(frozen=True)
+class Limit:
+    """One delay: where the loop goes unstable.
+
+    Attributes:
+        delay_frames: d. latency_s: [s].
+        gain: the largest stable gain, measured [1/s]; g: times the period [1].
+        g_theory: of a robot that moves as told. g_lag: with the servos' measured lag, of the joint that goes first; None for
+            a robot without joints.
+        lags: of each joint at this swing. runs: how many it took.
+    """
+
+    delay_frames: int
+    latency_s: float
+    gain: float
+    g: float
+    g_theory: float
+    g_lag: float | None
+    lags: tuple[Lag, ...]
+    runs: int
+
+    @property
+    def joint(self) -> str | None:
+        """The joint that goes unstable first, by the prediction."""
+        return min(self.lags, key=lambda lag: gain_limit(self.delay_frames, lag.shares)).joint if self.lags else None
+
+    @property
+    def lag_of_first(self) -> float:
+        """The lag of that joint at the limit's swing [s]; 0 for a robot without joints."""
+        return next((lag.lag_s for lag in self.lags if lag.joint == self.joint), 0.0)
+
+    def row(self) -> dict[str, float | int | str | None]:
+        """The limit as a row of the table."""
+        first = next((lag for lag in self.lags if lag.joint == self.joint), None)
+        return {
+            "delay_frames": self.delay_frames,
+            "latency_s": self.latency_s,
+            "gain_limit": self.gain,
+            "g_measured": self.g,
+            "g_theory": self.g_theory,
+            "measured_to_theory": self.g / self.g_theory,
+            "g_with_lag": self.g_lag,
+            "measured_to_lag": None if self.g_lag is None else self.g / self.g_lag,
+            "joint": self.joint,
+            "joint_lag_s": None if first is None else first.lag_s,
+            "joint_gain": None if first is None else first.gain,
+            "runs": self.runs,
+        }
+
+
+def prepared(scenario: Scenario) -> Scenario:
+    """The scenario as it is swung: at its goal, the oracle for its detector, its law without limits on the twist.
+
+    An arm is taken to its goal by a run of its own, with ideal servos.
+
+    Raises:
+        ParameterError: the robot or the law is none whose gain limit this finds, or the run does not reach its goal.
+    """
+    law = scenario.law
+    names = {field.name for field in fields(law)}
+    if "gain" not in names or "gain_z" in names:
+        raise ParameterError("law.kind", "must have one gain for all directions: ibvs, pbvs or hybrid", law.kind)
+    plain = {"limits": TwistLimits(), "smooth_start_s": 0.0, "visibility": Visibility(), "gain": ConstantGain(value=2.0)}
+    settled = replace(
+        scenario,
+        law=replace(law, **{name: value for name, value in plain.items() if name in names}),
+        detector=Oracle(field_of_view="unlimited"),
+        camera=replace(scenario.camera, latency_s=0.0),
+        stop=Stop(duration_s=60.0, converged=Converged(error_px=0.01, hold_s=0.0)),
+    )
+    if isinstance(settled.robot, Free):
+        T = scenario.T_world_goal @ inverse(scenario.camera.mount.T)
+        return replace(settled, robot=Free(start=FreeStart(nominal=Pose.of(T))))
+    if not isinstance(settled.robot, Puma560):
+        words = "must be free or puma560: the limit of a loop that answers in all six directions alike is what is found"
+        raise ParameterError("robot.kind", words, settled.robot.kind)
+    flown = run(replace(settled, robot=replace(settled.robot, actuation="ideal")))
+    if not flown.outcome.success:
+        raise ParameterError("scenario", f"must reach its goal without delay, at a gain of 2 1/s; {flown.outcome.value}")
+    q = np.array([flown[f"q_{joint}"][-1] for joint in settled.robot.joints])
+    return replace(settled, robot=_arm_at(settled.robot, q))
+
+
+def _arm_at(robot: Puma560, q: Array) -> Puma560:
+    return replace(robot, start=PumaStart(nominal=JointAngles(q_deg=tuple(np.degrees(q).tolist()))))
+
+
+def displaced(at_goal: Scenario) -> Scenario:
+    """The scenario begun a little off its goal, in every direction."""
+    signs = np.array([1.0, -1.0, 1.0, -1.0, 1.0, 1.0])
+    robot = at_goal.robot
+    if isinstance(robot, Puma560):
+        return replace(at_goal, robot=_arm_at(robot, robot.configuration() + _off(robot) * signs))
+    T = robot.flange_pose(robot.configuration()) @ exp(OFF * signs)
+    return replace(at_goal, robot=Free(start=FreeStart(nominal=Pose.of(T))))
+
+
+def _off(robot: Robot) -> float:
+    return OFF_WITH_FRICTION if robot.servo is not None and robot.servo.friction else OFF
+
+
+def growth(at_start: Scenario, gain: float, delay_frames: int) -> float:
+    """By what factor the swing of a run grows over its second half; over 1 the loop is unstable.
+
+    Args:
+        at_start: as `displaced` makes it. gain: [1/s]. delay_frames: d.
+    """
+    swing, period = max(swing_frames(delay_frames), 4), at_start.camera.period
+    frames = SWINGS * swing + 40
+    made = run(
+        replace(
+            at_start,
+            law=replace(at_start.law, gain=ConstantGain(value=gain)),
+            camera=replace(at_start.camera, latency_s=delay_frames * period),
+            stop=Stop(duration_s=frames * period, converged=Converged(error_px=1e-9, hold_s=frames * period)),
+        )
+    )
+    size = made["error_px"]
+    if not made.outcome.success and made.outcome is not Outcome.timed_out:
+        return 0.0 if made.outcome in CALM else math.inf
+    half = len(size) // 2
+    if np.nanmax(size) > GROWN * size[0] or (made["scale"][half:] < UNSATURATED).any():
+        return math.inf
+    early, late = np.nanmax(size[half : half + swing]), np.nanmax(size[-swing:])
+    return float(late / early) if early > 0 else 0.0
+
+
+def find_limit(at_goal: Scenario, delay_frames: int) -> Limit:
+    """The gain limit at one delay, by bisection.
+
+    Raises:
+        ParameterError: the loop is unstable at the lowest gain of the bracket, or stable at the highest.
+    """
+    period, theory = at_goal.camera.period, closed_form(delay_frames)
+    at_start = displaced(at_goal)
+    lags: tuple[Lag, ...] = ()
+    if at_goal.robot.joints:
+        lags = tuple(measure_lags(at_goal, delay_frames, _off(at_goal.robot)))
+    g_lag = min((gain_limit(delay_frames, lag.shares) for lag in lags), default=None)
+    expected, count = (theory if g_lag is None else g_lag), 0
+    low, high = 0.5 * expected, 1.5 * expected
+    for g, unstable in ((low, False), (high, True)):
+        count += 1
+        if (growth(at_start, g / period, delay_frames) > 1) is not unstable:
+            state = "stable" if unstable else "unstable"
+            words = f"is still {state} at {g / period:.3g} 1/s with {delay_frames} frames of delay, {g / expected:.2g} of what is expected"
+            raise ParameterError("law.gain", words)
+    for _ in range(HALVINGS):
+        middle = (low + high) / 2
+        count += 1
+        low, high = (low, middle) if growth(at_start, middle / period, delay_frames) > 1 else (middle, high)
+    g = (low + high) / 2
+    return Limit(delay_frames, delay_frames * period, g / period, g, theory, g_lag, lags, count)
+
+
+def find_limits(scenario: Scenario, delays: Sequence[int], told: Callable[[Limit], None] = lambda limit: None) -> list[Limit]:
+    """The gain limit at each delay [frames]; `told` hears of each.
+
+    Raises:
+        ParameterError: as `prepared` and `find_limit`; or a delay is negative or above 50 frames.
+    """
+    if bad := [d for d in delays if not 0 <= d <= 50]:
+        raise ParameterError("--frames", "must be whole numbers from 0 to 50", bad[0])
+    at_goal, made = prepared(scenario), []
+    for d in delays:
+        made.append(find_limit(at_goal, d))
+        told(made[-1])
+    return made

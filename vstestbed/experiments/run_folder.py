@@ -1,0 +1,191 @@
+"""A run with its folder: everything that CONTRACT promises of a run's results, whole or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import re
+import shutil
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from vstestbed.core.errors import OutputError, RunFolderError
+from vstestbed.core.files import write_whole, writing
+from vstestbed.loop.log_file import PartWriter, read_log
+from vstestbed.loop.recording import Layout, Recording, Tick, Watcher, kept
+from vstestbed.loop.run import run
+from vstestbed.scenario.load import dump
+from vstestbed.scenario.scenario import Scenario
+from vstestbed.sim.build import SceneFiles, scene_files
+
+if TYPE_CHECKING:
+    from vstestbed.report.video.film import Film
+
+Films = Literal["camera", "overview", "both", "none"]
+FILM_CAMERAS: dict[str, dict[str, str]] = {
+    "both": {"camera": "eye", "overview": "overview"},
+    "camera": {"camera": "eye"},
+    "overview": {"overview": "overview"},
+    "none": {},
+}
+OWN_FILES = ("scenario.yaml", "model.xml", "log.part")
+ASSETS = "assets"
+"""The folder of the files that model.xml names."""
+
+
+def new_folder(scenario: Scenario, out: Path | None) -> Path:
+    """Make the folder of a new run: `out`, or `runs/<scenario>/<number>` with the next free number.
+
+    Raises:
+        OutputError: `out` holds something already, or cannot be made.
+    """
+    if out is not None:
+        with writing(out):
+            if out.exists() and (not out.is_dir() or any(out.iterdir())):
+                raise OutputError(out, "exists and is not an empty folder", "give a new folder; an older run is never written over")
+            out.mkdir(parents=True, exist_ok=True)
+        return out
+    name = re.sub(r"[^\w.-]+", "_", scenario.name).strip(".") or "scenario"
+    parent = Path("runs") / name
+    with writing(parent):
+        parent.mkdir(parents=True, exist_ok=True)
+        number = max((int(p.name) for p in parent.iterdir() if p.name.isdecimal()), default=0) + 1
+        while True:
+            try:
+                (parent / f"{number:03d}").mkdir(parents=True)
+            except FileExistsError:
+                number += 1
+            else:
+                return parent / f"{number:03d}"
+
+
+class _LogOnDisk:
+    """Writes each frame to `log.part` as it comes."""
+
+    def __init__(self, folder: Path, scenario: Scenario):
+        self._folder, self._layout = folder, Layout(scenario)
+        with writing(folder):
+            self._writer = PartWriter(folder / "log.part", self._layout)
+
+    def tick(self, tick: Tick) -> None:
+        """Append a frame."""
+        with writing(self._folder):
+            self._writer.append(self._layout.rows([kept(tick)])[0].tolist())
+
+    def close(self) -> None:
+        """Close the file; what could not be written of its last line is given up (the run has ended with that error)."""
+        with contextlib.suppress(OSError):
+            self._writer.close()
+
+
+def run_into(
+    folder: Path,
+    scenario: Scenario,
+    films: Films = "both",
+    watch: Iterable[Watcher] = (),
+    stage: Callable[[str], None] = lambda _: None,
+    report: bool = True,
+    tile_px: tuple[int, int] | None = None,
+) -> Recording:
+    """Run a scenario and leave its folder: scenario, model, log, summary, films, report.
+
+    Args:
+        folder: an empty folder (see `new_folder`).
+        films: which films to make.
+        watch: further watchers, such as a progress bar.
+        stage: told in a few words what is being done after the run.
+        report: whether to write the report, which can be made later, too.
+        tile_px: width and height of a film from outside that is quick to make, without shadows; None for the usual one.
+
+    Raises:
+        EnvironmentLackError: no OpenGL, no codec, no space. OutputError: the folder cannot be written.
+    """
+    with _all_or_nothing(folder):
+        write_whole(folder / "scenario.yaml", dump(scenario))
+        _write_scene(
+            folder, scene_files(scenario.robot, scenario.camera, scenario.target, scenario.world, scenario.physics, scenario.sights)
+        )
+        with _filming(folder, scenario, films, tile_px) as cameras:
+            log = _LogOnDisk(folder, scenario)
+            try:
+                recording = run(scenario, [log, *cameras, *watch])
+            finally:
+                log.close()
+            recording.time_ms["video"] = 1e3 * sum(film.spent_s for film in cameras)
+    finish(folder, recording)
+    if report:
+        from vstestbed.report import Setting, write_report
+
+        stage("writing the report")
+        write_report(folder, log=recording.frame(), setting=Setting.of(recording.scenario))
+    return recording
+
+
+def _write_scene(folder: Path, scene: SceneFiles) -> None:
+    """`model.xml`, with the files that it names beside it."""
+    for name, content in scene.assets.items():
+        with writing(folder):
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        write_whole(folder / name, content)
+    write_whole(folder / "model.xml", scene.xml)
+
+
+@contextmanager
+def _all_or_nothing(folder: Path) -> Iterator[None]:
+    """Take the folder away again when the run failed before its first frame (no OpenGL, no codec, no space)."""
+    try:
+        yield
+    except BaseException:
+        if _has_frames(folder):
+            raise
+        for made in OWN_FILES:
+            (folder / made).unlink(missing_ok=True)
+        shutil.rmtree(folder / ASSETS, ignore_errors=True)
+        with contextlib.suppress(OSError):  # a folder that something else stands in stays
+            folder.rmdir()
+            for parent in folder.parents[:2] if folder.parts[0] == "runs" else ():
+                parent.rmdir()
+        raise
+
+
+def _has_frames(folder: Path) -> bool:
+    with contextlib.suppress(RunFolderError):
+        return read_log(folder).height > 0
+    return False
+
+
+@contextmanager
+def _filming(folder: Path, scenario: Scenario, films: Films, tile_px: tuple[int, int] | None) -> Iterator[list[Film]]:
+    """The films that are asked for; finished when the run ends, also an interrupted one, and gone when it fails."""
+    wanted = FILM_CAMERAS[films]
+    if not wanted:
+        yield []
+        return
+    from vstestbed.report.video.film import Film, replay_of
+
+    replay = replay_of(scenario, shadows=tile_px is None)
+    sizes = {"overview": tile_px}
+    reel = [Film(scenario, camera, folder / f"{name}.mp4", replay, sizes.get(name)) for name, camera in wanted.items()]
+    try:
+        yield reel
+        for film in reel:
+            film.close()
+    except BaseException:
+        for film in reel:
+            film.abort()
+        raise
+    finally:
+        replay.close()
+
+
+def finish(folder: Path, recording: Recording) -> None:
+    """Turn `log.part` into `log.parquet`, write the summary."""
+    log = recording.frame()
+    parquet = io.BytesIO()
+    log.write_parquet(parquet, compression="zstd", statistics=False)
+    write_whole(folder / "log.parquet", parquet.getvalue())
+    (folder / "log.part").unlink(missing_ok=True)
+    write_whole(folder / "summary.json", json.dumps(recording.summary(), indent=1) + "\n")

@@ -1,0 +1,145 @@
+"""What a law may see (Observation), what it wants to see (Goal), and where its depth comes from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vstestbed.camera import Camera
+from vstestbed.core.geometry import Array, transform
+
+
+@dataclass(frozen=True, slots=True)
+class Relative:
+    """This view against the goal's, from the image of one plane: the homography H (3, 3) with Z/Z* m = H m*, and R_camera_goal."""
+
+    H: Array
+    R_camera_goal: Array
+
+
+@dataclass(frozen=True, slots=True)
+class OwnMotion:
+    """The camera's own motion, by what the robot measures of itself (joints) and what it ordered.
+
+    Attributes:
+        twist: mean twist (6,) since the last picture, and since_s for how long that was [s]; 0 at the first.
+        moved: way (6,) since the exposure until now, [m, rad]; age_s: how long ago the exposure was [s].
+        ordered: the twist (6,) that was ordered last.
+    """
+
+    twist: Array
+    since_s: float
+    moved: Array
+    age_s: float
+    ordered: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """What the camera and the robot's own sensors tell at one frame; nothing of the simulator's truth.
+
+    Attributes:
+        t: time of exposure [s].
+        uv: measured marker pixels, shape (N, 2), NaN where a marker is not seen.
+        xy: the same, normalised and undistorted, shape (N, 2); NaN also where a wide lens sees a marker beside or behind it.
+        depth: Z of each marker as the scenario says it is found [m], shape (N,), NaN where unknown.
+        T_camera_target: estimated pose (4, 4), or None where it is not estimated.
+        ray, range: unit rays (N, 3) to the markers and distances (N,) [m] along them, for laws that ask for them.
+        relative: this view against the goal's, for laws that ask for it.
+        odometry: a ground vehicle's way since the start by its encoders alone, (x, y, heading) [m, rad] from where it stood.
+        place: a ground vehicle's (x, y, heading) [m, rad] in the world, from its landmarks, compass and encoders; None
+            where it is not known yet, or the target is no landmark.
+        motion: the camera's own motion, for laws that ask for it.
+
+    Where the scenario derotates, xy, depth, T_camera_target, ray, relative and motion are those of the level camera, which
+    shares the craft's place and heading; uv is what the picture shows.
+    """
+
+    t: float
+    uv: Array
+    xy: Array
+    depth: Array
+    T_camera_target: Array | None = None
+    ray: Array | None = None
+    range: Array | None = None
+    relative: Relative | None = None
+    odometry: Array | None = None
+    place: Array | None = None
+    motion: OwnMotion | None = None
+
+    @property
+    def seen(self) -> NDArray[np.bool_]:
+        """Which markers are seen, shape (N,)."""
+        return np.isfinite(self.uv[:, 0])
+
+    def only(self, counted: NDArray[np.bool_] | None) -> Observation:
+        """The same without the markers that do not count, (N,) bool; all count where that is None."""
+        if counted is None:
+            return self
+        out = ~counted
+        gone = {name: _without(getattr(self, name), out) for name in ("uv", "xy", "depth", "ray", "range")}
+        return replace(self, **gone)
+
+
+def _without(a: Array | None, out: NDArray[np.bool_]) -> Array | None:
+    return None if a is None else np.where(out if a.ndim == 1 else out[:, None], np.nan, a)
+
+
+@dataclass(frozen=True, slots=True)
+class Goal:
+    """The goal view through a calibrated camera: uv (N, 2), xy (N, 2), depth (N,), ray (N, 3), range (N,), and its pose.
+
+    `middle` (3,) is the mean of the markers in the camera's frame [m], `normal` (3,) the unit normal of the plane that fits
+    them best, away from the camera. Tasks that are not told by a view have more: `place` (x, y, heading) where a vehicle
+    shall stand [m, rad], `gap_m` what it shall keep from the target. A view that moves along a path has its camera's `twist` (6,)
+    [m/s, rad/s], in the camera's frame. `counted` (N,) says which markers count, None: all. `T_base_camera` is the known mount.
+    """
+
+    uv: Array
+    xy: Array
+    depth: Array
+    ray: Array
+    range: Array
+    T_camera_target: Array
+    camera: Camera
+    middle: Array
+    normal: Array
+    place: Array | None = None
+    gap_m: float | None = None
+    twist: Array | None = None
+    counted: NDArray[np.bool_] | None = None
+
+    @property
+    def T_base_camera(self) -> Array:
+        """The camera's mount, as the robot knows it (4, 4)."""
+        return self.camera.mount.T
+
+    @classmethod
+    def from_view(cls, camera: Camera, points: Array, T_camera_target: Array) -> Goal:
+        """The view that `camera` has of target points (N, 3) from the relative pose T_camera_target (4, 4)."""
+        return cls.of_points(camera, transform(T_camera_target, points), T_camera_target)
+
+    @classmethod
+    def of_points(cls, camera: Camera, p: Array, T_camera_target: Array) -> Goal:
+        """The view of points p (N, 3) in the camera's frame [m]."""
+        uv, reach = camera.project(p), np.linalg.norm(p, axis=-1)
+        return cls(uv, camera.normalise(uv), p[:, 2], p / reach[:, None], reach, T_camera_target, camera, *_plane(p))
+
+    @classmethod
+    def of_picture(cls, camera: Camera, uv: Array, p: Array, T_camera_target: Array) -> Goal:
+        """The view in a picture with markers at uv (N, 2), taken to be at p (N, 3) in the camera's frame [m]."""
+        reach = np.linalg.norm(p, axis=-1)
+        return cls(uv, camera.normalise(uv), p[:, 2], camera.ray(uv), reach, T_camera_target, camera, *_plane(p))
+
+    def deepened(self, scale: Array) -> Goal:
+        """The same view with each marker's depth and range times `scale` (N,), their middle's times the mean of it."""
+        return replace(self, depth=self.depth * scale, range=self.range * scale, middle=self.middle * scale.mean())
+
+
+def _plane(p: Array) -> tuple[Array, Array]:
+    """Mean (3,) of points (N, 3), and the unit normal (3,) of the plane that fits them best, away from the origin."""
+    middle = p.mean(axis=0)
+    normal = np.linalg.svd(p - middle)[2][2]
+    return middle, normal if normal @ middle > 0 else -normal

@@ -1,0 +1,1 @@
+"""The time loop: exposures, the controller, the record of a run, its log and its metrics."""

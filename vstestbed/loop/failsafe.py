@@ -1,0 +1,109 @@
+"""The pilot of a craft that flies: what is done when the law cannot, by the craft's own instruments.
+
+Without a target in sight the law rests and the craft holds (or coasts for a moment after a target that moved); after a while
+it sinks until it stands, and rotors go off. A craft that overturned levels by itself (its flight loops hear no order then); a
+rotor that stays at its limit means that orders cannot be kept: both give the task up, hold and sink. Nothing falls silently.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from vstestbed.core.geometry import Array
+from vstestbed.robots.quadrotor import HOLD, ROTORS_OFF, descend
+from vstestbed.scenario.goal import GoalLanding
+from vstestbed.scenario.scenario import Scenario
+from vstestbed.scenario.stop import Outcome
+
+HOLD_S = 2.0
+"""How long a craft that has given up holds before it sinks [s]."""
+SINK_MPS = 0.4
+"""How fast it sinks [m/s]."""
+RESUME_M = 0.5
+"""Lower than this over the ground it sets down even when it sees its target again [m]."""
+LIMIT_S = 1.0
+"""How long a rotor may stand at its limit [s]."""
+DOWN_S = 0.5
+"""How long it must stand with rotors off to be down [s]."""
+FOLLOWS, HOLDS, SINKS, OFF = range(4)
+"""What the pilot does, as the log has it."""
+
+
+@dataclass
+class Pilot:
+    """Watches one flight.
+
+    Attributes:
+        lands: the task ends on the ground. lost_after_s: how long it holds without sight before it sinks [s].
+        aborted: why the task was given up. off_at: when the rotors went off [s]. mode: what it does.
+    """
+
+    lands: bool
+    lost_after_s: float
+    aborted: tuple[Outcome, str] | None = None
+    off_at: float = math.nan
+    mode: int = FOLLOWS
+    _lost_at: float = math.nan
+    _since: float = math.nan
+
+    def order(self, t: float, lost: str, told: Mapping[str, Array], setpoint: Array) -> Array:
+        """The setpoint (4,) that is flown: the law's, or what is safe.
+
+        Args:
+            t: time of exposure [s].
+            lost: why the law has nothing to go by ("" while it has).
+            told: the craft's instruments.
+            setpoint: what the law asks for.
+        """
+        self._watch(t, lost, told)
+        if not math.isnan(self.off_at):
+            self.mode = OFF
+            return ROTORS_OFF
+        if not self.aborted:
+            self.mode = HOLDS if lost else FOLLOWS
+            stands = self.lands and bool(told["stands"][0])
+        else:
+            self.mode = HOLDS if t - self._since < HOLD_S and self.aborted[0] is not Outcome.target_lost else SINKS
+            stands = bool(told["stands"][0])
+        if stands:
+            self.off_at, self.mode = t, OFF
+            return ROTORS_OFF
+        if self.mode == SINKS:
+            return descend(SINK_MPS)
+        return HOLD if self.aborted else setpoint
+
+    @property
+    def may_touch(self) -> bool:
+        """Whether the feet may be on something: in a landing, or once it sinks to set down."""
+        return self.lands or self.mode in (SINKS, OFF)
+
+    def down(self, t: float) -> bool:
+        """Whether it has stood with its rotors off for a moment."""
+        return t - self.off_at >= DOWN_S
+
+    def _watch(self, t: float, lost: str, told: Mapping[str, Array]) -> None:
+        """Give up where it has to; seen again, a target that was lost is followed again."""
+        self._lost_at = (t if math.isnan(self._lost_at) else self._lost_at) if lost else math.nan
+        if not math.isnan(self.off_at):
+            return
+        high = told["range"][0] > RESUME_M
+        if self.aborted and self.aborted[0] is Outcome.target_lost and not lost and high:
+            self.aborted = None
+        if self.aborted and self.aborted[0] is not Outcome.target_lost:
+            return
+        if told["overturned"][0]:
+            self._give_up(t, Outcome.overturned, Outcome.overturned.value)
+        elif told["rotor_limit_s"][0] > LIMIT_S:
+            self._give_up(t, Outcome.rotor_limit, f"a rotor stood at its limit for {LIMIT_S:g} s")
+        elif lost and not self.aborted and t - self._lost_at >= self.lost_after_s:
+            self._give_up(t, Outcome.target_lost, f"{lost} for {self.lost_after_s:g} s")
+
+    def _give_up(self, t: float, outcome: Outcome, reason: str) -> None:
+        self.aborted, self._since = (outcome, f"{reason} at {t:.1f} s"), t
+
+
+def pilot_of(scenario: Scenario) -> Pilot | None:
+    """The pilot of a scenario's craft; None for what does not fly."""
+    return Pilot(isinstance(scenario.goal, GoalLanding), scenario.stop.lost_after_s) if scenario.robot.feet else None

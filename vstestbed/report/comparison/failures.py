@@ -1,0 +1,135 @@
+"""Runs that did not reach the goal: by outcome and reason, with the commands that replay them and what was seen at the end."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections import defaultdict
+from dataclasses import dataclass
+from html import escape
+from itertools import zip_longest
+from pathlib import Path
+from typing import Final
+
+from vstestbed.report.comparison.columns import Comparison
+from vstestbed.report.comparison.summary_text import runs
+from vstestbed.report.html.pieces import data_url
+
+PICTURES: Final = 24
+PICTURE_BYTES: Final = 4_000_000
+"""The gallery has at most so many pictures, and they together at most so many bytes."""
+ERRORS: Final = 24
+ERROR_CHARACTERS: Final = 4000
+"""Of so many crashed runs the end of `error.txt` is shown, that long."""
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A run that did not reach the goal; place is its folder."""
+
+    controller: str
+    seed: int
+    outcome: str
+    reason: str
+    place: Path
+
+    @property
+    def command(self) -> str:
+        """What replays it, from where the comparison was started."""
+        return f"vstestbed run {shlex.quote((self.place / 'scenario.yaml').as_posix())}"
+
+    @property
+    def kind(self) -> tuple[str, str]:
+        """Outcome, and the reason without its numbers."""
+        return self.outcome, re.sub(r"\d[\d.e+-]*", "#", self.reason)
+
+
+def failures(folder: Path, comparison: Comparison) -> list[Failure]:
+    """All runs without success, by controller and seed."""
+    made = []
+    for controller in comparison.controllers:
+        for row in controller.runs.filter(~controller.success).iter_rows(named=True):
+            outcome, reason = str(row.get("outcome") or "no outcome"), str(row.get("reason") or "")
+            made.append(Failure(controller.label, int(row["seed"]), outcome, reason, folder / str(row["folder"])))
+    return made
+
+
+def section(folder: Path, comparison: Comparison) -> str:
+    """The failures of a comparison's folder as HTML, and the runs that had to be done again."""
+    made = failures(folder, comparison)
+    kinds: dict[tuple[str, str], list[Failure]] = defaultdict(list)
+    for failure in made:
+        kinds[failure.kind].append(failure)
+    groups = sorted(kinds.values(), key=len, reverse=True)
+    with_error = {id(f) for f in _in_turn([g for g in groups if g[0].outcome == "crashed"], ERRORS)}
+    told = "".join(_group(group, with_error) for group in groups)
+    words = f"{runs(len(made))} of {len(comparison.table)} did not reach the goal; each line opens to the commands that run them again."
+    if not made:
+        words = f"All {runs(len(comparison.table))} reached the goal."
+    return f'<section><h2>Failures</h2><p class="soft">{words}</p>{told}{_gallery(groups)}{_again(comparison)}</section>'
+
+
+def _group(group: list[Failure], with_error: set[int]) -> str:
+    """One outcome and reason: how many, which seeds of which controller, and behind that each run's command."""
+    outcome, first = group[0].outcome.replace("_", " ").capitalize(), group[0].reason
+    same = all(f.reason == first for f in group)
+    reason = first if same else f"{first}, and the like"
+    seeds: dict[str, list[str]] = defaultdict(list)
+    for failure in group:
+        seeds[failure.controller].append(str(failure.seed))
+    who = "; ".join(f"{name}: seed{'s' * (len(s) > 1)} {', '.join(s)}" for name, s in seeds.items())
+    head = f'<b>{escape(outcome)}</b> {runs(len(group))}: {escape(reason)}<br><span class="soft">{escape(who)}</span>'
+    return f'<details class="failure"><summary>{head}</summary>{"".join(_run(f, same, id(f) in with_error) for f in group)}</details>'
+
+
+def _run(failure: Failure, same: bool, with_error: bool) -> str:
+    reason = "" if same else f": {escape(failure.reason)}"
+    error = _error(failure.place) if with_error else ""
+    return f"<p>{escape(failure.controller)}, seed {failure.seed}{reason}<br><code>{escape(failure.command)}</code></p>{error}"
+
+
+def _error(place: Path) -> str:
+    try:
+        text = (place / "error.txt").read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return ""
+    return f"<pre>{escape(text[-ERROR_CHARACTERS:].strip())}</pre>"
+
+
+def _in_turn(groups: list[list[Failure]], most: int) -> list[Failure]:
+    """Up to so many failures, one of each group in turn, so that a frequent kind does not hide a rare one."""
+    return [f for row in zip_longest(*groups) for f in row if f is not None][:most]
+
+
+def _gallery(groups: list[list[Failure]]) -> str:
+    """Pictures of how failed runs ended, as far as their folders have one."""
+    there = [[f for f in group if (f.place / "end.png").is_file()] for group in groups]
+    room, made = PICTURE_BYTES, []
+    for failure in _in_turn(there, PICTURES):
+        size = (failure.place / "end.png").stat().st_size
+        if size > room:
+            continue
+        room -= size
+        source = data_url("image/png", (failure.place / "end.png").read_bytes())
+        words = escape(f"{failure.controller}, seed {failure.seed}: {failure.outcome.replace('_', ' ')}")
+        made.append(f'<figure><img src="{source}" alt="{words}" loading="lazy"><figcaption>{words}</figcaption></figure>')
+    total = sum(map(len, there))
+    if not total:
+        return ""
+    some = f" ({len(made)} of {total}, every kind in turn)" if len(made) < total else ""
+    return f'<h2>How they ended{some}</h2><div class="gallery">{"".join(made)}</div>'
+
+
+def _again(comparison: Comparison) -> str:
+    """The runs whose worker died once."""
+    if "attempts" not in comparison.table.columns:
+        return ""
+    made = [
+        f"<li>{escape(c.label)}, seed {row['seed']} ({escape(str(row['outcome']).replace('_', ' '))})</li>"
+        for c in comparison.controllers
+        for row in c.runs.iter_rows(named=True)
+        if (row["attempts"] or 1) > 1
+    ]
+    if not made:
+        return ""
+    return f'<h2>Done again</h2><p>Its worker died once; done again:</p><ul class="runs again">{"".join(made)}</ul>'

@@ -1,0 +1,229 @@
+"""The comparison's figures over all runs: error over time, success over time, the numbers' distributions, paired differences.
+
+Each takes the data and the figure's width [in], so that the page and a paper can have it in their own size.
+"""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vstestbed.core.geometry import Array
+from vstestbed.report.comparison.columns import Comparison
+from vstestbed.report.comparison.pairs import TIME, Pair
+from vstestbed.report.comparison.series import Series
+from vstestbed.report.html.canvas import INK, LINE_COLORS, LOST, RULE, new_figure, note
+from vstestbed.report.run.figures import plain
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+THRESHOLD: dict[str, Any] = {"color": INK, "linestyle": (0, (2, 2)), "linewidth": 0.8, "alpha": 0.7}
+DASHES: tuple[Any, ...] = ("-", (0, (5, 2)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)))
+BANDS = 4
+"""Up to so many controllers, quartile bands are drawn in one picture."""
+PANELS = 24
+LINES = 200
+"""Controllers that get a panel of their own, and single runs drawn in all of them together."""
+LEAST_DIFFERENCE = 1e-9
+"""What is smaller, in any unit, is rounding."""
+EACH_LEAST, EACH_MOST = 5, 30
+
+
+@dataclass(frozen=True)
+class Data:
+    """What the figures draw; threshold_px: where the goal counts as reached, None where it is not the same for all."""
+
+    comparison: Comparison
+    series: Series
+    pairs: list[Pair]
+    threshold_px: float | None = None
+
+    @property
+    def labels(self) -> list[str]:
+        """The controllers' names, as matplotlib takes them."""
+        return [plain(c.label) for c in self.comparison.controllers]
+
+
+def look(i: int) -> dict[str, Any]:
+    """Colour and dashes of the controller i: the eight colours first, then the same dashed."""
+    return {"color": LINE_COLORS[i % len(LINE_COLORS)], "linestyle": DASHES[i // len(LINE_COLORS) % len(DASHES)]}
+
+
+def wrapped(label: str, width: int = 20) -> str:
+    """A long name in several lines."""
+    return textwrap.fill(label, width)
+
+
+def medians(data: Data, width_in: float) -> Figure:
+    """The median error of each controller over time with its quartile band, in one picture."""
+    figure = new_figure(0.58 * width_in + _keys_in(data), width_in)
+    axes = figure.add_subplot()
+    quartiles = [data.series.quartiles(i) for i in range(len(data.labels))]
+    for i, quartile in enumerate(quartiles):
+        _draw_quartiles(axes, data.series.t, quartile, look(i), band=len(quartiles) <= BANDS)
+    _error_axes(axes, data, quartiles)
+    axes.set_xlabel("time [s]")
+    axes.set_ylabel("RMS error [px]")
+    _legend(figure, data)
+    if data.threshold_px and axes.get_yscale() == "log":
+        axes.annotate(f"{data.threshold_px:g} px", (1, data.threshold_px), xycoords=axes.get_yaxis_transform(), va="bottom", ha="right")
+    return figure
+
+
+def each_run(data: Data, width_in: float) -> Figure:
+    """A panel a controller: single runs as thin lines, median and band on them, the others' medians in grey."""
+    n = min(len(data.labels), PANELS)
+    columns = -(-n // -(-n // 4))  # rows of equal length
+    figure = new_figure(width_in / max(columns, 3) * 0.8 * -(-n // columns) + 0.3, width_in)
+    grid = figure.subplots(-(-n // columns), columns, sharex=True, sharey=True, squeeze=False)
+    quartiles = [data.series.quartiles(i) for i in range(len(data.labels))]
+    for i, axes in enumerate(np.ravel(grid)):
+        if i >= n:
+            axes.set_visible(False)
+            continue
+        for k, other in enumerate(quartiles[:PANELS]):
+            if k != i:
+                axes.plot(data.series.t, _shown(other[1]), color=RULE, linewidth=0.8)
+        _draw_runs(axes, data, i, n)
+        _draw_quartiles(axes, data.series.t, quartiles[i], look(i) | {"linestyle": "-"}, band=True)
+        axes.set_title(wrapped(data.labels[i], 28))
+        axes.xaxis.set_tick_params(labelbottom=i + columns >= n)
+    _error_axes(grid[0, 0], data, quartiles)
+    figure.supxlabel("time [s]", fontsize=_size())
+    figure.supylabel("RMS error [px]", fontsize=_size())
+    return figure
+
+
+def _draw_runs(axes: Axes, data: Data, i: int, n: int) -> None:
+    """The first few runs of a controller, failures in red with a cross where they were last seen."""
+    most = min(max(LINES // n, EACH_LEAST), EACH_MOST)
+    success = data.comparison.controllers[i].success
+    for error, reached in zip(data.series.errors[i][:most], success, strict=False):
+        line = _shown(error.astype(float))
+        color, alpha, order = (look(i)["color"], 0.45, 2) if reached else (LOST, 0.9, 4)  # failures on top
+        axes.plot(data.series.t, line, color=color, linewidth=0.5, alpha=alpha, zorder=order)
+        seen = np.flatnonzero(np.isfinite(line))
+        if not reached and len(seen):
+            axes.plot(data.series.t[seen[-1]], line[seen[-1]], "x", color=LOST, markersize=4)
+
+
+def _draw_quartiles(axes: Axes, t: Array, quartile: Array, style: dict[str, Any], band: bool) -> None:
+    low, middle, high = quartile
+    if band:
+        seen = np.isfinite(low) & (low > 0)
+        top = np.where(np.isfinite(high), high, 1e9)
+        axes.fill_between(t, np.where(seen, low, 1), top, where=seen.tolist(), color=style["color"], alpha=0.2, linewidth=0)
+    axes.plot(t, _shown(middle), **style)
+
+
+def _shown(error: Array) -> Array:
+    """What a logarithmic axis can show; the rest is a gap."""
+    return np.where(np.isfinite(error) & (error > 0), error, np.nan)
+
+
+def _error_axes(axes: Axes, data: Data, quartiles: Sequence[Array]) -> None:
+    """Logarithmic, as high as what runs and quartiles reach, with the threshold (in every panel that shares the axes)."""
+    found = [q[np.isfinite(q) & (q > 0)] for q in quartiles]
+    found += [e[np.isfinite(e) & (e > 0)].astype(float) for e in data.series.errors]
+    values = np.concatenate(found)
+    everywhere: Any = axes.figure.axes
+    if not len(values):
+        axes.set_yticks([])
+        note(axes, "no run with a log")
+        return
+    axes.set_yscale("log")
+    low, high = np.quantile(values, [0.001, 0.999])
+    axes.set_ylim(0.7 * min(low, data.threshold_px or low), 1.5 * high)
+    axes.set_xlim(0, data.series.t[-1])
+    for panel in everywhere if data.threshold_px else ():
+        panel.axhline(data.threshold_px, **THRESHOLD)
+
+
+def success(data: Data, width_in: float) -> Figure:
+    """The share of runs that have converged by a time."""
+    figure = new_figure(0.58 * width_in + _keys_in(data), width_in)
+    axes = figure.add_subplot()
+    end = data.series.t[-1]
+    for i, controller in enumerate(data.comparison.controllers):
+        times = controller.counted(TIME)
+        times = np.sort(times[np.isfinite(times)])
+        share = np.arange(len(times) + 1) / max(len(controller.runs), 1)
+        axes.step(np.concatenate([[0], times, [end]]), 100 * np.concatenate([share, share[-1:]]), where="post", **look(i))
+    axes.set_xlim(0, end)
+    axes.set_ylim(0, 104)
+    axes.set_xlabel("time [s]")
+    axes.set_ylabel("converged [%]")
+    _legend(figure, data)
+    return figure
+
+
+def differences(data: Data, width_in: float) -> Figure | None:
+    """A forest plot: the mean paired difference of each number with its interval, real ones in colour; None where there is none."""
+    rows = data.pairs if len(data.labels) <= BANDS else [p for p in data.pairs if p.a == 0]
+    if not any(np.isfinite(p.differences[m.name].low) for p in rows for m in data.comparison.shown):
+        return None  # one controller, or none that share two seeds on which both reached the goal
+    names = [wrapped(f"{data.labels[p.b]} \N{MINUS SIGN} {data.labels[p.a]}", 30) for p in rows]
+    height = 0.22 * sum(name.count("\n") + 1 for name in names) + 0.06 * len(rows) + 1.0
+    grid, figure = metric_panels(data, width_in, height, 5, names)
+    for axes, metric in zip(grid, data.comparison.shown, strict=False):
+        axes.axvline(0, color=INK, linewidth=0.8)
+        reach = LEAST_DIFFERENCE
+        for y, pair in enumerate(rows):
+            d = pair.differences[metric.name]
+            color = LINE_COLORS[1] if d.real else LINE_COLORS[7]
+            if np.isfinite(d.low):
+                axes.plot([d.low, d.high], [y, y], color=color, linewidth=1.8)
+            reach = max(reach, *np.abs(np.nan_to_num([d.mean, d.low, d.high])))
+            axes.plot(d.mean, y, "o" if d.real else "D", color=color, markersize=4, markerfacecolor=color if d.real else "none")
+        if reach == LEAST_DIFFERENCE:  # rounding shall not fill the width
+            axes.set_xlim(-1, 1)
+    return figure
+
+
+def metric_panels(data: Data, width_in: float, panel_in: float, columns: int, names: Sequence[str]) -> tuple[list[Any], Figure]:
+    """A panel a metric, in rows, with the same named lines in all of them, the first on top."""
+    n = len(data.comparison.shown)
+    columns = min(n, columns)
+    figure = new_figure(panel_in * -(-n // columns), width_in)
+    grid = list(np.ravel(figure.subplots(-(-n // columns), columns, sharey=True, squeeze=False)))
+    for axes in grid[n:]:
+        axes.set_visible(False)
+    grid[0].set_yticks(range(len(names)), names)
+    grid[0].set_ylim(len(names) - 0.4, -0.6)
+    for axes, metric in zip(grid, data.comparison.shown, strict=False):
+        axes.set_xlabel(wrapped(metric.label, 18))
+        axes.grid(axis="y", visible=False)
+        axes.tick_params(axis="y", length=0)
+        axes.locator_params(axis="x", nbins=3)
+    return grid, figure
+
+
+def _keys_in(data: Data) -> float:
+    """Height of the legend [in]."""
+    return 0.2 * -(-len(data.labels) // _legend_columns(data))
+
+
+def _legend_columns(data: Data) -> int:
+    """As many as fit, with columns of equal length."""
+    n, longest = len(data.labels), max(map(len, data.labels))
+    most = next((columns for columns, letters in ((4, 8), (3, 14), (2, 26)) if longest <= letters), 1)
+    return -(-n // -(-n // most))
+
+
+def _legend(figure: Figure, data: Data) -> None:
+    from matplotlib.lines import Line2D
+
+    keys = [Line2D([], [], label=label, **look(i)) for i, label in enumerate(data.labels)]
+    figure.legend(handles=keys, loc="outside lower center", ncols=_legend_columns(data))
+
+
+def _size() -> float:
+    import matplotlib
+
+    return float(matplotlib.rcParams["axes.labelsize"])

@@ -1,0 +1,201 @@
+"""`report.html` and `figures/` of a comparison: read what its folder holds, lay it out, write each file in one piece."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import polars as pl
+
+from vstestbed.core.errors import OutputError
+from vstestbed.core.files import write_whole
+from vstestbed.report.comparison import failures as comparison_failures
+from vstestbed.report.comparison import figures as comparison_figures
+from vstestbed.report.comparison import filmstrips as comparison_strips
+from vstestbed.report.comparison import summary_text as comparison_words
+from vstestbed.report.comparison import tables as comparison_tables
+from vstestbed.report.comparison.columns import DEFAULT_METRICS, Comparison, value_words
+from vstestbed.report.comparison.figures import Data
+from vstestbed.report.comparison.pairs import pairs
+from vstestbed.report.comparison.series import read_series
+from vstestbed.report.html.canvas import WIDTH_IN, save, style, to_svg
+from vstestbed.report.html.pieces import figure, film
+from vstestbed.report.html.template import PAGE, STYLE
+from vstestbed.report.run import numbers
+from vstestbed.report.run.page import setting_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+FILM_BYTES: Final = 8_000_000
+"""A film up to this size stands in the page itself, which stays under 20 MB."""
+BROAD_IN: Final = 2 * WIDTH_IN
+COLUMN_IN: Final = {1: 3.5, 2: 7.16}
+"""Width of a paper's figure over one and two columns (IEEE) [in]."""
+DPI: Final = 300
+
+Plot = tuple[str, str, str, int, Callable[[Data, float], "Figure | None"]]
+PLOTS: Final[tuple[Plot, ...]] = (
+    (
+        "error",
+        "Error over time",
+        "Median over the runs, with the band from the first to the third quartile for up to four controllers. A run that has ended holds "
+        "its last value; one without target in sight, or without a log, counts as farther away than all others. Dotted: the threshold.",
+        1,
+        comparison_figures.medians,
+    ),
+    (
+        "success",
+        "Success over time",
+        "Share of all runs that had come under the threshold for good by a time.",
+        1,
+        comparison_figures.success,
+    ),
+    (
+        "runs",
+        "Error of single runs",
+        "Thin: the first runs of each controller, those in red did not reach the goal, a cross where they were last seen. "
+        "Thick: median and quartiles of all its runs. Grey: the other controllers' medians. Dotted: the threshold. Up to 24 controllers.",
+        2,
+        comparison_figures.each_run,
+    ),
+    (
+        "distributions",
+        "All runs in numbers",
+        "A point a run; bar and stroke: quartiles and median, as in the table. Red crosses: runs that did not reach the goal, an arrow "
+        "at the edge where they lie beyond it; a red number right of the frame counts the runs that have no such number. Of very many "
+        "runs the first are drawn; the bars are of all.",
+        2,
+        comparison_strips.distributions,
+    ),
+    (
+        "differences",
+        "Paired differences",
+        "Mean over the seeds on which both reached the goal, with its 95 % interval. Filled, in colour: the interval excludes zero.",
+        2,
+        comparison_figures.differences,
+    ),
+)
+
+
+def write_comparison_report(
+    folder: Path,
+    table: pl.DataFrame,
+    axes: tuple[str, ...],
+    metrics: tuple[str, ...] = DEFAULT_METRICS,
+    description: str = "",
+    command: str = "",
+    film: Path | None = None,
+) -> Path:
+    """Write `report.html` and `figures/` into a comparison's folder and give the page's path.
+
+    Args:
+        folder: of the comparison, with the runs' folders that the table names.
+        table: one row a run, as in `comparison.parquet`.
+        axes: paths of the varied fields, each a column of the table.
+        metrics: names of `summary.json` that are shown; one that no run has shows as dashes.
+        description: in a few words, what is compared. command: what makes this comparison again.
+        film: runs side by side, in the folder; in the page up to 8 MB, else linked.
+
+    Raises:
+        OutputError: a file cannot be written.
+    """
+    comparison = Comparison(table, axes, metrics, description)
+    data = Data(comparison, read_series(folder, comparison), pairs(comparison), _threshold(folder, comparison))
+    _write_figures(folder / "figures", data)
+    body = [
+        comparison_words.headline(comparison, data.pairs),
+        comparison_tables.controllers(comparison),
+        comparison_tables.differences(comparison, data.pairs),
+        f"<section><h2>Figures</h2>{_figures(data)}</section>",
+        _film(film),
+        comparison_failures.section(folder, comparison),
+        _provenance(comparison, command),
+        comparison_tables.SCRIPT,
+    ]
+    scenarios = list(dict.fromkeys(map(str, table["scenario"].to_list())))
+    heading = " against ".join(scenarios) if 0 < len(scenarios) <= 3 else f"Comparison of {len(scenarios)} scenarios"
+    words = f'<p class="soft">{escape(_plan_words(comparison))}</p>'
+    words = (f"<p>{escape(description)}</p>" if description else "") + words
+    page = PAGE.format(
+        title=escape(f"{heading}: comparison"),
+        style=STYLE + comparison_tables.STYLE,
+        heading=escape(heading),
+        description=words,
+        body="\n".join(filter(None, body)),
+    )
+    return write_whole(folder / "report.html", page)
+
+
+def _write_figures(place: Path, data: Data) -> None:
+    """Every figure for a paper: PDF with its letters, and PNG."""
+    try:
+        place.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(place, error.strerror or str(error), "give another folder") from error
+    with style(paper=True):
+        for key, _, _, columns, draw in PLOTS:
+            drawn = draw(data, COLUMN_IN[columns])
+            if drawn is not None:
+                save(drawn, place / f"{key}.pdf")
+                drawn.set_layout_engine("none")  # the places found stay; to find them again would take as long
+                save(drawn, place / f"{key}.png", DPI)
+
+
+def _figures(data: Data) -> str:
+    """All figures as inline SVG: the narrow ones side by side, the broad ones below."""
+    made: dict[int, list[str]] = {1: [], 2: []}
+    with style():
+        for key, title, caption, columns, draw in PLOTS:
+            drawn = draw(data, {1: WIDTH_IN, 2: BROAD_IN}[columns])
+            if drawn is not None:
+                made[columns].append(figure(title, to_svg(drawn, key, title), caption))
+    broad = "".join(f'<div class="broad">{f}</div>' for f in made[2])
+    return f'<div class="plots">{"".join(made[1])}</div>{broad}'
+
+
+def _threshold(folder: Path, comparison: Comparison) -> float | None:
+    """The error under which the goal counts as reached, where all controllers have the same."""
+    firsts = [folder / str(c.runs["folder"][0]) / "scenario.yaml" for c in comparison.controllers]
+    found = {setting_of(path).threshold_px for path in firsts if path.is_file()}
+    return found.pop() if len(found) == 1 else None
+
+
+def _film(path: Path | None) -> str:
+    if path is None or not path.is_file():
+        return ""
+    made = film("The same seed, side by side", path, path.stat().st_size <= FILM_BYTES)
+    return f'<section class="films"><h2>Film</h2>{made}</section>'
+
+
+def _plan_words(comparison: Comparison) -> str:
+    n, seeds = len(comparison.controllers), comparison.table["seed"].n_unique()
+    total = comparison_words.runs(len(comparison.table))
+    return f"{n} controller{'s' * (n != 1)}, {seeds} seed{'s' * (seeds != 1)}, {total}; the same seed gives each the same start and noise."
+
+
+def _provenance(comparison: Comparison, command: str) -> str:
+    """The plan, the command that makes it again, and what the runs were made with."""
+    table = comparison.table
+    again = f"<p>Made again by<br><code>{escape(command)}</code></p>" if command else ""
+    plan = {"scenario": _values(table["scenario"].to_list())}
+    plan |= {axis: _values(table[axis].to_list()) for axis in comparison.axes}
+    plan |= {"seeds": _seeds(table["seed"].to_list()), "runs": str(len(table)), "numbers": ", ".join(comparison.metrics)}
+    lines = "".join(f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in plan.items())
+    names = [c for c in table.columns if c.startswith("versions.")]
+    versions = {name.removeprefix("versions."): _values([v for v in table[name].to_list() if v is not None]) for name in names}
+    made = numbers.provenance({"versions": versions})
+    return f'<section><h2>How it was made</h2>{again}<dl class="plan">{lines}</dl>{made}</section>'
+
+
+def _values(values: Sequence[object]) -> str:
+    """The different values, in order of first appearance."""
+    return ", ".join(dict.fromkeys(map(value_words, values)))
+
+
+def _seeds(seeds: Sequence[int]) -> str:
+    different = sorted(set(seeds))
+    whole = len(different) > 2 and different == list(range(different[0], different[-1] + 1))
+    return f"{different[0]} to {different[-1]}" if whole else ", ".join(map(str, different))

@@ -1,0 +1,171 @@
+"""The comparison's tables: one line a controller, and the paired differences; both sort by a click on a head."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from html import escape
+
+from vstestbed.report.comparison.columns import Comparison, Controller, Metric
+from vstestbed.report.comparison.pairs import MOST_CONTROLLERS, Pair, against
+from vstestbed.report.comparison.statistics import spread, success_rate
+from vstestbed.report.comparison.summary_text import signed
+from vstestbed.report.run.numbers import number
+
+Cell = tuple[float | str | None, str]
+"""What a cell sorts by, and its HTML."""
+
+
+def controllers(comparison: Comparison) -> str:
+    """One line a controller: success rate with its interval, and the median of each metric with its quartiles."""
+    heads = ["Controller", "Reached the goal", *(m.label for m in comparison.shown)]
+    lines = [[(c.label, escape(c.label)), _rate(c), *(_spread(c, m) for m in comparison.shown)] for c in comparison.controllers]
+    note = (
+        "Success rate with its 95 % interval (Wilson). Of each number the median and, below it, the quartiles: final errors of "
+        "every run that has one, and what a run has on its way whatever its end (overshoot, tracking), the others of the runs that "
+        "reached the goal. A count stands below where it is not all runs."
+    )
+    return f'<section><h2>Controllers</h2>{table(heads, lines)}<p class="soft">{note} Click on a head to sort.</p></section>'
+
+
+def _rate(controller: Controller) -> Cell:
+    if not len(controller.success):
+        return None, "–"
+    rate = success_rate(int(controller.success.sum()), len(controller.success))
+    below = f"[{100 * rate.low:.0f}, {100 * rate.high:.0f}]"
+    return rate.rate, f"{100 * rate.rate:.0f} % {_below(below)}{_below(f'{rate.successes} of {rate.n}')}"
+
+
+def _spread(controller: Controller, metric: Metric) -> Cell:
+    made = spread(controller.counted(metric))
+    if made.n == 0:
+        return None, "–"
+    count = _below(f"n = {made.n}") if made.n < len(controller.runs) else ""
+    return made.median, f"{number(made.median)} {_below(f'[{number(made.q1)}, {number(made.q3)}]')}{count}"
+
+
+def differences(comparison: Comparison, made: list[Pair]) -> str:
+    """Tables of paired differences, one for each controller that the others can be compared with; empty for a single one."""
+    n = len(comparison.controllers)
+    if n < 2:
+        return ""
+    references = range(n) if n <= MOST_CONTROLLERS else range(1)
+    labels = [c.label for c in comparison.controllers]
+    parts = [_against(comparison, against(made, i), labels, i) for i in references]
+    note = (
+        "Reached the goal: on how many more seeds; p says how often chance alone would be as lopsided (McNemar). "
+        f"The numbers: the mean of this line minus the other over the seeds on which both reached the goal{_but(comparison)}, "
+        "its 95 % bootstrap interval "
+        f"below. Bold with a dot: the interval excludes zero, the difference is real. There are {len(made) * (1 + len(comparison.shown))} "
+        "tests in all; of tests where nothing differs, one in twenty looks real all the same."
+    )
+    return f'<section><h2>Paired differences</h2>{_chooser(labels, len(parts))}{"".join(parts)}<p class="soft">{note}</p></section>'
+
+
+def _but(comparison: Comparison) -> str:
+    """Which numbers are compared on all seeds."""
+    names = [m.title for m in comparison.shown if m.every_pair]
+    return f" ({', '.join(names)}: over all seeds)" if names else ""
+
+
+def _chooser(labels: Sequence[str], n: int) -> str:
+    if n < 2:
+        return ""
+    options = "".join(f'<option value="{i}">{escape(label)}</option>' for i, label in enumerate(labels[:n]))
+    return f'<p><label>Compared with <select id="reference">{options}</select></label></p>'
+
+
+def _against(comparison: Comparison, made: list[Pair], labels: Sequence[str], reference: int) -> str:
+    heads = [f"Against {labels[reference]}", "Reached the goal", *(m.label for m in comparison.shown)]
+    lines = [[(labels[p.b], escape(labels[p.b])), _goals(p), *(_difference(p, m) for m in comparison.shown)] for p in made]
+    return f'<div class="against" data-reference="{reference}">{table(heads, lines)}</div>'
+
+
+def _goals(pair: Pair) -> Cell:
+    s = pair.success
+    more = signed(s.only_b - s.only_a)
+    p = f"p = {s.p:.2g}" if s.p >= 1e-3 else "p &lt; 0.001"
+    counts = "".join(map(_below, (p, f"only this: {s.only_b}", f"only other: {s.only_a}", f"both: {s.both}", f"neither: {s.neither}")))
+    return s.only_b - s.only_a, f"{_real(more) if pair.success_is_real else more} {counts}"
+
+
+def _difference(pair: Pair, metric: Metric) -> Cell:
+    d = pair.differences[metric.name]
+    if d.n == 0:
+        return None, "–"
+    interval = f"[{signed(d.low)},<br>{signed(d.high)}]" if math.isfinite(d.low) else "no interval"
+    mean = signed(d.mean)
+    count = _below(f"n = {d.n}") if d.n < pair.success.both else ""
+    return d.mean, f"{_real(mean) if d.real else mean} {_below(interval)}{count}"
+
+
+def _real(text: str) -> str:
+    return f'<b class="real">● {text}</b>'
+
+
+def _below(text: str) -> str:
+    return f"<small>{text}</small>"
+
+
+def table(heads: Sequence[str], lines: Sequence[Sequence[Cell]]) -> str:
+    """A table whose heads are buttons that sort it; each cell carries what it sorts by, an empty one comes last."""
+    top = "".join(f'<th scope="col" aria-sort="none"><button type="button">{escape(h)}</button></th>' for h in heads)
+    body = "".join(f"<tr>{''.join(_cell(c, i) for i, c in enumerate(line))}</tr>" for line in lines)
+    return f'<div class="wide"><table class="sortable"><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>'
+
+
+def _cell(cell: Cell, place: int) -> str:
+    key, content = cell
+    value = "" if key is None else escape(str(key) if isinstance(key, str | int) else f"{key:.9g}")
+    return f'<th scope="row" data-value="{value}">{content}</th>' if place == 0 else f'<td data-value="{value}">{content}</td>'
+
+
+STYLE = """
+.outcome.open { background: #55606c; }
+.outcome ul { margin: 8px 0 0; padding-left: 1.2em; }
+.wide { overflow-x: auto; background: var(--card); border: 1px solid var(--rule); border-radius: 10px; margin: 8px 0; }
+table { border-collapse: collapse; width: 100%; font-size: .84rem; font-variant-numeric: tabular-nums; }
+th, td { padding: 6px 7px; text-align: right; vertical-align: top; border-top: 1px solid var(--rule); font-weight: 400; }
+thead th { border-top: 0; vertical-align: bottom; font-size: .78rem; }
+th:first-child { text-align: left; min-width: 9.5em; overflow-wrap: break-word; }
+tbody th { font-weight: 600; }
+td small { font-size: .76rem; display: block; color: var(--soft); white-space: nowrap; }
+td { white-space: nowrap; }
+.real { color: var(--accent); }
+th button { all: unset; cursor: pointer; color: var(--soft); line-height: 1.25; }
+th button:hover, th button:focus-visible { text-decoration: underline; }
+th[aria-sort=ascending] button::after { content: " ▲"; } th[aria-sort=descending] button::after { content: " ▼"; }
+select { font: inherit; }
+.plan { display: grid; grid-template-columns: max-content 1fr; gap: 2px 18px; }
+.plan dt { color: var(--soft); } .plan dd { margin: 0; overflow-wrap: anywhere; }
+.failure summary .soft { font-weight: 400; }
+.broad { margin-top: 14px; }
+.gallery { display: grid; grid-template-columns: repeat(auto-fill, minmax(200px, 1fr)); gap: 10px; margin-top: 10px; }
+.gallery img { display: block; width: 100%; height: auto; border-radius: 6px; }
+.runs { margin: 6px 0; padding-left: 1.2em; font-size: .88rem; }
+code { font: .82rem/1.45 ui-monospace, SFMono-Regular, Menlo, Consolas, monospace; overflow-wrap: anywhere; }
+@media print { .outcome.open { print-color-adjust: exact; -webkit-print-color-adjust: exact; }
+  .wide { overflow: visible; } table { font-size: 7pt; } }
+"""
+
+SCRIPT = """<script>
+for (const table of document.querySelectorAll("table.sortable")) {
+  const heads = [...table.tHead.rows[0].cells], body = table.tBodies[0];
+  heads.forEach((head, column) => head.querySelector("button").addEventListener("click", () => {
+    const down = head.getAttribute("aria-sort") === "ascending", key = row => row.cells[column].dataset.value;
+    const number = text => text !== "" && isFinite(text);
+    heads.forEach(other => other.setAttribute("aria-sort", other !== head ? "none" : down ? "descending" : "ascending"));
+    const order = (a, b) => number(a) && number(b) ? a - b : a.localeCompare(b, undefined, { numeric: true });
+    [...body.rows].sort((one, two) => {
+      const a = key(one), b = key(two);
+      return a === "" || b === "" ? (a === "") - (b === "") : (down ? -1 : 1) * order(a, b);
+    }).forEach(row => body.append(row));
+  }));
+}
+const reference = document.getElementById("reference");
+if (reference) {
+  const show = () => document.querySelectorAll(".against").forEach(part => { part.hidden = part.dataset.reference !== reference.value; });
+  reference.addEventListener("change", show);
+  show();
+}
+</script>"""

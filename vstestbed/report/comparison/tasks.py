@@ -1,0 +1,251 @@
+"""The report of a comparison with tasks: a table of laws by tasks that names every failure, and the figures over the amounts."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+import polars as pl
+
+from vstestbed.core.errors import OutputError
+from vstestbed.core.files import write_whole
+from vstestbed.core.geometry import Array
+from vstestbed.report.comparison import failures as comparison_failures
+from vstestbed.report.comparison.columns import Comparison, Controller, Metric
+from vstestbed.report.comparison.statistics import success_rate
+from vstestbed.report.comparison.tables import STYLE as TABLES
+from vstestbed.report.html.canvas import LINE_COLORS, LOST, new_figure, save, style, to_svg
+from vstestbed.report.html.pieces import figure
+from vstestbed.report.html.template import PAGE, STYLE
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+TASK, AMOUNT = "task", "amount"
+TIME: Final = "time_to_converge_s"
+DRAWN: Final = (TIME, "max_retreat_m")
+"""What is drawn where a comparison names no metrics."""
+MOST_ROWS: Final = 3
+DASHES: Final = ("-", "--", ":")
+DPI: Final = 200
+
+
+@dataclass(frozen=True)
+class Cell:
+    """The runs of one law in one task, by amount."""
+
+    law: str
+    task: str
+    controller: Controller
+
+    @property
+    def amounts(self) -> list[str]:
+        """What each run is called."""
+        return [str(a) for a in self.controller.runs[AMOUNT].to_list()]
+
+    @property
+    def failed(self) -> dict[str, list[str]]:
+        """The amounts by the outcome that was no success."""
+        by: dict[str, list[str]] = defaultdict(list)
+        for amount, outcome, good in zip(self.amounts, self.controller.runs["outcome"].to_list(), self.controller.success, strict=True):
+            if not good:
+                by[str(outcome)].append(amount)
+        return dict(by)
+
+    @property
+    def time_s(self) -> float:
+        """Median time to converge [s], NaN where none did."""
+        counted = self.controller.counted(Metric.of(TIME))
+        counted = counted[np.isfinite(counted)]
+        return float(np.median(counted)) if len(counted) else float("nan")
+
+    def spread(self, metric: Metric) -> str:
+        """Median and largest of a number over the runs that it counts, those that reached the goal; empty where none has it."""
+        counted = self.controller.counted(metric)
+        counted = counted[np.isfinite(counted)]
+        return f"{_digits(float(np.median(counted)))}, {_digits(float(counted.max()))}" if len(counted) else ""
+
+    def words(self) -> list[str]:
+        """How many reached the goal, how fast, and each failure by its outcome."""
+        good, n = int(self.controller.success.sum()), len(self.controller.success)
+        first = f"{good} of {n}" + (f", {self.time_s:.1f} s" if good else "")
+        return [first] + [f"{_numbers(amounts)}: {outcome.replace('_', ' ')}" for outcome, amounts in self.failed.items()]
+
+
+def _digits(value: float) -> str:
+    """Three digits; under a millionth, which no metric's unit can tell from rounding, 0."""
+    return "0" if abs(value) < 1e-6 else f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
+
+
+def _numbers(amounts: Sequence[str]) -> str:
+    """`160, 180 deg`, and `no. 3, 7` for runs that have numbers only."""
+    numbers, units = zip(*(a.partition(" ")[::2] for a in amounts), strict=True)
+    return f"{', '.join(numbers)} {units[0]}" if units[0] else f"no. {', '.join(numbers)}"
+
+
+def cells(table: pl.DataFrame, axes: Sequence[str]) -> list[Cell]:
+    """Every law in every task, in order of first appearance; a law is what the other axes tell apart."""
+    others = [axis for axis in axes if axis != TASK]
+    comparison = Comparison(table.select(pl.exclude(TASK)), tuple(others))
+    made = []
+    for law in comparison.controllers:
+        label = law.label if "=" not in law.label or len(others) > 1 else law.label.partition("=")[2]
+        rows = table.filter(pl.all_horizontal(pl.col(c) == law.runs[c][0] for c in ("scenario", *others)))
+        made += [Cell(label, str(task), Controller(label, rows.filter(pl.col(TASK) == task).sort("seed"))) for task in _ordered(rows[TASK])]
+    return made
+
+
+def _ordered(values: pl.Series) -> list[str]:
+    return list(dict.fromkeys(map(str, values.to_list())))
+
+
+def markdown(found: Sequence[Cell], metrics: Sequence[str] = ()) -> str:
+    """The table for a README: a line a law, a column a task; then one for each metric but the time, median and largest."""
+    first = _markdown(found, lambda cell: "; ".join(cell.words()))
+    return "\n".join([first, *(f"{m.label}: median, largest\n\n{_markdown(found, _spread_of(m))}" for m in _tabled(metrics))])
+
+
+def _tabled(metrics: Sequence[str]) -> list[Metric]:
+    return [Metric.of(name) for name in metrics if name != TIME]
+
+
+def _spread_of(metric: Metric) -> Callable[[Cell], str]:
+    return lambda cell: cell.spread(metric)
+
+
+def _markdown(found: Sequence[Cell], words: Callable[[Cell], str]) -> str:
+    tasks, laws = list(dict.fromkeys(c.task for c in found)), list(dict.fromkeys(c.law for c in found))
+    of = {(c.law, c.task): c for c in found}
+    lines = ["| | " + " | ".join(tasks) + " |", "|---" * (len(tasks) + 1) + "|"]
+    lines += [f"| `{law}` | " + " | ".join(words(of[law, t]) if (law, t) in of else "" for t in tasks) + " |" for law in laws]
+    return "\n".join(lines) + "\n"
+
+
+def _html(found: Sequence[Cell], cell: Callable[[Cell | None], str]) -> str:
+    tasks, laws = list(dict.fromkeys(c.task for c in found)), list(dict.fromkeys(c.law for c in found))
+    of = {(c.law, c.task): c for c in found}
+    head = "".join(f"<th>{escape(t)}</th>" for t in tasks)
+    rows = "".join(f'<tr><th scope="row">{escape(law)}</th>{"".join(cell(of.get((law, t))) for t in tasks)}</tr>' for law in laws)
+    return f'<div class="wide"><table><thead><tr><th></th>{head}</tr></thead><tbody>{rows}</tbody></table></div>'
+
+
+def _td(cell: Cell | None) -> str:
+    if cell is None:
+        return "<td></td>"
+    first, *failures = cell.words()
+    rate = success_rate(int(cell.controller.success.sum()), len(cell.controller.success))
+    interval = f"<small>[{100 * rate.low:.0f}, {100 * rate.high:.0f}] %</small>"
+    return f"<td>{escape(first)}{interval}{''.join(f'<small>{escape(f)}</small>' for f in failures)}</td>"
+
+
+def _spreads(found: Sequence[Cell], metrics: Sequence[str]) -> str:
+    """A table for each metric but the time."""
+    tables = [f"<h3>{escape(m.label)}</h3>{_html(found, _td_of(m))}" for m in _tabled(metrics)]
+    words = "<p>Median and largest over the runs that reached the goal.</p>"
+    return f"<section><h2>In numbers</h2>{words}{''.join(tables)}</section>" if tables else ""
+
+
+def _td_of(metric: Metric) -> Callable[[Cell | None], str]:
+    return lambda cell: f"<td>{escape(cell.spread(metric)) if cell else ''}</td>"
+
+
+def draw(found: Sequence[Cell], metrics: Sequence[str], width_in: float) -> Figure:
+    """A column a task, a line a metric: each law's number over the amounts; red crosses above: runs without success."""
+    tasks, laws = list(dict.fromkeys(c.task for c in found)), list(dict.fromkeys(c.law for c in found))
+    shown = [Metric.of(name) for name in (metrics or DRAWN)[:MOST_ROWS]]
+    drawn = new_figure(1.3 + 0.19 * width_in * len(shown), width_in)
+    grid = drawn.subplots(len(shown), len(tasks), sharey="row", sharex="col", squeeze=False)
+    for row, metric in enumerate(shown):
+        for column, task in enumerate(tasks):
+            axes: Axes = grid[row, column]
+            here = [c for c in found if c.task == task]
+            _panel(axes, here, laws, metric)
+            if row == 0:
+                axes.set_title(task)
+            if row == len(shown) - 1:
+                axes.set_xlabel(_unit(here))
+            if column == 0:
+                axes.set_ylabel(metric.label)
+    handles = grid[0, 0].get_legend_handles_labels()
+    drawn.legend(*handles, loc="outside lower center", ncols=min(len(laws), 6))
+    return drawn
+
+
+def _unit(here: Sequence[Cell]) -> str:
+    return here[0].amounts[0].partition(" ")[2] or "each law in turn"
+
+
+def _panel(axes: Axes, here: Sequence[Cell], laws: Sequence[str], metric: Metric) -> None:
+    ordered = bool(here[0].amounts[0].partition(" ")[2])
+    for cell in here:
+        i = laws.index(cell.law)
+        colour, dash = LINE_COLORS[i % len(LINE_COLORS)], DASHES[i // len(LINE_COLORS)]
+        value, good = cell.controller.values(metric), cell.controller.success
+        amount = np.array([float(a.partition(" ")[0]) for a in cell.amounts])
+        if ordered:
+            axes.plot(amount, np.where(good, value, np.nan), dash, marker=".", markersize=4, color=colour, label=cell.law)
+            _crosses(axes, amount[~good], i, len(laws))
+        else:
+            spread = i + 0.6 * (amount / max(amount.max(), 1.0) - 0.5)
+            axes.plot(spread[good], value[good], ".", markersize=3, color=colour, label=cell.law)
+            _crosses(axes, spread[~good], i, len(laws))
+    if not ordered:
+        axes.set_xticks([])
+
+
+def _crosses(axes: Axes, at: Array, place: int, of: int) -> None:
+    """Runs without success at the panel's top, each law at its own height."""
+    if len(at):
+        height = np.full(len(at), 0.99 - 0.1 * place / max(of, 1))
+        axes.plot(at, height, "x", markersize=3.5, markeredgewidth=0.9, color=LOST, transform=axes.get_xaxis_transform())
+
+
+def write_task_report(
+    folder: Path, table: pl.DataFrame, axes: tuple[str, ...], metrics: tuple[str, ...], description: str, command: str
+) -> Path:
+    """Write `report.html`, `tasks.md` and `figures/tasks.pdf` and `.png` into a comparison's folder; gives the page's path.
+
+    Args:
+        folder: of the comparison. table: one row a run, with the columns `task` and `amount`.
+        axes: columns that tell controllers apart, `task` among them. metrics: the first three are drawn.
+        description: what is compared. command: what makes it again.
+
+    Raises:
+        OutputError: a file cannot be written.
+    """
+    found = cells(table, axes)
+    try:
+        (folder / "figures").mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(folder / "figures", error.strerror or str(error), "give another folder") from error
+    with style(paper=True):
+        drawn = draw(found, metrics, 8.2)
+        save(drawn, folder / "figures" / "tasks.pdf")
+        save(drawn, folder / "figures" / "tasks.png", DPI)
+    with style():
+        svg = to_svg(draw(found, metrics, 13.0), "tasks", "Each law over the amounts of each task")
+    write_whole(folder / "tasks.md", markdown(found, metrics))
+    n, good = len(table), int(table["success"].cast(pl.Boolean, strict=False).fill_null(False).sum())
+    caption = "Numbers of the runs that reached the goal; red crosses at the top: runs that did not, each law at its own height."
+    failed = comparison_failures.section(folder, Comparison(table, axes, metrics))
+    body = [
+        f"<p>{good} of {n} runs reached the goal. Each cell: how many, the median time to converge, the 95 % interval of the rate, "
+        "and each failure by its outcome.</p>",
+        _html(found, _td),
+        f'<section><h2>Figure</h2><div class="broad">{figure("Over the amounts", svg, caption)}</div></section>',
+        _spreads(found, metrics),
+        failed,
+        f"<section><h2>How it was made</h2><p>Made again by<br><code>{escape(command)}</code></p></section>",
+    ]
+    heading = " and ".join(dict.fromkeys(map(str, table["scenario"].to_list())))
+    words = f"<p>{escape(description)}</p>"
+    page = PAGE.format(
+        title=escape(heading), style=STYLE + TABLES, heading=escape(f"{heading}: tasks"), description=words, body="\n".join(body)
+    )
+    return write_whole(folder / "report.html", page)

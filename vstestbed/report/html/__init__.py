@@ -1,0 +1,1 @@
+"""Pieces of HTML that all pages share: canvas of a figure, template, tables."""

@@ -1,0 +1,255 @@
+"""The figures of one run: features in the image, error, twist, depth, pose error, joints.
+
+Each takes the run's tracks and gives a matplotlib Figure, or None where the run has nothing of the kind. What is
+true is drawn as a wide pale band, what was measured or commanded as a thin line on it: where they agree, the line
+lies in its band.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vstestbed.core.geometry import Array
+from vstestbed.report.html.canvas import AXIS_COLORS, GOAL, INK, LINE_COLORS, LOST, RULE, WIDTH_IN, marker_colors, new_figure, note
+from vstestbed.report.run.tracks import Tracks
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+
+BAND: dict[str, Any] = {"linewidth": 4.0, "alpha": 0.28}
+START: dict[str, Any] = {"marker": "o", "markersize": 5, "linestyle": "none"}
+END: dict[str, Any] = {"marker": "x", "markersize": 6, "markeredgewidth": 1.6, "linestyle": "none"}
+AIM: dict[str, Any] = {"marker": "D", "markersize": 8, "markerfacecolor": "none", "markeredgewidth": 1.4, "linestyle": "none"}
+LEAST_TWIST, LEAST_DEPTH = 2e-3, 0.02
+"""What the axes of twists [m/s, rad/s] and of depths (as a share of the depth) span at least."""
+PARTS = (("v", "translation [m/s]"), ("w", "rotation [rad/s]"))
+
+
+def features(tracks: Tracks) -> Figure | None:
+    """Trails of the markers in the picture, true and measured, with start, end, goal and the picture's border."""
+    if tracks.markers == 0:
+        return None
+    width, height = tracks.setting.width, tracks.setting.height
+    aspect = height / width if width and height else 0.75
+    figure = new_figure(min(max(WIDTH_IN * aspect, 2.5), 6.5) + 0.5)
+    axes = figure.add_subplot()
+    draw_trails(axes, tracks.pixels(), tracks.pixels("_true"), tracks.pixels("_goal"))
+    _frame_picture(axes, width, height)
+    figure.legend(handles=trail_keys(), loc="outside lower center", ncols=5)
+    return figure
+
+
+def draw_trails(axes: Axes, measured: Array, true: Array, goal: Array) -> None:
+    """The markers' ways in a plane, each (T, N, 2), first coordinate across, with start, end and goal."""
+    for i, color in enumerate(marker_colors(measured.shape[1])):
+        axes.plot(*true[:, i].T, color=color, **BAND)
+        axes.plot(*measured[:, i].T, color=color, linewidth=1.0)
+        for at, look in ((edge(measured[:, i], 0), START), (edge(measured[:, i], -1), END), (edge(goal[:, i], -1), AIM)):
+            axes.plot(*at, color=color, **look)
+
+
+def trail_keys() -> list[Line2D]:
+    """What the marks and lines of a trail mean, for a legend."""
+    from matplotlib.lines import Line2D
+
+    marks = [Line2D([], [], color=INK, label=label, **look) for look, label in ((START, "start"), (END, "end"), (AIM, "goal"))]
+    return [
+        *marks,
+        Line2D([], [], color=INK, linewidth=1.0, label="measured"),
+        Line2D([], [], color=INK, label="true", **BAND),
+    ]
+
+
+def _frame_picture(axes: Axes, width: int | None, height: int | None) -> None:
+    """Pixel axes as in the picture (v down), with the picture's border where its size is known."""
+    from matplotlib.patches import Rectangle
+
+    axes.set_aspect("equal", adjustable="datalim" if not width else "box")
+    if width and height:
+        axes.add_patch(Rectangle((-0.5, -0.5), width, height, fill=False, edgecolor=INK, linewidth=1.0, alpha=0.6))
+        left, right, top, bottom = -0.5, width - 0.5, -0.5, height - 0.5
+        x, y = axes.get_xlim(), axes.get_ylim()  # what leaves the picture is shown, up to half a picture away
+        left, right = min(left, max(x[0], -0.5 * width)), max(right, min(x[1], 1.5 * width))
+        top, bottom = min(top, max(y[0], -0.5 * height)), max(bottom, min(y[1], 1.5 * height))
+        margin = 0.015 * width
+        axes.set_xlim(left - margin, right + margin)
+        axes.set_ylim(bottom + margin, top - margin)
+    elif not axes.yaxis_inverted():
+        axes.invert_yaxis()
+    axes.set_xlabel("u [px]")
+    axes.set_ylabel("v [px]")
+
+
+def error(tracks: Tracks) -> Figure:
+    """RMS error in the picture over time, logarithmic, with the threshold and the stretches without target.
+
+    Of a craft that leans also that of the picture turned level, by which it is judged.
+    """
+    figure = new_figure(3.1)
+    axes = figure.add_subplot()
+    value = _positive(tracks.column("error_px"))
+    if np.isfinite(value).any():
+        axes.semilogy(tracks.t, value, color=LINE_COLORS[0], **_dot(value))
+    else:
+        note(axes, "no frame with a measured error")
+    level = _positive(tracks.column("level_error_px"))
+    if np.isfinite(level).any():
+        for line in axes.lines:
+            line.set(label="in the picture", alpha=0.4)
+        axes.semilogy(tracks.t, level, color=LINE_COLORS[0], label="turned level, which counts")
+    threshold = tracks.setting.threshold_px
+    if threshold:
+        axes.axhline(threshold, color=GOAL, linestyle="--", linewidth=1.2, label=f"threshold {threshold:g} px")
+    _mark_views(axes, tracks)
+    shade_lost(axes, tracks)
+    time_axis(axes, tracks)
+    axes.set_ylabel("RMS error [px]")
+    _legend(axes)
+    return figure
+
+
+def _mark_views(axes: Axes, tracks: Tracks) -> None:
+    """Where one goal view was left for the next, with its number from 1 on."""
+    view = tracks.column("view")
+    for i in np.flatnonzero(np.diff(view) > 0) + 1:
+        axes.axvline(tracks.t[i], color=INK, linewidth=0.8, alpha=0.6)
+        words = f" view {view[i] + 1:.0f}"
+        axes.annotate(words, (tracks.t[i], 0.99), xycoords=("data", "axes fraction"), va="top", fontsize=8.5, annotation_clip=False)
+
+
+def pose_error(tracks: Tracks) -> Figure | None:
+    """Distance and angle of the true camera (or vehicle) from its goal over time, logarithmic; None of a task without an end."""
+    if tracks.setting.ride is not None and tracks.setting.ride.band_m is not None:
+        return None
+    position, angle = tracks.column("position_error_m"), np.degrees(tracks.column("rotation_error_rad"))
+    if not (np.isfinite(position).any() or np.isfinite(angle).any()):
+        return None
+    figure = new_figure(3.9)
+    upper, lower = figure.subplots(2, 1, sharex=True)
+    for axes, value, color, label in ((upper, position, LINE_COLORS[0], "position [m]"), (lower, angle, LINE_COLORS[1], "rotation [deg]")):
+        axes.semilogy(tracks.t, _positive(value), color=color, **_dot(value))
+        shade_lost(axes, tracks)
+        axes.set_ylabel(label)
+    time_axis(lower, tracks)
+    return figure
+
+
+def twist(tracks: Tracks) -> Figure:
+    """The camera's twist in its own frame: commanded (line) and true (band), translation above, rotation below."""
+    figure = new_figure(4.3)
+    panels = figure.subplots(2, 1, sharex=True)
+    told = tracks.column("t_cmd")  # a command takes effect when its picture has arrived
+    for axes, (part, label) in zip(panels, PARTS, strict=True):
+        axes.axhline(0, color=RULE, linewidth=0.8)
+        for axis, color in zip("xyz", AXIS_COLORS, strict=True):
+            true, command = tracks.column(f"act_{part}{axis}"), tracks.column(f"cmd_{part}{axis}")
+            axes.plot(tracks.t, true, color=color, **BAND)
+            axes.plot(told, command, color=color, linewidth=1.1, label=f"{part}$_{axis}$", **_dot(command))
+        least_span(axes, LEAST_TWIST)
+        shade_lost(axes, tracks)
+        axes.set_ylabel(label)
+        axes.legend(handles=axes.get_lines()[2::2], loc="upper right", ncols=3)
+    time_axis(panels[-1], tracks)
+    return figure
+
+
+def depth(tracks: Tracks) -> Figure | None:
+    """Depth of each marker as the law used it (line), and the true one (band) where it can be computed."""
+    used, true = tracks.numbered("depth"), tracks.true_depth
+    if not np.isfinite(used).any():
+        return None
+    figure = new_figure(3.1)
+    axes = figure.add_subplot()
+    for i, color in enumerate(marker_colors(tracks.markers)):
+        if true is not None:
+            axes.plot(tracks.t, true[:, i], color=color, **BAND)
+        axes.plot(tracks.t, used[:, i], color=color, linewidth=1.0, **_dot(used[:, i]))
+    least_span(axes, LEAST_DEPTH * float(np.nanmedian(np.abs(used))))
+    shade_lost(axes, tracks)
+    time_axis(axes, tracks)
+    axes.set_ylabel("depth [m]")
+    return figure
+
+
+def joints(tracks: Tracks) -> Figure | None:
+    """Joint positions, velocities and actuator inputs, as far as the log has them. A vehicle's wheels have a figure of their own."""
+    if tracks.setting.ride is not None:
+        return None
+    panels = [(s, label) for s, label in (("q", "position"), ("qd", "velocity"), ("ctrl", "input")) if _moving(tracks, s)]
+    if not panels:
+        return None
+    names = list(dict.fromkeys(n for stem, _ in panels for n in _moving(tracks, stem)))
+    figure = new_figure(0.9 + 1.45 * len(panels) + 0.16 * -(-len(names) // 4))
+    grid = np.ravel(figure.subplots(len(panels), 1, sharex=True, squeeze=False))
+    for axes, (stem, label) in zip(grid, panels, strict=True):
+        for name in _moving(tracks, stem):
+            value = tracks.column(f"{stem}_{name}")
+            axes.plot(tracks.t, value, color=LINE_COLORS[names.index(name) % len(LINE_COLORS)], linewidth=1.2, **_dot(value))
+        axes.set_ylabel(label)
+    time_axis(grid[-1], tracks)
+    if len(names) <= 16:
+        figure.legend(handles=line_keys(names), loc="outside lower center", ncols=4)
+    return figure
+
+
+def _moving(tracks: Tracks, stem: str) -> list[str]:
+    """The names of a stem whose columns hold numbers."""
+    return [n for n in tracks.named(stem) if np.isfinite(tracks.column(f"{stem}_{n}")).any()]
+
+
+def line_keys(names: list[str]) -> list[Line2D]:
+    """A legend's entry for each name, in the order of the lines' colours."""
+    from matplotlib.lines import Line2D
+
+    return [Line2D([], [], color=LINE_COLORS[i % len(LINE_COLORS)], label=plain(n)) for i, n in enumerate(names)]
+
+
+def plain(name: str) -> str:
+    """A name that matplotlib takes as it stands: no mathematics, not hidden by a leading underscore."""
+    return name.replace("$", r"\$").lstrip("_") or "(unnamed)"
+
+
+def edge(trail: Array, which: int) -> Array:
+    """The first (0) or last (-1) finite point of a trail (T, k), as a (k, 1) array; empty where there is none."""
+    finite = trail[np.isfinite(trail).all(axis=1)]
+    return finite[[which]].T if len(finite) else np.empty((trail.shape[1], 0))
+
+
+def _positive(value: Array) -> Array:
+    """The values that a logarithmic axis can show; the others NaN."""
+    return np.where(value > 0, value, np.nan)
+
+
+def _dot(value: Array) -> dict[str, Any]:
+    """A point marker where a line would show nothing: a single value, or a single one between gaps."""
+    return {"marker": "."} if np.isfinite(value).sum() <= 1 else {}
+
+
+def least_span(axes: Axes, least: float) -> None:
+    """Widen the upright axis about its middle where it spans less than `least`: noise shall not fill the height."""
+    low, high = axes.get_ylim()
+    if high - low < least:
+        axes.set_ylim((low + high - least) / 2, (low + high + least) / 2)
+
+
+def shade_lost(axes: Axes, tracks: Tracks) -> None:
+    """Mark the stretches in which the target was lost."""
+    for i, (start, end) in enumerate(tracks.lost_stretches()):
+        axes.axvspan(start, end, color=LOST, alpha=0.16, linewidth=0, label="target lost" if i == 0 else None)
+
+
+def time_axis(axes: Axes, tracks: Tracks) -> None:
+    """Time across, from the log's first to its last row."""
+    axes.set_xlabel("time [s]")
+    t = tracks.t[np.isfinite(tracks.t)]
+    if len(t) and t[-1] > t[0]:
+        axes.set_xlim(t[0], t[-1])
+
+
+def _legend(axes: Axes) -> None:
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(loc="upper right")

@@ -1,0 +1,220 @@
+"""`report.html` of one run: read what the run's folder holds, lay it out, write it in one piece."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import polars as pl
+
+from vstestbed.core.errors import RunFolderError, VstestbedError
+from vstestbed.core.files import write_whole
+from vstestbed.report.html.canvas import style, to_svg
+from vstestbed.report.html.pieces import figure, film, folded
+from vstestbed.report.html.template import PAGE, STYLE
+from vstestbed.report.run import figures, flight, numbers, path3d, vehicle
+from vstestbed.report.run import floor_plan as plane
+from vstestbed.report.run import polar_angles as angles
+from vstestbed.report.run.tracks import Setting, Tracks
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+EMBED_BYTES: Final = 30_000_000
+"""Films up to this size together stand in the page itself; beyond it they are linked, so that the page still opens."""
+
+FILMS: Final = {"camera": "What the camera sees", "overview": "From outside"}
+
+Plot = tuple[str, str, str, Callable[[Tracks], "Figure | None"]]
+PLOTS: Final[tuple[Plot, ...]] = (
+    (
+        "features",
+        "Features in the image",
+        "The way of each marker through the picture; the frame is the picture's border.",
+        figures.features,
+    ),
+    (
+        "polar",
+        "Features in polar coordinates",
+        "As the law sees them: the angle about the optical axis, drawn on beyond a half turn, and the distance from it.",
+        angles.polar,
+    ),
+    (
+        "spherical",
+        "Features in spherical coordinates",
+        "As the law sees them: the angle about the optical axis, drawn on beyond a half turn, and the angle from it.",
+        angles.spherical,
+    ),
+    (
+        "sphere",
+        "Features on the sphere",
+        "The unit sphere around the camera, seen from outside and ahead; z is the optical axis. What is paler lies on the far side.",
+        angles.on_sphere,
+    ),
+    ("error", "Error in the image", "Root mean square over the coordinates, goal minus measured.", figures.error),
+    ("path", "Camera path", "In the world, equal scale on all axes; pyramids look where the camera looks.", path3d.camera_path),
+    (
+        "plane",
+        "Way on the floor",
+        "From above, equal scale. Shaded: what is in the picture at the landmarks' height, at the start and at the end.",
+        plane.plane,
+    ),
+    (
+        "off",
+        "Error of the task",
+        "True: how far the camera is off its place or path, the gap wider than asked, the vehicle left of its line.",
+        vehicle.off_task,
+    ),
+    ("twist", "Camera twist", "In the camera's frame: commanded (thin line) and true (pale band).", figures.twist),
+    (
+        "velocity",
+        "Velocity of the craft",
+        "In its level frame: ordered (thin line) and flown, by its own estimate (pale band).",
+        flight.velocity,
+    ),
+    (
+        "tilt",
+        "Tilt",
+        "True (pale band), as the craft estimates it from its IMU (thin line), and as its velocity loop asks for it (dotted).",
+        flight.tilt,
+    ),
+    ("rates", "Body rates", "Asked for by the attitude loop (thin line) and flown, by the gyro (pale band).", flight.rates),
+    ("rotors", "Rotors and wind", "Speeds of the rotors, their limit dotted; the wind along the world's axes.", flight.rotors),
+    ("pose", "Distance from the goal", "True pose against the goal pose.", figures.pose_error),
+    ("depth", "Depth of the markers", "As the law used it (thin line) and true (pale band).", figures.depth),
+    (
+        "place",
+        "Error of the place known",
+        "Where the vehicle thinks it is against where it is; heading likewise, counter-clockwise.",
+        vehicle.place_error,
+    ),
+    ("wheels", "Wheels and steering", "As told (thin line) and as measured (pale band).", vehicle.wheels),
+    (
+        "slip",
+        "Slip",
+        "How fast its way and turn and those by its encoders part (sliding, a wrong wheel radius): mean between two frames.",
+        vehicle.slip,
+    ),
+    (
+        "joints",
+        "Joints and actuators",
+        "Positions [rad or m], velocities, and actuator inputs in the actuators' own units.",
+        figures.joints,
+    ),
+)
+
+
+def write_report(run_dir: Path, log: pl.DataFrame | None = None, setting: Setting | None = None) -> Path:
+    """Write `report.html` into a run's folder and give its path.
+
+    Args:
+        run_dir: the folder with `scenario.yaml`, `summary.json`, `log.parquet` (or `log.part`) and, where made, films.
+        log: the run's table, where the caller has it already; else it is read from the folder.
+        setting: facts for the figures; else they come from loading `scenario.yaml`.
+
+    Raises:
+        RunFolderError: the folder holds no run.
+        OutputError: the page cannot be written.
+    """
+    scenario_text = _read(run_dir / "scenario.yaml")
+    summary = _summary(run_dir)
+    videos = {path.stem: path for path in (run_dir / f"{name}.mp4" for name in FILMS) if path.is_file()}
+    text = render_page(
+        _log(run_dir) if log is None else log, summary, scenario_text, videos, setting or setting_of(run_dir / "scenario.yaml")
+    )
+    return write_whole(run_dir / "report.html", text)
+
+
+def render_page(
+    log: pl.DataFrame, summary: Mapping[str, Any], scenario_text: str, videos: Mapping[str, Path], setting: Setting | None = None
+) -> str:
+    """The report as HTML that refers to nothing outside itself (films of more than 30 MB together excepted).
+
+    Args:
+        log: one row a frame, the columns of `log.parquet`; may be empty.
+        summary: the content of `summary.json`; what is missing shows as a dash.
+        scenario_text: the scenario as run, shown as it is.
+        videos: films by their word (`camera`, `overview`).
+        setting: facts of the scenario for the figures.
+    """
+    setting = setting or Setting()
+    name = str(summary.get("scenario") or "Run")
+    body = [
+        numbers.headline(summary),
+        numbers.tiles(summary),
+        numbers.table(summary),
+        f'<section><h2>Figures</h2><div class="plots">{_figures(Tracks.of(log, setting))}</div></section>',
+        _films(videos),
+        numbers.timing(summary),
+        folded("Scenario", scenario_text),
+        numbers.provenance(summary),
+        folded("All numbers (summary.json)", json.dumps(dict(summary), indent=2, default=str)),
+    ]
+    words = f'<p class="soft">{escape(setting.description)}</p>' if setting.description else ""
+    title = f"{name}: {numbers.outcome_words(summary)}"
+    return PAGE.format(title=escape(title), style=STYLE, heading=escape(name), description=words, body="\n".join(filter(None, body)))
+
+
+def _figures(tracks: Tracks) -> str:
+    """All figures that this run has, as a grid of inline SVG."""
+    made = []
+    with style():
+        for key, title, caption, draw in PLOTS:
+            drawn = draw(tracks)
+            if drawn is not None:
+                made.append(figure(title, to_svg(drawn, key, title), caption))
+    return "".join(made)
+
+
+def _films(videos: Mapping[str, Path]) -> str:
+    """The films: inside the page while they fit, else as links to the files beside it."""
+    left, made = EMBED_BYTES, []
+    for word, path in videos.items():
+        size = path.stat().st_size
+        inside = size <= left
+        left -= size if inside else 0
+        made.append(film(FILMS.get(word, word), path, inside))
+    return f'<section class="films"><h2>Films</h2><div class="grid">{"".join(made)}</div></section>' if made else ""
+
+
+def _read(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise RunFolderError(path.parent, f"cannot read {path.name} ({error})") from error
+
+
+def _log(run_dir: Path) -> pl.DataFrame:
+    from vstestbed.loop.log_file import read_log
+
+    return read_log(run_dir)
+
+
+def _summary(run_dir: Path) -> dict[str, Any]:
+    """The summary; a run that was cut off has none, and its report says so."""
+    path = run_dir / "summary.json"
+    if not path.exists():
+        return {
+            "scenario": run_dir.resolve().parent.name,
+            "outcome": "interrupted",
+            "reason": "the run was cut off before it wrote a summary",
+        }
+    try:
+        return dict(json.loads(_read(path)))
+    except ValueError as error:
+        raise RunFolderError(run_dir, f"summary.json is damaged ({error})") from error
+
+
+def setting_of(path: Path) -> Setting:
+    """The facts of the scenario; none of them where it uses kinds that this installation does not have."""
+    from vstestbed.scenario.load import load
+
+    try:
+        return Setting.of(load(path))
+    except VstestbedError:
+        return Setting(
+            description="The scenario uses kinds that this installation lacks: the figures show no picture border and no goal view."
+        )

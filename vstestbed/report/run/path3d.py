@@ -1,0 +1,111 @@
+"""The figure of the camera's way through the world: path, viewing pyramids, target, goal. Equal scale on all axes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vstestbed.core.geometry import Array, inverse, transform
+from vstestbed.report.html.canvas import AXIS_COLORS, GOAL, INK, LINE_COLORS, RULE, fill, marker_colors, new_figure, new_space
+from vstestbed.report.run.tracks import Tracks
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from mpl_toolkits.mplot3d import Axes3D
+
+PYRAMID = np.array([[0, 0, 0], [-0.4, -0.3, 0.7], [0.4, -0.3, 0.7], [0.4, 0.3, 0.7], [-0.4, 0.3, 0.7]])
+PYRAMID_LINE = [0, 1, 2, 0, 3, 4, 0, 1, 4, 3, 2]
+"""Corners of a viewing pyramid of length about 1, and the order that draws all its edges in one line."""
+
+
+def camera_path(tracks: Tracks) -> Figure | None:
+    """The camera's path in the world, its view at the start, on the way and at the end, the markers, the goal view; None of a vehicle's.
+
+    A vehicle's camera stays at its height: its way is drawn in the plane.
+    """
+    if tracks.setting.ride is not None:
+        return None
+    cameras = tracks.poses("cam")
+    cameras = cameras[np.isfinite(cameras).all(axis=(1, 2))]
+    if len(cameras) == 0:
+        return None
+    targets = tracks.poses("tgt")
+    targets = targets[np.isfinite(targets).all(axis=(1, 2))]
+    goal = _goal_camera(tracks, targets)
+    shown = [cameras[:, :3, 3], targets[:, :3, 3]] + ([goal[None, :3, 3]] if goal is not None else [])
+    if len(targets) and tracks.setting.points is not None:
+        shown.append(transform(targets[-1], tracks.setting.points))
+    points = np.concatenate(shown)
+    figure = new_figure(4.0)
+    axes = new_space(figure)
+    size = 0.13 * float(np.ptp(points, axis=0).max() or 1.0)
+    _draw_cameras(axes, cameras, goal, size)
+    _draw_target(axes, targets, tracks.setting.points, size)
+    _equal_scale(axes, points, size)
+    fill(axes, box=True)
+    figure.legend(*axes.get_legend_handles_labels(), loc="lower center", ncols=5)
+    return figure
+
+
+def _goal_camera(tracks: Tracks, targets: Array) -> Array | None:
+    """Where the camera should be in the world, for the target's last pose; None without a goal view."""
+    view = tracks.setting.T_camera_target
+    return targets[-1] @ inverse(view) if view is not None and len(targets) else None
+
+
+def _draw_cameras(axes: Axes3D, cameras: Array, goal: Array | None, size: float) -> None:
+    path = cameras[:, :3, 3]
+    axes.plot(*path.T, color=LINE_COLORS[0], linewidth=1.8, label="camera, to its end")
+    for k in np.unique(np.linspace(0, len(cameras) - 1, 6).astype(int))[1:-1]:
+        axes.plot(*_pyramid(cameras[k], 0.6 * size), color=LINE_COLORS[0], linewidth=0.7, alpha=0.45)
+    axes.plot(*_pyramid(cameras[0], size), color=INK, linewidth=1.0, label="start")
+    axes.plot(*_pyramid(cameras[-1], size), color=LINE_COLORS[0], linewidth=1.4)
+    if goal is not None:
+        axes.plot(*_pyramid(goal, 1.25 * size), color=GOAL, linewidth=1.1, linestyle=(0, (4, 2)), label="goal")
+
+
+def _draw_target(axes: Axes3D, targets: Array, points: Array | None, size: float) -> None:
+    """The target's path (where it moves), its axes, and its markers at its last pose."""
+    if len(targets) == 0:
+        return
+    if np.ptp(targets[:, :3, 3], axis=0).max() > 1e-6:
+        axes.plot(*targets[:, :3, 3].T, color=INK, linewidth=1.0, linestyle=":", label="target")
+    T = targets[-1]
+    for axis, color in enumerate(AXIS_COLORS):
+        tip = T[:3, 3] + 0.7 * size * T[:3, axis]
+        axes.plot(*np.stack([T[:3, 3], tip]).T, color=color, linewidth=1.2)
+    if points is None:
+        return
+    p = transform(T, points)
+    axes.scatter(*p.T, c=marker_colors(len(p)), s=26, depthshade=False, label="markers")
+
+
+def _pyramid(T: Array, size: float) -> Array:
+    """The edges of the viewing pyramid of a camera pose (4, 4) as one line, shape (3, 11)."""
+    return transform(T, size * PYRAMID)[PYRAMID_LINE].T
+
+
+def _equal_scale(axes: Axes3D, points: Array, size: float) -> None:
+    """One metre is as long on every axis; a flat scene gets some thickness."""
+    from matplotlib.ticker import MaxNLocator
+
+    low, high = points.min(axis=0) - size, points.max(axis=0) + size
+    span = np.maximum(high - low, 0.3 * (high - low).max())
+    middle = (low + high) / 2
+    axes.set(xlim=_about(middle[0], span[0]), ylim=_about(middle[1], span[1]), zlim=_about(middle[2], span[2]))
+    axes.set_box_aspect(span)
+    axes.set_xlabel("x [m]", labelpad=2)
+    axes.set_ylabel("y [m]", labelpad=2)
+    axes.set_zlabel("z [m]", labelpad=0)
+    axes.tick_params(pad=0, labelsize=8.5)
+    axes.view_init(elev=22, azim=-62)
+    drawn: tuple[Any, ...] = (axes.xaxis, axes.yaxis, axes.zaxis)  # matplotlib's stubs know only the flat axes' methods
+    for axis, share in zip(drawn, span / span.max(), strict=True):
+        axis.set_major_locator(MaxNLocator(max(2, round(5 * share))))
+        axis.set_pane_color((0, 0, 0, 0))
+        axis.line.set_color(RULE)
+
+
+def _about(middle: float, span: float) -> tuple[float, float]:
+    return float(middle - span / 2), float(middle + span / 2)

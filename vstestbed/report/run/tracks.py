@@ -1,0 +1,154 @@
+"""What the figures draw: a run's log as arrays, and the few facts of its scenario that the log does not hold."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+
+from vstestbed.core.geometry import Array, inverse, rotation_from_quaternion, transform
+from vstestbed.report.run.expected_way import Ride
+from vstestbed.targets.ground_lines import GroundLines
+
+if TYPE_CHECKING:
+    from vstestbed.camera import Camera
+    from vstestbed.features import Feature
+    from vstestbed.scenario.scenario import Scenario
+
+MOST_ROWS = 4000
+"""Longer logs are thinned for drawing: a figure is about 700 px wide, and a page should open at once."""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """Facts of the scenario that the figures use; each may be None where it is unknown or makes no sense.
+
+    Attributes:
+        width, height: size of the servo camera's picture [px].
+        threshold_px: RMS error under which the goal counts as reached [px].
+        points: marker centres in the target frame, shape (N, 3) [m].
+        T_camera_target: the goal view, shape (4, 4).
+        description: the scenario's own words.
+        feature: what the law works with, where it is an image feature.
+        camera: the servo camera.
+        ride: what there is to a vehicle's task on the floor.
+        band_m, settle_s: of a task without an end: how far off it may be [m], from when on [s].
+    """
+
+    width: int | None = None
+    height: int | None = None
+    threshold_px: float | None = None
+    points: Array | None = None
+    T_camera_target: Array | None = None
+    description: str = ""
+    feature: Feature | None = None
+    camera: Camera | None = None
+    ride: Ride | None = None
+    band_m: float | None = None
+    settle_s: float = 0.0
+
+    @classmethod
+    def of(cls, scenario: Scenario) -> Setting:
+        """The facts of a loaded scenario; a task without a goal view or a pixel threshold leaves those out."""
+        from vstestbed.scenario.goal import KEPT
+
+        ride, kept = Ride.of(scenario), scenario.goal if isinstance(scenario.goal, KEPT) else None
+        view = getattr(scenario.goal, "T_camera_target", None)
+        return cls(
+            width=scenario.camera.width,
+            height=scenario.camera.height,
+            threshold_px=getattr(scenario.stop.converged, "error_px", None) if kept is None else None,
+            points=None if isinstance(scenario.target, GroundLines) else scenario.target.points,
+            T_camera_target=getattr(view, "T", view),
+            description=scenario.description,
+            feature=getattr(scenario.law, "feature", None),
+            camera=scenario.camera,
+            ride=ride,
+            band_m=kept.band if kept else None,
+            settle_s=kept.settle_s if kept else 0.0,
+        )
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """A log (one row a frame) seen as arrays over time; a column that is absent reads as NaN."""
+
+    log: pl.DataFrame
+    setting: Setting
+
+    @classmethod
+    def of(cls, log: pl.DataFrame, setting: Setting) -> Tracks:
+        """The tracks of a log, thinned evenly (first and last row kept) where it has more than 4000 rows."""
+        if len(log) > MOST_ROWS:
+            log = log[np.unique(np.linspace(0, len(log) - 1, MOST_ROWS).astype(int)).tolist()]
+        return cls(log, setting)
+
+    def column(self, name: str) -> Array:
+        """One column as floats, shape (T,)."""
+        if name not in self.log.columns:
+            return np.full(len(self.log), np.nan)
+        return self.log[name].cast(pl.Float64, strict=False).fill_null(np.nan).to_numpy()
+
+    def columns(self, *names: str) -> Array:
+        """Several columns side by side, shape (T, len(names))."""
+        return np.stack([self.column(n) for n in names], axis=-1)
+
+    def numbered(self, stem: str) -> Array:
+        """The columns `stem_0 .. stem_{N-1}`, one for each marker, shape (T, N)."""
+        n = self.markers
+        return self.columns(*(f"{stem}_{i}" for i in range(n))) if n else np.empty((len(self.log), 0))
+
+    def pixels(self, suffix: str = "") -> Array:
+        """Marker pixels (T, N, 2): measured, or with suffix `_true` or `_goal`."""
+        return np.stack([self.numbered(f"u{suffix}"), self.numbered(f"v{suffix}")], axis=-1)
+
+    def named(self, stem: str) -> list[str]:
+        """What stands behind `stem_` in the column names, in the log's order: joint or actuator names."""
+        return [c[len(stem) + 1 :] for c in self.log.columns if c.startswith(f"{stem}_")]
+
+    def poses(self, stem: str) -> Array:
+        """Poses in the world of `cam` or `tgt`, shape (T, 4, 4); NaN where the log has none."""
+        T = np.full((len(self.log), 4, 4), np.nan)
+        T[:, :3, :3] = rotation_from_quaternion(self.columns(*(f"{stem}_q{a}" for a in "wxyz")))
+        T[:, :3, 3] = self.columns(*(f"{stem}_{a}" for a in "xyz"))
+        T[:, 3] = 0.0, 0.0, 0.0, 1.0
+        return T
+
+    def places(self, stem: str) -> Array:
+        """A vehicle's places (x, y, heading) of `base` (true), `est` or `odo`, shape (T, 3); NaN where the log has none."""
+        return self.columns(*(f"{stem}_{name}" for name in ("x", "y", "heading")))
+
+    @cached_property
+    def markers(self) -> int:
+        """How many markers the log has."""
+        return sum(re.fullmatch(r"u_\d+", c) is not None for c in self.log.columns)
+
+    @cached_property
+    def t(self) -> Array:
+        """Time [s], shape (T,)."""
+        return self.column("t")
+
+    @cached_property
+    def lost(self) -> NDArray[np.bool_]:
+        """Whether the target was lost, shape (T,)."""
+        return self.column("lost") == 1.0
+
+    @cached_property
+    def true_depth(self) -> Array | None:
+        """Depth of the markers from the true poses, shape (T, N) [m]; None where the marker points are unknown."""
+        points = self.setting.points
+        if points is None or len(points) != self.markers:
+            return None
+        T_camera_target = inverse(self.poses("cam")) @ self.poses("tgt")
+        return transform(T_camera_target, points)[..., 2]
+
+    def lost_stretches(self) -> list[tuple[float, float]]:
+        """From when until when the target was lost [s]; a single frame lasts until the next."""
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], self.lost, [False]]).astype(int)))
+        last = len(self.t) - 1
+        return [(float(self.t[a]), float(self.t[min(b, last)])) for a, b in edges.reshape(-1, 2)]

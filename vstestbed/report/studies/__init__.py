@@ -1,0 +1,1 @@
+"""Reports of studies: basins, sweeps, gain limits, flow fields."""

@@ -1,0 +1,202 @@
+"""Optical flow: how a feature moves in its own coordinates under each of the six motions of the camera.
+
+The arrows are columns of the feature's interaction matrix, for points that stand still, all equally deep (far, for
+`spherical`). With angles on the axes an arrow shows where a point goes in that plane, not in the picture.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array
+from vstestbed.features import Feature, Point, Polar, Spherical
+from vstestbed.report.html.canvas import INK, LINE_COLORS, new_figure, save, style
+from vstestbed.report.run import sphere
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from mpl_toolkits.mplot3d import Axes3D
+
+MOTIONS = ("$v_x$", "$v_y$", "$v_z$", r"$\omega_x$", r"$\omega_y$", r"$\omega_z$")
+FORMATS = (".png", ".svg", ".pdf")
+PI = math.pi
+
+
+@dataclass(frozen=True)
+class Plane:
+    """The plane in which a feature's flow is drawn.
+
+    Attributes:
+        feature: whose.
+        across, up: coordinates of the arrows' feet along the two axes.
+        rows: which row of L, of the two of a point, belongs to each axis.
+        labels: of the axes. seen_at: the first input of the feature (N, k) for feet (N, 2).
+    """
+
+    feature: Feature
+    across: Array
+    up: Array
+    rows: tuple[int, int]
+    labels: tuple[str, str]
+    seen_at: Callable[[Array], Array]
+
+
+def _on_circle(feet: Array) -> Array:
+    return feet[:, 1:] * np.stack([np.cos(feet[:, 0]), np.sin(feet[:, 0])], axis=-1)
+
+
+ROUND = np.linspace(-PI, PI, 13)
+PLANES: dict[str, Plane] = {
+    "point": Plane(Point(), np.linspace(-1, 1, 9), np.linspace(-1, 1, 9), (0, 1), ("x", "y"), lambda feet: feet),
+    "polar": Plane(Polar(), ROUND, np.linspace(0.2, 1, 9), (1, 0), (r"$\phi$ [rad]", "r"), _on_circle),
+    "spherical": Plane(
+        Spherical(),
+        ROUND,
+        np.linspace(0.1, 0.9, 9) * PI,
+        (1, 0),
+        (r"$\phi$ [rad]", r"$\theta$ [rad]"),
+        lambda feet: sphere.ray_at(feet[:, 1], feet[:, 0]),
+    ),
+}
+
+
+def plane_flow(name: str, depth: float = 1.0) -> tuple[Array, Array]:
+    """Feet of the arrows (N, 2), and the velocity there (6, N, 2) for each motion at 1 m/s or 1 rad/s.
+
+    Args:
+        name: point, in (x, y); polar, in (phi, r); spherical, in (phi, theta).
+        depth: of every point, for spherical its distance [m].
+
+    Raises:
+        ParameterError: the feature has no such plane, or the depth is not positive.
+    """
+    plane = _plane(name, depth)
+    feet = np.stack(np.meshgrid(plane.across, plane.up), axis=-1).reshape(-1, 2)
+    L = plane.feature.interaction(plane.seen_at(feet), np.full(len(feet), depth)).reshape(len(feet), 2, 6)
+    return feet, np.moveaxis(L[:, list(plane.rows)], -1, 0)
+
+
+def sphere_flow(depth: float = 1.0) -> tuple[Array, Array]:
+    """Rays (N, 3) all around, and their velocity (6, N, 3) for each motion at 1 m/s or 1 rad/s: tangential to the sphere.
+
+    ray_dot = theta_dot e_theta + phi_dot sin theta e_phi
+
+    Args:
+        depth: distance of every point [m].
+    """
+    _plane("spherical", depth)
+    rings = [(theta, round(24 * math.sin(theta))) for theta in (np.arange(12) + 0.5) * PI / 12]
+    theta = np.concatenate([np.full(n, t) for t, n in rings])
+    phi = np.concatenate([2 * PI * np.arange(n) / n for _, n in rings])
+    ray = sphere.ray_at(theta, phi)
+    rates = np.moveaxis(Spherical().interaction(ray, np.full(len(ray), depth)).reshape(-1, 2, 6), -1, 0)
+    e_theta = sphere.ray_at(theta + PI / 2, phi)
+    e_phi = np.stack([-np.sin(phi), np.cos(phi), 0 * phi], axis=-1)
+    return ray, rates[..., :1] * e_theta + rates[..., 1:] * np.sin(theta)[:, None] * e_phi
+
+
+def _plane(name: str, depth: float) -> Plane:
+    if name not in PLANES:
+        words = f"must be one of {', '.join(PLANES)}: only these have two coordinates a point, which make a plane"
+        raise ParameterError("feature", words, name)
+    if not (math.isfinite(depth) and depth > 0):
+        raise ParameterError("depth", "must be a finite number > 0 m", depth)
+    return PLANES[name]
+
+
+def draw_plane(name: str, depth: float = 1.0) -> Figure:
+    """The six fields side by side; in each, the longest arrow is as long as its feet are apart."""
+    plane = _plane(name, depth)
+    feet, rates = plane_flow(name, depth)
+    figure = new_figure(6.4, 9.0)
+    spacing = np.array([plane.across[1] - plane.across[0], plane.up[1] - plane.up[0]])
+    grid = figure.subplots(2, 3, sharex=True, sharey=True)
+    for axes, rate, motion in zip(np.ravel(grid), rates, MOTIONS, strict=True):
+        arrow = 0.95 * rate / np.linalg.norm(rate / spacing, axis=-1).max()
+        axes.quiver(*feet.T, *arrow.T, angles="xy", scale_units="xy", scale=1, color=LINE_COLORS[0], **_HEAD)
+        axes.plot(*feet.T, ".", color=INK, markersize=1.5)
+        axes.set_title(motion)
+    _frame_plane(grid, plane, spacing)
+    figure.suptitle(f"{name}, {'distance' if name == 'spherical' else 'depth'} {depth:g} m; arrows to scale within each field")
+    return figure
+
+
+_HEAD: dict[str, Any] = {"width": 0.0045, "headwidth": 4, "headlength": 5, "headaxislength": 4.5, "minlength": 0.4}
+
+
+def _frame_plane(grid: Any, plane: Plane, spacing: Array) -> None:
+    first: Axes = grid[0, 0]
+    first.set_xlim(plane.across[0] - spacing[0], plane.across[-1] + spacing[0])
+    first.set_ylim(plane.up[0] - spacing[1], plane.up[-1] + spacing[1])
+    if plane.feature.kind == "point":
+        first.invert_yaxis()  # y is down, as in the picture
+        for axes in np.ravel(grid):
+            axes.set_aspect("equal")
+    else:
+        first.set_xticks([-PI, -PI / 2, 0, PI / 2, PI], [r"$-\pi$", r"$-\pi/2$", "0", r"$\pi/2$", r"$\pi$"])
+    if plane.feature.kind == "spherical":
+        first.set_yticks([0, PI / 4, PI / 2, 3 * PI / 4, PI], ["0", r"$\pi/4$", r"$\pi/2$", r"$3\pi/4$", r"$\pi$"])
+    for axes in grid[-1]:
+        axes.set_xlabel(plane.labels[0])
+    for axes in grid[:, 0]:
+        axes.set_ylabel(plane.labels[1])
+
+
+def draw_sphere(depth: float = 1.0) -> Figure:
+    """The six fields on the unit sphere around the camera, seen from outside, more from ahead; the far side is left out."""
+    ray, rates = sphere_flow(depth)
+    figure = new_figure(6.7, 9.0)
+    figure.set_layout_engine("none")
+    for i, (rate, motion) in enumerate(zip(rates, MOTIONS, strict=True)):
+        place = (i % 3 / 3, (0.1 if i >= 3 else 3.1) / 6.7, 1 / 3, 3.0 / 6.7)  # 3 in by 3 in each
+        axes: Axes3D = figure.add_axes(place, projection="3d")  # pyright: ignore[reportAssignmentType]
+        _draw_ball(axes, ray, rate)
+        axes.set_title(motion, x=0.1, y=0.87)
+    title = f"spherical, distance {depth:g} m: the unit sphere around the camera, seen from outside"
+    figure.text(0.02, 0.985, title, va="top", fontsize=11)
+    words = "Dashed: the optical axis z. The dark circle, 90 deg from it, divides what is ahead of the camera from what is behind."
+    figure.text(0.02, 0.95, words, va="top")
+    return figure
+
+
+def _draw_ball(axes: Axes3D, ray: Array, rate: Array) -> None:
+    """Sphere, camera axes, and the arrows of one motion: their feet (N, 3) and velocities (N, 3)."""
+    sphere.frame(axes, np.full(3, -1.0), np.full(3, 1.0), elev=24, azim=52, zoom=1.36)
+    sphere.draw_net(axes, PI, PI / 6, hide_back=True)
+    sphere.draw_curve(axes, sphere.ray_at(PI / 2, np.linspace(0, 2 * PI, 121)), hide_back=True, color=INK, linewidth=1.1)
+    near = ray @ sphere.towards_viewer(axes) > 0.08
+    arrow = 0.24 * rate[near] / np.linalg.norm(rate, axis=-1).max()
+    axes.quiver(*sphere.drawn(ray[near]), *sphere.drawn(arrow), color=LINE_COLORS[0], linewidth=1.1, arrow_length_ratio=0.4)
+    sphere.draw_axes(axes, 0.4, start=1.0)
+    sphere.draw_cross_axes(axes, np.zeros(3), 0.2, start=1.05)
+    for artist in (*axes.lines, *axes.collections):
+        artist.set_clip_on(False)
+
+
+def write_flow(name: str, depth: float = 1.0, out: Path | None = None) -> list[Path]:
+    """Draw a feature's flow into a file, for spherical also on the sphere into a second one; gives the paths.
+
+    Args:
+        name, depth: as for `plane_flow`.
+        out: where to, by default `flow_NAME.png`; the sphere goes beside it, with `_sphere` in its name.
+
+    Raises:
+        ParameterError: no such plane, depth or format. OutputError: the file cannot be written.
+    """
+    out = out or Path(f"flow_{name}.png")
+    _plane(name, depth)
+    if out.suffix.lower() not in FORMATS:
+        raise ParameterError("--out", f"must end in {', '.join(FORMATS[:-1])} or {FORMATS[-1]}", str(out))
+    with style():
+        made = [save(draw_plane(name, depth), out)]
+        if name == "spherical":
+            made.append(save(draw_sphere(depth), out.with_name(f"{out.stem}_sphere{out.suffix}")))
+    return made

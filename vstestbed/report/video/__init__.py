@@ -1,0 +1,6 @@
+"""Films of a run: `VideoWriter` streams pictures into a film, `Overlay` and `draw_caption` draw over them."""
+
+from vstestbed.report.video.overlay import Overlay, draw_caption
+from vstestbed.report.video.writer import VideoWriter
+
+__all__ = ["Overlay", "VideoWriter", "draw_caption"]

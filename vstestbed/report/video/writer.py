@@ -1,0 +1,166 @@
+"""An H.264 writer that keeps no frames in memory and never leaves a half film under the film's name."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import math
+import os
+from collections.abc import Callable
+from fractions import Fraction
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vstestbed.core.errors import EnvironmentLackError, OutputError, ParameterError
+
+if TYPE_CHECKING:
+    from av import VideoStream
+    from av.container import OutputContainer
+
+Image = NDArray[np.uint8]
+
+NO_SPACE: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+ENCODER: Final = {"preset": "veryfast", "crf": "20"}
+BT709: Final = 1  # ISO/IEC 23091-2: the number of these primaries, this transfer curve and this matrix alike
+
+
+class VideoWriter:
+    """Writes frames as H.264 (yuv420p, index first, so that it plays while it loads) and keeps none of them.
+
+    The film grows in `<path>.part` and takes its name on `close`, so that a film under its name is always whole.
+    The same frames give the same bytes (one encoder thread). Its size is that of the first frame, made even by
+    repeating the last row or column. As a context manager: closes at the end, aborts on an exception.
+
+    Args:
+        path: the film's name, ending in `.mp4`; an older film of that name is replaced on `close`.
+        rate_hz: frames a second [Hz].
+
+    Raises:
+        ParameterError: rate_hz is not a positive number, or a frame is not (H, W, 3) uint8 of the first one's size.
+        EnvironmentLackError: no H.264 encoder, or no room on the disk (exit 4).
+        OutputError: the folder cannot be written.
+    """
+
+    def __init__(self, path: Path, rate_hz: float):
+        if not (math.isfinite(rate_hz) and rate_hz > 0):
+            raise ParameterError("rate_hz", "must be > 0", rate_hz)
+        self.path = Path(path)
+        self.part = self.path.with_name(self.path.name + ".part")
+        self.rate = _fraction(rate_hz)
+        self.frames = 0
+        self._done = self._aborted = False
+        self._shape: tuple[int, ...] = ()
+        self._container: OutputContainer | None = None
+        self._stream: VideoStream | None = None
+
+    def write(self, image: Image) -> None:
+        """Append one picture, shape (H, W, 3), uint8, RGB."""
+        if self._done:
+            raise OutputError(self.path, "this film is finished", "open another VideoWriter")
+        if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
+            raise ParameterError("image", "must be (H, W, 3) uint8", (image.shape, str(image.dtype)))
+        if self._shape and image.shape != self._shape:
+            raise ParameterError("image", f"must keep the size of the first frame, {self._shape}", image.shape)
+        self._guard(lambda: self._encode(image))
+        self.frames += 1
+
+    def close(self) -> Path | None:
+        """Finish the film and give its path; None where no frame was written (then there is no file)."""
+        if self._container is not None:
+            self._guard(self._finish)
+        return self.path if self.frames and not self._aborted else None
+
+    def abort(self) -> None:
+        """Give the film up: nothing is left of it. Harmless after `close`."""
+        container, self._container, self._stream = self._container, None, None
+        if container is None:
+            return
+        self._done = self._aborted = True
+        with contextlib.suppress(OSError, ValueError, RuntimeError):  # the film is thrown away, whatever the encoder says
+            container.close()
+        with contextlib.suppress(NotADirectoryError):  # the film's folder turned out to be a file
+            self.part.unlink(missing_ok=True)
+
+    def __enter__(self) -> VideoWriter:
+        """The writer itself."""
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        """Close, or abort when an exception is on its way."""
+        if kind is None:
+            self.close()
+        else:
+            self.abort()
+
+    def _encode(self, image: Image) -> None:
+        import av
+
+        if self._container is None:
+            self._open(image.shape)
+        assert self._container is not None and self._stream is not None
+        frame = av.VideoFrame.from_ndarray(_even(image), format="rgb24")
+        frame = frame.reformat(format="yuv420p", dst_colorspace="ITU709", threads=1)
+        frame.pts, frame.time_base = self.frames, 1 / self.rate
+        for packet in self._stream.encode(frame):
+            self._container.mux(packet)
+
+    def _open(self, shape: tuple[int, ...]) -> None:
+        import av
+
+        self._container = av.open(str(self.part), "w", format="mp4", options={"movflags": "+faststart"})
+        stream = self._container.add_stream("libx264", rate=self.rate, options=ENCODER)
+        stream.height, stream.width = shape[0] + shape[0] % 2, shape[1] + shape[1] % 2
+        stream.pix_fmt = "yuv420p"
+        stream.thread_count = 1
+        context = stream.codec_context
+        context.colorspace = context.color_primaries = context.color_trc = BT709
+        self._container.start_encoding()  # makes the file: what cannot be written is told at the first frame
+        self._stream, self._shape = stream, shape
+
+    def _finish(self) -> None:
+        assert self._container is not None and self._stream is not None
+        for packet in self._stream.encode():
+            self._container.mux(packet)
+        self._container.close()
+        self._container, self._stream, self._done = None, None, True
+        self.part.replace(self.path)
+
+    def _guard(self, step: Callable[[], None]) -> None:
+        """Run one step of the encoder; on failure leave nothing behind and say what is lacking."""
+        from av.codec.codec import UnknownCodecError
+        from av.error import FFmpegError
+
+        try:
+            step()
+        except (FFmpegError, UnknownCodecError, OSError) as error:
+            self.abort()
+            raise self._explain(error) from error
+        except BaseException:
+            self.abort()
+            raise
+
+    def _explain(self, error: Exception) -> EnvironmentLackError | OutputError:
+        number = getattr(error, "errno", None)
+        if number in NO_SPACE:
+            return EnvironmentLackError(f"no room for {self.path} ({os.strerror(number or 0)})", "free some space or use `--video none`")
+        if isinstance(error, OSError):
+            return OutputError(self.path, os.strerror(number) if number else str(error), "give a folder that can be written with --out")
+        remedy = "`pip install --force-reinstall av` brings libx264, or use `--video none`"
+        return EnvironmentLackError(f"no H.264 encoder for {self.path} ({error})", remedy)
+
+
+def _fraction(rate_hz: float) -> Fraction:
+    """The simplest ratio at the rate's own precision: 29.97 is 2997/100 Hz, 1/3 is 1/3."""
+    return 1 / Fraction(1 / rate_hz).limit_denominator(10_000) if rate_hz < 1 else Fraction(rate_hz).limit_denominator(10_000)
+
+
+def _even(image: Image) -> Image:
+    """The picture with an even number of rows and columns, the last ones repeated: colour is stored for 2 x 2 pixels."""
+    height, width = image.shape[:2]
+    if height % 2 == 0 and width % 2 == 0:
+        return np.ascontiguousarray(image)
+    return np.pad(image, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")

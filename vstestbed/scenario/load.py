@@ -1,0 +1,173 @@
+"""A scenario's YAML: read with every mistake named at once (file, line, column, field), written with every default."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import io
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pydantic
+from ruamel.yaml import YAML
+
+from vstestbed.core.assets import bundled_scenarios
+from vstestbed.core.errors import Mistake, ParameterError, ScenarioError, VstestbedError, nearest
+from vstestbed.core.spec import rebuild_specs, to_mapping
+from vstestbed.scenario.scenario import Scenario
+from vstestbed.scenario.validation import KINDS, build
+from vstestbed.scenario.yaml_marks import override, place_of, plain_mapping, short
+
+
+def find(name: str | Path) -> Path:
+    """The file of a scenario given by path or by the name of a bundled one.
+
+    Raises:
+        ScenarioError: neither exists; names the nearest bundled scenario.
+    """
+    path, bundled = Path(name), bundled_scenarios()
+    try:
+        if path.is_file():
+            return path
+        if str(name) in bundled:
+            return bundled[str(name)]
+        if str(name) and path.is_dir():
+            raise ScenarioError([Mistake(str(name), "", "is a folder; give a scenario's YAML file")])
+    except OSError as error:
+        raise ScenarioError([Mistake(short(str(name)), "", f"cannot be read ({error.strerror})")]) from None
+    words = f"no such file, and no bundled scenario of that name; {nearest(path.stem, bundled)}"
+    raise ScenarioError([Mistake(str(name) or "SCENARIO", "", words)])
+
+
+def load(name: str | Path, overrides: Mapping[str, object] | None = None, seed: int | None = None) -> Scenario:
+    """Read a scenario from a file or a bundled name.
+
+    Args:
+        name: path of a YAML file, or the name of a bundled scenario.
+        overrides: values by dotted path, such as {"law.gain": 1.0}; they replace what the file says before it is checked.
+        seed: draw the start from the robot's random block, and all noise, from this seed.
+
+    Raises:
+        ScenarioError: everything that is wrong, at once.
+    """
+    path = find(name)
+    scenario = parse(text_of(path), str(path), overrides, seed)
+    return scenario if scenario.name else dataclasses.replace(scenario, name=path.stem)
+
+
+def text_of(path: Path) -> str:
+    """What a UTF-8 file holds; a ScenarioError says why it cannot be read."""
+    try:
+        raw = path.read_bytes()
+    except OSError as error:
+        raise ScenarioError([Mistake(str(path), "", f"cannot be read ({error.strerror})")]) from None
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = raw.count(b"\n", 0, error.start) + 1
+        col = error.start - (raw.rfind(b"\n", 0, error.start) + 1) + 1
+        words = f"is not UTF-8 text (byte 0x{raw[error.start]:02x}); save the file as UTF-8"
+        raise ScenarioError([Mistake(f"{path}:{line}:{col}", "", words)]) from None
+
+
+def parse(text: str, file: str, overrides: Mapping[str, object] | None = None, seed: int | None = None) -> Scenario:
+    """Build a scenario from YAML text; `file` is what messages call it. See `load`."""
+    plain, marks = plain_mapping(text, file, f"a scenario needs {_required()}")
+    for dotted, value in (overrides or {}).items():
+        override(plain, dotted, value, marks, _is_kind)
+    try:
+        scenario = build(Scenario, plain, marks, file)
+    except ScenarioError as error:
+        raise (_blame_settings(error, text, file) if overrides else error) from None
+    try:
+        return scenario if seed is None else seeded(scenario, seed)
+    except ParameterError as error:
+        where = place_of(tuple(error.field.split(".")), marks, file)
+        raise ScenarioError([Mistake(where, error.field, error.problem)]) from None
+
+
+def _blame_settings(error: ScenarioError, text: str, file: str) -> ScenarioError:
+    """The same mistakes, those that the file does not have by itself laid to --set."""
+    try:
+        parse(text, file)
+        own: set[tuple[str, str]] = set()
+    except ScenarioError as without:
+        own = {(m.field, m.sentence) for m in without.mistakes}
+    return ScenarioError([m if (m.field, m.sentence) in own else dataclasses.replace(m, where="--set") for m in error.mistakes])
+
+
+def seeded(scenario: Scenario, seed: int) -> Scenario:
+    """What a seed draws: the start; without a random block the noise alone.
+
+    Raises:
+        ParameterError: there is neither, or no start has the target in view.
+    """
+    noise = scenario.noise
+    if scenario.robot.start.random is None and (noise.image_sigma > 0 or noise.pixel_sigma_px > 0):
+        return dataclasses.replace(scenario, seed=seed)
+    return scenario.randomised(seed)
+
+
+def _is_kind(word: str) -> bool:
+    return any(word in kinds.members for kinds in KINDS.values())
+
+
+def _required() -> str:
+    needed = [f.name for f in dataclasses.fields(Scenario) if f.default is dataclasses.MISSING]
+    return ", ".join(needed[:-1]) + " and " + needed[-1]
+
+
+def dump(scenario: Scenario) -> str:
+    """The scenario as YAML, every default written out; `parse` of it gives the same scenario."""
+    return dump_mapping(scenario)
+
+
+def dump_mapping(spec: object) -> str:
+    """A spec as YAML, every default written out."""
+    yaml = YAML()
+    yaml.default_flow_style = None
+    yaml.width = 120
+    out = io.StringIO()
+    yaml.representer.add_representer(type(None), lambda r, _: r.represent_scalar("tag:yaml.org,2002:null", "null"))
+    yaml.dump(to_mapping(spec), out)
+    return out.getvalue()
+
+
+def schema() -> dict[str, Any]:
+    """JSON Schema of a scenario, for editors."""
+    return pydantic.TypeAdapter(Scenario).json_schema()
+
+
+def load_plugins(modules: Sequence[str]) -> None:
+    """Import plugin modules (which add to the rooms' lists) and installed entry points; then rebuild the checks.
+
+    A module is looked for where Python looks, and in the current folder.
+
+    Raises:
+        ParameterError: a module that cannot be imported, an entry point that cannot be loaded.
+    """
+    if modules and (here := str(Path.cwd())) not in sys.path:
+        sys.path.append(here)
+    for name in modules:
+        with _loading("--plugin", "cannot be imported", name):
+            importlib.import_module(name)
+    grown = []
+    for room, kinds in KINDS.items():
+        with _loading(f"vstestbed.{room}", "has an installed plugin that cannot be loaded; mend or uninstall it", None):
+            grown.append(kinds.load_entry_points())
+    if modules or any(grown):
+        rebuild_specs()
+
+
+@contextmanager
+def _loading(field: str, problem: str, name: str | None) -> Iterator[None]:
+    """Somebody else's code may fail in any way when it is imported; say what it said."""
+    try:
+        yield
+    except VstestbedError:
+        raise
+    except Exception as error:
+        raise ParameterError(field, f"{problem} ({type(error).__name__}: {error})", name) from error

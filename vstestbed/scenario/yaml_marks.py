@@ -1,0 +1,160 @@
+"""YAML text as plain mappings, lists and scalars, with the place (`FILE:LINE:COL`) of each; and changes to it by dotted path."""
+
+from __future__ import annotations
+
+import copy
+import re
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from ruamel.yaml import YAML
+from ruamel.yaml.comments import CommentedMap, CommentedSeq, TaggedScalar
+from ruamel.yaml.constructor import DuplicateKeyError
+from ruamel.yaml.error import MarkedYAMLError, YAMLError
+
+from vstestbed.core.errors import Mistake, ParameterError, ScenarioError
+
+Key = tuple[str | int, ...]
+Marks = dict[Key, str]
+"""Where each key stands."""
+DEEPEST, MOST_VALUES = 32, 20_000
+"""More than any scenario needs, and little enough that a file of aliases of aliases cannot fill the memory."""
+
+
+def plain_mapping(text: str, file: str, needs: str) -> tuple[dict[str, Any], Marks]:
+    """The mapping that YAML text holds, and where its keys stand.
+
+    Args:
+        text: YAML 1.2. file: what messages call it. needs: what such a file must have, for messages.
+
+    Raises:
+        ScenarioError: it is not YAML, empty, no mapping, or larger than any scenario.
+    """
+    tree = _tree(text, file)
+    if tree is None:
+        raise ScenarioError([Mistake(f"{file}:1:1", "", f"is empty; {needs}")])
+    if not isinstance(tree, CommentedMap):
+        raise ScenarioError([Mistake(f"{file}:1:1", "", f"must be a mapping (name: value); {needs}")])
+    marks: Marks = {}
+    return _plain(tree, (), marks, file), marks
+
+
+def _tree(text: str, file: str) -> Any:
+    """What ruamel makes of YAML text; its complaints in the form of all others."""
+    try:
+        return YAML(typ="rt").load(text)
+    except RecursionError:
+        raise ScenarioError([Mistake(file, "", "is nested too deeply for a scenario")]) from None
+    except DuplicateKeyError as error:
+        key = re.search(r'duplicate key "(.*?)"', error.problem or "")
+        words = "stands here for the second time in its block; keep one of the two"
+        raise ScenarioError([Mistake(_position(error, file), key[1] if key else "", words)]) from None
+    except MarkedYAMLError as error:
+        words = " ".join((error.problem or error.context or "").split())
+        raise ScenarioError([Mistake(_position(error, file), "", f"is not YAML: {words}")]) from None
+    except (YAMLError, ValueError) as error:
+        words = " ".join(str(error).split())
+        raise ScenarioError([Mistake(file, "", f"is not YAML: {words}")]) from None
+    except (TypeError, AttributeError, LookupError) as error:  # a list as a key, a tag on the wrong kind of node
+        words = f"holds YAML beyond plain mappings, lists and values ({error})"
+        raise ScenarioError([Mistake(file, "", words)]) from None
+
+
+def _position(error: MarkedYAMLError, file: str) -> str:
+    mark = error.problem_mark
+    return f"{file}:{mark.line + 1}:{mark.column + 1}" if mark else file
+
+
+def _plain(node: Any, key: Key, marks: Marks, file: str) -> Any:
+    """Plain dicts, lists and scalars of a ruamel tree; `marks` learns where each of them stands."""
+    if len(key) > DEEPEST or len(marks) > MOST_VALUES:
+        words = f"is nested more than {DEEPEST} deep" if len(key) > DEEPEST else f"brings the file to more than {MOST_VALUES} values"
+        raise ScenarioError([Mistake(place_of(key, marks, file), ".".join(map(str, key[:3])), f"{words}; a scenario needs far less")])
+    if isinstance(node, CommentedMap):
+        marks.setdefault(key, f"{file}:{node.lc.line + 1}:{node.lc.col + 1}")
+        for k in node:
+            marks[*key, str(k)] = _standing(node.lc.key, k, file) or marks[key]
+        return {str(k): _plain(v, (*key, str(k)), marks, file) for k, v in node.items()}
+    if isinstance(node, CommentedSeq):
+        for i in range(len(node)):
+            marks[*key, i] = _standing(node.lc.item, i, file) or place_of(key, marks, file)
+        return [_plain(v, (*key, i), marks, file) for i, v in enumerate(node)]
+    if isinstance(node, TaggedScalar):
+        words = f"has the tag {node.tag}; a scenario holds plain values only"
+        raise ScenarioError([Mistake(place_of(key, marks, file), ".".join(map(str, key)), words)])
+    for scalar in (bool, int, float, str):
+        if isinstance(node, scalar):
+            return scalar(node)
+    return node
+
+
+def _standing(place: Callable[[Any], tuple[int, int]], item: object, file: str) -> str | None:
+    """Where an item of a block stands; None for one that came with a merge key (`<<`), which has no place here."""
+    try:
+        line, col = place(item)
+    except (KeyError, IndexError, TypeError):
+        return None
+    return f"{file}:{line + 1}:{col + 1}"
+
+
+def read_value(text: str) -> object:
+    """A value as it would stand in YAML (`1e-3`, `[1, 2]`, `{kind: oracle}`, `raw`), for `--set`."""
+    try:
+        return _plain(_tree(text, ""), (), {}, "")
+    except ScenarioError as error:
+        raise ParameterError("--set", f"value {error.mistakes[0].sentence}", text) from None
+
+
+def override(plain: dict[str, Any], dotted: str, value: object, marks: Marks, is_kind: Callable[[str], bool]) -> None:
+    """Set one dotted path in the mapping; blocks on the way are made, a bare kind word (`is_kind`) becomes a block.
+
+    Raises:
+        ScenarioError: the path goes through a value, or to an item that a list does not have.
+    """
+    parts = dotted.split(".")
+    if not all(parts):
+        raise ScenarioError([Mistake("--set", dotted, "is no path to a field, such as law.gain")])
+    here: Any = plain
+    key: Key = ()
+    for part in parts[:-1]:
+        step = _step(here, part, dotted)
+        key += (step,)
+        child = here.get(step) if isinstance(here, dict) else here[step]
+        if child is None:
+            child = {}
+            marks[key] = "--set"
+        elif isinstance(child, str) and is_kind(child):
+            child = {"kind": child}
+        if not isinstance(child, dict | list):
+            raise ScenarioError([Mistake("--set", dotted, f"{'.'.join(map(str, key))} is a value, not a block, got {short(child)}")])
+        here[step] = child
+        here = child
+    last = _step(here, parts[-1], dotted)
+    here[last] = copy.deepcopy(value)
+    for old in [k for k in marks if k[: len(key) + 1] == (*key, last)]:
+        del marks[old]
+    marks[*key, last] = "--set"
+
+
+def _step(here: Any, part: str, dotted: str) -> str | int:
+    """One part of a dotted path as a key of a block, or as the number of an item that a list has."""
+    if not isinstance(here, list):
+        return part
+    if not (part.isdecimal() and int(part) < len(here)):
+        words = f"there is no item {part} in a list of {len(here)} (the first is item 0)"
+        raise ScenarioError([Mistake("--set", dotted, words)])
+    return int(part)
+
+
+def place_of(key: Key, marks: Mapping[Key, str], file: str) -> str:
+    """Where a key stands, or the nearest block above it."""
+    for n in range(len(key), -1, -1):
+        if key[:n] in marks:
+            return marks[key[:n]]
+    return f"{file}:1:1"
+
+
+def short(found: object) -> str:
+    """A value as it is shown in messages, cut where it is long."""
+    text = repr(found)
+    return text if len(text) <= 60 else text[:57] + "..."

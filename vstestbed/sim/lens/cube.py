@@ -1,0 +1,132 @@
+"""The picture of a lens that sees beyond a plane, put together from pinhole pictures on the faces of a cube."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vstestbed.camera import Camera, Image, Perspective, Window
+from vstestbed.camera.cube import CUBE
+from vstestbed.core.geometry import Array
+from vstestbed.sim.lens.pinhole import Pinhole, covering, pinhole_of, pixel_grid
+
+NOWHERE = -10.0
+"""Where a pixel that a face does not hold lies in it [px]: outside, so that cv2.remap leaves it alone."""
+MOST_PX = 2048.0
+"""Largest focal length of a drawn face [px]; a lens that has more pixels a radian is blurred."""
+SEAM_PX = 24
+"""A face is drawn, too, when a window comes this near to it [px]: a marker may turn up a little outside of its window."""
+
+
+@dataclass(frozen=True)
+class Patch:
+    """What one face gives to the picture: rows and columns of its part, and for cv2.remap where they lie in the face."""
+
+    rows: slice
+    columns: slice
+    maps: tuple[NDArray[np.int16], NDArray[np.uint16]]
+
+
+@dataclass(frozen=True)
+class Cube:
+    """How a camera's own picture comes from drawn faces.
+
+    Attributes:
+        faces: the faces that the lens can see. patches: what each gives.
+        owner: which of them each pixel is taken from, shape (H, W); -1 where the lens sees nothing.
+    """
+
+    faces: tuple[Pinhole, ...]
+    patches: tuple[Patch, ...]
+    owner: NDArray[np.int8]
+
+    def needed(self, windows: Iterable[Window]) -> set[int]:
+        """The faces that have a part in windows of the camera's picture, or come within SEAM_PX of one."""
+        out: set[int] = set()
+        for left, top, right, bottom in windows:
+            part = self.owner[max(top - SEAM_PX, 0) : bottom + SEAM_PX, max(left - SEAM_PX, 0) : right + SEAM_PX]
+            out.update(np.flatnonzero(np.bincount(part.ravel() + 1, minlength=2)[1:]).tolist())
+        return out
+
+    def compose(self, drawn: dict[int, Image]) -> Image:
+        """The camera's picture (H, W, 3) from drawn faces; black where a face is missing or the lens sees nothing."""
+        image = np.zeros((*self.owner.shape, 3), np.uint8)
+        for i, face in drawn.items():
+            patch = self.patches[i]
+            into = image[patch.rows, patch.columns]
+            cv2.remap(np.ascontiguousarray(face), *patch.maps, cv2.INTER_LINEAR, dst=into, borderMode=cv2.BORDER_TRANSPARENT)
+        return image
+
+
+@lru_cache(maxsize=4)
+def cube_of(camera: Camera) -> Cube:
+    """The faces that a lens can see, and how its picture comes from them.
+
+    A pixel is taken from the face that its ray meets in the middle part, |x|, |y| <= 1 in normalised coordinates. A lens
+    with panels has them as faces. For any other, a face is as large as it is needed, and as fine: a pinhole picture of focal
+    length f has f / cos a pixels to the radian across a ray a off its axis, and the lens at most 1 / (angle to the next
+    pixel), so that f is the largest of (cos a) / (that angle) over the face's pixels.
+    """
+    rays = camera.ray(pixel_grid(camera))
+    names = tuple(CUBE)
+    seen = np.isfinite(rays[..., 0])
+    along = np.stack([rays @ CUBE[name][:, 2] for name in names])
+    best = np.where(seen, np.argmax(along, axis=0), -1)
+    fine = along.max(axis=0) / _angle_to_next(rays)
+    faces: list[Pinhole] = []
+    patches: list[Patch] = []
+    owner = np.full(best.shape, -1, np.int8)
+    for index, name in enumerate(names):
+        mine = best == index
+        if not mine.any():
+            continue
+        turned = rays[mine] @ CUBE[name]
+        face = _face(camera, index, name, turned, float(min(np.nanmax(fine[mine]), MOST_PX)))
+        patches.append(_patch(mine, turned[:, :2] / turned[:, 2:] * face.f + face.centre))
+        owner[mine] = len(faces)
+        faces.append(face)
+    return Cube(tuple(faces), tuple(patches), owner)
+
+
+def _patch(mine: NDArray[np.bool_], px: Array) -> Patch:
+    """The part of the picture that holds the pixels `mine` (H, W), which lie at px (N, 2) in the face."""
+    v, u = np.nonzero(mine)
+    rows, columns = slice(int(v.min()), int(v.max()) + 1), slice(int(u.min()), int(u.max()) + 1)
+    at = np.full((*mine.shape, 2), NOWHERE, np.float32)
+    at[mine] = px
+    coarse, rest = cv2.convertMaps(at[rows, columns, 0].copy(), at[rows, columns, 1].copy(), cv2.CV_16SC2)
+    return Patch(rows, columns, (np.asarray(coarse, np.int16), np.asarray(rest, np.uint16)))
+
+
+def _face(camera: Camera, index: int, name: str, turned: Array, f: float) -> Pinhole:
+    """The face of a lens with panels as the panel says, else one that covers the rays (N, 3) with a focal length f [px]."""
+    if len(camera.panels) == 1:
+        return covering(turned[:, :2] / turned[:, 2:] * f, f, name)
+    lens = camera.panels[index].lens
+    return Pinhole(lens.width, lens.height, _focal(lens), (float(lens.centre[0]), float(lens.centre[1])), name)
+
+
+def _focal(lens: Camera) -> float:
+    """Focal length [px] of a panel, whose lens is a pinhole."""
+    middle = lens.project(np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 1.0]]))
+    return float(middle[1, 0] - middle[0, 0])
+
+
+def _angle_to_next(rays: Array) -> Array:
+    """Angle [rad] from each ray (H, W, 3) to the nearest of those of the next pixels, shape (H, W); NaN where none is seen."""
+    out = np.full(rays.shape[:2], np.inf)
+    across = np.linalg.norm(np.diff(rays, axis=1), axis=-1)
+    down = np.linalg.norm(np.diff(rays, axis=0), axis=-1)
+    for step, here in ((across, out[:, :-1]), (across, out[:, 1:]), (down, out[:-1]), (down, out[1:])):
+        np.fmin(here, step, out=here)
+    return np.where(np.isfinite(out) & (out > 0), out, np.nan)
+
+
+def drawn_for(camera: Camera) -> tuple[Pinhole, ...]:
+    """The pictures that OpenGL has to draw for a lens: its own, or the faces that it can see."""
+    return (pinhole_of(camera),) if isinstance(camera, Perspective) else cube_of(camera).faces

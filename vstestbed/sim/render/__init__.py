@@ -1,0 +1,1 @@
+"""Pictures: by OpenGL or by rays, exposure, noise, windows."""

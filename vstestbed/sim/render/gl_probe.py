@@ -1,0 +1,107 @@
+"""Which OpenGL there is, found before MuJoCo and dm_control are imported (they decide at import, and die badly)."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import sys
+
+from vstestbed.core.errors import EnvironmentLackError
+
+REMEDY = "on Debian or Ubuntu: apt-get install libegl1 libgl1 (then `vstestbed doctor` tells whether it works)"
+LIBRARIES = {"egl": ("libEGL.so.1", "libGL.so.1"), "osmesa": ("libOSMesa.so.8",), "glfw": ("libGL.so.1",)}
+"""What each backend of MuJoCo loads, by its word in MUJOCO_GL."""
+DRIVER_REMEDY = "on Debian or Ubuntu: apt-get install libegl-mesa0 libgl1-mesa-dri"
+DEVICE_PLATFORM = 0x313F
+"""EGL_PLATFORM_DEVICE_EXT."""
+ON, OFF = ("", "1", "on", "true", "enable", "enabled"), ("0", "off", "false", "disable", "disabled")
+_lack: list[tuple[str, str]] = []
+"""Why `choose_backend` switched OpenGL off: (lack, remedy)."""
+
+
+def missing_libraries(backend: str = "egl") -> list[str]:
+    """Shared libraries that a backend needs and the loader does not find."""
+    missing = []
+    for name in LIBRARIES[backend]:
+        try:
+            ctypes.CDLL(name)
+        except OSError:
+            missing.append(name)
+    return missing
+
+
+def _egl_starts() -> bool:
+    """Whether some EGL device starts a display, asked as both libraries ask when they are imported (a first start takes 25 ms)."""
+    egl = ctypes.CDLL("libEGL.so.1")
+    pointer, number = ctypes.c_void_p, ctypes.c_int
+    egl.eglGetProcAddress.restype, egl.eglGetProcAddress.argtypes = pointer, [ctypes.c_char_p]
+    egl.eglInitialize.argtypes = [pointer, pointer, pointer]
+    address = [egl.eglGetProcAddress(name) for name in (b"eglQueryDevicesEXT", b"eglGetPlatformDisplayEXT")]
+    if not all(address):
+        return False
+    query = ctypes.CFUNCTYPE(ctypes.c_uint, number, pointer, pointer)(address[0])
+    display_of = ctypes.CFUNCTYPE(pointer, ctypes.c_uint, pointer, pointer)(address[1])
+    devices, count = (pointer * 16)(), number()
+    if not query(16, devices, ctypes.byref(count)):
+        return False
+    displays = [display_of(DEVICE_PLATFORM, device, None) for device in devices[: count.value]]
+    return any(display and egl.eglInitialize(display, None, None) for display in displays)
+
+
+def choose_backend() -> None:
+    """Choose `egl` on Linux where MUJOCO_GL says nothing, and `disable` where what it says cannot work.
+
+    Both libraries import their backend when they are imported, and die of a missing one with words that help nobody.
+    """
+    if not sys.platform.startswith("linux"):
+        return
+    word = os.environ.get("MUJOCO_GL", "").strip().lower()
+    backend = "egl" if word in ON else "disable" if word in OFF else word
+    if backend != "disable" and (lack := _lack_of(backend, said=word not in ON)):
+        _lack.append(lack)
+        backend = "disable"
+    os.environ["MUJOCO_GL"] = backend
+    if backend in ("egl", "osmesa"):
+        os.environ["PYOPENGL_PLATFORM"] = backend
+
+
+def _lack_of(backend: str, said: bool) -> tuple[str, str] | None:
+    """Why a backend cannot work, and the remedy; `said`: the user asked for it."""
+    if backend not in LIBRARIES:
+        return f"MUJOCO_GL={backend} is set, and there is no such backend", f"unset MUJOCO_GL, or set it to {', '.join(sorted(LIBRARIES))}"
+    if missing := missing_libraries(backend):
+        words = f"{' and '.join(missing)} not found" + (f", which MUJOCO_GL={backend} needs" if said else "")
+        return words, "unset MUJOCO_GL or set MUJOCO_GL=egl" if said and backend != "egl" else REMEDY
+    if backend == "egl" and not _egl_starts():
+        return "libEGL starts no display", DRIVER_REMEDY
+    if backend == "glfw" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        return "MUJOCO_GL=glfw needs a display, and there is none", "unset MUJOCO_GL or set MUJOCO_GL=egl"
+    return None
+
+
+def require() -> None:
+    """Raise EnvironmentLackError, with the remedy, where no picture can be rendered."""
+    if os.environ.get("MUJOCO_GL", "").lower() not in OFF:
+        return
+    if not _lack:  # the user switched it off, or a parent process found it lacking
+        missing = missing_libraries()
+        set_ = f"MUJOCO_GL={os.environ['MUJOCO_GL']} is set"
+        _lack.append((f"{' and '.join(missing)} not found", REMEDY) if missing else (set_, "unset MUJOCO_GL or set MUJOCO_GL=egl"))
+    lack, remedy = _lack[0]
+    raise EnvironmentLackError(f"no OpenGL: {lack}", remedy)
+
+
+def explain(error: ImportError) -> EnvironmentLackError | None:
+    """What a failed import of MuJoCo's or dm_control's renderer means; None where it is about something else."""
+    words = str(error).rstrip(".")
+    if "EGL" not in words:
+        return None
+    return EnvironmentLackError(f"no OpenGL: {words}", DRIVER_REMEDY)
+
+
+def renderer_string() -> str:
+    """GL_RENDERER of the current context, such as `llvmpipe (LLVM 15.0.6, 256 bits)`."""
+    from OpenGL import GL  # comes with dm_control
+
+    value = GL.glGetString(GL.GL_RENDERER)
+    return value.decode() if value else "unknown"

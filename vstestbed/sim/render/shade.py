@@ -1,0 +1,118 @@
+"""What colour a ray sees: MuJoCo's materials under its directional lights, the floor's texture, the sky."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from vstestbed.core.geometry import Array
+from vstestbed.sim.scene.compose import TARGET_GROUP
+
+RGB_ROLE = int(mujoco.mjtTextureRole.mjTEXROLE_RGB)
+SKYBOX = int(mujoco.mjtTexture.mjTEXTURE_SKYBOX)
+PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
+
+
+class Paint:
+    """Colours of a scene as OpenGL's fixed pipeline makes them, without shadows, reflections and highlights.
+
+    colour = min(1, rgb (emission + sum over lights of (ambient + diffuse max(0, n . l)))) texture, l towards the light.
+    A plane may have a flat texture (the floor's checker); any other textured thing has its texture's mean colour.
+
+    Args:
+        model, data: the scene; lights are where `data` has them.
+    """
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData):
+        self._model, self._data = model, data
+        material = model.geom_matid
+        painted = material >= 0
+        rgb = np.where(painted[:, None], model.mat_rgba[material, :3] if model.nmat else 0.0, model.geom_rgba[:, :3])
+        emission = np.where(painted, model.mat_emission[material] if model.nmat else 0.0, 0.0)
+        texture = np.where(painted, model.mat_texid[material, RGB_ROLE] if model.nmat else -1, -1)
+        self._texels = {i: _texels(model, i) for i in sorted(set(texture[texture >= 0].tolist()))}
+        self._planes = [int(g) for g in np.flatnonzero((texture >= 0) & (model.geom_type == PLANE))]
+        self._texture = texture
+        for g in np.flatnonzero((texture >= 0) & (model.geom_type != PLANE)):
+            rgb[g] *= self._texels[texture[g]].mean(axis=(0, 1))
+        self._rgb = np.vstack([rgb, [0, 0, 0]]).astype(np.float32)  # the last row: no hit, geom -1
+        self._glow = np.append(emission, 0).astype(np.float32)
+        self._sky = _sky(model)
+        self.textured_target = bool(((texture >= 0) & (model.geom_group == TARGET_GROUP)).any())
+
+    def colours(self, origin: Array, rays: Array, geom: NDArray[np.int32], distance: Array, normal: Array) -> NDArray[np.uint8]:
+        """Colours (N, 3) uint8 of what unit rays (N, 3) from `origin` (3,) hit: geoms (N,), -1 for the sky, with outward normals (N, 3)."""
+        light = self._light(normal)
+        light += self._glow[geom]
+        light *= self._rgb.T[:, geom]
+        colour = np.minimum(light, 1, out=light)
+        for plane in self._planes:
+            at = np.flatnonzero(geom == plane)
+            if len(at):
+                colour[:, at] *= self._plane_texture(plane, origin + rays[at] * distance[at, None]).T
+        sky = np.flatnonzero(geom == -1)
+        if len(sky):
+            elevation, tints = self._sky
+            up = rays[sky, 2]
+            for channel, tint in zip(colour, tints.T, strict=True):
+                channel[sky] = np.interp(up, elevation, tint)
+        colour *= 255
+        colour += 0.5
+        return np.ascontiguousarray(colour.T.astype(np.uint8))
+
+    def _light(self, normal: Array) -> NDArray[np.float32]:
+        """What the lights bring to surfaces with outward normals (N, 3): (3, N), 1 for all of it."""
+        model = self._model
+        light = np.empty((3, len(normal)), np.float32)
+        on = np.flatnonzero(model.light_active)
+        light[:] = model.light_ambient[on].sum(axis=0)[:, None]
+        x, y, z = np.ascontiguousarray(normal.T, dtype=np.float32)
+        for i in on:
+            a, b, c = -self._data.light_xdir[i].astype(np.float32)
+            facing = np.maximum(a * x + b * y + c * z, 0)
+            for channel, brightness in zip(light, model.light_diffuse[i], strict=True):
+                channel += facing * np.float32(brightness)
+        return light
+
+    def _plane_texture(self, plane: int, points: Array) -> NDArray[np.float32]:
+        """The texture of a plane at points (N, 3) [m] in the world: (N, 3), 1 for full brightness.
+
+        One texture covers 2 m, or with texuniform=false the plane, divided by texrepeat; the plane's origin is its middle.
+        """
+        model, data = self._model, self._data
+        local = (points - data.geom_xpos[plane]) @ data.geom_xmat[plane].reshape(3, 3)[:, :2]
+        material = model.geom_matid[plane]
+        half = 1.0 if model.mat_texuniform[material] else np.maximum(model.geom_size[plane, :2], 1e-9)
+        place = local * model.mat_texrepeat[material] / (2 * half) + 0.5
+        texels = self._texels[self._texture[plane]]
+        height, width = texels.shape[:2]
+        column = (np.mod(place[:, 0], 1) * width).astype(int) % width
+        row = (np.mod(-place[:, 1], 1) * height).astype(int) % height
+        return texels[row, column]
+
+
+def _texels(model: mujoco.MjModel, texture: int) -> NDArray[np.float32]:
+    """A texture's pixels (H, W, 3), 1 for full brightness."""
+    height, width, channels = model.tex_height[texture], model.tex_width[texture], model.tex_nchannel[texture]
+    start = model.tex_adr[texture]
+    pixels = model.tex_data[start : start + height * width * channels].reshape(height, width, channels)
+    return np.broadcast_to(pixels[..., :3], (height, width, 3)).astype(np.float32) / np.float32(255)
+
+
+def _sky(model: mujoco.MjModel) -> tuple[Array, NDArray[np.float32]]:
+    """A sky that depends on the elevation alone: sines (M,) of elevations, rising, and colours (M, 3) there; black without a skybox."""
+    for texture in np.flatnonzero(model.tex_type == SKYBOX):
+        faces = _texels(model, int(texture))
+        side = faces.shape[1]
+        if len(faces) != 6 * side:  # right, left, up, down, front, back
+            continue
+        middle, along = side // 2, 1 - (2 * np.arange(side) + 1) / side  # the middle column, from 1 (top) to -1
+        sine = along / np.sqrt(1 + along * along)  # of rows of a wall
+        slope = 1 / np.sqrt(1 + along * along)  # and of the ceiling's, which rise to its middle
+        right, _, up, down, _, _ = np.split(faces, 6)
+        sines = np.concatenate([-slope[:middle], sine[::-1], slope[:middle]])
+        tints = np.concatenate([down[:middle, middle], right[::-1, middle], up[:middle, middle]])
+        order = np.argsort(sines)
+        return sines[order], tints[order]
+    return np.zeros(1), np.zeros((1, 3), np.float32)

@@ -1,0 +1,1 @@
+"""The scene: robot, camera, target and world composed into one MuJoCo model."""

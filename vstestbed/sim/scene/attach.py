@@ -1,0 +1,71 @@
+"""Robots into a scene: their MJCF under a prefix, with the servos that the scenario chose and the floor's friction."""
+
+from __future__ import annotations
+
+import functools
+
+import mujoco
+import numpy as np
+
+from vstestbed.core.assets import model_path
+from vstestbed.core.geometry import Array
+from vstestbed.robots import Robot
+
+AUTO = mujoco.mjtJacobian.mjJAC_AUTO
+
+
+def add_robot(scene: mujoco.MjSpec, robot: Robot, prefix: str, friction: float | None) -> tuple[mujoco.MjsBody, Array]:
+    """The body that carries the camera, and the pose (4, 4) of the flange in it.
+
+    Args:
+        scene: gets the robot, and the solver's options that its model asks for.
+        robot: what is attached; the ideal camera is a body without mass that is put where it is told.
+        prefix: of all its names (`robot/`, `leader/`).
+        friction: the floor's, where the scenario tells it.
+    """
+    if robot.model is None:
+        return scene.worldbody.add_body(name=f"{prefix}camera", mocap=True), np.eye(4)
+    model = mujoco.MjSpec.from_file(str(model_path(robot.model)))
+    _choose_servos(model, robot)
+    model.option.timestep = scene.option.timestep
+    scene.option.cone = max(scene.option.cone, model.option.cone)
+    scene.option.impratio = max(scene.option.impratio, model.option.impratio)
+    if model.option.jacobian != AUTO:
+        scene.option.jacobian = model.option.jacobian
+    scene.option.density = max(scene.option.density, model.option.density)
+    scene.option.viscosity = max(scene.option.viscosity, model.option.viscosity)
+    if friction is not None:
+        for geom in [*model.geoms, scene.geom("floor")]:
+            geom.friction[0] = min(geom.friction[0], friction)
+    scene.attach(model, prefix=prefix, frame=scene.worldbody.add_frame())
+    flange = scene.site(f"{prefix}flange")
+    R = np.zeros(9)
+    mujoco.mju_quat2Mat(R, np.asarray(flange.quat, dtype=float))
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = R.reshape(3, 3), flange.pos
+    return flange.parent, T
+
+
+def _choose_servos(model: mujoco.MjSpec, robot: Robot) -> None:
+    """Of the actuators in an arm's file keep the chosen profile's; a vehicle has only one."""
+    servo = robot.servo
+    if servo is None:
+        return
+    for actuator in list(model.actuators):
+        profile, _, name = actuator.name.partition("_")
+        if profile == servo.prefix:
+            actuator.name = name
+        else:
+            model.delete(actuator)
+    for body in model.bodies:
+        if servo.gravity_compensated:
+            body.gravcomp = 1.0
+    for joint in model.joints:
+        if not servo.friction:
+            joint.frictionloss, joint.damping = 0.0, np.zeros(3)
+
+
+@functools.cache
+def extent_of(model: str) -> float:
+    """Size of the robot of an MJCF file, by MuJoCo's own measure [m]."""
+    return float(mujoco.MjSpec.from_file(str(model_path(model))).compile().stat.extent)

@@ -1,0 +1,269 @@
+"""Scene: world + robot + camera + target in one MuJoCo model, composed with MjSpec under prefixes, compiled once.
+
+Names: joints and actuators `robot/joint_1`, ..., the servo camera `eye` (site `eye` has its computer-vision axes; a lens that
+sees more than one pinhole picture holds has `eye_right`, `eye_left`, `eye_up`, `eye_down`, `eye_back` at the same place), the
+outside view `overview`, the target's body `target/frame` (mocap), its markers sites `target/marker_0`, `target/marker_1`, ...
+(of lines on the floor, which have no places of their own, only geoms `target/line_0`, ...), plates `plate_0`, ..., a vehicle
+that carries the target `leader/...`. Geom groups: 0 the room, 1 what encloses the lens (left out of the servo camera's own
+picture, since the textbook's camera sits at the wrist's centre, inside the hand), 2 the robot, 3 the target.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from vstestbed.camera import Camera
+from vstestbed.core.assets import model_path
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import FLIP, Array, quaternion_wxyz, transform
+from vstestbed.robots import VEHICLES, Robot
+from vstestbed.sim.lens.cube import drawn_for
+from vstestbed.sim.scene.attach import add_robot, extent_of
+from vstestbed.sim.scene.overview import frame_drive, frame_flight
+from vstestbed.sim.scene.paint import add_stripe
+from vstestbed.sim.scene.start_pose import camera_start, target_start
+from vstestbed.sim.scene.world import AWAY, World
+from vstestbed.targets.base import Carried, Disc, Held, Sphere, Square, Stripe, Tag, Target
+from vstestbed.targets.ground_lines import GroundLines
+from vstestbed.vision.detect.tag_print import tag_png
+
+LENS_GROUP, ROBOT_GROUP, TARGET_GROUP, SITE_GROUP = 1, 2, 3, 4
+ASSETS = "assets"
+"""The folder beside model.xml with the files that it names."""
+HALF_THICKNESS = 1e-4
+"""Half height of a flat marker [m]: its front face lies at z = 0 of the target frame, its rim adds under 0.02 px at 1 m."""
+FACE_VIEWER = (0, 1, 0, 0)
+"""A half turn about x (wxyz): the face that MuJoCo draws a texture on upright, +z with y up, looks at the viewer, y down."""
+BOARD_MARGIN = 1.5
+"""The board behind a square reaches this many marker radii beyond the markers' edges."""
+HOUSING_M = 0.03
+"""The middle of a camera's housing is this far behind its lens [m]."""
+POST_RADIUS_M, POST_GREY = 0.012, [0.5, 0.51, 0.53, 1.0]
+"""A tube of 24 mm, anodised."""
+FREE_HOUSING = 6.0
+"""The free camera's housing is drawn this many times as large as the arm's: it is seen from farther away."""
+GLOW = 1000.0
+"""Emission of an unlit marker, whose own colour is divided by it: emission gives the exact colour 255 * rgba, and what
+the scene's lights add (the plain colour times their brightness) is under half a grey level."""
+PAD_HALF_M = 0.01
+"""Half of a landing pad's thickness [m]."""
+PAD_FRICTION = [0.8, 0.005, 0.0001]
+"""Rubber feet on a painted plate, as on a hard floor."""
+PITCH_M = 1e-5
+"""Pixel pitch that MuJoCo's camera is given [m]; it drops out, since focal length and principal point are in pixels."""
+
+
+@dataclass(frozen=True)
+class Parts:
+    """What a scene is made of. `sights` are places that the outside view shall show, beside the robot's start and the target."""
+
+    robot: Robot
+    camera: Camera
+    target: Target
+    world: World
+    step: float
+    sights: tuple[tuple[float, float, float], ...] = ()
+
+    @property
+    def leader(self) -> Robot | None:
+        """The vehicle that carries the target, where one does."""
+        motion = self.target.motion
+        return VEHICLES[motion.by]() if isinstance(motion, Carried) else None
+
+    @property
+    def held(self) -> bool:
+        """Whether the robot's hand holds the target, and the camera stands in the room."""
+        return isinstance(self.target.motion, Held)
+
+    @property
+    def T_world_target(self) -> Array:
+        """Where the target is at the start (4, 4)."""
+        return target_start(self.robot, self.target)
+
+    @property
+    def start(self) -> tuple[Array, Array]:
+        """Joints (n,) and the servo camera's pose (4, 4) at the nominal start."""
+        configuration = self.robot.configuration()
+        T = camera_start(self.robot, self.camera, self.target)
+        return (np.zeros(len(self.robot.joints)) if self.robot.rides else configuration, T)
+
+
+def compose(parts: Parts) -> mujoco.MjSpec:
+    """The scene of these parts, ready to compile or to write as XML."""
+    scene = mujoco.MjSpec.from_file(str(model_path("world.xml")))
+    scene.modelname = "scene"
+    scene.option.timestep = parts.step
+    scene.compiler.degree = False
+    scene.geom("floor").pos = [0, 0, parts.world.floor_z]
+    body, T_body_flange = add_robot(scene, parts.robot, "robot/", parts.world.floor_friction)
+    housing = 1.0 if parts.robot.model else FREE_HOUSING
+    if parts.held:
+        _show_hand(scene)
+        _add_camera(scene.worldbody, parts.camera.mount.T, parts.camera, housing)
+        _add_target(scene, parts.target, body, T_body_flange @ parts.target.pose.T)
+    else:
+        _add_camera(body, T_body_flange @ parts.camera.mount.T, parts.camera, housing)
+        if parts.robot.grounded:
+            _add_post(body, scene.geom("robot/deck"), T_body_flange @ parts.camera.mount.T)
+        carrier = add_robot(scene, parts.leader, "leader/", parts.world.floor_friction)[0] if parts.leader else None
+        _add_target(scene, parts.target, carrier, parts.target.pose.T)
+    _frame_overview(scene, parts)
+    for i, plate in enumerate(parts.world.plates):
+        holder = scene.worldbody.add_body(name=f"plate_{i}", mocap=True, pos=AWAY, quat=quaternion_wxyz(plate.pose.T[:3, :3]))
+        size = [plate.width / 2, plate.height / 2, 0.002]
+        _visual(holder, f"plate_{i}", mujoco.mjtGeom.mjGEOM_BOX, size, [0.45, 0.45, 0.47, 1], 0)
+    for i, decoy in enumerate(parts.world.decoys):
+        holder = scene.worldbody.add_body(name=f"decoy_{i}", mocap=True, pos=decoy.xyz)
+        _visual(holder, f"decoy_{i}", mujoco.mjtGeom.mjGEOM_SPHERE, [decoy.radius, 0, 0], [*decoy.color, 1], 0)
+    return scene
+
+
+def _show_hand(scene: mujoco.MjSpec) -> None:
+    """A camera in the room sees what a camera at the wrist leaves out of its picture; the drawn camera there is none."""
+    for geom in list(scene.geoms):
+        if geom.group == LENS_GROUP and geom.name.startswith("robot/"):
+            if "camera" in geom.name:
+                for pair in [p for p in scene.pairs if geom.name in (p.geomname1, p.geomname2)]:
+                    scene.delete(pair)
+                scene.delete(geom)
+            else:
+                geom.group = ROBOT_GROUP
+
+
+def _frame_overview(scene: mujoco.MjSpec, parts: Parts) -> None:
+    """Arms stand where world.xml's view looks; for all that moves about the view is fitted to its way."""
+    robot, target = parts.robot, parts.target
+    if robot.model is None:
+        frame_flight(scene, robot, target)
+    elif robot.rides:
+        start = robot.flange_pose(robot.configuration())[:3, 3]
+        sights = transform(target.T_world_start, target.points)
+        frame_drive(scene, np.array([start, *parts.sights]), sights, extent_of(robot.model))
+
+
+def _add_camera(body: mujoco.MjsBody, T_body_camera: Array, camera: Camera, housing: float) -> None:
+    """The servo camera `eye` (MuJoCo axes), the site `eye` (computer-vision axes), and a housing to look at, 5 cm times `housing`.
+
+    A lens that sees beyond a plane has a camera for each face of the cube that it sees: `eye` ahead, `eye_right`, ...
+    """
+    pos = T_body_camera[:3, 3]
+    quat_cv = quaternion_wxyz(T_body_camera[:3, :3])
+    for view in drawn_for(camera):
+        T_camera_view = np.eye(4)
+        T_camera_view[:3, :3] = view.R_camera_face
+        body.add_camera(
+            name=view.name,
+            pos=pos,
+            quat=quaternion_wxyz((T_body_camera @ T_camera_view @ FLIP)[:3, :3]),
+            resolution=[view.width, view.height],
+            sensor_size=[view.width * PITCH_M, view.height * PITCH_M],
+            focal_pixel=[view.f, view.f],
+            principal_pixel=list(view.mujoco_principal),
+        )
+    body.add_site(name="eye", pos=pos, quat=quat_cv, group=SITE_GROUP, size=[0.005] * 3)
+    box, glass = [0.025, 0.02, 0.03], [0.013, 0.012, 0]
+    for name, kind, size, grey, along in (
+        ("eye_box", mujoco.mjtGeom.mjGEOM_BOX, box, 0.17, -HOUSING_M),
+        ("eye_lens", mujoco.mjtGeom.mjGEOM_CYLINDER, glass, 0.3, 0.012),
+    ):
+        centre = pos + T_body_camera[:3, 2] * (along * housing)
+        _visual(body, name, kind, [x * housing for x in size], [grey, grey, grey, 1], LENS_GROUP, centre, quat_cv)
+
+
+def _add_post(body: mujoco.MjsBody, deck: mujoco.MjsGeom, T_body_camera: Array) -> None:
+    """What a vehicle's camera stands or hangs on: a post from the nearest point of the deck, in the group that the camera leaves out."""
+    middle, half = np.asarray(deck.pos, dtype=float), np.asarray(deck.size, dtype=float)
+    head = T_body_camera[:3, 3] - HOUSING_M * T_body_camera[:3, 2]
+    foot = np.clip(head, middle - half, middle + half)
+    if np.linalg.norm(head - foot) > POST_RADIUS_M:
+        post = _visual(body, "eye_post", mujoco.mjtGeom.mjGEOM_CAPSULE, [POST_RADIUS_M, 0, 0], POST_GREY, LENS_GROUP)
+        post.fromto = [*foot, *head]
+
+
+def _add_target(scene: mujoco.MjSpec, target: Target, carrier: mujoco.MjsBody | None, T: Array) -> None:
+    """A body with one site and one geom for each marker, and a light grey board behind a square of markers; of lines, their paint.
+
+    It is put where it is told (mocap), or fixed to what carries it, at the pose T (4, 4) there.
+    """
+    parent = carrier or scene.worldbody
+    body = parent.add_body(name="target/frame", mocap=carrier is None, pos=T[:3, 3], quat=quaternion_wxyz(T[:3, :3]))
+    marker = target.marker
+    if isinstance(target, GroundLines):
+        for i in range(len(target.offsets_m)):
+            rgba, paint = _paint(scene, i, target.colors[i * len(target.look_m)], marker.lit)
+            geom = add_stripe(scene, body, target, i, TARGET_GROUP)
+            geom.rgba, geom.material = rgba, paint.name
+        return
+    if isinstance(target.motion, Held):
+        body.add_site(name="target/frame", group=SITE_GROUP, size=[0.005] * 3)
+    for i, (p, rgb) in enumerate(zip(target.points, target.colors, strict=True)):
+        rgba, paint = _paint(scene, i, np.ones(3) if isinstance(marker, Tag) else rgb, marker.lit)
+        if isinstance(marker, Tag):
+            paint.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = _tag_texture(scene, marker, marker.first_id + i)
+        body.add_site(name=f"target/marker_{i}", pos=p, group=SITE_GROUP, size=[0.005] * 3)
+        kind, size = _shape(marker)
+        centre = p + np.array([0, 0, 0.0 if isinstance(marker, Sphere) else HALF_THICKNESS])
+        geom = _visual(body, f"target/marker_{i}", kind, size, rgba, TARGET_GROUP, centre, FACE_VIEWER)
+        geom.material = paint.name
+    if target.pad:
+        half, thick = target.pad.side / 2, PAD_HALF_M
+        body.add_geom(
+            name="target/pad",
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=[half, half, thick],
+            pos=[0, 0, thick],
+            rgba=[0.62, 0.63, 0.62, 1],
+            group=TARGET_GROUP,
+            mass=target.pad.weight,
+            friction=PAD_FRICTION,
+        )
+    elif isinstance(target, Square):
+        half = target.side / 2 + (1 + BOARD_MARGIN) * marker.radius
+        z = 0.01 + (marker.radius if isinstance(marker, Sphere) else 1.5 * HALF_THICKNESS)
+        _visual(body, "target/board", mujoco.mjtGeom.mjGEOM_BOX, [half, half, 0.01], [0.86, 0.86, 0.85, 1], TARGET_GROUP, [0, 0, z])
+
+
+def _paint(scene: mujoco.MjSpec, i: int, rgb: Array, lit: bool) -> tuple[list[float], mujoco.MjsMaterial]:
+    """The colour of a marker, shaded by the scene's lights or of constant brightness: rgba, and material `target/color_i`."""
+    rgba = [*(rgb if lit else rgb / GLOW), 1.0]
+    emission = 0.0 if lit else GLOW
+    return rgba, scene.add_material(name=f"target/color_{i}", rgba=rgba, specular=0, shininess=0, emission=emission)
+
+
+def _shape(marker: Disc | Sphere | Tag | Stripe) -> tuple[mujoco.mjtGeom, list[float]]:
+    """The geom of a marker, and its size."""
+    match marker:
+        case Disc(radius=radius):
+            return mujoco.mjtGeom.mjGEOM_CYLINDER, [radius, HALF_THICKNESS, 0]
+        case Sphere(radius=radius):
+            return mujoco.mjtGeom.mjGEOM_SPHERE, [radius, 0, 0]
+        case Tag(tile=edge):
+            return mujoco.mjtGeom.mjGEOM_BOX, [edge / 2, edge / 2, HALF_THICKNESS]
+        case Stripe():
+            raise ParameterError("target.marker", "may be stripe only with target: {kind: lines}")
+
+
+def _tag_texture(scene: mujoco.MjSpec, tag: Tag, number: int) -> str:
+    """Name of the texture of a tag, which is made in memory as the file that it becomes beside model.xml."""
+    name = f"{tag.family}_{number}"
+    scene.texturedir = ASSETS
+    scene.assets = {**scene.assets, f"{ASSETS}/{name}.png": tag_png(tag, number)}
+    scene.add_texture(name=f"target/{name}", type=mujoco.mjtTexture.mjTEXTURE_2D, file=f"{name}.png")
+    return f"target/{name}"
+
+
+def _visual(
+    body: mujoco.MjsBody,
+    name: str,
+    kind: mujoco.mjtGeom,
+    size: object,
+    rgba: list[float],
+    group: int,
+    pos: object = (0, 0, 0),
+    quat: object = (1, 0, 0, 0),
+) -> mujoco.MjsGeom:
+    """A geom that is seen and touches nothing."""
+    return body.add_geom(name=name, type=kind, size=size, pos=pos, quat=quat, rgba=rgba, group=group, contype=0, conaffinity=0, mass=0)

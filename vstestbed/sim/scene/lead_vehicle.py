@@ -1,0 +1,62 @@
+"""The vehicle ahead: it carries the target along a route. Its driver knows where it is; he is no part of the experiment."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from vstestbed.core.planar import place_of, relative
+from vstestbed.robots import Mount
+from vstestbed.robots.base import Encoders
+from vstestbed.sim.scene.stage import Stage
+from vstestbed.targets.base import Carried
+
+PERIOD_S = 0.01
+"""How often the driver steers [s]."""
+CROSS_GAIN, HEADING_GAIN = 1.5, 2.5
+"""What he does about an offset [1/m^2] and about a wrong heading [1/m]: the offset dies out within about 1.6 m, without overshoot."""
+
+
+class Leader:
+    """Drives the target's vehicle: w = v (curvature - CROSS_GAIN offset - HEADING_GAIN (heading - route's)).
+
+    That is linear feedback along the path: offset'' + HEADING_GAIN offset' + CROSS_GAIN offset = 0 by arc length.
+
+    Args:
+        stage: the scene with the vehicle under `leader/`.
+
+    Reference: Samson 1995, path following in arc length, doi:10.1109/9.362899.
+    """
+
+    def __init__(self, stage: Stage):
+        motion = stage.parts.target.motion
+        if not isinstance(motion, Carried) or stage.leader is None or stage.parts.leader is None:
+            raise TypeError("no vehicle carries the target")
+        self._stage, self._motion, self._root = stage, motion, stage.leader
+        self._robot = stage.parts.leader
+        self._mount = Mount.of(np.eye(4))
+        model = stage.model
+        self._ctrl = np.array([model.actuator_ctrladr[model.actuator(f"leader/{name}").id] for name in self._robot.actuators], dtype=int)
+        self._memory: Any = self._robot.begin()
+        self._s = motion.from_m
+        self.steps = max(1, round(PERIOD_S / stage.parts.step))
+        joints = [model.joint(f"leader/{name}") for name in self._robot.joints]
+        self._qpos = np.array([j.qposadr[0] for j in joints], dtype=int)
+        self._qvel = np.array([j.dofadr[0] for j in joints], dtype=int)
+
+    def drive(self, dt: float) -> None:
+        """Steer for the next dt seconds."""
+        place = place_of(self._root.pose(self._stage.data))
+        route = self._motion.route
+        self._s, _ = route.nearest(place[:2], around=self._s, reach=0.5)
+        x, y, heading, curvature = route.at(self._s)
+        _, offset, turn = relative(np.array([x, y, heading]), place)
+        v = self._motion.speed_mps
+        w = v * (curvature / max(1 - curvature * offset, 0.1) - CROSS_GAIN * offset - HEADING_GAIN * math.sin(turn))
+        twist = np.array([v, 0.0, 0.0, 0.0, 0.0, w])
+        data = self._stage.data
+        encoders = Encoders(data.qpos[self._qpos], data.qvel[self._qvel])
+        setpoint = self._robot.allocate(twist, encoders, self._mount, dt).setpoint
+        self._memory, data.ctrl[self._ctrl] = self._robot.actuate(self._memory, setpoint, encoders, dt)

@@ -1,0 +1,111 @@
+"""The outside view: framed so that the whole way is in the picture."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from vstestbed.core.geometry import Array
+from vstestbed.robots import Robot
+from vstestbed.targets.base import Target
+
+SEE_FACES = 0.35
+"""The overview of a free camera stands this far behind the side (tangent), so that the markers' faces show."""
+WIDE_PICTURE = 16 / 9
+"""Width over height of the film that the overview is framed for."""
+FROM_ABOVE = np.radians(38.0)
+"""How steeply the overview of a vehicle looks down [rad]: its way shows, and its wheels too."""
+ROOM = 1.12
+"""The picture is this much wider than what must be in it."""
+HEADROOM = 1.25
+"""And this much higher: a film has a strip of figures along its lower edge."""
+ROAM, ROAM_M = 0.12, 0.8
+"""A vehicle may leave the hull of the places told by this share of their extent, and no more than this [m]."""
+AZIMUTHS = np.radians(np.arange(0, 360, 10))
+LIGHT_HEIGHT = 6.0
+"""Of the light that casts shadows, over the middle of the view [m]: above whatever stands there."""
+LEAST_REACH = 7.0
+"""The depth map of shadows covers this much to each side at least [m]: a tighter one speckles what is lit."""
+
+
+def frame_flight(scene: mujoco.MjSpec, robot: Robot, target: Target) -> None:
+    """Look at the free camera's way from the side: start left, target right, room for a retreat by half of the way.
+
+    The way runs across the picture whatever its direction, since up means nothing to a camera that flies.
+    """
+    start, goal = robot.flange_pose(robot.configuration())[:3, 3], target.T_world_start[:3, 3]
+    length = max(float(np.linalg.norm(goal - start)), 1e-9)
+    way = (goal - start) / length if length > 1e-6 else target.T_world_start[:3, 2]
+    up = np.array([0, 0, 1.0]) if abs(way[2]) < 0.9 else np.array([0, 1.0, 0])
+    out = np.cross(way, up)
+    out = out / np.linalg.norm(out) - SEE_FACES * way
+    out /= np.linalg.norm(out)
+    right = way - (way @ out) * out
+    right /= np.linalg.norm(right)
+    camera = scene.camera("overview")
+    half_width = 0.75 * length + float(np.linalg.norm(target.points, axis=1).max()) + 0.5
+    middle = goal - 0.75 * length * way
+    camera.pos = middle + out * half_width / (np.tan(np.radians(camera.fovy / 2)) * WIDE_PICTURE)
+    camera.alt.xyaxes = [*right, *np.cross(out, right)]
+
+
+def frame_drive(scene: mujoco.MjSpec, places: Array, sights: Array, size: float) -> None:
+    """Look at a vehicle's way slantingly from above, from the side from which it is seen largest.
+
+    The light that casts shadows is put over the way, since its depth map has a place and a size.
+
+    Args:
+        places: where it will be, shape (K, 3) [m]; with room round each.
+        sights: what else must be in the picture, shape (M, 3) [m].
+        size: of the vehicle [m].
+    """
+    room = 0.6 * size + min(ROAM * float(np.linalg.norm(np.ptp(places[:, :2], axis=0))), ROAM_M)
+    corners = np.array([[i * room, j * room, k * size] for i in (-1, 1) for j in (-1, 1) for k in (0, 1)])
+    points = np.concatenate([(places[:, None] + corners).reshape(-1, 3), sights])
+    camera = scene.camera("overview")
+    half_height = np.tan(np.radians(camera.fovy / 2))
+    views = [_slanting(azimuth) for azimuth in AZIMUTHS]
+    eyes = [eye_for(points, right, up, half_height) for right, up in views]
+    best = min(range(len(views)), key=lambda i: _drawback(eyes[i], np.cross(views[i][1], views[i][0]), places, sights))
+    camera.pos = eyes[best]
+    camera.alt.xyaxes = np.concatenate(views[best]).tolist()
+    _light(scene, points)
+
+
+def _drawback(eye: Array, forward: Array, places: Array, sights: Array) -> float:
+    """How far off the farthest place is [m], and twice what sights stand before the nearest place: they shall not fill the picture."""
+    depths, before = (places - eye) @ forward, (sights - eye) @ forward
+    return round(float(depths.max() + 2 * max(depths.min() - before.min(initial=np.inf), 0.0)), 6)
+
+
+def _slanting(azimuth: float) -> tuple[Array, Array]:
+    """Right and up (3,) of a camera that looks down by FROM_ABOVE, ahead along an azimuth [rad]."""
+    ahead = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+    right = np.array([ahead[1], -ahead[0], 0.0])
+    return right, np.cos(FROM_ABOVE) * np.array([0, 0, 1.0]) + np.sin(FROM_ABOVE) * ahead
+
+
+def _light(scene: mujoco.MjSpec, points: Array) -> None:
+    """Make the shadows' depth map cover all points (N, 3): it is a square about the light's place, across its direction."""
+    light = scene.light("key")
+    along = np.asarray(light.dir, dtype=float) / np.linalg.norm(light.dir)
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2
+    light.pos = middle + along * (LIGHT_HEIGHT + np.ptp(points[:, 2])) / along[2]
+    reach = np.linalg.norm(np.cross(points - middle, along), axis=1).max()
+    scene.visual.map.shadowclip = max(float(reach), LEAST_REACH) / scene.stat.extent
+
+
+def eye_for(points: Array, right: Array, up: Array, half_height: float) -> Array:
+    """The nearest place (3,) from which a picture of tangent `half_height`, WIDE_PICTURE wide, holds all points (N, 3).
+
+    With x along `right`, z ahead and D the eye's distance behind the origin, |x - cx| <= t (D + z) for every point is
+    cx >= x - t z - t D and cx <= x + t z + t D: so 2 t D >= max(x - t z) - min(x + t z), and cx is midway. The same upwards.
+    """
+    forward = np.cross(up, right)
+    z = points @ forward
+    centre, distance = np.zeros(2), 0.0
+    for i, (axis, tangent) in enumerate(((right, half_height * WIDE_PICTURE / ROOM), (up, half_height / HEADROOM))):
+        low, high = (points @ axis - tangent * z).max(), (points @ axis + tangent * z).min()
+        centre[i] = (low + high) / 2
+        distance = max(distance, (low - high) / (2 * tangent))
+    return centre[0] * right + centre[1] * up - distance * forward

@@ -1,0 +1,140 @@
+"""Stage: a compiled scene in which things are put where they are told; Views of it (`sim/render`) take pictures."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from dm_control.mujoco import wrapper
+from numpy.typing import NDArray
+
+from vstestbed.core.geometry import Array, inverse, quaternion_wxyz
+from vstestbed.sim.gl_context import Physics
+from vstestbed.sim.scene.compose import LENS_GROUP, Parts, compose
+from vstestbed.sim.scene.roots import Root
+from vstestbed.sim.scene.world import decoy_path, plate_path
+from vstestbed.targets.base import Sphere
+
+
+class Stage:
+    """A scene in MuJoCo with a dm_control physics on it; `place` puts it into a state, a `View` takes pictures.
+
+    Args:
+        parts: what the scene is made of.
+        samples: multisampling of this stage's pictures.
+    """
+
+    def __init__(self, parts: Parts, samples: int = 0):
+        self.parts = parts
+        self.spec = compose(parts)
+        model = self.spec.compile()
+        model.vis.quality.offsamples = samples
+        self.physics = Physics.from_model(wrapper.MjModel(model))
+        self.model, self.data = self.physics.model.ptr, self.physics.data.ptr
+        self._target = self.model.body("target/frame")
+        self.root = Root(self.model, "robot/") if parts.robot.rides else None
+        self.leader = Root(self.model, "leader/") if parts.leader else None
+        self._T_target_leader = inverse(parts.target.pose.T)
+        world = parts.world
+        self._plate_paths = [*map(plate_path, world.plates), *map(decoy_path, world.decoys)]
+        names = [f"plate_{i}" for i in range(len(world.plates))] + [f"decoy_{i}" for i in range(len(world.decoys))]
+        self._plates = [self.model.body(name).mocapid[0] for name in names]
+        self._free = self.model.body("robot/camera").mocapid[0] if parts.robot.model is None else None
+        self.eye = self.model.site("eye").id
+        actuators = [self.model.actuator(f"robot/{name}").id for name in parts.robot.actuators]
+        self._rest = parts.robot.rest_ctrl()
+        self._ctrl = self.model.actuator_ctrladr[actuators]
+        self.rotors = self.model.actuator_actadr[actuators] if self._rest is not None else np.zeros(0, dtype=int)
+        self.held_site = self.model.site("target/frame").id if parts.held else -1
+        joints = [self.model.joint(f"robot/{name}") for name in parts.robot.joints]
+        self.qpos = np.array([j.qposadr[0] for j in joints], dtype=int)
+        self.qvel = np.array([j.dofadr[0] for j in joints], dtype=int)
+
+    def place(self, t: float, T_world_target: Array, q: Array, T_world_camera: Array | None = None) -> None:
+        """Put the scene into a state: joints q (n,); T_world_camera for what is free to go anywhere. Kinematics are brought up to date."""
+        self.data.time = t
+        self.place_target(T_world_target)
+        self.place_plates(t)
+        self.data.qpos[self.qpos] = q
+        if self._free is not None and T_world_camera is not None:
+            T = T_world_camera @ self.mount_inverse
+            self.data.mocap_pos[self._free] = T[:3, 3]
+            self.data.mocap_quat[self._free] = quaternion_wxyz(T[:3, :3])
+        elif self.root is not None and T_world_camera is not None:
+            self.root.put(self.data.qpos, T_world_camera @ self.mount_inverse)
+        mujoco.mj_kinematics(self.model, self.data)
+        mujoco.mj_camlight(self.model, self.data)
+
+    def rest(self) -> None:
+        """Controls and activations of a craft that hovers at its start; nothing for other robots."""
+        if self._rest is not None:
+            self.data.ctrl[self._ctrl] = self.data.act[self.rotors] = self._rest
+
+    @property
+    def mount_inverse(self) -> Array:
+        """T_camera_base (4, 4)."""
+        return inverse(self.parts.camera.mount.T)
+
+    @property
+    def target_inverse(self) -> Array:
+        """T_target_carrier (4, 4), for a target that is carried."""
+        return self._T_target_leader
+
+    def place_target(self, T: Array) -> None:
+        """Put the target at a pose (4, 4), with the vehicle that carries it; what the hand holds is where the joints put it."""
+        if self.parts.held:
+            return
+        if self.leader is not None:
+            self.leader.put(self.data.qpos, T @ self._T_target_leader)
+            return
+        mocap = self._target.mocapid[0]
+        self.data.mocap_pos[mocap] = T[:3, 3]
+        self.data.mocap_quat[mocap] = quaternion_wxyz(T[:3, :3])
+
+    def place_plates(self, t: float) -> None:
+        """Put the plates and decoys where they are at a time [s]."""
+        for path, mocap in zip(self._plate_paths, self._plates, strict=True):
+            T = path(t)
+            self.data.mocap_pos[mocap] = T[:3, 3]
+            self.data.mocap_quat[mocap] = quaternion_wxyz(T[:3, :3])
+
+    def target_pose(self) -> Array:
+        """Pose (4, 4) of the target in the world."""
+        T = np.eye(4)
+        T[:3, :3] = self.data.xmat[self._target.id].reshape(3, 3)
+        T[:3, 3] = self.data.xpos[self._target.id]
+        return T
+
+    def camera_pose(self) -> Array:
+        """Pose (4, 4) of the servo camera in the world, computer-vision axes."""
+        T = np.eye(4)
+        T[:3, :3] = self.data.site_xmat[self.eye].reshape(3, 3)
+        T[:3, 3] = self.data.site_xpos[self.eye]
+        return T
+
+    def hidden(self, T_world_camera: Array, p_camera: Array) -> NDArray[np.bool_]:
+        """Which marker centres (N, 3) stand behind something: a ray from the lens meets another thing well before them.
+
+        A point that does not exist (NaN) does not. What encloses the lens is left out of the cast (as in the picture).
+        """
+        marker = self.parts.target.marker
+        slack = (marker.radius if isinstance(marker, Sphere) else 0.0) + 0.002
+        groups = np.ones(6, dtype=np.uint8)
+        groups[LENS_GROUP] = 0
+        p_world = p_camera @ T_world_camera[:3, :3].T
+        reach = np.linalg.norm(p_world, axis=1)
+        geom = np.zeros(1, dtype=np.int32)
+        origin = np.ascontiguousarray(T_world_camera[:3, 3])
+        rays = np.where(np.isfinite(reach), (p_world / reach[:, None]).T, [[0.0], [0.0], [1.0]]).T
+        hits = [mujoco.mj_ray(self.model, self.data, origin, np.ascontiguousarray(d), groups, 1, -1, geom) for d in rays]
+        return np.array([0 <= hit < r - slack for hit, r in zip(hits, reach, strict=True)])
+
+    def start_qpos(self) -> Array:
+        """MuJoCo's whole state of positions (nq,) at the nominal start."""
+        q, T = self.parts.start
+        self.place(0.0, self.parts.T_world_target, q, T)
+        self.rest()
+        return self.data.qpos.copy()
+
+    def close(self) -> None:
+        """Free the OpenGL context."""
+        self.physics.free()

@@ -1,0 +1,38 @@
+"""The wind as it blows: what the world asks for, written into MuJoCo's air as time passes."""
+
+from __future__ import annotations
+
+import math
+
+import mujoco
+import numpy as np
+
+from vstestbed.core.geometry import Array
+from vstestbed.sim.scene.world import Wind
+
+
+class Weather:
+    """Blows: mean and gusts by the clock, turbulence u with du = -u dt/T + sigma sqrt(2/T) dW, exact over a step.
+
+    Args:
+        wind: what is asked for. model: whose air moves. rng: where turbulence comes from.
+    """
+
+    def __init__(self, wind: Wind, model: mujoco.MjModel, rng: np.random.Generator):
+        self._wind, self._model, self._rng = wind, model, rng
+        self._rough = rng.standard_normal(3) * wind.turbulence_mps if wind.turbulence_mps else np.zeros(3)
+        self.blow(0.0, 0.0)
+
+    @property
+    def now(self) -> Array:
+        """The air's velocity in the world (3,) [m/s]."""
+        return self._model.opt.wind.copy()
+
+    def blow(self, t: float, dt: float) -> None:
+        """The wind from time t on, dt after the last."""
+        wind = self._wind
+        if wind.turbulence_mps and dt > 0:
+            keep = math.exp(-dt / wind.turbulence_s)
+            fresh = wind.turbulence_mps * math.sqrt(1 - keep * keep)
+            self._rough = keep * self._rough + fresh * self._rng.standard_normal(3)
+        self._model.opt.wind[:] = wind.at(t) + self._rough

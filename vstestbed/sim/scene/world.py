@@ -1,0 +1,145 @@
+"""What else is in the world: plates that hide things, and wind."""
+
+from __future__ import annotations
+
+import colorsys
+import math
+from typing import Annotated
+
+import numpy as np
+from annotated_types import Ge, Gt, Le, Len, Lt
+
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array, Pose, Triple
+from vstestbed.core.spec import spec
+from vstestbed.targets.motion import PLATE_MOTIONS, Path, PlateMotion, Still
+
+
+@spec
+class Plate:
+    """An opaque plate that stands in the room from `from_s` until `until_s`; it can hide markers, and touches nothing.
+
+    Args:
+        pose: its centre in the world; the plate spans its x and y axes.
+        width, height: size along x and y [m].
+        from_s, until_s: when it is there [s].
+        motion: how it moves about its pose, in its own axes; a random walk of a plate is always the same one.
+    """
+
+    pose: Pose
+    motion: Annotated[PlateMotion, PLATE_MOTIONS] = Still()
+    width: Annotated[float, Gt(0)] = 0.5
+    height: Annotated[float, Gt(0)] = 0.5
+    from_s: Annotated[float, Ge(0)] = 0.0
+    until_s: Annotated[float, Gt(0)] = 1e9
+
+    def __post_init__(self) -> None:
+        """Refuse a plate that leaves before it comes."""
+        if self.until_s <= self.from_s:
+            raise ParameterError("until_s", f"must be after from_s = {self.from_s:g} s", self.until_s)
+
+
+@spec
+class Gust:
+    """A gust that comes and goes: v(t) = velocity/2 (1 - cos(2 pi (t - from)/duration)), the discrete gust of flight testing.
+
+    Args:
+        from_s, duration_s: when it begins, and how long it lasts [s].
+        velocity_mps: at its peak, along world axes [m/s].
+
+    Reference: MIL-F-8785C 1980, section 3.7.1.3 (a whole period of it).
+    """
+
+    from_s: Annotated[float, Ge(0)]
+    duration_s: Annotated[float, Gt(0)] = 3.0
+    velocity_mps: Triple = (5.0, 0.0, 0.0)
+
+    def at(self, t: float) -> Array:
+        """Its velocity (3,) at a time [s]."""
+        share = (t - self.from_s) / self.duration_s
+        return np.array(self.velocity_mps) * (0.5 - 0.5 * math.cos(2 * math.pi * share)) if 0 < share < 1 else np.zeros(3)
+
+
+@spec
+class Wind:
+    """The air's motion: a mean, gusts, and turbulence as a first-order Gauss-Markov process on each axis.
+
+    Args:
+        mean_mps: along world axes [m/s].
+        gusts: what comes and goes.
+        turbulence_mps: standard deviation of the turbulence [m/s].
+        turbulence_s: its correlation time [s]: L/V of Dryden's longitudinal spectrum.
+
+    Reference: Dryden's spectra as in MIL-F-8785C 1980; a hovering craft meets the longitudinal one at V = 0 only by the mean wind.
+    """
+
+    mean_mps: Triple = (0.0, 0.0, 0.0)
+    gusts: Annotated[tuple[Gust, ...], Len(0, 100)] = ()
+    turbulence_mps: Annotated[float, Ge(0)] = 0.0
+    turbulence_s: Annotated[float, Gt(0)] = 1.0
+
+    @property
+    def still(self) -> bool:
+        """No wind at all."""
+        return not (any(self.mean_mps) or self.gusts or self.turbulence_mps)
+
+    def at(self, t: float) -> Array:
+        """Mean and gusts (3,) at a time [s]."""
+        return sum((gust.at(t) for gust in self.gusts), np.array(self.mean_mps))
+
+
+@spec
+class Decoy:
+    """A ball of a marker's colour that is no marker; it touches nothing.
+
+    Args:
+        xyz: where it is [m]. radius: [m]. hue_deg: its hue; markers have 0, 360/n, ... [deg]. motion: how it moves about there.
+    """
+
+    xyz: Triple
+    radius: Annotated[float, Gt(0)] = 0.02
+    hue_deg: Annotated[float, Ge(0), Lt(360)] = 0.0
+    motion: Annotated[PlateMotion, PLATE_MOTIONS] = Still()
+
+    @property
+    def color(self) -> tuple[float, float, float]:
+        """Saturated (r, g, b) in 0..1."""
+        return colorsys.hsv_to_rgb(self.hue_deg / 360, 1.0, 1.0)
+
+
+@spec
+class World:
+    """The room round the robot and the target.
+
+    Args:
+        floor_z: height of the floor [m]; scenes in a textbook's coordinates need it out of the way.
+        floor_friction: Coulomb friction between the floor and what stands on it, where that is less than the wheels' own;
+            .05 is ice.
+        plates: what can hide markers, or cast a shadow on them (`camera.shadows`).
+        decoys: what can be taken for markers.
+        wind: what blows at craft that fly.
+    """
+
+    floor_z: float = 0.0
+    floor_friction: Annotated[float, Gt(0), Le(10)] | None = None
+    plates: tuple[Plate, ...] = ()
+    decoys: tuple[Decoy, ...] = ()
+    wind: Wind = Wind()
+
+
+AWAY = np.array([0.0, 0.0, -50.0])
+"""Where plates are while they are not there: under the floor [m]."""
+
+
+def decoy_path(decoy: Decoy) -> Path:
+    """Where a decoy is at a time [s], as a function that gives its pose (4, 4)."""
+    rest, displacement = Pose(xyz=decoy.xyz).T, decoy.motion.path(np.random.default_rng(0))
+    return lambda t: rest @ displacement(t)
+
+
+def plate_path(plate: Plate) -> Path:
+    """Where a plate is at a time [s], as a function that gives its pose (4, 4)."""
+    rest, displacement = plate.pose.T, plate.motion.path(np.random.default_rng(0))
+    away = rest.copy()
+    away[:3, 3] = AWAY
+    return lambda t: rest @ displacement(t) if plate.from_s - 1e-9 <= t < plate.until_s - 1e-9 else away

@@ -1,0 +1,63 @@
+"""The floor of a run's cost: the same physics steps and the same raw pictures, nothing else."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import mujoco
+
+from vstestbed.core.geometry import Array, inverse
+from vstestbed.sim.render.pictures import bare_of
+from vstestbed.sim.scene.compose import Parts
+from vstestbed.sim.scene.stage import Stage
+
+
+@dataclass(frozen=True)
+class Floor:
+    """Wall time of a run's bare physics and bare pictures [s]."""
+
+    physics_s: float
+    render_s: float
+
+    @property
+    def total_s(self) -> float:
+        """Both together [s]."""
+        return self.physics_s + self.render_s
+
+
+def measure_floor(parts: Parts, steps_per_frame: int, ctrl: Array, q: Array, T_world_camera: Array, pictures: bool) -> Floor:
+    """Replay a recorded run's controls with bare `mj_step`, and its views with bare renders of the kept camera.
+
+    Rays draw whole pictures here, so that a run, which draws windows, may cost less.
+
+    Args:
+        parts: the scene. steps_per_frame: physics steps between frames.
+        ctrl: actuator controls of each frame (frames, nu); q: joint angles of each frame (frames, n).
+        T_world_camera: camera poses (frames, 4, 4), which place the free camera.
+        pictures: whether the run rendered at all; of several faces of a cube, only those with a marker in them are.
+    """
+    stage = Stage(parts, samples=parts.camera.multisampling)
+    picture = bare_of(stage, parts.camera) if pictures else None
+    target = parts.target.T_world_start
+    where = [stage.model.actuator_ctrladr[stage.model.actuator(f"robot/{name}").id] for name in parts.robot.actuators]
+    stage.place(0.0, target, q[0], T_world_camera[0])
+    stage.rest()
+    mujoco.mj_forward(stage.model, stage.data)
+    physics = render = 0.0
+    for frame in range(len(ctrl)):
+        if parts.robot.model is None:
+            stage.place(0.0, target, q[frame], T_world_camera[frame])
+        p_camera = parts.target.seen_from(inverse(target) @ T_world_camera[frame])
+        began = time.perf_counter()
+        if picture is not None:
+            picture(p_camera)
+        rendered = time.perf_counter()
+        if parts.robot.model is not None:
+            stage.data.ctrl[where] = ctrl[frame]
+            for _ in range(steps_per_frame):
+                mujoco.mj_step(stage.model, stage.data)
+            physics += time.perf_counter() - rendered
+        render += rendered - began
+    stage.close()
+    return Floor(physics, render)

@@ -1,0 +1,139 @@
+"""Lines painted on the floor: what of them is measured is where they cross two look distances before the camera."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import cached_property
+from typing import Annotated, Literal
+
+import numpy as np
+from annotated_types import Len
+
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array, Pose, inverse, transform
+from vstestbed.core.planar import pose_on_ground
+from vstestbed.core.spec import spec
+from vstestbed.targets.base import Still, Stripe, Target
+from vstestbed.targets.route import AnyRoute, Straight
+
+
+def foot_of(T: Array) -> Array:
+    """(x, y, heading) of the ground frame under a camera at a pose T (4, 4) over the floor z = 0, shape (3,).
+
+    Its x axis is the horizontal part of (camera z - camera y): ahead for a camera that looks ahead, for one that looks
+    straight down with the top of its picture ahead, and for all between the two.
+    """
+    ahead = T[:2, 2] - T[:2, 1]
+    return np.array([T[0, 3], T[1, 3], np.arctan2(ahead[1], ahead[0])])
+
+
+def on_foot(T: Array, xy: Array) -> Array:
+    """Floor points xy (..., 2) of the ground frame `foot_of(T)`, in the frame of the camera at T (4, 4), shape (..., 3) [m]."""
+    xy = np.asarray(xy, dtype=float)
+    flat = np.concatenate([xy, np.zeros_like(xy[..., :1])], axis=-1)
+    return transform(inverse(T) @ pose_on_ground(foot_of(T)), flat)
+
+
+@spec
+class GroundLines(Target):
+    """One or two lines painted on the floor along a route, parallel to it.
+
+    They have no markers fixed in space. Of each line two points are measured: where it crosses the look distances
+    `look_m` before the camera's foot. Points are in the order line 0 near, line 0 far, line 1 near, line 1 far.
+
+    Args:
+        pose: where the route's frame lies on the floor (flat, z = 0).
+        marker: the stripe; each line has a hue of its own.
+        route: the way.
+        offsets_m: how far to the left of the way each line is painted [m].
+        look_m: (near, far), ahead of the point on the floor under the camera [m]; negative: behind it.
+    """
+
+    kind: Literal["lines"] = "lines"
+    pose: Pose = Pose()
+    marker: Stripe = Stripe()
+    route: AnyRoute
+    offsets_m: Annotated[tuple[float, ...], Len(1, 2)] = (0.0,)
+    look_m: Annotated[tuple[float, ...], Len(2, 2)] = (0.1, 0.3)
+
+    def __post_init__(self) -> None:
+        """Refuse what is not painted on the floor, and lines that touch or fold over themselves."""
+        if not isinstance(self.motion, Still):
+            raise ParameterError("motion", "must be still: lines are painted on the floor")
+        if abs(self.pose.T[2, 2] - 1) > 1e-9 or abs(self.pose.T[2, 3]) > 1e-9:
+            raise ParameterError("pose", "must be flat on the floor: z = 0, and a turn about z only", self.pose.xyz)
+        if self.look_m[1] - self.look_m[0] < 0.02:
+            raise ParameterError("look_m", "must be [near, far], far 0.02 m or more beyond near", self.look_m)
+        width = self.marker.width_m
+        if len(self.offsets_m) == 2 and abs(self.offsets_m[0] - self.offsets_m[1]) < 2 * width:
+            raise ParameterError("offsets_m", f"must be 2 stripe widths or more apart, {2 * width:g} m", self.offsets_m)
+        tightest = 1 / max(float(np.abs(self.route.samples.curvature).max()), 1e-9)
+        if max(map(abs, self.offsets_m)) + width >= tightest:
+            raise ParameterError("offsets_m", f"must be smaller than the way's tightest radius, {tightest:.4g} m", self.offsets_m)
+
+    @property
+    def way(self) -> Array:
+        """The route in the world, every centimetre, shape (K, 2) [m]."""
+        xy = self.route.samples.xy
+        return transform(self.pose.T, np.column_stack([xy, np.zeros(len(xy))]))[:, :2]
+
+    def line(self, i: int) -> Array:
+        """The middle of line i in the target frame, every centimetre, shape (K, 2) [m]."""
+        return self._beside(self.offsets_m[i])
+
+    def edges(self, i: int) -> tuple[Array, Array]:
+        """Left and right edge of line i in the target frame, each (K, 2) [m]."""
+        half = self.marker.width_m / 2
+        return self._beside(self.offsets_m[i] + half), self._beside(self.offsets_m[i] - half)
+
+    def _beside(self, offset: float) -> Array:
+        way = self.route.samples
+        return way.xy + offset * np.stack([-np.sin(way.heading), np.cos(way.heading)], axis=-1)
+
+    @cached_property
+    def _lines(self) -> tuple[Array, ...]:
+        return tuple(self.line(i) for i in range(len(self.offsets_m)))
+
+    @cached_property
+    def points(self) -> Array:
+        """The points measured from a camera over the start of the way, ahead along it, in the target frame, shape (N, 3) [m]."""
+        places = self.route.at(np.array(self.look_m))
+        sides = np.stack([-np.sin(places[:, 2]), np.cos(places[:, 2])], axis=-1)
+        xy = np.concatenate([places[:, :2] + offset * sides for offset in self.offsets_m])
+        return np.concatenate([xy, np.zeros((len(xy), 1))], axis=1)
+
+    def seen_from(self, T_target_camera: Array) -> Array:
+        """Where the lines cross the look distances of a camera at a pose (4, 4): (N, 3) in its frame [m], NaN where one does not.
+
+        Of several crossings it is the one nearest to straight ahead.
+        """
+        foot = foot_of(T_target_camera)
+        xy = np.concatenate([_crossings(line, foot, self.look_m) for line in self._lines])
+        return on_foot(T_target_camera, xy)
+
+    def straight_ahead(self, T_base_camera: Array, offset: float) -> Array:
+        """What a vehicle's camera at a mount (4, 4) sees on a straight way, `offset` [m] to the left of it: (N, 3) in its frame [m]."""
+        reach = 10.0 + abs(self.look_m[0]) + abs(self.look_m[1]) + float(np.abs(T_base_camera[:2, 3]).max())
+        T = pose_on_ground(np.array([reach, offset, 0.0])) @ T_base_camera
+        return replace(self, pose=Pose(), route=Straight(length_m=2 * reach)).seen_from(T)
+
+    @cached_property
+    def hues_deg(self) -> tuple[float, ...]:
+        """Each point has its line's hue; the lines' are spread evenly from red on [deg]."""
+        n = len(self.offsets_m)
+        return tuple(360 * i / n for i in range(n) for _ in self.look_m)
+
+
+def _crossings(line: Array, foot: Array, aheads: tuple[float, ...]) -> Array:
+    """(ahead, left) where a line (K, 2) crosses distances ahead of a ground frame (x, y, heading) [m], (n, 2); NaN where it does not."""
+    d, c, s = line - foot[:2], math.cos(foot[2]), math.sin(foot[2])
+    x, y = c * d[:, 0] + s * d[:, 1], c * d[:, 1] - s * d[:, 0]
+    out = np.full((len(aheads), 2), np.nan)
+    for point, ahead in zip(out, aheads, strict=True):
+        before = x < ahead
+        at = np.flatnonzero(before[:-1] != before[1:])
+        if len(at):
+            left = y[at] + (ahead - x[at]) * (y[at + 1] - y[at]) / (x[at + 1] - x[at])
+            point[:] = ahead, left[np.argmin(np.abs(left))]
+    return out

@@ -1,0 +1,254 @@
+"""Routes on the floor: what a vehicle drives along, and what a line painted on the ground follows."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Annotated, Literal
+
+import numpy as np
+from annotated_types import Ge, Gt, Le, Len
+
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array
+from vstestbed.core.planar import GroundPose
+from vstestbed.core.spec import OneOf, spec
+
+SPACING_M = 0.01
+"""Distance between the samples of a route; between them it is taken as an arc of a few micrometres' height [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """A route as a table: arc length s (K,) [m], xy (K, 2) [m], heading (K,) [rad] without jumps, curvature (K,) [1/m]."""
+
+    s: Array
+    xy: Array
+    heading: Array
+    curvature: Array
+
+
+@spec
+class Route(ABC):
+    """A smooth curve on the floor, told by arc length s from its start on.
+
+    Args:
+        start: where it begins, and which way it sets out.
+    """
+
+    start: GroundPose = GroundPose()
+
+    @property
+    @abstractmethod
+    def closed(self) -> bool:
+        """Whether its end is its start."""
+
+    @abstractmethod
+    def _local(self) -> Samples:
+        """The table, beginning at the origin along x."""
+
+    @cached_property
+    def samples(self) -> Samples:
+        """The table in the world."""
+        local, h = self._local(), self.start.heading
+        R = np.array([[np.cos(h), -np.sin(h)], [np.sin(h), np.cos(h)]])
+        return Samples(local.s, local.xy @ R.T + [self.start.x, self.start.y], local.heading + h, local.curvature)
+
+    @property
+    def length(self) -> float:
+        """From its start to its end [m]."""
+        return float(self.samples.s[-1])
+
+    @property
+    def least_radius_m(self) -> float:
+        """Radius of its sharpest bend [m]; infinite for a straight way."""
+        sharpest = float(np.abs(self.samples.curvature).max())
+        return 1 / sharpest if sharpest > 0 else np.inf
+
+    def at(self, s: Array | float) -> Array:
+        """(x, y, heading, curvature) at arc lengths s (...), shape (..., 4) [m, m, rad, 1/m].
+
+        A closed route goes round; an open one goes straight on beyond both of its ends.
+        """
+        table, s = self.samples, np.asarray(s, dtype=float)
+        rounds = np.floor(s / self.length) if self.closed else np.zeros_like(s)
+        along = s - rounds * self.length
+        inside = np.clip(along, 0.0, self.length)
+        x, y, heading, curvature = (np.interp(inside, table.s, c) for c in (*table.xy.T, table.heading, table.curvature))
+        beyond = along - inside
+        heading = heading + rounds * (table.heading[-1] - table.heading[0])
+        curvature = np.where(beyond == 0, curvature, 0.0)
+        return np.stack([x + beyond * np.cos(heading), y + beyond * np.sin(heading), heading, curvature], axis=-1)
+
+    def nearest(self, xy: Array, around: float | None = None, reach: float = 2.0) -> tuple[float, float]:
+        """(s, offset) of the route's point nearest to xy (2,): arc length [m], and how far xy lies to the left of it [m].
+
+        Args:
+            xy: a place on the floor [m].
+            around: where to look, an arc length: a route that crosses itself has two branches there.
+            reach: how far to each side of it [m].
+        """
+        s = self.samples.s if around is None else around + np.arange(-reach, reach, SPACING_M)
+        places = self.at(s)
+        i = int(np.argmin(np.hypot(places[:, 0] - xy[0], places[:, 1] - xy[1])))
+        x, y, heading, _ = places[i]
+        along = (xy[0] - x) * np.cos(heading) + (xy[1] - y) * np.sin(heading)
+        if not self.closed or around is not None or 0 < i < len(s) - 1:
+            x, y, heading, _ = self.at(s[i] + along)
+        return float(s[i] + along), float(-(xy[0] - x) * np.sin(heading) + (xy[1] - y) * np.cos(heading))
+
+    def beside(self, place: Array) -> float:
+        """How far a vehicle at (x, y, heading) is to the left of the way [m], positive to its own left where it drives against it.
+
+        Where the way crosses itself, it is the branch that runs within 45 degrees of the vehicle's heading, either way.
+        """
+        s, with_it = self.branch(place)
+        offset = self.nearest(place[:2], around=s, reach=3 * SPACING_M)[1]
+        return offset if with_it >= 0 else -offset
+
+    def branch(self, place: Array) -> tuple[float, float]:
+        """(s, cosine) of the sample nearest to a vehicle at (x, y, heading): arc length [m], and of the angle between their headings.
+
+        Where the way crosses itself, it is on the branch that runs within 45 degrees of the vehicle's heading, either way.
+        """
+        way = self.samples
+        distance = np.hypot(way.xy[:, 0] - place[0], way.xy[:, 1] - place[1])
+        with_it = np.cos(way.heading - place[2])
+        near = np.where(np.abs(with_it) > np.sqrt(0.5), distance, np.inf)
+        i = int(np.argmin(near if np.isfinite(near).any() else distance))
+        return float(way.s[i]), float(with_it[i])
+
+
+@spec
+class Straight(Route):
+    """A straight way without end; `length_m` is how much of it is painted, drawn or framed."""
+
+    kind: Literal["straight"] = "straight"
+    length_m: Annotated[float, Gt(0), Le(1000)] = 10.0
+
+    @property
+    def closed(self) -> bool:
+        """It goes on."""
+        return False
+
+    def _local(self) -> Samples:
+        return _joined([(self.length_m, 0.0)])
+
+
+@spec
+class Circle(Route):
+    """A circle to the left (`radius_m` negative: to the right)."""
+
+    kind: Literal["circle"] = "circle"
+    radius_m: float = 3.0
+
+    def __post_init__(self) -> None:
+        """Refuse a circle without a radius."""
+        if abs(self.radius_m) < 0.1:
+            raise ParameterError("radius_m", "must be 0.1 m or more in size (negative: to the right)", self.radius_m)
+
+    @property
+    def closed(self) -> bool:
+        """It comes back."""
+        return True
+
+    def _local(self) -> Samples:
+        return _joined([(2 * np.pi * abs(self.radius_m), 1 / self.radius_m)])
+
+
+@spec
+class FigureEight(Route):
+    """A figure of eight, x = length/2 sin 2 pi p, y = width/2 sin 4 pi p for p in 0..1, begun at its crossing.
+
+    Its curvature has no jumps, so that the speed may be constant; `least_radius_m` is that of its sharpest bend. `start` is the
+    crossing and the direction of its first branch.
+    """
+
+    kind: Literal["figure_eight"] = "figure_eight"
+    length_m: Annotated[float, Gt(0), Le(1000)] = 10.0
+    width_m: Annotated[float, Gt(0), Le(1000)] = 5.0
+
+    @property
+    def closed(self) -> bool:
+        """It comes back."""
+        return True
+
+    def _local(self) -> Samples:
+        a, b = self.length_m / 2, self.width_m / 2
+        p = np.linspace(0.0, 2 * np.pi, 20001)
+        x, y, dx, dy = a * np.sin(p), b * np.sin(2 * p), a * np.cos(p), 2 * b * np.cos(2 * p)
+        ddx, ddy = -a * np.sin(p), -4 * b * np.sin(2 * p)
+        speed = np.hypot(dx, dy)
+        s = np.concatenate([[0.0], np.cumsum((speed[1:] + speed[:-1]) / 2 * np.diff(p))])
+        heading = np.unwrap(np.arctan2(dy, dx))
+        even = np.linspace(0.0, s[-1], max(2, round(s[-1] / SPACING_M)) + 1)
+        columns = [np.interp(even, s, c) for c in (x, y, heading, (dx * ddy - dy * ddx) / speed**3)]
+        turn = heading[0]  # the first branch runs along x
+        c, sn = np.cos(turn), np.sin(turn)
+        xy = np.stack([c * columns[0] + sn * columns[1], -sn * columns[0] + c * columns[1]], axis=1)
+        return Samples(even, xy, columns[2] - turn, columns[3])
+
+
+@spec
+class Piece:
+    """A piece of a track: straight for `length_m`, or a bend by `turn_deg` (positive: to the left) of `radius_m`."""
+
+    length_m: Annotated[float, Gt(0), Le(1000)] | None = None
+    turn_deg: Annotated[float, Ge(-720), Le(720)] | None = None
+    radius_m: Annotated[float, Gt(0), Le(1000)] | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse a piece that is neither, or both."""
+        bend = self.turn_deg is not None and self.radius_m is not None
+        if bend == (self.length_m is not None) or (self.turn_deg is None) != (self.radius_m is None):
+            raise ParameterError("length_m", "a piece has either length_m (straight), or turn_deg and radius_m (a bend)")
+
+    @property
+    def length_and_curvature(self) -> tuple[float, float]:
+        """[m], [1/m]."""
+        if self.length_m is not None:
+            return self.length_m, 0.0
+        turn, radius = np.radians(self.turn_deg or 0.0), self.radius_m or 1.0
+        return abs(turn) * radius, float(np.sign(turn)) / radius
+
+
+@spec
+class Track(Route):
+    """Straight pieces and bends, one after another; `closed` where the last leads back to the start."""
+
+    kind: Literal["track"] = "track"
+    pieces: Annotated[tuple[Piece, ...], Len(1, 100)]
+
+    @property
+    def closed(self) -> bool:
+        """Whether it ends where and as it began, within a millimetre and a milliradian."""
+        return self._comes_back
+
+    @cached_property
+    def _comes_back(self) -> bool:
+        local = self._local()
+        turn = local.heading[-1] / (2 * np.pi)
+        return bool(np.hypot(*local.xy[-1]) < 1e-3 and abs(turn - round(turn)) < 1e-3 and len(local.s) > 2)
+
+    def _local(self) -> Samples:
+        return _joined([piece.length_and_curvature for piece in self.pieces])
+
+
+def _joined(pieces: list[tuple[float, float]]) -> Samples:
+    """The table of arcs (length, curvature) one after another, from the origin along x; exact at each sample."""
+    s, xy, heading, curvature = [0.0], [np.zeros(2)], [0.0], [pieces[0][1]]
+    for length, k in pieces:
+        u = np.linspace(0.0, length, max(1, round(length / SPACING_M)) + 1)[1:]
+        half = k * u / 2
+        chord = u * np.sinc(half / np.pi)
+        h0 = heading[-1]
+        xy.extend(xy[-1] + np.stack([chord * np.cos(h0 + half), chord * np.sin(h0 + half)], axis=1))
+        heading.extend(h0 + k * u)
+        s.extend(s[-1] + u)
+        curvature.extend([k] * len(u))
+    return Samples(np.array(s), np.array(xy), np.array(heading), np.array(curvature))
+
+
+ROUTES = OneOf("route", Straight, Circle, FigureEight, Track)
+AnyRoute = Annotated[Straight | Circle | FigureEight | Track, ROUTES]

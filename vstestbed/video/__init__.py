@@ -1,6 +1,0 @@
-"""Films of a run: `VideoWriter` streams pictures into a film, `Overlay` and `draw_caption` draw over them."""
-
-from vstestbed.video.overlay import Overlay, draw_caption
-from vstestbed.video.writer import VideoWriter
-
-__all__ = ["Overlay", "VideoWriter", "draw_caption"]

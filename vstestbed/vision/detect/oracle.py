@@ -1,0 +1,58 @@
+"""The oracle: a detector that knows the truth. The baseline against which vision is compared, never a default."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from vstestbed.camera import Camera, Frame, Look
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import all_finite
+from vstestbed.core.spec import spec
+from vstestbed.targets.base import Target
+from vstestbed.vision.base import Detection, TruthView
+
+
+@spec
+class Oracle:
+    """True projections and true depths; pixel noise is the scenario's `noise.pixel_sigma_px`, added by the `Observer`.
+
+    What the lens cannot see is never seen: with a perspective one, all that is behind it. With a limited field of view,
+    neither is a marker that is hidden, outside the picture or cut by its border (`Camera.whole`).
+
+    Args:
+        field_of_view: `limited` by the picture and by what stands in the way, or `unlimited`: all that the lens can project.
+    """
+
+    kind: Literal["oracle"] = "oracle"
+    field_of_view: Literal["limited", "unlimited"] = "limited"
+    needs_image: ClassVar[bool] = False
+    needs_truth: ClassVar[bool] = True
+    markers: ClassVar[tuple[str, ...]] = ()
+
+    def init(self) -> None:
+        """The oracle remembers nothing."""
+
+    def look(self, memory: None, camera: Camera, target: Target) -> Look | None:
+        """It looks at no picture."""
+
+    def detect(
+        self, memory: None, frame: Frame | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
+    ) -> tuple[None, Detection]:
+        """True pixels (N, 2) and centres (N, 3) of what can be seen, NaN for the rest.
+
+        Raises:
+            ParameterError: no truth was given.
+        """
+        if view is None:
+            raise ParameterError("view", "is missing: the oracle needs the true view of the target; use detector blobs where there is none")
+        p = view.p_camera
+        uv = camera.project(p)
+        if self.field_of_view == "unlimited" and all_finite(uv):
+            return None, Detection(uv=uv, p_camera=p)
+        seen = np.isfinite(uv[:, 0])
+        if self.field_of_view == "limited":
+            seen &= ~view.hidden & camera.whole(p, target.marker.radius)
+        mask = np.where(seen, 1.0, np.nan)
+        return None, Detection(uv=uv * mask[:, None], p_camera=p * mask[:, None])

@@ -1,0 +1,1 @@
+"""Pose, homography and depth from pixels."""

@@ -1,0 +1,93 @@
+"""Where a camera that rides upright over the floor stands: from the rays to landmarks of known height."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from vstestbed.core.geometry import Array
+
+ROUNDS = 12
+"""Gauss-Newton steps at most; three or four do from a frame ago."""
+SETTLED = 1e-10
+"""A step [m, rad] under this ends them."""
+UNTOLD = 1e-4
+"""Singular values under this share of the largest count as zero: two landmarks one above the other do not tell the heading."""
+LEVEL = 0.03
+"""A ray with less than this of its unit length upwards (1.7 degrees) tells no distance by its height."""
+FITS = 0.1
+"""Mean angle between rays and landmarks [rad] over which a place is no solution."""
+
+
+def solve_place(rays: Array, points: Array, T_base_camera: Array, previous: Array | None = None) -> Array | None:
+    """The place (x, y, heading) of a base that stands on the floor, from N >= 1 rays; None where it cannot be told.
+
+    Minimises the angles between the rays and the landmarks. Two equations a landmark for three unknowns: one landmark leaves
+    the heading as it was before (0 without a previous place).
+
+    Args:
+        rays: unit rays in the camera frame, shape (N, 3).
+        points: the landmarks in the map's frame, z up from the floor, shape (N, 3) [m].
+        T_base_camera: the camera's mount, shape (4, 4); the base's origin is on the floor.
+        previous: the place a frame ago, shape (3,) [m, rad].
+
+    Reference: Gauss-Newton on bearings, as in virtual visual servoing: Marchand, Uchiyama & Spindler 2016,
+    doi:10.1109/TVCG.2015.2513408; with three unknowns instead of six.
+    """
+    d, origin = rays @ T_base_camera[:3, :3].T, T_base_camera[:3, 3]
+    guesses = [g for g in (previous, _by_height(d, points, origin)) if g is not None]
+    if not guesses:
+        return None
+    solved = [_refined(d, points, origin, g) for g in guesses]
+    place, error = min(solved, key=lambda s: s[1])
+    return place if error < FITS else None
+
+
+def _by_height(d: Array, points: Array, origin: Array) -> Array | None:
+    """A first place: where each ray reaches its landmark's height, the floor plan of those laid on the map's by turning it."""
+    height = points[:, 2] - origin[2]
+    told = (np.abs(d[:, 2]) > LEVEL) & (height * d[:, 2] > 0)
+    if not told.any():
+        return None
+    here = origin[:2] + d[told, :2] / d[told, 2:] * height[told, None]
+    there = points[told, :2]
+    a, b = here - here.mean(axis=0), there - there.mean(axis=0)
+    heading = math.atan2(float(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])), float(np.sum(a * b)))
+    c, s = math.cos(heading), math.sin(heading)
+    return np.array([*(there.mean(axis=0) - np.array([[c, -s], [s, c]]) @ here.mean(axis=0)), heading])
+
+
+def _refined(d: Array, points: Array, origin: Array, place: Array) -> tuple[Array, float]:
+    """The place that fits best near a first one, and the root mean square of its angles [rad].
+
+    p = R(heading)^T (m - (x, y)) - o is where a landmark m is seen from the lens at o;  dp/d(x, y) = -R^T,
+    dp/dheading = R'^T (m - (x, y)), and the error is the part of p/|p| across the ray.
+    """
+    place = np.array(place, dtype=float)
+    across = np.eye(3) - d[:, :, None] * d[:, None, :]
+    unknowns = 3 if len(points) > 1 else 2
+    error = math.inf
+    for _ in range(ROUNDS):
+        e, J = _errors(d, across, points, origin, place)
+        error = math.sqrt(float(e @ e) / len(points))
+        step = np.linalg.lstsq(J[:, :unknowns], -e, rcond=UNTOLD)[0]
+        place[:unknowns] += step
+        if np.abs(step).max() < SETTLED:
+            break
+    return place, error
+
+
+def _errors(d: Array, across: Array, points: Array, origin: Array, place: Array) -> tuple[Array, Array]:
+    c, s = math.cos(place[2]), math.sin(place[2])
+    m = points[:, :2] - place[:2]
+    p = np.column_stack([c * m[:, 0] + s * m[:, 1], -s * m[:, 0] + c * m[:, 1], points[:, 2]]) - origin
+    reach = np.linalg.norm(p, axis=1, keepdims=True)
+    unit = p / reach
+    dp = np.zeros((len(points), 3, 3))
+    dp[:, 0, 0], dp[:, 0, 1], dp[:, 1, 0], dp[:, 1, 1] = -c, -s, s, -c
+    dp[:, 0, 2], dp[:, 1, 2] = p[:, 1] + origin[1], -p[:, 0] - origin[0]
+    dunit = (dp - unit[:, :, None] * (unit[:, None] @ dp)) / reach[:, :, None]
+    behind = np.sum(unit * d, axis=1, keepdims=True) < 0  # the part across is small there too
+    e = np.where(behind, np.sign(unit) * 1.0, (across @ unit[:, :, None])[..., 0])
+    return e.ravel(), (across @ dunit).reshape(-1, 3)

@@ -1,0 +1,94 @@
+"""Depth from motion: each marker's inverse range by recursive least squares on the flow of its ray, whatever the lens."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vstestbed.core.geometry import Array
+from vstestbed.features.depth import Estimate
+
+FLOW_NOISE = 3e-4
+"""Standard deviation of a ray along one direction [rad]: 0.1 px at a focal length of 350 px."""
+RANGE = 50.0
+"""The estimate stays between the initial depth over this and the initial depth times this."""
+BESIDE = 0.2
+"""A ray with less than this of its unit length along z takes the initial depth for its range: depths there mean little."""
+CLEAR = 30.0
+"""A frame with this many times the evidence of one that shows no more than noise (it gives the range to 18 %) forgets at half
+the full rate, a poorer one at less: what is known fades as new knowledge comes in, not as the motion fades."""
+
+_AHEAD = np.array([0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True, slots=True)
+class FlowMemory:
+    """Inverse ranges (N,) [1/m] at the last frame, what is known of them (N,), the rays (N, 3) and the time then.
+
+    A range is NaN until its marker is seen. `information` is the sum of squared translational flows per unit of inverse
+    range [(m/s)^2], old ones forgotten.
+    """
+
+    inverse_range: Array
+    information: Array
+    ray: Array
+    t: float
+
+
+def init_flow(n: int) -> FlowMemory:
+    """No marker seen yet."""
+    return FlowMemory(np.full(n, np.nan), np.zeros(n), np.full((n, 3), np.nan), np.nan)
+
+
+def update_flow(estimate: Estimate, memory: FlowMemory, t: float, ray: Array, twist: Array) -> FlowMemory:
+    """One frame of recursive least squares on theta = 1/R of each marker, under the twist in force since the last frame.
+
+    The flow of a unit ray r to a point at the range R:   r_dot = -(v - r (r.v)) / R - w x r
+    at mid-interval:   y = r_dot + w x r = phi theta + noise,   phi = r (r.v) - v
+    gain:        I <- I exp(-c dt/forget) + phi.phi,   theta <- theta + phi.(y - phi theta) / I
+                 c = phi.phi / (phi.phi + CLEAR least), so that I settles no lower than CLEAR least forget / dt
+    prediction:  theta_dot = theta^2 r.v,   since R_dot = -r.v (half before, half after)
+    A marker begins at the initial depth. I starts at and never falls under least = (sqrt(2) FLOW_NOISE / (dt theta))^2, an
+    uncertainty of the prior as large as itself.
+    A frame whose motion shows less than that noise teaches nothing, and makes nothing forgotten.
+
+    Args:
+        estimate: the parameters.
+        memory: the last frame.
+        t: time of this frame [s].
+        ray: unit rays in the camera's frame, shape (N, 3), NaN where not seen.
+        twist: camera twist in its own frame, shape (6,).
+
+    Reference: De Luca, Oriolo & Robuffo Giordano 2008, doi:10.1177/0278364908095847 (depth from flow and known motion);
+    Ljung 1999, System Identification, section 11.2 (least squares with forgetting).
+    """
+    dt = t - memory.t
+    begin = np.where(ray[:, 2] > BESIDE, ray[:, 2], 1.0) / estimate.initial_m
+    theta = np.where(np.isnan(memory.inverse_range) & np.isfinite(ray[:, 0]), begin, memory.inverse_range)
+    if not dt > 0:
+        return FlowMemory(theta, memory.information, np.where(np.isfinite(ray), ray, memory.ray), t)
+    known = np.isfinite(ray[:, 0]) & np.isfinite(memory.ray[:, 0])
+    middle = np.where(known[:, None], ray + memory.ray, _AHEAD)
+    middle /= np.linalg.norm(middle, axis=1, keepdims=True)
+    nearing = middle @ twist[:3]
+    theta = _advance(theta, nearing, dt / 2)
+    phi = middle * nearing[:, None] - twist[:3]
+    y = np.where(known[:, None], (ray - memory.ray) / dt + np.cross(twist[3:], middle), 0.0)
+    evidence = np.einsum("ni,ni->n", phi, phi)
+    least = (np.sqrt(2) * FLOW_NOISE / (dt * theta)) ** 2
+    teaches = known & (evidence > least)
+    information = np.fmax(memory.information, least)
+    forgotten = np.exp(-dt / estimate.forget_s * evidence / (evidence + CLEAR * least))
+    information = np.where(teaches, information * forgotten + evidence, information)
+    innovation = np.einsum("ni,ni->n", phi, y - phi * theta[:, None])
+    theta = theta + np.where(teaches, innovation / information, 0.0)
+    low, high = 1 / (RANGE * estimate.initial_m), RANGE / estimate.initial_m
+    theta = np.clip(_advance(np.clip(theta, low, high), nearing, dt / 2), low, high)
+    return FlowMemory(theta, information, ray, t)
+
+
+def _advance(theta: Array, nearing: Array, dt: float) -> Array:
+    """Inverse ranges (N,) a short time later: one midpoint step of theta_dot = theta^2 (r.v), nearing = r.v (N,) [m/s]."""
+    half = theta + theta**2 * nearing * dt / 2
+    return theta + half**2 * nearing * dt
