@@ -17,7 +17,7 @@ from vstestbed.laws.base import ConstantGain
 from vstestbed.laws.partitioned import XY, Z
 from vstestbed.laws.select import NO_AREA
 from vstestbed.laws.visibility import Visibility
-from vstestbed.targets.base import Square
+from vstestbed.targets.points import Square
 
 TRUE = OracleDepth()
 POINTS = Square(side=0.5, pose=Pose()).points

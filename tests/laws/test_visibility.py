@@ -15,7 +15,7 @@ from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import IBVS, Hybrid, Law, Partitioned
 from vstestbed.laws.base import ConstantGain
 from vstestbed.laws.visibility import Visibility, pixel_interaction
-from vstestbed.targets.base import Square
+from vstestbed.targets.points import Square
 from vstestbed.vision.pose.homography import relative_view
 
 CAMERA, POINTS = book_camera(), Square(side=0.5, pose=Pose()).points

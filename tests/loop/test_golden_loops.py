@@ -24,7 +24,7 @@ from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart
 from vstestbed.scenario.scenario import GoalView, Scenario
 from vstestbed.scenario.stop import Converged, Stop
-from vstestbed.targets.base import Square
+from vstestbed.targets.points import Square
 from vstestbed.vision import Oracle
 
 HERE = Path(__file__).parents[1] / "golden"

@@ -1,8 +1,10 @@
-"""What a law may see (Observation), what it wants to see (Goal), and where its depth comes from."""
+"""What a law may see (Observation) and what it is asked to see (Goal)."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,29 +89,53 @@ def _without(a: Array | None, out: NDArray[np.bool_]) -> Array | None:
     return None if a is None else np.where(out if a.ndim == 1 else out[:, None], np.nan, a)
 
 
-@dataclass(frozen=True, slots=True)
-class Goal:
-    """The goal view through a calibrated camera: uv (N, 2), xy (N, 2), depth (N,), ray (N, 3), range (N,), and its pose.
+class Plane(NamedTuple):
+    """The plane that fits points best: their mean (3,) [m], and the unit normal (3,) away from the origin."""
 
-    `middle` (3,) is the mean of the markers in the camera's frame [m], `normal` (3,) the unit normal of the plane that fits
-    them best, away from the camera. Tasks that are not told by a view have more: `place` (x, y, heading) where a vehicle
-    shall stand [m, rad], `gap_m` what it shall keep from the target. A view that moves along a path has its camera's `twist` (6,)
-    [m/s, rad/s], in the camera's frame. `counted` (N,) says which markers count, None: all. `T_base_camera` is the known mount.
+    middle: Array
+    normal: Array
+
+
+@dataclass(frozen=True)
+class Goal:
+    """The goal of a law: a view through a calibrated camera, and what tasks that are not told by a view have besides.
+
+    Attributes:
+        uv: markers in the picture (N, 2) [px]; `xy` (N, 2) the same, normalised. depth (N,), range (N,) [m], ray (N, 3).
+        T_camera_target: pose at the goal (4, 4). camera: the calibrated lens, with its mount `T_base_camera`.
+        plane: of the markers in the camera's frame [m].
+        place: (x, y, heading) where a vehicle is to stand [m, m, rad]. gap_m: what it is to keep from the target [m].
+        twist: of the camera of a view that moves (6,) [m/s, rad/s], in its own frame.
+        counted: which markers count, (N,) bool; None: all. view: number of the view, among several in turn.
     """
 
     uv: Array
-    xy: Array
     depth: Array
     ray: Array
     range: Array
     T_camera_target: Array
     camera: Camera
-    middle: Array
-    normal: Array
+    plane: Plane
     place: Array | None = None
     gap_m: float | None = None
     twist: Array | None = None
     counted: NDArray[np.bool_] | None = None
+    view: int = 0
+
+    @cached_property
+    def xy(self) -> Array:
+        """Normalised coordinates of the markers, shape (N, 2)."""
+        return self.camera.normalise(self.uv)
+
+    @property
+    def middle(self) -> Array:
+        """Mean of the markers in the camera's frame (3,) [m]."""
+        return self.plane.middle
+
+    @property
+    def normal(self) -> Array:
+        """Unit normal (3,) of the markers' plane, away from the camera."""
+        return self.plane.normal
 
     @property
     def T_base_camera(self) -> Array:
@@ -125,21 +151,22 @@ class Goal:
     def of_points(cls, camera: Camera, p: Array, T_camera_target: Array) -> Goal:
         """The view of points p (N, 3) in the camera's frame [m]."""
         uv, reach = camera.project(p), np.linalg.norm(p, axis=-1)
-        return cls(uv, camera.normalise(uv), p[:, 2], p / reach[:, None], reach, T_camera_target, camera, *_plane(p))
+        return cls(uv, p[:, 2], p / reach[:, None], reach, T_camera_target, camera, _plane(p))
 
     @classmethod
     def of_picture(cls, camera: Camera, uv: Array, p: Array, T_camera_target: Array) -> Goal:
         """The view in a picture with markers at uv (N, 2), taken to be at p (N, 3) in the camera's frame [m]."""
         reach = np.linalg.norm(p, axis=-1)
-        return cls(uv, camera.normalise(uv), p[:, 2], camera.ray(uv), reach, T_camera_target, camera, *_plane(p))
+        return cls(uv, p[:, 2], camera.ray(uv), reach, T_camera_target, camera, _plane(p))
 
     def deepened(self, scale: Array) -> Goal:
         """The same view with each marker's depth and range times `scale` (N,), their middle's times the mean of it."""
-        return replace(self, depth=self.depth * scale, range=self.range * scale, middle=self.middle * scale.mean())
+        plane = Plane(self.middle * scale.mean(), self.normal)
+        return replace(self, depth=self.depth * scale, range=self.range * scale, plane=plane)
 
 
-def _plane(p: Array) -> tuple[Array, Array]:
+def _plane(p: Array) -> Plane:
     """Mean (3,) of points (N, 3), and the unit normal (3,) of the plane that fits them best, away from the origin."""
     middle = p.mean(axis=0)
     normal = np.linalg.svd(p - middle)[2][2]
-    return middle, normal if normal @ middle > 0 else -normal
+    return Plane(middle, normal if normal @ middle > 0 else -normal)

@@ -23,7 +23,7 @@ from vstestbed.robots import Allocation, Mount
 from vstestbed.robots.base import Redundant
 from vstestbed.scenario.scenario import NOISE_STREAM, Scenario
 from vstestbed.sim.base import Plant
-from vstestbed.targets.base import Held
+from vstestbed.targets.attached import Held
 from vstestbed.vision import Detector, Observer, TruthView
 
 

@@ -11,7 +11,7 @@ from vstestbed.core.geometry import Array, inverse, pose_from, rotation_angle, r
 from vstestbed.scenario.goal import KEPT, GoalViews
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.scenario.stop import Outcome
-from vstestbed.targets.base import Held
+from vstestbed.targets.attached import Held
 
 Columns = Mapping[str, Array]
 

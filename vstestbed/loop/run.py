@@ -26,7 +26,7 @@ from vstestbed.scenario.stop import Evidence, Judge, Outcome
 from vstestbed.sim.base import Plant
 from vstestbed.sim.build import build_plant
 from vstestbed.sim.timing import DelayLine
-from vstestbed.targets.base import Square
+from vstestbed.targets.points import Square
 
 PARTS = ("physics", "render", "detect", "law", "record", "video")
 """Where a run's wall time goes."""

@@ -1,15 +1,30 @@
 """Robots, in numpy only: what they can do, how a command becomes a setpoint, their limits. Their bodies are in models/."""
 
 from vstestbed.core.spec import OneOf
-from vstestbed.robots.base import Allocation, Direct, Mount, Robot, Servo
+from vstestbed.robots.base import Actuation, Allocation, Mount, Robot, RobotBase
 from vstestbed.robots.car import Car
 from vstestbed.robots.free import Free
 from vstestbed.robots.omni import Omni
 from vstestbed.robots.puma560 import Puma560
 from vstestbed.robots.quadrotor import Quadrotor
+from vstestbed.robots.reading import Reading
 
 ROBOTS = OneOf("robot", Free, Puma560, Omni, Car, Quadrotor)
-VEHICLES: dict[str, type] = {"omni": Omni, "car": Car}
+VEHICLES: dict[str, type[Omni | Car]] = {"omni": Omni, "car": Car}
 """What can carry a target."""
 
-__all__ = ["ROBOTS", "VEHICLES", "Allocation", "Car", "Direct", "Free", "Mount", "Omni", "Puma560", "Quadrotor", "Robot", "Servo"]
+__all__ = [
+    "ROBOTS",
+    "VEHICLES",
+    "Actuation",
+    "Allocation",
+    "Car",
+    "Free",
+    "Mount",
+    "Omni",
+    "Puma560",
+    "Quadrotor",
+    "Reading",
+    "Robot",
+    "RobotBase",
+]

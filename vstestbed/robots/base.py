@@ -3,30 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from types import MappingProxyType
-from typing import Any, ClassVar, Literal, Protocol, runtime_checkable
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal, Protocol
 
 import numpy as np
 
 from vstestbed.core.geometry import Array, adjoint, inverse
+from vstestbed.robots.reading import Reading
+from vstestbed.robots.supervisor import Supervisor
 
-NOTHING: Mapping[str, Array] = MappingProxyType({})
 Limit = Literal["", "speed", "joint_limit", "singular"]
-
-
-@dataclass(frozen=True, slots=True)
-class Encoders:
-    """What a robot measures of itself at one instant.
-
-    Attributes:
-        q, qd: its joints [rad, rad/s], shape (n,) each.
-        instruments: readings of what else it carries (compass, gyro, ...), by the name of the sensor.
-    """
-
-    q: Array
-    qd: Array
-    instruments: Mapping[str, Array] = field(default_factory=dict)
+Base = Literal["fixed", "planar", "floating"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +61,7 @@ class Mount:
 
 
 @dataclass(frozen=True, slots=True)
-class Servo:
+class Actuation:
     """Which of the actuators in a robot's MJCF file a scenario uses, and what its joints feel.
 
     Attributes:
@@ -88,23 +75,66 @@ class Servo:
     gravity_compensated: bool
 
 
+@dataclass(frozen=True, slots=True)
+class RobotState:
+    """What a robot's own log columns are made of, at one exposure; the truth among it goes to the log and nowhere else.
+
+    Attributes:
+        t: time [s]. T_world_base: true pose of the base (4, 4).
+        place, odometry: (x, y, heading) [m, m, rad] as the observer has them, NaN where it has none.
+        reading: what the robot measured of itself.
+        act: true activations of its actuators (nu,). wind: true velocity of the air in the world (3,) [m/s].
+    """
+
+    t: float
+    T_world_base: Array
+    place: Array
+    odometry: Array
+    reading: Reading
+    act: Array
+    wind: Array
+
+
+class RobotLog:
+    """The columns that only this robot has in a log, and their values frame by frame; here none.
+
+    One is made for each run: it may remember the frame before.
+    """
+
+    columns: tuple[str, ...] = ()
+
+    def row(self, state: RobotState) -> Array:
+        """Values of the columns at one exposure, shape (len(columns),)."""
+        return _NO_COLUMNS
+
+
+_NO_COLUMNS = np.zeros(0)
+
+
 class Robot(Protocol):
-    """A robot that carries (or is) the camera. Its configuration tells where it stands: joint angles, a flat pose, (x, y, heading)."""
+    """A robot that carries (or is) the camera. Its configuration tells where it stands: joint angles, a flat pose, (x, y, heading).
+
+    `RobotBase` has defaults for all but `kind`, `start`, `configuration`, `randomised`, `started_at`, `flange_pose`, `motion_basis`,
+    `measured_twist` and `allocate`.
+    """
 
     actuators: ClassVar[tuple[str, ...]]
     """Actuators, in the order of their controls."""
     sensors: ClassVar[tuple[str, ...]]
-    """MJCF sensors that become the instruments of its encoders."""
-    rides: ClassVar[bool]
-    """Whether its base is free to go anywhere: joint `root` (or `root_x`, `root_y`, `root_yaw`) in its file."""
-    grounded: ClassVar[bool]
-    """Whether it stands on the floor and moves in the plane: its configuration is (x, y, heading)."""
+    """MJCF sensors that `measured` turns into its reading."""
+    base: ClassVar[Base]
+    """`fixed` in the world (an arm; the ideal camera), `planar` (a vehicle on the floor, whose configuration is (x, y, heading)) or
+    `floating` (a craft that flies). A base that moves is joint `root` (or `root_x`, `root_y`, `root_yaw`) in its file."""
     feet: ClassVar[tuple[str, ...]]
-    """Of a robot that flies: the geoms in its file that may touch the ground, and nothing else of it may. Others have none."""
+    """Geoms in its file that may touch the ground while nothing else of it may."""
+    gripper: ClassVar[bool]
+    """Whether it can hold the target, in front of a camera that stands in the room."""
     control_period_s: ClassVar[float | None]
     """How often its onboard controller turns the setpoint into controls [s]; None where the setpoint is the controls."""
     largest_step_s: ClassVar[float]
-    """The largest physics step that its servos were tested at [s]."""
+    """The largest physics step that its actuators were tested at [s]."""
+    ends_m: ClassVar[tuple[float, float]]
+    """Of a vehicle, where it ends behind and ahead of its origin [m]."""
 
     @property
     def kind(self) -> str:
@@ -118,99 +148,191 @@ class Robot(Protocol):
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """Joints that it measures, in the order of its encoders."""
+        """Joints that it measures, in the order of its reading."""
         ...
 
     @property
-    def servo(self) -> Servo | None:
-        """The actuation chosen, None for the ideal camera."""
+    def actuator_set(self) -> Actuation | None:
+        """Which of the actuators in its file are used; None: all."""
+        ...
+
+    @property
+    def turning_radius_m(self) -> float:
+        """Of a vehicle, the radius of its tightest circle [m]."""
+        ...
+
+    @property
+    def top_speed_mps(self) -> float:
+        """Straight ahead [m/s]."""
+        ...
+
+    @property
+    def slips(self) -> bool:
+        """Whether the floor's friction matters to it."""
         ...
 
     def configuration(self) -> Array:
         """The nominal start."""
         ...
 
+    def start_joints(self) -> Array:
+        """What its joints read at the nominal start, shape (len(joints),) [rad]."""
+        ...
+
     def randomised(self, rng: np.random.Generator) -> Robot:
         """The same robot, its nominal start drawn from the random block. ParameterError when it has none."""
+        ...
+
+    def started_at(self, configuration: Array) -> Robot:
+        """The same robot with this nominal start."""
+        ...
+
+    def idealised(self) -> Robot:
+        """The same robot with actuators that follow their setpoint exactly, where it has such."""
+        ...
+
+    def check_mount(self, xyz: tuple[float, float, float]) -> None:
+        """Refuse a place of the camera on the robot [m]. ParameterError names `camera.mount.xyz`."""
         ...
 
     def flange_pose(self, configuration: Array) -> Array:
         """Pose (4, 4) of the flange in the world, by the robot's own model."""
         ...
 
-    def motion_basis(self, mount: Mount) -> Array:
-        """Camera twists the robot can make, shape (6, n): twist = basis @ u."""
+    def motion_basis(self, mount: Mount, q: Array) -> Array:
+        """Camera twists that the robot can make with its joints at q (len(joints),), shape (6, n): twist = basis @ u."""
         ...
 
-    def measured(self, raw: Encoders, rng: np.random.Generator) -> Encoders:
-        """What its instruments make of perfect readings: with their noise and bias."""
+    def measured(self, q: Array, qd: Array, sensors: Mapping[str, Array], rng: np.random.Generator) -> Reading:
+        """Its reading, from true joints and MuJoCo's perfect sensors by name: with its instruments' noise and bias."""
         ...
 
-    def measured_twist(self, before: Encoders, now: Encoders, duration: float, ordered: Array, mount: Mount) -> Array:
-        """Mean camera twist (6,) between two readings of its encoders; `ordered` where it has none."""
+    def measured_twist(self, before: Reading, now: Reading, duration: float, ordered: Array, mount: Mount) -> Array:
+        """Mean camera twist (6,) between two readings; `ordered` where it measures none."""
         ...
 
-    def allocate(self, twist: Array, encoders: Encoders, mount: Mount, period: float) -> Allocation:
+    def allocate(self, twist: Array, reading: Reading, mount: Mount, period: float) -> Allocation:
         """A camera twist (6,) as a setpoint that keeps the limits for one period [s]."""
+        ...
+
+    def secondary_task(self, null_space: Array, reading: Reading, mount: Mount) -> Array:
+        """A camera twist (6,) in the span of `null_space` (6, k), added to the law's: aims of its own in what the law leaves open."""
+        ...
+
+    def supervisor(self, lands: bool, lost_after_s: float) -> Supervisor:
+        """What may override the law. lands: the task ends on the ground; lost_after_s: how long to hold without a target [s]."""
+        ...
+
+    def log(self, supervisor: Supervisor) -> RobotLog:
+        """The columns that only this robot has in a log."""
         ...
 
     def begin(self) -> Any:
         """The memory of its onboard controller before the start."""
         ...
 
-    def actuate(self, memory: Any, setpoint: Array, encoders: Encoders, dt: float) -> tuple[Any, Array]:
+    def actuate(self, memory: Any, setpoint: Array, reading: Any, dt: float) -> tuple[Any, Array]:
         """One step of its onboard controller: the next memory and the actuators' controls (nu,)."""
+        ...
+
+    def reported(self, memory: Any, reading: Any) -> Any:
+        """The reading with what its onboard controller estimates."""
         ...
 
     def rest_ctrl(self) -> Array | None:
         """Controls, and activations, with which it keeps its start (nu,); None where those of the file do."""
         ...
 
-    def reported(self, memory: Any, encoders: Encoders) -> Mapping[str, Array]:
-        """What its onboard controller tells of itself, to put beside the instruments' readings."""
+    def hold_setpoint(self) -> Array | None:
+        """The setpoint that holds it where it is when no command comes; None where the last one stays."""
         ...
 
 
-@runtime_checkable
-class Redundant(Protocol):
-    """A robot that has ends of its own for the motions which a law leaves open."""
+class RobotBase:
+    """Defaults: a robot on a fixed base whose setpoint is its actuators' controls and whose instruments are exact."""
 
-    def aside(self, free: Array, encoders: Encoders, mount: Mount) -> Array:
-        """A camera twist (6,) in the span of `free` (6, k), which is added to the law's."""
-        ...
-
-
-class Earthbound:
-    """What a robot has that does not fly."""
-
+    actuators: ClassVar[tuple[str, ...]] = ()
+    sensors: ClassVar[tuple[str, ...]] = ()
+    base: ClassVar[Base] = "fixed"
     feet: ClassVar[tuple[str, ...]] = ()
+    gripper: ClassVar[bool] = False
+    control_period_s: ClassVar[float | None] = None
+    largest_step_s: ClassVar[float] = 0.002
+    ends_m: ClassVar[tuple[float, float]] = (0.0, 0.0)
+
+    @property
+    def model(self) -> str | None:
+        """No body."""
+        return None
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """None that it measures."""
+        return ()
+
+    @property
+    def actuator_set(self) -> Actuation | None:
+        """All actuators of its file."""
+        return None
+
+    @property
+    def turning_radius_m(self) -> float:
+        """It turns on the spot [m]."""
+        return 0.0
+
+    @property
+    def top_speed_mps(self) -> float:
+        """No limit of its own."""
+        return np.inf
+
+    @property
+    def slips(self) -> bool:
+        """The floor's friction does not matter, or is that of contacts."""
+        return True
+
+    def start_joints(self) -> Array:
+        """All at zero."""
+        return np.zeros(len(self.joints))
+
+    def idealised(self) -> Any:
+        """Itself."""
+        return self
+
+    def check_mount(self, xyz: tuple[float, float, float]) -> None:
+        """Any place will do."""
+
+    def measured(self, q: Array, qd: Array, sensors: Mapping[str, Array], rng: np.random.Generator) -> Reading:
+        """The joints as they are."""
+        return Reading(q, qd)
+
+    def secondary_task(self, null_space: Array, reading: Reading, mount: Mount) -> Array:
+        """None."""
+        return np.zeros(6)
+
+    def supervisor(self, lands: bool, lost_after_s: float) -> Supervisor:
+        """The law is followed."""
+        return Supervisor()
+
+    def log(self, supervisor: Supervisor) -> RobotLog:
+        """No columns of its own."""
+        return RobotLog()
+
+    def begin(self) -> Any:
+        """No memory."""
+        return None
+
+    def actuate(self, memory: Any, setpoint: Array, reading: Any, dt: float) -> tuple[Any, Array]:
+        """The setpoint itself."""
+        return memory, setpoint
+
+    def reported(self, memory: Any, reading: Any) -> Any:
+        """Nothing more."""
+        return reading
 
     def rest_ctrl(self) -> Array | None:
         """Those of the file."""
         return None
 
-    def reported(self, memory: Any, encoders: Encoders) -> Mapping[str, Array]:
-        """Nothing."""
-        return NOTHING
-
-
-class Direct(Earthbound):
-    """What a robot has whose setpoint is its actuators' controls and whose instruments are exact."""
-
-    sensors: ClassVar[tuple[str, ...]] = ()
-    rides: ClassVar[bool] = False
-    grounded: ClassVar[bool] = False
-    control_period_s: ClassVar[float | None] = None
-    largest_step_s: ClassVar[float] = 0.002
-
-    def measured(self, raw: Encoders, rng: np.random.Generator) -> Encoders:
-        """The readings as they are."""
-        return raw
-
-    def begin(self) -> None:
-        """No memory."""
-        return
-
-    def actuate(self, memory: None, setpoint: Array, encoders: Encoders, dt: float) -> tuple[None, Array]:
-        """The setpoint itself."""
-        return memory, setpoint
+    def hold_setpoint(self) -> Array | None:
+        """The last setpoint stays."""
+        return None

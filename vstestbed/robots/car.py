@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
@@ -16,11 +17,11 @@ import numpy as np
 from annotated_types import Ge, Gt, Le, Lt
 
 from vstestbed.core.geometry import Array
-from vstestbed.core.planar import pose_on_ground
 from vstestbed.core.spec import spec
-from vstestbed.robots.base import Allocation, Earthbound, Encoders, Limit, Mount
+from vstestbed.robots.base import Allocation, Limit, Mount
 from vstestbed.robots.bicycle import STANDSTILL, BicycleLimits, within_limits, yaw_rate
-from vstestbed.robots.ground import PLANE, GroundStart
+from vstestbed.robots.ground import PLANE, GroundStart, Vehicle
+from vstestbed.robots.reading import Reading
 
 WHEELBASE, TRACK, RADIUS = 1.0, 0.6, 0.15
 """[m], those of the model."""
@@ -73,7 +74,7 @@ class CarServos:
 
 
 @spec
-class Car(Earthbound):
+class Car(Vehicle):
     """A buggy of 60 kg with Ackermann steering and rear drive.
 
     Args:
@@ -91,12 +92,9 @@ class Car(Earthbound):
     limits: CarLimits = CarLimits()
     actuators: ClassVar[tuple[str, ...]] = ("drive", "steering")
     sensors: ClassVar[tuple[str, ...]] = ("heading",)
-    rides: ClassVar[bool] = True
-    grounded: ClassVar[bool] = True
     ends_m: ClassVar[tuple[float, float]] = (-0.188, 1.208)
     """Where its bumpers end, behind and ahead of its origin [m]."""
     control_period_s: ClassVar[float | None] = 0.01
-    largest_step_s: ClassVar[float] = 0.002
 
     @property
     def model(self) -> str:
@@ -110,11 +108,6 @@ class Car(Earthbound):
             *("steering", "front_left_steer", "front_right_steer"),
             *("rear_left", "rear_right", "front_left", "front_right"),
         )
-
-    @property
-    def servo(self) -> None:
-        """All actuators of its file."""
-        return
 
     @property
     def turning_radius_m(self) -> float:
@@ -131,30 +124,25 @@ class Car(Earthbound):
         """The wheel radius that it believes in [m]."""
         return RADIUS * (1 + self.wheel_radius_error)
 
-    def configuration(self) -> Array:
-        """The nominal start (x, y, heading), shape (3,), [m, m, rad]."""
-        return self.start.configuration()
-
     def randomised(self, rng: np.random.Generator) -> Car:
         """The same car with a start drawn from the box. ParameterError when it has none."""
         return dataclasses.replace(self, start=self.start.drawn(rng))
 
-    def flange_pose(self, configuration: Array) -> Array:
-        """T_world_base (4, 4) at (x, y, heading): a camera's mount is relative to the base's frame, on the floor."""
-        return pose_on_ground(configuration)
+    def started_at(self, configuration: Array) -> Car:
+        """The same car from another place (x, y, heading)."""
+        return dataclasses.replace(self, start=self.start.at(configuration))
 
-    def motion_basis(self, mount: Mount) -> Array:
+    def motion_basis(self, mount: Mount, q: Array) -> Array:
         """Camera twists of (v, w) of the base, shape (6, 2), for any mount."""
         return mount.to_camera @ PLANE[:, [0, 2]]
 
-    def measured(self, raw: Encoders, rng: np.random.Generator) -> Encoders:
-        """Exact encoders, and instead of the true x axis of the base `compass` (1,): a heading in [-pi, pi) with bias and noise."""
-        x, y = raw.instruments["heading"][:2]
+    def measured(self, q: Array, qd: Array, sensors: Mapping[str, Array], rng: np.random.Generator) -> Reading:
+        """Exact encoders, and the compass: the direction of the base's true x axis with bias and noise, in [-pi, pi)."""
+        x, y = sensors["heading"][:2]
         error = math.radians(self.compass.bias_deg + self.compass.sigma_deg * rng.standard_normal())
-        heading = (math.atan2(y, x) + error + math.pi) % (2 * math.pi) - math.pi
-        return Encoders(raw.q, raw.qd, {"compass": np.array([heading])})
+        return Reading(q, qd, heading=(math.atan2(y, x) + error + math.pi) % (2 * math.pi) - math.pi)
 
-    def odometry(self, before: Encoders, now: Encoders, duration: float) -> Array:
+    def odometry(self, before: Reading, now: Reading, duration: float) -> Array:
         """Mean motion (vx, 0, wz), shape (3,), of the base between two readings of its encoders.
 
         v = r (left + right) / 2,  w = r (right - left) / track, of the rear wheels' speeds and the radius that it believes in.
@@ -167,11 +155,11 @@ class Car(Earthbound):
         left, right = (now.q[_REAR] - before.q[_REAR]) * (self.believed_radius / duration)
         return np.array([(left + right) / 2, 0.0, (right - left) / TRACK])
 
-    def measured_twist(self, before: Encoders, now: Encoders, duration: float, ordered: Array, mount: Mount) -> Array:
+    def measured_twist(self, before: Reading, now: Reading, duration: float, ordered: Array, mount: Mount) -> Array:
         """Mean camera twist (6,) between two readings, from the encoders alone; zero where no time has passed."""
         return mount.to_camera @ (PLANE @ self.odometry(before, now, duration))
 
-    def allocate(self, twist: Array, encoders: Encoders, mount: Mount, period: float) -> Allocation:
+    def allocate(self, twist: Array, reading: Reading, mount: Mount, period: float) -> Allocation:
         """Speed [m/s] and steering angle [rad] for a camera twist (6,), as `bicycle.within_limits` has it.
 
         Of the base's twist only (v, w) can be made; the rest is left out, and `twist` is without it. `scale` is the part of the speed
@@ -179,7 +167,7 @@ class Car(Earthbound):
         for a turn on the spot ("singular"); of several the smallest. A car that shall stand keeps its steering as measured.
         """
         v, w = (PLANE[:, [0, 2]].T @ (mount.to_flange @ twist)).tolist()
-        held = float(encoders.q[_STEERING])
+        held = float(reading.q[_STEERING])
         speed, steering = (float(x) for x in within_limits(v, w, held, WHEELBASE, self.limits.bicycle()))
         turn = float(yaw_rate(speed, steering, WHEELBASE)) if abs(speed) >= STANDSTILL else 0.0
         scale, limit = 1.0, ""
@@ -194,7 +182,7 @@ class Car(Earthbound):
         """It stands, wheels straight."""
         return CarServos()
 
-    def actuate(self, memory: CarServos, setpoint: Array, encoders: Encoders, dt: float) -> tuple[CarServos, Array]:
+    def actuate(self, memory: CarServos, setpoint: Array, reading: Reading, dt: float) -> tuple[CarServos, Array]:
         """One period dt [s] of the speed and steering servos: the next memory, and ctrl (2,): wheels [rad/s], steering [rad].
 
         Both setpoints are approached at the limits' rates. The speed has an integral of its error, measured at the rear wheels' mean
@@ -206,7 +194,7 @@ class Car(Earthbound):
         turn = _within(angle, limits.steering_rad) - memory.steering
         steering = memory.steering + _within(turn, limits.steering_rate_radps * dt)
         wheels = speed / self.believed_radius
-        error = wheels - sum(encoders.qd[_REAR].tolist()) / 2
+        error = wheels - sum(reading.qd[_REAR].tolist()) / 2
         integral = _within(memory.integral + SPEED_INTEGRAL * error * dt, INTEGRAL_LIMIT) if speed else 0.0
         return CarServos(speed, steering, integral), np.array([wheels + integral, steering])
 

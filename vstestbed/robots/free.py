@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, Triple
 from vstestbed.core.spec import spec
-from vstestbed.robots.base import Allocation, Direct, Encoders, Mount
+from vstestbed.robots.base import Allocation, Mount, RobotBase
 from vstestbed.robots.puma560 import Puma560, PumaStart
+from vstestbed.robots.reading import Reading
 
 
 @spec
@@ -34,27 +35,11 @@ class FreeStart:
 
 
 @spec
-class Free(Direct):
+class Free(RobotBase):
     """A camera that flies without mass; its flange is the camera's body. `start.nominal` is its pose in the world."""
 
     kind: Literal["free"] = "free"
     start: FreeStart
-    actuators: ClassVar[tuple[str, ...]] = ()
-
-    @property
-    def model(self) -> None:
-        """No body."""
-        return None
-
-    @property
-    def joints(self) -> tuple[str, ...]:
-        """None."""
-        return ()
-
-    @property
-    def servo(self) -> None:
-        """No actuators."""
-        return None
 
     def configuration(self) -> Array:
         """The nominal start as a flat pose, shape (16,)."""
@@ -74,18 +59,22 @@ class Free(Direct):
         nominal = Pose(xyz=tuple(xyz.tolist()), rpy_deg=tuple(rpy.tolist()))
         return Free(start=FreeStart(nominal=nominal, random=box))
 
+    def started_at(self, configuration: Array) -> Free:
+        """The same camera from another pose, flat (16,)."""
+        return Free(start=FreeStart(nominal=Pose.of(configuration.reshape(4, 4)), random=self.start.random))
+
     def flange_pose(self, configuration: Array) -> Array:
         """The pose itself, (4, 4)."""
         return configuration.reshape(4, 4)
 
-    def motion_basis(self, mount: Mount) -> Array:
+    def motion_basis(self, mount: Mount, q: Array) -> Array:
         """All six twists."""
         return np.eye(6)
 
-    def measured_twist(self, before: Encoders, now: Encoders, duration: float, ordered: Array, mount: Mount) -> Array:
+    def measured_twist(self, before: Reading, now: Reading, duration: float, ordered: Array, mount: Mount) -> Array:
         """The twist ordered: it moves exactly so."""
         return ordered
 
-    def allocate(self, twist: Array, encoders: Encoders, mount: Mount, period: float) -> Allocation:
+    def allocate(self, twist: Array, reading: Reading, mount: Mount, period: float) -> Allocation:
         """The twist of the flange that moves the camera so: no limits."""
         return Allocation(setpoint=mount.to_flange @ twist, twist=twist)

@@ -6,15 +6,18 @@ Its motion is u = (vx, vy, wz) of that frame in its own axes, shape (..., 3), [m
 
 from __future__ import annotations
 
-from typing import Annotated
+import math
+from typing import Annotated, ClassVar
 
 import numpy as np
 from annotated_types import Ge, Le
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
-from vstestbed.core.planar import GroundPose
+from vstestbed.core.planar import GroundPose, place_of, pose_on_ground, relative, wrapped
 from vstestbed.core.spec import spec
+from vstestbed.robots.base import Base, RobotBase, RobotLog, RobotState
+from vstestbed.robots.supervisor import Supervisor
 
 PLANE = np.zeros((6, 3))
 """The body twist (v, w) of a planar motion: PLANE @ (vx, vy, wz). Its transpose takes the motion out of a twist."""
@@ -52,3 +55,73 @@ class GroundStart:
             raise ParameterError("robot.start.random", "is missing: a seed draws the start from it, e.g. {x: .5, y: .5, heading_deg: 20}")
         x, y, heading = (rng.uniform(-1, 1, 3) * (box.x, box.y, box.heading_deg) + (at.x, at.y, at.heading_deg)).tolist()
         return GroundStart(nominal=GroundPose(x=x, y=y, heading_deg=heading), random=box)
+
+    def at(self, place: Array) -> GroundStart:
+        """The same box round another nominal pose (x, y, heading), shape (3,) [m, m, rad]."""
+        x, y, heading = place.tolist()
+        return GroundStart(nominal=GroundPose(x=x, y=y, heading_deg=math.degrees(heading)), random=self.random)
+
+
+class Vehicle(RobotBase):
+    """Defaults of a vehicle: a planar base that starts on the floor, and the log of its dead reckoning."""
+
+    base: ClassVar[Base] = "planar"
+    start: GroundStart
+
+    def configuration(self) -> Array:
+        """The nominal start (x, y, heading), shape (3,), [m, m, rad]."""
+        return self.start.configuration()
+
+    def flange_pose(self, configuration: Array) -> Array:
+        """T_world_base (4, 4) at (x, y, heading): a camera's mount is relative to the base's frame, on the floor."""
+        return pose_on_ground(configuration)
+
+    def check_mount(self, xyz: tuple[float, float, float]) -> None:
+        """The camera must be over the floor."""
+        if xyz[2] <= 0:
+            words = "must have z > 0: the vehicle's frame lies on the floor, and the camera would be under it"
+            raise ParameterError("camera.mount.xyz", words, xyz)
+
+    def log(self, supervisor: Supervisor) -> RobotLog:
+        """Where it is, where it thinks it is, and how it slips."""
+        return VehicleLog(self.configuration())
+
+
+class VehicleLog(RobotLog):
+    """Columns of a vehicle: places (x, y [m], heading [rad]) in the world, and its slip.
+
+    `base_` is the true place, `est_` the one it knows of by landmarks, compass and encoders, `odo_` dead reckoning by encoders alone
+    from where it really started; `slip_mps` and `slip_radps` are how fast odometry and truth part from frame to frame (sliding over
+    the floor, turning on it, wheels of another radius than believed).
+
+    Args:
+        start: where it stood at the start, (x, y, heading), shape (3,).
+    """
+
+    columns = (*(f"{name}_{part}" for name in ("base", "est", "odo") for part in ("x", "y", "heading")), "slip_mps", "slip_radps")
+
+    def __init__(self, start: Array):
+        self._start, self._turn = start, (np.cos(start[2]), np.sin(start[2]))
+        self._before: RobotState | None = None
+
+    def row(self, state: RobotState) -> Array:
+        """Places and slip at one exposure."""
+        x, y, heading = state.odometry
+        c, s = self._turn
+        dead_reckoning = np.array([c * x - s * y, s * x + c * y, heading]) + self._start
+        slip = (0.0, 0.0) if self._before is None else _slip(self._before, state)
+        self._before = state
+        return np.concatenate([place_of(state.T_world_base), state.place, dead_reckoning, slip])
+
+
+def _slip(before: RobotState, now: RobotState) -> tuple[float, float]:
+    """Speed over the floor [m/s] and rate on it [rad/s] between two frames that the encoders did not notice, as magnitudes.
+
+    The true step less the one by odometry, both in the vehicle's frame before it.
+    """
+    duration = now.t - before.t
+    if duration <= 0:
+        return 0.0, 0.0
+    true = relative(place_of(before.T_world_base), place_of(now.T_world_base))
+    ahead, left, turn = true - relative(before.odometry, now.odometry)
+    return math.hypot(ahead, left) / duration, abs(float(wrapped(turn))) / duration

@@ -20,16 +20,18 @@ Bodies are in models/omni.xml and models/omni_planar.xml; a test holds the files
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from annotated_types import Gt, Lt
 
 from vstestbed.core.geometry import Array
-from vstestbed.core.planar import motion_between, pose_on_ground
+from vstestbed.core.planar import motion_between
 from vstestbed.core.spec import spec
-from vstestbed.robots.base import Allocation, Direct, Encoders, Mount
-from vstestbed.robots.ground import PLANE, GroundStart
+from vstestbed.robots.base import Allocation, Mount
+from vstestbed.robots.ground import PLANE, GroundStart, Vehicle
+from vstestbed.robots.reading import Reading
 
 WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 RADIUS, HALF_BASE, HALF_TRACK, ROLLERS = 0.05, 0.15, 0.16, 9
@@ -62,7 +64,7 @@ W_INVERSE = np.linalg.pinv(W)
 
 
 @spec
-class Omni(Direct):
+class Omni(Vehicle):
     """A platform on four mecanum wheels, driven by wheel speeds.
 
     Args:
@@ -77,14 +79,8 @@ class Omni(Direct):
     start: GroundStart = GroundStart()
     wheel_radius_error: Annotated[float, Gt(-0.5), Lt(1)] = 0.0
     actuators: ClassVar[tuple[str, ...]] = WHEELS
-    rides: ClassVar[bool] = True
-    grounded: ClassVar[bool] = True
     ends_m: ClassVar[tuple[float, float]] = (-0.208, 0.208)
     """Where its wheels end, behind and ahead of its origin [m]."""
-    turning_radius_m: ClassVar[float] = 0.0
-    """It turns on the spot [m]."""
-    top_speed_mps: ClassVar[float] = SPEED_LIMIT * RADIUS
-    """Straight ahead [m/s]."""
 
     @property
     def model(self) -> str:
@@ -92,32 +88,33 @@ class Omni(Direct):
         return "omni.xml" if self.wheels == "rollers" else "omni_planar.xml"
 
     @property
-    def servo(self) -> None:
-        """One set of servos."""
-        return None
+    def top_speed_mps(self) -> float:
+        """Straight ahead [m/s]."""
+        return SPEED_LIMIT * RADIUS
+
+    @property
+    def slips(self) -> bool:
+        """Rollers do; planar wheels never."""
+        return self.wheels == "rollers"
 
     @property
     def joints(self) -> tuple[str, ...]:
         """What its encoders read: the wheels; without wheel joints the vehicle's own joints, of which only differences are used."""
         return WHEELS if self.wheels == "rollers" else ("root_x", "root_y", "root_yaw")
 
-    def configuration(self) -> Array:
-        """The nominal start (x, y, heading), shape (3,), [m, m, rad]."""
-        return self.start.configuration()
-
     def randomised(self, rng: np.random.Generator) -> Omni:
         """The same base with a start drawn from the box. ParameterError when it has none."""
         return Omni(wheels=self.wheels, start=self.start.drawn(rng), wheel_radius_error=self.wheel_radius_error)
 
-    def flange_pose(self, configuration: Array) -> Array:
-        """T_world_base (4, 4): a camera's mount is relative to the base's frame, on the floor under its centre."""
-        return pose_on_ground(configuration)
+    def started_at(self, configuration: Array) -> Omni:
+        """The same base from another place (x, y, heading)."""
+        return dataclasses.replace(self, start=self.start.at(configuration))
 
-    def motion_basis(self, mount: Mount) -> Array:
+    def motion_basis(self, mount: Mount, q: Array) -> Array:
         """Camera twists of (vx, vy, wz) of the base, shape (6, 3), for any mount."""
         return mount.to_camera @ PLANE
 
-    def odometry(self, before: Encoders, now: Encoders, duration: float) -> Array:
+    def odometry(self, before: Reading, now: Reading, duration: float) -> Array:
         """Mean motion (vx, vy, wz) of the base between two readings of its encoders, with the radius that it believes in.
 
         Rollers: the wheels' ways by the kinematics; what slips is not known. Planar: wheels that cannot slip turn as the way
@@ -130,11 +127,11 @@ class Omni(Direct):
             return belief * motion_between(before.q, now.q, duration)
         return belief * (W_INVERSE @ (now.q - before.q)) / duration
 
-    def measured_twist(self, before: Encoders, now: Encoders, duration: float, ordered: Array, mount: Mount) -> Array:
+    def measured_twist(self, before: Reading, now: Reading, duration: float, ordered: Array, mount: Mount) -> Array:
         """Mean camera twist (6,) between two readings, from the encoders alone; zero where no time has passed."""
-        return self.motion_basis(mount) @ self.odometry(before, now, duration)
+        return mount.to_camera @ PLANE @ self.odometry(before, now, duration)
 
-    def allocate(self, twist: Array, encoders: Encoders, mount: Mount, period: float) -> Allocation:
+    def allocate(self, twist: Array, reading: Reading, mount: Mount, period: float) -> Allocation:
         """Wheel speeds (4,) [rad/s] for a camera twist (6,), scaled as a whole into their limits.
 
         Of the base's twist only (vx, vy, wz) can be made; the rest is left out, and `twist` is without it.
@@ -143,4 +140,4 @@ class Omni(Direct):
         speeds = W @ motion / (1 + self.wheel_radius_error)
         scale = min(1.0, SPEED_LIMIT / max(float(np.abs(speeds).max()), 1e-12))
         limit: Literal["", "speed"] = "speed" if scale < 1.0 else ""
-        return Allocation(setpoint=speeds * scale, twist=self.motion_basis(mount) @ motion * scale, scale=scale, limit=limit)
+        return Allocation(setpoint=speeds * scale, twist=mount.to_camera @ PLANE @ motion * scale, scale=scale, limit=limit)

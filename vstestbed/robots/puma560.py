@@ -17,7 +17,8 @@ from annotated_types import Ge, Le, Len
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.spec import spec
-from vstestbed.robots.base import Allocation, Direct, Encoders, Limit, Mount, Servo
+from vstestbed.robots.base import Actuation, Allocation, Limit, Mount, RobotBase
+from vstestbed.robots.reading import Reading
 
 DH = np.array(
     [
@@ -132,10 +133,10 @@ LIMIT_HORIZON_S = 0.25
 INNER = 0.8
 """Share of a joint's range in its middle in which it is far from its limits."""
 
-SERVOS = {
-    "ideal": Servo("ideal", friction=False, gravity_compensated=True),
-    "industrial": Servo("industrial", friction=True, gravity_compensated=False),
-    "raw": Servo("raw", friction=True, gravity_compensated=True),
+ACTUATIONS = {
+    "ideal": Actuation("ideal", friction=False, gravity_compensated=True),
+    "industrial": Actuation("industrial", friction=True, gravity_compensated=False),
+    "raw": Actuation("raw", friction=True, gravity_compensated=True),
 }
 """Stiff and frictionless; velocity loop with integral action; proportional velocity loop, where friction leaves an error."""
 
@@ -165,7 +166,7 @@ class PumaStart:
 
 
 @spec
-class Puma560(Direct):
+class Puma560(RobotBase):
     """The Puma 560 with a camera at its flange, driven by joint velocities.
 
     Args:
@@ -180,6 +181,7 @@ class Puma560(Direct):
     start: PumaStart = PumaStart()
     avoid_limits: Annotated[float, Ge(0), Le(10)] = 0.0
     actuators: ClassVar[tuple[str, ...]] = tuple(f"joint_{i}" for i in range(1, 7))
+    gripper: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         """Refuse a start outside the joint limits."""
@@ -199,13 +201,26 @@ class Puma560(Direct):
         return self.actuators
 
     @property
-    def servo(self) -> Servo:
+    def actuator_set(self) -> Actuation:
         """The servo amplifiers of the chosen actuation."""
-        return SERVOS[self.actuation]
+        return ACTUATIONS[self.actuation]
 
     def configuration(self) -> Array:
         """Joint angles of the nominal start, shape (6,) [rad]."""
         return np.radians(self.start.nominal.q_deg)
+
+    def start_joints(self) -> Array:
+        """Those of the configuration."""
+        return self.configuration()
+
+    def started_at(self, configuration: Array) -> Puma560:
+        """The same arm from other joint angles (6,) [rad]."""
+        nominal = JointAngles(q_deg=tuple(np.degrees(configuration).tolist()))
+        return replace(self, start=PumaStart(nominal=nominal, random=self.start.random))
+
+    def idealised(self) -> Puma560:
+        """With stiff servos and without friction."""
+        return replace(self, actuation="ideal")
 
     def randomised(self, rng: np.random.Generator) -> Puma560:
         """The same arm with a start drawn within the box, clipped to the joint limits."""
@@ -221,47 +236,47 @@ class Puma560(Direct):
         """T_world_flange (4, 4); the base stands at the world's origin."""
         return forward(configuration)
 
-    def motion_basis(self, mount: Mount) -> Array:
+    def motion_basis(self, mount: Mount, q: Array) -> Array:
         """All six camera twists."""
         return np.eye(6)
 
-    def measured_twist(self, before: Encoders, now: Encoders, duration: float, ordered: Array, mount: Mount) -> Array:
+    def measured_twist(self, before: Reading, now: Reading, duration: float, ordered: Array, mount: Mount) -> Array:
         """Mean camera twist (6,) from the joints' way between two readings: J at the middle of it times dq / duration."""
         if duration <= 0:
             return np.zeros(6)
         J = jacobian((before.q + now.q) / 2)
         return mount.to_camera @ (J @ ((now.q - before.q) / duration))
 
-    def aside(self, free: Array, encoders: Encoders, mount: Mount) -> Array:
+    def secondary_task(self, null_space: Array, reading: Reading, mount: Mount) -> Array:
         """The open motion that comes nearest to moving joints off their limits.
 
         Wanted: dq_i = -avoid_limits (q_i - edge_i) beyond the edge of the middle four fifths of a joint's range, else 0. Of the
-        joint motions that the free twists make, J^-1 free z, the one nearest to it, by least squares: the distance to the
+        joint motions that these twists make, J^-1 null_space z, the one nearest to it, by least squares: the distance to the
         limits never grows by it.
 
         References: Liegeois 1977, doi:10.1109/TSMC.1977.4309644; Chaumette & Marchand 2001, doi:10.1109/70.964671.
         """
         low, high = (JOINT_LIMITS.mean(axis=1) + side * INNER * np.ptp(JOINT_LIMITS, axis=1) / 2 for side in (-1, 1))
-        wanted = -self.avoid_limits * (encoders.q - np.clip(encoders.q, low, high))
-        if free.shape[1] == 0 or not wanted.any():
+        wanted = -self.avoid_limits * (reading.q - np.clip(reading.q, low, high))
+        if null_space.shape[1] == 0 or not wanted.any():
             return np.zeros(6)
-        J = jacobian(encoders.q)
-        ways = np.column_stack([resolved_rate(J, mount.to_flange @ twist, NO_LIMITS) for twist in free.T])
-        return free @ np.linalg.lstsq(ways, wanted, rcond=1e-6)[0]
+        J = jacobian(reading.q)
+        ways = np.column_stack([resolved_rate(J, mount.to_flange @ twist, NO_LIMITS) for twist in null_space.T])
+        return null_space @ np.linalg.lstsq(ways, wanted, rcond=1e-6)[0]
 
-    def allocate(self, twist: Array, encoders: Encoders, mount: Mount, period: float) -> Allocation:
+    def allocate(self, twist: Array, reading: Reading, mount: Mount, period: float) -> Allocation:
         """Joint speeds for a camera twist (6,): damped resolved rate, then scaled as a whole into speed and position limits.
 
         Near a position limit a joint's speed towards it is bounded by its distance over LIMIT_HORIZON_S
         (velocity damper: Faverjon & Tournassoud 1987, doi:10.1109/ROBOT.1987.1087982).
         """
         wanted = mount.to_flange @ twist
-        J = jacobian(encoders.q)
+        J = jacobian(reading.q)
         dq = resolved_rate(J, wanted, NO_LIMITS)
         realised = J @ dq
         along = _share(realised, wanted)
         limit: Limit = "singular" if along < 0.5 else ""
-        room = np.where(dq > 0, JOINT_LIMITS[:, 1] - encoders.q, encoders.q - JOINT_LIMITS[:, 0]) - LIMIT_MARGIN
+        room = np.where(dq > 0, JOINT_LIMITS[:, 1] - reading.q, reading.q - JOINT_LIMITS[:, 0]) - LIMIT_MARGIN
         damper = np.maximum(room, 0.0) / max(LIMIT_HORIZON_S, period)
         size = np.maximum(np.abs(dq), 1e-12)
         speed, position = float((SPEED_LIMITS / size).min()), float((damper / size).min())

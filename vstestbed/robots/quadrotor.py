@@ -2,7 +2,8 @@
 
 A setpoint is (vx, vy, vz, wz) of the level frame: x the heading, z up, wz the heading's rate. On board, a thousand times a second:
 attitude from the IMU (`attitude`), velocity from its instrument (`groundspeed`), the loops (`flight`), the rotors (`rotors`).
-Nothing here reads anything but `Encoders.instruments`, after `measured` has put noise and bias on them.
+Nothing here reads anything but `FlightReading`, after `measured` has put noise and bias on it. The failsafe that may override the
+law is in `failsafe`.
 Mass, rotors, drag and sensors are in `models/quadrotor.xml`.
 """
 
@@ -23,10 +24,15 @@ from vstestbed.core.spec import spec
 from vstestbed.robots import groundspeed
 from vstestbed.robots.attitude import Attitude, Filter, level
 from vstestbed.robots.attitude import step as attitude_step
-from vstestbed.robots.base import Allocation, Encoders, Mount
+from vstestbed.robots.base import Allocation, Base, Mount, RobotBase, RobotLog
+from vstestbed.robots.failsafe import Failsafe
 from vstestbed.robots.flight import RECOVER_RAD, Gains, Loops, fly
+from vstestbed.robots.flight_log import FlightLog
+from vstestbed.robots.flight_reading import HOLD, FlightEstimate, FlightReading
 from vstestbed.robots.groundspeed import READING_S, Flow, Groundspeed, VelocitySource
+from vstestbed.robots.reading import Reading
 from vstestbed.robots.rotors import HOVER, Four, mix, speed_control
+from vstestbed.robots.supervisor import Supervisor
 
 STANDING_M = 0.172
 """Height of the centre over the ground when the craft stands on its feet [m]."""
@@ -38,10 +44,6 @@ STOPPED_MPS = 0.12
 """What sinks slower than its orders ask for by more, near the ground, is stopped by it [m/s]; noise of the estimate is .02."""
 STANDING_COSINE = math.cos(math.radians(30))
 """What leans more does not stand."""
-HOLD = np.zeros(4)
-"""The setpoint that levels the craft and holds it where it is."""
-ROTORS_OFF = np.array([0.0, 0.0, -math.inf, 0.0])
-"""The setpoint of a craft that has landed: it sinks no deeper, rotors run out and stay off."""
 LEVEL_AXES = [0, 1, 2, 5]
 """vx, vy, vz and wz of a twist."""
 
@@ -110,7 +112,7 @@ class Flight(NamedTuple):
 
 
 @spec
-class Quadrotor:
+class Quadrotor(RobotBase):
     """A 4 kg quadrotor with four real rotors; the camera sits relative to its centre (x forward, y left, z up).
 
     Args:
@@ -136,8 +138,7 @@ class Quadrotor:
 
     actuators: ClassVar[tuple[str, ...]] = ("rotor_front", "rotor_right", "rotor_back", "rotor_left")
     sensors: ClassVar[tuple[str, ...]] = ("gyro", "accelerometer", "velocity", "range")
-    rides: ClassVar[bool] = True
-    grounded: ClassVar[bool] = False
+    base: ClassVar[Base] = "floating"
     feet: ClassVar[tuple[str, ...]] = ("foot_front", "foot_right", "foot_back", "foot_left")
     control_period_s: ClassVar[float | None] = 0.001
     largest_step_s: ClassVar[float] = 0.001
@@ -153,16 +154,6 @@ class Quadrotor:
     def model(self) -> str:
         """Its MJCF file."""
         return "quadrotor.xml"
-
-    @property
-    def joints(self) -> tuple[str, ...]:
-        """None that it measures."""
-        return ()
-
-    @property
-    def servo(self) -> None:
-        """One set of actuators."""
-        return None
 
     def configuration(self) -> Array:
         """The nominal start (x, y, z, yaw), [m, rad]."""
@@ -180,6 +171,23 @@ class Quadrotor:
         nominal = FlightPose(xyz=(x, y, max(z, LOWEST_M)), yaw_deg=yaw)
         return replace(self, start=FlightStart(nominal=nominal, random=box))
 
+    def started_at(self, configuration: Array) -> Quadrotor:
+        """The same craft from another (x, y, z, yaw)."""
+        x, y, z, yaw = configuration.tolist()
+        return replace(self, start=FlightStart(nominal=FlightPose(xyz=(x, y, z), yaw_deg=math.degrees(yaw)), random=self.start.random))
+
+    def supervisor(self, lands: bool, lost_after_s: float) -> Failsafe:
+        """The failsafe."""
+        return Failsafe(lands, lost_after_s)
+
+    def log(self, supervisor: Supervisor) -> RobotLog:
+        """Estimate, references of the loops, wind, rotors, what the failsafe does."""
+        return FlightLog(supervisor, self.actuators)
+
+    def hold_setpoint(self) -> Array:
+        """Level, where it is."""
+        return HOLD
+
     def rest_ctrl(self) -> Array:
         """Actuator controls, and activations, of the start: rotors that carry the weight, (4,) [(rad/s)^2]."""
         return np.full(4, HOVER)
@@ -190,21 +198,23 @@ class Quadrotor:
         x, y, z = configuration[:3].tolist()
         return np.array([(c, -s, 0, x), (s, c, 0, y), (0, 0, 1, z), (0, 0, 0, 1.0)])
 
-    def motion_basis(self, mount: Mount) -> Array:
+    def motion_basis(self, mount: Mount, q: Array) -> Array:
         """Twists (6, 4) that a camera on the level craft makes with vx, vy, vz and wz."""
         return mount.to_camera[:, LEVEL_AXES]
 
-    def measured(self, raw: Encoders, rng: np.random.Generator) -> Encoders:
-        """The instruments' readings: the simulator's perfect ones with this craft's noise, bias and scale."""
-        perfect, (sigma, bias) = raw.instruments, self._errors
+    def measured(self, q: Array, qd: Array, sensors: Mapping[str, Array], rng: np.random.Generator) -> FlightReading:
+        """The instruments' readings: MuJoCo's perfect sensors with this craft's noise, bias and scale."""
+        sigma, bias = self._errors
         e = sigma * rng.standard_normal(10) + bias
-        told = {
-            "gyro": perfect["gyro"] + e[0:3],
-            "accelerometer": perfect["accelerometer"] + e[3:6],
-            "velocity": perfect["velocity"] * (1.0 + self.velocity.scale_error) + e[6:9],
-            "range": np.where(perfect["range"] < 0, math.inf, perfect["range"] + e[9:]),  # MuJoCo tells -1 where nothing is met
-        }
-        return Encoders(raw.q, raw.qd, told)
+        height = float(sensors["range"][0])
+        return FlightReading(
+            q=q,
+            qd=qd,
+            gyro=sensors["gyro"] + e[0:3],
+            force=sensors["accelerometer"] + e[3:6],
+            velocity=sensors["velocity"] * (1.0 + self.velocity.scale_error) + e[6:9],
+            range_m=math.inf if height < 0 else height + float(e[9]),  # MuJoCo tells -1 where the ray meets nothing
+        )
 
     @cached_property
     def _errors(self) -> tuple[Array, Array]:
@@ -213,15 +223,12 @@ class Quadrotor:
         sigma = np.repeat([imu.gyro_sigma_radps, imu.accel_sigma_mps2, flow, self.range_sigma_m], [3, 3, 3, 1])
         return sigma, np.array([*imu.gyro_bias_radps, *imu.accel_bias_mps2, 0.0, 0.0, 0.0, 0.0])
 
-    def measured_twist(self, before: Encoders, now: Encoders, duration: float, ordered: Array, mount: Mount) -> Array:
-        """Mean camera twist (6,) between two readings: the mean of velocity and body rates at both, through the mount.
+    def measured_twist(self, before: Reading, now: Reading, duration: float, ordered: Array, mount: Mount) -> Array:
+        """Mean camera twist (6,) between two readings: the mean of velocity and body rates at both, through the mount."""
+        assert isinstance(before, FlightReading) and isinstance(now, FlightReading)
+        return mount.to_camera @ (0.5 * (before.body_twist + now.body_twist))
 
-        Taken from what flies (`reported`) where the readings hold it, else from the raw instruments.
-        """
-        sums = _body_twist(before.instruments) + _body_twist(now.instruments)
-        return mount.to_camera @ (0.5 * sums)
-
-    def allocate(self, twist: Array, encoders: Encoders, mount: Mount, period: float) -> Allocation:
+    def allocate(self, twist: Array, reading: Reading, mount: Mount, period: float) -> Allocation:
         """A camera twist (6,) as a setpoint (vx, vy, vz, wz) of the level frame, scaled as a whole into the speed limits.
 
         What the craft cannot do at will, roll and pitch rates, is dropped.
@@ -230,20 +237,19 @@ class Quadrotor:
         vx, vy, vz, wz = u.tolist()
         over = max(math.hypot(vx, vy) / self.max_speed_mps, abs(vz) / self.max_climb_mps, abs(wz) / self.max_yaw_rate_radps, 1.0)
         u /= over
-        return Allocation(setpoint=u, twist=self.motion_basis(mount) @ u, scale=1.0 / over, limit="speed" if over > 1.0 else "")
+        return Allocation(setpoint=u, twist=mount.to_camera[:, LEVEL_AXES] @ u, scale=1.0 / over, limit="speed" if over > 1.0 else "")
 
     def begin(self) -> Flight:
         """The memory of a craft that hovers, level and still."""
         return Flight()
 
-    def actuate(self, memory: Flight, setpoint: Array, encoders: Encoders, dt: float) -> tuple[Flight, Array]:
+    def actuate(self, memory: Flight, setpoint: Array, reading: FlightReading, dt: float) -> tuple[Flight, Array]:
         """One control step: squared rotor speeds (4,) ordered, for a setpoint (vx, vy, vz, wz).
 
         A setpoint that is not finite holds the craft where it is; ROTORS_OFF disarms it. A craft that is not armed lets its
         rotors run out.
         """
-        told = encoders.instruments
-        gyro, force, speed = tuple(told["gyro"].tolist()), tuple(told["accelerometer"].tolist()), tuple(told["velocity"].tolist())
+        gyro, force, speed = tuple(reading.gyro.tolist()), tuple(reading.force.tolist()), tuple(reading.velocity.tolist())
         vx, vy, vz, wz = setpoint.tolist()
         armed = memory.armed and vz != -math.inf
         if not math.isfinite(vx + vy + vz + wz):
@@ -264,44 +270,28 @@ class Quadrotor:
         W, orders = speed_control(memory.W, mixed.W, self.gains.rotor_s, dt)
         return Flight(attitude, ground, loops, W, rates, True, memory.limited_s + dt if mixed.cut else 0.0), np.array(orders)
 
-    def stands(self, memory: Flight, encoders: Encoders) -> bool:
+    def stands(self, memory: Flight, reading: FlightReading) -> bool:
         """Whether the craft stands on something, by its own instruments: upright, near the ground, and it does not sink as ordered.
 
         That shows at once in its speed beside the one that its orders should give (`Loops.model`), and where it is told to stay at
         a height under the ground, or sinks slowly, soon after in its rotors: the climb loop takes thrust away, to under .9 of the weight.
         """
         upright = math.cos(memory.attitude.roll) * math.cos(memory.attitude.pitch) > STANDING_COSINE
-        near = float(encoders.instruments["range"][0]) < STANDING_M + STANDING_MARGIN_M
+        near = reading.range_m < STANDING_M + STANDING_MARGIN_M
         stopped = memory.armed and memory.ground.velocity[2] - memory.loops.model[2] > STOPPED_MPS
         return upright and near and (stopped or sum(memory.W) < 4 * 0.9 * HOVER)
 
-    def reported(self, memory: Flight, encoders: Encoders) -> Mapping[str, Array]:
-        """What the craft tells of its flight, by its own estimate, to put beside the raw readings.
-
-        `tilt`: roll and pitch (2,) [rad]; `flown_velocity`: in body axes (3,) [m/s]; `flown_rates`: body rates without bias
-        (3,) [rad/s]; `asked_tilt` (2,), `asked_rates` (3,): what its loops asked for; `rotor_limit_s`: for how long a rotor has been
-        at its limit (1,) [s]; `overturned`, `stands`: 1 if so (1,).
-        """
+    def reported(self, memory: Flight, reading: FlightReading) -> FlightReading:
+        """The reading with what the craft estimates of its flight."""
         attitude = memory.attitude
-        return {
-            "tilt": np.array([attitude.roll, attitude.pitch]),
-            "flown_velocity": np.array(level(attitude.up).to_body(memory.ground.velocity)),
-            "flown_rates": np.array(memory.rates),
-            "asked_tilt": np.array(memory.loops.tilt),
-            "asked_rates": np.array(memory.loops.wanted),
-            "rotor_limit_s": np.array([memory.limited_s]),
-            "overturned": np.array([float(memory.overturned)]),
-            "stands": np.array([float(self.stands(memory, encoders))]),
-        }
-
-
-def descend(speed_mps: float) -> Array:
-    """The setpoint (4,) that levels the craft and lets it sink at a speed [m/s]."""
-    return np.array([0.0, 0.0, -speed_mps, 0.0])
-
-
-def _body_twist(told: Mapping[str, Array]) -> Array:
-    """(v, w) of the base in body axes (6,), by the craft's estimate, or the raw readings where there is none."""
-    if "flown_velocity" in told:
-        return np.concatenate([told["flown_velocity"], told["flown_rates"]])
-    return np.concatenate([told["velocity"], told["gyro"]])
+        tilt = np.array([attitude.roll, attitude.pitch])
+        estimate = FlightEstimate(
+            velocity=np.array(level(attitude.up).to_body(memory.ground.velocity)),
+            rates=np.array(memory.rates),
+            ref_tilt=np.array(memory.loops.tilt),
+            ref_rates=np.array(memory.loops.wanted),
+            rotor_limit_s=memory.limited_s,
+            overturned=memory.overturned,
+            stands=self.stands(memory, reading),
+        )
+        return replace(reading, tilt=tilt, estimate=estimate)

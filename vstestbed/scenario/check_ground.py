@@ -12,7 +12,8 @@ from vstestbed.laws import IBVS, PBVS, Hybrid, LineFollowing, Partitioned, PoseC
 from vstestbed.robots import VEHICLES, Car, Omni, Robot
 from vstestbed.scenario.goal import AnyGoal, GoalGap, GoalLine, GoalPlace
 from vstestbed.scenario.stop import Stop
-from vstestbed.targets.base import Carried, Target
+from vstestbed.targets.attached import Carried
+from vstestbed.targets.base import Target
 from vstestbed.targets.ground_lines import GroundLines
 from vstestbed.targets.route import Route
 from vstestbed.vision.pose.floor_pose import LEVEL

@@ -28,9 +28,10 @@ from vstestbed.sim.render.noise import Drift
 from vstestbed.sim.scene.start_pose import camera_start, target_start
 from vstestbed.sim.scene.world import World
 from vstestbed.sim.timing import Timing
-from vstestbed.targets.base import Carried, Held, Points, Square
+from vstestbed.targets import TARGETS
+from vstestbed.targets.attached import Carried, Held
 from vstestbed.targets.ground_lines import GroundLines
-from vstestbed.targets.kinds import TARGETS
+from vstestbed.targets.points import Points, Square
 from vstestbed.vision import DETECTORS, Blobs, Lines, Oracle, Tags
 from vstestbed.vision.pose.derotate import Derotation
 

@@ -20,8 +20,9 @@ from vstestbed.laws.feedforward import FEEDFORWARDS
 from vstestbed.robots import ROBOTS
 from vstestbed.scenario.goal import GOALS, VIEWS
 from vstestbed.scenario.yaml_marks import Key, Marks, place_of, short
-from vstestbed.targets.base import MARKERS, MOTIONS
-from vstestbed.targets.kinds import TARGETS
+from vstestbed.targets import TARGETS
+from vstestbed.targets.attached import MOTIONS
+from vstestbed.targets.markers import MARKERS
 from vstestbed.targets.route import ROUTES
 from vstestbed.vision import DETECTORS
 

@@ -14,8 +14,9 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, inverse, transform
 from vstestbed.core.planar import pose_on_ground
 from vstestbed.core.spec import spec
-from vstestbed.targets.base import Still, Stripe, Target
-from vstestbed.targets.route import AnyRoute, Straight
+from vstestbed.targets.base import Target
+from vstestbed.targets.markers import Stripe
+from vstestbed.targets.route import AnyRoute, Route, Straight
 
 
 def foot_of(T: Array) -> Array:
@@ -59,7 +60,7 @@ class GroundLines(Target):
 
     def __post_init__(self) -> None:
         """Refuse what is not painted on the floor, and lines that touch or fold over themselves."""
-        if not isinstance(self.motion, Still):
+        if self.moves:
             raise ParameterError("motion", "must be still: lines are painted on the floor")
         if abs(self.pose.T[2, 2] - 1) > 1e-9 or abs(self.pose.T[2, 3]) > 1e-9:
             raise ParameterError("pose", "must be flat on the floor: z = 0, and a turn about z only", self.pose.xyz)
@@ -77,6 +78,26 @@ class GroundLines(Target):
         """The route in the world, every centimetre, shape (K, 2) [m]."""
         xy = self.route.samples.xy
         return transform(self.pose.T, np.column_stack([xy, np.zeros(len(xy))]))[:, :2]
+
+    @property
+    def places(self) -> Array:
+        """None: where the lines are measured depends on where the camera is."""
+        return np.empty((0, 3))
+
+    @property
+    def painted_route(self) -> Route:
+        """The route that the lines follow."""
+        return self.route
+
+    @property
+    def floor_path(self) -> Array:
+        """The route in the world."""
+        return self.way
+
+    @property
+    def stripes(self) -> tuple[tuple[Array, Array], ...]:
+        """Edges of each line."""
+        return tuple(self.edges(i) for i in range(len(self.offsets_m)))
 
     def line(self, i: int) -> Array:
         """The middle of line i in the target frame, every centimetre, shape (K, 2) [m]."""

@@ -7,13 +7,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import numpy as np
 from annotated_types import Ge, Gt
 
+from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, Triple, rotation_from_rpy
 from vstestbed.core.spec import OneOf, spec
+
+if TYPE_CHECKING:
+    from vstestbed.targets.attached import Carried
 
 Path = Callable[[float], Array]
 """Displacement (4, 4) at a time [s]."""
@@ -26,11 +30,43 @@ def _shift(x: float, y: float, z: float) -> Array:
     return D
 
 
+class MotionBase:
+    """Defaults of a motion: the target moves by itself, along a path of its own.
+
+    Attributes:
+        moves: it does anything but stand in the world. by_itself: along a path of its own (`path`), whatever robots and vehicles do.
+        on_gripper: the robot's gripper holds the target, and the camera stands in the room (eye to hand).
+    """
+
+    moves: ClassVar[bool] = True
+    by_itself: ClassVar[bool] = True
+    on_gripper: ClassVar[bool] = False
+
+    @property
+    def carrier(self) -> Carried | None:
+        """The vehicle that carries the target, where one does."""
+        return None
+
+    def path(self, rng: np.random.Generator) -> Path:
+        """The displacement as a function of time.
+
+        Raises:
+            ParameterError: something else moves the target.
+        """
+        raise ParameterError("target.motion", "has no path of its own: it goes where it is carried")
+
+    def start(self, pose: Array) -> Array:
+        """Where a target of this pose (4, 4) at rest is at the start, T_world_target (4, 4)."""
+        return pose @ self.path(np.random.default_rng(0))(0.0)
+
+
 @spec
-class Still:
+class Still(MotionBase):
     """It does not move."""
 
     kind: Literal["still"] = "still"
+    moves: ClassVar[bool] = False
+    by_itself: ClassVar[bool] = False
 
     def path(self, rng: np.random.Generator) -> Path:
         """No displacement."""
@@ -39,7 +75,7 @@ class Still:
 
 
 @spec
-class Line:
+class Line(MotionBase):
     """D = velocity (t - from_s) between two times; before and after, it stands.
 
     Args:
@@ -59,7 +95,7 @@ class Line:
 
 
 @spec
-class Circle:
+class Circle(MotionBase):
     """D = radius (cos 2 pi f t, sin 2 pi f t, 0): about its place at rest, in its own plane x, y, at a constant speed 2 pi f radius.
 
     Args:
@@ -78,7 +114,7 @@ class Circle:
 
 
 @spec
-class Sinusoid:
+class Sinusoid(MotionBase):
     """D = sin(2 pi f t) times a translation, and a turn by as much of the roll-pitch-yaw angles.
 
     Args:
@@ -106,7 +142,7 @@ class Sinusoid:
 
 
 @spec
-class Lissajous:
+class Lissajous(MotionBase):
     """D_i = amplitude_i sin(2 pi f_i t + phase_i) along each of its own axes; frequencies without a common measure never repeat.
 
     Args:
@@ -131,7 +167,7 @@ DAMPING = 1.0 / math.sqrt(2.0)
 
 
 @spec
-class RandomWalk:
+class RandomWalk(MotionBase):
     """A random walk that a spring keeps near: x'' = -W^2 x - sqrt(2) W x' + noise on each axis, W = 2 pi corner_hz.
 
     It never repeats; its place and speed are continuous, its acceleration is not. In the long run each axis is normal with

@@ -16,7 +16,8 @@ from vstestbed.core.geometry import Array, adjoint, all_finite, exp, inverse, tr
 from vstestbed.core.planar import arc, composed, place_of, pose_on_ground, wrapped
 from vstestbed.features.depth import AtGoal, Constant, Depth, Estimate, OnFloor, OracleDepth, PnP
 from vstestbed.features.observation import Goal, Observation, OwnMotion
-from vstestbed.targets.base import Held, Target
+from vstestbed.targets.attached import Held
+from vstestbed.targets.base import Target
 from vstestbed.vision.base import Detection
 from vstestbed.vision.pose.calibration_error import pose_by_depth
 from vstestbed.vision.pose.derotate import NO_TRIM, Derotation, Trim, level_from_tilt, level_rays, level_twist, trimmed

@@ -23,7 +23,7 @@ from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart
 from vstestbed.scenario.scenario import GoalView, Noise, Scenario
 from vstestbed.scenario.stop import Converged, Stop
-from vstestbed.targets.base import Points, Square
+from vstestbed.targets.points import Points, Square
 from vstestbed.vision import Oracle
 
 FAST = ConstantGain(value=2.5)

@@ -24,7 +24,9 @@ from vstestbed.sim.render.rays import BLANK, Caster, RayEye, RayView
 from vstestbed.sim.scene.compose import LENS_GROUP, Parts
 from vstestbed.sim.scene.stage import Stage
 from vstestbed.sim.scene.world import World
-from vstestbed.targets.base import Disc, Points, Sphere, Square, Target
+from vstestbed.targets.base import Target
+from vstestbed.targets.markers import Disc, Sphere
+from vstestbed.targets.points import Points, Square
 from vstestbed.vision import Blobs
 
 NONE = np.zeros(0)

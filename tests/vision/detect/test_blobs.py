@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from tests.vision.conftest import Picture
 from vstestbed.camera import Frame, Perspective
 from vstestbed.core.geometry import Array, Pose, exp, inverse, rigid_error, transform
-from vstestbed.targets.base import Disc, Marker, Points, Sphere, Square, Target
+from vstestbed.targets.base import Target
+from vstestbed.targets.markers import Disc, Marker, Sphere
+from vstestbed.targets.points import Points, Square
 from vstestbed.vision import Blobs, Detection
 from vstestbed.vision.detect.colour_blobs import noise_level
 

@@ -18,7 +18,9 @@ from vstestbed.sim.render.opengl import Eye
 from vstestbed.sim.scene.compose import Parts
 from vstestbed.sim.scene.stage import Stage
 from vstestbed.sim.scene.world import Plate, World
-from vstestbed.targets.base import Disc, Family, Marker, Points, Square, Tag, Target
+from vstestbed.targets.base import Target
+from vstestbed.targets.markers import Disc, Family, Marker, Tag
+from vstestbed.targets.points import Points, Square
 from vstestbed.vision import Blobs, Detection, Tags
 from vstestbed.vision.detect.tag_print import dictionary, tag_picture
 

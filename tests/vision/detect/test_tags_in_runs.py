@@ -11,7 +11,7 @@ import pytest
 import vstestbed as vs
 from vstestbed.core.errors import EnvironmentLackError, ScenarioError
 from vstestbed.experiments.run_folder import new_folder, run_into
-from vstestbed.targets.base import Tag
+from vstestbed.targets.markers import Tag
 from vstestbed.vision.detect.tag_print import tag_picture
 
 

@@ -8,7 +8,9 @@ from numpy.typing import NDArray
 
 from vstestbed.camera import Frame, Perspective, Spherical
 from vstestbed.core.geometry import Array, Pose, direction, exp, inverse, rigid_error, transform
-from vstestbed.targets.base import Points, Sphere, Square, Target
+from vstestbed.targets.base import Target
+from vstestbed.targets.markers import Sphere
+from vstestbed.targets.points import Points, Square
 from vstestbed.vision import Blobs, Oracle, TruthView
 from vstestbed.vision.detect.track import BlobsMemory, hand_over, look_of
 

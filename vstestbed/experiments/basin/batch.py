@@ -21,7 +21,8 @@ from vstestbed.scenario.scenario import PLANE_INPUTS, Noise, Scenario
 from vstestbed.scenario.stop import FAR_M, REST, REST_S, Outcome
 from vstestbed.sim.scene.world import World
 from vstestbed.sim.timing import Timing
-from vstestbed.targets.base import Square, Still
+from vstestbed.targets.motion import Still
+from vstestbed.targets.points import Square
 from vstestbed.vision import Oracle
 from vstestbed.vision.pose.homography import left_open
 

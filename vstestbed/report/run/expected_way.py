@@ -58,7 +58,7 @@ class Ride:
 
 def _route(scenario: Scenario) -> Array:
     """The route of what carries the target, or of lines on the floor, every 5 cm."""
-    from vstestbed.targets.base import Carried
+    from vstestbed.targets.attached import Carried
     from vstestbed.targets.ground_lines import GroundLines
 
     target, motion = scenario.target, scenario.target.motion

@@ -26,8 +26,11 @@ from vstestbed.sim.scene.overview import frame_drive, frame_flight
 from vstestbed.sim.scene.paint import add_stripe
 from vstestbed.sim.scene.start_pose import camera_start, target_start
 from vstestbed.sim.scene.world import AWAY, World
-from vstestbed.targets.base import Carried, Disc, Held, Sphere, Square, Stripe, Tag, Target
+from vstestbed.targets.attached import Carried, Held
+from vstestbed.targets.base import Target
 from vstestbed.targets.ground_lines import GroundLines
+from vstestbed.targets.markers import Disc, Sphere, Stripe, Tag
+from vstestbed.targets.points import Square
 from vstestbed.vision.detect.tag_print import tag_png
 
 LENS_GROUP, ROBOT_GROUP, TARGET_GROUP, SITE_GROUP = 1, 2, 3, 4

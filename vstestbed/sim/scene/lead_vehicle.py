@@ -11,7 +11,7 @@ from vstestbed.core.planar import place_of, relative
 from vstestbed.robots import Mount
 from vstestbed.robots.base import Encoders
 from vstestbed.sim.scene.stage import Stage
-from vstestbed.targets.base import Carried
+from vstestbed.targets.attached import Carried
 
 PERIOD_S = 0.01
 """How often the driver steers [s]."""

@@ -12,7 +12,7 @@ from vstestbed.sim.gl_context import Physics
 from vstestbed.sim.scene.compose import LENS_GROUP, Parts, compose
 from vstestbed.sim.scene.roots import Root
 from vstestbed.sim.scene.world import decoy_path, plate_path
-from vstestbed.targets.base import Sphere
+from vstestbed.targets.markers import Sphere
 
 
 class Stage:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from vstestbed.camera import Camera
 from vstestbed.core.geometry import Array
 from vstestbed.robots import Robot
-from vstestbed.targets.base import Held, Target
+from vstestbed.targets.attached import Held
+from vstestbed.targets.base import Target
 
 
 def camera_start(robot: Robot, camera: Camera, target: Target) -> Array:

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vstestbed.targets.base import Tag
+from vstestbed.targets.markers import Tag
 
 PX_PER_MODULE = 16
 """Texels along a module: a power of two, so that the smaller pictures that OpenGL makes of it keep their edges between texels."""

@@ -15,7 +15,8 @@ from vstestbed.camera import Camera, Frame, Look, Window
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.spec import spec
-from vstestbed.targets.base import Tag, Target
+from vstestbed.targets.base import Target
+from vstestbed.targets.markers import Tag
 from vstestbed.vision.base import Detection, TruthView
 from vstestbed.vision.detect.colour_blobs import Image
 from vstestbed.vision.detect.tag_edges import measure_edges

@@ -1,21 +1,21 @@
-"""The pilot of a craft that flies: what is done when the law cannot, by the craft's own instruments.
+"""The quadrotor's failsafe: what is flown when the law cannot go on, by the craft's own instruments.
 
 Without a target in sight the law rests and the craft holds (or coasts for a moment after a target that moved); after a while
-it sinks until it stands, and rotors go off. A craft that overturned levels by itself (its flight loops hear no order then); a
-rotor that stays at its limit means that orders cannot be kept: both give the task up, hold and sink. Nothing falls silently.
+it sinks until it stands, and rotors go off. A craft that overturned levels by itself (its flight loops take no setpoint then); a
+rotor that stays at its limit means that setpoints cannot be kept: both give the task up, hold and sink. Nothing falls silently.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 from vstestbed.core.geometry import Array
-from vstestbed.robots.quadrotor import HOLD, ROTORS_OFF, descend
-from vstestbed.scenario.goal import GoalLanding
-from vstestbed.scenario.scenario import Scenario
-from vstestbed.scenario.stop import Outcome
+from vstestbed.core.outcome import Outcome, Verdict
+from vstestbed.robots.flight_reading import HOLD, ROTORS_OFF, FlightEstimate, FlightReading, descend
+from vstestbed.robots.reading import Reading
+from vstestbed.robots.supervisor import Supervisor
 
 HOLD_S = 2.0
 """How long a craft that has given up holds before it sinks [s]."""
@@ -28,11 +28,11 @@ LIMIT_S = 1.0
 DOWN_S = 0.5
 """How long it must stand with rotors off to be down [s]."""
 FOLLOWS, HOLDS, SINKS, OFF = range(4)
-"""What the pilot does, as the log has it."""
+"""What the failsafe does, as column `supervisor` of the log has it."""
 
 
 @dataclass
-class Pilot:
+class Failsafe(Supervisor):
     """Watches one flight.
 
     Attributes:
@@ -40,34 +40,27 @@ class Pilot:
         aborted: why the task was given up. off_at: when the rotors went off [s]. mode: what it does.
     """
 
+    sets_down: ClassVar[bool] = True
     lands: bool
     lost_after_s: float
-    aborted: tuple[Outcome, str] | None = None
+    aborted: Verdict | None = None
     off_at: float = math.nan
     mode: int = FOLLOWS
     _lost_at: float = math.nan
     _since: float = math.nan
 
-    def order(self, t: float, lost: str, told: Mapping[str, Array], setpoint: Array) -> Array:
-        """The setpoint (4,) that is flown: the law's, or what is safe.
-
-        Args:
-            t: time of exposure [s].
-            lost: why the law has nothing to go by ("" while it has).
-            told: the craft's instruments.
-            setpoint: what the law asks for.
-        """
-        self._watch(t, lost, told)
+    def filter(self, t: float, rest_reason: str, reading: Reading, setpoint: Array) -> Array:
+        """The setpoint (4,) that is flown: the law's, or what is safe."""
+        assert isinstance(reading, FlightReading) and reading.estimate is not None
+        self._watch(t, rest_reason, reading.range_m, reading.estimate)
         if not math.isnan(self.off_at):
             self.mode = OFF
             return ROTORS_OFF
         if not self.aborted:
-            self.mode = HOLDS if lost else FOLLOWS
-            stands = self.lands and bool(told["stands"][0])
+            self.mode = HOLDS if rest_reason else FOLLOWS
         else:
             self.mode = HOLDS if t - self._since < HOLD_S and self.aborted[0] is not Outcome.target_lost else SINKS
-            stands = bool(told["stands"][0])
-        if stands:
+        if reading.estimate.stands and (self.lands or self.aborted):
             self.off_at, self.mode = t, OFF
             return ROTORS_OFF
         if self.mode == SINKS:
@@ -83,27 +76,21 @@ class Pilot:
         """Whether it has stood with its rotors off for a moment."""
         return t - self.off_at >= DOWN_S
 
-    def _watch(self, t: float, lost: str, told: Mapping[str, Array]) -> None:
+    def _watch(self, t: float, lost: str, height: float, estimate: FlightEstimate) -> None:
         """Give up where it has to; seen again, a target that was lost is followed again."""
         self._lost_at = (t if math.isnan(self._lost_at) else self._lost_at) if lost else math.nan
         if not math.isnan(self.off_at):
             return
-        high = told["range"][0] > RESUME_M
-        if self.aborted and self.aborted[0] is Outcome.target_lost and not lost and high:
-            self.aborted = None
         if self.aborted and self.aborted[0] is not Outcome.target_lost:
-            return
-        if told["overturned"][0]:
+            return  # overturned, or a rotor at its limit: there is no way back
+        if self.aborted and not lost and height > RESUME_M:
+            self.aborted = None
+        if estimate.overturned:
             self._give_up(t, Outcome.overturned, Outcome.overturned.value)
-        elif told["rotor_limit_s"][0] > LIMIT_S:
+        elif estimate.rotor_limit_s > LIMIT_S:
             self._give_up(t, Outcome.rotor_limit, f"a rotor stood at its limit for {LIMIT_S:g} s")
         elif lost and not self.aborted and t - self._lost_at >= self.lost_after_s:
             self._give_up(t, Outcome.target_lost, f"{lost} for {self.lost_after_s:g} s")
 
     def _give_up(self, t: float, outcome: Outcome, reason: str) -> None:
         self.aborted, self._since = (outcome, f"{reason} at {t:.1f} s"), t
-
-
-def pilot_of(scenario: Scenario) -> Pilot | None:
-    """The pilot of a scenario's craft; None for what does not fly."""
-    return Pilot(isinstance(scenario.goal, GoalLanding), scenario.stop.lost_after_s) if scenario.robot.feet else None

@@ -1,0 +1,33 @@
+"""How a run ends: the outcomes, and the sentence that the user reads for each."""
+
+from __future__ import annotations
+
+from enum import Enum
+
+
+class Outcome(Enum):
+    """How a run ended; the value is the sentence that the user reads."""
+
+    converged = "the goal was reached and held"
+    completed = "the task was kept in its band for the whole duration"
+    landed = "the craft touched down on its pad"
+    timed_out = "the time ran out before the goal was reached"
+    target_lost = "the target was out of sight for too long"
+    joint_limit = "a joint stood at its limit and the law asked for more"
+    singular = "the robot stood at a singular configuration and the law asked for a motion it cannot make"
+    local_minimum = "the law orders rest away from the goal"
+    diverged = "the camera left for the far distance"
+    collided = "the robot touched something"
+    overturned = "the craft tilted by more than 60 degrees"
+    rotor_limit = "a rotor stood at its limit for too long"
+    crashed = "the simulation became unstable"
+    interrupted = "the run was interrupted"
+
+    @property
+    def success(self) -> bool:
+        """Whether the task was done."""
+        return self in (Outcome.converged, Outcome.completed, Outcome.landed)
+
+
+Verdict = tuple[Outcome, str]
+"""An outcome with its reason, in words."""

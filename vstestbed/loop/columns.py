@@ -1,0 +1,126 @@
+"""The columns of a log, each beside what it holds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from vstestbed.core.geometry import Array, angles, inverse, quaternion_wxyz, rotation_angle
+from vstestbed.core.planar import place_of, relative
+from vstestbed.scenario.scenario import Scenario
+from vstestbed.tasks.frame import Frame
+
+POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
+TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
+Kept = Mapping[str, Any]
+"""What a log keeps of a frame, by name: numbers and arrays, no picture."""
+Stacked = Mapping[str, Array]
+"""The same of n frames, stacked along the first axis."""
+Block = tuple[tuple[str, ...], Callable[[Stacked], Array]]
+"""Names of columns side by side, and their values (n, columns)."""
+
+
+def kept(frame: Frame) -> Kept:
+    """The numbers and arrays of a frame that `Layout.rows` makes rows of."""
+    seen, truth, goal = frame.observation, frame.truth, frame.goal
+    return {
+        "t": frame.timing.t,
+        "frame": frame.timing.number,
+        "lost": frame.error.lost,
+        "error_px": frame.error.rms_px,
+        "t_cmd": frame.timing.t_cmd,
+        "scale": frame.allocation.scale * frame.command.scale,
+        "uv": seen.uv,
+        "depth": seen.depth,
+        "p_camera": truth.p_camera,
+        "T_camera": truth.T_world_camera,
+        "T_target": truth.T_world_target,
+        "cmd": frame.command.twist,
+        "act": truth.twist,
+        "applied": frame.allocation.twist,
+        "goal_uv": goal.uv,
+        "T_goal": goal.T_camera_target,
+        "view": goal.view,
+        "own": frame.row,
+        "q": truth.q,
+        "qd": truth.qd,
+        "ctrl": truth.ctrl,
+    }
+
+
+class Layout:
+    """The columns of a scenario's log, and how frames become rows of numbers.
+
+    All that was seen and all that was true (act_, q_, ctrl_, ...) is of the exposure at t. The row's command cmd_ is what the law
+    made of that picture; it holds from t_cmd on, when it reaches the robot. applied_ is the twist after the robot's joint limits
+    and singularity damping; scale is the ratio of applied_ to the law's unsaturated command.
+    For a camera without an image plane, theta and phi [rad] are the measured ray's angles from the axis and about it.
+    What only this robot and this task have follows by their own columns (`Robot.log`, `Task.monitor`).
+    """
+
+    def __init__(self, scenario: Scenario):
+        robot, goal = scenario.robot, scenario.goal
+        self._camera, self._believed = scenario.camera, scenario.believed_camera
+        self._T_camera_base, self._planar = inverse(scenario.camera.mount.T), robot.base == "planar"
+        exact = scenario.calibration.camera_exact and scenario.calibration.depth_exact
+        # with a wrong calibration what the law is told is not where the goal is; along a path it is, moment by moment
+        self._goal_poses = None if exact or goal.by_clock else np.array(scenario.goal_poses)
+        self._blocks = self._laid_out(scenario)
+        self.columns: tuple[str, ...] = tuple(name for names, _ in self._blocks for name in names)
+
+    def _laid_out(self, scenario: Scenario) -> tuple[Block, ...]:
+        """All columns in their order."""
+        robot = scenario.robot
+        rays = len(scenario.camera.panels) > 1
+        per_marker = ("u", "v", "u_true", "v_true", "u_goal", "v_goal", "depth") + (("theta", "phi") if rays else ())
+        markers = tuple(f"{name}_{i}" for i in range(len(scenario.target.points)) for name in per_marker)
+        return (
+            (("t", "frame", "lost"), lambda k: np.column_stack([k["t"], k["frame"], k["lost"]])),
+            (markers, self._markers_and_rays if rays else self._markers),
+            (("error_px",), lambda k: k["error_px"][:, None]),
+            (_named("cam", POSE), lambda k: _poses(k["T_camera"])),
+            (_named("tgt", POSE), lambda k: _poses(k["T_target"])),
+            (("position_error_m", "rotation_error_rad"), self._pose_errors),
+            (("t_cmd",), lambda k: k["t_cmd"][:, None]),
+            (_named("cmd", TWIST), lambda k: k["cmd"]),
+            (_named("act", TWIST), lambda k: k["act"]),
+            (_named("applied", TWIST), lambda k: k["applied"]),
+            (("scale",), lambda k: k["scale"][:, None]),
+            (scenario.own_columns, lambda k: k["own"]),
+            (_named("q", robot.joints), lambda k: k["q"]),
+            (_named("qd", robot.joints), lambda k: k["qd"]),
+            (_named("ctrl", robot.actuators), lambda k: k["ctrl"]),
+        )
+
+    def rows(self, frames: Sequence[Kept]) -> Array:
+        """Frames as numbers, shape (len(frames), columns): one at a time on disk, many at once in memory, the same numbers."""
+        stacked = {name: np.array([frame[name] for frame in frames]) for name in frames[0]}
+        return np.concatenate([values(stacked) for _, values in self._blocks], axis=1)
+
+    def _markers(self, k: Stacked) -> Array:
+        markers = (k["uv"], self._camera.project(k["p_camera"]), k["goal_uv"], k["depth"][..., None])
+        return np.concatenate(markers, axis=-1).reshape(len(k["t"]), -1)
+
+    def _markers_and_rays(self, k: Stacked) -> Array:
+        markers = (k["uv"], self._camera.project(k["p_camera"]), k["goal_uv"], k["depth"][..., None], angles(self._believed.ray(k["uv"])))
+        return np.concatenate(markers, axis=-1).reshape(len(k["t"]), -1)
+
+    def _pose_errors(self, k: Stacked) -> Array:
+        """Distance [m] and angle [rad] of the camera, or of a vehicle on the floor, from the goal pose, (n, 2)."""
+        T_camera_target = k["T_goal"] if self._goal_poses is None else self._goal_poses[k["view"]]
+        T_camera, T_goal = k["T_camera"], k["T_target"] @ inverse(T_camera_target)
+        if self._planar:
+            step = relative(place_of(T_goal @ self._T_camera_base), place_of(T_camera @ self._T_camera_base))
+            return np.column_stack([np.hypot(step[:, 0], step[:, 1]), np.abs(step[:, 2])])
+        angle = rotation_angle(T_camera[:, :3, :3].mT @ T_goal[:, :3, :3])
+        return np.column_stack([np.linalg.norm(T_camera[:, :3, 3] - T_goal[:, :3, 3], axis=1), angle])
+
+
+def _named(prefix: str, names: Sequence[str]) -> tuple[str, ...]:
+    return tuple(f"{prefix}_{name}" for name in names)
+
+
+def _poses(T: Array) -> Array:
+    return np.concatenate([T[:, :3, 3], quaternion_wxyz(T[:, :3, :3])], axis=1)

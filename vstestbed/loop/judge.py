@@ -1,0 +1,44 @@
+"""The judge: asks the task's monitor and the safety monitors, frame by frame, whether a run is over, and why."""
+
+from __future__ import annotations
+
+from vstestbed.core.outcome import Verdict
+from vstestbed.loop.monitors import Collision, safety_monitors
+from vstestbed.robots.supervisor import Supervisor
+from vstestbed.targets import Target
+from vstestbed.tasks.frame import Frame
+from vstestbed.tasks.monitor import TaskMonitor
+from vstestbed.tasks.stop import Stop
+
+
+class Judge:
+    """Decides by truth and by what was seen and ordered; what it knows never comes back to the law.
+
+    Of several outcomes in one frame counts: a task given up by the supervisor, a task that is reached, the safety monitors in their
+    order, a task that is missed.
+
+    Args:
+        task: the task's monitor, which has measured the frame before the judge is asked. stop: times.
+        target: what is looked at. supervisor: the robot's.
+    """
+
+    def __init__(self, task: TaskMonitor, stop: Stop, target: Target, supervisor: Supervisor):
+        self._task, self._supervisor, self._duration_s = task, supervisor, stop.duration_s
+        self._collision = Collision(supervisor)
+        self._monitors = safety_monitors(target, supervisor, stop.lost_after_s, self._collision)
+
+    def verdict(self, frame: Frame) -> Verdict | None:
+        """The outcome after this frame with its reason, or None to go on."""
+        reached = self._task.reached(frame)
+        found = [monitor.update(frame) for monitor in self._monitors]  # each sees every frame, whoever decides: they keep times
+        if self._supervisor.aborted and not self._collision.touches(frame):
+            return self._after_abort(frame.t)
+        return reached or next(filter(None, found), None) or self._task.missed(frame)
+
+    def _after_abort(self, t: float) -> Verdict | None:
+        """Of a robot that gave its task up: why, once it is down or the time is out."""
+        down = self._supervisor.down(t)
+        if self._supervisor.aborted is None or not (down or t >= self._duration_s - 1e-9):
+            return None
+        outcome, reason = self._supervisor.aborted
+        return outcome, f"{reason}; the craft {'set down' if down else 'was still on its way down when the time ran out'}"

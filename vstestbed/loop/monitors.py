@@ -1,0 +1,121 @@
+"""What ends a run whatever its task: one small monitor each for a contact, the far distance, a lost target, a limit."""
+
+from __future__ import annotations
+
+import math
+from operator import mul
+from typing import Protocol
+
+from vstestbed.core.outcome import Outcome, Verdict
+from vstestbed.robots.supervisor import Supervisor
+from vstestbed.targets import Target
+from vstestbed.tasks.frame import Frame
+from vstestbed.tasks.monitor import HoldTimer
+
+FAR_M = 200.0
+"""A camera this far from its target has diverged [m]."""
+BLOCKED_S = 1.0
+"""How long a limit must stop the robot to end the run [s]."""
+BLOCKED_SCALE = 0.02
+"""A command scaled under this has been stopped by the limit."""
+
+
+class Monitor(Protocol):
+    """Looks at every frame."""
+
+    def update(self, frame: Frame) -> Verdict | None:
+        """The outcome that this frame brings, with its reason; None to go on."""
+        ...
+
+
+class Collision:
+    """The robot touches something, or its feet do before they may."""
+
+    def __init__(self, supervisor: Supervisor):
+        self._supervisor = supervisor
+
+    def touches(self, frame: Frame) -> bool:
+        """Whether there is such a contact now."""
+        return frame.truth.contact or (frame.truth.feet and not self._supervisor.may_touch)
+
+    def update(self, frame: Frame) -> Verdict | None:
+        """Collided, with why the task had been given up before."""
+        if not self.touches(frame):
+            return None
+        aborted = self._supervisor.aborted
+        return Outcome.collided, f"the robot touched something{f', after {aborted[1]}' if aborted else ''}"
+
+
+class Divergence:
+    """The camera is very far from its target."""
+
+    def update(self, frame: Frame) -> Verdict | None:
+        """Diverged, beyond FAR_M."""
+        if math.hypot(*_from_target(frame)) > FAR_M:
+            return Outcome.diverged, f"the camera is more than {FAR_M:g} m away from the target"
+        return None
+
+
+class PlaneCrossed:
+    """The camera is behind a target that has a front only."""
+
+    def update(self, frame: Frame) -> Verdict | None:
+        """Lost: from there no marker can be seen."""
+        normal = frame.truth.T_world_target[:3, 2].tolist()  # z points away from who looks at the front
+        if sum(map(mul, _from_target(frame), normal)) >= 0:
+            return Outcome.target_lost, "the camera crossed the plane of the target"
+        return None
+
+
+class TargetLost:
+    """The law has had nothing to go by for too long.
+
+    Args:
+        lost_after_s: how long the target may be out of sight [s].
+    """
+
+    def __init__(self, lost_after_s: float):
+        self._patience, self._timer, self._seen_once = lost_after_s, HoldTimer(), False
+
+    def update(self, frame: Frame) -> Verdict | None:
+        """Lost, with the law's own reason."""
+        lost = frame.error.lost
+        self._seen_once = self._seen_once or not lost
+        if not lost:
+            self._timer.lasting(False, frame.t)
+            return None
+        if self._timer.lasting(True, frame.t) < self._patience:
+            return None
+        never = "" if self._seen_once else ", from the start on"
+        return Outcome.target_lost, f"{frame.command.rest_reason or Outcome.target_lost.value} for {self._patience:g} s{never}"
+
+
+class LimitReached:
+    """A joint limit or a singular configuration leaves nearly nothing of the command."""
+
+    def __init__(self) -> None:
+        self._timer = HoldTimer()
+
+    def update(self, frame: Frame) -> Verdict | None:
+        """The limit's outcome, after BLOCKED_S."""
+        limit = frame.allocation.limit
+        blocked = limit in ("joint_limit", "singular") and frame.allocation.scale < BLOCKED_SCALE
+        if self._timer.lasting(blocked, frame.t) < BLOCKED_S:
+            return None
+        return Outcome[limit], f"{Outcome[limit].value} for {BLOCKED_S:g} s"
+
+
+def _from_target(frame: Frame) -> list[float]:
+    """The camera's position from the target's origin, in world axes (3,) [m]."""
+    return (frame.truth.T_world_camera[:3, 3] - frame.truth.T_world_target[:3, 3]).tolist()
+
+
+def safety_monitors(target: Target, supervisor: Supervisor, lost_after_s: float, collision: Collision) -> tuple[Monitor, ...]:
+    """The monitors of a run, first things first."""
+    return (
+        collision,
+        Divergence(),
+        *((PlaneCrossed(),) if target.one_sided else ()),
+        *(() if supervisor.sets_down else (TargetLost(lost_after_s),)),  # it ends the run itself, when it is down
+        LimitReached(),
+    )

@@ -1,0 +1,46 @@
+"""The columns of a quadrotor's log."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from vstestbed.core.geometry import Array
+from vstestbed.robots.attitude import level
+from vstestbed.robots.base import RobotLog, RobotState
+from vstestbed.robots.flight_reading import FlightReading
+from vstestbed.robots.supervisor import Supervisor
+
+ESTIMATE = ("est_roll", "est_pitch", "est_vx", "est_vy", "est_vz", "est_wx", "est_wy", "est_wz")
+REFERENCE = ("ref_roll", "ref_pitch", "ref_wx", "ref_wy", "ref_wz")
+WIND = ("wind_x", "wind_y", "wind_z")
+
+
+class FlightLog(RobotLog):
+    """What the log has of a flight.
+
+    `est_roll`, `est_pitch` [rad], `est_vx`, `est_vy`, `est_vz` (level frame) [m/s], `est_wx`, `est_wy`, `est_wz` (body) [rad/s]: the
+    craft's own estimate; `ref_roll`, ..., `ref_wz`: references from its velocity loop and its attitude loop; `wind_x`, ... true, in the
+    world [m/s]; `speed_NAME`: true, of each rotor [rad/s]; `supervisor`: what the failsafe does, 0 follows the law, 1 holds, 2 sinks,
+    3 rotors off.
+
+    Args:
+        supervisor: the craft's. rotors: names of its actuators.
+    """
+
+    def __init__(self, supervisor: Supervisor, rotors: tuple[str, ...]):
+        self._supervisor = supervisor
+        self.columns = (*ESTIMATE, *REFERENCE, *WIND, *(f"speed_{name}" for name in rotors), "supervisor")
+
+    def row(self, state: RobotState) -> Array:
+        """Values at one exposure."""
+        reading = state.reading
+        assert isinstance(reading, FlightReading) and reading.tilt is not None and reading.estimate is not None
+        roll, pitch = reading.tilt.tolist()
+        up = (-math.sin(pitch), math.cos(pitch) * math.sin(roll), math.cos(pitch) * math.cos(roll))
+        estimate = reading.estimate
+        velocity = level(up).to_level(tuple(estimate.velocity.tolist()))
+        loops = np.concatenate([estimate.rates, estimate.ref_tilt, estimate.ref_rates])
+        speeds = np.sqrt(np.maximum(state.act, 0.0))  # activations are squared speeds
+        return np.array([roll, pitch, *velocity, *loops, *state.wind, *speeds, self._supervisor.mode])

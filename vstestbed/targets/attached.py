@@ -1,0 +1,62 @@
+"""Targets that something else moves: a vehicle that drives along a route, or the robot's gripper (eye to hand)."""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar, Literal
+
+from annotated_types import Gt, Le
+
+from vstestbed.core.geometry import Array
+from vstestbed.core.planar import pose_on_ground
+from vstestbed.core.spec import OneOf, spec
+from vstestbed.targets.motion import OWN_MOTIONS, MotionBase
+from vstestbed.targets.route import AnyRoute
+
+
+@spec
+class Carried(MotionBase):
+    """The target rides on a vehicle that drives along a route; `target.pose` is then where it sits in the vehicle's frame.
+
+    The vehicle has the masses, wheels and servos of its model. Its driver knows where it is (he is no part of the experiment).
+
+    Args:
+        by: the vehicle's kind. It starts on the route.
+        route: where it drives.
+        speed_mps: how fast [m/s].
+        from_m: how far along the route it starts [m].
+    """
+
+    kind: Literal["carried"] = "carried"
+    by: Literal["car", "omni"] = "car"
+    route: AnyRoute
+    speed_mps: Annotated[float, Gt(0), Le(3)] = 0.5
+    from_m: float = 0.0
+    by_itself: ClassVar[bool] = False
+
+    @property
+    def carrier(self) -> Carried:
+        """The vehicle, its route and its speed."""
+        return self
+
+    def start(self, pose: Array) -> Array:
+        """On the vehicle, where the route says that it starts."""
+        return pose_on_ground(self.route.at(self.from_m)[:3]) @ pose
+
+
+@spec
+class Held(MotionBase):
+    """The robot's hand holds the target, and the camera stands in the room (eye to hand).
+
+    `target.pose` is then where the target sits in the flange's frame, `camera.mount` where the camera stands in the world.
+    """
+
+    kind: Literal["held"] = "held"
+    by_itself: ClassVar[bool] = False
+    on_gripper: ClassVar[bool] = True
+
+    def start(self, pose: Array) -> Array:
+        """The pose in the flange's frame: where that is depends on the robot (`sim.scene.start_pose`)."""
+        return pose
+
+
+MOTIONS = OneOf("motion", *OWN_MOTIONS, Carried, Held, default="still")

@@ -1,0 +1,247 @@
+"""Markers: what is seen at each of a target's points, and how it is drawn."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Literal, Protocol
+
+import numpy as np
+from annotated_types import Ge, Gt, Le
+
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array
+from vstestbed.core.spec import OneOf, spec
+
+Radius = Annotated[float, Gt(0)]
+HALF_THICKNESS_M = 1e-4
+"""Half height of a flat marker [m]: its front face lies at z = 0 of the target frame, its rim adds under 0.02 px at 1 m."""
+Solid = tuple[Literal["cylinder", "sphere", "box"], tuple[float, float, float]]
+"""Shape of a marker and its half sizes [m], in MuJoCo's order: (radius, half height, 0), (radius, 0, 0), (x, y, z)."""
+
+
+class Marker(Protocol):
+    """What is seen at each of a target's points."""
+
+    @property
+    def kind(self) -> str:
+        """The marker's word in a scenario."""
+        ...
+
+    @property
+    def radius(self) -> float:
+        """Of the circle round it [m]."""
+        ...
+
+    @property
+    def lit(self) -> bool:
+        """Whether the scene's lights shade it; else its brightness is constant."""
+        ...
+
+    @property
+    def solid(self) -> Solid:
+        """Shape and half sizes of the geom that stands for it."""
+        ...
+
+    @property
+    def height_m(self) -> float:
+        """How far it rises from the target's plane towards the camera [m]."""
+        ...
+
+    @property
+    def textured(self) -> bool:
+        """Whether a picture is printed on it (`vision.detect.tag_print`), instead of its colour."""
+        ...
+
+    def check_spacing(self, gap: float, count: int) -> None:
+        """Refuse a marker too large for the smallest `gap` between the centres of `count` markers [m].
+
+        Raises:
+            ParameterError: markers would overlap, or there are not so many of the kind.
+        """
+        ...
+
+
+class Flat:
+    """Defaults: flat, of one colour, its front face in the target's plane z = 0."""
+
+    @property
+    def height_m(self) -> float:
+        """Nothing."""
+        return 0.0
+
+    @property
+    def textured(self) -> bool:
+        """Its colour alone."""
+        return False
+
+
+def _check_radius(radius: float, gap: float) -> None:
+    if gap <= 2 * radius:
+        raise ParameterError("marker.radius", f"must be under half of the smallest gap between markers, {gap:.4g} m", radius)
+
+
+@spec
+class Disc(Flat):
+    """A flat disc in the target's plane; radius [m]. Lit: shaded by the scene's lights, else of constant colour."""
+
+    kind: Literal["disc"] = "disc"
+    radius: Radius = 0.02
+    lit: bool = True
+
+    @property
+    def solid(self) -> Solid:
+        """A thin cylinder."""
+        return "cylinder", (self.radius, HALF_THICKNESS_M, 0.0)
+
+    def check_spacing(self, gap: float, count: int) -> None:
+        """Refuse markers that overlap."""
+        _check_radius(self.radius, gap)
+
+
+@spec
+class Sphere(Flat):
+    """A ball round the marker point; radius [m]."""
+
+    kind: Literal["sphere"] = "sphere"
+    radius: Radius = 0.02
+    lit: bool = True
+
+    @property
+    def solid(self) -> Solid:
+        """A sphere."""
+        return "sphere", (self.radius, 0.0, 0.0)
+
+    def check_spacing(self, gap: float, count: int) -> None:
+        """Refuse markers that overlap."""
+        _check_radius(self.radius, gap)
+
+    @property
+    def height_m(self) -> float:
+        """Its centre lies in the plane: it rises by its radius."""
+        return self.radius
+
+
+Family = Literal[
+    "apriltag_16h5",
+    "apriltag_25h9",
+    "apriltag_36h10",
+    "apriltag_36h11",
+    "aruco_4x4_50",
+    "aruco_4x4_100",
+    "aruco_4x4_250",
+    "aruco_4x4_1000",
+    "aruco_5x5_50",
+    "aruco_5x5_100",
+    "aruco_5x5_250",
+    "aruco_5x5_1000",
+    "aruco_6x6_50",
+    "aruco_6x6_100",
+    "aruco_6x6_250",
+    "aruco_6x6_1000",
+    "aruco_7x7_50",
+    "aruco_7x7_100",
+    "aruco_7x7_250",
+    "aruco_7x7_1000",
+]
+"""Families of square tags. AprilTag: bits and least Hamming distance of two tags; ArUco: bits and number of tags."""
+APRILTAGS = {"16h5": (4, 30), "25h9": (5, 35), "36h10": (6, 2320), "36h11": (6, 587)}
+"""Bits along a side and number of tags of the AprilTag families."""
+
+
+@spec
+class Tag(Flat):
+    """A square black-and-white tag in the target's plane; marker i carries the number first_id + i.
+
+    A white quiet zone of one module surrounds the black square. Its rows run along the target's x, the first at the least y.
+
+    Args:
+        family: which set of tags.
+        size: edge of the black square [m].
+        first_id: the first marker's number.
+        lit: shaded by the scene's lights, else of constant brightness.
+
+    Reference: Olson 2011, doi:10.1109/ICRA.2011.5979561 (AprilTag); Garrido-Jurado et al. 2014,
+    doi:10.1016/j.patcog.2014.01.005 (ArUco).
+    """
+
+    kind: Literal["tag"] = "tag"
+    family: Family = "apriltag_36h11"
+    size: Annotated[float, Gt(0)] = 0.1
+    first_id: Annotated[int, Ge(0)] = 0
+    lit: bool = True
+
+    @property
+    def modules(self) -> int:
+        """Modules along the black square's edge, its border of one module on each side included."""
+        return self._family[0] + 2
+
+    @property
+    def count(self) -> int:
+        """How many tags the family has."""
+        return self._family[1]
+
+    @property
+    def tile(self) -> float:
+        """Edge with the quiet zone [m]."""
+        return self.size * (self.modules + 2) / self.modules
+
+    @property
+    def _family(self) -> tuple[int, int]:
+        kind, bits, *count = self.family.split("_")
+        return APRILTAGS[bits] if kind == "apriltag" else (int(bits[0]), int(count[0]))
+
+    @property
+    def solid(self) -> Solid:
+        """A thin box, the quiet zone included."""
+        return "box", (self.tile / 2, self.tile / 2, HALF_THICKNESS_M)
+
+    @property
+    def textured(self) -> bool:
+        """Its bits."""
+        return True
+
+    def check_spacing(self, gap: float, count: int) -> None:
+        """Also refuse numbers beyond the family's last."""
+        if gap <= 2 * self.radius:
+            most = gap / 2 / self.radius * self.size
+            words = f"must be under {most:.4g} m: with its quiet zone a tag takes the room of a circle round it, and markers"
+            raise ParameterError("marker.size", f"{words} are {gap:.4g} m apart", self.size)
+        if self.first_id + count > self.count:
+            words = f"must be at most {self.count - count}: family {self.family} has {self.count} tags, and {count} are needed"
+            raise ParameterError("marker.first_id", words, self.first_id)
+
+    @property
+    def radius(self) -> float:
+        """Of the circle round the tag with its quiet zone [m]: what the tag needs, however it is turned."""
+        return self.tile / math.sqrt(2)
+
+    @property
+    def corners(self) -> Array:
+        """The black square's corners from its centre, shape (4, 3) [m], in the order in which detectors give them."""
+        h = self.size / 2
+        return np.array([[-h, -h, 0], [h, -h, 0], [h, h, 0], [-h, h, 0]])
+
+
+@spec
+class Stripe(Flat):
+    """Paint along a line on the floor, `width_m` wide [m]. Lit: shaded by the scene's lights, else of constant colour."""
+
+    kind: Literal["stripe"] = "stripe"
+    width_m: Annotated[float, Gt(0), Le(1)] = 0.03
+    lit: bool = True
+
+    @property
+    def solid(self) -> Solid:
+        """None of its own: paint follows the line (`sim.scene.paint`)."""
+        raise ParameterError("target.marker", "may be stripe only with target: {kind: lines}")
+
+    def check_spacing(self, gap: float, count: int) -> None:
+        """Lines check their own spacing."""
+
+    @property
+    def radius(self) -> float:
+        """Half of its width [m]."""
+        return self.width_m / 2
+
+
+MARKERS = OneOf("marker", Disc, Sphere, Tag, default="disc")

@@ -1,0 +1,57 @@
+"""Targets made of markers: a square, or points anywhere."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Annotated, ClassVar, Literal
+
+import numpy as np
+from annotated_types import Gt, Len
+
+from vstestbed.core.geometry import Array, Triple
+from vstestbed.core.spec import spec
+from vstestbed.targets.base import Target
+
+BOARD_MARGIN = 1.5
+"""The board behind a square reaches this many marker radii beyond the markers' edges."""
+
+
+@spec
+class Square(Target):
+    """Four markers at the corners of a square in z = 0: (-,-), (+,-), (+,+), (-,+) times side/2."""
+
+    kind: Literal["square"] = "square"
+    side: Annotated[float, Gt(0)]
+    one_sided: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        """Refuse markers that overlap, and numbers that no tag has."""
+        self._check_markers()
+
+    @cached_property
+    def points(self) -> Array:
+        """Corners in the target frame, shape (4, 3)."""
+        h = self.side / 2
+        return np.array([[-h, -h, 0], [h, -h, 0], [h, h, 0], [-h, h, 0]])
+
+    @property
+    def board_half_m(self) -> float:
+        """The board reaches BOARD_MARGIN marker radii beyond the markers' edges."""
+        return self.side / 2 + (1 + BOARD_MARGIN) * self.marker.radius
+
+
+@spec
+class Points(Target):
+    """Markers anywhere: `at`, a list of [x, y, z] in the target frame [m]."""
+
+    kind: Literal["points"] = "points"
+    at: Annotated[tuple[Triple, ...], Len(1, 24)]
+
+    def __post_init__(self) -> None:
+        """Refuse markers that overlap, and numbers that no tag has."""
+        self._check_markers()
+
+    @cached_property
+    def points(self) -> Array:
+        """Marker centres in the target frame, shape (N, 3)."""
+        return np.array(self.at, dtype=float)

@@ -1,0 +1,42 @@
+"""Tasks: one file a kind of goal. What it asks for, frame by frame, and when it is reached, kept or missed."""
+
+from vstestbed.core.spec import OneOf
+from vstestbed.tasks.base import Setup, Task, TaskBase
+from vstestbed.tasks.gap import GoalGap
+from vstestbed.tasks.landing import GoalLanding
+from vstestbed.tasks.line import GoalLine
+from vstestbed.tasks.path import GoalPath
+from vstestbed.tasks.place import GoalPlace
+from vstestbed.tasks.track import GoalTrack
+from vstestbed.tasks.via_points import GoalViews
+from vstestbed.tasks.view import VIEWS, GoalView, GoalViewFrom
+
+FIELDS = {
+    "T_camera_target": "view",
+    "view_from": "view_from",
+    "views": "views",
+    "pose": "pose",
+    "gap_m": "gap",
+    "offset_m": "line",
+    "way": "path",
+    "above": "landing",
+}
+"""The kind of a goal block that names none, by a field that it has."""
+GOALS = OneOf("goal", GoalView, GoalViewFrom, GoalViews, GoalPlace, GoalGap, GoalLine, GoalPath, GoalLanding, GoalTrack, fields=FIELDS)
+
+__all__ = [
+    "GOALS",
+    "VIEWS",
+    "GoalGap",
+    "GoalLanding",
+    "GoalLine",
+    "GoalPath",
+    "GoalPlace",
+    "GoalTrack",
+    "GoalView",
+    "GoalViewFrom",
+    "GoalViews",
+    "Setup",
+    "Task",
+    "TaskBase",
+]

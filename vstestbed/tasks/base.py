@@ -1,0 +1,247 @@
+"""The contract of a task: what a goal asks for, what the law is told of it frame by frame, and when it is reached.
+
+A goal block of a scenario is a `Task`: parameters and behaviour in one frozen object. Nothing outside this room asks of what
+kind it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
+
+from vstestbed.camera import Camera
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array
+from vstestbed.features.observation import Goal, Observation
+from vstestbed.laws import Law
+from vstestbed.robots import Robot
+from vstestbed.robots.base import Base
+from vstestbed.robots.supervisor import Supervisor
+from vstestbed.targets import Target
+from vstestbed.tasks.frame import ImageError
+from vstestbed.tasks.stop import Stop
+from vstestbed.tasks.visible import check_level, check_visible
+from vstestbed.vision import Detector
+from vstestbed.vision.pose.calibration_error import pose_by_depth, shown_goal
+
+if TYPE_CHECKING:
+    from vstestbed.tasks.monitor import TaskMonitor
+
+Log = Mapping[str, Array]
+"""The columns of a log by name, shape (frames,) each."""
+
+
+@dataclass(frozen=True, eq=False)
+class Setup:
+    """The parts of an experiment that a task has to do with.
+
+    Attributes:
+        robot, camera, target, law, detector, stop: as the scenario has them. believed_camera: the camera as the robot knows it.
+        depth_scale: by how much each marker's depth is told wrong, (N,); None where it is not.
+        goal_shown: the goal's picture was taken with the true camera there; else it is computed with the believed one.
+    """
+
+    robot: Robot
+    camera: Camera
+    believed_camera: Camera
+    target: Target
+    law: Law[Any]
+    detector: Detector[Any]
+    stop: Stop
+    depth_scale: Array | None = None
+    goal_shown: bool = False
+
+
+class Reference(NamedTuple):
+    """The memory of a reference: the goal views in turn, and which one counts now."""
+
+    views: tuple[Goal, ...]
+    view: int = 0
+
+
+class Task(Protocol):
+    """What a scenario's goal asks for. `TaskBase` has defaults for all but `kind` and `goal_poses`."""
+
+    asks: ClassVar[str]
+    """The word by which a law says that it can do such tasks (`Law.tasks`)."""
+    bases: ClassVar[frozenset[Base]]
+    """The robots' bases that can do it."""
+    continuing: ClassVar[bool]
+    """Whether it has no end: it is kept within a tolerance for the whole duration."""
+    lands: ClassVar[bool]
+    """Whether it ends on the ground."""
+    by_clock: ClassVar[bool]
+    """Whether the reference moves with time, so that goal poses are those of single moments."""
+    needs_pose: ClassVar[bool]
+    """Whether the law works with the target's pose itself, so that its depths must come with one."""
+
+    @property
+    def kind(self) -> str:
+        """The word in a scenario."""
+        ...
+
+    @property
+    def tolerance_m(self) -> float | None:
+        """Of a continuing task, the largest error once settled [m]; None of others."""
+        ...
+
+    @property
+    def settle_s(self) -> float:
+        """How long it may take until the tolerance counts [s]."""
+        ...
+
+    def check(self, setup: Setup) -> None:
+        """Refuse robots, laws and targets that cannot do it. ParameterError names the field and what would work."""
+        ...
+
+    def check_views(self, setup: Setup, views: tuple[Goal, ...]) -> None:
+        """Refuse goal views that cannot be seen. ParameterError names the field and what would work."""
+        ...
+
+    def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]:
+        """T_camera_target (4, 4) at each goal view in turn, for a camera at this mount T_base_camera (4, 4)."""
+        ...
+
+    def goal_views(self, setup: Setup) -> tuple[Goal, ...]:
+        """What the law is told: one view, or several in turn."""
+        ...
+
+    def begin(self, setup: Setup, views: tuple[Goal, ...]) -> Any:
+        """The memory of the reference before the first frame."""
+        ...
+
+    def reference(self, memory: Any, seen: Observation) -> tuple[Any, Goal]:
+        """The goal for the law at one frame, and the next memory."""
+        ...
+
+    def passed(self, memory: Any, error: ImageError) -> tuple[Any, Goal | None]:
+        """After a frame: the next memory, and the goal for which the law begins anew, if the frame led to one."""
+        ...
+
+    def monitor(self, setup: Setup, supervisor: Supervisor) -> TaskMonitor:
+        """What measures the task's own error and says when it is reached or missed."""
+        ...
+
+    def metrics(self, log: Log) -> dict[str, float | None]:
+        """Figures that only this task has in a summary."""
+        ...
+
+    def distance_to_go_m(self, log: Log, goal_poses: tuple[Array, ...]) -> float:
+        """From where a run began to its goal, straight [m]."""
+        ...
+
+
+class TaskBase:
+    """Defaults: one view, for a robot on any base, reached when the error is small."""
+
+    asks: ClassVar[str] = "view"
+    bases: ClassVar[frozenset[Base]] = frozenset({"fixed", "planar", "floating"})
+    continuing: ClassVar[bool] = False
+    lands: ClassVar[bool] = False
+    by_clock: ClassVar[bool] = False
+    needs_pose: ClassVar[bool] = False
+    needs_still: ClassVar[bool] = False
+    """Whether the target must stand still."""
+
+    kind: Any  # the word in a scenario: a field of each task
+    settle_s: Any = 0.0
+
+    @property
+    def tolerance_m(self) -> float | None:
+        """None: the task has an end."""
+        return None
+
+    def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]:
+        """Each task has its own."""
+        raise NotImplementedError
+
+    def check(self, setup: Setup) -> None:
+        """The law takes such tasks, the robot's base can do them, the target has markers."""
+        self._check_law(setup.law)
+        self._check_base(setup.robot)
+        if setup.target.painted_route is not None:
+            words = "cannot be had of lines on the floor, which have no markers; use goal: {kind: line} and law: {kind: line_following}"
+            raise ParameterError("goal", f"of kind {self.kind} {words}")
+        if self.needs_still and setup.target.moves:
+            words = "needs a target that stands still; one that moves is followed by a gap or a view"
+            raise ParameterError("goal", f"of kind {self.kind} {words}")
+
+    def _check_law(self, law: Law[Any]) -> None:
+        if self.asks not in law.tasks:
+            words = f"may not be of kind {self.kind} with law {law.kind}, which takes {' or '.join(law.tasks)}"
+            raise ParameterError("goal", words)
+        if self.needs_pose and not law.depth.with_pose:
+            words = f"may not be {law.depth.kind} with law {law.kind}, which needs the pose itself; use floor or pnp"
+            raise ParameterError("law.depth", words)
+
+    def _check_base(self, robot: Robot) -> None:
+        if robot.base in self.bases:
+            return
+        if self.bases == {"floating"}:
+            raise ParameterError("goal", f"of kind {self.kind} is for a craft that flies (robot quadrotor)")
+        raise ParameterError("goal", f"of kind {self.kind} is for a vehicle; robot {robot.kind} takes T_camera_target")
+
+    @property
+    def view_fields(self) -> tuple[str, ...]:
+        """The scenario's field of each goal view, for error messages."""
+        return ("goal.T_camera_target",)
+
+    def check_views(self, setup: Setup, views: tuple[Goal, ...]) -> None:
+        """Every goal view must show its markers, to a robot that stands level."""
+        poses = self.goal_poses(setup.target, setup.camera.mount.T)
+        for field, pose, view in zip(self.view_fields, poses, views, strict=True):
+            check_visible(setup.camera, setup.target, setup.law, setup.detector, field, pose, view.counted)
+            check_level(setup.robot, setup.camera, setup.target, pose, field)
+
+    def goal_views(self, setup: Setup) -> tuple[Goal, ...]:
+        """The views from the goal poses."""
+        n = len(self.goal_poses(setup.target, setup.camera.mount.T))
+        return tuple(view_from(setup, lambda mount, i=i: self.goal_poses(setup.target, mount)[i], i) for i in range(n))
+
+    def begin(self, setup: Setup, views: tuple[Goal, ...]) -> Any:
+        """At the first view."""
+        return Reference(views)
+
+    def reference(self, memory: Any, seen: Observation) -> tuple[Any, Goal]:
+        """The view that counts."""
+        return memory, memory.views[memory.view]
+
+    def passed(self, memory: Any, error: ImageError) -> tuple[Any, Goal | None]:
+        """The same view goes on."""
+        return memory, None
+
+    def monitor(self, setup: Setup, supervisor: Supervisor) -> TaskMonitor:
+        """Reached when the scenario's conditions hold."""
+        from vstestbed.tasks.reached import GoalMonitor
+
+        return GoalMonitor(setup, len(self.goal_poses(setup.target, setup.camera.mount.T)), supervisor)
+
+    def metrics(self, log: Log) -> dict[str, float | None]:
+        """None of its own."""
+        return {}
+
+    def distance_to_go_m(self, log: Log, goal_poses: tuple[Array, ...]) -> float:
+        """The first frame's position error."""
+        return float(log["position_error_m"][0])
+
+
+def view_from(setup: Setup, pose_with: Callable[[Array], Array], number: int = 0) -> Goal:
+    """The goal for the law: the view from a goal pose.
+
+    Args:
+        setup: the experiment's parts.
+        pose_with: gives T_camera_target (4, 4) at the goal for a mount T_base_camera (4, 4). The goal is where the robot's base
+            is, so that a mount known wrongly moves the camera that the law believes in.
+        number: of the view, among several in turn.
+    """
+    points, scale = setup.target.points, setup.depth_scale
+    if setup.goal_shown:
+        made = shown_goal(setup.camera, setup.believed_camera, points, pose_with(setup.camera.mount.T))
+    else:
+        made = Goal.from_view(setup.believed_camera, points, pose_with(setup.believed_camera.mount.T))
+    if scale is not None:
+        pose = pose_by_depth(made.T_camera_target, points, scale) if setup.goal_shown else made.T_camera_target
+        made = replace(made.deepened(scale), T_camera_target=pose)
+    return replace(made, view=number) if number else made
+

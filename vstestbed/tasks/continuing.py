@@ -1,0 +1,114 @@
+"""Tasks without an end: the true error stays within a tolerance once settled, until the time is out."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, ClassVar, Protocol
+
+import numpy as np
+from annotated_types import Ge, Gt
+
+from vstestbed.core.geometry import Array
+from vstestbed.core.outcome import Outcome, Verdict
+from vstestbed.robots.supervisor import Supervisor
+from vstestbed.tasks.base import Log, Setup, TaskBase
+from vstestbed.tasks.frame import Frame
+from vstestbed.tasks.monitor import TaskMonitor
+from vstestbed.tasks.speed_monitor import MinSpeed, SpeedMonitor
+
+Tolerance = Annotated[float, Gt(0)]
+Settle = Annotated[float, Ge(0)]
+
+
+class Odometer(Protocol):
+    """True distances travelled by those who must keep going."""
+
+    def update(self, T_world_base: Array, T_world_target: Array) -> tuple[float, ...]:
+        """Distances so far [m] with vehicle and target at these poses (4, 4), in the order of the task's minimum speeds."""
+        ...
+
+
+class Continuing(TaskBase):
+    """What tasks without an end share: `band_m` and `settle_s`, fields of each."""
+
+    continuing: ClassVar[bool] = True
+    band_m: Any  # a field of each task, with its own default
+
+    @property
+    def tolerance_m(self) -> float:
+        """Half the width of the band [m]."""
+        return self.band_m
+
+    def error_m(self, setup: Setup, T_world_base: Array, T_world_target: Array, t: float) -> float:
+        """True error of the task at a time t [s], [m]."""
+        raise NotImplementedError
+
+    def least_speeds(self, setup: Setup) -> tuple[MinSpeed, ...]:
+        """Who must keep going; nobody by default."""
+        return ()
+
+    def odometer(self, setup: Setup) -> Odometer | None:
+        """What measures their distances; None where nobody must."""
+        return None
+
+    @property
+    def end_s(self) -> float:
+        """The earliest time at which the task may count as done [s]."""
+        return 0.0
+
+    def monitor(self, setup: Setup, supervisor: Supervisor) -> TaskMonitor:
+        """Its error must stay within the tolerance."""
+        return ToleranceMonitor(self, setup, len(self.goal_poses(setup.target, setup.camera.mount.T)), supervisor)
+
+    def metrics(self, log: Log) -> dict[str, float | None]:
+        """`worst_task_error_m`: the largest true error from the time to settle on [m]."""
+        settled = np.abs(log["task_error_m"][log["t"] >= self.settle_s])
+        return {"worst_task_error_m": float(settled.max()) if len(settled) else None}
+
+
+class ToleranceMonitor(TaskMonitor):
+    """Completed at the end of the time, unless the task left its tolerance once settled, or somebody went too slowly.
+
+    Column `task_error_m`: the true error of the task [m].
+    """
+
+    error_columns = ("task_error_m",)
+
+    def __init__(self, task: Continuing, setup: Setup, views: int, supervisor: Supervisor):
+        super().__init__(setup, views, supervisor)
+        self.task = task
+        self._judged = False
+        self._odometer, speeds = task.odometer(setup), task.least_speeds(setup)
+        self._speeds = SpeedMonitor(speeds, task.settle_s) if speeds else None
+        self._left_at: tuple[float, float] | None = None
+        self._error_m = np.nan
+
+    def task_error(self, frame: Frame) -> tuple[float, ...]:
+        """The true error."""
+        T_base, T_target = frame.T_world_base(self.mount_inverse), frame.truth.T_world_target
+        self._error_m = self.task.error_m(self.setup, T_base, T_target, frame.t)
+        return (self._error_m,)
+
+    def missed(self, frame: Frame) -> Verdict | None:
+        """At the end of the time, how it went."""
+        t, duration, settled = frame.t, self.setup.stop.duration_s, frame.t >= self.task.settle_s
+        self._judged = self._judged or settled
+        if settled and self._left_at is None and not abs(self._error_m) <= self.task.tolerance_m:
+            self._left_at = t, self._error_m
+        over = t >= duration - 1e-9
+        if self._speeds and self._odometer:
+            travelled = self._odometer.update(frame.T_world_base(self.mount_inverse), frame.truth.T_world_target)
+            self._speeds.update(t, travelled, over)
+        return self._at_the_end(duration) if over else None
+
+    def _at_the_end(self, duration: float) -> Verdict:
+        tolerance, settle = self.task.tolerance_m, self.task.settle_s
+        if not self._judged:
+            return Outcome.timed_out, f"{duration:g} s ended before the {settle:g} s in which it may settle"
+        slow, left = self._speeds.slow if self._speeds else None, self._left_at
+        if slow and (left is None or slow[0] < left[0]):
+            return Outcome.timed_out, slow[1]
+        if left is not None:
+            return Outcome.timed_out, f"out of its band of {tolerance:g} m at {left[0]:.3g} s, {abs(left[1]):.3g} m off"
+        if duration < self.task.end_s:
+            return Outcome.timed_out, f"{duration:g} s ended on the way: its end is reached at {self.task.end_s:.3g} s"
+        return Outcome.completed, f"within {tolerance:g} m from {settle:g} s on"

@@ -1,0 +1,162 @@
+"""A landing: come down on the target's pad. Its end, the touch-down, is decided here."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, ClassVar, Literal, NamedTuple
+
+import numpy as np
+from annotated_types import Gt
+
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array, Pose, rotation_angle
+from vstestbed.core.outcome import Outcome, Verdict
+from vstestbed.core.spec import spec
+from vstestbed.features.observation import Goal, Observation
+from vstestbed.robots.base import Base
+from vstestbed.robots.supervisor import Supervisor
+from vstestbed.targets import Target
+from vstestbed.tasks.base import Setup, TaskBase
+from vstestbed.tasks.frame import Frame
+from vstestbed.tasks.reached import GoalMonitor
+
+DEEPEST = -0.25
+"""The reference comes down to this share of its first height: the order to sink lasts until the craft stands."""
+
+
+class Descent(NamedTuple):
+    """The memory of the reference: how much of the height is left, as a share, and the time of the last frame [s]."""
+
+    setup: Setup
+    share: float = 1.0
+    t: float = math.nan
+
+
+@spec
+class GoalLanding(TaskBase):
+    """Land on the target's pad, its origin: from the view `above` it the reference comes down as long as the craft is over it.
+
+    Args:
+        above: T_camera_target of the view from which it comes down; it shrinks along its translation.
+        descend_mps: how fast it comes down [m/s].
+        within_m, within_deg: while the camera is by its own estimate farther off the reference, sideways, or turned by more,
+            the reference waits [m, deg].
+        commit_m: nearer than this to the pad it waits no more [m].
+        pad_m, touch_mps: how far from the pad's centre, and with what speed against it, a touch-down is a landing [m, m/s].
+    """
+
+    kind: Literal["landing"] = "landing"
+    above: Pose
+    descend_mps: Annotated[float, Gt(0)] = 0.3
+    within_m: Annotated[float, Gt(0)] = 0.15
+    within_deg: Annotated[float, Gt(0)] = 15.0
+    commit_m: Annotated[float, Gt(0)] = 0.4
+    pad_m: Annotated[float, Gt(0)] = 0.2
+    touch_mps: Annotated[float, Gt(0)] = 0.5
+    asks: ClassVar[str] = "landing"
+    bases: ClassVar[frozenset[Base]] = frozenset({"floating"})
+    lands: ClassVar[bool] = True
+
+    def check(self, setup: Setup) -> None:
+        """There must be a pad."""
+        super().check(setup)
+        if setup.target.pad is None:
+            raise ParameterError("target.pad", "is missing: goal of kind landing needs one, e.g. {side: 0.9}")
+
+    def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]:
+        """The view from which it comes down."""
+        return (self.above.T,)
+
+    @property
+    def view_fields(self) -> tuple[str, ...]:
+        """The view from which it comes down."""
+        return ("goal.above",)
+
+    def begin(self, setup: Setup, views: tuple[Goal, ...]) -> Descent:
+        """At its full height."""
+        return Descent(setup)
+
+    def reference(self, memory: Descent, seen: Observation) -> tuple[Descent, Goal]:
+        """The view comes down while the craft is over its pad, by its own estimate."""
+        share, T = memory.share, self.above.T.copy()
+        height = float(np.linalg.norm(T[:3, 3]))
+        if not math.isnan(memory.t) and self._over(share, seen):
+            share = max(DEEPEST, share - self.descend_mps * (seen.t - memory.t) / height)
+        T[:3, 3] *= share
+        goal = Goal.from_view(memory.setup.believed_camera, memory.setup.target.points, T)
+        return Descent(memory.setup, share, seen.t), goal
+
+    def _over(self, share: float, seen: Observation) -> bool:
+        """Whether the craft is over its pad, turned as asked and as high as asked; or so near that it goes on."""
+        T = seen.T_camera_target
+        if T is None:
+            return False
+        whole = self.above.T
+        down = whole[:3, 3] / np.linalg.norm(whole[:3, 3])
+        away = T[:3, 3] - share * whole[:3, 3]
+        if float(T[:3, 3] @ down) < self.commit_m:
+            return True
+        sideways = away - (away @ down) * down
+        turned = rotation_angle(T[:3, :3].T @ whole[:3, :3])
+        ready = np.linalg.norm(sideways) < self.within_m and abs(away @ down) < 2 * self.within_m
+        return bool(ready and np.degrees(turned) < self.within_deg)
+
+    def monitor(self, setup: Setup, supervisor: Supervisor) -> LandingMonitor:
+        """The touch-down decides."""
+        return LandingMonitor(self, setup, supervisor)
+
+
+class LandingMonitor(GoalMonitor):
+    """Ends when the craft has set down: landed, or collided with its pad, by the first touch."""
+
+    def __init__(self, goal: GoalLanding, setup: Setup, supervisor: Supervisor):
+        super().__init__(setup, 1, supervisor)
+        self.touchdown = Touchdown(goal)
+
+    def task_error(self, frame: Frame) -> tuple[float, ...]:
+        """No columns; the touch-down is watched."""
+        self.touchdown.update(frame.t, frame.T_world_base(self.mount_inverse), frame.truth.T_world_target, frame.truth.feet)
+        return ()
+
+    def near(self, frame: Frame) -> bool:
+        """No error in the image makes a landing."""
+        return False
+
+    def reached(self, frame: Frame) -> Verdict | None:
+        """How the first touch went, once the craft has set down."""
+        super().reached(frame)
+        return self.touchdown.verdict if self.supervisor.down(frame.t) else None
+
+
+class Touchdown:
+    """Where the craft first touched its pad, and how fast, in truth.
+
+    Attributes:
+        offset_m: from the pad's centre, sideways, at the first touch [m]; speed_mps: against the pad in the frame before it [m/s];
+            both NaN before.
+    """
+
+    def __init__(self, goal: GoalLanding):
+        self._goal = goal
+        self.offset_m = self.speed_mps = math.nan
+        self._t, self._speed = math.nan, math.nan
+        self._away: Array | None = None
+
+    def update(self, t: float, T_world_craft: Array, T_world_target: Array, feet: bool) -> None:
+        """One frame: true poses (4, 4), and whether a foot touches something."""
+        away = T_world_craft[:3, 3] - T_world_target[:3, 3]
+        if feet and math.isnan(self.offset_m):
+            self.offset_m, self.speed_mps = float(np.hypot(*away[:2])), self._speed
+        if self._away is not None and t > self._t:
+            self._speed = float(np.linalg.norm(away - self._away)) / (t - self._t)
+        self._t, self._away = t, away
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """The outcome of the first touch; None before it."""
+        if math.isnan(self.offset_m):
+            return None
+        goal, where = self._goal, f"{100 * self.offset_m:.0f} cm from the pad's centre at {self.speed_mps:.2f} m/s"
+        if self.offset_m <= goal.pad_m and self.speed_mps <= goal.touch_mps:
+            return Outcome.landed, f"touched down {where}"
+        return Outcome.collided, f"touched down {where}: more than {100 * goal.pad_m:g} cm or {goal.touch_mps:g} m/s"

@@ -1,0 +1,166 @@
+"""A path: fly along views, by the clock, and keep at the last one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cached_property
+from itertools import pairwise
+from typing import Annotated, ClassVar, Literal
+
+import numpy as np
+from annotated_types import Ge, Gt, Len
+
+from vstestbed.core.geometry import Array, exp, inverse, rotation_angle
+from vstestbed.core.spec import spec
+from vstestbed.features import ThetaU
+from vstestbed.features.observation import Goal, Observation
+from vstestbed.robots.base import Base
+from vstestbed.targets import Target
+from vstestbed.tasks.base import Setup
+from vstestbed.tasks.continuing import Continuing, Settle, Tolerance
+from vstestbed.tasks.view import GoalView
+
+_TURN = ThetaU()
+JERK_PEAK = 15 / 8
+"""Greatest over mean speed of a minimum-jerk motion from rest to rest."""
+DIFFERENCE_S = 1e-3
+"""Half of the time over which the reference's velocity is taken [s]."""
+LEAST_LEG_S = 0.5
+"""A leg takes this long at least [s]."""
+LATE_S = 2.0
+"""Who flies a path may be ahead of the reference, or behind it, by so much [s]."""
+
+
+@spec
+class GoalPath(Continuing):
+    """A task without an end: fly along a path, given by views on it, and keep at its last one.
+
+    The reference moves from each of the given views to the next, its camera along a straight line and turning evenly,
+    with the smoothest timing from rest to rest (minimum jerk), s(p) = 10 p^3 - 15 p^4 + 6 p^5.
+
+    Args:
+        way: the views; the first is held for `settle_s`.
+        speed_mps: greatest speed of the reference along a leg [m/s].
+        turn_degps: greatest rate at which it turns [deg/s].
+        lead_s: the reference's velocity is fed forward this much ahead, since a craft's velocity lags its setpoint [s].
+        band_m: how far off the path the camera may be from `settle_s` on [m]: off the part where the reference is within 2 s of then.
+        settle_s: how long it may take to the first view [s].
+
+    Reference: Flash & Hogan 1985, doi:10.1523/JNEUROSCI.05-07-01688.1985 (minimum jerk).
+    """
+
+    kind: Literal["path"] = "path"
+    way: Annotated[tuple[GoalView, ...], Len(2, 100)]
+    speed_mps: Annotated[float, Gt(0)] = 0.5
+    turn_degps: Annotated[float, Gt(0)] = 20.0
+    lead_s: Annotated[float, Ge(0)] = 0.5
+    band_m: Tolerance = 0.15
+    settle_s: Settle = 10.0
+    asks: ClassVar[str] = "path"
+    bases: ClassVar[frozenset[Base]] = frozenset({"floating"})
+    by_clock: ClassVar[bool] = True
+
+    @cached_property
+    def trajectory(self) -> Trajectory:
+        """The poses by time."""
+        return Trajectory(self)
+
+    @property
+    def end_s(self) -> float:
+        """When the last view is reached [s]."""
+        return self.trajectory.end_s
+
+    def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]:
+        """Of the views on the path."""
+        return tuple(view.T_camera_target.T for view in self.way)
+
+    def goal_views(self, setup: Setup) -> tuple[Goal, ...]:
+        """The views on the path, with their numbers."""
+        return tuple(replace(goal, view=i) for i, view in enumerate(self.way) for goal in view.goal_views(setup))
+
+    @property
+    def view_fields(self) -> tuple[str, ...]:
+        """Field of each view."""
+        return tuple(f"goal.way.{i}.T_camera_target" for i in range(len(self.way)))
+
+    def check_views(self, setup: Setup, views: tuple[Goal, ...]) -> None:
+        """Each view, with its own markers."""
+        for i, view in enumerate(self.way):
+            view.check_counted(setup, f"goal.way.{i}.markers")
+        super().check_views(setup, views)
+
+    def begin(self, setup: Setup, views: tuple[Goal, ...]) -> Setup:
+        """What the views are made from."""
+        return setup
+
+    def reference(self, memory: Setup, seen: Observation) -> tuple[Setup, Goal]:
+        """The view of this time, with its camera's velocity."""
+        T, view = self.trajectory.at(seen.t)
+        goal = Goal.from_view(memory.believed_camera, memory.target.points, T)
+        return memory, replace(goal, twist=self.trajectory.twist(seen.t), view=view)
+
+    def error_m(self, setup: Setup, T_world_base: Array, T_world_target: Array, t: float) -> float:
+        """Distance of the camera from the path."""
+        return self.trajectory.off(inverse(T_world_target) @ T_world_base @ setup.camera.mount.T, t)
+
+
+def _smooth(p: float) -> float:
+    """The share of a leg that is behind at a share p of its time: minimum jerk."""
+    return p**3 * (10 - 15 * p + 6 * p * p)
+
+
+class Trajectory:
+    """The poses along a `GoalPath`, by time."""
+
+    def __init__(self, goal: GoalPath):
+        self._ways = [inverse(view.T_camera_target.T) for view in goal.way]
+        turn = np.radians(goal.turn_degps)
+        times = []
+        for a, b in pairwise(self._ways):
+            length, angle = np.linalg.norm(b[:3, 3] - a[:3, 3]), rotation_angle(a[:3, :3].T @ b[:3, :3])
+            times.append(max(JERK_PEAK * length / goal.speed_mps, JERK_PEAK * angle / turn, LEAST_LEG_S))
+        self._lead = goal.lead_s
+        self._until = goal.settle_s + np.concatenate([[0.0], np.cumsum(times)])
+
+    @property
+    def end_s(self) -> float:
+        """When the last view is reached [s]."""
+        return float(self._until[-1])
+
+    def at(self, t: float) -> tuple[Array, int]:
+        """T_camera_target (4, 4) at a time [s], and the number of the view that the leg leads to."""
+        leg = int(np.searchsorted(self._until, t, side="right")) - 1
+        if leg < 0:
+            return inverse(self._ways[0]), 0
+        if leg >= len(self._ways) - 1:
+            return inverse(self._ways[-1]), len(self._ways) - 1
+        a, b = self._ways[leg], self._ways[leg + 1]
+        share = _smooth((t - self._until[leg]) / (self._until[leg + 1] - self._until[leg]))
+        T = np.eye(4)
+        T[:3, 3] = (1 - share) * a[:3, 3] + share * b[:3, 3]
+        turn = share * _TURN.measure(a[:3, :3].T @ b[:3, :3])
+        T[:3, :3] = a[:3, :3] @ exp(np.concatenate([np.zeros(3), turn]))[:3, :3]
+        return inverse(T), leg + 1
+
+    def twist(self, t: float) -> Array:
+        """Velocity of the reference camera, `lead_s` ahead of a time, in its frame at that time (6,) [m/s, rad/s]."""
+        before, after = (inverse(self.at(t + self._lead + h)[0]) for h in (-DIFFERENCE_S, DIFFERENCE_S))
+        back = inverse(self.at(t)[0])[:3, :3].T
+        v = (after[:3, 3] - before[:3, 3]) / (2 * DIFFERENCE_S)
+        w = before[:3, :3] @ _TURN.measure(before[:3, :3].T @ after[:3, :3]) / (2 * DIFFERENCE_S)
+        return np.concatenate([back @ v, back @ w])
+
+    def off(self, T_target_camera: Array, t: float) -> float:
+        """How far [m] a camera (4, 4) is at a time [s] from the part of the path where the reference is within LATE_S of then."""
+        until = self._until
+        first, last = np.clip([t - LATE_S, t + LATE_S], until[0], until[-1])
+        x, nearest = T_target_camera[:3, 3], np.inf
+        for leg in range(len(until) - 1):
+            began, ended = until[leg], until[leg + 1]
+            if began > last or ended < first:
+                continue
+            a, along = self._ways[leg][:3, 3], self._ways[leg + 1][:3, 3] - self._ways[leg][:3, 3]
+            low, high = (_smooth(np.clip((when - began) / (ended - began), 0, 1)) for when in (first, last))
+            share = np.clip((x - a) @ along / max(along @ along, 1e-12), low, high)
+            nearest = min(nearest, float(np.linalg.norm(x - a - share * along)))
+        return nearest

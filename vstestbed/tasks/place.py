@@ -1,0 +1,49 @@
+"""A place: a vehicle stands where it is told, by its landmarks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import ClassVar, Literal
+
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array, inverse
+from vstestbed.core.planar import GroundPose
+from vstestbed.core.spec import spec
+from vstestbed.features.observation import Goal
+from vstestbed.robots.base import Base
+from vstestbed.targets import Target
+from vstestbed.tasks.base import Setup, TaskBase
+
+
+@spec
+class GoalPlace(TaskBase):
+    """The goal as a place for a vehicle: `pose` is where it is to stand in the world, by its landmarks."""
+
+    kind: Literal["pose"] = "pose"
+    pose: GroundPose
+    asks: ClassVar[str] = "pose"
+    bases: ClassVar[frozenset[Base]] = frozenset({"planar"})
+    needs_pose: ClassVar[bool] = True
+    needs_still: ClassVar[bool] = True
+
+    def check(self, setup: Setup) -> None:
+        """A place counts as reached by estimate, and by one that the law does not rest before."""
+        super().check(setup)
+        near, law = setup.stop.converged.position_m, setup.law
+        if not setup.stop.converged.by_estimate:
+            words = "must have position_m or rotation_deg for a goal of kind pose, where some of the target may be out of the picture"
+            raise ParameterError("stop.converged", words)
+        if near is not None and law.rest_m >= near:
+            words = f"must be under stop.converged.position_m = {near:g} m: nearer than rest_m the vehicle stands for good"
+            raise ParameterError("law.rest_m", words, law.rest_m)
+
+    def check_views(self, setup: Setup, views: tuple[Goal, ...]) -> None:
+        """What is seen from the place is not what is asked for: it may be anything."""
+
+    def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]:
+        """From the place, through the mount."""
+        return (inverse(self.pose.T @ mount) @ target.pose.T,)
+
+    def goal_views(self, setup: Setup) -> tuple[Goal, ...]:
+        """With the place."""
+        return tuple(replace(view, place=self.pose.place) for view in super().goal_views(setup))

@@ -1,0 +1,67 @@
+"""The stop block of a scenario: when a goal counts as reached, and when a run ends in any case."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated
+
+from annotated_types import Ge, Gt
+
+from vstestbed.core.spec import spec
+
+
+@spec
+class Converged:
+    """When the goal counts as reached: every condition given holds for hold_s. Without any, error_px is 0.2.
+
+    Args:
+        error_px: all markers are seen, and their RMS error is under this [px].
+        position_m, rotation_deg: by the law's own estimate (the pose from the markers; a vehicle's place) the robot is this near
+            to its goal [m, deg].
+        hold_s: for how long [s].
+    """
+
+    error_px: Annotated[float, Gt(0)] | None = None
+    position_m: Annotated[float, Gt(0)] | None = None
+    rotation_deg: Annotated[float, Gt(0)] | None = None
+    hold_s: Annotated[float, Ge(0)] = 0.5
+
+    def __post_init__(self) -> None:
+        """Without a condition, 0.2 px."""
+        if self.error_px is None and self.position_m is None and self.rotation_deg is None:
+            object.__setattr__(self, "error_px", 0.2)
+
+    @property
+    def by_estimate(self) -> bool:
+        """Whether the robot's own estimate counts."""
+        return self.position_m is not None or self.rotation_deg is not None
+
+    def near(self, all_seen: bool, error_px: float, position_m: float, rotation_rad: float) -> bool:
+        """Whether the conditions hold; NaN, of what is not known, does not."""
+        if self.error_px is not None and not (all_seen and error_px < self.error_px):
+            return False
+        if self.position_m is not None and not position_m < self.position_m:
+            return False
+        return self.rotation_deg is None or math.degrees(rotation_rad) < self.rotation_deg
+
+    @property
+    def summary(self) -> str:
+        """The conditions in words."""
+        given = ((self.error_px, "RMS error under {:g} px"), (self.position_m, "under {:g} m"), (self.rotation_deg, "under {:g} deg"))
+        said = ", ".join(form.format(value) for value, form in given if value is not None)
+        return said if self.error_px is not None else f"by its own estimate {said} off"
+
+
+@spec
+class Stop:
+    """When a run ends.
+
+    Args:
+        duration_s: simulated time after which the run has timed out [s].
+        converged: when the goal counts as reached.
+        lost_after_s: how long the target may be out of sight [s].
+    """
+
+    duration_s: Annotated[float, Gt(0)] = 30.0
+    converged: Converged = Converged()
+    lost_after_s: Annotated[float, Ge(0)] = 1.0

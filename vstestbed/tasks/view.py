@@ -1,0 +1,90 @@
+"""A view: see the target from a given pose, or as a vehicle's camera sees it from a given place."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Annotated, ClassVar, Literal
+
+import numpy as np
+from annotated_types import Ge, Len
+
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array, Pose, inverse
+from vstestbed.core.planar import GroundPose
+from vstestbed.core.spec import OneOf, spec
+from vstestbed.features.observation import Goal
+from vstestbed.robots import Mount
+from vstestbed.robots.base import Base
+from vstestbed.targets import Target
+from vstestbed.tasks.base import Setup, TaskBase
+
+
+@spec
+class GoalView(TaskBase):
+    """The goal as a view: the pose T_camera_target from which the target is to be seen.
+
+    Args:
+        T_camera_target: the pose.
+        markers: numbers of the markers that count, from 0; None: all. The others need not be in the picture there: nearby an
+            inner set, far away an outer one.
+    """
+
+    kind: Literal["view"] = "view"
+    T_camera_target: Pose
+    markers: Annotated[tuple[Annotated[int, Ge(0)], ...], Len(1, 24)] | None = None
+
+    def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]:
+        """The pose, whatever the mount."""
+        return (self.T_camera_target.T,)
+
+    def goal_views(self, setup: Setup) -> tuple[Goal, ...]:
+        """With the markers that count."""
+        views = super().goal_views(setup)
+        if self.markers is None:
+            return views
+        return tuple(replace(view, counted=np.isin(np.arange(len(setup.target.points)), self.markers)) for view in views)
+
+    def check_views(self, setup: Setup, views: tuple[Goal, ...]) -> None:
+        """The markers that count must exist and be enough for the law."""
+        self.check_counted(setup, "goal.markers")
+        super().check_views(setup, views)
+
+    def check_counted(self, setup: Setup, field: str) -> None:
+        """Refuse a view in which markers count that do not exist, or too few for the law."""
+        if self.markers is None:
+            return
+        robot, n = setup.robot, len(setup.target.points)
+        needed = setup.law.markers_needed(robot.motion_basis(Mount.of(setup.camera.mount.T), robot.start_joints()))
+        if max(self.markers) >= n:
+            raise ParameterError(field, f"must be numbers of markers, 0 to {n - 1}", list(self.markers))
+        if len(set(self.markers)) < needed:
+            raise ParameterError(field, f"must name {needed} markers or more for law {setup.law.kind}", list(self.markers))
+
+
+@spec
+class GoalViewFrom(TaskBase):
+    """The goal as a view: what a vehicle's camera sees of the target from the place `view_from` on the floor."""
+
+    kind: Literal["view_from"] = "view_from"
+    view_from: GroundPose
+    bases: ClassVar[frozenset[Base]] = frozenset({"planar"})
+    needs_still: ClassVar[bool] = True
+
+    def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]:
+        """From the place, through the mount."""
+        return (inverse(self.view_from.T @ mount) @ target.pose.T,)
+
+    def goal_views(self, setup: Setup) -> tuple[Goal, ...]:
+        """With the place where the vehicle stands there."""
+        return tuple(replace(view, place=self.view_from.place) for view in super().goal_views(setup))
+
+    @property
+    def view_fields(self) -> tuple[str, ...]:
+        """The place."""
+        return ("goal.view_from",)
+
+    def check_counted(self, setup: Setup, field: str) -> None:
+        """All markers count."""
+
+
+VIEWS = OneOf("view", GoalView, GoalViewFrom, fields={"T_camera_target": "view", "view_from": "view_from"})
