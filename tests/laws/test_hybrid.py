@@ -33,7 +33,7 @@ def test_the_matrix_is_the_derivative_of_the_error():
     goal, law, h = Goal.from_view(CAMERA, POINTS, TILTED), Hybrid(source="model"), 1e-6
 
     def feature(T: Array) -> tuple[Array, Array]:
-        return law.feature(T[:3, 3] / TILTED[2, 3], TILTED[:3, :3] @ T[:3, :3].T, goal.T_camera_target[:3, 3])
+        return law.equations(T[:3, 3] / TILTED[2, 3], TILTED[:3, :3] @ T[:3, :3].T, goal.T_camera_target[:3, 3])
 
     L = feature(AWAY)[1]
     for i, twist in enumerate(np.eye(6)):

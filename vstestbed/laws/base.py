@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal, Protocol, TypeVar
+import math
+from dataclasses import dataclass, fields
+from typing import Annotated, Any, Literal, Protocol, TypeVar
 
 import numpy as np
 from annotated_types import Gt
 
+from vstestbed.core.contract import Contract
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.spec import OneOf, spec
+from vstestbed.features.base import Feature
+from vstestbed.features.depth import Depth, PnP
 from vstestbed.features.observation import Goal, Observation
+from vstestbed.laws.feedforward import Feedforward, NoFeedforward
+from vstestbed.laws.visibility import Visibility
 
 M = TypeVar("M")
 
@@ -38,27 +44,67 @@ class Command:
 
 
 class Law(Protocol[M]):
-    """A control law: parameters frozen in the object, memory passed through."""
+    """A control law: parameters frozen in the object, memory passed through. `LawBase` has defaults for all but `kind` and `step`.
+
+    This is all that the loop, the checks of a scenario, the observer and the studies read of a law.
+    """
 
     @property
     def kind(self) -> str:
         """The law's word in a scenario."""
         ...
 
-    tasks: ClassVar[tuple[str, ...]]
-    """What it may be asked for: `view`, `pose` (of a vehicle), `gap`, `line`."""
+    @property
+    def tasks(self) -> tuple[str, ...]:
+        """The kinds of goals that it can be given: `view`, `path`, `landing`, `pose` (of a vehicle), `gap`, `line`."""
+        ...
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """The fields of an Observation that it looks at."""
+        """The fields of an Observation that `step` reads; the costly ones are computed only for laws that name them."""
+        ...
+
+    @property
+    def depth(self) -> Depth:
+        """The source of the markers' depth, and with it of the target's pose."""
+        ...
+
+    @property
+    def feature(self) -> Feature | None:
+        """The image feature whose error is regulated, for reports; None for a law that has no single one."""
+        ...
+
+    @property
+    def limits(self) -> TwistLimits:
+        """Largest speed and rate of the commanded twist."""
+        ...
+
+    @property
+    def visibility(self) -> Visibility:
+        """The repulsion field at the border of the image."""
+        ...
+
+    @property
+    def feedforward(self) -> Feedforward:
+        """The feedforward term for a moving target."""
+        ...
+
+    @property
+    def cruise_mps(self) -> float | None:
+        """The constant speed at which the law drives a vehicle along a line [m/s]; None for a law that sets none."""
+        ...
+
+    @property
+    def rest_m(self) -> float:
+        """Distance from the goal under which the law stands still for good [m]; 0 for a law that never stops."""
         ...
 
     def markers_needed(self, basis: Array) -> int:
-        """How many markers must be seen at least for the robot's motions, basis (6, n)."""
+        """The least number of visible markers with which `step` can control the robot's motions, basis (6, n)."""
         ...
 
     def check(self, points: Array, goal: Goal) -> None:
-        """Refuse markers (N, 3) in the target frame [m], or a goal view of them, that it cannot work with.
+        """Refuse markers (N, 3) in the target frame [m], or a goal view of them, with which the law cannot work.
 
         Raises:
             ParameterError: it names a field of the scenario (`target`, `law.visibility`, ...).
@@ -70,7 +116,7 @@ class Law(Protocol[M]):
         ...
 
     def step(self, memory: M, observation: Observation, goal: Goal, basis: Array) -> tuple[M, Command]:
-        """One frame: the next memory and the command. basis (6, n): the camera twists that the robot can make."""
+        """One frame: the next memory and the command. basis (6, n): camera twists of the robot's n motions, as columns."""
         ...
 
 
@@ -153,3 +199,46 @@ class TwistLimits:
         twist = basis @ u
         factor = self.scale(twist)
         return Command(u=u * factor, twist=twist * factor, scale=factor)
+
+
+class LawBase:
+    """Defaults for everything that a law needs but `kind` and `step`; a law of one's own derives from it.
+
+        @LAWS.add
+        @spec
+        class Mine(LawBase):
+            kind: Literal["mine"] = "mine"
+            gain: float = 0.5
+
+            def step(self, memory, observation, goal, basis): ...
+
+    An annotated attribute of a spec is a parameter in YAML; one without annotation is a fact of the class. So a law writes
+    `depth = PnP()` to have its depth fixed, and `depth: Depth = PnP()` to let a scenario choose. That is also why nothing is annotated
+    here: a type checker would hold a law's narrower field against a declared one.
+    """
+
+    tasks = ("view",)
+    inputs = ("xy", "depth")
+    depth = PnP()
+    feature = None
+    limits = TwistLimits()
+    visibility = Visibility()
+    feedforward = NoFeedforward()
+    cruise_mps = None
+    rest_m = 0.0
+
+    def markers_needed(self, basis: Array) -> int:
+        """Two equations a marker: as many markers as the robot's motions, basis (6, n), take."""
+        return math.ceil(basis.shape[1] / 2)
+
+    def check(self, points: Array, goal: Goal) -> None:
+        """Accept any markers and any goal view."""
+
+    def init(self, goal: Goal) -> Any:  # Any: each law's memory is of a type of its own
+        """No memory."""
+        return None
+
+
+OBSERVATION_FIELDS = tuple(f.name for f in fields(Observation))
+LAW_CONTRACT = Contract(Law, base=LawBase, words={"inputs": OBSERVATION_FIELDS})
+"""What `LAWS` asks of a class."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Ge
@@ -14,7 +14,7 @@ from vstestbed.core.spec import spec
 from vstestbed.features import FEATURES, Line, Point, Polar, Polygon, Spherical
 from vstestbed.features.depth import Depth, PnP
 from vstestbed.features.observation import Goal, Observation
-from vstestbed.laws.base import Command, ConstantGain, Gain, TwistLimits
+from vstestbed.laws.base import Command, ConstantGain, Gain, LawBase, TwistLimits
 from vstestbed.laws.feedforward import Change, Feedforward, NoFeedforward
 from vstestbed.laws.following import NOTHING, Followed, beforehand, inputs_of, unseen, unwound
 from vstestbed.laws.select import ALL, Rows, require_area, usable_rows
@@ -33,7 +33,7 @@ class IBVSMemory:
 
 
 @spec
-class IBVS:
+class IBVS(LawBase):
     """u = -lambda pinv(L B) e with e = s - s*, camera twist v = B u.
 
     With `smooth_start_s` = tau the command grows from rest: u - u(0) exp(-t/tau).
@@ -67,7 +67,7 @@ class IBVS:
     """
 
     kind: Literal["ibvs"] = "ibvs"
-    tasks: ClassVar[tuple[str, ...]] = ("view", "path", "landing")
+    tasks = ("view", "path", "landing")
     gain: Gain = ConstantGain()
     feature: Annotated[Point | Polar | Spherical | Polygon | Line, FEATURES] = Point()
     interaction: Literal["current", "desired", "mean"] = "current"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Ge, Gt, Lt
@@ -12,11 +12,11 @@ from annotated_types import Ge, Gt, Lt
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.spec import spec
-from vstestbed.features.depth import AtGoal, Depth
+from vstestbed.features.depth import AtGoal
 from vstestbed.features.ground_line import floor_plane, floor_point, line_on_floor
 from vstestbed.features.line import Line, line_interaction
 from vstestbed.features.observation import Goal, Observation
-from vstestbed.laws.base import Command, TwistLimits
+from vstestbed.laws.base import Command, LawBase, TwistLimits
 from vstestbed.laws.select import TOO_FEW
 from vstestbed.laws.solve import least_squares
 
@@ -34,7 +34,7 @@ class LineMemory:
 
 
 @spec
-class LineFollowing:
+class LineFollowing(LawBase):
     """L B u = -e_dot* at a given speed ahead, with L the interaction matrix of the line seen, (rho, theta), through the floor's plane.
 
     The picture's line goes through the points where the painted one crosses the look distances, x_n and x_f ahead of the
@@ -77,18 +77,14 @@ class LineFollowing:
     """
 
     kind: Literal["line_following"] = "line_following"
-    tasks: ClassVar[tuple[str, ...]] = ("line",)
-    depth: ClassVar[Depth] = AtGoal()  # on the floor it depends on the look distance alone, for a camera without roll
+    tasks = ("line",)
+    inputs = ("xy",)
+    depth = AtGoal()  # on the floor it depends on the look distance alone, for a camera without roll
     gain: Annotated[float, Gt(0)] = 3.0
     cruise_mps: Annotated[float, Gt(0)] = 0.8
     approach_deg: Annotated[float, Gt(0), Lt(80)] = 25.0
     coast_s: Annotated[float, Ge(0)] = 0.2
     limits: TwistLimits = TwistLimits()
-
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        """Where the lines cross the look distances."""
-        return ("xy",)
 
     def markers_needed(self, basis: Array) -> int:
         """The two points of a line."""

@@ -13,7 +13,6 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, exp, inverse, transform
 from vstestbed.features.depth import Estimate, PnP
 from vstestbed.features.observation import Goal
-from vstestbed.laws import Hybrid
 from vstestbed.laws.views import ForMany, Views
 from vstestbed.robots import Free, Mount
 from vstestbed.robots.free import FreeStart
@@ -126,10 +125,9 @@ class Flight:
         s = self.scenario
         if not isinstance(s.law, ForMany):
             raise ParameterError("law.kind", "must have equations for many runs at once (laws.views.ForMany)", s.law.kind)
-        visibility = getattr(s.law, "visibility", None)
-        if visibility is not None and visibility.margin_px > 0:
-            raise ParameterError("law.visibility.margin_px", "must be 0 in a batch", visibility.margin_px)
-        if getattr(getattr(s.law, "feedforward", None), "kind", "none") != "none":
+        if s.law.visibility.margin_px > 0:
+            raise ParameterError("law.visibility.margin_px", "must be 0 in a batch", s.law.visibility.margin_px)
+        if s.law.feedforward.kind != "none":
             raise ParameterError("law.feedforward", "must be none in a batch")
         if isinstance(s.law.depth, Estimate):
             raise ParameterError("law.depth", "may not be estimate in a batch; valid: pnp, constant, goal, oracle")
@@ -287,7 +285,7 @@ def _orders(flight: Flight, runs: _Runs, p: Array, seen: NDArray[np.bool_], t: f
         goal = flight.goal(slice(None) if rows.all() else rows)
         views = Views(t, p[which] if rows.all() else p[which][:, rows], runs.T[which], goal, law.depth)
         memory[which], twist[which] = flight.law.many(runs.memory[which], views, goal)
-        if isinstance(law, Hybrid) and law.source == "homography":
+        if law.inputs == ("relative",):
             twist[which] = np.where(_untold(views, goal)[:, None], np.nan, twist[which])
     return memory, twist, np.isfinite(twist[:, 0])
 
