@@ -64,7 +64,7 @@ def test_views_that_cannot_be_compared_bring_rest():
     blind = Observation(t=0, uv=o.uv, xy=o.xy, depth=o.depth, T_camera_target=None, relative=None)
     for law in (Hybrid(), Hybrid(source="model")):
         command = law.step(None, blind, goal, np.eye(6))[1]
-        assert command.held == NO_POSE and not command.twist.any()
+        assert command.rest_reason == NO_POSE and not command.twist.any()
 
 
 OFF_THE_ORIGIN = ((-0.25, -0.25, 0.5), (0.25, -0.25, 0.5), (0.25, 0.25, 0.5), (-0.25, 0.25, 0.5))

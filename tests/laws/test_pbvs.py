@@ -78,8 +78,8 @@ class TestRest:
         uv = np.where(np.arange(4)[:, None] < seen, CAMERA.project(p), np.nan)
         o = Observation(t=0, uv=uv, xy=CAMERA.normalise(uv), depth=p[:, 2], T_camera_target=T)
         command = PBVS().step(PBVS().init(GOAL), o, GOAL, np.eye(6))[1]
-        assert not command.u.any() or not command.held
-        return command.held
+        assert not command.u.any() or not command.rest_reason
+        return command.rest_reason
 
     def test_too_few_markers_for_a_pose(self):
         assert self.step(2, GOAL.T_camera_target) == TOO_FEW

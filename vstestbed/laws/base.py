@@ -24,23 +24,28 @@ M = TypeVar("M")
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """What a law orders: u (n,) in the robot's motion space, the camera twist (6,) = basis @ u it stands for.
+    """The output of a law: u (n,) in the robot's motion space, and the camera twist (6,) = basis @ u for which it stands.
 
-    `held` is why a law orders rest although the goal is not reached ("" while it works); `scale` is the factor by which
-    the law's own limits on the twist shortened it. `free` (6, k) are unit twists that change nothing of what the law looks at,
-    where there are such: the robot may use them for ends of its own.
+    Attributes:
+        u: velocities along the robot's motions (n,) [m/s, rad/s].
+        twist: the camera twist (6,), (v, w) in the camera frame [m/s, rad/s].
+        rest_reason: why the law orders rest although the goal is not reached; "" while it works. With a motion beside it,
+            the law coasts: it cannot measure, and continues on what it knew.
+        scale: factor in (0, 1] by which the law's own limits shortened the twist.
+        null_space: unit twists (6, k) as columns that do not change the features; the robot may use them for a secondary task.
+            None where the law does not compute them.
     """
 
     u: Array
     twist: Array
-    held: str = ""
+    rest_reason: str = ""
     scale: float = 1.0
-    free: Array | None = None
+    null_space: Array | None = None
 
     @classmethod
     def rest(cls, basis: Array, why: str) -> Command:
         """Stand still, for the reason `why`."""
-        return cls(u=np.zeros(basis.shape[1]), twist=np.zeros(6), held=why)
+        return cls(u=np.zeros(basis.shape[1]), twist=np.zeros(6), rest_reason=why)
 
 
 class Law(Protocol[M]):

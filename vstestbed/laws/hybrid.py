@@ -97,12 +97,12 @@ class Hybrid(LawBase):
         return None if T is None else _compared(T, goal)
 
     @property
-    def remembers(self) -> int:
+    def state_size(self) -> int:
         """Nothing."""
         return 0
 
-    def many(self, memory: Array, views: Views, goal: Goal) -> tuple[Array, Array]:
-        """One frame of many runs (see `ForMany`): a homography of exact pixels says the same as the pose."""
+    def step_batch(self, memory: Array, views: Views, goal: Goal) -> tuple[Array, Array]:
+        """One frame of many runs (see `BatchLaw`): a homography of exact pixels says the same as the pose."""
         e, L = self.equations(*_compared(views.T_camera_target, goal), goal.middle)
         solved = least_squares(L, e)
         return memory, self.limits.within(-self.gain.at(solved) * solved)

@@ -14,7 +14,7 @@ from vstestbed.core.geometry import Array
 from vstestbed.core.spec import spec
 from vstestbed.features.depth import AtGoal
 from vstestbed.features.ground_line import floor_plane, floor_point, line_on_floor
-from vstestbed.features.line import Line, line_interaction
+from vstestbed.features.line import LineFeature, line_interaction
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.base import Command, LawBase, TwistLimits
 from vstestbed.laws.select import TOO_FEW
@@ -107,7 +107,7 @@ class LineFollowing(LawBase):
         seen = np.isfinite(_on_floor(observation.xy, goal)).all(axis=(1, 2))
         if not seen.any():
             if memory.u is not None and observation.t - memory.t <= self.coast_s:
-                return memory, replace(self.limits.command(memory.u, basis), held=TOO_FEW)
+                return memory, replace(self.limits.command(memory.u, basis), rest_reason=TOO_FEW)
             return memory, Command.rest(basis, TOO_FEW)
         u = self._motion(xy[seen], memory.aim[seen], goal, basis)
         return LineMemory(memory.aim, observation.t, u), self.limits.command(u, basis)
@@ -117,7 +117,7 @@ class LineFollowing(LawBase):
         mount, v = goal.T_base_camera, self.cruise_mps
         near, far = np.moveaxis(floor_point(xy, mount)[..., 0], -1, 0)
         middle, exact = (near + far) / 2, near * far / (near + far)
-        rho, theta = np.moveaxis(Line().measure(xy), -1, 0)
+        rho, theta = np.moveaxis(LineFeature().measure(xy), -1, 0)
         L = line_interaction(rho, theta, floor_plane(mount)) @ basis
         (e, _), (s, J) = line_on_floor(rho, theta, mount, exact)[0].T, line_on_floor(rho, theta, mount, middle)
         rows, slope = J @ L, np.tan(s[:, 1])  # (lines, 2, n): of y at the middle, and of phi

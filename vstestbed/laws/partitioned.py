@@ -122,12 +122,12 @@ class Partitioned(LawBase):
         return PartitionedMemory(turn), Command(u=least_squares(basis, twist), twist=twist, scale=scale)
 
     @property
-    def remembers(self) -> int:
+    def state_size(self) -> int:
         """The turn still to be made."""
         return 1
 
-    def many(self, memory: Array, views: Views, goal: Goal) -> tuple[Array, Array]:
-        """One frame of many runs (see `ForMany`)."""
+    def step_batch(self, memory: Array, views: Views, goal: Goal) -> tuple[Array, Array]:
+        """One frame of many runs (see `BatchLaw`)."""
         sigma, d, sigma_star, d_star = size(views.xy), segments(views.xy), size(goal.xy), segments(goal.xy)
         flat = ~(spans_area(sigma, d) & spans_area(sigma_star, d_star))
         first = np.isnan(memory[:, 0])

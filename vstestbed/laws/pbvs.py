@@ -13,7 +13,7 @@ from vstestbed.features import ThetaU, Translation
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.base import Command, ConstantGain, Gain, LawBase, TwistLimits
 from vstestbed.laws.feedforward import Change, Feedforward, NoFeedforward
-from vstestbed.laws.following import NOTHING, Followed, beforehand, inputs_of, unseen, unwound
+from vstestbed.laws.following import NOTHING, Followed, anti_windup, coast, feedforward_term, inputs_of
 from vstestbed.laws.select import NO_POSE, TOO_FEW
 from vstestbed.laws.solve import least_squares
 from vstestbed.laws.views import Views
@@ -74,25 +74,25 @@ class PBVS(LawBase):
             return self._without(memory, observation, basis, NO_POSE if T is None else TOO_FEW)
         e, L = self.equations(T, goal.T_camera_target)
         solved = least_squares(L @ basis, e)
-        followed, solved, aside = beforehand(self.feedforward, memory, observation, solved, _change(memory.seen, T), basis)
+        followed, solved, aside = feedforward_term(self.feedforward, memory, observation, solved, _change(memory.seen, T), basis)
         command = self.limits.command(-self.gain.at(solved) * solved - aside, basis)
-        return unwound(memory, followed, command), command
+        return anti_windup(memory, followed, command), command
 
     def _without(self, memory: Followed, seen: Observation, basis: Array, why: str) -> tuple[Followed, Command]:
         """A frame without a pose: rest, or on with the target's own motion."""
-        gone_on = unseen(self.feedforward, memory, seen, basis)
+        gone_on = coast(self.feedforward, memory, seen, basis)
         if gone_on is None:
             return NOTHING, Command.rest(basis, why)
         followed, u = gone_on
-        return followed, replace(self.limits.command(u, basis), held=why)
+        return followed, replace(self.limits.command(u, basis), rest_reason=why)
 
     @property
-    def remembers(self) -> int:
+    def state_size(self) -> int:
         """Nothing."""
         return 0
 
-    def many(self, memory: Array, views: Views, goal: Goal) -> tuple[Array, Array]:
-        """One frame of many runs (see `ForMany`)."""
+    def step_batch(self, memory: Array, views: Views, goal: Goal) -> tuple[Array, Array]:
+        """One frame of many runs (see `BatchLaw`)."""
         e, L = self.equations(views.T_camera_target, goal.T_camera_target)
         solved = least_squares(L, e)
         return memory, self.limits.within(-self.gain.at(solved) * solved)

@@ -75,7 +75,7 @@ class Pursuit(LawBase):
         if T is None or way is None or goal.gap_m is None or not observation.seen.any():
             why = NO_POSE if observation.seen.any() else TOO_FEW
             if memory.u is not None and observation.t - memory.t <= self.coast_s:
-                return memory, replace(self.limits.command(memory.u, basis), held=why)
+                return memory, replace(self.limits.command(memory.u, basis), rest_reason=why)
             return memory, Command.rest(basis, why)
         x, y = (goal.T_base_camera @ T)[:2, 3].tolist()
         gap = math.hypot(x, y)
