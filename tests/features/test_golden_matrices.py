@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from vstestbed.core.geometry import exp
-from vstestbed.features import Line, LogDepth, Polar, Polygon, ThetaU, Translation
+from vstestbed.features import LineFeature, LogDepth, Polar, Polygon, ThetaU, Translation
 from vstestbed.features.line import line_interaction
 from vstestbed.features.theta_u import theta_u
 
@@ -81,8 +81,8 @@ def test_line_through_two_markers_of_its_plane():
     inverse_depth = -(np.einsum("nmk,nk->nm", xy, plane[:, :2]) + plane[:, 2:3]) / plane[:, 3:]
     front = (inverse_depth > 0).all(axis=-1)
     assert front.sum() >= 8  # the plane of some cases passes behind the camera there
-    agree(Line().measure(xy[front]), s[front])
-    agree(Line().interaction(xy[front], 1 / inverse_depth[front]), L[front])
+    agree(LineFeature().measure(xy[front]), s[front])
+    agree(LineFeature().interaction(xy[front], 1 / inverse_depth[front]), L[front])
 
 
 def test_angle_of_a_segment():

@@ -6,7 +6,7 @@ import pytest
 from vstestbed.core.geometry import Pose, inverse, transform
 from vstestbed.core.planar import moved, pose_on_ground
 from vstestbed.features.ground_line import floor_plane, floor_point, line_on_floor
-from vstestbed.features.line import Line, line_interaction
+from vstestbed.features.line import LineFeature, line_interaction
 from vstestbed.robots import Mount
 from vstestbed.robots.ground import PLANE
 
@@ -27,7 +27,7 @@ def picture_of(y0, phi, mount, place=(0.0, 0.0, 0.0)):
     x = np.array([0.4, 0.8])
     p = np.column_stack([x, y0 + x * np.tan(phi), np.zeros(2)])
     p = transform(inverse(pose_on_ground(np.array(place)) @ mount), p)
-    return Line().measure(p[:, :2] / p[:, 2:])
+    return LineFeature().measure(p[:, :2] / p[:, 2:])
 
 
 def test_the_floors_plane_holds_the_floor(mount):

@@ -7,7 +7,7 @@ import pytest
 
 import vstestbed as vs
 from tests.laws.flight import fly
-from vstestbed.features import Line, Point, Polar, Spherical
+from vstestbed.features import LineFeature, Point, Polar, Spherical
 from vstestbed.features.depth import OracleDepth
 from vstestbed.laws import IBVS, PBVS, Hybrid, Law, Partitioned
 
@@ -42,7 +42,7 @@ LAWS: dict[str, Law] = {
     "polar, mean": IBVS(feature=Polar(), interaction="mean", depth=TRUE),
     "spherical, current": IBVS(feature=Spherical(), interaction="current", depth=TRUE),
     "spherical, mean": IBVS(feature=Spherical(), interaction="mean", depth=TRUE),
-    "line, mean": IBVS(feature=Line(), interaction="mean", depth=TRUE),
+    "line, mean": IBVS(feature=LineFeature(), interaction="mean", depth=TRUE),
     "partitioned": Partitioned(depth=TRUE),
     "PBVS, cdMc": PBVS(),
     "PBVS, cMcd": PBVS(translation="cMcd"),

@@ -33,7 +33,7 @@ def test_the_matrix_is_the_derivative_of_the_error():
     goal, law, h = Goal.from_view(CAMERA, POINTS, TILTED), Hybrid(source="model"), 1e-6
 
     def feature(T: Array) -> tuple[Array, Array]:
-        return law.feature(T[:3, 3] / TILTED[2, 3], TILTED[:3, :3] @ T[:3, :3].T, goal.T_camera_target[:3, 3])
+        return law.equations(T[:3, 3] / TILTED[2, 3], TILTED[:3, :3] @ T[:3, :3].T, goal.T_camera_target[:3, 3])
 
     L = feature(AWAY)[1]
     for i, twist in enumerate(np.eye(6)):
@@ -64,7 +64,7 @@ def test_views_that_cannot_be_compared_bring_rest():
     blind = Observation(t=0, uv=o.uv, xy=o.xy, depth=o.depth, T_camera_target=None, relative=None)
     for law in (Hybrid(), Hybrid(source="model")):
         command = law.step(None, blind, goal, np.eye(6))[1]
-        assert command.held == NO_POSE and not command.twist.any()
+        assert command.rest_reason == NO_POSE and not command.twist.any()
 
 
 OFF_THE_ORIGIN = ((-0.25, -0.25, 0.5), (0.25, -0.25, 0.5), (0.25, 0.25, 0.5), (-0.25, 0.25, 0.5))

@@ -151,15 +151,15 @@ class TestFewMarkers:
     def test_two_are_too_few_for_six_motions(self, unseen: tuple[int, ...]):
         _, given = IBVS().step(IBVS().init(GOAL), look(unseen=unseen), GOAL, SIX)
         np.testing.assert_array_equal(given.twist, np.zeros(6))
-        assert "few markers" in given.held
+        assert "few markers" in given.rest_reason
 
     def test_a_marker_without_depth_does_not_count(self):
         o = look()
         half_blind = replace(o, depth=np.where([True, True, False, False], np.nan, o.depth))
-        assert IBVS().step(IBVS().init(GOAL), half_blind, GOAL, SIX)[1].held
+        assert IBVS().step(IBVS().init(GOAL), half_blind, GOAL, SIX)[1].rest_reason
 
     def test_two_are_enough_for_three_motions(self):
-        assert not IBVS().step(IBVS().init(GOAL), look(unseen=(0, 2)), GOAL, SIX[:, [0, 1, 5]])[1].held
+        assert not IBVS().step(IBVS().init(GOAL), look(unseen=(0, 2)), GOAL, SIX[:, [0, 1, 5]])[1].rest_reason
 
 
 class TestMotionBasis:

@@ -128,7 +128,7 @@ class TestSight:
         seen.xy[2] = np.nan  # half of the second line: no line
         _, half = law.step(law.init(goal), seen, goal, basis)
         np.testing.assert_allclose(half.u, whole.u, atol=1e-9)
-        assert not half.held
+        assert not half.rest_reason
 
     def test_out_of_sight_it_coasts_and_then_rests(self):
         lines, goal = world(Straight(length_m=9))
@@ -137,7 +137,7 @@ class TestSight:
         memory, coasting = law.step(memory, observe(lines, goal, (30, 0, 0), 0.2), goal, basis)
         np.testing.assert_array_equal(coasting.u, first.u)
         _, resting = law.step(memory, observe(lines, goal, (30, 0, 0), 0.24), goal, basis)
-        assert coasting.held and resting.held and not resting.u.any()
+        assert coasting.rest_reason and resting.rest_reason and not resting.u.any()
 
 
 def test_refuses_to_look_beside_itself():

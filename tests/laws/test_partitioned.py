@@ -137,8 +137,8 @@ class TestNoArea:
         for sigma in ("ratio", "log", "difference"):
             law = Partitioned(sigma=sigma)
             command = law.step(law.init(goal), Observation(0, hidden, hidden, p[:, 2]), goal, np.eye(6))[1]
-            assert command.held == NO_AREA and not command.twist.any()
-            assert not law.step(law.init(goal), Observation(0, xy, xy, p[:, 2]), goal, np.eye(6))[1].held
+            assert command.rest_reason == NO_AREA and not command.twist.any()
+            assert not law.step(law.init(goal), Observation(0, xy, xy, p[:, 2]), goal, np.eye(6))[1].rest_reason
 
     @pytest.mark.parametrize("law", [Partitioned(depth=TRUE), IBVS(feature=Polygon(), depth=TRUE)], ids=lambda law: law.kind)
     @pytest.mark.parametrize("order", [(0, 2, 1, 3), (0, 1, 3, 2)], ids=str)
@@ -154,4 +154,4 @@ def test_three_markers_are_refused_though_three_of_four_carry_on():
     goal = Goal.from_view(book_camera(), POINTS, Pose(xyz=(0, 0, 1)).T)
     p = POINTS + [0, 0, 1.5]
     xy = np.where([[False], [False], [False], [True]], np.nan, p[:, :2] / p[:, 2:])
-    assert not Partitioned().step(Partitioned().init(goal), Observation(0, xy, xy, p[:, 2]), goal, np.eye(6))[1].held
+    assert not Partitioned().step(Partitioned().init(goal), Observation(0, xy, xy, p[:, 2]), goal, np.eye(6))[1].rest_reason

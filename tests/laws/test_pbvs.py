@@ -24,9 +24,9 @@ START = {"xyz": (0.6, 0.3, -2.0), "rpy_deg": (8.0, -14.0, 100.0)}
 @pytest.mark.parametrize("way", ["cdMc", "cMcd", "cMo"])
 def test_the_matrix_is_the_derivative_of_the_error(way: Way):
     law, T, h = PBVS(translation=way), inverse(Pose(**START).T), 1e-6  # pyright: ignore[reportArgumentType]
-    L = law.feature(T, GOAL.T_camera_target)[1]
+    L = law.equations(T, GOAL.T_camera_target)[1]
     for i, twist in enumerate(np.eye(6)):
-        ahead, back = (law.feature(exp(-s * h * twist) @ T, GOAL.T_camera_target)[0] for s in (1, -1))
+        ahead, back = (law.equations(exp(-s * h * twist) @ T, GOAL.T_camera_target)[0] for s in (1, -1))
         assert (ahead - back) / (2 * h) == pytest.approx(L[:, i], abs=1e-8)
 
 
@@ -78,8 +78,8 @@ class TestRest:
         uv = np.where(np.arange(4)[:, None] < seen, CAMERA.project(p), np.nan)
         o = Observation(t=0, uv=uv, xy=CAMERA.normalise(uv), depth=p[:, 2], T_camera_target=T)
         command = PBVS().step(PBVS().init(GOAL), o, GOAL, np.eye(6))[1]
-        assert not command.u.any() or not command.held
-        return command.held
+        assert not command.u.any() or not command.rest_reason
+        return command.rest_reason
 
     def test_too_few_markers_for_a_pose(self):
         assert self.step(2, GOAL.T_camera_target) == TOO_FEW

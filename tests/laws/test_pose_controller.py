@@ -58,14 +58,14 @@ def test_a_missed_goal_is_not_circled():
     law, want = PoseController(), goal(place=np.zeros(3))
     memory, _ = law.step(law.init(want), observe(0, np.array([-1.0, 0, 0]), np.zeros(3)), want, BASIS)
     memory, command = law.step(memory, observe(1, np.array([0.02, 0.05, 0.0]), np.zeros(3)), want, BASIS)  # abeam, 5 cm aside
-    assert memory.arrived and not command.u.any() and not command.held
+    assert memory.arrived and not command.u.any() and not command.rest_reason
 
 
 def test_without_a_place_it_rests_and_says_so():
     law, want = PoseController(), goal(place=np.zeros(3))
     blind = observe(0, np.zeros(3), np.zeros(3))
     _, command = law.step(law.init(want), type(blind)(0.0, blind.uv, blind.xy, blind.depth), want, BASIS)
-    assert not command.u.any() and command.held == "the place cannot be told"
+    assert not command.u.any() and command.rest_reason == "the place cannot be told"
 
 
 @pytest.mark.parametrize(("gains", "field"), [({"k_rho": -1}, "k_rho"), ({"k_beta": 0.5}, "k_beta"), ({"k_alpha": 0.5}, "k_alpha")])

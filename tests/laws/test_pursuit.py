@@ -62,6 +62,6 @@ def test_out_of_sight_it_coasts_and_then_rests():
     unseen = observe(0.4, np.zeros(3), np.zeros(3), np.array([3.0, 1, 0]), seen=False)
     memory, coasting = law.step(memory, unseen, want, BASIS)
     np.testing.assert_array_equal(coasting.u, first.u)
-    assert coasting.held
+    assert coasting.rest_reason
     _, resting = law.step(memory, observe(0.6, np.zeros(3), np.zeros(3), np.array([3.0, 1, 0]), seen=False), want, BASIS)
-    assert not resting.u.any() and resting.held
+    assert not resting.u.any() and resting.rest_reason

@@ -25,6 +25,7 @@ from pydantic.dataclasses import dataclass as _pydantic_dataclass
 from pydantic.dataclasses import rebuild_dataclass
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
+from vstestbed.core.contract import Contract
 from vstestbed.core.errors import ParameterError
 
 T = TypeVar("T")
@@ -78,6 +79,7 @@ class OneOf:
         number: (kind, field) that a bare number stands for, where one does.
         default: the kind of a block that names none, where there is one.
         fields: kinds that a block which names none is, where it has the field.
+        contract: what each member must have; None where any spec class may be a member.
     """
 
     def __init__(
@@ -87,17 +89,30 @@ class OneOf:
         number: tuple[str, str] | None = None,
         default: str | None = None,
         fields: Mapping[str, str] | None = None,
+        contract: Contract | None = None,
     ):
         self.what, self.number, self.default, self.fields = what, number, default, dict(fields or {})
+        self.contract = contract
         self.members: dict[str, type] = {}
         for member in members:
             self.add(member)
 
     def add(self, member: type[T]) -> type[T]:
-        """Register one more kind (usable as a decorator by a plugin); ParameterError when the word is taken."""
+        """Register one more kind (usable as a decorator by a plugin).
+
+        Raises:
+            ParameterError: the class is no spec, its word is taken, or it breaks the contract of the room.
+        """
+        # By identity: a subclass of a spec is a dataclass, too, but without @spec its own fields would be ignored.
+        if not any(member is known for known in _SPECS):
+            name = getattr(member, "__name__", repr(member))
+            raise ParameterError(name, f"is not a spec; a {self.what} is a class with @spec directly above it, below any `add`")
         kind = kind_of(member)
         if kind in self.members and self.members[kind] is not member:
-            raise ParameterError("kind", f"{kind!r} is already a {self.what} ({self.members[kind].__module__})")
+            taken = f"{kind!r} is already a {self.what} ({self.members[kind].__module__})"
+            raise ParameterError("kind", f"{taken}; give {member.__name__} a `kind` of its own")
+        if self.contract is not None:
+            self.contract.check(member)
         self.members[kind] = member
         return member
 
@@ -160,8 +175,8 @@ def _needed_fields(cls: type) -> list[str]:
 def kind_of(cls: type) -> str:
     """The word that a spec class has as its `kind`."""
     for field in dataclasses.fields(cls):
-        if field.name == "kind":
-            return str(field.default)
+        if field.name == "kind" and isinstance(field.default, str):
+            return field.default
     raise ParameterError("kind", f"is missing: {cls.__name__} needs `kind: Literal['...'] = '...'`")
 
 

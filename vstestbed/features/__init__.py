@@ -1,9 +1,13 @@
 """Image features: what a law servoes on. Each gives s (`measure`), L (`interaction`) and s - s* (`error`)."""
 
+from dataclasses import fields
+
+from vstestbed.core.contract import Contract
 from vstestbed.core.spec import OneOf
 from vstestbed.features.base import Feature
-from vstestbed.features.line import Line
+from vstestbed.features.line import LineFeature
 from vstestbed.features.log_depth import LogDepth
+from vstestbed.features.observation import Goal, Observation
 from vstestbed.features.point import Point
 from vstestbed.features.polar import Polar
 from vstestbed.features.polygon import Polygon
@@ -11,7 +15,11 @@ from vstestbed.features.spherical import Spherical
 from vstestbed.features.theta_u import ThetaU
 from vstestbed.features.translation import Translation
 
-FEATURES = OneOf("feature", Point, Polar, Spherical, Polygon, Line, default="point")
-"""What pixels tell; depth and pose as measurements (LogDepth, ThetaU, Translation) are the business of other laws."""
+# A feature is computed for the current view and for the goal view: its inputs must be fields of both.
+_VIEW_FIELDS = sorted({f.name for f in fields(Observation)} & {f.name for f in fields(Goal)})
+FEATURES = OneOf(
+    "feature", Point, Polar, Spherical, Polygon, LineFeature, default="point", contract=Contract(Feature, words={"inputs": _VIEW_FIELDS})
+)
+"""Features of image points, for `ibvs`; LogDepth, ThetaU and Translation take a depth or a pose, and other laws combine them."""
 
-__all__ = ["FEATURES", "Feature", "Line", "LogDepth", "Point", "Polar", "Polygon", "Spherical", "ThetaU", "Translation"]
+__all__ = ["FEATURES", "Feature", "LineFeature", "LogDepth", "Point", "Polar", "Polygon", "Spherical", "ThetaU", "Translation"]

@@ -14,7 +14,7 @@ from vstestbed.features.base import checked
 
 
 @spec
-class Line:
+class LineFeature:
     """Distance rho and angle theta of the lines x cos theta + y sin theta - rho = 0; rows rho1, theta1, rho2, ...
 
     Line i goes through the markers i and i + 1, the last through the last and the first; two markers have one line, so two

@@ -1,7 +1,7 @@
 """Control laws: what the camera saw, in; a velocity, out. A law never touches a simulator."""
 
 from vstestbed.core.spec import OneOf
-from vstestbed.laws.base import Command, Law
+from vstestbed.laws.base import LAW_CONTRACT, Command, Law, LawBase
 from vstestbed.laws.hybrid import Hybrid
 from vstestbed.laws.ibvs import IBVS
 from vstestbed.laws.line_following import LineFollowing
@@ -10,6 +10,6 @@ from vstestbed.laws.pbvs import PBVS
 from vstestbed.laws.pose_controller import PoseController
 from vstestbed.laws.pursuit import Pursuit
 
-LAWS = OneOf("law", IBVS, Partitioned, PBVS, Hybrid, PoseController, Pursuit, LineFollowing)
+LAWS = OneOf("law", IBVS, Partitioned, PBVS, Hybrid, PoseController, Pursuit, LineFollowing, contract=LAW_CONTRACT)
 
-__all__ = ["IBVS", "LAWS", "PBVS", "Command", "Hybrid", "Law", "LineFollowing", "Partitioned", "PoseController", "Pursuit"]
+__all__ = ["IBVS", "LAWS", "PBVS", "Command", "Hybrid", "Law", "LawBase", "LineFollowing", "Partitioned", "PoseController", "Pursuit"]

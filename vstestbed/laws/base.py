@@ -2,63 +2,114 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal, Protocol, TypeVar
+import math
+from dataclasses import dataclass, fields
+from typing import Annotated, Any, Literal, Protocol, TypeVar
 
 import numpy as np
 from annotated_types import Gt
 
+from vstestbed.core.contract import Contract
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.spec import OneOf, spec
+from vstestbed.features.base import Feature
+from vstestbed.features.depth import Depth, PnP
 from vstestbed.features.observation import Goal, Observation
+from vstestbed.laws.feedforward import Feedforward, NoFeedforward
+from vstestbed.laws.visibility import Visibility
 
 M = TypeVar("M")
 
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """What a law orders: u (n,) in the robot's motion space, the camera twist (6,) = basis @ u it stands for.
+    """The output of a law: u (n,) in the robot's motion space, and the camera twist (6,) = basis @ u for which it stands.
 
-    `held` is why a law orders rest although the goal is not reached ("" while it works); `scale` is the factor by which
-    the law's own limits on the twist shortened it. `free` (6, k) are unit twists that change nothing of what the law looks at,
-    where there are such: the robot may use them for ends of its own.
+    Attributes:
+        u: velocities along the robot's motions (n,) [m/s, rad/s].
+        twist: the camera twist (6,), (v, w) in the camera frame [m/s, rad/s].
+        rest_reason: why the law orders rest although the goal is not reached; "" while it works. With a motion beside it,
+            the law coasts: it cannot measure, and continues on what it knew.
+        scale: factor in (0, 1] by which the law's own limits shortened the twist.
+        null_space: unit twists (6, k) as columns that do not change the features; the robot may use them for a secondary task.
+            None where the law does not compute them.
     """
 
     u: Array
     twist: Array
-    held: str = ""
+    rest_reason: str = ""
     scale: float = 1.0
-    free: Array | None = None
+    null_space: Array | None = None
 
     @classmethod
     def rest(cls, basis: Array, why: str) -> Command:
         """Stand still, for the reason `why`."""
-        return cls(u=np.zeros(basis.shape[1]), twist=np.zeros(6), held=why)
+        return cls(u=np.zeros(basis.shape[1]), twist=np.zeros(6), rest_reason=why)
 
 
 class Law(Protocol[M]):
-    """A control law: parameters frozen in the object, memory passed through."""
+    """A control law: parameters frozen in the object, memory passed through. `LawBase` has defaults for all but `kind` and `step`.
+
+    This is all that the loop, the checks of a scenario, the observer and the studies read of a law.
+    """
 
     @property
     def kind(self) -> str:
         """The law's word in a scenario."""
         ...
 
-    tasks: ClassVar[tuple[str, ...]]
-    """What it may be asked for: `view`, `pose` (of a vehicle), `gap`, `line`."""
+    @property
+    def tasks(self) -> tuple[str, ...]:
+        """The kinds of goals that it can be given: `view`, `path`, `landing`, `pose` (of a vehicle), `gap`, `line`."""
+        ...
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """The fields of an Observation that it looks at."""
+        """The fields of an Observation that `step` reads; the costly ones are computed only for laws that name them."""
+        ...
+
+    @property
+    def depth(self) -> Depth:
+        """The source of the markers' depth, and with it of the target's pose."""
+        ...
+
+    @property
+    def feature(self) -> Feature | None:
+        """The image feature whose error is regulated, for reports; None for a law that has no single one."""
+        ...
+
+    @property
+    def limits(self) -> TwistLimits:
+        """Largest speed and rate of the commanded twist."""
+        ...
+
+    @property
+    def visibility(self) -> Visibility:
+        """The repulsion field at the border of the image."""
+        ...
+
+    @property
+    def feedforward(self) -> Feedforward:
+        """The feedforward term for a moving target."""
+        ...
+
+    @property
+    def cruise_mps(self) -> float | None:
+        """The constant speed at which the law drives a vehicle along a line [m/s]; None for a law that sets none."""
+        ...
+
+    @property
+    def rest_m(self) -> float:
+        """Distance from the goal under which the law stands still for good [m]; 0 for a law that never stops."""
         ...
 
     def markers_needed(self, basis: Array) -> int:
-        """How many markers must be seen at least for the robot's motions, basis (6, n)."""
+        """The least number of visible markers with which `step` can control the robot's motions, basis (6, n)."""
         ...
 
     def check(self, points: Array, goal: Goal) -> None:
-        """Refuse markers (N, 3) in the target frame [m], or a goal view of them, that it cannot work with.
+        """Refuse markers (N, 3) in the target frame [m], or a goal view of them, with which the law cannot work.
 
         Raises:
             ParameterError: it names a field of the scenario (`target`, `law.visibility`, ...).
@@ -70,7 +121,7 @@ class Law(Protocol[M]):
         ...
 
     def step(self, memory: M, observation: Observation, goal: Goal, basis: Array) -> tuple[M, Command]:
-        """One frame: the next memory and the command. basis (6, n): the camera twists that the robot can make."""
+        """One frame: the next memory and the command. basis (6, n): camera twists of the robot's n motions, as columns."""
         ...
 
 
@@ -153,3 +204,46 @@ class TwistLimits:
         twist = basis @ u
         factor = self.scale(twist)
         return Command(u=u * factor, twist=twist * factor, scale=factor)
+
+
+class LawBase:
+    """Defaults for everything that a law needs but `kind` and `step`; a law of one's own derives from it.
+
+        @LAWS.add
+        @spec
+        class Mine(LawBase):
+            kind: Literal["mine"] = "mine"
+            gain: float = 0.5
+
+            def step(self, memory, observation, goal, basis): ...
+
+    An annotated attribute of a spec is a parameter in YAML; one without annotation is a fact of the class. So a law writes
+    `depth = PnP()` to have its depth fixed, and `depth: Depth = PnP()` to let a scenario choose. That is also why nothing is annotated
+    here: a type checker would hold a law's narrower field against a declared one.
+    """
+
+    tasks = ("view",)
+    inputs = ("xy", "depth")
+    depth = PnP()
+    feature = None
+    limits = TwistLimits()
+    visibility = Visibility()
+    feedforward = NoFeedforward()
+    cruise_mps = None
+    rest_m = 0.0
+
+    def markers_needed(self, basis: Array) -> int:
+        """Two equations a marker: as many markers as the robot's motions, basis (6, n), take."""
+        return math.ceil(basis.shape[1] / 2)
+
+    def check(self, points: Array, goal: Goal) -> None:
+        """Accept any markers and any goal view."""
+
+    def init(self, goal: Goal) -> Any:  # Any: each law's memory is of a type of its own
+        """No memory."""
+        return None
+
+
+OBSERVATION_FIELDS = tuple(f.name for f in fields(Observation))
+LAW_CONTRACT = Contract(Law, base=LawBase, words={"inputs": OBSERVATION_FIELDS})
+"""What `LAWS` asks of a class."""

@@ -35,7 +35,7 @@ def inputs_of(kind: Feedforward) -> tuple[str, ...]:
     return ("motion",) if isinstance(kind, Estimator) else ()
 
 
-def beforehand(
+def feedforward_term(
     kind: Feedforward, memory: Followed, seen: Observation, solved: Array, change: Change | None, basis: Array
 ) -> tuple[Followed, Array, Array]:
     """The motion still to be made (n,) at the time looked ahead to, and what is ordered beside the gain's share of it (n,).
@@ -56,12 +56,12 @@ def beforehand(
     return replace(memory, seen=seen, t=seen.t, trend=trend), solved + shift, rate
 
 
-def unwound(before: Followed, after: Followed, command: Command) -> Followed:
+def anti_windup(before: Followed, after: Followed, command: Command) -> Followed:
     """What is remembered after a command: what limits took off it is not summed up."""
     return replace(after, integral=before.integral) if command.scale < 1 else after
 
 
-def unseen(kind: Feedforward, memory: Followed, seen: Observation, basis: Array) -> tuple[Followed, Array] | None:
+def coast(kind: Feedforward, memory: Followed, seen: Observation, basis: Array) -> tuple[Followed, Array] | None:
     """A picture that the law cannot work with: the target's own motion (n,) is gone on with for COAST_S; after that None, rest."""
     trend, motion = memory.trend, seen.motion
     if not isinstance(kind, Estimator) or trend is None or motion is None or not seen.t - memory.t <= COAST_S:

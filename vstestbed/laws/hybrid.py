@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -10,9 +10,8 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, inverse
 from vstestbed.core.spec import spec
 from vstestbed.features import LogDepth, Point, ThetaU
-from vstestbed.features.depth import Depth, PnP
 from vstestbed.features.observation import Goal, Observation
-from vstestbed.laws.base import Command, ConstantGain, Gain, TwistLimits
+from vstestbed.laws.base import Command, ConstantGain, Gain, LawBase, TwistLimits
 from vstestbed.laws.select import NO_POSE, TOO_FEW
 from vstestbed.laws.solve import least_squares
 from vstestbed.laws.views import Views
@@ -24,7 +23,7 @@ _THETA_U, _POINT, _LOG_DEPTH = ThetaU(), Point(), LogDepth()
 
 
 @spec
-class Hybrid:
+class Hybrid(LawBase):
     """u = -lambda pinv(L B) e with e = (x - x*, y - y*, log(Z/Z*), theta u), camera twist v = B u.
 
     (x, y) is the image of the markers' middle (their mean in space), Z its depth, R_goal_camera the rotation of theta u. They
@@ -47,12 +46,10 @@ class Hybrid:
     """
 
     kind: Literal["hybrid"] = "hybrid"
-    tasks: ClassVar[tuple[str, ...]] = ("view",)
     gain: Gain = ConstantGain()
     source: Literal["homography", "model"] = "homography"
     limits: TwistLimits = TwistLimits()
     visibility: Visibility = Visibility()
-    depth: ClassVar[Depth] = PnP()
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -73,9 +70,6 @@ class Hybrid:
             return
         raise ParameterError("target", words)
 
-    def init(self, goal: Goal) -> None:
-        """No memory."""
-
     def markers_needed(self, basis: Array) -> int:
         """Four markers make a homography; three leave a pose that continues the last one."""
         return 4 if self.source == "homography" else 3
@@ -87,7 +81,7 @@ class Hybrid:
         compared = self._compare(observation, goal)
         if compared is None:
             return None, Command.rest(basis, NO_POSE)
-        e, L = self.feature(*compared, goal.middle)
+        e, L = self.equations(*compared, goal.middle)
         solved = least_squares(L @ basis, e)
         u = -self.gain.at(solved) * solved
         if self.visibility.margin_px > 0:
@@ -103,17 +97,17 @@ class Hybrid:
         return None if T is None else _compared(T, goal)
 
     @property
-    def remembers(self) -> int:
+    def state_size(self) -> int:
         """Nothing."""
         return 0
 
-    def many(self, memory: Array, views: Views, goal: Goal) -> tuple[Array, Array]:
-        """One frame of many runs (see `ForMany`): a homography of exact pixels says the same as the pose."""
-        e, L = self.feature(*_compared(views.T_camera_target, goal), goal.middle)
+    def step_batch(self, memory: Array, views: Views, goal: Goal) -> tuple[Array, Array]:
+        """One frame of many runs (see `BatchLaw`): a homography of exact pixels says the same as the pose."""
+        e, L = self.equations(*_compared(views.T_camera_target, goal), goal.middle)
         solved = least_squares(L, e)
         return memory, self.limits.within(-self.gain.at(solved) * solved)
 
-    def feature(self, m: Array, R_goal_camera: Array, goal_middle: Array) -> tuple[Array, Array]:
+    def equations(self, m: Array, R_goal_camera: Array, goal_middle: Array) -> tuple[Array, Array]:
         """The error (..., 6) and L (..., 6, 6) of views.
 
         Args:

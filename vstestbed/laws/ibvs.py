@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Ge
 
 from vstestbed.core.geometry import Array
 from vstestbed.core.spec import spec
-from vstestbed.features import FEATURES, Line, Point, Polar, Polygon, Spherical
+from vstestbed.features import FEATURES, LineFeature, Point, Polar, Polygon, Spherical
 from vstestbed.features.depth import Depth, PnP
 from vstestbed.features.observation import Goal, Observation
-from vstestbed.laws.base import Command, ConstantGain, Gain, TwistLimits
+from vstestbed.laws.base import Command, ConstantGain, Gain, LawBase, TwistLimits
 from vstestbed.laws.feedforward import Change, Feedforward, NoFeedforward
-from vstestbed.laws.following import NOTHING, Followed, beforehand, inputs_of, unseen, unwound
+from vstestbed.laws.following import NOTHING, Followed, anti_windup, coast, feedforward_term, inputs_of
 from vstestbed.laws.select import ALL, Rows, require_area, usable_rows
 from vstestbed.laws.solve import least_squares, null_space
 from vstestbed.laws.views import Views
@@ -33,7 +33,7 @@ class IBVSMemory:
 
 
 @spec
-class IBVS:
+class IBVS(LawBase):
     """u = -lambda pinv(L B) e with e = s - s*, camera twist v = B u.
 
     With `smooth_start_s` = tau the command grows from rest: u - u(0) exp(-t/tau).
@@ -67,9 +67,9 @@ class IBVS:
     """
 
     kind: Literal["ibvs"] = "ibvs"
-    tasks: ClassVar[tuple[str, ...]] = ("view", "path", "landing")
+    tasks = ("view", "path", "landing")
     gain: Gain = ConstantGain()
-    feature: Annotated[Point | Polar | Spherical | Polygon | Line, FEATURES] = Point()
+    feature: Annotated[Point | Polar | Spherical | Polygon | LineFeature, FEATURES] = Point()
     interaction: Literal["current", "desired", "mean"] = "current"
     depth: Depth = PnP()
     smooth_start_s: Annotated[float, Ge(0)] = 0.0
@@ -106,7 +106,7 @@ class IBVS:
         e, L = self.equations(*self._taken(observation, rows), *self._taken(goal, rows))
         solved = least_squares(L @ basis, e)  # pinv(L B) e
         change = self._change(before.seen, observation, self.markers_needed(basis)) if before.seen and before.trend else None
-        followed, solved, aside = beforehand(self.feedforward, before, observation, solved, change, basis)
+        followed, solved, aside = feedforward_term(self.feedforward, before, observation, solved, change, basis)
         u = -self.gain.at(solved) * solved - aside
         if goal.twist is not None:
             u = u + least_squares(basis, goal.twist)
@@ -118,8 +118,8 @@ class IBVS:
             u = u + self.visibility.push(observation, goal, basis)
         command = self.limits.command(u, basis)
         if self.redundant:
-            command = replace(command, free=basis @ null_space(L @ basis))
-        return replace(memory, followed=unwound(before, followed, command)), command
+            command = replace(command, null_space=basis @ null_space(L @ basis))
+        return replace(memory, followed=anti_windup(before, followed, command)), command
 
     def _change(self, before: Observation, now: Observation, needed: int) -> Change | None:
         """How the feature changed between two pictures, by the markers that both have."""
@@ -134,19 +134,19 @@ class IBVS:
 
     def _without(self, memory: IBVSMemory, seen: Observation, basis: Array, why: str) -> tuple[IBVSMemory, Command]:
         """A frame without sight: rest; a target that moved is followed by its own motion for a while."""
-        gone_on = unseen(self.feedforward, memory.followed, seen, basis)
+        gone_on = coast(self.feedforward, memory.followed, seen, basis)
         if gone_on is None:
             return IBVSMemory(), Command.rest(basis, why)
         followed, u = gone_on
-        return replace(memory, followed=followed), replace(self.limits.command(u, basis), held=why)
+        return replace(memory, followed=followed), replace(self.limits.command(u, basis), rest_reason=why)
 
     @property
-    def remembers(self) -> int:
+    def state_size(self) -> int:
         """The first command, where the law starts smoothly."""
         return 6 if self.smooth_start_s > 0 else 0
 
-    def many(self, memory: Array, views: Views, goal: Goal) -> tuple[Array, Array]:
-        """One frame of many runs (see `ForMany`)."""
+    def step_batch(self, memory: Array, views: Views, goal: Goal) -> tuple[Array, Array]:
+        """One frame of many runs (see `BatchLaw`)."""
         e, L = self.equations(*self._taken(views, ALL), *self._taken(goal, ALL))
         solved = least_squares(L, e)
         u = -self.gain.at(solved) * solved

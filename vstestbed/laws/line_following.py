@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Ge, Gt, Lt
@@ -12,11 +12,11 @@ from annotated_types import Ge, Gt, Lt
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.spec import spec
-from vstestbed.features.depth import AtGoal, Depth
+from vstestbed.features.depth import AtGoal
 from vstestbed.features.ground_line import floor_plane, floor_point, line_on_floor
-from vstestbed.features.line import Line, line_interaction
+from vstestbed.features.line import LineFeature, line_interaction
 from vstestbed.features.observation import Goal, Observation
-from vstestbed.laws.base import Command, TwistLimits
+from vstestbed.laws.base import Command, LawBase, TwistLimits
 from vstestbed.laws.select import TOO_FEW
 from vstestbed.laws.solve import least_squares
 
@@ -34,7 +34,7 @@ class LineMemory:
 
 
 @spec
-class LineFollowing:
+class LineFollowing(LawBase):
     """L B u = -e_dot* at a given speed ahead, with L the interaction matrix of the line seen, (rho, theta), through the floor's plane.
 
     The picture's line goes through the points where the painted one crosses the look distances, x_n and x_f ahead of the
@@ -77,18 +77,14 @@ class LineFollowing:
     """
 
     kind: Literal["line_following"] = "line_following"
-    tasks: ClassVar[tuple[str, ...]] = ("line",)
-    depth: ClassVar[Depth] = AtGoal()  # on the floor it depends on the look distance alone, for a camera without roll
+    tasks = ("line",)
+    inputs = ("xy",)
+    depth = AtGoal()  # on the floor it depends on the look distance alone, for a camera without roll
     gain: Annotated[float, Gt(0)] = 3.0
     cruise_mps: Annotated[float, Gt(0)] = 0.8
     approach_deg: Annotated[float, Gt(0), Lt(80)] = 25.0
     coast_s: Annotated[float, Ge(0)] = 0.2
     limits: TwistLimits = TwistLimits()
-
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        """Where the lines cross the look distances."""
-        return ("xy",)
 
     def markers_needed(self, basis: Array) -> int:
         """The two points of a line."""
@@ -111,7 +107,7 @@ class LineFollowing:
         seen = np.isfinite(_on_floor(observation.xy, goal)).all(axis=(1, 2))
         if not seen.any():
             if memory.u is not None and observation.t - memory.t <= self.coast_s:
-                return memory, replace(self.limits.command(memory.u, basis), held=TOO_FEW)
+                return memory, replace(self.limits.command(memory.u, basis), rest_reason=TOO_FEW)
             return memory, Command.rest(basis, TOO_FEW)
         u = self._motion(xy[seen], memory.aim[seen], goal, basis)
         return LineMemory(memory.aim, observation.t, u), self.limits.command(u, basis)
@@ -121,7 +117,7 @@ class LineFollowing:
         mount, v = goal.T_base_camera, self.cruise_mps
         near, far = np.moveaxis(floor_point(xy, mount)[..., 0], -1, 0)
         middle, exact = (near + far) / 2, near * far / (near + far)
-        rho, theta = np.moveaxis(Line().measure(xy), -1, 0)
+        rho, theta = np.moveaxis(LineFeature().measure(xy), -1, 0)
         L = line_interaction(rho, theta, floor_plane(mount)) @ basis
         (e, _), (s, J) = line_on_floor(rho, theta, mount, exact)[0].T, line_on_floor(rho, theta, mount, middle)
         rows, slope = J @ L, np.tan(s[:, 1])  # (lines, 2, n): of y at the middle, and of phi

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Gt, Len
@@ -16,7 +16,7 @@ from vstestbed.features import Point
 from vstestbed.features.depth import Depth, PnP
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.features.polygon import angle_error, segments, size, size_error, spans_area
-from vstestbed.laws.base import Command, ConstantGain, Gain, TwistLimits
+from vstestbed.laws.base import Command, ConstantGain, Gain, LawBase, TwistLimits
 from vstestbed.laws.select import NO_AREA, require_area, usable_rows
 from vstestbed.laws.solve import least_squares
 from vstestbed.laws.views import Views
@@ -36,7 +36,7 @@ class PartitionedMemory:
 
 
 @spec
-class Partitioned:
+class Partitioned(LawBase):
     """vz and wz by the size and the angle of the markers' polygon, the other four by the points.
 
     v_z  = -gain_z e_sigma,  w_z = gain_turn e_angle
@@ -64,7 +64,6 @@ class Partitioned:
     """
 
     kind: Literal["partitioned"] = "partitioned"
-    tasks: ClassVar[tuple[str, ...]] = ("view",)
     gain: Gain = ConstantGain()
     gain_z: Annotated[float, Gt(0)] = 1.0
     gain_turn: Annotated[float, Gt(0)] = 0.5
@@ -78,11 +77,6 @@ class Partitioned:
         """Refuse limits that leave no way to turn."""
         if self.turn_limits_deg is not None and not self.turn_limits_deg[0] <= 0 <= self.turn_limits_deg[1]:
             raise ParameterError("turn_limits_deg", "must be [low, high] with low <= 0 <= high", self.turn_limits_deg)
-
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        """The fields of an Observation that it looks at."""
-        return ("xy", "depth")
 
     def check(self, points: Array, goal: Goal) -> None:
         """Refuse fewer than four markers, a goal view without a size (`require_area`), and what `visibility` does.
@@ -128,12 +122,12 @@ class Partitioned:
         return PartitionedMemory(turn), Command(u=least_squares(basis, twist), twist=twist, scale=scale)
 
     @property
-    def remembers(self) -> int:
+    def state_size(self) -> int:
         """The turn still to be made."""
         return 1
 
-    def many(self, memory: Array, views: Views, goal: Goal) -> tuple[Array, Array]:
-        """One frame of many runs (see `ForMany`)."""
+    def step_batch(self, memory: Array, views: Views, goal: Goal) -> tuple[Array, Array]:
+        """One frame of many runs (see `BatchLaw`)."""
         sigma, d, sigma_star, d_star = size(views.xy), segments(views.xy), size(goal.xy), segments(goal.xy)
         flat = ~(spans_area(sigma, d) & spans_area(sigma_star, d_star))
         first = np.isnan(memory[:, 0])

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 
 from vstestbed.core.geometry import Array, inverse, log
 from vstestbed.core.spec import spec
 from vstestbed.features import ThetaU, Translation
-from vstestbed.features.depth import Depth, PnP
 from vstestbed.features.observation import Goal, Observation
-from vstestbed.laws.base import Command, ConstantGain, Gain, TwistLimits
+from vstestbed.laws.base import Command, ConstantGain, Gain, LawBase, TwistLimits
 from vstestbed.laws.feedforward import Change, Feedforward, NoFeedforward
-from vstestbed.laws.following import NOTHING, Followed, beforehand, inputs_of, unseen, unwound
+from vstestbed.laws.following import NOTHING, Followed, anti_windup, coast, feedforward_term, inputs_of
 from vstestbed.laws.select import NO_POSE, TOO_FEW
 from vstestbed.laws.solve import least_squares
 from vstestbed.laws.views import Views
@@ -24,7 +23,7 @@ _TRANSLATIONS = {"cdMc": Translation(pose="cdMc"), "cMcd": Translation(pose="cMc
 
 
 @spec
-class PBVS:
+class PBVS(LawBase):
     """u = -lambda pinv(L B) e with e = (t - t*, theta u); the camera twist is v = B u.
 
     The rotation is theta u of R = R_goal_camera; the translation t and its rows of L, with o the target's origin:
@@ -50,20 +49,15 @@ class PBVS:
     """
 
     kind: Literal["pbvs"] = "pbvs"
-    tasks: ClassVar[tuple[str, ...]] = ("view",)
     gain: Gain = ConstantGain()
     translation: Literal["cdMc", "cMcd", "cMo"] = "cdMc"
     limits: TwistLimits = TwistLimits()
     feedforward: Feedforward = NoFeedforward()
-    depth: ClassVar[Depth] = PnP()
 
     @property
     def inputs(self) -> tuple[str, ...]:
         """The fields of an Observation that it looks at."""
         return ("T_camera_target", *inputs_of(self.feedforward))
-
-    def check(self, points: Array, goal: Goal) -> None:
-        """Any will do."""
 
     def init(self, goal: Goal) -> Followed:
         """Nothing known of the target's motion."""
@@ -78,32 +72,32 @@ class PBVS:
         T = observation.T_camera_target
         if T is None or np.count_nonzero(observation.seen) < self.markers_needed(basis):
             return self._without(memory, observation, basis, NO_POSE if T is None else TOO_FEW)
-        e, L = self.feature(T, goal.T_camera_target)
+        e, L = self.equations(T, goal.T_camera_target)
         solved = least_squares(L @ basis, e)
-        followed, solved, aside = beforehand(self.feedforward, memory, observation, solved, _change(memory.seen, T), basis)
+        followed, solved, aside = feedforward_term(self.feedforward, memory, observation, solved, _change(memory.seen, T), basis)
         command = self.limits.command(-self.gain.at(solved) * solved - aside, basis)
-        return unwound(memory, followed, command), command
+        return anti_windup(memory, followed, command), command
 
     def _without(self, memory: Followed, seen: Observation, basis: Array, why: str) -> tuple[Followed, Command]:
         """A frame without a pose: rest, or on with the target's own motion."""
-        gone_on = unseen(self.feedforward, memory, seen, basis)
+        gone_on = coast(self.feedforward, memory, seen, basis)
         if gone_on is None:
             return NOTHING, Command.rest(basis, why)
         followed, u = gone_on
-        return followed, replace(self.limits.command(u, basis), held=why)
+        return followed, replace(self.limits.command(u, basis), rest_reason=why)
 
     @property
-    def remembers(self) -> int:
+    def state_size(self) -> int:
         """Nothing."""
         return 0
 
-    def many(self, memory: Array, views: Views, goal: Goal) -> tuple[Array, Array]:
-        """One frame of many runs (see `ForMany`)."""
-        e, L = self.feature(views.T_camera_target, goal.T_camera_target)
+    def step_batch(self, memory: Array, views: Views, goal: Goal) -> tuple[Array, Array]:
+        """One frame of many runs (see `BatchLaw`)."""
+        e, L = self.equations(views.T_camera_target, goal.T_camera_target)
         solved = least_squares(L, e)
         return memory, self.limits.within(-self.gain.at(solved) * solved)
 
-    def feature(self, T_camera_target: Array, T_goal_target: Array) -> tuple[Array, Array]:
+    def equations(self, T_camera_target: Array, T_goal_target: Array) -> tuple[Array, Array]:
         """The error (..., 6) and L (..., 6, 6) at poses of the target, (..., 4, 4) in the camera's frame and (4, 4) in the goal's."""
         T_goal_camera = T_goal_target @ inverse(T_camera_target)
         by_itself = T_camera_target if self.translation == "cMo" else T_goal_camera

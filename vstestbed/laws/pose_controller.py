@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Ge, Gt
@@ -13,7 +13,7 @@ from vstestbed.core.geometry import Array
 from vstestbed.core.spec import spec
 from vstestbed.features.depth import Depth, PnP
 from vstestbed.features.observation import Goal, Observation
-from vstestbed.laws.base import Command, TwistLimits
+from vstestbed.laws.base import Command, LawBase, TwistLimits
 from vstestbed.laws.polar_pose import PolarGains, direction_to, polar, polar_law
 
 NO_PLACE = "the place cannot be told"
@@ -28,7 +28,7 @@ class PoseMemory:
 
 
 @spec
-class PoseController:
+class PoseController(LawBase):
     """v = k_rho rho,  w = k_alpha alpha + k_beta beta, about the goal, both scaled together into the speed limit.
 
     The equations, their stability and their source are in `laws.polar_pose`. Forward or reverse is chosen at the start, by
@@ -47,7 +47,8 @@ class PoseController:
     """
 
     kind: Literal["pose_controller"] = "pose_controller"
-    tasks: ClassVar[tuple[str, ...]] = ("pose",)
+    tasks = ("pose",)
+    inputs = ("place",)
     k_rho: float = 1.0
     k_alpha: float = 5.0
     k_beta: float = -2.0
@@ -70,17 +71,9 @@ class PoseController:
         """The three together."""
         return PolarGains(self.k_rho, self.k_alpha, self.k_beta)
 
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        """The vehicle's place."""
-        return ("place",)
-
     def markers_needed(self, basis: Array) -> int:
         """Three landmarks for a pose; with the floor known, two tell the place."""
         return 3 if isinstance(self.depth, PnP) else 2
-
-    def check(self, points: Array, goal: Goal) -> None:
-        """Any landmarks will do."""
 
     def init(self, goal: Goal) -> PoseMemory:
         """Nothing chosen yet."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Ge, Gt
@@ -14,7 +14,7 @@ from vstestbed.core.planar import relative
 from vstestbed.core.spec import spec
 from vstestbed.features.depth import Depth, OnFloor, PnP
 from vstestbed.features.observation import Goal, Observation
-from vstestbed.laws.base import Command, TwistLimits
+from vstestbed.laws.base import Command, LawBase, TwistLimits
 from vstestbed.laws.select import NO_POSE, TOO_FEW
 
 
@@ -32,7 +32,7 @@ class PursuitMemory:
 
 
 @spec
-class Pursuit:
+class Pursuit(LawBase):
     """v = v_target + lambda (d - d*),  w = v kappa,  kappa = 2 y / d^2,  with (x, y) the target on the floor and d its distance.
 
     kappa is the curvature of the arc that leads from the vehicle, tangentially, to the target. The target's own speed along
@@ -53,24 +53,17 @@ class Pursuit:
     """
 
     kind: Literal["pursuit"] = "pursuit"
-    tasks: ClassVar[tuple[str, ...]] = ("gap",)
+    tasks = ("gap",)
+    inputs = ("T_camera_target", "odometry")
     gain: Annotated[float, Gt(0)] = 1.0
     filter_s: Annotated[float, Gt(0)] = 0.5
     coast_s: Annotated[float, Ge(0)] = 0.5
     depth: Depth = OnFloor()
     limits: TwistLimits = TwistLimits()
 
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        """The target's pose, and the way by odometry."""
-        return ("T_camera_target", "odometry")
-
     def markers_needed(self, basis: Array) -> int:
         """With the floor known one tells where it is; a pose without it needs three."""
         return 3 if isinstance(self.depth, PnP) else 1
-
-    def check(self, points: Array, goal: Goal) -> None:
-        """Any markers will do."""
 
     def init(self, goal: Goal) -> PursuitMemory:
         """Nothing seen yet."""
@@ -82,7 +75,7 @@ class Pursuit:
         if T is None or way is None or goal.gap_m is None or not observation.seen.any():
             why = NO_POSE if observation.seen.any() else TOO_FEW
             if memory.u is not None and observation.t - memory.t <= self.coast_s:
-                return memory, replace(self.limits.command(memory.u, basis), held=why)
+                return memory, replace(self.limits.command(memory.u, basis), rest_reason=why)
             return memory, Command.rest(basis, why)
         x, y = (goal.T_base_camera @ T)[:2, 3].tolist()
         gap = math.hypot(x, y)

@@ -64,15 +64,15 @@ class Views:
 
 
 @runtime_checkable
-class ForMany(Protocol):
+class BatchLaw(Protocol):
     """A law that can also fly a batch: by the equations of its `step`, which are written for leading axes."""
 
     @property
-    def remembers(self) -> int:
+    def state_size(self) -> int:
         """How many numbers k a run's memory has."""
         ...
 
-    def many(self, memory: Array, views: Views, goal: Goal) -> tuple[Array, Array]:
+    def step_batch(self, memory: Array, views: Views, goal: Goal) -> tuple[Array, Array]:
         """One frame of M runs: the next memory (M, k), and the camera twists (M, 6); NaN where the law orders rest.
 
         The memory is NaN before the first frame. `goal` is of the markers in `views`.

@@ -104,7 +104,7 @@ class Servo:
         if not (all_seen := all_finite(error)):
             error = error[seen.seen]
             all_seen = goal.counted is not None and bool(seen.seen[goal.counted].all())
-        lost = bool(command.held) or not error.size  # a law may order motion although it sees nothing
+        lost = bool(command.rest_reason) or not error.size  # a law may order motion although it sees nothing
         error_px = math.nan if lost else math.sqrt(float(np.vdot(error, error)) / error.size)
         image = shot.frame.image if shot.frame and shot.frame.whole else None
         slip, estimate = self._slip(last, shot, seen), (math.nan, math.nan)
@@ -139,12 +139,12 @@ class Servo:
         """What is ordered of the robot for a command."""
         robot, encoders = self.scenario.robot, self.plant.encoders()
         mount, twist = self._mount_at(encoders.q), command.twist
-        if command.free is not None and isinstance(robot, Redundant):
-            twist = twist + robot.aside(command.free, encoders, mount)
+        if command.null_space is not None and isinstance(robot, Redundant):
+            twist = twist + robot.aside(command.null_space, encoders, mount)
         allocation = robot.allocate(twist, encoders, mount, self.scenario.camera.period)
         self.last_twist = allocation.twist
         if self.pilot:
-            return replace(allocation, setpoint=self.pilot.order(t, command.held, encoders.instruments, allocation.setpoint))
+            return replace(allocation, setpoint=self.pilot.order(t, command.rest_reason, encoders.instruments, allocation.setpoint))
         return allocation
 
     def _slip(self, last: Shot, shot: Shot, seen: Observation) -> tuple[float, float]:

@@ -43,7 +43,7 @@ def _evidence(scenario: Scenario, tick: Tick, pilot: Pilot | None, touchdown: To
     return Evidence(
         t=t,
         lost=tick.lost,
-        held=tick.command.held,
+        held=tick.command.rest_reason,
         all_seen=tick.all_seen,
         error_px=tick.error_px if tick.flight is None else level_error(scenario, tick.observation, tick.goal),
         command_size=max(map(abs, tick.command.twist.tolist())),

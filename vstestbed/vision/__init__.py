@@ -5,6 +5,7 @@ OpenCV keeps to one thread: a run's numbers do not depend on the machine's cores
 
 import cv2
 
+from vstestbed.core.contract import Contract
 from vstestbed.core.spec import OneOf
 from vstestbed.vision.base import Detection, Detector, TruthView
 from vstestbed.vision.detect.blobs import Blobs
@@ -17,7 +18,7 @@ from vstestbed.vision.pose.pnp import solve_pose, solve_pose_from_rays
 
 cv2.setNumThreads(1)
 
-DETECTORS = OneOf("detector", Blobs, Tags, Lines, Oracle, default="blobs")
+DETECTORS = OneOf("detector", Blobs, Tags, Lines, Oracle, default="blobs", contract=Contract(Detector))
 
 __all__ = [
     "DETECTORS",

@@ -14,7 +14,7 @@ from vstestbed.core.assets import bundled_scenarios
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, inverse
 from vstestbed.experiments.basin.batch import fly, ideal, start_of, started_at
-from vstestbed.features import FEATURES, Line, Polar, Polygon
+from vstestbed.features import FEATURES, LineFeature, Polar, Polygon
 from vstestbed.features.depth import AtGoal, Constant, Estimate, OracleDepth
 from vstestbed.laws import IBVS, LAWS, PBVS, Hybrid, Law, Partitioned
 from vstestbed.laws.base import AdaptiveGain, ConstantGain, TwistLimits
@@ -103,7 +103,7 @@ EVERY = {
 
 
 def test_every_law_is_there():
-    assert {law.kind for law in EVERY.values()} == {kind for kind, law in LAWS.members.items() if hasattr(law, "many")}
+    assert {law.kind for law in EVERY.values()} == {kind for kind, law in LAWS.members.items() if hasattr(law, "step_batch")}
     assert {"ibvs", "partitioned", "pbvs", "hybrid"} <= {law.kind for law in EVERY.values()}
 
 
@@ -149,7 +149,7 @@ def test_markers_that_leave_the_picture_end_a_run_where_the_time_loop_ends_it():
 
 
 def test_runs_do_not_know_of_one_another():
-    s, starts = scenario(IBVS(feature=Line(), interaction="mean", gain=FAST), error_px=0.1), drawn(20)
+    s, starts = scenario(IBVS(feature=LineFeature(), interaction="mean", gain=FAST), error_px=0.1), drawn(20)
     together = fly(s, starts)
     for i in range(0, 20, 7):
         alone = fly(s, starts[i : i + 1])
@@ -161,7 +161,7 @@ def test_runs_do_not_know_of_one_another():
 def test_many_more_than_fly_at_once_keep_their_order(monkeypatch: pytest.MonkeyPatch):
     s, starts = scenario(PBVS(gain=FAST)), drawn(30)
     whole = fly(s, starts)
-    monkeypatch.setattr("vstestbed.batch.AT_ONCE", 7)
+    monkeypatch.setattr("vstestbed.experiments.basin.batch.AT_ONCE", 7)
     parts = fly(s, starts)
     assert (parts.steps == whole.steps).all() and parts.run_steps == whole.run_steps
 

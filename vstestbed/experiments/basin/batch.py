@@ -13,8 +13,7 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, exp, inverse, transform
 from vstestbed.features.depth import Estimate, PnP
 from vstestbed.features.observation import Goal
-from vstestbed.laws import Hybrid
-from vstestbed.laws.views import ForMany, Views
+from vstestbed.laws.views import BatchLaw, Views
 from vstestbed.robots import Free, Mount
 from vstestbed.robots.free import FreeStart
 from vstestbed.scenario.scenario import PLANE_INPUTS, Noise, Scenario
@@ -125,12 +124,11 @@ class Flight:
     def __post_init__(self) -> None:
         """Refuse what a batch cannot fly."""
         s = self.scenario
-        if not isinstance(s.law, ForMany):
-            raise ParameterError("law.kind", "must have equations for many runs at once (laws.views.ForMany)", s.law.kind)
-        visibility = getattr(s.law, "visibility", None)
-        if visibility is not None and visibility.margin_px > 0:
-            raise ParameterError("law.visibility.margin_px", "must be 0 in a batch", visibility.margin_px)
-        if getattr(getattr(s.law, "feedforward", None), "kind", "none") != "none":
+        if not isinstance(s.law, BatchLaw):
+            raise ParameterError("law.kind", "must have equations for many runs at once (laws.views.BatchLaw)", s.law.kind)
+        if s.law.visibility.margin_px > 0:
+            raise ParameterError("law.visibility.margin_px", "must be 0 in a batch", s.law.visibility.margin_px)
+        if s.law.feedforward.kind != "none":
             raise ParameterError("law.feedforward", "must be none in a batch")
         if isinstance(s.law.depth, Estimate):
             raise ParameterError("law.depth", "may not be estimate in a batch; valid: pnp, constant, goal, oracle")
@@ -146,9 +144,9 @@ class Flight:
             raise ParameterError("scenario", words)
 
     @cached_property
-    def law(self) -> ForMany:
+    def law(self) -> BatchLaw:
         """The law, known to fly many."""
-        assert isinstance(self.scenario.law, ForMany)
+        assert isinstance(self.scenario.law, BatchLaw)
         return self.scenario.law
 
     @cached_property
@@ -195,7 +193,7 @@ class _Runs:
 def _fly(flight: Flight, start: Array) -> Batch:
     m, stop = len(start), flight.scenario.stop
     last = flight.frames(stop.duration_s)
-    runs = _Runs(np.arange(m), start, np.full((m, flight.law.remembers), np.nan), np.zeros(m, int), np.zeros(m, int), np.zeros(m))
+    runs = _Runs(np.arange(m), start, np.full((m, flight.law.state_size), np.nan), np.zeros(m, int), np.zeros(m, int), np.zeros(m))
     outcome, steps, near = np.full(m, None, dtype=object), np.zeros(m, dtype=int), np.full(m, -1)
     final, farthest, errors, crossed, done = start.copy(), np.zeros(m), np.full(m, np.nan), np.zeros(m, dtype=bool), 0
     for step in range(last + 1):
@@ -287,8 +285,8 @@ def _orders(flight: Flight, runs: _Runs, p: Array, seen: NDArray[np.bool_], t: f
         which = slice(None) if len(groups) == np.count_nonzero(groups == group) else groups == group
         goal = flight.goal(slice(None) if rows.all() else rows)
         views = Views(t, p[which] if rows.all() else p[which][:, rows], runs.T[which], goal, law.depth)
-        memory[which], twist[which] = flight.law.many(runs.memory[which], views, goal)
-        if isinstance(law, Hybrid) and law.source == "homography":
+        memory[which], twist[which] = flight.law.step_batch(runs.memory[which], views, goal)
+        if law.inputs == ("relative",):
             twist[which] = np.where(_untold(views, goal)[:, None], np.nan, twist[which])
     return memory, twist, np.isfinite(twist[:, 0])
 

@@ -66,7 +66,7 @@ class Setting:
             points=None if isinstance(scenario.target, GroundLines) else scenario.target.points,
             T_camera_target=getattr(view, "T", view),
             description=scenario.description,
-            feature=getattr(scenario.law, "feature", None),
+            feature=scenario.law.feature,
             camera=scenario.camera,
             ride=ride,
             band_m=kept.band if kept else None,
