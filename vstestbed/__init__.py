@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from vstestbed import features
+    from vstestbed.core.outcome import Outcome
     from vstestbed.experiments.comparison import compare
     from vstestbed.experiments.run_folder import run_into
     from vstestbed.loop.recording import Recording
     from vstestbed.loop.run import run
     from vstestbed.scenario.load import load
     from vstestbed.scenario.scenario import Scenario
-    from vstestbed.scenario.stop import Outcome
 
 _HOMES = {
     "compare": "vstestbed.experiments.comparison",
@@ -29,7 +29,7 @@ _HOMES = {
     "load": "vstestbed.scenario.load",
     "Scenario": "vstestbed.scenario.scenario",
     "Recording": "vstestbed.loop.recording",
-    "Outcome": "vstestbed.scenario.stop",
+    "Outcome": "vstestbed.core.outcome",
 }
 
 __all__ = ["Outcome", "Recording", "Scenario", "compare", "features", "load", "run", "run_into"]

@@ -4,7 +4,9 @@ import numpy as np
 
 from vstestbed.loop.failsafe import FOLLOWS, HOLD_S, HOLDS, OFF, SINKS, Pilot
 from vstestbed.robots.quadrotor import HOLD, ROTORS_OFF, descend
-from vstestbed.scenario.stop import Evidence, Judge, Outcome, Stop
+from vstestbed.core.outcome import Outcome
+from vstestbed.loop.judge import Evidence, Judge
+from vstestbed.tasks.stop import Stop
 
 PLAIN = {"overturned": 0.0, "rotor_limit_s": 0.0, "stands": 0.0, "range": 3.0}
 ORDER = np.array([0.5, 0.1, -0.2, 0.3])

@@ -23,7 +23,7 @@ from vstestbed.loop import run as loop
 from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart
 from vstestbed.scenario.scenario import GoalView, Scenario
-from vstestbed.scenario.stop import Converged, Stop
+from vstestbed.tasks.stop import Converged, Stop
 from vstestbed.targets.points import Square
 from vstestbed.vision import Oracle
 

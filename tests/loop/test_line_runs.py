@@ -5,7 +5,7 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.core.errors import ParameterError, ScenarioError
-from vstestbed.scenario.stop import Outcome
+from vstestbed.core.outcome import Outcome
 
 QUICK = {"camera.width": 320, "camera.height": 240}
 """A quarter of the pixels: what is tested here is the loop."""

@@ -9,8 +9,8 @@ import vstestbed as vs
 from vstestbed.core.errors import ScenarioError
 from vstestbed.loop.touchdown import Touchdown
 from vstestbed.robots.rotors import HOVER
-from vstestbed.scenario.goal import GoalLanding
-from vstestbed.scenario.stop import Outcome
+from vstestbed.tasks import GoalLanding
+from vstestbed.core.outcome import Outcome
 from vstestbed.sim.plant import MujocoPlant
 
 ORACLE = {"detector.kind": "oracle", "noise.pixel_sigma_px": 0.1}

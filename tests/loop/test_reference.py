@@ -7,7 +7,7 @@ import vstestbed as vs
 from vstestbed.core.geometry import Pose, inverse
 from vstestbed.features.observation import Observation
 from vstestbed.loop.reference import DEEPEST, LandingCourse, Path, course_of
-from vstestbed.scenario.goal import GoalPath, GoalView
+from vstestbed.tasks import GoalPath, GoalView
 
 WAY = (
     GoalView(T_camera_target=Pose(xyz=(1, 0, 2))),

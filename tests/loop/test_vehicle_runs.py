@@ -8,7 +8,7 @@ import pytest
 import vstestbed as vs
 from vstestbed.cli.progress import words
 from vstestbed.core.errors import ParameterError, ScenarioError
-from vstestbed.scenario.stop import Outcome
+from vstestbed.core.outcome import Outcome
 
 QUICK = {"camera.width": 500, "camera.height": 500, "robot.wheels": "planar"}
 """The omni base with half the pixels, on wheels that do not slip: what is tested here is the loop."""

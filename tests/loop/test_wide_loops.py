@@ -13,7 +13,7 @@ import vstestbed as vs
 from tests.conftest import Ended
 from vstestbed.core.errors import VstestbedError
 from vstestbed.loop.recording import Tick
-from vstestbed.scenario.stop import Outcome
+from vstestbed.core.outcome import Outcome
 
 
 def test_markers_behind_the_camera_come_to_the_goal_view():

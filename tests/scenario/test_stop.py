@@ -5,7 +5,9 @@ from dataclasses import replace
 import pytest
 
 from vstestbed.scenario.progress_check import Pace
-from vstestbed.scenario.stop import Band, Converged, Evidence, Judge, Outcome, Stop
+from vstestbed.core.outcome import Outcome
+from vstestbed.loop.judge import Band, Evidence, Judge
+from vstestbed.tasks.stop import Converged, Stop
 
 STOP = Stop(duration_s=10, converged=Converged(error_px=0.2, hold_s=0.5), lost_after_s=1.0)
 FINE = Evidence(

@@ -20,7 +20,8 @@ from vstestbed.cli.tools import Json, Plugins, load_scenario, tools
 from vstestbed.core.errors import ParameterError, RunFolderError, VstestbedError
 
 if TYPE_CHECKING:
-    from vstestbed.loop.recording import Recording, Tick, Watcher
+    from vstestbed.loop.recording import Recording, Watcher
+    from vstestbed.tasks.frame import Frame
 
 app = typer.Typer(
     help="Visual servoing meets real dynamics: run scenarios, film them, look at the results.",
@@ -100,7 +101,7 @@ def _interrupts() -> Iterator[Watcher]:
             for number in numbers:
                 signal.signal(number, before[number])
 
-        def tick(self, tick: Tick) -> None:
+        def frame(self, frame: Frame) -> None:
             if self.asked:
                 raise KeyboardInterrupt
 

@@ -8,8 +8,9 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from vstestbed.loop.recording import Recording, Tick
+    from vstestbed.loop.recording import Recording
     from vstestbed.scenario.scenario import Scenario
+    from vstestbed.tasks.frame import Frame
 
 
 class Progress:
@@ -37,10 +38,10 @@ class Progress:
         )
         self._task = self._bar.add_task(scenario.name, total=scenario.stop.duration_s, error="-")
 
-    def tick(self, tick: Tick) -> None:
+    def frame(self, frame: Frame) -> None:
         """Move the bar."""
-        error = "lost" if tick.lost else f"{tick.error_px:.2f}"
-        self._bar.update(self._task, completed=tick.observation.t, error=error)
+        error = "lost" if frame.error.lost else f"{frame.error.rms_px:.2f}"
+        self._bar.update(self._task, completed=frame.t, error=error)
 
     def say(self, words: str) -> None:
         """Say what is being done after the run."""
@@ -122,9 +123,13 @@ def words(recording: Recording, folder: Path, filmed: bool) -> str:
     if "level_error_px" in recording.columns and len(recording["level_error_px"]):
         error += f" ({recording['level_error_px'][-1]:.3f} turned level)"
     pose = f"{figure('final_position_error_m', 'mm', 1000)} and {figure('final_rotation_error_deg', 'deg', digits=3)} from the goal"
-    who = "vehicle" if recording.scenario.robot.grounded else "camera"
-    kept = f"{figure('worst_off_m', 'm', digits=4)} off at most once settled" if s.get("worst_off_m") is not None else "not settled yet"
-    error = kept if "worst_off_m" in s else f"{error}, {who} {pose}"
+    who = "vehicle" if recording.scenario.robot.base == "planar" else "camera"
+    kept = (
+        f"{figure('worst_task_error_m', 'm', digits=4)} off at most once settled"
+        if s.get("worst_task_error_m") is not None
+        else "not settled yet"
+    )
+    error = kept if "worst_task_error_m" in s else f"{error}, {who} {pose}"
     speed = figure("real_time_factor", "times real time", digits=1) + (" with films and log" if filmed else " with its log")
     return "\n".join(
         [

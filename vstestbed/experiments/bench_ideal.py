@@ -17,7 +17,7 @@ from vstestbed.experiments.basin.batch import fly
 from vstestbed.loop.run import run
 from vstestbed.scenario.load import load
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.scenario.stop import Stop
+from vstestbed.tasks.stop import Stop
 
 NEVER_S = 1e9
 """A goal to be held this long ends no run."""

@@ -14,12 +14,14 @@ from typing import TYPE_CHECKING, Literal
 
 from vstestbed.core.errors import OutputError, RunFolderError
 from vstestbed.core.files import write_whole, writing
+from vstestbed.loop.columns import Layout, kept
 from vstestbed.loop.log_file import PartWriter, read_log
-from vstestbed.loop.recording import Layout, Recording, Tick, Watcher, kept
+from vstestbed.loop.recording import Recording, Watcher
 from vstestbed.loop.run import run
 from vstestbed.scenario.load import dump
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.build import SceneFiles, scene_files
+from vstestbed.tasks.frame import Frame
 
 if TYPE_CHECKING:
     from vstestbed.report.video.film import Film
@@ -70,10 +72,10 @@ class _LogOnDisk:
         with writing(folder):
             self._writer = PartWriter(folder / "log.part", self._layout)
 
-    def tick(self, tick: Tick) -> None:
+    def frame(self, frame: Frame) -> None:
         """Append a frame."""
         with writing(self._folder):
-            self._writer.append(self._layout.rows([kept(tick)])[0].tolist())
+            self._writer.append(self._layout.rows([kept(frame)])[0].tolist())
 
     def close(self) -> None:
         """Close the file; what could not be written of its last line is given up (the run has ended with that error)."""

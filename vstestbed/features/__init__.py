@@ -16,7 +16,7 @@ from vstestbed.features.theta_u import ThetaU
 from vstestbed.features.translation import Translation
 
 # A feature is computed for the current view and for the goal view: its inputs must be fields of both.
-_VIEW_FIELDS = sorted({f.name for f in fields(Observation)} & {f.name for f in fields(Goal)})
+_VIEW_FIELDS = sorted(f.name for f in fields(Observation) if hasattr(Goal, f.name) or f.name in Goal.__dataclass_fields__)
 FEATURES = OneOf(
     "feature", Point, Polar, Spherical, Polygon, LineFeature, default="point", contract=Contract(Feature, words={"inputs": _VIEW_FIELDS})
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
-from typing import Annotated, Any, Literal, Protocol, TypeVar
+from typing import Annotated, Any, ClassVar, Literal, Protocol, TypeVar
 
 import numpy as np
 from annotated_types import Gt
@@ -53,6 +53,8 @@ class Law(Protocol[M]):
 
     This is all that the loop, the checks of a scenario, the observer and the studies read of a law.
     """
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]  # it is a @spec: `dataclasses.replace` makes variants of it
 
     @property
     def kind(self) -> str:

@@ -109,7 +109,7 @@ class Layout:
 
     def _pose_errors(self, k: Stacked) -> Array:
         """Distance [m] and angle [rad] of the camera, or of a vehicle on the floor, from the goal pose, (n, 2)."""
-        T_camera_target = k["T_goal"] if self._goal_poses is None else self._goal_poses[k["view"]]
+        T_camera_target = k["T_goal"] if self._goal_poses is None else self._goal_poses[k["view"].astype(int)]
         T_camera, T_goal = k["T_camera"], k["T_target"] @ inverse(T_camera_target)
         if self._planar:
             step = relative(place_of(T_goal @ self._T_camera_base), place_of(T_camera @ self._T_camera_base))

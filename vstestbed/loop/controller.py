@@ -1,8 +1,7 @@
-"""Eye to hand: what becomes of one picture, from detection to what is ordered of the robot."""
+"""Control step for one camera frame: detect, observe, compute the law, allocate to the actuators."""
 
 from __future__ import annotations
 
-import math
 import time
 from dataclasses import dataclass, replace
 from typing import Any
@@ -10,26 +9,25 @@ from typing import Any
 import numpy as np
 
 from vstestbed.camera import Look
-from vstestbed.core.geometry import Array, all_finite, inverse
-from vstestbed.features.observation import Observation, OwnMotion
+from vstestbed.core.geometry import Array, inverse
+from vstestbed.features.observation import Goal, Observation, OwnMotion
 from vstestbed.laws import Command, Law
-from vstestbed.loop.failsafe import pilot_of
-from vstestbed.loop.flight_columns import flight_row
-from vstestbed.loop.recording import Tick
-from vstestbed.loop.reference import course_of
-from vstestbed.loop.shutter import Shot
-from vstestbed.loop.task_error import estimated, slipped
+from vstestbed.loop.shutter import Exposed
 from vstestbed.robots import Allocation, Mount
-from vstestbed.robots.base import Redundant
+from vstestbed.robots.base import RobotState
 from vstestbed.scenario.scenario import NOISE_STREAM, Scenario
 from vstestbed.sim.base import Plant
-from vstestbed.targets.attached import Held
+from vstestbed.tasks.frame import Frame, FrameTiming, ImageError
 from vstestbed.vision import Detector, Observer, TruthView
+
+_NO_ROW = np.zeros(0)
+_NOWHERE = np.full(3, np.nan)
+"""The place of a robot that has none."""
 
 
 @dataclass(frozen=True, slots=True)
-class Now:
-    """When a picture has arrived [s], when what is made of it will reach the robot [s], and the sum of all ordered so far (6,)."""
+class Arrival:
+    """When a picture has arrived [s], when its command will reach the robot [s], and the integral of all commands so far (6,) [m, rad]."""
 
     t: float
     t_cmd: float
@@ -45,112 +43,112 @@ def _observer(scenario: Scenario) -> Observer:
         pixel_sigma_px=scenario.noise.pixel_sigma_px,
         dropout=scenario.noise.dropout,
         wanted=scenario.law.inputs,
-        grounded=scenario.robot.grounded,
+        grounded=scenario.robot.base == "planar",
         derotation=scenario.derotation,
         trim_s=scenario.level_trim_s,
         depth_scale=scenario.depth_scale,
     )
 
 
-class Servo:
-    """Eye to hand: what happens when a picture arrives. Holds the memories that detector, observer and law pass on."""
+class FrameController:
+    """What happens when a picture arrives. Holds the memories that detector, observer, reference and law pass on.
+
+    Args:
+        scenario: the experiment. plant: measures what the robot measures. spent: wall time by part, added to [s].
+    """
 
     def __init__(self, scenario: Scenario, plant: Plant, spent: dict[str, float]):
         self.scenario, self.plant, self.spent = scenario, plant, spent
-        self.course, self.pilot = course_of(scenario), pilot_of(scenario)
         self.mount = Mount.of(scenario.believed_camera.mount.T)
-        self.held = isinstance(scenario.target.motion, Held)
         self.last_twist = np.zeros(6)
+        # an oracle looks with the true lens; a real detector knows only the calibrated one
         self.seen_through = scenario.camera if scenario.detector.needs_truth else scenario.believed_camera
-        self.basis = scenario.robot.motion_basis(self.mount)
         self.rng = scenario.rng(NOISE_STREAM)
         self.observer = _observer(scenario)
-        self.seeing, self.observing = scenario.detector.init(), self.observer.init()
-        self.control = scenario.law.init(scenario.goal_views[0])
         self.detector: Detector[Any] = scenario.detector
         self.law: Law[Any] = scenario.law
-        self.before: Shot | None = None
-        self.seen_before: Observation | None = None
+        self.detector_memory, self.observer_memory = scenario.detector.init(), self.observer.init()
+        self.reference_memory = scenario.goal.begin(scenario.setup, scenario.goal_views)
+        self.law_memory = scenario.law.init(scenario.goal_views[0])
+        self.supervisor = scenario.robot.supervisor(scenario.goal.lands, scenario.stop.lost_after_s)
+        self.monitor = scenario.goal.monitor(scenario.setup, self.supervisor)
+        self.robot_log = scenario.robot.log(self.supervisor)
+        self.before: Exposed | None = None
 
     def look(self) -> Look | None:
         """Where the detector is going to look next, as far as it knows by now."""
-        return self.detector.look(self.seeing, self.seen_through, self.scenario.target)
+        return self.detector.look(self.detector_memory, self.seen_through, self.scenario.target)
+
+    def arrive(self, shot: Exposed, now: Arrival) -> Frame:
+        """One control step: from a picture to a command."""
+        s, began, last = self.scenario, time.perf_counter(), self.before or shot
+        seen = self._observe(shot, last, now)
+        self.reference_memory, goal = s.goal.reference(self.reference_memory, seen)
+        seen = seen.only(goal.counted)
+        detected = time.perf_counter()
+        reading = self.plant.reading()
+        mount = self._mount_at(reading.q)
+        self.law_memory, command = self.law.step(self.law_memory, seen, goal, s.robot.motion_basis(mount, reading.q))
+        allocation = self._allocate(shot.t, command, mount)
+        self.spent["detect"] += detected - began
+        self.spent["law"] += time.perf_counter() - detected
+        frame = self._frame(shot, now, seen, goal, command, allocation)
+        self.before = shot
+        self.reference_memory, next_goal = s.goal.passed(self.reference_memory, frame.error)
+        if next_goal is not None:
+            self.law_memory = self.law.init(next_goal)
+        return frame
+
+    def _frame(self, shot: Exposed, now: Arrival, seen: Observation, goal: Goal, command: Command, allocation: Allocation) -> Frame:
+        """The frame, with the columns that only this robot and this task have."""
+        error = ImageError.of(seen, goal, command.rest_reason)
+        image = shot.picture.image if shot.picture and shot.picture.whole else None
+        timing = FrameTiming(shot.number, shot.t, now.t_cmd)
+        frame = Frame(timing, seen, goal, error, command, allocation, shot.truth, image, _NO_ROW)
+        values = self.monitor.measure(frame)
+        if self.robot_log.columns:
+            place, odometry = (_NOWHERE if known is None else known for known in (seen.place, seen.odometry))
+            T_base = frame.T_world_base(self.monitor.mount_inverse)
+            state = RobotState(shot.t, T_base, place, odometry, shot.reading, shot.truth.act, shot.truth.wind)
+            return replace(frame, row=np.concatenate([self.robot_log.row(state), values]))
+        return replace(frame, row=np.array(values)) if values else frame
 
     def _mount_at(self, q: Array) -> Mount:
-        """The camera's mount; of one that watches the hand, where it is against the flange at the joints q."""
-        if not self.held:
+        """The camera's mount; of one that watches the gripper (eye to hand), where it is against the flange at the joints q."""
+        if not self.scenario.target.on_gripper:
             return self.mount
         return Mount.facing(inverse(self.scenario.robot.flange_pose(q)) @ self.mount.T_flange_camera)
 
-    def _own_motion(self, last: Shot, shot: Shot, now: Now, twist: Array) -> OwnMotion:
+    def _own_motion(self, last: Exposed, shot: Exposed, now: Arrival, twist: Array) -> OwnMotion:
         """What the robot knows of the camera's motion since the last picture, and since this one's exposure."""
-        moved, age, encoders = now.way - shot.way, now.t - shot.t, self.plant.encoders()
+        moved, age, reading = now.way - shot.way, now.t - shot.t, self.plant.reading()
         if age > 0:
-            moved = self.scenario.robot.measured_twist(shot.encoders, encoders, age, moved / age, self._mount_at(encoders.q)) * age
+            moved = self.scenario.robot.measured_twist(shot.reading, reading, age, moved / age, self._mount_at(reading.q)) * age
         return OwnMotion(twist, shot.t - last.t, moved, age, self.last_twist)
 
-    def arrive(self, shot: Shot, now: Now) -> Tick:
-        """Detect, observe, decide."""
-        s, began, last = self.scenario, time.perf_counter(), self.before or shot
-        seen = self._observe(shot, last, now)
-        goal = self.course.goal(seen)
-        seen = seen.only(goal.counted)
-        detected = time.perf_counter()
-        self.control, command = self.law.step(self.control, seen, goal, self.basis)
-        allocation = self._allocate(shot.t, command)
-        self.spent["detect"] += detected - began
-        self.spent["law"] += time.perf_counter() - detected
-        error = seen.uv - goal.uv
-        if not (all_seen := all_finite(error)):
-            error = error[seen.seen]
-            all_seen = goal.counted is not None and bool(seen.seen[goal.counted].all())
-        lost = bool(command.rest_reason) or not error.size  # a law may order motion although it sees nothing
-        error_px = math.nan if lost else math.sqrt(float(np.vdot(error, error)) / error.size)
-        image = shot.frame.image if shot.frame and shot.frame.whole else None
-        slip, estimate = self._slip(last, shot, seen), (math.nan, math.nan)
-        if s.stop.converged.by_estimate:
-            estimate = estimated(seen, goal)
-        flight = flight_row(s, shot.encoders, shot.truth, seen, goal, self.pilot) if self.pilot else None
-        at, n = self.course.view, shot.number
-        tick = Tick(n, lost, all_seen, error_px, seen, command, allocation, shot.truth, image, goal, at, slip, estimate, flight, now.t_cmd)
-        self.before, self.seen_before = shot, seen
-        if self.course.passed(error_px, all_seen):
-            self.control = self.law.init(s.goal_views[self.course.view])
-        return tick
-
-    def _observe(self, shot: Shot, last: Shot, now: Now) -> Observation:
+    def _observe(self, shot: Exposed, last: Exposed, now: Arrival) -> Observation:
         """What the law may know of this picture."""
         s = self.scenario
         view = TruthView(shot.truth.p_camera, shot.truth.hidden) if s.detector.needs_truth else None
-        self.seeing, detection = self.detector.detect(self.seeing, shot.frame, view, self.seen_through, s.target, self.rng)
+        detected = self.detector.detect(self.detector_memory, shot.picture, view, self.seen_through, s.target, self.rng)
+        self.detector_memory, detection = detected
         twist, own = shot.ordered, None
         if self.observer.uses_motion(detection):
-            mount = self._mount_at(shot.encoders.q)
-            twist = s.robot.measured_twist(last.encoders, shot.encoders, shot.t - last.t, shot.ordered, mount)
+            mount = self._mount_at(shot.reading.q)
+            twist = s.robot.measured_twist(last.reading, shot.reading, shot.t - last.t, shot.ordered, mount)
         if "motion" in s.law.inputs:
             own = self._own_motion(last, shot, now, twist)
-        compass = shot.encoders.instruments.get("compass")
-        heading = None if compass is None else float(compass[0])
-        tilt = shot.encoders.instruments.get("tilt")
-        self.observing, seen = self.observer.observe(self.observing, shot.t, detection, twist, self.rng, heading, tilt, own)
+        heading, tilt = shot.reading.heading, shot.reading.tilt
+        observed = self.observer.observe(self.observer_memory, shot.t, detection, twist, self.rng, heading, tilt, own)
+        self.observer_memory, seen = observed
         return seen
 
-    def _allocate(self, t: float, command: Command) -> Allocation:
-        """What is ordered of the robot for a command."""
-        robot, encoders = self.scenario.robot, self.plant.encoders()
-        mount, twist = self._mount_at(encoders.q), command.twist
-        if command.null_space is not None and isinstance(robot, Redundant):
-            twist = twist + robot.aside(command.null_space, encoders, mount)
-        allocation = robot.allocate(twist, encoders, mount, self.scenario.camera.period)
+    def _allocate(self, t: float, command: Command, mount: Mount) -> Allocation:
+        """A command as a setpoint within the robot's limits, as far as its supervisor lets it through."""
+        robot, reading, twist = self.scenario.robot, self.plant.reading(), command.twist
+        if command.null_space is not None:
+            twist = twist + robot.secondary_task(command.null_space, reading, mount)
+        allocation = robot.allocate(twist, reading, mount, self.scenario.camera.period)
         self.last_twist = allocation.twist
-        if self.pilot:
-            return replace(allocation, setpoint=self.pilot.order(t, command.rest_reason, encoders.instruments, allocation.setpoint))
-        return allocation
-
-    def _slip(self, last: Shot, shot: Shot, seen: Observation) -> tuple[float, float]:
-        """For the log: what the encoders did not notice [m/s, rad/s]."""
-        if seen.odometry is None or self.seen_before is None or self.seen_before.odometry is None:
-            return 0.0, 0.0
-        back = self.scenario.camera.mount.T
-        T_before, T_now = (s.truth.T_world_camera @ inverse(back) for s in (last, shot))
-        return slipped(T_before, T_now, self.seen_before.odometry, seen.odometry, shot.t - last.t)
+        setpoint = self.supervisor.filter(t, command.rest_reason, reading, allocation.setpoint)
+        return allocation if setpoint is allocation.setpoint else replace(allocation, setpoint=setpoint)

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vstestbed.core.errors import RunFolderError
-from vstestbed.loop.recording import Layout, to_frame
+from vstestbed.loop.columns import Layout
+from vstestbed.loop.recording import to_frame
 from vstestbed.scenario.scenario import Scenario
 
 if TYPE_CHECKING:

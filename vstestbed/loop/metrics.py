@@ -7,11 +7,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from vstestbed.core.geometry import Array, inverse, pose_from, rotation_angle, rotation_from_quaternion
-from vstestbed.scenario.goal import KEPT, GoalViews
+from vstestbed.core.geometry import Array, rotation_angle, rotation_from_quaternion
+from vstestbed.core.outcome import Outcome
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.scenario.stop import Outcome
-from vstestbed.targets.attached import Held
 
 Columns = Mapping[str, Array]
 
@@ -53,7 +51,7 @@ def summarise(scenario: Scenario, outcome: Outcome, log: Columns) -> dict[str, o
     feature_overshoot: how far the true marker images went beyond their goals, as a share of the way: the largest -(e . e0)/|e0|^2 of
         the image error e and its start e0, 0 where they never did.
     min_border_margin_px: smallest distance of a true marker image to the picture's border, negative outside.
-    worst_off_m: largest true error of a task without an end from its time to settle on; only of such tasks.
+    worst_task_error_m: largest true error of a task without an end from its time to settle on; only of such tasks.
     saturated_fraction: share of frames in which the law's limits, the robot's limits or its damping near a
         singularity took something off the command.
     tracking_*: of a target that moves (in the hand, only where a view is to be kept), the true error once settled
@@ -74,7 +72,7 @@ def summarise(scenario: Scenario, outcome: Outcome, log: Columns) -> dict[str, o
         **_image(scenario, log),
         "peak_speed_mps": _peak(log, ("vx", "vy", "vz")),
         "peak_rate_radps": _peak(log, ("wx", "wy", "wz")),
-        **_off(scenario, log),
+        **scenario.goal.metrics(log),
         "saturated_fraction": float(np.mean(log["scale"] < SATURATED)) if frames else None,
         **_tracking(scenario, log),
     }
@@ -95,7 +93,7 @@ def _time_to_converge(scenario: Scenario, outcome: Outcome, log: Columns) -> flo
     whole = np.all([np.isfinite(log[f"u_{i}"]) for i in markers], axis=0)
     reached, none = scenario.stop.converged, np.full(len(log["t"]), np.nan)
     estimate = [log[name] if reached.by_estimate else none for name in ("est_position_m", "est_rotation_rad")]
-    error = log["level_error_px" if scenario.robot.feet else "error_px"]
+    error = log.get("level_error_px", log["error_px"])  # of a craft that leans, what the judge goes by
     rows = zip(whole, error, *estimate, strict=True)
     last_view = log["view"] == len(scenario.goal_views) - 1 if len(scenario.goal_views) > 1 else np.ones(len(whole), dtype=bool)
     over = np.flatnonzero(~(np.array([reached.near(*row) for row in rows]) & last_view & ~log["lost"].astype(bool)))
@@ -110,14 +108,6 @@ def _final(log: Columns) -> dict[str, object]:
     return {k: _clean(v) for k, v in last.items()}
 
 
-def _off(scenario: Scenario, log: Columns) -> dict[str, object]:
-    goal = scenario.goal
-    if not isinstance(goal, KEPT):
-        return {}
-    settled = np.abs(log["off_m"][log["t"] >= goal.settle_s])
-    return {"worst_off_m": float(settled.max()) if len(settled) else None}
-
-
 def _columns(log: Columns, prefix: str, names: tuple[str, ...]) -> Array:
     return np.column_stack([log[f"{prefix}_{name}"] for name in names])
 
@@ -127,14 +117,11 @@ def _path(scenario: Scenario, log: Columns) -> dict[str, object]:
         return {"path_length_m": None, "path_ratio": None, "max_retreat_m": None, "max_rotation_deg": None}
     camera, target = _columns(log, "cam", ("x", "y", "z")), _columns(log, "tgt", ("x", "y", "z"))
     length = float(np.linalg.norm(np.diff(camera, axis=0), axis=1).sum())
-    straight = float(log["position_error_m"][0])
-    if isinstance(scenario.goal, GoalViews):  # the last of the views is where it goes
-        T = pose_from(target[0], _columns(log, "tgt", ("qw", "qx", "qy", "qz"))[0]) @ inverse(scenario.goal_poses[-1])
-        straight = float(np.linalg.norm(T[:3, 3] - camera[0]))
+    straight = scenario.goal.distance_to_go_m(log, scenario.goal_poses)
     distance = np.linalg.norm(camera - target, axis=1)
     at_goal = float(np.linalg.norm(scenario.goal_poses[-1][:3, 3]))
     R = rotation_from_quaternion(_columns(log, "cam", ("qw", "qx", "qy", "qz")))
-    if isinstance(scenario.target.motion, Held):  # the way of the hand, as the camera's way against it
+    if scenario.target.on_gripper:  # the way of the hand, as the camera's way against it
         R_target = rotation_from_quaternion(_columns(log, "tgt", ("qw", "qx", "qy", "qz")))
         R, camera = R_target.mT @ R, np.einsum("nji,nj->ni", R_target, camera - target)
         target = np.zeros_like(camera)
@@ -171,8 +158,8 @@ def _image(scenario: Scenario, log: Columns) -> dict[str, object]:
 
 def _tracking(scenario: Scenario, log: Columns) -> dict[str, object]:
     names = ("tracking_rms_px", "tracking_max_px", "tracking_rms_m", "tracking_max_m")
-    settled = log["t"] >= (scenario.goal.settle_s if isinstance(scenario.goal, KEPT) else 0.0)
-    asked = isinstance(scenario.goal, KEPT) or not isinstance(scenario.target.motion, Held)  # what the hand brings is no pursuit
+    settled = log["t"] >= scenario.goal.settle_s
+    asked = scenario.goal.continuing or not scenario.target.on_gripper  # what the hand brings is no pursuit
     if not (scenario.target.moves and asked and settled.any()):
         nothing: dict[str, object] = {}
         return nothing | dict.fromkeys(names)

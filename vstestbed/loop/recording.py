@@ -18,6 +18,7 @@ from vstestbed.tasks.frame import Frame
 if TYPE_CHECKING:
     import polars
 
+
 class Watcher(Protocol):
     """Somebody who looks on while a run goes: the log on disk, a video, a progress bar."""
 

@@ -9,32 +9,32 @@ import numpy as np
 
 from vstestbed.camera import Frame, Look
 from vstestbed.core.geometry import Array
-from vstestbed.robots.base import Encoders
+from vstestbed.robots.reading import Reading
 from vstestbed.scenario.scenario import TIMING_STREAM, Scenario
 from vstestbed.sim.base import Plant, Truth
 from vstestbed.sim.timing import DelayLine, Planned, Shutter
 
 
 @dataclass(frozen=True, slots=True)
-class Shot:
+class Exposed:
     """A picture on its way to the law, with what the robot measured and had been ordered at its exposure.
 
     Attributes:
-        number: counts frames. frame: the picture, None where no detector asks for one. t: exposure [s]. truth: then.
-        encoders: what the robot measured then. ordered: mean twist (6,) ordered since the last exposure.
+        number: counts frames. picture: None where no detector asks for one. t: exposure [s]. truth: then.
+        reading: what the robot measured then. ordered: mean twist (6,) ordered since the last exposure.
         way: the sum of all that was ordered until then, (6,) [m, rad].
     """
 
     number: int
-    frame: Frame | None
+    picture: Frame | None
     t: float
     truth: Truth
-    encoders: Encoders
+    reading: Reading
     ordered: Array
     way: Array
 
 
-class Eye:
+class CameraClock:
     """The camera on the clock: takes the pictures that its shutter plans, and sends them on their way.
 
     Attributes:
@@ -45,7 +45,7 @@ class Eye:
         self.plant = plant
         rng = scenario.rng(TIMING_STREAM)
         self.shutter = Shutter(scenario.timing, scenario.camera, plant.step_s, plant.steps_per_frame, rng)
-        self.line: DelayLine[Shot] = DelayLine()
+        self.line: DelayLine[Exposed] = DelayLine()
         self.way, self._way_before, self._step_before = np.zeros(6), np.zeros(6), 0
         self._plan()
 
@@ -64,10 +64,10 @@ class Eye:
             # with pictures still on their way, nobody knows yet where to look
             look = look_next() if self.line.next_due() is None else None
             if len(planned.opens) == 1:
-                frame, truth = self.plant.capture(look)
-                if frame is not None and planned.arrives > step:
-                    frame = frame.copy()  # it will wait while the next ones are taken
-                self._send(planned, frame, self._shot(step, truth))
+                picture, truth = self.plant.capture(look)
+                if picture is not None and planned.arrives > step:
+                    picture = picture.copy()  # it will wait while the next ones are taken
+                self._send(planned, picture, self._shot(step, truth))
             else:
                 self._expose(planned, step, look)
 
@@ -79,12 +79,12 @@ class Eye:
         if self.opening == len(planned.opens) and self.middle is not None:
             self._send(planned, self.plant.developed(self.middle.t), self.middle)
 
-    def _shot(self, step: int, truth: Truth) -> Shot:
+    def _shot(self, step: int, truth: Truth) -> Exposed:
         """What is true and measured at an exposure, still without its picture."""
         ordered = (self.way - self._way_before) / (max(1, step - self._step_before) * self.plant.step_s)
         self._way_before, self._step_before = self.way, step
-        return Shot(self.planned.frame, None, step * self.plant.step_s, truth, self.plant.encoders(), ordered, self.way)
+        return Exposed(self.planned.frame, None, step * self.plant.step_s, truth, self.plant.reading(), ordered, self.way)
 
-    def _send(self, planned: Planned, frame: Frame | None, shot: Shot) -> None:
-        self.line.push(planned.arrives, replace(shot, frame=frame))
+    def _send(self, planned: Planned, picture: Frame | None, shot: Exposed) -> None:
+        self.line.push(planned.arrives, replace(shot, picture=picture))
         self._plan()

@@ -118,6 +118,8 @@ class Robot(Protocol):
     `measured_twist` and `allocate`.
     """
 
+    __dataclass_fields__: ClassVar[dict[str, Any]]  # it is a @spec: `dataclasses.replace` makes variants of it
+
     actuators: ClassVar[tuple[str, ...]]
     """Actuators, in the order of their controls."""
     sensors: ClassVar[tuple[str, ...]]
@@ -144,6 +146,11 @@ class Robot(Protocol):
     @property
     def model(self) -> str | None:
         """Name of its MJCF file in models/, None for the ideal camera."""
+        ...
+
+    @property
+    def start(self) -> Any:
+        """The start block: `nominal`, and `random` (None without one) from which starts are drawn."""
         ...
 
     @property
@@ -191,7 +198,7 @@ class Robot(Protocol):
         """The same robot with actuators that follow their setpoint exactly, where it has such."""
         ...
 
-    def check_mount(self, xyz: tuple[float, float, float]) -> None:
+    def check_mount(self, xyz: tuple[float, ...]) -> None:
         """Refuse a place of the camera on the robot [m]. ParameterError names `camera.mount.xyz`."""
         ...
 
@@ -298,7 +305,7 @@ class RobotBase:
         """Itself."""
         return self
 
-    def check_mount(self, xyz: tuple[float, float, float]) -> None:
+    def check_mount(self, xyz: tuple[float, ...]) -> None:
         """Any place will do."""
 
     def measured(self, q: Array, qd: Array, sensors: Mapping[str, Array], rng: np.random.Generator) -> Reading:

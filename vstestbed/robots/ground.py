@@ -76,7 +76,7 @@ class Vehicle(RobotBase):
         """T_world_base (4, 4) at (x, y, heading): a camera's mount is relative to the base's frame, on the floor."""
         return pose_on_ground(configuration)
 
-    def check_mount(self, xyz: tuple[float, float, float]) -> None:
+    def check_mount(self, xyz: tuple[float, ...]) -> None:
         """The camera must be over the floor."""
         if xyz[2] <= 0:
             words = "must have z > 0: the vehicle's frame lies on the floor, and the camera would be under it"

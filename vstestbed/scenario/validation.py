@@ -18,12 +18,12 @@ from vstestbed.laws import LAWS
 from vstestbed.laws.base import GAINS
 from vstestbed.laws.feedforward import FEEDFORWARDS
 from vstestbed.robots import ROBOTS
-from vstestbed.scenario.goal import GOALS, VIEWS
 from vstestbed.scenario.yaml_marks import Key, Marks, place_of, short
 from vstestbed.targets import TARGETS
 from vstestbed.targets.attached import MOTIONS
 from vstestbed.targets.markers import MARKERS
 from vstestbed.targets.route import ROUTES
+from vstestbed.tasks import GOALS, VIEWS
 from vstestbed.vision import DETECTORS
 
 T = TypeVar("T")

@@ -9,16 +9,7 @@ from numpy.typing import NDArray
 
 from vstestbed.camera import Frame, Image, Look
 from vstestbed.core.geometry import Array
-from vstestbed.robots.base import Encoders
-
-
-@dataclass(frozen=True, slots=True)
-class Aloft:
-    """Of a craft that flies: the wind (3,) in the world [m/s], its actuators' activations (nu,), whether a foot touches something."""
-
-    wind: Array
-    act: Array
-    feet: bool
+from vstestbed.robots.reading import Reading
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,8 +22,8 @@ class Truth:
         q, qd, ctrl: joints [rad, rad/s] and actuator controls.
         p_camera: marker centres in the camera frame (N, 3) [m].
         hidden: markers behind something, (N,) bool; all False where nobody asked.
-        contact: the robot touches something; of one that flies, with anything but its feet.
-        aloft: what else there is of one that flies.
+        contact: the robot touches something, with anything but its feet. feet: one of its feet touches something.
+        act: activations of its actuators (nu,), of those that have such. wind: velocity of the air in the world (3,) [m/s].
     """
 
     T_world_camera: Array
@@ -44,7 +35,9 @@ class Truth:
     p_camera: Array
     hidden: NDArray
     contact: bool
-    aloft: Aloft | None = None
+    feet: bool
+    act: Array
+    wind: Array
 
 
 class Eyes(Protocol):
@@ -101,7 +94,7 @@ class Plant(Protocol):
         """The truth, now."""
         ...
 
-    def encoders(self) -> Encoders:
+    def reading(self) -> Reading:
         """What the robot measures of itself, now."""
         ...
 

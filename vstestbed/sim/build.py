@@ -48,7 +48,7 @@ def build_plant(
     step, steps_per_frame = clock.resolve(camera, robot.largest_step_s)
     parts = Parts(robot, camera, target, world, step)
     ideal = robot.model is None
-    path = target.path(motion_rng or np.random.default_rng(0)) if target.moves_by_itself else None
+    path = target.path(motion_rng or np.random.default_rng(0)) if target.motion.by_itself else None
     if ideal and not needs_image and not world.plates:
         from vstestbed.sim.ideal import IdealPlant
 

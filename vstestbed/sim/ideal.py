@@ -6,7 +6,7 @@ import numpy as np
 
 from vstestbed.camera import Frame, Look
 from vstestbed.core.geometry import Array, adjoint, exp, inverse
-from vstestbed.robots.base import Encoders
+from vstestbed.robots.reading import Reading
 from vstestbed.sim.base import Eyes, Truth
 from vstestbed.sim.render.exposure import Exposure
 from vstestbed.sim.render.noise import NO_DRIFT, Drift
@@ -14,7 +14,7 @@ from vstestbed.sim.scene.compose import Parts
 from vstestbed.sim.scene.stage import Stage
 from vstestbed.targets.motion import Path
 
-NONE = np.zeros(0)
+NONE, STILL_AIR = np.zeros(0), np.zeros(3)
 
 
 class IdealPlant:
@@ -77,7 +77,9 @@ class IdealPlant:
         if self._stage is not None:
             self._stage.place(self._t, self._T_world_target, NONE, T)
             hidden = self._stage.hidden(T, p_camera)
-        return Truth(T, self._T_world_target, self._twist, NONE, NONE, NONE, p_camera, hidden, contact=False)
+        return Truth(
+            T, self._T_world_target, self._twist, NONE, NONE, NONE, p_camera, hidden, contact=False, feet=False, act=NONE, wind=STILL_AIR
+        )
 
     def expose(self, weight: float, look: Look | None = None) -> None:
         """Let in the light of now, where a detector asks for pictures."""
@@ -91,9 +93,9 @@ class IdealPlant:
         """The picture of what was let in since the last one."""
         return self._drift.of(self._exposure.developed(t)) if self._exposure else None
 
-    def encoders(self) -> Encoders:
+    def reading(self) -> Reading:
         """No joints."""
-        return Encoders(NONE, NONE)
+        return Reading(NONE, NONE)
 
     def apply(self, setpoint: Array) -> None:
         """Move the flange with this twist (6,) from now on."""

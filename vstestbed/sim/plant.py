@@ -10,14 +10,14 @@ from dm_control.rl.control import PhysicsError
 
 from vstestbed.camera import Frame, Look
 from vstestbed.core.geometry import Array, adjoint, inverse
-from vstestbed.robots.base import Encoders
-from vstestbed.sim.base import Aloft, Eyes, Truth
+from vstestbed.robots.reading import Reading
+from vstestbed.sim.base import Eyes, Truth
 from vstestbed.sim.render.exposure import Exposure
 from vstestbed.sim.render.noise import NO_DRIFT, Drift
-from vstestbed.sim.scene.lead_vehicle import Leader
+from vstestbed.sim.scene.lead_vehicle import LeadVehicle
 from vstestbed.sim.scene.stage import Stage
-from vstestbed.sim.scene.wind import Weather
-from vstestbed.sim.senses import Senses
+from vstestbed.sim.scene.wind import WindField
+from vstestbed.sim.sensor_reader import SensorReader
 from vstestbed.targets.motion import Path
 
 AWAY = np.eye(4)
@@ -67,23 +67,24 @@ class MujocoPlant:
         self._floor = model.geom("floor").id
         feet = np.zeros(model.ngeom, dtype=bool)
         feet[[model.geom(f"robot/{name}").id for name in robot.feet]] = True
-        self._feet, self._flies = feet, bool(robot.feet)
+        self._feet, self._base = feet, robot.base
         wind = stage.parts.world.wind
-        self._weather = Weather(wind, model, rng.spawn(1)[0]) if self._flies else None
+        self._wind_field = WindField(wind, model, rng.spawn(1)[0]) if robot.base == "floating" else None
         self._windy = not wind.still
-        self._senses = Senses(stage, rng)
-        self._leader = Leader(stage) if stage.leader else None
+        self._sensors = SensorReader(stage, rng)
+        self._leader = LeadVehicle(stage) if stage.leader else None
         self._velocity = np.zeros(6)
         self._visible = np.zeros(len(self._target.points), dtype=bool)
         self._steps = 0
         self._memory: Any = robot.begin()
-        self._setpoint: Array | None = np.full(len(robot.actuators), np.nan) if self._flies else None  # it holds until it is told
+        self._hold = robot.hold_setpoint()
+        self._setpoint: Array | None = self._hold
         self._heard, self._patience = 0, max(round(SILENCE_S / self.step_s), SILENCE_PICTURES * steps_per_frame)
         self._control_steps = max(1, round((robot.control_period_s or 0.0) / self.step_s)) if robot.control_period_s else 0
         q, T = stage.parts.start
         stage.place(0.0, stage.parts.T_world_target if path is None else path(0.0), q, T)
         self._settle()
-        if robot.grounded or self._leader:
+        if robot.base == "planar" or self._leader:
             self._stand()
 
     def _settle(self) -> None:
@@ -103,10 +104,10 @@ class MujocoPlant:
         """Let vehicles sink into their springs, then bring them back to where they start, at rest; the clock begins there."""
         stage, data = self._stage, self._stage.data
         T_robot, T_leader = stage.parts.start[1] @ stage.mount_inverse, self._target.T_world_start @ stage.target_inverse
-        if self._flies and stage.root is not None:  # it would fall on the vehicle that settles
+        if self._base == "floating" and stage.root is not None:  # it would fall on the vehicle that settles
             stage.root.put(data.qpos, AWAY @ T_robot)
         stage.physics.step(round(SETTLE_S / self.step_s))
-        for root, T_start, stands in ((stage.root, T_robot, self._robot.grounded), (stage.leader, T_leader, True)):
+        for root, T_start, stands in ((stage.root, T_robot, self._base == "planar"), (stage.leader, T_leader, True)):
             if root is not None:
                 T = T_start.copy()
                 T[2, 3] = root.pose(data)[2, 3] if stands else T[2, 3]
@@ -115,7 +116,7 @@ class MujocoPlant:
         data.time = 0.0
         stage.rest()
         mujoco.mj_forward(stage.model, data)
-        self._senses.restart()
+        self._sensors.restart()
 
     @property
     def render_s(self) -> float:
@@ -144,11 +145,13 @@ class MujocoPlant:
         T, T_target = stage.camera_pose(), stage.target_pose()
         p_camera = self._target.seen_from(inverse(T_target) @ T)
         twist = self._twist(stage.eye)
-        if stage.parts.held:  # the camera against the target that the hand holds
+        if stage.parts.target.on_gripper:  # the camera against the target that the hand holds
             twist = -adjoint(inverse(T) @ T_target) @ self._twist(stage.held_site)
         hidden = stage.hidden(T, p_camera) if self._see_hidden else self._visible
-        q, qd, ctrl = *self._senses.joints(), stage.data.ctrl[self._ctrl]
-        return Truth(T, T_target, twist, q, qd, ctrl, p_camera, hidden, self._touches(), self._aloft())
+        q, qd, ctrl = *self._sensors.joints(), stage.data.ctrl[self._ctrl]
+        contact, feet = self._contacts()
+        act = stage.data.act[stage.activations]
+        return Truth(T, T_target, twist, q, qd, ctrl, p_camera, hidden, contact, feet, act, stage.model.opt.wind.copy())
 
     def expose(self, weight: float, look: Look | None = None) -> None:
         """Let in the light of now, where a detector asks for pictures."""
@@ -165,28 +168,20 @@ class MujocoPlant:
         mujoco.mj_objectVelocity(self._stage.model, self._stage.data, mujoco.mjtObj.mjOBJ_SITE, site, self._velocity, 1)
         return np.concatenate([self._velocity[3:], self._velocity[:3]])
 
-    def _touches(self) -> bool:
+    def _contacts(self) -> tuple[bool, bool]:
+        """Whether the robot touches something with anything but its feet, and whether a foot touches something."""
         data = self._stage.data
         if not data.ncon:
-            return False
+            return False, False
         pairs = data.contact.geom
-        if self._flies:
-            return bool((self._robot_geoms & ~self._feet)[pairs].any())
-        if self._robot.rides:  # wheels and legs are on the floor, that is what they are for
+        feet = bool(self._feet[pairs].any())
+        if self._base == "planar":  # wheels and casters are on the floor, that is what they are for
             pairs = pairs[(pairs != self._floor).all(axis=1)]
-        return bool(self._robot_geoms[pairs].any(axis=1).any())
+        return bool((self._robot_geoms & ~self._feet)[pairs].any()), feet
 
-    def _aloft(self) -> Aloft | None:
-        if self._weather is None:
-            return None
-        data = self._stage.data
-        return Aloft(self._weather.now, data.act[self._stage.rotors], bool(data.ncon and self._feet[data.contact.geom].any()))
-
-    def encoders(self) -> Encoders:
+    def reading(self) -> Reading:
         """What the robot's own sensors, and its onboard controller, tell now: the same until time passes."""
-        raw = self._senses.read(self._steps)
-        told = self._robot.reported(self._memory, raw)
-        return Encoders(raw.q, raw.qd, {**raw.instruments, **told}) if told else raw
+        return self._robot.reported(self._memory, self._sensors.read(self._steps))
 
     def apply(self, setpoint: Array) -> None:
         """A setpoint from now on; without an onboard controller it is the actuators' controls (n,)."""
@@ -226,14 +221,14 @@ class MujocoPlant:
 
     def _control(self, dt: float) -> None:
         data = self._stage.data
-        if self._weather is not None and self._windy:
-            self._weather.blow(self._steps * self.step_s, dt)
+        if self._wind_field is not None and self._windy:
+            self._wind_field.blow(self._steps * self.step_s, dt)
         setpoint = self._setpoint
         if setpoint is not None:
-            if self._flies and self._steps - self._heard > self._patience:
-                setpoint = np.full_like(setpoint, np.nan)
-            encoders = self._senses.read(self._steps)
-            self._memory, data.ctrl[self._ctrl] = self._robot.actuate(self._memory, setpoint, encoders, dt)
+            if self._hold is not None and self._steps - self._heard > self._patience:
+                setpoint = self._hold
+            reading = self._sensors.read(self._steps)
+            self._memory, data.ctrl[self._ctrl] = self._robot.actuate(self._memory, setpoint, reading, dt)
 
     def close(self) -> None:
         """Free pictures and physics."""

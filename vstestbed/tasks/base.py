@@ -244,4 +244,3 @@ def view_from(setup: Setup, pose_with: Callable[[Array], Array], number: int = 0
         pose = pose_by_depth(made.T_camera_target, points, scale) if setup.goal_shown else made.T_camera_target
         made = replace(made.deepened(scale), T_camera_target=pose)
     return replace(made, view=number) if number else made
-

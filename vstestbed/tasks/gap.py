@@ -77,7 +77,9 @@ class GoalGap(Continuing):
         if np.ptp(p[:, :2], axis=0).max() > ONE_PLACE_M:
             return
         if np.abs(p[0, :2]).max() > ONE_PLACE_M:
-            words = "has its points at one place of the floor plan, which does not tell its heading, so that its origin, to which the gap is"
+            words = (
+                "has its points at one place of the floor plan, which does not tell its heading, so that its origin, to which the gap is"
+            )
             remedy = "measured, stays unknown; use x = y = 0 there and put the place into target.pose, or add a point beside it"
             raise ParameterError("target", f"{words} {remedy}")
         height = p[:, 2] + target.pose.xyz[2] - camera.mount.xyz[2]

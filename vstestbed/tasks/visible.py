@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vstestbed.camera import Camera, Perspective
 from vstestbed.core.errors import ParameterError
@@ -22,7 +23,13 @@ LEVEL_DEG = 1.0
 
 
 def check_visible(
-    camera: Camera, target: Target, law: Law[Any], detector: Detector[Any], field: str, T_camera_target: Array, counted: Array | None
+    camera: Camera,
+    target: Target,
+    law: Law[Any],
+    detector: Detector[Any],
+    field: str,
+    T_camera_target: Array,
+    counted: NDArray[np.bool_] | None,
 ) -> None:
     """Refuse a goal view with a marker that counts outside the picture, or any behind an image plane.
 

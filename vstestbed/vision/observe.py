@@ -16,7 +16,6 @@ from vstestbed.core.geometry import Array, adjoint, all_finite, exp, inverse, tr
 from vstestbed.core.planar import arc, composed, place_of, pose_on_ground, wrapped
 from vstestbed.features.depth import AtGoal, Constant, Depth, Estimate, OnFloor, OracleDepth, PnP
 from vstestbed.features.observation import Goal, Observation, OwnMotion
-from vstestbed.targets.attached import Held
 from vstestbed.targets.base import Target
 from vstestbed.vision.base import Detection
 from vstestbed.vision.pose.calibration_error import pose_by_depth
@@ -207,7 +206,7 @@ class Observer:
     @property
     def _stays(self) -> bool:
         """Whether a pose may be carried on by the camera's own motion: where a target goes that moves is known only while it is seen."""
-        return not self.target.moves or isinstance(self.target.motion, Held)
+        return not self.target.moves or self.target.on_gripper
 
     @cached_property
     def _to_base(self) -> Array:

@@ -22,7 +22,7 @@ from vstestbed.laws.visibility import Visibility
 from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart
 from vstestbed.scenario.scenario import GoalView, Noise, Scenario
-from vstestbed.scenario.stop import Converged, Stop
+from vstestbed.tasks.stop import Converged, Stop
 from vstestbed.targets.points import Points, Square
 from vstestbed.vision import Oracle
 

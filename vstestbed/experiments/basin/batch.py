@@ -11,17 +11,18 @@ from numpy.typing import NDArray
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, exp, inverse, transform
+from vstestbed.core.outcome import Outcome
 from vstestbed.features.depth import Estimate, PnP
 from vstestbed.features.observation import Goal
 from vstestbed.laws.views import BatchLaw, Views
+from vstestbed.loop.monitors import FAR_M
 from vstestbed.robots import Free, Mount
 from vstestbed.robots.free import FreeStart
-from vstestbed.scenario.scenario import PLANE_INPUTS, Noise, Scenario
-from vstestbed.scenario.stop import FAR_M, REST, REST_S, Outcome
+from vstestbed.scenario.scenario import Noise, Scenario
 from vstestbed.sim.scene.world import World
 from vstestbed.sim.timing import Timing
-from vstestbed.targets.motion import Still
-from vstestbed.targets.points import Square
+from vstestbed.tasks.reached import REST, REST_S
+from vstestbed.tasks.visible import PLANE_INPUTS
 from vstestbed.vision import Oracle
 from vstestbed.vision.pose.homography import left_open
 
@@ -75,9 +76,9 @@ def ideal(scenario: Scenario, field_of_view: str | None = None) -> Scenario:
         ParameterError: the robot has fewer motions, or the target moves.
     """
     robot, camera, detector = scenario.robot, scenario.camera, scenario.detector
-    if not isinstance(scenario.target.motion, Still):
-        raise ParameterError("target.motion", "must be still in a batch", scenario.target.motion.kind)
-    if (motions := robot.motion_basis(Mount.of(camera.mount.T)).shape[1]) != 6:
+    if scenario.target.moves:
+        raise ParameterError("target.motion", "must be still in a batch", scenario.target.motion)
+    if (motions := robot.motion_basis(Mount.of(camera.mount.T), robot.start_joints()).shape[1]) != 6:
         words = f"moves its camera in {motions} directions, and the ideal camera of a batch in all six; use free or puma560"
         raise ParameterError("robot.kind", words, robot.kind)
     if field_of_view is None:
@@ -85,7 +86,7 @@ def ideal(scenario: Scenario, field_of_view: str | None = None) -> Scenario:
     start = FreeStart(nominal=Pose.of(robot.flange_pose(robot.configuration())))
     return replace(
         scenario,
-        robot=robot if isinstance(robot, Free) else Free(start=start),
+        robot=robot if robot.model is None else Free(start=start),
         camera=replace(camera, latency_s=0.0),
         timing=Timing(),
         detector=Oracle(field_of_view=field_of_view),  # pyright: ignore[reportArgumentType]
@@ -132,14 +133,14 @@ class Flight:
             raise ParameterError("law.feedforward", "must be none in a batch")
         if isinstance(s.law.depth, Estimate):
             raise ParameterError("law.depth", "may not be estimate in a batch; valid: pnp, constant, goal, oracle")
-        if len(s.goal_views) > 1 or not isinstance(s.target.motion, Still):
+        if len(s.goal_views) > 1 or s.target.moves:
             raise ParameterError("goal", "must be one view of a target that stands still, in a batch")
         if s.stop.converged.error_px is None or s.stop.converged.by_estimate:
             raise ParameterError("stop.converged", "must be told by error_px alone in a batch")
         noisy = s.noise.pixel_sigma_px > 0 or s.noise.image_sigma > 0 or s.timing != Timing()
         if not (s.calibration.camera_exact and s.calibration.depth_exact):
             raise ParameterError("calibration", "must be exact in a batch, whose poses and depths are true")
-        if not (isinstance(s.robot, Free) and isinstance(s.detector, Oracle)) or s.camera.latency_s or noisy or s.world.plates:
+        if not (s.robot.model is None and isinstance(s.detector, Oracle)) or s.camera.latency_s or noisy or s.world.plates:
             words = "must have a free camera, detector oracle, no latency, no noise and no plates for a batch; `batch.ideal` makes it so"
             raise ParameterError("scenario", words)
 
@@ -250,7 +251,7 @@ def _frame(flight: Flight, runs: _Runs, p: Array, step: int, last: int) -> tuple
 
 def _behind(s: Scenario, T: Array) -> NDArray[np.bool_]:
     """Which cameras are behind the plane of their target (m,)."""
-    if not isinstance(s.target, Square):
+    if not s.target.one_sided:
         return np.zeros(len(T), dtype=bool)
     return np.einsum("mi,mi->m", T[:, :3, 2], T[:, :3, 3]) <= 0
 

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.files import write_whole, writing
 from vstestbed.core.geometry import Array, Pose, inverse, rotation_from_rpy
+from vstestbed.core.outcome import Outcome
 from vstestbed.experiments.basin.batch import Batch, Flight, fly, ideal, start_of, started_at
 from vstestbed.experiments.comparison import Comparison, controllers
 from vstestbed.loop.run import run
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.scenario.stop import Outcome
 from vstestbed.vision import Oracle
 
 if TYPE_CHECKING:

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from vstestbed.core.errors import EnvironmentLackError
+from vstestbed.core.outcome import Outcome
 from vstestbed.experiments.run_folder import run_into
 from vstestbed.scenario.load import dump, load_plugins, parse
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.scenario.stop import Outcome
 
 Files = dict[str, bytes]
 """A run's folder: content by file name."""

@@ -73,11 +73,11 @@ def _shares(plant: Plant, joint: int, period: float, w: float, speed: float) -> 
     frames, first = (math.ceil(n * 2 * math.pi / w) for n in (SWINGS, SETTLING))
     told, q = speed * np.cos(w * np.arange(frames)), np.empty(frames + 1)
     for k in range(frames):
-        q[k] = plant.encoders().q[joint]
-        plant.apply(np.where(np.arange(len(plant.encoders().q)) == joint, told[k], 0.0))
+        q[k] = plant.reading().q[joint]
+        plant.apply(np.where(np.arange(len(plant.reading().q)) == joint, told[k], 0.0))
         plant.advance(plant.steps_per_frame)
-    q[frames] = plant.encoders().q[joint]
-    plant.apply(np.zeros(len(plant.encoders().q)))
+    q[frames] = plant.reading().q[joint]
+    plant.apply(np.zeros(len(plant.reading().q)))
     plant.advance(5 * plant.steps_per_frame)
     b = _fit(np.diff(q) / period, told, first)
     return float(b[0]), float(b[1])

@@ -9,17 +9,16 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.geometry import Array, Pose, exp, inverse
+from vstestbed.core.geometry import exp, inverse
+from vstestbed.core.outcome import Outcome
 from vstestbed.experiments.delay.lag import Lag, measure_lags
 from vstestbed.experiments.delay.theory import closed_form, gain_limit, swing_frames
 from vstestbed.laws.base import ConstantGain, TwistLimits
 from vstestbed.laws.visibility import Visibility
 from vstestbed.loop.run import run
-from vstestbed.robots import Free, Puma560, Robot
-from vstestbed.robots.free import FreeStart
-from vstestbed.robots.puma560 import JointAngles, PumaStart
+from vstestbed.robots import Robot
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.scenario.stop import Converged, Outcome, Stop
+from vstestbed.tasks.stop import Converged, Stop
 from vstestbed.vision import Oracle
 
 HALVINGS = 9
@@ -106,35 +105,32 @@ def prepared(scenario: Scenario) -> Scenario:
         camera=replace(scenario.camera, latency_s=0.0),
         stop=Stop(duration_s=60.0, converged=Converged(error_px=0.01, hold_s=0.0)),
     )
-    if isinstance(settled.robot, Free):
+    if settled.robot.model is None:
         T = scenario.T_world_goal @ inverse(scenario.camera.mount.T)
-        return replace(settled, robot=Free(start=FreeStart(nominal=Pose.of(T))))
-    if not isinstance(settled.robot, Puma560):
+        return replace(settled, robot=settled.robot.started_at(T.ravel()))
+    if settled.robot.base != "fixed":
         words = "must be free or puma560: the limit of a loop that answers in all six directions alike is what is found"
         raise ParameterError("robot.kind", words, settled.robot.kind)
-    flown = run(replace(settled, robot=replace(settled.robot, actuation="ideal")))
+    flown = run(replace(settled, robot=settled.robot.idealised()))
     if not flown.outcome.success:
         raise ParameterError("scenario", f"must reach its goal without delay, at a gain of 2 1/s; {flown.outcome.value}")
     q = np.array([flown[f"q_{joint}"][-1] for joint in settled.robot.joints])
-    return replace(settled, robot=_arm_at(settled.robot, q))
-
-
-def _arm_at(robot: Puma560, q: Array) -> Puma560:
-    return replace(robot, start=PumaStart(nominal=JointAngles(q_deg=tuple(np.degrees(q).tolist()))))
+    return replace(settled, robot=settled.robot.started_at(q))
 
 
 def displaced(at_goal: Scenario) -> Scenario:
     """The scenario begun a little off its goal, in every direction."""
     signs = np.array([1.0, -1.0, 1.0, -1.0, 1.0, 1.0])
     robot = at_goal.robot
-    if isinstance(robot, Puma560):
-        return replace(at_goal, robot=_arm_at(robot, robot.configuration() + _off(robot) * signs))
-    T = robot.flange_pose(robot.configuration()) @ exp(OFF * signs)
-    return replace(at_goal, robot=Free(start=FreeStart(nominal=Pose.of(T))))
+    if robot.model is None:
+        T = robot.flange_pose(robot.configuration()) @ exp(OFF * signs)
+        return replace(at_goal, robot=robot.started_at(T.ravel()))
+    q = robot.configuration()
+    return replace(at_goal, robot=robot.started_at(q + _off(robot) * np.resize(signs, len(q))))
 
 
 def _off(robot: Robot) -> float:
-    return OFF_WITH_FRICTION if robot.servo is not None and robot.servo.friction else OFF
+    return OFF_WITH_FRICTION if robot.actuator_set is not None and robot.actuator_set.friction else OFF
 
 
 def growth(at_start: Scenario, gain: float, delay_frames: int) -> float:

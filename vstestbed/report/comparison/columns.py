@@ -30,7 +30,7 @@ DEFAULT_METRICS: Final = (
 _TITLES: Final = {name: (title, unit) for name, title, unit in (*numbers.KEPT_TILES, *numbers.TILES, *numbers.ROWS, *numbers.TRACKING_ROWS)}
 _SCALES: Final = {"final_position_error_m": ("mm", 1e3), "saturated_fraction": ("%", 1e2)}
 _FINAL: Final = ("final_error_px", "final_position_error_m", "final_rotation_error_deg")
-_WHATEVER_ITS_END: Final = ("feature_overshoot", "worst_off_m", *(name for name, _, _ in numbers.TRACKING_ROWS))
+_WHATEVER_ITS_END: Final = ("feature_overshoot", "worst_task_error_m", *(name for name, _, _ in numbers.TRACKING_ROWS))
 
 
 @dataclass(frozen=True)

@@ -40,31 +40,17 @@ class Ride:
     @classmethod
     def of(cls, scenario: Scenario) -> Ride | None:
         """The facts of a scenario; None where nothing drives on a floor."""
-        from vstestbed.scenario.goal import KEPT
-
-        if not scenario.robot.grounded:
+        if scenario.robot.base != "planar":
             return None
         goals = [goal.place for goal in scenario.goal_views if goal.place is not None]
-        kept = scenario.goal if isinstance(scenario.goal, KEPT) else None
         return cls(
             goals=np.array(goals).reshape(-1, 3),
-            route=_route(scenario),
+            route=scenario.target.floor_path[::5],
             lens=scenario.camera,
-            band_m=kept.band if kept else None,
-            settle_s=kept.settle_s if kept else 0.0,
+            band_m=scenario.goal.tolerance_m,
+            settle_s=scenario.goal.settle_s,
             ideal=ideal_way(scenario),
         )
-
-
-def _route(scenario: Scenario) -> Array:
-    """The route of what carries the target, or of lines on the floor, every 5 cm."""
-    from vstestbed.targets.attached import Carried
-    from vstestbed.targets.ground_lines import GroundLines
-
-    target, motion = scenario.target, scenario.target.motion
-    if isinstance(target, GroundLines):
-        return target.way[::5]
-    return motion.route.samples.xy[::5] if isinstance(motion, Carried) else np.empty((0, 2))
 
 
 def ideal_way(scenario: Scenario) -> Array | None:

@@ -21,10 +21,10 @@ LIMIT_RADPS = 1000.0
 
 def velocity(tracks: Tracks) -> Figure | None:
     """Velocity in the level frame: ordered (thin line) and flown, by the craft's own estimate (pale band)."""
-    flown, camera = tracks.columns("fly_vx", "fly_vy", "fly_vz"), tracks.setting.camera
+    flown, camera = tracks.columns("est_vx", "est_vy", "est_vz"), tracks.setting.camera
     if camera is None or not np.isfinite(flown).any():
         return None
-    made = tracks.columns(*(f"made_{name}" for name in ("vx", "vy", "vz", "wx", "wy", "wz")))
+    made = tracks.columns(*(f"applied_{name}" for name in ("vx", "vy", "vz", "wx", "wy", "wz")))
     ordered = made @ adjoint(camera.mount.T).T
     figure = new_figure(4.4)
     grid = figure.subplots(3, 1, sharex=True)
@@ -40,7 +40,7 @@ def velocity(tracks: Tracks) -> Figure | None:
 
 def tilt(tracks: Tracks) -> Figure | None:
     """Roll and pitch: true (pale band), as the craft estimates them (thin line) and as its velocity loop asks for them (dotted)."""
-    told, asked, camera = tracks.columns("fly_roll", "fly_pitch"), tracks.columns("ask_roll", "ask_pitch"), tracks.setting.camera
+    told, asked, camera = tracks.columns("est_roll", "est_pitch"), tracks.columns("ref_roll", "ref_pitch"), tracks.setting.camera
     if camera is None or not np.isfinite(told).any():
         return None
     true = _tilt_of(tracks.poses("cam") @ inverse(camera.mount.T))

@@ -19,7 +19,7 @@ TILES: Final = (
     ("path_length_m", "Path length", "m"),
     ("real_time_factor", "Real-time factor, films included", "×"),
 )
-KEPT_TILES: Final = (("worst_off_m", "Largest error once settled", "m"), *TILES[4:])
+KEPT_TILES: Final = (("worst_task_error_m", "Largest error once settled", "m"), *TILES[4:])
 """Of a task without an end, which has no goal to be away from."""
 ROWS: Final = (
     ("seed", "Seed", ""),
@@ -60,7 +60,7 @@ def outcome_words(summary: Summary) -> str:
 
 def tiles(summary: Summary) -> str:
     """The few numbers one looks for first."""
-    shown = KEPT_TILES if "worst_off_m" in summary else TILES
+    shown = KEPT_TILES if "worst_task_error_m" in summary else TILES
     made = [f"<div><dt>{name}</dt><dd>{_with_unit(summary.get(key), unit)}</dd></div>" for key, name, unit in shown]
     return f'<dl class="tiles">{"".join(made)}</dl>'
 

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from vstestbed.core.geometry import Array, inverse, rotation_from_quaternion, transform
 from vstestbed.report.run.expected_way import Ride
-from vstestbed.targets.ground_lines import GroundLines
 
 if TYPE_CHECKING:
     from vstestbed.camera import Camera
@@ -55,22 +54,20 @@ class Setting:
     @classmethod
     def of(cls, scenario: Scenario) -> Setting:
         """The facts of a loaded scenario; a task without a goal view or a pixel threshold leaves those out."""
-        from vstestbed.scenario.goal import KEPT
-
-        ride, kept = Ride.of(scenario), scenario.goal if isinstance(scenario.goal, KEPT) else None
-        view = getattr(scenario.goal, "T_camera_target", None)
+        ride, goal = Ride.of(scenario), scenario.goal
+        view = getattr(goal, "T_camera_target", None)
         return cls(
             width=scenario.camera.width,
             height=scenario.camera.height,
-            threshold_px=getattr(scenario.stop.converged, "error_px", None) if kept is None else None,
-            points=None if isinstance(scenario.target, GroundLines) else scenario.target.points,
+            threshold_px=getattr(scenario.stop.converged, "error_px", None) if not goal.continuing else None,
+            points=scenario.target.places if len(scenario.target.places) else None,
             T_camera_target=getattr(view, "T", view),
             description=scenario.description,
             feature=scenario.law.feature,
             camera=scenario.camera,
             ride=ride,
-            band_m=kept.band if kept else None,
-            settle_s=kept.settle_s if kept else 0.0,
+            band_m=goal.tolerance_m,
+            settle_s=goal.settle_s,
         )
 
 

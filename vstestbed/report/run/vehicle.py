@@ -91,7 +91,7 @@ def slip(tracks: Tracks) -> Figure | None:
 
 def off_task(tracks: Tracks) -> Figure | None:
     """True error of a task without an end, with the band that it shall stay in once settled."""
-    value, known = tracks.column("off_m"), tracks.setting.ride or tracks.setting
+    value, known = tracks.column("task_error_m"), tracks.setting.ride or tracks.setting
     band, settle = known.band_m, known.settle_s
     if not np.isfinite(value).any():
         return None

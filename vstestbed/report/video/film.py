@@ -11,11 +11,12 @@ import cv2
 import numpy as np
 
 from vstestbed.core.geometry import Array, pose_from
-from vstestbed.loop.recording import POSE, Tick
+from vstestbed.loop.columns import POSE
 from vstestbed.report.video.overlay import Overlay, draw_caption
 from vstestbed.report.video.writer import Image, VideoWriter
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.replay import Replay
+from vstestbed.tasks.frame import Frame
 
 if TYPE_CHECKING:
     import polars
@@ -38,10 +39,12 @@ class Moment:
     image: Image | None = None
 
     @classmethod
-    def of_tick(cls, tick: Tick) -> Moment:
-        """The moment that a tick tells of."""
-        truth, seen = tick.truth, tick.observation
-        return cls(seen.t, truth.T_world_target, truth.T_world_camera, truth.q, seen.uv, tick.error_px, tick.lost, tick.goal.uv, tick.image)
+    def of_frame(cls, frame: Frame) -> Moment:
+        """The moment of a frame."""
+        truth, seen, error = frame.truth, frame.observation, frame.error
+        return cls(
+            seen.t, truth.T_world_target, truth.T_world_camera, truth.q, seen.uv, error.rms_px, error.lost, frame.goal.uv, frame.image
+        )
 
     @classmethod
     def of_row(cls, row: dict[str, float], joints: tuple[str, ...], markers: int) -> Moment:
@@ -77,9 +80,9 @@ class Film:
         self._writer = VideoWriter(path, scenario.camera.rate_hz)
         self.spent_s = 0.0
 
-    def tick(self, tick: Tick) -> None:
+    def frame(self, frame: Frame) -> None:
         """Film a frame while the run goes."""
-        self.show(Moment.of_tick(tick))
+        self.show(Moment.of_frame(frame))
 
     def show(self, moment: Moment) -> None:
         """Film one moment."""

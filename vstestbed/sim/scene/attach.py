@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from vstestbed.core.assets import model_path
+from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.robots import Robot
 
@@ -38,34 +39,54 @@ def add_robot(scene: mujoco.MjSpec, robot: Robot, prefix: str, friction: float |
         for geom in [*model.geoms, scene.geom("floor")]:
             geom.friction[0] = min(geom.friction[0], friction)
     scene.attach(model, prefix=prefix, frame=scene.worldbody.add_frame())
-    flange = scene.site(f"{prefix}flange")
+    return scene.site(f"{prefix}flange").parent, _flange_pose(robot.model)
+
+
+@functools.cache
+def _compiled(model: str) -> mujoco.MjModel:
+    """The robot of an MJCF file on its own."""
+    return mujoco.MjSpec.from_file(str(model_path(model))).compile()
+
+
+def _flange_pose(model: str) -> Array:
+    """Pose (4, 4) of the site `flange` in its body, as the compiler has it.
+
+    A spec keeps an orientation as the file writes it (quat, euler, axisangle, xyaxes, zaxis), and its `quat` is the identity where
+    the file writes another of these: only the compiled model has them all.
+
+    Raises:
+        ParameterError: the file has no such site.
+    """
+    compiled = _compiled(model)
+    i = mujoco.mj_name2id(compiled, mujoco.mjtObj.mjOBJ_SITE, "flange")
+    if i < 0:
+        raise ParameterError("robot.kind", f"has a model without a site `flange`, which carries the camera; add one to {model}")
     R = np.zeros(9)
-    mujoco.mju_quat2Mat(R, np.asarray(flange.quat, dtype=float))
+    mujoco.mju_quat2Mat(R, compiled.site_quat[i])
     T = np.eye(4)
-    T[:3, :3], T[:3, 3] = R.reshape(3, 3), flange.pos
-    return flange.parent, T
+    T[:3, :3], T[:3, 3] = R.reshape(3, 3), compiled.site_pos[i]
+    return T
 
 
 def _choose_servos(model: mujoco.MjSpec, robot: Robot) -> None:
     """Of the actuators in an arm's file keep the chosen profile's; a vehicle has only one."""
-    servo = robot.servo
-    if servo is None:
+    chosen = robot.actuator_set
+    if chosen is None:
         return
     for actuator in list(model.actuators):
         profile, _, name = actuator.name.partition("_")
-        if profile == servo.prefix:
+        if profile == chosen.prefix:
             actuator.name = name
         else:
             model.delete(actuator)
     for body in model.bodies:
-        if servo.gravity_compensated:
+        if chosen.gravity_compensated:
             body.gravcomp = 1.0
     for joint in model.joints:
-        if not servo.friction:
+        if not chosen.friction:
             joint.frictionloss, joint.damping = 0.0, np.zeros(3)
 
 
-@functools.cache
 def extent_of(model: str) -> float:
     """Size of the robot of an MJCF file, by MuJoCo's own measure [m]."""
-    return float(mujoco.MjSpec.from_file(str(model_path(model))).compile().stat.extent)
+    return float(_compiled(model).stat.extent)

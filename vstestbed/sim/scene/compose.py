@@ -17,7 +17,6 @@ import numpy as np
 
 from vstestbed.camera import Camera
 from vstestbed.core.assets import model_path
-from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import FLIP, Array, quaternion_wxyz, transform
 from vstestbed.robots import VEHICLES, Robot
 from vstestbed.sim.lens.cube import drawn_for
@@ -26,22 +25,15 @@ from vstestbed.sim.scene.overview import frame_drive, frame_flight
 from vstestbed.sim.scene.paint import add_stripe
 from vstestbed.sim.scene.start_pose import camera_start, target_start
 from vstestbed.sim.scene.world import AWAY, World
-from vstestbed.targets.attached import Carried, Held
-from vstestbed.targets.base import Target
-from vstestbed.targets.ground_lines import GroundLines
-from vstestbed.targets.markers import Disc, Sphere, Stripe, Tag
-from vstestbed.targets.points import Square
-from vstestbed.vision.detect.tag_print import tag_png
+from vstestbed.targets import Pad, Target
+from vstestbed.targets.markers import HALF_THICKNESS_M, Marker
+from vstestbed.vision.detect.tag_print import printed
 
 LENS_GROUP, ROBOT_GROUP, TARGET_GROUP, SITE_GROUP = 1, 2, 3, 4
 ASSETS = "assets"
 """The folder beside model.xml with the files that it names."""
-HALF_THICKNESS = 1e-4
-"""Half height of a flat marker [m]: its front face lies at z = 0 of the target frame, its rim adds under 0.02 px at 1 m."""
 FACE_VIEWER = (0, 1, 0, 0)
 """A half turn about x (wxyz): the face that MuJoCo draws a texture on upright, +z with y up, looks at the viewer, y down."""
-BOARD_MARGIN = 1.5
-"""The board behind a square reaches this many marker radii beyond the markers' edges."""
 HOUSING_M = 0.03
 """The middle of a camera's housing is this far behind its lens [m]."""
 POST_RADIUS_M, POST_GREY = 0.012, [0.5, 0.51, 0.53, 1.0]
@@ -51,6 +43,7 @@ FREE_HOUSING = 6.0
 GLOW = 1000.0
 """Emission of an unlit marker, whose own colour is divided by it: emission gives the exact colour 255 * rgba, and what
 the scene's lights add (the plain colour times their brightness) is under half a grey level."""
+GEOMS = {"cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER, "sphere": mujoco.mjtGeom.mjGEOM_SPHERE, "box": mujoco.mjtGeom.mjGEOM_BOX}
 PAD_HALF_M = 0.01
 """Half of a landing pad's thickness [m]."""
 PAD_FRICTION = [0.8, 0.005, 0.0001]
@@ -73,13 +66,7 @@ class Parts:
     @property
     def leader(self) -> Robot | None:
         """The vehicle that carries the target, where one does."""
-        motion = self.target.motion
-        return VEHICLES[motion.by]() if isinstance(motion, Carried) else None
-
-    @property
-    def held(self) -> bool:
-        """Whether the robot's hand holds the target, and the camera stands in the room."""
-        return isinstance(self.target.motion, Held)
+        return None if self.target.carrier is None else VEHICLES[self.target.carrier.by]()
 
     @property
     def T_world_target(self) -> Array:
@@ -89,9 +76,7 @@ class Parts:
     @property
     def start(self) -> tuple[Array, Array]:
         """Joints (n,) and the servo camera's pose (4, 4) at the nominal start."""
-        configuration = self.robot.configuration()
-        T = camera_start(self.robot, self.camera, self.target)
-        return (np.zeros(len(self.robot.joints)) if self.robot.rides else configuration, T)
+        return self.robot.start_joints(), camera_start(self.robot, self.camera, self.target)
 
 
 def compose(parts: Parts) -> mujoco.MjSpec:
@@ -103,13 +88,13 @@ def compose(parts: Parts) -> mujoco.MjSpec:
     scene.geom("floor").pos = [0, 0, parts.world.floor_z]
     body, T_body_flange = add_robot(scene, parts.robot, "robot/", parts.world.floor_friction)
     housing = 1.0 if parts.robot.model else FREE_HOUSING
-    if parts.held:
+    if parts.target.on_gripper:
         _show_hand(scene)
         _add_camera(scene.worldbody, parts.camera.mount.T, parts.camera, housing)
         _add_target(scene, parts.target, body, T_body_flange @ parts.target.pose.T)
     else:
         _add_camera(body, T_body_flange @ parts.camera.mount.T, parts.camera, housing)
-        if parts.robot.grounded:
+        if parts.robot.base == "planar":
             _add_post(body, scene.geom("robot/deck"), T_body_flange @ parts.camera.mount.T)
         carrier = add_robot(scene, parts.leader, "leader/", parts.world.floor_friction)[0] if parts.leader else None
         _add_target(scene, parts.target, carrier, parts.target.pose.T)
@@ -141,7 +126,7 @@ def _frame_overview(scene: mujoco.MjSpec, parts: Parts) -> None:
     robot, target = parts.robot, parts.target
     if robot.model is None:
         frame_flight(scene, robot, target)
-    elif robot.rides:
+    elif robot.base != "fixed":
         start = robot.flange_pose(robot.configuration())[:3, 3]
         sights = transform(target.T_world_start, target.points)
         frame_drive(scene, np.array([start, *parts.sights]), sights, extent_of(robot.model))
@@ -187,46 +172,54 @@ def _add_post(body: mujoco.MjsBody, deck: mujoco.MjsGeom, T_body_camera: Array) 
 
 
 def _add_target(scene: mujoco.MjSpec, target: Target, carrier: mujoco.MjsBody | None, T: Array) -> None:
-    """A body with one site and one geom for each marker, and a light grey board behind a square of markers; of lines, their paint.
+    """A body with one site and one geom for each marker, its board or pad; of lines on the floor, their paint.
 
     It is put where it is told (mocap), or fixed to what carries it, at the pose T (4, 4) there.
     """
     parent = carrier or scene.worldbody
     body = parent.add_body(name="target/frame", mocap=carrier is None, pos=T[:3, 3], quat=quaternion_wxyz(T[:3, :3]))
-    marker = target.marker
-    if isinstance(target, GroundLines):
-        for i in range(len(target.offsets_m)):
-            rgba, paint = _paint(scene, i, target.colors[i * len(target.look_m)], marker.lit)
-            geom = add_stripe(scene, body, target, i, TARGET_GROUP)
-            geom.rgba, geom.material = rgba, paint.name
-        return
-    if isinstance(target.motion, Held):
+    if target.on_gripper:
         body.add_site(name="target/frame", group=SITE_GROUP, size=[0.005] * 3)
-    for i, (p, rgb) in enumerate(zip(target.points, target.colors, strict=True)):
-        rgba, paint = _paint(scene, i, np.ones(3) if isinstance(marker, Tag) else rgb, marker.lit)
-        if isinstance(marker, Tag):
-            paint.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = _tag_texture(scene, marker, marker.first_id + i)
-        body.add_site(name=f"target/marker_{i}", pos=p, group=SITE_GROUP, size=[0.005] * 3)
-        kind, size = _shape(marker)
-        centre = p + np.array([0, 0, 0.0 if isinstance(marker, Sphere) else HALF_THICKNESS])
-        geom = _visual(body, f"target/marker_{i}", kind, size, rgba, TARGET_GROUP, centre, FACE_VIEWER)
-        geom.material = paint.name
+    points_a_line = len(target.points) // max(len(target.stripes), 1)
+    for i, edges in enumerate(target.stripes):
+        rgba, paint = _paint(scene, i, target.colors[i * points_a_line], target.marker.lit)
+        geom = add_stripe(scene, body, edges, i, TARGET_GROUP)
+        geom.rgba, geom.material = rgba, paint.name
+    for i, p in enumerate(target.places):
+        _add_marker(scene, body, target, i, p)
     if target.pad:
-        half, thick = target.pad.side / 2, PAD_HALF_M
-        body.add_geom(
-            name="target/pad",
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            size=[half, half, thick],
-            pos=[0, 0, thick],
-            rgba=[0.62, 0.63, 0.62, 1],
-            group=TARGET_GROUP,
-            mass=target.pad.weight,
-            friction=PAD_FRICTION,
-        )
-    elif isinstance(target, Square):
-        half = target.side / 2 + (1 + BOARD_MARGIN) * marker.radius
-        z = 0.01 + (marker.radius if isinstance(marker, Sphere) else 1.5 * HALF_THICKNESS)
+        _add_pad(body, target.pad)
+    elif target.board_half_m is not None:
+        half, marker = target.board_half_m, target.marker
+        z = 0.01 + (marker.height_m or 1.5 * HALF_THICKNESS_M)
         _visual(body, "target/board", mujoco.mjtGeom.mjGEOM_BOX, [half, half, 0.01], [0.86, 0.86, 0.85, 1], TARGET_GROUP, [0, 0, z])
+
+
+def _add_marker(scene: mujoco.MjSpec, body: mujoco.MjsBody, target: Target, i: int, p: Array) -> None:
+    """Marker i at p (3,) in the target frame: its site, and its geom with its colour or its print."""
+    marker = target.marker
+    rgba, paint = _paint(scene, i, np.ones(3) if marker.textured else target.colors[i], marker.lit)
+    if marker.textured:
+        paint.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = _marker_texture(scene, marker, i)
+    body.add_site(name=f"target/marker_{i}", pos=p, group=SITE_GROUP, size=[0.005] * 3)
+    shape, half_sizes = marker.solid
+    centre = p + np.array([0, 0, 0.0 if marker.height_m else HALF_THICKNESS_M])  # a flat one lies behind the target's plane
+    geom = _visual(body, f"target/marker_{i}", GEOMS[shape], list(half_sizes), rgba, TARGET_GROUP, centre, FACE_VIEWER)
+    geom.material = paint.name
+
+
+def _add_pad(body: mujoco.MjsBody, pad: Pad) -> None:
+    """A plate to land on, which can be touched."""
+    body.add_geom(
+        name="target/pad",
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        size=[pad.side / 2, pad.side / 2, PAD_HALF_M],
+        pos=[0, 0, PAD_HALF_M],
+        rgba=[0.62, 0.63, 0.62, 1],
+        group=TARGET_GROUP,
+        mass=pad.weight,
+        friction=PAD_FRICTION,
+    )
 
 
 def _paint(scene: mujoco.MjSpec, i: int, rgb: Array, lit: bool) -> tuple[list[float], mujoco.MjsMaterial]:
@@ -236,24 +229,11 @@ def _paint(scene: mujoco.MjSpec, i: int, rgb: Array, lit: bool) -> tuple[list[fl
     return rgba, scene.add_material(name=f"target/color_{i}", rgba=rgba, specular=0, shininess=0, emission=emission)
 
 
-def _shape(marker: Disc | Sphere | Tag | Stripe) -> tuple[mujoco.mjtGeom, list[float]]:
-    """The geom of a marker, and its size."""
-    match marker:
-        case Disc(radius=radius):
-            return mujoco.mjtGeom.mjGEOM_CYLINDER, [radius, HALF_THICKNESS, 0]
-        case Sphere(radius=radius):
-            return mujoco.mjtGeom.mjGEOM_SPHERE, [radius, 0, 0]
-        case Tag(tile=edge):
-            return mujoco.mjtGeom.mjGEOM_BOX, [edge / 2, edge / 2, HALF_THICKNESS]
-        case Stripe():
-            raise ParameterError("target.marker", "may be stripe only with target: {kind: lines}")
-
-
-def _tag_texture(scene: mujoco.MjSpec, tag: Tag, number: int) -> str:
-    """Name of the texture of a tag, which is made in memory as the file that it becomes beside model.xml."""
-    name = f"{tag.family}_{number}"
+def _marker_texture(scene: mujoco.MjSpec, marker: Marker, i: int) -> str:
+    """Name of the texture printed on marker i, which is made in memory as the file that it becomes beside model.xml."""
+    name, png = printed(marker, i)
     scene.texturedir = ASSETS
-    scene.assets = {**scene.assets, f"{ASSETS}/{name}.png": tag_png(tag, number)}
+    scene.assets = {**scene.assets, f"{ASSETS}/{name}.png": png}
     scene.add_texture(name=f"target/{name}", type=mujoco.mjtTexture.mjTEXTURE_2D, file=f"{name}.png")
     return f"target/{name}"
 

@@ -9,9 +9,8 @@ import numpy as np
 
 from vstestbed.core.planar import place_of, relative
 from vstestbed.robots import Mount
-from vstestbed.robots.base import Encoders
+from vstestbed.robots.reading import Reading
 from vstestbed.sim.scene.stage import Stage
-from vstestbed.targets.attached import Carried
 
 PERIOD_S = 0.01
 """How often the driver steers [s]."""
@@ -19,7 +18,7 @@ CROSS_GAIN, HEADING_GAIN = 1.5, 2.5
 """What he does about an offset [1/m^2] and about a wrong heading [1/m]: the offset dies out within about 1.6 m, without overshoot."""
 
 
-class Leader:
+class LeadVehicle:
     """Drives the target's vehicle: w = v (curvature - CROSS_GAIN offset - HEADING_GAIN (heading - route's)).
 
     That is linear feedback along the path: offset'' + HEADING_GAIN offset' + CROSS_GAIN offset = 0 by arc length.
@@ -31,8 +30,8 @@ class Leader:
     """
 
     def __init__(self, stage: Stage):
-        motion = stage.parts.target.motion
-        if not isinstance(motion, Carried) or stage.leader is None or stage.parts.leader is None:
+        motion = stage.parts.target.carrier
+        if motion is None or stage.leader is None or stage.parts.leader is None:
             raise TypeError("no vehicle carries the target")
         self._stage, self._motion, self._root = stage, motion, stage.leader
         self._robot = stage.parts.leader
@@ -57,6 +56,6 @@ class Leader:
         w = v * (curvature / max(1 - curvature * offset, 0.1) - CROSS_GAIN * offset - HEADING_GAIN * math.sin(turn))
         twist = np.array([v, 0.0, 0.0, 0.0, 0.0, w])
         data = self._stage.data
-        encoders = Encoders(data.qpos[self._qpos], data.qvel[self._qvel])
-        setpoint = self._robot.allocate(twist, encoders, self._mount, dt).setpoint
-        self._memory, data.ctrl[self._ctrl] = self._robot.actuate(self._memory, setpoint, encoders, dt)
+        reading = Reading(data.qpos[self._qpos], data.qvel[self._qvel])
+        setpoint = self._robot.allocate(twist, reading, self._mount, dt).setpoint
+        self._memory, data.ctrl[self._ctrl] = self._robot.actuate(self._memory, setpoint, reading, dt)

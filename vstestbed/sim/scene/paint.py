@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from vstestbed.targets.ground_lines import GroundLines
+from vstestbed.core.geometry import Array
 
 LIFT_M = 2e-4
 """How far the paint lies over the floor [m]: seen from .3 m up at 60 degrees it is .35 mm too far out."""
@@ -13,9 +13,9 @@ SEGMENT = 4
 """Samples of the way, a centimetre apart, that make a segment: its chord leaves a bend of 2 m by .1 mm."""
 
 
-def add_stripe(scene: mujoco.MjSpec, body: mujoco.MjsBody, lines: GroundLines, i: int, group: int) -> mujoco.MjsGeom:
-    """Line i as a geom of `body`, a strip of triangles whose upper side shows: it is seen and touches nothing."""
-    left, right = lines.edges(i)
+def add_stripe(scene: mujoco.MjSpec, body: mujoco.MjsBody, edges: tuple[Array, Array], i: int, group: int) -> mujoco.MjsGeom:
+    """Line i between its edges (K, 2) as a geom of `body`, a strip of triangles whose upper side shows: it is seen and touches nothing."""
+    left, right = edges
     kept = np.unique(np.append(np.arange(0, len(left), SEGMENT), len(left) - 1))
     n = len(kept)
     vertices = np.full((2 * n, 3), LIFT_M)

@@ -12,7 +12,6 @@ from vstestbed.sim.gl_context import Physics
 from vstestbed.sim.scene.compose import LENS_GROUP, Parts, compose
 from vstestbed.sim.scene.roots import Root
 from vstestbed.sim.scene.world import decoy_path, plate_path
-from vstestbed.targets.markers import Sphere
 
 
 class Stage:
@@ -31,7 +30,7 @@ class Stage:
         self.physics = Physics.from_model(wrapper.MjModel(model))
         self.model, self.data = self.physics.model.ptr, self.physics.data.ptr
         self._target = self.model.body("target/frame")
-        self.root = Root(self.model, "robot/") if parts.robot.rides else None
+        self.root = Root(self.model, "robot/") if parts.robot.base != "fixed" else None
         self.leader = Root(self.model, "leader/") if parts.leader else None
         self._T_target_leader = inverse(parts.target.pose.T)
         world = parts.world
@@ -43,8 +42,9 @@ class Stage:
         actuators = [self.model.actuator(f"robot/{name}").id for name in parts.robot.actuators]
         self._rest = parts.robot.rest_ctrl()
         self._ctrl = self.model.actuator_ctrladr[actuators]
-        self.rotors = self.model.actuator_actadr[actuators] if self._rest is not None else np.zeros(0, dtype=int)
-        self.held_site = self.model.site("target/frame").id if parts.held else -1
+        addresses = self.model.actuator_actadr[actuators]
+        self.activations = addresses[addresses >= 0]
+        self.held_site = self.model.site("target/frame").id if parts.target.on_gripper else -1
         joints = [self.model.joint(f"robot/{name}") for name in parts.robot.joints]
         self.qpos = np.array([j.qposadr[0] for j in joints], dtype=int)
         self.qvel = np.array([j.dofadr[0] for j in joints], dtype=int)
@@ -67,7 +67,7 @@ class Stage:
     def rest(self) -> None:
         """Controls and activations of a craft that hovers at its start; nothing for other robots."""
         if self._rest is not None:
-            self.data.ctrl[self._ctrl] = self.data.act[self.rotors] = self._rest
+            self.data.ctrl[self._ctrl] = self.data.act[self.activations] = self._rest
 
     @property
     def mount_inverse(self) -> Array:
@@ -81,7 +81,7 @@ class Stage:
 
     def place_target(self, T: Array) -> None:
         """Put the target at a pose (4, 4), with the vehicle that carries it; what the hand holds is where the joints put it."""
-        if self.parts.held:
+        if self.parts.target.on_gripper:
             return
         if self.leader is not None:
             self.leader.put(self.data.qpos, T @ self._T_target_leader)
@@ -117,7 +117,7 @@ class Stage:
         A point that does not exist (NaN) does not. What encloses the lens is left out of the cast (as in the picture).
         """
         marker = self.parts.target.marker
-        slack = (marker.radius if isinstance(marker, Sphere) else 0.0) + 0.002
+        slack = marker.height_m + 0.002
         groups = np.ones(6, dtype=np.uint8)
         groups[LENS_GROUP] = 0
         p_world = p_camera @ T_world_camera[:3, :3].T

@@ -7,11 +7,10 @@ import math
 import mujoco
 import numpy as np
 
-from vstestbed.core.geometry import Array
 from vstestbed.sim.scene.world import Wind
 
 
-class Weather:
+class WindField:
     """Blows: mean and gusts by the clock, turbulence u with du = -u dt/T + sigma sqrt(2/T) dW, exact over a step.
 
     Args:
@@ -22,11 +21,6 @@ class Weather:
         self._wind, self._model, self._rng = wind, model, rng
         self._rough = rng.standard_normal(3) * wind.turbulence_mps if wind.turbulence_mps else np.zeros(3)
         self.blow(0.0, 0.0)
-
-    @property
-    def now(self) -> Array:
-        """The air's velocity in the world (3,) [m/s]."""
-        return self._model.opt.wind.copy()
 
     def blow(self, t: float, dt: float) -> None:
         """The wind from time t on, dt after the last."""

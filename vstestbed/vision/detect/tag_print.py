@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vstestbed.targets.markers import Tag
+from vstestbed.targets.markers import Marker, Tag
 
 PX_PER_MODULE = 16
 """Texels along a module: a power of two, so that the smaller pictures that OpenGL makes of it keep their edges between texels."""
@@ -30,3 +30,15 @@ def tag_picture(tag: Tag, number: int, px: int = PX_PER_MODULE) -> NDArray[np.ui
 def tag_png(tag: Tag, number: int) -> bytes:
     """The same as a PNG file."""
     return cv2.imencode(".png", tag_picture(tag, number))[1].tobytes()
+
+
+def printed(marker: Marker, i: int) -> tuple[str, bytes]:
+    """Name and PNG file of what is printed on marker i of a target.
+
+    Raises:
+        TypeError: nothing is.
+    """
+    if not isinstance(marker, Tag):  # the one marker with a print; the picture comes from OpenCV, which targets do without
+        raise TypeError(f"nothing is printed on a {marker.kind}")
+    number = marker.first_id + i
+    return f"{marker.family}_{number}", tag_png(marker, number)

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from types import MappingProxyType
-
 import numpy as np
 
 from vstestbed.core.geometry import Array
-from vstestbed.robots.base import Encoders
+from vstestbed.robots.reading import Reading
 from vstestbed.sim.scene.stage import Stage
 
 
-class Senses:
-    """Reads a robot's encoders and instruments; the same reading until time passes, so that noise is drawn once an instant.
+class SensorReader:
+    """Reads a robot's joints and MJCF sensors; the same reading until time passes, so that noise is drawn once an instant.
 
     Args:
         stage: the scene. rng: where noise comes from.
@@ -26,7 +24,7 @@ class Senses:
             sensor = stage.model.sensor(f"robot/{name}")
             self._sensors.append((name, slice(sensor.adr[0], sensor.adr[0] + sensor.dim[0])))
         self._read_at = -1
-        self._reading: Encoders | None = None
+        self._reading: Reading | None = None
 
     def joints(self) -> tuple[Array, Array]:
         """True joint positions and speeds (n,) each."""
@@ -37,11 +35,11 @@ class Senses:
         """Forget the last reading."""
         self._read_at = -1
 
-    def read(self, step: int) -> Encoders:
+    def read(self, step: int) -> Reading:
         """What the robot's instruments tell at a physics step."""
         if step != self._read_at or self._reading is None:
             q, qd = self.joints()
             data = self._stage.data.sensordata
-            raw = Encoders(q, qd, MappingProxyType({name: data[where].copy() for name, where in self._sensors}))
-            self._reading, self._read_at = self._robot.measured(raw, self._rng), step
+            sensors = {name: data[where].copy() for name, where in self._sensors}
+            self._reading, self._read_at = self._robot.measured(q, qd, sensors, self._rng), step
         return self._reading

@@ -1,0 +1,125 @@
+"""Checks between two parts of a scenario, neither of which knows the other."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+
+from vstestbed.camera import Camera
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array
+from vstestbed.features.depth import OnFloor, PnP
+from vstestbed.laws import Law
+from vstestbed.robots import VEHICLES, Mount, Robot
+from vstestbed.sim.scene.world import World
+from vstestbed.targets import Target
+from vstestbed.vision import DETECTORS, Detector
+
+ON_ONE_LINE = 1e-6
+"""Markers whose second singular value is under this share of the first lie on one line."""
+
+
+def check_robot(robot: Robot, target: Target, world: World, derotation: str, level_trim_s: float) -> None:
+    """Refuse what only some robots feel, do or hold.
+
+    Raises:
+        ParameterError: it names the field, and what would work.
+    """
+    flies = robot.base == "floating"
+    if not flies and derotation != "none":
+        raise ParameterError("derotation", "is for a craft that leans (robot quadrotor); here it must be none", derotation)
+    if not flies and not world.wind.still:
+        raise ParameterError("world.wind", f"is for a craft that flies (robot quadrotor), and robot {robot.kind} does not feel it")
+    if level_trim_s and (derotation == "none" or target.moves):
+        words = "corrects the tilt for a derotation by a target that stands still; here it must be 0"
+        raise ParameterError("level_trim_s", words, level_trim_s)
+    if world.floor_friction is not None and not robot.slips:
+        words = "is not felt by wheels: planar, which never slip; use wheels: rollers"
+        raise ParameterError("world.floor_friction", words, world.floor_friction)
+    if target.on_gripper and not robot.gripper:
+        raise ParameterError("target.motion", f"held is for an arm's hand; robot {robot.kind} has none, use puma560")
+
+
+def check_floor_depth(robot: Robot, law: Law[Any]) -> None:
+    """Refuse depth from the place on the floor for a robot that has none.
+
+    Raises:
+        ParameterError: it names the field, and what would work.
+    """
+    if law.depth.on_floor and robot.base != "planar":
+        words = f"may be floor only for a vehicle, and robot {robot.kind} is none; use pnp, goal or estimate"
+        raise ParameterError("law.depth", words)
+
+
+def check_carrier(target: Target) -> None:
+    """Refuse a route that the vehicle which carries the target cannot drive.
+
+    Raises:
+        ParameterError: a bend is tighter than its turning circle, or it is to be faster than it can.
+    """
+    if target.carrier is None:
+        return
+    by, route, speed = target.carrier.by, target.carrier.route, target.carrier.speed_mps
+    leader = VEHICLES[by]()
+    if route.least_radius_m < leader.turning_radius_m:
+        words = f"has a bend of {route.least_radius_m:.3g} m, and the car that carries the target turns no tighter than"
+        raise ParameterError("target.motion.route", f"{words} {leader.turning_radius_m:.3g} m; make it wider, or use by: omni")
+    if speed > leader.top_speed_mps:
+        words = f"must be at most {leader.top_speed_mps:g} m/s, the top speed of the {by} that carries the target"
+        raise ParameterError("target.motion.speed_mps", words, speed)
+
+
+def check_markers(robot: Robot, camera: Camera, target: Target, detector: Detector[Any], law: Law[Any], needs_pose: bool) -> None:
+    """Refuse markers that the detector cannot see, too few of them for the law, or places that leave the pose open.
+
+    Args:
+        needs_pose: the task works with the target's pose, so that depths without one will not do.
+
+    Raises:
+        ParameterError: it names the field, and what would work.
+    """
+    marker, seen = target.marker.kind, detector.markers
+    if seen and marker not in seen:
+        words = f"may not be {marker}: detector {detector.kind} sees {', '.join(seen)}; with {marker} use"
+        able = [kind for kind, member in DETECTORS.members.items() if not member.markers or marker in member.markers]
+        raise ParameterError("target.marker", f"{words} detector {' or '.join(able)}")
+    points, basis = target.points, robot.motion_basis(Mount.of(camera.mount.T), robot.start_joints())
+    needed = max(law.markers_needed(basis), 1)
+    if len(points) < needed:
+        markers = f"{len(points)} marker{'s' * (len(points) != 1)}"
+        words = f"has {markers}, and law {law.kind} needs {needed} or more for this robot's motions"
+        less = _needed_on_floor(robot, law, basis)
+        enough = less is not None and len(points) >= less
+        raise ParameterError("target", words + (f"; with law.depth floor {less} will do" if enough else ""))
+    if law.depth.with_pose and not law.depth.on_floor and _leaves_pose_open(points):
+        raise _open_pose(robot, points, law, needs_pose)
+
+
+def _leaves_pose_open(points: Array) -> bool:
+    """Whether points (N, 3) are too few for a pose, or on one line."""
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return len(points) < 3 or bool(spread[1] < ON_ONE_LINE * spread[0])
+
+
+def _open_pose(robot: Robot, points: Array, law: Law[Any], needs_pose: bool) -> ParameterError:
+    """The sentence for markers that leave the pose open."""
+    if not _has_depth(law):
+        words = f"has all markers on one line, which leaves the pose open that law {law.kind} works with; use other places"
+        return ParameterError("target", words)
+    depths = "floor" if needs_pose else "floor, goal or estimate" if robot.base == "planar" else "goal or estimate"
+    which = "all markers lie on one line" if len(points) > 1 else "there is a single marker"
+    return ParameterError("law.depth", f"may not be pnp: {which}, which leaves the pose open; use {depths}")
+
+
+def _has_depth(law: Law[Any]) -> bool:
+    """Whether the source of depth is a parameter of the law."""
+    return any(field.name == "depth" for field in fields(law))
+
+
+def _needed_on_floor(robot: Robot, law: Law[Any], basis: Array) -> int | None:
+    """How many markers the law would need with depth `floor`; None where it has another than `pnp`, or may have none of the two."""
+    if robot.base != "planar" or not isinstance(law.depth, PnP) or not _has_depth(law):
+        return None
+    return replace(law, depth=OnFloor()).markers_needed(basis)  # pyright: ignore[reportCallIssue] - it has the field
