@@ -18,10 +18,16 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import polars as pl
 
-RENAMED = {"made_": "applied_", "ask_": "ref_", "fly_": "est_", "off_m": "task_error_m"}
+RENAMED = {
+    "made_": "applied_",
+    "ask_": "ref_",
+    "fly_": "est_",
+    "off_m": "task_error_m",
+    "pilot": "supervisor",
+    "worst_off_m": "worst_task_error_m",
+}
 """Beginnings of columns that are called otherwise in the newer checkout."""
 OF_THE_CLOCK = {"wall_time_s", "real_time_factor", "time_ms", "versions"}
 """What a summary has that is not of the simulated run."""
@@ -68,7 +74,12 @@ def same_table(a: pl.DataFrame, b: pl.DataFrame, columns: list[str]) -> list[str
     """Names of columns whose numbers differ (NaN is NaN)."""
     lacking = [c for c in columns if renamed(c) not in b.columns and c not in b.columns]
     both = [(c, c if c in b.columns else renamed(c)) for c in columns if c not in lacking]
-    return lacking + [c for c, d in both if len(a) != len(b) or not a[c].equals(b[d], null_equal=True)]
+    return lacking + [c for c, d in both if len(a) != len(b) or column_bytes(a[c]) != column_bytes(b[d])]
+
+
+def column_bytes(column: pl.Series) -> bytes:
+    """The bits of a column, so that -0 is not 0 and NaN is NaN."""
+    return column.to_numpy().tobytes() if column.dtype.is_numeric() else repr(column.to_list()).encode()
 
 
 def of_the_run(summary: dict[str, Any]) -> dict[str, Any]:
@@ -80,7 +91,7 @@ def verdict(old: Path, new: Path) -> tuple[bool, str]:
     """Whether two runs' folders tell the same, and the words for it."""
     a, b = (json.loads((f / "summary.json").read_text()) for f in (old, new))
     a, b = of_the_run(a), of_the_run(b)
-    words = [f"summary: {k}: {a[k]} -> {b.get(k)}" for k in a if np.array(a[k] != b.get(k)).any()]
+    words = [f"summary: {k}: {a[k]} -> {b.get(renamed(k))}" for k in a if a[k] != b.get(renamed(k))]
     if (old / "log.parquet").read_bytes() == (new / "log.parquet").read_bytes():
         return not words, "; ".join(["the same bytes", *words])
     x, y = pl.read_parquet(old / "log.parquet"), pl.read_parquet(new / "log.parquet")
