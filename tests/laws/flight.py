@@ -11,8 +11,8 @@ from vstestbed.laws import Law
 from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart
 from vstestbed.scenario.scenario import GoalView, Scenario
-from vstestbed.tasks.stop import Converged, Stop
 from vstestbed.targets.points import Points, Square
+from vstestbed.tasks.stop import Converged, Stop
 from vstestbed.vision import Oracle
 
 

@@ -12,7 +12,7 @@ from vstestbed.laws import LineFollowing
 from vstestbed.robots import Mount
 from vstestbed.robots.ground import PLANE
 from vstestbed.targets.ground_lines import GroundLines
-from vstestbed.targets.route import Circle, Piece, Straight, Track
+from vstestbed.targets.route import CircularRoute, Piece, Straight, Track
 
 UNDER = Pose(xyz=(0.5, 0, 0.3), rpy_deg=(180, 0, -90))
 LOOK = (-0.25, 0.05)  # .25 and .55 m before the rear axle: m = .4
@@ -56,17 +56,17 @@ class TestBends:
     @pytest.mark.parametrize(("radius", "bound"), [(2.0, 2e-3), (-2.0, 2e-3), (6.0, 5e-5)])
     def test_a_constant_curvature_leaves_no_error_to_second_order(self, plane, radius, bound):
         # What is left is of fourth order, x^4 / 8 R^3 (.5 m, 2 m: 1 mm), and with three times the radius 27 times less.
-        lines, goal = world(Circle(radius_m=radius))
+        lines, goal = world(CircularRoute(radius_m=radius))
         off = drive(LineFollowing(), plane, lines, goal, (0, 0, 0), 12)
         assert np.abs(off[-100:]).max() < bound
 
     def test_between_two_lines(self):
-        lines, goal = world(Circle(radius_m=2.0), look=(-0.1, 0.1), offsets=(0.25, -0.25))
+        lines, goal = world(CircularRoute(radius_m=2.0), look=(-0.1, 0.1), offsets=(0.25, -0.25))
         off = drive(LineFollowing(), OMNI, lines, goal, (0, 0, 0), 10)
         assert np.abs(off[-100:]).max() < 2e-3
 
     def test_beside_a_line(self):
-        lines, goal = world(Circle(radius_m=2.0), offset=0.2)
+        lines, goal = world(CircularRoute(radius_m=2.0), offset=0.2)
         off = drive(LineFollowing(), CAR, lines, goal, (0, 0.2, 0), 12)
         np.testing.assert_allclose(off[-100:], 0.2, atol=2e-3)
 

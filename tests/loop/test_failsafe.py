@@ -1,11 +1,11 @@
 """What is done when the law cannot: held, sunk, rotors off, and why."""
 
 import numpy as np
-
 from vstestbed.loop.failsafe import FOLLOWS, HOLD_S, HOLDS, OFF, SINKS, Pilot
-from vstestbed.robots.quadrotor import HOLD, ROTORS_OFF, descend
+
 from vstestbed.core.outcome import Outcome
 from vstestbed.loop.judge import Evidence, Judge
+from vstestbed.robots.quadrotor import HOLD, ROTORS_OFF, descend
 from vstestbed.tasks.stop import Stop
 
 PLAIN = {"overturned": 0.0, "rotor_limit_s": 0.0, "stands": 0.0, "range": 3.0}

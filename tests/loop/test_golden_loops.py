@@ -23,8 +23,8 @@ from vstestbed.loop import run as loop
 from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart
 from vstestbed.scenario.scenario import GoalView, Scenario
-from vstestbed.tasks.stop import Converged, Stop
 from vstestbed.targets.points import Square
+from vstestbed.tasks.stop import Converged, Stop
 from vstestbed.vision import Oracle
 
 HERE = Path(__file__).parents[1] / "golden"

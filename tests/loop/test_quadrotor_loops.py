@@ -4,14 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from vstestbed.loop.touchdown import Touchdown
 
 import vstestbed as vs
 from vstestbed.core.errors import ScenarioError
-from vstestbed.loop.touchdown import Touchdown
-from vstestbed.robots.rotors import HOVER
-from vstestbed.tasks import GoalLanding
 from vstestbed.core.outcome import Outcome
+from vstestbed.robots.rotors import HOVER
 from vstestbed.sim.plant import MujocoPlant
+from vstestbed.tasks import GoalLanding
 
 ORACLE = {"detector.kind": "oracle", "noise.pixel_sigma_px": 0.1}
 

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from vstestbed.loop.reference import DEEPEST, LandingCourse, Path, course_of
 
 import vstestbed as vs
 from vstestbed.core.geometry import Pose, inverse
 from vstestbed.features.observation import Observation
-from vstestbed.loop.reference import DEEPEST, LandingCourse, Path, course_of
 from vstestbed.tasks import GoalPath, GoalView
 
 WAY = (

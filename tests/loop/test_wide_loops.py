@@ -12,8 +12,8 @@ import pytest
 import vstestbed as vs
 from tests.conftest import Ended
 from vstestbed.core.errors import VstestbedError
-from vstestbed.loop.recording import Tick
 from vstestbed.core.outcome import Outcome
+from vstestbed.loop.recording import Tick
 
 
 def test_markers_behind_the_camera_come_to_the_goal_view():

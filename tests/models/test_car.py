@@ -10,7 +10,8 @@ import pytest
 
 from vstestbed.core.planar import moved
 from vstestbed.laws.polar_pose import PolarGains, polar_law
-from vstestbed.robots.base import Encoders, Mount
+from vstestbed.robots.allocation import Mount
+from vstestbed.robots.base import Encoders
 from vstestbed.robots.bicycle import drive
 from vstestbed.robots.car import RADIUS, TRACK, WHEELBASE, Car, CarLimits, CarServos
 

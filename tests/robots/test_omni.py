@@ -6,7 +6,8 @@ import pytest
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose, exp, inverse
 from vstestbed.core.planar import GroundPose, moved, pose_on_ground
-from vstestbed.robots.base import Encoders, Mount
+from vstestbed.robots.allocation import Mount
+from vstestbed.robots.base import Encoders
 from vstestbed.robots.ground import GroundBox, GroundStart
 from vstestbed.robots.omni import HALF_BASE, HALF_TRACK, RADIUS, SPEED_LIMIT, W_INVERSE, WHEELS, Omni, W, wheel_matrix
 

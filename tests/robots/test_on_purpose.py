@@ -9,7 +9,8 @@ import pytest
 import vstestbed as vs
 from vstestbed.core.assets import model_path
 from vstestbed.core.geometry import exp, inverse
-from vstestbed.robots.base import Encoders, Mount
+from vstestbed.robots.allocation import Mount
+from vstestbed.robots.base import Encoders
 from vstestbed.robots.puma560 import JOINT_LIMITS, SPEED_LIMITS, Puma560, forward, jacobian
 
 UNLIMITED = {"kind": "oracle", "field_of_view": "unlimited"}

@@ -9,7 +9,8 @@ import pytest
 from tests.robots.flying import Flown, perfect
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose, adjoint, inverse
-from vstestbed.robots.base import Encoders, Mount
+from vstestbed.robots.allocation import Mount
+from vstestbed.robots.base import Encoders
 from vstestbed.robots.groundspeed import Filtered, Flow
 from vstestbed.robots.quadrotor import HOLD, LOWEST_M, ROTORS_OFF, STANDING_M, FlightBox, FlightPose, FlightStart, Imu, Quadrotor, descend
 from vstestbed.robots.rotors import HOVER

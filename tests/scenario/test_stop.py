@@ -3,8 +3,8 @@
 from dataclasses import replace
 
 import pytest
-
 from vstestbed.scenario.progress_check import Pace
+
 from vstestbed.core.outcome import Outcome
 from vstestbed.loop.judge import Band, Evidence, Judge
 from vstestbed.tasks.stop import Converged, Stop

@@ -7,7 +7,7 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose, transform
 from vstestbed.core.planar import pose_on_ground
 from vstestbed.targets.ground_lines import GroundLines, foot_of, on_foot
-from vstestbed.targets.route import Circle, FigureEight, Piece, Straight, Track
+from vstestbed.targets.route import CircularRoute, FigureEight, Piece, Straight, Track
 
 DOWN, TILTED, AHEAD = ((180, 0, -90), (-150, 0, -90), (-90, 0, -90))
 """Mounts that look straight down with the picture's top ahead, ahead and down, and straight ahead (roll, pitch, yaw [deg])."""
@@ -40,7 +40,7 @@ def test_a_straight_line_by_trigonometry(rpy):
 
 
 def test_a_circle_by_pythagoras():
-    lines = GroundLines(route=Circle(radius_m=2.0), look_m=(0.2, 0.6), offsets_m=(0.25, -0.25))
+    lines = GroundLines(route=CircularRoute(radius_m=2.0), look_m=(0.2, 0.6), offsets_m=(0.25, -0.25))
     found = on_floor(lines, (0.0, 0.0, 0.0), DOWN)
     # Concentric circles of 1.75 and 2.25 m round (0, 2); samples a centimetre apart leave arcs of 7 um.
     left = [2 - np.sqrt(r * r - x * x) for r in (1.75, 2.25) for x in (0.2, 0.6)]
@@ -65,7 +65,7 @@ def test_of_several_crossings_the_one_nearest_to_straight_ahead():
 
 
 def test_what_is_seen_where_all_is_well():
-    lines = GroundLines(route=Circle(radius_m=3), look_m=(0.1, 0.4), offsets_m=(0.2, -0.2))
+    lines = GroundLines(route=CircularRoute(radius_m=3), look_m=(0.1, 0.4), offsets_m=(0.2, -0.2))
     mount = Pose(xyz=(0.3, 0, 0.4), rpy_deg=TILTED).T
     p = transform(mount, lines.straight_ahead(mount, 0.05))
     np.testing.assert_allclose(p, [[0.4, 0.15, 0], [0.7, 0.15, 0], [0.4, -0.25, 0], [0.7, -0.25, 0]], atol=1e-12)
@@ -89,7 +89,7 @@ def test_each_line_has_its_hue():
 )
 def test_refuses(wrong, words):
     with pytest.raises(ParameterError, match=words):
-        GroundLines(**{"route": Circle(radius_m=2.0), **wrong})
+        GroundLines(**{"route": CircularRoute(radius_m=2.0), **wrong})
 
 
 class TestBeside:
@@ -102,7 +102,7 @@ class TestBeside:
 
     def test_on_a_circle(self):
         # 5 mm to each side of a sample the arc is taken as its tangent: 6 um.
-        assert Circle(radius_m=2.0).beside(np.array([1.9, 2.0, np.pi / 2])) == pytest.approx(0.1, abs=1e-5)
+        assert CircularRoute(radius_m=2.0).beside(np.array([1.9, 2.0, np.pi / 2])) == pytest.approx(0.1, abs=1e-5)
 
     def test_at_a_crossing_it_is_the_branch_that_is_driven(self):
         way = FigureEight(length_m=10, width_m=5)

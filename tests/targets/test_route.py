@@ -5,12 +5,12 @@ import pytest
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.planar import GroundPose
-from vstestbed.targets.route import Circle, FigureEight, Piece, Straight, Track
+from vstestbed.targets.route import CircularRoute, FigureEight, Piece, Straight, Track
 
 OVAL = Track(pieces=(Piece(length_m=4), Piece(turn_deg=180, radius_m=2), Piece(length_m=4), Piece(turn_deg=180, radius_m=2)))
 ALL = [
     Straight(length_m=7),
-    Circle(radius_m=-2.5),
+    CircularRoute(radius_m=-2.5),
     FigureEight(length_m=12, width_m=5),
     OVAL,
     Track(pieces=(Piece(turn_deg=-90, radius_m=1.5),)),
@@ -68,7 +68,7 @@ def test_an_open_route_goes_straight_on():
 
 
 def test_a_circle_is_a_circle():
-    xy = Circle(radius_m=-2.5).at(np.linspace(0, 15, 100))[:, :2]
+    xy = CircularRoute(radius_m=-2.5).at(np.linspace(0, 15, 100))[:, :2]
     np.testing.assert_allclose(np.hypot(xy[:, 0], xy[:, 1] + 2.5), 2.5, atol=1e-5)  # chords of 1 cm: 1e-2^2 / 8 / 2.5
 
 
@@ -98,4 +98,4 @@ def test_a_piece_is_straight_or_a_bend(wrong):
 
 def test_a_circle_needs_a_radius():
     with pytest.raises(ParameterError, match=r"radius_m must be 0\.1 m or more"):
-        Circle(radius_m=0.01)
+        CircularRoute(radius_m=0.01)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from annotated_types import Gt
 
@@ -17,6 +17,7 @@ class DepthSource:
         on_floor: the robot's place on the floor is solved, not a free pose. true: the simulator's truth.
     """
 
+    kind: Any  # the word in a scenario: a field of each
     with_pose: ClassVar[bool] = False
     on_floor: ClassVar[bool] = False
     true: ClassVar[bool] = False
@@ -84,4 +85,4 @@ class OnFloor(DepthSource):
 
 
 DEPTHS = OneOf("depth", PnP, Constant, AtGoal, Estimate, OnFloor, OracleDepth)
-Depth = Annotated[PnP | Constant | AtGoal | Estimate | OnFloor | OracleDepth, DEPTHS]
+Depth = Annotated[DepthSource, DEPTHS]

@@ -89,7 +89,7 @@ def _without(a: Array | None, out: NDArray[np.bool_]) -> Array | None:
     return None if a is None else np.where(out if a.ndim == 1 else out[:, None], np.nan, a)
 
 
-class Plane(NamedTuple):
+class FittedPlane(NamedTuple):
     """The plane that fits points best: their mean (3,) [m], and the unit normal (3,) away from the origin."""
 
     middle: Array
@@ -115,7 +115,7 @@ class Goal:
     range: Array
     T_camera_target: Array
     camera: Camera
-    plane: Plane
+    plane: FittedPlane
     place: Array | None = None
     gap_m: float | None = None
     twist: Array | None = None
@@ -161,12 +161,12 @@ class Goal:
 
     def deepened(self, scale: Array) -> Goal:
         """The same view with each marker's depth and range times `scale` (N,), their middle's times the mean of it."""
-        plane = Plane(self.middle * scale.mean(), self.normal)
+        plane = FittedPlane(self.middle * scale.mean(), self.normal)
         return replace(self, depth=self.depth * scale, range=self.range * scale, plane=plane)
 
 
-def _plane(p: Array) -> Plane:
+def _plane(p: Array) -> FittedPlane:
     """Mean (3,) of points (N, 3), and the unit normal (3,) of the plane that fits them best, away from the origin."""
     middle = p.mean(axis=0)
     normal = np.linalg.svd(p - middle)[2][2]
-    return Plane(middle, normal if normal @ middle > 0 else -normal)
+    return FittedPlane(middle, normal if normal @ middle > 0 else -normal)

@@ -14,7 +14,7 @@ from vstestbed.features.observation import Goal, Observation, OwnMotion
 from vstestbed.laws import Command, Law
 from vstestbed.loop.shutter import Exposed
 from vstestbed.robots import Allocation, Mount
-from vstestbed.robots.base import RobotState
+from vstestbed.robots.robot_log import RobotState
 from vstestbed.scenario.scenario import NOISE_STREAM, Scenario
 from vstestbed.sim.base import Plant
 from vstestbed.tasks.frame import Frame, FrameTiming, ImageError

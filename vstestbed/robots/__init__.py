@@ -1,7 +1,9 @@
 """Robots, in numpy only: what they can do, how a command becomes a setpoint, their limits. Their bodies are in models/."""
 
+from vstestbed.core.contract import Contract
 from vstestbed.core.spec import OneOf
-from vstestbed.robots.base import Actuation, Allocation, Mount, Robot, RobotBase
+from vstestbed.robots.allocation import Actuation, Allocation, Mount
+from vstestbed.robots.base import Robot, RobotBase
 from vstestbed.robots.car import Car
 from vstestbed.robots.free import Free
 from vstestbed.robots.omni import Omni
@@ -9,7 +11,7 @@ from vstestbed.robots.puma560 import Puma560
 from vstestbed.robots.quadrotor import Quadrotor
 from vstestbed.robots.reading import Reading
 
-ROBOTS = OneOf("robot", Free, Puma560, Omni, Car, Quadrotor)
+ROBOTS = OneOf("robot", Free, Puma560, Omni, Car, Quadrotor, contract=Contract(Robot, base=RobotBase))
 VEHICLES: dict[str, type[Omni | Car]] = {"omni": Omni, "car": Car}
 """What can carry a target."""
 

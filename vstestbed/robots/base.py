@@ -3,112 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, Protocol
 
 import numpy as np
 
-from vstestbed.core.geometry import Array, adjoint, inverse
+from vstestbed.core.geometry import Array
+from vstestbed.robots.allocation import Actuation, Allocation, Mount
 from vstestbed.robots.reading import Reading
+from vstestbed.robots.robot_log import RobotLog
 from vstestbed.robots.supervisor import Supervisor
 
-Limit = Literal["", "speed", "joint_limit", "singular"]
 Base = Literal["fixed", "planar", "floating"]
-
-
-@dataclass(frozen=True, slots=True)
-class Allocation:
-    """A command made a setpoint.
-
-    Attributes:
-        setpoint: what the actuators are told (joint velocities [rad/s], or a twist).
-        twist: the camera twist (6,) that the setpoint stands for by the robot's own model.
-        scale: factor in [0, 1] by which the whole command was scaled to stay within limits.
-        limit: which limit scaled it ("" for none).
-    """
-
-    setpoint: Array
-    twist: Array
-    scale: float = 1.0
-    limit: Limit = ""
-
-
-@dataclass(frozen=True, slots=True)
-class Mount:
-    """Where the camera sits on the robot: twist transforms between the flange and the camera, made once.
-
-    Attributes:
-        T_flange_camera: pose (4, 4).
-        to_flange, to_camera: adjoints (6, 6), twist_flange = to_flange @ twist_camera and back.
-    """
-
-    T_flange_camera: Array
-    to_flange: Array
-    to_camera: Array
-
-    @classmethod
-    def of(cls, T_flange_camera: Array) -> Mount:
-        """The mount of a camera at a pose (4, 4) in the flange frame."""
-        return cls(T_flange_camera, adjoint(T_flange_camera), adjoint(inverse(T_flange_camera)))
-
-    @classmethod
-    def facing(cls, T_flange_camera: Array) -> Mount:
-        """Of a camera in the room that watches the flange, now at a pose (4, 4) in its frame.
-
-        The camera's twist against what the flange holds is minus the flange's own: v_camera = -Ad(T_camera_flange) v_flange.
-        """
-        return cls(T_flange_camera, -adjoint(T_flange_camera), -adjoint(inverse(T_flange_camera)))
-
-
-@dataclass(frozen=True, slots=True)
-class Actuation:
-    """Which of the actuators in a robot's MJCF file a scenario uses, and what its joints feel.
-
-    Attributes:
-        prefix: actuators named `<prefix>_<joint>` are kept, the others left out.
-        friction: joints keep their damping and Coulomb friction.
-        gravity_compensated: links are weightless to the joints (MuJoCo's gravcomp).
-    """
-
-    prefix: str
-    friction: bool
-    gravity_compensated: bool
-
-
-@dataclass(frozen=True, slots=True)
-class RobotState:
-    """What a robot's own log columns are made of, at one exposure; the truth among it goes to the log and nowhere else.
-
-    Attributes:
-        t: time [s]. T_world_base: true pose of the base (4, 4).
-        place, odometry: (x, y, heading) [m, m, rad] as the observer has them, NaN where it has none.
-        reading: what the robot measured of itself.
-        act: true activations of its actuators (nu,). wind: true velocity of the air in the world (3,) [m/s].
-    """
-
-    t: float
-    T_world_base: Array
-    place: Array
-    odometry: Array
-    reading: Reading
-    act: Array
-    wind: Array
-
-
-class RobotLog:
-    """The columns that only this robot has in a log, and their values frame by frame; here none.
-
-    One is made for each run: it may remember the frame before.
-    """
-
-    columns: tuple[str, ...] = ()
-
-    def row(self, state: RobotState) -> Array:
-        """Values of the columns at one exposure, shape (len(columns),)."""
-        return _NO_COLUMNS
-
-
-_NO_COLUMNS = np.zeros(0)
 
 
 class Robot(Protocol):

@@ -18,7 +18,7 @@ from annotated_types import Ge, Gt, Le, Lt
 
 from vstestbed.core.geometry import Array
 from vstestbed.core.spec import spec
-from vstestbed.robots.base import Allocation, Limit, Mount
+from vstestbed.robots.allocation import Allocation, Limit, Mount
 from vstestbed.robots.bicycle import STANDSTILL, BicycleLimits, within_limits, yaw_rate
 from vstestbed.robots.ground import PLANE, GroundStart, Vehicle
 from vstestbed.robots.reading import Reading

@@ -8,8 +8,8 @@ import numpy as np
 
 from vstestbed.core.geometry import Array
 from vstestbed.robots.attitude import level
-from vstestbed.robots.base import RobotLog, RobotState
 from vstestbed.robots.flight_reading import FlightReading
+from vstestbed.robots.robot_log import RobotLog, RobotState
 from vstestbed.robots.supervisor import Supervisor
 
 ESTIMATE = ("est_roll", "est_pitch", "est_vx", "est_vy", "est_vz", "est_wx", "est_wy", "est_wz")

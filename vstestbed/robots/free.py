@@ -9,7 +9,8 @@ import numpy as np
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, Triple
 from vstestbed.core.spec import spec
-from vstestbed.robots.base import Allocation, Mount, RobotBase
+from vstestbed.robots.allocation import Allocation, Mount
+from vstestbed.robots.base import RobotBase
 from vstestbed.robots.puma560 import Puma560, PumaStart
 from vstestbed.robots.reading import Reading
 

@@ -29,7 +29,7 @@ from annotated_types import Gt, Lt
 from vstestbed.core.geometry import Array
 from vstestbed.core.planar import motion_between
 from vstestbed.core.spec import spec
-from vstestbed.robots.base import Allocation, Mount
+from vstestbed.robots.allocation import Allocation, Mount
 from vstestbed.robots.ground import PLANE, GroundStart, Vehicle
 from vstestbed.robots.reading import Reading
 

@@ -17,7 +17,8 @@ from annotated_types import Ge, Le, Len
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.spec import spec
-from vstestbed.robots.base import Actuation, Allocation, Limit, Mount, RobotBase
+from vstestbed.robots.allocation import Actuation, Allocation, Limit, Mount
+from vstestbed.robots.base import RobotBase
 from vstestbed.robots.reading import Reading
 
 DH = np.array(

@@ -22,15 +22,17 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Triple
 from vstestbed.core.spec import spec
 from vstestbed.robots import groundspeed
+from vstestbed.robots.allocation import Allocation, Mount
 from vstestbed.robots.attitude import Attitude, Filter, level
 from vstestbed.robots.attitude import step as attitude_step
-from vstestbed.robots.base import Allocation, Base, Mount, RobotBase, RobotLog
+from vstestbed.robots.base import Base, RobotBase
 from vstestbed.robots.failsafe import Failsafe
 from vstestbed.robots.flight import RECOVER_RAD, Gains, Loops, fly
 from vstestbed.robots.flight_log import FlightLog
 from vstestbed.robots.flight_reading import HOLD, FlightEstimate, FlightReading
 from vstestbed.robots.groundspeed import READING_S, Flow, Groundspeed, VelocitySource
 from vstestbed.robots.reading import Reading
+from vstestbed.robots.robot_log import RobotLog
 from vstestbed.robots.rotors import HOVER, Four, mix, speed_control
 from vstestbed.robots.supervisor import Supervisor
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import colorsys
 from functools import cached_property
-from typing import Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar, Protocol
 
 import numpy as np
 from annotated_types import Gt
@@ -39,6 +39,37 @@ class Pad:
         return self.mass or 4.0 * self.side**2
 
 
+class TargetContract(Protocol):
+    """All that is read of a target; `Target` has everything but `kind` and `points`."""
+
+    kind: str
+    pose: Pose
+    marker: Marker
+    motion: MotionBase
+    pad: Pad | None
+    one_sided: ClassVar[bool]
+    points: Array
+    places: Array
+    stripes: tuple[tuple[Array, Array], ...]
+    painted_route: Route | None
+    floor_path: Array
+    board_half_m: float | None
+    moves: bool
+    on_gripper: bool
+    carrier: Carried | None
+    T_world_start: Array
+    hues_deg: tuple[float, ...]
+    colors: Array
+
+    def path(self, rng: np.random.Generator) -> Path:
+        """Its pose in the world as a function of time."""
+        ...
+
+    def seen_from(self, T_target_camera: Array) -> Array:
+        """Marker centres in the frame of a camera."""
+        ...
+
+
 @spec
 class Target:
     """What all targets share: pose in the world, marker, motion, a pad to land on.
@@ -54,10 +85,12 @@ class Target:
     one_sided: ClassVar[bool] = False
     """Whether it is a board with a front: from behind its plane it counts as lost."""
 
-    @cached_property
-    def points(self) -> Array:
-        """Marker centres in the target frame, shape (N, 3) [m]."""
-        raise NotImplementedError
+    if TYPE_CHECKING:  # each target has its own; not at run time, where the contract misses it
+
+        @cached_property
+        def points(self) -> Array:
+            """Marker centres in the target frame, shape (N, 3) [m]."""
+            ...
 
     @property
     def places(self) -> Array:

@@ -213,5 +213,4 @@ class RandomWalk(MotionBase):
 
 
 OWN_MOTIONS = (Still, Line, Circle, Sinusoid, Lissajous, RandomWalk)
-PlateMotion = Still | Line | Circle | Sinusoid | Lissajous | RandomWalk
 PLATE_MOTIONS = OneOf("motion", *OWN_MOTIONS, default="still")

@@ -137,7 +137,7 @@ class Straight(Route):
 
 
 @spec
-class Circle(Route):
+class CircularRoute(Route):
     """A circle to the left (`radius_m` negative: to the right)."""
 
     kind: Literal["circle"] = "circle"
@@ -250,5 +250,5 @@ def _joined(pieces: list[tuple[float, float]]) -> Samples:
     return Samples(np.array(s), np.array(xy), np.array(heading), np.array(curvature))
 
 
-ROUTES = OneOf("route", Straight, Circle, FigureEight, Track)
-AnyRoute = Annotated[Straight | Circle | FigureEight | Track, ROUTES]
+ROUTES = OneOf("route", Straight, CircularRoute, FigureEight, Track)
+AnyRoute = Annotated[Route, ROUTES]

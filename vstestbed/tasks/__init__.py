@@ -1,5 +1,6 @@
 """Tasks: one file a kind of goal. What it asks for, frame by frame, and when it is reached, kept or missed."""
 
+from vstestbed.core.contract import Contract
 from vstestbed.core.spec import OneOf
 from vstestbed.tasks.base import Setup, Task, TaskBase
 from vstestbed.tasks.gap import GoalGap
@@ -22,7 +23,8 @@ FIELDS = {
     "above": "landing",
 }
 """The kind of a goal block that names none, by a field that it has."""
-GOALS = OneOf("goal", GoalView, GoalViewFrom, GoalViews, GoalPlace, GoalGap, GoalLine, GoalPath, GoalLanding, GoalTrack, fields=FIELDS)
+KINDS = GoalView, GoalViewFrom, GoalViews, GoalPlace, GoalGap, GoalLine, GoalPath, GoalLanding, GoalTrack
+GOALS = OneOf("goal", *KINDS, fields=FIELDS, contract=Contract(Task, base=TaskBase))
 
 __all__ = [
     "GOALS",

@@ -111,12 +111,12 @@ class GoalGap(Continuing):
         v = setup.target.carrier.speed_mps
         return MinSpeed("the vehicle ahead", v, STEADY * v), MinSpeed("the vehicle that follows", v, FOLLOWS * v)
 
-    def odometer(self, setup: Setup) -> Pair | None:
+    def odometer(self, setup: Setup) -> LeaderAndFollower | None:
         """Of both."""
-        return Pair(setup.target) if setup.target.carrier else None
+        return LeaderAndFollower(setup.target) if setup.target.carrier else None
 
 
-class Pair:
+class LeaderAndFollower:
     """Distances that the leader's and the follower's origins have travelled."""
 
     def __init__(self, target: Target):

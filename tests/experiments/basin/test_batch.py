@@ -22,8 +22,8 @@ from vstestbed.laws.visibility import Visibility
 from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart
 from vstestbed.scenario.scenario import GoalView, Noise, Scenario
-from vstestbed.tasks.stop import Converged, Stop
 from vstestbed.targets.points import Points, Square
+from vstestbed.tasks.stop import Converged, Stop
 from vstestbed.vision import Oracle
 
 FAST = ConstantGain(value=2.5)

@@ -64,6 +64,7 @@ def ideal_way(scenario: Scenario) -> Array | None:
     from vstestbed.robots.car import WHEELBASE, Car
 
     law, robot, goal = scenario.law, scenario.robot, scenario.goal_view.place
+    # the ideal bicycle is the ideal car: no other robot has its wheelbase and steering
     if not (isinstance(law, PoseController) and isinstance(robot, Car)) or goal is None:
         return None
     start = robot.configuration()

@@ -12,7 +12,7 @@ from annotated_types import Ge, Gt, Le, Len, Lt
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, Triple
 from vstestbed.core.spec import spec
-from vstestbed.targets.motion import PLATE_MOTIONS, Path, PlateMotion, Still
+from vstestbed.targets.motion import PLATE_MOTIONS, MotionBase, Path, Still
 
 
 @spec
@@ -27,7 +27,7 @@ class Plate:
     """
 
     pose: Pose
-    motion: Annotated[PlateMotion, PLATE_MOTIONS] = Still()
+    motion: Annotated[MotionBase, PLATE_MOTIONS] = Still()
     width: Annotated[float, Gt(0)] = 0.5
     height: Annotated[float, Gt(0)] = 0.5
     from_s: Annotated[float, Ge(0)] = 0.0
@@ -99,7 +99,7 @@ class Decoy:
     xyz: Triple
     radius: Annotated[float, Gt(0)] = 0.02
     hue_deg: Annotated[float, Ge(0), Lt(360)] = 0.0
-    motion: Annotated[PlateMotion, PLATE_MOTIONS] = Still()
+    motion: Annotated[MotionBase, PLATE_MOTIONS] = Still()
 
     @property
     def color(self) -> tuple[float, float, float]:

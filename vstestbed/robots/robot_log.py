@@ -1,0 +1,46 @@
+"""The columns that only one kind of robot has in a log."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vstestbed.core.geometry import Array
+from vstestbed.robots.reading import Reading
+
+
+@dataclass(frozen=True, slots=True)
+class RobotState:
+    """What a robot's own log columns are made of, at one exposure; the truth among it goes to the log and nowhere else.
+
+    Attributes:
+        t: time [s]. T_world_base: true pose of the base (4, 4).
+        place, odometry: (x, y, heading) [m, m, rad] as the observer has them, NaN where it has none.
+        reading: what the robot measured of itself.
+        act: true activations of its actuators (nu,). wind: true velocity of the air in the world (3,) [m/s].
+    """
+
+    t: float
+    T_world_base: Array
+    place: Array
+    odometry: Array
+    reading: Reading
+    act: Array
+    wind: Array
+
+
+class RobotLog:
+    """The columns that only this robot has in a log, and their values frame by frame; here none.
+
+    One is made for each run: it may remember the frame before.
+    """
+
+    columns: tuple[str, ...] = ()
+
+    def row(self, state: RobotState) -> Array:
+        """Values of the columns at one exposure, shape (len(columns),)."""
+        return _NO_COLUMNS
+
+
+_NO_COLUMNS = np.zeros(0)
