@@ -1,4 +1,4 @@
-"""Where models/ and scenarios/ are: inside an installed package, or beside it in a checkout."""
+"""The folders models/ and scenarios/: inside an installed package, or beside it in a checkout."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ def model_path(name: str) -> Path:
 
 
 def bundled_scenarios() -> dict[str, Path]:
-    """Name and path of every scenario that comes with the package, sorted."""
+    """Path of every bundled scenario by its name, sorted."""
     return {p.stem: p for p in sorted(folder("scenarios").glob("*.yaml"))}
 
 
 def bundled_comparisons() -> dict[str, Path]:
-    """Name and path of every comparison that comes with the package, sorted."""
+    """Path of every bundled comparison by its name, sorted."""
     return {p.stem: p for p in sorted((folder("scenarios") / "compare").glob("*.yaml"))}

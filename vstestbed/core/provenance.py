@@ -1,4 +1,4 @@
-"""What made a result: versions of everything that numbers depend on."""
+"""Provenance of a result: versions of all packages that its numbers depend on."""
 
 from __future__ import annotations
 
