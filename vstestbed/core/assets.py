@@ -11,6 +11,7 @@ _PACKAGE = Path(__file__).resolve().parent.parent
 
 def folder(name: str) -> Path:
     """The folder `models` or `scenarios`: `vstestbed/_data/<name>` in a wheel, `<checkout>/<name>` otherwise."""
+    # The wheel's copy first: beside an installed package, a folder of this name would belong to somebody else.
     for candidate in (_PACKAGE / "_data" / name, _PACKAGE.parent / name):
         if candidate.is_dir():
             return candidate

@@ -88,5 +88,6 @@ class EnvironmentLackError(VstestbedError):
 def nearest(word: str, valid: Iterable[str]) -> str:
     """A hint for an invalid word: `did you mean 'gain'?`, or the list of all valid words."""
     valid = sorted(valid)
+    # 0.6 is difflib's default; a list of all words is better than a wrong guess.
     close = difflib.get_close_matches(word, valid, n=1, cutoff=0.6)
     return f"did you mean {close[0]!r}?" if close else f"valid: {', '.join(valid)}"

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from vstestbed.core.errors import EnvironmentLackError, OutputError
 
-NO_SPACE = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+NO_SPACE = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}  # disk full, quota exceeded, file too large
 
 
 @contextmanager

@@ -71,7 +71,7 @@ def inverse(T: Array) -> Array:
     """Inverse of a rigid transform, shape (..., 4, 4)."""
     if T.ndim == 2:
         return _inverse_of_one(T.tolist())
-    R_t = np.swapaxes(T[..., :3, :3], -1, -2)
+    R_t = np.swapaxes(T[..., :3, :3], -1, -2)  # of a rigid transform: cheaper and more exact than a matrix inverse
     out = np.zeros_like(T)
     out[..., :3, :3] = R_t
     out[..., :3, 3] = -(R_t @ T[..., :3, 3:])[..., 0]
@@ -159,7 +159,7 @@ def log(T: Array) -> Array:
     """
     q, t = quaternion_wxyz(T[:3, :3]), T[:3, 3]
     sine = float(np.linalg.norm(q[1:]))
-    half = math.atan2(sine, float(q[0]))
+    half = math.atan2(sine, float(q[0]))  # theta/2, exact near 0 and near pi, where an arc cosine loses half of the digits
     small = half < 1e-4
     S = skew(w := q[1:] * (2.0 if small else 2 * half / sine))
     share = 1 / 12 if small else (1 - half / math.tan(half)) / (4 * half * half)
@@ -230,6 +230,7 @@ def quaternion_wxyz(R: Array) -> Array:
     largest = np.diagonal(four, axis1=-2, axis2=-1).argmax(axis=-1)
     q = np.take_along_axis(four, largest[..., None, None], axis=-1)[..., 0]
     q = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    # q and -q are the same rotation; with w >= 0 the angle is at most pi.
     return np.where(q[..., :1] < 0, -q, q)
 
 

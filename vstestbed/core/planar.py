@@ -59,13 +59,13 @@ def wrapped(angle: Array | float) -> Array:
 
 def relative(here: Array, there: Array) -> Array:
     """The place `there` (..., 3) relative to `here` (..., 3): (ahead, left, turn), shape (..., 3) [m, m, rad]."""
-    d = there - here
+    d = there - here  # in world axes; the rotation by -heading turns it into the axes of `here`
     c, s = np.cos(here[..., 2]), np.sin(here[..., 2])
     return np.stack([c * d[..., 0] + s * d[..., 1], -s * d[..., 0] + c * d[..., 1], wrapped(d[..., 2])], axis=-1)
 
 
 def composed(place: Array, step: Array) -> Array:
-    """Places (..., 3) after steps (ahead, left, turn) (..., 3); the heading is not wrapped, so that it can be differentiated."""
+    """Places (..., 3) after steps (ahead, left, turn) (..., 3); the heading is not wrapped."""
     place, step = np.asarray(place, dtype=float), np.asarray(step, dtype=float)
     c, s = np.cos(place[..., 2]), np.sin(place[..., 2])
     ahead, left = step[..., 0], step[..., 1]
@@ -99,6 +99,7 @@ def motion_between(before: Array, now: Array, duration: float) -> Array:
     """
     dx, dy, theta = np.moveaxis(relative(np.asarray(before, dtype=float), np.asarray(now, dtype=float)), -1, 0)
     a, b = _chord(theta)
+    # The inverse of the matrix [[a, -b], [b, a]] of `arc`; its determinant is 0 only for a full turn.
     size = a * a + b * b
     return np.stack([(a * dx + b * dy) / size, (a * dy - b * dx) / size, theta], axis=-1) / duration
 

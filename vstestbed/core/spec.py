@@ -29,6 +29,7 @@ from vstestbed.core.contract import Contract
 from vstestbed.core.errors import ParameterError
 
 T = TypeVar("T")
+# Not strict: YAML has lists where a spec has tuples, and integers where it has floats. `scenario.validation` refuses other conversions.
 _CONFIG = ConfigDict(extra="forbid", allow_inf_nan=False, arbitrary_types_allowed=True, strict=False)
 _SPECS: list[type] = []  # every spec in the order of definition, so that `rebuild_specs` builds parts before what holds them
 
@@ -159,6 +160,7 @@ class OneOf:
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         """Pydantic's hook: a union discriminated by `kind`, with bare words expanded to the block of that kind."""
+        # Discriminated by `kind`: an error is then one of the block that was meant, not one of each kind.
         choices: dict[Any, CoreSchema] = {k: handler.generate_schema(m) for k, m in self.members.items()}
         union = core_schema.tagged_union_schema(choices, lambda v: v["kind"] if isinstance(v, dict) else v.kind)
         return core_schema.no_info_before_validator_function(self._block, union)
@@ -169,6 +171,7 @@ class OneOf:
         # In the classes `kind` has a default and would be optional: without it, a block that needs a kind would pass the schema.
         needs = {} if self.default or self.fields else {"required": ["kind"]}
         choices: list[dict[str, Any]] = [block | needs for block in blocks]
+        # A bare word is a block of defaults only, so it needs a kind without required fields.
         words = sorted(kind for kind, member in self.members.items() if not _needed_fields(member))
         if words:
             choices.append({"enum": words})

@@ -47,7 +47,7 @@ def line_on_floor(rho: Array, theta: Array, T_base_camera: Array, ahead: Array |
     rho, theta, ahead = np.broadcast_arrays(rho, theta, ahead)
     R, t = T_base_camera[:3, :3], T_base_camera[:3, 3]
     cos, sin, none = np.cos(theta), np.sin(theta), np.zeros_like(theta)
-    N = np.stack([cos, sin, -rho], axis=-1) @ R.T
+    N = np.stack([cos, sin, -rho], axis=-1) @ R.T  # not normalised: y, phi and their derivatives are ratios of its components
     dN = np.stack([np.stack([none, none, none - 1], axis=-1), np.stack([-sin, cos, none], axis=-1)], axis=-2) @ R.T
     y = (N @ t - N[..., 0] * ahead) / N[..., 1]
     phi = np.arctan(-N[..., 0] / N[..., 1])

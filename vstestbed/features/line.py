@@ -115,6 +115,7 @@ def _plane(start: Array, end: Array) -> Array:
     """
     way = end - start
     way = way / np.maximum(np.sqrt(_dot(way, way)), np.finfo(float).tiny)
+    # Of the planes through both points, which all give the same L, the one farthest from the centre is the best conditioned.
     foot = start - _dot(start, way) * way
     normal = foot * bounded_inverse(np.sqrt(_dot(foot, foot))) ** 2
     return np.concatenate([normal, np.full_like(normal[..., :1], -1)], axis=-1)

@@ -131,6 +131,7 @@ def _size_row(xy: Array, points: Array) -> Array:
     area = _signed_area(xy)
     after, before = np.roll(xy, -1, axis=-2), np.roll(xy, 1, axis=-2)
     slope = 0.5 * np.stack([after[..., 1] - before[..., 1], before[..., 0] - after[..., 0]], axis=-1)
+    # sigma_dot = area_dot / (2 sigma) is unbounded at sigma = 0, where the bounded inverse gives a zero row.
     half_inv = 0.5 * bounded_inverse(np.sqrt(np.abs(area))) * np.sign(area)
     return half_inv[..., None] * np.einsum("...nc,...nck->...k", slope, points)
 

@@ -69,7 +69,7 @@ def rotation_interaction(theta_u: Array) -> Array:
     Reference: Malis, Chaumette & Boudet 1999, doi:10.1109/70.760345, in the frame of w.
     """
     theta2 = np.sum(np.square(theta_u), axis=-1)
-    small = theta2 < 1e-2
+    small = theta2 < 1e-2  # theta < 0.1 rad, where the closed form would lose digits to 1 - x cot(x)
     half = 0.5 * np.sqrt(np.where(small, 1, theta2))
     series = 1 / 12 + theta2 / 720 + theta2**2 / 30240
     c = np.where(small, series, (1 - half * np.cos(half) / np.sin(half)) / (4 * half * half))

@@ -56,7 +56,7 @@ class Trend:
     def ahead(self, duration: float) -> tuple[Array, Array]:
         """The predicted displacement (n,) over a duration after the last exposure [m, rad], and the rate (n,) at its end."""
         if len(self.state) == 2:
-            return self.state[1] * duration, self.state[1]
+            return self.state[1] * duration, self.state[1]  # a model of constant velocity
         rate, change = self.state[1:]
         return rate * duration + change * duration**2 / 2, rate + change * duration
 
@@ -142,7 +142,7 @@ class _Kalman:
             return Trend(np.zeros((k, size)), np.zeros(size), np.diag([corner, *(LEARNS * corner ** (2 * i + 1) for i in range(1, k))]))
         F = _model(k, dt)
         state, P = F @ trend.state, F @ trend.P @ F.T + white_noise(k, dt, corner ** (2 * k))
-        if step is None:
+        if step is None:  # prediction only; the measured displacement continues from the predicted one
             return Trend(state, state[0], P)
         way = trend.way + step
         K = P[:, 0] / (P[0, 0] + 1 / dt)  # measurement noise of unit density: its variance in one sample is 1/dt

@@ -63,6 +63,7 @@ class Hybrid(LawBase):
         *_, thickness = reaches = _reaches(points)
         if thickness > FLAT * reaches[0]:
             words = "has markers that are not in one plane, which a homography requires; use law.source: model"
+        # With all but one on a line, no four points are in general position, which a homography needs.
         elif any(_reaches(np.delete(points, i, axis=0))[1] <= FLAT * reaches[0] for i in range(len(points))):
             words = "has all markers but one on a line, which leaves the homography undetermined; use law.source: model, or other places"
         else:
@@ -91,6 +92,7 @@ class Hybrid(LawBase):
         """The markers' mean over Z* (3,) in the camera frame, and R_goal_camera (3, 3)."""
         o, relative = goal.middle, observation.relative
         if self.source == "homography":
+            # H m* = Z/Z* m, with m* = o / Z* in normalised coordinates.
             return None if relative is None else (relative.H @ (o / o[2]), relative.R_camera_goal.T)
         T = observation.T_camera_target
         return None if T is None else _compared(T, goal)
@@ -115,6 +117,7 @@ class Hybrid(LawBase):
         xy, goal_xy, ratio = m[..., :2] / m[..., 2:], goal_middle[:2] / goal_middle[2], m[..., 2:]
         at, depth = xy[..., None, :], ratio * goal_middle[2]
         turn = _THETA_U.measure(R_goal_camera)
+        # Rows in the order of e: x, y, log Z, theta u.
         rows = (_POINT.interaction(at, depth), _LOG_DEPTH.interaction(at, depth), _THETA_U.interaction_at(turn))
         e = np.concatenate([xy - goal_xy, np.log(ratio), turn], axis=-1)
         return e, np.concatenate(rows, axis=-2)

@@ -95,6 +95,7 @@ class IBVS(LawBase):
 
     def markers_needed(self, basis: Array) -> int:
         """As many markers as give one equation for each of the robot's motions, basis (6, n)."""
+        # A polygon's two rows belong to the set (rows_per_marker 0): no number of markers gives it more.
         rows = 0 if self.redundant else self.feature.rows_per_marker
         return max(self.feature.least_markers, math.ceil(basis.shape[1] / rows) if rows else 0)
 
@@ -104,12 +105,12 @@ class IBVS(LawBase):
         if isinstance(rows, str):
             return self._without(memory, observation, basis, rows)
         e, L = self.equations(*self._taken(observation, rows), *self._taken(goal, rows))
-        solved = least_squares(L @ basis, e)  # pinv(L B) e
+        solved = least_squares(L @ basis, e)  # the remaining motion x = pinv(L B) e
         change = self._change(before.seen, observation, self.markers_needed(basis)) if before.seen and before.trend else None
         followed, solved, tau = feedforward_term(self.feedforward, before, observation, solved, change, basis)
         u = -self.gain.at(solved) * solved - tau
         if goal.twist is not None:
-            u = u + least_squares(basis, goal.twist)
+            u = u + least_squares(basis, goal.twist)  # u*, as far as the robot's motions allow
         if self.smooth_start_s > 0:
             u0 = u if memory.u0 is None else memory.u0
             memory = replace(memory, t0=observation.t if memory.u0 is None else memory.t0, u0=u0)
@@ -118,6 +119,7 @@ class IBVS(LawBase):
             u = u + self.visibility.push(observation, goal, basis)
         command = self.limits.command(u, basis)
         if self.redundant:
+            # Of L B, in the robot's motions, and from there as camera twists.
             command = replace(command, null_space=basis @ null_space(L @ basis))
         return replace(memory, followed=anti_windup(before, followed, command)), command
 
@@ -129,6 +131,7 @@ class IBVS(LawBase):
         if np.count_nonzero(both) < needed:
             return None
         (x0, d0), (x1, d1) = ((getattr(o, what)[both], getattr(o, distance)[both]) for o in (before, now))
+        # The mean of both matrices: with one of them, the change is explained to first order in the motion only.
         L = (self.feature.interaction(x0, d0) + self.feature.interaction(x1, d1)) / 2
         return Change(self.feature.error(self.feature.measure(x1), self.feature.measure(x0)), L)
 

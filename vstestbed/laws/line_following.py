@@ -103,6 +103,7 @@ class LineFollowing(LawBase):
     def step(self, memory: LineMemory, observation: Observation, goal: Goal, basis: Array) -> tuple[LineMemory, Command]:
         """One frame; the first column of basis (6, n) is the forward motion, the last one the rotation."""
         xy = observation.xy.reshape(-1, 2, 2)
+        # NaN where a point is not detected, and where its ray does not meet the floor; a line needs both points.
         seen = np.isfinite(_on_floor(observation.xy, goal)).all(axis=(1, 2))
         if not seen.any():
             if memory.u is not None and observation.t - memory.t <= self.coast_s:
@@ -118,9 +119,10 @@ class LineFollowing(LawBase):
         middle, exact = (near + far) / 2, near * far / (near + far)
         rho, theta = np.moveaxis(LineFeature().measure(xy), -1, 0)
         L = line_interaction(rho, theta, floor_plane(mount)) @ basis
+        # One chord, evaluated at two distances: the error at x_e, its derivative at m (see the class).
         (e, _), (s, J) = line_on_floor(rho, theta, mount, exact)[0].T, line_on_floor(rho, theta, mount, middle)
         rows, slope = J @ L, np.tan(s[:, 1])  # (lines, 2, n): of y at the middle, and of phi
-        rows[:, 0, -1] += (s[:, 0] - aim) * slope  # of the turn: m + y* tan(phi)
+        rows[:, 0, -1] += (s[:, 0] - aim) * slope  # the lever of the turn at the desired position, m + y* tan(phi)
         steepest = v * math.tan(math.radians(self.approach_deg))
         A, b = rows[:, 0], -np.clip(self.gain * (e - aim), -steepest, steepest)
         if basis.shape[1] > 2:  # a car's two motions are determined by the speed and by e

@@ -119,6 +119,7 @@ class Partitioned(LawBase):
         twist = self._twist(xy, observation.depth[rows], goal_xy, along, self.gain_turn * turn)
         if self.visibility.margin_px > 0:
             twist = twist + basis @ self.visibility.push(observation, goal, basis)
+        # After the visibility field, whose push counts within the limits, too.
         twist = twist * (scale := self.limits.scale(twist))
         return PartitionedMemory(turn), Command(u=least_squares(basis, twist), twist=twist, scale=scale)
 
@@ -129,6 +130,7 @@ class Partitioned(LawBase):
 
     def step_batch(self, memory: Array, views: Views, goal: Goal) -> tuple[Array, Array]:
         """One frame of many runs (see `BatchLaw`)."""
+        # Runs without an area are computed with sigma* instead, and set to NaN (rest) at the end: one batch, no branches.
         sigma, d, sigma_star, d_star = size(views.xy), segments(views.xy), size(goal.xy), segments(goal.xy)
         flat = ~(spans_area(sigma, d) & spans_area(sigma_star, d_star))
         first = np.isnan(memory[:, 0])

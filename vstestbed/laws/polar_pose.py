@@ -98,5 +98,6 @@ def polar_law(
     """
     rho, alpha, beta = polar(place, goal, direction)
     v = gains.rho * rho
+    # v is proportional to rho, so that 1e-12 only avoids 0/0 at the goal.
     scale = np.where(rho < rest_m, 0.0, np.minimum(1.0, speed_limit / np.maximum(v, 1e-12)))
     return direction * v * scale, (gains.alpha * alpha + gains.beta * beta) * scale

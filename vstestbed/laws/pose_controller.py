@@ -85,7 +85,7 @@ class PoseController(LawBase):
         place, there = observation.place, goal.place
         if place is None or there is None:
             return memory, Command.rest(basis, NO_PLACE)
-        direction = memory.direction or self._direction(place, there)
+        direction = memory.direction or self._direction(place, there)  # kept: a new choice near the goal could alternate
         arrived = memory.arrived or self._there(place, there, direction)
         memory = PoseMemory(direction, arrived)
         u = np.zeros(basis.shape[1])
@@ -100,4 +100,5 @@ class PoseController(LawBase):
 
     def _there(self, place: Array, there: Array, direction: int) -> bool:
         rho, alpha, _ = polar(place, there, np.array(direction))
+        # |alpha| > 90 degrees: the goal is no longer ahead in the driving direction.
         return bool(rho < self.rest_m or (rho < self.pass_m and abs(alpha) > np.pi / 2))

@@ -91,8 +91,9 @@ class Pursuit(LawBase):
     def _target_speed(self, memory: PursuitMemory, t: float, gap: float, way: Array, bearing: float) -> float:
         """The filtered speed of the target along the line of sight [m/s]: v_target = d_dot + v cos(alpha)."""
         if memory.odometry is None or t <= memory.t:
-            return 0.0
+            return 0.0  # the first frame has no difference: the leader is taken to stand, which is the safe side
         dt = t - memory.t
         own = float(relative(memory.odometry, way)[0]) / dt
         measured = (gap - memory.gap) / dt + own * math.cos(bearing)
+        # First-order low-pass, discretised exactly, so that a frame that comes late weighs more.
         return memory.speed + (1 - math.exp(-dt / self.filter_s)) * (measured - memory.speed)

@@ -52,10 +52,10 @@ def _many(A: Array, b: Array) -> Array:
     problems: LAPACK would be called M times.
     """
     right = np.ascontiguousarray(b.T)
-    if A.shape[1] < A.shape[2]:
+    if A.shape[1] < A.shape[2]:  # fewer equations than unknowns: A^T A would be singular
         rows = np.ascontiguousarray(A.transpose(1, 2, 0))
         return np.asarray(np.einsum("mik,mk->ki", rows, _cholesky(rows, right.copy(), np.zeros(len(b)))))
-    columns = np.ascontiguousarray(A.transpose(2, 1, 0))
+    columns = np.ascontiguousarray(A.transpose(2, 1, 0))  # the problems last, where numpy's loops run
     x = np.einsum("imk,mk->ik", columns, right)
     return _cholesky(columns, x, STILL**2 * _dot(right, right)).T
 

@@ -51,7 +51,7 @@ class Views:
 
     @cached_property
     def _reach(self) -> Array:
-        return np.sqrt(np.einsum("mni,mni->mn", self.p, self.p))
+        return np.sqrt(np.einsum("mni,mni->mn", self.p, self.p))  # the true distance, whatever `depth_from` says
 
     def _known(self, true: Array, at_goal: Array) -> Array:
         match self.depth_from:

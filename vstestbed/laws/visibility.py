@@ -64,6 +64,7 @@ class Visibility:
         """The additional motion (n,) [m/s, rad/s] that drives markers off the border; zero if none is near. `goal` has the lens."""
         nothing = np.zeros(basis.shape[1])
         around = observation.ray is not None and observation.range is not None
+        # Rays where the law has them: points beside or behind a wide lens have no xy.
         rows = usable_rows(observation, ("ray", "range") if around else ("xy", "depth"), 1)
         if isinstance(rows, str):
             return nothing

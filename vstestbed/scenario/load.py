@@ -129,7 +129,7 @@ def dump(scenario: Scenario) -> str:
 def dump_mapping(spec: object) -> str:
     """A spec as YAML with all defaults."""
     yaml = YAML()
-    yaml.default_flow_style = None
+    yaml.default_flow_style = None  # nested blocks on lines of their own, the innermost mappings and lists on one line
     yaml.width = 120
     out = io.StringIO()
     yaml.representer.add_representer(type(None), lambda r, _: r.represent_scalar("tag:yaml.org,2002:null", "null"))
@@ -160,7 +160,7 @@ def load_plugins(modules: Sequence[str]) -> None:
     for room, kinds in KINDS.items():
         with _loading(f"vstestbed.{room}", "has an installed plugin that cannot be loaded; mend or uninstall it", None):
             grown.append(kinds.load_entry_points())
-    if modules or any(grown):
+    if modules or any(grown):  # it takes time, and without plugins nothing has changed
         rebuild_specs()
 
 

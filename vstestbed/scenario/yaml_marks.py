@@ -45,7 +45,7 @@ def _tree(text: str, file: str) -> Any:
     try:
         # Round-trip mode keeps lines and columns, and leaves tagged values as they are, which `_plain` refuses.
         return YAML(typ="rt").load(text)
-    except RecursionError:
+    except RecursionError:  # raised inside ruamel, before `_check_size` can see the tree
         raise ScenarioError([Mistake(file, "", "is nested too deeply for a scenario")]) from None
     except DuplicateKeyError as error:
         key = re.search(r'duplicate key "(.*?)"', error.problem or "")
@@ -74,6 +74,7 @@ def _plain(node: Any, key: Key, marks: Marks, file: str) -> Any:
         marks.setdefault(key, f"{file}:{node.lc.line + 1}:{node.lc.col + 1}")
         for k in node:
             marks[*key, str(k)] = _position_of_item(node.lc.key, k, file) or marks[key]
+        # Keys as text: `1: x` would be an integer key, and no field has one.
         return {str(k): _plain(v, (*key, str(k)), marks, file) for k, v in node.items()}
     if isinstance(node, CommentedSeq):
         for i in range(len(node)):
