@@ -65,7 +65,7 @@ def test_without_a_place_it_rests_and_says_so():
     law, want = PoseController(), goal(place=np.zeros(3))
     blind = observe(0, np.zeros(3), np.zeros(3))
     _, command = law.step(law.init(want), type(blind)(0.0, blind.uv, blind.xy, blind.depth), want, BASIS)
-    assert not command.u.any() and command.rest_reason == "the place cannot be told"
+    assert not command.u.any() and command.rest_reason == "the vehicle's place cannot be estimated"
 
 
 @pytest.mark.parametrize(("gains", "field"), [({"k_rho": -1}, "k_rho"), ({"k_beta": 0.5}, "k_beta"), ({"k_alpha": 0.5}, "k_alpha")])

@@ -126,5 +126,5 @@ def test_pixel_interaction_of_a_pinhole_is_that_of_points():
 def test_a_goal_within_the_margin_is_refused(law: type[IBVS | Partitioned | Hybrid]):
     """The markers' goal is 300 px from the border of 1000."""
     law(visibility=Visibility(margin_px=299)).check(POINTS, GOAL)
-    with pytest.raises(ParameterError, match=r"^law.visibility.margin_px reaches marker 0 of the goal view, 300 px from the picture"):
+    with pytest.raises(ParameterError, match=r"^law.visibility.margin_px reaches marker 0 of the goal view, 300 px from the border"):
         law(visibility=Visibility(margin_px=301)).check(POINTS, GOAL)

@@ -1,4 +1,4 @@
-"""Where models/ and scenarios/ are: inside an installed package, or beside it in a checkout."""
+"""The folders models/ and scenarios/: inside an installed package, or beside it in a checkout."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ _PACKAGE = Path(__file__).resolve().parent.parent
 
 def folder(name: str) -> Path:
     """The folder `models` or `scenarios`: `vstestbed/_data/<name>` in a wheel, `<checkout>/<name>` otherwise."""
+    # The wheel's copy first: beside an installed package, a folder of this name would belong to somebody else.
     for candidate in (_PACKAGE / "_data" / name, _PACKAGE.parent / name):
         if candidate.is_dir():
             return candidate
@@ -23,10 +24,10 @@ def model_path(name: str) -> Path:
 
 
 def bundled_scenarios() -> dict[str, Path]:
-    """Name and path of every scenario that comes with the package, sorted."""
+    """Path of every bundled scenario by its name, sorted."""
     return {p.stem: p for p in sorted(folder("scenarios").glob("*.yaml"))}
 
 
 def bundled_comparisons() -> dict[str, Path]:
-    """Name and path of every comparison that comes with the package, sorted."""
+    """Path of every bundled comparison by its name, sorted."""
     return {p.stem: p for p in sorted((folder("scenarios") / "compare").glob("*.yaml"))}

@@ -1,14 +1,14 @@
-"""Everything vstestbed raises on purpose.
+"""The exceptions that vstestbed raises for foreseen failures.
 
     VstestbedError
-    ├── ScenarioError          a scenario file that cannot be run: every mistake at once     exit 2
+    ├── ScenarioError          a scenario file that cannot be run: all mistakes at once      exit 2
     ├── ParameterError         one parameter out of its range (also a ValueError)            exit 2
     ├── OutputError            a result folder that cannot be written                        exit 2 or 4
-    ├── RunFolderError         a folder that holds no readable run                           exit 2
+    ├── RunFolderError         a folder without a readable run                               exit 2
     └── EnvironmentLackError   this machine lacks OpenGL, a codec, disk space                exit 4
 
-Each class takes data, writes its own sentence and says what would have worked.
-A way in which a *run* ends (target lost, joint limit, ...) is no exception: see `recording.Outcome`.
+Each class takes data and composes its own message, which includes a remedy.
+The end of a *run* (target lost, joint limit, ...) is no exception: see `scenario.stop.Outcome`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 
 class VstestbedError(Exception):
-    """Base of every error that vstestbed raises on purpose; `exit_code` is what the command line ends with."""
+    """Base class of these exceptions; `exit_code` is the exit status of the command line."""
 
     exit_code = 2
 
@@ -29,8 +29,8 @@ class ParameterError(VstestbedError, ValueError):
 
     Args:
         field: the parameter's name, as the user writes it.
-        problem: what is wrong, and what would be valid.
-        found: the value given.
+        problem: the rest of the sentence: what is wrong, and what is valid.
+        found: the given value; None where the message needs none.
     """
 
     def __init__(self, field: str, problem: str, found: object = None):
@@ -41,7 +41,7 @@ class ParameterError(VstestbedError, ValueError):
 
 @dataclass(frozen=True)
 class Mistake:
-    """One thing wrong in a scenario: where (`FILE:LINE:COL`, or `--set`), in which field, and a sentence."""
+    """One mistake in a scenario: its position (`FILE:LINE:COL`, or `--set`), the field, and a sentence."""
 
     where: str
     field: str
@@ -53,7 +53,7 @@ class Mistake:
 
 
 class ScenarioError(VstestbedError):
-    """A scenario that cannot be run; `mistakes` holds all of them, its text has one line for each."""
+    """A scenario that cannot be run; `mistakes` has all mistakes, and the message one line for each."""
 
     def __init__(self, mistakes: Sequence[Mistake]):
         self.mistakes = tuple(mistakes)
@@ -61,7 +61,7 @@ class ScenarioError(VstestbedError):
 
 
 class OutputError(VstestbedError):
-    """A result folder or file that cannot be written: its path, the reason, what to do."""
+    """A result folder or file that cannot be written: its path, the reason, a remedy."""
 
     def __init__(self, path: object, reason: str, advice: str, exit_code: int = 2):
         self.exit_code = exit_code
@@ -69,14 +69,14 @@ class OutputError(VstestbedError):
 
 
 class RunFolderError(VstestbedError):
-    """A folder that holds no run, or a damaged one."""
+    """A folder without a run, or with a damaged one."""
 
     def __init__(self, path: object, reason: str):
         super().__init__(f"{path}: {reason}; a run's folder holds scenario.yaml and log.parquet (or log.part)")
 
 
 class EnvironmentLackError(VstestbedError):
-    """Something this machine lacks (OpenGL, a codec, disk space), and the command that mends it."""
+    """A lack of this machine (OpenGL, a codec, disk space), and its remedy."""
 
     exit_code = 4
 
@@ -86,7 +86,8 @@ class EnvironmentLackError(VstestbedError):
 
 
 def nearest(word: str, valid: Iterable[str]) -> str:
-    """A hint for a misspelt word: `did you mean 'gain'?`, or the list of all valid words."""
+    """A hint for an invalid word: `did you mean 'gain'?`, or the list of all valid words."""
     valid = sorted(valid)
+    # 0.6 is difflib's default; a list of all words is better than a wrong guess.
     close = difflib.get_close_matches(word, valid, n=1, cutoff=0.6)
     return f"did you mean {close[0]!r}?" if close else f"valid: {', '.join(valid)}"

@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all, and what is said when they cannot be written."""
+"""Atomic writing of files, and the errors of files that cannot be written."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from pathlib import Path
 
 from vstestbed.core.errors import EnvironmentLackError, OutputError
 
-NO_SPACE = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+NO_SPACE = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}  # disk full, quota exceeded, file too large
 
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Turn the system's errors while something is written under `path` into sentences.
+    """Turn an OSError raised while something is written under `path` into an error with a remedy.
 
     Raises:
-        EnvironmentLackError: no space left. OutputError: no permission, not a folder, a broken disk.
+        EnvironmentLackError: no space left. OutputError: any other reason, such as a lack of permission.
     """
     try:
         yield
@@ -29,7 +29,7 @@ def writing(path: Path) -> Iterator[None]:
 
 
 def write_whole(path: Path, content: str | bytes) -> Path:
-    """Write a file in one piece, under another name first: it appears whole or not at all, also when the machine loses power.
+    """Write a file atomically: it appears whole or not at all, also if the machine loses power.
 
     Raises:
         EnvironmentLackError, OutputError: see `writing`.
@@ -40,19 +40,19 @@ def write_whole(path: Path, content: str | bytes) -> Path:
             with part.open("wb") as file:
                 file.write(content.encode() if isinstance(content, str) else content)
                 file.flush()
-                os.fsync(file.fileno())
+                os.fsync(file.fileno())  # else the rename could reach the disk before the content
             part.replace(path)
-    except BaseException:
+    except BaseException:  # also Ctrl-C leaves no partial file
         part.unlink(missing_ok=True)
         raise
     return path
 
 
 def new_study_folder(kind: str, out: Path | None, remedy: str = "give a new one") -> Path:
-    """The folder of a study (basin, compare, ...), not made yet: `out`, or the next free number in runs/KIND.
+    """The folder for a study (basin, compare, ...), which is not created here: `out`, or the next free number in runs/KIND.
 
     Raises:
-        OutputError: it holds something already, or cannot be read.
+        OutputError: the folder is not empty, or cannot be read.
     """
     if out is None:
         parent = Path("runs") / kind

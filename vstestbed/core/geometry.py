@@ -1,7 +1,7 @@
 """Frames, twists and adjoints.
 
-Poses are 4x4 arrays `T_a_b` that map b-coordinates to a (inner names meet: `T_world_camera @ T_camera_target`).
-Spatialmath's SE3 stands at the edges (`Pose.SE3`); the time loop uses plain arrays, which cost a fourth of it.
+Poses are 4x4 arrays `T_a_b` that map b-coordinates to a (inner names cancel: `T_world_camera @ T_camera_target`).
+Spatialmath's SE3 is used where people enter poses (`Pose.SE3`); the time loop uses plain arrays, in a fourth of the time.
 A twist is (vx, vy, vz, wx, wy, wz) of a frame, expressed in that frame unless the name says otherwise.
 """
 
@@ -24,12 +24,12 @@ Array = NDArray[np.float64]
 Triple = Annotated[tuple[float, ...], Len(3, 3)]
 
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
-"""Computer-vision camera axes (z forward, y down) from OpenGL's (z backward, y up), and back: its own inverse."""
+"""From OpenGL's camera axes (z backward, y up) to those of computer vision (z forward, y down), and back: its own inverse."""
 
 
 @spec
 class Pose:
-    """A pose as people write it: a translation [m] and roll-pitch-yaw angles [deg], R = Rz(yaw) Ry(pitch) Rx(roll)."""
+    """A pose in YAML: a translation [m] and roll-pitch-yaw angles [deg], R = Rz(yaw) Ry(pitch) Rx(roll)."""
 
     xyz: Triple = (0.0, 0.0, 0.0)
     rpy_deg: Triple = (0.0, 0.0, 0.0)
@@ -55,7 +55,7 @@ class Pose:
 
 
 def all_finite(a: Array) -> bool:
-    """Whether every number is finite, by their sum: 1.0 us instead of 1.3 for eight. (None near overflow.)"""
+    """Whether all numbers are finite, by their sum: 1.0 us instead of 1.3 for eight. (The sum must not overflow.)"""
     return math.isfinite(np.add.reduce(a, axis=None))
 
 
@@ -71,7 +71,7 @@ def inverse(T: Array) -> Array:
     """Inverse of a rigid transform, shape (..., 4, 4)."""
     if T.ndim == 2:
         return _inverse_of_one(T.tolist())
-    R_t = np.swapaxes(T[..., :3, :3], -1, -2)
+    R_t = np.swapaxes(T[..., :3, :3], -1, -2)  # of a rigid transform: cheaper and more exact than a matrix inverse
     out = np.zeros_like(T)
     out[..., :3, :3] = R_t
     out[..., :3, 3] = -(R_t @ T[..., :3, 3:])[..., 0]
@@ -80,7 +80,7 @@ def inverse(T: Array) -> Array:
 
 
 def _inverse_of_one(T: list[list[float]]) -> Array:
-    """`inverse` of one matrix: the time loop's case, as for `_exp_of_one`."""
+    """`inverse` of one matrix, for the time loop: see `_exp_of_one`."""
     (xx, xy, xz, x), (yx, yy, yz, y), (zx, zy, zz, z), _ = T
     return np.array(
         [
@@ -111,7 +111,7 @@ def exp(xi: Array) -> Array:
     vx, vy, vz, x, y, z = np.moveaxis(xi, -1, 0)
     theta2 = x * x + y * y + z * z
     theta = np.sqrt(theta2)
-    small = theta < 1e-4
+    small = theta < 1e-4  # there the series are exact to rounding, and 1 - cos would lose all its digits
     safe = np.where(small, 1.0, theta)
     sine = np.sin(safe)
     a = np.where(small, 1 - theta2 / 6, sine / safe)
@@ -126,7 +126,7 @@ def exp(xi: Array) -> Array:
 
 
 def _exp_of_one(xi: list[float]) -> Array:
-    """`exp` of six numbers: the time loop's case, for which arrays cost ten times the arithmetic."""
+    """`exp` of six numbers, for the time loop: numpy's overhead would be ten times the arithmetic."""
     vx, vy, vz, x, y, z = xi
     theta2 = x * x + y * y + z * z
     theta = math.sqrt(theta2)
@@ -151,7 +151,7 @@ def _exp_entries(vx: Any, vy: Any, vz: Any, x: Any, y: Any, z: Any, a: Any, b: A
 
 
 def log(T: Array) -> Array:
-    """The twist (6,) with exp(twist) = T (4, 4) that turns by at most half a turn.
+    """The twist (6,) with exp(twist) = T (4, 4) and a rotation of at most pi.
 
     w = theta u, v = (I - S/2 + (1 - theta/2 cot(theta/2)) / theta^2 S^2) t with S = [w]x.
 
@@ -159,7 +159,7 @@ def log(T: Array) -> Array:
     """
     q, t = quaternion_wxyz(T[:3, :3]), T[:3, 3]
     sine = float(np.linalg.norm(q[1:]))
-    half = math.atan2(sine, float(q[0]))
+    half = math.atan2(sine, float(q[0]))  # theta/2, exact near 0 and near pi, where an arc cosine loses half of the digits
     small = half < 1e-4
     S = skew(w := q[1:] * (2.0 if small else 2 * half / sine))
     share = 1 / 12 if small else (1 - half / math.tan(half)) / (4 * half * half)
@@ -179,9 +179,9 @@ def adjoint(T_a_b: Array) -> Array:
 
 
 def angles(p: Array) -> Array:
-    """Directions p (..., 3), of any length, as (theta, phi) (..., 2) [rad]: from the z axis in [0, pi], and about it from x to y.
+    """Directions p (..., 3), of any length, as colatitude and longitude (theta, phi) (..., 2) [rad].
 
-    theta = atan2(hypot(X, Y), Z), phi = atan2(Y, X): exact near the axis too; on it phi is 0. NaN for no direction (p = 0).
+    theta = atan2(hypot(X, Y), Z) in [0, pi], phi = atan2(Y, X): exact also near the axis; on it phi = 0. NaN for p = 0.
     """
     x, y, z = p[..., 0], p[..., 1], p[..., 2]
     across = np.hypot(x, y)
@@ -197,7 +197,7 @@ def direction(theta_phi: Array) -> Array:
 
 
 def rotation_from_rpy(rpy: Array) -> Array:
-    """R = Rz(yaw) Ry(pitch) Rx(roll) (..., 3, 3) of angles (roll, pitch, yaw) (..., 3) [rad], as `Pose` has them in degrees."""
+    """R = Rz(yaw) Ry(pitch) Rx(roll) (..., 3, 3) of angles (roll, pitch, yaw) (..., 3) [rad]: the convention of `Pose`."""
     (cr, cp, cy), (sr, sp, sy) = np.moveaxis(np.cos(rpy), -1, 0), np.moveaxis(np.sin(rpy), -1, 0)
     rows = [
         (cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr),
@@ -216,7 +216,7 @@ def rotation_angle(R: Array) -> Array:
 def quaternion_wxyz(R: Array) -> Array:
     """Unit quaternions (w, x, y, z) (..., 4), w >= 0, of rotation matrices (..., 3, 3).
 
-    The column of 4 q q^T with the largest diagonal element, normalised: no small divisor anywhere.
+    The column of 4 q q^T with the largest diagonal element, normalised, which never divides by a small number.
     Reference: Shepperd 1978, doi:10.2514/3.55767b.
     """
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = (np.moveaxis(row, -1, 0) for row in np.moveaxis(R, -2, 0))
@@ -230,6 +230,7 @@ def quaternion_wxyz(R: Array) -> Array:
     largest = np.diagonal(four, axis1=-2, axis2=-1).argmax(axis=-1)
     q = np.take_along_axis(four, largest[..., None, None], axis=-1)[..., 0]
     q = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    # q and -q are the same rotation; with w >= 0 the angle is at most pi.
     return np.where(q[..., :1] < 0, -q, q)
 
 

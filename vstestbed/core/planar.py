@@ -1,4 +1,4 @@
-"""Places on the floor: (x, y, heading) in the world [m, rad], as poses and as what a vehicle's way changes."""
+"""SE(2): places (x, y, heading) on the floor in the world frame [m, rad], their composition, and motions between them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from vstestbed.core.spec import spec
 
 @spec
 class GroundPose:
-    """A place on the floor as people write it: x, y [m] and a heading from the x axis, counter-clockwise [deg]."""
+    """A place on the floor in YAML: x, y [m] and the heading from the x axis, counter-clockwise [deg]."""
 
     x: float = 0.0
     y: float = 0.0
@@ -21,12 +21,12 @@ class GroundPose:
 
     @property
     def heading(self) -> float:
-        """[rad]."""
+        """The heading [rad]."""
         return math.radians(self.heading_deg)
 
     @cached_property
     def place(self) -> Array:
-        """(x, y, heading), shape (3,) [m, rad]."""
+        """The array (x, y, heading), shape (3,) [m, rad]."""
         return np.array([self.x, self.y, self.heading])
 
     @property
@@ -36,7 +36,7 @@ class GroundPose:
 
 
 def pose_on_ground(place: Array) -> Array:
-    """T_world_base (..., 4, 4) of places (x, y, heading) (..., 3): on the floor, upright."""
+    """T_world_base (..., 4, 4) of places (x, y, heading) (..., 3): at height 0, without roll and pitch."""
     place = np.asarray(place, dtype=float)
     c, s = np.cos(place[..., 2]), np.sin(place[..., 2])
     T = np.zeros((*place.shape[:-1], 4, 4))
@@ -48,24 +48,24 @@ def pose_on_ground(place: Array) -> Array:
 
 
 def place_of(T: Array) -> Array:
-    """(x, y, heading) of poses T (..., 4, 4), shape (..., 3): the heading is that of the x axis, seen from above."""
+    """Places (x, y, heading) (..., 3) of poses T (..., 4, 4): the heading is that of the x axis, projected on the floor."""
     return np.stack([T[..., 0, 3], T[..., 1, 3], np.arctan2(T[..., 1, 0], T[..., 0, 0])], axis=-1)
 
 
 def wrapped(angle: Array | float) -> Array:
-    """Angles brought into [-pi, pi) [rad]."""
+    """Angles wrapped to [-pi, pi) [rad]."""
     return (np.asarray(angle, dtype=float) + np.pi) % (2 * np.pi) - np.pi
 
 
 def relative(here: Array, there: Array) -> Array:
-    """The place `there` (..., 3) as seen from `here` (..., 3): (ahead, to the left, turn), shape (..., 3)."""
-    d = there - here
+    """The place `there` (..., 3) relative to `here` (..., 3): (ahead, left, turn), shape (..., 3) [m, m, rad]."""
+    d = there - here  # in world axes; the rotation by -heading turns it into the axes of `here`
     c, s = np.cos(here[..., 2]), np.sin(here[..., 2])
     return np.stack([c * d[..., 0] + s * d[..., 1], -s * d[..., 0] + c * d[..., 1], wrapped(d[..., 2])], axis=-1)
 
 
 def composed(place: Array, step: Array) -> Array:
-    """Where steps (ahead, to the left, turn) (..., 3) lead from places (..., 3); the heading runs on, it is not wrapped."""
+    """Places (..., 3) after steps (ahead, left, turn) (..., 3); the heading is not wrapped."""
     place, step = np.asarray(place, dtype=float), np.asarray(step, dtype=float)
     c, s = np.cos(place[..., 2]), np.sin(place[..., 2])
     ahead, left = step[..., 0], step[..., 1]
@@ -73,7 +73,7 @@ def composed(place: Array, step: Array) -> Array:
 
 
 def arc(motion: Array, duration: float) -> Array:
-    """The step (ahead, to the left, turn) (..., 3) that a constant motion (vx, vy, wz) in the vehicle's frame makes: an exact arc.
+    """The step (ahead, left, turn) (..., 3) of a constant motion (vx, vy, wz) in the vehicle frame: an exact arc.
 
     With theta = wz t and the SE(2) exponential: (ahead, left) = [[a, -b], [b, a]] (vx, vy) t,
     a = sin(theta)/theta,  b = (1 - cos(theta))/theta.
@@ -86,23 +86,24 @@ def arc(motion: Array, duration: float) -> Array:
 
 
 def moved(place: Array, motion: Array, duration: float) -> Array:
-    """Where a constant motion (..., 3) leads from places (..., 3) in a time [s]."""
+    """Places (..., 3) after a constant motion (vx, vy, wz) (..., 3) for a duration [s]."""
     return composed(place, arc(motion, duration))
 
 
 def motion_between(before: Array, now: Array, duration: float) -> Array:
-    """The constant motion (vx, vy, wz) (..., 3) that leads from one place to another in a time: the inverse of `arc`.
+    """The constant motion (vx, vy, wz) (..., 3) between two places: the inverse of `arc`.
 
     Args:
-        before, now: places, shape (..., 3); the way's turn is the short one, in [-pi, pi).
+        before, now: places, shape (..., 3); the turn between them is taken in [-pi, pi).
         duration: [s], not 0.
     """
     dx, dy, theta = np.moveaxis(relative(np.asarray(before, dtype=float), np.asarray(now, dtype=float)), -1, 0)
     a, b = _chord(theta)
+    # The inverse of the matrix [[a, -b], [b, a]] of `arc`; its determinant is 0 only for a full turn.
     size = a * a + b * b
     return np.stack([(a * dx + b * dy) / size, (a * dy - b * dx) / size, theta], axis=-1) / duration
 
 
 def _chord(theta: Array) -> tuple[Array, Array]:
-    """sin(theta)/theta and (1 - cos(theta))/theta, exact at 0 too."""
+    """sin(theta)/theta and (1 - cos(theta))/theta, exact also at 0 (np.sinc has the limit there)."""
     return np.sinc(theta / np.pi), np.sin(theta / 2) * np.sinc(theta / (2 * np.pi))

@@ -1,4 +1,4 @@
-"""What made a result: versions of everything that numbers depend on."""
+"""Provenance of a result: versions of all packages that its numbers depend on."""
 
 from __future__ import annotations
 
@@ -23,5 +23,5 @@ def versions() -> dict[str, str]:
         try:
             found[name] = version(package)
         except PackageNotFoundError:
-            found[name] = "missing"
+            found[name] = "missing"  # a result is worth more than its provenance: no error here
     return found | {"python": platform.python_version()}

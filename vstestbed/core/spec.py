@@ -1,7 +1,7 @@
-"""@spec and OneOf: what a block of a scenario may become.
+"""@spec and OneOf: the classes that a block of a scenario may become.
 
-A spec is a frozen keyword-only dataclass whose constructor checks itself; the same class is the YAML block,
-the object that runs, and the JSON Schema. Pydantic does the checking; this file gives it the house's manners.
+A spec is a frozen keyword-only dataclass whose constructor validates its values; the same class is the YAML block, the object
+that runs, and the JSON Schema. Pydantic validates; this file turns its errors into ParameterError and adds lists of kinds that grow.
 
     @spec
     class Disc:
@@ -29,15 +29,16 @@ from vstestbed.core.contract import Contract
 from vstestbed.core.errors import ParameterError
 
 T = TypeVar("T")
+# Not strict: YAML has lists where a spec has tuples, and integers where it has floats. `scenario.validation` refuses other conversions.
 _CONFIG = ConfigDict(extra="forbid", allow_inf_nan=False, arbitrary_types_allowed=True, strict=False)
-_SPECS: list[type] = []
+_SPECS: list[type] = []  # every spec in the order of definition, so that `rebuild_specs` builds parts before what holds them
 
 
 @dataclass_transform(kw_only_default=True, frozen_default=True)
 def spec(cls: type[T]) -> type[T]:
     """Make `cls` a frozen keyword-only dataclass whose constructor refuses unknown, mistyped and out-of-range values.
 
-    Raises (from the constructor): ParameterError that names the field, what it must be and what was given.
+    Raises (from the constructor): ParameterError with the field, what is valid, and the value given.
     """
     made: Any = _pydantic_dataclass(cls, frozen=True, kw_only=True, config=_CONFIG)
     _with_our_errors(made)
@@ -54,6 +55,7 @@ def _with_our_errors(cls: Any) -> None:
             checked_init(self, **values)
         except pydantic.ValidationError as error:
             first = error.errors()[0]
+            # A __post_init__ that raised ParameterError has said it better than pydantic, which wraps it.
             inner = first.get("ctx", {}).get("error")
             if isinstance(inner, ParameterError):
                 raise inner from None
@@ -64,21 +66,24 @@ def _with_our_errors(cls: Any) -> None:
 
 
 def rebuild_specs() -> None:
-    """Build every spec's validator anew, in the order of definition: needed once after a `OneOf` has grown."""
+    """Rebuild the validators of all specs in the order of definition, once after a `OneOf` has grown.
+
+    Pydantic compiles a validator when the class is defined, with the kinds known then; without this a plugin's kind is refused.
+    """
     for cls in _SPECS:
         rebuild_dataclass(cls, force=True)
         _with_our_errors(cls)  # pydantic has put its own constructor back
 
 
 class OneOf:
-    """The list of kinds that a block may be, told apart by its `kind`; the one place that names a room's members.
+    """The registered kinds of one block, discriminated by `kind`; the only list of a room's members.
 
     Args:
-        what: the word of the field ("law"); plugins are found under the entry-point group `vstestbed.<what>s`.
+        what: the name of the field ("law"); plugins are found under the entry-point group `vstestbed.<what>s`.
         members: the spec classes; each has `kind: Literal["..."] = "..."`.
-        number: (kind, field) that a bare number stands for, where one does.
-        default: the kind of a block that names none, where there is one.
-        fields: kinds that a block which names none is, where it has the field.
+        number: (kind, field) for which a bare number is a shorthand; None where numbers are refused.
+        default: the kind of a block without `kind`; None where `kind` is required.
+        fields: the kind of a block without `kind` that has the given field, by field.
         contract: what each member must have; None where any spec class may be a member.
     """
 
@@ -117,47 +122,56 @@ class OneOf:
         return member
 
     def load_entry_points(self) -> bool:
-        """Add what installed packages offer under `vstestbed.<what>s`; True when something new came."""
+        """Register the classes that installed packages offer under `vstestbed.<what>s`; True if any was new."""
         before = len(self.members)
         for entry in importlib.metadata.entry_points(group=f"vstestbed.{self.what}s"):
             self.add(entry.load())
         return len(self.members) > before
 
     def _block(self, value: Any) -> Any:
-        """A value as a block with a valid kind: bare words and numbers become blocks, anything else is refused."""
+        """A value as a block with a valid kind, for pydantic; objects that are members already pass unchanged."""
         if isinstance(value, tuple(self.members.values())):
             return value
-        if isinstance(value, str):
-            value = {"kind": value}
-        elif self.number and isinstance(value, int | float) and not isinstance(value, bool):
-            value = {"kind": self.number[0], self.number[1]: value}
-        words = ", ".join(sorted(self.members))
-        if not isinstance(value, dict):
+        block, words = self._expanded(value), ", ".join(sorted(self.members))
+        if not isinstance(block, dict):
             raise PydanticCustomError("block", "must be a {what} block or one of the words: {words}", {"what": self.what, "words": words})
-        told = next((kind for field, kind in self.fields.items() if field in value), self.default)
-        kind = value.get("kind", told)
+        implied = next((kind for field, kind in self.fields.items() if field in block), self.default)
+        kind = block.get("kind", implied)
         if kind is None:
             raise PydanticCustomError("no_kind", "needs {words}", {"words": self._needs})
         if not isinstance(kind, str) or kind not in self.members:
             raise PydanticCustomError("unknown_kind", "is no {what}; {hint}", {"what": self.what, "hint": f"valid kinds: {words}"})
-        return {**value, "kind": kind}
+        return {**block, "kind": kind}
+
+    def _expanded(self, value: Any) -> Any:
+        """The block for which a bare word or number is a shorthand; any other value as it is."""
+        if isinstance(value, str):
+            return {"kind": value}
+        # Python's bool is an int: without the exception `gain: true` would be a gain of 1.
+        if self.number and isinstance(value, int | float) and not isinstance(value, bool):
+            return {"kind": self.number[0], self.number[1]: value}
+        return value
 
     @property
     def _needs(self) -> str:
+        """The rest of the message for a block without a kind."""
         words = f"a kind; valid kinds: {', '.join(sorted(self.members))}"
         return f"one of the fields {', '.join(self.fields)}, or {words}" if self.fields else words
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Pydantic's hook: a union told apart by `kind`, a bare word standing for the block of that kind."""
+        """Pydantic's hook: a union discriminated by `kind`, with bare words expanded to the block of that kind."""
+        # Discriminated by `kind`: an error is then one of the block that was meant, not one of each kind.
         choices: dict[Any, CoreSchema] = {k: handler.generate_schema(m) for k, m in self.members.items()}
         union = core_schema.tagged_union_schema(choices, lambda v: v["kind"] if isinstance(v, dict) else v.kind)
         return core_schema.no_info_before_validator_function(self._block, union)
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        """Pydantic's hook for editors: a block of one of the kinds, or what stands for one (a bare word, a number)."""
+        """Pydantic's hook for the JSON Schema: a block of one of the kinds, or a shorthand (a bare word, a number)."""
         blocks = handler(schema)["oneOf"]
+        # In the classes `kind` has a default and would be optional: without it, a block that needs a kind would pass the schema.
         needs = {} if self.default or self.fields else {"required": ["kind"]}
         choices: list[dict[str, Any]] = [block | needs for block in blocks]
+        # A bare word is a block of defaults only, so it needs a kind without required fields.
         words = sorted(kind for kind, member in self.members.items() if not _needed_fields(member))
         if words:
             choices.append({"enum": words})
@@ -173,7 +187,7 @@ def _needed_fields(cls: type) -> list[str]:
 
 
 def kind_of(cls: type) -> str:
-    """The word that a spec class has as its `kind`."""
+    """The `kind` of a spec class, the word for it in YAML; ParameterError where it has none."""
     for field in dataclasses.fields(cls):
         if field.name == "kind" and isinstance(field.default, str):
             return field.default
@@ -181,8 +195,9 @@ def kind_of(cls: type) -> str:
 
 
 def to_mapping(value: Any) -> Any:
-    """A spec as plain mappings, lists and scalars, every default written out: what `scenario.yaml` holds."""
+    """A spec as plain mappings, lists and scalars with all defaults written out: the content of `scenario.yaml`."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        # `kind` first, as people write it; the sort is stable and keeps the order of the others.
         names = sorted((f.name for f in dataclasses.fields(value) if f.init), key=lambda name: name != "kind")
         return {name: to_mapping(getattr(value, name)) for name in names}
     if isinstance(value, tuple | list):

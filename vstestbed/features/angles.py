@@ -1,4 +1,4 @@
-"""Differences of angles, and the inverse that keeps angular rates bounded where an angle is not defined."""
+"""Differences of angles, and a bounded inverse for angular rates where an angle is undefined."""
 
 from __future__ import annotations
 
@@ -8,29 +8,30 @@ from numpy.typing import NDArray
 from vstestbed.core.geometry import Array
 
 FLOOR = 1e-3
-"""Radius, in normalised coordinates or as the sine of a colatitude, under which a bearing is not trusted: about one
-pixel of a usual camera, so that what the angle tells there is noise."""
+"""Radius, in normalised coordinates or as the sine of a colatitude, under which a bearing is noise: about one pixel of a usual
+camera."""
 CENTRE = 1e-2
-"""Radius, or sine of a colatitude, within which a marker's bearing counts less and less: some 4 to 8 pixels."""
+"""Radius, or sine of a colatitude, within which the weight of a marker's bearing decreases to zero: some 4 to 8 pixels."""
 
 
 def wrap(angle: Array) -> Array:
-    """The same angle in (-pi, pi] rad, any shape; what lies there already is returned as it is, bit by bit."""
+    """The same angle in (-pi, pi] rad, any shape; angles in the interval are returned unchanged, bit by bit."""
     angle = np.asarray(angle, dtype=float)
+    # A plain modulo would also round angles that need no wrapping, and with them small errors.
     inside = (angle > -np.pi) & (angle <= np.pi)
     if inside.all():
         return angle.copy()
     turned = angle - 2 * np.pi * np.ceil((angle - np.pi) / (2 * np.pi))
-    turned = np.where(turned <= -np.pi, np.pi, np.minimum(turned, np.pi))  # rounding, just past an odd multiple of pi
+    turned = np.where(turned <= -np.pi, np.pi, np.minimum(turned, np.pi))  # rounding errors next to odd multiples of pi
     return np.where(inside, angle, turned)
 
 
 def wrap_together(angle: Array, votes: NDArray[np.bool_] | None = None) -> Array:
     """Errors of N angles (..., N) [rad], each wrapped to (-pi, pi], near a half turn all with one sign.
 
-    Only where every one exceeds 90 degrees in size, those of the minority's sign are carried over to the majority's by
-    2 pi (to positive where both are as many): rounding else sends some points clockwise and others against it. NaN
-    stays NaN and has no vote, nor has an angle where `votes` (..., N) is False; one under 90 degrees that has none stays.
+    If all exceed 90 degrees in size, those with the sign of the minority are shifted by 2 pi (both equal: to positive). Otherwise
+    rounding would decide for each point whether it moves clockwise or not. NaN stays NaN and does not count, nor does an angle
+    where `votes` (..., N) is False; one of those under 90 degrees is not shifted.
     """
     e = wrap(angle)
     heard = e if votes is None else np.where(votes, e, np.nan)
@@ -43,9 +44,9 @@ def wrap_together(angle: Array, votes: NDArray[np.bool_] | None = None) -> Array
 
 
 def bearing_weight(radius: Array) -> Array:
-    """How much a bearing at a radius (or sine of a colatitude) counts, any shape: 1 from 1e-2 on, r/1e-2 below, 0 at the centre.
+    """Weight of a bearing at a radius (or sine of a colatitude), any shape: 1 from 1e-2 on, r/1e-2 below, 0 at the centre.
 
-    There the bearing itself is not defined: however near the marker, it may be off by half a turn.
+    At the centre the bearing is undefined, and close to it any error of position may turn it by up to half a turn.
     """
     return np.minimum(np.asarray(radius, dtype=float) / CENTRE, 1.0)
 
@@ -53,8 +54,8 @@ def bearing_weight(radius: Array) -> Array:
 def bearing_error(s: Array, s_star: Array, radius: Array, radius_star: Array, together: bool) -> Array:
     """Error of bearings w(r) w(r*) wrap(phi - phi*), of s and s* (..., N) [rad] at radii (..., N), w being `bearing_weight`.
 
-    With `together`, all have one sign near a half turn (`wrap_together`), as those tell that are not near the centre in
-    either view. Next to s* = s its derivative is w(r)^2 phi_dot.
+    With `together`, all have one sign near a half turn (`wrap_together`), that of the markers which are far from the centre in
+    both views. At s* = s its derivative is w(r)^2 phi_dot.
     """
     weight = bearing_weight(radius) * bearing_weight(radius_star)
     e = np.subtract(s, s_star, dtype=float)
@@ -62,6 +63,6 @@ def bearing_error(s: Array, s_star: Array, radius: Array, radius_star: Array, to
 
 
 def bounded_inverse(x: Array) -> Array:
-    """1/x for x > 1e-3, below that x/1e-6: continuous, never above 1e3, zero at zero; x >= 0, any shape."""
+    """1/x for x > 1e-3, else x/1e-6: continuous, at most 1e3, zero at zero; x >= 0, any shape."""
     x = np.asarray(x, dtype=float)
     return np.where(x > FLOOR, 1 / np.maximum(x, FLOOR), x / FLOOR / FLOOR)

@@ -1,4 +1,4 @@
-"""The contract of a feature: three functions of leading axes, no state."""
+"""The interface of a feature: three functions that accept leading axes, no state."""
 
 from __future__ import annotations
 
@@ -11,17 +11,16 @@ from vstestbed.core.geometry import Array
 
 
 class Feature(Protocol):
-    """A feature s(x) of N markers, with e_dot = L v for a still target and v the camera's twist in its own frame.
+    """A feature s(x) of N markers, with e_dot = L v for a static target and v the camera twist in the camera frame.
 
-    What it takes is named in `inputs`: the fields of an observation and of a goal, for most ("xy", "depth"), for those
-    that see all around ("ray", "range"). s may hold more numbers than e has rows: what `error` needs to tell e.
-    Between two views of one scene s_dot and e_dot are the same thing: L is the derivative of error(s(t), s*) at s* = s.
+    s may have more numbers than e has rows (a polygon's s has all segments, for example). L is the derivative of e: of
+    error(s(t), s*) at s* = s.
 
     Attributes:
-        inputs: the two fields it takes.
-        rows_per_marker: rows k of L and e that stand together for each marker, in the markers' order; 0 where the rows
-            belong to the set as a whole.
-        least_markers: how many markers it needs to exist.
+        inputs: the two fields of an observation and of a goal that it takes: mostly ("xy", "depth"), for features of wide lenses
+            ("ray", "range").
+        rows_per_marker: rows k of L and e for each marker, in the markers' order; 0 if the rows describe the set as a whole.
+        least_markers: the least number of markers for which it is defined.
     """
 
     inputs: ClassVar[tuple[str, ...]]
@@ -47,7 +46,7 @@ class Feature(Protocol):
 
 
 def checked(x: Array, distance: Array, inputs: tuple[str, ...], least: int = 1) -> tuple[Array, Array]:
-    """Both inputs of a feature as floating-point arrays that belong together.
+    """Both inputs of a feature as floating-point arrays, validated.
 
     Args:
         x: coordinates (..., N, 2) for xy, (..., N, 3) for ray.
@@ -56,7 +55,7 @@ def checked(x: Array, distance: Array, inputs: tuple[str, ...], least: int = 1) 
         least: the smallest N.
 
     Raises:
-        ParameterError: the shapes do not belong together, the markers are too few, or a distance is not positive.
+        ParameterError: the shapes do not match, the markers are too few, or a distance is not positive.
     """
     x, distance = np.asarray(x, dtype=float), np.asarray(distance, dtype=float)
     name, of = inputs
@@ -66,6 +65,6 @@ def checked(x: Array, distance: Array, inputs: tuple[str, ...], least: int = 1) 
     if x.ndim < 2 or x.shape[-2] < least:
         raise ParameterError(name, f"must have the shape (..., N, {size}) with at least {least} markers", x.shape)
     if not np.logical_and.reduce(distance > 0, axis=None):
-        behind = ": what is at or behind the lens has no image" if of == "depth" else ""
+        behind = ": a point at or behind the lens has no image" if of == "depth" else ""
         raise ParameterError(of, f"must be > 0 m for every point{behind}")
     return x, distance

@@ -14,7 +14,7 @@ from vstestbed.features.base import checked
 
 @spec
 class LogDepth:
-    """log Z of each point, so that the error is log(Z/Z*): one row a point, that needs a depth as a measurement.
+    """log Z of each point, so that the error is log(Z/Z*): one row per point, with the depth as a measurement.
 
     (log Z)_dot = -vz/Z - y wx + x wy
 
@@ -36,7 +36,7 @@ class LogDepth:
         """L (..., N, 6) of xy (..., N, 2) and depth (..., N) [m].
 
         Raises:
-            ParameterError: the shapes do not belong together, or a depth is not positive.
+            ParameterError: the shapes do not match, or a depth is not positive.
         """
         xy, depth = checked(xy, depth, self.inputs)
         L = np.zeros((*depth.shape, 6))

@@ -13,7 +13,7 @@ from vstestbed.features.base import checked
 
 @spec
 class Point:
-    """The coordinates (x, y) = (X/Z, Y/Z) of each point; rows of one point stand together: x1, y1, x2, y2, ...
+    """The coordinates (x, y) = (X/Z, Y/Z) of each point; rows x1, y1, x2, y2, ...
 
     x_dot = -vx/Z + x vz/Z + x y wx - (1 + x^2) wy + y wz
     y_dot = -vy/Z + y vz/Z + (1 + y^2) wx - x y wy - x wz
@@ -35,7 +35,7 @@ class Point:
         """L (..., 2N, 6) of xy (..., N, 2) and depth (..., N) [m].
 
         Raises:
-            ParameterError: the shapes do not belong together, or a depth is not positive.
+            ParameterError: the shapes do not match, or a depth is not positive.
         """
         xy, depth = checked(xy, depth, self.inputs)
         x, y, inv_z = xy[..., 0], xy[..., 1], 1.0 / depth

@@ -19,14 +19,14 @@ class Polar:
     r_dot   = -(c vx + s vy)/Z + r vz/Z + (1 + r^2) (s wx - c wy)
     phi_dot = (s vx - c vy)/(r Z) + (c wx + s wy)/r - wz,   c = cos phi, s = sin phi
 
-    A point at the principal point has no angle: the row of phi has the factor w(r)^2 in L and w(r) w(r*) in e, with
-    w(r) = min(1, r/0.01) (`bearing_weight`). Beyond some 4 to 8 pixels it is 1; at r = 0 the row says nothing.
-    (The row of r, too, has no direction there. Where the goal has a marker at the centre, the matrix of the desired view
-    knows it as little as that: with few other markers, take the current one or the mean.)
+    At the principal point phi is undefined: its row has the factor w(r)^2 in L and w(r) w(r*) in e, with
+    w(r) = min(1, r/0.01) (`bearing_weight`), which is 1 beyond some 4 to 8 pixels; at r = 0 the row is zero.
+    (The row of r has no direction there, either. If the goal has a marker at the centre, the matrix at the desired view lacks
+    this information: with few other markers, use the current matrix or the mean.)
 
     Args:
-        together: near a half turn, all angles turn the same way (`wrap_together`); else each is wrapped alone, as in print,
-            and rounding sends some one way and some the other.
+        together: near a half turn, all angles get the same sign (`wrap_together`); else each is wrapped by itself, as in the
+            reference, and rounding decides the direction of each.
 
     Reference: Corke 2017, Robotics, Vision & Control, eq. 16.9, doi:10.1007/978-3-319-54413-7.
     """
@@ -47,13 +47,13 @@ class Polar:
         """L (..., 2N, 6) of xy (..., N, 2) and depth (..., N) [m].
 
         Raises:
-            ParameterError: the shapes do not belong together, or a depth is not positive.
+            ParameterError: the shapes do not match, or a depth is not positive.
         """
         xy, depth = checked(xy, depth, self.inputs)
         s = self.measure(xy).reshape(xy.shape)
         r, cos, sin, inv_z = s[..., 0], np.cos(s[..., 1]), np.sin(s[..., 1]), 1 / depth
         weight = bearing_weight(r) ** 2
-        inv_r = weight / np.where(r > 0, r, 1)
+        inv_r = weight / np.where(r > 0, r, 1)  # at r = 0 the weight is 0, and so is the row
         L = np.zeros((*xy.shape, 6))
         L[..., 0, 0], L[..., 0, 1], L[..., 0, 2] = -cos * inv_z, -sin * inv_z, r * inv_z
         L[..., 0, 3], L[..., 0, 4] = (1 + r * r) * sin, -(1 + r * r) * cos

@@ -1,4 +1,4 @@
-"""The polygon of the markers as one thing: how large it is and how it is turned."""
+"""The polygon of all markers: its size and its rotation in the image."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from vstestbed.features.base import checked
 from vstestbed.features.point import Point
 
 SHARE = 0.8
-"""A segment counts from this share of the longest one's length on; a square's sides (0.71 of its diagonals) do not."""
+"""Segments over this share of the longest one's length have a weight; a square's sides (0.71 of its diagonals) have none."""
 FLAT = 1e-2
-"""Sigma under this share of the longest segment is no size: markers on one line, a plane edge on, loops that cancel."""
+"""Sigma under this share of the longest segment counts as zero: markers on a line, a plane seen edge on, loops that cancel."""
 SizeError = Literal["difference", "ratio", "log"]
 
 
@@ -25,18 +25,18 @@ SizeError = Literal["difference", "ratio", "log"]
 class Polygon:
     """Size sigma = sqrt(area) and the angle of the longest segment between two markers; e and L have these two rows.
 
-    area = |sum_i x_i y_i+1 - x_i+1 y_i| / 2 over the markers in their order. Two markers have none: sigma = 0, row 0.
-    A segment (i, j), i < j, is d = p_j - p_i and turns by (dx dy_dot - dy dx_dot)/|d|^2: by -1 for wz, not by +1.
+    area = |sum_i x_i y_i+1 - x_i+1 y_i| / 2 over the markers in their order. For two markers sigma = 0, with a zero row.
+    A segment (i, j), i < j, is d = p_j - p_i and rotates at (dx dy_dot - dy dx_dot)/|d|^2: at -1 for wz, not at +1.
 
-    Which segment is the longest may change as the camera moves, and two often are equally long (a square's diagonals).
-    So e takes of every segment the angle from its own place in the goal, e_ij, and blends those that are nearly the
-    longest now: e = arg(sum w_ij exp(i e_ij)), w_ij = max(0, |d_ij|/longest - 0.8)^2. A segment enters and leaves with
-    weight 0, hence no jump; one that leads by a fifth is alone; a turn about the optical axis is told exactly whichever
-    lead. L has the same weights. It is the exact derivative where the e_ij agree, so at the goal and for such turns.
-    For this s holds sigma and then every d (..., 1 + N (N-1)), pairs in the order (0, 1), (0, 2), ..., (1, 2), ...
+    The longest segment may change as the camera moves, and often two are equally long (a square's diagonals).
+    So e uses, for every segment, the angle e_ij from its own direction at the goal, and is the weighted mean over those that
+    are nearly the longest: e = arg(sum w_ij exp(i e_ij)), w_ij = max(0, |d_ij|/longest - 0.8)^2. A segment enters and leaves
+    with weight 0, so e is continuous; one that is longer by a fifth has all the weight; a rotation about the optical axis is
+    exact for any weights. L has the same weights and is the exact derivative where all e_ij agree: at the goal, and for such rotations.
+    To this end s has sigma and then every d (..., 1 + N (N-1)), pairs in the order (0, 1), (0, 2), ..., (1, 2), ...
 
     Reference: Corke 2017, Robotics, Vision & Control, section 16.1, doi:10.1007/978-3-319-54413-7, with the sign of
-    the angle's motion corrected; the rows are the chain rule over those of `Point`.
+    the angle's rate corrected; the rows follow by the chain rule from those of `Point`.
     """
 
     kind: Literal["polygon"] = "polygon"
@@ -53,14 +53,14 @@ class Polygon:
         """L (..., 2, 6) of xy (..., N, 2) and depth (..., N) [m]: the rows of sigma and of the angle.
 
         Raises:
-            ParameterError: the shapes do not belong together, there is one marker only, or a depth is not positive.
+            ParameterError: the shapes do not match, there is only one marker, or a depth is not positive.
         """
         xy, depth = checked(xy, depth, self.inputs, self.least_markers)
         points = Point().interaction(xy, depth).reshape(*xy.shape, 6)
         return np.stack([_size_row(xy, points), _angle_row(xy, points)], axis=-2)
 
     def error(self, s: Array, s_star: Array) -> Array:
-        """Error e (..., 2): sigma - sigma*, and the angle in (-pi, pi] rad by which the longest segment is turned from its goal."""
+        """Error e (..., 2): sigma - sigma*, and the angle in (-pi, pi] rad of the longest segment from its direction at the goal."""
         s, s_star = np.asarray(s, dtype=float), np.asarray(s_star, dtype=float)
         d, d_star = (v[..., 1:].reshape(*v.shape[:-1], -1, 2) for v in (s, s_star))
         turned = angle_error(d, d_star)
@@ -68,23 +68,23 @@ class Polygon:
 
 
 def size(xy: Array) -> Array:
-    """Sigma (...), the root of the area of the polygon with vertices xy (..., N, 2) in their order."""
+    """Sigma (...), the square root of the area of the polygon with vertices xy (..., N, 2) in order."""
     return np.sqrt(np.abs(_signed_area(np.asarray(xy, dtype=float))))
 
 
 def spans_area(sigma: Array, d: Array) -> NDArray[np.bool_]:
-    """Whether a polygon's size sigma (...), with the segments d (..., P, 2) between its vertices, is one that can be told.
+    """Whether a polygon of size sigma (...) with the segments d (..., P, 2) between its vertices spans an area.
 
-    Not where the vertices lie on one line, nor where it crosses itself and its loops, which run opposite ways, cancel.
+    It does not if the vertices lie on one line, or if it crosses itself and the areas of its loops, of opposite sign, cancel.
     """
     return np.asarray(sigma > FLAT * np.hypot(d[..., 0], d[..., 1]).max(axis=-1))
 
 
 def size_error(sigma: Array, sigma_star: Array, form: SizeError = "difference") -> Array:
-    """How far sigma is from its goal, any shape: sigma - sigma*, sigma/sigma* - 1 or log(sigma/sigma*).
+    """The error of sigma, any shape: sigma - sigma*, sigma/sigma* - 1 or log(sigma/sigma*).
 
-    Positive where the target looks too large, that is where the camera is too close. For a target that faces the camera
-    sigma_dot = sigma vz/Z, so the last is that of the depth, log(Z*/Z).
+    Positive where the target appears too large, because the camera is too close. For a target that faces the camera
+    sigma_dot = sigma vz/Z, so that the last form is that of the depth, log(Z*/Z).
 
     Raises:
         ParameterError: a ratio or a logarithm of a size that is not positive.
@@ -105,7 +105,8 @@ def segments(xy: Array) -> Array:
 
 
 def angle_error(d: Array, d_star: Array) -> Array:
-    """Angle in (-pi, pi] rad by which the longest of the segments d (..., P, 2) is turned from d_star; see `Polygon`."""
+    """Angle in (-pi, pi] rad of the longest of the segments d (..., P, 2) from its direction in d_star; see `Polygon`."""
+    # As complex numbers, so that the mean of angles is right at +-pi, too.
     z, z_star = d[..., 0] + 1j * d[..., 1], d_star[..., 0] + 1j * d_star[..., 1]
     turn = z * np.conj(z_star)
     blend = np.sum(_weights(d) * turn / np.maximum(np.abs(turn), np.finfo(float).tiny), axis=-1)
@@ -113,7 +114,7 @@ def angle_error(d: Array, d_star: Array) -> Array:
 
 
 def _weights(d: Array) -> Array:
-    """How much each segment (..., P, 2) counts (..., P): 1 in all, 0 where the longest has no length."""
+    """Weights (..., P) of the segments d (..., P, 2), with the sum 1; all 0 if the longest has no length."""
     length = np.hypot(d[..., 0], d[..., 1])
     longest = np.maximum(length.max(axis=-1, keepdims=True), np.finfo(float).tiny)
     weight = np.maximum(0, length / longest - SHARE) ** 2
@@ -130,6 +131,7 @@ def _size_row(xy: Array, points: Array) -> Array:
     area = _signed_area(xy)
     after, before = np.roll(xy, -1, axis=-2), np.roll(xy, 1, axis=-2)
     slope = 0.5 * np.stack([after[..., 1] - before[..., 1], before[..., 0] - after[..., 0]], axis=-1)
+    # sigma_dot = area_dot / (2 sigma) is unbounded at sigma = 0, where the bounded inverse gives a zero row.
     half_inv = 0.5 * bounded_inverse(np.sqrt(np.abs(area))) * np.sign(area)
     return half_inv[..., None] * np.einsum("...nc,...nck->...k", slope, points)
 

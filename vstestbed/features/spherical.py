@@ -19,13 +19,13 @@ class Spherical:
     theta_dot = -cos theta (c vx + s vy)/R + sin theta vz/R + s wx - c wy
     phi_dot   = (s vx - c vy)/(R sin theta) + (c wx + s wy) cos theta/sin theta - wz,   c = cos phi, s = sin phi
 
-    R is the range, not the depth. theta lies in [0, pi]; an arc sine would fold what is behind the equator to the front.
-    On the axis, ahead as behind, phi is not defined: its row has the factor w(sin theta)^2 in L and w(sin theta) w(sin theta*)
-    in e, with w(r) = min(1, r/0.01) (`bearing_weight`). Beyond .6 degrees it is 1; on the axis the row says nothing.
+    R is the range, not the depth. theta lies in [0, pi]; an arc sine would map points behind the equator to the front.
+    On the axis, ahead and behind, phi is undefined: its row has the factor w(sin theta)^2 in L and w(sin theta) w(sin theta*)
+    in e, with w(r) = min(1, r/0.01) (`bearing_weight`), which is 1 beyond 0.6 degrees; on the axis the row is zero.
 
     Args:
-        together: near a half turn, all angles turn the same way (`wrap_together`); else each is wrapped alone, as in print,
-            and rounding sends some one way and some the other.
+        together: near a half turn, all angles get the same sign (`wrap_together`); else each is wrapped by itself, as in the
+            reference, and rounding decides the direction of each.
 
     Reference: Corke 2017, Robotics, Vision & Control, eq. 16.15, doi:10.1007/978-3-319-54413-7.
     """
@@ -47,13 +47,13 @@ class Spherical:
         """L (..., 2N, 6) of rays (..., N, 3) and the distance of each point from the camera's centre (..., N) [m].
 
         Raises:
-            ParameterError: the shapes do not belong together, or a range is not positive.
+            ParameterError: the shapes do not match, or a range is not positive.
         """
         ray, range_ = checked(ray, range_, self.inputs)
         s = self.measure(ray).reshape(*ray.shape[:-1], 2)
         (cos_t, cos), (sin_t, sin) = np.moveaxis(np.cos(s), -1, 0), np.moveaxis(np.sin(s), -1, 0)
         inv_r, weight = 1 / range_, bearing_weight(sin_t) ** 2
-        inv_sin = weight / np.where(sin_t > 0, sin_t, 1)
+        inv_sin = weight / np.where(sin_t > 0, sin_t, 1)  # on the axis the weight is 0, and so is the row
         L = np.zeros((*s.shape, 6))
         L[..., 0, 0], L[..., 0, 1], L[..., 0, 2] = -cos_t * cos * inv_r, -cos_t * sin * inv_r, sin_t * inv_r
         L[..., 0, 3], L[..., 0, 4] = sin, -cos
@@ -62,7 +62,7 @@ class Spherical:
         return L.reshape(*ray.shape[:-2], 2 * ray.shape[-2], 6)
 
     def error(self, s: Array, s_star: Array) -> Array:
-        """Error s - s* (..., 2N); theta as it is, phi wrapped, and weighted near the axis (`bearing_error`)."""
+        """Error s - s* (..., 2N); theta unchanged, phi wrapped, and weighted near the axis (`bearing_error`)."""
         s, s_star = np.asarray(s, dtype=float), np.asarray(s_star, dtype=float)
         e = s - s_star
         sine, sine_star = np.sin(s[..., 0::2]), np.sin(s_star[..., 0::2])

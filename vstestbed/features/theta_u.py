@@ -12,11 +12,10 @@ from vstestbed.core.spec import spec
 
 @spec
 class ThetaU:
-    """theta u of the rotation between the camera now and at the goal: three rows that need a pose, not pixels.
+    """theta u of the rotation between the current camera frame and that at the goal: three rows, computed from a pose.
 
     Args:
-        rotation: which one. "cdRc" is the camera's now in the goal's frame, R_goal_camera; "cRcd" its inverse,
-            R_camera_goal. c stands for the camera, cd for the camera desired.
+        rotation: "cdRc" is R_goal_camera, "cRcd" its inverse R_camera_goal, with c for the camera and cd for the camera desired.
 
     Reference: Chaumette & Hutchinson 2006, section on PBVS, doi:10.1109/MRA.2006.250573.
     """
@@ -38,7 +37,7 @@ class ThetaU:
         return self.interaction_at(theta_u(R))
 
     def interaction_at(self, s: Array) -> Array:
-        """The same of s = theta u (..., 3) [rad], where that is known already."""
+        """The same for s = theta u (..., 3) [rad], without computing it again."""
         L = np.zeros((*s.shape, 6))
         L[..., 3:] = rotation_interaction(s) if self.rotation == "cdRc" else -rotation_interaction(-s)
         return L
@@ -51,14 +50,14 @@ class ThetaU:
 def theta_u(R: Array) -> Array:
     """The vector theta u (..., 3) [rad], theta in [0, pi], of rotations R (..., 3, 3), exact near 0 and near a half turn.
 
-    By the unit quaternion (w, q), w >= 0: theta = 2 atan2(|q|, w). At an exact half turn u and -u are the same; then the
-    largest component of u is positive.
+    From the unit quaternion (w, q), w >= 0: theta = 2 atan2(|q|, w). At an exact half turn, where u and -u are the same rotation,
+    the largest component of u is positive.
     """
     quaternion = quaternion_wxyz(np.asarray(R, dtype=float))
     w, q = quaternion[..., :1], quaternion[..., 1:]
     n = np.linalg.norm(q, axis=-1, keepdims=True)
     some = n > 0
-    return q * np.where(some, 2 * np.arctan2(n, w) / np.where(some, n, 1), 2.0)
+    return q * np.where(some, 2 * np.arctan2(n, w) / np.where(some, n, 1), 2.0)  # 2: the limit of theta/|q| at 0
 
 
 def rotation_interaction(theta_u: Array) -> Array:
@@ -70,7 +69,7 @@ def rotation_interaction(theta_u: Array) -> Array:
     Reference: Malis, Chaumette & Boudet 1999, doi:10.1109/70.760345, in the frame of w.
     """
     theta2 = np.sum(np.square(theta_u), axis=-1)
-    small = theta2 < 1e-2
+    small = theta2 < 1e-2  # theta < 0.1 rad, where the closed form would lose digits to 1 - x cot(x)
     half = 0.5 * np.sqrt(np.where(small, 1, theta2))
     series = 1 / 12 + theta2 / 720 + theta2**2 / 30240
     c = np.where(small, series, (1 - half * np.cos(half) / np.sin(half)) / (4 * half * half))

@@ -12,11 +12,10 @@ from vstestbed.core.spec import spec
 
 @spec
 class Translation:
-    """The translation t [m] of a pose: three rows that need a pose, not pixels.
+    """The translation t [m] of a pose: three rows, computed from the pose.
 
     Args:
-        pose: whose. "cdMc" is the camera's now in the goal's frame, T_goal_camera; "cMcd" the goal's in the camera's,
-            T_camera_goal; "cMo" the target's, T_camera_target. Seen from the goal t_dot = R v, from the camera
+        pose: "cdMc" is T_goal_camera, with t_dot = R v; "cMcd" T_camera_goal and "cMo" T_camera_target, with
             t_dot = -v - w x t.
 
     Reference: Chaumette & Hutchinson 2006, section on PBVS, doi:10.1109/MRA.2006.250573.

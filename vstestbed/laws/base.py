@@ -1,4 +1,4 @@
-"""The contract of a law, its Command, and what laws share: gains, limits on the twist."""
+"""The interface of a control law, its Command, and the parts that laws share: gains, limits on the twist, defaults."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Command:
 
     @classmethod
     def rest(cls, basis: Array, why: str) -> Command:
-        """Stand still, for the reason `why`."""
+        """Zero motion, with the reason."""
         return cls(u=np.zeros(basis.shape[1]), twist=np.zeros(6), rest_reason=why)
 
 
@@ -143,13 +143,12 @@ class ConstantGain:
 class AdaptiveGain:
     """High near the goal, low far away: lambda(x) = (l0 - linf) exp(-slope x / (l0 - linf)) + linf, x = |error|_inf.
 
-    The error is the motion still to be made, pinv(L B) e in metres and radians, so that one set of numbers serves every
-    feature.
+    The error is the remaining motion pinv(L B) e in metres and radians, so that one set of numbers suits all features.
 
     Args:
         at_zero: l0, gain at zero error [1/s].
         at_infinity: linf, gain at large error [1/s], under at_zero.
-        slope_at_zero: how steeply it falls at x = 0 [1/s per m or rad].
+        slope_at_zero: descent of the gain at x = 0 [1/s per m or rad].
 
     Reference: Marchand, Spindler & Chaumette 2005, doi:10.1109/MRA.2005.1577023 (adaptive gain of their library).
     """
@@ -160,7 +159,7 @@ class AdaptiveGain:
     slope_at_zero: Annotated[float, Gt(0)] = 30.0
 
     def __post_init__(self) -> None:
-        """Refuse a gain that would rise with the error."""
+        """Refuse a gain that would increase with the error."""
         if self.at_infinity >= self.at_zero:
             raise ParameterError("at_infinity", f"must be under at_zero = {self.at_zero}", self.at_infinity)
 
@@ -176,14 +175,14 @@ Gain = Annotated[ConstantGain | AdaptiveGain, GAINS]
 
 @spec
 class TwistLimits:
-    """Largest commanded camera speed [m/s] and rate [rad/s]; the whole twist is scaled, so its direction is kept."""
+    """Largest commanded camera speed [m/s] and rate [rad/s]; the twist is scaled as a whole, which keeps its direction."""
 
     speed_mps: Annotated[float, Gt(0)] | None = None
     rate_radps: Annotated[float, Gt(0)] | None = None
 
     def scale(self, twist: Array) -> float:
         """Factor in (0, 1] that brings a twist (6,) within the limits."""
-        if self.speed_mps is None and self.rate_radps is None:
+        if self.speed_mps is None and self.rate_radps is None:  # the usual case, in every frame
             return 1.0
         factor = 1.0
         for limit, part in ((self.speed_mps, twist[:3]), (self.rate_radps, twist[3:])):
@@ -193,23 +192,23 @@ class TwistLimits:
         return factor
 
     def within(self, twist: Array) -> Array:
-        """Twists (M, 6), each as a whole shortened to within the limits."""
+        """Twists (M, 6), each scaled as a whole to within the limits."""
         factor = np.ones((len(twist), 1))
         for limit, part in ((self.speed_mps, twist[:, :3]), (self.rate_radps, twist[:, 3:])):
             if limit is not None:
                 size = np.linalg.norm(part, axis=1, keepdims=True)
-                factor = np.minimum(factor, limit / np.maximum(size, np.finfo(float).tiny))
+                factor = np.minimum(factor, limit / np.maximum(size, np.finfo(float).tiny))  # at rest no 0/0
         return twist * factor
 
     def command(self, u: Array, basis: Array) -> Command:
-        """The order for a motion u (n,) of a robot whose motions are `basis` (6, n), within the limits."""
+        """The command for velocities u (n,) along the robot's motions, basis (6, n), scaled to within the limits."""
         twist = basis @ u
         factor = self.scale(twist)
         return Command(u=u * factor, twist=twist * factor, scale=factor)
 
 
 class LawBase:
-    """Defaults for everything that a law needs but `kind` and `step`; a law of one's own derives from it.
+    """Defaults for all members of `Law` but `kind` and `step`: the base class for a law of one's own.
 
         @LAWS.add
         @spec
@@ -219,11 +218,11 @@ class LawBase:
 
             def step(self, memory, observation, goal, basis): ...
 
-    An annotated attribute of a spec is a parameter in YAML; one without annotation is a fact of the class. So a law writes
-    `depth = PnP()` to have its depth fixed, and `depth: Depth = PnP()` to let a scenario choose. That is also why nothing is annotated
-    here: a type checker would hold a law's narrower field against a declared one.
+    In a spec, an annotated attribute is a parameter in YAML, and one without annotation is a constant of the class: a law with
+    `depth = PnP()` has a fixed source of depth, one with `depth: Depth = PnP()` leaves it to the scenario.
     """
 
+    # Without annotations: a type checker refuses to override a declared attribute by a field of a narrower type or by a property.
     tasks = ("view",)
     inputs = ("xy", "depth")
     depth = PnP()
@@ -235,7 +234,7 @@ class LawBase:
     rest_m = 0.0
 
     def markers_needed(self, basis: Array) -> int:
-        """Two equations a marker: as many markers as the robot's motions, basis (6, n), take."""
+        """As many markers as the robot's motions, basis (6, n), need with two equations each."""
         return math.ceil(basis.shape[1] / 2)
 
     def check(self, points: Array, goal: Goal) -> None:
@@ -248,4 +247,4 @@ class LawBase:
 
 OBSERVATION_FIELDS = tuple(f.name for f in fields(Observation))
 LAW_CONTRACT = Contract(Law, base=LawBase, words={"inputs": OBSERVATION_FIELDS})
-"""What `LAWS` asks of a class."""
+"""The contract of the members of `LAWS`."""

@@ -1,15 +1,15 @@
-"""What a law does about a target that moves: it estimates the target's motion, orders as much beforehand, and looks ahead.
+"""Feedforward for a moving target: estimation of its motion, and prediction over the delay of the loop.
 
-With e_dot = L v + L B tau, v = B u the camera's own motion and tau (n,) what the target's motion looks like in the robot's
-motion space, the law u = -lambda pinv(L B) e lags behind by |tau| / lambda. Here
+With e_dot = L v + L B tau, where v = B u is the camera twist and tau (n,) the target's motion expressed in the robot's motion
+space, the law u = -lambda pinv(L B) e has the steady tracking error |tau| / lambda. Here
 
     u = -lambda (x + p tau + own) - tau,   x = pinv(L B) e
 
-where p is how far ahead of the exposure to look, `own` the camera's own motion from the exposure until then, which no picture
-shows yet (the idea of Smith's predictor), and tau the estimate of a filter. The filter works in motion space: what
-features change from one picture to the next, less what the measured motion of the camera in between explains, is made
-a displacement by pinv(L B), whichever markers were seen in both; six numbers (n) with one covariance serve for every feature.
-A pose is not needed, a depth is: with depths too large by a factor over two the estimate feeds on itself.
+where p is the prediction horizon after the exposure, `own` the camera's motion from the exposure to the horizon, which the image
+does not show yet (as in Smith's predictor), and tau the output of a filter. The filter works in motion space: the change
+of the features between two frames, less the part explained by the measured camera motion, is mapped to a displacement by
+pinv(L B) of the markers seen in both frames. So its state has n numbers a derivative with one covariance, for all features.
+It needs no pose but a depth: where depths are too large by a factor over two, the estimate diverges by positive feedback.
 
 References: Corke 1996, Visual Control of Robots, section 7.5 (feedforward of the target's estimated velocity); Smith 1957 (dead
 time); Bar-Shalom, Li & Kirubarajan 2001, doi:10.1002/0471221279, section 6.2 (models of constant velocity and acceleration).
@@ -31,14 +31,17 @@ from vstestbed.laws.solve import least_squares
 
 Ahead = Annotated[float, Ge(0), Le(2)]
 LEARNS = 1e3
-"""How many times its steady value the variance of a rate that nobody has seen yet is."""
+"""Initial variance of the unknown derivatives, as a multiple of their steady value: large, so that the first frames set them."""
 
 
 @dataclass(frozen=True, slots=True)
 class Trend:
-    """What is known of the target's motion: rows of displacement, rate and, where estimated, acceleration (k, n); their covariance (k, k)
+    """The estimate of the target's motion in motion space.
 
-    in units of the measurement's. `way` (n,) is the displacement as measured.
+    Attributes:
+        state: displacement, rate and, for kalman_ca, acceleration as rows (k, n) [m, rad; per s; per s^2].
+        way: the measured displacement since the first frame (n,) [m, rad].
+        P: covariance of the rows (k, k) in units of the measurement noise, the same for all n motions.
     """
 
     state: Array
@@ -51,20 +54,20 @@ class Trend:
         return self.state[1]
 
     def ahead(self, duration: float) -> tuple[Array, Array]:
-        """Displacement (n,) in the duration after the last exposure [m, rad], and the rate (n,) at its end."""
+        """The predicted displacement (n,) over a duration after the last exposure [m, rad], and the rate (n,) at its end."""
         if len(self.state) == 2:
-            return self.state[1] * duration, self.state[1]
+            return self.state[1] * duration, self.state[1]  # a model of constant velocity
         rate, change = self.state[1:]
         return rate * duration + change * duration**2 / 2, rate + change * duration
 
 
 def _model(order: int, dt: float) -> Array:
-    """Transition (order, order) of displacement, rate, ... over dt."""
+    """Transition matrix (order, order) of displacement, rate, ... over dt [s]."""
     return np.array([[dt ** (j - i) / math.factorial(j - i) if j >= i else 0.0 for j in range(order)] for i in range(order)])
 
 
 def white_noise(order: int, dt: float, density: float) -> Array:
-    """Covariance (order, order) that white noise of the highest derivative + 1 adds over dt.
+    """Process noise (order, order) over dt [s], where the derivative after the highest one in the state is white noise.
 
     Q_ij = density dt^(2k-1-i-j) / ((k-1-i)! (k-1-j)! (2k-1-i-j)), k = order.  Reference: Bar-Shalom et al. 2001, eqs 6.2.2-4, 6.2.3-2.
     """
@@ -76,17 +79,17 @@ def white_noise(order: int, dt: float, density: float) -> Array:
 
 @spec
 class NoFeedforward:
-    """The law as it is: it lags behind a target that moves."""
+    """No feedforward: a moving target is tracked with a lag."""
 
     kind: Literal["none"] = "none"
 
 
 @spec
 class Integral:
-    """The plain alternative: u = -lambda x - rate_per_s2 * integral of x.
+    """Integral action: u = -lambda x - rate_per_s2 * integral of x.
 
-    It needs no model and no camera's own motion; a target at a constant speed is followed without an error, any other with less than
-    without. It overshoots. What limits take off the command is not summed up.
+    It needs neither a motion model nor the camera's own motion. A target at constant speed is tracked without a steady error. It
+    overshoots. While the limits scale the command down, the integral does not grow (anti-windup).
 
     Args:
         rate_per_s2: gain of the integral [1/s^2]; lambda^2/4 is critically damped.
@@ -98,11 +101,11 @@ class Integral:
 
 @spec
 class AlphaBeta:
-    """A filter of constant gains: displacement += alpha r, rate += beta r / dt, r the measured less the expected displacement.
+    """A filter of constant gains: displacement += alpha r, rate += beta r / dt, with r the measured less the predicted displacement.
 
     Args:
-        alpha: share of r that is believed. beta follows: alpha^2 / (2 - alpha).
-        predict_s: how far ahead of the exposure to look [s].
+        alpha: gain of the displacement. beta follows: alpha^2 / (2 - alpha).
+        predict_s: prediction horizon after the exposure [s].
 
     Reference: Benedict & Bordner 1962, doi:10.1109/TAC.1962.1105477 (beta of least noise for a given lag).
     """
@@ -114,7 +117,7 @@ class AlphaBeta:
     def update(self, trend: Trend | None, step: Array | None, dt: float, size: int) -> Trend:
         """Take in the target's displacement `step` (n,) during dt, None where it was not seen."""
         if trend is None:
-            return Trend(np.zeros((2, size)), np.zeros(size), np.zeros((2, 2)))
+            return Trend(np.zeros((2, size)), np.zeros(size), np.zeros((2, 2)))  # constant gains: P stays unused
         state = _model(2, dt) @ trend.state
         if step is None:
             return Trend(state, state[0], trend.P)
@@ -124,7 +127,7 @@ class AlphaBeta:
 
 
 class _Kalman:
-    """A Kalman filter of `order` derivatives; noise of displacement and of the next derivative are white, their ratio told by a bandwidth.
+    """A Kalman filter with `order` states; the measurement and the next derivative have white noise, whose ratio sets the bandwidth.
 
     In continuous time the steady filter's poles are those of a Butterworth filter with the corner (density ratio)^(1/(2 order)).
     """
@@ -139,10 +142,10 @@ class _Kalman:
             return Trend(np.zeros((k, size)), np.zeros(size), np.diag([corner, *(LEARNS * corner ** (2 * i + 1) for i in range(1, k))]))
         F = _model(k, dt)
         state, P = F @ trend.state, F @ trend.P @ F.T + white_noise(k, dt, corner ** (2 * k))
-        if step is None:
+        if step is None:  # prediction only; the measured displacement continues from the predicted one
             return Trend(state, state[0], P)
         way = trend.way + step
-        K = P[:, 0] / (P[0, 0] + 1 / dt)
+        K = P[:, 0] / (P[0, 0] + 1 / dt)  # measurement noise of unit density: its variance in one sample is 1/dt
         return Trend(state + np.outer(K, way - state[0]), way, P - np.outer(K, P[0]))
 
 
@@ -154,9 +157,9 @@ class KalmanCV(_Kalman):
     """A Kalman filter for a target of constant velocity, disturbed by white acceleration.
 
     Args:
-        bandwidth_hz: corner up to which the motion is followed; its rate lags by sqrt(2) / (2 pi bandwidth). More follows faster
-            and passes on more of the pixels' noise.
-        predict_s: how far ahead of the exposure to look [s].
+        bandwidth_hz: corner frequency; the estimated rate lags by sqrt(2) / (2 pi bandwidth). A higher one tracks faster and
+            passes more pixel noise.
+        predict_s: prediction horizon after the exposure [s].
 
     Reference: Kalata 1984, doi:10.1109/TAES.1984.310438 (its steady state is an alpha-beta filter).
     """
@@ -172,8 +175,8 @@ class KalmanCA(_Kalman):
     """A Kalman filter for a target of constant acceleration, disturbed by white jerk: its rate does not lag, and is noisier.
 
     Args:
-        bandwidth_hz: corner up to which the motion is followed.
-        predict_s: how far ahead of the exposure to look [s].
+        bandwidth_hz: corner frequency.
+        predict_s: prediction horizon after the exposure [s].
     """
 
     kind: Literal["kalman_ca"] = "kalman_ca"
@@ -189,18 +192,18 @@ Estimator = AlphaBeta | KalmanCV | KalmanCA
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """How the features changed since the last picture (m,), and the mean interaction matrix (m, 6) on the way."""
+    """Change of the features since the last frame, e (m,), and the mean of both interaction matrices, L (m, 6)."""
 
     e: Array
     L: Array
 
 
 def follow(kind: Estimator, trend: Trend | None, change: Change | None, basis: Array, motion: OwnMotion) -> Trend:
-    """The target's motion after one more picture.
+    """The estimate of the target's motion after one more frame.
 
     Args:
-        kind: the filter. trend: what was known. change: None where the two pictures have too little in common.
-        basis: the robot's motions (6, n). motion: what the robot measured of its own.
+        kind: the filter. trend: the estimate so far. change: None where the two frames have too few markers in common.
+        basis: the robot's motions (6, n). motion: the camera's motion as the robot measures it.
     """
     step = None
     if trend is not None and change is not None:
@@ -209,12 +212,12 @@ def follow(kind: Estimator, trend: Trend | None, change: Change | None, basis: A
 
 
 def look_ahead(kind: Estimator, trend: Trend, basis: Array, motion: OwnMotion) -> tuple[Array, Array]:
-    """What will be added to the motion still to be made by the time that the law looks ahead to (n,), and tau (n,) then.
+    """The change of the remaining motion (n,) from the exposure to the prediction horizon, and tau (n,) at the horizon.
 
-    The camera's own motion is the measured one until now, the one ordered last from there on.
+    The camera's own motion is the measured one until now, and the last command from then on.
     """
     p, age = kind.predict_s, motion.age_s
     shift, rate = trend.ahead(p)
-    own = motion.moved * min(p / age, 1.0) if age > 0 else motion.moved
+    own = motion.moved * min(p / age, 1.0) if age > 0 else motion.moved  # a horizon before now takes its share of the way
     own = own + motion.ordered * max(p - age, 0.0)
     return shift + least_squares(basis, own), rate

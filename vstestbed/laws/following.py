@@ -1,4 +1,4 @@
-"""What a law with feedforward remembers from picture to picture, and what it orders beside its gain's share."""
+"""Feedforward state, and the feedforward term that is added to the proportional command."""
 
 from __future__ import annotations
 
@@ -13,12 +13,19 @@ from vstestbed.laws.base import Command
 from vstestbed.laws.feedforward import Change, Estimator, Feedforward, Integral, NoFeedforward, Trend, follow, look_ahead
 
 COAST_S = 1.0
-"""How long a moving target is followed without sight [s]."""
+"""How long the estimated motion of an unseen target is followed [s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Followed:
-    """The last picture, its time [s], what is known of the target's motion, and the integral (n,)."""
+    """The state of the feedforward between frames.
+
+    Attributes:
+        seen: the last observation, with which the next is compared; None after a frame without usable markers.
+        t: time of the last observation with usable markers [s]; NaN before the first.
+        trend: the estimate of the target's motion.
+        integral: integral of the remaining motion (n,), for the feedforward `integral`.
+    """
 
     seen: Observation | None = None
     t: float = math.nan
@@ -27,25 +34,27 @@ class Followed:
 
 
 NOTHING = Followed()
-"""Before the first picture."""
+"""The state before the first frame."""
 
 
 def inputs_of(kind: Feedforward) -> tuple[str, ...]:
-    """The fields of an Observation that it needs: the camera's own motion."""
+    """The fields of an Observation that a feedforward needs: for an estimator, the camera's own motion."""
     return ("motion",) if isinstance(kind, Estimator) else ()
 
 
 def feedforward_term(
     kind: Feedforward, memory: Followed, seen: Observation, solved: Array, change: Change | None, basis: Array
 ) -> tuple[Followed, Array, Array]:
-    """The motion still to be made (n,) at the time looked ahead to, and what is ordered beside the gain's share of it (n,).
+    """The next state, the predicted remaining motion x' (n,), and the feedforward term tau (n,) in u = -lambda x' - tau.
 
     Args:
-        kind: what is done. memory: of the last picture. seen: this one.
-        solved: the motion still to be made (n,), pinv(L B) e. change: what changed since the last picture, None where it cannot be told.
+        kind: the feedforward. memory: its state at the last frame. seen: the observation of this frame.
+        solved: the remaining motion x = pinv(L B) e (n,).
+        change: change of the features since the last frame; None where the two have too few markers in common.
         basis: the robot's motions (6, n).
     """
     if isinstance(kind, Integral):
+        # Without an observation at the last frame nothing is added: the error in between is unknown.
         since = seen.t - memory.seen.t if memory.seen else 0.0
         total = solved * since + (0 if memory.integral is None else memory.integral)
         return replace(memory, seen=seen, integral=total), solved, kind.rate_per_s2 * total
@@ -57,13 +66,14 @@ def feedforward_term(
 
 
 def anti_windup(before: Followed, after: Followed, command: Command) -> Followed:
-    """What is remembered after a command: what limits took off it is not summed up."""
+    """The state after a command: while limits scale the command down, the integral does not grow."""
     return replace(after, integral=before.integral) if command.scale < 1 else after
 
 
 def coast(kind: Feedforward, memory: Followed, seen: Observation, basis: Array) -> tuple[Followed, Array] | None:
-    """A picture that the law cannot work with: the target's own motion (n,) is gone on with for COAST_S; after that None, rest."""
+    """A frame without usable markers: the next state and the estimated motion u = -tau (n,); None, rest, after COAST_S."""
     trend, motion = memory.trend, seen.motion
+    # `not <=` and not `>`: before the first usable frame memory.t is NaN, and the law rests.
     if not isinstance(kind, Estimator) or trend is None or motion is None or not seen.t - memory.t <= COAST_S:
         return None
     trend = follow(kind, trend, None, basis, motion)

@@ -25,7 +25,7 @@ from vstestbed.laws.visibility import Visibility
 
 @dataclass(frozen=True, slots=True)
 class IBVSMemory:
-    """Time of the first command [s], the command that the law would have jumped to there (n,), and what feedforward remembers."""
+    """Time of the first command [s], that command without the smooth start (n,), and the state of the feedforward."""
 
     t0: float = math.nan
     u0: Array | None = None
@@ -38,28 +38,28 @@ class IBVS(LawBase):
 
     With `smooth_start_s` = tau the command grows from rest: u - u(0) exp(-t/tau).
 
-    A view that moves along a path adds its own velocity u* to that.
+    A goal view that moves along a path adds its own velocity u*.
 
-    With `feedforward` a target that moves is followed without lag (`feedforward.py`), for a second also unseen.
+    With `feedforward` a moving target is tracked without lag (`feedforward.py`), for COAST_S also while it is not visible.
 
     Errata. Chapter 16 of Corke 2017 has polar and spherical features as here (eqs 16.9, 16.15), but theta = asin(r) in
-    eq. 16.11, which is wrong behind the camera's equator; each feature says what it does instead. With an exact half turn
-    the matrix at the current view makes points diverge, the one at the goal takes the camera through the target, their mean
-    stands still: that is the law, not a defect. Three markers look the same from up to four places, and with points (`point`,
-    `polar`, `spherical`) e is zero at each of them: the law may come to rest at another one than the goal. Four in one plane
-    have one.
+    eq. 16.11, which is wrong behind the camera's equator; see the docstrings of the features. With an exact half turn the
+    matrix at the current view makes points diverge, the one at the goal drives the camera through the target, and their mean
+    does not move: these are properties of the law. Three markers have the same image from up to four poses, and with points
+    (`point`, `polar`, `spherical`) e is zero at each: the law may converge to another one than the goal. Four in one plane have
+    one.
 
     Args:
-        gain: lambda [1/s], a number or an adaptive gain of pinv(L B) e, the motion still to be made.
-        feature: what s is.
+        gain: lambda [1/s], a number or an adaptive gain of the remaining motion pinv(L B) e.
+        feature: the feature s.
         interaction: L at the current view, at the desired one, or the mean of both matrices.
-        depth: where Z (for `spherical` the range) in L comes from.
+        depth: source of Z (for `spherical`, of the range) in L.
         smooth_start_s: tau [s]; 0 starts with the full command.
         limits: largest speed and rate of the commanded twist.
-        visibility: keeps markers off the picture's border.
-        feedforward: what is done about a target that moves.
-        redundant: work with fewer markers than tell of all of the robot's motions, two on an arm, say. The motions that they do
-            not tell of are not made, unless the robot has an end of its own for them (`robot.avoid_limits`).
+        visibility: repulsive field at the border of the image.
+        feedforward: the feedforward term for a moving target.
+        redundant: accept fewer markers than determine all of the robot's motions, such as two on an arm. Motions in the null space of
+            the task are not made, unless the robot has a secondary task (`robot.avoid_limits`).
 
     References: Chaumette & Hutchinson 2006, eqs 3-5, doi:10.1109/MRA.2006.250573; mean matrix: Malis 2004,
     doi:10.1109/ROBOT.2004.1308092; moving target: Chaumette & Hutchinson 2007, doi:10.1109/MRA.2007.339609; smooth start:
@@ -80,36 +80,37 @@ class IBVS(LawBase):
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """The fields of an Observation that its feature takes, and the camera's own motion for feedforward."""
+        """The inputs of the feature, and the camera's own motion for feedforward."""
         return self.feature.inputs + inputs_of(self.feedforward)
 
     def check(self, points: Array, goal: Goal) -> None:
-        """Refuse what `visibility` does; with the feature `polygon`, a goal view of three or more markers without a size."""
+        """Refuse what `visibility` refuses; for the feature `polygon`, a goal view in which three or more markers span no area."""
         self.visibility.check(goal)
         if isinstance(self.feature, Polygon) and len(points) > 2:
             require_area(goal)
 
     def init(self, goal: Goal) -> IBVSMemory:
-        """No command given yet."""
+        """No command so far."""
         return IBVSMemory()
 
     def markers_needed(self, basis: Array) -> int:
-        """How many markers must be seen for as many equations as the robot has motions (6, n)."""
+        """As many markers as give one equation for each of the robot's motions, basis (6, n)."""
+        # A polygon's two rows belong to the set (rows_per_marker 0): no number of markers gives it more.
         rows = 0 if self.redundant else self.feature.rows_per_marker
         return max(self.feature.least_markers, math.ceil(basis.shape[1] / rows) if rows else 0)
 
     def step(self, memory: IBVSMemory, observation: Observation, goal: Goal, basis: Array) -> tuple[IBVSMemory, Command]:
-        """One frame, with the markers that are seen; rest when they are too few for the robot's motions."""
+        """One frame with the visible markers; rest when they are too few for the robot's motions."""
         rows, before = usable_rows(observation, self.feature.inputs, self.markers_needed(basis)), memory.followed
         if isinstance(rows, str):
             return self._without(memory, observation, basis, rows)
         e, L = self.equations(*self._taken(observation, rows), *self._taken(goal, rows))
-        solved = least_squares(L @ basis, e)  # pinv(L B) e
+        solved = least_squares(L @ basis, e)  # the remaining motion x = pinv(L B) e
         change = self._change(before.seen, observation, self.markers_needed(basis)) if before.seen and before.trend else None
-        followed, solved, aside = feedforward_term(self.feedforward, before, observation, solved, change, basis)
-        u = -self.gain.at(solved) * solved - aside
+        followed, solved, tau = feedforward_term(self.feedforward, before, observation, solved, change, basis)
+        u = -self.gain.at(solved) * solved - tau
         if goal.twist is not None:
-            u = u + least_squares(basis, goal.twist)
+            u = u + least_squares(basis, goal.twist)  # u*, as far as the robot's motions allow
         if self.smooth_start_s > 0:
             u0 = u if memory.u0 is None else memory.u0
             memory = replace(memory, t0=observation.t if memory.u0 is None else memory.t0, u0=u0)
@@ -118,31 +119,33 @@ class IBVS(LawBase):
             u = u + self.visibility.push(observation, goal, basis)
         command = self.limits.command(u, basis)
         if self.redundant:
+            # Of L B, in the robot's motions, and from there as camera twists.
             command = replace(command, null_space=basis @ null_space(L @ basis))
         return replace(memory, followed=anti_windup(before, followed, command)), command
 
     def _change(self, before: Observation, now: Observation, needed: int) -> Change | None:
-        """How the feature changed between two pictures, by the markers that both have."""
+        """Change of the feature between two frames, from the markers that are usable in both; None if they are too few."""
         what, distance = self.feature.inputs
         both = np.isfinite(getattr(before, what)[:, 0]) & np.isfinite(getattr(now, what)[:, 0])
         both &= np.isfinite(getattr(before, distance)) & np.isfinite(getattr(now, distance))
         if np.count_nonzero(both) < needed:
             return None
         (x0, d0), (x1, d1) = ((getattr(o, what)[both], getattr(o, distance)[both]) for o in (before, now))
+        # The mean of both matrices: with one of them, the change is explained to first order in the motion only.
         L = (self.feature.interaction(x0, d0) + self.feature.interaction(x1, d1)) / 2
         return Change(self.feature.error(self.feature.measure(x1), self.feature.measure(x0)), L)
 
     def _without(self, memory: IBVSMemory, seen: Observation, basis: Array, why: str) -> tuple[IBVSMemory, Command]:
-        """A frame without sight: rest; a target that moved is followed by its own motion for a while."""
-        gone_on = coast(self.feedforward, memory.followed, seen, basis)
-        if gone_on is None:
-            return IBVSMemory(), Command.rest(basis, why)
-        followed, u = gone_on
+        """A frame without enough markers: coast with the estimated motion of the target, else rest."""
+        coasting = coast(self.feedforward, memory.followed, seen, basis)
+        if coasting is None:
+            return IBVSMemory(), Command.rest(basis, why)  # from rest the next command starts smoothly again
+        followed, u = coasting
         return replace(memory, followed=followed), replace(self.limits.command(u, basis), rest_reason=why)
 
     @property
     def state_size(self) -> int:
-        """The first command, where the law starts smoothly."""
+        """The first command (6,) for a smooth start, else none."""
         return 6 if self.smooth_start_s > 0 else 0
 
     def step_batch(self, memory: Array, views: Views, goal: Goal) -> tuple[Array, Array]:
@@ -156,12 +159,12 @@ class IBVS(LawBase):
         return memory, self.limits.within(u)
 
     def _taken(self, sight: Observation | Goal | Views, rows: Rows) -> tuple[Array, Array]:
-        """The two inputs of the feature, of those markers."""
+        """The two inputs of the feature, of the selected markers."""
         what, distance = self.feature.inputs
         return getattr(sight, what)[rows], getattr(sight, distance)[rows]
 
     def equations(self, x: Array, distance: Array, goal_x: Array, goal_distance: Array) -> tuple[Array, Array]:
-        """The error e (..., rows) and its matrix L (..., rows, 6), or (rows, 6) where that is the goal's.
+        """The error e (..., rows) and its interaction matrix L (..., rows, 6), or (rows, 6) for `desired`.
 
         Args:
             x, distance: the feature's inputs in views of N markers, e.g. xy (..., N, 2) and depth (..., N) [m].

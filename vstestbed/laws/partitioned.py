@@ -25,40 +25,41 @@ from vstestbed.laws.visibility import Visibility
 XY, Z = [0, 1, 3, 4], [2, 5]
 """Columns of the twist: across the optical axis, and along and about it."""
 _POINT = Point()
+# An angle is known up to a full turn: the candidates beside it are the same orientation, the other way round.
 _ROUND = 2 * np.pi * np.array([-1.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True, slots=True)
 class PartitionedMemory:
-    """The turn about the optical axis still to be made at the last frame [rad], not wrapped; None before the first."""
+    """The remaining rotation about the optical axis at the last frame [rad], not wrapped; None before the first."""
 
     turn: Array | None = None
 
 
 @spec
 class Partitioned(LawBase):
-    """vz and wz by the size and the angle of the markers' polygon, the other four by the points.
+    """Controls vz and wz by the size and the angle of the markers' polygon, the other four by the points.
 
     v_z  = -gain_z e_sigma,  w_z = gain_turn e_angle
     v_xy = pinv(L_xy) (-lambda e - L_z (v_z, w_z))
 
-    e_sigma is positive where the target looks too large: sigma/sigma* - 1 (`ratio`), log(sigma/sigma*) (`log`, that of the
-    depth for a target that faces the camera) or sigma - sigma* (`difference`, of normalised coordinates); times gain_z it is
-    metres a second. e_angle is the turn of the longest segment between two markers from its goal.
+    e_sigma is positive where the target appears too large: sigma/sigma* - 1 (`ratio`), log(sigma/sigma*) (`log`: that of the
+    depth for a target that faces the camera) or sigma - sigma* (`difference`, of normalised coordinates). e_angle is the angle of the
+    longest segment between two markers from its direction at the goal.
 
-    Errata. Print (Corke 2017, section 16.1) has w_z = gain (theta* - theta), which is unstable: theta_dot = -w_z. In its
-    eq. 16.2 the gain also multiplies L_z (v_z, w_z), so that the points are told of a fraction of the motion along and
-    about the axis that is really made. A test holds both against finite differences.
+    Errata. Corke 2017, section 16.1, prints w_z = gain (theta* - theta), which is unstable: theta_dot = -w_z. In its
+    eq. 16.2 the gain also multiplies L_z (v_z, w_z), so that only a fraction of the actual motion along and about the axis is
+    compensated for the points. A test checks both against finite differences.
 
     Args:
         gain: lambda [1/s], of the points.
-        gain_z, gain_turn: of the size and of the angle [1/s].
-        sigma: which error of the size.
-        turn_limits_deg: how far the camera may turn about its axis in all, seen from where it began (low, high) [deg]: the
-            shorter way that stays between them is taken, even the long way round. Without limits, the shorter way.
-        depth: where Z in L comes from.
+        gain_z: of the size, m/s per unit of e_sigma. gain_turn: of the angle [1/s].
+        sigma: form of the size error.
+        turn_limits_deg: bounds (low, high) [deg] of the camera's rotation about its axis, from its start: the shortest rotation
+            within them is chosen, which may be the longer way round. Without bounds, the shortest.
+        depth: source of Z in L.
         limits: largest speed and rate of the commanded twist.
-        visibility: keeps markers off the picture's border.
+        visibility: repulsive field at the border of the image.
 
     Reference: Corke & Hutchinson 2001, doi:10.1109/70.954764.
     """
@@ -74,27 +75,27 @@ class Partitioned(LawBase):
     visibility: Visibility = Visibility()
 
     def __post_init__(self) -> None:
-        """Refuse limits that leave no way to turn."""
+        """Refuse bounds that exclude the start."""
         if self.turn_limits_deg is not None and not self.turn_limits_deg[0] <= 0 <= self.turn_limits_deg[1]:
             raise ParameterError("turn_limits_deg", "must be [low, high] with low <= 0 <= high", self.turn_limits_deg)
 
     def check(self, points: Array, goal: Goal) -> None:
-        """Refuse fewer than four markers, a goal view without a size (`require_area`), and what `visibility` does.
+        """Refuse fewer than four markers, a goal view without an area (`require_area`), and what `visibility` refuses.
 
-        Three look the same from up to four places: the points' error vanishes at each, and size and angle with it.
+        Three have the same image from up to four poses: there the points' error vanishes, and with it those of size and angle.
         """
         if len(points) < 4:
-            words = f"has {len(points)} markers, and law partitioned needs 4 or more: three look as at the goal from up to four places"
+            words = f"has {len(points)} markers, and law partitioned needs 4 or more: three look as at the goal from up to four poses"
             raise ParameterError("target", words)
         require_area(goal)
         self.visibility.check(goal)
 
     def init(self, goal: Goal) -> PartitionedMemory:
-        """No turn chosen yet."""
+        """No rotation chosen so far."""
         return PartitionedMemory()
 
     def markers_needed(self, basis: Array) -> int:
-        """Three markers span an area: enough to go on with while others are hidden, not to begin with (`check`).
+        """Three span an area: enough while others are hidden for some frames, not enough for a target (`check`).
 
         Raises:
             ParameterError: the robot cannot move its camera in all six directions.
@@ -105,7 +106,7 @@ class Partitioned(LawBase):
         return 3
 
     def step(self, memory: PartitionedMemory, observation: Observation, goal: Goal, basis: Array) -> tuple[PartitionedMemory, Command]:
-        """One frame, with the markers that are seen; rest when they are too few or span no area."""
+        """One frame with the visible markers; rest when they are too few or span no area."""
         rows = usable_rows(observation, self.inputs, self.markers_needed(basis))
         if isinstance(rows, str):
             return memory, Command.rest(basis, rows)
@@ -118,16 +119,18 @@ class Partitioned(LawBase):
         twist = self._twist(xy, observation.depth[rows], goal_xy, along, self.gain_turn * turn)
         if self.visibility.margin_px > 0:
             twist = twist + basis @ self.visibility.push(observation, goal, basis)
+        # After the visibility field, whose push counts within the limits, too.
         twist = twist * (scale := self.limits.scale(twist))
         return PartitionedMemory(turn), Command(u=least_squares(basis, twist), twist=twist, scale=scale)
 
     @property
     def state_size(self) -> int:
-        """The turn still to be made."""
+        """The remaining rotation about the optical axis."""
         return 1
 
     def step_batch(self, memory: Array, views: Views, goal: Goal) -> tuple[Array, Array]:
         """One frame of many runs (see `BatchLaw`)."""
+        # Runs without an area are computed with sigma* instead, and set to NaN (rest) at the end: one batch, no branches.
         sigma, d, sigma_star, d_star = size(views.xy), segments(views.xy), size(goal.xy), segments(goal.xy)
         flat = ~(spans_area(sigma, d) & spans_area(sigma_star, d_star))
         first = np.isnan(memory[:, 0])
@@ -139,24 +142,25 @@ class Partitioned(LawBase):
         return turn[:, None], self.limits.within(twist)
 
     def _twist(self, xy: Array, depth: Array, goal_xy: Array, along: Array, about: Array) -> Array:
-        """Camera twists (..., 6) at xy (..., N, 2) and depth (..., N), with v_z and w_z (...) given."""
+        """Camera twists (..., 6) at xy (..., N, 2) and depth (..., N) [m], for given v_z and w_z (...)."""
         L = _POINT.interaction(xy, depth)
         across = least_squares(L[..., XY], _POINT.error(_POINT.measure(xy), _POINT.measure(goal_xy)))
         twist = np.empty(across.shape[:-1] + (6,))
         twist[..., 2], twist[..., 5] = along, about
+        # The motion along and about the axis moves the points, too; the gain must not multiply this part (see the errata).
         carried = (L[..., Z] @ twist[..., Z, None])[..., 0]
         twist[..., XY] = -self.gain.at(across) * across - least_squares(L[..., XY], carried)
         return twist
 
     def _turn(self, last: Array | None, angle: Array) -> Array:
-        """The turns still to be made (...) [rad]: the way chosen at the first frame, gone on with."""
+        """The remaining rotations (...) [rad], not wrapped: the way round is chosen at the first frame and kept."""
         ways = np.asarray(angle)[..., None] + _ROUND
         if last is None:
             if self.turn_limits_deg is None:
                 return np.asarray(angle)
             low, high = (math.radians(limit) for limit in self.turn_limits_deg)
             beyond = np.maximum(np.maximum(low - ways, ways - high), 0.0)
-            cost = np.abs(ways) + 1e3 * beyond  # the shortest of those that go the least beyond the limits
+            cost = np.abs(ways) + 1e3 * beyond  # of those that exceed the bounds the least, the shortest
         else:
-            cost = np.abs(ways - np.asarray(last)[..., None])
+            cost = np.abs(ways - np.asarray(last)[..., None])  # near a half turn the wrapped angle would change its sign
         return np.take_along_axis(ways, np.argmin(cost, axis=-1, keepdims=True), axis=-1)[..., 0]

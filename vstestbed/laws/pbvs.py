@@ -26,24 +26,24 @@ _TRANSLATIONS = {"cdMc": Translation(pose="cdMc"), "cMcd": Translation(pose="cMc
 class PBVS(LawBase):
     """u = -lambda pinv(L B) e with e = (t - t*, theta u); the camera twist is v = B u.
 
-    The rotation is theta u of R = R_goal_camera; the translation t and its rows of L, with o the target's origin:
-    `cdMc`  t of the camera in the goal's frame,            L_t = [R, 0]: the camera goes straight to its goal;
-    `cMcd`  t of the goal in the camera's frame,            L_t = [-I, [t]x]: the goal comes straight at the camera;
-    `cMo`   t of the target in the camera's frame,          L_t = [-I, [t]x]: the target's origin goes straight to where it is
-    in the goal's frame, so that it stays in view.
-    The pose comes from the markers' pixels and the known target (perspective-n-point); its errors are the law's.
+    The rotation is theta u of R = R_goal_camera; the translation t and its rows of L are one of three:
+    `cdMc`  t of the camera in the goal frame,      L_t = [R, 0]: the camera moves on a straight line to its goal;
+    `cMcd`  t of the goal in the camera frame,      L_t = [-I, [t]x]: the goal moves on a straight line in the camera frame;
+    `cMo`   t of the target in the camera frame,    L_t = [-I, [t]x]: the target's origin moves on a straight line in the camera
+    frame to its place at the goal, so that it stays in view.
+    The pose comes from the markers' pixels and the known target (perspective-n-point); its errors enter the law.
 
-    With `feedforward` a target that moves is followed without lag (`feedforward.py`), for a second also unseen. Its displacement
-    between two pictures is that of the poses, log(T_before T_now^-1), less the camera's own.
+    With `feedforward` a moving target is tracked without lag (`feedforward.py`), for COAST_S also while it is not visible. Its
+    displacement between two frames is that of the poses, log(T_before T_now^-1), less the camera's own.
 
-    Errata. Corke 2017, section 15.1, moves the camera by a share of the pose error at each step, SE3 interpolation, which is
-    `cdMc` in steps of finite length; here it is a velocity, and the robot's dynamics are in between.
+    Errata. Corke 2017, section 15.1, moves the camera by a fraction of the pose error at each step (SE(3) interpolation), which is
+    `cdMc` in finite steps; here the law gives a velocity, and the robot's dynamics lie in between.
 
     Args:
         gain: lambda [1/s].
-        translation: which of the three.
+        translation: `cdMc`, `cMcd` or `cMo`.
         limits: largest speed and rate of the commanded twist.
-        feedforward: what is done about a target that moves.
+        feedforward: the feedforward term for a moving target.
 
     Reference: Chaumette & Hutchinson 2006, eqs 15-20, doi:10.1109/MRA.2006.250573.
     """
@@ -60,35 +60,35 @@ class PBVS(LawBase):
         return ("T_camera_target", *inputs_of(self.feedforward))
 
     def init(self, goal: Goal) -> Followed:
-        """Nothing known of the target's motion."""
+        """The target's motion is unknown."""
         return NOTHING
 
     def markers_needed(self, basis: Array) -> int:
-        """Three markers leave a pose that continues the last one."""
+        """Three: with as few the pose has up to four solutions, and the observer takes the one next to the last pose."""
         return 3
 
     def step(self, memory: Followed, observation: Observation, goal: Goal, basis: Array) -> tuple[Followed, Command]:
-        """One frame; rest where no pose can be told."""
+        """One frame; rest where no pose is known."""
         T = observation.T_camera_target
         if T is None or np.count_nonzero(observation.seen) < self.markers_needed(basis):
             return self._without(memory, observation, basis, NO_POSE if T is None else TOO_FEW)
         e, L = self.equations(T, goal.T_camera_target)
         solved = least_squares(L @ basis, e)
-        followed, solved, aside = feedforward_term(self.feedforward, memory, observation, solved, _change(memory.seen, T), basis)
-        command = self.limits.command(-self.gain.at(solved) * solved - aside, basis)
+        followed, solved, tau = feedforward_term(self.feedforward, memory, observation, solved, _change(memory.seen, T), basis)
+        command = self.limits.command(-self.gain.at(solved) * solved - tau, basis)
         return anti_windup(memory, followed, command), command
 
     def _without(self, memory: Followed, seen: Observation, basis: Array, why: str) -> tuple[Followed, Command]:
-        """A frame without a pose: rest, or on with the target's own motion."""
-        gone_on = coast(self.feedforward, memory, seen, basis)
-        if gone_on is None:
+        """A frame without a pose: coast with the estimated motion of the target, else rest."""
+        coasting = coast(self.feedforward, memory, seen, basis)
+        if coasting is None:
             return NOTHING, Command.rest(basis, why)
-        followed, u = gone_on
+        followed, u = coasting
         return followed, replace(self.limits.command(u, basis), rest_reason=why)
 
     @property
     def state_size(self) -> int:
-        """Nothing."""
+        """No state."""
         return 0
 
     def step_batch(self, memory: Array, views: Views, goal: Goal) -> tuple[Array, Array]:
@@ -98,19 +98,20 @@ class PBVS(LawBase):
         return memory, self.limits.within(-self.gain.at(solved) * solved)
 
     def equations(self, T_camera_target: Array, T_goal_target: Array) -> tuple[Array, Array]:
-        """The error (..., 6) and L (..., 6, 6) at poses of the target, (..., 4, 4) in the camera's frame and (4, 4) in the goal's."""
+        """The error (..., 6) and L (..., 6, 6) for poses of the target in the camera frame (..., 4, 4) and the goal frame (4, 4)."""
         T_goal_camera = T_goal_target @ inverse(T_camera_target)
-        by_itself = T_camera_target if self.translation == "cMo" else T_goal_camera
-        seen = inverse(T_goal_camera) if self.translation == "cMcd" else by_itself
         t, R = _TRANSLATIONS[self.translation], T_goal_camera[..., :3, :3]
-        s_star = T_goal_target[:3, 3] if self.translation == "cMo" else np.zeros(3)
+        if self.translation == "cMo":
+            pose, s_star = T_camera_target, T_goal_target[:3, 3]
+        else:
+            pose, s_star = inverse(T_goal_camera) if self.translation == "cMcd" else T_goal_camera, np.zeros(3)
         turn = _THETA_U.measure(R)
-        e = np.concatenate([t.error(t.measure(seen), s_star), turn], axis=-1)
-        return e, np.concatenate([t.interaction(seen), _THETA_U.interaction_at(turn)], axis=-2)
+        e = np.concatenate([t.error(t.measure(pose), s_star), turn], axis=-1)
+        return e, np.concatenate([t.interaction(pose), _THETA_U.interaction_at(turn)], axis=-2)
 
 
 def _change(before: Observation | None, T_now: Array) -> Change | None:
-    """How the pose (4, 4) changed since the last picture, as a displacement of the camera against the target, (6,)."""
+    """Change of the pose (4, 4) since the last frame, as a displacement of the camera relative to the target (6,); here L = I."""
     if before is None or before.T_camera_target is None:
         return None
     return Change(log(before.T_camera_target @ inverse(T_now)), np.eye(6))

@@ -1,4 +1,4 @@
-"""The pose controller: a vehicle that cannot move sideways drives to a place, told by its landmarks and its compass."""
+"""The pose controller: a vehicle that cannot move sideways drives to a goal pose, localised by landmarks and a compass."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.base import Command, LawBase, TwistLimits
 from vstestbed.laws.polar_pose import PolarGains, direction_to, polar, polar_law
 
-NO_PLACE = "the place cannot be told"
+NO_PLACE = "the vehicle's place cannot be estimated"
 
 
 @dataclass(frozen=True, slots=True)
 class PoseMemory:
-    """Forward (1) or reverse (-1), chosen at the first place known (0 before), and whether the goal has been reached."""
+    """Forward (1) or reverse (-1), chosen at the first known place (0 before), and whether the goal has been reached."""
 
     direction: int = 0
     arrived: bool = False
@@ -31,16 +31,17 @@ class PoseMemory:
 class PoseController(LawBase):
     """v = k_rho rho,  w = k_alpha alpha + k_beta beta, about the goal, both scaled together into the speed limit.
 
-    The equations, their stability and their source are in `laws.polar_pose`. Forward or reverse is chosen at the start, by
-    which of front and rear faces the goal, or told. Nearer than `rest_m` the vehicle stands still for good; also where it has
-    just missed the goal and has it abeam within `pass_m`, since the law would take it round for another try.
+    The equations, their stability and their source are in `laws.polar_pose`. With `direction: auto` the vehicle drives forward or in
+    reverse, depending on which end faces the goal at the start. Nearer than `rest_m` it stands still for good; also within
+    `pass_m` once the goal is abeam or behind, where it has just been missed and the law would drive round for another attempt.
 
     Args:
         k_rho, k_alpha, k_beta: gains [1/s]; the textbook's by default. 1, 4, -2.5 suit starts from anywhere better.
         direction: `auto`, `forward` or `reverse`.
-        rest_m, pass_m: how near counts as there [m]; rest_m under `stop.converged.position_m`, which would not be reached.
+        rest_m: distance from the goal at which the vehicle stops [m]; must be under `stop.converged.position_m`.
+        pass_m: distance within which a goal that is not ahead counts as reached [m].
         speed_mps: largest speed [m/s].
-        depth: where the place comes from: `pnp` of three or more landmarks; `floor` of one or two as well.
+        depth: source of the vehicle's place: `pnp` of three or more landmarks, or `floor`, for which two suffice.
         limits: largest speed and rate of the commanded camera twist.
 
     References: Astolfi 1999, doi:10.1115/1.2802429; Corke 2017, Robotics, Vision & Control, eqs 4.10-4.13 and section 16.4.2.
@@ -60,31 +61,31 @@ class PoseController(LawBase):
     limits: TwistLimits = TwistLimits()
 
     def __post_init__(self) -> None:
-        """Refuse gains with which the loop is unstable."""
+        """Refuse gains that make the loop unstable."""
         try:
-            self.gains  # noqa: B018 - checks them
+            self.gains  # noqa: B018 - the constructor of PolarGains checks them
         except ParameterError as error:
             raise ParameterError(f"k_{error.field}", error.problem, error.found) from None
 
     @property
     def gains(self) -> PolarGains:
-        """The three together."""
+        """The gains of the polar law."""
         return PolarGains(self.k_rho, self.k_alpha, self.k_beta)
 
     def markers_needed(self, basis: Array) -> int:
-        """Three landmarks for a pose; with the floor known, two tell the place."""
+        """Three landmarks for a pose; on a known floor two determine the place."""
         return 3 if isinstance(self.depth, PnP) else 2
 
     def init(self, goal: Goal) -> PoseMemory:
-        """Nothing chosen yet."""
+        """No direction chosen so far."""
         return PoseMemory()
 
     def step(self, memory: PoseMemory, observation: Observation, goal: Goal, basis: Array) -> tuple[PoseMemory, Command]:
-        """One frame; basis (6, n) has the speed ahead as its first column and the turn as its last."""
+        """One frame; the first column of basis (6, n) is the forward motion, the last one the rotation."""
         place, there = observation.place, goal.place
         if place is None or there is None:
             return memory, Command.rest(basis, NO_PLACE)
-        direction = memory.direction or self._direction(place, there)
+        direction = memory.direction or self._direction(place, there)  # kept: a new choice near the goal could alternate
         arrived = memory.arrived or self._there(place, there, direction)
         memory = PoseMemory(direction, arrived)
         u = np.zeros(basis.shape[1])
@@ -99,4 +100,5 @@ class PoseController(LawBase):
 
     def _there(self, place: Array, there: Array, direction: int) -> bool:
         rho, alpha, _ = polar(place, there, np.array(direction))
+        # |alpha| > 90 degrees: the goal is no longer ahead in the driving direction.
         return bool(rho < self.rest_m or (rho < self.pass_m and abs(alpha) > np.pi / 2))

@@ -1,4 +1,4 @@
-"""Pure pursuit: a vehicle keeps a gap behind a point that another one carries."""
+"""Pure pursuit: a vehicle keeps a gap to a target on another vehicle."""
 
 from __future__ import annotations
 
@@ -20,8 +20,11 @@ from vstestbed.laws.select import NO_POSE, TOO_FEW
 
 @dataclass(frozen=True, slots=True)
 class PursuitMemory:
-    """Of the last frame with the target in sight: its time [s], the gap [m], the way by odometry (3,), the order u (n,), and
-    the target's speed along the line of sight [m/s], filtered.
+    """State at the last frame in which the target was visible.
+
+    Attributes:
+        t: time of exposure [s]. gap: distance of the target [m]. odometry: (x, y, heading) by the encoders (3,) [m, rad].
+        u: the command (n,). speed: filtered speed of the target along the line of sight [m/s].
     """
 
     t: float = math.nan
@@ -35,17 +38,17 @@ class PursuitMemory:
 class Pursuit(LawBase):
     """v = v_target + lambda (d - d*),  w = v kappa,  kappa = 2 y / d^2,  with (x, y) the target on the floor and d its distance.
 
-    kappa is the curvature of the arc that leads from the vehicle, tangentially, to the target. The target's own speed along
-    the line of sight is told by how the gap changes and by the vehicle's encoders, v_target = d_dot + v cos(alpha), filtered
-    with the time constant `filter_s`: so the gap has no steady error behind a steady leader. While the target is out of sight
-    for less than `coast_s` the last order stands. The vehicle does not reverse: too near, it waits.
+    kappa is the curvature of the arc from the vehicle, tangential to its heading, to the target. The target's speed along the line
+    of sight is estimated from the change of the gap and from the vehicle's encoders, v_target = d_dot + v cos(alpha), filtered with
+    the time constant `filter_s`: so behind a leader of constant speed the gap has no steady error. While the target is not
+    visible for less than `coast_s`, the last command is repeated. The vehicle does not reverse: where it is too near, it waits.
 
     Args:
         gain: lambda [1/s].
         filter_s: time constant of the estimate of the target's speed [s].
-        coast_s: how long the last order stands without sight [s].
-        depth: where the target's distance comes from; `floor` needs one or two points of known height, `pnp` three or more. What is
-            pursued is the target's origin; a single point tells its own place and no heading, and so must be over the origin.
+        coast_s: how long the last command is repeated without a visible target [s].
+        depth: source of the target's distance; `floor` needs one or two points of known height, `pnp` three or more. The target's
+            origin is pursued; a single point gives its own place but no heading, and so must lie above the origin.
         limits: largest speed and rate of the commanded twist.
 
     References: Coulter 1992, Implementation of the pure pursuit path tracking algorithm, CMU-RI-TR-92-01; Corke 2017,
@@ -62,15 +65,15 @@ class Pursuit(LawBase):
     limits: TwistLimits = TwistLimits()
 
     def markers_needed(self, basis: Array) -> int:
-        """With the floor known one tells where it is; a pose without it needs three."""
+        """On a known floor one marker determines its own place; a pose without the floor needs three."""
         return 3 if isinstance(self.depth, PnP) else 1
 
     def init(self, goal: Goal) -> PursuitMemory:
-        """Nothing seen yet."""
+        """Nothing observed so far."""
         return PursuitMemory()
 
     def step(self, memory: PursuitMemory, observation: Observation, goal: Goal, basis: Array) -> tuple[PursuitMemory, Command]:
-        """One frame; basis (6, n) has the speed ahead as its first column and the turn as its last."""
+        """One frame; the first column of basis (6, n) is the forward motion, the last one the rotation."""
         T, way = observation.T_camera_target, observation.odometry
         if T is None or way is None or goal.gap_m is None or not observation.seen.any():
             why = NO_POSE if observation.seen.any() else TOO_FEW
@@ -82,13 +85,15 @@ class Pursuit(LawBase):
         speed = self._target_speed(memory, observation.t, gap, way, math.atan2(y, x))
         v = max(speed + self.gain * (gap - goal.gap_m), 0.0)
         u = np.zeros(basis.shape[1])
-        u[0], u[-1] = v, v * 2 * y / max(gap, 1e-3) ** 2
+        u[0], u[-1] = v, v * 2 * y / max(gap, 1e-3) ** 2  # the bound: at the target itself the curvature is infinite
         return PursuitMemory(observation.t, gap, way, u, speed), self.limits.command(u, basis)
 
     def _target_speed(self, memory: PursuitMemory, t: float, gap: float, way: Array, bearing: float) -> float:
+        """The filtered speed of the target along the line of sight [m/s]: v_target = d_dot + v cos(alpha)."""
         if memory.odometry is None or t <= memory.t:
-            return 0.0
+            return 0.0  # the first frame has no difference: the leader is taken to stand, which is the safe side
         dt = t - memory.t
         own = float(relative(memory.odometry, way)[0]) / dt
         measured = (gap - memory.gap) / dt + own * math.cos(bearing)
+        # First-order low-pass, discretised exactly, so that a frame that comes late weighs more.
         return memory.speed + (1 - math.exp(-dt / self.filter_s)) * (measured - memory.speed)

@@ -1,4 +1,4 @@
-"""pinv(A) b, the one way in which laws turn feature errors into motion."""
+"""pinv(A) b: least squares for one problem and for many, used by all laws to turn feature errors into motion."""
 
 from __future__ import annotations
 
@@ -11,23 +11,24 @@ from numpy.typing import NDArray
 from vstestbed.core.geometry import Array
 
 PINV_RCOND = 1e-6
-"""Cut-off of the pseudo-inverse: singular values under about this share of the largest count as zero:
-a direction that pixels do not tell is not moved in."""
+"""Cut-off of the pseudo-inverse: singular values under about this share of the largest count as zero, so that the camera does
+not move in directions that the features do not observe."""
 BLOCK = 32
-"""Columns that LAPACK treats at a time; what it needs for a handful."""
+"""Block size for LAPACK's workspace, (BLOCK * (n + 1)) numbers: ample for the six columns of a law."""
 DEPENDENT = PINV_RCOND**2
-"""Of many problems at once: a column of whose square less than this share of the mean is left beside the columns before it says
-nothing new, and its x is 0. That is the cut-off, squared as the normal equations are."""
+"""For many problems at once: a pivot under this share of the mean diagonal marks a column that depends on those before it; its x
+is 0. It is the cut-off squared, because the normal equations square the singular values."""
 STILL = 1e-12
-"""Of many: A^T b under this share of |A| |b| is zero but for rounding, and so is x."""
+"""For many problems: A^T b under this share of |A| |b| is rounding error of zero, and so x is 0."""
 
 
 def least_squares(A: Array, b: Array) -> Array:
-    """The shortest x (..., n) that minimises |A x - b|, for A (..., m, n) and b (..., m).
+    """The x (..., n) of least norm that minimises |A x - b|, for A (..., m, n) and b (..., m).
 
-    One problem by LAPACK's complete orthogonal factorisation, which takes a third of the time of a singular value
-    decomposition; the rank is told from the factors' estimated condition. Many by their normal equations, and many b of
-    one A (m, n) by its pseudo-inverse. (Of many, an A whose rank is under both m and n gives a least x among those of some columns.)
+    One problem is solved by LAPACK's complete orthogonal factorisation (gelsy), which takes a third of the time of a singular value
+    decomposition; the rank follows from the estimated condition of the factors. Many problems are solved by their normal equations,
+    and many b of one A (m, n) by its pseudo-inverse. (Among many, where the rank of A is under both m and n, x solves the problem
+    with the dependent columns left out, and is not the one of least norm.)
 
     Reference: Golub & Van Loan 2013, Matrix Computations, sections 5.5, 5.6 and 4.2.5 (Cholesky).
     """
@@ -37,34 +38,35 @@ def least_squares(A: Array, b: Array) -> Array:
         return _many(A.reshape(-1, *A.shape[-2:]), b.reshape(-1, b.shape[-1])).reshape(*A.shape[:-2], A.shape[-1])
     m, n = A.shape
     if not (m and n):
-        return np.zeros(n)
+        return np.zeros(n)  # LAPACK refuses empty matrices
     wide = np.zeros((max(m, n), 1))
-    wide[:m, 0] = b
+    wide[:m, 0] = b  # gelsy takes b of m rows and returns x of n rows in one array
     _, x, *_ = _gelsy()(A, wide, np.zeros((n, 1), np.int32), PINV_RCOND, BLOCK * (n + 1))
     return x[:n, 0]
 
 
 def _many(A: Array, b: Array) -> Array:
-    """Least squares of A (M, m, n) and b (M, m), each operation over all M; with fewer equations than unknowns the shortest x.
+    """Least squares of A (M, m, n) and b (M, m), vectorised over M; the x of least norm for fewer equations than unknowns.
 
-    A^T A x = A^T b, or A A^T y = b with x = A^T y, by Cholesky's C C^T, elements in loops and problems in arrays: LAPACK
-    would be called M times.
+    A^T A x = A^T b, or A A^T y = b with x = A^T y, by Cholesky factorisation with loops over the few elements and arrays over the
+    problems: LAPACK would be called M times.
     """
     right = np.ascontiguousarray(b.T)
-    if A.shape[1] < A.shape[2]:
+    if A.shape[1] < A.shape[2]:  # fewer equations than unknowns: A^T A would be singular
         rows = np.ascontiguousarray(A.transpose(1, 2, 0))
         return np.asarray(np.einsum("mik,mk->ki", rows, _cholesky(rows, right.copy(), np.zeros(len(b)))))
-    columns = np.ascontiguousarray(A.transpose(2, 1, 0))
+    columns = np.ascontiguousarray(A.transpose(2, 1, 0))  # the problems last, where numpy's loops run
     x = np.einsum("imk,mk->ik", columns, right)
     return _cholesky(columns, x, STILL**2 * _dot(right, right)).T
 
 
 def _cholesky(columns: Array, x: Array, still2: Array) -> Array:
-    """What solves C^T C x = the given x (n, M), which it overwrites: the columns (n, m, M) are C's.
+    """The solution of C^T C x = b, given b (n, M) as `x`, which is overwritten; `columns` (n, m, M) are those of C.
 
     Right sides whose square is under still2 (M,) times that of C count as zero.
     """
     n = len(columns)
+    # Once factorised, G[i][i] holds the reciprocal of the pivot, so that the substitutions multiply; 0 for a dependent column.
     G = [[_dot(columns[i], columns[j]) for j in range(i + 1)] for i in range(n)]
     size2 = np.sum([G[i][i] for i in range(n)], axis=0)
     x[:, _dot(x, x) < still2 * size2] = 0.0
@@ -93,7 +95,7 @@ def _dot(a: Array, b: Array) -> NDArray[np.float64]:
 
 
 def null_space(A: Array) -> Array:
-    """Orthonormal columns (n, k) that A (m, n) takes to nothing: those that `least_squares` leaves alone."""
+    """Orthonormal basis (n, k), as columns, of the null space of A (m, n), with the cut-off of `least_squares`."""
     _, s, Vt = np.linalg.svd(A)
     rank = int(np.count_nonzero(s > PINV_RCOND * s[0])) if len(s) else 0
     return np.asarray(Vt[rank:].T, dtype=float)
@@ -101,6 +103,6 @@ def null_space(A: Array) -> Array:
 
 @cache
 def _gelsy() -> Any:
-    from scipy.linalg import get_lapack_funcs  # .2 s that listing and checking scenarios can do without
+    from scipy.linalg import get_lapack_funcs  # here: the import takes 0.2 s, which listing and checking scenarios need not pay
 
     return get_lapack_funcs("gelsy", dtype=np.float64)

@@ -1,4 +1,4 @@
-"""Many views at once: what a batch of ideal cameras sees, with the names of an Observation's fields."""
+"""Views of a batch of ideal cameras, with the field names of an Observation, and the interface of laws that take them."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from vstestbed.features.observation import Goal
 
 @dataclass(frozen=True)
 class Views:
-    """What M cameras see at one instant of the same N markers, all of them seen by each.
+    """M views of the same N markers at one instant; every camera sees all of them.
 
     Attributes:
         t: time [s].
-        p: the markers in the camera's frame (M, N, 3) [m]. T_camera_target: poses (M, 4, 4).
-        goal: the goal view of these markers. depth_from: where depth comes from; a pose or the oracle tells it exactly.
+        p: the markers in the camera frame (M, N, 3) [m]. T_camera_target: poses (M, 4, 4).
+        goal: the goal view of these markers. depth_from: the source of depth; `pnp` and `oracle` give the true depth.
     """
 
     t: float
@@ -36,7 +36,7 @@ class Views:
 
     @cached_property
     def depth(self) -> Array:
-        """Depth of each as the law knows it (M, N) [m]."""
+        """Depth z of each marker as known to the law (M, N) [m]."""
         return self._known(self.p[..., 2], self.goal.depth)
 
     @cached_property
@@ -46,12 +46,12 @@ class Views:
 
     @cached_property
     def range(self) -> Array:
-        """Distance of each as the law knows it (M, N) [m]."""
+        """Distance of each marker as known to the law (M, N) [m]."""
         return self._known(self._reach, self.goal.range)
 
     @cached_property
     def _reach(self) -> Array:
-        return np.sqrt(np.einsum("mni,mni->mn", self.p, self.p))
+        return np.sqrt(np.einsum("mni,mni->mn", self.p, self.p))  # the true distance, whatever `depth_from` says
 
     def _known(self, true: Array, at_goal: Array) -> Array:
         match self.depth_from:
@@ -65,16 +65,18 @@ class Views:
 
 @runtime_checkable
 class BatchLaw(Protocol):
-    """A law that can also fly a batch: by the equations of its `step`, which are written for leading axes."""
+    """A law that can also control a batch, by the equations of its `step` with leading axes."""
 
     @property
     def state_size(self) -> int:
-        """How many numbers k a run's memory has."""
+        """The number k of state variables of a run."""
         ...
 
     def step_batch(self, memory: Array, views: Views, goal: Goal) -> tuple[Array, Array]:
-        """One frame of M runs: the next memory (M, k), and the camera twists (M, 6); NaN where the law orders rest.
+        """One frame of M runs: the next memory (M, k), and the camera twists (M, 6), NaN where the law orders rest.
 
-        The memory is NaN before the first frame. `goal` is of the markers in `views`.
+        Args:
+            memory: the state (M, k); NaN before the first frame.
+            views: the current views. goal: the goal view of the same markers.
         """
         ...

@@ -1,4 +1,4 @@
-"""A repulsion field at the picture's border, for every image-based law."""
+"""A repulsive potential at the border of the image, for all image-based laws."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ from vstestbed.laws.select import usable_rows
 from vstestbed.laws.solve import least_squares
 
 NEAREST = 0.2
-"""The field grows no more nearer to the border than this share of the margin."""
+"""Least distance to the border, as a share of the margin, that enters the field: at the border itself the potential is infinite."""
 STEP = 1e-6
-"""A lens's picture is differentiated over motions of this size [m, rad]."""
+"""Step of the finite differences by which a lens is differentiated [m, rad]."""
 
 
 @spec
 class Visibility:
-    """Markers within a margin of the picture's border are pushed inwards.
+    """Markers within a margin of the border of the image are pushed inwards.
 
-    The border: the picture's sides, for fisheye and catadioptric lenses also the image circle (and a mirror's blind middle).
+    The border is that of the image; for fisheye and catadioptric lenses also the image circle (and the blind spot of a mirror).
 
     With d the distance of a marker to a border, d0 the margin and x = d/d0, the field is the negative gradient of the
-    potential (1/x - 1)^2 / 2: the marker's image is to move inwards at  f = strength (1/x - 1)/x^2  [px/s], nothing beyond
-    the margin; the camera makes as much of it as it can: u = pinv(L B) f with the rows of the pixels concerned. One marker at the border
-    pans the camera; all of them, as under a large rotation, make it back off.
+    potential (1/x - 1)^2 / 2: the desired image velocity inwards is  f = strength (1/x - 1)/x^2  [px/s], zero beyond the margin. The
+    camera follows it in the least-squares sense, u = pinv(L B) f with the rows of the pixels in the margin. One marker at the border
+    pans the camera; all of them, as in a large rotation, make it retreat.
 
     Args:
         margin_px: d0 [px]; 0 switches the field off.
-        strength_pxps: speed at which the field pushes half a margin off the border, over 4 [px/s].
+        strength_pxps: a quarter of the speed of the field at half the margin (x = 1/2) [px/s].
 
     Reference: Corke & Hutchinson 2001, section IV, doi:10.1109/70.954764 (the potential, there for translation along the
     optical axis only).
@@ -44,26 +44,27 @@ class Visibility:
     strength_pxps: Annotated[float, Gt(0)] = 20.0
 
     def check(self, goal: Goal) -> None:
-        """Refuse a goal with a marker inside the margin: the field would hold the camera off it.
+        """Refuse a goal with a marker inside the margin: the field would keep the camera away from it.
 
         Raises:
-            ParameterError: one is, or the camera's picture has no border.
+            ParameterError: a marker of the goal view is inside the margin, or the image has no border.
         """
         if self.margin_px == 0:
             return
         if len(goal.camera.panels) > 1:
-            words = "must be 0 with a camera that sees all round: its picture has no border to keep off"
+            words = "must be 0 with a camera that sees all round: its image has no border"
             raise ParameterError("law.visibility.margin_px", words, self.margin_px)
         nearest = goal.camera.borders(goal.uv)[0].min(axis=1)
         marker = int(nearest.argmin())
         if nearest[marker] <= self.margin_px:
-            words = f"reaches marker {marker} of the goal view, {nearest[marker]:.4g} px from the picture's border, and would hold it off"
-            raise ParameterError("law.visibility.margin_px", f"{words} its goal; use less, or a goal farther back", self.margin_px)
+            words = f"reaches marker {marker} of the goal view, {nearest[marker]:.4g} px from the border of the image, and would keep it"
+            raise ParameterError("law.visibility.margin_px", f"{words} off its goal; use less, or a goal farther back", self.margin_px)
 
     def push(self, observation: Observation, goal: Goal, basis: Array) -> Array:
-        """The motion (n,) that keeps markers off the border; zero where none is near it. `goal` knows the lens."""
+        """The additional motion (n,) [m/s, rad/s] that drives markers off the border; zero if none is near. `goal` has the lens."""
         nothing = np.zeros(basis.shape[1])
         around = observation.ray is not None and observation.range is not None
+        # Rays where the law has them: points beside or behind a wide lens have no xy.
         rows = usable_rows(observation, ("ray", "range") if around else ("xy", "depth"), 1)
         if isinstance(rows, str):
             return nothing
@@ -75,14 +76,14 @@ class Visibility:
         return least_squares(L.reshape(-1, 6) @ basis, speed[near].ravel())
 
     def _inwards(self, camera: Camera, uv: Array) -> Array:
-        """Wanted speed of pixels uv (N, 2) in the image [px/s], shape (N, 2)."""
+        """Desired image velocity of pixels uv (N, 2), shape (N, 2) [px/s]."""
         distance, inwards = camera.borders(uv)
         x = np.clip(distance / self.margin_px, NEAREST, 1.0)
         return np.einsum("nb,nbk->nk", self.strength_pxps * (1 / x - 1) / x**2, inwards)
 
 
 def _points(observation: Observation) -> Array:
-    """Where the markers are in the camera's frame as far as the law knows, shape (N, 3) [m]."""
+    """The markers in the camera frame by the law's own depths or ranges, shape (N, 3) [m]."""
     if observation.ray is not None and observation.range is not None:
         return observation.ray * observation.range[:, None]
     xy = observation.xy
@@ -90,7 +91,7 @@ def _points(observation: Observation) -> Array:
 
 
 def pixel_interaction(camera: Camera, p: Array) -> Array:
-    """L (N, 2, 6) of the pixels of points p (N, 3) [m] in any lens, uv_dot = L v, by differences over p_dot = -v - w x p."""
+    """L (N, 2, 6) of the pixels of points p (N, 3) [m] in any lens, uv_dot = L v, by central differences along p_dot = -v - w x p."""
     flow = np.concatenate([np.broadcast_to(-np.eye(3)[:, None], (3, len(p), 3)), -np.cross(np.eye(3)[:, None], p)])
     L = (camera.project(p + STEP * flow) - camera.project(p - STEP * flow)) / (2 * STEP)
-    return np.nan_to_num(np.moveaxis(L, 0, -1))  # not a number: at the very rim of what the lens sees
+    return np.nan_to_num(np.moveaxis(L, 0, -1))  # NaN: at the rim of the field of view, where a step leaves it

@@ -1,4 +1,4 @@
-"""A scenario's YAML: read with every mistake named at once (file, line, column, field), written with every default."""
+"""Scenario files: reading, with all mistakes reported at once (file, line, column, field), and writing, with all defaults."""
 
 from __future__ import annotations
 
@@ -59,13 +59,14 @@ def load(name: str | Path, overrides: Mapping[str, object] | None = None, seed: 
 
 
 def text_of(path: Path) -> str:
-    """What a UTF-8 file holds; a ScenarioError says why it cannot be read."""
+    """The text of a UTF-8 file; ScenarioError where it cannot be read."""
     try:
+        # Bytes first: the position of a bad byte is its line and column only while nothing is decoded.
         raw = path.read_bytes()
     except OSError as error:
         raise ScenarioError([Mistake(str(path), "", f"cannot be read ({error.strerror})")]) from None
     try:
-        return raw.decode("utf-8-sig")
+        return raw.decode("utf-8-sig")  # editors on Windows begin a file with a byte order mark
     except UnicodeDecodeError as error:
         line = raw.count(b"\n", 0, error.start) + 1
         col = error.start - (raw.rfind(b"\n", 0, error.start) + 1) + 1
@@ -74,7 +75,7 @@ def text_of(path: Path) -> str:
 
 
 def parse(text: str, file: str, overrides: Mapping[str, object] | None = None, seed: int | None = None) -> Scenario:
-    """Build a scenario from YAML text; `file` is what messages call it. See `load`."""
+    """Build a scenario from YAML text; `file` is its name in messages. See `load`."""
     plain, marks = plain_mapping(text, file, f"a scenario needs {_required()}")
     for dotted, value in (overrides or {}).items():
         override(plain, dotted, value, marks, _is_kind)
@@ -90,9 +91,9 @@ def parse(text: str, file: str, overrides: Mapping[str, object] | None = None, s
 
 
 def _blame_settings(error: ScenarioError, text: str, file: str) -> ScenarioError:
-    """The same mistakes, those that the file does not have by itself laid to --set."""
+    """The same mistakes; those that the file alone does not have are attributed to --set."""
     try:
-        parse(text, file)
+        parse(text, file)  # a contradiction between two fields names one of them, which may be the file's: so ask the file alone
         own: set[tuple[str, str]] = set()
     except ScenarioError as without:
         own = {(m.field, m.sentence) for m in without.mistakes}
@@ -100,10 +101,10 @@ def _blame_settings(error: ScenarioError, text: str, file: str) -> ScenarioError
 
 
 def seeded(scenario: Scenario, seed: int) -> Scenario:
-    """What a seed draws: the start; without a random block the noise alone.
+    """The scenario with a start drawn from a seed, and its noise with it; without a random block the noise alone.
 
     Raises:
-        ParameterError: there is neither, or no start has the target in view.
+        ParameterError: nothing is random, or no start was found with the target in view.
     """
     noise = scenario.noise
     if scenario.robot.start.random is None and (noise.image_sigma > 0 or noise.pixel_sigma_px > 0):
@@ -121,14 +122,14 @@ def _required() -> str:
 
 
 def dump(scenario: Scenario) -> str:
-    """The scenario as YAML, every default written out; `parse` of it gives the same scenario."""
+    """The scenario as YAML with all defaults; `parse` of it gives the same scenario."""
     return dump_mapping(scenario)
 
 
 def dump_mapping(spec: object) -> str:
-    """A spec as YAML, every default written out."""
+    """A spec as YAML with all defaults."""
     yaml = YAML()
-    yaml.default_flow_style = None
+    yaml.default_flow_style = None  # nested blocks on lines of their own, the innermost mappings and lists on one line
     yaml.width = 120
     out = io.StringIO()
     yaml.representer.add_representer(type(None), lambda r, _: r.represent_scalar("tag:yaml.org,2002:null", "null"))
@@ -142,13 +143,14 @@ def schema() -> dict[str, Any]:
 
 
 def load_plugins(modules: Sequence[str]) -> None:
-    """Import plugin modules (which add to the rooms' lists) and installed entry points; then rebuild the checks.
+    """Import plugin modules, which register their kinds, and installed entry points; then rebuild the validators.
 
-    A module is looked for where Python looks, and in the current folder.
+    A module is searched on Python's path, and in the current folder.
 
     Raises:
-        ParameterError: a module that cannot be imported, an entry point that cannot be loaded.
+        ParameterError: a module cannot be imported, an entry point cannot be loaded, or a class breaks its room's contract.
     """
+    # At the end of the path: a file here named like an installed package must not replace it.
     if modules and (here := str(Path.cwd())) not in sys.path:
         sys.path.append(here)
     for name in modules:
@@ -158,13 +160,13 @@ def load_plugins(modules: Sequence[str]) -> None:
     for room, kinds in KINDS.items():
         with _loading(f"vstestbed.{room}", "has an installed plugin that cannot be loaded; mend or uninstall it", None):
             grown.append(kinds.load_entry_points())
-    if modules or any(grown):
+    if modules or any(grown):  # it takes time, and without plugins nothing has changed
         rebuild_specs()
 
 
 @contextmanager
 def _loading(field: str, problem: str, name: str | None) -> Iterator[None]:
-    """Somebody else's code may fail in any way when it is imported; say what it said."""
+    """Turn any error of a plugin's import, which is code of others, into a ParameterError with the same message."""
     try:
         yield
     except VstestbedError:

@@ -1,4 +1,4 @@
-"""YAML text as plain mappings, lists and scalars, with the place (`FILE:LINE:COL`) of each; and changes to it by dotted path."""
+"""YAML text as plain mappings, lists and scalars with the position (`FILE:LINE:COL`) of each; overrides by dotted path."""
 
 from __future__ import annotations
 
@@ -16,16 +16,17 @@ from vstestbed.core.errors import Mistake, ParameterError, ScenarioError
 
 Key = tuple[str | int, ...]
 Marks = dict[Key, str]
-"""Where each key stands."""
+"""The position of each key, `FILE:LINE:COL`, or `--set` for a value from the command line."""
 DEEPEST, MOST_VALUES = 32, 20_000
-"""More than any scenario needs, and little enough that a file of aliases of aliases cannot fill the memory."""
+"""Limits on nesting and on the number of values: far above any scenario, and low enough that a file of aliases of aliases (a
+"billion laughs") cannot fill the memory."""
 
 
 def plain_mapping(text: str, file: str, needs: str) -> tuple[dict[str, Any], Marks]:
-    """The mapping that YAML text holds, and where its keys stand.
+    """The mapping in YAML text, and the position of its keys.
 
     Args:
-        text: YAML 1.2. file: what messages call it. needs: what such a file must have, for messages.
+        text: YAML 1.2. file: the file's name in messages. needs: the required content, for messages.
 
     Raises:
         ScenarioError: it is not YAML, empty, no mapping, or larger than any scenario.
@@ -40,10 +41,11 @@ def plain_mapping(text: str, file: str, needs: str) -> tuple[dict[str, Any], Mar
 
 
 def _tree(text: str, file: str) -> Any:
-    """What ruamel makes of YAML text; its complaints in the form of all others."""
+    """Ruamel's tree of YAML text; its errors as ScenarioError."""
     try:
+        # Round-trip mode keeps lines and columns, and leaves tagged values as they are, which `_plain` refuses.
         return YAML(typ="rt").load(text)
-    except RecursionError:
+    except RecursionError:  # raised inside ruamel, before `_check_size` can see the tree
         raise ScenarioError([Mistake(file, "", "is nested too deeply for a scenario")]) from None
     except DuplicateKeyError as error:
         key = re.search(r'duplicate key "(.*?)"', error.problem or "")
@@ -66,39 +68,50 @@ def _position(error: MarkedYAMLError, file: str) -> str:
 
 
 def _plain(node: Any, key: Key, marks: Marks, file: str) -> Any:
-    """Plain dicts, lists and scalars of a ruamel tree; `marks` learns where each of them stands."""
-    if len(key) > DEEPEST or len(marks) > MOST_VALUES:
-        words = f"is nested more than {DEEPEST} deep" if len(key) > DEEPEST else f"brings the file to more than {MOST_VALUES} values"
-        raise ScenarioError([Mistake(place_of(key, marks, file), ".".join(map(str, key[:3])), f"{words}; a scenario needs far less")])
+    """A ruamel tree as plain dicts, lists and scalars; the position of each is added to `marks`."""
+    _check_size(key, marks, file)
     if isinstance(node, CommentedMap):
         marks.setdefault(key, f"{file}:{node.lc.line + 1}:{node.lc.col + 1}")
         for k in node:
-            marks[*key, str(k)] = _standing(node.lc.key, k, file) or marks[key]
+            marks[*key, str(k)] = _position_of_item(node.lc.key, k, file) or marks[key]
+        # Keys as text: `1: x` would be an integer key, and no field has one.
         return {str(k): _plain(v, (*key, str(k)), marks, file) for k, v in node.items()}
     if isinstance(node, CommentedSeq):
         for i in range(len(node)):
-            marks[*key, i] = _standing(node.lc.item, i, file) or place_of(key, marks, file)
+            marks[*key, i] = _position_of_item(node.lc.item, i, file) or place_of(key, marks, file)
         return [_plain(v, (*key, i), marks, file) for i, v in enumerate(node)]
     if isinstance(node, TaggedScalar):
         words = f"has the tag {node.tag}; a scenario holds plain values only"
         raise ScenarioError([Mistake(place_of(key, marks, file), ".".join(map(str, key)), words)])
-    for scalar in (bool, int, float, str):
+    return _scalar(node)
+
+
+def _check_size(key: Key, marks: Marks, file: str) -> None:
+    """Refuse a file that is nested too deeply, or that has grown too large by its aliases."""
+    if len(key) > DEEPEST or len(marks) > MOST_VALUES:
+        words = f"is nested more than {DEEPEST} deep" if len(key) > DEEPEST else f"brings the file to more than {MOST_VALUES} values"
+        raise ScenarioError([Mistake(place_of(key, marks, file), ".".join(map(str, key[:3])), f"{words}; a scenario needs far less")])
+
+
+def _scalar(node: Any) -> Any:
+    """A scalar without ruamel's wrapper, which keeps how a number was written; null and dates as they are."""
+    for scalar in (bool, int, float, str):  # bool before int: a bool is one
         if isinstance(node, scalar):
             return scalar(node)
     return node
 
 
-def _standing(place: Callable[[Any], tuple[int, int]], item: object, file: str) -> str | None:
-    """Where an item of a block stands; None for one that came with a merge key (`<<`), which has no place here."""
+def _position_of_item(position: Callable[[Any], tuple[int, int]], item: object, file: str) -> str | None:
+    """The position of an item of a block; None for one from a merge key (`<<`), which stands elsewhere."""
     try:
-        line, col = place(item)
+        line, col = position(item)
     except (KeyError, IndexError, TypeError):
         return None
     return f"{file}:{line + 1}:{col + 1}"
 
 
 def read_value(text: str) -> object:
-    """A value as it would stand in YAML (`1e-3`, `[1, 2]`, `{kind: oracle}`, `raw`), for `--set`."""
+    """The value of YAML text (`1e-3`, `[1, 2]`, `{kind: oracle}`, `raw`), for `--set`."""
     try:
         return _plain(_tree(text, ""), (), {}, "")
     except ScenarioError as error:
@@ -106,7 +119,11 @@ def read_value(text: str) -> object:
 
 
 def override(plain: dict[str, Any], dotted: str, value: object, marks: Marks, is_kind: Callable[[str], bool]) -> None:
-    """Set one dotted path in the mapping; blocks on the way are made, a bare kind word (`is_kind`) becomes a block.
+    """Set the value at a dotted path; missing blocks on the path are created, a bare kind becomes a block.
+
+    Args:
+        plain: the mapping, which is changed. dotted: the path, such as `law.gain`. value: the new value.
+        marks: positions of the keys, which are changed, too. is_kind: whether a word is a kind of some block.
 
     Raises:
         ScenarioError: the path goes through a value, or to an item that a list does not have.
@@ -121,23 +138,31 @@ def override(plain: dict[str, Any], dotted: str, value: object, marks: Marks, is
         key += (step,)
         child = here.get(step) if isinstance(here, dict) else here[step]
         if child is None:
-            child = {}
             marks[key] = "--set"
-        elif isinstance(child, str) and is_kind(child):
-            child = {"kind": child}
-        if not isinstance(child, dict | list):
+        block = _as_block(child, is_kind)
+        if block is None:
             raise ScenarioError([Mistake("--set", dotted, f"{'.'.join(map(str, key))} is a value, not a block, got {short(child)}")])
-        here[step] = child
-        here = child
+        here[step] = block
+        here = block
     last = _step(here, parts[-1], dotted)
-    here[last] = copy.deepcopy(value)
+    here[last] = copy.deepcopy(value)  # a later override may go inside it, and must not change the caller's
+    # The positions under the old value are gone with it: a mistake in the new value is one of --set.
     for old in [k for k in marks if k[: len(key) + 1] == (*key, last)]:
         del marks[old]
     marks[*key, last] = "--set"
 
 
+def _as_block(child: Any, is_kind: Callable[[str], bool]) -> dict[str, Any] | list[Any] | None:
+    """A value on a dotted path as the block or list that the path can enter: {} for a missing one, None for a scalar."""
+    if child is None:
+        return {}
+    if isinstance(child, str) and is_kind(child):
+        return {"kind": child}
+    return child if isinstance(child, dict | list) else None
+
+
 def _step(here: Any, part: str, dotted: str) -> str | int:
-    """One part of a dotted path as a key of a block, or as the number of an item that a list has."""
+    """One part of a dotted path: a key of a block, or the index of an existing item of a list."""
     if not isinstance(here, list):
         return part
     if not (part.isdecimal() and int(part) < len(here)):
@@ -147,7 +172,7 @@ def _step(here: Any, part: str, dotted: str) -> str | int:
 
 
 def place_of(key: Key, marks: Mapping[Key, str], file: str) -> str:
-    """Where a key stands, or the nearest block above it."""
+    """The position of a key, or of the nearest block above it."""
     for n in range(len(key), -1, -1):
         if key[:n] in marks:
             return marks[key[:n]]
@@ -155,6 +180,6 @@ def place_of(key: Key, marks: Mapping[Key, str], file: str) -> str:
 
 
 def short(found: object) -> str:
-    """A value as it is shown in messages, cut where it is long."""
+    """A value for a message, cut to 60 characters."""
     text = repr(found)
     return text if len(text) <= 60 else text[:57] + "..."
