@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 basins = typer.Typer()
 
 
-class View(str, Enum):
+class FieldOfView(str, Enum):
     """What the camera of a map sees."""
 
     limited = "limited"
@@ -37,7 +37,7 @@ def basin(
     vary: Annotated[list[str] | None, typer.Option("--vary", metavar="a.b=v1,v2", help="A map for each of these values.")] = None,
     set_: Annotated[list[str] | None, typer.Option("--set", metavar="a.b=value", help="Change a field of all scenarios.")] = None,
     field_of_view: Annotated[
-        View | None, typer.Option(help="Whether the picture has a border. [default: as the oracle's, or limited]")
+        FieldOfView | None, typer.Option(help="Whether the picture has a border. [default: as the oracle's, or limited]")
     ] = None,
     check: Annotated[int, typer.Option(min=0, help="So many random starts also fly one by one, in the time loop of `run`.")] = 0,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of the results. [default: runs/basin/NUMBER]")] = None,

@@ -20,7 +20,7 @@ from vstestbed.core.files import write_whole, writing
 from vstestbed.experiments.comparison import Comparison, Job, controllers, jobs
 from vstestbed.experiments.comparison import workers as workers_of
 from vstestbed.loop.run import run
-from vstestbed.report.studies.convergence import Panel, write_page
+from vstestbed.report.studies.convergence import ConvergenceMap, write_page
 from vstestbed.scenario.scenario import Scenario
 
 CHUNK = 16
@@ -28,7 +28,7 @@ CHUNK = 16
 
 
 @dataclass(frozen=True)
-class Ended:
+class RunEnding:
     """How one run ended: its outcome's word, whether that is a success, when it converged [s], how far from its true goal [m]."""
 
     outcome: str
@@ -37,12 +37,12 @@ class Ended:
     away_m: float
 
 
-def fly(scenario: Scenario) -> Ended:
+def fly(scenario: Scenario) -> RunEnding:
     """One run in memory."""
     made = run(scenario)
     figures = made.summary()
     time_s, away_m = (math.nan if figures[k] is None else float(str(figures[k])) for k in ("time_to_converge_s", "final_position_error_m"))
-    return Ended(made.outcome.name, made.outcome.success, time_s, away_m)
+    return RunEnding(made.outcome.name, made.outcome.success, time_s, away_m)
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class Study:
         """Every run."""
         return jobs(controllers(self.comparison), self.comparison.seeds)
 
-    def fly(self, processes: int | None, told: Callable[[int, int], None] = lambda done, of: None) -> list[tuple[Job, Ended]]:
+    def fly(self, processes: int | None, told: Callable[[int, int], None] = lambda done, of: None) -> list[tuple[Job, RunEnding]]:
         """All runs, in worker processes; `told` hears how many are done."""
         runs = self.runs
         with ProcessPoolExecutor(workers_of(processes, len(runs)), mp_context=get_context("spawn")) as pool:
@@ -77,11 +77,11 @@ class Study:
                 told(len(ended), len(runs))
         return list(zip(runs, ended, strict=True))
 
-    def panels(self, ended: Sequence[tuple[Job, Ended]]) -> list[Panel]:
+    def panels(self, ended: Sequence[tuple[Job, RunEnding]]) -> list[ConvergenceMap]:
         """One map for each scenario and combination of cases, in their order."""
         axes = list(self.comparison.axes.items())
         (x_path, xs), (y_path, ys) = axes
-        cells: dict[str, dict[tuple[str, str], list[Ended]]] = {}
+        cells: dict[str, dict[tuple[str, str], list[RunEnding]]] = {}
         for job, one in ended:
             values = job.controller.values
             names = [str(values[name]) for name in self.comparison.cases]
@@ -89,7 +89,7 @@ class Study:
             cells.setdefault(label, {}).setdefault((str(values[x_path]), str(values[y_path])), []).append(one)
         return [_panel(label, found, [str(x) for x in xs], [str(y) for y in ys]) for label, found in cells.items()]
 
-    def table(self, ended: Sequence[tuple[Job, Ended]]) -> pl.DataFrame:
+    def table(self, ended: Sequence[tuple[Job, RunEnding]]) -> pl.DataFrame:
         """One row a run: scenario, cases, values, seed, how it ended."""
         rows = [
             {"scenario": job.controller.scenario.name}
@@ -101,7 +101,7 @@ class Study:
         return pl.DataFrame(rows).fill_nan(None)
 
 
-def _panel(label: str, found: dict[tuple[str, str], list[Ended]], xs: list[str], ys: list[str]) -> Panel:
+def _panel(label: str, found: dict[tuple[str, str], list[RunEnding]], xs: list[str], ys: list[str]) -> ConvergenceMap:
     share, away = np.empty((len(ys), len(xs))), np.full((len(ys), len(xs)), np.nan)
     others = np.full((len(ys), len(xs)), "", dtype=object)
     for (i, y), (j, x) in itertools.product(enumerate(ys), enumerate(xs)):
@@ -111,10 +111,10 @@ def _panel(label: str, found: dict[tuple[str, str], list[Ended]], xs: list[str],
         away[i, j] = float(np.median(good)) if good else math.nan
         failed = Counter(one.outcome for one in ended if not one.success)
         others[i, j] = failed.most_common(1)[0][0] if failed else ""
-    return Panel(label, share, others, away)
+    return ConvergenceMap(label, share, others, away)
 
 
-def write(folder: Path, study: Study, ended: Sequence[tuple[Job, Ended]], command: str = "") -> Path:
+def write(folder: Path, study: Study, ended: Sequence[tuple[Job, RunEnding]], command: str = "") -> Path:
     """`convergence.csv`, `.parquet`, `.png`, `.pdf` and `report.html`, each whole or not at all; the page's path.
 
     Raises:
@@ -135,7 +135,7 @@ def _short(value: object) -> str:
     return ", ".join(_short(v) for v in value) if isinstance(value, list | tuple) else str(value)
 
 
-def summaries(panels: Sequence[Panel]) -> Iterator[dict[str, object]]:
+def summaries(panels: Sequence[ConvergenceMap]) -> Iterator[dict[str, object]]:
     """Each map in numbers: its share of runs that converged."""
     for panel in panels:
         yield {"label": panel.label, "converged": float(np.mean(panel.share))}

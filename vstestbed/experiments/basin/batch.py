@@ -108,15 +108,15 @@ def fly(scenario: Scenario, start: Array) -> Batch:
     Raises:
         ParameterError: the law cannot fly a batch, or the scenario is not ideal.
     """
-    flight = Flight(scenario)
+    setup = BatchSetup(scenario)
     start = np.asarray(start, dtype=float).reshape(-1, 4, 4)
-    parts = [_fly(flight, start[i : i + AT_ONCE]) for i in range(0, max(len(start), 1), AT_ONCE)]
+    parts = [_fly(setup, start[i : i + AT_ONCE]) for i in range(0, max(len(start), 1), AT_ONCE)]
     joined = {f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Batch) if f.name != "run_steps"}
     return Batch(**joined, run_steps=sum(part.run_steps for part in parts))
 
 
 @dataclass(frozen=True)
-class Flight:
+class BatchSetup:
     """What all runs of a batch share: the scenario, and the judge's times in steps."""
 
     scenario: Scenario
@@ -191,57 +191,57 @@ class _Runs:
         return _Runs(*(getattr(self, f.name)[which] for f in fields(self)))
 
 
-def _fly(flight: Flight, start: Array) -> Batch:
-    m, stop = len(start), flight.scenario.stop
-    last = flight.frames(stop.duration_s)
-    runs = _Runs(np.arange(m), start, np.full((m, flight.law.remembers), np.nan), np.zeros(m, int), np.zeros(m, int), np.zeros(m))
+def _fly(setup: BatchSetup, start: Array) -> Batch:
+    m, stop = len(start), setup.scenario.stop
+    last = setup.frames(stop.duration_s)
+    runs = _Runs(np.arange(m), start, np.full((m, setup.law.remembers), np.nan), np.zeros(m, int), np.zeros(m, int), np.zeros(m))
     outcome, steps, near = np.full(m, None, dtype=object), np.zeros(m, dtype=int), np.full(m, -1)
     final, farthest, errors, crossed, done = start.copy(), np.zeros(m), np.full(m, np.nan), np.zeros(m, dtype=bool), 0
     for step in range(last + 1):
-        p = transform(runs.T, flight.scenario.target.points)
-        twist, error, code, ended = _frame(flight, runs, p, step, last)
+        p = transform(runs.T, setup.scenario.target.points)
+        twist, error, code, ended = _frame(setup, runs, p, step, last)
         over = code != GOING
         if over.any():
             at = runs.index[over]
             outcome[at] = [CODES[c] for c in code[over]]
             steps[at], final[at], farthest[at], errors[at] = ended[over], runs.T[over], runs.farthest[over], error[over]
             reached = code[over] == _CODE[Outcome.converged]
-            crossed[at] = (code[over] == _CODE[Outcome.target_lost]) & _behind(flight.scenario, runs.T[over])
+            crossed[at] = (code[over] == _CODE[Outcome.target_lost]) & _behind(setup.scenario, runs.T[over])
             near[at] = np.where(reached, step - runs.near[over] + 1, -1)
             runs, twist = runs.keep(~over), twist[~over]
         if not len(runs.index):
             break
         done += len(runs.index)
-        runs.T = exp(-flight.scenario.camera.period * twist) @ runs.T
+        runs.T = exp(-setup.scenario.camera.period * twist) @ runs.T
     return Batch(outcome, steps, near, final, farthest, errors, crossed, done)
 
 
-def _frame(flight: Flight, runs: _Runs, p: Array, step: int, last: int) -> tuple[Array, Array, NDArray[np.int_], NDArray[np.int_]]:
+def _frame(setup: BatchSetup, runs: _Runs, p: Array, step: int, last: int) -> tuple[Array, Array, NDArray[np.int_], NDArray[np.int_]]:
     """Of each run: twist (m, 6), RMS error (m,) [px], how it has ended (m,) or 0, and at which frame (m,).
 
     The order is that of `Judge.verdict`. A law that orders rest in a world that stands still rests for good, so that a
     target once lost is lost.
     """
-    s = flight.scenario
+    s = setup.scenario
     seen, error, all_seen = _seen(s, p)
-    memory, twist, works = _orders(flight, runs, p, seen, step / s.camera.rate_hz)
+    memory, twist, works = _orders(setup, runs, p, seen, step / s.camera.rate_hz)
     runs.memory = memory
     lost = ~works | ~np.isfinite(error)
-    near = ~lost & all_seen & (error < flight.error_px)
+    near = ~lost & all_seen & (error < setup.error_px)
     runs.near = np.where(near, runs.near + 1, 0)
     resting = ~lost & ~near & (np.abs(twist).max(axis=1) < REST)
     runs.rest = np.where(resting, runs.rest + 1, 0)
     distance = np.linalg.norm(runs.T[:, :3, 3], axis=1)
     runs.farthest = np.maximum(runs.farthest, distance)
-    gone = step + flight.frames(s.stop.lost_after_s)
+    gone = step + setup.frames(s.stop.lost_after_s)
     code, ended = np.zeros(len(p), dtype=int), np.full(len(p), step)
     for which, how in (
         (np.full(len(p), step >= last), Outcome.timed_out),
-        (runs.rest > flight.frames(REST_S), Outcome.local_minimum),
+        (runs.rest > setup.frames(REST_S), Outcome.local_minimum),
         (lost, Outcome.target_lost if gone <= last else Outcome.timed_out),
         (_behind(s, runs.T), Outcome.target_lost),
         (distance > FAR_M, Outcome.diverged),
-        (runs.near > flight.frames(s.stop.converged.hold_s), Outcome.converged),
+        (runs.near > setup.frames(s.stop.converged.hold_s), Outcome.converged),
     ):
         if which.any():  # the later ones come first in the judge's order
             code[which] = _CODE[how]
@@ -270,23 +270,23 @@ def _seen(s: Scenario, p: Array) -> tuple[NDArray[np.bool_], Array, NDArray[np.b
     return seen, np.where(seen.any(axis=1), np.sqrt(np.einsum("mni,mni->m", d, d) / (2 * count)), np.nan), all_seen
 
 
-def _orders(flight: Flight, runs: _Runs, p: Array, seen: NDArray[np.bool_], t: float) -> tuple[Array, Array, NDArray[np.bool_]]:
+def _orders(setup: BatchSetup, runs: _Runs, p: Array, seen: NDArray[np.bool_], t: float) -> tuple[Array, Array, NDArray[np.bool_]]:
     """The memory (m, k) after this frame, the twists ordered (m, 6), and where the law works (m,).
 
     Runs that see the same markers are one group: for most frames, all markers and one group.
     """
-    law, plane = flight.scenario.law, bool(PLANE_INPUTS & set(flight.scenario.law.inputs))
+    law, plane = setup.scenario.law, bool(PLANE_INPUTS & set(setup.scenario.law.inputs))
     usable = seen & (p[..., 2] > 0) if plane else seen
     memory, twist = runs.memory.copy(), np.full((len(p), 6), np.nan)
     groups = np.zeros(len(p), dtype=int) if usable.all() else usable @ (1 << np.arange(usable.shape[1]))
     for group in np.unique(groups):
         rows = usable[np.argmax(groups == group)]
-        if np.count_nonzero(rows) < (max(flight.needed, FIRST_POSE) if flight.posed and t == 0 else flight.needed):
+        if np.count_nonzero(rows) < (max(setup.needed, FIRST_POSE) if setup.posed and t == 0 else setup.needed):
             continue
         which = slice(None) if len(groups) == np.count_nonzero(groups == group) else groups == group
-        goal = flight.goal(slice(None) if rows.all() else rows)
+        goal = setup.goal(slice(None) if rows.all() else rows)
         views = Views(t, p[which] if rows.all() else p[which][:, rows], runs.T[which], goal, law.depth)
-        memory[which], twist[which] = flight.law.many(runs.memory[which], views, goal)
+        memory[which], twist[which] = setup.law.many(runs.memory[which], views, goal)
         if isinstance(law, Hybrid) and law.source == "homography":
             twist[which] = np.where(_untold(views, goal)[:, None], np.nan, twist[which])
     return memory, twist, np.isfinite(twist[:, 0])

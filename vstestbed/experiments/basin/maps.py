@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.files import write_whole, writing
 from vstestbed.core.geometry import Array, Pose, inverse, rotation_from_rpy
-from vstestbed.experiments.basin.batch import Batch, Flight, fly, ideal, start_of, started_at
+from vstestbed.experiments.basin.batch import Batch, BatchSetup, fly, ideal, start_of, started_at
 from vstestbed.experiments.comparison import Comparison, controllers
 from vstestbed.loop.run import run
 from vstestbed.scenario.scenario import Scenario
@@ -176,7 +176,7 @@ def laws(comparison: Comparison, field_of_view: str | None = None) -> list[tuple
         words = [str(v) if name in comparison.cases else f"{name.split('.')[-1]}={v}" for name, v in c.values.items()]
         label = ", ".join(([c.scenario.name] if len(comparison.base) > 1 or not words else []) + words)
         scenario = ideal(c.scenario, field_of_view)
-        Flight(scenario)
+        BatchSetup(scenario)
         if same := [other for other, s in made if s == scenario]:
             words = (
                 f"`{label}` would make the same map as `{same[0]}`: its cameras are ideal, without the arm's dynamics, latency and noise"
@@ -243,7 +243,7 @@ def write(folder: Path, made: Sequence[Basin], command: str = "") -> Path:
     import io
     import json
 
-    from vstestbed.report.studies.basin import Map, write_maps
+    from vstestbed.report.studies.basin import BasinMap, write_maps
 
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
@@ -253,7 +253,7 @@ def write(folder: Path, made: Sequence[Basin], command: str = "") -> Path:
     summaries = [b.summary() for b in made]
     write_whole(folder / "basin.json", json.dumps(summaries, indent=1) + "\n")
     shape = (made[0].y.n, made[0].x.n)
-    maps = [Map(b.label, b.endings.reshape(shape), b.time_to_converge_s.reshape(shape)) for b in made]
+    maps = [BasinMap(b.label, b.endings.reshape(shape), b.time_to_converge_s.reshape(shape)) for b in made]
     x, y = made[0].x, made[0].y
     return write_maps(folder, maps, (x.name, x.unit, x.low, x.high), (y.name, y.unit, y.low, y.high), summaries, command)
 

@@ -12,7 +12,7 @@ from vstestbed.core.errors import VstestbedError
 from vstestbed.experiments.comparison.folder import is_done, store
 from vstestbed.experiments.comparison.plan import Job
 from vstestbed.experiments.comparison.pools import Pool, WorkerLostError
-from vstestbed.experiments.comparison.worker import Files, Task, crashed, task_of
+from vstestbed.experiments.comparison.worker import Files, RunRequest, crashed, request_of
 
 MOST_TRIES = 2
 """A run whose worker died is begun once more."""
@@ -45,36 +45,36 @@ class Campaign:
         Raises:
             EnvironmentLackError, OutputError: nothing can be drawn or written here; what is done so far stays.
         """
-        waiting = self._tasks()
-        going: dict[Future[Files], tuple[Job, Task]] = {}
-        again: list[tuple[Job, Task]] = []
+        waiting = self._requests()
+        going: dict[Future[Files], tuple[Job, RunRequest]] = {}
+        again: list[tuple[Job, RunRequest]] = []
         while True:
             while len(going) < pool.room and (next_ := again.pop() if again else next(waiting, None)):
                 going[pool.submit(next_[1])] = next_
             if not going:
                 return
             for future in wait(going, return_when=FIRST_COMPLETED).done:
-                job, task = going.pop(future)
-                files = self._files(future, task, pool)
+                job, request = going.pop(future)
+                files = self._files(future, request, pool)
                 if files is None:
-                    again.append((job, task))
+                    again.append((job, request))
                 else:
-                    told(job, store(self.folder, job, files, max(1, pool.tries(task))))
+                    told(job, store(self.folder, job, files, max(1, pool.tries(request))))
 
-    def _tasks(self) -> Iterator[tuple[Job, Task]]:
-        """Each job with its task, drawn when its turn comes; a start that cannot be drawn is a run that crashed."""
+    def _requests(self) -> Iterator[tuple[Job, RunRequest]]:
+        """Each job with its request, drawn when its turn comes; a start that cannot be drawn is a run that crashed."""
         for job in self.missing:
             try:
-                yield job, task_of(job.folder, job.scenario(), job.seed in self.filmed, self.plugins)
+                yield job, request_of(job.folder, job.scenario(), job.seed in self.filmed, self.plugins)
             except VstestbedError as error:
-                text = task_of(job.folder, job.controller.scenario, False, ()).text
+                text = request_of(job.folder, job.controller.scenario, False, ()).text
                 store(self.folder, job, crashed(text, str(error)), attempts=1)
 
-    def _files(self, future: Future[Files], task: Task, pool: Pool) -> Files | None:
+    def _files(self, future: Future[Files], request: RunRequest, pool: Pool) -> Files | None:
         """A run's folder; None where it is to be begun again."""
         try:
             return future.result()
         except WorkerLostError as error:
-            if pool.tries(task) < MOST_TRIES:
+            if pool.tries(request) < MOST_TRIES:
                 return None
-            return crashed(task.text, f"{error}, and the one that tried again, too")
+            return crashed(request.text, f"{error}, and the one that tried again, too")

@@ -15,7 +15,7 @@ from annotated_types import Ge, Len
 from vstestbed.core.assets import bundled_comparisons
 from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.core.spec import spec
-from vstestbed.experiments.comparison.starts import Task
+from vstestbed.experiments.comparison.starts import StartTable
 from vstestbed.loop.metrics import FIGURES
 from vstestbed.scenario.load import load, seeded, text_of
 from vstestbed.scenario.scenario import Scenario
@@ -51,7 +51,7 @@ class Comparison:
     set: dict[str, Any] = field(default_factory=dict)
     cases: dict[str, dict[str, dict[str, Any]]] = field(default_factory=dict)
     axes: dict[str, tuple[Any, ...]] = field(default_factory=dict)
-    tasks: dict[str, Task] = field(default_factory=dict)
+    tasks: dict[str, StartTable] = field(default_factory=dict)
     seeds: Annotated[int, Ge(1)] | None = None
     metrics: tuple[str, ...] = ()
 
@@ -137,7 +137,7 @@ def controllers(comparison: Comparison) -> list[Controller]:
 
 
 def _controller(
-    name: str, settings: Mapping[str, object], values: Mapping[str, object], folder: str, seeds: int | None, task: Task | None
+    name: str, settings: Mapping[str, object], values: Mapping[str, object], folder: str, seeds: int | None, task: StartTable | None
 ) -> Controller:
     if task is not None:
         settings = merged(settings, task.set)

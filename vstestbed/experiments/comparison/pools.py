@@ -1,4 +1,4 @@
-"""Where runs are done: worker processes of this machine, or those of a dask cluster. Both take a task and give a future."""
+"""Where runs are done: worker processes of this machine, or those of a dask cluster. Both take a request and give a future."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from multiprocessing import get_context
 from typing import Any, Protocol
 
 from vstestbed.core.errors import EnvironmentLackError, ParameterError
-from vstestbed.experiments.comparison.worker import Files, Task, begin, do, process_id
+from vstestbed.experiments.comparison.worker import Files, RunRequest, begin, execute, process_id
 
 ONE_CORE = {"LP_NUM_THREADS": "0", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 """A worker has one core: Mesa draws in its own thread, BLAS takes no others."""
@@ -36,11 +36,11 @@ class Pool(Protocol):
         """How many runs may be under way now."""
         ...
 
-    def submit(self, task: Task) -> Future[Files]:
+    def submit(self, request: RunRequest) -> Future[Files]:
         """Do this run."""
         ...
 
-    def tries(self, task: Task) -> int:
+    def tries(self, request: RunRequest) -> int:
         """How often a run has been begun."""
         ...
 
@@ -81,16 +81,16 @@ class _Slot:
         with _environment(ONE_CORE, {"TMPDIR": self._place}):
             self.pid = self.executor.submit(process_id)
 
-    def run(self, task: Task) -> Future[Files]:
+    def run(self, request: RunRequest) -> Future[Files]:
         """Do a run, in a new process where the last one has died."""
         try:
             if not self.broken:
-                return self.executor.submit(do, task)
+                return self.executor.submit(execute, request)
         except BrokenProcessPool:  # killed while it had nothing to do
             pass
         self.end()
         self.start()
-        return self.executor.submit(do, task)
+        return self.executor.submit(execute, request)
 
     def end(self) -> None:
         """Kill the process."""
@@ -113,13 +113,13 @@ class LocalPool:
         self._free = list(self._slots)
         self._tries: dict[str, int] = {}
 
-    def submit(self, task: Task) -> Future[Files]:
+    def submit(self, request: RunRequest) -> Future[Files]:
         """Do this run in a free worker."""
         slot = self._free.pop()
-        self._tries[task.folder] = self._tries.get(task.folder, 0) + 1
+        self._tries[request.folder] = self._tries.get(request.folder, 0) + 1
         outer: Future[Files] = Future()
         outer.set_running_or_notify_cancel()
-        slot.run(task).add_done_callback(lambda inner: self._hand_over(inner, slot, outer))
+        slot.run(request).add_done_callback(lambda inner: self._hand_over(inner, slot, outer))
         return outer
 
     def _hand_over(self, inner: Future[Files], slot: _Slot, outer: Future[Files]) -> None:
@@ -133,9 +133,9 @@ class LocalPool:
         else:
             outer.set_result(inner.result())
 
-    def tries(self, task: Task) -> int:
+    def tries(self, request: RunRequest) -> int:
         """How often a run has been begun."""
-        return self._tries.get(task.folder, 0)
+        return self._tries.get(request.folder, 0)
 
     def close(self) -> None:
         """Kill all workers, take away what they had begun to write."""
@@ -186,31 +186,31 @@ class DaskPool:
         """Two runs for each of the workers that there are now, so that the next one is there when a worker is free."""
         return 2 * max(1, self._threads())
 
-    def submit(self, task: Task) -> Future[Files]:
+    def submit(self, request: RunRequest) -> Future[Files]:
         """Do this run on some worker; the scheduler gives it to another one when that dies."""
-        keys = self._begun.setdefault(task.folder, [])
-        keys.append(f"{self._name}-{task.folder}-{len(keys)}")
-        future = self._client.submit(_do_on_dask, task, keys[-1], key=keys[-1], retries=0, pure=False)
+        keys = self._begun.setdefault(request.folder, [])
+        keys.append(f"{self._name}-{request.folder}-{len(keys)}")
+        future = self._client.submit(_execute_on_dask, request, keys[-1], key=keys[-1], retries=0, pure=False)
         outer: Future[Files] = Future()
         outer.set_running_or_notify_cancel()
         future.add_done_callback(lambda inner: _hand_over_from_dask(inner, outer))
         return outer
 
-    def tries(self, task: Task) -> int:
+    def tries(self, request: RunRequest) -> int:
         """How often a run has been begun: each worker that begins it says so under a name of its own."""
         # get_events is typed as what asynchronous clients give, too: there it is a coroutine
-        return sum(len(self._client.get_events(key)) for key in self._begun.get(task.folder, []))  # type: ignore[arg-type]
+        return sum(len(self._client.get_events(key)) for key in self._begun.get(request.folder, []))  # type: ignore[arg-type]
 
     def close(self) -> None:
         """Leave the cluster, which goes on; runs that nobody waits for are cancelled."""
         self._client.close()
 
 
-def _do_on_dask(task: Task, key: str) -> Files:
+def _execute_on_dask(request: RunRequest, key: str) -> Files:
     from distributed import get_worker
 
     get_worker().log_event(key, "begun")
-    return do(task)
+    return execute(request)
 
 
 def _hand_over_from_dask(inner: Any, outer: Future[Files]) -> None:

@@ -46,11 +46,11 @@ def finish(folder: Path, comparison: Comparison, table: polars.DataFrame, stage:
 
 def _film(folder: Path, table: polars.DataFrame, axes: tuple[str, ...]) -> Path | None:
     """`comparison.mp4`: the first seed that has films, up to six controllers; None where none has."""
-    from vstestbed.report.comparison.columns import Comparison as View
+    from vstestbed.report.comparison.columns import ComparisonResults
     from vstestbed.report.video.side_by_side import MOST, Column, side_by_side
 
     columns = []
-    for controller in View(table, axes).controllers[:MOST]:
+    for controller in ComparisonResults(table, axes).controllers[:MOST]:
         run = next((row for row in controller.runs.iter_rows(named=True) if _films(folder / row["folder"])), None)
         if run is not None:
             ending = f"{run['outcome']} {run['sim_time_s']:.1f} s" if run["sim_time_s"] is not None else run["outcome"]

@@ -13,7 +13,7 @@ from vstestbed.core.spec import spec
 
 
 @spec
-class Task:
+class StartTable:
     """The runs of a task: run i has the i-th value of every list in `each`, or the start that seed i draws.
 
     Args:

@@ -23,7 +23,7 @@ _loaded: set[str] = set()
 
 
 @dataclass(frozen=True)
-class Task:
+class RunRequest:
     """A run as it travels to a worker, which needs no file of the one who asks.
 
     Attributes:
@@ -37,27 +37,27 @@ class Task:
     plugins: tuple[str, ...]
 
 
-def do(task: Task) -> Files:
+def execute(request: RunRequest) -> Files:
     """The folder of the finished run. A law, a detector, a plugin that raises ends its run as `crashed`, with the traceback.
 
     Raises:
         EnvironmentLackError: this machine cannot draw, or has no space: no other run would fare better.
     """
-    for module in set(task.plugins) - _loaded:
+    for module in set(request.plugins) - _loaded:
         load_plugins([module])
         _loaded.add(module)
-    scenario = parse(task.text, "scenario.yaml")
+    scenario = parse(request.text, "scenario.yaml")
     with tempfile.TemporaryDirectory(prefix="vstestbed_") as place:
         folder = Path(place) / "run"
         folder.mkdir()
         try:
-            recording = run_into(folder, scenario, "both" if task.filmed else "none", report=False, tile_px=TILE_PX)
+            recording = run_into(folder, scenario, "both" if request.filmed else "none", report=False, tile_px=TILE_PX)
             if not recording.outcome.success and len(recording.table):
                 _picture_of_the_end(scenario, folder)
         except EnvironmentLackError:
             raise
         except Exception as error:
-            return crashed(task.text, f"{type(error).__name__}: {error}", traceback.format_exc(), _files(folder))
+            return crashed(request.text, f"{type(error).__name__}: {error}", traceback.format_exc(), _files(folder))
         return _files(folder)
 
 
@@ -81,9 +81,9 @@ def _picture_of_the_end(scenario: Scenario, folder: Path) -> None:
     picture_of_the_end(scenario, read_log(folder), folder / "end.png")
 
 
-def task_of(folder: str, scenario: Scenario, filmed: bool, plugins: tuple[str, ...]) -> Task:
-    """A run as a task."""
-    return Task(folder, dump(scenario), filmed, plugins)
+def request_of(folder: str, scenario: Scenario, filmed: bool, plugins: tuple[str, ...]) -> RunRequest:
+    """A run as a request."""
+    return RunRequest(folder, dump(scenario), filmed, plugins)
 
 
 def begin(parent_must_live: bool) -> None:

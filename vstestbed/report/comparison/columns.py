@@ -27,7 +27,9 @@ DEFAULT_METRICS: Final = (
     "saturated_fraction",
 )
 
-_TITLES: Final = {name: (title, unit) for name, title, unit in (*numbers.KEPT_TILES, *numbers.TILES, *numbers.ROWS, *numbers.TRACKING_ROWS)}
+_TITLES: Final = {
+    name: (title, unit) for name, title, unit in (*numbers.CONTINUING_TILES, *numbers.TILES, *numbers.ROWS, *numbers.TRACKING_ROWS)
+}
 _SCALES: Final = {"final_position_error_m": ("mm", 1e3), "saturated_fraction": ("%", 1e2)}
 _FINAL: Final = ("final_error_px", "final_position_error_m", "final_rotation_error_deg")
 _WHATEVER_ITS_END: Final = ("feature_overshoot", "worst_off_m", *(name for name, _, _ in numbers.TRACKING_ROWS))
@@ -65,7 +67,7 @@ class Metric:
 
 
 @dataclass(frozen=True)
-class Controller:
+class ControllerResults:
     """A scenario with one combination of the varied values, and its runs.
 
     Attributes:
@@ -98,7 +100,7 @@ class Controller:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class ComparisonResults:
     """A finished comparison.
 
     Attributes:
@@ -118,7 +120,7 @@ class Comparison:
         return tuple(Metric.of(name) for name in self.metrics)
 
     @cached_property
-    def controllers(self) -> tuple[Controller, ...]:
+    def controllers(self) -> tuple[ControllerResults, ...]:
         """The controllers, in order of first appearance."""
         keys = self.table.select("scenario", *self.axes).rows()
         rows: dict[tuple[Any, ...], list[int]] = {}
@@ -126,10 +128,10 @@ class Comparison:
             rows.setdefault(key, []).append(i)
         several = len({key[0] for key in rows}) > 1
         names = short_names(self.axes)
-        labels = [_label((str(key[0]), *map(value_words, key[1:])), names, several) for key in rows]
+        labels = [_label((str(key[0]), *map(value_text, key[1:])), names, several) for key in rows]
         if len(set(labels)) < len(labels):  # values that differ beyond the digits that are usually shown
             labels = [_label(tuple(map(str, key)), names, several) for key in rows]
-        return tuple(Controller(label, self.table[index].sort("seed")) for label, index in zip(labels, rows.values(), strict=True))
+        return tuple(ControllerResults(label, self.table[index].sort("seed")) for label, index in zip(labels, rows.values(), strict=True))
 
 
 def _label(key: tuple[str, ...], names: Sequence[str], several: bool) -> str:
@@ -150,7 +152,7 @@ def short_names(paths: Sequence[str]) -> list[str]:
     return made
 
 
-def value_words(value: object) -> str:
+def value_text(value: object) -> str:
     """A varied value as YAML would write it."""
     if value is None or isinstance(value, bool):
         return {None: "null", True: "true", False: "false"}[value]

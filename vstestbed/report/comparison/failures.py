@@ -11,9 +11,9 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import Final
 
-from vstestbed.report.comparison.columns import Comparison
+from vstestbed.report.comparison.columns import ComparisonResults
 from vstestbed.report.comparison.summary_text import runs
-from vstestbed.report.html.pieces import data_url
+from vstestbed.report.html.parts import data_url
 
 PICTURES: Final = 24
 PICTURE_BYTES: Final = 4_000_000
@@ -44,7 +44,7 @@ class Failure:
         return self.outcome, re.sub(r"\d[\d.e+-]*", "#", self.reason)
 
 
-def failures(folder: Path, comparison: Comparison) -> list[Failure]:
+def failures(folder: Path, comparison: ComparisonResults) -> list[Failure]:
     """All runs without success, by controller and seed."""
     made = []
     for controller in comparison.controllers:
@@ -54,7 +54,7 @@ def failures(folder: Path, comparison: Comparison) -> list[Failure]:
     return made
 
 
-def section(folder: Path, comparison: Comparison) -> str:
+def section(folder: Path, comparison: ComparisonResults) -> str:
     """The failures of a comparison's folder as HTML, and the runs that had to be done again."""
     made = failures(folder, comparison)
     kinds: dict[tuple[str, str], list[Failure]] = defaultdict(list)
@@ -120,7 +120,7 @@ def _gallery(groups: list[list[Failure]]) -> str:
     return f'<h2>How they ended{some}</h2><div class="gallery">{"".join(made)}</div>'
 
 
-def _again(comparison: Comparison) -> str:
+def _again(comparison: ComparisonResults) -> str:
     """The runs whose worker died once."""
     if "attempts" not in comparison.table.columns:
         return ""

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vstestbed.core.geometry import Array
-from vstestbed.report.comparison.columns import Comparison
+from vstestbed.report.comparison.columns import ComparisonResults
 from vstestbed.report.comparison.pairs import TIME, Pair
 from vstestbed.report.comparison.series import Series
 from vstestbed.report.html.canvas import INK, LINE_COLORS, LOST, RULE, new_figure, note
@@ -39,7 +39,7 @@ EACH_LEAST, EACH_MOST = 5, 30
 class Data:
     """What the figures draw; threshold_px: where the goal counts as reached, None where it is not the same for all."""
 
-    comparison: Comparison
+    comparison: ComparisonResults
     series: Series
     pairs: list[Pair]
     threshold_px: float | None = None

@@ -13,15 +13,15 @@ from vstestbed.core.errors import OutputError
 from vstestbed.core.files import write_whole
 from vstestbed.report.comparison import failures as comparison_failures
 from vstestbed.report.comparison import figures as comparison_figures
-from vstestbed.report.comparison import filmstrips as comparison_strips
+from vstestbed.report.comparison import strip_plots
 from vstestbed.report.comparison import summary_text as comparison_words
 from vstestbed.report.comparison import tables as comparison_tables
-from vstestbed.report.comparison.columns import DEFAULT_METRICS, Comparison, value_words
+from vstestbed.report.comparison.columns import DEFAULT_METRICS, ComparisonResults, value_text
 from vstestbed.report.comparison.figures import Data
 from vstestbed.report.comparison.pairs import pairs
 from vstestbed.report.comparison.series import read_series
 from vstestbed.report.html.canvas import WIDTH_IN, save, style, to_svg
-from vstestbed.report.html.pieces import figure, film
+from vstestbed.report.html.parts import figure, film
 from vstestbed.report.html.template import PAGE, STYLE
 from vstestbed.report.run import numbers
 from vstestbed.report.run.page import setting_of
@@ -68,7 +68,7 @@ PLOTS: Final[tuple[Plot, ...]] = (
         "at the edge where they lie beyond it; a red number right of the frame counts the runs that have no such number. Of very many "
         "runs the first are drawn; the bars are of all.",
         2,
-        comparison_strips.distributions,
+        strip_plots.distributions,
     ),
     (
         "differences",
@@ -102,7 +102,7 @@ def write_comparison_report(
     Raises:
         OutputError: a file cannot be written.
     """
-    comparison = Comparison(table, axes, metrics, description)
+    comparison = ComparisonResults(table, axes, metrics, description)
     data = Data(comparison, read_series(folder, comparison), pairs(comparison), _threshold(folder, comparison))
     _write_figures(folder / "figures", data)
     body = [
@@ -156,7 +156,7 @@ def _figures(data: Data) -> str:
     return f'<div class="plots">{"".join(made[1])}</div>{broad}'
 
 
-def _threshold(folder: Path, comparison: Comparison) -> float | None:
+def _threshold(folder: Path, comparison: ComparisonResults) -> float | None:
     """The error under which the goal counts as reached, where all controllers have the same."""
     firsts = [folder / str(c.runs["folder"][0]) / "scenario.yaml" for c in comparison.controllers]
     found = {setting_of(path).threshold_px for path in firsts if path.is_file()}
@@ -170,13 +170,13 @@ def _film(path: Path | None) -> str:
     return f'<section class="films"><h2>Film</h2>{made}</section>'
 
 
-def _plan_words(comparison: Comparison) -> str:
+def _plan_words(comparison: ComparisonResults) -> str:
     n, seeds = len(comparison.controllers), comparison.table["seed"].n_unique()
     total = comparison_words.runs(len(comparison.table))
     return f"{n} controller{'s' * (n != 1)}, {seeds} seed{'s' * (seeds != 1)}, {total}; the same seed gives each the same start and noise."
 
 
-def _provenance(comparison: Comparison, command: str) -> str:
+def _provenance(comparison: ComparisonResults, command: str) -> str:
     """The plan, the command that makes it again, and what the runs were made with."""
     table = comparison.table
     again = f"<p>Made again by<br><code>{escape(command)}</code></p>" if command else ""
@@ -192,7 +192,7 @@ def _provenance(comparison: Comparison, command: str) -> str:
 
 def _values(values: Sequence[object]) -> str:
     """The different values, in order of first appearance."""
-    return ", ".join(dict.fromkeys(map(value_words, values)))
+    return ", ".join(dict.fromkeys(map(value_text, values)))
 
 
 def _seeds(seeds: Sequence[int]) -> str:

@@ -7,7 +7,7 @@ from itertools import combinations
 
 import numpy as np
 
-from vstestbed.report.comparison.columns import Comparison, Controller, Metric
+from vstestbed.report.comparison.columns import ComparisonResults, ControllerResults, Metric
 from vstestbed.report.comparison.statistics import Difference, SuccessDifference, paired_difference, paired_success
 
 MOST_CONTROLLERS = 6
@@ -63,7 +63,7 @@ class Pair:
         return Pair(self.b, self.a, success, differences, {k: m + self.differences[k].mean for k, m in self.means.items()})
 
 
-def pairs(comparison: Comparison) -> list[Pair]:
+def pairs(comparison: ComparisonResults) -> list[Pair]:
     """Each two controllers, the later against the earlier; of more than six, each against the first."""
     n = len(comparison.controllers)
     chosen = combinations(range(n), 2) if n <= MOST_CONTROLLERS else ((0, b) for b in range(1, n))
@@ -75,7 +75,7 @@ def against(made: list[Pair], reference: int) -> list[Pair]:
     return [p if p.a == reference else p.turned() for p in made if reference in (p.a, p.b)]
 
 
-def _pair(comparison: Comparison, a: int, b: int) -> Pair:
+def _pair(comparison: ComparisonResults, a: int, b: int) -> Pair:
     one, other = comparison.controllers[a], comparison.controllers[b]
     rows_a, rows_b = _same_seeds(one, other)
     both = one.success[rows_a] & other.success[rows_b]
@@ -88,7 +88,7 @@ def _pair(comparison: Comparison, a: int, b: int) -> Pair:
     return Pair(a, b, paired_success(one.success[rows_a], other.success[rows_b]), differences, means)
 
 
-def _same_seeds(one: Controller, other: Controller) -> tuple[list[int], list[int]]:
+def _same_seeds(one: ControllerResults, other: ControllerResults) -> tuple[list[int], list[int]]:
     """The rows of both that have the same seed, in the same order."""
     where = {seed: i for i, seed in enumerate(other.seeds)}
     shared = [(i, where[seed]) for i, seed in enumerate(one.seeds) if seed in where]

@@ -10,7 +10,7 @@ import polars as pl
 from numpy.typing import NDArray
 
 from vstestbed.core.geometry import Array
-from vstestbed.report.comparison.columns import Comparison
+from vstestbed.report.comparison.columns import ComparisonResults
 
 INSTANTS = 240
 """Points of the time grid: more than a figure's panel can show apart."""
@@ -43,7 +43,7 @@ class Series:
         return np.where(made < 1e-3 * _FAR, made, np.inf)
 
 
-def read_series(folder: Path, comparison: Comparison) -> Series:
+def read_series(folder: Path, comparison: ComparisonResults) -> Series:
     """The errors of all runs of a comparison's folder; a run that has ended holds its last value.
 
     Args:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from html import escape
 
-from vstestbed.report.comparison.columns import Comparison, Controller, Metric
+from vstestbed.report.comparison.columns import ComparisonResults, ControllerResults, Metric
 from vstestbed.report.comparison.pairs import MOST_CONTROLLERS, TIME, Pair, against
 from vstestbed.report.comparison.statistics import success_rate
 from vstestbed.report.run.numbers import number
@@ -14,7 +14,7 @@ MOST_OTHERS = 4
 """So many other numbers in which two controllers differ are named in the answer; the table has all."""
 
 
-def headline(comparison: Comparison, made: list[Pair]) -> str:
+def headline(comparison: ComparisonResults, made: list[Pair]) -> str:
     """The answer in large letters, green where one controller is better than all others, with a sentence for each pair."""
     if len(comparison.controllers) == 1:
         return _box(_alone(comparison.controllers[0]), [], decided=False)
@@ -23,9 +23,9 @@ def headline(comparison: Comparison, made: list[Pair]) -> str:
     wins = [sum(p.better == i for p in made) for i in range(len(labels))]
     best = wins.index(max(wins))
     first = made if len(made) <= 3 else [p for p in made if best in (p.a, p.b)][:MOST_CONTROLLERS]
-    rest = "".join(f"<li>{escape(pair_words(p, labels))}</li>" for p in made if p not in first)
+    rest = "".join(f"<li>{escape(pair_text(p, labels))}</li>" for p in made if p not in first)
     folded = f"<details><summary>The other pairs in words</summary><ul>{rest}</ul></details>" if rest else ""
-    return _box(strong, [pair_words(p, labels) for p in first], decided) + folded
+    return _box(strong, [pair_text(p, labels) for p in first], decided) + folded
 
 
 def _box(strong: str, sentences: list[str], decided: bool) -> str:
@@ -34,7 +34,7 @@ def _box(strong: str, sentences: list[str], decided: bool) -> str:
     return f'<div class="outcome {"good" if decided else "open"}"><strong>{escape(strong)}</strong>{below}</div>'
 
 
-def _alone(controller: Controller) -> str:
+def _alone(controller: ControllerResults) -> str:
     rate = success_rate(int(controller.success.sum()), len(controller.success))
     interval = f"{100 * rate.rate:.0f} %, 95 % interval {100 * rate.low:.0f} to {100 * rate.high:.0f} %"
     return f"{controller.label} reached the goal in {rate.successes} of {runs(rate.n)} ({interval})."
@@ -102,7 +102,7 @@ def _against_first(labels: list[str], made: list[Pair]) -> str:
     )
 
 
-def pair_words(pair: Pair, labels: list[str]) -> str:
+def pair_text(pair: Pair, labels: list[str]) -> str:
     """One pair in a sentence or two: how often each reached the goal, and how long it took where both did."""
     s, n, a, b = pair.success, pair.seeds, labels[pair.a], labels[pair.b]
     of_a, of_b = s.both + s.only_a, s.both + s.only_b

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from html import escape
 
-from vstestbed.report.comparison.columns import Comparison, Controller, Metric
+from vstestbed.report.comparison.columns import ComparisonResults, ControllerResults, Metric
 from vstestbed.report.comparison.pairs import MOST_CONTROLLERS, Pair, against
 from vstestbed.report.comparison.statistics import spread, success_rate
 from vstestbed.report.comparison.summary_text import signed
@@ -16,7 +16,7 @@ Cell = tuple[float | str | None, str]
 """What a cell sorts by, and its HTML."""
 
 
-def controllers(comparison: Comparison) -> str:
+def controllers(comparison: ComparisonResults) -> str:
     """One line a controller: success rate with its interval, and the median of each metric with its quartiles."""
     heads = ["Controller", "Reached the goal", *(m.label for m in comparison.shown)]
     lines = [[(c.label, escape(c.label)), _rate(c), *(_spread(c, m) for m in comparison.shown)] for c in comparison.controllers]
@@ -28,7 +28,7 @@ def controllers(comparison: Comparison) -> str:
     return f'<section><h2>Controllers</h2>{table(heads, lines)}<p class="soft">{note} Click on a head to sort.</p></section>'
 
 
-def _rate(controller: Controller) -> Cell:
+def _rate(controller: ControllerResults) -> Cell:
     if not len(controller.success):
         return None, "–"
     rate = success_rate(int(controller.success.sum()), len(controller.success))
@@ -36,7 +36,7 @@ def _rate(controller: Controller) -> Cell:
     return rate.rate, f"{100 * rate.rate:.0f} % {_below(below)}{_below(f'{rate.successes} of {rate.n}')}"
 
 
-def _spread(controller: Controller, metric: Metric) -> Cell:
+def _spread(controller: ControllerResults, metric: Metric) -> Cell:
     made = spread(controller.counted(metric))
     if made.n == 0:
         return None, "–"
@@ -44,7 +44,7 @@ def _spread(controller: Controller, metric: Metric) -> Cell:
     return made.median, f"{number(made.median)} {_below(f'[{number(made.q1)}, {number(made.q3)}]')}{count}"
 
 
-def differences(comparison: Comparison, made: list[Pair]) -> str:
+def differences(comparison: ComparisonResults, made: list[Pair]) -> str:
     """Tables of paired differences, one for each controller that the others can be compared with; empty for a single one."""
     n = len(comparison.controllers)
     if n < 2:
@@ -62,7 +62,7 @@ def differences(comparison: Comparison, made: list[Pair]) -> str:
     return f'<section><h2>Paired differences</h2>{_chooser(labels, len(parts))}{"".join(parts)}<p class="soft">{note}</p></section>'
 
 
-def _but(comparison: Comparison) -> str:
+def _but(comparison: ComparisonResults) -> str:
     """Which numbers are compared on all seeds."""
     names = [m.title for m in comparison.shown if m.every_pair]
     return f" ({', '.join(names)}: over all seeds)" if names else ""
@@ -75,7 +75,7 @@ def _chooser(labels: Sequence[str], n: int) -> str:
     return f'<p><label>Compared with <select id="reference">{options}</select></label></p>'
 
 
-def _against(comparison: Comparison, made: list[Pair], labels: Sequence[str], reference: int) -> str:
+def _against(comparison: ComparisonResults, made: list[Pair], labels: Sequence[str], reference: int) -> str:
     heads = [f"Against {labels[reference]}", "Reached the goal", *(m.label for m in comparison.shown)]
     lines = [[(labels[p.b], escape(labels[p.b])), _goals(p), *(_difference(p, m) for m in comparison.shown)] for p in made]
     return f'<div class="against" data-reference="{reference}">{table(heads, lines)}</div>'

@@ -16,11 +16,11 @@ from vstestbed.core.errors import OutputError
 from vstestbed.core.files import write_whole
 from vstestbed.core.geometry import Array
 from vstestbed.report.comparison import failures as comparison_failures
-from vstestbed.report.comparison.columns import Comparison, Controller, Metric
+from vstestbed.report.comparison.columns import ComparisonResults, ControllerResults, Metric
 from vstestbed.report.comparison.statistics import success_rate
 from vstestbed.report.comparison.tables import STYLE as TABLES
 from vstestbed.report.html.canvas import LINE_COLORS, LOST, new_figure, save, style, to_svg
-from vstestbed.report.html.pieces import figure
+from vstestbed.report.html.parts import figure
 from vstestbed.report.html.template import PAGE, STYLE
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ class Cell:
 
     law: str
     task: str
-    controller: Controller
+    controller: ControllerResults
 
     @property
     def amounts(self) -> list[str]:
@@ -92,12 +92,15 @@ def _numbers(amounts: Sequence[str]) -> str:
 def cells(table: pl.DataFrame, axes: Sequence[str]) -> list[Cell]:
     """Every law in every task, in order of first appearance; a law is what the other axes tell apart."""
     others = [axis for axis in axes if axis != TASK]
-    comparison = Comparison(table.select(pl.exclude(TASK)), tuple(others))
+    comparison = ComparisonResults(table.select(pl.exclude(TASK)), tuple(others))
     made = []
     for law in comparison.controllers:
         label = law.label if "=" not in law.label or len(others) > 1 else law.label.partition("=")[2]
         rows = table.filter(pl.all_horizontal(pl.col(c) == law.runs[c][0] for c in ("scenario", *others)))
-        made += [Cell(label, str(task), Controller(label, rows.filter(pl.col(TASK) == task).sort("seed"))) for task in _ordered(rows[TASK])]
+        made += [
+            Cell(label, str(task), ControllerResults(label, rows.filter(pl.col(TASK) == task).sort("seed")))
+            for task in _ordered(rows[TASK])
+        ]
     return made
 
 
@@ -233,7 +236,7 @@ def write_task_report(
     write_whole(folder / "tasks.md", markdown(found, metrics))
     n, good = len(table), int(table["success"].cast(pl.Boolean, strict=False).fill_null(False).sum())
     caption = "Numbers of the runs that reached the goal; red crosses at the top: runs that did not, each law at its own height."
-    failed = comparison_failures.section(folder, Comparison(table, axes, metrics))
+    failed = comparison_failures.section(folder, ComparisonResults(table, axes, metrics))
     body = [
         f"<p>{good} of {n} runs reached the goal. Each cell: how many, the median time to converge, the 95 % interval of the rate, "
         "and each failure by its outcome.</p>",

@@ -123,7 +123,7 @@ def _mark_views(axes: Axes, tracks: Tracks) -> None:
 
 def pose_error(tracks: Tracks) -> Figure | None:
     """Distance and angle of the true camera (or vehicle) from its goal over time, logarithmic; None of a task without an end."""
-    if tracks.setting.ride is not None and tracks.setting.ride.band_m is not None:
+    if tracks.setting.ground_task is not None and tracks.setting.ground_task.band_m is not None:
         return None
     position, angle = tracks.column("position_error_m"), np.degrees(tracks.column("rotation_error_rad"))
     if not (np.isfinite(position).any() or np.isfinite(angle).any()):
@@ -177,7 +177,7 @@ def depth(tracks: Tracks) -> Figure | None:
 
 def joints(tracks: Tracks) -> Figure | None:
     """Joint positions, velocities and actuator inputs, as far as the log has them. A vehicle's wheels have a figure of their own."""
-    if tracks.setting.ride is not None:
+    if tracks.setting.ground_task is not None:
         return None
     panels = [(s, label) for s, label in (("q", "position"), ("qd", "velocity"), ("ctrl", "input")) if _moving(tracks, s)]
     if not panels:
@@ -238,7 +238,7 @@ def least_span(axes: Axes, least: float) -> None:
 
 def shade_lost(axes: Axes, tracks: Tracks) -> None:
     """Mark the stretches in which the target was lost."""
-    for i, (start, end) in enumerate(tracks.lost_stretches()):
+    for i, (start, end) in enumerate(tracks.lost_intervals()):
         axes.axvspan(start, end, color=LOST, alpha=0.16, linewidth=0, label="target lost" if i == 0 else None)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from vstestbed.core.geometry import Array, transform
 from vstestbed.report.html.canvas import GOAL, INK, LINE_COLORS, WIDTH_IN, marker_colors, new_figure
-from vstestbed.report.run.expected_way import Ride, farthest, seen_at
+from vstestbed.report.run.expected_path import GroundTask, largest_deviation, visible_region
 from vstestbed.report.run.tracks import Tracks
 
 if TYPE_CHECKING:
@@ -24,12 +24,12 @@ TRUE, ESTIMATED, ODOMETRY = LINE_COLORS[0], LINE_COLORS[1], LINE_COLORS[3]
 
 def plane(tracks: Tracks) -> Figure | None:
     """The way in the plane: true, estimated and by odometry; start, end, goals; landmarks; what the camera saw at both ends."""
-    ride, places = tracks.setting.ride, tracks.places("base")
+    ground_task, places = tracks.setting.ground_task, tracks.planar_poses("base")
     there = np.isfinite(places).all(axis=1)
-    if ride is None or not there.any():
+    if ground_task is None or not there.any():
         return None
     landmarks = _landmarks(tracks)
-    shown = [places[there, :2], ride.goals[:, :2], landmarks[:, :2], ride.route, _moving_target(tracks)]
+    shown = [places[there, :2], ground_task.goals[:, :2], landmarks[:, :2], ground_task.reference_path, _moving_target(tracks)]
     points = np.concatenate(shown)
     low, high = points.min(axis=0), points.max(axis=0)
     span = float(max((high - low).max(), 0.5))
@@ -37,9 +37,9 @@ def plane(tracks: Tracks) -> Figure | None:
     wide, tall = high - low
     figure = new_figure(float(np.clip(WIDTH_IN * tall / wide, 2.2, 6.0)) + 0.75)
     axes = figure.add_subplot()
-    _draw_views(axes, tracks, ride, landmarks, span)
-    _draw_task(axes, tracks, ride, span)
-    _draw_ways(axes, tracks, ride, span)
+    _draw_views(axes, tracks, ground_task, landmarks, span)
+    _draw_task(axes, tracks, ground_task, span)
+    _draw_ways(axes, tracks, ground_task, span)
     _draw_landmarks(axes, landmarks)
     axes.set(aspect="equal", xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x [m]", ylabel="y [m]")
     figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3)
@@ -60,44 +60,44 @@ def _moving_target(tracks: Tracks) -> Array:
     return way if len(way) and np.ptp(way, axis=0).max() > 1e-3 else np.empty((0, 2))
 
 
-def _draw_views(axes: Axes, tracks: Tracks, ride: Ride, landmarks: Array, span: float) -> None:
+def _draw_views(axes: Axes, tracks: Tracks, ground_task: GroundTask, landmarks: Array, span: float) -> None:
     """At the landmarks' mean height, what is in the picture at the start and at the end."""
     cameras = tracks.poses("cam")
     cameras = cameras[np.isfinite(cameras).all(axis=(1, 2))]
     height = float(landmarks[:, 2].mean()) if len(landmarks) else 0.0
     for T, color in ((cameras[0], INK), (cameras[-1], TRUE)) if len(cameras) else ():
-        x, y, seen = seen_at(ride.lens, T, height, 0.45 * span)
+        x, y, seen = visible_region(ground_task.camera, T, height, 0.45 * span)
         if seen.any():
             axes.contourf(x, y, seen, levels=[0.5, 1.5], colors=[color], alpha=0.07)
             if seen.min() < 1:
                 axes.contour(x, y, seen, levels=[0.5], colors=[color], alpha=0.35, linewidths=0.7)
 
 
-def _draw_task(axes: Axes, tracks: Tracks, ride: Ride, span: float) -> None:
+def _draw_task(axes: Axes, tracks: Tracks, ground_task: GroundTask, span: float) -> None:
     """Route, target's way, goals."""
-    if len(ride.route):
-        axes.plot(*ride.route.T, color=INK, linewidth=0.9, linestyle=":", label="route")
+    if len(ground_task.reference_path):
+        axes.plot(*ground_task.reference_path.T, color=INK, linewidth=0.9, linestyle=":", label="route")
     target = _moving_target(tracks)
     if len(target):
         axes.plot(*target.T, color=GOAL, linewidth=1.2, label="target")
-    for i, goal in enumerate(ride.goals):
-        last = i == len(ride.goals) - 1
+    for i, goal in enumerate(ground_task.goals):
+        last = i == len(ground_task.goals) - 1
         label = "goal" if last else "goals on the way" if i == 0 else None
         _dart(axes, goal, (0.075 if last else 0.045) * span, label, GOAL, filled=False)
 
 
-def _draw_ways(axes: Axes, tracks: Tracks, ride: Ride, span: float) -> None:
+def _draw_ways(axes: Axes, tracks: Tracks, ground_task: GroundTask, span: float) -> None:
     """The true way as a pale band with headings, on it the others; the vehicle at start and end."""
-    true = tracks.places("base")
+    true = tracks.planar_poses("base")
     for stem, color, label in (("odo", ODOMETRY, "by odometry alone"), ("est", ESTIMATED, "as estimated")):
-        way = tracks.places(stem)
+        way = tracks.planar_poses(stem)
         if np.isfinite(way).any():
             axes.plot(way[:, 0], way[:, 1], color=color, linewidth=0.9, label=label, zorder=3)
     axes.plot(true[:, 0], true[:, 1], color=TRUE, linewidth=4.0, alpha=0.35, label="true way", zorder=2.5)
-    if ride.ideal is not None and len(ride.ideal) > 1:
+    if ground_task.expected_path is not None and len(ground_task.expected_path) > 1:
         known = true[np.isfinite(true).all(axis=1), :2]
-        label = f"{ride.ideal_name}: at most {_length(farthest(known, ride.ideal))} off"
-        axes.plot(*ride.ideal.T, color=INK, linewidth=1.0, linestyle=(0, (5, 2)), label=label, zorder=3)
+        label = f"{ground_task.expected_path_name}: at most {_length(largest_deviation(known, ground_task.expected_path))} off"
+        axes.plot(*ground_task.expected_path.T, color=INK, linewidth=1.0, linestyle=(0, (5, 2)), label=label, zorder=3)
     known = true[np.isfinite(true).all(axis=1)]
     for place in known[_evenly(known[:, :2], HEADING_EVERY * span)]:
         _dart(axes, place, 0.022 * span, None, TRUE, filled=True)

@@ -19,7 +19,7 @@ TILES: Final = (
     ("path_length_m", "Path length", "m"),
     ("real_time_factor", "Real-time factor, films included", "×"),
 )
-KEPT_TILES: Final = (("worst_off_m", "Largest error once settled", "m"), *TILES[4:])
+CONTINUING_TILES: Final = (("worst_off_m", "Largest error once settled", "m"), *TILES[4:])
 """Of a task without an end, which has no goal to be away from."""
 ROWS: Final = (
     ("seed", "Seed", ""),
@@ -50,17 +50,17 @@ def headline(summary: Summary) -> str:
     """The outcome in large letters, coloured by success, with the sentence that says why."""
     good = " good" if summary.get("success") else ""
     reason = str(summary.get("reason") or "")
-    return f'<div class="outcome{good}"><strong>{escape(outcome_words(summary))}</strong>{escape(_sentence(reason))}</div>'
+    return f'<div class="outcome{good}"><strong>{escape(outcome_text(summary))}</strong>{escape(_sentence(reason))}</div>'
 
 
-def outcome_words(summary: Summary) -> str:
+def outcome_text(summary: Summary) -> str:
     """The outcome as words: `Target lost` for `target_lost`."""
     return str(summary.get("outcome") or "no outcome").replace("_", " ").capitalize()
 
 
 def tiles(summary: Summary) -> str:
     """The few numbers one looks for first."""
-    shown = KEPT_TILES if "worst_off_m" in summary else TILES
+    shown = CONTINUING_TILES if "worst_off_m" in summary else TILES
     made = [f"<div><dt>{name}</dt><dd>{_with_unit(summary.get(key), unit)}</dd></div>" for key, name, unit in shown]
     return f'<dl class="tiles">{"".join(made)}</dl>'
 

@@ -13,7 +13,7 @@ import polars as pl
 from vstestbed.core.errors import RunFolderError, VstestbedError
 from vstestbed.core.files import write_whole
 from vstestbed.report.html.canvas import style, to_svg
-from vstestbed.report.html.pieces import figure, film, folded
+from vstestbed.report.html.parts import figure, film, folded
 from vstestbed.report.html.template import PAGE, STYLE
 from vstestbed.report.run import figures, flight, numbers, path3d, vehicle
 from vstestbed.report.run import floor_plan as plane
@@ -66,7 +66,7 @@ PLOTS: Final[tuple[Plot, ...]] = (
         "off",
         "Error of the task",
         "True: how far the camera is off its place or path, the gap wider than asked, the vehicle left of its line.",
-        vehicle.off_task,
+        vehicle.task_error,
     ),
     ("twist", "Camera twist", "In the camera's frame: commanded (thin line) and true (pale band).", figures.twist),
     (
@@ -89,7 +89,7 @@ PLOTS: Final[tuple[Plot, ...]] = (
         "place",
         "Error of the place known",
         "Where the vehicle thinks it is against where it is; heading likewise, counter-clockwise.",
-        vehicle.place_error,
+        vehicle.localisation_error,
     ),
     ("wheels", "Wheels and steering", "As told (thin line) and as measured (pale band).", vehicle.wheels),
     (
@@ -154,7 +154,7 @@ def render_page(
         folded("All numbers (summary.json)", json.dumps(dict(summary), indent=2, default=str)),
     ]
     words = f'<p class="soft">{escape(setting.description)}</p>' if setting.description else ""
-    title = f"{name}: {numbers.outcome_words(summary)}"
+    title = f"{name}: {numbers.outcome_text(summary)}"
     return PAGE.format(title=escape(title), style=STYLE, heading=escape(name), description=words, body="\n".join(filter(None, body)))
 
 

@@ -24,7 +24,7 @@ def camera_path(tracks: Tracks) -> Figure | None:
 
     A vehicle's camera stays at its height: its way is drawn in the plane.
     """
-    if tracks.setting.ride is not None:
+    if tracks.setting.ground_task is not None:
         return None
     cameras = tracks.poses("cam")
     cameras = cameras[np.isfinite(cameras).all(axis=(1, 2))]

@@ -12,7 +12,7 @@ import polars as pl
 from numpy.typing import NDArray
 
 from vstestbed.core.geometry import Array, inverse, rotation_from_quaternion, transform
-from vstestbed.report.run.expected_way import Ride
+from vstestbed.report.run.expected_path import GroundTask
 from vstestbed.targets.ground_lines import GroundLines
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ class Setting:
         description: the scenario's own words.
         feature: what the law works with, where it is an image feature.
         camera: the servo camera.
-        ride: what there is to a vehicle's task on the floor.
+        ground_task: what there is to a vehicle's task on the floor.
         band_m, settle_s: of a task without an end: how far off it may be [m], from when on [s].
     """
 
@@ -48,7 +48,7 @@ class Setting:
     description: str = ""
     feature: Feature | None = None
     camera: Camera | None = None
-    ride: Ride | None = None
+    ground_task: GroundTask | None = None
     band_m: float | None = None
     settle_s: float = 0.0
 
@@ -57,7 +57,7 @@ class Setting:
         """The facts of a loaded scenario; a task without a goal view or a pixel threshold leaves those out."""
         from vstestbed.scenario.goal import KEPT
 
-        ride, kept = Ride.of(scenario), scenario.goal if isinstance(scenario.goal, KEPT) else None
+        ground_task, kept = GroundTask.of(scenario), scenario.goal if isinstance(scenario.goal, KEPT) else None
         view = getattr(scenario.goal, "T_camera_target", None)
         return cls(
             width=scenario.camera.width,
@@ -68,7 +68,7 @@ class Setting:
             description=scenario.description,
             feature=getattr(scenario.law, "feature", None),
             camera=scenario.camera,
-            ride=ride,
+            ground_task=ground_task,
             band_m=kept.band if kept else None,
             settle_s=kept.settle_s if kept else 0.0,
         )
@@ -119,7 +119,7 @@ class Tracks:
         T[:, 3] = 0.0, 0.0, 0.0, 1.0
         return T
 
-    def places(self, stem: str) -> Array:
+    def planar_poses(self, stem: str) -> Array:
         """A vehicle's places (x, y, heading) of `base` (true), `est` or `odo`, shape (T, 3); NaN where the log has none."""
         return self.columns(*(f"{stem}_{name}" for name in ("x", "y", "heading")))
 
@@ -147,7 +147,7 @@ class Tracks:
         T_camera_target = inverse(self.poses("cam")) @ self.poses("tgt")
         return transform(T_camera_target, points)[..., 2]
 
-    def lost_stretches(self) -> list[tuple[float, float]]:
+    def lost_intervals(self) -> list[tuple[float, float]]:
         """From when until when the target was lost [s]; a single frame lasts until the next."""
         edges = np.flatnonzero(np.diff(np.concatenate([[False], self.lost, [False]]).astype(int)))
         last = len(self.t) - 1

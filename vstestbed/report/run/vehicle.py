@@ -20,7 +20,7 @@ ESTIMATES = (("est", "as estimated", LINE_COLORS[1]), ("odo", "by odometry alone
 
 def wheels(tracks: Tracks) -> Figure | None:
     """Speeds of the wheels as measured (band) and as told (line), and below it steering angles likewise."""
-    if tracks.setting.ride is None:
+    if tracks.setting.ground_task is None:
         return None
     turning = _shown(tracks, "qd", steering=False), _shown(tracks, "ctrl", steering=False)
     steering = _shown(tracks, "q", steering=True), _shown(tracks, "ctrl", steering=True)
@@ -48,11 +48,11 @@ def _shown(tracks: Tracks, stem: str, steering: bool) -> list[str]:
     return [n for n in names if np.isfinite(tracks.column(f"{stem}_{n}")).any()]
 
 
-def place_error(tracks: Tracks) -> Figure | None:
+def localisation_error(tracks: Tracks) -> Figure | None:
     """How far the vehicle is from where it thinks it is, and by how much its heading is wrong: with landmarks, by odometry alone."""
-    true = tracks.places("base")
-    off = {stem: tracks.places(stem) - true for stem, _, _ in ESTIMATES}
-    if tracks.setting.ride is None or not any(np.isfinite(o).any() for o in off.values()):
+    true = tracks.planar_poses("base")
+    off = {stem: tracks.planar_poses(stem) - true for stem, _, _ in ESTIMATES}
+    if tracks.setting.ground_task is None or not any(np.isfinite(o).any() for o in off.values()):
         return None
     figure = new_figure(3.9)
     upper, lower = figure.subplots(2, 1, sharex=True)
@@ -89,9 +89,9 @@ def slip(tracks: Tracks) -> Figure | None:
     return figure
 
 
-def off_task(tracks: Tracks) -> Figure | None:
+def task_error(tracks: Tracks) -> Figure | None:
     """True error of a task without an end, with the band that it shall stay in once settled."""
-    value, known = tracks.column("off_m"), tracks.setting.ride or tracks.setting
+    value, known = tracks.column("off_m"), tracks.setting.ground_task or tracks.setting
     band, settle = known.band_m, known.settle_s
     if not np.isfinite(value).any():
         return None

@@ -15,13 +15,13 @@ from vstestbed.core.files import write_whole
 from vstestbed.core.geometry import Array
 from vstestbed.report.comparison.tables import STYLE as TABLES
 from vstestbed.report.html.canvas import new_figure, save, style
-from vstestbed.report.html.pieces import data_url, figure
+from vstestbed.report.html.parts import data_url, figure
 from vstestbed.report.html.template import PAGE, STYLE
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-AxisWords = tuple[str, str, float, float]
+AxisLabels = tuple[str, str, float, float]
 """Name, unit, low, high."""
 ENDINGS: Final = {
     "target_lost": ("#f3c04b", "target out of sight"),
@@ -39,7 +39,7 @@ PANEL_IN, COLUMNS, DPI = 2.0, 5, 200
 
 
 @dataclass(frozen=True)
-class Map:
+class BasinMap:
     """How each start of a grid ended, (n_y, n_x), by the word of its ending, and when it converged [s]."""
 
     label: str
@@ -47,7 +47,7 @@ class Map:
     time_s: Array
 
 
-def colours(made: Map, soonest: float, latest: float) -> Array:
+def colours(made: BasinMap, soonest: float, latest: float) -> Array:
     """The map as a picture (n_y, n_x, 3): blue from light to dark between two times to converge [s], else its ending's colour."""
     from matplotlib.colors import to_rgb
 
@@ -58,7 +58,7 @@ def colours(made: Map, soonest: float, latest: float) -> Array:
     return picture
 
 
-def draw(maps: Sequence[Map], x: AxisWords, y: AxisWords) -> Figure:
+def draw(maps: Sequence[BasinMap], x: AxisLabels, y: AxisLabels) -> Figure:
     """One panel a law, all with the same shades; below them what the colours mean."""
     columns = min(COLUMNS, len(maps))
     rows = math.ceil(len(maps) / columns)
@@ -82,7 +82,7 @@ def draw(maps: Sequence[Map], x: AxisWords, y: AxisWords) -> Figure:
     return drawn
 
 
-def _key(drawn: Figure, grid: Any, maps: Sequence[Map], soonest: float, latest: float) -> None:
+def _key(drawn: Figure, grid: Any, maps: Sequence[BasinMap], soonest: float, latest: float) -> None:
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import LinearSegmentedColormap, Normalize
     from matplotlib.patches import Patch
@@ -97,7 +97,9 @@ def _key(drawn: Figure, grid: Any, maps: Sequence[Map], soonest: float, latest: 
         drawn.legend(handles=patches, loc="outside lower center", ncols=min(5, len(patches)))
 
 
-def write_maps(folder: Path, maps: Sequence[Map], x: AxisWords, y: AxisWords, summaries: Sequence[Mapping[str, Any]], command: str) -> Path:
+def write_maps(
+    folder: Path, maps: Sequence[BasinMap], x: AxisLabels, y: AxisLabels, summaries: Sequence[Mapping[str, Any]], command: str
+) -> Path:
     """`basin.png`, `basin.pdf` and `report.html`; gives the page.
 
     Raises:

@@ -15,7 +15,7 @@ from vstestbed.core.files import write_whole
 from vstestbed.core.geometry import Array
 from vstestbed.report.comparison.tables import STYLE as TABLES
 from vstestbed.report.html.canvas import INK, new_figure, save, style
-from vstestbed.report.html.pieces import data_url, figure
+from vstestbed.report.html.parts import data_url, figure
 from vstestbed.report.html.template import PAGE, STYLE
 
 if TYPE_CHECKING:
@@ -27,11 +27,11 @@ LETTERS: Final = {"target_lost": "L", "local_minimum": "M", "diverged": "D", "ti
 NONE, ALL = np.array([0.96, 0.93, 0.88]), np.array([0.05, 0.36, 0.62])
 """Colours (r, g, b) of cells where no seed and where every seed converged."""
 COLUMNS, DPI = 2, 200
-AxisWords = tuple[str, list[str]]
+AxisLabels = tuple[str, list[str]]
 
 
 @dataclass(frozen=True)
-class Panel:
+class ConvergenceMap:
     """The map of one law: share of seeds that converged (n_y, n_x), commonest other outcome, median distance from the true goal [m]."""
 
     label: str
@@ -40,7 +40,7 @@ class Panel:
     away_m: Array
 
 
-def draw(panels: Sequence[Panel], x: AxisWords, y: AxisWords) -> Figure:
+def draw(panels: Sequence[ConvergenceMap], x: AxisLabels, y: AxisLabels) -> Figure:
     """The maps side by side."""
     rows = -(-len(panels) // COLUMNS)
     n_y, n_x = panels[0].share.shape
@@ -56,7 +56,7 @@ def draw(panels: Sequence[Panel], x: AxisWords, y: AxisWords) -> Figure:
     return drawn
 
 
-def _draw(axes: Axes, panel: Panel, x: AxisWords, y: AxisWords) -> None:
+def _draw(axes: Axes, panel: ConvergenceMap, x: AxisLabels, y: AxisLabels) -> None:
     axes.imshow(NONE + panel.share[..., None] * (ALL - NONE), origin="lower", aspect="auto")
     for (i, j), share in np.ndenumerate(panel.share):
         letter = LETTERS.get(str(panel.others[i, j]), "") if share < 1 else ""
@@ -68,7 +68,9 @@ def _draw(axes: Axes, panel: Panel, x: AxisWords, y: AxisWords) -> None:
     axes.set_title(panel.label)
 
 
-def write_page(folder: Path, panels: Sequence[Panel], x: AxisWords, y: AxisWords, seeds: int, description: str, command: str) -> Path:
+def write_page(
+    folder: Path, panels: Sequence[ConvergenceMap], x: AxisLabels, y: AxisLabels, seeds: int, description: str, command: str
+) -> Path:
     """`convergence.png`, `convergence.pdf` and `report.html`; gives the page.
 
     Raises:
@@ -88,7 +90,7 @@ def write_page(folder: Path, panels: Sequence[Panel], x: AxisWords, y: AxisWords
     return write_whole(folder / "report.html", page)
 
 
-def _table(panel: Panel, x: AxisWords, y: AxisWords) -> str:
+def _table(panel: ConvergenceMap, x: AxisLabels, y: AxisLabels) -> str:
     head = "".join(f"<th>{escape(value)}</th>" for value in x[1])
     rows = []
     for i in reversed(range(len(y[1]))):

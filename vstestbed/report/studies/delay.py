@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from vstestbed.core.files import write_whole
 from vstestbed.report.comparison.tables import STYLE as TABLES
 from vstestbed.report.html.canvas import INK, LINE_COLORS, new_figure, save, style
-from vstestbed.report.html.pieces import data_url, figure
+from vstestbed.report.html.parts import data_url, figure
 from vstestbed.report.html.template import PAGE, STYLE
 
 if TYPE_CHECKING:

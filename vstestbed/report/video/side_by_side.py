@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 
 from vstestbed.core.errors import ParameterError
+from vstestbed.report.video.frame_reader import FrameReader, scaled
 from vstestbed.report.video.overlay import ALARM, INK, PAPER, Color, draw_banner, draw_text, shortened, text_width
-from vstestbed.report.video.playback import Reel, scaled
 from vstestbed.report.video.writer import Image, VideoWriter
 
 MOST: Final = 6
@@ -67,7 +67,7 @@ def side_by_side(columns: Sequence[Column], path: Path, rate_hz: float | None = 
     if not 0 < len(columns) <= MOST:
         raise ParameterError("columns", f"must be 1 to {MOST} runs", len(columns))
     with ExitStack() as open_films:
-        reels = [[Reel(film) for film in column.films] for column in columns]
+        reels = [[FrameReader(film) for film in column.films] for column in columns]
         for reel in (reel for column in reels for reel in column):
             open_films.callback(reel.close)
         fastest = max((reel.rate_hz for column in reels for reel in column), default=Fraction(0))
@@ -87,7 +87,7 @@ def side_by_side(columns: Sequence[Column], path: Path, rate_hz: float | None = 
 class _Sheet:
     """The picture that all columns share."""
 
-    def __init__(self, columns: Sequence[Column], reels: list[list[Reel]]):
+    def __init__(self, columns: Sequence[Column], reels: list[list[FrameReader]]):
         width = min(COLUMN, (WIDEST + GAP) // len(columns) - GAP) // 2 * 2
         self._size = max(15, width // 28)
         self._bar = 2 * self._size // 2 * 2
@@ -128,9 +128,9 @@ class _Sheet:
 class _Strip:
     """One column's films on its part of the sheet, a view of shape (H, width, 3)."""
 
-    def __init__(self, image: Image, column: Column, reels: list[Reel], heights: list[int]):
+    def __init__(self, image: Image, column: Column, reels: list[FrameReader], heights: list[int]):
         self._image, self._column, self._top = image, column, image[: heights[0]]
-        self._shown: list[tuple[Reel, Image]] = []
+        self._shown: list[tuple[FrameReader, Image]] = []
         self._over = False
         image[:] = INK
         for row, place in enumerate(np.split(image, np.cumsum(heights)[:-1])):
@@ -154,16 +154,16 @@ class _Strip:
         return not self._over
 
 
-def _row_height(reels: list[Reel], width: int) -> int:
+def _row_height(reels: list[FrameReader], width: int) -> int:
     """Height of the highest of these films at that width, even [px]."""
     return max((_scaled_height(reel, width) for reel in reels if reel.rate_hz), default=round(width * SHAPE / 2) * 2)
 
 
-def _scaled_height(reel: Reel, width: int) -> int:
+def _scaled_height(reel: FrameReader, width: int) -> int:
     return max(2, round(width * reel.height / reel.width / 2) * 2)
 
 
-def _centred(place: Image, reel: Reel) -> Image:
+def _centred(place: Image, reel: FrameReader) -> Image:
     """The part of the place that the film fills."""
     height = _scaled_height(reel, place.shape[1])
     top = (place.shape[0] - height) // 4 * 2

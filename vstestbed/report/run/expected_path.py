@@ -18,27 +18,27 @@ RINGS, DIRECTIONS = 120, 541
 
 
 @dataclass(frozen=True)
-class Ride:
+class GroundTask:
     """Facts of a vehicle's scenario; arrays are empty where there is nothing of the kind.
 
     Attributes:
         goals: places to come to, in turn, shape (K, 3) [m, m, rad].
         route: what is driven along, by the vehicle or by what it follows, shape (M, 2) [m].
         band_m: how far off a task without an end may be once settled [m]; settle_s: how long that may take [s].
-        lens: the camera.
+        camera: the camera.
         ideal: way of a reference from the same start, shape (K, 2) [m]; ideal_name: what it is.
     """
 
     goals: Array
-    route: Array
-    lens: Camera
+    reference_path: Array
+    camera: Camera
     band_m: float | None = None
     settle_s: float = 0.0
-    ideal: Array | None = None
-    ideal_name: str = "ideal bicycle"
+    expected_path: Array | None = None
+    expected_path_name: str = "ideal bicycle"
 
     @classmethod
-    def of(cls, scenario: Scenario) -> Ride | None:
+    def of(cls, scenario: Scenario) -> GroundTask | None:
         """The facts of a scenario; None where nothing drives on a floor."""
         from vstestbed.scenario.goal import KEPT
 
@@ -48,15 +48,15 @@ class Ride:
         kept = scenario.goal if isinstance(scenario.goal, KEPT) else None
         return cls(
             goals=np.array(goals).reshape(-1, 3),
-            route=_route(scenario),
-            lens=scenario.camera,
+            reference_path=_reference_path(scenario),
+            camera=scenario.camera,
             band_m=kept.band if kept else None,
             settle_s=kept.settle_s if kept else 0.0,
-            ideal=ideal_way(scenario),
+            expected_path=ideal_bicycle_path(scenario),
         )
 
 
-def _route(scenario: Scenario) -> Array:
+def _reference_path(scenario: Scenario) -> Array:
     """The route of what carries the target, or of lines on the floor, every 5 cm."""
     from vstestbed.targets.base import Carried
     from vstestbed.targets.ground_lines import GroundLines
@@ -67,7 +67,7 @@ def _route(scenario: Scenario) -> Array:
     return motion.route.samples.xy[::5] if isinstance(motion, Carried) else np.empty((0, 2))
 
 
-def ideal_way(scenario: Scenario) -> Array | None:
+def ideal_bicycle_path(scenario: Scenario) -> Array | None:
     """The way (K, 2) [m] that the pose controller's law takes a bicycle that knows its place and obeys at once, within the car's angle.
 
     It ends where it is nearest to the goal. None for other laws and vehicles.
@@ -91,7 +91,7 @@ def ideal_way(scenario: Scenario) -> Array | None:
     return way[: int(np.argmin(np.linalg.norm(way - goal[:2], axis=1))) + 1]
 
 
-def farthest(path: Array, reference: Array) -> float:
+def largest_deviation(path: Array, reference: Array) -> float:
     """Largest distance [m] of a path's points (T, 2) from a polyline (K, 2)."""
     a, d = reference[:-1], np.diff(reference, axis=0)
     to = path[:, None] - a
@@ -99,11 +99,11 @@ def farthest(path: Array, reference: Array) -> float:
     return float(np.linalg.norm(to - share[..., None] * d, axis=-1).min(axis=1).max())
 
 
-def seen_at(lens: Camera, T_world_camera: Array, height: float, reach: float) -> tuple[Array, Array, Array]:
+def visible_region(camera: Camera, T_world_camera: Array, height: float, reach: float) -> tuple[Array, Array, Array]:
     """What a camera sees of the horizontal plane at a height, within a distance of its foot.
 
     Args:
-        lens: the camera. T_world_camera: its pose, shape (4, 4).
+        camera: the camera. T_world_camera: its pose, shape (4, 4).
         height: of the plane, such as that of the landmarks [m].
         reach: how far to look [m].
 
@@ -114,6 +114,6 @@ def seen_at(lens: Camera, T_world_camera: Array, height: float, reach: float) ->
     foot = T_world_camera[:3, 3]
     x, y = foot[0] + r * np.cos(a), foot[1] + r * np.sin(a)
     step = np.stack([x - foot[0], y - foot[1], np.full_like(x, height - foot[2])], axis=-1).reshape(-1, 3)
-    uv = lens.project(step @ T_world_camera[:3, :3])
-    seen = lens.inside(uv) if len(lens.panels) == 1 else np.isfinite(uv[:, 0])
+    uv = camera.project(step @ T_world_camera[:3, :3])
+    seen = camera.inside(uv) if len(camera.panels) == 1 else np.isfinite(uv[:, 0])
     return x, y, seen.reshape(x.shape).astype(float)

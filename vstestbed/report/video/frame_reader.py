@@ -20,7 +20,7 @@ EARLY_S: Final = Fraction(1, 10_000)
 """How much before its time a picture may be shown: films count time in steps of about 1/12800 s."""
 
 
-class Reel:
+class FrameReader:
     """A film that is decoded as far as it has been shown, and keeps two pictures of it.
 
     A film that cannot be read is one without pictures: `rate_hz` is 0 and `ended` true from the beginning. One that is

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vstestbed.core.geometry import Array
-from vstestbed.report.comparison.columns import Controller, Metric
+from vstestbed.report.comparison.columns import ControllerResults, Metric
 from vstestbed.report.comparison.figures import Data, look, metric_panels, wrapped
 from vstestbed.report.comparison.statistics import spread
 from vstestbed.report.html.canvas import INK, LOST
@@ -59,7 +59,7 @@ def _frame(axes: Axes, data: Data, metric: Metric) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def _draw_strip(axes: Axes, line: int, controller: Controller, metric: Metric, limits: tuple[float, float], most: int) -> None:
+def _draw_strip(axes: Axes, line: int, controller: ControllerResults, metric: Metric, limits: tuple[float, float], most: int) -> None:
     """The points of a controller on its line, its quartiles as a bar, and right of the frame how many runs have no value."""
     values = controller.values(metric)
     known = np.isfinite(values)
