@@ -1,4 +1,4 @@
-"""The command that maps basins of attraction. Heavy imports happen inside."""
+"""The command `basin`: outcome of each start over two of its coordinates. Heavy imports are inside the function."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ basins = typer.Typer()
 
 
 class FieldOfView(str, Enum):
-    """What the camera of a map sees."""
+    """Field of view of the camera of a map."""
 
     limited = "limited"
     unlimited = "unlimited"
@@ -48,7 +48,7 @@ def basin(
     """From where each law reaches its goal, and why not from elsewhere: a map of ideal runs over two coordinates of the start."""
     from vstestbed.cli.compare import vary_of
     from vstestbed.core.files import new_study_folder
-    from vstestbed.experiments.basin.maps import each, laws, write
+    from vstestbed.experiments.basin.maps import basins_of, laws, write
     from vstestbed.experiments.comparison import chosen
     from vstestbed.scenario.load import load_plugins
 
@@ -57,10 +57,10 @@ def basin(
     found = laws(chosen(scenarios, settings_of(set_), vary_of(vary), None), None if field_of_view is None else field_of_view.value)
     folder = new_study_folder("basin", out)
     shown = not (quiet or as_json)
-    made = each(found, across, up, rest, check, lambda one: typer.echo(_words(one), err=True) if shown else None)
-    page = write(folder, made, shlex.join(["vstestbed", *sys.argv[1:]]) if len(sys.argv) > 1 else "")
+    mapped = basins_of(found, across, up, rest, check, lambda one: typer.echo(_summary_text(one), err=True) if shown else None)
+    page = write(folder, mapped, shlex.join(["vstestbed", *sys.argv[1:]]) if len(sys.argv) > 1 else "")
     if as_json:
-        sys.stdout.write(json.dumps([b.summary() for b in made], indent=1) + "\n")
+        sys.stdout.write(json.dumps([b.summary() for b in mapped], indent=1) + "\n")
     elif not quiet:
         typer.echo(f"  results   {page.parent} (open report.html)", err=True)
 
@@ -95,11 +95,11 @@ def _coordinates(option: str, texts: list[str]) -> dict[str, float]:
     return found
 
 
-def _words(made: Basin) -> str:
-    summary = made.summary()
+def _summary_text(mapped: Basin) -> str:
+    summary = mapped.summary()
     shares = ", ".join(f"{ending.replace('_', ' ')} {100 * share:.1f} %" for ending, share in summary["shares"].items())
-    lines = [f"{made.label}: {shares}; {summary['starts']} starts in {made.processor_s:.1f} s of one core"]
-    if made.checked:
-        lines.append(f"  the time loop agrees on {summary['agreeing']} of {made.checked}")
-    lines += [f"    not at {made.x.name} {d.x:g}, {made.y.name} {d.y:g}: {d.batch} here, {d.full} there" for d in made.disagreements]
+    lines = [f"{mapped.label}: {shares}; {summary['starts']} starts in {mapped.processor_s:.1f} s of one core"]
+    if mapped.checked:
+        lines.append(f"  the time loop agrees on {summary['agreeing']} of {mapped.checked}")
+    lines += [f"    not at {mapped.x.name} {d.x:g}, {mapped.y.name} {d.y:g}: {d.batch} here, {d.full} there" for d in mapped.disagreements]
     return "\n".join(lines)

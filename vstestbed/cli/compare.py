@@ -1,4 +1,4 @@
-"""The command that compares. Heavy imports happen inside."""
+"""The command `compare`: scenarios, variations and seeds in parallel. Heavy imports are inside the function."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def compare(
     if as_json:
         sys.stdout.write(table.write_json() + "\n")
     elif not quiet:
-        typer.echo(_words(table, campaign.folder), err=True)
+        typer.echo(_summary_text(table, campaign.folder), err=True)
 
 
 def vary_of(options: list[str] | None) -> dict[str, tuple[object, ...]]:
@@ -72,14 +72,15 @@ def _pairs(options: list[str] | None) -> list[tuple[str, str]]:
 
 
 def _values(text: str) -> list[object]:
-    """Values between commas that stand in no brackets: `1,2`, `[0, 1], [1, 0]`, `{kind: oracle}, blobs`."""
+    """The values between top-level commas: `1,2`, `[0, 1], [1, 0]`, `{kind: oracle}, blobs`."""
     from vstestbed.scenario.yaml_marks import read_value
 
+    # in brackets it is a YAML list, whose reader knows which commas are inside nested brackets
     found = read_value(f"[{text}]")
     return found if isinstance(found, list) else [found]
 
 
-def _words(table: Any, folder: Path) -> str:
+def _summary_text(table: Any, folder: Path) -> str:
     done, good = len(table), int(table["success"].sum())
     failed = f"; {done - good} did not reach the goal" if good < done else ""
     return f"{good} of {done} runs reached the goal{failed}\n  results   {folder} (open report.html)"

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.laws.setup import book_camera
 
 import vstestbed as vs
+from tests.laws.flight import book_camera
 from tests.loop.test_golden_loops import ROWS, SET, STARTS, decided_by_rounding, law_of, pose
 from vstestbed.core.assets import bundled_scenarios
 from vstestbed.core.errors import ParameterError

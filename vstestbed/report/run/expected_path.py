@@ -1,4 +1,4 @@
-"""A vehicle's task on the floor, as its figures need it: goals, route, band, camera, and the way of an ideal bicycle."""
+"""Task of a ground vehicle as its figures need it: goals, reference path, tolerance, camera, and the path of an ideal bicycle."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ if TYPE_CHECKING:
     from vstestbed.scenario.scenario import Scenario
 
 RINGS, DIRECTIONS = 120, 541
-"""Grid on which what a camera sees of a plane is found out, in polar coordinates round its foot."""
+"""Polar grid around the camera's foot point on which the visible region of a plane is sampled."""
 
 
 @dataclass(frozen=True)
 class GroundTask:
-    """Facts of a vehicle's scenario; arrays are empty where there is nothing of the kind.
+    """Task of a ground vehicle; arrays are empty where the scenario has nothing of the kind.
 
     Attributes:
-        goals: places to come to, in turn, shape (K, 3) [m, m, rad].
-        route: what is driven along, by the vehicle or by what it follows, shape (M, 2) [m].
-        band_m: how far off a task without an end may be once settled [m]; settle_s: how long that may take [s].
-        camera: the camera.
-        ideal: way of a reference from the same start, shape (K, 2) [m]; ideal_name: what it is.
+        goals: goal poses (x, y, heading) in their order, shape (K, 3) [m, m, rad].
+        reference_path: path to be driven, by the vehicle itself or by the target that it follows, shape (M, 2) [m].
+        camera: the servo camera.
+        band_m: error tolerance of a continuing task after `settle_s` [s], [m]; None for a task with an end.
+        expected_path: path of an ideal vehicle from the same start, shape (K, 2) [m]; expected_path_name: its name in the legend.
     """
 
     goals: Array
@@ -39,7 +39,7 @@ class GroundTask:
 
     @classmethod
     def of(cls, scenario: Scenario) -> GroundTask | None:
-        """The facts of a scenario; None where nothing drives on a floor."""
+        """The task of a scenario; None for a robot that is no ground vehicle."""
         from vstestbed.scenario.goal import KEPT
 
         if not scenario.robot.grounded:
@@ -57,7 +57,7 @@ class GroundTask:
 
 
 def _reference_path(scenario: Scenario) -> Array:
-    """The route of what carries the target, or of lines on the floor, every 5 cm."""
+    """The route of the vehicle that carries the target, or the lines on the floor, sampled every 5 cm, shape (M, 2) [m]."""
     from vstestbed.targets.base import Carried
     from vstestbed.targets.ground_lines import GroundLines
 
@@ -68,9 +68,9 @@ def _reference_path(scenario: Scenario) -> Array:
 
 
 def ideal_bicycle_path(scenario: Scenario) -> Array | None:
-    """The way (K, 2) [m] that the pose controller's law takes a bicycle that knows its place and obeys at once, within the car's angle.
+    """Path (K, 2) [m] of the pose controller with an ideal bicycle: true pose, no actuator dynamics, the car's steering limit.
 
-    It ends where it is nearest to the goal. None for other laws and vehicles.
+    It ends at its point nearest to the goal. None for other laws and vehicles.
     """
     from vstestbed.laws import PoseController
     from vstestbed.laws.polar_pose import direction_to, polar_law
@@ -84,36 +84,38 @@ def ideal_bicycle_path(scenario: Scenario) -> Array | None:
     chosen = {"auto": int(direction_to(start, goal)), "forward": 1, "reverse": -1}[law.direction]
     limits = BicycleLimits(robot.limits.speed_mps, robot.limits.steering_rad)
 
-    def ordered(place: Array) -> tuple[Array, Array]:
+    def command(place: Array) -> tuple[Array, Array]:
         return polar_law(place, goal, np.array(chosen), law.gains, law.speed_mps, law.rest_m)
 
-    way = drive(ordered, start, WHEELBASE, limits, scenario.stop.duration_s, scenario.camera.period).place[:, :2]
+    way = drive(command, start, WHEELBASE, limits, scenario.stop.duration_s, scenario.camera.period).place[:, :2]
     return way[: int(np.argmin(np.linalg.norm(way - goal[:2], axis=1))) + 1]
 
 
 def largest_deviation(path: Array, reference: Array) -> float:
-    """Largest distance [m] of a path's points (T, 2) from a polyline (K, 2)."""
+    """Largest distance [m] of the points (T, 2) of a path from a polyline (K, 2)."""
     a, d = reference[:-1], np.diff(reference, axis=0)
     to = path[:, None] - a
+    # foot point on each segment, as a share of its length; 1e-12 m^2: repeated points
     share = np.clip((to * d).sum(axis=-1) / np.maximum((d * d).sum(axis=-1), 1e-12), 0, 1)
     return float(np.linalg.norm(to - share[..., None] * d, axis=-1).min(axis=1).max())
 
 
 def visible_region(camera: Camera, T_world_camera: Array, height: float, reach: float) -> tuple[Array, Array, Array]:
-    """What a camera sees of the horizontal plane at a height, within a distance of its foot.
+    """The part of a horizontal plane that is in the image, within a distance of the camera's foot point.
 
     Args:
-        camera: the camera. T_world_camera: its pose, shape (4, 4).
-        height: of the plane, such as that of the landmarks [m].
-        reach: how far to look [m].
+        camera: the camera model. T_world_camera: its pose, shape (4, 4).
+        height: z of the plane in the world, such as that of the landmarks [m].
+        reach: radius of the sampled disc [m].
 
     Returns:
-        x, y [m] of the grid's points and 1 where they are in the picture, else 0; shape (RINGS, DIRECTIONS) each.
+        x, y [m] of the grid's points and 1 where a point is in the image, else 0; shape (RINGS, DIRECTIONS) each.
     """
     r, a = np.meshgrid(np.linspace(1e-3, reach, RINGS), np.linspace(0, 2 * np.pi, DIRECTIONS), indexing="ij")
     foot = T_world_camera[:3, 3]
     x, y = foot[0] + r * np.cos(a), foot[1] + r * np.sin(a)
     step = np.stack([x - foot[0], y - foot[1], np.full_like(x, height - foot[2])], axis=-1).reshape(-1, 3)
     uv = camera.project(step @ T_world_camera[:3, :3])
+    # a camera with several panels has no image border, only directions that it cannot project
     seen = camera.inside(uv) if len(camera.panels) == 1 else np.isfinite(uv[:, 0])
     return x, y, seen.reshape(x.shape).astype(float)

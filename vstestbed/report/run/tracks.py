@@ -1,4 +1,4 @@
-"""What the figures draw: a run's log as arrays, and the few facts of its scenario that the log does not hold."""
+"""Data of the figures of a run: the log as arrays, and the parts of the scenario that the log does not hold."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ MOST_ROWS = 4000
 
 @dataclass(frozen=True)
 class Setting:
-    """Facts of the scenario that the figures use; each may be None where it is unknown or makes no sense.
+    """Parts of the scenario that the figures use; each is None where it is unknown or does not apply.
 
     Attributes:
-        width, height: size of the servo camera's picture [px].
-        threshold_px: RMS error under which the goal counts as reached [px].
+        width, height: image size of the servo camera [px].
+        threshold_px: RMS error that counts as converged [px].
         points: marker centres in the target frame, shape (N, 3) [m].
         T_camera_target: the goal view, shape (4, 4).
-        description: the scenario's own words.
-        feature: what the law works with, where it is an image feature.
+        description: the scenario's description.
+        feature: the image feature of the law; None for a law without one.
         camera: the servo camera.
-        ground_task: what there is to a vehicle's task on the floor.
-        band_m, settle_s: of a task without an end: how far off it may be [m], from when on [s].
+        ground_task: the task of a ground vehicle; None for other robots.
+        band_m, settle_s: of a continuing task: error tolerance [m] after this time [s].
     """
 
     width: int | None = None
@@ -54,7 +54,7 @@ class Setting:
 
     @classmethod
     def of(cls, scenario: Scenario) -> Setting:
-        """The facts of a loaded scenario; a task without a goal view or a pixel threshold leaves those out."""
+        """The setting of a loaded scenario; goal view and pixel threshold are None for tasks that have none."""
         from vstestbed.scenario.goal import KEPT
 
         ground_task, kept = GroundTask.of(scenario), scenario.goal if isinstance(scenario.goal, KEPT) else None
@@ -76,7 +76,7 @@ class Setting:
 
 @dataclass(frozen=True)
 class Tracks:
-    """A log (one row a frame) seen as arrays over time; a column that is absent reads as NaN."""
+    """A log (one row per frame) as arrays over time; a column that is absent reads as NaN."""
 
     log: pl.DataFrame
     setting: Setting
@@ -90,7 +90,7 @@ class Tracks:
 
     def column(self, name: str) -> Array:
         """One column as floats, shape (T,)."""
-        if name not in self.log.columns:
+        if name not in self.log.columns:  # columns differ between robots and laws, and older logs lack some
             return np.full(len(self.log), np.nan)
         return self.log[name].cast(pl.Float64, strict=False).fill_null(np.nan).to_numpy()
 
@@ -99,20 +99,20 @@ class Tracks:
         return np.stack([self.column(n) for n in names], axis=-1)
 
     def numbered(self, stem: str) -> Array:
-        """The columns `stem_0 .. stem_{N-1}`, one for each marker, shape (T, N)."""
+        """The columns `stem_0 .. stem_{N-1}`, one per marker, shape (T, N)."""
         n = self.markers
         return self.columns(*(f"{stem}_{i}" for i in range(n))) if n else np.empty((len(self.log), 0))
 
     def pixels(self, suffix: str = "") -> Array:
-        """Marker pixels (T, N, 2): measured, or with suffix `_true` or `_goal`."""
+        """Marker pixels (T, N, 2) [px]: measured, or with the suffix `_true` or `_goal`."""
         return np.stack([self.numbered(f"u{suffix}"), self.numbered(f"v{suffix}")], axis=-1)
 
     def named(self, stem: str) -> list[str]:
-        """What stands behind `stem_` in the column names, in the log's order: joint or actuator names."""
+        """Names after `stem_` in the column names, in the log's order: names of joints or actuators."""
         return [c[len(stem) + 1 :] for c in self.log.columns if c.startswith(f"{stem}_")]
 
     def poses(self, stem: str) -> Array:
-        """Poses in the world of `cam` or `tgt`, shape (T, 4, 4); NaN where the log has none."""
+        """Poses T_world_cam or T_world_tgt (stem `cam` or `tgt`), shape (T, 4, 4); NaN where the log has none."""
         T = np.full((len(self.log), 4, 4), np.nan)
         T[:, :3, :3] = rotation_from_quaternion(self.columns(*(f"{stem}_q{a}" for a in "wxyz")))
         T[:, :3, 3] = self.columns(*(f"{stem}_{a}" for a in "xyz"))
@@ -120,12 +120,12 @@ class Tracks:
         return T
 
     def planar_poses(self, stem: str) -> Array:
-        """A vehicle's places (x, y, heading) of `base` (true), `est` or `odo`, shape (T, 3); NaN where the log has none."""
+        """Planar poses (x, y, heading) of a vehicle: `base` (true), `est` (estimate) or `odo` (odometry), shape (T, 3) [m, m, rad]."""
         return self.columns(*(f"{stem}_{name}" for name in ("x", "y", "heading")))
 
     @cached_property
     def markers(self) -> int:
-        """How many markers the log has."""
+        """Number of markers in the log."""
         return sum(re.fullmatch(r"u_\d+", c) is not None for c in self.log.columns)
 
     @cached_property
@@ -140,7 +140,7 @@ class Tracks:
 
     @cached_property
     def true_depth(self) -> Array | None:
-        """Depth of the markers from the true poses, shape (T, N) [m]; None where the marker points are unknown."""
+        """Depth of the markers computed from the true poses, shape (T, N) [m]; None where the marker points are unknown."""
         points = self.setting.points
         if points is None or len(points) != self.markers:
             return None
@@ -148,7 +148,7 @@ class Tracks:
         return transform(T_camera_target, points)[..., 2]
 
     def lost_intervals(self) -> list[tuple[float, float]]:
-        """From when until when the target was lost [s]; a single frame lasts until the next."""
+        """Start and end times of the intervals without target [s]; an interval lasts until the first frame with target."""
         edges = np.flatnonzero(np.diff(np.concatenate([[False], self.lost, [False]]).astype(int)))
         last = len(self.t) - 1
         return [(float(self.t[a]), float(self.t[min(b, last)])) for a, b in edges.reshape(-1, 2)]
