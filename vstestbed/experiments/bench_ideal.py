@@ -138,7 +138,7 @@ def _timed(work: Callable[[], int]) -> tuple[int, float]:
 
 @contextmanager
 def _one_core() -> Iterator[None]:
-    """Pin the process to one core, where the system supports it (Linux)."""
+    """Pin this thread to one core, where the system supports it (Linux)."""
     if not hasattr(os, "sched_setaffinity"):
         yield
         return

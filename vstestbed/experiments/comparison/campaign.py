@@ -1,4 +1,4 @@
-"""Run what is missing of a comparison: submit, collect, write, try again where a worker died."""
+"""Do the missing runs of a comparison: submit, collect, store, repeat a run whose worker died."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from vstestbed.experiments.comparison.pools import Pool, WorkerLostError
 from vstestbed.experiments.comparison.worker import Files, RunRequest, crashed, request_of
 
 MOST_TRIES = 2
-"""A run whose worker died is begun once more."""
-Told = Callable[[Job, dict[str, Any]], None]
-"""Hears of every finished run: the job and its summary."""
+"""Attempts at a run: one that kills its worker (out of memory, a crash in a library) would do so for ever."""
+OnDone = Callable[[Job, dict[str, Any]], None]
+"""Called after every finished run with the job and its summary."""
 
 
 @dataclass
@@ -25,8 +25,8 @@ class Campaign:
     """The runs of a comparison.
 
     Args:
-        folder: where they go. jobs: all of them. plugins: modules that workers import first.
-        filmed: the seed whose runs are filmed; a comparison without films has none.
+        folder: the comparison's folder. jobs: all runs. plugins: modules that workers import first.
+        filmed: the seeds whose runs are filmed; empty for a comparison without films.
     """
 
     folder: Path
@@ -36,19 +36,20 @@ class Campaign:
 
     @property
     def missing(self) -> list[Job]:
-        """The jobs that are not done yet."""
+        """The jobs without a stored result."""
         return [job for job in self.jobs if not is_done(self.folder, job)]
 
-    def run(self, pool: Pool, told: Told = lambda job, summary: None) -> None:
-        """Do what is missing.
+    def run(self, pool: Pool, on_done: OnDone = lambda job, summary: None) -> None:
+        """Do the missing runs.
 
         Raises:
-            EnvironmentLackError, OutputError: nothing can be drawn or written here; what is done so far stays.
+            EnvironmentLackError, OutputError: no OpenGL, or nothing can be written; finished runs are kept.
         """
         waiting = self._requests()
         going: dict[Future[Files], tuple[Job, RunRequest]] = {}
         again: list[tuple[Job, RunRequest]] = []
         while True:
+            # lost runs first; the pool is kept full, but never gets more than it has room for: scenarios are drawn only when needed
             while len(going) < pool.room and (next_ := again.pop() if again else next(waiting, None)):
                 going[pool.submit(next_[1])] = next_
             if not going:
@@ -59,10 +60,10 @@ class Campaign:
                 if files is None:
                     again.append((job, request))
                 else:
-                    told(job, store(self.folder, job, files, max(1, pool.tries(request))))
+                    on_done(job, store(self.folder, job, files, max(1, pool.tries(request))))
 
     def _requests(self) -> Iterator[tuple[Job, RunRequest]]:
-        """Each job with its request, drawn when its turn comes; a start that cannot be drawn is a run that crashed."""
+        """Each job with its request, drawn when its turn comes; a job whose start cannot be drawn is stored as crashed."""
         for job in self.missing:
             try:
                 yield job, request_of(job.folder, job.scenario(), job.seed in self.filmed, self.plugins)
@@ -71,7 +72,7 @@ class Campaign:
                 store(self.folder, job, crashed(text, str(error)), attempts=1)
 
     def _files(self, future: Future[Files], request: RunRequest, pool: Pool) -> Files | None:
-        """A run's folder; None where it is to be begun again."""
+        """Content of a run's folder; None if the run is to be repeated."""
         try:
             return future.result()
         except WorkerLostError as error:

@@ -1,4 +1,4 @@
-"""What a worker does: one run, whose folder it hands back as bytes. Nothing here knows how many workers there are, or where."""
+"""One run in a worker process, whose folder is returned as bytes. Independent of the number of workers and of their machines."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from vstestbed.scenario.scenario import Scenario
 from vstestbed.scenario.stop import Outcome
 
 Files = dict[str, bytes]
-"""A run's folder: content by file name."""
+"""Content of a run's folder by file name."""
 TILE_PX = (480, 270)
-"""Size of the films from outside [px]: as wide as their column in the film of all; a sixth of the usual work."""
+"""Size of the films from outside [px]: as wide as their column in the side-by-side film; a sixth of the work of the full size."""
 _loaded: set[str] = set()
 
 
 @dataclass(frozen=True)
 class RunRequest:
-    """A run as it travels to a worker, which needs no file of the one who asks.
+    """A run as it is sent to a worker, which needs no file of the sender's machine.
 
     Attributes:
-        folder: the run's folder below the comparison's, its name. text: the scenario, start and noise drawn.
-        filmed: whether to make its films. plugins: modules to import first.
+        folder: path of the run below the comparison's folder, which identifies it. text: the scenario with start and noise drawn.
+        filmed: whether to make films. plugins: modules to import first.
     """
 
     folder: str
@@ -38,10 +38,10 @@ class RunRequest:
 
 
 def execute(request: RunRequest) -> Files:
-    """The folder of the finished run. A law, a detector, a plugin that raises ends its run as `crashed`, with the traceback.
+    """Run a scenario and return its folder. An exception in a law, a detector or a plugin gives the outcome `crashed` and a traceback.
 
     Raises:
-        EnvironmentLackError: this machine cannot draw, or has no space: no other run would fare better.
+        EnvironmentLackError: this machine has no OpenGL or no space, so that every other run would fail as well.
     """
     for module in set(request.plugins) - _loaded:
         load_plugins([module])
@@ -66,7 +66,7 @@ def _files(folder: Path) -> Files:
 
 
 def crashed(text: str, reason: str, trace: str = "", rest: Files | None = None) -> Files:
-    """The folder of a run that ended with an error: its scenario, what there is of its log, the summary, the traceback."""
+    """The folder of a crashed run: scenario, summary, traceback, and `rest`, the files that it has left."""
     scenario = parse(text, "scenario.yaml")
     summary = {"scenario": scenario.name, "outcome": Outcome.crashed.name, "success": False, "reason": reason, "seed": scenario.seed}
     own = {"scenario.yaml": text.encode(), "summary.json": (json.dumps(summary, indent=1) + "\n").encode()}
@@ -74,7 +74,7 @@ def crashed(text: str, reason: str, trace: str = "", rest: Files | None = None) 
 
 
 def _picture_of_the_end(scenario: Scenario, folder: Path) -> None:
-    """`end.png`: the scene from outside when a run failed."""
+    """Write `end.png`: the scene from outside at the end of a failed run."""
     from vstestbed.loop.log_file import read_log
     from vstestbed.report.video.film import picture_of_the_end
 
@@ -82,12 +82,12 @@ def _picture_of_the_end(scenario: Scenario, folder: Path) -> None:
 
 
 def request_of(folder: str, scenario: Scenario, filmed: bool, plugins: tuple[str, ...]) -> RunRequest:
-    """A run as a request."""
+    """The request for a run of a scenario."""
     return RunRequest(folder, dump(scenario), filmed, plugins)
 
 
 def begin(parent_must_live: bool) -> None:
-    """What a worker process does first: leave Ctrl-C to its parent, end when the parent is gone."""
+    """Initialise a worker process: leave Ctrl-C to its parent, and exit when the parent is gone."""
     import signal
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -95,7 +95,7 @@ def begin(parent_must_live: bool) -> None:
         import multiprocessing
         import threading
 
-        def follow() -> None:
+        def follow() -> None:  # a killed parent cannot end its workers
             parent = multiprocessing.parent_process()
             if parent is not None:
                 parent.join()
@@ -105,5 +105,5 @@ def begin(parent_must_live: bool) -> None:
 
 
 def process_id() -> int:
-    """Of the worker: whom to end when it must not go on."""
+    """Process id of the worker, with which the pool can kill it."""
     return os.getpid()

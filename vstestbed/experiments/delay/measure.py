@@ -30,7 +30,7 @@ OFF, OFF_WITH_FRICTION = 0.002, 0.02
 """Offset from the goal at the start of a run: along each axis [m], and about each axis or in each joint [rad]. Small enough for the
 loop to be linear and its actuators unsaturated; for joints with friction large enough for the motion to dominate friction."""
 GROWN = 20.0
-"""Growth of the error that counts as unstable whatever follows (saturation would bound it); so do actuators that still saturate in
+"""Growth of the error that counts as unstable whatever follows; so do actuators that still saturate in
 the second half of the run."""
 UNSATURATED = 0.999
 # The error did not oscillate: the run came to rest.
@@ -146,7 +146,7 @@ def growth(at_start: Scenario, gain: float, delay_frames: int) -> float:
     """
     swing, period = max(swing_frames(delay_frames), 4), at_start.camera.period
     frames = SWINGS * swing + 40
-    made = run(
+    recording = run(
         replace(
             at_start,
             law=replace(at_start.law, gain=ConstantGain(value=gain)),
@@ -154,11 +154,11 @@ def growth(at_start: Scenario, gain: float, delay_frames: int) -> float:
             stop=Stop(duration_s=frames * period, converged=Converged(error_px=1e-9, hold_s=frames * period)),
         )
     )
-    size = made["error_px"]
-    if not made.outcome.success and made.outcome is not Outcome.timed_out:
-        return 0.0 if made.outcome in CALM else math.inf
+    size = recording["error_px"]
+    if not recording.outcome.success and recording.outcome is not Outcome.timed_out:
+        return 0.0 if recording.outcome in CALM else math.inf
     half = len(size) // 2
-    if np.nanmax(size) > GROWN * size[0] or (made["scale"][half:] < UNSATURATED).any():
+    if np.nanmax(size) > GROWN * size[0] or (recording["scale"][half:] < UNSATURATED).any():
         return math.inf
     # peak over one period at the beginning and at the end of the second half
     early, late = np.nanmax(size[half : half + swing]), np.nanmax(size[-swing:])

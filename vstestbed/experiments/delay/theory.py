@@ -6,7 +6,8 @@ pseudo-inverse. With the error s, g = gain * period and d frames of dead time
     s(k+1) = s(k) - g sum_j b_j s(k - d - j),
 
 where b_j is the share of a one-frame command that the robot executes in the j-th frame after it (its impulse response):
-b = (1) is a robot without lag, b = (1 - a, a) lags by a frames. The characteristic polynomial is z^(n+1) - z^n + g sum_j b_j z^(n-d-j), n = d + len(b) - 1.
+b = (1) is a robot without lag, b = (1 - a, a) lags by a frames. The characteristic polynomial is
+z^(n+1) - z^n + g sum_j b_j z^(n-d-j), n = d + len(b) - 1.
 """
 
 from __future__ import annotations
@@ -85,7 +86,7 @@ def locus(delay_frames: int, gains: Array, shares: Sequence[float] = NO_LAG) -> 
     """The poles for each g of `gains` (m,), complex, shape (m, n + 1), each branch continued from one gain to the next."""
     out = np.array([roots(float(g), delay_frames, shares) for g in gains])
     for before, now in itertools.pairwise(out):
-        left = list(now)  # nearest pole first come, first served: fine gain steps keep the branches apart
+        left = list(now)  # greedy assignment to the nearest pole
         for i, pole in enumerate(before):
             now[i] = left.pop(int(np.argmin(np.abs(np.array(left) - pole))))
     return out

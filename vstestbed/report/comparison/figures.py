@@ -167,7 +167,7 @@ def success(data: Data, width_in: float) -> Figure:
 
 def differences(data: Data, width_in: float) -> Figure | None:
     """Forest plot: mean paired difference of each metric with its interval, significant ones in colour; None without any interval."""
-    rows = data.pairs if len(data.labels) <= BANDS else [p for p in data.pairs if p.a == 0]
+    rows = _forest_rows(data)
     if not any(np.isfinite(p.differences[m.name].low) for p in rows for m in data.comparison.shown):
         return None  # a single controller, or no two seeds on which both reached the goal
     names = [wrapped(f"{data.labels[p.b]} \N{MINUS SIGN} {data.labels[p.a]}", 30) for p in rows]
@@ -179,6 +179,11 @@ def differences(data: Data, width_in: float) -> Figure | None:
         if max(reach, default=0.0) <= LEAST_DIFFERENCE:  # otherwise rounding errors would fill the width
             axes.set_xlim(-1, 1)
     return figure
+
+
+def _forest_rows(data: Data) -> list[Pair]:
+    """All pairs of up to four controllers; of more, each controller against the first."""
+    return data.pairs if len(data.labels) <= BANDS else [p for p in data.pairs if p.a == 0]
 
 
 def _draw_interval(axes: Axes, row: int, d: Difference) -> float:

@@ -86,13 +86,17 @@ def _no_winner(all_pairs: list[Pair]) -> str:
 
 def _leading_group(labels: list[str], all_pairs: list[Pair], wins: list[int]) -> str:
     """The undefeated controllers, if each of them beats all the defeated ones."""
-    beaten = {p.a + p.b - p.better for p in all_pairs if p.better is not None}  # a + b - better: the other one of the pair
-    ahead = [i for i in range(len(labels)) if i not in beaten]
+    ahead = _undefeated(labels, all_pairs)
     if not ahead or any(wins[i] != len(labels) - len(ahead) for i in ahead):
         return "None of them is better than all the others."
     which = "neither" if len(ahead) == 2 else "none"
     seeds = max(p.seeds for p in all_pairs)
     return f"{_list([labels[i] for i in ahead])} are better than the rest; {runs(seeds)} each show {which} of them ahead."
+
+
+def _undefeated(labels: list[str], all_pairs: list[Pair]) -> list[int]:
+    defeated = {p.a + p.b - p.better for p in all_pairs if p.better is not None}  # a + b - better: the other one of the pair
+    return [i for i in range(len(labels)) if i not in defeated]
 
 
 def _of_two(labels: list[str], pair: Pair) -> tuple[str, bool]:

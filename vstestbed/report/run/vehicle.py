@@ -26,8 +26,7 @@ def wheels(tracks: Tracks) -> Figure | None:
     """Wheel speeds, measured (band) and commanded (line), and below them the steering angles."""
     if tracks.setting.ground_task is None:
         return None
-    panels = [(stem, _joints(tracks, stem, steering), _joints(tracks, "ctrl", steering), label) for stem, steering, label in WHEEL_PANELS]
-    panels = [panel for panel in panels if panel[1] or panel[2]]
+    panels = _wheel_panels(tracks)
     names = list(dict.fromkeys(n for _, measured, commanded, _ in panels for n in (*measured, *commanded)))
     if not names:
         return None
@@ -43,6 +42,12 @@ def wheels(tracks: Tracks) -> Figure | None:
     time_axis(grid[-1], tracks)
     figure.legend(handles=line_keys(names), loc="outside lower center", ncols=4)
     return figure
+
+
+def _wheel_panels(tracks: Tracks) -> list[tuple[str, list[str], list[str], str]]:
+    """The panels with data: column of the measurement, measured joints, commanded joints, label."""
+    panels = [(stem, _joints(tracks, stem, steering), _joints(tracks, "ctrl", steering), label) for stem, steering, label in WHEEL_PANELS]
+    return [panel for panel in panels if panel[1] or panel[2]]
 
 
 def _joints(tracks: Tracks, stem: str, steering: bool) -> list[str]:
