@@ -105,7 +105,7 @@ def _interrupts() -> Iterator[Watcher]:
 
         def tick(self, tick: Tick) -> None:
             if self.asked:
-                raise KeyboardInterrupt
+                raise KeyboardInterrupt  # inside the loop, which turns it into the outcome `interrupted`
 
     stop, numbers = _Stop(), (signal.SIGINT, signal.SIGTERM)
     before = {number: signal.signal(number, stop.ask) for number in numbers}
@@ -142,7 +142,7 @@ def render(
 
     load_plugins(plugin or [])
     size_px = _size(size)
-    _must_be_run(run_dir)
+    _must_be_run(run_dir)  # before the scenario is loaded, for a clearer message
     scenario = load(run_dir / "scenario.yaml")
     log = read_log(run_dir, scenario)
     show_notes(not quiet)

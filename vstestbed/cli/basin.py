@@ -53,6 +53,7 @@ def basin(
     from vstestbed.scenario.load import load_plugins
 
     load_plugins(plugin or [])
+    # mistakes on the command line are reported before the scenarios are loaded
     across, up, rest = _axis("--x", x, n), _axis("--y", y, n), _coordinates("--at", at or [])
     found = laws(chosen(scenarios, settings_of(set_), vary_of(vary), None), None if field_of_view is None else field_of_view.value)
     folder = new_study_folder("basin", out)
@@ -72,6 +73,7 @@ def _axis(option: str, text: str, n: int) -> Axis:
     low, _, high = ends.partition(":")
     try:
         return Axis(name.strip(), float(low), float(high), n)
+    # the same problem under the name of the option
     except ParameterError as error:
         raise ParameterError(option, f"{error.field} {error.problem}" if error.field != "axis" else error.problem, error.found) from None
     except ValueError:

@@ -43,11 +43,12 @@ def compare(
         with Counter(total, total - missing, shown=not quiet and not as_json) as counter:
             table = carry_out(campaign, comparison, jobs, executor, counter.run_done, counter.say)
     except KeyboardInterrupt:
+        # `missing` looks at the folder: finished runs are there in full, others not at all
         done = total - len(campaign.missing)
         typer.echo(
             f"interrupted: {done} of {total} runs are done; go on with: vstestbed compare --resume --out {campaign.folder}", err=True
         )
-        raise typer.Exit(130) from None
+        raise typer.Exit(130) from None  # 128 + SIGINT, as shells have it
     if as_json:
         sys.stdout.write(table.write_json() + "\n")
     elif not quiet:

@@ -38,6 +38,7 @@ def convergence(
     shown = not (quiet or as_json)
 
     def progress(done: int, of: int) -> None:
+        # a line every 100 runs: a run takes some 50 ms
         if shown and (done == of or done % 100 == 0):
             typer.echo(f"{done} of {of} runs", err=True)
 

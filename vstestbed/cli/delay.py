@@ -48,7 +48,7 @@ def delay(
 
 def _numbers(text: str) -> list[int]:
     try:
-        return sorted({int(part) for part in text.split(",")})
+        return sorted({int(part) for part in text.split(",")})  # in order, and no delay twice
     except ValueError:
         raise ParameterError("--frames", "needs whole numbers between commas, such as 0,1,2", text) from None
 

@@ -35,6 +35,7 @@ class Finding:
 
 def examine() -> Iterator[Finding]:
     """Check everything that a run needs, in turn."""
+    # every check gives a finding, also a failed one: one broken part must not hide the others
     yield Finding("python", sys.version_info >= (3, 11), sys.version.split()[0], "install Python 3.11 or newer")
     yield _packages()
     yield Finding("cores", True, f"{len(os.sched_getaffinity(0)) if hasattr(os, 'sched_getaffinity') else os.cpu_count()}")
@@ -47,7 +48,7 @@ def _packages() -> Finding:
     found = versions()
     missing = [name for name, version in found.items() if version == "missing"]
     text = ", ".join(f"{name} {version}" for name, version in found.items() if name != "python")
-    major = found["mujoco"].split(".")[0]
+    major = found["mujoco"].split(".")[0]  # "missing" if it is not installed
     if major.isdigit() and int(major) >= 4:
         return Finding("packages", False, text, "dm-control 1.0.50 does not work with mujoco 4: pip install 'mujoco>=3.17,<4'")
     return Finding("packages", not missing, text, "pip install vstestbed again")
@@ -88,7 +89,7 @@ def _pixels(errors: Array, renderer: str) -> Finding:
         remedy = "this MuJoCo does not cast rays as it should; install the version in requirements.lock"
     if not seen.all():
         return Finding("pixels", False, f"only {np.count_nonzero(seen)} of {len(errors)} rendered balls were found in the picture", remedy)
-    worst = float(np.abs(errors).max())
+    worst = float(np.abs(errors).max())  # over both coordinates of all balls
     found = f"{len(errors)} rendered balls within {worst:.3f} px of the camera model ({PIXEL_TOLERANCE_PX} allowed)"
     found += f", by {renderer}" if renderer.startswith("rays") else ""
     return Finding("pixels", worst < PIXEL_TOLERANCE_PX, found, remedy)

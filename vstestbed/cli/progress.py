@@ -85,7 +85,7 @@ class Counter:
 
     def run_done(self, job: object, summary: dict[str, Any]) -> None:
         """Advance the bar by one run."""
-        self._failed += not summary["success"]
+        self._failed += not summary["success"]  # a bool counts as 0 or 1
         self._bar.update(self._task, advance=1, failed=self._failed)
 
     def say(self, words: str) -> None:

@@ -51,6 +51,7 @@ def settings_of(settings: list[str] | None) -> dict[str, object]:
     overrides: dict[str, object] = {}
     for setting in settings or []:
         key, equals, value = setting.partition("=")
+        # an empty value is allowed: YAML reads it as null
         if not equals or not all(part.strip() for part in key.split(".")):
             raise ParameterError("--set", "needs the form a.b=value", setting)
         overrides[key.strip()] = read_value(value)

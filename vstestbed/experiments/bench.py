@@ -64,9 +64,10 @@ def measure(scenario: Scenario, repeats: int = 5) -> Bench:
     for i in range(repeats + 1):
         recording = run(scenario)
         floor = _floor(scenario, recording)
-        if i:
+        if i:  # the first pair warms up
             pairs.append((recording, floor))
     recordings, floors = [r for r, _ in pairs], [f for _, f in pairs]
+    # the ratio of each pair, not of the medians: both share the load of the machine at that time
     ratios = [r.loop_s / f.total_s for r, f in pairs]
     return Bench(
         scenario=scenario.name,
@@ -107,6 +108,7 @@ def _floor(scenario: Scenario, recording: Recording) -> Floor:
         columns = [recording[f"{kind}_{name}"] for name in names]
         return np.column_stack(columns) if columns else np.zeros((len(recording.table), 0))
 
+    # true camera poses of the log: the floor renders the same views
     T = np.tile(np.eye(4), (len(recording.table), 1, 1))
     T[:, :3, 3] = np.column_stack([recording[f"cam_{a}"] for a in "xyz"])
     T[:, :3, :3] = rotation_from_quaternion(np.column_stack([recording[f"cam_q{a}"] for a in "wxyz"]))

@@ -79,7 +79,7 @@ def measure_ideal(repeats: int = 5, steps: int = 3000, runs: int = 1000) -> Idea
     with _one_core():
         alone, together = _one_run(scenario), _batch(scenario, start)  # warms up
         alone_rates, together_rates = [], []
-        wall, busy = time.perf_counter(), time.process_time()
+        wall, busy = time.perf_counter(), time.process_time()  # to see whether the core was shared
         for _ in range(repeats):
             alone_rates.append(_one_run(scenario)[1])
             together_rates.append(_batch(scenario, start)[1])
@@ -143,7 +143,7 @@ def _one_core() -> Iterator[None]:
         yield
         return
     before = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, {min(before)})
+    os.sched_setaffinity(0, {min(before)})  # 0: the calling thread
     try:
         yield
     finally:

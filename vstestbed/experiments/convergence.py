@@ -70,6 +70,7 @@ class Study:
     def run_all(self, processes: int | None, progress: Callable[[int, int], None] = lambda done, of: None) -> list[tuple[Job, RunEnding]]:
         """Do all runs in worker processes; `progress(done, total)` is called after each."""
         runs = self.runs
+        # spawn: to fork a process that has threads (OpenGL, BLAS) is unsafe
         with ProcessPoolExecutor(workers_of(processes, len(runs)), mp_context=get_context("spawn")) as pool:
             ended = []
             for one in pool.map(run_one, (job.scenario() for job in runs), chunksize=CHUNK):
@@ -79,6 +80,7 @@ class Study:
 
     def maps(self, ended: Sequence[tuple[Job, RunEnding]]) -> list[ConvergenceMap]:
         """One map for each scenario and combination of cases, in their order."""
+        # the order of the plan: the first axis is x
         axes = list(self.comparison.axes.items())
         (x_path, xs), (y_path, ys) = axes
         cells: dict[str, dict[tuple[str, str], list[RunEnding]]] = {}
@@ -98,13 +100,13 @@ class Study:
             | {"time_to_converge_s": one.time_s, "final_position_error_m": one.away_m}
             for job, one in ended
         ]
-        return pl.DataFrame(rows).fill_nan(None)
+        return pl.DataFrame(rows).fill_nan(None)  # null in parquet and an empty field in CSV, as in the other tables
 
 
 def _map(label: str, found: dict[tuple[str, str], list[RunEnding]], xs: list[str], ys: list[str]) -> ConvergenceMap:
     """The map of one law from the runs of each cell (x, y)."""
     share, away = np.empty((len(ys), len(xs))), np.full((len(ys), len(xs)), np.nan)
-    others = np.full((len(ys), len(xs)), "", dtype=object)
+    others = np.full((len(ys), len(xs)), "", dtype=object)  # object: the words differ in length
     for (i, y), (j, x) in itertools.product(enumerate(ys), enumerate(xs)):
         ended = found[x, y]
         share[i, j] = np.mean([one.success for one in ended])

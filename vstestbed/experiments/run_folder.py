@@ -43,6 +43,7 @@ def new_folder(scenario: Scenario, out: Path | None) -> Path:
         OutputError: `out` holds something already, or cannot be made.
     """
     if out is None:
+        # a name may hold anything, but a folder name no separators, and it must not be `..`
         name = re.sub(r"[^\w.-]+", "_", scenario.name).strip(".") or "scenario"
         return _numbered_folder(Path("runs") / name)
     with writing(out):
@@ -122,7 +123,7 @@ def run_into(
             recording.time_ms["video"] = 1e3 * sum(film.spent_s for film in cameras)
     finish(folder, recording)
     if report:
-        from vstestbed.report import Setting, write_report
+        from vstestbed.report import Setting, write_report  # matplotlib is imported only if a report is written
 
         stage("writing the report")
         write_report(folder, log=recording.frame(), setting=Setting.of(recording.scenario))
@@ -144,14 +145,14 @@ def _all_or_nothing(folder: Path) -> Iterator[None]:
     try:
         yield
     except BaseException:
-        if _has_frames(folder):
+        if _has_frames(folder):  # a run that fails later keeps its log
             raise
         for name in OWN_FILES:  # by name: a folder that the user gave may hold other files by now
             (folder / name).unlink(missing_ok=True)
         shutil.rmtree(folder / ASSETS, ignore_errors=True)
         with contextlib.suppress(OSError):  # a folder that is not empty stays
             folder.rmdir()
-            for parent in folder.parents[:2] if folder.parts[0] == "runs" else ():
+            for parent in folder.parents[:2] if folder.parts[0] == "runs" else ():  # also `runs/<scenario>` and `runs`, if they are empty
                 parent.rmdir()
         raise
 

@@ -116,6 +116,7 @@ def fly(scenario: Scenario, start: Array) -> Batch:
         ParameterError: the law cannot run in a batch, or the scenario is not ideal.
     """
     setup = BatchSetup(scenario)
+    # a batch without starts still gives arrays of the right shapes
     start = np.asarray(start, dtype=float).reshape(-1, 4, 4)
     parts = [_fly(setup, start[i : i + AT_ONCE]) for i in range(0, max(len(start), 1), AT_ONCE)]
     joined = {f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Batch) if f.name != "run_steps"}
@@ -224,10 +225,11 @@ def _fly(setup: BatchSetup, start: Array) -> Batch:
             outcome[at] = [CODES[c] for c in code[over]]
             steps[at], final[at], farthest[at], errors[at] = ended[over], runs.T[over], runs.farthest[over], error[over]
             reached = code[over] == _CODE[Outcome.converged]
+            # the two ways to lose the target are one outcome, but different failures of a law
             crossed[at] = (code[over] == _CODE[Outcome.target_lost]) & _behind(setup.scenario, runs.T[over])
             near[at] = np.where(reached, step - runs.near[over] + 1, -1)
             runs, twist = runs.keep(~over), twist[~over]
-        if not len(runs.index):
+        if not len(runs.index):  # all have ended before the time is over
             break
         done += len(runs.index)
         runs.T = exp(-setup.scenario.camera.period * twist) @ runs.T
@@ -283,8 +285,8 @@ def _seen(s: Scenario, p: Array) -> tuple[NDArray[np.bool_], Array, NDArray[np.b
     d, all_seen = uv - s.goal_view.uv, np.asarray(seen.all(axis=1))
     if all_seen.all():  # nearly every frame: no masks needed
         return seen, np.sqrt(np.einsum("mni,mni->m", d, d) / (2 * p.shape[1])), all_seen
-    d[~seen] = 0.0
-    count = np.maximum(seen.sum(axis=1), 1)
+    d[~seen] = 0.0  # NaN otherwise
+    count = np.maximum(seen.sum(axis=1), 1)  # 1: no division by zero where nothing is seen
     return seen, np.where(seen.any(axis=1), np.sqrt(np.einsum("mni,mni->m", d, d) / (2 * count)), np.nan), all_seen
 
 
@@ -294,6 +296,7 @@ def _commands(setup: BatchSetup, runs: _Runs, p: Array, seen: NDArray[np.bool_],
     The law is evaluated once for each group of runs that see the same markers.
     """
     law, plane = setup.scenario.law, bool(PLANE_INPUTS & set(setup.scenario.law.inputs))
+    # a wide camera sees points behind its image plane, which have no normalised coordinates
     usable = seen & (p[..., 2] > 0) if plane else seen
     memory, twist = runs.memory.copy(), np.full((len(p), 6), np.nan)
     needed = max(setup.needed, FIRST_POSE) if setup.posed and t == 0 else setup.needed

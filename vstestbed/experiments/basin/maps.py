@@ -201,7 +201,9 @@ def basin(label: str, scenario: Scenario, x: Axis, y: Axis, at: Mapping[str, flo
     mapped = Basin(label, scenario, x, y, fixed(scenario, x, y, at or {}), batch, time.process_time() - began)
     if not check:
         return mapped
-    spots = np.random.default_rng(seed).choice(len(poses), min(check, len(poses)), replace=False)
+    spots = np.random.default_rng(seed).choice(
+        len(poses), min(check, len(poses)), replace=False
+    )  # a seed of its own: the same starts are checked every time
     return replace(mapped, checked=len(spots), disagreements=tuple(_disagreements(mapped, poses, spots)))
 
 
@@ -210,7 +212,7 @@ def _disagreements(mapped: Basin, poses: Array, spots: NDArray[np.int_]) -> Iter
     for i in spots.tolist():
         found, expected = run(started_at(mapped.scenario, poses[i])).outcome, outcomes[i]
         if found is not expected:
-            j, k = divmod(i, mapped.x.n)
+            j, k = divmod(i, mapped.x.n)  # x fastest
             yield Disagreement(float(mapped.x.values[k]), float(mapped.y.values[j]), expected.name, found.name)
 
 

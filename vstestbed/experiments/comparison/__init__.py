@@ -54,6 +54,7 @@ def compare(
         ScenarioError, ParameterError: bad input, found before anything runs. OutputError: `out` is taken.
         EnvironmentLackError: no OpenGL where a run needs it, no space, no cluster.
     """
+    # without this check every worker would start workers of its own
     if getattr(multiprocessing.current_process(), "_inheriting", False):  # a worker that imports the script
         raise ParameterError("compare", "must stand under `if __name__ == '__main__':` in a script, which worker processes import")
     must_be_known(executor)

@@ -68,6 +68,7 @@ class Campaign:
             try:
                 yield job, request_of(job.folder, job.scenario(), job.seed in self.filmed, self.plugins)
             except VstestbedError as error:
+                # the scenario without the seed's draw: there is no drawn one
                 text = request_of(job.folder, job.controller.scenario, False, ()).text
                 store(self.folder, job, crashed(text, str(error)), attempts=1)
 

@@ -86,13 +86,13 @@ def store(folder: Path, job: Job, files: Files, attempts: int) -> dict[str, Any]
     summary = json.loads(files["summary.json"]) | {"attempts": attempts}
     files = {**files, "summary.json": (json.dumps(summary, indent=1) + "\n").encode()}
     with writing(folder):
-        shutil.rmtree(part, ignore_errors=True)
+        shutil.rmtree(part, ignore_errors=True)  # left over from a comparison that was killed
         for name, content in files.items():
             (part / name).parent.mkdir(parents=True, exist_ok=True)
             with (part / name).open("wb") as file:
                 file.write(content)
                 file.flush()
-                os.fsync(file.fileno())
+                os.fsync(file.fileno())  # else a power failure could leave a renamed folder with empty files
         _sync(part)
         if place.exists():  # left incomplete: a complete one is never stored again
             shutil.rmtree(place)
@@ -124,6 +124,7 @@ def table_of(folder: Path, jobs: Sequence[Job]) -> polars.DataFrame:
 
 def _row(folder: Path, job: Job) -> dict[str, Any]:
     summary = json.loads((folder / job.folder / "summary.json").read_text(encoding="utf-8"))
+    # a table column holds numbers or text: blocks and lists go in as JSON
     values = {path: value if isinstance(value, int | float | str) else json.dumps(value) for path, value in job.controller.values.items()}
     first = {"scenario": job.controller.scenario.name} | values | {"seed": summary.pop("seed"), "folder": job.folder}
     if job.controller.amounts and job.seed is not None:

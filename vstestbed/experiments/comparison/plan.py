@@ -57,6 +57,7 @@ class Comparison:
 
     def __post_init__(self) -> None:
         """Refuse controllers that could not be distinguished, and metrics that no run has."""
+        # the stem is the folder of the scenario's runs
         if len({Path(name).stem for name in self.base}) < len(self.base):
             raise ParameterError("base", "must name each scenario once, and no two of one file name", list(self.base))
         self._check_axes()
@@ -130,7 +131,7 @@ def controllers(comparison: Comparison) -> list[Controller]:
     found: list[Controller] = []
     for name in comparison.base:
         for shown, settings in _combinations(comparison):
-            for task_name, task in comparison.tasks.items() or ((None, None),):
+            for task_name, task in comparison.tasks.items() or ((None, None),):  # one pass without a task
                 values = shown if task_name is None else shown | {TASK: task_name}
                 folder = f"runs/{_word(Path(name).stem)}/{_variant(values)}"
                 while folder in {c.folder for c in found}:

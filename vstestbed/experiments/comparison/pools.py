@@ -81,6 +81,7 @@ class _Slot:
         """Start the process; its temporary files go to the pool's folder, which is removed even if the process is killed."""
         self.executor = ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=begin, initargs=(True,))
         self.broken = False
+        # the process starts with the first submission, so that it inherits these variables
         with _environment(ONE_CORE, {"TMPDIR": self._place}):
             self.pid = self.executor.submit(process_id)
 
@@ -97,7 +98,7 @@ class _Slot:
 
     def end(self) -> None:
         """Kill the process."""
-        with contextlib.suppress(Exception):
+        with contextlib.suppress(Exception):  # it may be dead already, or never have started
             os.kill(self.pid.result(timeout=0), signal.SIGKILL)
         self.executor.shutdown(wait=False, cancel_futures=True)
 
@@ -176,7 +177,7 @@ class DaskPool:
         except (OSError, ValueError) as error:
             words = "start a scheduler (`dask scheduler`) and workers (`dask worker HOST:PORT --nthreads 1`) first"
             raise EnvironmentLackError(f"no dask scheduler answers at {address} ({error})", words) from None
-        self._name = f"vstestbed-{uuid.uuid4().hex}"
+        self._name = f"vstestbed-{uuid.uuid4().hex}"  # unique: a cluster keeps results by key, also those of earlier comparisons
         self._begun: dict[str, list[str]] = {}
         if not self._threads():
             logging.getLogger("vstestbed").warning("no workers at %s yet; waiting for some", address)

@@ -51,6 +51,7 @@ def _film(folder: Path, table: polars.DataFrame, axes: tuple[str, ...]) -> Path 
 
     columns = []
     for controller in ComparisonResults(table, axes).controllers[:MOST]:
+        # crashed runs have no films
         run = next((row for row in controller.runs.iter_rows(named=True) if _films(folder / row["folder"])), None)
         if run is not None:
             ending = f"{run['outcome']} {run['sim_time_s']:.1f} s" if run["sim_time_s"] is not None else run["outcome"]
@@ -74,7 +75,7 @@ def command_of(comparison: Comparison) -> str:
 
 def _value(value: object) -> str:
     """A value in YAML's flow style."""
-    if isinstance(value, bool) or value is None:
+    if isinstance(value, bool) or value is None:  # before numbers: bool is an int
         return {True: "true", False: "false", None: "null"}[value]
     if isinstance(value, dict):
         return "{" + ", ".join(f"{k}: {_value(v)}" for k, v in value.items()) + "}"

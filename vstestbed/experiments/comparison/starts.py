@@ -52,5 +52,5 @@ class StartTable:
 
     def labels(self) -> tuple[str, ...]:
         """The label of each run; without amounts its number, for random starts the seed."""
-        first = 0 if self.seeds is not None else 1
+        first = 0 if self.seeds is not None else 1  # seeds count from 0, runs for readers from 1
         return tuple(f"{amount:g} {self.unit}".strip() for amount in self.amounts or range(first, first + self.runs))

@@ -43,18 +43,20 @@ def execute(request: RunRequest) -> Files:
     Raises:
         EnvironmentLackError: this machine has no OpenGL or no space, so that every other run would fail as well.
     """
-    for module in set(request.plugins) - _loaded:
+    for module in set(request.plugins) - _loaded:  # once per process
         load_plugins([module])
         _loaded.add(module)
     scenario = parse(request.text, "scenario.yaml")
+    # the run's folder is local: the worker may be on a machine without access to the comparison's folder
     with tempfile.TemporaryDirectory(prefix="vstestbed_") as place:
         folder = Path(place) / "run"
         folder.mkdir()
         try:
             recording = run_into(folder, scenario, "both" if request.filmed else "none", report=False, tile_px=TILE_PX)
+            # a picture of every failure for the report's gallery; films are made of the first seed only
             if not recording.outcome.success and len(recording.table):
                 _picture_of_the_end(scenario, folder)
-        except EnvironmentLackError:
+        except EnvironmentLackError:  # no fault of the run: the comparison stops
             raise
         except Exception as error:
             return crashed(request.text, f"{type(error).__name__}: {error}", traceback.format_exc(), _files(folder))
@@ -99,7 +101,7 @@ def begin(parent_must_live: bool) -> None:
             parent = multiprocessing.parent_process()
             if parent is not None:
                 parent.join()
-                os._exit(1)
+                os._exit(1)  # not sys.exit, which in a thread ends only the thread
 
         threading.Thread(target=follow, daemon=True).start()
 

@@ -42,6 +42,6 @@ def branches(limit: Limit) -> Branches:
     """Root locus of one delay, with the measured lag of the joint that becomes unstable first, if the robot has joints."""
     first = next((lag.shares for lag in limit.lags if lag.joint == limit.joint), NO_LAG)
     end = limit.g_lag or closed_form(limit.delay_frames)
-    gains = np.linspace(1e-6, BEYOND * end, 400)
+    gains = np.linspace(1e-6, BEYOND * end, 400)  # not from 0, where all poles but one coincide at the origin
     at_limit = locus(limit.delay_frames, np.array([limit.g]), first)[0]
     return Branches(limit.delay_frames, locus(limit.delay_frames, gains, first), at_limit)

@@ -58,7 +58,7 @@ def measure_lags(scenario: Scenario, delay_frames: int, off: float) -> list[Lag]
 
 
 def _lag_of(plant: Plant, name: str, joint: int, period: float, delay_frames: int, off: float) -> Lag:
-    w, g, b = math.pi / (2 * delay_frames + 1), closed_form(delay_frames), (1.0, 0.0)
+    w, g, b = math.pi / (2 * delay_frames + 1), closed_form(delay_frames), (1.0, 0.0)  # first guess: a robot without lag
     for _ in range(ROUNDS):
         w = min(w, 0.9 * math.pi)
         b = _shares(plant, joint, period, w, off * g / period)

@@ -102,8 +102,8 @@ def prepared(scenario: Scenario) -> Scenario:
     plain = {"limits": TwistLimits(), "smooth_start_s": 0.0, "visibility": Visibility(), "gain": ConstantGain(value=2.0)}
     settled = replace(
         scenario,
-        law=replace(law, **{name: value for name, value in plain.items() if name in names}),
-        detector=Oracle(field_of_view="unlimited"),
+        law=replace(law, **{name: value for name, value in plain.items() if name in names}),  # only those fields that this law has
+        detector=Oracle(field_of_view="unlimited"),  # exact pixels, and no target lost: only dynamics and delay count
         camera=replace(scenario.camera, latency_s=0.0),
         stop=Stop(duration_s=60.0, converged=Converged(error_px=0.01, hold_s=0.0)),
     )
@@ -126,7 +126,7 @@ def _arm_at(robot: Puma560, q: Array) -> Puma560:
 
 def displaced(at_goal: Scenario) -> Scenario:
     """The scenario started at a small offset from its goal in all directions."""
-    signs = np.array([1.0, -1.0, 1.0, -1.0, 1.0, 1.0])
+    signs = np.array([1.0, -1.0, 1.0, -1.0, 1.0, 1.0])  # all six directions are displaced
     robot = at_goal.robot
     if isinstance(robot, Puma560):
         return replace(at_goal, robot=_arm_at(robot, robot.configuration() + _off(robot) * signs))
@@ -151,7 +151,9 @@ def growth(at_start: Scenario, gain: float, delay_frames: int) -> float:
             at_start,
             law=replace(at_start.law, gain=ConstantGain(value=gain)),
             camera=replace(at_start.camera, latency_s=delay_frames * period),
-            stop=Stop(duration_s=frames * period, converged=Converged(error_px=1e-9, hold_s=frames * period)),
+            stop=Stop(
+                duration_s=frames * period, converged=Converged(error_px=1e-9, hold_s=frames * period)
+            ),  # a hold time of the whole run: reaching the goal does not end it
         )
     )
     size = recording["error_px"]
@@ -177,8 +179,10 @@ def find_limit(at_goal: Scenario, delay_frames: int) -> Limit:
     if at_goal.robot.joints:
         lags = tuple(measure_lags(at_goal, delay_frames, _off(at_goal.robot)))
     g_lag = min((gain_limit(delay_frames, lag.shares) for lag in lags), default=None)
+    # the bracket is centred on the better prediction
     expected, count = (theory if g_lag is None else g_lag), 0
     low, high = 0.5 * expected, 1.5 * expected
+    # a bracket without the limit would make the bisection converge to one of its ends
     for g, unstable in ((low, False), (high, True)):
         count += 1
         if (growth(at_start, g / period, delay_frames) > 1) is not unstable:

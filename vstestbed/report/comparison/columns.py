@@ -92,6 +92,7 @@ class ControllerResults:
         """The metric of every run in its display unit, shape (runs,); NaN where a run has none."""
         if metric.name not in self.runs.columns:
             return np.full(len(self.runs), np.nan)
+        # not strict: a crashed run has null, and a number may be stored as text
         column = self.runs[metric.name].cast(pl.Float64, strict=False).fill_null(np.nan).to_numpy()
         return np.where(np.isfinite(column), column, np.nan) * metric.scale
 
@@ -136,7 +137,7 @@ class ComparisonResults:
 
 
 def _label(key: tuple[str, ...], names: Sequence[str], several: bool) -> str:
-    parts = [key[0]] if several or not names else []
+    parts = [key[0]] if several or not names else []  # without varied fields the scenario is all there is to name
     return ", ".join(parts + [f"{name}={value}" for name, value in zip(names, key[1:], strict=True)])
 
 
@@ -155,6 +156,6 @@ def short_names(paths: Sequence[str]) -> list[str]:
 
 def value_text(value: object) -> str:
     """A varied value as YAML would write it."""
-    if value is None or isinstance(value, bool):
+    if value is None or isinstance(value, bool):  # before numbers: bool is an int
         return {None: "null", True: "true", False: "false"}[value]
     return f"{value:g}" if isinstance(value, float) else str(value)

@@ -41,7 +41,7 @@ class Failure:
     @property
     def kind(self) -> tuple[str, str]:
         """Outcome, and the reason with its numbers masked: reasons that differ in numbers only are one kind of failure."""
-        return self.outcome, re.sub(r"\d[\d.e+-]*", "#", self.reason)
+        return self.outcome, re.sub(r"\d[\d.e+-]*", "#", self.reason)  # numbers such as times and pixels
 
 
 def failures(folder: Path, comparison: ComparisonResults) -> list[Failure]:
@@ -61,6 +61,7 @@ def section(folder: Path, comparison: ComparisonResults) -> str:
     for failure in failed:
         kinds[failure.kind].append(failure)
     groups = sorted(kinds.values(), key=len, reverse=True)
+    # tracebacks of every kind of crash in turn, since there is room for only a few
     with_error = {id(f) for f in _in_turn([g for g in groups if g[0].outcome == "crashed"], ERRORS)}
     listed = "".join(_group(group, with_error) for group in groups)
     words = f"{runs(len(failed))} of {len(comparison.table)} did not reach the goal; each line opens to the commands that run them again."

@@ -153,6 +153,7 @@ def success(data: Data, width_in: float) -> Figure:
     axes = figure.add_subplot()
     end = data.series.t[-1]
     for i, controller in enumerate(data.comparison.controllers):
+        # failed runs have no time, but count in the denominator: the curve ends at the success rate
         times = controller.counted(TIME)
         times = np.sort(times[np.isfinite(times)])
         share = np.arange(len(times) + 1) / max(len(controller.runs), 1)
@@ -204,7 +205,7 @@ def metric_panels(data: Data, width_in: float, panel_in: float, columns: int, na
     for axes in grid[n:]:
         axes.set_visible(False)
     grid[0].set_yticks(range(len(names)), names)
-    grid[0].set_ylim(len(names) - 0.4, -0.6)
+    grid[0].set_ylim(len(names) - 0.4, -0.6)  # reversed: the first row on top
     for axes, metric in zip(grid, data.comparison.shown, strict=False):
         axes.set_xlabel(wrapped(metric.label, 18))
         axes.grid(axis="y", visible=False)

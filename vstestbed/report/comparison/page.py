@@ -117,6 +117,7 @@ def write_comparison_report(
         comparison_tables.SCRIPT,
     ]
     scenarios = list(dict.fromkeys(map(str, table["scenario"].to_list())))
+    # two or three names fit the heading
     heading = " against ".join(scenarios) if 0 < len(scenarios) <= 3 else f"Comparison of {len(scenarios)} scenarios"
     subtitle = f'<p class="soft">{escape(_plan_sentence(comparison))}</p>'
     subtitle = (f"<p>{escape(description)}</p>" if description else "") + subtitle
@@ -159,6 +160,7 @@ def _figures(data: Data) -> str:
 
 def _threshold(folder: Path, comparison: ComparisonResults) -> float | None:
     """RMS error that counts as converged [px]; None where the controllers differ in it."""
+    # one run per controller suffices: seeds do not change the stop block
     firsts = [folder / str(c.runs["folder"][0]) / "scenario.yaml" for c in comparison.controllers]
     found = {setting_of(path).threshold_px for path in firsts if path.is_file()}
     return found.pop() if len(found) == 1 else None
@@ -186,6 +188,7 @@ def _provenance(comparison: ComparisonResults, command: str) -> str:
     plan |= {"seeds": _seeds(table["seed"].to_list()), "runs": str(len(table)), "numbers": ", ".join(comparison.metrics)}
     lines = "".join(f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in plan.items())
     names = [c for c in table.columns if c.startswith("versions.")]
+    # more than one version of a package if the comparison was resumed after an update
     versions = {name.removeprefix("versions."): _values([v for v in table[name].to_list() if v is not None]) for name in names}
     software = numbers.provenance({"versions": versions})
     return f'<section><h2>How it was made</h2>{repeat}<dl class="plan">{lines}</dl>{software}</section>'

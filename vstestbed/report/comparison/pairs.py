@@ -50,7 +50,7 @@ class Pair:
 
         Success and time to converge vote; where they vote for different controllers (more often, but later) neither is better.
         """
-        votes = set()
+        votes = set()  # one vote each of success and time
         if self.success_is_real:
             votes.add(self.b if self.success.only_b > self.success.only_a else self.a)
         time = self.differences[TIME.name]
@@ -87,6 +87,7 @@ def _pair(comparison: ComparisonResults, a: int, b: int) -> Pair:
     # time to converge decides which controller is better, so that it is needed even where the page does not show it
     for metric in {m.name: m for m in (*comparison.shown, TIME)}.values():
         x, y = first.values(metric)[rows_a], second.values(metric)[rows_b]
+        # the same seeds for both, or the difference would not be paired
         used = (both | metric.every_pair) & np.isfinite(x) & np.isfinite(y)
         differences[metric.name] = paired_difference(y[used], x[used])
         means[metric.name] = float(x[used].mean()) if used.any() else np.nan

@@ -85,7 +85,7 @@ def success_rate(successes: int, n: int, confidence: float = 0.95) -> Rate:
     if not 0 <= successes <= n:
         raise ParameterError("successes", f"must be in 0..{n}", successes)
     if n == 0:
-        return Rate(math.nan, 0.0, 1.0, 0, 0)
+        return Rate(math.nan, 0.0, 1.0, 0, 0)  # no run excludes no rate
     from scipy.stats import binomtest  # imported here: it costs half a second that other commands need not pay
 
     interval = binomtest(int(successes), int(n)).proportion_ci(confidence, method="wilson")
@@ -136,7 +136,7 @@ def paired_difference(a: ArrayLike, b: ArrayLike, confidence: float = 0.95, seed
         return Difference(math.nan, math.nan, math.nan, 0, False)
     if n == 1:
         return Difference(float(d[0]), math.nan, math.nan, 1, False)
-    if d[0] == d[-1]:
+    if d[0] == d[-1]:  # sorted: all differences are equal, and their standard deviation of 0 is no divisor
         mean, half = float(d[0]), 0.0
     else:
         mean, half = float(d.mean()), float(d.std(ddof=1)) / math.sqrt(n) * _quantile(d, confidence, seed, resamples)
@@ -202,6 +202,7 @@ def _studentised(d: Array, seed: int, resamples: int) -> Array:
     # sorted, and with a sign of its own: neither the order of the pairs nor exchanging a and b may change the resamples
     centred = np.sort(centred if _heavier_above(centred) else -centred)
     out = np.empty(resamples)
+    # rows of resamples at a time
     step = max(1, CHUNK // n)
     for start in range(0, resamples, step):
         part = out[start : start + step]

@@ -44,6 +44,7 @@ def _set_limits(axes: Axes, data: Data, metric: Metric) -> tuple[float, float]:
         return 0.0, 1.0
     if used.min() > 0 and used.max() > LOG_RATIO * used.min():
         axes.set_xscale("log")
+        # no labels at minor ticks: the panels are narrow
         axes.xaxis.set_minor_formatter("")
         low, high = _log_limits(used, known)
     else:
@@ -78,7 +79,9 @@ def _draw_strip(axes: Axes, row: int, controller: ControllerResults, metric: Met
     """The runs of a controller as points in its row, the quartiles as a bar, and right of the panel the number of runs without a value."""
     values = controller.values(metric)
     known = np.isfinite(values)
+    # the first runs, not a random choice: the same page from the same table
     shown = known & (np.cumsum(known) <= most)
+    # vertical jitter separates equal values; seeded, so that the page is reproducible
     jitter = np.random.default_rng(row).uniform(-0.16, 0.16, len(values))
     color = look(row)["color"]
     reached = shown & controller.success

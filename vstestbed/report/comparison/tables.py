@@ -40,6 +40,7 @@ def _spread(controller: ControllerResults, metric: Metric) -> Cell:
     summary = spread(controller.counted(metric))
     if summary.n == 0:
         return None, "–"
+    # the number of runs only where it is not all of them
     count = _below(f"n = {summary.n}") if summary.n < len(controller.runs) else ""
     return summary.median, f"{number(summary.median)} {_below(f'[{number(summary.q1)}, {number(summary.q3)}]')}{count}"
 
@@ -118,6 +119,7 @@ def table(heads: Sequence[str], lines: Sequence[Sequence[Cell]]) -> str:
 
 def _cell(cell: Cell, place: int) -> str:
     key, content = cell
+    # nine digits: values that differ only beyond the shown ones still sort
     value = "" if key is None else escape(str(key) if isinstance(key, str | int) else f"{key:.9g}")
     return f'<th scope="row" data-value="{value}">{content}</th>' if place == 0 else f'<td data-value="{value}">{content}</td>'
 

@@ -103,6 +103,7 @@ def cells(table: pl.DataFrame, axes: Sequence[str]) -> list[Cell]:
     for law in comparison.controllers:
         # with a single axis `law=points` is just `points`
         label = law.label if "=" not in law.label or len(others) > 1 else law.label.partition("=")[2]
+        # the rows of one law in all tasks
         rows = table.filter(pl.all_horizontal(pl.col(c) == law.runs[c][0] for c in ("scenario", *others)))
         found += [
             Cell(label, str(task), ControllerResults(label, rows.filter(pl.col(TASK) == task).sort("seed")))
@@ -217,6 +218,7 @@ def _draw_panel(axes: Axes, here: Sequence[Cell], laws: Sequence[str], metric: M
 def _crosses(axes: Axes, at: Array, place: int, of: int) -> None:
     """Failed runs as crosses at the top of the panel, each law at its own height."""
     if len(at):
+        # in axes coordinates, just below the top
         height = np.full(len(at), 0.99 - 0.1 * place / max(of, 1))
         axes.plot(at, height, "x", markersize=3.5, markeredgewidth=0.9, color=LOST, transform=axes.get_xaxis_transform())
 

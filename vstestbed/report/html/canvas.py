@@ -97,6 +97,7 @@ def new_space(figure: Figure, **options: Any) -> Axes3D:
     """3-D axes for a figure that holds nothing else but a legend at the bottom; `fill` places them."""
     figure.set_layout_engine("none")
     width, height = figure.get_size_inches()
+    # a first place only, which `fill` changes
     side = 0.8 * min(width, height)
     return figure.add_axes((0.1, 0.1, side / width, side / height), projection="3d", **options)  # pyright: ignore[reportReturnType]
 
@@ -132,6 +133,7 @@ def _extent(axes: Any, box: bool) -> NDArray[np.float64]:
     shown += [np.reshape(word.get_position_3d(), (3, 1)) for word in axes.texts]
     if box:
         shown.append(np.array(np.meshgrid(axes.get_xlim(), axes.get_ylim(), axes.get_zlim())).reshape(3, -1))
+    # project all shown points to the figure's plane
     x, y, z = np.concatenate(shown, axis=1)
     flat = proj_transform(x, y, z, axes.get_proj())[:2]
     pixels = axes.transData.transform(np.stack(flat, axis=-1))
@@ -150,6 +152,7 @@ def to_svg(figure: Figure, key: str, label: str) -> str:
     # several figures share a page, and with one hash salt matplotlib would give their clip paths the same identifiers
     text = re.sub(r'\bid="', f'id="{key}-', text)
     text = re.sub(r'(href="|url\()#', rf"\1#{key}-", text)
+    # the page's colours, which follow light and dark mode
     text = text.replace(INK, "var(--ink)").replace(RULE, "var(--rule)")
     return re.sub(r"<svg\b", f'<svg role="img" aria-label="{html.escape(label)}"', text, count=1).strip()
 

@@ -33,7 +33,7 @@ def features(tracks: Tracks) -> Figure | None:
     if tracks.markers == 0:
         return None
     width, height = tracks.setting.width, tracks.setting.height
-    aspect = height / width if width and height else 0.75
+    aspect = height / width if width and height else 0.75  # the usual 4:3 where the size is unknown
     figure = new_figure(min(max(WIDTH_IN * aspect, 2.5), 6.5) + 0.5)
     axes = figure.add_subplot()
     draw_trails(axes, tracks.pixels(), tracks.pixels("_true"), tracks.pixels("_goal"))
@@ -152,6 +152,7 @@ def twist(tracks: Tracks) -> Figure:
         least_span(axes, LEAST_TWIST)
         shade_lost(axes, tracks)
         axes.set_ylabel(label)
+        # the zero line, then band and line of each axis in turn: every second from the third is a command
         axes.legend(handles=axes.get_lines()[2::2], loc="upper right", ncols=3)
     time_axis(panels[-1], tracks)
     return figure

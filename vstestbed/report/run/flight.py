@@ -88,7 +88,7 @@ def rotors(tracks: Tracks) -> Figure | None:
     if not names:
         return None
     wind = tracks.columns("wind_x", "wind_y", "wind_z")
-    windy = bool(np.nanmax(np.abs(wind), initial=0.0) > 0)
+    windy = bool(np.nanmax(np.abs(wind), initial=0.0) > 0)  # without wind its columns are zero
     figure = new_figure(4.2 if windy else 2.8)
     grid = np.ravel(figure.subplots(2 if windy else 1, 1, sharex=True, squeeze=False))
     for i, name in enumerate(names):

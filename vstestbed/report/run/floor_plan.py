@@ -69,7 +69,7 @@ def _draw_views(axes: Axes, tracks: Tracks, ground_task: GroundTask, landmarks: 
         x, y, seen = visible_region(ground_task.camera, T, height, 0.45 * span)
         if seen.any():
             axes.contourf(x, y, seen, levels=[0.5, 1.5], colors=[color], alpha=0.07)
-            if seen.min() < 1:
+            if seen.min() < 1:  # otherwise everything within reach is visible and there is no border
                 axes.contour(x, y, seen, levels=[0.5], colors=[color], alpha=0.35, linewidths=0.7)
 
 
@@ -107,6 +107,7 @@ def _draw_paths(axes: Axes, tracks: Tracks, ground_task: GroundTask, span: float
 
 def _evenly(xy: Array, distance: float) -> Any:
     """Indices of points (T, 2) that are spaced evenly along their path, without its ends; at most 30."""
+    # arc length of each point
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1))])
     count = min(int(along[-1] / distance), 30)
     return np.unique(np.searchsorted(along, np.linspace(0, along[-1], count + 2)[1:-1]))
@@ -121,6 +122,7 @@ def _dart(axes: Axes, place: Array, size: float, label: str | None, color: str, 
     """An arrow head of the given size [m] at a planar pose (x, y, heading), and its entry in the legend."""
     from matplotlib.patches import Polygon
 
+    # rows are points, hence the transposed rotation
     c, s = np.cos(place[2]), np.sin(place[2])
     corners = size * DART @ np.array([[c, s], [-s, c]]) + place[:2]
     face = color if filled else "none"

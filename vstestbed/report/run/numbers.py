@@ -70,7 +70,7 @@ def table(summary: Summary) -> str:
     items = []
     for key, name, unit in ROWS + tuple(row for row in TRACKING_ROWS if summary.get(row[0]) is not None):
         value = summary.get(key)
-        if unit == "%" and isinstance(value, float):
+        if unit == "%" and isinstance(value, float):  # the summary holds shares
             value = 100 * value
         items.append(f"<div><dt>{name}</dt><dd>{_with_unit(value, unit)}</dd></div>")
     return f'<dl class="numbers">{"".join(items)}</dl>'
@@ -112,7 +112,7 @@ def number(value: object) -> str:
     if not 1e-4 <= abs(value) < 1e6:
         mantissa, exponent = f"{value:.2e}".split("e")
         return f"{mantissa}·10<sup>{int(exponent)}</sup>"
-    digits = max(0, 2 - math.floor(math.log10(abs(value))))
+    digits = max(0, 2 - math.floor(math.log10(abs(value))))  # three significant figures
     return f"{value:.{digits}f}"
 
 

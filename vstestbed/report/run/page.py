@@ -174,6 +174,7 @@ def _films(videos: Mapping[str, Path]) -> str:
     """The films: embedded in the page as long as they fit, else linked to the files beside it."""
     left, films = EMBED_BYTES, []
     for name, path in videos.items():
+        # in their order: the camera's film is embedded first
         size = path.stat().st_size
         embedded = size <= left
         left -= size if embedded else 0
@@ -211,7 +212,7 @@ def _summary(run_dir: Path) -> dict[str, Any]:
 
 def setting_of(path: Path) -> Setting:
     """The setting of a scenario file; an empty one if the scenario uses plugins that are not installed here."""
-    from vstestbed.scenario.load import load
+    from vstestbed.scenario.load import load  # here: the figures themselves need no scenario
 
     try:
         return Setting.of(load(path))

@@ -57,6 +57,7 @@ def _goal_camera(tracks: Tracks, targets: Array) -> Array | None:
 def _draw_cameras(axes: Axes3D, cameras: Array, goal: Array | None, size: float) -> None:
     path = cameras[:, :3, 3]
     axes.plot(*path.T, color=LINE_COLORS[0], linewidth=1.8, label="camera, to its end")
+    # four views evenly over the frames, without start and end
     for k in np.unique(np.linspace(0, len(cameras) - 1, 6).astype(int))[1:-1]:
         axes.plot(*_pyramid(cameras[k], 0.6 * size), color=LINE_COLORS[0], linewidth=0.7, alpha=0.45)
     axes.plot(*_pyramid(cameras[0], size), color=INK, linewidth=1.0, label="start")

@@ -45,6 +45,7 @@ def _plane(tracks: Tracks, feature: Polar | Spherical, label: str) -> Figure | N
     if not np.isfinite(ways[0]).any():
         return None
     turns_joined(*(way[..., 0] for way in ways))
+    # angles are drawn in multiples of pi, a radius as it is
     in_pi = np.array([1 / PI, 1 / PI if isinstance(feature, Spherical) else 1.0])
     figure = new_figure(3.6)
     axes = figure.add_subplot()

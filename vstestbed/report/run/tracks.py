@@ -142,13 +142,14 @@ class Tracks:
     def true_depth(self) -> Array | None:
         """Depth of the markers computed from the true poses, shape (T, N) [m]; None where the marker points are unknown."""
         points = self.setting.points
-        if points is None or len(points) != self.markers:
+        if points is None or len(points) != self.markers:  # a log of another target
             return None
         T_camera_target = inverse(self.poses("cam")) @ self.poses("tgt")
         return transform(T_camera_target, points)[..., 2]
 
     def lost_intervals(self) -> list[tuple[float, float]]:
         """Start and end times of the intervals without target [s]; an interval lasts until the first frame with target."""
+        # rising and falling edges alternate, since False is padded at both ends
         edges = np.flatnonzero(np.diff(np.concatenate([[False], self.lost, [False]]).astype(int)))
         last = len(self.t) - 1
         return [(float(self.t[a]), float(self.t[min(b, last)])) for a, b in edges.reshape(-1, 2)]

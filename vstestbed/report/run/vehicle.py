@@ -69,7 +69,7 @@ def localisation_error(tracks: Tracks) -> Figure | None:
             upper.plot(tracks.t, np.hypot(error[stem][:, 0], error[stem][:, 1]), color=color, label=label)
             lower.plot(tracks.t, np.degrees(wrapped(error[stem][:, 2])), color=color)
     lower.axhline(0, color=RULE, linewidth=0.8)
-    upper.set_ylim(bottom=0)
+    upper.set_ylim(bottom=0)  # a distance
     upper.set_ylabel("position [m]")
     lower.set_ylabel("heading [deg]")
     figure.legend(*upper.get_legend_handles_labels(), loc="outside lower center", ncols=2)

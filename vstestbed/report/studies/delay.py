@@ -78,6 +78,7 @@ def _draw_locus(axes: Axes, loci: Sequence[Branches]) -> None:
         axes.plot(np.where(upper, one.poles.real, np.nan), np.where(upper, one.poles.imag, np.nan), color=color, linewidth=1.0)
         crossing = one.at_limit[one.at_limit.imag >= -1e-9]
         axes.plot(crossing.real, crossing.imag, "o", color=color, markersize=3)
+        # an empty line for the legend: `upper` is a matrix with a line for each pole
         axes.plot([], [], color=color, label=f"d = {one.delay_frames}")
     axes.set_aspect("equal")
     axes.set_xlim(-1.35, 1.35)

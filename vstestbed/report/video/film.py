@@ -90,7 +90,9 @@ class Film:
             image = np.array(frame.image) if frame.image is not None else self._picture(frame, width, height)
             self._overlay.draw(image, frame.uv, frame.goal_uv, t=frame.t, error_px=frame.error_px, lost=frame.lost)
             if self._size is not None:
-                image = np.asarray(cv2.resize(image, self._size, interpolation=cv2.INTER_AREA), np.uint8)
+                image = np.asarray(
+                    cv2.resize(image, self._size, interpolation=cv2.INTER_AREA), np.uint8
+                )  # drawn at the full size first: the overlay is in its pixels
         else:
             image = self._picture(frame, width, height)
             draw_caption(image, self._title, t=frame.t, error_px=frame.error_px)

@@ -59,7 +59,7 @@ class Trail:
 
     def _push(self, uv: Array) -> None:
         points, count = self._pieces[-1]
-        points[count, 0] = np.rint(uv * UNIT)
+        points[count, 0] = np.rint(uv * UNIT)  # in place: no allocation per frame
         self._pieces[-1] = (points, count + 1)
 
 

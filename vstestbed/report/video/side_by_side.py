@@ -90,7 +90,7 @@ class _Sheet:
     """The image of the joint film, with one column per run."""
 
     def __init__(self, columns: Sequence[Column], readers: list[list[FrameReader]]):
-        width = min(COLUMN, (WIDEST + GAP) // len(columns) - GAP) // 2 * 2
+        width = min(COLUMN, (WIDEST + GAP) // len(columns) - GAP) // 2 * 2  # even: H.264 stores colour for 2 x 2 pixels
         self._size = max(15, width // 28)
         self._bar = 2 * self._size // 2 * 2
         heights = [_row_height([column[row] for column in readers if row < len(column)], width) for row in range(max(map(len, readers)))]

@@ -104,7 +104,7 @@ class VideoWriter:
         assert self._container is not None and self._stream is not None
         frame = av.VideoFrame.from_ndarray(_even(image), format="rgb24")
         frame = frame.reformat(format="yuv420p", dst_colorspace="ITU709", threads=1)
-        frame.pts, frame.time_base = self.frames, 1 / self.rate
+        frame.pts, frame.time_base = self.frames, 1 / self.rate  # exact fractions: no drift over a long film
         for packet in self._stream.encode(frame):
             self._container.mux(packet)
 
@@ -127,7 +127,7 @@ class VideoWriter:
             self._container.mux(packet)
         self._container.close()
         self._container, self._stream, self._done = None, None, True
-        self.part.replace(self.path)
+        self.part.replace(self.path)  # atomic on one file system
 
     def _guard(self, step: Callable[[], None]) -> None:
         """Run one step of the encoder; on failure discard the film and raise an error that says what is missing."""
