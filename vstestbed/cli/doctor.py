@@ -84,9 +84,9 @@ def _pictures() -> Iterator[Finding]:
 def _pixels(errors: Array, renderer: str) -> Finding:
     """The finding on the pixel convention; errors: rendered minus projected positions (N, 2) [px], NaN where a ball was not found."""
     seen = np.isfinite(errors).all(axis=1)
-    remedy = "this OpenGL driver does not draw what it is told; try another MUJOCO_GL, or another driver"
+    remedy = "this OpenGL driver does not render correctly; try another MUJOCO_GL, or another driver"
     if renderer.startswith("rays"):
-        remedy = "this MuJoCo does not cast rays as it should; install the version in requirements.lock"
+        remedy = "this MuJoCo does not cast rays correctly; install the version in requirements.lock"
     if not seen.all():
         return Finding("pixels", False, f"only {np.count_nonzero(seen)} of {len(errors)} rendered balls were found in the picture", remedy)
     worst = float(np.abs(errors).max())  # over both coordinates of all balls

@@ -152,7 +152,7 @@ class BatchSetup:
         if len(s.goal_views) > 1 or not isinstance(s.target.motion, Still):
             raise ParameterError("goal", "must be one view of a target that stands still, in a batch")
         if s.stop.converged.error_px is None or s.stop.converged.by_estimate:
-            raise ParameterError("stop.converged", "must be told by error_px alone in a batch")
+            raise ParameterError("stop.converged", "must be judged by error_px alone in a batch")
 
     def _check_ideal(self) -> None:
         s = self.scenario

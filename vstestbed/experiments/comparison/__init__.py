@@ -67,7 +67,7 @@ def carry_out(
     comparison: Comparison,
     jobs: int | None = None,
     executor: str = "local",
-    told: OnDone = lambda job, summary: None,
+    on_done: OnDone = lambda job, summary: None,
     stage: Callable[[str], None] = lambda words: None,
     report: bool = True,
 ) -> polars.DataFrame:
@@ -75,7 +75,7 @@ def carry_out(
     try:
         if campaign.missing:
             with closing(pool_of(executor, workers(jobs, len(campaign.missing)))) as pool:
-                campaign.run(pool, told)
+                campaign.run(pool, on_done)
     finally:  # also an interrupted comparison has its table
         table = table_of(campaign.folder, campaign.jobs)
         write_table(campaign.folder, table)
