@@ -10,7 +10,7 @@ import pytest
 from vstestbed.cli.app import main
 from vstestbed.core.errors import ParameterError
 from vstestbed.experiments.comparison import Comparison, chosen
-from vstestbed.experiments.convergence import Ended, Study
+from vstestbed.experiments.convergence import RunEnding, Study
 from vstestbed.scenario.load import load
 
 AXES = {"calibration.depth_factor": (0.5, 1.0), "law.gain": (1.0, 2.0)}
@@ -42,8 +42,8 @@ def test_a_cell_counts_its_own_runs():
     ended = []
     for job in study.runs:
         good = job.controller.values["law.gain"] == 2.0 or job.seed == 0
-        ended.append((job, Ended("converged" if good else "target_lost", good, 1.0, 0.25 if good else 9.0)))
-    (panel,) = study.panels(ended)
+        ended.append((job, RunEnding("converged" if good else "target_lost", good, 1.0, 0.25 if good else 9.0)))
+    (panel,) = study.maps(ended)
     np.testing.assert_array_equal(panel.share, [[0.5, 0.5], [1.0, 1.0]])  # rows: the second axis
     assert panel.others.tolist() == [["target_lost"] * 2, ["", ""]]
     np.testing.assert_array_equal(panel.away_m, 0.25)

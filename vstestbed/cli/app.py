@@ -1,4 +1,7 @@
-"""The command line: runs and what is made of them; how a command ends. Heavy imports happen inside, so that --help is quick."""
+"""The command line: `run`, `render`, `report`, and the exit codes of all commands.
+
+Heavy imports are inside the functions: `--help` must answer within 0.4 s.
+"""
 
 from __future__ import annotations
 
@@ -31,11 +34,11 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 GOAL_REACHED, BUG, BAD_INPUT, NOT_REACHED, INTERRUPTED = 0, 1, 2, 3, 130
-UsageMistake: type[Exception] = typer.BadParameter.__mro__[2]  # click's ClickException, whether typer imports click or carries it
+UsageMistake: type[Exception] = typer.BadParameter.__mro__[2]  # click.ClickException, also where typer brings a copy of click
 
 
 class FilmChoice(str, Enum):
-    """Which films `run` makes."""
+    """The films that `run` makes."""
 
     camera = "camera"
     overview = "overview"
@@ -82,7 +85,7 @@ def run(
     with Progress(chosen, shown=not quiet and not as_json) as progress, _interrupts() as watch:
         show_notes(not quiet)
         recording = run_into(folder, chosen, video.value, [progress, watch], progress.say)
-    _tell(recording, folder, video.value, as_json, quiet)
+    _print_result(recording, folder, video.value, as_json, quiet)
     if recording.outcome.name == "interrupted":
         raise typer.Exit(INTERRUPTED)
     raise typer.Exit(GOAL_REACHED if recording.outcome.success else NOT_REACHED)
@@ -90,7 +93,7 @@ def run(
 
 @contextmanager
 def _interrupts() -> Iterator[Watcher]:
-    """The first Ctrl-C (or SIGTERM) ends the run at the next frame, with a whole folder; the second one at once."""
+    """The first Ctrl-C (or SIGTERM) ends the run at the next frame, with a complete folder; the second one ends it at once."""
     import signal
 
     class _Stop:
@@ -98,12 +101,12 @@ def _interrupts() -> Iterator[Watcher]:
 
         def ask(self, *_: object) -> None:
             self.asked = True
-            for number in numbers:
+            for number in numbers:  # the next signal has its usual effect
                 signal.signal(number, before[number])
 
         def frame(self, frame: Frame) -> None:
             if self.asked:
-                raise KeyboardInterrupt
+                raise KeyboardInterrupt  # inside the loop, which turns it into the outcome `interrupted`
 
     stop, numbers = _Stop(), (signal.SIGINT, signal.SIGTERM)
     before = {number: signal.signal(number, stop.ask) for number in numbers}
@@ -114,13 +117,13 @@ def _interrupts() -> Iterator[Watcher]:
             signal.signal(number, before[number])
 
 
-def _tell(recording: Recording, folder: Path, films: str, as_json: bool, quiet: bool) -> None:
+def _print_result(recording: Recording, folder: Path, films: str, as_json: bool, quiet: bool) -> None:
     if as_json:
         typer.echo((folder / "summary.json").read_text(encoding="utf-8"), nl=False)
     elif not quiet:
-        from vstestbed.cli.progress import words
+        from vstestbed.cli.progress import summary_text
 
-        typer.echo(words(recording, folder, filmed=films != "none"), err=True)
+        typer.echo(summary_text(recording, folder, filmed=films != "none"), err=True)
 
 
 @app.command()
@@ -140,7 +143,7 @@ def render(
 
     load_plugins(plugin or [])
     size_px = _size(size)
-    _must_be_run(run_dir)
+    _must_be_run(run_dir)  # before the scenario is loaded, for a clearer message
     scenario = load(run_dir / "scenario.yaml")
     log = read_log(run_dir, scenario)
     show_notes(not quiet)
@@ -195,20 +198,20 @@ app.add_typer(tools)
 
 def main(argv: list[str] | None = None) -> NoReturn:
     """Run the command line and exit: 0 goal reached, 1 a bug, 2 bad input, 3 not reached, 4 environment, 130 interrupted."""
-    words = sys.argv[1:] if argv is None else argv
-    given = [word for word in words if word != "--debug"]
-    sys.exit(_guarded(lambda: app(given, prog_name="vstestbed", standalone_mode=False), debug=len(given) < len(words)))
+    arguments = sys.argv[1:] if argv is None else argv
+    given = [argument for argument in arguments if argument != "--debug"]  # --debug may stand anywhere
+    sys.exit(_guarded(lambda: app(given, prog_name="vstestbed", standalone_mode=False), debug=len(given) < len(arguments)))
 
 
 def _guarded(command: Callable[[], object], debug: bool = False) -> int:
-    """The exit code of a command; mistakes and lacks become one message on standard error."""
+    """Exit code of a command; errors of this package and of the usage become one message on standard error."""
     try:
         code = command()
         sys.stdout.flush()
         return code if isinstance(code, int) else GOAL_REACHED
     except VstestbedError as error:
         return _failed(error, debug)
-    except ImportError as error:  # the renderers look for their driver when they are imported
+    except ImportError as error:  # the OpenGL bindings look for their driver when they are imported
         from vstestbed.sim.render import gl_probe as gl
 
         if (lack := gl.explain(error)) is None:
@@ -220,8 +223,8 @@ def _guarded(command: Callable[[], object], debug: bool = False) -> int:
     except (typer.Abort, KeyboardInterrupt):
         typer.echo("interrupted", err=True)
         return INTERRUPTED
-    except (BrokenPipeError, SystemExit):  # the reader of a pipe has gone (`| head`); typer exits by itself then
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left in the buffer goes nowhere
+    except (BrokenPipeError, SystemExit):  # the reader of the pipe has ended (`| head`); typer then exits by itself
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # discards the rest of the buffer
         return GOAL_REACHED
 
 

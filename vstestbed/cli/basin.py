@@ -1,4 +1,4 @@
-"""The command that maps basins of attraction. Heavy imports happen inside."""
+"""The command `basin`: outcome of each start over two of its coordinates. Heavy imports are inside the function."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 basins = typer.Typer()
 
 
-class View(str, Enum):
-    """What the camera of a map sees."""
+class FieldOfView(str, Enum):
+    """Field of view of the camera of a map."""
 
     limited = "limited"
     unlimited = "unlimited"
@@ -37,7 +37,7 @@ def basin(
     vary: Annotated[list[str] | None, typer.Option("--vary", metavar="a.b=v1,v2", help="A map for each of these values.")] = None,
     set_: Annotated[list[str] | None, typer.Option("--set", metavar="a.b=value", help="Change a field of all scenarios.")] = None,
     field_of_view: Annotated[
-        View | None, typer.Option(help="Whether the picture has a border. [default: as the oracle's, or limited]")
+        FieldOfView | None, typer.Option(help="Whether the picture has a border. [default: as the oracle's, or limited]")
     ] = None,
     check: Annotated[int, typer.Option(min=0, help="So many random starts also fly one by one, in the time loop of `run`.")] = 0,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of the results. [default: runs/basin/NUMBER]")] = None,
@@ -48,19 +48,20 @@ def basin(
     """From where each law reaches its goal, and why not from elsewhere: a map of ideal runs over two coordinates of the start."""
     from vstestbed.cli.compare import vary_of
     from vstestbed.core.files import new_study_folder
-    from vstestbed.experiments.basin.maps import each, laws, write
+    from vstestbed.experiments.basin.maps import basins_of, laws, write
     from vstestbed.experiments.comparison import chosen
     from vstestbed.scenario.load import load_plugins
 
     load_plugins(plugin or [])
+    # mistakes on the command line are reported before the scenarios are loaded
     across, up, rest = _axis("--x", x, n), _axis("--y", y, n), _coordinates("--at", at or [])
     found = laws(chosen(scenarios, settings_of(set_), vary_of(vary), None), None if field_of_view is None else field_of_view.value)
     folder = new_study_folder("basin", out)
     shown = not (quiet or as_json)
-    made = each(found, across, up, rest, check, lambda one: typer.echo(_words(one), err=True) if shown else None)
-    page = write(folder, made, shlex.join(["vstestbed", *sys.argv[1:]]) if len(sys.argv) > 1 else "")
+    mapped = basins_of(found, across, up, rest, check, lambda one: typer.echo(_summary_text(one), err=True) if shown else None)
+    page = write(folder, mapped, shlex.join(["vstestbed", *sys.argv[1:]]) if len(sys.argv) > 1 else "")
     if as_json:
-        sys.stdout.write(json.dumps([b.summary() for b in made], indent=1) + "\n")
+        sys.stdout.write(json.dumps([b.summary() for b in mapped], indent=1) + "\n")
     elif not quiet:
         typer.echo(f"  results   {page.parent} (open report.html)", err=True)
 
@@ -72,6 +73,7 @@ def _axis(option: str, text: str, n: int) -> Axis:
     low, _, high = ends.partition(":")
     try:
         return Axis(name.strip(), float(low), float(high), n)
+    # the same problem under the name of the option
     except ParameterError as error:
         raise ParameterError(option, f"{error.field} {error.problem}" if error.field != "axis" else error.problem, error.found) from None
     except ValueError:
@@ -95,11 +97,11 @@ def _coordinates(option: str, texts: list[str]) -> dict[str, float]:
     return found
 
 
-def _words(made: Basin) -> str:
-    summary = made.summary()
+def _summary_text(mapped: Basin) -> str:
+    summary = mapped.summary()
     shares = ", ".join(f"{ending.replace('_', ' ')} {100 * share:.1f} %" for ending, share in summary["shares"].items())
-    lines = [f"{made.label}: {shares}; {summary['starts']} starts in {made.processor_s:.1f} s of one core"]
-    if made.checked:
-        lines.append(f"  the time loop agrees on {summary['agreeing']} of {made.checked}")
-    lines += [f"    not at {made.x.name} {d.x:g}, {made.y.name} {d.y:g}: {d.batch} here, {d.full} there" for d in made.disagreements]
+    lines = [f"{mapped.label}: {shares}; {summary['starts']} starts in {mapped.processor_s:.1f} s of one core"]
+    if mapped.checked:
+        lines.append(f"  the time loop agrees on {summary['agreeing']} of {mapped.checked}")
+    lines += [f"    not at {mapped.x.name} {d.x:g}, {mapped.y.name} {d.y:g}: {d.batch} here, {d.full} there" for d in mapped.disagreements]
     return "\n".join(lines)

@@ -1,4 +1,4 @@
-"""The command that compares. Heavy imports happen inside."""
+"""The command `compare`: scenarios, variations and seeds in parallel. Heavy imports are inside the function."""
 
 from __future__ import annotations
 
@@ -43,15 +43,16 @@ def compare(
         with Counter(total, total - missing, shown=not quiet and not as_json) as counter:
             table = carry_out(campaign, comparison, jobs, executor, counter.run_done, counter.say)
     except KeyboardInterrupt:
+        # `missing` looks at the folder: finished runs are there in full, others not at all
         done = total - len(campaign.missing)
         typer.echo(
             f"interrupted: {done} of {total} runs are done; go on with: vstestbed compare --resume --out {campaign.folder}", err=True
         )
-        raise typer.Exit(130) from None
+        raise typer.Exit(130) from None  # 128 + SIGINT, as shells have it
     if as_json:
         sys.stdout.write(table.write_json() + "\n")
     elif not quiet:
-        typer.echo(_words(table, campaign.folder), err=True)
+        typer.echo(_summary_text(table, campaign.folder), err=True)
 
 
 def vary_of(options: list[str] | None) -> dict[str, tuple[object, ...]]:
@@ -72,14 +73,15 @@ def _pairs(options: list[str] | None) -> list[tuple[str, str]]:
 
 
 def _values(text: str) -> list[object]:
-    """Values between commas that stand in no brackets: `1,2`, `[0, 1], [1, 0]`, `{kind: oracle}, blobs`."""
+    """The values between top-level commas: `1,2`, `[0, 1], [1, 0]`, `{kind: oracle}, blobs`."""
     from vstestbed.scenario.yaml_marks import read_value
 
+    # in brackets it is a YAML list, whose reader knows which commas are inside nested brackets
     found = read_value(f"[{text}]")
     return found if isinstance(found, list) else [found]
 
 
-def _words(table: Any, folder: Path) -> str:
+def _summary_text(table: Any, folder: Path) -> str:
     done, good = len(table), int(table["success"].sum())
     failed = f"; {done - good} did not reach the goal" if good < done else ""
     return f"{good} of {done} runs reached the goal{failed}\n  results   {folder} (open report.html)"

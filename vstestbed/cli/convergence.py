@@ -1,4 +1,4 @@
-"""The command that maps where a law converges over two varied fields. Heavy imports happen inside."""
+"""The command `convergence`: share of converged runs over two varied fields. Heavy imports are inside the function."""
 
 from __future__ import annotations
 
@@ -37,15 +37,16 @@ def convergence(
     study, folder = Study(chosen(scenarios, settings_of(set_), vary_of(vary), seeds)), new_study_folder("convergence", out)
     shown = not (quiet or as_json)
 
-    def told(done: int, of: int) -> None:
+    def progress(done: int, of: int) -> None:
+        # a line every 100 runs: a run takes some 50 ms
         if shown and (done == of or done % 100 == 0):
             typer.echo(f"{done} of {of} runs", err=True)
 
-    ended = study.fly(jobs, told)
-    page = write(folder, study, ended, shlex.join(["vstestbed", *sys.argv[1:]]) if len(sys.argv) > 1 else "")
+    results = study.run_all(jobs, progress)
+    page = write(folder, study, results, shlex.join(["vstestbed", *sys.argv[1:]]) if len(sys.argv) > 1 else "")
     if as_json:
-        sys.stdout.write(study.table(ended).write_json() + "\n")
+        sys.stdout.write(study.table(results).write_json() + "\n")
     elif not quiet:
-        for one in summaries(study.panels(ended)):
+        for one in summaries(study.maps(results)):
             typer.echo(f"{one['label']}: {100 * float(str(one['converged'])):.1f} % of all runs converged", err=True)
         typer.echo(f"  results   {page.parent} (open report.html)", err=True)

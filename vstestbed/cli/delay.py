@@ -1,4 +1,4 @@
-"""The command that measures how much gain a delay leaves. Heavy imports happen inside."""
+"""The command `delay`: the gain limit of the loop for each delay. Heavy imports are inside the function."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def delay(
 
     chosen, folder = load_scenario(scenario, set_, plugin), new_study_folder("delay", out)
     shown = not (quiet or as_json)
-    limits = find_limits(chosen, _numbers(frames), lambda one: typer.echo(_words(one), err=True) if shown else None)
+    limits = find_limits(chosen, _numbers(frames), lambda one: typer.echo(_summary_line(one), err=True) if shown else None)
     page = write(folder, limits, chosen.name, shlex.join(["vstestbed", *sys.argv[1:]]) if len(sys.argv) > 1 else "")
     if as_json:
         sys.stdout.write(json.dumps([limit.row() for limit in limits], indent=1) + "\n")
@@ -48,14 +48,14 @@ def delay(
 
 def _numbers(text: str) -> list[int]:
     try:
-        return sorted({int(part) for part in text.split(",")})
+        return sorted({int(part) for part in text.split(",")})  # in order, and no delay twice
     except ValueError:
         raise ParameterError("--frames", "needs whole numbers between commas, such as 0,1,2", text) from None
 
 
-def _words(limit: Limit) -> str:
+def _summary_line(limit: Limit) -> str:
     row = limit.row()
-    words = f"{row['delay_frames']} frames: unstable from {row['gain_limit']:.4g} 1/s, {row['measured_to_theory']:.3f} of theory"
+    line = f"{row['delay_frames']} frames: unstable from {row['gain_limit']:.4g} 1/s, {row['measured_to_theory']:.3f} of theory"
     if row["measured_to_lag"] is None:
-        return words
-    return f"{words}, {row['measured_to_lag']:.3f} with the servos' lag ({row['joint']} first, {1e3 * limit.lag_of_first:.1f} ms)"
+        return line
+    return f"{line}, {row['measured_to_lag']:.3f} with the servos' lag ({row['joint']} first, {1e3 * limit.lag_of_first:.1f} ms)"

@@ -1,4 +1,4 @@
-"""What works on this machine, and the command that mends what does not."""
+"""Checks of the installation: what works on this machine, and the command that repairs what does not."""
 
 from __future__ import annotations
 
@@ -14,12 +14,13 @@ from vstestbed.core.geometry import Array
 from vstestbed.core.provenance import versions
 
 PIXEL_TOLERANCE_PX = 0.1
-"""Far more than the detector's own error (.02 to .04 px on multisampled balls), far less than a wrong convention's half pixel."""
+"""Tolerance between rendered and projected balls [px]: well above the detector's own error (0.02 to 0.04 px on multisampled balls),
+well below the 0.5 px of a wrong pixel convention."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing looked at: whether it works, what was found, how to mend it."""
+    """Result of one check: whether it passed, what was found, and the remedy."""
 
     what: str
     works: bool
@@ -27,13 +28,14 @@ class Finding:
     remedy: str = ""
 
     def __str__(self) -> str:
-        """One line, two where something is to be done."""
+        """One line, and a second one with the remedy if the check failed."""
         line = f"{'ok ' if self.works else 'NO '} {self.what:12} {self.found}"
         return line if self.works or not self.remedy else f"{line}\n    {'':12} {self.remedy}"
 
 
 def examine() -> Iterator[Finding]:
-    """Everything that a run needs, looked at one after the other."""
+    """Check everything that a run needs, in turn."""
+    # every check gives a finding, also a failed one: one broken part must not hide the others
     yield Finding("python", sys.version_info >= (3, 11), sys.version.split()[0], "install Python 3.11 or newer")
     yield _packages()
     yield Finding("cores", True, f"{len(os.sched_getaffinity(0)) if hasattr(os, 'sched_getaffinity') else os.cpu_count()}")
@@ -46,7 +48,7 @@ def _packages() -> Finding:
     found = versions()
     missing = [name for name, version in found.items() if version == "missing"]
     text = ", ".join(f"{name} {version}" for name, version in found.items() if name != "python")
-    major = found["mujoco"].split(".")[0]
+    major = found["mujoco"].split(".")[0]  # "missing" if it is not installed
     if major.isdigit() and int(major) >= 4:
         return Finding("packages", False, text, "dm-control 1.0.50 does not work with mujoco 4: pip install 'mujoco>=3.17,<4'")
     return Finding("packages", not missing, text, "pip install vstestbed again")
@@ -63,7 +65,7 @@ def _data() -> Finding:
 
 
 def _pictures() -> Iterator[Finding]:
-    """OpenGL, or rays in its place, then the pixel convention: where a rendered ball is against where the camera model says it is."""
+    """OpenGL (ray casting where it does not work), then the pixel convention: rendered against projected positions of balls."""
     from vstestbed.sim.render import gl_probe as gl
     from vstestbed.sim.render.pixel_check import pixel_convention
 
@@ -71,8 +73,8 @@ def _pictures() -> Iterator[Finding]:
         check = pixel_convention("gl")
     except (VstestbedError, ImportError) as error:
         lack = gl.explain(error) if isinstance(error, ImportError) else error
-        words, _, remedy = str(lack or error).partition("; ")
-        yield Finding("OpenGL", False, f"{words}; rays draw the pictures instead, without shadows and textures", remedy)
+        problem, _, remedy = str(lack or error).partition("; ")  # the form of every message of this package
+        yield Finding("OpenGL", False, f"{problem}; rays draw the pictures instead, without shadows and textures", remedy)
         check = pixel_convention("rays")
     else:
         yield Finding("OpenGL", True, check.renderer)
@@ -80,14 +82,14 @@ def _pictures() -> Iterator[Finding]:
 
 
 def _pixels(errors: Array, renderer: str) -> Finding:
-    """What the distances (N, 2) of drawn from expected balls tell [px]; NaN where a ball was not found."""
+    """The finding on the pixel convention; errors: rendered minus projected positions (N, 2) [px], NaN where a ball was not found."""
     seen = np.isfinite(errors).all(axis=1)
-    remedy = "this OpenGL driver does not draw what it is told; try another MUJOCO_GL, or another driver"
+    remedy = "this OpenGL driver does not render correctly; try another MUJOCO_GL, or another driver"
     if renderer.startswith("rays"):
-        remedy = "this MuJoCo does not cast rays as it should; install the version in requirements.lock"
+        remedy = "this MuJoCo does not cast rays correctly; install the version in requirements.lock"
     if not seen.all():
         return Finding("pixels", False, f"only {np.count_nonzero(seen)} of {len(errors)} rendered balls were found in the picture", remedy)
-    worst = float(np.abs(errors).max())
+    worst = float(np.abs(errors).max())  # over both coordinates of all balls
     found = f"{len(errors)} rendered balls within {worst:.3f} px of the camera model ({PIXEL_TOLERANCE_PX} allowed)"
     found += f", by {renderer}" if renderer.startswith("rays") else ""
     return Finding("pixels", worst < PIXEL_TOLERANCE_PX, found, remedy)

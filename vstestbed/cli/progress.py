@@ -1,8 +1,9 @@
-"""What a person at a terminal sees while a run goes, and after it."""
+"""Terminal output during a run and after it: progress bars, the outcome in a few lines."""
 
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
@@ -14,11 +15,11 @@ if TYPE_CHECKING:
 
 
 class Progress:
-    """A progress bar on standard error while a run goes (a Watcher); nothing where that is no terminal.
+    """Progress bar of a run on standard error (a Watcher); hidden if standard error is no terminal.
 
     Args:
-        scenario: its duration is the full bar.
-        shown: False for silence.
+        scenario: the scenario; its duration is the full bar.
+        shown: False hides the bar.
     """
 
     def __init__(self, scenario: Scenario, shown: bool):
@@ -39,12 +40,12 @@ class Progress:
         self._task = self._bar.add_task(scenario.name, total=scenario.stop.duration_s, error="-")
 
     def frame(self, frame: Frame) -> None:
-        """Move the bar."""
+        """Advance the bar."""
         error = "lost" if frame.error.lost else f"{frame.error.rms_px:.2f}"
         self._bar.update(self._task, completed=frame.t, error=error)
 
     def say(self, words: str) -> None:
-        """Say what is being done after the run."""
+        """Show what is being done after the run."""
         self._bar.update(self._task, description=words)
 
     def __enter__(self) -> Progress:
@@ -58,10 +59,10 @@ class Progress:
 
 
 class Counter:
-    """A progress bar on standard error while a comparison goes: runs done, failures, time left; nothing where that is no terminal.
+    """Progress bar of a comparison on standard error: runs done, failures, time left; hidden if standard error is no terminal.
 
     Args:
-        total: how many runs. done: how many of them were done before. shown: False for silence.
+        total: number of runs. done: number of runs that were done before (`--resume`). shown: False hides the bar.
     """
 
     def __init__(self, total: int, done: int, shown: bool):
@@ -84,12 +85,12 @@ class Counter:
         self._task = self._bar.add_task("comparing", total=total, completed=done, failed=0)
 
     def run_done(self, job: object, summary: dict[str, Any]) -> None:
-        """Move the bar."""
-        self._failed += not summary["success"]
+        """Advance the bar by one run."""
+        self._failed += not summary["success"]  # a bool counts as 0 or 1
         self._bar.update(self._task, advance=1, failed=self._failed)
 
     def say(self, words: str) -> None:
-        """Say what is being done after the runs."""
+        """Show what is being done after the runs."""
         self._bar.update(self._task, description=words)
 
     def __enter__(self) -> Counter:
@@ -103,39 +104,44 @@ class Counter:
 
 
 def show_notes(shown: bool) -> None:
-    """Let what the library has to say (that rays draw instead of OpenGL) pass to standard error as it is, or not."""
+    """Print the library's warnings (such as ray casting in place of OpenGL) on standard error, or suppress them."""
     logger = logging.getLogger("vstestbed")
     logger.setLevel(logging.WARNING if shown else logging.ERROR)
     if logging.lastResort is not None:
-        logger.addHandler(logging.lastResort)
+        logger.addHandler(logging.lastResort)  # prints the bare message, without level and logger name
         logger.propagate = False
 
 
-def words(recording: Recording, folder: Path, filmed: bool) -> str:
-    """The outcome in a few lines."""
+def summary_text(recording: Recording, folder: Path, filmed: bool) -> str:
+    """The outcome of a run in a few lines."""
     s = recording.summary()
+    lines = [f"{s['outcome']}: {s['reason']}"]
+    if not s["frames"]:
+        lines.append("  error     not a single frame was seen")
+    elif s["outcome"] != "landed":  # the reason of a landing says where it touched down
+        lines.append(f"  error     {_error_text(recording)}")
+    speed = _number(s, "real_time_factor", "times real time", digits=1) + (" with films and log" if filmed else " with its log")
+    lines.append(f"  time      {_number(s, 'sim_time_s', 's')} simulated in {_number(s, 'wall_time_s', 's')}: {speed}")
+    lines.append(f"  results   {folder} (open report.html)")
+    return "\n".join(lines)
 
-    def figure(name: str, unit: str, factor: float = 1.0, digits: int = 2) -> str:
-        value = s[name]
-        return f"{value * factor:.{digits}f} {unit}" if isinstance(value, float) else f"no {unit}"
 
-    error = figure("final_error_px", "px in the image", digits=3) if s["final_error_px"] is not None else "target not in sight"
+def _error_text(recording: Recording) -> str:
+    """Final errors in the image and of the pose; for a continuing task the largest error after settling."""
+    s = recording.summary()
+    if "worst_task_error_m" in s:
+        return (
+            f"{_number(s, 'worst_task_error_m', 'm', digits=4)} off at most once settled"
+            if s["worst_task_error_m"] is not None
+            else "not settled yet"
+        )
+    error = _number(s, "final_error_px", "px in the image", digits=3) if s["final_error_px"] is not None else "target not in sight"
     if "level_error_px" in recording.columns and len(recording["level_error_px"]):
         error += f" ({recording['level_error_px'][-1]:.3f} turned level)"
-    pose = f"{figure('final_position_error_m', 'mm', 1000)} and {figure('final_rotation_error_deg', 'deg', digits=3)} from the goal"
-    who = "vehicle" if recording.scenario.robot.base == "planar" else "camera"
-    kept = (
-        f"{figure('worst_task_error_m', 'm', digits=4)} off at most once settled"
-        if s.get("worst_task_error_m") is not None
-        else "not settled yet"
-    )
-    error = kept if "worst_task_error_m" in s else f"{error}, {who} {pose}"
-    speed = figure("real_time_factor", "times real time", digits=1) + (" with films and log" if filmed else " with its log")
-    return "\n".join(
-        [
-            f"{s['outcome']}: {s['reason']}",
-            *([f"  error     {error}" if s["frames"] else "  error     not a single frame was seen"] if s["outcome"] != "landed" else []),
-            f"  time      {figure('sim_time_s', 's')} simulated in {figure('wall_time_s', 's')}: {speed}",
-            f"  results   {folder} (open report.html)",
-        ]
-    )
+    pose = f"{_number(s, 'final_position_error_m', 'mm', 1000)} and {_number(s, 'final_rotation_error_deg', 'deg', digits=3)} from the goal"
+    return f"{error}, {'vehicle' if recording.scenario.robot.base == 'planar' else 'camera'} {pose}"
+
+
+def _number(summary: Mapping[str, Any], name: str, unit: str, factor: float = 1.0, digits: int = 2) -> str:
+    value = summary[name]
+    return f"{value * factor:.{digits}f} {unit}" if isinstance(value, float) else f"no {unit}"

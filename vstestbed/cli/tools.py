@@ -1,4 +1,7 @@
-"""The commands beside runs: what there is, what works here, how fast it is, what a feature does. Heavy imports happen inside."""
+"""The commands `list`, `schema`, `doctor`, `bench` and `flow`, and the options that several commands share.
+
+Heavy imports are inside the functions: `--help` must answer within 0.4 s.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,7 @@ tools = typer.Typer()
 
 
 class Room(str, Enum):
-    """What `list` lists."""
+    """Argument of `list`."""
 
     scenarios = "scenarios"
     robots = "robots"
@@ -34,7 +37,7 @@ Json = Annotated[bool, typer.Option("--json", help="Print summary.json and nothi
 
 
 def load_scenario(name: str, settings: list[str] | None, plugins: list[str] | None, seed: int | None = None) -> Scenario:
-    """A scenario as words on the command line choose and change it."""
+    """Load the scenario of a command line, with `--set`, `--seed` and `--plugin` applied."""
     from vstestbed.scenario.load import load, load_plugins
 
     load_plugins(plugins or [])
@@ -42,12 +45,13 @@ def load_scenario(name: str, settings: list[str] | None, plugins: list[str] | No
 
 
 def settings_of(settings: list[str] | None) -> dict[str, object]:
-    """The values of `--set` by dotted path."""
+    """The values of `--set` by dotted path, each read as YAML."""
     from vstestbed.scenario.yaml_marks import read_value
 
     overrides: dict[str, object] = {}
     for setting in settings or []:
         key, equals, value = setting.partition("=")
+        # an empty value is allowed: YAML reads it as null
         if not equals or not all(part.strip() for part in key.split(".")):
             raise ParameterError("--set", "needs the form a.b=value", setting)
         overrides[key.strip()] = read_value(value)
@@ -57,22 +61,27 @@ def settings_of(settings: list[str] | None) -> dict[str, object]:
 @tools.command("list")
 def list_(room: Annotated[Room | None, typer.Argument(help="What to list. [default: everything]")] = None, plugin: Plugins = None) -> None:
     """What there is, one line each."""
-    from vstestbed.core.assets import bundled_scenarios
-    from vstestbed.scenario.load import load, load_plugins
-    from vstestbed.scenario.validation import KINDS
+    from vstestbed.scenario.load import load_plugins
 
     load_plugins(plugin or [])
-    for name in [room] if room else list(Room):
+    for name in [room] if room else Room:
         if room is None:
             typer.echo(f"{name.value}:")
-        indent = "" if room else "  "
-        if name is Room.scenarios:
-            lines = [(stem, load(stem).description) for stem in bundled_scenarios()]
-        else:
-            lines = [(kind, (cls.__doc__ or "").strip().split("\n")[0]) for kind, cls in KINDS[name.value].members.items()]
-        width = max((len(kind) for kind, _ in lines), default=0)
-        for kind, text in lines:
-            typer.echo(f"{indent}{kind:{width}}  {text}")
+        entries = _entries(name)
+        width = max((len(entry) for entry, _ in entries), default=0)
+        for entry, text in entries:
+            typer.echo(f"{'' if room else '  '}{entry:{width}}  {text}")
+
+
+def _entries(room: Room) -> list[tuple[str, str]]:
+    """Names of the scenarios or kinds in a room, each with its description: for kinds the first line of the class's docstring."""
+    from vstestbed.core.assets import bundled_scenarios
+    from vstestbed.scenario.load import load
+    from vstestbed.scenario.validation import KINDS
+
+    if room is Room.scenarios:
+        return [(name, load(name).description) for name in bundled_scenarios()]
+    return [(kind, (cls.__doc__ or "").strip().split("\n")[0]) for kind, cls in KINDS[room.value].members.items()]
 
 
 @tools.command()
@@ -117,7 +126,7 @@ def bench(
         from vstestbed.experiments.bench import measure
 
         result = measure(load_scenario(scenario or "arm_ibvs", set_, plugin), repeats)
-    typer.echo(json.dumps(result.as_dict(), indent=1) if as_json else result.words())
+    typer.echo(json.dumps(result.as_dict(), indent=1) if as_json else result.as_text())
 
 
 @tools.command()

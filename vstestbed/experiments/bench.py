@@ -1,4 +1,4 @@
-"""Where the time of a run goes, and how far above its floor it is."""
+"""Speed of a run: computing time by part, and the ratio to its floor, the same physics steps and images and nothing else."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ class Bench:
     """Medians over several runs, each measured beside its own floor.
 
     Attributes:
-        scenario, frames, repeats: what was measured, how long, how often.
-        real_time_factor: simulated over wall time of the loop. ratio: wall time of the loop over its floor's.
-        ratio_low, ratio_high: smallest and largest ratio of a pair.
-        ms_per_frame: wall time by part [ms]; floor_ms: bare physics and bare pictures [ms]. setup_s: building the scene [s].
-        renderer: what drew the pictures.
+        scenario, frames, repeats: name of the scenario, frames of a run, counted runs.
+        real_time_factor: simulated over wall time of the loop. ratio: wall time of the loop over that of its floor.
+        ratio_low, ratio_high: smallest and largest ratio of a pair of run and floor.
+        ms_per_frame: wall time by part [ms]; floor_ms: bare physics and bare rendering [ms]. setup_s: building the scene [s].
+        renderer: the renderer.
     """
 
     scenario: str
@@ -43,8 +43,8 @@ class Bench:
         """Plain values, for JSON."""
         return asdict(self)
 
-    def words(self) -> str:
-        """A table for people."""
+    def as_text(self) -> str:
+        """The measurement as a table for the terminal."""
         lines = [
             f"{self.scenario}: {self.frames} frames, {self.repeats} pairs of run and floor, pictures by {self.renderer}",
             f"  {self.ratio:.2f} times the floor ({self.ratio_low:.2f} to {self.ratio_high:.2f})",
@@ -59,36 +59,47 @@ class Bench:
 
 
 def measure(scenario: Scenario, repeats: int = 5) -> Bench:
-    """Run a scenario and its floor in turn; the first pair warms up and is not counted."""
+    """Measure a scenario and its floor in turn; the first pair warms up and is not counted."""
     pairs = []
     for i in range(repeats + 1):
         recording = run(scenario)
         floor = _floor(scenario, recording)
-        if i:
+        if i:  # the first pair warms up
             pairs.append((recording, floor))
     recordings, floors = [r for r, _ in pairs], [f for _, f in pairs]
-    frames = len(recordings[0].table)
+    # the ratio of each pair, not of the medians: both share the load of the machine at that time
     ratios = [r.loop_s / f.total_s for r, f in pairs]
-    parts = {k: statistics.median(r.time_ms[k] / frames for r in recordings) for k in recordings[0].time_ms if k != "video"}
-    whole = statistics.median(1e3 * r.loop_s / frames for r in recordings)
-    parts["other"] = whole - sum(parts.values())
-    physics, render = (statistics.median(1e3 * getattr(f, name) / frames for f in floors) for name in ("physics_s", "render_s"))
     return Bench(
         scenario=scenario.name,
-        frames=frames,
+        frames=len(recordings[0].table),
         repeats=repeats,
         real_time_factor=statistics.median(float(r["t"][-1]) / r.loop_s for r in recordings),
         ratio=statistics.median(ratios),
         ratio_low=min(ratios),
         ratio_high=max(ratios),
-        ms_per_frame=parts | {"whole": whole},
-        floor_ms={"physics": physics, "render": render, "whole": physics + render},
+        ms_per_frame=_ms_per_frame(recordings),
+        floor_ms=_floor_ms(floors, len(recordings[0].table)),
         setup_s=statistics.median(r.wall_time_s - r.loop_s for r in recordings),
         renderer=recordings[0].versions["renderer"],
     )
 
 
+def _ms_per_frame(recordings: list[Recording]) -> dict[str, float]:
+    """Median wall time of a frame by part, without films; `other` is what no part accounts for."""
+    frames = len(recordings[0].table)
+    parts = {k: statistics.median(r.time_ms[k] / frames for r in recordings) for k in recordings[0].time_ms if k != "video"}
+    whole = statistics.median(1e3 * r.loop_s / frames for r in recordings)
+    return parts | {"other": whole - sum(parts.values()), "whole": whole}
+
+
+def _floor_ms(floors: list[Floor], frames: int) -> dict[str, float]:
+    """Median wall time of a frame of bare physics and bare rendering."""
+    physics, render = (statistics.median(1e3 * getattr(f, name) / frames for f in floors) for name in ("physics_s", "render_s"))
+    return {"physics": physics, "render": render, "whole": physics + render}
+
+
 def _floor(scenario: Scenario, recording: Recording) -> Floor:
+    """The floor of a recorded run: its actuator inputs stepped and its camera poses rendered again, without the loop."""
     step, steps_per_frame = scenario.clock
     parts = Parts(scenario.robot, scenario.camera, scenario.target, scenario.world, step)
     robot = scenario.robot
@@ -97,6 +108,7 @@ def _floor(scenario: Scenario, recording: Recording) -> Floor:
         columns = [recording[f"{kind}_{name}"] for name in names]
         return np.column_stack(columns) if columns else np.zeros((len(recording.table), 0))
 
+    # true camera poses of the log: the floor renders the same views
     T = np.tile(np.eye(4), (len(recording.table), 1, 1))
     T[:, :3, 3] = np.column_stack([recording[f"cam_{a}"] for a in "xyz"])
     T[:, :3, :3] = rotation_from_quaternion(np.column_stack([recording[f"cam_q{a}"] for a in "wxyz"]))

@@ -1,4 +1,4 @@
-"""How fast the ideal loop is on one core: one run with its recording, and a thousand runs at once."""
+"""Speed of the ideal loop on one core: a single run with its recording, and a batch of a thousand runs."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from vstestbed.scenario.scenario import Scenario
 from vstestbed.tasks.stop import Stop
 
 NEVER_S = 1e9
-"""A goal to be held this long ends no run."""
+"""Hold time at the goal that no run completes, so that the duration ends it."""
 BATCH_STEPS = 60
-"""Steps of a batch, fewer than any run needs to its goal."""
+"""Steps of a batch: fewer than any of its runs needs to its goal, so that all runs take part in all steps."""
 
 
 @dataclass(frozen=True)
@@ -30,10 +30,10 @@ class IdealBench:
     """Medians over several repeats.
 
     Attributes:
-        repeats: how often each was measured, after one round that is not counted.
-        steps, steps_per_s: of the one run, with all that `run` does but for building the scene; run_low, run_high: extremes.
-        runs, run_steps: of the batch; run_steps_per_s: its rate, with batch_low and batch_high the extremes.
-        cores: processor time over wall time, of all measurements: about 1 on one core that is free, less on a shared one.
+        repeats: counted measurements, after one that warms up.
+        steps, steps_per_s: of the single run, everything included but building the scene; run_low, run_high: extremes of the rate.
+        runs, run_steps: of the batch; run_steps_per_s: its rate; batch_low, batch_high: extremes.
+        cores: processor time over wall time of all measurements: about 1 on a core that is free, less on a shared one.
     """
 
     repeats: int
@@ -52,8 +52,8 @@ class IdealBench:
         """Plain values, for JSON."""
         return asdict(self)
 
-    def words(self) -> str:
-        """A table for people."""
+    def as_text(self) -> str:
+        """The measurement as a table for the terminal."""
         return "\n".join(
             [
                 f"ideal camera, four points, current L, true depth: median of {self.repeats}, on {self.cores:.2f} cores",
@@ -68,7 +68,7 @@ def measure_ideal(repeats: int = 5, steps: int = 3000, runs: int = 1000) -> Idea
     """Measure both loops in turn, `repeats` times.
 
     Args:
-        repeats: how often. steps: of the one run; it stays at its goal until they are over. runs: in the batch.
+        repeats: counted measurements. steps: of the single run, which stays at its goal to the end. runs: runs in the batch.
 
     Raises:
         ParameterError: there is nothing to measure.
@@ -79,7 +79,7 @@ def measure_ideal(repeats: int = 5, steps: int = 3000, runs: int = 1000) -> Idea
     with _one_core():
         alone, together = _one_run(scenario), _batch(scenario, start)  # warms up
         alone_rates, together_rates = [], []
-        wall, busy = time.perf_counter(), time.process_time()
+        wall, busy = time.perf_counter(), time.process_time()  # to see whether the core was shared
         for _ in range(repeats):
             alone_rates.append(_one_run(scenario)[1])
             together_rates.append(_batch(scenario, start)[1])
@@ -100,7 +100,7 @@ def measure_ideal(repeats: int = 5, steps: int = 3000, runs: int = 1000) -> Idea
 
 
 def _scenario(steps: int) -> Scenario:
-    """The book's flight with nothing but the truth, that goes on at its goal until `steps` steps are over."""
+    """The scenario `ibvs_book` with true pixels and depths, running for `steps` steps also after it has reached its goal."""
     overrides: dict[str, object] = {
         "detector": {"kind": "oracle", "field_of_view": "unlimited"},
         "law.depth": "oracle",
@@ -111,7 +111,7 @@ def _scenario(steps: int) -> Scenario:
 
 
 def _starts(runs: int) -> Array:
-    """Poses T_camera_target (runs, 4, 4) about 2 m in front of the target, turned by up to 60 degrees about the axis."""
+    """Start poses T_camera_target (runs, 4, 4) about 2 m in front of the target, turned by up to 60 deg about the optical axis."""
     rng = np.random.default_rng(0)
     xyz, yaw = rng.uniform(-0.3, 0.3, (runs, 3)), rng.uniform(-60, 60, runs)
     return np.array(
@@ -121,7 +121,7 @@ def _starts(runs: int) -> Array:
 
 def _one_run(scenario: Scenario) -> tuple[int, float]:
     recording = run(scenario)
-    steps = len(recording.table) - 1  # the last picture moves nothing
+    steps = len(recording.table) - 1  # no motion follows the last frame
     return steps, steps / recording.loop_s
 
 
@@ -138,12 +138,12 @@ def _timed(work: Callable[[], int]) -> tuple[int, float]:
 
 @contextmanager
 def _one_core() -> Iterator[None]:
-    """This thread on one core, where the system lets itself be told (Linux)."""
+    """Pin this thread to one core, where the system supports it (Linux)."""
     if not hasattr(os, "sched_setaffinity"):
         yield
         return
     before = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, {min(before)})
+    os.sched_setaffinity(0, {min(before)})  # 0: the calling thread
     try:
         yield
     finally:

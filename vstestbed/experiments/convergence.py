@@ -1,4 +1,4 @@
-"""Convergence maps: over two varied fields of a scenario, how many of its seeds reach the goal, and how the others end."""
+"""Convergence maps: share of the seeds that reach the goal over two varied fields of a scenario, and outcomes of the others."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from vstestbed.core.files import write_whole, writing
 from vstestbed.experiments.comparison import Comparison, Job, controllers, jobs
 from vstestbed.experiments.comparison import workers as workers_of
 from vstestbed.loop.run import run
-from vstestbed.report.studies.convergence import Panel, write_page
+from vstestbed.report.studies.convergence import ConvergenceMap, write_page
 from vstestbed.scenario.scenario import Scenario
 
 CHUNK = 16
-"""Runs that a worker takes at a time: a run of the ideal camera takes some 50 ms."""
+"""Runs that a worker takes at a time: a run of the ideal camera takes only some 50 ms."""
 
 
 @dataclass(frozen=True)
-class Ended:
-    """How one run ended: its outcome's word, whether that is a success, when it converged [s], how far from its true goal [m]."""
+class RunEnding:
+    """Result of one run: outcome by name, success, time to converge [s], distance from the true goal at the end [m]; NaN if unknown."""
 
     outcome: str
     success: bool
@@ -37,25 +37,25 @@ class Ended:
     away_m: float
 
 
-def fly(scenario: Scenario) -> Ended:
-    """One run in memory."""
-    made = run(scenario)
-    figures = made.summary()
+def run_one(scenario: Scenario) -> RunEnding:
+    """Run a scenario in memory; a function of the module, since worker processes import it by name."""
+    recording = run(scenario)
+    figures = recording.summary()
     time_s, away_m = (math.nan if figures[k] is None else float(str(figures[k])) for k in ("time_to_converge_s", "final_position_error_m"))
-    return Ended(made.outcome.name, made.outcome.success, time_s, away_m)
+    return RunEnding(recording.outcome.name, recording.outcome.success, time_s, away_m)
 
 
 @dataclass(frozen=True)
 class Study:
-    """What is mapped: a comparison with two axes, and its runs.
+    """A comparison over two axes, and its runs.
 
-    Raises (from the constructor): ParameterError where it has not exactly two axes, no seeds, or tasks.
+    Raises (from the constructor): ParameterError if it has not exactly two axes, has no seeds, or has tasks.
     """
 
     comparison: Comparison
 
     def __post_init__(self) -> None:
-        """Refuse what makes no map."""
+        """Refuse a comparison that makes no map."""
         c = self.comparison
         if len(c.axes) != 2:
             raise ParameterError("axes", "must be two in a convergence map", list(c.axes))
@@ -67,30 +67,32 @@ class Study:
         """Every run."""
         return jobs(controllers(self.comparison), self.comparison.seeds)
 
-    def fly(self, processes: int | None, told: Callable[[int, int], None] = lambda done, of: None) -> list[tuple[Job, Ended]]:
-        """All runs, in worker processes; `told` hears how many are done."""
+    def run_all(self, processes: int | None, progress: Callable[[int, int], None] = lambda done, of: None) -> list[tuple[Job, RunEnding]]:
+        """Do all runs in worker processes; `progress(done, total)` is called after each."""
         runs = self.runs
+        # spawn: to fork a process that has threads (OpenGL, BLAS) is unsafe
         with ProcessPoolExecutor(workers_of(processes, len(runs)), mp_context=get_context("spawn")) as pool:
             ended = []
-            for one in pool.map(fly, (job.scenario() for job in runs), chunksize=CHUNK):
+            for one in pool.map(run_one, (job.scenario() for job in runs), chunksize=CHUNK):
                 ended.append(one)
-                told(len(ended), len(runs))
+                progress(len(ended), len(runs))
         return list(zip(runs, ended, strict=True))
 
-    def panels(self, ended: Sequence[tuple[Job, Ended]]) -> list[Panel]:
+    def maps(self, ended: Sequence[tuple[Job, RunEnding]]) -> list[ConvergenceMap]:
         """One map for each scenario and combination of cases, in their order."""
+        # the order of the plan: the first axis is x
         axes = list(self.comparison.axes.items())
         (x_path, xs), (y_path, ys) = axes
-        cells: dict[str, dict[tuple[str, str], list[Ended]]] = {}
+        cells: dict[str, dict[tuple[str, str], list[RunEnding]]] = {}
         for job, one in ended:
             values = job.controller.values
             names = [str(values[name]) for name in self.comparison.cases]
             label = ", ".join(([job.controller.scenario.name] if len(self.comparison.base) > 1 or not names else []) + names)
             cells.setdefault(label, {}).setdefault((str(values[x_path]), str(values[y_path])), []).append(one)
-        return [_panel(label, found, [str(x) for x in xs], [str(y) for y in ys]) for label, found in cells.items()]
+        return [_map(label, found, [str(x) for x in xs], [str(y) for y in ys]) for label, found in cells.items()]
 
-    def table(self, ended: Sequence[tuple[Job, Ended]]) -> pl.DataFrame:
-        """One row a run: scenario, cases, values, seed, how it ended."""
+    def table(self, ended: Sequence[tuple[Job, RunEnding]]) -> pl.DataFrame:
+        """One row per run: scenario, cases, values, seed, outcome."""
         rows = [
             {"scenario": job.controller.scenario.name}
             | {name: str(value) for name, value in job.controller.values.items()}
@@ -98,12 +100,13 @@ class Study:
             | {"time_to_converge_s": one.time_s, "final_position_error_m": one.away_m}
             for job, one in ended
         ]
-        return pl.DataFrame(rows).fill_nan(None)
+        return pl.DataFrame(rows).fill_nan(None)  # null in parquet and an empty field in CSV, as in the other tables
 
 
-def _panel(label: str, found: dict[tuple[str, str], list[Ended]], xs: list[str], ys: list[str]) -> Panel:
+def _map(label: str, found: dict[tuple[str, str], list[RunEnding]], xs: list[str], ys: list[str]) -> ConvergenceMap:
+    """The map of one law from the runs of each cell (x, y)."""
     share, away = np.empty((len(ys), len(xs))), np.full((len(ys), len(xs)), np.nan)
-    others = np.full((len(ys), len(xs)), "", dtype=object)
+    others = np.full((len(ys), len(xs)), "", dtype=object)  # object: the words differ in length
     for (i, y), (j, x) in itertools.product(enumerate(ys), enumerate(xs)):
         ended = found[x, y]
         share[i, j] = np.mean([one.success for one in ended])
@@ -111,11 +114,11 @@ def _panel(label: str, found: dict[tuple[str, str], list[Ended]], xs: list[str],
         away[i, j] = float(np.median(good)) if good else math.nan
         failed = Counter(one.outcome for one in ended if not one.success)
         others[i, j] = failed.most_common(1)[0][0] if failed else ""
-    return Panel(label, share, others, away)
+    return ConvergenceMap(label, share, others, away)
 
 
-def write(folder: Path, study: Study, ended: Sequence[tuple[Job, Ended]], command: str = "") -> Path:
-    """`convergence.csv`, `.parquet`, `.png`, `.pdf` and `report.html`, each whole or not at all; the page's path.
+def write(folder: Path, study: Study, ended: Sequence[tuple[Job, RunEnding]], command: str = "") -> Path:
+    """Write `convergence.csv`, `.parquet`, `.png`, `.pdf` and `report.html`, each complete or not at all; returns the page's path.
 
     Raises:
         OutputError, EnvironmentLackError: a file cannot be written.
@@ -128,14 +131,14 @@ def write(folder: Path, study: Study, ended: Sequence[tuple[Job, Ended]], comman
     write_whole(folder / "convergence.csv", table.write_csv())
     axes = [(path, [_short(value) for value in values]) for path, values in study.comparison.axes.items()]
     seeds = study.comparison.seeds or 0
-    return write_page(folder, study.panels(ended), axes[0], axes[1], seeds, study.comparison.description, command)
+    return write_page(folder, study.maps(ended), axes[0], axes[1], seeds, study.comparison.description, command)
 
 
 def _short(value: object) -> str:
     return ", ".join(_short(v) for v in value) if isinstance(value, list | tuple) else str(value)
 
 
-def summaries(panels: Sequence[Panel]) -> Iterator[dict[str, object]]:
-    """Each map in numbers: its share of runs that converged."""
-    for panel in panels:
-        yield {"label": panel.label, "converged": float(np.mean(panel.share))}
+def summaries(maps: Sequence[ConvergenceMap]) -> Iterator[dict[str, object]]:
+    """Share of all runs that converged, for each map."""
+    for one in maps:
+        yield {"label": one.label, "converged": float(np.mean(one.share))}

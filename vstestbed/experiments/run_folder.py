@@ -1,4 +1,4 @@
-"""A run with its folder: everything that CONTRACT promises of a run's results, whole or not at all."""
+"""A run with its folder of results: scenario, model, log, summary, films, report, each complete or not at all."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ FILM_CAMERAS: dict[str, dict[str, str]] = {
 }
 OWN_FILES = ("scenario.yaml", "model.xml", "log.part")
 ASSETS = "assets"
-"""The folder of the files that model.xml names."""
+"""Folder of the files that model.xml refers to."""
 
 
 def new_folder(scenario: Scenario, out: Path | None) -> Path:
@@ -44,28 +44,34 @@ def new_folder(scenario: Scenario, out: Path | None) -> Path:
     Raises:
         OutputError: `out` holds something already, or cannot be made.
     """
-    if out is not None:
-        with writing(out):
-            if out.exists() and (not out.is_dir() or any(out.iterdir())):
-                raise OutputError(out, "exists and is not an empty folder", "give a new folder; an older run is never written over")
-            out.mkdir(parents=True, exist_ok=True)
-        return out
-    name = re.sub(r"[^\w.-]+", "_", scenario.name).strip(".") or "scenario"
-    parent = Path("runs") / name
+    if out is None:
+        # a name may hold anything, but a folder name no separators, and it must not be `..`
+        name = re.sub(r"[^\w.-]+", "_", scenario.name).strip(".") or "scenario"
+        return _numbered_folder(Path("runs") / name)
+    with writing(out):
+        if out.exists() and (not out.is_dir() or any(out.iterdir())):
+            raise OutputError(out, "exists and is not an empty folder", "give a new folder; an older run is never written over")
+        out.mkdir(parents=True, exist_ok=True)
+    return out
+
+
+def _numbered_folder(parent: Path) -> Path:
+    """Make the folder with the next free number in `parent`."""
     with writing(parent):
         parent.mkdir(parents=True, exist_ok=True)
         number = max((int(p.name) for p in parent.iterdir() if p.name.isdecimal()), default=0) + 1
         while True:
+            folder = parent / f"{number:03d}"
             try:
-                (parent / f"{number:03d}").mkdir(parents=True)
-            except FileExistsError:
+                folder.mkdir(parents=True)
+            except FileExistsError:  # taken meanwhile by a run that started at the same time
                 number += 1
             else:
-                return parent / f"{number:03d}"
+                return folder
 
 
 class _LogOnDisk:
-    """Writes each frame to `log.part` as it comes."""
+    """Appends each frame to `log.part` (a Watcher), so that a run that is killed keeps what it has logged so far."""
 
     def __init__(self, folder: Path, scenario: Scenario):
         self._folder, self._layout = folder, Layout(scenario)
@@ -78,7 +84,7 @@ class _LogOnDisk:
             self._writer.append(self._layout.rows([kept(frame)])[0].tolist())
 
     def close(self) -> None:
-        """Close the file; what could not be written of its last line is given up (the run has ended with that error)."""
+        """Close the file; an error in flushing its last line is ignored, since it has ended the run already."""
         with contextlib.suppress(OSError):
             self._writer.close()
 
@@ -98,9 +104,9 @@ def run_into(
         folder: an empty folder (see `new_folder`).
         films: which films to make.
         watch: further watchers, such as a progress bar.
-        stage: told in a few words what is being done after the run.
-        report: whether to write the report, which can be made later, too.
-        tile_px: width and height of a film from outside that is quick to make, without shadows; None for the usual one.
+        stage: called with a description of what is being done after the run.
+        report: whether to write the report, which can also be written later.
+        tile_px: (width, height) of a film from outside that is quick to render, without shadows; None for full size.
 
     Raises:
         EnvironmentLackError: no OpenGL, no codec, no space. OutputError: the folder cannot be written.
@@ -119,7 +125,7 @@ def run_into(
             recording.time_ms["video"] = 1e3 * sum(film.spent_s for film in cameras)
     finish(folder, recording)
     if report:
-        from vstestbed.report import Setting, write_report
+        from vstestbed.report import Setting, write_report  # matplotlib is imported only if a report is written
 
         stage("writing the report")
         write_report(folder, log=recording.frame(), setting=Setting.of(recording.scenario))
@@ -127,7 +133,7 @@ def run_into(
 
 
 def _write_scene(folder: Path, scene: SceneFiles) -> None:
-    """`model.xml`, with the files that it names beside it."""
+    """Write `model.xml` and the files that it refers to."""
     for name, content in scene.assets.items():
         with writing(folder):
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
@@ -137,18 +143,18 @@ def _write_scene(folder: Path, scene: SceneFiles) -> None:
 
 @contextmanager
 def _all_or_nothing(folder: Path) -> Iterator[None]:
-    """Take the folder away again when the run failed before its first frame (no OpenGL, no codec, no space)."""
+    """Remove the folder again if the run failed before its first frame (no OpenGL, no codec, no space)."""
     try:
         yield
     except BaseException:
-        if _has_frames(folder):
+        if _has_frames(folder):  # a run that fails later keeps its log
             raise
-        for made in OWN_FILES:
-            (folder / made).unlink(missing_ok=True)
+        for name in OWN_FILES:  # by name: a folder that the user gave may hold other files by now
+            (folder / name).unlink(missing_ok=True)
         shutil.rmtree(folder / ASSETS, ignore_errors=True)
-        with contextlib.suppress(OSError):  # a folder that something else stands in stays
+        with contextlib.suppress(OSError):  # a folder that is not empty stays
             folder.rmdir()
-            for parent in folder.parents[:2] if folder.parts[0] == "runs" else ():
+            for parent in folder.parents[:2] if folder.parts[0] == "runs" else ():  # also `runs/<scenario>` and `runs`, if they are empty
                 parent.rmdir()
         raise
 
@@ -161,22 +167,22 @@ def _has_frames(folder: Path) -> bool:
 
 @contextmanager
 def _filming(folder: Path, scenario: Scenario, films: Films, tile_px: tuple[int, int] | None) -> Iterator[list[Film]]:
-    """The films that are asked for; finished when the run ends, also an interrupted one, and gone when it fails."""
-    wanted = FILM_CAMERAS[films]
-    if not wanted:
+    """The films of a run; finished when it ends or is interrupted, discarded when it fails."""
+    cameras = FILM_CAMERAS[films]
+    if not cameras:
         yield []
         return
     from vstestbed.report.video.film import Film, replay_of
 
     replay = replay_of(scenario, shadows=tile_px is None)
     sizes = {"overview": tile_px}
-    reel = [Film(scenario, camera, folder / f"{name}.mp4", replay, sizes.get(name)) for name, camera in wanted.items()]
+    opened = [Film(scenario, camera, folder / f"{name}.mp4", replay, sizes.get(name)) for name, camera in cameras.items()]
     try:
-        yield reel
-        for film in reel:
+        yield opened
+        for film in opened:
             film.close()
     except BaseException:
-        for film in reel:
+        for film in opened:
             film.abort()
         raise
     finally:
@@ -184,10 +190,10 @@ def _filming(folder: Path, scenario: Scenario, films: Films, tile_px: tuple[int,
 
 
 def finish(folder: Path, recording: Recording) -> None:
-    """Turn `log.part` into `log.parquet`, write the summary."""
+    """Replace `log.part` by `log.parquet`, and write the summary."""
     log = recording.frame()
     parquet = io.BytesIO()
     log.write_parquet(parquet, compression="zstd", statistics=False)
     write_whole(folder / "log.parquet", parquet.getvalue())
-    (folder / "log.part").unlink(missing_ok=True)
+    (folder / "log.part").unlink(missing_ok=True)  # only after log.parquet is complete
     write_whole(folder / "summary.json", json.dumps(recording.summary(), indent=1) + "\n")

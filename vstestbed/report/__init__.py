@@ -1,4 +1,4 @@
-"""A run, or a comparison of many, as one HTML page that needs nothing else: outcome, numbers, figures, films, provenance."""
+"""Reports: a run or a comparison as one self-contained HTML page with outcome, numbers, figures, films, provenance."""
 
 from vstestbed.report.comparison.page import write_comparison_report
 from vstestbed.report.run.page import render_page, write_report

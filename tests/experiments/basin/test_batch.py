@@ -172,7 +172,7 @@ def test_what_a_batch_cannot_fly_is_refused_with_what_it_can():
         fly(scenario(IBVS(visibility=Visibility(margin_px=20))), start)
     with pytest.raises(ParameterError, match=r"law.depth may not be estimate.*valid: pnp, constant, goal, oracle"):
         fly(scenario(IBVS(depth=Estimate())), start)
-    with pytest.raises(ParameterError, match=r"stop.converged must be told by error_px alone"):
+    with pytest.raises(ParameterError, match=r"stop.converged must be judged by error_px alone"):
         fly(replace(scenario(IBVS()), stop=Stop(converged=Converged(position_m=0.01))), start)
     omni = next(name for name in bundled_scenarios() if name.startswith("omni"))
     with pytest.raises(ParameterError, match=r"robot.kind moves its camera in 3 directions.*use free or puma560"):

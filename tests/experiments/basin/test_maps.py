@@ -105,7 +105,7 @@ def test_the_command_leaves_a_folder(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert table.filter(pl.col("outcome") != "converged")["time_to_converge_s"].null_count() == (table["outcome"] != "converged").sum()
     assert (out / "basin.png").read_bytes()[:4] == b"\x89PNG" and (out / "basin.pdf").read_bytes()[:4] == b"%PDF"
     page = (out / "report.html").read_text()
-    assert "in the frame of its goal; y 0 m, z -1 m, roll 0 deg, pitch 0 deg." in page and "picture without border" in page
+    assert "in the frame of its goal; y 0 m, z -1 m, roll 0 deg, pitch 0 deg." in page and "; unlimited field of view" in page
     assert "interaction=desired" in page and "data:image/png;base64" in page
     assert not list(out.glob("*.part"))
     assert run(*words, "--out", out) == 2

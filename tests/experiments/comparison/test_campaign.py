@@ -22,7 +22,7 @@ from vstestbed.core.errors import EnvironmentLackError, ParameterError
 from vstestbed.experiments.comparison import Campaign, Comparison, compare, controllers, jobs
 from vstestbed.experiments.comparison.folder import table_of
 from vstestbed.experiments.comparison.pools import LocalPool, WorkerLostError
-from vstestbed.experiments.comparison.worker import Task, crashed, do, task_of
+from vstestbed.experiments.comparison.worker import RunRequest, crashed, execute, request_of
 from vstestbed.report.comparison.statistics import paired_difference
 
 GAINS = {"law.gain": (3.0, 6.0)}
@@ -169,17 +169,17 @@ def test_laws_that_raise_diverge_lose_and_kill(quick: Path, tmp_path: Path, plug
 
 
 def test_a_worker_killed_in_the_middle_is_replaced(quick: Path, tmp_path: Path):
-    task = task_of("runs/a", vs.load(quick), False, ())
+    request = request_of("runs/a", vs.load(quick), False, ())
     with closing(LocalPool(1)) as pool:
         slot = pool._free[0]
         before = slot.pid.result()
-        future = pool.submit(task)
+        future = pool.submit(request)
         os.kill(before, signal.SIGKILL)
         with pytest.raises(WorkerLostError):
             future.result(timeout=60)
-        again = pool.submit(task).result(timeout=60)
+        again = pool.submit(request).result(timeout=60)
         assert json.loads(again["summary.json"])["outcome"] == "converged"
-        assert pool.tries(task) == 2
+        assert pool.tries(request) == 2
         assert slot.pid.result() != before
 
 
@@ -213,7 +213,7 @@ def test_a_script_without_a_main_guard_is_told_so(quick: Path, tmp_path: Path, v
 
 def test_workers_end_with_the_pool(quick: Path):
     pool = LocalPool(2)
-    pool.submit(task_of("runs/a", vs.load(quick, {"stop.duration_s": 1e5, "law.gain": 1e-4}), False, ()))
+    pool.submit(request_of("runs/a", vs.load(quick, {"stop.duration_s": 1e5, "law.gain": 1e-4}), False, ()))
     pids = [slot.pid.result() for slot in pool._free]
     pool.close()
     for pid in pids:
@@ -313,17 +313,17 @@ def test_ctrl_c_keeps_what_is_done_and_says_how_to_go_on(quick: Path, tmp_path: 
 
 
 def test_what_crashed_has_a_folder_of_its_own(quick: Path):
-    task = task_of("runs/a", vs.load(quick), False, ())
-    files = crashed(task.text, "no more")
+    request = request_of("runs/a", vs.load(quick), False, ())
+    files = crashed(request.text, "no more")
     assert json.loads(files["summary.json"])["outcome"] == "crashed"
     assert set(files) == {"scenario.yaml", "summary.json"}
 
 
 def test_a_task_needs_no_file_of_who_asks(quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    task = task_of("runs/a", vs.load(quick), False, ())
+    request = request_of("runs/a", vs.load(quick), False, ())
     quick.unlink()
-    assert isinstance(task, Task)
-    assert json.loads(do(task)["summary.json"])["outcome"] == "converged"
+    assert isinstance(request, RunRequest)
+    assert json.loads(execute(request)["summary.json"])["outcome"] == "converged"
 
 
 def test_a_start_that_cannot_be_drawn_is_a_run_that_crashed(quick: Path, tmp_path: Path):

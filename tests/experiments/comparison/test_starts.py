@@ -16,7 +16,7 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import inverse, rotation_angle
 from vstestbed.experiments.comparison import Comparison, chosen, compare, controllers, jobs
 from vstestbed.experiments.comparison.plan import Controller, merged
-from vstestbed.experiments.comparison.starts import Task
+from vstestbed.experiments.comparison.starts import StartTable
 
 YAML = """
 description: Two laws turn back.
@@ -78,7 +78,7 @@ class TestPlan:
     @pytest.mark.parametrize(
         ("words", "changes"),
         [
-            ("seeds stand beside `tasks`", {"seeds": 3, "tasks": {"a": Task(seeds=2)}}),
+            ("seeds stand beside `tasks`", {"seeds": 3, "tasks": {"a": StartTable(seeds=2)}}),
             ("cases.outcome must have a name of its own", {"cases": {"outcome": {"a": {}}}}),
             ("cases.law must have a name of its own, and one case or more", {"cases": {"law": {}}}),
         ],
@@ -98,7 +98,7 @@ class TestPlan:
     )
     def test_a_task_that_does_not_add_up(self, words: str, block: dict[str, object]):
         with pytest.raises(ParameterError, match=words):
-            Task(**block)  # pyright: ignore[reportArgumentType]
+            StartTable(**block)  # pyright: ignore[reportArgumentType]
 
 
 class TestFolder:

@@ -14,10 +14,10 @@ import pytest
 
 from tests.report.comparison.comparisons import build, errors, start_px
 from vstestbed.report.comparison import series as comparison_series
-from vstestbed.report.comparison.columns import Comparison, Metric, short_names
+from vstestbed.report.comparison.columns import ComparisonResults, Metric, short_names
 from vstestbed.report.comparison.pairs import TIME, against, pairs
 from vstestbed.report.comparison.series import INSTANTS, read_series
-from vstestbed.report.comparison.summary_text import headline, pair_words
+from vstestbed.report.comparison.summary_text import headline, pair_text
 
 
 def table(**columns: list[Any]) -> pl.DataFrame:
@@ -25,19 +25,19 @@ def table(**columns: list[Any]) -> pl.DataFrame:
     return pl.DataFrame({"scenario": ["a"] * n, "seed": list(range(n)), "success": [True] * n} | columns, strict=False)
 
 
-def compared(a: list[float | None], b: list[float | None], ok: tuple[list[bool], list[bool]] | None = None) -> Comparison:
+def compared(a: list[float | None], b: list[float | None], ok: tuple[list[bool], list[bool]] | None = None) -> ComparisonResults:
     """Two controllers with these times to converge; None is a run that failed."""
     success = ok or ([v is not None for v in a], [v is not None for v in b])
     seeds = [*range(len(a)), *range(len(b))]
     rows = {"scenario": ["A"] * len(a) + ["B"] * len(b), "seed": seeds, "success": success[0] + success[1], "time_to_converge_s": a + b}
-    return Comparison(pl.DataFrame(rows, strict=False), (), ("time_to_converge_s",))
+    return ComparisonResults(pl.DataFrame(rows, strict=False), (), ("time_to_converge_s",))
 
 
 def test_what_tells_of_a_run_whatever_its_end_is_of_all_runs_and_paired_on_all_seeds() -> None:
     over = {"A": [0.6, 0.7, 0.8], "B": [0.1, 0.2, 0.4]}
     rows = {"scenario": ["A"] * 3 + ["B"] * 3, "seed": [0, 1, 2] * 2, "success": [False] * 3 + [True] * 3}
     frame = pl.DataFrame(rows | {"feature_overshoot": over["A"] + over["B"], "peak_speed_mps": [1.0] * 6})
-    comparison = Comparison(frame, (), ("feature_overshoot", "peak_speed_mps"))
+    comparison = ComparisonResults(frame, (), ("feature_overshoot", "peak_speed_mps"))
     failing = comparison.controllers[0]
     assert np.median(failing.counted(comparison.shown[0])) == pytest.approx(0.7)
     assert np.isnan(failing.counted(comparison.shown[1])).all()
@@ -48,21 +48,24 @@ def test_what_tells_of_a_run_whatever_its_end_is_of_all_runs_and_paired_on_all_s
 
 def test_labels_name_what_differs() -> None:
     one = table(**{"robot.actuation": ["ideal", "industrial"], "law.gain": [0.5, 2.0]})
-    assert [c.label for c in Comparison(one, ("robot.actuation", "law.gain")).controllers] == [
+    assert [c.label for c in ComparisonResults(one, ("robot.actuation", "law.gain")).controllers] == [
         "actuation=ideal, gain=0.5",
         "actuation=industrial, gain=2",
     ]
     two = one.with_columns(pl.Series("scenario", ["arm_ibvs", "arm_polar"]))
-    assert [c.label for c in Comparison(two, ("robot.actuation",)).controllers] == [
+    assert [c.label for c in ComparisonResults(two, ("robot.actuation",)).controllers] == [
         "arm_ibvs, actuation=ideal",
         "arm_polar, actuation=industrial",
     ]
-    assert [c.label for c in Comparison(one).controllers] == ["a"]
+    assert [c.label for c in ComparisonResults(one).controllers] == ["a"]
 
 
 def test_labels_of_values_that_are_no_words() -> None:
     frame = table(**{"law.limits": [None, None], "law.on": [True, False]})
-    assert [c.label for c in Comparison(frame, ("law.limits", "law.on")).controllers] == ["limits=null, on=true", "limits=null, on=false"]
+    assert [c.label for c in ComparisonResults(frame, ("law.limits", "law.on")).controllers] == [
+        "limits=null, on=true",
+        "limits=null, on=false",
+    ]
 
 
 def test_names_are_as_short_as_they_can_be() -> None:
@@ -73,12 +76,12 @@ def test_names_are_as_short_as_they_can_be() -> None:
 
 def test_controllers_come_in_order_of_first_appearance_with_their_runs_by_seed() -> None:
     frame = pl.DataFrame({"scenario": ["b", "a", "b", "a"], "seed": [1, 0, 0, 1], "success": [True, None, False, True]})
-    controllers = Comparison(frame).controllers
+    controllers = ComparisonResults(frame).controllers
     assert [(c.label, c.seeds, c.success.tolist()) for c in controllers] == [("b", [0, 1], [False, True]), ("a", [0, 1], [False, True])]
 
 
 def test_numbers_come_in_their_unit_and_gaps_as_nan() -> None:
-    controller = Comparison(
+    controller = ComparisonResults(
         table(success=[True, False, True], final_position_error_m=[0.001, 0.5, None], path_ratio=[1, 9, 2])
     ).controllers[0]
     np.testing.assert_array_equal(controller.counted(Metric.of("final_position_error_m")), [1.0, 500.0, np.nan])  # of every run, in mm
@@ -108,19 +111,19 @@ def test_seeds_are_matched_by_number_not_by_place() -> None:
             "time_to_converge_s": [30.0, 10.0, 11.0, 99.0, 32.0],
         }
     )
-    (pair,) = pairs(Comparison(frame))
+    (pair,) = pairs(ComparisonResults(frame))
     assert pair.seeds == 2 and pair.differences[TIME.name].mean == pytest.approx(1.5)
 
 
 def test_of_many_controllers_each_is_compared_with_the_first() -> None:
     frame = pl.DataFrame({"scenario": list("abcdefgh"), "seed": [0] * 8, "success": [True] * 8})
-    assert [(p.a, p.b) for p in pairs(Comparison(frame))] == [(0, b) for b in range(1, 8)]
-    assert len(pairs(Comparison(frame[:6]))) == 15
+    assert [(p.a, p.b) for p in pairs(ComparisonResults(frame))] == [(0, b) for b in range(1, 8)]
+    assert len(pairs(ComparisonResults(frame[:6]))) == 15
 
 
 def test_a_run_holds_its_last_value_and_what_sees_nothing_ranks_last(tmp_path: Path) -> None:
     frame = build(tmp_path, {"a": 1.0}, 4, {("a", 1): "target_lost", ("a", 2): "crashed"})
-    series = read_series(tmp_path, Comparison(frame))
+    series = read_series(tmp_path, ComparisonResults(frame))
     error = series.errors[0]
     assert error.dtype == np.float32 and error.shape == (4, INSTANTS) and series.t[-1] == 10
     at = np.floor(series.t * 25 + 1e-6) / 25  # the last frame
@@ -157,7 +160,7 @@ def test_logs_are_read_one_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyP
         return Counted(read(path, columns=columns))
 
     monkeypatch.setattr(comparison_series.pl, "read_parquet", counting)
-    read_series(tmp_path, Comparison(frame))
+    read_series(tmp_path, ComparisonResults(frame))
     assert len(most) == 12 and max(most) <= 1
 
 
@@ -167,11 +170,11 @@ def test_logs_that_are_damaged_or_empty_are_gaps(tmp_path: Path) -> None:
     pl.DataFrame({"t": [], "error_px": []}, schema={"t": pl.Float64, "error_px": pl.Float64}).write_parquet(
         tmp_path / "runs/a/base/1/log.parquet"
     )
-    error = read_series(tmp_path, Comparison(frame)).errors[0]
+    error = read_series(tmp_path, ComparisonResults(frame)).errors[0]
     assert np.isnan(error[:2]).all() and np.isfinite(error[2]).all()
 
 
-def said(comparison: Comparison) -> str:
+def said(comparison: ComparisonResults) -> str:
     return headline(comparison, pairs(comparison))
 
 
@@ -207,11 +210,11 @@ def test_more_often_but_later_is_no_clear_answer() -> None:
 
 def test_one_seed_and_one_controller_claim_nothing() -> None:
     (pair,) = pairs(compared([5.0], [4.0]))
-    words = pair_words(pair, ["A", "B"])
+    words = pair_text(pair, ["A", "B"])
     assert "on the only seed" in words and "one pair shows nothing" in words
     (none,) = pairs(compared([None], [None]))
-    assert pair_words(none, ["A", "B"]) == "B and A reached the goal on no seed."
-    alone = said(Comparison(table(success=[True] * 18 + [False] * 2)))
+    assert pair_text(none, ["A", "B"]) == "B and A reached the goal on no seed."
+    alone = said(ComparisonResults(table(success=[True] * 18 + [False] * 2)))
     assert "a reached the goal in 18 of 20 runs (90 %, 95 % interval 70 to 97 %)." in alone
 
 
@@ -229,7 +232,7 @@ def test_the_answer_for_many(times: tuple[int, ...], words: str) -> None:
     names = "abcdefg"[: len(times)]
     rows = [(n, k, True, t + 0.001 * k) for n, t in zip(names, times, strict=True) for k in range(6)]
     frame = pl.DataFrame(rows, schema=["scenario", "seed", "success", "time_to_converge_s"], orient="row")
-    assert words in said(Comparison(frame, (), ("time_to_converge_s",)))
+    assert words in said(ComparisonResults(frame, (), ("time_to_converge_s",)))
 
 
 def test_starts_of_the_synthetic_runs_differ() -> None:

@@ -16,7 +16,7 @@ from vstestbed.report import Setting
 from vstestbed.report.html.canvas import style, to_svg
 from vstestbed.report.run import floor_plan as plane
 from vstestbed.report.run import path3d
-from vstestbed.report.run.expected_way import Ride
+from vstestbed.report.run.expected_path import GroundTask
 from vstestbed.report.run.tracks import Tracks
 
 ARC = np.linspace(0, np.pi / 2, 60)
@@ -24,10 +24,10 @@ PLACES = np.stack([3 * np.sin(ARC), 3 - 3 * np.cos(ARC), ARC], axis=1)
 """A quarter turn to the left on a circle of 3 m, from the origin along x."""
 MOUNT = np.array([[0, 0, 1.0, 0.2], [-1, 0, 0, 0], [0, -1, 0, 0.5], [0, 0, 0, 1]])
 POINTS = np.array([[5, 4, 2], [-1, 4.5, 1.5]])
-RIDE = Ride(goals=np.array([[3, 3, np.pi / 2]]), route=np.empty((0, 2)), lens=Perspective())
+GROUND_TASK = GroundTask(goals=np.array([[3, 3, np.pi / 2]]), reference_path=np.empty((0, 2)), camera=Perspective())
 
 
-def tracks(ride: Ride | None, places: Array = PLACES, moving: bool = False) -> Tracks:
+def tracks(ground_task: GroundTask | None, places: Array = PLACES, moving: bool = False) -> Tracks:
     """A vehicle at these places, whose odometry drifts by 1 cm along x, landmarks standing or carried along."""
     n = len(places)
     T = pose_on_ground(places) @ MOUNT
@@ -40,12 +40,12 @@ def tracks(ride: Ride | None, places: Array = PLACES, moving: bool = False) -> T
     target = np.c_[places[:, :2] + 1, np.zeros(n)] if moving else np.zeros((n, 3))
     columns |= dict(zip(("tgt_x", "tgt_y", "tgt_z"), target.T, strict=True)) | {"tgt_qw": np.ones(n)}
     columns |= {f"tgt_q{a}": np.zeros(n) for a in "xyz"}
-    return Tracks(pl.DataFrame(columns), Setting(points=POINTS, ride=ride))
+    return Tracks(pl.DataFrame(columns), Setting(points=POINTS, ground_task=ground_task))
 
 
 def test_a_metre_is_as_long_both_ways_and_everything_is_inside():
     with style():
-        figure = plane.plane(tracks(RIDE))
+        figure = plane.plane(tracks(GROUND_TASK))
         assert figure is not None
         figure.draw_without_rendering()
         (axes,) = figure.axes
@@ -59,7 +59,7 @@ def test_a_metre_is_as_long_both_ways_and_everything_is_inside():
 
 def test_headings_point_where_the_vehicle_did():
     with style():
-        figure = plane.plane(tracks(RIDE))
+        figure = plane.plane(tracks(GROUND_TASK))
     assert figure is not None
     darts = [p.get_xy() for p in figure.axes[0].patches if isinstance(p, Polygon)]
     assert len(darts) > 8
@@ -74,7 +74,7 @@ def test_headings_point_where_the_vehicle_did():
 def test_the_difference_from_the_ideal_is_told_in_words():
     ideal = np.stack([3.05 * np.sin(ARC), 3 - 3.05 * np.cos(ARC)], axis=1)  # 5 cm outside all along
     with style():
-        figure = plane.plane(tracks(replace(RIDE, ideal=ideal)))
+        figure = plane.plane(tracks(replace(GROUND_TASK, expected_path=ideal)))
     assert figure is not None
     words = [text.get_text() for text in figure.legends[0].get_texts()]
     assert "ideal bicycle: at most 5.0 cm off" in words
@@ -82,7 +82,7 @@ def test_the_difference_from_the_ideal_is_told_in_words():
 
 def test_a_route_and_a_target_that_moves_are_drawn():
     with style():
-        figure = plane.plane(tracks(replace(RIDE, goals=np.empty((0, 3)), route=PLACES[:, :2] + 1), moving=True))
+        figure = plane.plane(tracks(replace(GROUND_TASK, goals=np.empty((0, 3)), reference_path=PLACES[:, :2] + 1), moving=True))
     assert figure is not None
     words = [text.get_text() for text in figure.legends[0].get_texts()]
     assert {"route", "target"} <= set(words) and "goal" not in words
@@ -90,15 +90,15 @@ def test_a_route_and_a_target_that_moves_are_drawn():
 
 def test_a_vehicle_that_stands_and_one_that_is_lost_are_drawn_too():
     with style():
-        still = plane.plane(tracks(RIDE, np.tile(PLACES[:1], (5, 1))))
+        still = plane.plane(tracks(GROUND_TASK, np.tile(PLACES[:1], (5, 1))))
         assert still is not None and to_svg(still, "plane", "Way").startswith("<svg")
         gone = PLACES.copy()
         gone[20:30] = np.nan
-        broken = plane.plane(tracks(RIDE, gone))
+        broken = plane.plane(tracks(GROUND_TASK, gone))
         assert broken is not None and to_svg(broken, "plane", "Way").startswith("<svg")
 
 
 def test_vehicles_have_the_plane_and_others_the_space():
     with style():
         assert plane.plane(tracks(None)) is None and path3d.camera_path(tracks(None)) is not None
-        assert path3d.camera_path(tracks(RIDE)) is None
+        assert path3d.camera_path(tracks(GROUND_TASK)) is None

@@ -262,7 +262,7 @@ def test_true_depth_is_that_of_the_poses() -> None:
 def test_stretches_without_target() -> None:
     t = np.arange(6) * 0.1
     tracks = Tracks(pl.DataFrame({"t": t, "lost": [True, False, True, True, False, True]}), Setting())
-    np.testing.assert_allclose(tracks.lost_stretches(), [(0, 0.1), (0.2, 0.4), (0.5, 0.5)])
+    np.testing.assert_allclose(tracks.lost_intervals(), [(0, 0.1), (0.2, 0.4), (0.5, 0.5)])
 
 
 def test_marker_colours_show_on_white_and_on_black() -> None:

@@ -12,15 +12,15 @@ from vstestbed.camera import Perspective
 from vstestbed.core.geometry import Array
 from vstestbed.report import Setting
 from vstestbed.report.run import figures, vehicle
-from vstestbed.report.run.expected_way import Ride
+from vstestbed.report.run.expected_path import GroundTask
 from vstestbed.report.run.tracks import Tracks
 
 T = np.arange(101) / 10
-RIDE = Ride(goals=np.empty((0, 3)), route=np.empty((0, 2)), lens=Perspective())
+GROUND_TASK = GroundTask(goals=np.empty((0, 3)), reference_path=np.empty((0, 2)), camera=Perspective())
 
 
-def tracks(ride: Ride | None = RIDE, **columns: Array) -> Tracks:
-    return Tracks(pl.DataFrame({"t": T} | columns), Setting(ride=ride))
+def tracks(ground_task: GroundTask | None = GROUND_TASK, **columns: Array) -> Tracks:
+    return Tracks(pl.DataFrame({"t": T} | columns), Setting(ground_task=ground_task))
 
 
 def test_wheels_are_shown_by_speed_and_steering_by_angle():
@@ -34,7 +34,7 @@ def test_wheels_are_shown_by_speed_and_steering_by_angle():
     assert [line.get_ydata()[-1] for line in angles.get_lines()] == pytest.approx([1.0, 1.1])
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["left", "drive", "steering"]
     assert figures.joints(run) is None  # no angles that grow without bound
-    assert vehicle.wheels(tracks(ride=None, qd_left=T)) is None
+    assert vehicle.wheels(tracks(ground_task=None, qd_left=T)) is None
 
 
 def test_the_base_without_wheel_joints_shows_what_they_were_told():
@@ -47,22 +47,24 @@ def test_the_base_without_wheel_joints_shows_what_they_were_told():
 def test_errors_of_the_place_are_told_from_the_truth():
     true = {"base_x": T, "base_y": 0 * T, "base_heading": 3.1 + 0 * T}
     # 3 cm ahead and 4 cm to the left; the heading beyond a half turn, 6.2 degrees on.
-    figure = vehicle.place_error(tracks(**true, est_x=T + 0.03, est_y=0.04 + 0 * T, est_heading=3.1 - 2 * np.pi + np.radians(6.2) + 0 * T))
+    figure = vehicle.localisation_error(
+        tracks(**true, est_x=T + 0.03, est_y=0.04 + 0 * T, est_heading=3.1 - 2 * np.pi + np.radians(6.2) + 0 * T)
+    )
     assert figure is not None
     upper, lower = figure.axes
     assert upper.get_lines()[0].get_ydata() == pytest.approx(0.05 + 0 * T)
     assert lower.get_lines()[0].get_ydata() == pytest.approx(6.2 + 0 * T)
-    assert vehicle.place_error(tracks(**true)) is None
+    assert vehicle.localisation_error(tracks(**true)) is None
 
 
 def test_the_task_has_its_band_and_its_worst_once_settled():
     off = np.where(T < 4, 1.0, 0.02 * np.sin(5 * T))
-    figure = vehicle.off_task(tracks(replace(RIDE, band_m=0.05, settle_s=4.0), off_m=off))
+    figure = vehicle.task_error(tracks(replace(GROUND_TASK, band_m=0.05, settle_s=4.0), off_m=off))
     assert figure is not None
     axes = figure.axes[0]
     assert axes.get_title(loc="left") == "at most 0.020 m off once settled"
     assert axes.get_legend_handles_labels()[1] == ["band, 0.05 m to each side"]
-    assert vehicle.off_task(tracks()) is None
+    assert vehicle.task_error(tracks()) is None
 
 
 def test_slip_is_in_millimetres_and_noise_does_not_fill_the_height():
@@ -89,4 +91,4 @@ def test_changes_of_the_goal_view_are_marked():
 def test_a_task_without_an_end_has_no_distance_from_a_goal():
     away = {"position_error_m": 1 + T, "rotation_error_rad": 0.1 + T}
     assert figures.pose_error(tracks(**away)) is not None
-    assert figures.pose_error(tracks(replace(RIDE, band_m=0.1), **away)) is None
+    assert figures.pose_error(tracks(replace(GROUND_TASK, band_m=0.1), **away)) is None

@@ -218,7 +218,7 @@ def test_trails_are_kept_broken_where_unseen_and_bounded() -> None:
     assert (image[300, 260:340] == 128).all()  # the unseen stretch
     for k in range(2000):
         overlay.draw(image, np.array([[320 + 200 * np.cos(k / 9), 240 + 100 * np.sin(k / 9)]]), None, t=0.0, error_px=1.0)
-    assert sum(len(piece) for piece in overlay._trails[0].pieces()) <= 512
+    assert sum(len(piece) for piece in overlay._trails[0].polylines()) <= 512
 
 
 @pytest.mark.parametrize(("width", "height"), [(160, 120), (320, 240), (1280, 960)])

@@ -12,7 +12,7 @@ import vstestbed as vs
 from vstestbed.core.assets import model_path
 from vstestbed.core.geometry import FLIP, Array, transform
 from vstestbed.core.planar import moved
-from vstestbed.report.run.expected_way import Ride, ideal_way
+from vstestbed.report.run.expected_path import GroundTask, ideal_bicycle_path
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.scene.attach import extent_of
 from vstestbed.sim.scene.compose import Parts, compose
@@ -56,13 +56,13 @@ def projected(T: Array, f: float, points: Array) -> Array:
 def way(s: Scenario) -> Array:
     """Places (K, 2) where the vehicle will be: the ideal car's way, along the route, or straight from goal to goal."""
     start, goals = s.robot.configuration(), [g.place for g in s.goal_views if g.place is not None]
-    ideal = ideal_way(s)
+    ideal = ideal_bicycle_path(s)
     if ideal is not None:
         return ideal
     if isinstance(s.target, GroundLines):
-        ride = Ride.of(s)
-        assert ride is not None
-        return np.concatenate([[start[:2]], ride.route[::4]])
+        ground_task = GroundTask.of(s)
+        assert ground_task is not None
+        return np.concatenate([[start[:2]], ground_task.reference_path[::4]])
     if not goals:
         return np.concatenate([[start[:2]], s.target.motion.route.samples.xy[::20]])
     corners = np.array([start[:2], *(g[:2] for g in goals)])

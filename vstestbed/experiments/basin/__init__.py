@@ -1,1 +1,1 @@
-"""Basins of attraction: from which starts a law reaches its goal, thousands of runs at once."""
+"""Basins of attraction: the starts from which a law reaches its goal, computed for thousands of runs at once."""

@@ -1,4 +1,4 @@
-"""Basins of attraction: from where a law reaches its goal, over two coordinates of the start, and why not from elsewhere."""
+"""Basins of attraction: outcome of a law over two coordinates of the start pose."""
 
 from __future__ import annotations
 
@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.files import write_whole, writing
 from vstestbed.core.geometry import Array, Pose, inverse, rotation_from_rpy
-from vstestbed.core.outcome import Outcome
-from vstestbed.experiments.basin.batch import Batch, Flight, fly, ideal, start_of, started_at
+from vstestbed.experiments.basin.batch import Batch, BatchSetup, fly, ideal, start_of, started_at
 from vstestbed.experiments.comparison import Comparison, controllers
 from vstestbed.loop.run import run
 from vstestbed.scenario.scenario import Scenario
@@ -26,14 +25,13 @@ if TYPE_CHECKING:
     import polars
 
 COORDINATES = ("x", "y", "z", "roll", "pitch", "yaw")
-"""Of the start in the frame of the camera at its goal: [m] right, down and ahead (so that -1 is a metre back), and turns about
-these axes [deg], R = Rz(yaw) Ry(pitch) Rx(roll)."""
-NOW = time.process_time
+"""Start pose of the camera in the frame of the goal camera: x right, y down, z ahead [m] (z = -1 is a metre back), and rotations
+about these axes [deg], R = Rz(yaw) Ry(pitch) Rx(roll)."""
 
 
 @dataclass(frozen=True)
 class Axis:
-    """One coordinate of the start with its range, in `n` places, both ends included."""
+    """One coordinate of the start with its range, sampled at `n` values, both ends included."""
 
     name: str
     low: float
@@ -41,7 +39,7 @@ class Axis:
     n: int
 
     def __post_init__(self) -> None:
-        """Refuse what is no coordinate, and an empty range."""
+        """Refuse an unknown coordinate, and an empty range."""
         if self.name not in COORDINATES:
             raise ParameterError("axis", f"must be one of {', '.join(COORDINATES)}", self.name)
         if not (math.isfinite(self.low) and math.isfinite(self.high) and self.low < self.high):
@@ -51,7 +49,7 @@ class Axis:
 
     @property
     def values(self) -> Array:
-        """Its places (n,) [m or deg]."""
+        """Its values (n,) [m or deg]."""
         return np.linspace(self.low, self.high, self.n)
 
     @property
@@ -67,7 +65,7 @@ def unit_of(coordinate: str) -> str:
 
 @dataclass(frozen=True)
 class Disagreement:
-    """A start whose run in the time loop (`full`) ended otherwise than in the batch; x, y: its coordinates on the map."""
+    """A start whose single run in `loop.run` (`full`) ended otherwise than in the batch; x, y: its coordinates on the map."""
 
     x: float
     y: float
@@ -80,10 +78,10 @@ class Basin:
     """The map of one law.
 
     Attributes:
-        label: what the law is called. scenario: as flown, ideal.
+        label: name of the law. scenario: the ideal scenario that was run.
         x, y: the axes. fixed: the other coordinates of every start [m or deg].
-        batch: how each start ended, x fastest. processor_s: time of one core that it took [s].
-        checked: how many starts were also flown one by one, in the time loop; disagreements: those that ended otherwise.
+        batch: result of each start, x fastest. processor_s: processor time [s].
+        checked: number of starts that were also run singly, in `loop.run`; disagreements: those that ended otherwise.
     """
 
     label: str
@@ -98,17 +96,17 @@ class Basin:
 
     @property
     def endings(self) -> Array:
-        """Outcomes by name (M,), the two ways to lose a target apart: `target_lost` from sight, `plane_crossed`."""
+        """Outcomes by name (M,); `target_lost` is split: out of the field of view, or `plane_crossed`."""
         names = np.array([outcome.name for outcome in self.batch.outcome], dtype=object)
         return np.where(self.batch.crossed, "plane_crossed", names)
 
     @property
     def time_to_converge_s(self) -> Array:
-        """Of those that converged, when the error came under the threshold for good (M,) [s]; NaN of the others."""
+        """Time from which the error stayed below the threshold (M,) [s]; NaN for starts that did not converge."""
         return np.where(self.batch.near >= 0, self.batch.near / self.scenario.camera.rate_hz, np.nan)
 
     def summary(self) -> dict[str, Any]:
-        """The map in numbers."""
+        """The map in numbers, as `basin.json` has it."""
         names, counts = np.unique(self.endings.astype(str), return_counts=True)
         shares = dict(zip(names.tolist(), (counts / counts.sum()).tolist(), strict=True))
         detector = self.scenario.detector
@@ -130,29 +128,33 @@ class Basin:
 
 
 def _gain_step(scenario: Scenario) -> float | None:
+    """Gain times period, the step of the discrete loop; None for a law without a constant gain."""
     value = getattr(getattr(scenario.law, "gain", None), "value", None)
     return None if value is None else value * scenario.camera.period
 
 
 def fixed(scenario: Scenario, x: Axis, y: Axis, at: Mapping[str, float]) -> dict[str, float]:
-    """The coordinates that are not on the map, by name [m or deg]: `at`'s, else those of the scenario's start.
+    """The coordinates that are not on the map, by name [m or deg]: from `at`, else those of the scenario's start.
 
     Raises:
-        ParameterError: both axes are one, or `at` names one of them, or what is no coordinate, or is no number.
+        ParameterError: both axes are the same, or `at` names one of them, an unknown coordinate, or a value that is not finite.
     """
     if x.name == y.name:
         raise ParameterError("--y", "must be another coordinate than --x", y.name)
-    if unknown := [name for name in at if name not in COORDINATES or name in (x.name, y.name)]:
-        raise ParameterError("--at", f"must be one of {', '.join(COORDINATES)} that is not on the map", unknown[0])
-    if endless := [name for name, value in at.items() if not math.isfinite(value)]:
-        raise ParameterError("--at", f"{endless[0]} must be a finite number", at[endless[0]])
+    others = [name for name in COORDINATES if name not in (x.name, y.name)]
+    for name in at:
+        if name not in others:
+            raise ParameterError("--at", f"must be one of {', '.join(COORDINATES)} that is not on the map", name)
+    for name, value in at.items():
+        if not math.isfinite(value):
+            raise ParameterError("--at", f"{name} must be a finite number", value)
     own = Pose.of(scenario.goal_view.T_camera_target @ inverse(start_of(scenario)))
     values = dict(zip(COORDINATES, (*own.xyz, *own.rpy_deg), strict=True)) | dict(at)
-    return {name: values[name] for name in COORDINATES if name not in (x.name, y.name)}
+    return {name: values[name] for name in others}
 
 
 def starts(scenario: Scenario, x: Axis, y: Axis, at: Mapping[str, float]) -> Array:
-    """Poses T_camera_target (n_y n_x, 4, 4), x fastest; coordinates not on the map are `at`'s, else those of the scenario's start."""
+    """Start poses T_camera_target (n_y n_x, 4, 4), x fastest; other coordinates as by `fixed`."""
     T_goal_target = scenario.goal_view.T_camera_target
     place = np.empty((y.n, x.n, 6))
     for name, value in fixed(scenario, x, y, at).items():
@@ -166,57 +168,59 @@ def starts(scenario: Scenario, x: Axis, y: Axis, at: Mapping[str, float]) -> Arr
 
 
 def laws(comparison: Comparison, field_of_view: str | None = None) -> list[tuple[str, Scenario]]:
-    """What is mapped: every scenario with every case and varied value, ideal, and what each is called; each can fly a batch.
+    """The laws to be mapped: label and ideal scenario of every scenario with every case and varied value.
 
     Raises:
-        ParameterError, ScenarioError: one of them cannot; or two differ only in what an ideal camera does without.
+        ParameterError, ScenarioError: a batch cannot simulate one of them; or two differ only in what an ideal camera does not have.
     """
-    made: list[tuple[str, Scenario]] = []
+    found: list[tuple[str, Scenario]] = []
     for c in controllers(replace(comparison, tasks={}, seeds=None)):
-        words = [str(v) if name in comparison.cases else f"{name.split('.')[-1]}={v}" for name, v in c.values.items()]
-        label = ", ".join(([c.scenario.name] if len(comparison.base) > 1 or not words else []) + words)
+        parts = [str(v) if name in comparison.cases else f"{name.split('.')[-1]}={v}" for name, v in c.values.items()]
+        label = ", ".join(([c.scenario.name] if len(comparison.base) > 1 or not parts else []) + parts)
         scenario = ideal(c.scenario, field_of_view)
-        Flight(scenario)
-        if same := [other for other, s in made if s == scenario]:
-            words = (
+        BatchSetup(scenario)  # raises if the law cannot run in a batch
+        if same := [other for other, s in found if s == scenario]:
+            problem = (
                 f"`{label}` would make the same map as `{same[0]}`: its cameras are ideal, without the arm's dynamics, latency and noise"
             )
-            raise ParameterError("scenario", f"{words}; leave one of the two out")
-        made.append((label, scenario))
-    return made
+            raise ParameterError("scenario", f"{problem}; leave one of the two out")
+        found.append((label, scenario))
+    return found
 
 
 def basin(label: str, scenario: Scenario, x: Axis, y: Axis, at: Mapping[str, float] | None = None, check: int = 0, seed: int = 0) -> Basin:
-    """The map of an ideal scenario's law; `check` random starts of it are flown in the time loop as well.
+    """Compute the map of an ideal scenario's law; `check` random starts of it are also run singly in `loop.run`.
 
     Raises:
-        ParameterError: the axes or the law will not do.
+        ParameterError: invalid axes, or the law cannot run in a batch.
     """
     poses = starts(scenario, x, y, at or {})
-    began = NOW()
+    began = time.process_time()
     batch = fly(scenario, poses)
-    made = Basin(label, scenario, x, y, fixed(scenario, x, y, at or {}), batch, NOW() - began)
+    mapped = Basin(label, scenario, x, y, fixed(scenario, x, y, at or {}), batch, time.process_time() - began)
     if not check:
-        return made
-    spots = np.random.default_rng(seed).choice(len(poses), min(check, len(poses)), replace=False)
-    return replace(made, checked=len(spots), disagreements=tuple(_disagreements(made, poses, spots)))
+        return mapped
+    spots = np.random.default_rng(seed).choice(
+        len(poses), min(check, len(poses)), replace=False
+    )  # a seed of its own: the same starts are checked every time
+    return replace(mapped, checked=len(spots), disagreements=tuple(_disagreements(mapped, poses, spots)))
 
 
-def _disagreements(made: Basin, poses: Array, spots: NDArray[np.int_]) -> Iterator[Disagreement]:
-    outcomes: list[Outcome] = made.batch.outcome.tolist()
+def _disagreements(mapped: Basin, poses: Array, spots: NDArray[np.int_]) -> Iterator[Disagreement]:
+    outcomes: list[Outcome] = mapped.batch.outcome.tolist()
     for i in spots.tolist():
-        found, expected = run(started_at(made.scenario, poses[i])).outcome, outcomes[i]
+        found, expected = run(started_at(mapped.scenario, poses[i])).outcome, outcomes[i]
         if found is not expected:
-            j, k = divmod(i, made.x.n)
-            yield Disagreement(float(made.x.values[k]), float(made.y.values[j]), expected.name, found.name)
+            j, k = divmod(i, mapped.x.n)  # x fastest
+            yield Disagreement(float(mapped.x.values[k]), float(mapped.y.values[j]), expected.name, found.name)
 
 
-def table(made: Sequence[Basin]) -> polars.DataFrame:
-    """One row a start: law, its two coordinates, outcome, steps, times, farthest distance, error at the end."""
+def table(basins: Sequence[Basin]) -> polars.DataFrame:
+    """One row per start: law, its two coordinates, outcome, steps, times, largest distance, final error."""
     import polars as pl
 
     frames = []
-    for b in made:
+    for b in basins:
         columns = {
             "law": np.full(b.x.n * b.y.n, b.label, dtype=object),
             b.x.name: np.tile(b.x.values, b.y.n),
@@ -234,8 +238,8 @@ def table(made: Sequence[Basin]) -> polars.DataFrame:
     return pl.concat(frames).fill_nan(None)
 
 
-def write(folder: Path, made: Sequence[Basin], command: str = "") -> Path:
-    """`basin.parquet`, `basin.json`, `basin.png`, `basin.pdf` and `report.html`, each whole or not at all; the page's path.
+def write(folder: Path, basins: Sequence[Basin], command: str = "") -> Path:
+    """Write `basin.parquet`, `.json`, `.png`, `.pdf` and `report.html`, each complete or not at all; returns the page's path.
 
     Raises:
         OutputError, EnvironmentLackError: a file cannot be written.
@@ -243,27 +247,27 @@ def write(folder: Path, made: Sequence[Basin], command: str = "") -> Path:
     import io
     import json
 
-    from vstestbed.report.studies.basin import Map, write_maps
+    from vstestbed.report.studies.basin import BasinMap, write_maps
 
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
     parquet = io.BytesIO()
-    table(made).write_parquet(parquet)
+    table(basins).write_parquet(parquet)
     write_whole(folder / "basin.parquet", parquet.getvalue())
-    summaries = [b.summary() for b in made]
+    summaries = [b.summary() for b in basins]
     write_whole(folder / "basin.json", json.dumps(summaries, indent=1) + "\n")
-    shape = (made[0].y.n, made[0].x.n)
-    maps = [Map(b.label, b.endings.reshape(shape), b.time_to_converge_s.reshape(shape)) for b in made]
-    x, y = made[0].x, made[0].y
+    shape = (basins[0].y.n, basins[0].x.n)
+    maps = [BasinMap(b.label, b.endings.reshape(shape), b.time_to_converge_s.reshape(shape)) for b in basins]
+    x, y = basins[0].x, basins[0].y
     return write_maps(folder, maps, (x.name, x.unit, x.low, x.high), (y.name, y.unit, y.low, y.high), summaries, command)
 
 
-def each(
-    found: Sequence[tuple[str, Scenario]], x: Axis, y: Axis, at: Mapping[str, float], check: int, told: Callable[[Basin], None]
+def basins_of(
+    found: Sequence[tuple[str, Scenario]], x: Axis, y: Axis, at: Mapping[str, float], check: int, on_basin: Callable[[Basin], None]
 ) -> list[Basin]:
-    """The map of each law, told of one by one."""
-    made = []
+    """The map of each law; `on_basin` is called with each as it is finished."""
+    basins = []
     for label, scenario in found:
-        made.append(basin(label, scenario, x, y, at, check))
-        told(made[-1])
-    return made
+        basins.append(basin(label, scenario, x, y, at, check))
+        on_basin(basins[-1])
+    return basins

@@ -1,4 +1,4 @@
-"""Compare controllers: every scenario with every variation from every seed, in parallel; one table, one report, one film."""
+"""Comparison of controllers: every scenario with every variation from every seed, in parallel; a table, a report, a film."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.experiments.comparison.campaign import Campaign, Told
+from vstestbed.experiments.comparison.campaign import Campaign, OnDone
 from vstestbed.experiments.comparison.folder import PLAN, new_folder, read_plan, resumable, table_of, write_plan, write_table
 from vstestbed.experiments.comparison.plan import Comparison, Controller, Job, chosen, controllers, jobs
 from vstestbed.experiments.comparison.pools import must_be_known, pool_of
@@ -35,25 +35,26 @@ def compare(
     plugins: Sequence[str] = (),
     film: bool = True,
     report: bool = True,
-    told: Told = lambda job, summary: None,
+    told: OnDone = lambda job, summary: None,
 ) -> polars.DataFrame:
-    """Run a comparison and leave its folder; the table has one row a run.
+    """Run a comparison and write its folder; returns the table with one row per run.
 
-    In a script it belongs under `if __name__ == "__main__":`, since worker processes import the script.
+    In a script, call it under `if __name__ == "__main__":`, since worker processes import the script.
 
     Args:
         scenarios: paths or bundled names; or one comparison, by path or bundled name.
-        vary: lists of values by dotted path; every combination is run. seeds: how many; None for the nominal start alone.
-        jobs: worker processes; None for as many as there are cores. executor: `local` or `dask://HOST:PORT`.
-        out: the folder; None for `runs/compare/<number>`. resume: run only what is missing in `out`.
+        vary: lists of values by dotted path; every combination is run. seeds: number of seeds; None: only the nominal start.
+        jobs: worker processes; None: one per core. executor: `local` or `dask://HOST:PORT`.
+        out: the folder; None: `runs/compare/<number>`. resume: do only the runs that are missing in `out`.
         set: values by dotted path for all scenarios. plugins: modules that add kinds.
         film: whether to film the first seed. report: whether to write the page and the figures.
-        told: hears of every run that is done.
+        told: called after every run with the job and its summary.
 
     Raises:
         ScenarioError, ParameterError: bad input, found before anything runs. OutputError: `out` is taken.
         EnvironmentLackError: no OpenGL where a run needs it, no space, no cluster.
     """
+    # without this check every worker would start workers of its own
     if getattr(multiprocessing.current_process(), "_inheriting", False):  # a worker that imports the script
         raise ParameterError("compare", "must stand under `if __name__ == '__main__':` in a script, which worker processes import")
     must_be_known(executor)
@@ -66,16 +67,16 @@ def carry_out(
     comparison: Comparison,
     jobs: int | None = None,
     executor: str = "local",
-    told: Told = lambda job, summary: None,
+    on_done: OnDone = lambda job, summary: None,
     stage: Callable[[str], None] = lambda words: None,
     report: bool = True,
 ) -> polars.DataFrame:
-    """Do what is missing of a comparison, then its table, film and report; `stage` is told what is being done after the runs."""
+    """Do the missing runs of a comparison, then table, film and report; `stage` is called with what is being done after the runs."""
     try:
         if campaign.missing:
             with closing(pool_of(executor, workers(jobs, len(campaign.missing)))) as pool:
-                campaign.run(pool, told)
-    finally:
+                campaign.run(pool, on_done)
+    finally:  # also an interrupted comparison has its table
         table = table_of(campaign.folder, campaign.jobs)
         write_table(campaign.folder, table)
     if report:
@@ -93,39 +94,51 @@ def prepare(
     plugins: Sequence[str],
     film: bool,
 ) -> tuple[Campaign, Comparison]:
-    """Check everything, open the folder, write the plan."""
+    """Check everything, make or open the folder, write the plan."""
     load_plugins(plugins)
-    asked = None
+    requested = None
     if scenarios:
-        asked = chosen([str(s) for s in scenarios], settings, {path: tuple(values) for path, values in vary.items()}, seeds)
-    elif not resume:
+        requested = chosen([str(s) for s in scenarios], settings, {path: tuple(values) for path, values in vary.items()}, seeds)
+    if resume:
+        folder = resumable(out)
+        comparison, found = _resumed(folder, requested)
+    elif requested is None:
         raise ParameterError("SCENARIO", "is missing: name scenarios to compare, or a comparison")
-    comparison = read_plan(resumable(out)) if resume else asked
-    if comparison is None:
-        raise ParameterError("SCENARIO", "is missing: name scenarios to compare, or a comparison")
-    found = controllers(comparison)
-    if asked is not None and asked is not comparison and _essence(asked, controllers(asked)) != _essence(comparison, found):
-        words = "goes on with what the folder compares, which is something else (its `scenarios` are copies); leave the rest out"
-        raise ParameterError("--resume", words, str(out))
-    folder = new_folder(out) if out is None or not resume else out
-    if not resume:
+    else:
+        comparison, found = requested, controllers(requested)  # before the folder is made: bad input leaves no folder
+        folder = new_folder(out)
         write_plan(folder, comparison)
     first = 0 if comparison.seeds is not None else None
     filmed = (first,) if film and not comparison.tasks else ()  # a film of a few starts would not show a task
     return Campaign(folder, jobs(found, comparison.seeds), tuple(plugins), filmed), comparison
 
 
+def _resumed(folder: Path, requested: Comparison | None) -> tuple[Comparison, list[Controller]]:
+    """The comparison of a folder with its controllers.
+
+    Raises:
+        ParameterError: the command line requests another comparison than the folder's.
+    """
+    comparison = read_plan(folder)
+    found = controllers(comparison)
+    if requested is not None and _essence(requested, controllers(requested)) != _essence(comparison, found):
+        problem = "goes on with what the folder compares, which is something else (its `scenarios` are copies); leave the rest out"
+        raise ParameterError("--resume", problem, str(folder))
+    return comparison, found
+
+
 def _essence(comparison: Comparison, found: list[Controller]) -> tuple[object, ...]:
-    """What makes two comparisons the same, wherever their files are."""
+    """What two equal comparisons have in common, wherever their files are: seeds, scenarios as loaded, folders of the runs."""
     return comparison.seeds, [(tuple(map(dump, c.starts or (c.scenario,))), c.folder, c.runs) for c in found]
 
 
-def workers(asked: int | None, runs: int) -> int:
-    """How many worker processes: as many as asked for, else one a core; no more than there are runs."""
-    if asked is not None and asked < 1:
-        raise ParameterError("--jobs", "must be 1 or more", asked)
+def workers(requested: int | None, runs: int) -> int:
+    """Number of worker processes: as requested, else one per core; never more than there are runs."""
+    if requested is not None and requested < 1:
+        raise ParameterError("--jobs", "must be 1 or more", requested)
+    # the cores that this process may use, which in a container can be fewer than the machine has
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return max(1, min(asked or cores, runs))
+    return max(1, min(requested or cores, runs))
 
 
 def is_comparison(folder: Path) -> bool:
@@ -134,7 +147,7 @@ def is_comparison(folder: Path) -> bool:
 
 
 def report_again(folder: Path) -> Path:
-    """Table, film and report of a comparison's folder again, from its runs."""
+    """Make table, film and report of a comparison's folder again from its runs."""
     comparison = read_plan(folder)
     table = table_of(folder, jobs(controllers(comparison), comparison.seeds))
     write_table(folder, table)

@@ -1,4 +1,4 @@
-"""Run what is missing of a comparison: submit, collect, write, try again where a worker died."""
+"""Do the missing runs of a comparison: submit, collect, store, repeat a run whose worker died."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from vstestbed.core.errors import VstestbedError
 from vstestbed.experiments.comparison.folder import is_done, store
 from vstestbed.experiments.comparison.plan import Job
 from vstestbed.experiments.comparison.pools import Pool, WorkerLostError
-from vstestbed.experiments.comparison.worker import Files, Task, crashed, task_of
+from vstestbed.experiments.comparison.worker import Files, RunRequest, crashed, request_of
 
 MOST_TRIES = 2
-"""A run whose worker died is begun once more."""
-Told = Callable[[Job, dict[str, Any]], None]
-"""Hears of every finished run: the job and its summary."""
+"""Attempts at a run: one that kills its worker (out of memory, a crash in a library) would do so for ever."""
+OnDone = Callable[[Job, dict[str, Any]], None]
+"""Called after every finished run with the job and its summary."""
 
 
 @dataclass
@@ -25,8 +25,8 @@ class Campaign:
     """The runs of a comparison.
 
     Args:
-        folder: where they go. jobs: all of them. plugins: modules that workers import first.
-        filmed: the seed whose runs are filmed; a comparison without films has none.
+        folder: the comparison's folder. jobs: all runs. plugins: modules that workers import first.
+        filmed: the seeds whose runs are filmed; empty for a comparison without films.
     """
 
     folder: Path
@@ -36,45 +36,47 @@ class Campaign:
 
     @property
     def missing(self) -> list[Job]:
-        """The jobs that are not done yet."""
+        """The jobs without a stored result."""
         return [job for job in self.jobs if not is_done(self.folder, job)]
 
-    def run(self, pool: Pool, told: Told = lambda job, summary: None) -> None:
-        """Do what is missing.
+    def run(self, pool: Pool, on_done: OnDone = lambda job, summary: None) -> None:
+        """Do the missing runs.
 
         Raises:
-            EnvironmentLackError, OutputError: nothing can be drawn or written here; what is done so far stays.
+            EnvironmentLackError, OutputError: no OpenGL, or nothing can be written; finished runs are kept.
         """
-        waiting = self._tasks()
-        going: dict[Future[Files], tuple[Job, Task]] = {}
-        again: list[tuple[Job, Task]] = []
+        waiting = self._requests()
+        going: dict[Future[Files], tuple[Job, RunRequest]] = {}
+        again: list[tuple[Job, RunRequest]] = []
         while True:
+            # lost runs first; the pool is kept full, but never gets more than it has room for: scenarios are drawn only when needed
             while len(going) < pool.room and (next_ := again.pop() if again else next(waiting, None)):
                 going[pool.submit(next_[1])] = next_
             if not going:
                 return
             for future in wait(going, return_when=FIRST_COMPLETED).done:
-                job, task = going.pop(future)
-                files = self._files(future, task, pool)
+                job, request = going.pop(future)
+                files = self._files(future, request, pool)
                 if files is None:
-                    again.append((job, task))
+                    again.append((job, request))
                 else:
-                    told(job, store(self.folder, job, files, max(1, pool.tries(task))))
+                    on_done(job, store(self.folder, job, files, max(1, pool.tries(request))))
 
-    def _tasks(self) -> Iterator[tuple[Job, Task]]:
-        """Each job with its task, drawn when its turn comes; a start that cannot be drawn is a run that crashed."""
+    def _requests(self) -> Iterator[tuple[Job, RunRequest]]:
+        """Each job with its request, drawn when its turn comes; a job whose start cannot be drawn is stored as crashed."""
         for job in self.missing:
             try:
-                yield job, task_of(job.folder, job.scenario(), job.seed in self.filmed, self.plugins)
+                yield job, request_of(job.folder, job.scenario(), job.seed in self.filmed, self.plugins)
             except VstestbedError as error:
-                text = task_of(job.folder, job.controller.scenario, False, ()).text
+                # the scenario without the seed's draw: there is no drawn one
+                text = request_of(job.folder, job.controller.scenario, False, ()).text
                 store(self.folder, job, crashed(text, str(error)), attempts=1)
 
-    def _files(self, future: Future[Files], task: Task, pool: Pool) -> Files | None:
-        """A run's folder; None where it is to be begun again."""
+    def _files(self, future: Future[Files], request: RunRequest, pool: Pool) -> Files | None:
+        """Content of a run's folder; None if the run is to be repeated."""
         try:
             return future.result()
         except WorkerLostError as error:
-            if pool.tries(task) < MOST_TRIES:
+            if pool.tries(request) < MOST_TRIES:
                 return None
-            return crashed(task.text, f"{error}, and the one that tried again, too")
+            return crashed(request.text, f"{error}, and the one that tried again, too")

@@ -1,4 +1,4 @@
-"""A comparison's folder: runs that appear whole or not at all, and the table that they make."""
+"""A comparison's folder: its plan, its runs, each stored complete or not at all, and the table of all runs."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 PLAN = "comparison.yaml"
 PART = ".part"
-"""The end of the name of a folder that is being written."""
+"""Suffix of the name of a folder that is being written."""
 
 
 def new_folder(out: Path | None) -> Path:
@@ -37,10 +37,10 @@ def new_folder(out: Path | None) -> Path:
 
 
 def resumable(out: Path | None) -> Path:
-    """The folder of a comparison that can go on.
+    """The folder of a comparison that can be resumed.
 
     Raises:
-        ParameterError: none is named. RunFolderError: none is there.
+        ParameterError: no folder is given. RunFolderError: the folder holds no comparison.
     """
     if out is None:
         raise ParameterError("--resume", "needs the comparison's folder: --out DIR")
@@ -50,7 +50,7 @@ def resumable(out: Path | None) -> Path:
 
 
 def write_plan(folder: Path, comparison: Comparison) -> None:
-    """`comparison.yaml`: what is compared; given to `vstestbed compare` it makes the same again. Scenario files go with it."""
+    """Write `comparison.yaml`, with which `vstestbed compare` repeats the comparison, and copies of its scenario files."""
     base = []
     for name in comparison.base:
         if Path(name).is_file():
@@ -63,12 +63,12 @@ def write_plan(folder: Path, comparison: Comparison) -> None:
 
 
 def read_plan(folder: Path) -> Comparison:
-    """What is compared in a folder."""
+    """The comparison of a folder."""
     return read_comparison(folder / PLAN)
 
 
 def is_done(folder: Path, job: Job) -> bool:
-    """Whether a run is there, with its summary."""
+    """Whether a run is stored with a readable summary."""
     try:
         return bool(json.loads((folder / job.folder / "summary.json").read_text(encoding="utf-8")))
     except (OSError, ValueError):
@@ -76,7 +76,7 @@ def is_done(folder: Path, job: Job) -> bool:
 
 
 def store(folder: Path, job: Job, files: Files, attempts: int) -> dict[str, Any]:
-    """Write a run's folder under another name, bring it to the disk, and only then give it its own. Returns the summary.
+    """Write a run's folder under a temporary name, flush it to the disk, and only then rename it. Returns the summary.
 
     Raises:
         EnvironmentLackError: no space left. OutputError: cannot be written.
@@ -86,15 +86,15 @@ def store(folder: Path, job: Job, files: Files, attempts: int) -> dict[str, Any]
     summary = json.loads(files["summary.json"]) | {"attempts": attempts}
     files = {**files, "summary.json": (json.dumps(summary, indent=1) + "\n").encode()}
     with writing(folder):
-        shutil.rmtree(part, ignore_errors=True)
+        shutil.rmtree(part, ignore_errors=True)  # left over from a comparison that was killed
         for name, content in files.items():
             (part / name).parent.mkdir(parents=True, exist_ok=True)
             with (part / name).open("wb") as file:
                 file.write(content)
                 file.flush()
-                os.fsync(file.fileno())
+                os.fsync(file.fileno())  # else a power failure could leave a renamed folder with empty files
         _sync(part)
-        if place.exists():  # without its summary
+        if place.exists():  # left incomplete: a complete one is never stored again
             shutil.rmtree(place)
         part.rename(place)
         _sync(place.parent)
@@ -102,7 +102,7 @@ def store(folder: Path, job: Job, files: Files, attempts: int) -> dict[str, Any]
 
 
 def _sync(folder: Path) -> None:
-    """Bring a folder's list of names to the disk, where the system can."""
+    """Flush a folder's directory entries to the disk, where the system supports it."""
     if os.name == "posix":
         handle = os.open(folder, os.O_RDONLY)
         try:
@@ -112,10 +112,11 @@ def _sync(folder: Path) -> None:
 
 
 def table_of(folder: Path, jobs: Sequence[Job]) -> polars.DataFrame:
-    """One row a finished run, in the order of the plan: scenario, varied values, seed, folder, the summary's names, attempts."""
+    """One row per finished run, in the order of the plan: scenario, varied values, seed, folder, the summary's names, attempts."""
     import polars as pl
 
     rows = [_row(folder, job) for job in jobs if is_done(folder, job)]
+    # columns in the order of the longest row: a crashed run has only a few of the summary's names
     names = list(dict.fromkeys(name for row in sorted(rows, key=len, reverse=True) for name in row))
     names = [name for name in names if name != "attempts"] + ["attempts"]
     return pl.DataFrame([{name: row.get(name) for name in names} for row in rows], infer_schema_length=None, strict=False)
@@ -123,6 +124,7 @@ def table_of(folder: Path, jobs: Sequence[Job]) -> polars.DataFrame:
 
 def _row(folder: Path, job: Job) -> dict[str, Any]:
     summary = json.loads((folder / job.folder / "summary.json").read_text(encoding="utf-8"))
+    # a table column holds numbers or text: blocks and lists go in as JSON
     values = {path: value if isinstance(value, int | float | str) else json.dumps(value) for path, value in job.controller.values.items()}
     first = {"scenario": job.controller.scenario.name} | values | {"seed": summary.pop("seed"), "folder": job.folder}
     if job.controller.amounts and job.seed is not None:
@@ -131,7 +133,7 @@ def _row(folder: Path, job: Job) -> dict[str, Any]:
 
 
 def _flat(block: Mapping[str, Any], before: str) -> dict[str, Any]:
-    """Nested names joined by dots."""
+    """A nested mapping flattened, its keys joined by dots."""
     flat: dict[str, Any] = {}
     for name, value in block.items():
         flat |= _flat(value, f"{before}{name}.") if isinstance(value, dict) else {f"{before}{name}": value}
@@ -139,7 +141,7 @@ def _flat(block: Mapping[str, Any], before: str) -> dict[str, Any]:
 
 
 def write_table(folder: Path, table: polars.DataFrame) -> None:
-    """`comparison.csv` and `comparison.parquet`."""
+    """Write `comparison.csv` and `comparison.parquet`."""
     import io
 
     parquet = io.BytesIO()

@@ -1,4 +1,4 @@
-"""Where runs are done: worker processes of this machine, or those of a dask cluster. Both take a task and give a future."""
+"""Pools of workers: processes of this machine, or of a dask cluster. Both take requests and return futures."""
 
 from __future__ import annotations
 
@@ -18,56 +18,59 @@ from multiprocessing import get_context
 from typing import Any, Protocol
 
 from vstestbed.core.errors import EnvironmentLackError, ParameterError
-from vstestbed.experiments.comparison.worker import Files, Task, begin, do, process_id
+from vstestbed.experiments.comparison.worker import Files, RunRequest, begin, execute, process_id
 
 ONE_CORE = {"LP_NUM_THREADS": "0", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-"""A worker has one core: Mesa draws in its own thread, BLAS takes no others."""
+"""Environment of a worker, which has one core: no extra threads of Mesa's software renderer (LP) or of BLAS."""
 DASK = "dask://"
 
 
 class Pool(Protocol):
-    """Takes tasks, at most `room` at a time, and gives futures of their folders.
+    """Takes requests, at most `room` at a time, and returns futures of their folders.
 
-    A future whose worker died raises WorkerLostError; the pool has replaced the worker by then.
+    A future whose worker died raises WorkerLostError; by then the pool has replaced the worker.
     """
 
     @property
     def room(self) -> int:
-        """How many runs may be under way now."""
+        """How many runs may be in progress now."""
         ...
 
-    def submit(self, task: Task) -> Future[Files]:
-        """Do this run."""
+    def submit(self, request: RunRequest) -> Future[Files]:
+        """Start a run."""
         ...
 
-    def tries(self, task: Task) -> int:
-        """How often a run has been begun."""
+    def tries(self, request: RunRequest) -> int:
+        """How often a run has been started."""
         ...
 
     def close(self) -> None:
-        """End all workers now."""
+        """Stop all workers at once."""
         ...
 
 
 class WorkerLostError(Exception):
-    """The process that did a run is gone: killed, out of memory, or a crash in a library."""
+    """The worker process of a run has died: killed, out of memory, or a crash in a library."""
 
 
 @contextmanager
-def _environment(usual: dict[str, str], ours: dict[str, str]) -> Iterator[None]:
-    """Environment variables for a process that is started meanwhile: the usual ones where the user has set none, and ours."""
+def _environment(defaults: dict[str, str], overrides: dict[str, str]) -> Iterator[None]:
+    """Environment variables for a process that is started meanwhile: defaults where the user has set none, and overrides."""
     before = dict(os.environ)
-    os.environ.update({k: v for k, v in usual.items() if k not in before} | ours)
+    os.environ.update({k: v for k, v in defaults.items() if k not in before} | overrides)
     try:
         yield
     finally:
-        for name in usual | ours:
+        for name in defaults | overrides:
             os.environ.pop(name, None)
         os.environ.update(before)
 
 
 class _Slot:
-    """One worker process, started anew when it has died. (One executor each: a death breaks an executor as a whole.)"""
+    """One worker process, restarted after it has died.
+
+    Each has an executor of its own: the death of one process breaks its executor as a whole, and all other runs in it.
+    """
 
     def __init__(self, place: str):
         self._place = place
@@ -75,26 +78,27 @@ class _Slot:
         self.start()
 
     def start(self) -> None:
-        """Start the process; what it writes for a while goes to the pool's own place."""
+        """Start the process; its temporary files go to the pool's folder, which is removed even if the process is killed."""
         self.executor = ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=begin, initargs=(True,))
         self.broken = False
+        # the process starts with the first submission, so that it inherits these variables
         with _environment(ONE_CORE, {"TMPDIR": self._place}):
             self.pid = self.executor.submit(process_id)
 
-    def run(self, task: Task) -> Future[Files]:
-        """Do a run, in a new process where the last one has died."""
+    def run(self, request: RunRequest) -> Future[Files]:
+        """Start a run, in a new process if the last one has died."""
         try:
             if not self.broken:
-                return self.executor.submit(do, task)
-        except BrokenProcessPool:  # killed while it had nothing to do
+                return self.executor.submit(execute, request)
+        except BrokenProcessPool:  # killed while it was idle
             pass
         self.end()
         self.start()
-        return self.executor.submit(do, task)
+        return self.executor.submit(execute, request)
 
     def end(self) -> None:
         """Kill the process."""
-        with contextlib.suppress(Exception):
+        with contextlib.suppress(Exception):  # it may be dead already, or never have started
             os.kill(self.pid.result(timeout=0), signal.SIGKILL)
         self.executor.shutdown(wait=False, cancel_futures=True)
 
@@ -103,7 +107,7 @@ class LocalPool:
     """Processes of this machine, each with one OpenGL context and one core.
 
     Args:
-        jobs: how many.
+        jobs: number of processes.
     """
 
     def __init__(self, jobs: int):
@@ -113,16 +117,17 @@ class LocalPool:
         self._free = list(self._slots)
         self._tries: dict[str, int] = {}
 
-    def submit(self, task: Task) -> Future[Files]:
-        """Do this run in a free worker."""
+    def submit(self, request: RunRequest) -> Future[Files]:
+        """Start a run in a free worker."""
         slot = self._free.pop()
-        self._tries[task.folder] = self._tries.get(task.folder, 0) + 1
-        outer: Future[Files] = Future()
+        self._tries[request.folder] = self._tries.get(request.folder, 0) + 1
+        outer: Future[Files] = Future()  # not the executor's own: the slot must be free before the future is done
         outer.set_running_or_notify_cancel()
-        slot.run(task).add_done_callback(lambda inner: self._hand_over(inner, slot, outer))
+        slot.run(request).add_done_callback(lambda inner: self._hand_over(inner, slot, outer))
         return outer
 
     def _hand_over(self, inner: Future[Files], slot: _Slot, outer: Future[Files]) -> None:
+        """Free the slot, then complete the future with the result of the run or its error."""
         error = WorkerLostError("the pool is closed") if inner.cancelled() else inner.exception()
         if isinstance(error, BrokenProcessPool):
             slot.broken = True
@@ -133,12 +138,12 @@ class LocalPool:
         else:
             outer.set_result(inner.result())
 
-    def tries(self, task: Task) -> int:
-        """How often a run has been begun."""
-        return self._tries.get(task.folder, 0)
+    def tries(self, request: RunRequest) -> int:
+        """How often a run has been started."""
+        return self._tries.get(request.folder, 0)
 
     def close(self) -> None:
-        """Kill all workers, take away what they had begun to write."""
+        """Kill all workers and remove their temporary files."""
         for slot in self._slots:
             slot.end()
         shutil.rmtree(self._place, ignore_errors=True)
@@ -148,18 +153,18 @@ NO_WORKERS, UNDER_MAIN = "worker processes cannot start", "in a script, call com
 
 
 def _answered(slot: _Slot) -> bool:
-    """Whether a slot's process has ever done anything."""
+    """Whether a slot's process has ever answered: one that never did cannot start at all."""
     return slot.pid.done() and slot.pid.exception() is None
 
 
 class DaskPool:
-    """Workers of a dask cluster, wherever they are; they need this package, and no files of this machine.
+    """Workers of a dask cluster; they need this package, but no files of this machine.
 
     Args:
-        address: of the scheduler, HOST:PORT.
+        address: HOST:PORT of the scheduler.
 
     Raises:
-        EnvironmentLackError: dask.distributed is not installed, or there is nobody at the address.
+        EnvironmentLackError: dask.distributed is not installed, or no scheduler answers at the address.
     """
 
     def __init__(self, address: str):
@@ -172,7 +177,7 @@ class DaskPool:
         except (OSError, ValueError) as error:
             words = "start a scheduler (`dask scheduler`) and workers (`dask worker HOST:PORT --nthreads 1`) first"
             raise EnvironmentLackError(f"no dask scheduler answers at {address} ({error})", words) from None
-        self._name = f"vstestbed-{uuid.uuid4().hex}"
+        self._name = f"vstestbed-{uuid.uuid4().hex}"  # unique: a cluster keeps results by key, also those of earlier comparisons
         self._begun: dict[str, list[str]] = {}
         if not self._threads():
             logging.getLogger("vstestbed").warning("no workers at %s yet; waiting for some", address)
@@ -183,38 +188,39 @@ class DaskPool:
 
     @property
     def room(self) -> int:
-        """Two runs for each of the workers that there are now, so that the next one is there when a worker is free."""
+        """Two runs per worker of the cluster as it is now, so that a worker that becomes free has its next run at hand."""
         return 2 * max(1, self._threads())
 
-    def submit(self, task: Task) -> Future[Files]:
-        """Do this run on some worker; the scheduler gives it to another one when that dies."""
-        keys = self._begun.setdefault(task.folder, [])
-        keys.append(f"{self._name}-{task.folder}-{len(keys)}")
-        future = self._client.submit(_do_on_dask, task, keys[-1], key=keys[-1], retries=0, pure=False)
+    def submit(self, request: RunRequest) -> Future[Files]:
+        """Start a run on some worker; if that dies, the scheduler passes the run on to another one."""
+        keys = self._begun.setdefault(request.folder, [])
+        keys.append(f"{self._name}-{request.folder}-{len(keys)}")
+        future = self._client.submit(_execute_on_dask, request, keys[-1], key=keys[-1], retries=0, pure=False)
         outer: Future[Files] = Future()
         outer.set_running_or_notify_cancel()
         future.add_done_callback(lambda inner: _hand_over_from_dask(inner, outer))
         return outer
 
-    def tries(self, task: Task) -> int:
-        """How often a run has been begun: each worker that begins it says so under a name of its own."""
-        # get_events is typed as what asynchronous clients give, too: there it is a coroutine
-        return sum(len(self._client.get_events(key)) for key in self._begun.get(task.folder, []))  # type: ignore[arg-type]
+    def tries(self, request: RunRequest) -> int:
+        """How often a run has been started: every worker that starts it logs an event under the run's key."""
+        # get_events is typed for asynchronous clients as well, where it is a coroutine
+        return sum(len(self._client.get_events(key)) for key in self._begun.get(request.folder, []))  # type: ignore[arg-type]
 
     def close(self) -> None:
-        """Leave the cluster, which goes on; runs that nobody waits for are cancelled."""
+        """Disconnect from the cluster; the scheduler cancels runs that no client waits for."""
         self._client.close()
 
 
-def _do_on_dask(task: Task, key: str) -> Files:
+def _execute_on_dask(request: RunRequest, key: str) -> Files:
+    """`execute`, with an event that counts the attempt."""
     from distributed import get_worker
 
     get_worker().log_event(key, "begun")
-    return do(task)
+    return execute(request)
 
 
 def _hand_over_from_dask(inner: Any, outer: Future[Files]) -> None:
-    """Whatever has become of it: somebody waits for `outer`."""
+    """Complete `outer` with the result or the error of `inner`, in every case: the campaign waits for it."""
     from distributed.scheduler import KilledWorker
 
     try:
@@ -228,16 +234,16 @@ def _hand_over_from_dask(inner: Any, outer: Future[Files]) -> None:
 
 
 def pool_of(executor: str, workers: int) -> Pool:
-    """The pool that `--executor` asks for: `local`, or `dask://HOST:PORT`.
+    """The pool of `--executor`: `local`, or `dask://HOST:PORT`.
 
     Raises:
-        ParameterError: another word. EnvironmentLackError: see DaskPool.
+        ParameterError: another value. EnvironmentLackError: see DaskPool.
     """
     must_be_known(executor)
     return LocalPool(workers) if executor == "local" else DaskPool(executor.removeprefix(DASK))
 
 
 def must_be_known(executor: str) -> None:
-    """Refuse what is no executor."""
+    """Refuse any other value of `--executor`."""
     if executor != "local" and not re.fullmatch(DASK + r"[^/\s]+:\d+", executor):
         raise ParameterError("--executor", "must be local or dask://HOST:PORT", executor)

@@ -1,4 +1,4 @@
-"""What a comparison leaves beside its runs: the film of one seed, and the report."""
+"""Results of a comparison beside its runs: the side-by-side film of one seed, and the report."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 
 FILM = "comparison.mp4"
 FILMS = ("overview.mp4", "camera.mp4")
-"""A run's films, from top to bottom of its column."""
+"""Films of a run, from top to bottom of its column."""
 
 
 def finish(folder: Path, comparison: Comparison, table: polars.DataFrame, stage: Callable[[str], None]) -> None:
-    """Film and report of what is done; nothing where nothing is.
+    """Make film and report of the finished runs; nothing if there is none.
 
     Raises:
         OutputError, EnvironmentLackError: a file cannot be written.
@@ -45,12 +45,13 @@ def finish(folder: Path, comparison: Comparison, table: polars.DataFrame, stage:
 
 
 def _film(folder: Path, table: polars.DataFrame, axes: tuple[str, ...]) -> Path | None:
-    """`comparison.mp4`: the first seed that has films, up to six controllers; None where none has."""
-    from vstestbed.report.comparison.columns import Comparison as View
+    """Make `comparison.mp4`: the first filmed run of each controller, up to six controllers; None if there are no films."""
+    from vstestbed.report.comparison.columns import ComparisonResults
     from vstestbed.report.video.side_by_side import MOST, Column, side_by_side
 
     columns = []
-    for controller in View(table, axes).controllers[:MOST]:
+    for controller in ComparisonResults(table, axes).controllers[:MOST]:
+        # crashed runs have no films
         run = next((row for row in controller.runs.iter_rows(named=True) if _films(folder / row["folder"])), None)
         if run is not None:
             ending = f"{run['outcome']} {run['sim_time_s']:.1f} s" if run["sim_time_s"] is not None else run["outcome"]
@@ -63,7 +64,7 @@ def _films(run: Path) -> tuple[Path, ...]:
 
 
 def command_of(comparison: Comparison) -> str:
-    """The command line that makes a comparison again: without its file where words can say it, else in its folder."""
+    """The command line that repeats a comparison; cases and tasks have no options, so that they need the plan in its folder."""
     if comparison.cases or comparison.tasks:
         return "vstestbed compare comparison.yaml"
     words = ["vstestbed", "compare", *(Path(name).stem if Path(name).suffix != ".yaml" else Path(name).name for name in comparison.base)]
@@ -73,12 +74,12 @@ def command_of(comparison: Comparison) -> str:
 
 
 def _value(value: object) -> str:
-    """A value as it is written in YAML's flow style."""
-    if isinstance(value, bool) or value is None:
+    """A value in YAML's flow style."""
+    if isinstance(value, bool) or value is None:  # before numbers: bool is an int
         return {True: "true", False: "false", None: "null"}[value]
     if isinstance(value, dict):
         return "{" + ", ".join(f"{k}: {_value(v)}" for k, v in value.items()) + "}"
     if isinstance(value, list | tuple):
         return "[" + ", ".join(map(_value, value)) + "]"
-    plain = str(value)
+    plain = str(value)  # quoted only where YAML would read it as something else, such as `on` or `1`
     return json.dumps(value) if isinstance(value, str) and read_value(f"[{plain}]") != [value] else plain

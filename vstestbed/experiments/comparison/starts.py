@@ -1,4 +1,4 @@
-"""Tasks: starts that belong together, such as turns of 20 to 180 degrees about the optical axis."""
+"""Start tables: starts that form a task, such as rotations of 20 to 180 deg about the optical axis."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from vstestbed.core.spec import spec
 
 
 @spec
-class Task:
-    """The runs of a task: run i has the i-th value of every list in `each`, or the start that seed i draws.
+class StartTable:
+    """The starts of a task: run i has the i-th value of every list in `each`, or the start that seed i draws.
 
     Args:
         set: values by dotted path, for all runs of the task.
-        each: lists of values by dotted path, all of one length: a run for each.
-        seeds: in place of `each`: how many random starts.
-        amounts: what each run is called, with `unit`: 20 (deg), 40, ...; none: 1, 2, ..., of random starts the seed.
-        unit: of the amounts.
+        each: lists of values by dotted path, all of the same length, one value per run.
+        seeds: in place of `each`: number of random starts.
+        amounts: label of each run, with `unit`: 20 (deg), 40, ...; by default 1, 2, ..., for random starts the seed.
+        unit: unit of the amounts.
     """
 
     set: dict[str, Any] = field(default_factory=dict)
@@ -31,7 +31,7 @@ class Task:
     unit: str = ""
 
     def __post_init__(self) -> None:
-        """Refuse lists that do not belong together."""
+        """Refuse lists of different lengths."""
         if bool(self.each) == (self.seeds is not None):
             raise ParameterError("each", "or seeds must say what the runs of a task are; give one of the two")
         lengths = {path: len(values) for path, values in self.each.items()}
@@ -42,15 +42,15 @@ class Task:
 
     @property
     def runs(self) -> int:
-        """How many."""
+        """Number of runs."""
         return self.seeds if self.seeds is not None else len(next(iter(self.each.values())))
 
     def settings(self) -> Iterator[dict[str, object]]:
-        """The values by dotted path of each run."""
+        """The settings of each run by dotted path."""
         for i in range(self.runs):
             yield {path: values[i] for path, values in self.each.items()}
 
-    def words(self) -> tuple[str, ...]:
-        """What each run is called; without amounts its number, of random starts the seed."""
-        first = 0 if self.seeds is not None else 1
+    def labels(self) -> tuple[str, ...]:
+        """The label of each run; without amounts its number, for random starts the seed."""
+        first = 0 if self.seeds is not None else 1  # seeds count from 0, runs for readers from 1
         return tuple(f"{amount:g} {self.unit}".strip() for amount in self.amounts or range(first, first + self.runs))

@@ -1,4 +1,4 @@
-"""What a worker does: one run, whose folder it hands back as bytes. Nothing here knows how many workers there are, or where."""
+"""One run in a worker process, whose folder is returned as bytes. Independent of the number of workers and of their machines."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from vstestbed.scenario.load import dump, load_plugins, parse
 from vstestbed.scenario.scenario import Scenario
 
 Files = dict[str, bytes]
-"""A run's folder: content by file name."""
+"""Content of a run's folder by file name."""
 TILE_PX = (480, 270)
-"""Size of the films from outside [px]: as wide as their column in the film of all; a sixth of the usual work."""
+"""Size of the films from outside [px]: as wide as their column in the side-by-side film; a sixth of the work of the full size."""
 _loaded: set[str] = set()
 
 
 @dataclass(frozen=True)
-class Task:
-    """A run as it travels to a worker, which needs no file of the one who asks.
+class RunRequest:
+    """A run as it is sent to a worker, which needs no file of the sender's machine.
 
     Attributes:
-        folder: the run's folder below the comparison's, its name. text: the scenario, start and noise drawn.
-        filmed: whether to make its films. plugins: modules to import first.
+        folder: path of the run below the comparison's folder, which identifies it. text: the scenario with start and noise drawn.
+        filmed: whether to make films. plugins: modules to import first.
     """
 
     folder: str
@@ -37,27 +37,29 @@ class Task:
     plugins: tuple[str, ...]
 
 
-def do(task: Task) -> Files:
-    """The folder of the finished run. A law, a detector, a plugin that raises ends its run as `crashed`, with the traceback.
+def execute(request: RunRequest) -> Files:
+    """Run a scenario and return its folder. An exception in a law, a detector or a plugin gives the outcome `crashed` and a traceback.
 
     Raises:
-        EnvironmentLackError: this machine cannot draw, or has no space: no other run would fare better.
+        EnvironmentLackError: this machine has no OpenGL or no space, so that every other run would fail as well.
     """
-    for module in set(task.plugins) - _loaded:
+    for module in set(request.plugins) - _loaded:  # once per process
         load_plugins([module])
         _loaded.add(module)
-    scenario = parse(task.text, "scenario.yaml")
+    scenario = parse(request.text, "scenario.yaml")
+    # the run's folder is local: the worker may be on a machine without access to the comparison's folder
     with tempfile.TemporaryDirectory(prefix="vstestbed_") as place:
         folder = Path(place) / "run"
         folder.mkdir()
         try:
-            recording = run_into(folder, scenario, "both" if task.filmed else "none", report=False, tile_px=TILE_PX)
+            recording = run_into(folder, scenario, "both" if request.filmed else "none", report=False, tile_px=TILE_PX)
+            # a picture of every failure for the report's gallery; films are made of the first seed only
             if not recording.outcome.success and len(recording.table):
                 _picture_of_the_end(scenario, folder)
-        except EnvironmentLackError:
+        except EnvironmentLackError:  # no fault of the run: the comparison stops
             raise
         except Exception as error:
-            return crashed(task.text, f"{type(error).__name__}: {error}", traceback.format_exc(), _files(folder))
+            return crashed(request.text, f"{type(error).__name__}: {error}", traceback.format_exc(), _files(folder))
         return _files(folder)
 
 
@@ -66,7 +68,7 @@ def _files(folder: Path) -> Files:
 
 
 def crashed(text: str, reason: str, trace: str = "", rest: Files | None = None) -> Files:
-    """The folder of a run that ended with an error: its scenario, what there is of its log, the summary, the traceback."""
+    """The folder of a crashed run: scenario, summary, traceback, and `rest`, the files that it has left."""
     scenario = parse(text, "scenario.yaml")
     summary = {"scenario": scenario.name, "outcome": Outcome.crashed.name, "success": False, "reason": reason, "seed": scenario.seed}
     own = {"scenario.yaml": text.encode(), "summary.json": (json.dumps(summary, indent=1) + "\n").encode()}
@@ -74,20 +76,20 @@ def crashed(text: str, reason: str, trace: str = "", rest: Files | None = None) 
 
 
 def _picture_of_the_end(scenario: Scenario, folder: Path) -> None:
-    """`end.png`: the scene from outside when a run failed."""
+    """Write `end.png`: the scene from outside at the end of a failed run."""
     from vstestbed.loop.log_file import read_log
     from vstestbed.report.video.film import picture_of_the_end
 
     picture_of_the_end(scenario, read_log(folder), folder / "end.png")
 
 
-def task_of(folder: str, scenario: Scenario, filmed: bool, plugins: tuple[str, ...]) -> Task:
-    """A run as a task."""
-    return Task(folder, dump(scenario), filmed, plugins)
+def request_of(folder: str, scenario: Scenario, filmed: bool, plugins: tuple[str, ...]) -> RunRequest:
+    """The request for a run of a scenario."""
+    return RunRequest(folder, dump(scenario), filmed, plugins)
 
 
 def begin(parent_must_live: bool) -> None:
-    """What a worker process does first: leave Ctrl-C to its parent, end when the parent is gone."""
+    """Initialise a worker process: leave Ctrl-C to its parent, and exit when the parent is gone."""
     import signal
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -95,15 +97,15 @@ def begin(parent_must_live: bool) -> None:
         import multiprocessing
         import threading
 
-        def follow() -> None:
+        def follow() -> None:  # a killed parent cannot end its workers
             parent = multiprocessing.parent_process()
             if parent is not None:
                 parent.join()
-                os._exit(1)
+                os._exit(1)  # not sys.exit, which in a thread ends only the thread
 
         threading.Thread(target=follow, daemon=True).start()
 
 
 def process_id() -> int:
-    """Of the worker: whom to end when it must not go on."""
+    """Process id of the worker, with which the pool can kill it."""
     return os.getpid()

@@ -1,4 +1,4 @@
-"""Delay: the gain at which a visual servo goes unstable, measured beside what theory says."""
+"""Gain limit over delay: the gain at which the visual servo loop becomes unstable, measured and in theory."""
 
 from vstestbed.experiments.delay.folder import write
 from vstestbed.experiments.delay.lag import Lag

@@ -1,4 +1,4 @@
-"""What a study of delay leaves: a table, figures, a page, each whole or not at all."""
+"""Result files of a delay study: tables, figures, page, each complete or not at all."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import polars as pl
 
 from vstestbed.core.files import write_whole, writing
 from vstestbed.experiments.delay.measure import Limit
-from vstestbed.experiments.delay.theory import AS_TOLD, closed_form, locus
+from vstestbed.experiments.delay.theory import NO_LAG, closed_form, locus
 from vstestbed.report.studies.delay import Branches, write_page
 
 BEYOND = 1.3
@@ -21,7 +21,7 @@ BEYOND = 1.3
 
 
 def write(folder: Path, limits: Sequence[Limit], name: str, command: str = "") -> Path:
-    """`delay.csv`, `delay.parquet`, `delay.json` (with every joint's lag), `delay.png`, `delay.pdf`, `report.html`; the page's path.
+    """Write `delay.csv`, `.parquet`, `.json` (with every joint's lag), `.png`, `.pdf` and `report.html`; returns the page's path.
 
     Raises:
         OutputError, EnvironmentLackError: a file cannot be written.
@@ -39,9 +39,9 @@ def write(folder: Path, limits: Sequence[Limit], name: str, command: str = "") -
 
 
 def branches(limit: Limit) -> Branches:
-    """The root locus of one delay, with the measured lag of the joint that goes first where there is one."""
-    first = next((lag.shares for lag in limit.lags if lag.joint == limit.joint), AS_TOLD)
+    """Root locus of one delay, with the measured lag of the joint that becomes unstable first, if the robot has joints."""
+    first = next((lag.shares for lag in limit.lags if lag.joint == limit.joint), NO_LAG)
     end = limit.g_lag or closed_form(limit.delay_frames)
-    gains = np.linspace(1e-6, BEYOND * end, 400)
+    gains = np.linspace(1e-6, BEYOND * end, 400)  # not from 0, where all poles but one coincide at the origin
     at_limit = locus(limit.delay_frames, np.array([limit.g]), first)[0]
     return Branches(limit.delay_frames, locus(limit.delay_frames, gains, first), at_limit)

@@ -1,4 +1,4 @@
-"""How a robot's servos follow: the shares b_j of a one-frame command that each joint makes in the frames after it."""
+"""Identification of the actuators' lag: the shares b_j of a one-frame command that each joint executes in the frames after it."""
 
 from __future__ import annotations
 
@@ -14,18 +14,17 @@ from vstestbed.sim.base import Plant
 from vstestbed.sim.build import build_plant
 
 SWINGS, SETTLING, ROUNDS = 10, 4, 4
-"""How many swings a joint is driven for, and how many of them pass before what it does counts; and how often
-the swing is chosen anew."""
+"""Periods for which a joint is excited; how many of them pass before its motion is used (transient); iterations of the frequency."""
 
 
 @dataclass(frozen=True)
 class Lag:
-    """How one joint follows a swing of commands.
+    """Response of one joint to a sinusoidal velocity command.
 
     Attributes:
-        joint: its name. shares: (b_0, b_1) [1].
-        swing_s: the swing's period, that of the loop at its limit [s].
-        lag_s: by how much its motion lags behind the command at that swing [s]. gain: the motion's size over the command's [1].
+        joint: name of the joint. shares: (b_0, b_1) [1].
+        swing_s: period of the excitation, that of the loop at its gain limit [s].
+        lag_s: phase lag of the motion at that period, as a time [s]. gain: amplitude ratio of motion to command [1].
     """
 
     joint: str
@@ -36,17 +35,19 @@ class Lag:
 
 
 def measure_lags(scenario: Scenario, delay_frames: int, off: float) -> list[Lag]:
-    """How each joint of an arm follows commands that swing as the loop does at its limit.
+    """Measure the response of each joint of an arm at the frequency at which the loop oscillates at its gain limit.
 
-    One joint after the other is told u(k) = off gain cos(w k) frame by frame, held in between; of its way in each frame,
-    (q(k+1) - q(k)) / period = b_0 u(k) + b_1 u(k-1) by least squares. Two numbers say what a linear servo does to one swing; a
-    servo with friction is told by those of a swing of this size (its describing function). w and the gain are those at which
-    the loop with these b goes unstable, found in ROUNDS; up to .9 pi, since at pi both numbers look the same.
+    One joint after the other gets the velocity command u(k) = off gain cos(w k), held over each frame, and
+    (q(k+1) - q(k)) / period = b_0 u(k) + b_1 u(k-1) is fitted by least squares. Two numbers describe a linear actuator at one
+    frequency; for a joint with friction they are its describing function at this amplitude. w and gain are those at which the
+    loop with these b becomes unstable, found by ROUNDS iterations; w is at most 0.9 pi, since at pi b_0 and b_1 cannot be
+    distinguished.
 
     Args:
-        scenario: of an arm, its start where the joints are to be driven about.
-        delay_frames: d. off: size of the swing of each joint [rad].
+        scenario: of an arm; its start is the configuration about which the joints move.
+        delay_frames: d. off: amplitude of each joint [rad].
     """
+    # neither images nor true poses are needed: the encoders are the measurement
     plant, _ = build_plant(
         scenario.robot, scenario.camera, scenario.target, scenario.world, scenario.physics, needs_image=False, needs_truth=False
     )
@@ -57,7 +58,7 @@ def measure_lags(scenario: Scenario, delay_frames: int, off: float) -> list[Lag]
 
 
 def _lag_of(plant: Plant, name: str, joint: int, period: float, delay_frames: int, off: float) -> Lag:
-    w, g, b = math.pi / (2 * delay_frames + 1), closed_form(delay_frames), (1.0, 0.0)
+    w, g, b = math.pi / (2 * delay_frames + 1), closed_form(delay_frames), (1.0, 0.0)  # first guess: a robot without lag
     for _ in range(ROUNDS):
         w = min(w, 0.9 * math.pi)
         b = _shares(plant, joint, period, w, off * g / period)
@@ -69,21 +70,21 @@ def _lag_of(plant: Plant, name: str, joint: int, period: float, delay_frames: in
 
 
 def _shares(plant: Plant, joint: int, period: float, w: float, speed: float) -> tuple[float, float]:
-    """(b_0, b_1) of one joint told to swing by w [rad a frame] with this speed [rad/s]; it rests afterwards."""
+    """(b_0, b_1) of one joint under a sinusoidal command of frequency w [rad per frame] and amplitude `speed` [rad/s]; then it rests."""
     frames, first = (math.ceil(n * 2 * math.pi / w) for n in (SWINGS, SETTLING))
-    told, q = speed * np.cos(w * np.arange(frames)), np.empty(frames + 1)
+    command, q = speed * np.cos(w * np.arange(frames)), np.empty(frames + 1)
     for k in range(frames):
         q[k] = plant.reading().q[joint]
-        plant.apply(np.where(np.arange(len(plant.reading().q)) == joint, told[k], 0.0))
+        plant.apply(np.where(np.arange(len(plant.reading().q)) == joint, command[k], 0.0))
         plant.advance(plant.steps_per_frame)
     q[frames] = plant.reading().q[joint]
     plant.apply(np.zeros(len(plant.reading().q)))
-    plant.advance(5 * plant.steps_per_frame)
-    b = _fit(np.diff(q) / period, told, first)
+    plant.advance(5 * plant.steps_per_frame)  # the next joint begins with the arm at rest
+    b = _fit(np.diff(q) / period, command, first)
     return float(b[0]), float(b[1])
 
 
-def _fit(made: Array, told: Array, first: int) -> Array:
-    """(b_0, b_1) from motions made (m,) and told (m,), from the frame `first` on; a constant drift is left out."""
-    A = np.column_stack([told[first:], told[first - 1 : -1], np.ones(len(told) - first)])
-    return np.asarray(np.linalg.lstsq(A, made[first:], rcond=None)[0][:2], dtype=float)
+def _fit(velocity: Array, command: Array, first: int) -> Array:
+    """(b_0, b_1) from measured and commanded velocities (m,), from the frame `first` on; the third column takes up a constant drift."""
+    A = np.column_stack([command[first:], command[first - 1 : -1], np.ones(len(command) - first)])
+    return np.asarray(np.linalg.lstsq(A, velocity[first:], rcond=None)[0][:2], dtype=float)

@@ -1,4 +1,4 @@
-"""The gain at which a scenario's loop goes unstable, found by running it."""
+"""Measured gain limit: bisection over closed-loop runs near the goal."""
 
 from __future__ import annotations
 
@@ -22,29 +22,30 @@ from vstestbed.tasks.stop import Converged, Stop
 from vstestbed.vision import Oracle
 
 HALVINGS = 9
-"""Of a bracket of half to one and a half times the prediction: 0.2 % of it is left."""
+"""Bisections of a bracket of 0.5 to 1.5 times the prediction: 0.2 % of it remains."""
 SWINGS = 16
-"""A run lasts this many swings of the limit, and 40 frames more in which other modes die out."""
+"""A run lasts this many periods of the oscillation at the limit, and 40 frames more in which other modes decay."""
 OFF, OFF_WITH_FRICTION = 0.002, 0.02
-"""How far off its goal a run begins: along each axis [m], and about each axis or in each joint [rad]. Near enough for the loop to be
-linear and its servos unsaturated; joints with friction far enough for motion to count for more than friction."""
+"""Offset from the goal at the start of a run: along each axis [m], and about each axis or in each joint [rad]. Small enough for the
+loop to be linear and its actuators unsaturated; for joints with friction large enough for the motion to dominate friction."""
 GROWN = 20.0
-"""An error that has grown so many times is of a loop that has gone unstable, whatever it does then; so is one whose servos
-still saturate in its second half."""
+"""Growth of the error that counts as unstable whatever follows; so do actuators that still saturate in
+the second half of the run."""
 UNSATURATED = 0.999
+# The error did not oscillate: the run came to rest.
 CALM = (Outcome.converged, Outcome.local_minimum)
 
 
 @dataclass(frozen=True)
 class Limit:
-    """One delay: where the loop goes unstable.
+    """The gain limit at one delay.
 
     Attributes:
-        delay_frames: d. latency_s: [s].
-        gain: the largest stable gain, measured [1/s]; g: times the period [1].
-        g_theory: of a robot that moves as told. g_lag: with the servos' measured lag, of the joint that goes first; None for
-            a robot without joints.
-        lags: of each joint at this swing. runs: how many it took.
+        delay_frames: d. latency_s: the same delay [s].
+        gain: largest stable gain, measured [1/s]; g: gain * period [1].
+        g_theory: g of a robot without lag. g_lag: g with the measured lag of the joint that becomes unstable first; None for a
+            robot without joints.
+        lags: lag of each joint at the frequency of the limit. runs: number of runs that the search took.
     """
 
     delay_frames: int
@@ -58,12 +59,12 @@ class Limit:
 
     @property
     def joint(self) -> str | None:
-        """The joint that goes unstable first, by the prediction."""
+        """The joint with the lowest predicted gain limit."""
         return min(self.lags, key=lambda lag: gain_limit(self.delay_frames, lag.shares)).joint if self.lags else None
 
     @property
     def lag_of_first(self) -> float:
-        """The lag of that joint at the limit's swing [s]; 0 for a robot without joints."""
+        """Lag of that joint at the frequency of the limit [s]; 0 for a robot without joints."""
         return next((lag.lag_s for lag in self.lags if lag.joint == self.joint), 0.0)
 
     def row(self) -> dict[str, float | int | str | None]:
@@ -86,12 +87,12 @@ class Limit:
 
 
 def prepared(scenario: Scenario) -> Scenario:
-    """The scenario as it is swung: at its goal, the oracle for its detector, its law without limits on the twist.
+    """The scenario at its goal, with the oracle as detector and a law without limits on the twist.
 
-    An arm is taken to its goal by a run of its own, with ideal servos.
+    The goal configuration of an arm comes from a run of its own with ideal actuators.
 
     Raises:
-        ParameterError: the robot or the law is none whose gain limit this finds, or the run does not reach its goal.
+        ParameterError: robot or law are not supported, or the run does not reach its goal.
     """
     law = scenario.law
     names = {field.name for field in fields(law)}
@@ -100,8 +101,8 @@ def prepared(scenario: Scenario) -> Scenario:
     plain = {"limits": TwistLimits(), "smooth_start_s": 0.0, "visibility": Visibility(), "gain": ConstantGain(value=2.0)}
     settled = replace(
         scenario,
-        law=replace(law, **{name: value for name, value in plain.items() if name in names}),
-        detector=Oracle(field_of_view="unlimited"),
+        law=replace(law, **{name: value for name, value in plain.items() if name in names}),  # only those fields that this law has
+        detector=Oracle(field_of_view="unlimited"),  # exact pixels, and no target lost: only dynamics and delay count
         camera=replace(scenario.camera, latency_s=0.0),
         stop=Stop(duration_s=60.0, converged=Converged(error_px=0.01, hold_s=0.0)),
     )
@@ -119,8 +120,8 @@ def prepared(scenario: Scenario) -> Scenario:
 
 
 def displaced(at_goal: Scenario) -> Scenario:
-    """The scenario begun a little off its goal, in every direction."""
-    signs = np.array([1.0, -1.0, 1.0, -1.0, 1.0, 1.0])
+    """The scenario started at a small offset from its goal in all directions."""
+    signs = np.array([1.0, -1.0, 1.0, -1.0, 1.0, 1.0])  # all six directions are displaced
     robot = at_goal.robot
     if robot.model is None:
         T = robot.flange_pose(robot.configuration()) @ exp(OFF * signs)
@@ -134,27 +135,30 @@ def _off(robot: Robot) -> float:
 
 
 def growth(at_start: Scenario, gain: float, delay_frames: int) -> float:
-    """By what factor the swing of a run grows over its second half; over 1 the loop is unstable.
+    """Growth of the oscillation over the second half of a run; above 1 the loop is unstable.
 
     Args:
-        at_start: as `displaced` makes it. gain: [1/s]. delay_frames: d.
+        at_start: a scenario from `displaced`. gain: gain of the law [1/s]. delay_frames: d.
     """
     swing, period = max(swing_frames(delay_frames), 4), at_start.camera.period
     frames = SWINGS * swing + 40
-    made = run(
+    recording = run(
         replace(
             at_start,
             law=replace(at_start.law, gain=ConstantGain(value=gain)),
             camera=replace(at_start.camera, latency_s=delay_frames * period),
-            stop=Stop(duration_s=frames * period, converged=Converged(error_px=1e-9, hold_s=frames * period)),
+            stop=Stop(
+                duration_s=frames * period, converged=Converged(error_px=1e-9, hold_s=frames * period)
+            ),  # a hold time of the whole run: reaching the goal does not end it
         )
     )
-    size = made["error_px"]
-    if not made.outcome.success and made.outcome is not Outcome.timed_out:
-        return 0.0 if made.outcome in CALM else math.inf
+    size = recording["error_px"]
+    if not recording.outcome.success and recording.outcome is not Outcome.timed_out:
+        return 0.0 if recording.outcome in CALM else math.inf
     half = len(size) // 2
-    if np.nanmax(size) > GROWN * size[0] or (made["scale"][half:] < UNSATURATED).any():
+    if np.nanmax(size) > GROWN * size[0] or (recording["scale"][half:] < UNSATURATED).any():
         return math.inf
+    # peak over one period at the beginning and at the end of the second half
     early, late = np.nanmax(size[half : half + swing]), np.nanmax(size[-swing:])
     return float(late / early) if early > 0 else 0.0
 
@@ -171,8 +175,10 @@ def find_limit(at_goal: Scenario, delay_frames: int) -> Limit:
     if at_goal.robot.joints:
         lags = tuple(measure_lags(at_goal, delay_frames, _off(at_goal.robot)))
     g_lag = min((gain_limit(delay_frames, lag.shares) for lag in lags), default=None)
+    # the bracket is centred on the better prediction
     expected, count = (theory if g_lag is None else g_lag), 0
     low, high = 0.5 * expected, 1.5 * expected
+    # a bracket without the limit would make the bisection converge to one of its ends
     for g, unstable in ((low, False), (high, True)):
         count += 1
         if (growth(at_start, g / period, delay_frames) > 1) is not unstable:
@@ -187,16 +193,16 @@ def find_limit(at_goal: Scenario, delay_frames: int) -> Limit:
     return Limit(delay_frames, delay_frames * period, g / period, g, theory, g_lag, lags, count)
 
 
-def find_limits(scenario: Scenario, delays: Sequence[int], told: Callable[[Limit], None] = lambda limit: None) -> list[Limit]:
-    """The gain limit at each delay [frames]; `told` hears of each.
+def find_limits(scenario: Scenario, delays: Sequence[int], on_limit: Callable[[Limit], None] = lambda limit: None) -> list[Limit]:
+    """The gain limit at each delay [frames]; `on_limit` is called with each as it is found.
 
     Raises:
         ParameterError: as `prepared` and `find_limit`; or a delay is negative or above 50 frames.
     """
     if bad := [d for d in delays if not 0 <= d <= 50]:
         raise ParameterError("--frames", "must be whole numbers from 0 to 50", bad[0])
-    at_goal, made = prepared(scenario), []
+    at_goal, limits = prepared(scenario), []
     for d in delays:
-        made.append(find_limit(at_goal, d))
-        told(made[-1])
-    return made
+        limits.append(find_limit(at_goal, d))
+        on_limit(limits[-1])
+    return limits

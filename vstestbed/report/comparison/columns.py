@@ -1,4 +1,4 @@
-"""What a comparison's report is made from: controllers with their runs, the numbers that are shown, and what goes before what."""
+"""The data of a comparison's report: controllers with their runs, and the metrics that are shown, in their order."""
 
 from __future__ import annotations
 
@@ -27,20 +27,23 @@ DEFAULT_METRICS: Final = (
     "saturated_fraction",
 )
 
-_TITLES: Final = {name: (title, unit) for name, title, unit in (*numbers.KEPT_TILES, *numbers.TILES, *numbers.ROWS, *numbers.TRACKING_ROWS)}
+# Titles and units are those of the single-run report, so that a number is called the same on both pages.
+_TITLES: Final = {
+    name: (title, unit) for name, title, unit in (*numbers.CONTINUING_TILES, *numbers.TILES, *numbers.ROWS, *numbers.TRACKING_ROWS)
+}
 _SCALES: Final = {"final_position_error_m": ("mm", 1e3), "saturated_fraction": ("%", 1e2)}
 _FINAL: Final = ("final_error_px", "final_position_error_m", "final_rotation_error_deg")
-_WHATEVER_ITS_END: Final = ("feature_overshoot", "worst_task_error_m", *(name for name, _, _ in numbers.TRACKING_ROWS))
+_ON_THE_WAY: Final = ("feature_overshoot", "worst_task_error_m", *(name for name, _, _ in numbers.TRACKING_ROWS))
 
 
 @dataclass(frozen=True)
 class Metric:
-    """A number of a run as it is shown.
+    """A number of `summary.json` with its title and display unit.
 
     Attributes:
-        name: in `summary.json`. title, unit: what is printed; scale: the unit's numbers over those of the summary.
-        every_run: of all runs that have it, not only of those that reached the goal.
-        every_pair: compared on all seeds, too: it tells as much of a run that failed.
+        name: key in `summary.json`. title, unit: as printed; scale: factor from the summary's unit to the printed one.
+        every_run: the median is over all runs that have the number, not only over those that reached the goal.
+        every_pair: paired differences are over all common seeds, too: the number means the same for a run that failed.
     """
 
     name: str
@@ -52,11 +55,11 @@ class Metric:
 
     @classmethod
     def of(cls, name: str) -> Metric:
-        """A name of `summary.json`; one that the run's report has no words for shows as it is."""
+        """The metric of a key of `summary.json`; a key without a title in the run's report is its own title."""
         title, unit = _TITLES.get(name, (name, ""))
         unit, scale = _SCALES.get(name, (unit, 1.0))
-        whole = name in _WHATEVER_ITS_END
-        return cls(name, title, unit, scale, whole or name in _FINAL, whole)
+        on_the_way = name in _ON_THE_WAY  # measured while the run goes on: meaningful whatever its outcome
+        return cls(name, title, unit, scale, on_the_way or name in _FINAL, on_the_way)
 
     @property
     def label(self) -> str:
@@ -65,11 +68,11 @@ class Metric:
 
 
 @dataclass(frozen=True)
-class Controller:
-    """A scenario with one combination of the varied values, and its runs.
+class ControllerResults:
+    """The runs of one controller: a scenario with one combination of the varied values.
 
     Attributes:
-        label: what it is called on the page. runs: its rows of the comparison's table, by seed.
+        label: its name on the page. runs: its rows of the comparison's table, sorted by seed.
     """
 
     label: str
@@ -86,25 +89,26 @@ class Controller:
         return self.runs["seed"].to_list()
 
     def values(self, metric: Metric) -> Array:
-        """A number of every run in the metric's unit, shape (runs,); NaN where the run has none."""
+        """The metric of every run in its display unit, shape (runs,); NaN where a run has none."""
         if metric.name not in self.runs.columns:
             return np.full(len(self.runs), np.nan)
+        # not strict: a crashed run has null, and a number may be stored as text
         column = self.runs[metric.name].cast(pl.Float64, strict=False).fill_null(np.nan).to_numpy()
         return np.where(np.isfinite(column), column, np.nan) * metric.scale
 
     def counted(self, metric: Metric) -> Array:
-        """As `values`, but NaN for the runs that the metric's median leaves out."""
+        """As `values`, but NaN for the runs that are excluded from the metric's median (see `Metric.every_run`)."""
         return self.values(metric) if metric.every_run else np.where(self.success, self.values(metric), np.nan)
 
 
 @dataclass(frozen=True)
-class Comparison:
-    """A finished comparison.
+class ComparisonResults:
+    """The table of a finished comparison, grouped by controller.
 
     Attributes:
         table: one row a run, as in `comparison.parquet`.
         axes: paths of the varied fields, each a column of the table.
-        metrics: names of the numbers that are shown. description: in a few words, what is compared.
+        metrics: keys of the numbers that are shown. description: what is compared, in a few words.
     """
 
     table: pl.DataFrame
@@ -114,44 +118,44 @@ class Comparison:
 
     @cached_property
     def shown(self) -> tuple[Metric, ...]:
-        """The metrics with their words."""
+        """The metrics with titles and units."""
         return tuple(Metric.of(name) for name in self.metrics)
 
     @cached_property
-    def controllers(self) -> tuple[Controller, ...]:
+    def controllers(self) -> tuple[ControllerResults, ...]:
         """The controllers, in order of first appearance."""
         keys = self.table.select("scenario", *self.axes).rows()
         rows: dict[tuple[Any, ...], list[int]] = {}
         for i, key in enumerate(keys):
             rows.setdefault(key, []).append(i)
-        several = len({key[0] for key in rows}) > 1
+        several = len({key[0] for key in rows}) > 1  # the scenario is part of a label only where there are several
         names = short_names(self.axes)
-        labels = [_label((str(key[0]), *map(value_words, key[1:])), names, several) for key in rows]
-        if len(set(labels)) < len(labels):  # values that differ beyond the digits that are usually shown
+        labels = [_label((str(key[0]), *map(value_text, key[1:])), names, several) for key in rows]
+        if len(set(labels)) < len(labels):  # two values differ only beyond the 6 digits of `:g`
             labels = [_label(tuple(map(str, key)), names, several) for key in rows]
-        return tuple(Controller(label, self.table[index].sort("seed")) for label, index in zip(labels, rows.values(), strict=True))
+        return tuple(ControllerResults(label, self.table[index].sort("seed")) for label, index in zip(labels, rows.values(), strict=True))
 
 
 def _label(key: tuple[str, ...], names: Sequence[str], several: bool) -> str:
-    parts = [key[0]] if several or not names else []
+    parts = [key[0]] if several or not names else []  # without varied fields the scenario is all there is to name
     return ", ".join(parts + [f"{name}={value}" for name, value in zip(names, key[1:], strict=True)])
 
 
 def short_names(paths: Sequence[str]) -> list[str]:
-    """The shortest end of each dotted path that no other one shares: `actuation` of `robot.actuation`."""
+    """The shortest suffix of each dotted path that is unique among them: `actuation` for `robot.actuation`."""
 
-    def end(path: str, parts: int) -> str:
+    def suffix(path: str, parts: int) -> str:
         return ".".join(path.split(".")[-parts:])
 
-    made = []
+    names = []
     for path in paths:
         lengths = range(1, path.count(".") + 2)
-        made.append(next((end(path, n) for n in lengths if sum(end(p, n) == end(path, n) for p in paths) == 1), path))
-    return made
+        names.append(next((suffix(path, n) for n in lengths if sum(suffix(p, n) == suffix(path, n) for p in paths) == 1), path))
+    return names
 
 
-def value_words(value: object) -> str:
+def value_text(value: object) -> str:
     """A varied value as YAML would write it."""
-    if value is None or isinstance(value, bool):
+    if value is None or isinstance(value, bool):  # before numbers: bool is an int
         return {None: "null", True: "true", False: "false"}[value]
     return f"{value:g}" if isinstance(value, float) else str(value)

@@ -1,4 +1,4 @@
-"""Runs that did not reach the goal: by outcome and reason, with the commands that replay them and what was seen at the end."""
+"""Failed runs of a comparison, grouped by outcome and reason, with commands that repeat them and pictures of their ends."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import Final
 
-from vstestbed.report.comparison.columns import Comparison
+from vstestbed.report.comparison.columns import ComparisonResults
 from vstestbed.report.comparison.summary_text import runs
-from vstestbed.report.html.pieces import data_url
+from vstestbed.report.html.parts import data_url
 
 PICTURES: Final = 24
 PICTURE_BYTES: Final = 4_000_000
-"""The gallery has at most so many pictures, and they together at most so many bytes."""
+"""Most pictures in the gallery, and most bytes of all of them: they are embedded in the page."""
 ERRORS: Final = 24
 ERROR_CHARACTERS: Final = 4000
-"""Of so many crashed runs the end of `error.txt` is shown, that long."""
+"""Most crashed runs whose `error.txt` is shown, and the length of its end that is shown."""
 
 
 @dataclass(frozen=True)
 class Failure:
-    """A run that did not reach the goal; place is its folder."""
+    """A run that did not reach the goal; place: its folder."""
 
     controller: str
     seed: int
@@ -35,42 +35,43 @@ class Failure:
 
     @property
     def command(self) -> str:
-        """What replays it, from where the comparison was started."""
+        """The command that repeats the run, from the directory in which the comparison was started."""
         return f"vstestbed run {shlex.quote((self.place / 'scenario.yaml').as_posix())}"
 
     @property
     def kind(self) -> tuple[str, str]:
-        """Outcome, and the reason without its numbers."""
-        return self.outcome, re.sub(r"\d[\d.e+-]*", "#", self.reason)
+        """Outcome, and the reason with its numbers masked: reasons that differ in numbers only are one kind of failure."""
+        return self.outcome, re.sub(r"\d[\d.e+-]*", "#", self.reason)  # numbers such as times and pixels
 
 
-def failures(folder: Path, comparison: Comparison) -> list[Failure]:
+def failures(folder: Path, comparison: ComparisonResults) -> list[Failure]:
     """All runs without success, by controller and seed."""
-    made = []
+    found = []
     for controller in comparison.controllers:
         for row in controller.runs.filter(~controller.success).iter_rows(named=True):
             outcome, reason = str(row.get("outcome") or "no outcome"), str(row.get("reason") or "")
-            made.append(Failure(controller.label, int(row["seed"]), outcome, reason, folder / str(row["folder"])))
-    return made
+            found.append(Failure(controller.label, int(row["seed"]), outcome, reason, folder / str(row["folder"])))
+    return found
 
 
-def section(folder: Path, comparison: Comparison) -> str:
-    """The failures of a comparison's folder as HTML, and the runs that had to be done again."""
-    made = failures(folder, comparison)
+def section(folder: Path, comparison: ComparisonResults) -> str:
+    """The section of the page on failed runs, and on runs that were repeated because their worker process died."""
+    failed = failures(folder, comparison)
     kinds: dict[tuple[str, str], list[Failure]] = defaultdict(list)
-    for failure in made:
+    for failure in failed:
         kinds[failure.kind].append(failure)
     groups = sorted(kinds.values(), key=len, reverse=True)
+    # tracebacks of every kind of crash in turn, since there is room for only a few
     with_error = {id(f) for f in _in_turn([g for g in groups if g[0].outcome == "crashed"], ERRORS)}
-    told = "".join(_group(group, with_error) for group in groups)
-    words = f"{runs(len(made))} of {len(comparison.table)} did not reach the goal; each line opens to the commands that run them again."
-    if not made:
+    listed = "".join(_group(group, with_error) for group in groups)
+    words = f"{runs(len(failed))} of {len(comparison.table)} did not reach the goal; each line opens to the commands that run them again."
+    if not failed:
         words = f"All {runs(len(comparison.table))} reached the goal."
-    return f'<section><h2>Failures</h2><p class="soft">{words}</p>{told}{_gallery(groups)}{_again(comparison)}</section>'
+    return f'<section><h2>Failures</h2><p class="soft">{words}</p>{listed}{_gallery(groups)}{_repeated(comparison)}</section>'
 
 
 def _group(group: list[Failure], with_error: set[int]) -> str:
-    """One outcome and reason: how many, which seeds of which controller, and behind that each run's command."""
+    """One kind of failure: number of runs, seeds of each controller, and, folded, each run's command."""
     outcome, first = group[0].outcome.replace("_", " ").capitalize(), group[0].reason
     same = all(f.reason == first for f in group)
     reason = first if same else f"{first}, and the like"
@@ -97,39 +98,39 @@ def _error(place: Path) -> str:
 
 
 def _in_turn(groups: list[list[Failure]], most: int) -> list[Failure]:
-    """Up to so many failures, one of each group in turn, so that a frequent kind does not hide a rare one."""
+    """Up to `most` failures, one of each group in turn, so that a frequent kind does not hide a rare one."""
     return [f for row in zip_longest(*groups) for f in row if f is not None][:most]
 
 
 def _gallery(groups: list[list[Failure]]) -> str:
-    """Pictures of how failed runs ended, as far as their folders have one."""
-    there = [[f for f in group if (f.place / "end.png").is_file()] for group in groups]
-    room, made = PICTURE_BYTES, []
-    for failure in _in_turn(there, PICTURES):
+    """The last pictures of failed runs (`end.png`), every kind of failure in turn."""
+    with_picture = [[f for f in group if (f.place / "end.png").is_file()] for group in groups]
+    room, pictures = PICTURE_BYTES, []
+    for failure in _in_turn(with_picture, PICTURES):
         size = (failure.place / "end.png").stat().st_size
         if size > room:
-            continue
+            continue  # a smaller one may still fit
         room -= size
         source = data_url("image/png", (failure.place / "end.png").read_bytes())
         words = escape(f"{failure.controller}, seed {failure.seed}: {failure.outcome.replace('_', ' ')}")
-        made.append(f'<figure><img src="{source}" alt="{words}" loading="lazy"><figcaption>{words}</figcaption></figure>')
-    total = sum(map(len, there))
+        pictures.append(f'<figure><img src="{source}" alt="{words}" loading="lazy"><figcaption>{words}</figcaption></figure>')
+    total = sum(map(len, with_picture))
     if not total:
         return ""
-    some = f" ({len(made)} of {total}, every kind in turn)" if len(made) < total else ""
-    return f'<h2>How they ended{some}</h2><div class="gallery">{"".join(made)}</div>'
+    some = f" ({len(pictures)} of {total}, every kind in turn)" if len(pictures) < total else ""
+    return f'<h2>How they ended{some}</h2><div class="gallery">{"".join(pictures)}</div>'
 
 
-def _again(comparison: Comparison) -> str:
-    """The runs whose worker died once."""
+def _repeated(comparison: ComparisonResults) -> str:
+    """The runs that took a second attempt, because their worker process died in the first."""
     if "attempts" not in comparison.table.columns:
         return ""
-    made = [
+    repeated = [
         f"<li>{escape(c.label)}, seed {row['seed']} ({escape(str(row['outcome']).replace('_', ' '))})</li>"
         for c in comparison.controllers
         for row in c.runs.iter_rows(named=True)
         if (row["attempts"] or 1) > 1
     ]
-    if not made:
+    if not repeated:
         return ""
-    return f'<h2>Done again</h2><p>Its worker died once; done again:</p><ul class="runs again">{"".join(made)}</ul>'
+    return f'<h2>Done again</h2><p>Its worker died once; done again:</p><ul class="runs again">{"".join(repeated)}</ul>'

@@ -1,6 +1,6 @@
-"""The comparison's figures over all runs: error over time, success over time, the numbers' distributions, paired differences.
+"""Figures of a comparison over all runs: error and success over time, single runs, paired differences.
 
-Each takes the data and the figure's width [in], so that the page and a paper can have it in their own size.
+Each function takes the data and the width of the figure [in], since the page and a paper need different sizes.
 """
 
 from __future__ import annotations
@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vstestbed.core.geometry import Array
-from vstestbed.report.comparison.columns import Comparison
+from vstestbed.report.comparison.columns import ComparisonResults
 from vstestbed.report.comparison.pairs import TIME, Pair
 from vstestbed.report.comparison.series import Series
+from vstestbed.report.comparison.statistics import Difference
 from vstestbed.report.html.canvas import INK, LINE_COLORS, LOST, RULE, new_figure, note
 from vstestbed.report.run.figures import plain
 
@@ -26,43 +27,43 @@ if TYPE_CHECKING:
 THRESHOLD: dict[str, Any] = {"color": INK, "linestyle": (0, (2, 2)), "linewidth": 0.8, "alpha": 0.7}
 DASHES: tuple[Any, ...] = ("-", (0, (5, 2)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)))
 BANDS = 4
-"""Up to so many controllers, quartile bands are drawn in one picture."""
+"""Most controllers whose quartile bands are drawn in one panel: more bands hide each other."""
 PANELS = 24
-LINES = 200
-"""Controllers that get a panel of their own, and single runs drawn in all of them together."""
+"""Most controllers with a panel of their own in `each_run`."""
+LINES, EACH_LEAST, EACH_MOST = 200, 5, 30
+"""Single runs drawn in all panels of `each_run` together, and fewest and most in one panel."""
 LEAST_DIFFERENCE = 1e-9
-"""What is smaller, in any unit, is rounding."""
-EACH_LEAST, EACH_MOST = 5, 30
+"""Differences below this, in any display unit, are rounding."""
 
 
 @dataclass(frozen=True)
 class Data:
-    """What the figures draw; threshold_px: where the goal counts as reached, None where it is not the same for all."""
+    """Everything the figures draw; threshold_px: RMS error that counts as converged, None where the controllers differ in it."""
 
-    comparison: Comparison
+    comparison: ComparisonResults
     series: Series
     pairs: list[Pair]
     threshold_px: float | None = None
 
     @property
     def labels(self) -> list[str]:
-        """The controllers' names, as matplotlib takes them."""
+        """The controllers' labels, escaped for matplotlib."""
         return [plain(c.label) for c in self.comparison.controllers]
 
 
 def look(i: int) -> dict[str, Any]:
-    """Colour and dashes of the controller i: the eight colours first, then the same dashed."""
+    """Line style of controller i: the eight colours with solid lines first, then the same colours dashed."""
     return {"color": LINE_COLORS[i % len(LINE_COLORS)], "linestyle": DASHES[i // len(LINE_COLORS) % len(DASHES)]}
 
 
 def wrapped(label: str, width: int = 20) -> str:
-    """A long name in several lines."""
+    """A long label broken into several lines."""
     return textwrap.fill(label, width)
 
 
 def medians(data: Data, width_in: float) -> Figure:
-    """The median error of each controller over time with its quartile band, in one picture."""
-    figure = new_figure(0.58 * width_in + _keys_in(data), width_in)
+    """Median error of each controller over time with its quartile band, in one panel."""
+    figure = new_figure(0.58 * width_in + _legend_height_in(data), width_in)
     axes = figure.add_subplot()
     quartiles = [data.series.quartiles(i) for i in range(len(data.labels))]
     for i, quartile in enumerate(quartiles):
@@ -77,9 +78,9 @@ def medians(data: Data, width_in: float) -> Figure:
 
 
 def each_run(data: Data, width_in: float) -> Figure:
-    """A panel a controller: single runs as thin lines, median and band on them, the others' medians in grey."""
+    """One panel per controller: single runs as thin lines, median and quartile band over them, the other controllers' medians in grey."""
     n = min(len(data.labels), PANELS)
-    columns = -(-n // -(-n // 4))  # rows of equal length
+    columns = -(-n // -(-n // 4))  # at most 4, and rows of equal length: 5 panels are 3 + 2, not 4 + 1
     figure = new_figure(width_in / max(columns, 3) * 0.8 * -(-n // columns) + 0.3, width_in)
     grid = figure.subplots(-(-n // columns), columns, sharex=True, sharey=True, squeeze=False)
     quartiles = [data.series.quartiles(i) for i in range(len(data.labels))]
@@ -101,12 +102,12 @@ def each_run(data: Data, width_in: float) -> Figure:
 
 
 def _draw_runs(axes: Axes, data: Data, i: int, n: int) -> None:
-    """The first few runs of a controller, failures in red with a cross where they were last seen."""
+    """The first runs of a controller; failed ones in red, with a cross where the target was last seen."""
     most = min(max(LINES // n, EACH_LEAST), EACH_MOST)
     success = data.comparison.controllers[i].success
     for error, reached in zip(data.series.errors[i][:most], success, strict=False):
         line = _shown(error.astype(float))
-        color, alpha, order = (look(i)["color"], 0.45, 2) if reached else (LOST, 0.9, 4)  # failures on top
+        color, alpha, order = (look(i)["color"], 0.45, 2) if reached else (LOST, 0.9, 4)  # failures on top: they are few
         axes.plot(data.series.t, line, color=color, linewidth=0.5, alpha=alpha, zorder=order)
         seen = np.flatnonzero(np.isfinite(line))
         if not reached and len(seen):
@@ -114,21 +115,22 @@ def _draw_runs(axes: Axes, data: Data, i: int, n: int) -> None:
 
 
 def _draw_quartiles(axes: Axes, t: Array, quartile: Array, style: dict[str, Any], band: bool) -> None:
+    """Median (line) and band between the quartiles (3, G) over the times t (G,)."""
     low, middle, high = quartile
     if band:
         seen = np.isfinite(low) & (low > 0)
-        top = np.where(np.isfinite(high), high, 1e9)
+        top = np.where(np.isfinite(high), high, 1e9)  # a quarter of the runs is lost: the band is open above
         axes.fill_between(t, np.where(seen, low, 1), top, where=seen.tolist(), color=style["color"], alpha=0.2, linewidth=0)
     axes.plot(t, _shown(middle), **style)
 
 
 def _shown(error: Array) -> Array:
-    """What a logarithmic axis can show; the rest is a gap."""
+    """The error with NaN (a gap) where a logarithmic axis cannot show it."""
     return np.where(np.isfinite(error) & (error > 0), error, np.nan)
 
 
 def _error_axes(axes: Axes, data: Data, quartiles: Sequence[Array]) -> None:
-    """Logarithmic, as high as what runs and quartiles reach, with the threshold (in every panel that shares the axes)."""
+    """Logarithmic error axis over the range of runs and quartiles, with the threshold in every panel that shares the axis."""
     found = [q[np.isfinite(q) & (q > 0)] for q in quartiles]
     found += [e[np.isfinite(e) & (e > 0)].astype(float) for e in data.series.errors]
     values = np.concatenate(found)
@@ -138,7 +140,7 @@ def _error_axes(axes: Axes, data: Data, quartiles: Sequence[Array]) -> None:
         note(axes, "no run with a log")
         return
     axes.set_yscale("log")
-    low, high = np.quantile(values, [0.001, 0.999])
+    low, high = np.quantile(values, [0.001, 0.999])  # a single outlier may not squeeze all other curves
     axes.set_ylim(0.7 * min(low, data.threshold_px or low), 1.5 * high)
     axes.set_xlim(0, data.series.t[-1])
     for panel in everywhere if data.threshold_px else ():
@@ -146,11 +148,12 @@ def _error_axes(axes: Axes, data: Data, quartiles: Sequence[Array]) -> None:
 
 
 def success(data: Data, width_in: float) -> Figure:
-    """The share of runs that have converged by a time."""
-    figure = new_figure(0.58 * width_in + _keys_in(data), width_in)
+    """Share of runs that have converged, over time (empirical distribution of the time to converge)."""
+    figure = new_figure(0.58 * width_in + _legend_height_in(data), width_in)
     axes = figure.add_subplot()
     end = data.series.t[-1]
     for i, controller in enumerate(data.comparison.controllers):
+        # failed runs have no time, but count in the denominator: the curve ends at the success rate
         times = controller.counted(TIME)
         times = np.sort(times[np.isfinite(times)])
         share = np.arange(len(times) + 1) / max(len(controller.runs), 1)
@@ -164,30 +167,37 @@ def success(data: Data, width_in: float) -> Figure:
 
 
 def differences(data: Data, width_in: float) -> Figure | None:
-    """A forest plot: the mean paired difference of each number with its interval, real ones in colour; None where there is none."""
-    rows = data.pairs if len(data.labels) <= BANDS else [p for p in data.pairs if p.a == 0]
+    """Forest plot: mean paired difference of each metric with its interval, significant ones in colour; None without any interval."""
+    rows = _forest_rows(data)
     if not any(np.isfinite(p.differences[m.name].low) for p in rows for m in data.comparison.shown):
-        return None  # one controller, or none that share two seeds on which both reached the goal
+        return None  # a single controller, or no two seeds on which both reached the goal
     names = [wrapped(f"{data.labels[p.b]} \N{MINUS SIGN} {data.labels[p.a]}", 30) for p in rows]
     height = 0.22 * sum(name.count("\n") + 1 for name in names) + 0.06 * len(rows) + 1.0
     grid, figure = metric_panels(data, width_in, height, 5, names)
     for axes, metric in zip(grid, data.comparison.shown, strict=False):
         axes.axvline(0, color=INK, linewidth=0.8)
-        reach = LEAST_DIFFERENCE
-        for y, pair in enumerate(rows):
-            d = pair.differences[metric.name]
-            color = LINE_COLORS[1] if d.real else LINE_COLORS[7]
-            if np.isfinite(d.low):
-                axes.plot([d.low, d.high], [y, y], color=color, linewidth=1.8)
-            reach = max(reach, *np.abs(np.nan_to_num([d.mean, d.low, d.high])))
-            axes.plot(d.mean, y, "o" if d.real else "D", color=color, markersize=4, markerfacecolor=color if d.real else "none")
-        if reach == LEAST_DIFFERENCE:  # rounding shall not fill the width
+        reach = [_draw_interval(axes, row, pair.differences[metric.name]) for row, pair in enumerate(rows)]
+        if max(reach, default=0.0) <= LEAST_DIFFERENCE:  # otherwise rounding errors would fill the width
             axes.set_xlim(-1, 1)
     return figure
 
 
+def _forest_rows(data: Data) -> list[Pair]:
+    """All pairs of up to four controllers; of more, each controller against the first."""
+    return data.pairs if len(data.labels) <= BANDS else [p for p in data.pairs if p.a == 0]
+
+
+def _draw_interval(axes: Axes, row: int, d: Difference) -> float:
+    """One row of a forest plot: the mean, filled if the difference is significant, on its interval; gives the largest value drawn."""
+    color = LINE_COLORS[1] if d.real else LINE_COLORS[7]
+    if np.isfinite(d.low):
+        axes.plot([d.low, d.high], [row, row], color=color, linewidth=1.8)
+    axes.plot(d.mean, row, "o" if d.real else "D", color=color, markersize=4, markerfacecolor=color if d.real else "none")
+    return float(np.abs(np.nan_to_num([d.mean, d.low, d.high])).max())
+
+
 def metric_panels(data: Data, width_in: float, panel_in: float, columns: int, names: Sequence[str]) -> tuple[list[Any], Figure]:
-    """A panel a metric, in rows, with the same named lines in all of them, the first on top."""
+    """One panel per metric in a grid, with the same named rows in each panel, the first on top."""
     n = len(data.comparison.shown)
     columns = min(n, columns)
     figure = new_figure(panel_in * -(-n // columns), width_in)
@@ -195,7 +205,7 @@ def metric_panels(data: Data, width_in: float, panel_in: float, columns: int, na
     for axes in grid[n:]:
         axes.set_visible(False)
     grid[0].set_yticks(range(len(names)), names)
-    grid[0].set_ylim(len(names) - 0.4, -0.6)
+    grid[0].set_ylim(len(names) - 0.4, -0.6)  # reversed: the first row on top
     for axes, metric in zip(grid, data.comparison.shown, strict=False):
         axes.set_xlabel(wrapped(metric.label, 18))
         axes.grid(axis="y", visible=False)
@@ -204,14 +214,14 @@ def metric_panels(data: Data, width_in: float, panel_in: float, columns: int, na
     return grid, figure
 
 
-def _keys_in(data: Data) -> float:
+def _legend_height_in(data: Data) -> float:
     """Height of the legend [in]."""
     return 0.2 * -(-len(data.labels) // _legend_columns(data))
 
 
 def _legend_columns(data: Data) -> int:
-    """As many as fit, with columns of equal length."""
-    n, longest = len(data.labels), max(map(len, data.labels))
+    """As many columns as the longest label leaves room for, all of equal length."""
+    n, longest = len(data.labels), max(map(len, data.labels))  # [characters]
     most = next((columns for columns, letters in ((4, 8), (3, 14), (2, 26)) if longest <= letters), 1)
     return -(-n // -(-n // most))
 

@@ -1,4 +1,4 @@
-"""`report.html` and `figures/` of a comparison: read what its folder holds, lay it out, write each file in one piece."""
+"""Writes `report.html` and `figures/` of a comparison from its table and the logs in its folder."""
 
 from __future__ import annotations
 
@@ -13,15 +13,14 @@ from vstestbed.core.errors import OutputError
 from vstestbed.core.files import write_whole
 from vstestbed.report.comparison import failures as comparison_failures
 from vstestbed.report.comparison import figures as comparison_figures
-from vstestbed.report.comparison import filmstrips as comparison_strips
-from vstestbed.report.comparison import summary_text as comparison_words
+from vstestbed.report.comparison import strip_plots, summary_text
 from vstestbed.report.comparison import tables as comparison_tables
-from vstestbed.report.comparison.columns import DEFAULT_METRICS, Comparison, value_words
+from vstestbed.report.comparison.columns import DEFAULT_METRICS, ComparisonResults, value_text
 from vstestbed.report.comparison.figures import Data
 from vstestbed.report.comparison.pairs import pairs
 from vstestbed.report.comparison.series import read_series
 from vstestbed.report.html.canvas import WIDTH_IN, save, style, to_svg
-from vstestbed.report.html.pieces import figure, film
+from vstestbed.report.html.parts import figure, film
 from vstestbed.report.html.template import PAGE, STYLE
 from vstestbed.report.run import numbers
 from vstestbed.report.run.page import setting_of
@@ -30,12 +29,14 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FILM_BYTES: Final = 8_000_000
-"""A film up to this size stands in the page itself, which stays under 20 MB."""
+"""A film up to this size is embedded (base64 makes it 4/3 as large); the page then stays under 20 MB."""
 BROAD_IN: Final = 2 * WIDTH_IN
+"""Width of a figure over both columns of the page [in]."""
 COLUMN_IN: Final = {1: 3.5, 2: 7.16}
 """Width of a paper's figure over one and two columns (IEEE) [in]."""
 DPI: Final = 300
 
+# Of each figure: key (file name, SVG identifiers), title, caption, columns that it takes, function that draws it.
 Plot = tuple[str, str, str, int, Callable[[Data, float], "Figure | None"]]
 PLOTS: Final[tuple[Plot, ...]] = (
     (
@@ -68,7 +69,7 @@ PLOTS: Final[tuple[Plot, ...]] = (
         "at the edge where they lie beyond it; a red number right of the frame counts the runs that have no such number. Of very many "
         "runs the first are drawn; the bars are of all.",
         2,
-        comparison_strips.distributions,
+        strip_plots.distributions,
     ),
     (
         "differences",
@@ -89,24 +90,24 @@ def write_comparison_report(
     command: str = "",
     film: Path | None = None,
 ) -> Path:
-    """Write `report.html` and `figures/` into a comparison's folder and give the page's path.
+    """Write `report.html` and `figures/` into a comparison's folder; returns the page's path.
 
     Args:
-        folder: of the comparison, with the runs' folders that the table names.
-        table: one row a run, as in `comparison.parquet`.
+        folder: the comparison's folder, with the runs' folders that the table names.
+        table: one row per run, as in `comparison.parquet`.
         axes: paths of the varied fields, each a column of the table.
-        metrics: names of `summary.json` that are shown; one that no run has shows as dashes.
-        description: in a few words, what is compared. command: what makes this comparison again.
-        film: runs side by side, in the folder; in the page up to 8 MB, else linked.
+        metrics: keys of `summary.json` to show; one that no run has shows as dashes.
+        description: what is compared, in a few words. command: the command line that repeats the comparison.
+        film: the side-by-side film in the folder; embedded up to 8 MB, else linked.
 
     Raises:
         OutputError: a file cannot be written.
     """
-    comparison = Comparison(table, axes, metrics, description)
+    comparison = ComparisonResults(table, axes, metrics, description)
     data = Data(comparison, read_series(folder, comparison), pairs(comparison), _threshold(folder, comparison))
     _write_figures(folder / "figures", data)
     body = [
-        comparison_words.headline(comparison, data.pairs),
+        summary_text.headline(comparison, data.pairs),
         comparison_tables.controllers(comparison),
         comparison_tables.differences(comparison, data.pairs),
         f"<section><h2>Figures</h2>{_figures(data)}</section>",
@@ -116,21 +117,22 @@ def write_comparison_report(
         comparison_tables.SCRIPT,
     ]
     scenarios = list(dict.fromkeys(map(str, table["scenario"].to_list())))
+    # two or three names fit the heading
     heading = " against ".join(scenarios) if 0 < len(scenarios) <= 3 else f"Comparison of {len(scenarios)} scenarios"
-    words = f'<p class="soft">{escape(_plan_words(comparison))}</p>'
-    words = (f"<p>{escape(description)}</p>" if description else "") + words
+    subtitle = f'<p class="soft">{escape(_plan_sentence(comparison))}</p>'
+    subtitle = (f"<p>{escape(description)}</p>" if description else "") + subtitle
     page = PAGE.format(
         title=escape(f"{heading}: comparison"),
         style=STYLE + comparison_tables.STYLE,
         heading=escape(heading),
-        description=words,
+        description=subtitle,
         body="\n".join(filter(None, body)),
     )
     return write_whole(folder / "report.html", page)
 
 
 def _write_figures(place: Path, data: Data) -> None:
-    """Every figure for a paper: PDF with its letters, and PNG."""
+    """Every figure in the size and style of a paper, as PDF with embedded fonts and as PNG."""
     try:
         place.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -140,24 +142,25 @@ def _write_figures(place: Path, data: Data) -> None:
             drawn = draw(data, COLUMN_IN[columns])
             if drawn is not None:
                 save(drawn, place / f"{key}.pdf")
-                drawn.set_layout_engine("none")  # the places found stay; to find them again would take as long
+                drawn.set_layout_engine("none")  # keep the layout of the PDF: to compute it again would take as long
                 save(drawn, place / f"{key}.png", DPI)
 
 
 def _figures(data: Data) -> str:
     """All figures as inline SVG: the narrow ones side by side, the broad ones below."""
-    made: dict[int, list[str]] = {1: [], 2: []}
+    by_width: dict[int, list[str]] = {1: [], 2: []}
     with style():
         for key, title, caption, columns, draw in PLOTS:
             drawn = draw(data, {1: WIDTH_IN, 2: BROAD_IN}[columns])
             if drawn is not None:
-                made[columns].append(figure(title, to_svg(drawn, key, title), caption))
-    broad = "".join(f'<div class="broad">{f}</div>' for f in made[2])
-    return f'<div class="plots">{"".join(made[1])}</div>{broad}'
+                by_width[columns].append(figure(title, to_svg(drawn, key, title), caption))
+    broad = "".join(f'<div class="broad">{f}</div>' for f in by_width[2])
+    return f'<div class="plots">{"".join(by_width[1])}</div>{broad}'
 
 
-def _threshold(folder: Path, comparison: Comparison) -> float | None:
-    """The error under which the goal counts as reached, where all controllers have the same."""
+def _threshold(folder: Path, comparison: ComparisonResults) -> float | None:
+    """RMS error that counts as converged [px]; None where the controllers differ in it."""
+    # one run per controller suffices: seeds do not change the stop block
     firsts = [folder / str(c.runs["folder"][0]) / "scenario.yaml" for c in comparison.controllers]
     found = {setting_of(path).threshold_px for path in firsts if path.is_file()}
     return found.pop() if len(found) == 1 else None
@@ -166,36 +169,38 @@ def _threshold(folder: Path, comparison: Comparison) -> float | None:
 def _film(path: Path | None) -> str:
     if path is None or not path.is_file():
         return ""
-    made = film("The same seed, side by side", path, path.stat().st_size <= FILM_BYTES)
-    return f'<section class="films"><h2>Film</h2>{made}</section>'
+    content = film("The same seed, side by side", path, path.stat().st_size <= FILM_BYTES)
+    return f'<section class="films"><h2>Film</h2>{content}</section>'
 
 
-def _plan_words(comparison: Comparison) -> str:
+def _plan_sentence(comparison: ComparisonResults) -> str:
     n, seeds = len(comparison.controllers), comparison.table["seed"].n_unique()
-    total = comparison_words.runs(len(comparison.table))
+    total = summary_text.runs(len(comparison.table))
     return f"{n} controller{'s' * (n != 1)}, {seeds} seed{'s' * (seeds != 1)}, {total}; the same seed gives each the same start and noise."
 
 
-def _provenance(comparison: Comparison, command: str) -> str:
-    """The plan, the command that makes it again, and what the runs were made with."""
+def _provenance(comparison: ComparisonResults, command: str) -> str:
+    """The plan of the comparison, the command that repeats it, and the versions of the software."""
     table = comparison.table
-    again = f"<p>Made again by<br><code>{escape(command)}</code></p>" if command else ""
+    repeat = f"<p>Made again by<br><code>{escape(command)}</code></p>" if command else ""
     plan = {"scenario": _values(table["scenario"].to_list())}
     plan |= {axis: _values(table[axis].to_list()) for axis in comparison.axes}
     plan |= {"seeds": _seeds(table["seed"].to_list()), "runs": str(len(table)), "numbers": ", ".join(comparison.metrics)}
     lines = "".join(f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in plan.items())
     names = [c for c in table.columns if c.startswith("versions.")]
+    # more than one version of a package if the comparison was resumed after an update
     versions = {name.removeprefix("versions."): _values([v for v in table[name].to_list() if v is not None]) for name in names}
-    made = numbers.provenance({"versions": versions})
-    return f'<section><h2>How it was made</h2>{again}<dl class="plan">{lines}</dl>{made}</section>'
+    software = numbers.provenance({"versions": versions})
+    return f'<section><h2>How it was made</h2>{repeat}<dl class="plan">{lines}</dl>{software}</section>'
 
 
 def _values(values: Sequence[object]) -> str:
-    """The different values, in order of first appearance."""
-    return ", ".join(dict.fromkeys(map(value_words, values)))
+    """The distinct values, in order of first appearance."""
+    return ", ".join(dict.fromkeys(map(value_text, values)))
 
 
 def _seeds(seeds: Sequence[int]) -> str:
-    different = sorted(set(seeds))
-    whole = len(different) > 2 and different == list(range(different[0], different[-1] + 1))
-    return f"{different[0]} to {different[-1]}" if whole else ", ".join(map(str, different))
+    """`0 to 19` for consecutive seeds, otherwise all of them."""
+    distinct = sorted(set(seeds))
+    consecutive = len(distinct) > 2 and distinct == list(range(distinct[0], distinct[-1] + 1))
+    return f"{distinct[0]} to {distinct[-1]}" if consecutive else ", ".join(map(str, distinct))

@@ -1,4 +1,7 @@
-"""The error of many runs over time on one grid: logs are read one at a time, and a few hundred numbers kept of each."""
+"""The image error of many runs over time, resampled to one time grid.
+
+Logs are read one at a time and only INSTANTS values of each are kept, so that memory does not grow with the length of the logs.
+"""
 
 from __future__ import annotations
 
@@ -10,17 +13,17 @@ import polars as pl
 from numpy.typing import NDArray
 
 from vstestbed.core.geometry import Array
-from vstestbed.report.comparison.columns import Comparison
+from vstestbed.report.comparison.columns import ComparisonResults
 
 INSTANTS = 240
-"""Points of the time grid: more than a figure's panel can show apart."""
+"""Points of the time grid: more than can be resolved in one panel of a figure."""
 _FAR = 1e30
-"""Stands for a run that sees nothing, which ranks behind all that do; finite, so that quantiles can be computed."""
+"""Error [px] that stands for a lost target: larger than any real one, but finite, since quantiles interpolate (inf - inf is NaN)."""
 
 
 @dataclass(frozen=True)
 class Series:
-    """RMS error of every run.
+    """RMS image error of every run over time.
 
     Attributes:
         t: the common time grid, shape (G,) [s].
@@ -31,42 +34,46 @@ class Series:
     errors: tuple[NDArray[np.float32], ...]
 
     def quartiles(self, controller: int) -> Array:
-        """First quartile, median and third quartile over the runs, shape (3, G); inf where so many runs see nothing.
+        """First quartile, median and third quartile over the runs, shape (3, G); inf where so many runs have lost the target.
 
-        A run that has lost its target counts as farther away than any that sees it: else a controller that loses
-        its worst runs would look better than one that keeps them.
+        A run without target ranks behind every run that sees it. If such runs were left out, a controller that loses its worst
+        runs would look better than one that keeps them in view.
         """
         errors = self.errors[controller].astype(float)
         if not len(errors):
             return np.full((3, len(self.t)), np.inf)
-        made = np.quantile(np.where(np.isfinite(errors), errors, _FAR), [0.25, 0.5, 0.75], axis=0)
-        return np.where(made < 1e-3 * _FAR, made, np.inf)
+        quartiles = np.quantile(np.where(np.isfinite(errors), errors, _FAR), [0.25, 0.5, 0.75], axis=0)
+        return np.where(quartiles < 1e-3 * _FAR, quartiles, np.inf)  # also where _FAR was only a part of the interpolation
 
 
-def read_series(folder: Path, comparison: Comparison) -> Series:
-    """The errors of all runs of a comparison's folder; a run that has ended holds its last value.
+def read_series(folder: Path, comparison: ComparisonResults) -> Series:
+    """Read the errors of all runs of a comparison; after its end a run holds its last value.
 
     Args:
-        folder: of the comparison; the table's `folder` is relative to it.
-        comparison: whose runs.
+        folder: the comparison's folder; the table's column `folder` is relative to it.
+        comparison: the comparison.
     """
+    # the duration of the longest run; 1 s if no run has any, so that the grid is not empty
     longest = comparison.table["sim_time_s"].cast(pl.Float64, strict=False).max() if "sim_time_s" in comparison.table.columns else None
     t = np.linspace(0, longest if isinstance(longest, float) and longest > 0 else 1.0, INSTANTS)
-    made = []
+    of_controllers = []
     for controller in comparison.controllers:
-        errors = np.full((len(controller.runs), len(t)), np.nan, dtype=np.float32)
+        errors = np.full(
+            (len(controller.runs), len(t)), np.nan, dtype=np.float32
+        )  # single precision halves the memory of large comparisons
         for i, place in enumerate(controller.runs["folder"].to_list()):
             errors[i] = _resampled(folder / str(place) / "log.parquet", t)
-        made.append(errors)
-    return Series(t, tuple(made))
+        of_controllers.append(errors)
+    return Series(t, tuple(of_controllers))
 
 
 def _resampled(path: Path, t: Array) -> Array:
-    """A log's error at the last frame before or at each time (G,); NaN before its first, and all NaN where no log can be read."""
+    """Zero-order hold of a log's error at the times t (G,) [s]; NaN before its first frame, and everywhere if the log cannot be read."""
     try:
         log = pl.read_parquet(path, columns=["t", "error_px"])
     except (OSError, pl.exceptions.PolarsError):
         return np.full(len(t), np.nan)
+    # 1e-9 s: a grid point that rounding has put just before its frame belongs to that frame
     frame = np.searchsorted(log["t"].to_numpy(), t + 1e-9, side="right") - 1
     error = log["error_px"].cast(pl.Float64).fill_null(np.nan).to_numpy()
     return np.where(frame >= 0, error[np.maximum(frame, 0)], np.nan) if len(error) else np.full(len(t), np.nan)

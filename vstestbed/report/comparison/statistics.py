@@ -1,6 +1,6 @@
-"""What many runs say together: rates, spreads and paired differences, each with what is known about its error.
+"""Statistics over many runs: success rates, medians with quartiles, paired differences, each with a confidence interval or p-value.
 
-Two controllers that flew the same seeds are compared pair by pair: what a hard start costs both falls out.
+Two controllers that ran from the same seeds are compared pair by pair: the difficulty of a start is common to both and cancels.
 """
 
 from __future__ import annotations
@@ -17,17 +17,18 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 
 FEWEST: Final = 5
-"""Pairs under which resampling says nothing: a resample of 4 is too often 4 times the same pair."""
+"""Fewest pairs for the bootstrap: with 4, one resample in 64 is 4 times the same pair and has no spread."""
 
 CHUNK: Final = 1_000_000
-"""Numbers resampled at a time: memory stays flat, whatever the number of pairs."""
+"""Values resampled at a time: bounds the memory (about 8 MB an array) whatever the number of pairs."""
 
 ROUNDING: Final = 8 * np.finfo(float).eps
+"""Relative difference under which two values count as equal: the same number reached by another order of operations."""
 
 
 @dataclass(frozen=True, slots=True)
 class Rate:
-    """A success rate with its interval, all in 0..1; `rate` is NaN where nothing was tried."""
+    """A success rate with its confidence interval, all in 0..1; `rate` is NaN for zero runs."""
 
     rate: float
     low: float
@@ -59,7 +60,7 @@ class Difference:
 
 @dataclass(frozen=True, slots=True)
 class SuccessDifference:
-    """On how many seeds only one controller succeeded, both, neither; `p`: how likely so lopsided a split is by chance."""
+    """Numbers of seeds on which only a, only b, both, neither succeeded; `p`: two-sided p-value of McNemar's exact test."""
 
     only_a: int
     only_b: int
@@ -69,7 +70,7 @@ class SuccessDifference:
 
 
 def success_rate(successes: int, n: int, confidence: float = 0.95) -> Rate:
-    """Successes among n runs, with the Wilson score interval, which is sound at 0 and at n of n too.
+    """Successes among n runs, with the Wilson score interval, which keeps its coverage at 0 and at n of n, too.
 
     Args:
         successes: runs that succeeded. n: runs. confidence: of the interval, in 0..1.
@@ -84,8 +85,8 @@ def success_rate(successes: int, n: int, confidence: float = 0.95) -> Rate:
     if not 0 <= successes <= n:
         raise ParameterError("successes", f"must be in 0..{n}", successes)
     if n == 0:
-        return Rate(math.nan, 0.0, 1.0, 0, 0)
-    from scipy.stats import binomtest  # half a second that other commands can do without
+        return Rate(math.nan, 0.0, 1.0, 0, 0)  # no run excludes no rate
+    from scipy.stats import binomtest  # imported here: it costs half a second that other commands need not pay
 
     interval = binomtest(int(successes), int(n)).proportion_ci(confidence, method="wilson")
     return Rate(successes / n, float(interval.low), float(interval.high), int(successes), int(n))
@@ -106,14 +107,14 @@ def paired_difference(a: ArrayLike, b: ArrayLike, confidence: float = 0.95, seed
 
         mean(d) -+ q s / sqrt(n),   q: quantile over resamples d* of |mean(d*) - mean(d)| / (s* / sqrt(n))
 
-    How often a nominal 5 % test by it calls n = 20 pairs different that are not: normal differences 5 % (BCa 8 %),
-    symmetric ones with heavy tails, as two equal controllers have, 1-3 % (10-18 %), exponential 6 % (9 %), lognormal,
-    which is as lopsided as times to converge get, 9 % (13 %); 4000 synthetic comparisons each.
-    Few pairs: under 5 the interval is Student's t, which is right for normal differences only and wide; from 5 to 10 the
-    bootstrap is up to twice as wide as Student's and misses real differences rather than inventing them.
-    Differences that are nearly all equal leave resamples without spread: Student's t again. If all are equal to
-    rounding, as deterministic runs have them, then low = high = mean. The order of the pairs does not matter, and
-    a against b is exactly b against a with the sign turned.
+    False positives of the nominal 5 % test at n = 20 pairs, from 4000 synthetic comparisons each (BCa bootstrap in brackets):
+    normal differences 5 % (8 %); symmetric with heavy tails, as two equal controllers have, 1-3 % (10-18 %); exponential
+    6 % (9 %); lognormal, which is as skewed as times to converge get, 9 % (13 %).
+    Under 5 pairs the interval is Student's t, which is exact for normal differences only, and wide. From 5 to 10 pairs the
+    bootstrap is up to twice as wide as Student's t: it rather misses a real difference than reports a false one.
+    If nearly all differences are equal, resamples without spread occur: Student's t again. If all are equal up to
+    rounding, as in deterministic runs, then low = high = mean. The order of the pairs does not matter, and exchanging
+    a and b changes the sign and nothing else.
 
     Args:
         a, b: one value a seed, shape (N,), in the same order of seeds; NaN or None where a run has none.
@@ -135,7 +136,7 @@ def paired_difference(a: ArrayLike, b: ArrayLike, confidence: float = 0.95, seed
         return Difference(math.nan, math.nan, math.nan, 0, False)
     if n == 1:
         return Difference(float(d[0]), math.nan, math.nan, 1, False)
-    if d[0] == d[-1]:
+    if d[0] == d[-1]:  # sorted: all differences are equal, and their standard deviation of 0 is no divisor
         mean, half = float(d[0]), 0.0
     else:
         mean, half = float(d.mean()), float(d.std(ddof=1)) / math.sqrt(n) * _quantile(d, confidence, seed, resamples)
@@ -168,7 +169,7 @@ def paired_success(a: ArrayLike, b: ArrayLike) -> SuccessDifference:
 
 
 def _differences(a: ArrayLike, b: ArrayLike) -> Array:
-    """Sorted a - b of the pairs with two finite values; what only rounding tells apart is made equal."""
+    """Sorted a - b of the pairs with two finite values; differences that are equal up to rounding are set equal."""
     a, b = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
     _check_pairs(a, b)
     known = np.isfinite(a) & np.isfinite(b)
@@ -182,11 +183,11 @@ def _differences(a: ArrayLike, b: ArrayLike) -> Array:
 
 
 def _quantile(d: Array, confidence: float, seed: int, resamples: int) -> float:
-    """How many standard errors the interval reaches to each side; d: differences, shape (N,), not all equal."""
+    """Half-width of the interval in standard errors; d: differences, shape (N,), not all equal."""
     n = len(d)
     if n >= FEWEST:
         reach = float(np.quantile(_studentised(d, seed, resamples), confidence, method="higher"))
-        if math.isfinite(reach):
+        if math.isfinite(reach):  # else at least a share 1 - confidence of the resamples had no spread
             return reach
     from scipy.special import stdtrit
 
@@ -194,12 +195,14 @@ def _quantile(d: Array, confidence: float, seed: int, resamples: int) -> float:
 
 
 def _studentised(d: Array, seed: int, resamples: int) -> Array:
-    """|mean(d*) - mean(d)| in standard errors of the resample d*, shape (resamples,); infinite where d* has no spread."""
+    """|mean(d*) - mean(d)| in standard errors of the resample d*, shape (resamples,); inf where d* has no spread but is off the mean."""
     rng = np.random.default_rng(seed)
     n = len(d)
     centred = d - d.mean()
+    # sorted, and with a sign of its own: neither the order of the pairs nor exchanging a and b may change the resamples
     centred = np.sort(centred if _heavier_above(centred) else -centred)
     out = np.empty(resamples)
+    # rows of resamples at a time
     step = max(1, CHUNK // n)
     for start in range(0, resamples, step):
         part = out[start : start + step]
@@ -212,7 +215,7 @@ def _studentised(d: Array, seed: int, resamples: int) -> Array:
 
 
 def _heavier_above(d: Array) -> bool:
-    """Which of d and -d is resampled: the same one for both, so that the sign of a comparison changes nothing else."""
+    """Whether d rather than -d is resampled: a rule that picks the same of the two for either sign."""
     up, down = np.sort(d), np.sort(-d)
     first = np.flatnonzero(up != down)
     return not len(first) or bool(up[first[0]] > down[first[0]])
@@ -220,7 +223,7 @@ def _heavier_above(d: Array) -> bool:
 
 def _check_pairs(a: NDArray[np.generic], b: NDArray[np.generic]) -> None:
     if a.ndim != 1 or a.shape != b.shape:
-        raise ParameterError("a, b", "must be two rows of the same length", (a.shape, b.shape))
+        raise ParameterError("a, b", "must be one-dimensional and of the same length", (a.shape, b.shape))
 
 
 def _check_confidence(confidence: float) -> None:

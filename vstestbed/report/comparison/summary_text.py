@@ -1,70 +1,102 @@
-"""The answer in words: which controller is better, by how much, and whether that is more than chance."""
+"""The result of a comparison in sentences: which controller is better, by how much, and whether the difference is significant."""
 
 from __future__ import annotations
 
 import math
 from html import escape
 
-from vstestbed.report.comparison.columns import Comparison, Controller, Metric
+from vstestbed.report.comparison.columns import ComparisonResults, ControllerResults, Metric
 from vstestbed.report.comparison.pairs import MOST_CONTROLLERS, TIME, Pair, against
 from vstestbed.report.comparison.statistics import success_rate
 from vstestbed.report.run.numbers import number
 
 MOST_OTHERS = 4
-"""So many other numbers in which two controllers differ are named in the answer; the table has all."""
+"""Other metrics with a significant difference that a sentence names; the table has all of them."""
+MOST_SENTENCES = 3
+"""Up to this many pairs have their sentence in the box itself: those of three controllers."""
 
 
-def headline(comparison: Comparison, made: list[Pair]) -> str:
-    """The answer in large letters, green where one controller is better than all others, with a sentence for each pair."""
+def headline(comparison: ComparisonResults, all_pairs: list[Pair]) -> str:
+    """The result as a box, green where one controller is better than all others, with a sentence for each pair."""
     if len(comparison.controllers) == 1:
         return _box(_alone(comparison.controllers[0]), [], decided=False)
     labels = [c.label for c in comparison.controllers]
-    strong, decided = _overall(labels, made)
-    wins = [sum(p.better == i for p in made) for i in range(len(labels))]
-    best = wins.index(max(wins))
-    first = made if len(made) <= 3 else [p for p in made if best in (p.a, p.b)][:MOST_CONTROLLERS]
-    rest = "".join(f"<li>{escape(pair_words(p, labels))}</li>" for p in made if p not in first)
+    verdict, decided = _overall(labels, all_pairs)
+    shown = _pairs_in_the_box(labels, all_pairs)
+    rest = "".join(f"<li>{escape(pair_text(p, labels))}</li>" for p in all_pairs if p not in shown)
     folded = f"<details><summary>The other pairs in words</summary><ul>{rest}</ul></details>" if rest else ""
-    return _box(strong, [pair_words(p, labels) for p in first], decided) + folded
+    return _box(verdict, [pair_text(p, labels) for p in shown], decided) + folded
 
 
-def _box(strong: str, sentences: list[str], decided: bool) -> str:
+def _pairs_in_the_box(labels: list[str], all_pairs: list[Pair]) -> list[Pair]:
+    """All pairs of up to three controllers; of more controllers the pairs of the one that wins most often."""
+    if len(all_pairs) <= MOST_SENTENCES:
+        return all_pairs
+    wins = _wins(labels, all_pairs)
+    best = wins.index(max(wins))
+    return [p for p in all_pairs if best in (p.a, p.b)][:MOST_CONTROLLERS]
+
+
+def _box(verdict: str, sentences: list[str], decided: bool) -> str:
     listed = "".join(f"<li>{escape(s)}</li>" for s in sentences)
     below = f"<ul>{listed}</ul>" if listed else ""
-    return f'<div class="outcome {"good" if decided else "open"}"><strong>{escape(strong)}</strong>{below}</div>'
+    return f'<div class="outcome {"good" if decided else "open"}"><strong>{escape(verdict)}</strong>{below}</div>'
 
 
-def _alone(controller: Controller) -> str:
+def _alone(controller: ControllerResults) -> str:
     rate = success_rate(int(controller.success.sum()), len(controller.success))
     interval = f"{100 * rate.rate:.0f} %, 95 % interval {100 * rate.low:.0f} to {100 * rate.high:.0f} %"
     return f"{controller.label} reached the goal in {rate.successes} of {runs(rate.n)} ({interval})."
 
 
-def _overall(labels: list[str], made: list[Pair]) -> tuple[str, bool]:
-    """The sentence for all, and whether one controller is better than every other."""
+def _overall(labels: list[str], all_pairs: list[Pair]) -> tuple[str, bool]:
+    """The sentence on all controllers, and whether one is better than every other."""
     if len(labels) == 2:
-        return _of_two(labels, made[0])
+        return _of_two(labels, all_pairs[0])
     if len(labels) > MOST_CONTROLLERS:
-        return _against_first(labels, made), False
-    seeds = max(p.seeds for p in made)
-    beaten = {p.a + p.b - p.better for p in made if p.better is not None}
-    wins = [sum(p.better == i for p in made) for i in range(len(labels))]
+        return _against_first(labels, all_pairs), False
+    wins = _wins(labels, all_pairs)
     if max(wins) == len(labels) - 1:
-        first = wins.index(max(wins))
-        closest = max(against(made, first), key=lambda p: wins[p.b])
-        words = f"{labels[first]} is better than each of the other {_count(len(labels) - 1)}: than {labels[closest.b]}, it"
-        return f"{words} {_ways(closest.turned())}.", True
+        return _best_of_all(labels, all_pairs, wins), True
     if max(wins) == 0:
-        real = any(p.success_is_real or p.differences[TIME.name].real for p in made)
-        if real:
-            return "None of them is better: who reaches the goal more often does so later.", False
-        what = "of success or of time" if any(map(_others, made)) else "between them"
-        return f"No difference {what} that {runs(seeds)} each could show.", False
-    ahead = [i for i in range(len(labels)) if i not in beaten]
-    if ahead and all(wins[i] == len(labels) - len(ahead) for i in ahead):
-        words = f"{_list([labels[i] for i in ahead])} are better than the rest; {runs(seeds)} each show neither of them ahead."
-        return words.replace("neither", "neither" if len(ahead) == 2 else "none"), False
-    return "None of them is better than all the others.", False
+        return _no_winner(all_pairs), False
+    return _leading_group(labels, all_pairs, wins), False
+
+
+def _wins(labels: list[str], all_pairs: list[Pair]) -> list[int]:
+    """Number of other controllers that each controller is better than."""
+    return [sum(p.better == i for p in all_pairs) for i in range(len(labels))]
+
+
+def _best_of_all(labels: list[str], all_pairs: list[Pair], wins: list[int]) -> str:
+    """One controller beats every other; by how much is said of the runner-up, the other with the most wins."""
+    first = wins.index(max(wins))
+    closest = max(against(all_pairs, first), key=lambda p: wins[p.b])
+    words = f"{labels[first]} is better than each of the other {_count(len(labels) - 1)}: than {labels[closest.b]}, it"
+    return f"{words} {_advantages(closest.turned())}."
+
+
+def _no_winner(all_pairs: list[Pair]) -> str:
+    """No controller is better than any other: either nothing is significant, or success and time contradict each other."""
+    if any(p.success_is_real or p.differences[TIME.name].real for p in all_pairs):
+        return "None of them is better: who reaches the goal more often does so later."
+    what = "of success or of time" if any(map(_others, all_pairs)) else "between them"
+    return f"No difference {what} that {runs(max(p.seeds for p in all_pairs))} each could show."
+
+
+def _leading_group(labels: list[str], all_pairs: list[Pair], wins: list[int]) -> str:
+    """The undefeated controllers, if each of them beats all the defeated ones."""
+    ahead = _undefeated(labels, all_pairs)
+    if not ahead or any(wins[i] != len(labels) - len(ahead) for i in ahead):
+        return "None of them is better than all the others."
+    which = "neither" if len(ahead) == 2 else "none"
+    seeds = max(p.seeds for p in all_pairs)
+    return f"{_list([labels[i] for i in ahead])} are better than the rest; {runs(seeds)} each show {which} of them ahead."
+
+
+def _undefeated(labels: list[str], all_pairs: list[Pair]) -> list[int]:
+    defeated = {p.a + p.b - p.better for p in all_pairs if p.better is not None}  # a + b - better: the other one of the pair
+    return [i for i in range(len(labels)) if i not in defeated]
 
 
 def _of_two(labels: list[str], pair: Pair) -> tuple[str, bool]:
@@ -78,32 +110,32 @@ def _of_two(labels: list[str], pair: Pair) -> tuple[str, bool]:
             return f"{words}; they differ in {_list(others)}.", False
         return f"No difference between {labels[pair.a]} and {labels[pair.b]} that {runs(pair.seeds)} each could show.", False
     pair = pair if pair.better == pair.b else pair.turned()
-    return f"{labels[pair.b]} is better than {labels[pair.a]}: it {_ways(pair)}.", True
+    return f"{labels[pair.b]} is better than {labels[pair.a]}: it {_advantages(pair)}.", True
 
 
-def _ways(pair: Pair) -> str:
-    """In what b is better than a, and by how much."""
-    time, ways = pair.differences[TIME.name], []
+def _advantages(pair: Pair) -> str:
+    """In what b is significantly better than a, and by how much."""
+    time, advantages = pair.differences[TIME.name], []
     if pair.success_is_real:
-        ways.append(f"reaches the goal on {pair.success.only_b - pair.success.only_a} more of {pair.seeds} seeds")
+        advantages.append(f"reaches the goal on {pair.success.only_b - pair.success.only_a} more of {pair.seeds} seeds")
     if time.real:
-        ways.append(f"converges {number(-time.mean)} s{_share(pair)} sooner")
-    return " and ".join(ways)
+        advantages.append(f"converges {number(-time.mean)} s{_share(pair)} sooner")
+    return " and ".join(advantages)
 
 
-def _against_first(labels: list[str], made: list[Pair]) -> str:
-    better = [labels[p.b] for p in made if p.better == p.b]
-    worse = sum(p.better == p.a for p in made)
-    seeds = max(p.seeds for p in made)
+def _against_first(labels: list[str], all_pairs: list[Pair]) -> str:
+    """Of very many controllers only the first is the reference: how many are better than it, how many worse."""
+    better = [labels[p.b] for p in all_pairs if p.better == p.b]
+    worse = sum(p.better == p.a for p in all_pairs)
+    seeds = max(p.seeds for p in all_pairs)
     named = f" ({_list(better)})" if 0 < len(better) <= 4 else ""
-    rest = len(made) - len(better) - worse
-    return (
-        f"Against {labels[0]}: {len(better)} of {len(made)} are better{named}, {worse} worse; for {rest}, {runs(seeds)} each do not tell."
-    )
+    rest = len(all_pairs) - len(better) - worse
+    counts = f"{len(better)} of {len(all_pairs)} are better{named}, {worse} worse"
+    return f"Against {labels[0]}: {counts}; for {rest}, {runs(seeds)} each do not tell."
 
 
-def pair_words(pair: Pair, labels: list[str]) -> str:
-    """One pair in a sentence or two: how often each reached the goal, and how long it took where both did."""
+def pair_text(pair: Pair, labels: list[str]) -> str:
+    """One pair in a few sentences: successes, times to converge on the seeds where both did, other significant differences."""
     s, n, a, b = pair.success, pair.seeds, labels[pair.a], labels[pair.b]
     of_a, of_b = s.both + s.only_a, s.both + s.only_b
     if n == 0:
@@ -115,10 +147,10 @@ def pair_words(pair: Pair, labels: list[str]) -> str:
     else:
         proof = f"a real difference ({_p(s.p)})" if pair.success_is_real else f"no difference that {runs(n)} could show ({_p(s.p)})"
         goal = f"{b} reached the goal on {of_b} of {n} seeds, {a} on {of_a}: {proof}."
-    return " ".join(filter(None, (goal, _time_words(pair, a, b), _other_words(pair))))
+    return " ".join(filter(None, (goal, _time_text(pair, a, b), _other_text(pair))))
 
 
-def _time_words(pair: Pair, a: str, b: str) -> str:
+def _time_text(pair: Pair, a: str, b: str) -> str:
     time = pair.differences[TIME.name]
     if time.n == 0:
         return "Never on the same seed, so that times cannot be compared." if pair.success.only_a and pair.success.only_b else ""
@@ -131,26 +163,27 @@ def _time_words(pair: Pair, a: str, b: str) -> str:
     return f"Their times to converge show no difference that {time.n} seeds could show (mean {signed(time.mean)} s, {interval})."
 
 
-def _other_words(pair: Pair) -> str:
-    """In what else they differ."""
-    told = [f"{m.title.lower()} ({f'{signed(pair.differences[m.name].mean)} {m.unit}'.strip()})" for m in _others(pair)]
-    more = f", and {len(told) - MOST_OTHERS} more" if len(told) > MOST_OTHERS else ""
-    return f"They really differ in {', '.join(told[:MOST_OTHERS])}{more}." if told else ""
+def _other_text(pair: Pair) -> str:
+    """The other metrics with a significant difference."""
+    named = [f"{m.title.lower()} ({f'{signed(pair.differences[m.name].mean)} {m.unit}'.strip()})" for m in _others(pair)]
+    more = f", and {len(named) - MOST_OTHERS} more" if len(named) > MOST_OTHERS else ""
+    return f"They really differ in {', '.join(named[:MOST_OTHERS])}{more}." if named else ""
 
 
 def _others(pair: Pair) -> list[Metric]:
-    """The metrics but time in which the two really differ."""
+    """The metrics other than time whose difference is significant."""
     return [Metric.of(name) for name, d in pair.differences.items() if d.real and name != TIME.name]
 
 
 def _share(pair: Pair) -> str:
-    """The difference of times as a share of the reference's mean: ` (12 %)`."""
+    """The difference of times relative to the mean of a: ` (12 %)`."""
     mean, time = pair.means[TIME.name], pair.differences[TIME.name].mean
     return f" ({number(abs(100 * time / mean))} %)" if mean > 0 else ""
 
 
 def signed(value: float) -> str:
     """A difference with its sign and three significant figures."""
+    # `number` writes powers of ten as HTML, but these sentences are escaped as a whole
     return ("+" if value > 0 else "\N{MINUS SIGN}" if value < 0 else "") + number(abs(value)).replace("<sup>", "^").replace("</sup>", "")
 
 
@@ -168,5 +201,6 @@ def _p(p: float) -> str:
 
 
 def _list(words: list[str]) -> str:
+    # a label with commas (several varied fields) is bracketed, or one could not see where it ends
     quoted = words if not any("," in w for w in words) else [f"({w})" for w in words]
     return " and ".join(quoted) if len(quoted) < 3 else ", ".join(quoted[:-1]) + f" and {quoted[-1]}"

@@ -1,4 +1,4 @@
-"""The comparison's tables: one line a controller, and the paired differences; both sort by a click on a head."""
+"""HTML tables of a comparison: the controllers' metrics and their paired differences; a click on a column's head sorts by it."""
 
 from __future__ import annotations
 
@@ -6,18 +6,18 @@ import math
 from collections.abc import Sequence
 from html import escape
 
-from vstestbed.report.comparison.columns import Comparison, Controller, Metric
+from vstestbed.report.comparison.columns import ComparisonResults, ControllerResults, Metric
 from vstestbed.report.comparison.pairs import MOST_CONTROLLERS, Pair, against
 from vstestbed.report.comparison.statistics import spread, success_rate
 from vstestbed.report.comparison.summary_text import signed
 from vstestbed.report.run.numbers import number
 
 Cell = tuple[float | str | None, str]
-"""What a cell sorts by, and its HTML."""
+"""Sort key of a table cell (None sorts last), and its HTML."""
 
 
-def controllers(comparison: Comparison) -> str:
-    """One line a controller: success rate with its interval, and the median of each metric with its quartiles."""
+def controllers(comparison: ComparisonResults) -> str:
+    """One row per controller: success rate with its interval, and each metric's median with its quartiles."""
     heads = ["Controller", "Reached the goal", *(m.label for m in comparison.shown)]
     lines = [[(c.label, escape(c.label)), _rate(c), *(_spread(c, m) for m in comparison.shown)] for c in comparison.controllers]
     note = (
@@ -28,7 +28,7 @@ def controllers(comparison: Comparison) -> str:
     return f'<section><h2>Controllers</h2>{table(heads, lines)}<p class="soft">{note} Click on a head to sort.</p></section>'
 
 
-def _rate(controller: Controller) -> Cell:
+def _rate(controller: ControllerResults) -> Cell:
     if not len(controller.success):
         return None, "–"
     rate = success_rate(int(controller.success.sum()), len(controller.success))
@@ -36,48 +36,51 @@ def _rate(controller: Controller) -> Cell:
     return rate.rate, f"{100 * rate.rate:.0f} % {_below(below)}{_below(f'{rate.successes} of {rate.n}')}"
 
 
-def _spread(controller: Controller, metric: Metric) -> Cell:
-    made = spread(controller.counted(metric))
-    if made.n == 0:
+def _spread(controller: ControllerResults, metric: Metric) -> Cell:
+    summary = spread(controller.counted(metric))
+    if summary.n == 0:
         return None, "–"
-    count = _below(f"n = {made.n}") if made.n < len(controller.runs) else ""
-    return made.median, f"{number(made.median)} {_below(f'[{number(made.q1)}, {number(made.q3)}]')}{count}"
+    # the number of runs only where it is not all of them
+    count = _below(f"n = {summary.n}") if summary.n < len(controller.runs) else ""
+    return summary.median, f"{number(summary.median)} {_below(f'[{number(summary.q1)}, {number(summary.q3)}]')}{count}"
 
 
-def differences(comparison: Comparison, made: list[Pair]) -> str:
-    """Tables of paired differences, one for each controller that the others can be compared with; empty for a single one."""
+def differences(comparison: ComparisonResults, all_pairs: list[Pair]) -> str:
+    """Tables of paired differences, one for each reference controller, of which the page shows one; empty for a single controller."""
     n = len(comparison.controllers)
     if n < 2:
         return ""
     references = range(n) if n <= MOST_CONTROLLERS else range(1)
     labels = [c.label for c in comparison.controllers]
-    parts = [_against(comparison, against(made, i), labels, i) for i in references]
+    parts = [_against(comparison, against(all_pairs, i), labels, i) for i in references]
     note = (
         "Reached the goal: on how many more seeds; p says how often chance alone would be as lopsided (McNemar). "
-        f"The numbers: the mean of this line minus the other over the seeds on which both reached the goal{_but(comparison)}, "
+        f"The numbers: the mean of this line minus the other over the seeds on which both reached the goal{_all_seeds_note(comparison)}, "
         "its 95 % bootstrap interval "
-        f"below. Bold with a dot: the interval excludes zero, the difference is real. There are {len(made) * (1 + len(comparison.shown))} "
+        "below. Bold with a dot: the interval excludes zero, the difference is real. "
+        f"There are {len(all_pairs) * (1 + len(comparison.shown))} "
         "tests in all; of tests where nothing differs, one in twenty looks real all the same."
     )
     return f'<section><h2>Paired differences</h2>{_chooser(labels, len(parts))}{"".join(parts)}<p class="soft">{note}</p></section>'
 
 
-def _but(comparison: Comparison) -> str:
-    """Which numbers are compared on all seeds."""
+def _all_seeds_note(comparison: ComparisonResults) -> str:
+    """The metrics that are compared over all seeds, in brackets."""
     names = [m.title for m in comparison.shown if m.every_pair]
     return f" ({', '.join(names)}: over all seeds)" if names else ""
 
 
 def _chooser(labels: Sequence[str], n: int) -> str:
+    """The list in which the reader picks the reference controller, of n; SCRIPT shows the table of that one."""
     if n < 2:
         return ""
     options = "".join(f'<option value="{i}">{escape(label)}</option>' for i, label in enumerate(labels[:n]))
     return f'<p><label>Compared with <select id="reference">{options}</select></label></p>'
 
 
-def _against(comparison: Comparison, made: list[Pair], labels: Sequence[str], reference: int) -> str:
+def _against(comparison: ComparisonResults, against_reference: list[Pair], labels: Sequence[str], reference: int) -> str:
     heads = [f"Against {labels[reference]}", "Reached the goal", *(m.label for m in comparison.shown)]
-    lines = [[(labels[p.b], escape(labels[p.b])), _goals(p), *(_difference(p, m) for m in comparison.shown)] for p in made]
+    lines = [[(labels[p.b], escape(labels[p.b])), _goals(p), *(_difference(p, m) for m in comparison.shown)] for p in against_reference]
     return f'<div class="against" data-reference="{reference}">{table(heads, lines)}</div>'
 
 
@@ -108,7 +111,7 @@ def _below(text: str) -> str:
 
 
 def table(heads: Sequence[str], lines: Sequence[Sequence[Cell]]) -> str:
-    """A table whose heads are buttons that sort it; each cell carries what it sorts by, an empty one comes last."""
+    """A table whose column heads are buttons that sort it; each cell carries its sort key as `data-value`."""
     top = "".join(f'<th scope="col" aria-sort="none"><button type="button">{escape(h)}</button></th>' for h in heads)
     body = "".join(f"<tr>{''.join(_cell(c, i) for i, c in enumerate(line))}</tr>" for line in lines)
     return f'<div class="wide"><table class="sortable"><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>'
@@ -116,6 +119,7 @@ def table(heads: Sequence[str], lines: Sequence[Sequence[Cell]]) -> str:
 
 def _cell(cell: Cell, place: int) -> str:
     key, content = cell
+    # nine digits: values that differ only beyond the shown ones still sort
     value = "" if key is None else escape(str(key) if isinstance(key, str | int) else f"{key:.9g}")
     return f'<th scope="row" data-value="{value}">{content}</th>' if place == 0 else f'<td data-value="{value}">{content}</td>'
 
@@ -148,6 +152,7 @@ code { font: .82rem/1.45 ui-monospace, SFMono-Regular, Menlo, Consolas, monospac
   .wide { overflow: visible; } table { font-size: 7pt; } }
 """
 
+# The page must work from a file:// address without network: the script is inline and uses no library.
 SCRIPT = """<script>
 for (const table of document.querySelectorAll("table.sortable")) {
   const heads = [...table.tHead.rows[0].cells], body = table.tBodies[0];

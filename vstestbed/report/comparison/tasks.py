@@ -1,4 +1,7 @@
-"""The report of a comparison with tasks: a table of laws by tasks that names every failure, and the figures over the amounts."""
+"""Report of a comparison with tasks: a table of laws by tasks that names every failure, and figures over the tasks' amounts.
+
+The amount of a run is the parameter that varies within its task, such as `20 deg` for a turn; without one it is a bare number.
+"""
 
 from __future__ import annotations
 
@@ -16,11 +19,11 @@ from vstestbed.core.errors import OutputError
 from vstestbed.core.files import write_whole
 from vstestbed.core.geometry import Array
 from vstestbed.report.comparison import failures as comparison_failures
-from vstestbed.report.comparison.columns import Comparison, Controller, Metric
+from vstestbed.report.comparison.columns import ComparisonResults, ControllerResults, Metric
 from vstestbed.report.comparison.statistics import success_rate
 from vstestbed.report.comparison.tables import STYLE as TABLES
 from vstestbed.report.html.canvas import LINE_COLORS, LOST, new_figure, save, style, to_svg
-from vstestbed.report.html.pieces import figure
+from vstestbed.report.html.parts import figure
 from vstestbed.report.html.template import PAGE, STYLE
 
 if TYPE_CHECKING:
@@ -30,75 +33,83 @@ if TYPE_CHECKING:
 TASK, AMOUNT = "task", "amount"
 TIME: Final = "time_to_converge_s"
 DRAWN: Final = (TIME, "max_retreat_m")
-"""What is drawn where a comparison names no metrics."""
+"""Metrics that are drawn where a comparison names none."""
 MOST_ROWS: Final = 3
+"""Metrics that are drawn: the first ones; all have tables."""
+ROUNDING: Final = 1e-6
+"""Values below this are rounding errors in the unit of any metric."""
 DASHES: Final = ("-", "--", ":")
 DPI: Final = 200
 
 
 @dataclass(frozen=True)
 class Cell:
-    """The runs of one law in one task, by amount."""
+    """The runs of one law in one task: a cell of the table."""
 
     law: str
     task: str
-    controller: Controller
+    controller: ControllerResults
 
     @property
     def amounts(self) -> list[str]:
-        """What each run is called."""
+        """The amount of each run."""
         return [str(a) for a in self.controller.runs[AMOUNT].to_list()]
 
     @property
     def failed(self) -> dict[str, list[str]]:
-        """The amounts by the outcome that was no success."""
-        by: dict[str, list[str]] = defaultdict(list)
+        """Amounts of the failed runs by outcome."""
+        by_outcome: dict[str, list[str]] = defaultdict(list)
         for amount, outcome, good in zip(self.amounts, self.controller.runs["outcome"].to_list(), self.controller.success, strict=True):
             if not good:
-                by[str(outcome)].append(amount)
-        return dict(by)
+                by_outcome[str(outcome)].append(amount)
+        return dict(by_outcome)
 
     @property
     def time_s(self) -> float:
-        """Median time to converge [s], NaN where none did."""
+        """Median time to converge [s], NaN if no run converged."""
         counted = self.controller.counted(Metric.of(TIME))
         counted = counted[np.isfinite(counted)]
         return float(np.median(counted)) if len(counted) else float("nan")
 
     def spread(self, metric: Metric) -> str:
-        """Median and largest of a number over the runs that it counts, those that reached the goal; empty where none has it."""
+        """Median and largest value of a metric over the runs that reached the goal, as text; empty if none has it."""
         counted = self.controller.counted(metric)
         counted = counted[np.isfinite(counted)]
         return f"{_digits(float(np.median(counted)))}, {_digits(float(counted.max()))}" if len(counted) else ""
 
-    def words(self) -> list[str]:
-        """How many reached the goal, how fast, and each failure by its outcome."""
+    def summary_lines(self) -> list[str]:
+        """Successes with their median time, then one line for each outcome of failed runs with their amounts."""
         good, n = int(self.controller.success.sum()), len(self.controller.success)
         first = f"{good} of {n}" + (f", {self.time_s:.1f} s" if good else "")
         return [first] + [f"{_numbers(amounts)}: {outcome.replace('_', ' ')}" for outcome, amounts in self.failed.items()]
 
 
 def _digits(value: float) -> str:
-    """Three digits; under a millionth, which no metric's unit can tell from rounding, 0."""
-    return "0" if abs(value) < 1e-6 else f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
+    """A value with three digits, 0 if it is a rounding error."""
+    return "0" if abs(value) < ROUNDING else f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
 
 
 def _numbers(amounts: Sequence[str]) -> str:
-    """`160, 180 deg`, and `no. 3, 7` for runs that have numbers only."""
+    """A list of amounts with their unit once: `160, 180 deg`; `no. 3, 7` for bare numbers."""
     numbers, units = zip(*(a.partition(" ")[::2] for a in amounts), strict=True)
     return f"{', '.join(numbers)} {units[0]}" if units[0] else f"no. {', '.join(numbers)}"
 
 
 def cells(table: pl.DataFrame, axes: Sequence[str]) -> list[Cell]:
-    """Every law in every task, in order of first appearance; a law is what the other axes tell apart."""
+    """Every law in every task, in order of first appearance; the laws are the combinations of all axes but the task."""
     others = [axis for axis in axes if axis != TASK]
-    comparison = Comparison(table.select(pl.exclude(TASK)), tuple(others))
-    made = []
+    comparison = ComparisonResults(table.select(pl.exclude(TASK)), tuple(others))
+    found = []
     for law in comparison.controllers:
+        # with a single axis `law=points` is just `points`
         label = law.label if "=" not in law.label or len(others) > 1 else law.label.partition("=")[2]
+        # the rows of one law in all tasks
         rows = table.filter(pl.all_horizontal(pl.col(c) == law.runs[c][0] for c in ("scenario", *others)))
-        made += [Cell(label, str(task), Controller(label, rows.filter(pl.col(TASK) == task).sort("seed"))) for task in _ordered(rows[TASK])]
-    return made
+        found += [
+            Cell(label, str(task), ControllerResults(label, rows.filter(pl.col(TASK) == task).sort("seed")))
+            for task in _ordered(rows[TASK])
+        ]
+    return found
 
 
 def _ordered(values: pl.Series) -> list[str]:
@@ -106,12 +117,13 @@ def _ordered(values: pl.Series) -> list[str]:
 
 
 def markdown(found: Sequence[Cell], metrics: Sequence[str] = ()) -> str:
-    """The table for a README: a line a law, a column a task; then one for each metric but the time, median and largest."""
-    first = _markdown(found, lambda cell: "; ".join(cell.words()))
+    """Markdown tables, laws by tasks: successes and failures; then median and largest value of each metric but the time."""
+    first = _markdown(found, lambda cell: "; ".join(cell.summary_lines()))
     return "\n".join([first, *(f"{m.label}: median, largest\n\n{_markdown(found, _spread_of(m))}" for m in _tabled(metrics))])
 
 
 def _tabled(metrics: Sequence[str]) -> list[Metric]:
+    """The metrics with a table of their own; the time stands in the first table already."""
     return [Metric.of(name) for name in metrics if name != TIME]
 
 
@@ -119,16 +131,21 @@ def _spread_of(metric: Metric) -> Callable[[Cell], str]:
     return lambda cell: cell.spread(metric)
 
 
-def _markdown(found: Sequence[Cell], words: Callable[[Cell], str]) -> str:
-    tasks, laws = list(dict.fromkeys(c.task for c in found)), list(dict.fromkeys(c.law for c in found))
+def _tasks_and_laws(found: Sequence[Cell]) -> tuple[list[str], list[str]]:
+    """Columns and rows of the table, in order of first appearance."""
+    return list(dict.fromkeys(c.task for c in found)), list(dict.fromkeys(c.law for c in found))
+
+
+def _markdown(found: Sequence[Cell], text: Callable[[Cell], str]) -> str:
+    tasks, laws = _tasks_and_laws(found)
     of = {(c.law, c.task): c for c in found}
     lines = ["| | " + " | ".join(tasks) + " |", "|---" * (len(tasks) + 1) + "|"]
-    lines += [f"| `{law}` | " + " | ".join(words(of[law, t]) if (law, t) in of else "" for t in tasks) + " |" for law in laws]
+    lines += [f"| `{law}` | " + " | ".join(text(of[law, t]) if (law, t) in of else "" for t in tasks) + " |" for law in laws]
     return "\n".join(lines) + "\n"
 
 
 def _html(found: Sequence[Cell], cell: Callable[[Cell | None], str]) -> str:
-    tasks, laws = list(dict.fromkeys(c.task for c in found)), list(dict.fromkeys(c.law for c in found))
+    tasks, laws = _tasks_and_laws(found)
     of = {(c.law, c.task): c for c in found}
     head = "".join(f"<th>{escape(t)}</th>" for t in tasks)
     rows = "".join(f'<tr><th scope="row">{escape(law)}</th>{"".join(cell(of.get((law, t))) for t in tasks)}</tr>' for law in laws)
@@ -138,7 +155,7 @@ def _html(found: Sequence[Cell], cell: Callable[[Cell | None], str]) -> str:
 def _td(cell: Cell | None) -> str:
     if cell is None:
         return "<td></td>"
-    first, *failures = cell.words()
+    first, *failures = cell.summary_lines()
     rate = success_rate(int(cell.controller.success.sum()), len(cell.controller.success))
     interval = f"<small>[{100 * rate.low:.0f}, {100 * rate.high:.0f}] %</small>"
     return f"<td>{escape(first)}{interval}{''.join(f'<small>{escape(f)}</small>' for f in failures)}</td>"
@@ -156,33 +173,32 @@ def _td_of(metric: Metric) -> Callable[[Cell | None], str]:
 
 
 def draw(found: Sequence[Cell], metrics: Sequence[str], width_in: float) -> Figure:
-    """A column a task, a line a metric: each law's number over the amounts; red crosses above: runs without success."""
-    tasks, laws = list(dict.fromkeys(c.task for c in found)), list(dict.fromkeys(c.law for c in found))
+    """One column per task, one row per metric: each law's values over the amounts; red crosses at the top: failed runs."""
+    tasks, laws = _tasks_and_laws(found)
+    by_task = [[c for c in found if c.task == task] for task in tasks]
     shown = [Metric.of(name) for name in (metrics or DRAWN)[:MOST_ROWS]]
     drawn = new_figure(1.3 + 0.19 * width_in * len(shown), width_in)
     grid = drawn.subplots(len(shown), len(tasks), sharey="row", sharex="col", squeeze=False)
-    for row, metric in enumerate(shown):
-        for column, task in enumerate(tasks):
-            axes: Axes = grid[row, column]
-            here = [c for c in found if c.task == task]
-            _panel(axes, here, laws, metric)
-            if row == 0:
-                axes.set_title(task)
-            if row == len(shown) - 1:
-                axes.set_xlabel(_unit(here))
-            if column == 0:
-                axes.set_ylabel(metric.label)
+    for row, metric in zip(grid, shown, strict=True):
+        for axes, here in zip(row, by_task, strict=True):
+            _draw_panel(axes, here, laws, metric)
+        row[0].set_ylabel(metric.label)
+    for column, task, here in zip(grid.T, tasks, by_task, strict=True):
+        column[0].set_title(task)
+        column[-1].set_xlabel(_unit(here) or "each law in turn")
     handles = grid[0, 0].get_legend_handles_labels()
     drawn.legend(*handles, loc="outside lower center", ncols=min(len(laws), 6))
     return drawn
 
 
 def _unit(here: Sequence[Cell]) -> str:
-    return here[0].amounts[0].partition(" ")[2] or "each law in turn"
+    """Unit of a task's amounts; empty for bare numbers."""
+    return here[0].amounts[0].partition(" ")[2]
 
 
-def _panel(axes: Axes, here: Sequence[Cell], laws: Sequence[str], metric: Metric) -> None:
-    ordered = bool(here[0].amounts[0].partition(" ")[2])
+def _draw_panel(axes: Axes, here: Sequence[Cell], laws: Sequence[str], metric: Metric) -> None:
+    """One metric of one task: a curve over the amounts; where they are bare numbers, random starts, a strip of points per law."""
+    ordered = bool(_unit(here))
     for cell in here:
         i = laws.index(cell.law)
         colour, dash = LINE_COLORS[i % len(LINE_COLORS)], DASHES[i // len(LINE_COLORS)]
@@ -192,16 +208,17 @@ def _panel(axes: Axes, here: Sequence[Cell], laws: Sequence[str], metric: Metric
             axes.plot(amount, np.where(good, value, np.nan), dash, marker=".", markersize=4, color=colour, label=cell.law)
             _crosses(axes, amount[~good], i, len(laws))
         else:
-            spread = i + 0.6 * (amount / max(amount.max(), 1.0) - 0.5)
-            axes.plot(spread[good], value[good], ".", markersize=3, color=colour, label=cell.law)
-            _crosses(axes, spread[~good], i, len(laws))
+            place = i + 0.6 * (amount / max(amount.max(), 1.0) - 0.5)  # strips of width 0.6, one unit apart
+            axes.plot(place[good], value[good], ".", markersize=3, color=colour, label=cell.law)
+            _crosses(axes, place[~good], i, len(laws))
     if not ordered:
         axes.set_xticks([])
 
 
 def _crosses(axes: Axes, at: Array, place: int, of: int) -> None:
-    """Runs without success at the panel's top, each law at its own height."""
+    """Failed runs as crosses at the top of the panel, each law at its own height."""
     if len(at):
+        # in axes coordinates, just below the top
         height = np.full(len(at), 0.99 - 0.1 * place / max(of, 1))
         axes.plot(at, height, "x", markersize=3.5, markeredgewidth=0.9, color=LOST, transform=axes.get_xaxis_transform())
 
@@ -209,43 +226,50 @@ def _crosses(axes: Axes, at: Array, place: int, of: int) -> None:
 def write_task_report(
     folder: Path, table: pl.DataFrame, axes: tuple[str, ...], metrics: tuple[str, ...], description: str, command: str
 ) -> Path:
-    """Write `report.html`, `tasks.md` and `figures/tasks.pdf` and `.png` into a comparison's folder; gives the page's path.
+    """Write `report.html`, `tasks.md` and `figures/tasks.pdf` and `.png` into a comparison's folder; returns the page's path.
 
     Args:
-        folder: of the comparison. table: one row a run, with the columns `task` and `amount`.
-        axes: columns that tell controllers apart, `task` among them. metrics: the first three are drawn.
-        description: what is compared. command: what makes it again.
+        folder: the comparison's folder. table: one row per run, with the columns `task` and `amount`.
+        axes: columns that distinguish the controllers, `task` among them. metrics: the first three are drawn.
+        description: what is compared. command: the command line that repeats the comparison.
 
     Raises:
         OutputError: a file cannot be written.
     """
     found = cells(table, axes)
-    try:
-        (folder / "figures").mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(folder / "figures", error.strerror or str(error), "give another folder") from error
-    with style(paper=True):
-        drawn = draw(found, metrics, 8.2)
-        save(drawn, folder / "figures" / "tasks.pdf")
-        save(drawn, folder / "figures" / "tasks.png", DPI)
-    with style():
-        svg = to_svg(draw(found, metrics, 13.0), "tasks", "Each law over the amounts of each task")
+    svg = _write_figures(folder / "figures", found, metrics)
     write_whole(folder / "tasks.md", markdown(found, metrics))
     n, good = len(table), int(table["success"].cast(pl.Boolean, strict=False).fill_null(False).sum())
     caption = "Numbers of the runs that reached the goal; red crosses at the top: runs that did not, each law at its own height."
-    failed = comparison_failures.section(folder, Comparison(table, axes, metrics))
     body = [
         f"<p>{good} of {n} runs reached the goal. Each cell: how many, the median time to converge, the 95 % interval of the rate, "
         "and each failure by its outcome.</p>",
         _html(found, _td),
         f'<section><h2>Figure</h2><div class="broad">{figure("Over the amounts", svg, caption)}</div></section>',
         _spreads(found, metrics),
-        failed,
+        comparison_failures.section(folder, ComparisonResults(table, axes, metrics)),
         f"<section><h2>How it was made</h2><p>Made again by<br><code>{escape(command)}</code></p></section>",
     ]
     heading = " and ".join(dict.fromkeys(map(str, table["scenario"].to_list())))
-    words = f"<p>{escape(description)}</p>"
     page = PAGE.format(
-        title=escape(heading), style=STYLE + TABLES, heading=escape(f"{heading}: tasks"), description=words, body="\n".join(body)
+        title=escape(heading),
+        style=STYLE + TABLES,
+        heading=escape(f"{heading}: tasks"),
+        description=f"<p>{escape(description)}</p>",
+        body="\n".join(body),
     )
     return write_whole(folder / "report.html", page)
+
+
+def _write_figures(folder: Path, found: Sequence[Cell], metrics: Sequence[str]) -> str:
+    """The figure for a paper, as PDF and PNG, into the folder; returns it as SVG for the page."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(folder, error.strerror or str(error), "give another folder") from error
+    with style(paper=True):
+        drawn = draw(found, metrics, 8.2)
+        save(drawn, folder / "tasks.pdf")
+        save(drawn, folder / "tasks.png", DPI)
+    with style():
+        return to_svg(draw(found, metrics, 13.0), "tasks", "Each law over the amounts of each task")

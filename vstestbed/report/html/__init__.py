@@ -1,1 +1,1 @@
-"""Pieces of HTML that all pages share: canvas of a figure, template, tables."""
+"""HTML parts that all pages share: figures as SVG, the page template, cards, films."""

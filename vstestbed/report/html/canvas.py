@@ -1,7 +1,7 @@
-"""Matplotlib as this project uses it: Figure objects, one style, inline SVG that follows the page's light or dark colours.
+"""Matplotlib figures in one style, as inline SVG that follows the page's light or dark colours, and as files.
 
-No pyplot and no global state. Ink and rules are drawn in two colours nobody else uses, and become the page's CSS
-variables `--ink` and `--rule` in the SVG; identifiers get a prefix, because one page holds many figures.
+No pyplot and no global state. Ink and rules are drawn in two colours that nothing else uses; in the SVG they are replaced by the
+page's CSS variables `--ink` and `--rule`. Identifiers get a prefix, because one page holds many figures.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ INK = "#010203"
 RULE = "#a1b2c3"
 LOST = "#d03040"
 GOAL = "#0a8f6a"
-AXIS_COLORS = ("#d55e00", "#009e73", "#0080d0")  # x, y, z; told apart by colour-blind eyes (Okabe & Ito 2008, blue lightened)
+AXIS_COLORS = ("#d55e00", "#009e73", "#0080d0")  # x, y, z; distinct to colour-blind readers (Okabe & Ito 2008, blue lightened)
 LINE_COLORS = ("#0080d0", "#d55e00", "#009e73", "#b5559a", "#a88700", "#3fa7c4", "#8a6fd1", "#7a7f86")
 WIDTH_IN = 5.2
 
@@ -60,9 +60,9 @@ _STYLE: Any = {
     "figure.facecolor": "none",
     "axes.facecolor": "none",
     "savefig.facecolor": "none",
-    "svg.fonttype": "none",  # letters stay letters: small, searchable, in the page's own font
+    "svg.fonttype": "none",  # text stays text: small, searchable, in the page's own font
     "svg.hashsalt": "vstestbed",  # the same run gives the same bytes
-    "pdf.fonttype": 42,  # whole letters, embedded: journals refuse matplotlib's usual kind
+    "pdf.fonttype": 42,  # embedded TrueType: journals refuse Type 3 fonts, matplotlib's default
     "path.simplify_threshold": 0.2,
 }
 _PAPER: Any = {
@@ -77,8 +77,8 @@ _PAPER: Any = {
 
 
 def style(paper: bool = False) -> Any:
-    """A context manager under which figures are made and saved in the house's style; for paper with a paper's letters."""
-    import matplotlib
+    """A context manager in which figures are drawn and saved in the project's style; `paper`: with the smaller text of a paper."""
+    import matplotlib  # all matplotlib imports are inside functions: commands that draw nothing start faster
 
     return matplotlib.rc_context(_STYLE | (_PAPER if paper else {}))
 
@@ -94,28 +94,29 @@ def new_figure(height_in: float, width_in: float = WIDTH_IN) -> Figure:
 
 
 def new_space(figure: Figure, **options: Any) -> Axes3D:
-    """3-D axes for a figure that has nothing else but a legend at its foot; `fill` gives them their place."""
+    """3-D axes for a figure that holds nothing else but a legend at the bottom; `fill` places them."""
     figure.set_layout_engine("none")
     width, height = figure.get_size_inches()
+    # a first place only, which `fill` changes
     side = 0.8 * min(width, height)
     return figure.add_axes((0.1, 0.1, side / width, side / height), projection="3d", **options)  # pyright: ignore[reportReturnType]
 
 
 def fill(axes: Axes3D, box: bool, legend_in: float = 0.3) -> None:
-    """Scale and shift a 3-D picture, all its words included, so that it fills its figure above the legend.
+    """Scale and shift 3-D axes so that the drawing with all its text fills the figure above the legend.
 
     Args:
-        axes: from `new_space`, drawn complete.
-        box: whether they have their box and ticks.
-        legend_in: height to leave for the legend [in].
+        axes: from `new_space`, with everything drawn.
+        box: whether the axes have their box and ticks.
+        legend_in: height reserved for the legend [in].
     """
     figure: Any = axes.figure
     width, height = figure.get_size_inches()
     margin = 0.08  # [in]
     low, high = np.array([margin, legend_in + margin]), np.array([width - margin, height - margin])
     for artist in (*axes.lines, *axes.collections):
-        artist.set_clip_on(False)  # else at the border of a square that the figure does not show
-    for _ in range(3):  # letters do not grow with the picture
+        artist.set_clip_on(False)  # otherwise clipped at the square of the axes, which is not visible
+    for _ in range(3):  # iterated, since text keeps its size when the axes are scaled
         figure.draw_without_rendering()
         extent = _extent(axes, box) / figure.dpi
         scale = float(((high - low) / np.ptp(extent, axis=0)).min())
@@ -125,13 +126,14 @@ def fill(axes: Axes3D, box: bool, legend_in: float = 0.3) -> None:
 
 
 def _extent(axes: Any, box: bool) -> NDArray[np.float64]:
-    """Lower left and upper right corner (2, 2) [px] of what 3-D axes show: lines, words, and where they have them box and ticks."""
+    """Bounding box of the drawing in 3-D axes, lower left and upper right corner (2, 2) [px]: lines, text, optionally box and ticks."""
     from mpl_toolkits.mplot3d.proj3d import proj_transform
 
     shown: list[Any] = [line.get_data_3d() for line in axes.get_lines()]
     shown += [np.reshape(word.get_position_3d(), (3, 1)) for word in axes.texts]
     if box:
         shown.append(np.array(np.meshgrid(axes.get_xlim(), axes.get_ylim(), axes.get_zlim())).reshape(3, -1))
+    # project all shown points to the figure's plane
     x, y, z = np.concatenate(shown, axis=1)
     flat = proj_transform(x, y, z, axes.get_proj())[:2]
     pixels = axes.transData.transform(np.stack(flat, axis=-1))
@@ -142,19 +144,21 @@ def _extent(axes: Any, box: bool) -> NDArray[np.float64]:
 
 
 def to_svg(figure: Figure, key: str, label: str) -> str:
-    """The figure as an `<svg>` element to stand in HTML; its identifiers start with `key`, `label` is read aloud."""
+    """The figure as an `<svg>` element for HTML; `key`: prefix of its identifiers, `label`: text for screen readers."""
     sink = io.StringIO()
     figure.savefig(sink, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
     text = sink.getvalue()
     text = re.sub(r"<metadata>.*?</metadata>", "", text[text.index("<svg") :], flags=re.DOTALL)
+    # several figures share a page, and with one hash salt matplotlib would give their clip paths the same identifiers
     text = re.sub(r'\bid="', f'id="{key}-', text)
     text = re.sub(r'(href="|url\()#', rf"\1#{key}-", text)
+    # the page's colours, which follow light and dark mode
     text = text.replace(INK, "var(--ink)").replace(RULE, "var(--rule)")
     return re.sub(r"<svg\b", f'<svg role="img" aria-label="{html.escape(label)}"', text, count=1).strip()
 
 
 def save(figure: Figure, path: Path, dpi: int = 150) -> Path:
-    """Write the figure on white into a file of the format that its name ends in, without a date: the same figure, the same bytes.
+    """Write the figure on white in the format of the file's suffix, without a date: the same figure gives the same bytes.
 
     Raises:
         OutputError: the file cannot be written.
@@ -166,22 +170,22 @@ def save(figure: Figure, path: Path, dpi: int = 150) -> Path:
 
 
 def marker_colors(n: int) -> list[tuple[float, float, float]]:
-    """One colour a marker, the hues of its paint, at a lightness that shows on white and on black alike."""
+    """One colour per marker, with the hue of its paint and a luminance that contrasts with white and with black."""
     return [_at_luminance(colorsys.hsv_to_rgb(i / n, 1.0, 1.0), 0.23) for i in range(n)]
 
 
-def _at_luminance(rgb: tuple[float, float, float], wanted: float) -> tuple[float, float, float]:
-    """The colour darkened, or mixed with white, to a relative luminance (contrast on white is 1.05 / (wanted + 0.05))."""
-    linear = [c**2.2 for c in rgb]
+def _at_luminance(rgb: tuple[float, float, float], target: float) -> tuple[float, float, float]:
+    """The colour darkened, or mixed with white, to a relative luminance (its contrast with white is 1.05 / (target + 0.05))."""
+    linear = [c**2.2 for c in rgb]  # gamma of sRGB, nearly; below: its luminance weights (ITU-R BT.709)
     luminance = 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
-    if luminance > wanted:
-        linear = [c * wanted / luminance for c in linear]
+    if luminance > target:
+        linear = [c * target / luminance for c in linear]
     else:
-        white = (wanted - luminance) / (1 - luminance)
+        white = (target - luminance) / (1 - luminance)
         linear = [c + (1 - c) * white for c in linear]
     return (linear[0] ** (1 / 2.2), linear[1] ** (1 / 2.2), linear[2] ** (1 / 2.2))
 
 
-def note(axes: Axes, words: str) -> None:
+def note(axes: Axes, text: str) -> None:
     """A sentence in the middle of axes that have nothing to show."""
-    axes.text(0.5, 0.5, words, transform=axes.transAxes, ha="center", va="center", alpha=0.7)
+    axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", alpha=0.7)

@@ -1,5 +1,9 @@
-"""The page's frame and its looks: one column on a phone, two on a desk, light or dark as the reader's system, ink on paper in print."""
+"""HTML template and style sheet of the pages: one column on a phone, two on a desk, light or dark as the reader's system.
 
+The page loads nothing from outside: no font, script or image, so that it opens the same without network and years later.
+"""
+
+# --ink and --rule are also the colours of the SVG figures (see `canvas.to_svg`).
 STYLE = """
 :root { color-scheme: light dark; --ink: #1b1f24; --soft: #5b6470; --rule: #c3c9d1; --ground: #f4f5f7; --card: #ffffff; --good: #0a7f5a;
   --bad: #b3261e; --accent: #0068b3; }
@@ -52,6 +56,7 @@ a { color: var(--accent); }
   .plots { columns: 2 80mm; } .films { display: none; } }
 """
 
+# The empty icon keeps browsers from asking for /favicon.ico.
 PAGE = """<!DOCTYPE html>
 <html lang="en">
 <head>

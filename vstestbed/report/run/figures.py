@@ -1,8 +1,7 @@
 """The figures of one run: features in the image, error, twist, depth, pose error, joints.
 
-Each takes the run's tracks and gives a matplotlib Figure, or None where the run has nothing of the kind. What is
-true is drawn as a wide pale band, what was measured or commanded as a thin line on it: where they agree, the line
-lies in its band.
+Each function takes the run's tracks and returns a matplotlib Figure, or None if the run has no such data. True values are
+wide pale bands, measured or commanded values are thin lines over them: where they agree, the line lies in its band.
 """
 
 from __future__ import annotations
@@ -25,16 +24,16 @@ START: dict[str, Any] = {"marker": "o", "markersize": 5, "linestyle": "none"}
 END: dict[str, Any] = {"marker": "x", "markersize": 6, "markeredgewidth": 1.6, "linestyle": "none"}
 AIM: dict[str, Any] = {"marker": "D", "markersize": 8, "markerfacecolor": "none", "markeredgewidth": 1.4, "linestyle": "none"}
 LEAST_TWIST, LEAST_DEPTH = 2e-3, 0.02
-"""What the axes of twists [m/s, rad/s] and of depths (as a share of the depth) span at least."""
+"""Least span of the axis of twists [m/s, rad/s] and of depths (relative to the depth): below it there is only noise."""
 PARTS = (("v", "translation [m/s]"), ("w", "rotation [rad/s]"))
 
 
 def features(tracks: Tracks) -> Figure | None:
-    """Trails of the markers in the picture, true and measured, with start, end, goal and the picture's border."""
+    """Marker trajectories in the image, true and measured, with start, end, goal and the image border."""
     if tracks.markers == 0:
         return None
     width, height = tracks.setting.width, tracks.setting.height
-    aspect = height / width if width and height else 0.75
+    aspect = height / width if width and height else 0.75  # the usual 4:3 where the size is unknown
     figure = new_figure(min(max(WIDTH_IN * aspect, 2.5), 6.5) + 0.5)
     axes = figure.add_subplot()
     draw_trails(axes, tracks.pixels(), tracks.pixels("_true"), tracks.pixels("_goal"))
@@ -44,7 +43,7 @@ def features(tracks: Tracks) -> Figure | None:
 
 
 def draw_trails(axes: Axes, measured: Array, true: Array, goal: Array) -> None:
-    """The markers' ways in a plane, each (T, N, 2), first coordinate across, with start, end and goal."""
+    """Marker trajectories in a plane, each (T, N, 2), first coordinate horizontal, with start, end and goal."""
     for i, color in enumerate(marker_colors(measured.shape[1])):
         axes.plot(*true[:, i].T, color=color, **BAND)
         axes.plot(*measured[:, i].T, color=color, linewidth=1.0)
@@ -53,7 +52,7 @@ def draw_trails(axes: Axes, measured: Array, true: Array, goal: Array) -> None:
 
 
 def trail_keys() -> list[Line2D]:
-    """What the marks and lines of a trail mean, for a legend."""
+    """Legend entries for the marks and lines of `draw_trails`."""
     from matplotlib.lines import Line2D
 
     marks = [Line2D([], [], color=INK, label=label, **look) for look, label in ((START, "start"), (END, "end"), (AIM, "goal"))]
@@ -65,14 +64,15 @@ def trail_keys() -> list[Line2D]:
 
 
 def _frame_picture(axes: Axes, width: int | None, height: int | None) -> None:
-    """Pixel axes as in the picture (v down), with the picture's border where its size is known."""
+    """Pixel axes as in the image (v down), with the image border if the size is known."""
     from matplotlib.patches import Rectangle
 
     axes.set_aspect("equal", adjustable="datalim" if not width else "box")
     if width and height:
         axes.add_patch(Rectangle((-0.5, -0.5), width, height, fill=False, edgecolor=INK, linewidth=1.0, alpha=0.6))
+        # pixel centres are integers, so that the image begins at -0.5
         left, right, top, bottom = -0.5, width - 0.5, -0.5, height - 0.5
-        x, y = axes.get_xlim(), axes.get_ylim()  # what leaves the picture is shown, up to half a picture away
+        x, y = axes.get_xlim(), axes.get_ylim()  # markers that leave the image are shown, up to half an image away
         left, right = min(left, max(x[0], -0.5 * width)), max(right, min(x[1], 1.5 * width))
         top, bottom = min(top, max(y[0], -0.5 * height)), max(bottom, min(y[1], 1.5 * height))
         margin = 0.015 * width
@@ -85,9 +85,9 @@ def _frame_picture(axes: Axes, width: int | None, height: int | None) -> None:
 
 
 def error(tracks: Tracks) -> Figure:
-    """RMS error in the picture over time, logarithmic, with the threshold and the stretches without target.
+    """RMS image error over time, logarithmic, with the threshold and the intervals without target.
 
-    Of a craft that leans also that of the picture turned level, by which it is judged.
+    For a tilted craft also the error of the image rotated into its level frame, which decides convergence.
     """
     figure = new_figure(3.1)
     axes = figure.add_subplot()
@@ -113,17 +113,17 @@ def error(tracks: Tracks) -> Figure:
 
 
 def _mark_views(axes: Axes, tracks: Tracks) -> None:
-    """Where one goal view was left for the next, with its number from 1 on."""
+    """Mark the times at which the goal view changed to the next, with its number from 1 on."""
     view = tracks.column("view")
     for i in np.flatnonzero(np.diff(view) > 0) + 1:
         axes.axvline(tracks.t[i], color=INK, linewidth=0.8, alpha=0.6)
-        words = f" view {view[i] + 1:.0f}"
-        axes.annotate(words, (tracks.t[i], 0.99), xycoords=("data", "axes fraction"), va="top", fontsize=8.5, annotation_clip=False)
+        label = f" view {view[i] + 1:.0f}"
+        axes.annotate(label, (tracks.t[i], 0.99), xycoords=("data", "axes fraction"), va="top", fontsize=8.5, annotation_clip=False)
 
 
 def pose_error(tracks: Tracks) -> Figure | None:
-    """Distance and angle of the true camera (or vehicle) from its goal over time, logarithmic; None of a task without an end."""
-    if tracks.setting.ride is not None and tracks.setting.ride.band_m is not None:
+    """Distance and angle of the true camera (or vehicle) pose from the goal over time, logarithmic; None for a continuing task."""
+    if tracks.setting.ground_task is not None and tracks.setting.ground_task.band_m is not None:
         return None
     position, angle = tracks.column("position_error_m"), np.degrees(tracks.column("rotation_error_rad"))
     if not (np.isfinite(position).any() or np.isfinite(angle).any()):
@@ -142,23 +142,24 @@ def twist(tracks: Tracks) -> Figure:
     """The camera's twist in its own frame: commanded (line) and true (band), translation above, rotation below."""
     figure = new_figure(4.3)
     panels = figure.subplots(2, 1, sharex=True)
-    told = tracks.column("t_cmd")  # a command takes effect when its picture has arrived
+    t_command = tracks.column("t_cmd")  # a command takes effect when its image has arrived
     for axes, (part, label) in zip(panels, PARTS, strict=True):
         axes.axhline(0, color=RULE, linewidth=0.8)
         for axis, color in zip("xyz", AXIS_COLORS, strict=True):
             true, command = tracks.column(f"act_{part}{axis}"), tracks.column(f"cmd_{part}{axis}")
             axes.plot(tracks.t, true, color=color, **BAND)
-            axes.plot(told, command, color=color, linewidth=1.1, label=f"{part}$_{axis}$", **_dot(command))
+            axes.plot(t_command, command, color=color, linewidth=1.1, label=f"{part}$_{axis}$", **_dot(command))
         least_span(axes, LEAST_TWIST)
         shade_lost(axes, tracks)
         axes.set_ylabel(label)
+        # the zero line, then band and line of each axis in turn: every second from the third is a command
         axes.legend(handles=axes.get_lines()[2::2], loc="upper right", ncols=3)
     time_axis(panels[-1], tracks)
     return figure
 
 
 def depth(tracks: Tracks) -> Figure | None:
-    """Depth of each marker as the law used it (line), and the true one (band) where it can be computed."""
+    """Depth of each marker as used by the law (line), and the true depth (band) if it can be computed."""
     used, true = tracks.numbered("depth"), tracks.true_depth
     if not np.isfinite(used).any():
         return None
@@ -176,8 +177,8 @@ def depth(tracks: Tracks) -> Figure | None:
 
 
 def joints(tracks: Tracks) -> Figure | None:
-    """Joint positions, velocities and actuator inputs, as far as the log has them. A vehicle's wheels have a figure of their own."""
-    if tracks.setting.ride is not None:
+    """Joint positions, velocities and actuator inputs, as far as the log has them; None for a ground vehicle (see `vehicle.wheels`)."""
+    if tracks.setting.ground_task is not None:
         return None
     panels = [(s, label) for s, label in (("q", "position"), ("qd", "velocity"), ("ctrl", "input")) if _moving(tracks, s)]
     if not panels:
@@ -197,19 +198,19 @@ def joints(tracks: Tracks) -> Figure | None:
 
 
 def _moving(tracks: Tracks, stem: str) -> list[str]:
-    """The names of a stem whose columns hold numbers."""
+    """The names of a stem whose columns hold values."""
     return [n for n in tracks.named(stem) if np.isfinite(tracks.column(f"{stem}_{n}")).any()]
 
 
 def line_keys(names: list[str]) -> list[Line2D]:
-    """A legend's entry for each name, in the order of the lines' colours."""
+    """A legend entry for each name, in the order of the line colours."""
     from matplotlib.lines import Line2D
 
     return [Line2D([], [], color=LINE_COLORS[i % len(LINE_COLORS)], label=plain(n)) for i, n in enumerate(names)]
 
 
 def plain(name: str) -> str:
-    """A name that matplotlib takes as it stands: no mathematics, not hidden by a leading underscore."""
+    """A name escaped for matplotlib: no mathtext, and no leading underscore, which would hide it from the legend."""
     return name.replace("$", r"\$").lstrip("_") or "(unnamed)"
 
 
@@ -220,7 +221,7 @@ def edge(trail: Array, which: int) -> Array:
 
 
 def _positive(value: Array) -> Array:
-    """The values that a logarithmic axis can show; the others NaN."""
+    """The values with NaN where a logarithmic axis cannot show them."""
     return np.where(value > 0, value, np.nan)
 
 
@@ -230,20 +231,20 @@ def _dot(value: Array) -> dict[str, Any]:
 
 
 def least_span(axes: Axes, least: float) -> None:
-    """Widen the upright axis about its middle where it spans less than `least`: noise shall not fill the height."""
+    """Widen the vertical axis about its middle if it spans less than `least`, so that noise does not fill the height."""
     low, high = axes.get_ylim()
     if high - low < least:
         axes.set_ylim((low + high - least) / 2, (low + high + least) / 2)
 
 
 def shade_lost(axes: Axes, tracks: Tracks) -> None:
-    """Mark the stretches in which the target was lost."""
-    for i, (start, end) in enumerate(tracks.lost_stretches()):
+    """Shade the intervals in which the target was lost."""
+    for i, (start, end) in enumerate(tracks.lost_intervals()):
         axes.axvspan(start, end, color=LOST, alpha=0.16, linewidth=0, label="target lost" if i == 0 else None)
 
 
 def time_axis(axes: Axes, tracks: Tracks) -> None:
-    """Time across, from the log's first to its last row."""
+    """Horizontal time axis from the log's first to its last row."""
     axes.set_xlabel("time [s]")
     t = tracks.t[np.isfinite(tracks.t)]
     if len(t) and t[-1] > t[0]:

@@ -1,4 +1,4 @@
-"""Figures over time of a flight: how velocity, attitude and rates follow what is asked of them; rotors, wind."""
+"""Figures over time of a quadrotor: velocity, attitude and body rates with their references; rotors, wind."""
 
 from __future__ import annotations
 
@@ -16,22 +16,23 @@ if TYPE_CHECKING:
 
 AXES = ("ahead", "left", "up")
 LIMIT_RADPS = 1000.0
-"""Of a rotor [rad/s]: models/quadrotor.xml."""
+"""Speed limit of a rotor [rad/s], from models/quadrotor.xml."""
 
 
 def velocity(tracks: Tracks) -> Figure | None:
-    """Velocity in the level frame: ordered (thin line) and flown, by the craft's own estimate (pale band)."""
+    """Velocity in the level frame: commanded (thin line) and estimated by the craft (pale band)."""
     flown, camera = tracks.columns("est_vx", "est_vy", "est_vz"), tracks.setting.camera
     if camera is None or not np.isfinite(flown).any():
         return None
-    made = tracks.columns(*(f"applied_{name}" for name in ("vx", "vy", "vz", "wx", "wy", "wz")))
-    ordered = made @ adjoint(camera.mount.T).T
+    # applied_*: the camera twist in the camera frame after the robot's limits; the mount's adjoint takes it to the craft
+    applied = tracks.columns(*(f"applied_{name}" for name in ("vx", "vy", "vz", "wx", "wy", "wz")))
+    commanded = applied @ adjoint(camera.mount.T).T
     figure = new_figure(4.4)
     grid = figure.subplots(3, 1, sharex=True)
     for i, axes in enumerate(grid):
         axes.axhline(0, color=RULE, linewidth=0.8)
         axes.plot(tracks.t, flown[:, i], color=LINE_COLORS[i], **BAND)
-        axes.plot(tracks.t, ordered[:, i], color=LINE_COLORS[i], linewidth=1.0)
+        axes.plot(tracks.t, commanded[:, i], color=LINE_COLORS[i], linewidth=1.0)
         axes.set_ylabel(f"{AXES[i]} [m/s]")
         shade_lost(axes, tracks)
     time_axis(grid[-1], tracks)
@@ -39,9 +40,9 @@ def velocity(tracks: Tracks) -> Figure | None:
 
 
 def tilt(tracks: Tracks) -> Figure | None:
-    """Roll and pitch: true (pale band), as the craft estimates them (thin line) and as its velocity loop asks for them (dotted)."""
-    told, asked, camera = tracks.columns("est_roll", "est_pitch"), tracks.columns("ref_roll", "ref_pitch"), tracks.setting.camera
-    if camera is None or not np.isfinite(told).any():
+    """Roll and pitch: true (pale band), estimated by the craft (thin line), and the reference of its velocity loop (dotted)."""
+    estimated, reference, camera = tracks.columns("est_roll", "est_pitch"), tracks.columns("ref_roll", "ref_pitch"), tracks.setting.camera
+    if camera is None or not np.isfinite(estimated).any():
         return None
     true = _tilt_of(tracks.poses("cam") @ inverse(camera.mount.T))
     figure = new_figure(3.0)
@@ -49,8 +50,8 @@ def tilt(tracks: Tracks) -> Figure | None:
     axes.axhline(0, color=RULE, linewidth=0.8)
     for i in range(2):
         axes.plot(tracks.t, np.degrees(true[:, i]), color=LINE_COLORS[i], **BAND)
-        axes.plot(tracks.t, np.degrees(told[:, i]), color=LINE_COLORS[i], linewidth=1.0)
-        axes.plot(tracks.t, np.degrees(asked[:, i]), color=LINE_COLORS[i], linewidth=1.0, linestyle=":")
+        axes.plot(tracks.t, np.degrees(estimated[:, i]), color=LINE_COLORS[i], linewidth=1.0)
+        axes.plot(tracks.t, np.degrees(reference[:, i]), color=LINE_COLORS[i], linewidth=1.0, linestyle=":")
     axes.set_ylabel("tilt [deg]")
     shade_lost(axes, tracks)
     time_axis(axes, tracks)
@@ -59,8 +60,8 @@ def tilt(tracks: Tracks) -> Figure | None:
 
 
 def rates(tracks: Tracks) -> Figure | None:
-    """Body rates: asked for by the attitude loop (thin line) and flown, by the gyro less its bias (pale band)."""
-    flown, asked = (tracks.columns(*(f"{what}_{name}" for name in ("wx", "wy", "wz"))) for what in ("fly", "ask"))
+    """Body rates: reference of the attitude loop (thin line) and gyro less its bias (pale band)."""
+    flown, reference = (tracks.columns(*(f"{what}_{name}" for name in ("wx", "wy", "wz"))) for what in ("fly", "ask"))
     if not np.isfinite(flown).any():
         return None
     figure = new_figure(4.4)
@@ -68,7 +69,7 @@ def rates(tracks: Tracks) -> Figure | None:
     for i, axes in enumerate(grid):
         axes.axhline(0, color=RULE, linewidth=0.8)
         axes.plot(tracks.t, np.degrees(flown[:, i]), color=LINE_COLORS[i], **BAND)
-        axes.plot(tracks.t, np.degrees(asked[:, i]), color=LINE_COLORS[i], linewidth=1.0)
+        axes.plot(tracks.t, np.degrees(reference[:, i]), color=LINE_COLORS[i], linewidth=1.0)
         axes.set_ylabel(f"{('roll', 'pitch', 'yaw')[i]} [deg/s]")
         shade_lost(axes, tracks)
     time_axis(grid[-1], tracks)
@@ -77,17 +78,17 @@ def rates(tracks: Tracks) -> Figure | None:
 
 def _tilt_of(T_world_base: Array) -> Array:
     """Roll and pitch (n, 2) [rad] of poses (n, 4, 4)."""
-    up = T_world_base[:, 2, :3]
+    up = T_world_base[:, 2, :3]  # the world's z axis in the base frame: independent of yaw
     return np.column_stack([np.arctan2(up[:, 1], up[:, 2]), -np.arcsin(np.clip(up[:, 0], -1, 1))])
 
 
 def rotors(tracks: Tracks) -> Figure | None:
-    """Speeds of the rotors, their limit dotted; below, the wind where it blew."""
+    """Rotor speeds with their limit (dotted); below them the wind, if there was any."""
     names = tracks.named("speed")
     if not names:
         return None
     wind = tracks.columns("wind_x", "wind_y", "wind_z")
-    windy = bool(np.nanmax(np.abs(wind), initial=0.0) > 0)
+    windy = bool(np.nanmax(np.abs(wind), initial=0.0) > 0)  # without wind its columns are zero
     figure = new_figure(4.2 if windy else 2.8)
     grid = np.ravel(figure.subplots(2 if windy else 1, 1, sharex=True, squeeze=False))
     for i, name in enumerate(names):

@@ -1,4 +1,4 @@
-"""The figure of a vehicle's way on the floor, seen from above: where it was, where it thought it was, what it saw. Equal scale."""
+"""Floor plan of a vehicle's run: true path, estimated path, odometry, landmarks, and the visible region. Equal scale."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from vstestbed.core.geometry import Array, transform
 from vstestbed.report.html.canvas import GOAL, INK, LINE_COLORS, WIDTH_IN, marker_colors, new_figure
-from vstestbed.report.run.expected_way import Ride, farthest, seen_at
+from vstestbed.report.run.expected_path import GroundTask, largest_deviation, visible_region
 from vstestbed.report.run.tracks import Tracks
 
 if TYPE_CHECKING:
@@ -16,30 +16,30 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 DART = np.array([[1.0, 0.0], [-0.7, 0.55], [-0.35, 0.0], [-0.7, -0.55]])
-"""A vehicle as an arrow head of length about 1, ahead along x."""
+"""Corners of an arrow head of length about 1 that points along x: the vehicle."""
 HEADING_EVERY = 0.09
-"""Headings are drawn along the way at this distance, as a share of the figure's extent."""
+"""Distance between the headings that are drawn along the path, as a share of the figure's extent."""
 TRUE, ESTIMATED, ODOMETRY = LINE_COLORS[0], LINE_COLORS[1], LINE_COLORS[3]
 
 
 def plane(tracks: Tracks) -> Figure | None:
-    """The way in the plane: true, estimated and by odometry; start, end, goals; landmarks; what the camera saw at both ends."""
-    ride, places = tracks.setting.ride, tracks.places("base")
-    there = np.isfinite(places).all(axis=1)
-    if ride is None or not there.any():
+    """Paths in the plane: true, estimated and by odometry; start, end, goals; landmarks; visible region at both ends."""
+    ground_task, places = tracks.setting.ground_task, tracks.planar_poses("base")
+    known = np.isfinite(places).all(axis=1)
+    if ground_task is None or not known.any():
         return None
     landmarks = _landmarks(tracks)
-    shown = [places[there, :2], ride.goals[:, :2], landmarks[:, :2], ride.route, _moving_target(tracks)]
+    shown = [places[known, :2], ground_task.goals[:, :2], landmarks[:, :2], ground_task.reference_path, _moving_target(tracks)]
     points = np.concatenate(shown)
     low, high = points.min(axis=0), points.max(axis=0)
-    span = float(max((high - low).max(), 0.5))
+    span = float(max((high - low).max(), 0.5))  # [m]; a vehicle that hardly moves is not magnified further
     low, high = low - 0.09 * span, high + 0.09 * span
     wide, tall = high - low
     figure = new_figure(float(np.clip(WIDTH_IN * tall / wide, 2.2, 6.0)) + 0.75)
     axes = figure.add_subplot()
-    _draw_views(axes, tracks, ride, landmarks, span)
-    _draw_task(axes, tracks, ride, span)
-    _draw_ways(axes, tracks, ride, span)
+    _draw_views(axes, tracks, ground_task, landmarks, span)
+    _draw_task(axes, tracks, ground_task, span)
+    _draw_paths(axes, tracks, ground_task, span)
     _draw_landmarks(axes, landmarks)
     axes.set(aspect="equal", xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x [m]", ylabel="y [m]")
     figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3)
@@ -47,57 +47,57 @@ def plane(tracks: Tracks) -> Figure | None:
 
 
 def _landmarks(tracks: Tracks) -> Array:
-    """Places of the markers at the target's last pose, shape (N, 3); empty where nothing is known."""
+    """Markers in the world at the target's last pose, shape (N, 3) [m]; empty where they are unknown."""
     poses, points = tracks.poses("tgt"), tracks.setting.points
     known = np.isfinite(poses).all(axis=(1, 2))
     return transform(poses[known][-1], points) if points is not None and known.any() else np.empty((0, 3))
 
 
 def _moving_target(tracks: Tracks) -> Array:
-    """The way of a target that moves, shape (T, 2); empty for one that stands still."""
-    way = tracks.columns("tgt_x", "tgt_y")
-    way = way[np.isfinite(way).all(axis=1)]
-    return way if len(way) and np.ptp(way, axis=0).max() > 1e-3 else np.empty((0, 2))
+    """Path of a moving target, shape (T, 2) [m]; empty for one that stands still."""
+    path = tracks.columns("tgt_x", "tgt_y")
+    path = path[np.isfinite(path).all(axis=1)]
+    return path if len(path) and np.ptp(path, axis=0).max() > 1e-3 else np.empty((0, 2))
 
 
-def _draw_views(axes: Axes, tracks: Tracks, ride: Ride, landmarks: Array, span: float) -> None:
-    """At the landmarks' mean height, what is in the picture at the start and at the end."""
+def _draw_views(axes: Axes, tracks: Tracks, ground_task: GroundTask, landmarks: Array, span: float) -> None:
+    """The region in the image at the start and at the end, in the plane at the mean height of the landmarks."""
     cameras = tracks.poses("cam")
     cameras = cameras[np.isfinite(cameras).all(axis=(1, 2))]
     height = float(landmarks[:, 2].mean()) if len(landmarks) else 0.0
     for T, color in ((cameras[0], INK), (cameras[-1], TRUE)) if len(cameras) else ():
-        x, y, seen = seen_at(ride.lens, T, height, 0.45 * span)
+        x, y, seen = visible_region(ground_task.camera, T, height, 0.45 * span)
         if seen.any():
             axes.contourf(x, y, seen, levels=[0.5, 1.5], colors=[color], alpha=0.07)
-            if seen.min() < 1:
+            if seen.min() < 1:  # otherwise everything within reach is visible and there is no border
                 axes.contour(x, y, seen, levels=[0.5], colors=[color], alpha=0.35, linewidths=0.7)
 
 
-def _draw_task(axes: Axes, tracks: Tracks, ride: Ride, span: float) -> None:
-    """Route, target's way, goals."""
-    if len(ride.route):
-        axes.plot(*ride.route.T, color=INK, linewidth=0.9, linestyle=":", label="route")
+def _draw_task(axes: Axes, tracks: Tracks, ground_task: GroundTask, span: float) -> None:
+    """Reference path, path of the target, goals."""
+    if len(ground_task.reference_path):
+        axes.plot(*ground_task.reference_path.T, color=INK, linewidth=0.9, linestyle=":", label="route")
     target = _moving_target(tracks)
     if len(target):
         axes.plot(*target.T, color=GOAL, linewidth=1.2, label="target")
-    for i, goal in enumerate(ride.goals):
-        last = i == len(ride.goals) - 1
+    for i, goal in enumerate(ground_task.goals):
+        last = i == len(ground_task.goals) - 1
         label = "goal" if last else "goals on the way" if i == 0 else None
         _dart(axes, goal, (0.075 if last else 0.045) * span, label, GOAL, filled=False)
 
 
-def _draw_ways(axes: Axes, tracks: Tracks, ride: Ride, span: float) -> None:
-    """The true way as a pale band with headings, on it the others; the vehicle at start and end."""
-    true = tracks.places("base")
+def _draw_paths(axes: Axes, tracks: Tracks, ground_task: GroundTask, span: float) -> None:
+    """The true path as a pale band with headings, the other paths over it; the vehicle at start and end."""
+    true = tracks.planar_poses("base")
     for stem, color, label in (("odo", ODOMETRY, "by odometry alone"), ("est", ESTIMATED, "as estimated")):
-        way = tracks.places(stem)
-        if np.isfinite(way).any():
-            axes.plot(way[:, 0], way[:, 1], color=color, linewidth=0.9, label=label, zorder=3)
+        path = tracks.planar_poses(stem)
+        if np.isfinite(path).any():
+            axes.plot(path[:, 0], path[:, 1], color=color, linewidth=0.9, label=label, zorder=3)
     axes.plot(true[:, 0], true[:, 1], color=TRUE, linewidth=4.0, alpha=0.35, label="true way", zorder=2.5)
-    if ride.ideal is not None and len(ride.ideal) > 1:
+    if ground_task.expected_path is not None and len(ground_task.expected_path) > 1:
         known = true[np.isfinite(true).all(axis=1), :2]
-        label = f"{ride.ideal_name}: at most {_length(farthest(known, ride.ideal))} off"
-        axes.plot(*ride.ideal.T, color=INK, linewidth=1.0, linestyle=(0, (5, 2)), label=label, zorder=3)
+        label = f"{ground_task.expected_path_name}: at most {_length(largest_deviation(known, ground_task.expected_path))} off"
+        axes.plot(*ground_task.expected_path.T, color=INK, linewidth=1.0, linestyle=(0, (5, 2)), label=label, zorder=3)
     known = true[np.isfinite(true).all(axis=1)]
     for place in known[_evenly(known[:, :2], HEADING_EVERY * span)]:
         _dart(axes, place, 0.022 * span, None, TRUE, filled=True)
@@ -106,7 +106,8 @@ def _draw_ways(axes: Axes, tracks: Tracks, ride: Ride, span: float) -> None:
 
 
 def _evenly(xy: Array, distance: float) -> Any:
-    """Indices of points (T, 2) at about even distances along their way, its ends left out; of a long way no more than 30."""
+    """Indices of points (T, 2) that are spaced evenly along their path, without its ends; at most 30."""
+    # arc length of each point
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1))])
     count = min(int(along[-1] / distance), 30)
     return np.unique(np.searchsorted(along, np.linspace(0, along[-1], count + 2)[1:-1]))
@@ -118,9 +119,10 @@ def _draw_landmarks(axes: Axes, landmarks: Array) -> None:
 
 
 def _dart(axes: Axes, place: Array, size: float, label: str | None, color: str, filled: bool) -> None:
-    """An arrow head of a size [m] at a place (x, y, heading), and its mark in the legend."""
+    """An arrow head of the given size [m] at a planar pose (x, y, heading), and its entry in the legend."""
     from matplotlib.patches import Polygon
 
+    # rows are points, hence the transposed rotation
     c, s = np.cos(place[2]), np.sin(place[2])
     corners = size * DART @ np.array([[c, s], [-s, c]]) + place[:2]
     face = color if filled else "none"
@@ -131,5 +133,5 @@ def _dart(axes: Axes, place: Array, size: float, label: str | None, color: str, 
 
 
 def _length(metres: float) -> str:
-    """A short length in words."""
+    """A length as text, in m, cm or mm."""
     return f"{metres:.2f} m" if metres >= 1 else f"{100 * metres:.1f} cm" if metres >= 0.01 else f"{1000 * metres:.1f} mm"

@@ -1,4 +1,4 @@
-"""The words and numbers of the page: outcome, tiles, table, timing, versions."""
+"""Text and numbers of a run's page: outcome, tiles, table, timing, versions."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ TILES: Final = (
     ("path_length_m", "Path length", "m"),
     ("real_time_factor", "Real-time factor, films included", "×"),
 )
-KEPT_TILES: Final = (("worst_task_error_m", "Largest error once settled", "m"), *TILES[4:])
-"""Of a task without an end, which has no goal to be away from."""
+CONTINUING_TILES: Final = (("worst_task_error_m", "Largest error once settled", "m"), *TILES[4:])
+"""Tiles of a continuing task, which has no goal pose to measure an error from."""
 ROWS: Final = (
     ("seed", "Seed", ""),
     ("sim_time_s", "Simulated time", "s"),
@@ -43,41 +43,41 @@ TRACKING_ROWS: Final = (
     ("tracking_rms_m", "Camera from its goal, RMS", "m"),
     ("tracking_max_m", "Camera from its goal, largest", "m"),
 )
-"""Of a target that moves, once settled."""
+"""Rows of a run with a moving target; measured after settling."""
 
 
 def headline(summary: Summary) -> str:
-    """The outcome in large letters, coloured by success, with the sentence that says why."""
+    """The outcome as a box, coloured by success, with the reason in a sentence."""
     good = " good" if summary.get("success") else ""
     reason = str(summary.get("reason") or "")
-    return f'<div class="outcome{good}"><strong>{escape(outcome_words(summary))}</strong>{escape(_sentence(reason))}</div>'
+    return f'<div class="outcome{good}"><strong>{escape(outcome_text(summary))}</strong>{escape(_sentence(reason))}</div>'
 
 
-def outcome_words(summary: Summary) -> str:
-    """The outcome as words: `Target lost` for `target_lost`."""
+def outcome_text(summary: Summary) -> str:
+    """The outcome as text: `Target lost` for `target_lost`."""
     return str(summary.get("outcome") or "no outcome").replace("_", " ").capitalize()
 
 
 def tiles(summary: Summary) -> str:
-    """The few numbers one looks for first."""
-    shown = KEPT_TILES if "worst_task_error_m" in summary else TILES
-    made = [f"<div><dt>{name}</dt><dd>{_with_unit(summary.get(key), unit)}</dd></div>" for key, name, unit in shown]
-    return f'<dl class="tiles">{"".join(made)}</dl>'
+    """The most important numbers."""
+    shown = CONTINUING_TILES if "worst_task_error_m" in summary else TILES
+    items = [f"<div><dt>{name}</dt><dd>{_with_unit(summary.get(key), unit)}</dd></div>" for key, name, unit in shown]
+    return f'<dl class="tiles">{"".join(items)}</dl>'
 
 
 def table(summary: Summary) -> str:
-    """The other numbers, one a line."""
-    made = []
+    """The other numbers, one per line."""
+    items = []
     for key, name, unit in ROWS + tuple(row for row in TRACKING_ROWS if summary.get(row[0]) is not None):
         value = summary.get(key)
-        if unit == "%" and isinstance(value, float):
+        if unit == "%" and isinstance(value, float):  # the summary holds shares
             value = 100 * value
-        made.append(f"<div><dt>{name}</dt><dd>{_with_unit(value, unit)}</dd></div>")
-    return f'<dl class="numbers">{"".join(made)}</dl>'
+        items.append(f"<div><dt>{name}</dt><dd>{_with_unit(value, unit)}</dd></div>")
+    return f'<dl class="numbers">{"".join(items)}</dl>'
 
 
 def timing(summary: Summary) -> str:
-    """Where the time of a frame went, as a bar; empty where it was not measured."""
+    """Computing time of a frame by part, as a bar; empty if it was not measured."""
     parts = {str(k): float(v) for k, v in dict(summary.get("time_ms") or {}).items() if _is_number(v) and v >= 0}
     total = sum(parts.values())
     if total <= 0:
@@ -91,16 +91,16 @@ def timing(summary: Summary) -> str:
 
 
 def provenance(summary: Summary) -> str:
-    """What the run was made with."""
+    """Versions of the software that made the run."""
     versions = dict(summary.get("versions") or {})
     if not versions:
         return ""
-    made = [f"<div><dt>{escape(str(k))}</dt><dd>{escape(str(v))}</dd></div>" for k, v in versions.items()]
-    return f'<details><summary>Made with</summary><dl class="numbers" style="border:0">{"".join(made)}</dl></details>'
+    items = [f"<div><dt>{escape(str(k))}</dt><dd>{escape(str(v))}</dd></div>" for k, v in versions.items()]
+    return f'<details><summary>Made with</summary><dl class="numbers" style="border:0">{"".join(items)}</dl></details>'
 
 
 def number(value: object) -> str:
-    """A number with three significant figures, plain where that is short; a dash for what is not known."""
+    """A number with three significant figures, as HTML: fixed point where that is short, else a power of ten; a dash if unknown."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return "–" if value is None else escape(str(value))
     if isinstance(value, int):
@@ -112,12 +112,12 @@ def number(value: object) -> str:
     if not 1e-4 <= abs(value) < 1e6:
         mantissa, exponent = f"{value:.2e}".split("e")
         return f"{mantissa}·10<sup>{int(exponent)}</sup>"
-    digits = max(0, 2 - math.floor(math.log10(abs(value))))
+    digits = max(0, 2 - math.floor(math.log10(abs(value))))  # three significant figures
     return f"{value:.{digits}f}"
 
 
 def _with_unit(value: object, unit: str) -> str:
-    """Number and unit; lengths under 10 cm in millimetres."""
+    """Number and unit as HTML; lengths under 10 cm in millimetres."""
     if unit == "m" and isinstance(value, float) and 0 < abs(value) < 0.1:
         value, unit = 1e3 * value, "mm"
     text = number(value)
@@ -129,5 +129,5 @@ def _is_number(value: object) -> bool:
 
 
 def _sentence(words: str) -> str:
-    """With a capital letter and a full stop."""
+    """The text with a capital letter and a full stop."""
     return words[:1].upper() + words[1:].rstrip(".") + "." if words else ""

@@ -1,4 +1,4 @@
-"""`report.html` of one run: read what the run's folder holds, lay it out, write it in one piece."""
+"""Writes `report.html` of one run from the files in the run's folder."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import polars as pl
 from vstestbed.core.errors import RunFolderError, VstestbedError
 from vstestbed.core.files import write_whole
 from vstestbed.report.html.canvas import style, to_svg
-from vstestbed.report.html.pieces import figure, film, folded
+from vstestbed.report.html.parts import figure, film, folded
 from vstestbed.report.html.template import PAGE, STYLE
 from vstestbed.report.run import figures, flight, numbers, path3d, vehicle
 from vstestbed.report.run import floor_plan as plane
@@ -24,16 +24,17 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 EMBED_BYTES: Final = 30_000_000
-"""Films up to this size together stand in the page itself; beyond it they are linked, so that the page still opens."""
+"""Films up to this size together are embedded in the page; larger ones are linked, so that a browser can still open it."""
 
 FILMS: Final = {"camera": "What the camera sees", "overview": "From outside"}
 
+# Of each figure: key (prefix of its SVG identifiers), title, caption, function that draws it or gives None.
 Plot = tuple[str, str, str, Callable[[Tracks], "Figure | None"]]
 PLOTS: Final[tuple[Plot, ...]] = (
     (
         "features",
         "Features in the image",
-        "The way of each marker through the picture; the frame is the picture's border.",
+        "The path of each marker through the image; the frame is the image border.",
         figures.features,
     ),
     (
@@ -58,44 +59,44 @@ PLOTS: Final[tuple[Plot, ...]] = (
     ("path", "Camera path", "In the world, equal scale on all axes; pyramids look where the camera looks.", path3d.camera_path),
     (
         "plane",
-        "Way on the floor",
-        "From above, equal scale. Shaded: what is in the picture at the landmarks' height, at the start and at the end.",
+        "Path on the floor",
+        "From above, equal scale. Shaded: the region in the image, at the landmarks' height, at the start and at the end.",
         plane.plane,
     ),
     (
         "off",
         "Error of the task",
-        "True: how far the camera is off its place or path, the gap wider than asked, the vehicle left of its line.",
-        vehicle.off_task,
+        "True error: distance of the camera from its goal or path, gap minus the desired gap, or lateral offset to the left of the line.",
+        vehicle.task_error,
     ),
     ("twist", "Camera twist", "In the camera's frame: commanded (thin line) and true (pale band).", figures.twist),
     (
         "velocity",
         "Velocity of the craft",
-        "In its level frame: ordered (thin line) and flown, by its own estimate (pale band).",
+        "In its level frame: commanded (thin line) and its own estimate of the velocity flown (pale band).",
         flight.velocity,
     ),
     (
         "tilt",
         "Tilt",
-        "True (pale band), as the craft estimates it from its IMU (thin line), and as its velocity loop asks for it (dotted).",
+        "True (pale band), estimated from the IMU (thin line), and the reference of the velocity loop (dotted).",
         flight.tilt,
     ),
-    ("rates", "Body rates", "Asked for by the attitude loop (thin line) and flown, by the gyro (pale band).", flight.rates),
+    ("rates", "Body rates", "Reference of the attitude loop (thin line) and measured by the gyro (pale band).", flight.rates),
     ("rotors", "Rotors and wind", "Speeds of the rotors, their limit dotted; the wind along the world's axes.", flight.rotors),
     ("pose", "Distance from the goal", "True pose against the goal pose.", figures.pose_error),
     ("depth", "Depth of the markers", "As the law used it (thin line) and true (pale band).", figures.depth),
     (
         "place",
-        "Error of the place known",
-        "Where the vehicle thinks it is against where it is; heading likewise, counter-clockwise.",
-        vehicle.place_error,
+        "Localisation error",
+        "Estimated minus true position (distance) and heading (counter-clockwise).",
+        vehicle.localisation_error,
     ),
-    ("wheels", "Wheels and steering", "As told (thin line) and as measured (pale band).", vehicle.wheels),
+    ("wheels", "Wheels and steering", "Commanded (thin line) and measured (pale band).", vehicle.wheels),
     (
         "slip",
         "Slip",
-        "How fast its way and turn and those by its encoders part (sliding, a wrong wheel radius): mean between two frames.",
+        "True motion minus the motion by the encoders (sliding, a wrong wheel radius): mean between two frames.",
         vehicle.slip,
     ),
     (
@@ -108,12 +109,12 @@ PLOTS: Final[tuple[Plot, ...]] = (
 
 
 def write_report(run_dir: Path, log: pl.DataFrame | None = None, setting: Setting | None = None) -> Path:
-    """Write `report.html` into a run's folder and give its path.
+    """Write `report.html` into a run's folder; returns its path.
 
     Args:
-        run_dir: the folder with `scenario.yaml`, `summary.json`, `log.parquet` (or `log.part`) and, where made, films.
-        log: the run's table, where the caller has it already; else it is read from the folder.
-        setting: facts for the figures; else they come from loading `scenario.yaml`.
+        run_dir: the folder with `scenario.yaml`, `summary.json`, `log.parquet` (or `log.part`) and films, if there are any.
+        log: the run's table, if the caller has it already; else it is read from the folder.
+        setting: scenario data for the figures; by default from loading `scenario.yaml`.
 
     Raises:
         RunFolderError: the folder holds no run.
@@ -134,11 +135,11 @@ def render_page(
     """The report as HTML that refers to nothing outside itself (films of more than 30 MB together excepted).
 
     Args:
-        log: one row a frame, the columns of `log.parquet`; may be empty.
-        summary: the content of `summary.json`; what is missing shows as a dash.
-        scenario_text: the scenario as run, shown as it is.
-        videos: films by their word (`camera`, `overview`).
-        setting: facts of the scenario for the figures.
+        log: one row per frame, the columns of `log.parquet`; may be empty.
+        summary: the content of `summary.json`; a missing number shows as a dash.
+        scenario_text: the scenario as run, shown verbatim.
+        videos: films by name (`camera`, `overview`).
+        setting: scenario data for the figures.
     """
     setting = setting or Setting()
     name = str(summary.get("scenario") or "Run")
@@ -153,31 +154,32 @@ def render_page(
         numbers.provenance(summary),
         folded("All numbers (summary.json)", json.dumps(dict(summary), indent=2, default=str)),
     ]
-    words = f'<p class="soft">{escape(setting.description)}</p>' if setting.description else ""
-    title = f"{name}: {numbers.outcome_words(summary)}"
-    return PAGE.format(title=escape(title), style=STYLE, heading=escape(name), description=words, body="\n".join(filter(None, body)))
+    subtitle = f'<p class="soft">{escape(setting.description)}</p>' if setting.description else ""
+    title = f"{name}: {numbers.outcome_text(summary)}"
+    return PAGE.format(title=escape(title), style=STYLE, heading=escape(name), description=subtitle, body="\n".join(filter(None, body)))
 
 
 def _figures(tracks: Tracks) -> str:
-    """All figures that this run has, as a grid of inline SVG."""
-    made = []
+    """All figures that apply to this run, as inline SVG."""
+    svgs = []
     with style():
         for key, title, caption, draw in PLOTS:
             drawn = draw(tracks)
             if drawn is not None:
-                made.append(figure(title, to_svg(drawn, key, title), caption))
-    return "".join(made)
+                svgs.append(figure(title, to_svg(drawn, key, title), caption))
+    return "".join(svgs)
 
 
 def _films(videos: Mapping[str, Path]) -> str:
-    """The films: inside the page while they fit, else as links to the files beside it."""
-    left, made = EMBED_BYTES, []
-    for word, path in videos.items():
+    """The films: embedded in the page as long as they fit, else linked to the files beside it."""
+    left, films = EMBED_BYTES, []
+    for name, path in videos.items():
+        # in their order: the camera's film is embedded first
         size = path.stat().st_size
-        inside = size <= left
-        left -= size if inside else 0
-        made.append(film(FILMS.get(word, word), path, inside))
-    return f'<section class="films"><h2>Films</h2><div class="grid">{"".join(made)}</div></section>' if made else ""
+        embedded = size <= left
+        left -= size if embedded else 0
+        films.append(film(FILMS.get(name, name), path, embedded))
+    return f'<section class="films"><h2>Films</h2><div class="grid">{"".join(films)}</div></section>' if films else ""
 
 
 def _read(path: Path) -> str:
@@ -194,7 +196,7 @@ def _log(run_dir: Path) -> pl.DataFrame:
 
 
 def _summary(run_dir: Path) -> dict[str, Any]:
-    """The summary; a run that was cut off has none, and its report says so."""
+    """The summary; for a run that was killed, and has none, one that says so."""
     path = run_dir / "summary.json"
     if not path.exists():
         return {
@@ -209,8 +211,8 @@ def _summary(run_dir: Path) -> dict[str, Any]:
 
 
 def setting_of(path: Path) -> Setting:
-    """The facts of the scenario; none of them where it uses kinds that this installation does not have."""
-    from vstestbed.scenario.load import load
+    """The setting of a scenario file; an empty one if the scenario uses plugins that are not installed here."""
+    from vstestbed.scenario.load import load  # here: the figures themselves need no scenario
 
     try:
         return Setting.of(load(path))

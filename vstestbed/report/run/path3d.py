@@ -1,4 +1,4 @@
-"""The figure of the camera's way through the world: path, viewing pyramids, target, goal. Equal scale on all axes."""
+"""Camera path in the world, 3-D: path, viewing pyramids, target, goal. Equal scale on all axes."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ PYRAMID_LINE = [0, 1, 2, 0, 3, 4, 0, 1, 4, 3, 2]
 
 
 def camera_path(tracks: Tracks) -> Figure | None:
-    """The camera's path in the world, its view at the start, on the way and at the end, the markers, the goal view; None of a vehicle's.
+    """The camera's path in the world, its viewing pyramids along it, the markers, the goal view; None for a ground vehicle.
 
-    A vehicle's camera stays at its height: its way is drawn in the plane.
+    A ground vehicle's camera stays at its height: its path is drawn in the plane (`floor_plan`).
     """
-    if tracks.setting.ride is not None:
+    if tracks.setting.ground_task is not None:
         return None
     cameras = tracks.poses("cam")
     cameras = cameras[np.isfinite(cameras).all(axis=(1, 2))]
@@ -39,7 +39,7 @@ def camera_path(tracks: Tracks) -> Figure | None:
     points = np.concatenate(shown)
     figure = new_figure(4.0)
     axes = new_space(figure)
-    size = 0.13 * float(np.ptp(points, axis=0).max() or 1.0)
+    size = 0.13 * float(np.ptp(points, axis=0).max() or 1.0)  # [m] of a pyramid; 1 m where nothing moves and no target is known
     _draw_cameras(axes, cameras, goal, size)
     _draw_target(axes, targets, tracks.setting.points, size)
     _equal_scale(axes, points, size)
@@ -49,7 +49,7 @@ def camera_path(tracks: Tracks) -> Figure | None:
 
 
 def _goal_camera(tracks: Tracks, targets: Array) -> Array | None:
-    """Where the camera should be in the world, for the target's last pose; None without a goal view."""
+    """Goal pose T_world_camera (4, 4) for the target's last pose; None without a goal view."""
     view = tracks.setting.T_camera_target
     return targets[-1] @ inverse(view) if view is not None and len(targets) else None
 
@@ -57,6 +57,7 @@ def _goal_camera(tracks: Tracks, targets: Array) -> Array | None:
 def _draw_cameras(axes: Axes3D, cameras: Array, goal: Array | None, size: float) -> None:
     path = cameras[:, :3, 3]
     axes.plot(*path.T, color=LINE_COLORS[0], linewidth=1.8, label="camera, to its end")
+    # four views evenly over the frames, without start and end
     for k in np.unique(np.linspace(0, len(cameras) - 1, 6).astype(int))[1:-1]:
         axes.plot(*_pyramid(cameras[k], 0.6 * size), color=LINE_COLORS[0], linewidth=0.7, alpha=0.45)
     axes.plot(*_pyramid(cameras[0], size), color=INK, linewidth=1.0, label="start")
@@ -66,7 +67,7 @@ def _draw_cameras(axes: Axes3D, cameras: Array, goal: Array | None, size: float)
 
 
 def _draw_target(axes: Axes3D, targets: Array, points: Array | None, size: float) -> None:
-    """The target's path (where it moves), its axes, and its markers at its last pose."""
+    """Path of a moving target, and at its last pose the axes and the markers of the target."""
     if len(targets) == 0:
         return
     if np.ptp(targets[:, :3, 3], axis=0).max() > 1e-6:
@@ -82,12 +83,12 @@ def _draw_target(axes: Axes3D, targets: Array, points: Array | None, size: float
 
 
 def _pyramid(T: Array, size: float) -> Array:
-    """The edges of the viewing pyramid of a camera pose (4, 4) as one line, shape (3, 11)."""
+    """Edges of the viewing pyramid of a camera pose T_world_camera (4, 4) as one line, shape (3, 11)."""
     return transform(T, size * PYRAMID)[PYRAMID_LINE].T
 
 
 def _equal_scale(axes: Axes3D, points: Array, size: float) -> None:
-    """One metre is as long on every axis; a flat scene gets some thickness."""
+    """Equal scale on the three axes; a flat scene gets some thickness."""
     from matplotlib.ticker import MaxNLocator
 
     low, high = points.min(axis=0) - size, points.max(axis=0) + size
@@ -100,7 +101,7 @@ def _equal_scale(axes: Axes3D, points: Array, size: float) -> None:
     axes.set_zlabel("z [m]", labelpad=0)
     axes.tick_params(pad=0, labelsize=8.5)
     axes.view_init(elev=22, azim=-62)
-    drawn: tuple[Any, ...] = (axes.xaxis, axes.yaxis, axes.zaxis)  # matplotlib's stubs know only the flat axes' methods
+    drawn: tuple[Any, ...] = (axes.xaxis, axes.yaxis, axes.zaxis)  # Any: matplotlib's stubs have only the methods of 2-D axes
     for axis, share in zip(drawn, span / span.max(), strict=True):
         axis.set_major_locator(MaxNLocator(max(2, round(5 * share))))
         axis.set_pane_color((0, 0, 0, 0))

@@ -1,6 +1,6 @@
-"""The figures of angles: the markers' ways in the coordinates that the laws of `polar` and `spherical` work in.
+"""Marker trajectories in the coordinates of the features `polar` and `spherical`, for runs with these features.
 
-Only runs of these features have them. Lines and marks are those of the figure in the image.
+Lines and marks are those of the figure in the image.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ if TYPE_CHECKING:
 PI = math.pi
 SUFFIXES = ("", "_true", "_goal")
 RINGS_DEG = {30: 10, 60: 15, 100: 20, 180: 30}
-"""Angle from the axis up to which the sphere is drawn, and the circles' distance from each other, by how far the markers go."""
+"""Colatitude up to which the sphere is drawn, the smallest that holds all markers, and the spacing of its circles [deg]."""
 
 
 def polar(tracks: Tracks) -> Figure | None:
-    """The markers' ways in (phi, r), for a run whose feature is `polar`."""
+    """Marker trajectories in (phi, r), for a run with the feature `polar`."""
     feature = tracks.setting.feature
     return _plane(tracks, feature, "r") if isinstance(feature, Polar) else None
 
 
 def spherical(tracks: Tracks) -> Figure | None:
-    """The markers' ways in (phi, theta), for a run whose feature is `spherical`."""
+    """Marker trajectories in (phi, theta), for a run with the feature `spherical`."""
     feature = tracks.setting.feature
     return _plane(tracks, feature, r"$\theta$ [rad]") if isinstance(feature, Spherical) else None
 
@@ -45,6 +45,7 @@ def _plane(tracks: Tracks, feature: Polar | Spherical, label: str) -> Figure | N
     if not np.isfinite(ways[0]).any():
         return None
     turns_joined(*(way[..., 0] for way in ways))
+    # angles are drawn in multiples of pi, a radius as it is
     in_pi = np.array([1 / PI, 1 / PI if isinstance(feature, Spherical) else 1.0])
     figure = new_figure(3.6)
     axes = figure.add_subplot()
@@ -63,8 +64,8 @@ def coordinates(tracks: Tracks, feature: Polar | Spherical, suffix: str) -> Arra
     """The feature's two coordinates of each marker, phi first, shape (T, N, 2) [rad, and 1 or rad]; NaN where not seen.
 
     Args:
-        tracks: of a run.
-        feature: whose coordinates.
+        tracks: the run.
+        feature: the feature that measures them.
         suffix: "" for the measured markers, `_true` or `_goal`.
     """
     camera, uv = tracks.setting.camera, tracks.pixels(suffix)
@@ -75,33 +76,34 @@ def coordinates(tracks: Tracks, feature: Polar | Spherical, suffix: str) -> Arra
 
 
 def turns_joined(measured: Array, true: Array, goal: Array) -> None:
-    """Make angles about the axis, each (T, N) [rad], continuous in place: whole turns are added so that no line jumps.
+    """Unwrap angles about the axis, each (T, N) [rad], in place: multiples of 2 pi are added so that no line jumps.
 
-    The true way runs beside the measured one, which keeps its first angle; the goal is the one next to the way's end.
+    The measured trajectory keeps its first angle. The true one is shifted next to it, and the goal next to its end.
     """
-    for seen, real, wanted in zip(measured.T, true.T, goal.T, strict=True):  # views: they write into the arrays
-        way = _unwrapped(np.where(np.isfinite(seen), seen, real))
-        seen[:] = np.where(np.isfinite(seen), way, np.nan)
+    for seen, real, target in zip(measured.T, true.T, goal.T, strict=True):  # views: they write into the arrays
+        # the true angle bridges gaps of the measurement, in which the marker may turn by more than half a turn
+        path = _unwrapped(np.where(np.isfinite(seen), seen, real))
+        seen[:] = np.where(np.isfinite(seen), path, np.nan)
         real[:] = _unwrapped(real)
-        real += _whole_turns(way - real)
-        wanted += _whole_turns((way - wanted)[np.isfinite(way)][-1:])
+        real += _whole_turns(path - real)
+        target += _whole_turns((path - target)[np.isfinite(path)][-1:])
 
 
 def _unwrapped(phi: Array) -> Array:
-    """Angles (T,) with steps of at most half a turn from one that is known to the next; NaN stays."""
+    """Angles (T,) with steps of at most pi between consecutive known values; NaN stays."""
     phi, known = phi.copy(), np.isfinite(phi)
     phi[known] = np.unwrap(phi[known])
     return phi
 
 
 def _whole_turns(difference: Array) -> float:
-    """The multiple of 2 pi next to the median of differences (T,) [rad]; 0 where none is known."""
+    """The multiple of 2 pi nearest to the median of differences (T,) [rad]; 0 if none is known."""
     known = difference[np.isfinite(difference)]
     return float(2 * PI * np.round(np.median(known) / (2 * PI))) if len(known) else 0.0
 
 
 def _count_in_pi(axis: Axis, most: int) -> None:
-    """Up to `most` ticks of an axis whose numbers are multiples of pi."""
+    """Up to `most` ticks on an axis whose data are in multiples of pi."""
     from matplotlib.ticker import MaxNLocator
 
     axis.set_major_locator(MaxNLocator(most, steps=[1, 2.5, 5, 10]))
@@ -114,7 +116,7 @@ def _in_pi(value: float) -> str:
 
 
 def on_sphere(tracks: Tracks) -> Figure | None:
-    """The markers' ways on the unit sphere around the camera, for a run whose feature is `spherical`."""
+    """Marker trajectories on the unit sphere around the camera, for a run with the feature `spherical`."""
     camera = tracks.setting.camera
     if camera is None or not isinstance(tracks.setting.feature, Spherical):
         return None
@@ -124,7 +126,7 @@ def on_sphere(tracks: Tracks) -> Figure | None:
     if len(shown) == 0:
         return None
     figure = new_figure(4.4)
-    axes = new_space(figure, computed_zorder=False)  # what is drawn later lies on top
+    axes = new_space(figure, computed_zorder=False)  # artists drawn later lie on top: matplotlib's own order is by mean depth
     _draw_ball(axes, shown)
     for i, color in enumerate(marker_colors(tracks.markers)):
         sphere.draw_curve(axes, true[:, i], color=color, **BAND)
@@ -137,7 +139,7 @@ def on_sphere(tracks: Tracks) -> Figure | None:
 
 
 def _draw_ball(axes: Axes3D, shown: Array) -> None:
-    """The net of as much of the sphere as the rays shown (M, 3) need, seen from ahead and from the side on which they are."""
+    """The part of the sphere that the rays shown (M, 3) need, seen from ahead and from the side on which they lie."""
     farthest = math.degrees(math.acos(np.clip(shown[:, 2].min(), -1, 1)))
     reach_deg = next(reach for reach in RINGS_DEG if reach >= farthest or reach == 180)
     reach, side = math.radians(reach_deg), math.sin(math.radians(min(reach_deg, 90)))

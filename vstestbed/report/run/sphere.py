@@ -1,4 +1,4 @@
-"""The unit sphere around the camera's centre in 3-D: its net, its axes, and where it is looked at from.
+"""The unit sphere around the camera centre in 3-D: graticule, axes, viewpoint.
 
 Camera axes (x right, y down, z forward) are drawn as (x, z, -y), so that down is down.
 """
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from mpl_toolkits.mplot3d import Axes3D
 
 FAR = 0.4
-"""How much of its opacity a line keeps on the far side."""
+"""Factor of the opacity of lines on the far side."""
 
 
 def drawn(p: Array) -> Array:
@@ -33,13 +33,13 @@ def ray_at(theta: ArrayLike, phi: ArrayLike) -> Array:
 
 
 def towards_viewer(axes: Axes3D) -> Array:
-    """Unit vector (3,) in camera coordinates from the centre to whoever looks at the axes."""
+    """Unit vector (3,) in camera coordinates from the centre towards the viewer."""
     elevation, azimuth = np.radians(axes.elev), np.radians(axes.azim)
     return np.array([np.cos(elevation) * np.cos(azimuth), -np.sin(elevation), np.cos(elevation) * np.sin(azimuth)])
 
 
 def draw_curve(axes: Axes3D, p: Array, alpha: float = 1.0, hide_back: bool = False, **look: Any) -> None:
-    """A line through points of the sphere (T, 3); what lies on the far side is paler, or left out."""
+    """A line through points of the sphere (T, 3); the far side is paler, or hidden."""
     near = np.where((p @ towards_viewer(axes) >= 0)[:, None], p, np.nan)
     if not hide_back:
         axes.plot(*drawn(p), alpha=FAR * alpha, **look)
@@ -56,29 +56,29 @@ def draw_net(axes: Axes3D, reach: float, step: float, hide_back: bool = False) -
 
 
 def draw_axes(axes: Axes3D, length: float, start: float = 0.0) -> None:
-    """The optical axis as a dashed line of this length from z = `start` on, with its letter."""
+    """The optical axis as a dashed line of this length from z = `start`, labelled."""
     tip = np.array([0, 0, start + length])
     axes.plot(*drawn(np.stack([[0, 0, start], tip])), color=INK, linewidth=1.3, linestyle=(0, (4, 2)))
     _letter(axes, tip * 1.06, "z", INK)
 
 
 def draw_cross_axes(axes: Axes3D, at: Array, length: float, start: float = 0.0) -> None:
-    """Lines of this length along x and y, `start` away from the point `at` (3,), in the axes' colours, with their letters."""
+    """Lines of this length along x and y from `start` away from the point `at` (3,), in the axes' colours, labelled."""
     for direction, name, color in zip(np.eye(3), "xy", AXIS_COLORS, strict=False):
         axes.plot(*drawn(at + np.outer([start, start + length], direction)), color=color, linewidth=1.3)
         _letter(axes, at + (start + 1.3 * length) * direction, name, color)
 
 
-def _letter(axes: Any, at: Array, word: str, color: str) -> None:  # matplotlib's stubs know only the flat axes' text
-    axes.text(*drawn(at).tolist(), word, color=color, ha="center", va="center")
+def _letter(axes: Any, at: Array, letter: str, color: str) -> None:  # Any: matplotlib's stubs have only the 2-D signature of text
+    axes.text(*drawn(at).tolist(), letter, color=color, ha="center", va="center")
 
 
 def frame(axes: Axes3D, low: Array, high: Array, elev: float, azim: float, zoom: float) -> None:
-    """Show the box from `low` to `high` (3,) of camera coordinates in equal scale, without matplotlib's own axes."""
-    corners = np.sort(np.stack([drawn(low), drawn(high)]), axis=0)
+    """Limit the axes to the box from `low` to `high` (3,) in camera coordinates, equal scale, without matplotlib's own axes."""
+    corners = np.sort(np.stack([drawn(low), drawn(high)]), axis=0)  # sorted: the sign of y changes when drawn
     limits: dict[str, Any] = {f"{name}lim": tuple(corners[:, i].tolist()) for i, name in enumerate("xyz")}
     axes.set(**limits)
-    box: dict[str, Any] = {"zoom": zoom}  # a float, whatever the stubs say
+    box: dict[str, Any] = {"zoom": zoom}  # zoom is a float, but the stubs say int
     axes.set_box_aspect(np.ptp(corners, axis=0), **box)
     axes.view_init(elev=elev, azim=azim)
     axes.set_axis_off()

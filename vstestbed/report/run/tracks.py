@@ -1,4 +1,4 @@
-"""What the figures draw: a run's log as arrays, and the few facts of its scenario that the log does not hold."""
+"""Data of the figures of a run: the log as arrays, and the parts of the scenario that the log does not hold."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import polars as pl
 from numpy.typing import NDArray
 
 from vstestbed.core.geometry import Array, inverse, rotation_from_quaternion, transform
-from vstestbed.report.run.expected_way import Ride
+from vstestbed.report.run.expected_path import GroundTask
 
 if TYPE_CHECKING:
     from vstestbed.camera import Camera
@@ -25,18 +25,18 @@ MOST_ROWS = 4000
 
 @dataclass(frozen=True)
 class Setting:
-    """Facts of the scenario that the figures use; each may be None where it is unknown or makes no sense.
+    """Parts of the scenario that the figures use; each is None where it is unknown or does not apply.
 
     Attributes:
-        width, height: size of the servo camera's picture [px].
-        threshold_px: RMS error under which the goal counts as reached [px].
+        width, height: image size of the servo camera [px].
+        threshold_px: RMS error that counts as converged [px].
         points: marker centres in the target frame, shape (N, 3) [m].
         T_camera_target: the goal view, shape (4, 4).
-        description: the scenario's own words.
-        feature: what the law works with, where it is an image feature.
+        description: the scenario's description.
+        feature: the image feature of the law; None for a law without one.
         camera: the servo camera.
-        ride: what there is to a vehicle's task on the floor.
-        band_m, settle_s: of a task without an end: how far off it may be [m], from when on [s].
+        ground_task: the task of a ground vehicle; None for other robots.
+        band_m, settle_s: of a continuing task: error tolerance [m] after this time [s].
     """
 
     width: int | None = None
@@ -47,14 +47,14 @@ class Setting:
     description: str = ""
     feature: Feature | None = None
     camera: Camera | None = None
-    ride: Ride | None = None
+    ground_task: GroundTask | None = None
     band_m: float | None = None
     settle_s: float = 0.0
 
     @classmethod
     def of(cls, scenario: Scenario) -> Setting:
-        """The facts of a loaded scenario; a task without a goal view or a pixel threshold leaves those out."""
-        ride, goal = Ride.of(scenario), scenario.goal
+        """The setting of a loaded scenario; goal view and pixel threshold are None for tasks that have none."""
+        ground_task, goal = GroundTask.of(scenario), scenario.goal
         view = getattr(goal, "T_camera_target", None)
         return cls(
             width=scenario.camera.width,
@@ -65,7 +65,7 @@ class Setting:
             description=scenario.description,
             feature=scenario.law.feature,
             camera=scenario.camera,
-            ride=ride,
+            ground_task=ground_task,
             band_m=goal.tolerance_m,
             settle_s=goal.settle_s,
         )
@@ -73,7 +73,7 @@ class Setting:
 
 @dataclass(frozen=True)
 class Tracks:
-    """A log (one row a frame) seen as arrays over time; a column that is absent reads as NaN."""
+    """A log (one row per frame) as arrays over time; a column that is absent reads as NaN."""
 
     log: pl.DataFrame
     setting: Setting
@@ -87,7 +87,7 @@ class Tracks:
 
     def column(self, name: str) -> Array:
         """One column as floats, shape (T,)."""
-        if name not in self.log.columns:
+        if name not in self.log.columns:  # columns differ between robots and laws, and older logs lack some
             return np.full(len(self.log), np.nan)
         return self.log[name].cast(pl.Float64, strict=False).fill_null(np.nan).to_numpy()
 
@@ -96,33 +96,33 @@ class Tracks:
         return np.stack([self.column(n) for n in names], axis=-1)
 
     def numbered(self, stem: str) -> Array:
-        """The columns `stem_0 .. stem_{N-1}`, one for each marker, shape (T, N)."""
+        """The columns `stem_0 .. stem_{N-1}`, one per marker, shape (T, N)."""
         n = self.markers
         return self.columns(*(f"{stem}_{i}" for i in range(n))) if n else np.empty((len(self.log), 0))
 
     def pixels(self, suffix: str = "") -> Array:
-        """Marker pixels (T, N, 2): measured, or with suffix `_true` or `_goal`."""
+        """Marker pixels (T, N, 2) [px]: measured, or with the suffix `_true` or `_goal`."""
         return np.stack([self.numbered(f"u{suffix}"), self.numbered(f"v{suffix}")], axis=-1)
 
     def named(self, stem: str) -> list[str]:
-        """What stands behind `stem_` in the column names, in the log's order: joint or actuator names."""
+        """Names after `stem_` in the column names, in the log's order: names of joints or actuators."""
         return [c[len(stem) + 1 :] for c in self.log.columns if c.startswith(f"{stem}_")]
 
     def poses(self, stem: str) -> Array:
-        """Poses in the world of `cam` or `tgt`, shape (T, 4, 4); NaN where the log has none."""
+        """Poses T_world_cam or T_world_tgt (stem `cam` or `tgt`), shape (T, 4, 4); NaN where the log has none."""
         T = np.full((len(self.log), 4, 4), np.nan)
         T[:, :3, :3] = rotation_from_quaternion(self.columns(*(f"{stem}_q{a}" for a in "wxyz")))
         T[:, :3, 3] = self.columns(*(f"{stem}_{a}" for a in "xyz"))
         T[:, 3] = 0.0, 0.0, 0.0, 1.0
         return T
 
-    def places(self, stem: str) -> Array:
-        """A vehicle's places (x, y, heading) of `base` (true), `est` or `odo`, shape (T, 3); NaN where the log has none."""
+    def planar_poses(self, stem: str) -> Array:
+        """Planar poses (x, y, heading) of a vehicle: `base` (true), `est` (estimate) or `odo` (odometry), shape (T, 3) [m, m, rad]."""
         return self.columns(*(f"{stem}_{name}" for name in ("x", "y", "heading")))
 
     @cached_property
     def markers(self) -> int:
-        """How many markers the log has."""
+        """Number of markers in the log."""
         return sum(re.fullmatch(r"u_\d+", c) is not None for c in self.log.columns)
 
     @cached_property
@@ -137,15 +137,16 @@ class Tracks:
 
     @cached_property
     def true_depth(self) -> Array | None:
-        """Depth of the markers from the true poses, shape (T, N) [m]; None where the marker points are unknown."""
+        """Depth of the markers computed from the true poses, shape (T, N) [m]; None where the marker points are unknown."""
         points = self.setting.points
-        if points is None or len(points) != self.markers:
+        if points is None or len(points) != self.markers:  # a log of another target
             return None
         T_camera_target = inverse(self.poses("cam")) @ self.poses("tgt")
         return transform(T_camera_target, points)[..., 2]
 
-    def lost_stretches(self) -> list[tuple[float, float]]:
-        """From when until when the target was lost [s]; a single frame lasts until the next."""
+    def lost_intervals(self) -> list[tuple[float, float]]:
+        """Start and end times of the intervals without target [s]; an interval lasts until the first frame with target."""
+        # rising and falling edges alternate, since False is padded at both ends
         edges = np.flatnonzero(np.diff(np.concatenate([[False], self.lost, [False]]).astype(int)))
         last = len(self.t) - 1
         return [(float(self.t[a]), float(self.t[min(b, last)])) for a, b in edges.reshape(-1, 2)]

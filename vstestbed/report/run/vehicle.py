@@ -1,4 +1,4 @@
-"""Figures over time of a run with a vehicle: wheels, slip, what it thinks of its place, how far off its task it is."""
+"""Figures over time of a ground vehicle: wheels, slip, localisation error, error of the task."""
 
 from __future__ import annotations
 
@@ -18,23 +18,25 @@ if TYPE_CHECKING:
 ESTIMATES = (("est", "as estimated", LINE_COLORS[1]), ("odo", "by odometry alone", LINE_COLORS[3]))
 
 
+WHEEL_PANELS = (("qd", False, "speed [rad/s]"), ("q", True, "angle [rad]"))
+"""Panels of the wheels' figure: column of the measurement, whether it shows steering joints, label."""
+
+
 def wheels(tracks: Tracks) -> Figure | None:
-    """Speeds of the wheels as measured (band) and as told (line), and below it steering angles likewise."""
-    if tracks.setting.ride is None:
+    """Wheel speeds, measured (band) and commanded (line), and below them the steering angles."""
+    if tracks.setting.ground_task is None:
         return None
-    turning = _shown(tracks, "qd", steering=False), _shown(tracks, "ctrl", steering=False)
-    steering = _shown(tracks, "q", steering=True), _shown(tracks, "ctrl", steering=True)
-    panels = [(stem, some, label) for stem, some, label in (("qd", turning, "speed [rad/s]"), ("q", steering, "angle [rad]")) if any(some)]
-    if not panels:
+    panels = _wheel_panels(tracks)
+    names = list(dict.fromkeys(n for _, measured, commanded, _ in panels for n in (*measured, *commanded)))
+    if not names:
         return None
-    names = list(dict.fromkeys(n for _, (measured, told), _ in panels for n in (*measured, *told)))
     color = {name: LINE_COLORS[i % len(LINE_COLORS)] for i, name in enumerate(names)}
     figure = new_figure(0.9 + 1.9 * len(panels) + 0.16 * -(-len(names) // 4))
     grid = np.ravel(figure.subplots(len(panels), 1, sharex=True, squeeze=False))
-    for axes, (stem, (measured, told), label) in zip(grid, panels, strict=True):
+    for axes, (stem, measured, commanded, label) in zip(grid, panels, strict=True):
         for name in measured:
             axes.plot(tracks.t, tracks.column(f"{stem}_{name}"), color=color[name], **BAND)
-        for name in told:
+        for name in commanded:
             axes.plot(tracks.t, tracks.column(f"ctrl_{name}"), color=color[name], linewidth=1.0)
         axes.set_ylabel(label)
     time_axis(grid[-1], tracks)
@@ -42,26 +44,32 @@ def wheels(tracks: Tracks) -> Figure | None:
     return figure
 
 
-def _shown(tracks: Tracks, stem: str, steering: bool) -> list[str]:
-    """Names behind a stem that steer, or those that turn; the vehicle's own degrees of freedom are neither."""
+def _wheel_panels(tracks: Tracks) -> list[tuple[str, list[str], list[str], str]]:
+    """The panels with data: column of the measurement, measured joints, commanded joints, label."""
+    panels = [(stem, _joints(tracks, stem, steering), _joints(tracks, "ctrl", steering), label) for stem, steering, label in WHEEL_PANELS]
+    return [panel for panel in panels if panel[1] or panel[2]]
+
+
+def _joints(tracks: Tracks, stem: str, steering: bool) -> list[str]:
+    """Names of the steering joints or of the wheels with values in the columns of a stem; the floating base (`root_`) is neither."""
     names = [n for n in tracks.named(stem) if not n.startswith("root_") and ("steer" in n) == steering]
     return [n for n in names if np.isfinite(tracks.column(f"{stem}_{n}")).any()]
 
 
-def place_error(tracks: Tracks) -> Figure | None:
-    """How far the vehicle is from where it thinks it is, and by how much its heading is wrong: with landmarks, by odometry alone."""
-    true = tracks.places("base")
-    off = {stem: tracks.places(stem) - true for stem, _, _ in ESTIMATES}
-    if tracks.setting.ride is None or not any(np.isfinite(o).any() for o in off.values()):
+def localisation_error(tracks: Tracks) -> Figure | None:
+    """Localisation error in position and heading: of the estimate with landmarks, and of odometry alone."""
+    true = tracks.planar_poses("base")
+    error = {stem: tracks.planar_poses(stem) - true for stem, _, _ in ESTIMATES}
+    if tracks.setting.ground_task is None or not any(np.isfinite(e).any() for e in error.values()):
         return None
     figure = new_figure(3.9)
     upper, lower = figure.subplots(2, 1, sharex=True)
     for stem, label, color in ESTIMATES:
-        if np.isfinite(off[stem]).any():
-            upper.plot(tracks.t, np.hypot(off[stem][:, 0], off[stem][:, 1]), color=color, label=label)
-            lower.plot(tracks.t, np.degrees(wrapped(off[stem][:, 2])), color=color)
+        if np.isfinite(error[stem]).any():
+            upper.plot(tracks.t, np.hypot(error[stem][:, 0], error[stem][:, 1]), color=color, label=label)
+            lower.plot(tracks.t, np.degrees(wrapped(error[stem][:, 2])), color=color)
     lower.axhline(0, color=RULE, linewidth=0.8)
-    upper.set_ylim(bottom=0)
+    upper.set_ylim(bottom=0)  # a distance
     upper.set_ylabel("position [m]")
     lower.set_ylabel("heading [deg]")
     figure.legend(*upper.get_legend_handles_labels(), loc="outside lower center", ncols=2)
@@ -72,7 +80,8 @@ def place_error(tracks: Tracks) -> Figure | None:
 
 
 def slip(tracks: Tracks) -> Figure | None:
-    """How fast the vehicle slid over the floor and, below, turned on it, unnoticed by its encoders; logs of old lack the turn."""
+    """Slip speed and, below, slip in yaw: motion over the floor that the encoders do not measure; older logs lack the latter."""
+    # column, factor to the unit of the label, least span of the axis in that unit, label
     rows = (("slip_mps", 1e3, 1.0, "slip [mm/s]"), ("slip_radps", 180 / np.pi, 0.1, "in yaw [deg/s]"))
     panels = [(tracks.column(name) * factor, least, label) for name, factor, least, label in rows]
     panels = [panel for panel in panels if np.isfinite(panel[0]).any()]
@@ -89,10 +98,10 @@ def slip(tracks: Tracks) -> Figure | None:
     return figure
 
 
-def off_task(tracks: Tracks) -> Figure | None:
-    """True error of a task without an end, with the band that it shall stay in once settled."""
-    value, known = tracks.column("task_error_m"), tracks.setting.ride or tracks.setting
-    band, settle = known.band_m, known.settle_s
+def task_error(tracks: Tracks) -> Figure | None:
+    """True error of a continuing task, with its tolerance after the settling time."""
+    value, task = tracks.column("task_error_m"), tracks.setting.ground_task or tracks.setting
+    band, settle = task.band_m, task.settle_s
     if not np.isfinite(value).any():
         return None
     figure = new_figure(3.1)
@@ -113,6 +122,6 @@ def off_task(tracks: Tracks) -> Figure | None:
 
 
 def _worst(t: Array, value: Array, settled: float) -> float:
-    """Largest size after a time; NaN where there is none."""
+    """Largest magnitude after the settling time [s]; NaN without a value after it."""
     later = np.abs(value[(t >= settled) & np.isfinite(value)])
     return float(later.max()) if len(later) else float("nan")

@@ -1,4 +1,4 @@
-"""Basins of attraction as a picture: colour says how a start ended, shade when it converged."""
+"""Basins of attraction as a figure: the colour shows the outcome of a start, the shade its time to converge."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from vstestbed.core.files import write_whole
 from vstestbed.core.geometry import Array
 from vstestbed.report.comparison.tables import STYLE as TABLES
 from vstestbed.report.html.canvas import new_figure, save, style
-from vstestbed.report.html.pieces import data_url, figure
+from vstestbed.report.html.parts import data_url, figure
 from vstestbed.report.html.template import PAGE, STYLE
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-AxisWords = tuple[str, str, float, float]
+AxisLabels = tuple[str, str, float, float]
 """Name, unit, low, high."""
 ENDINGS: Final = {
     "target_lost": ("#f3c04b", "target out of sight"),
@@ -30,59 +30,62 @@ ENDINGS: Final = {
     "diverged": ("#33150a", "diverged"),
     "timed_out": ("#9c9c9c", "timed out"),
 }
-"""Colour and words of each ending that is no success. They differ in lightness as well as in hue (after Okabe & Ito 2008), so
-that neither colour-blind eyes nor a grey print confuse them; blues are the converged."""
+"""Colour and name of each failure. The colours differ in lightness as well as in hue (after Okabe & Ito 2008), so that colour-blind
+readers can distinguish them, also in a grey print; blues are reserved for the converged."""
 OTHER: Final = "#000000"
+"""Colour of any other outcome."""
 SOON, LATE = np.array([0.86, 0.94, 1.0]), np.array([0.02, 0.22, 0.42])
-"""The blues (r, g, b) of starts that converge first and last."""
+"""Blues (r, g, b) of the earliest and the latest starts to converge."""
 PANEL_IN, COLUMNS, DPI = 2.0, 5, 200
 
 
 @dataclass(frozen=True)
-class Map:
-    """How each start of a grid ended, (n_y, n_x), by the word of its ending, and when it converged [s]."""
+class BasinMap:
+    """Outcome of each start of a grid by name, and time to converge [s] (NaN if it did not), both (n_y, n_x)."""
 
     label: str
     endings: Array
     time_s: Array
 
 
-def colours(made: Map, soonest: float, latest: float) -> Array:
-    """The map as a picture (n_y, n_x, 3): blue from light to dark between two times to converge [s], else its ending's colour."""
+def colours(one: BasinMap, soonest: float, latest: float) -> Array:
+    """The map as an image (n_y, n_x, 3): blue from light to dark between two times to converge [s], else the colour of the outcome."""
     from matplotlib.colors import to_rgb
 
-    share = np.clip((made.time_s - soonest) / max(latest - soonest, 1e-9), 0, 1)
+    share = np.clip((one.time_s - soonest) / max(latest - soonest, 1e-9), 0, 1)
     picture = np.where(np.isfinite(share)[..., None], SOON + np.nan_to_num(share)[..., None] * (LATE - SOON), to_rgb(OTHER))
     for ending, (colour, _) in ENDINGS.items():
-        picture[made.endings == ending] = to_rgb(colour)
+        picture[one.endings == ending] = to_rgb(colour)
     return picture
 
 
-def draw(maps: Sequence[Map], x: AxisWords, y: AxisWords) -> Figure:
-    """One panel a law, all with the same shades; below them what the colours mean."""
+def draw(maps: Sequence[BasinMap], x: AxisLabels, y: AxisLabels) -> Figure:
+    """One panel per law, all with the same scale of shades, and a legend of the colours below."""
     columns = min(COLUMNS, len(maps))
     rows = math.ceil(len(maps) / columns)
     drawn = new_figure(PANEL_IN * rows + 0.75, max(PANEL_IN * columns + 0.4, 4.6))
     times = np.concatenate([m.time_s[np.isfinite(m.time_s)] for m in maps]) if maps else np.zeros(0)
+    # percentiles: a few extreme times must not compress the scale of all others
     soonest, latest = np.percentile(times, [1, 99]).tolist() if len(times) else (0.0, 1.0)
     grid = drawn.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     for axes in grid.ravel()[len(maps) :]:
         axes.set_visible(False)
-    for i, made in enumerate(maps):
+    for i, one in enumerate(maps):
         axes = grid.ravel()[i]
-        axes.imshow(colours(made, soonest, latest), origin="lower", extent=(x[2], x[3], y[2], y[3]), aspect="auto", interpolation="nearest")
+        axes.imshow(colours(one, soonest, latest), origin="lower", extent=(x[2], x[3], y[2], y[3]), aspect="auto", interpolation="nearest")
         axes.grid(False)
-        axes.set_title(f"{made.label}: {100 * float(np.mean(made.endings == 'converged')):.1f} %")
+        axes.set_title(f"{one.label}: {100 * float(np.mean(one.endings == 'converged')):.1f} %")
         if i + columns >= len(maps):
             axes.set_xlabel(f"{x[0]} [{x[1]}]")
             axes.tick_params(labelbottom=True)
         if i % columns == 0:
             axes.set_ylabel(f"{y[0]} [{y[1]}]")
-    _key(drawn, grid, maps, soonest, latest)
+    _draw_legend(drawn, grid, maps, soonest, latest)
     return drawn
 
 
-def _key(drawn: Figure, grid: Any, maps: Sequence[Map], soonest: float, latest: float) -> None:
+def _draw_legend(drawn: Figure, grid: Any, maps: Sequence[BasinMap], soonest: float, latest: float) -> None:
+    """A colour bar of the times to converge, and a legend of the outcomes that occur."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import LinearSegmentedColormap, Normalize
     from matplotlib.patches import Patch
@@ -91,14 +94,16 @@ def _key(drawn: Figure, grid: Any, maps: Sequence[Map], soonest: float, latest: 
     bar = drawn.colorbar(ScalarMappable(Normalize(soonest, latest), blues), ax=grid, location="right", shrink=0.9, aspect=30, pad=0.015)
     bar.set_label("converged: time [s]")
     present = {str(e) for m in maps for e in np.unique(m.endings.astype(str))} - {"converged"}
-    patches = [Patch(color=colour, label=words) for ending, (colour, words) in ENDINGS.items() if ending in present]
+    patches = [Patch(color=colour, label=name) for ending, (colour, name) in ENDINGS.items() if ending in present]
     patches += [Patch(color=OTHER, label=ending.replace("_", " ")) for ending in sorted(present - set(ENDINGS))]
     if patches:
         drawn.legend(handles=patches, loc="outside lower center", ncols=min(5, len(patches)))
 
 
-def write_maps(folder: Path, maps: Sequence[Map], x: AxisWords, y: AxisWords, summaries: Sequence[Mapping[str, Any]], command: str) -> Path:
-    """`basin.png`, `basin.pdf` and `report.html`; gives the page.
+def write_maps(
+    folder: Path, maps: Sequence[BasinMap], x: AxisLabels, y: AxisLabels, summaries: Sequence[Mapping[str, Any]], command: str
+) -> Path:
+    """Write `basin.png`, `basin.pdf` and `report.html`; returns the page's path.
 
     Raises:
         OutputError: a file cannot be written.
@@ -109,8 +114,8 @@ def write_maps(folder: Path, maps: Sequence[Map], x: AxisWords, y: AxisWords, su
         png = save(drawn, folder / "basin.png", DPI)
     picture = f'<img src="{data_url("image/png", png.read_bytes())}" alt="Basins of attraction" style="width: 100%; height: auto">'
     caption = (
-        f"Start of the camera, {x[0]} and {y[0]} in the frame of its goal{_elsewhere(summaries)}. Ideal cameras, without latency or "
-        f"noise{_border(summaries)}. Blue converges, darker later; the number is its share."
+        f"Start of the camera, {x[0]} and {y[0]} in the frame of its goal{_fixed_coordinates(summaries)}. Ideal cameras, without latency "
+        f"or noise{_field_of_view(summaries)}. Blue converges, darker later; the number is its share."
     )
     body = figure("How each start ended", picture, caption) + _table(summaries) + _checks(summaries)
     if command:
@@ -119,26 +124,30 @@ def write_maps(folder: Path, maps: Sequence[Map], x: AxisWords, y: AxisWords, su
     return write_whole(folder / "report.html", page)
 
 
-def _placed(summary: Mapping[str, Any]) -> str:
+def _fixed_text(summary: Mapping[str, Any]) -> str:
+    # + 0.0 turns the -0.0 of rounding into 0
     return ", ".join(f"{name} {round(one['value'], 6) + 0.0:g} {one['unit']}" for name, one in summary["fixed"].items())
 
 
-def _elsewhere(summaries: Sequence[Mapping[str, Any]]) -> str:
-    """The coordinates that are not on the map; of each law where they differ."""
-    words = [_placed(s) for s in summaries]
-    if len(set(words)) > 1:
-        return "; " + "; ".join(f"{s['label']}: {at}" for s, at in zip(summaries, words, strict=True))
-    return f"; {words[0]}" if words else ""
+def _fixed_coordinates(summaries: Sequence[Mapping[str, Any]]) -> str:
+    """The coordinates that are not on the map; for each law if they differ."""
+    values = [_fixed_text(s) for s in summaries]
+    if len(set(values)) > 1:
+        return "; " + "; ".join(f"{s['label']}: {at}" for s, at in zip(summaries, values, strict=True))
+    return f"; {values[0]}" if values else ""
 
 
-def _border(summaries: Sequence[Mapping[str, Any]]) -> str:
-    views = {s["field_of_view"] for s in summaries}
-    return (
-        {"limited": "; the picture has its border", "unlimited": "; picture without border"}.get(views.pop(), "") if len(views) == 1 else ""
-    )
+FIELDS_OF_VIEW: Final = {"limited": "; limited field of view", "unlimited": "; unlimited field of view"}
+
+
+def _field_of_view(summaries: Sequence[Mapping[str, Any]]) -> str:
+    """The field of view; nothing if the laws differ in it."""
+    found = {s["field_of_view"] for s in summaries}
+    return FIELDS_OF_VIEW.get(found.pop(), "") if len(found) == 1 else ""
 
 
 def _table(summaries: Sequence[Mapping[str, Any]]) -> str:
+    """Shares of the outcomes that occur, one row per law."""
     endings = ["converged", *ENDINGS]
     endings += sorted({e for s in summaries for e in s["shares"]} - set(endings))
     endings = [e for e in endings if any(s["shares"].get(e) for s in summaries)]
@@ -155,6 +164,7 @@ def _table(summaries: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _checks(summaries: Sequence[Mapping[str, Any]]) -> str:
+    """The checked starts whose single run ended otherwise than in the batch."""
     found = [(s["label"], d) for s in summaries for d in s["disagreements"]]
     if not found:
         return ""

@@ -1,4 +1,4 @@
-"""Convergence maps as a picture: how many seeds converged, written and coloured, and how the others ended."""
+"""Convergence maps as a figure: the share of seeds that converged in each cell, and how most of the others ended."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from vstestbed.core.files import write_whole
 from vstestbed.core.geometry import Array
 from vstestbed.report.comparison.tables import STYLE as TABLES
 from vstestbed.report.html.canvas import INK, new_figure, save, style
-from vstestbed.report.html.pieces import data_url, figure
+from vstestbed.report.html.parts import data_url, figure
 from vstestbed.report.html.template import PAGE, STYLE
 
 if TYPE_CHECKING:
@@ -23,16 +23,23 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 LETTERS: Final = {"target_lost": "L", "local_minimum": "M", "diverged": "D", "timed_out": "T"}
-"""How most of a cell's failures ended, in a letter."""
+"""Letter of the most frequent outcome of a cell's failures."""
 NONE, ALL = np.array([0.96, 0.93, 0.88]), np.array([0.05, 0.36, 0.62])
-"""Colours (r, g, b) of cells where no seed and where every seed converged."""
+"""Colours (r, g, b) of cells in which no seed and in which every seed converged; those between are mixed linearly."""
 COLUMNS, DPI = 2, 200
-AxisWords = tuple[str, list[str]]
+AxisLabels = tuple[str, list[str]]
 
 
 @dataclass(frozen=True)
-class Panel:
-    """The map of one law: share of seeds that converged (n_y, n_x), commonest other outcome, median distance from the true goal [m]."""
+class ConvergenceMap:
+    """The map of one law, arrays of shape (n_y, n_x).
+
+    Attributes:
+        label: name of the law.
+        share: share of the seeds that converged.
+        others: most frequent outcome of the others; empty if all converged.
+        away_m: median distance from the true goal of those that converged [m]; NaN if none did.
+    """
 
     label: str
     share: Array
@@ -40,59 +47,61 @@ class Panel:
     away_m: Array
 
 
-def draw(panels: Sequence[Panel], x: AxisWords, y: AxisWords) -> Figure:
+def draw(maps: Sequence[ConvergenceMap], x: AxisLabels, y: AxisLabels) -> Figure:
     """The maps side by side."""
-    rows = -(-len(panels) // COLUMNS)
-    n_y, n_x = panels[0].share.shape
+    rows = -(-len(maps) // COLUMNS)
+    n_y, n_x = maps[0].share.shape
     wide, high = 0.55 + 0.37 * n_x, 0.75 + 0.27 * n_y
     drawn = new_figure(high * rows + 0.35, max(2, COLUMNS) * max(wide, 3.0))
     grid = np.ravel(drawn.subplots(rows, COLUMNS, squeeze=False, sharex=True, sharey=True))
-    for axes, panel in zip(grid, panels, strict=False):
-        _draw(axes, panel, x, y)
-    for axes in grid[len(panels) :]:
+    for axes, one in zip(grid, maps, strict=False):
+        _draw(axes, one, x, y)
+    for axes in grid[len(maps) :]:
         axes.set_visible(False)
     drawn.supxlabel(x[0], fontsize=8)
     drawn.supylabel(y[0], fontsize=8)
     return drawn
 
 
-def _draw(axes: Axes, panel: Panel, x: AxisWords, y: AxisWords) -> None:
-    axes.imshow(NONE + panel.share[..., None] * (ALL - NONE), origin="lower", aspect="auto")
-    for (i, j), share in np.ndenumerate(panel.share):
-        letter = LETTERS.get(str(panel.others[i, j]), "") if share < 1 else ""
-        words = f"{100 * share:.0f}{letter}"
-        axes.text(j, i, words, ha="center", va="center", fontsize=6.5, color="white" if share > 0.55 else INK)
+def _draw(axes: Axes, one: ConvergenceMap, x: AxisLabels, y: AxisLabels) -> None:
+    axes.imshow(NONE + one.share[..., None] * (ALL - NONE), origin="lower", aspect="auto")
+    for (i, j), share in np.ndenumerate(one.share):
+        letter = LETTERS.get(str(one.others[i, j]), "") if share < 1 else ""
+        axes.text(j, i, f"{100 * share:.0f}{letter}", ha="center", va="center", fontsize=6.5, color="white" if share > 0.55 else INK)
     axes.set_xticks(range(len(x[1])), x[1], rotation=45 if max(map(len, x[1])) > 5 else 0)
     axes.set_yticks(range(len(y[1])), y[1])
     axes.grid(visible=False)
-    axes.set_title(panel.label)
+    axes.set_title(one.label)
 
 
-def write_page(folder: Path, panels: Sequence[Panel], x: AxisWords, y: AxisWords, seeds: int, description: str, command: str) -> Path:
-    """`convergence.png`, `convergence.pdf` and `report.html`; gives the page.
+def write_page(
+    folder: Path, maps: Sequence[ConvergenceMap], x: AxisLabels, y: AxisLabels, seeds: int, description: str, command: str
+) -> Path:
+    """Write `convergence.png`, `convergence.pdf` and `report.html`; returns the page's path.
 
     Raises:
         OutputError: a file cannot be written.
     """
     with style(paper=True):
-        drawn = draw(panels, x, y)
+        drawn = draw(maps, x, y)
         save(drawn, folder / "convergence.pdf", DPI)
         png = save(drawn, folder / "convergence.png", DPI)
     picture = f'<img src="{data_url("image/png", png.read_bytes())}" alt="Convergence maps" style="width: 100%; height: auto">'
     letters = ", ".join(f"{letter}: {word.replace('_', ' ')}" for word, letter in LETTERS.items())
-    caption = f"Share of {seeds} seeds that reached the goal [%]; the letter tells how most of the others ended ({letters})."
-    body = figure("Where it converges", picture, caption) + "".join(_table(panel, x, y) for panel in panels)
+    caption = f"Share of {seeds} seeds that reached the goal [%]; the letter: how most of the others ended ({letters})."
+    body = figure("Where it converges", picture, caption) + "".join(_table(one, x, y) for one in maps)
     if command:
         body += f"<section><h2>How it was made</h2><p>Made again by<br><code>{escape(command)}</code></p></section>"
     page = PAGE.format(title="Convergence", style=STYLE + TABLES, heading="Convergence", description=escape(description), body=body)
     return write_whole(folder / "report.html", page)
 
 
-def _table(panel: Panel, x: AxisWords, y: AxisWords) -> str:
+def _table(one: ConvergenceMap, x: AxisLabels, y: AxisLabels) -> str:
     head = "".join(f"<th>{escape(value)}</th>" for value in x[1])
+    """Distances from the true goal as a table, its rows from top to bottom as in the figure."""
     rows = []
     for i in reversed(range(len(y[1]))):
-        cells = "".join("<td>-</td>" if np.isnan(a) else f"<td>{1e3 * a:.3g}</td>" for a in panel.away_m[i])
+        cells = "".join("<td>-</td>" if np.isnan(a) else f"<td>{1e3 * a:.3g}</td>" for a in one.away_m[i])
         rows.append(f'<tr><th scope="row">{escape(y[1][i])}</th>{cells}</tr>')
-    title = f"{escape(panel.label)}: median distance from the true goal, of those that converged [mm]"
+    title = f"{escape(one.label)}: median distance from the true goal, of those that converged [mm]"
     return f'<h2>{title}</h2><div class="wide"><table><thead><tr><th></th>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table></div>'

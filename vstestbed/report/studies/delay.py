@@ -1,4 +1,4 @@
-"""Gain limits over delay as a picture, beside theory, and the loop's root locus."""
+"""Measured and theoretical gain limits over delay as a figure, beside the root locus of the loop."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from vstestbed.core.files import write_whole
 from vstestbed.report.comparison.tables import STYLE as TABLES
 from vstestbed.report.html.canvas import INK, LINE_COLORS, new_figure, save, style
-from vstestbed.report.html.pieces import data_url, figure
+from vstestbed.report.html.parts import data_url, figure
 from vstestbed.report.html.template import PAGE, STYLE
 
 if TYPE_CHECKING:
@@ -28,19 +28,19 @@ COLUMNS: tuple[tuple[str, str, str], ...] = (
     ("latency_s", "delay [s]", ".3g"),
     ("gain_limit", "gain limit [1/s]", ".4g"),
     ("g_measured", "g measured", ".4f"),
-    ("g_theory", "g as told", ".4f"),
-    ("measured_to_theory", "measured / as told", ".3f"),
+    ("g_theory", "g in theory", ".4f"),
+    ("measured_to_theory", "measured / theory", ".3f"),
     ("g_with_lag", "g with lag", ".4f"),
     ("measured_to_lag", "measured / with lag", ".3f"),
-    ("joint", "goes first", "s"),
+    ("joint", "unstable first", "s"),
     ("joint_lag_s", "its lag [s]", ".4f"),
 )
-"""Columns of the table: name, words, format."""
+"""Columns of the table: name in the data, head, format."""
 
 
 @dataclass(frozen=True)
 class Branches:
-    """The root locus of one delay: poles (m, n) from gain 0 on, complex, and those at the measured limit (n,)."""
+    """Root locus of one delay: poles (m, n) over m gains from 0 on, and the poles at the measured limit (n,)."""
 
     delay_frames: int
     poles: NDArray[np.complexfloating]
@@ -48,7 +48,7 @@ class Branches:
 
 
 def draw(rows: Rows, loci: Sequence[Branches]) -> Figure:
-    """The limits over the delay, and the poles' ways in the upper half of the z plane."""
+    """Gain limits over the delay, and the root loci in the upper half of the z plane."""
     drawn = new_figure(3.3, 7.2)
     left, right = drawn.subplots(1, 2, width_ratios=(1, 1.15))
     _draw_limits(left, rows)
@@ -74,10 +74,11 @@ def _draw_locus(axes: Axes, loci: Sequence[Branches]) -> None:
     axes.plot(np.cos(angle), np.sin(angle), color=INK, linewidth=0.8)
     for i, one in enumerate(loci):
         color = LINE_COLORS[i % len(LINE_COLORS)]
-        upper = one.poles.imag >= -1e-9
+        upper = one.poles.imag >= -1e-9  # the lower half mirrors it; the tolerance keeps real poles
         axes.plot(np.where(upper, one.poles.real, np.nan), np.where(upper, one.poles.imag, np.nan), color=color, linewidth=1.0)
         crossing = one.at_limit[one.at_limit.imag >= -1e-9]
         axes.plot(crossing.real, crossing.imag, "o", color=color, markersize=3)
+        # an empty line for the legend: `upper` is a matrix with a line for each pole
         axes.plot([], [], color=color, label=f"d = {one.delay_frames}")
     axes.set_aspect("equal")
     axes.set_xlim(-1.35, 1.35)
@@ -89,7 +90,7 @@ def _draw_locus(axes: Axes, loci: Sequence[Branches]) -> None:
 
 
 def write_page(folder: Path, name: str, rows: Rows, loci: Sequence[Branches], command: str) -> Path:
-    """`delay.png`, `delay.pdf` and `report.html`; gives the page.
+    """Write `delay.png`, `delay.pdf` and `report.html`; returns the page's path.
 
     Raises:
         OutputError: a file cannot be written.
@@ -99,7 +100,7 @@ def write_page(folder: Path, name: str, rows: Rows, loci: Sequence[Branches], co
         save(drawn, folder / "delay.pdf", DPI)
         png = save(drawn, folder / "delay.png", DPI)
     picture = f'<img src="{data_url("image/png", png.read_bytes())}" alt="Gain limit over delay" style="width: 100%; height: auto">'
-    caption = "Left: the gain, times the camera's period, at which the loop goes unstable. Right: where its poles go as the gain rises."
+    caption = "Left: the gain, times the camera's period, at which the loop becomes unstable. Right: its poles as the gain rises."
     body = figure("Gain limit over delay", picture, caption) + _table(rows)
     if command:
         body += f"<section><h2>How it was made</h2><p>Made again by<br><code>{escape(command)}</code></p></section>"
@@ -109,11 +110,12 @@ def write_page(folder: Path, name: str, rows: Rows, loci: Sequence[Branches], co
 
 
 def _table(rows: Rows) -> str:
+    """The limits as a table; columns without any value are left out (a robot without joints has no lag)."""
     shown = [column for column in COLUMNS if any(row[column[0]] is not None for row in rows)]
-    head = "".join(f"<th>{escape(words)}</th>" for _, words, _ in shown)
+    heads = "".join(f"<th>{escape(head)}</th>" for _, head, _ in shown)
     cells = ["".join(f"<td>{_cell(row[key], form)}</td>" for key, _, form in shown) for row in rows]
     body = "".join(f"<tr>{row}</tr>" for row in cells)
-    return f'<h2>In numbers</h2><div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
+    return f'<h2>In numbers</h2><div class="wide"><table><thead><tr>{heads}</tr></thead><tbody>{body}</tbody></table></div>'
 
 
 def _cell(value: Any, form: str) -> str:

@@ -1,7 +1,7 @@
-"""Optical flow: how a feature moves in its own coordinates under each of the six motions of the camera.
+"""Optical flow: velocity of a feature in its own coordinates for each of the six camera velocities.
 
-The arrows are columns of the feature's interaction matrix, for points that stand still, all equally deep (far, for
-`spherical`). With angles on the axes an arrow shows where a point goes in that plane, not in the picture.
+The arrows are columns of the feature's interaction matrix, for fixed points at the same depth (at the same distance for
+`spherical`). With angles on the axes an arrow is a velocity in that plane, not in the image.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ PI = math.pi
 
 @dataclass(frozen=True)
 class Plane:
-    """The plane in which a feature's flow is drawn.
+    """The plane in which the flow of a feature is drawn.
 
     Attributes:
-        feature: whose.
-        across, up: coordinates of the arrows' feet along the two axes.
-        rows: which row of L, of the two of a point, belongs to each axis.
-        labels: of the axes. seen_at: the first input of the feature (N, k) for feet (N, 2).
+        feature: the feature.
+        across, up: coordinates of the arrows' tails along the horizontal and the vertical axis.
+        rows: the row of L, of the two per point, that belongs to each axis.
+        labels: labels of the axes. seen_at: input (N, k) of the feature's interaction matrix for tails (N, 2).
     """
 
     feature: Feature
@@ -49,13 +49,13 @@ class Plane:
     seen_at: Callable[[Array], Array]
 
 
-def _on_circle(feet: Array) -> Array:
-    return feet[:, 1:] * np.stack([np.cos(feet[:, 0]), np.sin(feet[:, 0])], axis=-1)
+def _on_circle(tails: Array) -> Array:
+    return tails[:, 1:] * np.stack([np.cos(tails[:, 0]), np.sin(tails[:, 0])], axis=-1)
 
 
 ROUND = np.linspace(-PI, PI, 13)
 PLANES: dict[str, Plane] = {
-    "point": Plane(Point(), np.linspace(-1, 1, 9), np.linspace(-1, 1, 9), (0, 1), ("x", "y"), lambda feet: feet),
+    "point": Plane(Point(), np.linspace(-1, 1, 9), np.linspace(-1, 1, 9), (0, 1), ("x", "y"), lambda tails: tails),
     "polar": Plane(Polar(), ROUND, np.linspace(0.2, 1, 9), (1, 0), (r"$\phi$ [rad]", "r"), _on_circle),
     "spherical": Plane(
         Spherical(),
@@ -63,29 +63,29 @@ PLANES: dict[str, Plane] = {
         np.linspace(0.1, 0.9, 9) * PI,
         (1, 0),
         (r"$\phi$ [rad]", r"$\theta$ [rad]"),
-        lambda feet: sphere.ray_at(feet[:, 1], feet[:, 0]),
+        lambda tails: sphere.ray_at(tails[:, 1], tails[:, 0]),
     ),
 }
 
 
 def plane_flow(name: str, depth: float = 1.0) -> tuple[Array, Array]:
-    """Feet of the arrows (N, 2), and the velocity there (6, N, 2) for each motion at 1 m/s or 1 rad/s.
+    """Tails of the arrows (N, 2), and the feature's velocity there (6, N, 2) for each camera motion at 1 m/s or 1 rad/s.
 
     Args:
         name: point, in (x, y); polar, in (phi, r); spherical, in (phi, theta).
-        depth: of every point, for spherical its distance [m].
+        depth: depth of every point, for `spherical` its distance [m].
 
     Raises:
         ParameterError: the feature has no such plane, or the depth is not positive.
     """
     plane = _plane(name, depth)
-    feet = np.stack(np.meshgrid(plane.across, plane.up), axis=-1).reshape(-1, 2)
-    L = plane.feature.interaction(plane.seen_at(feet), np.full(len(feet), depth)).reshape(len(feet), 2, 6)
-    return feet, np.moveaxis(L[:, list(plane.rows)], -1, 0)
+    tails = np.stack(np.meshgrid(plane.across, plane.up), axis=-1).reshape(-1, 2)
+    L = plane.feature.interaction(plane.seen_at(tails), np.full(len(tails), depth)).reshape(len(tails), 2, 6)
+    return tails, np.moveaxis(L[:, list(plane.rows)], -1, 0)
 
 
 def sphere_flow(depth: float = 1.0) -> tuple[Array, Array]:
-    """Rays (N, 3) all around, and their velocity (6, N, 3) for each motion at 1 m/s or 1 rad/s: tangential to the sphere.
+    """Rays (N, 3) over the sphere, and their velocity (6, N, 3), tangential to it, for each camera motion at 1 m/s or 1 rad/s.
 
     ray_dot = theta_dot e_theta + phi_dot sin theta e_phi
 
@@ -93,6 +93,7 @@ def sphere_flow(depth: float = 1.0) -> tuple[Array, Array]:
         depth: distance of every point [m].
     """
     _plane("spherical", depth)
+    # points on 12 parallels, their number in proportion to the circumference: about evenly spread
     rings = [(theta, round(24 * math.sin(theta))) for theta in (np.arange(12) + 0.5) * PI / 12]
     theta = np.concatenate([np.full(n, t) for t, n in rings])
     phi = np.concatenate([2 * PI * np.arange(n) / n for _, n in rings])
@@ -105,24 +106,24 @@ def sphere_flow(depth: float = 1.0) -> tuple[Array, Array]:
 
 def _plane(name: str, depth: float) -> Plane:
     if name not in PLANES:
-        words = f"must be one of {', '.join(PLANES)}: only these have two coordinates a point, which make a plane"
-        raise ParameterError("feature", words, name)
+        problem = f"must be one of {', '.join(PLANES)}: only these have two coordinates per point, which span a plane"
+        raise ParameterError("feature", problem, name)
     if not (math.isfinite(depth) and depth > 0):
         raise ParameterError("depth", "must be a finite number > 0 m", depth)
     return PLANES[name]
 
 
 def draw_plane(name: str, depth: float = 1.0) -> Figure:
-    """The six fields side by side; in each, the longest arrow is as long as its feet are apart."""
+    """The six flow fields side by side; in each, the longest arrow is as long as the spacing of the tails."""
     plane = _plane(name, depth)
-    feet, rates = plane_flow(name, depth)
+    tails, rates = plane_flow(name, depth)
     figure = new_figure(6.4, 9.0)
     spacing = np.array([plane.across[1] - plane.across[0], plane.up[1] - plane.up[0]])
     grid = figure.subplots(2, 3, sharex=True, sharey=True)
     for axes, rate, motion in zip(np.ravel(grid), rates, MOTIONS, strict=True):
         arrow = 0.95 * rate / np.linalg.norm(rate / spacing, axis=-1).max()
-        axes.quiver(*feet.T, *arrow.T, angles="xy", scale_units="xy", scale=1, color=LINE_COLORS[0], **_HEAD)
-        axes.plot(*feet.T, ".", color=INK, markersize=1.5)
+        axes.quiver(*tails.T, *arrow.T, angles="xy", scale_units="xy", scale=1, color=LINE_COLORS[0], **_HEAD)
+        axes.plot(*tails.T, ".", color=INK, markersize=1.5)
         axes.set_title(motion)
     _frame_plane(grid, plane, spacing)
     figure.suptitle(f"{name}, {'distance' if name == 'spherical' else 'depth'} {depth:g} m; arrows to scale within each field")
@@ -137,7 +138,7 @@ def _frame_plane(grid: Any, plane: Plane, spacing: Array) -> None:
     first.set_xlim(plane.across[0] - spacing[0], plane.across[-1] + spacing[0])
     first.set_ylim(plane.up[0] - spacing[1], plane.up[-1] + spacing[1])
     if plane.feature.kind == "point":
-        first.invert_yaxis()  # y is down, as in the picture
+        first.invert_yaxis()  # y points down, as in the image
         for axes in np.ravel(grid):
             axes.set_aspect("equal")
     else:
@@ -151,7 +152,7 @@ def _frame_plane(grid: Any, plane: Plane, spacing: Array) -> None:
 
 
 def draw_sphere(depth: float = 1.0) -> Figure:
-    """The six fields on the unit sphere around the camera, seen from outside, more from ahead; the far side is left out."""
+    """The six flow fields on the unit sphere around the camera, seen from outside and ahead; the far side is hidden."""
     ray, rates = sphere_flow(depth)
     figure = new_figure(6.7, 9.0)
     figure.set_layout_engine("none")
@@ -162,17 +163,17 @@ def draw_sphere(depth: float = 1.0) -> Figure:
         axes.set_title(motion, x=0.1, y=0.87)
     title = f"spherical, distance {depth:g} m: the unit sphere around the camera, seen from outside"
     figure.text(0.02, 0.985, title, va="top", fontsize=11)
-    words = "Dashed: the optical axis z. The dark circle, 90 deg from it, divides what is ahead of the camera from what is behind."
-    figure.text(0.02, 0.95, words, va="top")
+    legend = "Dashed: the optical axis z. The dark circle, 90 deg from it, divides what is ahead of the camera from what is behind."
+    figure.text(0.02, 0.95, legend, va="top")
     return figure
 
 
 def _draw_ball(axes: Axes3D, ray: Array, rate: Array) -> None:
-    """Sphere, camera axes, and the arrows of one motion: their feet (N, 3) and velocities (N, 3)."""
+    """Sphere, camera axes, and the arrows of one motion: tails (N, 3) and velocities (N, 3)."""
     sphere.frame(axes, np.full(3, -1.0), np.full(3, 1.0), elev=24, azim=52, zoom=1.36)
     sphere.draw_net(axes, PI, PI / 6, hide_back=True)
     sphere.draw_curve(axes, sphere.ray_at(PI / 2, np.linspace(0, 2 * PI, 121)), hide_back=True, color=INK, linewidth=1.1)
-    near = ray @ sphere.towards_viewer(axes) > 0.08
+    near = ray @ sphere.towards_viewer(axes) > 0.08  # cosine of the angle to the viewer: without the rays next to the outline
     arrow = 0.24 * rate[near] / np.linalg.norm(rate, axis=-1).max()
     axes.quiver(*sphere.drawn(ray[near]), *sphere.drawn(arrow), color=LINE_COLORS[0], linewidth=1.1, arrow_length_ratio=0.4)
     sphere.draw_axes(axes, 0.4, start=1.0)
@@ -182,11 +183,11 @@ def _draw_ball(axes: Axes3D, ray: Array, rate: Array) -> None:
 
 
 def write_flow(name: str, depth: float = 1.0, out: Path | None = None) -> list[Path]:
-    """Draw a feature's flow into a file, for spherical also on the sphere into a second one; gives the paths.
+    """Draw a feature's flow into a file, for `spherical` also on the sphere into a second file; returns the paths.
 
     Args:
         name, depth: as for `plane_flow`.
-        out: where to, by default `flow_NAME.png`; the sphere goes beside it, with `_sphere` in its name.
+        out: the file, by default `flow_NAME.png`; the sphere goes beside it, with `_sphere` appended to the name.
 
     Raises:
         ParameterError: no such plane, depth or format. OutputError: the file cannot be written.
@@ -196,7 +197,7 @@ def write_flow(name: str, depth: float = 1.0, out: Path | None = None) -> list[P
     if out.suffix.lower() not in FORMATS:
         raise ParameterError("--out", f"must end in {', '.join(FORMATS[:-1])} or {FORMATS[-1]}", str(out))
     with style():
-        made = [save(draw_plane(name, depth), out)]
+        paths = [save(draw_plane(name, depth), out)]
         if name == "spherical":
-            made.append(save(draw_sphere(depth), out.with_name(f"{out.stem}_sphere{out.suffix}")))
-    return made
+            paths.append(save(draw_sphere(depth), out.with_name(f"{out.stem}_sphere{out.suffix}")))
+    return paths

@@ -1,4 +1,4 @@
-"""Films of a run: `VideoWriter` streams pictures into a film, `Overlay` and `draw_caption` draw over them."""
+"""Films of a run: `VideoWriter` streams frames into a file, `Overlay` and `draw_caption` draw over them."""
 
 from vstestbed.report.video.overlay import Overlay, draw_caption
 from vstestbed.report.video.writer import VideoWriter

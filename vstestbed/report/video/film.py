@@ -1,4 +1,4 @@
-"""The two films of a run: what the camera sees with markers drawn in, and the scene from outside."""
+"""The films of a run: the servo camera's view with markers drawn in, and the scene from outside."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ OVERVIEW_SIZE = (960, 540)
 
 
 @dataclass(frozen=True, slots=True)
-class Moment:
-    """What a film shows of one frame; `image` is the servo camera's picture where there is one already."""
+class FilmFrame:
+    """State of one frame as a film shows it; `image`: the servo camera's image, if it was rendered already."""
 
     t: float
     T_world_target: Array
@@ -39,16 +39,15 @@ class Moment:
     image: Image | None = None
 
     @classmethod
-    def of_frame(cls, frame: Frame) -> Moment:
-        """The moment of a frame."""
-        truth, seen, error = frame.truth, frame.observation, frame.error
-        return cls(
-            seen.t, truth.T_world_target, truth.T_world_camera, truth.q, seen.uv, error.rms_px, error.lost, frame.goal.uv, frame.image
-        )
+    def of_frame(cls, frame: Frame) -> FilmFrame:
+        """A frame of a running loop."""
+        truth, error = frame.truth, frame.error
+        scene = (truth.T_world_target, truth.T_world_camera, truth.q)
+        return cls(frame.t, *scene, frame.observation.uv, error.rms_px, error.lost, frame.goal.uv, frame.image)
 
     @classmethod
-    def of_row(cls, row: dict[str, float], joints: tuple[str, ...], markers: int) -> Moment:
-        """The moment that one row of a log tells of."""
+    def of_row(cls, row: dict[str, float], joints: tuple[str, ...], markers: int) -> FilmFrame:
+        """The frame of one row of a log."""
         camera, target = (np.array([row[f"{who}_{name}"] for name in POSE]) for who in ("cam", "tgt"))
         return cls(
             t=row["t"],
@@ -63,14 +62,14 @@ class Moment:
 
 
 class Film:
-    """A film from one camera of a run, one frame a moment.
+    """A film of a run from one camera, one film frame per camera frame.
 
     Args:
         scenario: the experiment.
         camera: `eye`, `overview`, or another camera of the scene.
-        path: where the film goes (`.mp4`).
-        replay: takes the pictures that the run itself did not.
-        size: (width, height) [px]; default 960 x 540, for the servo camera its own.
+        path: the file (`.mp4`).
+        replay: renders the images that the run itself did not.
+        size: (width, height) [px]; by default 960 x 540, for the servo camera its image size.
     """
 
     def __init__(self, scenario: Scenario, camera: str, path: Path, replay: Replay, size: tuple[int, int] | None = None):
@@ -81,43 +80,46 @@ class Film:
         self.spent_s = 0.0
 
     def frame(self, frame: Frame) -> None:
-        """Film a frame while the run goes."""
-        self.show(Moment.of_frame(frame))
+        """Film a frame of a running loop (a Watcher)."""
+        self.show(FilmFrame.of_tick(tick))
 
-    def show(self, moment: Moment) -> None:
-        """Film one moment."""
+    def show(self, frame: FilmFrame) -> None:
+        """Film one frame."""
         began = time.perf_counter()
         width, height = self._size or OVERVIEW_SIZE
         if self._camera == "eye":
-            image = np.array(moment.image) if moment.image is not None else self._picture(moment, width, height)
-            self._overlay.draw(image, moment.uv, moment.goal_uv, t=moment.t, error_px=moment.error_px, lost=moment.lost)
+            # a copy: the overlay draws into it, and the detector's image must stay as it is
+            image = np.array(frame.image) if frame.image is not None else self._picture(frame, width, height)
+            self._overlay.draw(image, frame.uv, frame.goal_uv, t=frame.t, error_px=frame.error_px, lost=frame.lost)
             if self._size is not None:
-                image = np.asarray(cv2.resize(image, self._size, interpolation=cv2.INTER_AREA), np.uint8)
+                image = np.asarray(
+                    cv2.resize(image, self._size, interpolation=cv2.INTER_AREA), np.uint8
+                )  # drawn at the full size first: the overlay is in its pixels
         else:
-            image = self._picture(moment, width, height)
-            draw_caption(image, self._title, t=moment.t, error_px=moment.error_px)
+            image = self._picture(frame, width, height)
+            draw_caption(image, self._title, t=frame.t, error_px=frame.error_px)
         self._writer.write(image)
         self.spent_s += time.perf_counter() - began
 
-    def _picture(self, m: Moment, width: int, height: int) -> Image:
+    def _picture(self, m: FilmFrame, width: int, height: int) -> Image:
         return self._replay.picture(self._camera, width, height, m.t, m.T_world_target, m.q, m.T_world_camera)
 
     def close(self) -> Path | None:
-        """Finish the film; None where it has no frame."""
+        """Finish the film; None if it has no frame."""
         return self._writer.close()
 
     def abort(self) -> None:
-        """Leave no film."""
+        """Discard the film."""
         self._writer.abort()
 
 
 def replay_of(scenario: Scenario, shadows: bool = True) -> Replay:
-    """A replay of a scenario's scene."""
+    """A replay of the scene of a scenario."""
     return Replay(scenario.robot, scenario.camera, scenario.target, scenario.world, shadows, scenario.sights)
 
 
 def film_log(scenario: Scenario, log: polars.DataFrame, camera: str, path: Path, size: tuple[int, int] | None = None) -> Path | None:
-    """A film of a recorded run from any camera, without simulating.
+    """Film a recorded run from any camera, without simulating.
 
     Raises:
         ParameterError: no such camera. EnvironmentLackError: no OpenGL, no codec, no space.
@@ -126,7 +128,7 @@ def film_log(scenario: Scenario, log: polars.DataFrame, camera: str, path: Path,
     film = Film(scenario, camera, path, replay, size)
     try:
         for row in log.iter_rows(named=True):
-            film.show(Moment.of_row(row, scenario.robot.joints, len(scenario.target.points)))
+            film.show(FilmFrame.of_row(row, scenario.robot.joints, len(scenario.target.points)))
         return film.close()
     except BaseException:
         film.abort()
@@ -136,12 +138,12 @@ def film_log(scenario: Scenario, log: polars.DataFrame, camera: str, path: Path,
 
 
 def picture_of_the_end(scenario: Scenario, log: polars.DataFrame, path: Path, size: tuple[int, int] = (480, 270)) -> None:
-    """A PNG of the last frame of a recorded run, from outside.
+    """Write a PNG of the last frame of a recorded run, from outside.
 
     Raises:
         EnvironmentLackError: no OpenGL.
     """
-    m = Moment.of_row(log.row(-1, named=True), scenario.robot.joints, len(scenario.target.points))
+    m = FilmFrame.of_row(log.row(-1, named=True), scenario.robot.joints, len(scenario.target.points))
     replay = replay_of(scenario)
     try:
         image = replay.picture("overview", *size, m.t, m.T_world_target, m.q, m.T_world_camera)

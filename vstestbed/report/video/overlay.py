@@ -1,4 +1,4 @@
-"""What is drawn over the pictures of a run: markers, trails, a line of numbers. In place, at the same cost every frame.
+"""Overlay of a run's films: markers, trails, a line of numbers. Drawn in place, at the same cost for every frame.
 
 Pixels follow the project's convention, which is OpenCV's: (0, 0) is the centre of the first pixel.
 """
@@ -26,16 +26,17 @@ MUTED: Final[Color] = (186, 192, 200)
 ALARM: Final[Color] = (200, 30, 45)
 SHIFT: Final = 4
 UNIT: Final = 1 << SHIFT  # OpenCV draws on a grid of 1/16 px
-PIECE: Final = 64
-PIECES: Final = 8
+CHUNK: Final = 64
+CHUNKS: Final = 8
+"""A trail is a ring of 8 polylines of up to 64 points: the oldest is dropped as a whole, so that no points are moved."""
 
 
 class Trail:
-    """The way of one marker in the picture: at most 512 points, a new one every few pixels, oldest forgotten first."""
+    """Trajectory of one marker in the image: at most 512 points, a new one every few pixels, the oldest dropped first."""
 
     def __init__(self, spacing_px: float):
         self._spacing = spacing_px
-        self._pieces: deque[tuple[NDArray[np.int32], int]] = deque(maxlen=PIECES)
+        self._pieces: deque[tuple[NDArray[np.int32], int]] = deque(maxlen=CHUNKS)
         self._last: Array | None = None
 
     def add(self, uv: Array) -> None:
@@ -45,54 +46,54 @@ class Trail:
             return
         if self._last is not None and math.hypot(*(uv - self._last)) < self._spacing:
             return
-        if self._last is None or self._pieces[-1][1] == PIECE:
-            self._pieces.append((np.empty((PIECE, 1, 2), np.int32), 0))
+        if self._last is None or self._pieces[-1][1] == CHUNK:
+            self._pieces.append((np.empty((CHUNK, 1, 2), np.int32), 0))
             if self._last is not None:
-                self._push(self._last)
+                self._push(self._last)  # chunks share a point, or the trail would have gaps
         self._push(uv)
         self._last = np.array(uv, dtype=float)
 
-    def pieces(self) -> list[NDArray[np.int32]]:
+    def polylines(self) -> list[NDArray[np.int32]]:
         """The polylines to draw, each (K, 1, 2) on the grid of 1/16 px."""
         return [points[:count] for points, count in self._pieces]
 
     def _push(self, uv: Array) -> None:
         points, count = self._pieces[-1]
-        points[count, 0] = np.rint(uv * UNIT)
+        points[count, 0] = np.rint(uv * UNIT)  # in place: no allocation per frame
         self._pieces[-1] = (points, count + 1)
 
 
 class Overlay:
-    """Draws on the servo camera's pictures: a cross where a marker is measured, its trail, a diamond where it should be.
+    """Draws on the servo camera's images: a cross at each measured marker, its trail, and a diamond at its goal.
 
     Args:
-        width, height: size of the pictures [px]; everything scales with the height.
+        width, height: image size [px]; all sizes scale with the height.
         colors: the markers' colours, shape (N, 3) in 0..1.
-        title: a few words for the lower right corner (law and scenario).
+        title: text in the lower right corner.
     """
 
     def __init__(self, width: int, height: int, colors: Array, title: str = ""):
         self.size = (width, height)
         self.title = title
         self._colors = _bytes(colors)
-        self._light = _bytes(0.7 * np.asarray(colors) + 0.3)  # so that blue and violet still show between dark borders
+        self._light = _bytes(0.7 * np.asarray(colors) + 0.3)  # lighter, or blue and violet would not stand out from their dark borders
         self._stroke = max(1, round(height / 480))
-        self._figure_stroke = max(1, round(height / 240))  # colour is stored for 2 x 2 pixels: thinner lines lose theirs in the film
+        self._figure_stroke = max(1, round(height / 240))  # yuv420p stores colour for blocks of 2 x 2 pixels: thinner lines turn grey
         self._trails = [Trail(max(2.0, height / 240)) for _ in self._colors]
 
     def draw(self, image: Image, uv: Array, goal_uv: Array | None, *, t: float, error_px: float, lost: bool = False) -> None:
         """Draw one frame's state on `image`, in place.
 
         Args:
-            image: the picture, shape (height, width, 3), uint8, RGB.
+            image: the image, shape (height, width, 3), uint8, RGB.
             uv: measured markers [px], shape (N, 2), NaN where not seen.
-            goal_uv: where they should be [px], shape (N, 2), or None for tasks without goal pixels.
+            goal_uv: their goals [px], shape (N, 2), or None for tasks without goal pixels.
             t: time of the frame [s].
             error_px: RMS error [px]; NaN is shown as a dash.
-            lost: whether the target is lost: a banner says so.
+            lost: whether the target is lost, which a banner shows.
 
         Raises:
-            ParameterError: the picture has another size, or uv another number of markers, than this overlay was made for.
+            ParameterError: image size or number of markers differ from those of this overlay.
         """
         if image.shape != (self.size[1], self.size[0], 3) or len(uv) != len(self._colors):
             raise ParameterError("image", f"must be {self.size} with {len(self._colors)} markers", (image.shape, uv.shape))
@@ -100,7 +101,7 @@ class Overlay:
         uv = self._drawable(uv)
         for trail, color, point in zip(self._trails, self._colors, uv, strict=True):
             trail.add(point)
-            cv2.polylines(image, trail.pieces(), False, color, self._stroke, cv2.LINE_AA, SHIFT)
+            cv2.polylines(image, trail.polylines(), False, color, self._stroke, cv2.LINE_AA, SHIFT)
         if goal_uv is not None:
             self._strokes(image, self._drawable(goal_uv), _DIAMOND, max(8.0, self.size[1] / 36), closed=True)
         self._strokes(image, uv, _CROSS, max(5.0, self.size[1] / 56), closed=False)
@@ -108,12 +109,12 @@ class Overlay:
             draw_banner(image, "TARGET LOST")
 
     def _drawable(self, uv: Array) -> Array:
-        """The pixels, NaN where they are so far out that OpenCV's integers would overflow."""
+        """The pixels, NaN where they are so far outside that OpenCV's fixed-point integers would overflow."""
         limit = 4.0 * max(self.size)
         return np.where((np.abs(uv) < limit).all(axis=1, keepdims=True), uv, np.nan)
 
     def _strokes(self, image: Image, uv: Array, shape: Array, size: float, closed: bool) -> None:
-        """A small figure at every finite pixel, in the marker's colour with a dark border; shape (lines, points, 2)."""
+        """Draw a small symbol at every finite pixel, in the marker's colour with a dark border; shape: polylines (lines, points, 2)."""
         seen: NDArray[np.bool_] = np.isfinite(uv[:, 0]) & np.isfinite(uv[:, 1])
         lines = np.rint((uv[seen, None, None] + shape * size) * UNIT).astype(np.int32)
         cv2.polylines(
@@ -132,11 +133,11 @@ _DIAMOND: Final = np.array([[[0.0, -1.0], [1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]]])
 
 
 def draw_caption(image: Image, title: str, *, t: float, error_px: float) -> None:
-    """Write time [s], RMS error [px] (NaN: a dash) and a title on a dark strip at the foot of the picture, in place.
+    """Write time, RMS error (NaN: a dash) and a title on a darkened strip at the bottom of the image, in place.
 
     Args:
-        image: the picture, shape (H, W, 3), uint8, RGB.
-        title: a few words at the right; left out where the picture is too narrow for them.
+        image: the image, shape (H, W, 3), uint8, RGB.
+        title: text at the right; left out if the image is too narrow for it.
         t: time [s].
         error_px: RMS error in the image [px].
     """
@@ -155,7 +156,7 @@ def draw_caption(image: Image, title: str, *, t: float, error_px: float) -> None
 
 
 def draw_banner(image: Image, words: str, color: Color = ALARM) -> None:
-    """White words on a colour, red by default, in the upper middle of the picture; shortened to its width, in place."""
+    """White text on a coloured box at the top centre of the image, shortened to its width, in place."""
     height, width = image.shape[:2]
     size = max(13, round(height / 18))
     words = shortened(words, size, width - 3 * size, weight=600)
@@ -166,7 +167,7 @@ def draw_banner(image: Image, words: str, color: Color = ALARM) -> None:
 
 
 def shortened(words: str, size: int, width: int, weight: int = 400) -> str:
-    """The words, or both their ends around dots, so that they fit into that width [px]."""
+    """The text, with its middle replaced by an ellipsis if it does not fit into `width` [px]."""
     for kept in range(len(words), 0, -1):
         head = (kept + 1) // 2
         text = words if kept == len(words) else f"{words[:head].rstrip()}\u2026{words[len(words) - kept + head :].lstrip()}"
@@ -176,17 +177,17 @@ def shortened(words: str, size: int, width: int, weight: int = 400) -> str:
 
 
 def draw_text(image: Image, words: str, at: tuple[int, int], color: Color, size: int, weight: int = 400) -> None:
-    """Write words from pixel `at` (left end of the base line) on, `size` high [px], in place."""
+    """Write text from pixel `at` (left end of the base line), `size` [px] high, in place."""
     cv2.putText(image, words, at, color, _font(), size, weight)
 
 
 @lru_cache(maxsize=64)
 def text_width(words: str, size: int, weight: int = 400) -> int:
-    """Width of the words at that height [px]."""
+    """Width of a text at that size [px]."""
     return int(cv2.getTextSize((0, 0), words, (0, 0), _font(), size, weight)[2])
 
 
 @lru_cache(maxsize=1)
 def _font() -> cv2.FontFace:
-    """OpenCV's built-in proportional font (no font file of the system takes part: the same bytes everywhere)."""
+    """OpenCV's built-in proportional font: no system font is used, so that films are the same bytes everywhere."""
     return cv2.FontFace("sans")

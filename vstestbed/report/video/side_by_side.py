@@ -1,11 +1,12 @@
-"""The same seed flown by several controllers: their films side by side, in step with simulated time."""
+"""Films of several controllers side by side, synchronised by simulated time."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import chain
 from pathlib import Path
 from typing import Final
 
@@ -13,16 +14,16 @@ import cv2
 import numpy as np
 
 from vstestbed.core.errors import ParameterError
+from vstestbed.report.video.frame_reader import FrameReader, scaled
 from vstestbed.report.video.overlay import ALARM, INK, PAPER, Color, draw_banner, draw_text, shortened, text_width
-from vstestbed.report.video.playback import Reel, scaled
 from vstestbed.report.video.writer import Image, VideoWriter
 
 MOST: Final = 6
 WIDEST: Final = 1926  # [px], of all columns
 COLUMN: Final = 480  # [px]: its text still reads well, and its frame takes half the time of 640
 GAP: Final = 2  # [px]
-HOLD_S: Final = 1
-SHAPE: Final = 3 / 4  # of the place of a film that no run has
+HOLD_S: Final = 1  # the last picture stays so long [s]
+SHAPE: Final = 3 / 4  # height over width of a cell for which no run has a film
 FASTEST_HZ: Final = Fraction(50)
 DIMMED: Final = 0.6
 GREY: Final[Color] = (96, 100, 108)
@@ -35,10 +36,10 @@ class Column:
     """One controller's run.
 
     Args:
-        label: stands over the films; its middle is left out where it is too long.
-        films: its films from top to bottom; one that is missing or empty is a grey picture.
-        ending: how and when the run ended, such as `converged 12.3 s`.
-        success: colours the ending green or red; None leaves it grey.
+        label: title over the films; shortened in the middle if it is too long.
+        films: films from top to bottom; a missing or empty one is a grey area.
+        ending: outcome and time, such as `converged 12.3 s`.
+        success: whether the outcome is shown in green or red; None: grey.
     """
 
     label: str
@@ -48,17 +49,17 @@ class Column:
 
 
 def side_by_side(columns: Sequence[Column], path: Path, rate_hz: float | None = None) -> Path | None:
-    """Film runs next to each other, each picture at its simulated time, with one clock below.
+    """Join films into one, each frame at its simulated time, with one clock below.
 
-    A run that has ended keeps its last picture, dimmed, with its ending on it. One second after the longest the film
-    ends. Of every film two pictures are in memory at a time.
+    A run that has ended keeps its last frame, dimmed, with its outcome. The film ends one second after the longest run. Two
+    frames of every film are in memory at a time.
 
     Args:
         columns: 1 to 6 runs, from left to right. path: the film (`.mp4`).
-        rate_hz: of the film [Hz]; default the highest of the films', at most 50.
+        rate_hz: frame rate [Hz]; by default the highest of the films, at most 50.
 
     Returns:
-        The path; None where no column has a film, and then there is none.
+        The path; None if no column has a film (then there is no file).
 
     Raises:
         ParameterError: no column or more than 6, or a rate that is not positive.
@@ -66,45 +67,46 @@ def side_by_side(columns: Sequence[Column], path: Path, rate_hz: float | None = 
     """
     if not 0 < len(columns) <= MOST:
         raise ParameterError("columns", f"must be 1 to {MOST} runs", len(columns))
-    with ExitStack() as open_films:
-        reels = [[Reel(film) for film in column.films] for column in columns]
-        for reel in (reel for column in reels for reel in column):
-            open_films.callback(reel.close)
-        fastest = max((reel.rate_hz for column in reels for reel in column), default=Fraction(0))
+    with ExitStack() as open_files:
+        readers = [[open_files.enter_context(closing(FrameReader(film))) for film in column.films] for column in columns]
+        fastest = max((reader.rate_hz for reader in chain.from_iterable(readers)), default=Fraction(0))
         if not fastest:
             return None
-        sheet = _Sheet(columns, reels)
-        writer = open_films.enter_context(VideoWriter(path, float(min(fastest, FASTEST_HZ)) if rate_hz is None else rate_hz))
-        frame = 0
-        while sheet.show(frame / writer.rate):
-            writer.write(sheet.image)
-            frame += 1
-        for _ in range(max(1, round(HOLD_S * writer.rate))):
-            writer.write(sheet.image)
+        writer = open_files.enter_context(VideoWriter(path, float(min(fastest, FASTEST_HZ)) if rate_hz is None else rate_hz))
+        _write_frames(writer, _Sheet(columns, readers))
     return writer.path
 
 
-class _Sheet:
-    """The picture that all columns share."""
+def _write_frames(writer: VideoWriter, sheet: _Sheet) -> None:
+    frame = 0
+    while sheet.show(frame / writer.rate):
+        writer.write(sheet.image)
+        frame += 1
+    for _ in range(max(1, round(HOLD_S * writer.rate))):
+        writer.write(sheet.image)
 
-    def __init__(self, columns: Sequence[Column], reels: list[list[Reel]]):
-        width = min(COLUMN, (WIDEST + GAP) // len(columns) - GAP) // 2 * 2
+
+class _Sheet:
+    """The image of the joint film, with one column per run."""
+
+    def __init__(self, columns: Sequence[Column], readers: list[list[FrameReader]]):
+        width = min(COLUMN, (WIDEST + GAP) // len(columns) - GAP) // 2 * 2  # even: H.264 stores colour for 2 x 2 pixels
         self._size = max(15, width // 28)
         self._bar = 2 * self._size // 2 * 2
-        heights = [_row_height([column[row] for column in reels if row < len(column)], width) for row in range(max(map(len, reels)))]
+        heights = [_row_height([column[row] for column in readers if row < len(column)], width) for row in range(max(map(len, readers)))]
         total = 2 * self._bar + sum(heights)
         self.image: Image = np.full((total, len(columns) * (width + GAP) - GAP, 3), PAPER, np.uint8)
         self._foot = self.image[total - self._bar :]
-        self._strips = []
-        for k, (column, own) in enumerate(zip(columns, reels, strict=True)):
+        self._views = []
+        for k, (column, own) in enumerate(zip(columns, readers, strict=True)):
             left = k * (width + GAP)
             part = self.image[: total - self._bar, left : left + width]
             self._label(part[: self._bar], column.label)
-            self._strips.append(_Strip(part[self._bar :], column, own, heights))
+            self._views.append(_ColumnView(part[self._bar :], column, own, heights))
 
     def show(self, t: Fraction) -> bool:
-        """Bring everything to time t [s]; False when all runs have ended."""
-        running = [strip.show(t) for strip in self._strips]
+        """Update the image to time t [s]; False when all runs have ended."""
+        running = [view.show(t) for view in self._views]
         if any(running):
             self._clock(float(t))
         return any(running)
@@ -116,62 +118,62 @@ class _Sheet:
 
     def _clock(self, t: float) -> None:
         self._foot[:] = INK
-        left = (self._foot.shape[1] - text_width("00.00 s", self._size)) // 2  # the same place for every time
+        left = (self._foot.shape[1] - text_width("00.00 s", self._size)) // 2  # independent of t, so that the digits do not move
         draw_text(self._foot, f"{t:.2f} s", (left, self._base), PAPER, self._size)
 
     @property
     def _base(self) -> int:
-        """Base line of words in a bar [px]."""
+        """Base line of text in a bar [px]."""
         return round(0.5 * self._bar + 0.36 * self._size)
 
 
-class _Strip:
-    """One column's films on its part of the sheet, a view of shape (H, width, 3)."""
+class _ColumnView:
+    """The films of one column, drawn into a view (H, width, 3) of the sheet's image."""
 
-    def __init__(self, image: Image, column: Column, reels: list[Reel], heights: list[int]):
+    def __init__(self, image: Image, column: Column, readers: list[FrameReader], heights: list[int]):
         self._image, self._column, self._top = image, column, image[: heights[0]]
-        self._shown: list[tuple[Reel, Image]] = []
+        self._shown: list[tuple[FrameReader, Image]] = []
         self._over = False
         image[:] = INK
         for row, place in enumerate(np.split(image, np.cumsum(heights)[:-1])):
-            if row < len(reels) and reels[row].rate_hz:
-                self._shown.append((reels[row], _centred(place, reels[row])))
+            if row < len(readers) and readers[row].rate_hz:
+                self._shown.append((readers[row], _centred(place, readers[row])))
             else:
                 _blank(place, "no film")
 
     def show(self, t: Fraction) -> bool:
-        """Bring the films to time t [s]; False when the run has ended."""
+        """Update the films to time t [s]; False when the run has ended."""
         if self._over:
             return False
-        for reel, place in self._shown:
-            picture = reel.due(t)
+        for reader, place in self._shown:
+            picture = reader.newest(t)
             if picture is not None:
                 place[:] = scaled(picture, place.shape[1], place.shape[0])
-        if all(reel.ended(t) for reel, _ in self._shown):
+        if all(reader.ended(t) for reader, _ in self._shown):
             self._over = True
             self._image[:] = cv2.convertScaleAbs(self._image, alpha=DIMMED)
             draw_banner(self._top, self._column.ending, {True: GOOD, False: ALARM, None: NEUTRAL}[self._column.success])
         return not self._over
 
 
-def _row_height(reels: list[Reel], width: int) -> int:
-    """Height of the highest of these films at that width, even [px]."""
-    return max((_scaled_height(reel, width) for reel in reels if reel.rate_hz), default=round(width * SHAPE / 2) * 2)
+def _row_height(readers: list[FrameReader], width: int) -> int:
+    """Height of the tallest of these films at that width, even [px]."""
+    return max((_scaled_height(reader, width) for reader in readers if reader.rate_hz), default=round(width * SHAPE / 2) * 2)
 
 
-def _scaled_height(reel: Reel, width: int) -> int:
-    return max(2, round(width * reel.height / reel.width / 2) * 2)
+def _scaled_height(reader: FrameReader, width: int) -> int:
+    return max(2, round(width * reader.height / reader.width / 2) * 2)
 
 
-def _centred(place: Image, reel: Reel) -> Image:
-    """The part of the place that the film fills."""
-    height = _scaled_height(reel, place.shape[1])
+def _centred(place: Image, reader: FrameReader) -> Image:
+    """The part of a cell that the film fills, centred, at an even row."""
+    height = _scaled_height(reader, place.shape[1])
     top = (place.shape[0] - height) // 4 * 2
     return place[top : top + height]
 
 
 def _blank(place: Image, words: str) -> None:
-    """A grey picture with words in its middle."""
+    """A grey cell with text in its middle."""
     place[:] = GREY
     height, width = place.shape[:2]
     size = max(13, height // 18)

@@ -1,4 +1,4 @@
-"""An H.264 writer that keeps no frames in memory and never leaves a half film under the film's name."""
+"""H.264 writer that holds no frames in memory and never leaves an incomplete file under the film's name."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ Image = NDArray[np.uint8]
 
 NO_SPACE: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 ENCODER: Final = {"preset": "veryfast", "crf": "20"}
-BT709: Final = 1  # ISO/IEC 23091-2: the number of these primaries, this transfer curve and this matrix alike
+BT709: Final = 1  # code of BT.709 in ISO/IEC 23091-2, the same for primaries, transfer curve and matrix
 
 
 class VideoWriter:
-    """Writes frames as H.264 (yuv420p, index first, so that it plays while it loads) and keeps none of them.
+    """Writes frames as H.264 (yuv420p, index first, so that it plays while it loads).
 
-    The film grows in `<path>.part` and takes its name on `close`, so that a film under its name is always whole.
+    The film is written to `<path>.part` and renamed on `close`, so that a file under the film's name is always complete.
     The same frames give the same bytes (one encoder thread). Its size is that of the first frame, made even by
     repeating the last row or column. As a context manager: closes at the end, aborts on an exception.
 
     Args:
-        path: the film's name, ending in `.mp4`; an older film of that name is replaced on `close`.
-        rate_hz: frames a second [Hz].
+        path: the film's file, ending in `.mp4`; an older file of that name is replaced on `close`.
+        rate_hz: frame rate [Hz].
 
     Raises:
         ParameterError: rate_hz is not a positive number, or a frame is not (H, W, 3) uint8 of the first one's size.
@@ -58,7 +58,7 @@ class VideoWriter:
         self._stream: VideoStream | None = None
 
     def write(self, image: Image) -> None:
-        """Append one picture, shape (H, W, 3), uint8, RGB."""
+        """Append one frame, shape (H, W, 3), uint8, RGB."""
         if self._done:
             raise OutputError(self.path, "this film is finished", "open another VideoWriter")
         if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
@@ -69,18 +69,18 @@ class VideoWriter:
         self.frames += 1
 
     def close(self) -> Path | None:
-        """Finish the film and give its path; None where no frame was written (then there is no file)."""
+        """Finish the film and return its path; None if no frame was written (then there is no file)."""
         if self._container is not None:
             self._guard(self._finish)
         return self.path if self.frames and not self._aborted else None
 
     def abort(self) -> None:
-        """Give the film up: nothing is left of it. Harmless after `close`."""
+        """Discard the film with its partial file. Harmless after `close`."""
         container, self._container, self._stream = self._container, None, None
         if container is None:
             return
         self._done = self._aborted = True
-        with contextlib.suppress(OSError, ValueError, RuntimeError):  # the film is thrown away, whatever the encoder says
+        with contextlib.suppress(OSError, ValueError, RuntimeError):  # the film is discarded: errors of the encoder do not matter
             container.close()
         with contextlib.suppress(NotADirectoryError):  # the film's folder turned out to be a file
             self.part.unlink(missing_ok=True)
@@ -104,7 +104,7 @@ class VideoWriter:
         assert self._container is not None and self._stream is not None
         frame = av.VideoFrame.from_ndarray(_even(image), format="rgb24")
         frame = frame.reformat(format="yuv420p", dst_colorspace="ITU709", threads=1)
-        frame.pts, frame.time_base = self.frames, 1 / self.rate
+        frame.pts, frame.time_base = self.frames, 1 / self.rate  # exact fractions: no drift over a long film
         for packet in self._stream.encode(frame):
             self._container.mux(packet)
 
@@ -118,7 +118,7 @@ class VideoWriter:
         stream.thread_count = 1
         context = stream.codec_context
         context.colorspace = context.color_primaries = context.color_trc = BT709
-        self._container.start_encoding()  # makes the file: what cannot be written is told at the first frame
+        self._container.start_encoding()  # opens the file: an unwritable folder is reported at the first frame
         self._stream, self._shape = stream, shape
 
     def _finish(self) -> None:
@@ -127,10 +127,10 @@ class VideoWriter:
             self._container.mux(packet)
         self._container.close()
         self._container, self._stream, self._done = None, None, True
-        self.part.replace(self.path)
+        self.part.replace(self.path)  # atomic on one file system
 
     def _guard(self, step: Callable[[], None]) -> None:
-        """Run one step of the encoder; on failure leave nothing behind and say what is lacking."""
+        """Run one step of the encoder; on failure discard the film and raise an error that says what is missing."""
         from av.codec.codec import UnknownCodecError
         from av.error import FFmpegError
 
@@ -144,6 +144,7 @@ class VideoWriter:
             raise
 
     def _explain(self, error: Exception) -> EnvironmentLackError | OutputError:
+        """The error of the encoder or the disk as an error of this package, with a remedy."""
         number = getattr(error, "errno", None)
         if number in NO_SPACE:
             return EnvironmentLackError(f"no room for {self.path} ({os.strerror(number or 0)})", "free some space or use `--video none`")
@@ -154,12 +155,12 @@ class VideoWriter:
 
 
 def _fraction(rate_hz: float) -> Fraction:
-    """The simplest ratio at the rate's own precision: 29.97 is 2997/100 Hz, 1/3 is 1/3."""
+    """The rate as a ratio of small integers, as video needs it: 29.97 is 2997/100 Hz, 1/3 is 1/3."""
     return 1 / Fraction(1 / rate_hz).limit_denominator(10_000) if rate_hz < 1 else Fraction(rate_hz).limit_denominator(10_000)
 
 
 def _even(image: Image) -> Image:
-    """The picture with an even number of rows and columns, the last ones repeated: colour is stored for 2 x 2 pixels."""
+    """The frame with even height and width, the last row or column repeated: yuv420p stores colour for blocks of 2 x 2 pixels."""
     height, width = image.shape[:2]
     if height % 2 == 0 and width % 2 == 0:
         return np.ascontiguousarray(image)

@@ -9,7 +9,7 @@ import vstestbed as vs
 from vstestbed.camera import Perspective, Spherical
 from vstestbed.core.geometry import Array
 from vstestbed.report import Setting
-from vstestbed.report.run.expected_way import Ride, farthest, ideal_way, seen_at
+from vstestbed.report.run.expected_path import GroundTask, ideal_bicycle_path, largest_deviation, visible_region
 
 AHEAD = np.array([[0, 0, 1.0, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 """T_world_camera of a camera that looks along x, upright, 0 m up."""
@@ -19,9 +19,9 @@ UP = np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 1], [0, 0, 0, 1]])
 
 def test_distances_are_to_the_line_between_the_points():
     line = np.array([[0, 0], [10.0, 0], [10, 10]])
-    assert farthest(np.array([[5, 0.2], [9.9, 0.1]]), line) == pytest.approx(0.2)
-    assert farthest(np.array([[-3, 4.0]]), line) == pytest.approx(5)  # beyond its end: to the end
-    assert farthest(line, line) == 0
+    assert largest_deviation(np.array([[5, 0.2], [9.9, 0.1]]), line) == pytest.approx(0.2)
+    assert largest_deviation(np.array([[-3, 4.0]]), line) == pytest.approx(5)  # beyond its end: to the end
+    assert largest_deviation(line, line) == 0
 
 
 def area(seen: tuple[Array, Array, Array], middle: tuple[float, float]) -> float:
@@ -33,7 +33,7 @@ def area(seen: tuple[Array, Array, Array], middle: tuple[float, float]) -> float
 
 def test_a_camera_that_looks_ahead_sees_a_wedge_at_its_own_height():
     camera = Perspective(fovy_deg=64, width=640, height=480)
-    x, y, inside = seen_at(camera, AHEAD, 0.0, 3.0)
+    x, y, inside = visible_region(camera, AHEAD, 0.0, 3.0)
     bearing = np.arctan2(y, x)
     half = np.arctan(320 / camera.f)
     # Half a pixel is .1 degrees, a step between directions .7.
@@ -42,31 +42,33 @@ def test_a_camera_that_looks_ahead_sees_a_wedge_at_its_own_height():
 
 def test_a_camera_that_looks_up_sees_a_rectangle_of_the_plane_above():
     camera = Perspective(fovy_deg=64, width=640, height=480)
-    seen = seen_at(camera, UP, 3.0, 5.0)
+    seen = visible_region(camera, UP, 3.0, 5.0)
     width, height = 2 * 640 / camera.f, 2 * 480 / camera.f  # in a plane 2 m before it
     assert area(seen, (0, 0)) == pytest.approx(width * height, rel=0.03)  # the grid's step is 4 cm
-    assert not seen_at(camera, UP, 0.5, 5.0)[2].any()  # a plane behind it
+    assert not visible_region(camera, UP, 0.5, 5.0)[2].any()  # a plane behind it
 
 
 def test_a_camera_that_sees_everything_sees_all_of_a_plane():
-    assert seen_at(Spherical(), AHEAD, 1.0, 3.0)[2].all()
+    assert visible_region(Spherical(), AHEAD, 1.0, 3.0)[2].all()
 
 
 def test_only_what_drives_has_a_ride():
-    assert Ride.of(vs.load("arm_ibvs")) is None
-    ride = Ride.of(vs.load("omni_via_points"))
-    assert ride is not None and len(ride.goals) == 4 and ride.band_m is None and ride.ideal is None
-    ride = Ride.of(vs.load("car_pursuit"))
-    assert ride is not None and ride.band_m == pytest.approx(0.25) and ride.settle_s == 8 and not len(ride.goals)
-    assert np.ptp(ride.route, axis=0) == pytest.approx([14, 14], abs=4)  # a figure of eight of 14 by 8 m, turned
+    assert GroundTask.of(vs.load("arm_ibvs")) is None
+    ground_task = GroundTask.of(vs.load("omni_via_points"))
+    assert ground_task is not None and len(ground_task.goals) == 4 and ground_task.band_m is None and ground_task.expected_path is None
+    ground_task = GroundTask.of(vs.load("car_pursuit"))
+    assert (
+        ground_task is not None and ground_task.band_m == pytest.approx(0.25) and ground_task.settle_s == 8 and not len(ground_task.goals)
+    )
+    assert np.ptp(ground_task.reference_path, axis=0) == pytest.approx([14, 14], abs=4)  # a figure of eight of 14 by 8 m, turned
 
 
 def test_lines_on_the_floor_are_the_route():
     s = vs.load("omni_line", {"target.pose": {"xyz": [1, 2, 0], "rpy_deg": [0, 0, 90]}})
-    ride = Ride.of(s)
-    assert ride is not None and ride.band_m == 0.05
-    start, first = s.target.route.start, ride.route[1] - ride.route[0]
-    assert ride.route[0] == pytest.approx([1 - start.y, 2 + start.x])
+    ground_task = GroundTask.of(s)
+    assert ground_task is not None and ground_task.band_m == 0.05
+    start, first = s.target.route.start, ground_task.reference_path[1] - ground_task.reference_path[0]
+    assert ground_task.reference_path[0] == pytest.approx([1 - start.y, 2 + start.x])
     assert np.arctan2(*first[::-1]) == pytest.approx(np.pi / 2 + start.heading)
     assert Setting.of(s).points is None  # what moves along with the camera is no landmark
 
@@ -74,7 +76,7 @@ def test_lines_on_the_floor_are_the_route():
 @pytest.mark.parametrize("name", ["car_pbvs", "car_parking"])
 def test_the_ideal_way_leads_from_the_start_to_the_goal(name: str):
     s = vs.load(name)
-    ideal, goal = ideal_way(s), s.goal_view.place
+    ideal, goal = ideal_bicycle_path(s), s.goal_view.place
     assert ideal is not None and goal is not None
     np.testing.assert_array_equal(ideal[0], s.robot.configuration()[:2])
     assert np.linalg.norm(ideal[-1] - goal[:2]) < 2 * 0.01  # within the law's rest_m, by steps of 4 cm and less

@@ -1,4 +1,4 @@
-"""A film read back picture by picture, as simulated time goes on."""
+"""Reads a film frame by frame as simulated time advances."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ if TYPE_CHECKING:
     from av.container import InputContainer
 
 EARLY_S: Final = Fraction(1, 10_000)
-"""How much before its time a picture may be shown: films count time in steps of about 1/12800 s."""
+"""How much before its time a frame may be shown: the time base of a film is about 1/12800 s."""
 
 
-class Reel:
-    """A film that is decoded as far as it has been shown, and keeps two pictures of it.
+class FrameReader:
+    """Decodes a film as far as it has been shown, and holds two frames of it in memory.
 
-    A film that cannot be read is one without pictures: `rate_hz` is 0 and `ended` true from the beginning. One that is
-    cut off ends where it breaks.
+    A film that cannot be read counts as one without frames: `rate_hz` is 0 and `ended` is true from the beginning. A truncated
+    film ends at its last frame that can be decoded.
 
     Args:
-        path: a film of a run, whose first picture is taken at t = 0.
+        path: a film of a run; its first frame is at t = 0.
     """
 
     def __init__(self, path: Path):
         self._container: InputContainer | None = None
-        self._pictures: Iterator[VideoFrame] = iter(())
+        self._frames: Iterator[VideoFrame] = iter(())
         self._next: VideoFrame | None = None
         self._began = Fraction(0)
         self.width = self.height = 0
@@ -41,29 +41,29 @@ class Reel:
         self._open(path)
 
     def ended(self, t: Fraction) -> bool:
-        """Whether the last picture's time is over at t [s]."""
+        """Whether the last frame has been shown for its duration at t [s]."""
         return self._next is None and t >= self.end_s - EARLY_S
 
-    def due(self, t: Fraction) -> VideoFrame | None:
-        """The newest picture of time t [s] or before; None where that has been given already."""
-        newest = None
+    def newest(self, t: Fraction) -> VideoFrame | None:
+        """The newest frame at or before t [s]; None if it has been returned already."""
+        latest = None
         while self._next is not None and self._time(self._next) <= t + EARLY_S:
-            newest = self._next
-            self.end_s = self._time(newest) + 1 / self.rate_hz
+            latest = self._next
+            self.end_s = self._time(latest) + 1 / self.rate_hz
             self._advance()
-        return newest
+        return latest
 
     def close(self) -> None:
         """Close the file."""
         if self._container is not None:
             self._container.close()
-        self._container, self._pictures, self._next = None, iter(()), None
+        self._container, self._frames, self._next = None, iter(()), None
 
     def _open(self, path: Path) -> None:
         import av
         from av.error import FFmpegError
 
-        with contextlib.suppress(FFmpegError, OSError):  # no film: shown as none, beside the others
+        with contextlib.suppress(FFmpegError, OSError):  # an unreadable film must not prevent the film of the others
             self._container = av.open(str(path))
             streams = self._container.streams.video
             if streams:
@@ -71,8 +71,8 @@ class Reel:
 
     def _start(self, stream: VideoStream) -> None:
         assert self._container is not None
-        stream.thread_count = 1  # a comparison leaves the other cores to its runs
-        self._pictures = self._container.decode(stream)
+        stream.thread_count = 1  # the other cores belong to the runs of the comparison
+        self._frames = self._container.decode(stream)
         self._advance()
         if self._next is not None:
             self._began = self._time(self._next)
@@ -83,14 +83,14 @@ class Reel:
         from av.error import FFmpegError
 
         self._next = None
-        with contextlib.suppress(FFmpegError):  # cut off: it ends here
-            self._next = next(self._pictures, None)
+        with contextlib.suppress(FFmpegError):  # truncated: the film ends here
+            self._next = next(self._frames, None)
 
     def _time(self, frame: VideoFrame) -> Fraction:
         return (frame.pts or 0) * (frame.time_base or Fraction(0)) - self._began
 
 
 def scaled(frame: VideoFrame, width: int, height: int) -> Image:
-    """A picture of a film at another size, shape (height, width, 3), uint8, RGB."""
+    """A frame at another size, shape (height, width, 3), uint8, RGB."""
     small = frame.reformat(width, height, "rgb24", src_colorspace="ITU709", interpolation="AREA", threads=1)
     return np.asarray(small.to_ndarray(), np.uint8)
