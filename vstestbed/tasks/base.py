@@ -154,7 +154,8 @@ class TaskBase:
 
     if TYPE_CHECKING:  # each task has its own; not at run time, where the contract misses it
 
-        def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]: ...
+        def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]:  # noqa: D102 - the protocol says it
+            ...
 
     def check(self, setup: Setup) -> None:
         """The law takes such tasks, the robot's base can do them, the target has markers."""

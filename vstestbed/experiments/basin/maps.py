@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.files import write_whole, writing
 from vstestbed.core.geometry import Array, Pose, inverse, rotation_from_rpy
+from vstestbed.core.outcome import Outcome
 from vstestbed.experiments.basin.batch import Batch, BatchSetup, fly, ideal, start_of, started_at
 from vstestbed.experiments.comparison import Comparison, controllers
 from vstestbed.loop.run import run

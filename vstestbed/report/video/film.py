@@ -81,7 +81,7 @@ class Film:
 
     def frame(self, frame: Frame) -> None:
         """Film a frame of a running loop (a Watcher)."""
-        self.show(FilmFrame.of_tick(tick))
+        self.show(FilmFrame.of_frame(frame))
 
     def show(self, frame: FilmFrame) -> None:
         """Film one frame."""
