@@ -1,4 +1,4 @@
-"""What every lens shares: size, rate, latency, mount, how its picture is made; and the Frame it gives."""
+"""What every lens shares: size, rate, latency, mount, how its picture is made; and the Picture it gives."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ FORWARD_COSINE = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
-class Frame:
+class Picture:
     """What a camera gives: t [s] of exposure, and one picture (H, W, 3) uint8 RGB a panel, None for one not wanted.
 
     What lies outside of the windows that were asked for may be blank; `whole` says that nothing is.
@@ -42,7 +42,7 @@ class Frame:
         """The camera's own picture, where it was drawn whole: None for a lens that has none of its own, only panels."""
         return self.images[0] if self.whole and len(self.images) == 1 else None
 
-    def copy(self) -> Frame:
+    def copy(self) -> Picture:
         """The same with pictures of its own."""
         return replace(self, images=tuple(None if image is None else image.copy() for image in self.images))
 
@@ -95,7 +95,7 @@ class Camera(ABC):
         """The same camera in another place on its robot."""
         return replace(self, mount=mount)
 
-    def mistaken(self, focal_error: float, principal_px: tuple[float, float], ignores_distortion: bool) -> Camera:
+    def miscalibrated(self, focal_error: float, principal_px: tuple[float, float], ignores_distortion: bool) -> Camera:
         """The same camera as somebody takes it to be: f (1 + focal_error), another principal point, no distortion.
 
         Raises:

@@ -78,4 +78,4 @@ class Calibration:
         if self.lens_exact:
             return camera.mounted(mount)
         principal = camera.centre + self.principal_error_px
-        return camera.mistaken(self.focal_error, (float(principal[0]), float(principal[1])), self.ignores_distortion).mounted(mount)
+        return camera.miscalibrated(self.focal_error, (float(principal[0]), float(principal[1])), self.ignores_distortion).mounted(mount)

@@ -46,9 +46,9 @@ class Fisheye(Radial):
             words = f"fold the picture over itself within fov_deg = {self.fov_deg:g}; use smaller coefficients or a fov_deg below"
             raise ParameterError("coefficients", f"{words} {math.degrees(2 * self.turn):.4g}", self.coefficients)
 
-    def mistaken(self, focal_error: float, principal_px: tuple[float, float], ignores_distortion: bool) -> Radial:
+    def miscalibrated(self, focal_error: float, principal_px: tuple[float, float], ignores_distortion: bool) -> Radial:
         """The same camera as somebody takes it to be; without its distortion it is the equidistant lens."""
-        lens = super().mistaken(focal_error, principal_px, ignores_distortion=False)
+        lens = super().miscalibrated(focal_error, principal_px, ignores_distortion=False)
         return replace(lens, coefficients=(0.0,) * 4) if isinstance(lens, Fisheye) and ignores_distortion else lens
 
     @property

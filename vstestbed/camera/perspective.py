@@ -73,7 +73,7 @@ class Perspective(Camera):
             return self.focal_length_m / self.pixel_size_m
         return self.height / 2 / math.tan(math.radians(self.fovy_deg or DEFAULT_FOVY_DEG) / 2)
 
-    def mistaken(self, focal_error: float, principal_px: tuple[float, float], ignores_distortion: bool) -> Perspective:
+    def miscalibrated(self, focal_error: float, principal_px: tuple[float, float], ignores_distortion: bool) -> Perspective:
         """The same camera as somebody takes it to be."""
         f, pixel = self.f * (1 + focal_error), self.pixel_size_m
         given: dict[str, float | None] = {"fovy_deg": math.degrees(2 * math.atan(self.height / 2 / f))}

@@ -57,7 +57,7 @@ class Radial(Camera):
         """Focal length [px]: pixels a radian on the axis of an equidistant lens."""
         return self.focal_length_px or min(self.width, self.height) / 2 / self.ring[1]
 
-    def mistaken(self, focal_error: float, principal_px: tuple[float, float], ignores_distortion: bool) -> Radial:
+    def miscalibrated(self, focal_error: float, principal_px: tuple[float, float], ignores_distortion: bool) -> Radial:
         """The same camera as somebody takes it to be. It has no distortion to be ignored, unless the lens says so."""
         if ignores_distortion:
             raise ParameterError("calibration.ignores_distortion", "is for the lenses perspective and fisheye, which have one")

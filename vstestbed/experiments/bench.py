@@ -12,7 +12,7 @@ from vstestbed.loop.recording import Recording
 from vstestbed.loop.run import run
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.scene.compose import Parts
-from vstestbed.sim.speed_baseline import Floor, measure_floor
+from vstestbed.sim.speed_baseline import BaselineCost, measure_baseline
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ def measure(scenario: Scenario, repeats: int = 5) -> Bench:
     )
 
 
-def _floor(scenario: Scenario, recording: Recording) -> Floor:
+def _floor(scenario: Scenario, recording: Recording) -> BaselineCost:
     step, steps_per_frame = scenario.clock
     parts = Parts(scenario.robot, scenario.camera, scenario.target, scenario.world, step)
     robot = scenario.robot
@@ -100,6 +100,6 @@ def _floor(scenario: Scenario, recording: Recording) -> Floor:
     T = np.tile(np.eye(4), (len(recording.table), 1, 1))
     T[:, :3, 3] = np.column_stack([recording[f"cam_{a}"] for a in "xyz"])
     T[:, :3, :3] = rotation_from_quaternion(np.column_stack([recording[f"cam_q{a}"] for a in "wxyz"]))
-    return measure_floor(
+    return measure_baseline(
         parts, steps_per_frame, joined("ctrl", robot.actuators), joined("q", robot.joints), T, scenario.detector.needs_image
     )

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vstestbed.camera import Frame, Look
+from vstestbed.camera import Picture, Look
 from vstestbed.core.geometry import Array
 from vstestbed.robots.base import Encoders
 from vstestbed.scenario.scenario import TIMING_STREAM, Scenario
@@ -26,7 +26,7 @@ class Shot:
     """
 
     number: int
-    frame: Frame | None
+    frame: Picture | None
     t: float
     truth: Truth
     encoders: Encoders
@@ -85,6 +85,6 @@ class Eye:
         self._way_before, self._step_before = self.way, step
         return Shot(self.planned.frame, None, step * self.plant.step_s, truth, self.plant.encoders(), ordered, self.way)
 
-    def _send(self, planned: Planned, frame: Frame | None, shot: Shot) -> None:
+    def _send(self, planned: Planned, frame: Picture | None, shot: Shot) -> None:
         self.line.push(planned.arrives, replace(shot, frame=frame))
         self._plan()

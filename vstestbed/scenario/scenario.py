@@ -10,7 +10,7 @@ import numpy as np
 from annotated_types import Ge, Lt
 from numpy.typing import NDArray
 
-from vstestbed.camera import CAMERAS, Calibration, Camera, Catadioptric, Fisheye, Perspective, Spherical
+from vstestbed.camera import CAMERAS, Calibration, Camera, Catadioptric, Fisheye, Perspective, SphericalCamera
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, inverse
 from vstestbed.core.spec import spec
@@ -79,7 +79,7 @@ class Scenario:
     description: str = ""
     seed: Annotated[int, Ge(0)] = 0
     robot: Annotated[Free | Puma560 | Omni | Car | Quadrotor, ROBOTS]
-    camera: Annotated[Perspective | Fisheye | Catadioptric | Spherical, CAMERAS] = Perspective()
+    camera: Annotated[Perspective | Fisheye | Catadioptric | SphericalCamera, CAMERAS] = Perspective()
     target: Annotated[Square | Points | GroundLines, TARGETS]
     detector: Annotated[Blobs | Tags | Lines | Oracle, DETECTORS] = Blobs()
     law: Annotated[IBVS | Partitioned | PBVS | Hybrid | PoseController | Pursuit | LineFollowing, LAWS]

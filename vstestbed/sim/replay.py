@@ -6,8 +6,8 @@ from vstestbed.camera import Camera, Image
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.robots import Robot
-from vstestbed.sim.base import Eyes
-from vstestbed.sim.render.pictures import Outside, eye_of, view_of
+from vstestbed.sim.base import Renderer
+from vstestbed.sim.render.pictures import OutsideView, servo_renderer, outside_view
 from vstestbed.sim.scene.compose import Parts
 from vstestbed.sim.scene.stage import Stage
 from vstestbed.sim.scene.world import World
@@ -50,8 +50,8 @@ class Replay:
         quality.shadowsize = FILM_SHADOW_PX
         quality.numslices, quality.numstacks, quality.numquads = FILM_SLICES, FILM_STACKS, FILM_QUADS
         self._shadows = shadows
-        self._own: tuple[Stage, Eyes] | None = None
-        self._views: dict[str, Outside] = {}
+        self._own: tuple[Stage, Renderer] | None = None
+        self._views: dict[str, OutsideView] = {}
 
     @property
     def cameras(self) -> list[str]:
@@ -69,17 +69,17 @@ class Replay:
         if camera == "eye":
             stage, eye = self._servo_eye()
             stage.place(t, T_world_target, q, T_world_camera)
-            return eye.picture()
+            return eye.full_image()
         if camera not in self._views:
-            self._views[camera] = view_of(self._stage, camera, width, height, self._parts.camera, self._shadows)
+            self._views[camera] = outside_view(self._stage, camera, width, height, self._parts.camera, self._shadows)
         self._stage.place(t, T_world_target, q, T_world_camera)
-        return self._views[camera].picture()
+        return self._views[camera].full_image()
 
-    def _servo_eye(self) -> tuple[Stage, Eyes]:
+    def _servo_eye(self) -> tuple[Stage, Renderer]:
         """A second stage with the servo camera's own quality, made when first asked for."""
         if self._own is None:
             stage = Stage(self._parts, samples=self._parts.camera.multisampling)
-            self._own = stage, eye_of(stage, self._parts.camera)
+            self._own = stage, servo_renderer(stage, self._parts.camera)
         return self._own
 
     def close(self) -> None:

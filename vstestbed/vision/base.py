@@ -8,7 +8,7 @@ from typing import ClassVar, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from vstestbed.camera import Camera, Frame, Look
+from vstestbed.camera import Camera, Picture, Look
 from vstestbed.core.geometry import Array
 from vstestbed.targets.base import Target
 
@@ -75,7 +75,7 @@ class Detector(Protocol[M]):
         ...
 
     def detect(
-        self, memory: M, frame: Frame | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
+        self, memory: M, frame: Picture | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
     ) -> tuple[M, Detection]:
         """One picture: the next memory and where the markers are."""
         ...

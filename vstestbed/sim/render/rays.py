@@ -187,8 +187,8 @@ def _borders(geoms: NDArray[np.int32]) -> NDArray[np.bool_]:
     return np.logical_or.reduce([other != geoms for other in near])
 
 
-class RayEye:
-    """The servo camera's picture through any lens, by rays; the same as `Eye` makes with OpenGL, where both can.
+class RayRenderer:
+    """The servo camera's picture through any lens, by rays; the same as `OpenGLRenderer` makes with OpenGL, where both can.
 
     Only the windows that somebody looks at are cast. It has no shadows and no textures (see `refuse`).
 
@@ -209,15 +209,15 @@ class RayEye:
         self.spent_s = 0.0
         self.whole = True
 
-    def picture(self) -> Image:
+    def full_image(self) -> Image:
         """The camera's own picture now, (H, W, 3) uint8 RGB, its own for good."""
         return self._draw(Panel(self._camera, np.eye(3)), -1 if self._camera.panels[0].lens is not self._camera else 0, None)
 
-    def grained(self, image: Image) -> Image:
+    def with_noise(self, image: Image) -> Image:
         """A clean picture with the sensor's noise."""
         return noisy(image, self._sigma, self._rng)
 
-    def glimpse(self, look: Look | None = None, clean: bool = False) -> tuple[Image | None, ...]:
+    def images(self, look: Look | None = None, clean: bool = False) -> tuple[Image | None, ...]:
         """The pictures now, one a panel, each its own for good.
 
         look: where somebody is going to look; a panel with no window is left out, others are blank outside of their windows.
@@ -239,7 +239,7 @@ class RayEye:
         image = np.full((raster.height, raster.width, 3), BLANK, np.uint8)
         whole = ((0, 0, raster.width, raster.height),)
         raster.draw(image, whole if windows is None else windows, self._caster, self._stage.camera_pose())
-        return image if clean else self.grained(image)
+        return image if clean else self.with_noise(image)
 
 
 def refuse(camera: Camera, textured_target: bool) -> None:
@@ -255,7 +255,7 @@ def refuse(camera: Camera, textured_target: bool) -> None:
         raise EnvironmentLackError(f"{lacks[0]} OpenGL", gl.REMEDY)
 
 
-class RayView:
+class RaySceneCamera:
     """One camera of a stage, from outside, by rays: no shadows. Where the camera stands still, only what moved is drawn anew.
 
     Args:
@@ -274,7 +274,7 @@ class RayView:
         self._image = np.empty((height, width, 3), np.uint8)
         self._before: tuple[Array, Array, Array] | None = None
 
-    def picture(self) -> Image:
+    def full_image(self) -> Image:
         """The picture now, (H, W, 3) uint8 RGB, its own for good."""
         data = self._stage.data
         seen_from, T = data.camera(self._camera), np.eye(4)

@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from annotated_types import Ge, Gt, Le, Lt
 
-from vstestbed.camera import Camera, Frame, Look, Perspective, Window
+from vstestbed.camera import Camera, Picture, Look, Perspective, Window
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.spec import spec
 from vstestbed.targets.base import Target
@@ -80,7 +80,7 @@ class Blobs:
         return look_of(memory, camera, self.window_margin_px) if memory.blobs else None
 
     def detect(
-        self, memory: BlobsMemory, frame: Frame | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
+        self, memory: BlobsMemory, frame: Picture | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
     ) -> tuple[BlobsMemory, Detection]:
         """Marker centres (N, 2) [px] in one picture, NaN where not seen, and the pose (4, 4) where it can be solved.
 
@@ -106,7 +106,7 @@ class Blobs:
         rim = self.moments if _smooth(lens) or (noise > 0 and self.moments == "binary") else "sharp"
         return find_blobs(image, window, self.chroma, self.least_area_px, rim, noise)
 
-    def _track(self, frame: Frame, noise: float, memory: BlobsMemory, camera: Camera, target: Target) -> list[Found] | None:
+    def _track(self, frame: Picture, noise: float, memory: BlobsMemory, camera: Camera, target: Target) -> list[Found] | None:
         """Each marker's blob, the nearest to its prediction in a window of its own; None: whole pictures must be searched."""
         own = windows(memory, camera, self.window_margin_px)
         if own is None:
@@ -126,7 +126,7 @@ class Blobs:
             found.append((panel, blob))
         return found
 
-    def _search(self, frame: Frame, noise: float, memory: BlobsMemory, camera: Camera, target: Target) -> list[Found]:
+    def _search(self, frame: Picture, noise: float, memory: BlobsMemory, camera: Camera, target: Target) -> list[Found]:
         """Each marker's blob in whole pictures: of those with its hue the one that the target's geometry asks for.
 
         In a camera with panels, whole ones first, the largest.

@@ -11,7 +11,7 @@ import numpy as np
 from annotated_types import Ge, Gt, Le, Lt
 from numpy.typing import NDArray
 
-from vstestbed.camera import Camera, Frame, Image, Look, Window
+from vstestbed.camera import Camera, Picture, Image, Look, Window
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.spec import spec
@@ -108,7 +108,7 @@ class Lines:
         return tuple(tuple(w for s in memory.strips if (w := s.window(i, panel.lens)) is not None) for i, panel in panels)
 
     def detect(
-        self, memory: LinesMemory, frame: Frame | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
+        self, memory: LinesMemory, frame: Picture | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
     ) -> tuple[LinesMemory, Detection]:
         """Crossings (N, 2) [px] in one picture, in the target's order, NaN where not seen.
 
@@ -192,7 +192,7 @@ def _strip(camera: Camera, ahead: float, reach: float) -> Strip:
     return Strip(ahead, row_m, column_m, lefts, tuple(maps))
 
 
-def _from_above(frame: Frame, strip: Strip) -> Image:
+def _from_above(frame: Picture, strip: Strip) -> Image:
     """The strip's picture (ROWS, K, 3); of several panels that see a place, the first that was drawn."""
     out: Image | None = None
     for image, maps in zip(frame.images, strip.maps, strict=True):

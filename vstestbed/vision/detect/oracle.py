@@ -6,7 +6,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from vstestbed.camera import Camera, Frame, Look
+from vstestbed.camera import Camera, Picture, Look
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import all_finite
 from vstestbed.core.spec import spec
@@ -38,7 +38,7 @@ class Oracle:
         """It looks at no picture."""
 
     def detect(
-        self, memory: None, frame: Frame | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
+        self, memory: None, frame: Picture | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
     ) -> tuple[None, Detection]:
         """True pixels (N, 2) and centres (N, 3) of what can be seen, NaN for the rest.
 

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from annotated_types import Ge, Gt, Le, Lt
 
-from vstestbed.camera import Camera, Frame, Look, Window
+from vstestbed.camera import Camera, Picture, Look, Window
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.spec import spec
@@ -83,7 +83,7 @@ class Tags:
         return None if windows is None else (tuple(windows),)
 
     def detect(
-        self, memory: TagsMemory, frame: Frame | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
+        self, memory: TagsMemory, frame: Picture | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
     ) -> tuple[TagsMemory, Detection]:
         """Tag centres (N, 2) [px] in one picture, NaN where not seen, and the pose (4, 4) where it can be solved.
 
