@@ -9,8 +9,7 @@ from tests.laws.flight import book_camera
 from vstestbed.camera import Catadioptric, Fisheye, SphericalCamera
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, transform
-from vstestbed.features import Point
-from vstestbed.features import Spherical
+from vstestbed.features import Point, Spherical
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import IBVS, Hybrid, Law, Partitioned
 from vstestbed.laws.base import ConstantGain

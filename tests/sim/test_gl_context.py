@@ -28,7 +28,9 @@ def scene() -> Iterator[Callable[..., Scene]]:
         flange = s.robot.flange_pose(s.robot.configuration())
         stage.place(0.0, s.target.pose.T, s.robot.configuration() if s.robot.model else np.zeros(0), flange @ s.camera.mount.T)
         stages.append(stage)
-        return stage, SceneCamera(stage, "overview", 480, 270, shadows=True, style="outside").full_image if outside else OpenGLRenderer(stage, s.camera).full_image
+        return stage, SceneCamera(stage, "overview", 480, 270, shadows=True, style="outside").full_image if outside else OpenGLRenderer(
+            stage, s.camera
+        ).full_image
 
     yield make
     for stage in stages:

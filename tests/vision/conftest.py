@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from dm_control import mujoco
 
-from vstestbed.camera import Picture, Perspective
+from vstestbed.camera import Perspective, Picture
 from vstestbed.core.geometry import Array, quaternion_wxyz
 from vstestbed.targets.base import Target
 

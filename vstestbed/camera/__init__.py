@@ -5,7 +5,7 @@ thus covers u in [-0.5, W - 0.5]. Camera axes: x right, y down, z forward. `uv` 
 (X/Z, Y/Z), `depth` is Z, `range` is the norm; theta is a ray's angle from z, phi its angle about z, from x towards y.
 """
 
-from vstestbed.camera.base import Camera, Picture, Image, Look, Panel, Window
+from vstestbed.camera.base import Camera, Image, Look, Panel, Picture, Window
 from vstestbed.camera.calibration import Calibration
 from vstestbed.camera.catadioptric import Catadioptric
 from vstestbed.camera.fisheye import Fisheye
@@ -22,11 +22,11 @@ __all__ = [
     "Camera",
     "Catadioptric",
     "Fisheye",
-    "Picture",
     "Image",
     "Look",
     "Panel",
     "Perspective",
+    "Picture",
     "Radial",
     "SphericalCamera",
     "Window",

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vstestbed.camera import Picture, Look
+from vstestbed.camera import Look, Picture
 from vstestbed.core.geometry import Array
 from vstestbed.robots.base import Encoders
 from vstestbed.scenario.scenario import TIMING_STREAM, Scenario

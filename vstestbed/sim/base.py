@@ -7,7 +7,7 @@ from typing import Protocol
 
 from numpy.typing import NDArray
 
-from vstestbed.camera import Picture, Image, Look
+from vstestbed.camera import Image, Look, Picture
 from vstestbed.core.geometry import Array
 from vstestbed.robots.base import Encoders
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from vstestbed.camera import Picture, Look
+from vstestbed.camera import Look, Picture
 from vstestbed.core.geometry import Array, adjoint, exp, inverse
 from vstestbed.robots.base import Encoders
 from vstestbed.sim.base import Renderer, Truth

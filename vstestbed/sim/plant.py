@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from dm_control.rl.control import PhysicsError
 
-from vstestbed.camera import Picture, Look
+from vstestbed.camera import Look, Picture
 from vstestbed.core.geometry import Array, adjoint, inverse
 from vstestbed.robots.base import Encoders
 from vstestbed.sim.base import Aloft, Renderer, Truth

@@ -7,7 +7,7 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.robots import Robot
 from vstestbed.sim.base import Renderer
-from vstestbed.sim.render.pictures import OutsideView, servo_renderer, outside_view
+from vstestbed.sim.render.pictures import OutsideView, outside_view, servo_renderer
 from vstestbed.sim.scene.compose import Parts
 from vstestbed.sim.scene.stage import Stage
 from vstestbed.sim.scene.world import World

@@ -8,7 +8,7 @@ from typing import ClassVar, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from vstestbed.camera import Camera, Picture, Look
+from vstestbed.camera import Camera, Look, Picture
 from vstestbed.core.geometry import Array
 from vstestbed.targets.base import Target
 

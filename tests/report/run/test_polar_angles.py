@@ -10,8 +10,7 @@ import pytest
 
 from vstestbed.camera import Camera, Perspective, SphericalCamera
 from vstestbed.core.geometry import Array, direction
-from vstestbed.features import Feature, Point, Polar
-from vstestbed.features import Spherical
+from vstestbed.features import Feature, Point, Polar, Spherical
 from vstestbed.report import Setting, render_page
 from vstestbed.report.html.canvas import marker_colors
 from vstestbed.report.run import polar_angles as angles

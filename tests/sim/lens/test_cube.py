@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vstestbed.camera import Camera, Catadioptric, Fisheye, Picture, Look, SphericalCamera
+from vstestbed.camera import Camera, Catadioptric, Fisheye, Look, Picture, SphericalCamera
 from vstestbed.camera.radial import Radial
 from vstestbed.core.geometry import Array, Pose, direction
 from vstestbed.robots import Free

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
-from vstestbed.camera import Camera, Catadioptric, Fisheye, Picture, Perspective, SphericalCamera
+from vstestbed.camera import Camera, Catadioptric, Fisheye, Perspective, Picture, SphericalCamera
 from vstestbed.core.errors import EnvironmentLackError, ParameterError
 from vstestbed.core.geometry import FLIP, Array, Pose, inverse, transform
 from vstestbed.robots import Free
@@ -61,7 +61,9 @@ def test_markers_lie_where_opengl_draws_them(marker: Disc | Sphere):
     detector, differences = Blobs(), []
     for view in views:
         stage.place(0.0, target.pose.T, NONE, view.T)
-        seen = [detector.detect(detector.init(), Picture(0.0, eye.images()), None, camera, target, np.random.default_rng(0)) for eye in eyes]
+        seen = [
+            detector.detect(detector.init(), Picture(0.0, eye.images()), None, camera, target, np.random.default_rng(0)) for eye in eyes
+        ]
         differences.append(seen[0][1].uv - seen[1][1].uv)
     stage.close()
     # The detector's own scatter on pictures of several samples a pixel is .02 to .04 px; half a pixel would be 5 times this.

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.vision.conftest import TakePicture
-from vstestbed.camera import Picture, Perspective
+from vstestbed.camera import Perspective, Picture
 from vstestbed.core.geometry import Array, Pose, exp, inverse, rigid_error, transform
 from vstestbed.targets.base import Disc, Marker, Points, Sphere, Square, Target
 from vstestbed.vision import Blobs, Detection
@@ -216,7 +216,9 @@ def _path(n: int) -> list[Array]:
 
 
 @pytest.mark.parametrize("camera", [CAMERA, Perspective(multisampling=4)], ids=["sharp", "smooth"])
-def test_windows_give_the_same_bytes_as_the_whole_picture(picture: TakePicture, camera: Perspective, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_windows_give_the_same_bytes_as_the_whole_picture(
+    picture: TakePicture, camera: Perspective, monkeypatch: pytest.MonkeyPatch
+) -> None:
     target, blobs = _square(Sphere(radius=0.02)), Blobs()
     frames = [picture(target, T, camera) for T in _path(25)]
     whole = [_detect(frame, target, blobs, camera) for frame in frames]

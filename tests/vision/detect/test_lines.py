@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from vstestbed.camera import Fisheye, Picture, Perspective, SphericalCamera
+from vstestbed.camera import Fisheye, Perspective, Picture, SphericalCamera
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose, inverse
 from vstestbed.core.planar import GroundPose
@@ -69,7 +69,9 @@ def test_of_two_lines_each_by_its_hue():
     assert np.sqrt(np.nanmean(errors**2)) < 0.1
 
 
-@pytest.mark.parametrize("camera", [Fisheye(width=480, height=480, fov_deg=170, mount=MOUNT), SphericalCamera(mount=MOUNT)], ids=lambda c: c.kind)
+@pytest.mark.parametrize(
+    "camera", [Fisheye(width=480, height=480, fov_deg=170, mount=MOUNT), SphericalCamera(mount=MOUNT)], ids=lambda c: c.kind
+)
 def test_any_lens(camera):
     errors = Bench(GroundLines(route=WAY, marker={"kind": "stripe", "width_m": 0.05}), camera).errors(PLACES[:6])
     assert np.isfinite(errors).all() and np.sqrt((errors**2).mean()) < 0.1

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from vstestbed.camera import Picture, Perspective
+from vstestbed.camera import Perspective, Picture
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, exp, rigid_error, transform
 from vstestbed.robots import Free

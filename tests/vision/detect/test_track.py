@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from vstestbed.camera import Picture, Perspective, SphericalCamera
+from vstestbed.camera import Perspective, Picture, SphericalCamera
 from vstestbed.core.geometry import Array, Pose, direction, exp, inverse, rigid_error, transform
 from vstestbed.targets.base import Points, Sphere, Square, Target
 from vstestbed.vision import Blobs, Oracle, TruthView

@@ -9,7 +9,7 @@ from typing import Annotated
 import numpy as np
 from annotated_types import Ge, Gt, Lt
 
-from vstestbed.camera import Picture, Image
+from vstestbed.camera import Image, Picture
 from vstestbed.core.spec import spec
 
 

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from vstestbed.camera import Camera, Picture, Perspective
+from vstestbed.camera import Camera, Perspective, Picture
 from vstestbed.core.geometry import Array, Pose, transform
 from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart

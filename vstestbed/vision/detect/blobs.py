@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from annotated_types import Ge, Gt, Le, Lt
 
-from vstestbed.camera import Camera, Picture, Look, Perspective, Window
+from vstestbed.camera import Camera, Look, Perspective, Picture, Window
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.spec import spec
 from vstestbed.targets.base import Target

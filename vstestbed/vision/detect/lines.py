@@ -11,7 +11,7 @@ import numpy as np
 from annotated_types import Ge, Gt, Le, Lt
 from numpy.typing import NDArray
 
-from vstestbed.camera import Camera, Picture, Image, Look, Window
+from vstestbed.camera import Camera, Image, Look, Picture, Window
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.spec import spec

@@ -6,7 +6,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from vstestbed.camera import Camera, Picture, Look
+from vstestbed.camera import Camera, Look, Picture
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import all_finite
 from vstestbed.core.spec import spec

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from annotated_types import Ge, Gt, Le, Lt
 
-from vstestbed.camera import Camera, Picture, Look, Window
+from vstestbed.camera import Camera, Look, Picture, Window
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.spec import spec
