@@ -28,9 +28,12 @@ FORWARD_COSINE = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """What a camera gives: t [s] of exposure, and one picture (H, W, 3) uint8 RGB a panel, None for one not wanted.
+    """One exposure of a camera.
 
-    What lies outside of the windows that were asked for may be blank; `whole` says that nothing is.
+    Attributes:
+        t: time of the exposure [s].
+        images: one image for each panel, (H, W, 3) uint8 RGB; None for a panel that was not asked for.
+        whole: the images are complete; otherwise they may be blank outside of the regions of interest.
     """
 
     t: float
@@ -39,11 +42,16 @@ class Picture:
 
     @property
     def image(self) -> Image | None:
-        """The camera's own picture, where it was drawn whole: None for a lens that has none of its own, only panels."""
+        """The camera's own image if it is complete; None for a lens that has panels instead of one image."""
         return self.images[0] if self.whole and len(self.images) == 1 else None
 
+    @property
+    def empty(self) -> bool:
+        """Whether no panel has an image."""
+        return all(image is None for image in self.images)
+
     def copy(self) -> Picture:
-        """The same with pictures of its own."""
+        """The same with copies of the images, which the renderer does not overwrite."""
         return replace(self, images=tuple(None if image is None else image.copy() for image in self.images))
 
 
@@ -102,6 +110,11 @@ class Camera(ABC):
             ParameterError: the lens has no such thing.
         """
         raise ParameterError("calibration", "may have no lens errors with this camera; mount_error it may")
+
+    @property
+    def resampled(self) -> bool:
+        """Whether the rendered image is interpolated from pinhole images, so that pixels at an edge mix colours."""
+        return True
 
     @cached_property
     def panels(self) -> tuple[Panel, ...]:

@@ -66,6 +66,11 @@ class Perspective(Camera):
             words = "folds the picture over itself before its corners; use smaller coefficients"
             raise ParameterError("distortion", words, self.distortion)
 
+    @property
+    def resampled(self) -> bool:
+        """Only with distortion: a pinhole image is rendered directly."""
+        return self.distortion is not None
+
     @cached_property
     def f(self) -> float:
         """Focal length [px]."""

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from annotated_types import Gt
@@ -18,8 +17,7 @@ NEAREST_M = 0.01
 """Least depth of a visible marker by an estimated pose [m]: propagated by the camera's motion, a pose may drift through the target."""
 
 
-@dataclass(frozen=True, slots=True)
-class DepthCues:
+class DepthCues(NamedTuple):
     """What an observer has computed of one frame; a source takes what it needs.
 
     Attributes:

@@ -272,7 +272,7 @@ def test_a_tag_with_its_quiet_zone() -> None:
 
 def test_a_missing_picture_or_tag_is_refused() -> None:
     tags, frame = Tags(), Picture(0.0, np.zeros((480, 640, 3), np.uint8))
-    with pytest.raises(ParameterError, match="frame is missing"):
+    with pytest.raises(ParameterError, match="picture is missing"):
         tags.detect(tags.init(), None, None, CAMERA, _square(), RNG)
     with pytest.raises(ParameterError, match="must be tag"):
         tags.detect(tags.init(), frame, None, CAMERA, _square(marker=Disc()), RNG)
