@@ -57,8 +57,8 @@ def assign_blobs(candidates: Candidates, camera: Camera, target: Target, previou
     """
     few = [sorted(c, key=lambda f: (f[1].whole, f[1].area), reverse=True)[:MOST_OF_A_HUE] for c in candidates]
     present = [i for i, c in enumerate(few) if c]
-    if len(present) < 3 or all(len(c) < 2 for c in few):
-        return _nearest(few, camera, target, previous) if previous is not None and present else [c[0] if c else None for c in few]
+    if len(present) < 3 or max(map(len, few)) < 2:
+        return _without_pose(few, camera, target, previous)
     for hypotheses in (_of_four_or_near, _of_three):
         found = _best(hypotheses(few, present, camera, target, previous), camera, target)
         if found is not None:
@@ -128,8 +128,10 @@ def _explained(few: Candidates, T: Array, camera: Camera, target: Target) -> tup
     return score, chosen
 
 
-def _nearest(few: Candidates, camera: Camera, target: Target, previous: Array) -> list[Placed | None]:
-    """Of each marker's candidates the one nearest to it under the last pose."""
+def _without_pose(few: Candidates, camera: Camera, target: Target, previous: Array | None) -> list[Placed | None]:
+    """Of each marker's candidates the one nearest to it under the last pose; without one the first."""
+    if previous is None:
+        return [c[0] if c else None for c in few]
     uv = camera.project(transform(previous, target.points))
     return [min(c, key=lambda f: _off(f[1], uv[i]), default=None) for i, c in enumerate(few)]
 

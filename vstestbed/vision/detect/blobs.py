@@ -90,13 +90,11 @@ class Blobs:
         if picture is None or picture.empty:
             raise ParameterError("picture", "is missing: detector blobs needs one; use detector oracle where there is none")
         noise = max(noise_level(image) for image in picture.images if image is not None)
-        found = self._track(picture, noise, memory, camera, target) or self._search(picture, noise, memory, camera, target)
-        blobs, panels = [f[1] if f else None for f in found], [f[0] if f else 0 for f in found]
-        edge = EDGE_PX if noise > 0 or _smooth(camera.panels[0].lens) else 0.0
-        markers = MarkerFit(camera, target, panels, self.area_tolerance, edge)
+        blobs, panels = _split(self._track(picture, noise, memory, camera, target) or self._search(picture, noise, memory, camera, target))
+        markers = MarkerFit(camera, target, panels, self.area_tolerance, _edge_px(noise, camera.panels[0].lens))
         uv, T, bias = markers.centres(blobs, memory, self.correct_centre)
-        # An outlier is not tracked: its window would follow the wrong object.
-        blobs = [None if outlier else b for b, outlier in zip(blobs, markers.outliers, strict=True)]
+        for i in np.flatnonzero(markers.outliers):
+            blobs[i] = None  # not tracked: its window would follow the wrong object
         kept = T if T is not None else memory.T_camera_target
         after = BlobsMemory(tuple(blobs), moves_of(memory, blobs, panels, camera), kept, bias, tuple(panels))
         if len(camera.panels) > 1:
@@ -118,8 +116,8 @@ class Blobs:
             image, lens = picture.images[panel], camera.panels[panel].lens
             if image is None or last is None:
                 return None
-            mine = [b for b in self._blobs_in(image, window, noise, lens) if self._has_hue(b, hue, len(own))]
-            blob = _nearest(mine, last.u + move[0], last.v + move[1])
+            blobs = self._blobs_in(image, window, noise, lens)
+            blob = _nearest(self._of_hue(blobs, hue, len(own)), last.u + move[0], last.v + move[1])
             if blob is None or blob.cut_by(window, lens.width, lens.height):
                 return None
             if len(camera.panels) > 1 and at_border(blob, lens):
@@ -132,16 +130,23 @@ class Blobs:
 
         In a camera with panels instead the largest, blobs that are not cut first.
         """
-        found: list[tuple[int, Blob]] = []
-        for panel, image in enumerate(picture.images):
-            if image is not None:
-                lens = camera.panels[panel].lens
-                found += [(panel, b) for b in self._blobs_in(image, (0, 0, lens.width, lens.height), noise, lens)]
-        hues = target.hues_deg
-        by_marker = [[f for f in found if self._has_hue(f[1], hue, len(hues))] for hue in hues]
-        if len(camera.panels) == 1 and any(len(some) > 1 for some in by_marker):
+        hues, everywhere = target.hues_deg, self._all_blobs(picture, noise, camera)
+        by_marker = [[f for f in everywhere if self._has_hue(f[1], hue, len(hues))] for hue in hues]
+        if len(camera.panels) == 1 and max(map(len, by_marker)) > 1:
             return list(assign_blobs(by_marker, camera, target, memory.T_camera_target))
         return [largest(some, camera) for some in by_marker]
+
+    def _all_blobs(self, picture: Picture, noise: float, camera: Camera) -> list[tuple[int, Blob]]:
+        """All blobs of all panels, each with the index of its panel."""
+        found: list[tuple[int, Blob]] = []
+        for i, (image, panel) in enumerate(zip(picture.images, camera.panels, strict=True)):
+            if image is not None:
+                window = (0, 0, panel.lens.width, panel.lens.height)
+                found += [(i, b) for b in self._blobs_in(image, window, noise, panel.lens)]
+        return found
+
+    def _of_hue(self, blobs: list[Blob], hue_deg: float, n_hues: int) -> list[Blob]:
+        return [b for b in blobs if self._has_hue(b, hue_deg, n_hues)]
 
     def _has_hue(self, blob: Blob, hue_deg: float, n_hues: int) -> bool:
         """Whether a blob has a marker's hue, of `n_hues` that must be told apart."""
@@ -149,9 +154,19 @@ class Blobs:
         return abs((blob.hue_deg - hue_deg + 180) % 360 - 180) <= tolerance
 
 
+def _split(found: list[Found]) -> tuple[list[Blob | None], list[int]]:
+    """The blobs and their panels, which are 0 for those not found."""
+    return [f[1] if f else None for f in found], [f[0] if f else 0 for f in found]
+
+
 def _nearest(blobs: list[Blob], u: float, v: float) -> Blob | None:
     """The blob whose centroid is nearest to (u, v) [px]."""
     return min(blobs, key=lambda b: math.hypot(b.u - u, b.v - v), default=None)
+
+
+def _edge_px(noise: float, lens: Camera) -> float:
+    """Error of a blob's border [px]: none in a clean image of one sample a pixel, whose colours are exact."""
+    return EDGE_PX if noise > 0 or _smooth(lens) else 0.0
 
 
 def _smooth(lens: Camera) -> bool:

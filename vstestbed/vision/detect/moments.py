@@ -50,9 +50,7 @@ class MarkerFit:
             memory: the last picture, whose bias and pose start the iteration.
             correct: subtract the bias from the centres.
         """
-        whole = [b if b and b.whole else None for b in blobs]
-        centroid = np.array([(b.u, b.v) if b else (np.nan, np.nan) for b in whole])
-        area = np.array([b.area if b else np.nan for b in whole])
+        centroid, area = _whole(blobs)
         assumed = np.zeros_like(centroid) if memory.bias is None else memory.bias
         T, bias = self._fitted(centroid, area, assumed, memory.T_camera_target)
         if T is None:
@@ -205,3 +203,9 @@ class MarkerFit:
             if misfit > most:
                 worst, most = i, misfit
         return worst, most
+
+
+def _whole(blobs: list[Blob | None]) -> tuple[Array, Array]:
+    """Centroids (N, 2) [px] and areas (N,) [px^2] of the blobs that are whole, NaN for the others."""
+    whole = [b if b and b.whole else None for b in blobs]
+    return np.array([(b.u, b.v) if b else (np.nan, np.nan) for b in whole]), np.array([b.area if b else np.nan for b in whole])
