@@ -1,4 +1,4 @@
-"""The floor of a run's cost: the same physics steps and the same raw pictures, nothing else."""
+"""Lower bound of a run's cost: the same physics steps and the same raw images, nothing else."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from vstestbed.sim.scene.stage import Stage
 
 @dataclass(frozen=True)
 class BaselineCost:
-    """Wall time of a run's bare physics and bare pictures [s]."""
+    """Wall time of a run's bare physics and bare images [s]."""
 
     physics_s: float
     render_s: float
@@ -27,9 +27,9 @@ class BaselineCost:
 
 
 def measure_baseline(parts: Parts, steps_per_frame: int, ctrl: Array, q: Array, T_world_camera: Array, pictures: bool) -> BaselineCost:
-    """Replay a recorded run's controls with bare `mj_step`, and its views with bare renders of the kept camera.
+    """Replay a recorded run's controls with bare `mj_step`, and its views with bare renders.
 
-    Rays draw whole pictures here, so that a run, which draws windows, may cost less.
+    Ray casting renders whole images here, so that a run, which renders windows, may cost less.
 
     Args:
         parts: the scene. steps_per_frame: physics steps between frames.
