@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vstestbed.camera import Calibration, Catadioptric, Fisheye, Perspective, Spherical
+from vstestbed.camera import Calibration, Catadioptric, Fisheye, Perspective, SphericalCamera
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose
 
@@ -44,7 +44,7 @@ def test_distortion_that_nobody_knows_of():
 @pytest.mark.parametrize(
     ("error", "camera", "words"),
     [
-        ({"focal_error": 0.1}, Spherical(), "no lens errors with camera spherical"),
+        ({"focal_error": 0.1}, SphericalCamera(), "no lens errors with camera spherical"),
         ({"ignores_distortion": True}, Catadioptric(), "lenses perspective and fisheye"),
         ({"principal_error_px": (400.0, 0.0)}, Perspective(), "must lie in the 640 x 480 picture"),
     ],

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vstestbed.camera import Catadioptric, Fisheye, Perspective, Spherical
+from vstestbed.camera import Catadioptric, Fisheye, Perspective, SphericalCamera
 from vstestbed.camera.cube import CUBE
 
 
@@ -34,7 +34,7 @@ def test_what_is_right_of_the_front_face_is_left_in_the_right_one():
 def test_a_marker_anywhere_is_whole_in_a_panel():
     rays = np.random.default_rng(0).normal(size=(3000, 3))
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-    camera = Spherical()
+    camera = SphericalCamera()
     # 5 degrees are said to fit. At 1 m that is a radius of .087 m; cube corners are the narrowest places.
     corners = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)]) / np.sqrt(3)
     assert camera.whole(np.concatenate([rays, corners]), 0.08).all()

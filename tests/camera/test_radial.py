@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vstestbed.camera import CAMERAS, Catadioptric, Fisheye, Radial, Spherical
+from vstestbed.camera import CAMERAS, Catadioptric, Fisheye, Radial, SphericalCamera
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import direction
 
@@ -17,8 +17,8 @@ LENSES = [
     Catadioptric(xi=0.6, fov_deg=230, blind_deg=15, principal_px=(300.0, 250.0)),
     Catadioptric(xi=1.0, fov_deg=300),
     Catadioptric(xi=1.8, fov_deg=200, focal_length_px=300.0),
-    Spherical(),
-    Spherical(width=401, height=401, focal_length_px=60.0),
+    SphericalCamera(),
+    SphericalCamera(width=401, height=401, focal_length_px=60.0),
 ]
 
 
@@ -71,7 +71,7 @@ def test_normalised_coordinates_are_those_of_rays_ahead(lens):
 
 
 @pytest.mark.parametrize("size", [(640, 480), (300, 500), (333, 333)])
-@pytest.mark.parametrize("kind", [Fisheye, Catadioptric, Spherical])
+@pytest.mark.parametrize("kind", [Fisheye, Catadioptric, SphericalCamera])
 def test_the_image_circle_touches_the_shorter_side(kind, size):
     lens = kind(width=size[0], height=size[1])
     phi = np.linspace(-np.pi, np.pi, 361)
@@ -123,7 +123,7 @@ def test_right_and_down_are_where_they_are_in_the_picture(lens):
     assert abs(right[1]) < 1e-9 > abs(down[0])
 
 
-@pytest.mark.parametrize("kind", [Fisheye, Catadioptric, Spherical])
+@pytest.mark.parametrize("kind", [Fisheye, Catadioptric, SphericalCamera])
 def test_bad_pictures_are_refused(kind):
     assert kind in CAMERAS.members.values()
     with pytest.raises(ParameterError, match="principal_px must lie in the 640 x 480 picture"):

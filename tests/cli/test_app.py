@@ -213,7 +213,7 @@ class TestNoOpenGL:
     def test_rays_take_its_place_with_a_line_that_says_so(self, command, quick: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setenv("MUJOCO_GL", "disable")
         monkeypatch.setattr(gl, "_lack", [])
-        pictures._say.cache_clear()
+        pictures._warn_once.cache_clear()
         ended = [command("run", "quick.yaml", "--set", "detector=blobs", "--set", "stop.duration_s=0.2", *NO_FILM) for _ in range(2)]
         assert [e.code for e in ended] == [3, 3]
         note = "no OpenGL: MUJOCO_GL=disable is set; rays draw the pictures instead, films without shadows"
@@ -221,7 +221,7 @@ class TestNoOpenGL:
 
     def test_quiet_is_quiet_about_it(self, command, quick: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setenv("MUJOCO_GL", "disable")
-        pictures._say.cache_clear()
+        pictures._warn_once.cache_clear()
         ended = command("run", "quick.yaml", "--set", "detector=blobs", "--set", "stop.duration_s=0.2", *NO_FILM, "--quiet")
         assert (ended.code, ended.out, ended.err) == (3, "", "")
 

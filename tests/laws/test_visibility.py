@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from tests.laws.flight import book_camera
-from vstestbed.camera import Catadioptric, Fisheye, Spherical
+from vstestbed.camera import Catadioptric, Fisheye, SphericalCamera
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, transform
-from vstestbed.features import Point
-from vstestbed.features import Spherical as SphericalFeature
+from vstestbed.features import Point, Spherical
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import IBVS, Hybrid, Law, Partitioned
 from vstestbed.laws.base import ConstantGain
@@ -111,9 +110,9 @@ class TestOtherLenses:
         assert inwards[0, -1] == pytest.approx([1, 0])
 
     def test_a_camera_without_a_border_is_refused(self):
-        goal = Goal.from_view(Spherical(), POINTS, Pose(xyz=(0, 0, 1)).T)
+        goal = Goal.from_view(SphericalCamera(), POINTS, Pose(xyz=(0, 0, 1)).T)
         with pytest.raises(ParameterError, match=r"^law.visibility.margin_px must be 0 with a camera that sees all round"):
-            IBVS(feature=SphericalFeature(), visibility=FIELD).check(POINTS, goal)
+            IBVS(feature=Spherical(), visibility=FIELD).check(POINTS, goal)
 
 
 def test_pixel_interaction_of_a_pinhole_is_that_of_points():

@@ -9,7 +9,7 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.sim import gl_context as contexts
-from vstestbed.sim.render.opengl import Eye, View
+from vstestbed.sim.render.opengl import OpenGLRenderer, SceneCamera
 from vstestbed.sim.scene.compose import Parts
 from vstestbed.sim.scene.stage import Stage
 
@@ -28,7 +28,9 @@ def scene() -> Iterator[Callable[..., Scene]]:
         flange = s.robot.flange_pose(s.robot.configuration())
         stage.place(0.0, s.target.pose.T, s.robot.configuration() if s.robot.model else np.zeros(0), flange @ s.camera.mount.T)
         stages.append(stage)
-        return stage, View(stage, "overview", 480, 270, shadows=True, style="outside").picture if outside else Eye(stage, s.camera).picture
+        return stage, SceneCamera(stage, "overview", 480, 270, shadows=True, style="outside").full_image if outside else OpenGLRenderer(
+            stage, s.camera
+        ).full_image
 
     yield make
     for stage in stages:
@@ -69,7 +71,7 @@ def test_few_are_kept_and_none_is_freed_while_it_is_used(scene: Callable[..., Sc
         s = vs.load("arm_ibvs", {"camera.width": 7 * width, "camera.height": 6 * width})
         stage = Stage(Parts(s.robot, s.camera, s.target, s.world, step=0.002))
         stage.place(0.0, s.target.pose.T, s.robot.configuration())
-        Eye(stage, s.camera).picture()
+        OpenGLRenderer(stage, s.camera).full_image()
         stage.close()
     assert len(contexts._kept) <= contexts.MOST_KEPT
     np.testing.assert_array_equal(used[0][1](), before)

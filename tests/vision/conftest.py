@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from dm_control import mujoco
 
-from vstestbed.camera import Frame, Perspective
+from vstestbed.camera import Perspective, Picture
 from vstestbed.core.geometry import Array, quaternion_wxyz
 from vstestbed.targets.base import Target
 
-Picture = Callable[..., Frame]
+TakePicture = Callable[..., Picture]
 
 # World = camera frame in computer-vision axes: x right, y down, z forward. Disc faces lie in the target's z = 0.
 SCENE = """
@@ -49,11 +49,11 @@ def _markers(target: Target, lit: bool) -> str:
 
 
 @pytest.fixture(scope="session")
-def picture() -> Picture:
-    """picture(target, T_camera_target, camera, extra="", lit=True, t=0.0) -> Frame, one renderer a scene."""
+def picture() -> TakePicture:
+    """picture(target, T_camera_target, camera, extra="", lit=True, t=0.0) -> Picture, one renderer a scene."""
     stages: dict[str, tuple[mujoco.Physics, mujoco.Camera]] = {}
 
-    def take(target: Target, T: Array, camera: Perspective, extra: str = "", lit: bool = True, t: float = 0.0) -> Frame:
+    def take(target: Target, T: Array, camera: Perspective, extra: str = "", lit: bool = True, t: float = 0.0) -> Picture:
         fovy = 2 * np.degrees(np.arctan(camera.height / 2 / camera.f))
         size = {"width": camera.width, "height": camera.height, "fovy": fovy, "multisampling": camera.multisampling}
         xml = SCENE.format(**size, markers=_markers(target, lit), extra=extra)
@@ -65,6 +65,6 @@ def picture() -> Picture:
         physics.data.mocap_pos[0] = T[:3, 3]
         physics.data.mocap_quat[0] = quaternion_wxyz(T[:3, :3])
         physics.forward()
-        return Frame(t=t, images=(eye.render(),))
+        return Picture(t=t, images=(eye.render(),))
 
     return take

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vstestbed.camera import Perspective, Spherical
+from vstestbed.camera import Perspective, SphericalCamera
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, exp, inverse, rigid_error, transform
 from vstestbed.features.depth import AtGoal, Constant, Depth, Estimate, OracleDepth, PnP
@@ -167,9 +167,9 @@ def test_estimate_survives_a_gap() -> None:
 
 
 def test_estimate_of_what_is_behind_the_camera() -> None:
-    camera, T = Spherical(width=720, height=720), Pose(xyz=(0.2, 0.1, -1.6), rpy_deg=(10, -15, 20)).T
+    camera, T = SphericalCamera(width=720, height=720), Pose(xyz=(0.2, 0.1, -1.6), rpy_deg=(10, -15, 20)).T
     goal = Goal.from_view(camera, TARGET.points, T)
-    observer = Observer(camera=camera, target=TARGET, goal=goal, depth=Estimate(), wanted=("ray", "range"))
+    observer = Observer(camera=camera, target=TARGET, goal=goal, depth=Estimate(), required_fields=("ray", "range"))
     memory, twist = observer.init(), np.array([0.15, -0.1, 0.1, 0.05, -0.04, 0.1])
     for k in range(50):
         p = transform(T, TARGET.points)
@@ -180,13 +180,15 @@ def test_estimate_of_what_is_behind_the_camera() -> None:
 
 
 def test_a_pixel_that_noise_puts_off_the_map_costs_no_more_than_itself() -> None:
-    camera = Spherical(width=720, height=720)
+    camera = SphericalCamera(width=720, height=720)
     T = Pose(xyz=(0.2, 0.2, -1)).T  # marker 0 straight behind, at the rim of the map
     uv = camera.project(transform(T, TARGET.points))
     out = uv.copy()
     out[0] += 0.5 * (uv[0] - camera.centre) / np.linalg.norm(uv[0] - camera.centre)
     assert np.isnan(camera.ray(out[0])).all()
-    observer = Observer(camera=camera, target=TARGET, goal=Goal.from_view(camera, TARGET.points, T), depth=PnP(), wanted=("ray", "range"))
+    observer = Observer(
+        camera=camera, target=TARGET, goal=Goal.from_view(camera, TARGET.points, T), depth=PnP(), required_fields=("ray", "range")
+    )
     memory, rng = observer.init(), np.random.default_rng(0)
     memory, _ = observer.observe(memory, 0.0, Detection(uv=uv), REST, rng)
     moved = inverse(exp(np.array([0.01, 0, 0, 0, 0, 0]))) @ T

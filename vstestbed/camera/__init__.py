@@ -5,16 +5,16 @@ thus covers u in [-0.5, W - 0.5]. Camera axes: x right, y down, z forward. `uv` 
 (X/Z, Y/Z), `depth` is Z, `range` is the norm; theta is a ray's angle from z, phi its angle about z, from x towards y.
 """
 
-from vstestbed.camera.base import Camera, Frame, Image, Look, Panel, Window
+from vstestbed.camera.base import Camera, Image, Look, Panel, Picture, Window
 from vstestbed.camera.calibration import Calibration
 from vstestbed.camera.catadioptric import Catadioptric
 from vstestbed.camera.fisheye import Fisheye
 from vstestbed.camera.perspective import Perspective
 from vstestbed.camera.radial import Radial
-from vstestbed.camera.spherical import Spherical
+from vstestbed.camera.spherical import SphericalCamera
 from vstestbed.core.spec import OneOf
 
-CAMERAS = OneOf("camera", Perspective, Fisheye, Catadioptric, Spherical, default="perspective")
+CAMERAS = OneOf("camera", Perspective, Fisheye, Catadioptric, SphericalCamera, default="perspective")
 
 __all__ = [
     "CAMERAS",
@@ -22,12 +22,12 @@ __all__ = [
     "Camera",
     "Catadioptric",
     "Fisheye",
-    "Frame",
     "Image",
     "Look",
     "Panel",
     "Perspective",
+    "Picture",
     "Radial",
-    "Spherical",
+    "SphericalCamera",
     "Window",
 ]

@@ -1,4 +1,4 @@
-"""What every lens shares: size, rate, latency, mount, how its picture is made; and the Frame it gives."""
+"""The camera model shared by every lens: image size, rate, latency, mount, rendering; and the Picture that it takes."""
 
 from __future__ import annotations
 
@@ -17,20 +17,23 @@ from vstestbed.core.spec import spec
 
 Image = NDArray[np.uint8]
 Window = tuple[int, int, int, int]
-"""Left, top, right, bottom [px]; right and bottom are the first column and row that no longer belong to it."""
+"""Left, top, right, bottom [px]; right and bottom are exclusive."""
 Look = tuple[tuple[Window, ...], ...]
-"""Where somebody is going to look: for each panel of a camera its windows, none where the panel does not matter."""
+"""Regions of interest: for each panel of a camera its windows; empty for a panel that is not needed."""
 SIDES = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
-"""The way inwards from a picture's left, top, right and bottom side."""
+"""Inward unit normals of an image's left, top, right and bottom side."""
 FORWARD_COSINE = 1e-6
-"""A ray has normalised coordinates when its Z is larger: from there on X/Z is no measure of anything."""
+"""Least Z of a unit ray that has normalised coordinates X/Z, Y/Z; below it they are dominated by rounding."""
 
 
 @dataclass(frozen=True, slots=True)
-class Frame:
-    """What a camera gives: t [s] of exposure, and one picture (H, W, 3) uint8 RGB a panel, None for one not wanted.
+class Picture:
+    """One exposure of a camera.
 
-    What lies outside of the windows that were asked for may be blank; `whole` says that nothing is.
+    Attributes:
+        t: time of the exposure [s].
+        images: one image for each panel, (H, W, 3) uint8 RGB; None for a panel that was not asked for.
+        whole: the images are complete; otherwise they may be blank outside of the regions of interest.
     """
 
     t: float
@@ -39,17 +42,22 @@ class Frame:
 
     @property
     def image(self) -> Image | None:
-        """The camera's own picture, where it was drawn whole: None for a lens that has none of its own, only panels."""
+        """The camera's own image if it is complete; None for a lens that has panels instead of one image."""
         return self.images[0] if self.whole and len(self.images) == 1 else None
 
-    def copy(self) -> Frame:
-        """The same with pictures of its own."""
+    @property
+    def empty(self) -> bool:
+        """Whether no panel has an image."""
+        return all(image is None for image in self.images)
+
+    def copy(self) -> Picture:
+        """The same with copies of the images, which the renderer does not overwrite."""
         return replace(self, images=tuple(None if image is None else image.copy() for image in self.images))
 
 
 @dataclass(frozen=True, slots=True)
 class Panel:
-    """One picture of a camera: the lens through which it is seen, and how that stands in the camera, R_camera_panel (3, 3)."""
+    """One image of a camera: its lens, and its orientation in the camera's frame, R_camera_panel (3, 3)."""
 
     lens: Camera
     R_camera_panel: Array
@@ -61,11 +69,11 @@ class Camera(ABC):
 
     Args:
         width, height: picture size [px].
-        rate_hz: pictures a second.
-        latency_s: time from exposure until the law has the picture [s].
+        rate_hz: pictures per second.
+        latency_s: time from the exposure until the law has the picture [s].
         mount: pose of the camera in the robot's flange (or body) frame.
         multisampling: samples per pixel of the rendered picture (0: one sample, cheap, jagged marker borders).
-        shadows: whether the servo camera's picture has shadows (cost: several times the frame).
+        shadows: render shadows in the servo camera's picture (it then costs several times as much).
         renderer: `gl` (OpenGL), `rays` (each pixel's ray cast by MuJoCo: no shadows, no textures) or `auto` (OpenGL where it works,
             else rays).
         principal_px: (cx, cy) [px], where the optical axis meets the picture; default its middle ((W-1)/2, (H-1)/2).
@@ -92,20 +100,25 @@ class Camera(ABC):
         return 1.0 / self.rate_hz
 
     def mounted(self, mount: Pose) -> Camera:
-        """The same camera in another place on its robot."""
+        """The same camera with another mount."""
         return replace(self, mount=mount)
 
-    def mistaken(self, focal_error: float, principal_px: tuple[float, float], ignores_distortion: bool) -> Camera:
-        """The same camera as somebody takes it to be: f (1 + focal_error), another principal point, no distortion.
+    def miscalibrated(self, focal_error: float, principal_px: tuple[float, float], ignores_distortion: bool) -> Camera:
+        """The same camera with calibration errors: f (1 + focal_error), another principal point, no distortion.
 
         Raises:
-            ParameterError: the lens has no such thing.
+            ParameterError: the lens has no such parameter.
         """
         raise ParameterError("calibration", "may have no lens errors with this camera; mount_error it may")
 
+    @property
+    def resampled(self) -> bool:
+        """Whether the rendered image is interpolated from pinhole images, so that pixels at an edge mix colours."""
+        return True
+
     @cached_property
     def panels(self) -> tuple[Panel, ...]:
-        """The pictures in which markers are looked for: the camera's own, unless its lens has no image plane."""
+        """The images in which markers are detected: the camera's own, unless its field of view needs several."""
         return (Panel(self, np.eye(3)),)
 
     @cached_property
@@ -136,7 +149,7 @@ class Camera(ABC):
             return np.all((uv >= -0.5 + margin) & (uv <= high), axis=-1)
 
     def borders(self, uv: Array) -> tuple[Array, Array]:
-        """How far pixels uv (N, 2) are from each border of the picture (N, B) [px], and the way inwards from it (N, B, 2), unit.
+        """Distances of pixels uv (N, 2) from each border of the image (N, B) [px], and its inward unit normal (N, B, 2).
 
         Here the four sides: left, top, right, bottom.
         """
@@ -144,11 +157,11 @@ class Camera(ABC):
         return np.concatenate([uv + 0.5, high - uv], axis=1), np.broadcast_to(SIDES, (len(uv), 4, 2))
 
     def whole(self, p_camera: Array, radius: float, margin: float = 0.0) -> NDArray[np.bool_]:
-        """Whether markers of a radius [m] at p_camera (N, 3) lie in the picture, at least `margin` px from its border, shape (N,).
+        """Whether markers of a radius [m] at p_camera (N, 3) lie wholly in the image, `margin` px from its border, shape (N,).
 
-        A marker's apparent half width (height) is the root of the squared shifts in u (in v) that one radius makes along
-        the two directions of `across`; one radius to any side the lens must see it as well. In a camera with panels a
-        marker is whole that is so in one of them.
+        A marker's apparent half width is the root of the summed squared displacements in u by one radius along the two directions
+        of `across`, its half height the same in v; the lens must also see the opposite ends. In a camera with panels a marker
+        is whole if it is so in one of them.
         """
         if len(self.panels) > 1:
             return np.any([p.lens.whole(p_camera @ p.R_camera_panel, radius, margin) for p in self.panels], axis=0)
@@ -162,7 +175,7 @@ class Camera(ABC):
             return np.all(clear & np.isfinite(opposite), axis=-1)
 
     def across(self, p_camera: Array) -> tuple[Array, Array]:
-        """For each point (N, 3) two unit vectors, each (N, 3) or (3,), along which a marker there extends: square to its ray.
+        """For each point (N, 3) two orthonormal vectors, each (N, 3) or (3,), orthogonal to its ray: a marker's extent.
 
         Reference: Duff et al. 2017, Building an orthonormal basis, revisited, JCGT 6(1).
         """

@@ -1,4 +1,4 @@
-"""What is believed of a camera, where that differs from what it is."""
+"""Calibration errors: the camera as robot, detector and law know it, where that differs from the true one."""
 
 from __future__ import annotations
 
@@ -15,25 +15,24 @@ from vstestbed.core.spec import spec
 
 @spec
 class Calibration:
-    """How wrong the calibration is that robot, detector, observer and law work with. The simulator's camera stays as it is.
+    """Errors of the calibration that robot, detector, observer and law work with; the simulator's camera is the true one.
 
-    Believed mount = true mount * mount_error; believed focal length = true one * (1 + focal_error); believed principal
-    point = true one + principal_error_px.
+    believed mount = true mount * mount_error,  believed f = true f * (1 + focal_error),
+    believed principal point = true one + principal_error_px.
 
     Args:
-        mount_error: where the believed camera stands in the true one's frame [m, deg].
+        mount_error: pose of the believed camera in the true one's frame [m, deg].
         focal_error: relative error of the focal length [1].
         principal_error_px: error of the principal point (u, v) [px].
-        ignores_distortion: the lens's distortion is not known of: a perspective lens is taken for a pinhole, a fisheye for
-            equidistant.
-        depth_factor, depth_spread: of every depth Z_i (and range) that the law is told, wherever it comes from, and of the
+        ignores_distortion: the distortion is not modelled: a perspective lens is taken for a pinhole, a fisheye for equidistant.
+        depth_factor, depth_spread: error of every depth Z_i (and range) given to the law, whatever its source, and of the
             distance in an estimated pose: Z_i * factor * exp(spread n_i), with one normal number n_i for each marker and run.
-        goal: how the goal view was given. `told`: as a pose in numbers; the pixels wanted are those that the believed
-            camera would see there, and a law ends where the true one sees them: off by the error of the calibration.
-            `shown`: the robot stood there once and its true camera took the picture; pose and depth at the goal are what
-            the believed calibration makes of that picture, so that errors before and after cancel at the goal.
+        goal: how the goal view was given. `told`: as a pose in numbers; the reference pixels are those that the believed
+            camera would see there, and the law converges where the true one sees them, off by the calibration's error.
+            `shown`: the true camera took the picture at the goal; pose and depth there are estimated from it with the
+            believed calibration, so that the errors at the goal cancel.
 
-    Reference: for how far laws bear such errors, Chaumette & Hutchinson 2006, doi:10.1109/MRA.2006.250573, and Malis & Rives
+    Reference: robustness of laws to such errors, Chaumette & Hutchinson 2006, doi:10.1109/MRA.2006.250573, and Malis & Rives
     2003, doi:10.1109/ROBOT.2003.1241749.
     """
 
@@ -47,21 +46,21 @@ class Calibration:
 
     @cached_property
     def lens_exact(self) -> bool:
-        """Whether pixels are turned into rays as they came."""
+        """Whether the believed intrinsics are the true ones."""
         return not (self.focal_error or any(self.principal_error_px) or self.ignores_distortion)
 
     @cached_property
     def camera_exact(self) -> bool:
-        """Whether the camera is what it is believed to be."""
+        """Whether the believed intrinsics and mount are the true ones."""
         return self.lens_exact and self.mount_error == Pose()
 
     @cached_property
     def depth_exact(self) -> bool:
-        """Whether depths are told as they are found."""
+        """Whether depths have no error."""
         return self.depth_factor == 1 and self.depth_spread == 0
 
     def depth_scale(self, markers: int, rng: np.random.Generator) -> Array | None:
-        """By how much each marker's depth is told wrong in one run, shape (markers,); None where it is not."""
+        """Factor on each marker's depth in one run, shape (markers,); None where depths have no error."""
         if self.depth_exact:
             return None
         return self.depth_factor * np.exp(self.depth_spread * rng.standard_normal(markers))
@@ -70,7 +69,7 @@ class Calibration:
         """The camera as robot, detector, observer and law know it.
 
         Raises:
-            ParameterError: the lens has nothing to be wrong about, or is impossible with this error.
+            ParameterError: the lens has no such parameter, or is impossible with this error.
         """
         if self.camera_exact:
             return camera
@@ -78,4 +77,4 @@ class Calibration:
         if self.lens_exact:
             return camera.mounted(mount)
         principal = camera.centre + self.principal_error_px
-        return camera.mistaken(self.focal_error, (float(principal[0]), float(principal[1])), self.ignores_distortion).mounted(mount)
+        return camera.miscalibrated(self.focal_error, (float(principal[0]), float(principal[1])), self.ignores_distortion).mounted(mount)

@@ -1,4 +1,4 @@
-"""The catadioptric camera: a lens that looks into a curved mirror, both as one unit sphere (unified central model)."""
+"""The catadioptric camera: a lens facing a curved mirror, both modelled by one unit sphere (unified central model)."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from vstestbed.core.spec import spec
 
 @spec
 class Catadioptric(Radial):
-    """Central mirror camera: a point goes to the unit sphere, (Xs, Ys, Zs) = P/|P|, and from there to (Xs, Ys) / (Zs + xi).
+    """Central mirror camera: a point P is projected to the unit sphere, (Xs, Ys, Zs) = P/|P|, then to (Xs, Ys) / (Zs + xi).
 
-    By angles m(theta) = sin(theta) / (cos(theta) + xi), inverted in closed form by
+    In angles, m(theta) = sin(theta) / (cos(theta) + xi), inverted in closed form by
     theta = atan(m) + asin(xi m / sqrt(1 + m^2)). f is the generalised focal length (mirror and lens together).
     xi = 0 is a pinhole; 0 < xi < 1 a hyperbolic mirror; xi = 1 a parabolic one under an orthographic lens, m = tan(theta/2);
-    xi > 1 fits fisheyes. The model ends at Zs = -xi (at -1/xi where xi > 1: there m turns back).
-    The z axis points from the mirror at the lens; that a mirror reverses the picture is taken as undone (u rises with X).
+    xi > 1 fits fisheyes. The model is valid for Zs > -xi (for xi > 1: Zs > -1/xi, where m has its maximum).
+    The z axis points from the mirror to the lens; the mirror's reversal of the image is taken as undone (u rises with X).
 
     Args:
         xi: the mirror's parameter.
-        fov_deg: full field of view [deg], short of the model's end; without focal_length_px it also sets the scale.
-        blind_deg: angle about the axis [deg], from it, in which the camera sees only itself: NaN.
+        fov_deg: full field of view [deg], within the model's validity; without focal_length_px it also sets the scale.
+        blind_deg: angle from the axis [deg] within which the mirror shows only the camera itself: NaN.
 
     Raises (from the constructor): ParameterError for a field of view that the mirror cannot have, or none that is left.
 
@@ -40,7 +40,7 @@ class Catadioptric(Radial):
     blind_deg: Annotated[float, Ge(0), Lt(180)] = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse a field of view that the mirror cannot have, and a blind spot that leaves nothing of it."""
+        """Refuse a field of view beyond the model's validity, and a blind spot as large as the field of view."""
         super().__post_init__()
         end = 2 * math.degrees(math.acos(-self.xi if self.xi <= 1 else -1 / self.xi))
         if self.fov_deg >= end:
@@ -60,5 +60,6 @@ class Catadioptric(Radial):
 
     def angle(self, radius: Array) -> Array:
         """Angles theta (...) [rad] of distances m (...) from the principal point."""
+        # sin(theta_m) of the closed form; rounding may take it above 1 at the edge of the field of view.
         sine = self.xi * radius / np.hypot(1.0, radius)
         return np.arctan(radius) + np.arcsin(np.minimum(sine, 1.0))

@@ -16,7 +16,7 @@ from vstestbed.core.geometry import Array
 from vstestbed.core.spec import spec
 
 KNOTS, ROUNDS = 257, 8
-"""The inverse's table, and its Newton rounds: 3 reach rounding, 8 do next to an angle where the polynomial turns."""
+"""Size of the inverse's table, and Newton iterations: 3 reach rounding, 8 next to an angle where the polynomial has its maximum."""
 
 
 @spec
@@ -46,9 +46,9 @@ class Fisheye(Radial):
             words = f"fold the picture over itself within fov_deg = {self.fov_deg:g}; use smaller coefficients or a fov_deg below"
             raise ParameterError("coefficients", f"{words} {math.degrees(2 * self.turn):.4g}", self.coefficients)
 
-    def mistaken(self, focal_error: float, principal_px: tuple[float, float], ignores_distortion: bool) -> Radial:
-        """The same camera as somebody takes it to be; without its distortion it is the equidistant lens."""
-        lens = super().mistaken(focal_error, principal_px, ignores_distortion=False)
+    def miscalibrated(self, focal_error: float, principal_px: tuple[float, float], ignores_distortion: bool) -> Radial:
+        """As `Camera.miscalibrated`; without its distortion it is the equidistant lens."""
+        lens = super().miscalibrated(focal_error, principal_px, ignores_distortion=False)
         return replace(lens, coefficients=(0.0,) * 4) if isinstance(lens, Fisheye) and ignores_distortion else lens
 
     @property

@@ -52,11 +52,12 @@ class Perspective(Camera):
         if self.focal_length_m is not None and self.fovy_deg is not None:
             raise ParameterError("fovy_deg", "and focal_length_m say the same thing twice; give one of them")
         if self.focal_length_m is None and self.fovy_deg is None:
-            object.__setattr__(self, "fovy_deg", DEFAULT_FOVY_DEG)  # so that the scenario as run tells it
+            object.__setattr__(self, "fovy_deg", DEFAULT_FOVY_DEG)  # so that the scenario as run states it
         if self.distortion is not None:
             self._check_distortion()
 
     def _check_distortion(self) -> None:
+        """Refuse a distortion whose inverse does not lead back to the image's border."""
         u, v = self.width - 0.5, self.height - 0.5
         half = np.array([[-0.5, v / 2], [u, v / 2], [u / 2, -0.5], [u / 2, v]])
         border = np.concatenate([half, [[-0.5, -0.5], [u, -0.5], [u, v], [-0.5, v]]])
@@ -66,6 +67,11 @@ class Perspective(Camera):
             words = "folds the picture over itself before its corners; use smaller coefficients"
             raise ParameterError("distortion", words, self.distortion)
 
+    @property
+    def resampled(self) -> bool:
+        """Only with distortion: a pinhole image is rendered directly."""
+        return self.distortion is not None
+
     @cached_property
     def f(self) -> float:
         """Focal length [px]."""
@@ -73,8 +79,8 @@ class Perspective(Camera):
             return self.focal_length_m / self.pixel_size_m
         return self.height / 2 / math.tan(math.radians(self.fovy_deg or DEFAULT_FOVY_DEG) / 2)
 
-    def mistaken(self, focal_error: float, principal_px: tuple[float, float], ignores_distortion: bool) -> Perspective:
-        """The same camera as somebody takes it to be."""
+    def miscalibrated(self, focal_error: float, principal_px: tuple[float, float], ignores_distortion: bool) -> Perspective:
+        """As `Camera.miscalibrated`."""
         f, pixel = self.f * (1 + focal_error), self.pixel_size_m
         given: dict[str, float | None] = {"fovy_deg": math.degrees(2 * math.atan(self.height / 2 / f))}
         if pixel is not None:
@@ -90,7 +96,7 @@ class Perspective(Camera):
 
     @cached_property
     def reach2(self) -> float:
-        """Largest x^2 + y^2 that the distortion maps in order; farther out its polynomial would fold the scene back.
+        """Largest x^2 + y^2 up to which the distorted radius rises; farther out the polynomial folds the scene back.
 
         The first positive root in r^2 of d(r_d)/dr = 1 + 3 k1 r^2 + 5 k2 r^4 + 7 k3 r^6.
         """
@@ -102,6 +108,7 @@ class Perspective(Camera):
     def project(self, p_camera: Array) -> Array:
         """Pixels uv (..., N, 2) of points (..., N, 3); NaN at or behind the lens (Z <= 0), and beyond the distortion's reach."""
         z = p_camera[..., 2:]
+        # Short cut for the usual case, all points in front of a pinhole: no NaN to be placed.
         if self.distortion is None and np.logical_and.reduce(z > 0, axis=None):
             return p_camera[..., :2] / z * self.f + self.centre
         with np.errstate(divide="ignore", invalid="ignore"):

@@ -1,4 +1,4 @@
-"""What the wide lenses share: a picture that depends on the angle from the optical axis alone, theta up to 180 degrees."""
+"""Wide lenses with radial symmetry: image radius as a function of the angle from the optical axis, up to 180 degrees."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from vstestbed.core.geometry import Array, angles, direction
 from vstestbed.core.spec import spec
 
 RIM = 1e-9
-"""Relative rounding at the border of the image circle that still belongs to it."""
+"""Relative tolerance for rounding at the border of the image circle."""
 
 
 @spec
 class Radial(Camera):
     """Lens with a symmetric picture, u = f m(theta) cos(phi) + cx, v = f m(theta) sin(phi) + cy; square pixels.
 
-    theta = atan2(hypot(X, Y), Z) is the angle from the optical axis, phi = atan2(Y, X) the one about it. A lens says m
-    (`radius`), its inverse (`angle`) and between which theta it sees (`reach`).
+    theta = atan2(hypot(X, Y), Z) is the angle from the optical axis, phi = atan2(Y, X) the one about it. A lens defines m
+    (`radius`), its inverse (`angle`) and the range of theta that it sees (`reach`).
 
     Args:
         focal_length_px: f [px]; by default such that the image circle, of radius f m(theta_max), touches the borders of the
@@ -48,7 +48,7 @@ class Radial(Camera):
 
     @cached_property
     def ring(self) -> tuple[float, float]:
-        """Inner and outer distance from the principal point of what is seen, in focal lengths [1]."""
+        """Inner and outer radius of the image circle, in focal lengths [1]."""
         inner, outer = self.radius(np.array(self.reach)).tolist()
         return inner, outer
 
@@ -57,8 +57,8 @@ class Radial(Camera):
         """Focal length [px]: pixels a radian on the axis of an equidistant lens."""
         return self.focal_length_px or min(self.width, self.height) / 2 / self.ring[1]
 
-    def mistaken(self, focal_error: float, principal_px: tuple[float, float], ignores_distortion: bool) -> Radial:
-        """The same camera as somebody takes it to be. It has no distortion to be ignored, unless the lens says so."""
+    def miscalibrated(self, focal_error: float, principal_px: tuple[float, float], ignores_distortion: bool) -> Radial:
+        """As `Camera.miscalibrated`; without a distortion to be ignored, unless the lens has one."""
         if ignores_distortion:
             raise ParameterError("calibration.ignores_distortion", "is for the lenses perspective and fisheye, which have one")
         return replace(self, focal_length_px=self.f * (1 + focal_error), principal_px=principal_px)
@@ -87,7 +87,7 @@ class Radial(Camera):
 
 
 def _within(value: Array, limits: tuple[float, float]) -> Array:
-    """`value`, clipped to limits that it misses by rounding, and NaN where it misses them by more."""
+    """`value` clipped to limits that it exceeds by rounding, NaN where it exceeds them by more."""
     low, high = limits
     slack = RIM * high
     return np.where((value >= low - slack) & (value <= high + slack), np.clip(value, low, high), np.nan)

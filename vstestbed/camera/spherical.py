@@ -23,7 +23,7 @@ the radian there."""
 
 
 @spec
-class Spherical(Radial):
+class SphericalCamera(Radial):
     """The full sphere; its own picture is the azimuthal equidistant map about the optical axis, m(theta) = theta.
 
     What lies ahead is nearly undistorted, what lies behind is a ring; the direction straight back, theta = pi, is that
@@ -51,7 +51,7 @@ class Spherical(Radial):
         )
         return tuple(Panel(lens, R) for R in CUBE.values())
 
-    def mistaken(self, focal_error: float, principal_px: tuple[float, float], ignores_distortion: bool) -> Spherical:
+    def miscalibrated(self, focal_error: float, principal_px: tuple[float, float], ignores_distortion: bool) -> SphericalCamera:
         """Refused: markers are found in the panels, whose rays are known; the map of the sphere is only what is shown of them."""
         raise ParameterError("calibration", "may have no lens errors with camera spherical, which has no one lens; mount_error it may")
 

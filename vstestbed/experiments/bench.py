@@ -12,7 +12,7 @@ from vstestbed.loop.recording import Recording
 from vstestbed.loop.run import run
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.scene.compose import Parts
-from vstestbed.sim.speed_baseline import Floor, measure_floor
+from vstestbed.sim.speed_baseline import measure_baseline
 
 
 @dataclass(frozen=True)
@@ -92,13 +92,13 @@ def _ms_per_frame(recordings: list[Recording]) -> dict[str, float]:
     return parts | {"other": whole - sum(parts.values()), "whole": whole}
 
 
-def _floor_ms(floors: list[Floor], frames: int) -> dict[str, float]:
+def _floor_ms(floors: list[BaselineCost], frames: int) -> dict[str, float]:
     """Median wall time of a frame of bare physics and bare rendering."""
     physics, render = (statistics.median(1e3 * getattr(f, name) / frames for f in floors) for name in ("physics_s", "render_s"))
     return {"physics": physics, "render": render, "whole": physics + render}
 
 
-def _floor(scenario: Scenario, recording: Recording) -> Floor:
+def _floor(scenario: Scenario, recording: Recording) -> BaselineCost:
     """The floor of a recorded run: its actuator inputs stepped and its camera poses rendered again, without the loop."""
     step, steps_per_frame = scenario.clock
     parts = Parts(scenario.robot, scenario.camera, scenario.target, scenario.world, step)
@@ -112,6 +112,6 @@ def _floor(scenario: Scenario, recording: Recording) -> Floor:
     T = np.tile(np.eye(4), (len(recording.table), 1, 1))
     T[:, :3, 3] = np.column_stack([recording[f"cam_{a}"] for a in "xyz"])
     T[:, :3, :3] = rotation_from_quaternion(np.column_stack([recording[f"cam_q{a}"] for a in "wxyz"]))
-    return measure_floor(
+    return measure_baseline(
         parts, steps_per_frame, joined("ctrl", robot.actuators), joined("q", robot.joints), T, scenario.detector.needs_image
     )

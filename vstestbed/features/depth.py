@@ -1,34 +1,89 @@
-"""Where the depth of a marker comes from."""
+"""Sources of the markers' depth, as a scenario may choose them."""
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar, Literal
+from abc import ABC, abstractmethod
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
+import numpy as np
 from annotated_types import Gt
 
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array
 from vstestbed.core.spec import OneOf, spec
+from vstestbed.features.observation import Goal
+
+NEAREST_M = 0.01
+"""Least depth of a visible marker by an estimated pose [m]: propagated by the camera's motion, a pose may drift through the target."""
 
 
-class DepthSource:
-    """What a source of depth says of itself.
+class DepthCues(NamedTuple):
+    """What an observer has computed of one frame; a source takes what it needs.
 
     Attributes:
-        with_pose: depths come from the target's pose, which is solved from the pixels.
-        on_floor: the robot's place on the floor is solved, not a free pose. true: the simulator's truth.
+        goal: the goal view.
+        xy: normalised coordinates, shape (N, 2), NaN where a marker is not seen.
+        p_estimated: markers in the camera frame by the estimated pose, shape (N, 3) [m]; None without a pose.
+        p_true: true markers in the camera frame, shape (N, 3) [m]; None without the oracle.
+        by_flow: unit rays (N, 3) and ranges (N,) [m] of the recursive estimate; None where there is none.
     """
 
+    goal: Goal
+    xy: Array
+    p_estimated: Array | None = None
+    p_true: Array | None = None
+    by_flow: tuple[Array, Array] | None = None
+
+
+class DepthSource(ABC):
+    """Where depths Z (along the optical axis) and ranges (along the ray) of the markers come from."""
+
     kind: Any  # the word in a scenario: a field of each
-    with_pose: ClassVar[bool] = False
-    on_floor: ClassVar[bool] = False
+    needs_pose: ClassVar[bool] = False
+    """The target's pose must be estimated."""
     true: ClassVar[bool] = False
+    """Depths are the simulator's truth."""
+    on_floor: ClassVar[bool] = False
+    """That pose is one of a base that stands upright on the floor: three unknowns."""
+    preset: ClassVar[bool] = False
+    """Depths are given numbers, not measured: derotation leaves them as they are."""
+
+    @property
+    def estimator(self) -> Estimate | None:
+        """Parameters of the recursive estimate from motion; None where depths come from elsewhere."""
+        return None
+
+    @abstractmethod
+    def depths(self, cues: DepthCues) -> Array:
+        """Depth of each marker, shape (N,) [m], NaN where unknown."""
+
+    @abstractmethod
+    def ranges(self, cues: DepthCues) -> Array:
+        """Range of each marker, shape (N,) [m], NaN where unknown."""
+
+
+class FromPose(DepthSource):
+    """Depth from the estimated pose of the target."""
+
+    needs_pose: ClassVar[bool] = True
+
+    def depths(self, cues: DepthCues) -> Array:
+        """Z of the markers under the estimated pose, at least NEAREST_M for those that are seen."""
+        if cues.p_estimated is None:
+            return np.full(len(cues.xy), np.nan)
+        z = cues.p_estimated[:, 2]
+        return np.where(np.isfinite(cues.xy[:, 0]), np.maximum(z, NEAREST_M), z)
+
+    def ranges(self, cues: DepthCues) -> Array:
+        """Distance of the markers under the estimated pose."""
+        return np.full(len(cues.xy), np.nan) if cues.p_estimated is None else np.linalg.norm(cues.p_estimated, axis=1)
 
 
 @spec
-class PnP(DepthSource):
+class PnP(FromPose):
     """Depth from the target's pose, solved from its known points and the measured pixels (perspective-n-point)."""
 
     kind: Literal["pnp"] = "pnp"
-    with_pose: ClassVar[bool] = True
 
 
 @spec
@@ -37,6 +92,15 @@ class Constant(DepthSource):
 
     kind: Literal["constant"] = "constant"
     depth_m: Annotated[float, Gt(0)] = 1.0
+    preset: ClassVar[bool] = True
+
+    def depths(self, cues: DepthCues) -> Array:
+        """The same number for all."""
+        return np.full(len(cues.xy), self.depth_m)
+
+    def ranges(self, cues: DepthCues) -> Array:
+        """The same number again: a law of ranges takes it for the range."""
+        return np.full(len(cues.xy), self.depth_m)
 
 
 @spec
@@ -44,6 +108,15 @@ class AtGoal(DepthSource):
     """Each marker's depth in the goal view."""
 
     kind: Literal["goal"] = "goal"
+    preset: ClassVar[bool] = True
+
+    def depths(self, cues: DepthCues) -> Array:
+        """Depths of the goal view."""
+        return cues.goal.depth
+
+    def ranges(self, cues: DepthCues) -> Array:
+        """Ranges of the goal view."""
+        return cues.goal.range
 
 
 @spec
@@ -62,6 +135,25 @@ class Estimate(DepthSource):
     initial_m: Annotated[float, Gt(0)] = 1.0
     forget_s: Annotated[float, Gt(0)] = 0.5
 
+    @property
+    def estimator(self) -> Estimate | None:
+        """These parameters."""
+        return self
+
+    def depths(self, cues: DepthCues) -> Array:
+        """Z of the markers at their estimated ranges."""
+        ray, reach = self._by_flow(cues)
+        return reach * ray[:, 2]
+
+    def ranges(self, cues: DepthCues) -> Array:
+        """The estimated ranges."""
+        return self._by_flow(cues)[1]
+
+    def _by_flow(self, cues: DepthCues) -> tuple[Array, Array]:
+        if cues.by_flow is None:
+            raise ParameterError("memory", "does not belong to this depth; begin with Observer.init()")
+        return cues.by_flow
+
 
 @spec
 class OracleDepth(DepthSource):
@@ -70,9 +162,22 @@ class OracleDepth(DepthSource):
     kind: Literal["oracle"] = "oracle"
     true: ClassVar[bool] = True
 
+    def depths(self, cues: DepthCues) -> Array:
+        """True depths."""
+        return self._true(cues)[:, 2]
+
+    def ranges(self, cues: DepthCues) -> Array:
+        """True ranges."""
+        return np.linalg.norm(self._true(cues), axis=1)
+
+    def _true(self, cues: DepthCues) -> Array:
+        if cues.p_true is None:
+            raise ParameterError("depth", "oracle is only with detector {kind: oracle}; valid here: pnp, constant, goal, estimate")
+        return cues.p_true
+
 
 @spec
-class OnFloor(DepthSource):
+class OnFloor(FromPose):
     """For a vehicle: depth from its place on the floor, solved from two or more landmarks of known height.
 
     The mount is known, the vehicle stands upright: three unknowns, where `pnp` has six and needs three markers. A vehicle
@@ -80,7 +185,6 @@ class OnFloor(DepthSource):
     """
 
     kind: Literal["floor"] = "floor"
-    with_pose: ClassVar[bool] = True
     on_floor: ClassVar[bool] = True
 
 

@@ -42,7 +42,7 @@ def _observer(scenario: Scenario) -> Observer:
         depth=scenario.law.depth,
         pixel_sigma_px=scenario.noise.pixel_sigma_px,
         dropout=scenario.noise.dropout,
-        wanted=scenario.law.inputs,
+        required_fields=scenario.law.inputs,
         grounded=scenario.robot.base == "planar",
         derotation=scenario.derotation,
         trim_s=scenario.level_trim_s,

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vstestbed.camera import Frame, Look
+from vstestbed.camera import Look, Picture
 from vstestbed.core.geometry import Array
 from vstestbed.robots.reading import Reading
 from vstestbed.scenario.scenario import TIMING_STREAM, Scenario
@@ -26,7 +26,7 @@ class Exposed:
     """
 
     number: int
-    picture: Frame | None
+    picture: Picture | None
     t: float
     truth: Truth
     reading: Reading
@@ -85,6 +85,6 @@ class CameraClock:
         self._way_before, self._step_before = self.way, step
         return Exposed(self.planned.frame, None, step * self.plant.step_s, truth, self.plant.reading(), ordered, self.way)
 
-    def _send(self, planned: Planned, picture: Frame | None, shot: Exposed) -> None:
+    def _send(self, planned: Planned, picture: Picture | None, shot: Exposed) -> None:
         self.line.push(planned.arrives, replace(shot, picture=picture))
         self._plan()

@@ -93,7 +93,7 @@ def check_markers(robot: Robot, camera: Camera, target: Target, detector: Detect
         less = _needed_on_floor(robot, law, basis)
         enough = less is not None and len(points) >= less
         raise ParameterError("target", words + (f"; with law.depth floor {less} will do" if enough else ""))
-    if law.depth.with_pose and not law.depth.on_floor and _leaves_pose_open(points):
+    if law.depth.needs_pose and not law.depth.on_floor and _leaves_pose_open(points):
         raise _open_pose(robot, points, law, needs_pose)
 
 

@@ -7,7 +7,7 @@ from typing import Protocol
 
 from numpy.typing import NDArray
 
-from vstestbed.camera import Frame, Image, Look
+from vstestbed.camera import Image, Look, Picture
 from vstestbed.core.geometry import Array
 from vstestbed.robots.reading import Reading
 
@@ -40,27 +40,34 @@ class Truth:
     wind: Array
 
 
-class Eyes(Protocol):
-    """What makes the servo camera's pictures.
+class Renderer(Protocol):
+    """Renders the servo camera's images.
 
     Attributes:
-        renderer: its name. spent_s: wall time spent so far [s]. whole: whether the last pictures show all there is.
+        name: what draws, such as OpenGL's GL_RENDERER string.
+        spent_s: wall time spent on images so far [s].
+        whole: the last images are complete; no part was left blank.
     """
 
-    renderer: str
+    name: str
     spent_s: float
     whole: bool
 
-    def picture(self) -> Image:
-        """The camera's own picture now, (H, W, 3) uint8 RGB, its own for good."""
+    def full_image(self) -> Image:
+        """The camera's own image now, shape (H, W, 3) uint8 RGB, as a copy that the caller may keep."""
         ...
 
-    def glimpse(self, look: Look | None = None, clean: bool = False) -> tuple[Image | None, ...]:
-        """The pictures now, one a panel, as far as somebody looks at them; they hold until the next ones. clean: without noise."""
+    def images(self, look: Look | None = None, clean: bool = False) -> tuple[Image | None, ...]:
+        """The images now, one for each panel, valid until the next call.
+
+        Args:
+            look: regions of interest, None for everything; the rest may be blank.
+            clean: leave out the sensor's noise.
+        """
         ...
 
-    def grained(self, image: Image) -> Image:
-        """A clean picture with the sensor's noise."""
+    def with_noise(self, image: Image) -> Image:
+        """A clean image with the sensor's noise added."""
         ...
 
 
@@ -75,7 +82,7 @@ class Plant(Protocol):
         """Wall time spent on pictures so far [s]."""
         ...
 
-    def capture(self, look: Look | None = None) -> tuple[Frame | None, Truth]:
+    def capture(self, look: Look | None = None) -> tuple[Picture | None, Truth]:
         """The picture (None where no detector asks for one; it holds until the next capture) and the truth, now.
 
         look: where the detector is going to look; None for everywhere.
@@ -86,7 +93,7 @@ class Plant(Protocol):
         """Let in the light of now, for a share `weight` of a picture's exposure; nothing where no detector asks for pictures."""
         ...
 
-    def developed(self, t: float) -> Frame | None:
+    def developed(self, t: float) -> Picture | None:
         """The picture of what was let in since the last one, stamped t [s]."""
         ...
 

@@ -53,12 +53,12 @@ def build_plant(
         from vstestbed.sim.ideal import IdealPlant
 
         return IdealPlant(parts, steps_per_frame, path=path), "none"
-    from vstestbed.sim.render.pictures import eye_of
+    from vstestbed.sim.render.pictures import servo_renderer
     from vstestbed.sim.scene.stage import Stage
 
     stage = Stage(parts, samples=camera.multisampling)
-    eye = eye_of(stage, camera, image_sigma, rng) if needs_image else None
-    renderer = eye.renderer if eye else "none"
+    eye = servo_renderer(stage, camera, image_sigma, rng) if needs_image else None
+    renderer = eye.name if eye else "none"
     if ideal:
         from vstestbed.sim.ideal import IdealPlant
 

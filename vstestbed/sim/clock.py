@@ -12,7 +12,7 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.spec import spec
 
 LARGEST_STEP_S = 0.002
-"""The arm's servos are tuned and tested at 1 and 2 ms [s]."""
+"""Largest default step [s]; the arm's actuators are tuned and tested at 1 and 2 ms."""
 
 
 @spec
@@ -32,6 +32,7 @@ class Clock:
             ParameterError: step_s does not divide the camera's period.
         """
         if self.step_s is None:
+            # The small number keeps a ratio of exactly n from being rounded up to n + 1.
             n = math.ceil(camera.period / largest - 1e-9)
             return camera.period / n, n
         n = round(camera.period / self.step_s)

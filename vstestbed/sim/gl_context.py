@@ -1,4 +1,4 @@
-"""One OpenGL context a process, and MuJoCo's rendering contexts in it, kept from one scene to the next that looks the same."""
+"""One OpenGL context for each process, with a cache of MuJoCo's rendering contexts for scenes that look the same."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ MOST_KEPT = 4
 """Rendering contexts kept: those of the servo camera and of the outside view, for two scenarios in turn."""
 _contexts: list[Any] = []
 _target: list[object] = [None]
-"""The rendering context whose buffer is drawn into."""
+"""The rendering context whose buffer is current."""
 _kept: OrderedDict[tuple[object, ...], wrapper.MjrContext] = OrderedDict()
 
 
 class Physics(dm.Physics):
     """dm_control's physics, whose pictures are drawn in the process's one OpenGL context.
 
-    A rendering context holds what goes to the graphics memory: textures, shadow map, buffers, no state of the scene. It takes
-    .1 to .5 s to make, which a worker that runs one start after the other pays once.
+    A rendering context holds what is uploaded to the graphics memory: textures, shadow map, buffers, no state of the scene. It
+    takes .1 to .5 s to make, which a worker process pays once for all of its runs.
     """
 
     @property
     def contexts(self) -> Contexts | None:
-        """The contexts, this scene's the one that is drawn into; None where dm_control has switched rendering off."""
+        """The contexts, with this scene's made current; None where dm_control has switched rendering off."""
         contexts = super().contexts
         if contexts is not None and _target[0] is not contexts.mujoco:
             with contexts.gl.make_current() as thread:
@@ -38,7 +38,7 @@ class Physics(dm.Physics):
         return contexts
 
     def fitting_contexts(self) -> Contexts | None:
-        """The contexts, with a buffer of the model's offscreen size, which may have grown: who else holds them keeps theirs."""
+        """The contexts with a buffer of the model's offscreen size, which may have grown; other scenes keep the old ones."""
         contexts = self.contexts
         if contexts is None:
             return None
@@ -48,11 +48,11 @@ class Physics(dm.Physics):
         return self.contexts
 
     def _make_rendering_contexts(self) -> None:
-        """Take the kept rendering context of a model that looks the same, or make one."""
+        """Take the cached rendering context of a model that looks the same, or make one."""
         if not _contexts or _contexts[0].terminated:
             _kept.clear()
-            _contexts[:] = [_render.Renderer(max_width=64, max_height=64)]  # pictures are drawn off its screen
-            _contexts[0].increment_refcount()  # it goes when the process does
+            _contexts[:] = [_render.Renderer(max_width=64, max_height=64)]  # its own size does not matter: images are rendered offscreen
+            _contexts[0].increment_refcount()  # so that it lives as long as the process
         key = _looks(self.model.ptr)
         if key not in _kept:
             _kept[key] = wrapper.MjrContext(self.model, _contexts[0])
@@ -62,16 +62,16 @@ class Physics(dm.Physics):
         self._contexts = Contexts(gl=_contexts[0], mujoco=_kept[key])
 
     def _free_rendering_contexts(self) -> None:
-        """Leave the contexts to the next; of the kept ones the oldest goes."""
+        """Return the context to the cache; the least recently used one is dropped."""
         self._contexts = None
         while len(_kept) > MOST_KEPT:
             _kept.popitem(last=False)  # freed when no other scene holds it
 
 
 def _plain_sky(context: mujoco.MjrContext) -> None:
-    """Take the sky's texture as it is, not from a pyramid of smaller ones: it is drawn larger than it is.
+    """Switch off the sky texture's mipmap, which is never used: the sky is always magnified.
 
-    The picture has the same bytes, and software OpenGL, which looks for the level of each pixel, saves a third of its time.
+    The image has the same bytes, and software OpenGL, which computes the level of each pixel, saves a third of its time.
     """
     from OpenGL import GL
 
@@ -82,8 +82,9 @@ def _plain_sky(context: mujoco.MjrContext) -> None:
 
 
 def _looks(model: mujoco.MjModel) -> tuple[object, ...]:
-    """All of a model that may go into a rendering context: sizes, shapes (planes have lists of their own), materials, textures."""
+    """A key of everything in a model that enters a rendering context: sizes, shapes, materials, textures."""
     quality, size = model.vis.quality, model.vis.global_
+    # Planes are compiled to display lists by their size, hence the geoms beside the assets.
     names = [n for n in dir(model) if n.startswith(("tex_", "mat_", "mesh_", "hfield_", "skin_"))]
     arrays = [getattr(model, name) for name in (*names, "geom_type", "geom_size", "geom_dataid", "geom_matid")]
     numbers = (

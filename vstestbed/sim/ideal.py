@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from vstestbed.camera import Frame, Look
+from vstestbed.camera import Look, Picture
 from vstestbed.core.geometry import Array, adjoint, exp, inverse
 from vstestbed.robots.reading import Reading
-from vstestbed.sim.base import Eyes, Truth
-from vstestbed.sim.render.exposure import Exposure
+from vstestbed.sim.base import Renderer, Truth
+from vstestbed.sim.render.motion_blur import MotionBlur
 from vstestbed.sim.render.noise import NO_DRIFT, Drift
 from vstestbed.sim.scene.compose import Parts
 from vstestbed.sim.scene.stage import Stage
@@ -31,7 +31,7 @@ class IdealPlant:
         parts: Parts,
         steps_per_frame: int,
         stage: Stage | None = None,
-        eye: Eyes | None = None,
+        eye: Renderer | None = None,
         path: Path | None = None,
         drift: Drift = NO_DRIFT,
     ):
@@ -43,7 +43,7 @@ class IdealPlant:
         self._T_target_world = inverse(self._T_world_target)
         self._target = parts.target
         self._stage, self._eye = stage, eye
-        self._exposure = Exposure(eye) if eye else None
+        self._exposure = MotionBlur(eye) if eye else None
         self._twist = np.zeros(6)
         self._steps = 0
         self._hidden = np.zeros(len(self._target.points), dtype=bool)
@@ -53,10 +53,10 @@ class IdealPlant:
         """Wall time spent on pictures so far [s]."""
         return self._eye.spent_s if self._eye else 0.0
 
-    def capture(self, look: Look | None = None) -> tuple[Frame | None, Truth]:
+    def capture(self, look: Look | None = None) -> tuple[Picture | None, Truth]:
         """The picture, where one is wanted, and the truth."""
         truth = self.truth()
-        frame = self._drift.of(Frame(self._t, self._eye.glimpse(look), self._eye.whole)) if self._eye else None
+        frame = self._drift.of(Picture(self._t, self._eye.images(look), self._eye.whole)) if self._eye else None
         return frame, truth
 
     @property
@@ -89,7 +89,7 @@ class IdealPlant:
         if self._exposure is not None:
             self._exposure.add(weight, look)
 
-    def developed(self, t: float) -> Frame | None:
+    def developed(self, t: float) -> Picture | None:
         """The picture of what was let in since the last one."""
         return self._drift.of(self._exposure.developed(t)) if self._exposure else None
 

@@ -8,11 +8,11 @@ import mujoco
 import numpy as np
 from dm_control.rl.control import PhysicsError
 
-from vstestbed.camera import Frame, Look
+from vstestbed.camera import Look, Picture
 from vstestbed.core.geometry import Array, adjoint, inverse
 from vstestbed.robots.reading import Reading
-from vstestbed.sim.base import Eyes, Truth
-from vstestbed.sim.render.exposure import Exposure
+from vstestbed.sim.base import Renderer, Truth
+from vstestbed.sim.render.motion_blur import MotionBlur
 from vstestbed.sim.render.noise import NO_DRIFT, Drift
 from vstestbed.sim.scene.lead_vehicle import LeadVehicle
 from vstestbed.sim.scene.stage import Stage
@@ -47,7 +47,7 @@ class MujocoPlant:
         self,
         stage: Stage,
         steps_per_frame: int,
-        eye: Eyes | None,
+        eye: Renderer | None,
         see_hidden: bool,
         rng: np.random.Generator,
         path: Path | None = None,
@@ -56,7 +56,7 @@ class MujocoPlant:
         self._path, self._drift = path, drift
         self._scenery = bool(stage.parts.world.plates or stage.parts.world.decoys or path)
         self._stage, self._eye, self._see_hidden = stage, eye, see_hidden
-        self._exposure = Exposure(eye) if eye else None
+        self._exposure = MotionBlur(eye) if eye else None
         robot, model = stage.parts.robot, stage.model
         self.step_s, self.steps_per_frame = stage.parts.step, steps_per_frame
         self._target = stage.parts.target
@@ -123,10 +123,10 @@ class MujocoPlant:
         """Wall time spent on pictures so far [s]."""
         return self._eye.spent_s if self._eye else 0.0
 
-    def capture(self, look: Look | None = None) -> tuple[Frame | None, Truth]:
+    def capture(self, look: Look | None = None) -> tuple[Picture | None, Truth]:
         """The picture, where one is wanted, and the truth, now."""
         truth = self.truth()
-        frame = self._drift.of(Frame(self._steps * self.step_s, self._eye.glimpse(look), self._eye.whole)) if self._eye else None
+        frame = self._drift.of(Picture(self._steps * self.step_s, self._eye.images(look), self._eye.whole)) if self._eye else None
         return frame, truth
 
     def _move_scenery(self) -> None:
@@ -159,7 +159,7 @@ class MujocoPlant:
         if self._exposure is not None:
             self._exposure.add(weight, look)
 
-    def developed(self, t: float) -> Frame | None:
+    def developed(self, t: float) -> Picture | None:
         """The picture of what was let in since the last one."""
         return self._drift.of(self._exposure.developed(t)) if self._exposure else None
 

@@ -1,4 +1,4 @@
-"""Pictures of moments of a run, from any camera, without simulating: the log tells where everything was."""
+"""Images of moments of a run from any camera, without simulating: the log holds where everything was."""
 
 from __future__ import annotations
 
@@ -6,30 +6,30 @@ from vstestbed.camera import Camera, Image
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.robots import Robot
-from vstestbed.sim.base import Eyes
-from vstestbed.sim.render.pictures import Outside, eye_of, view_of
+from vstestbed.sim.base import Renderer
+from vstestbed.sim.render.pictures import OutsideView, outside_view, servo_renderer
 from vstestbed.sim.scene.compose import Parts
 from vstestbed.sim.scene.stage import Stage
 from vstestbed.sim.scene.world import World
 from vstestbed.targets.base import Target
 
 FILM_SAMPLES = 4
-"""Multisampling of the outside view: films are made to be looked at."""
+"""Multisampling of the outside view, for smooth edges in films."""
 FILM_SHADOW_PX = 2048
 """Shadow map of the outside view: half of MuJoCo's default."""
 
 FILM_SLICES, FILM_STACKS, FILM_QUADS = 20, 12, 2
-"""How finely round things are drawn in it: a cylinder of 40 px is off its circle by .25 px. MuJoCo's 28, 16 and 4 make twice the
-work, which for a base with 36 rollers was a third of a picture's time."""
+"""Facets of round geoms in it: a cylinder of 40 px deviates from its circle by .25 px. MuJoCo's 28, 16 and 4 make twice the work,
+which for a base with 36 rollers was a third of an image's time."""
 
 
 class Replay:
-    """A stage of its own beside the run's, so that filming changes nothing of what is measured.
+    """Renders a recorded run on a stage of its own, so that filming does not affect the run.
 
     Args:
         robot, camera, target, world: the scene.
-        shadows: whether the views from outside have them (three times the work).
-        sights: places that the outside view shall show.
+        shadows: render shadows in the outside views (three times the work).
+        sights: points that the outside view must show [m].
 
     Raises:
         EnvironmentLackError: OpenGL is asked for, and does not work here.
@@ -50,8 +50,8 @@ class Replay:
         quality.shadowsize = FILM_SHADOW_PX
         quality.numslices, quality.numstacks, quality.numquads = FILM_SLICES, FILM_STACKS, FILM_QUADS
         self._shadows = shadows
-        self._own: tuple[Stage, Eyes] | None = None
-        self._views: dict[str, Outside] = {}
+        self._own: tuple[Stage, Renderer] | None = None
+        self._views: dict[str, OutsideView] = {}
 
     @property
     def cameras(self) -> list[str]:
@@ -67,19 +67,19 @@ class Replay:
         if camera not in self.cameras:
             raise ParameterError("--camera", f"must be one of {', '.join(self.cameras)}", camera)
         if camera == "eye":
-            stage, eye = self._servo_eye()
+            stage, renderer = self._servo_camera()
             stage.place(t, T_world_target, q, T_world_camera)
-            return eye.picture()
+            return renderer.full_image()
         if camera not in self._views:
-            self._views[camera] = view_of(self._stage, camera, width, height, self._parts.camera, self._shadows)
+            self._views[camera] = outside_view(self._stage, camera, width, height, self._parts.camera, self._shadows)
         self._stage.place(t, T_world_target, q, T_world_camera)
-        return self._views[camera].picture()
+        return self._views[camera].full_image()
 
-    def _servo_eye(self) -> tuple[Stage, Eyes]:
-        """A second stage with the servo camera's own quality, made when first asked for."""
+    def _servo_camera(self) -> tuple[Stage, Renderer]:
+        """A second stage with the servo camera's own quality, built when first asked for."""
         if self._own is None:
             stage = Stage(self._parts, samples=self._parts.camera.multisampling)
-            self._own = stage, eye_of(stage, self._parts.camera)
+            self._own = stage, servo_renderer(stage, self._parts.camera)
         return self._own
 
     def close(self) -> None:

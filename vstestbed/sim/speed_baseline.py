@@ -1,4 +1,4 @@
-"""The floor of a run's cost: the same physics steps and the same raw pictures, nothing else."""
+"""Lower bound of a run's cost: the same physics steps and the same raw images, nothing else."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import mujoco
 
 from vstestbed.core.geometry import Array, inverse
-from vstestbed.sim.render.pictures import bare_of
+from vstestbed.sim.render.pictures import bare_renderer
 from vstestbed.sim.scene.compose import Parts
 from vstestbed.sim.scene.stage import Stage
 
 
 @dataclass(frozen=True)
-class Floor:
-    """Wall time of a run's bare physics and bare pictures [s]."""
+class BaselineCost:
+    """Wall time of a run's bare physics and bare images [s]."""
 
     physics_s: float
     render_s: float
@@ -26,10 +26,10 @@ class Floor:
         return self.physics_s + self.render_s
 
 
-def measure_floor(parts: Parts, steps_per_frame: int, ctrl: Array, q: Array, T_world_camera: Array, pictures: bool) -> Floor:
-    """Replay a recorded run's controls with bare `mj_step`, and its views with bare renders of the kept camera.
+def measure_baseline(parts: Parts, steps_per_frame: int, ctrl: Array, q: Array, T_world_camera: Array, pictures: bool) -> BaselineCost:
+    """Replay a recorded run's controls with bare `mj_step`, and its views with bare renders.
 
-    Rays draw whole pictures here, so that a run, which draws windows, may cost less.
+    Ray casting renders whole images here, so that a run, which renders windows, may cost less.
 
     Args:
         parts: the scene. steps_per_frame: physics steps between frames.
@@ -38,7 +38,7 @@ def measure_floor(parts: Parts, steps_per_frame: int, ctrl: Array, q: Array, T_w
         pictures: whether the run rendered at all; of several faces of a cube, only those with a marker in them are.
     """
     stage = Stage(parts, samples=parts.camera.multisampling)
-    picture = bare_of(stage, parts.camera) if pictures else None
+    picture = bare_renderer(stage, parts.camera) if pictures else None
     target = parts.target.T_world_start
     where = [stage.model.actuator_ctrladr[stage.model.actuator(f"robot/{name}").id] for name in parts.robot.actuators]
     stage.place(0.0, target, q[0], T_world_camera[0])
@@ -60,4 +60,4 @@ def measure_floor(parts: Parts, steps_per_frame: int, ctrl: Array, q: Array, T_w
             physics += time.perf_counter() - rendered
         render += rendered - began
     stage.close()
-    return Floor(physics, render)
+    return BaselineCost(physics, render)

@@ -1,4 +1,4 @@
-"""Time on the physics clock, in whole steps: exposure, latency, jitter and lost pictures of the camera, latency of commands."""
+"""Timing in whole physics steps: exposure, latency, jitter and dropped pictures of the camera, latency of commands."""
 
 from __future__ import annotations
 
@@ -20,17 +20,18 @@ T = TypeVar("T")
 
 @spec
 class Timing:
-    """When pictures are taken and arrive, and when commands do, beside the camera's rate and latency. All in whole physics steps.
+    """Timing of pictures and commands beyond the camera's rate and latency, rounded to whole physics steps.
 
-    A picture is stamped with the middle of its exposure, and its stamp is right. It arrives `camera.latency_s` after the
-    exposure's end, never before the one taken before it.
+    A picture's time stamp is the true middle of its exposure. It arrives `camera.latency_s` after the
+    exposure's end, never before an earlier one.
 
     Args:
-        exposure_s: how long the shutter is open [s]: the picture is the mean of pictures taken meanwhile (motion blur).
-        exposure_pictures: of how many, at most one a physics step.
-        jitter: how jitters are distributed: `uniform` within +- the number given, or `normal` with it as standard deviation.
-        exposure_jitter_s: of the instant at which each picture is taken [s]. latency_jitter_s: of the time until it arrives [s].
-        drop_probability: how likely a picture never arrives.
+        exposure_s: time that the shutter is open [s]; the picture is the mean of images rendered meanwhile (motion blur).
+        exposure_pictures: number of these images, at most one a physics step.
+        jitter: distribution of the jitters: `uniform` within +- the number given, or `normal` with it as standard deviation.
+        exposure_jitter_s: jitter of the time of exposure [s].
+        latency_jitter_s: jitter of the latency [s].
+        drop_probability: probability that a picture never arrives.
         command_latency_s: time from a law's command to the robot's new setpoint [s].
     """
 
@@ -44,7 +45,7 @@ class Timing:
 
     @property
     def draws(self) -> bool:
-        """Whether a seed makes a difference."""
+        """Whether random numbers are drawn, so that the seed matters."""
         return self.exposure_jitter_s > 0 or self.latency_jitter_s > 0 or self.drop_probability > 0
 
     def check(self, camera: Camera, step_s: float) -> None:
@@ -64,7 +65,7 @@ class Timing:
             raise ParameterError("timing.exposure_jitter_s", words, self.exposure_jitter_s)
 
     def jittered(self, size_s: float, rng: np.random.Generator) -> float:
-        """A jitter of this size [s]."""
+        """One random jitter of this size [s]; nothing is drawn for size 0."""
         if size_s == 0:
             return 0.0
         return float(rng.uniform(-size_s, size_s) if self.jitter == "uniform" else rng.normal(0.0, size_s))
@@ -72,7 +73,7 @@ class Timing:
 
 @dataclass(frozen=True, slots=True)
 class Planned:
-    """A picture to be taken: its number, the step of its middle, steps at which the shutter is open with their weights, its arrival."""
+    """A planned picture, in physics steps: its number, middle of the exposure, steps to be rendered with their weights, arrival."""
 
     frame: int
     middle: int
@@ -82,7 +83,7 @@ class Planned:
 
 
 class Shutter:
-    """Says when the camera takes its pictures; those that will be lost are not taken at all.
+    """Plans the camera's pictures; those that will be dropped are not rendered at all.
 
     Args:
         timing, camera: as the scenario says. step_s: of the physics [s]. steps_per_frame: in a camera's period.
@@ -98,7 +99,7 @@ class Shutter:
         self._frame = -1
 
     def following(self) -> Planned:
-        """The next picture that arrives."""
+        """The next picture that will not be dropped."""
         timing, rng = self._timing, self._rng
         while True:
             self._frame += 1
@@ -122,7 +123,7 @@ def _opening(half: int, most: int) -> tuple[NDArray[np.int_], tuple[float, ...]]
 
 
 class DelayLine(Generic[T]):
-    """What is pushed at step k comes out at step k + delay, in order: nothing overtakes what was pushed before.
+    """A first-in first-out queue: an item pushed at step k is due at step k + delay, and never before an earlier item.
 
     Args:
         delay_steps: whole physics steps between in and out, >= 0.
@@ -133,17 +134,17 @@ class DelayLine(Generic[T]):
         self._waiting: deque[tuple[int, T]] = deque()
 
     def push(self, step: int, item: T) -> None:
-        """Something goes in at this step."""
+        """Put an item in at this step."""
         due = step + self.delay_steps
         self._waiting.append((max(due, self._waiting[-1][0]) if self._waiting else due, item))
 
     def pop_due(self, step: int) -> list[T]:
-        """What comes out at or before this step, oldest first."""
+        """Take out the items due at or before this step, oldest first."""
         due = []
         while self._waiting and self._waiting[0][0] <= step:
             due.append(self._waiting.popleft()[1])
         return due
 
     def next_due(self) -> int | None:
-        """The step at which the next one comes out, None when nothing is on its way."""
+        """The step at which the next item is due, None when the queue is empty."""
         return self._waiting[0][0] if self._waiting else None

@@ -172,7 +172,7 @@ class TaskBase:
         if self.asks not in law.tasks:
             words = f"may not be of kind {self.kind} with law {law.kind}, which takes {' or '.join(law.tasks)}"
             raise ParameterError("goal", words)
-        if self.needs_pose and not law.depth.with_pose:
+        if self.needs_pose and not law.depth.needs_pose:
             words = f"may not be {law.depth.kind} with law {law.kind}, which needs the pose itself; use floor or pnp"
             raise ParameterError("law.depth", words)
 

@@ -1,4 +1,4 @@
-"""The pose of markers that stand all round the camera, which no pinhole picture holds: from rays alone."""
+"""Pose of markers in all directions around the camera, which no pinhole image holds: from rays alone."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ import numpy as np
 from vstestbed.core.geometry import Array, exp, skew
 
 ROUNDS = 20
-"""Gauss-Newton steps at most; five do from a frame ago."""
+"""Most Gauss-Newton steps; five suffice from the pose a frame ago."""
 SETTLED = 1e-11
-"""A step [m, rad] under this ends them."""
+"""Converged when a step is smaller than this [m, rad]."""
 FITS = 0.05
-"""Root mean square of the angles [rad] over which a pose is no solution."""
+"""A pose whose angular errors have a larger root mean square than this [rad] is no solution."""
 
 
 def solve_pose_all_round(rays: Array, points: Array, previous: Array | None = None) -> Array | None:
-    """Pose T_camera_target (4, 4) that minimises the angles between rays and points; None where none fits.
+    """Pose T_camera_target (4, 4) that minimises the angles between rays d and points p; None where none fits.
 
-    From the previous pose; without one (N >= 4) from the 24 ways in which a cube can be turned, each with the position that
-    the bearings leave, sum (I - d d^T) (R p + t) = 0.
+    Iterated from the previous pose; without one (N >= 4), from each of the 24 rotations R of a cube, with the translation that
+    solves sum (I - d d^T) (R p + t) = 0.
 
     Args:
         rays: unit rays in the camera frame, shape (N, 3), N >= 3 with a previous pose, else N >= 4.
@@ -54,6 +54,7 @@ def _turns() -> list[Array]:
 
 
 def _placed(rays: Array, points: Array, R: Array) -> Array:
+    """The pose (4, 4) of a given rotation whose translation fits the rays best."""
     across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
     T = np.eye(4)
     T[:3, :3] = R
@@ -75,9 +76,10 @@ def _refined(rays: Array, points: Array, T: Array) -> tuple[Array, float]:
         error = math.sqrt(float(np.mean(np.arccos(np.clip(cosine, -1, 1)) ** 2)))
         dp = np.concatenate([np.broadcast_to(np.eye(3), (len(p), 3, 3)), -skew(p)], axis=2)
         dunit = (dp - unit[:, :, None] * (unit[:, None] @ dp)) / reach[:, None, None]
+        # Least squares of minimum norm: directions that the markers leave open do not move.
         x = np.linalg.lstsq((across @ dunit).reshape(-1, 6), -e.ravel(), rcond=1e-9)[0]
         size = float(np.abs(x).max())
-        T = exp(x / max(1.0, size)) @ T
+        T = exp(x / max(1.0, size)) @ T  # steps are limited to 1 m and 1 rad, beyond which the linearisation is void
         if size < SETTLED:
             break
     return T, error

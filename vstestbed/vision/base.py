@@ -1,4 +1,4 @@
-"""The contract of a detector: a picture (or, for the oracle, the truth) in, marker pixels in the target's order out."""
+"""The interface of a detector: a picture in (for the oracle, the truth), marker pixels in the target's order out."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import ClassVar, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from vstestbed.camera import Camera, Frame, Look
+from vstestbed.camera import Camera, Look, Picture
 from vstestbed.core.geometry import Array
 from vstestbed.targets.base import Target
 
@@ -17,11 +17,11 @@ M = TypeVar("M")
 
 @dataclass(frozen=True, slots=True)
 class TruthView:
-    """What the simulator knows of the markers: for the oracle, and for no other detector.
+    """Ground truth of the markers, for the oracle alone.
 
     Attributes:
         p_camera: true marker centres in the camera frame, shape (N, 3) [m].
-        hidden: which markers something stands in front of, shape (N,).
+        hidden: which markers are occluded, shape (N,).
     """
 
     p_camera: Array
@@ -30,12 +30,12 @@ class TruthView:
 
 @dataclass(frozen=True, slots=True)
 class Detection:
-    """Where the markers are in one picture.
+    """Marker positions found in one picture.
 
     Attributes:
-        uv: pixels of the marker centres, shape (N, 2), NaN where a marker is not seen.
+        uv: images of the marker centres, shape (N, 2) [px], NaN where a marker is not seen.
         p_camera: true marker centres in the camera frame, shape (N, 3) [m]; only the oracle has them.
-        T_camera_target: the target's pose (4, 4), where the detector solved it on its way.
+        T_camera_target: pose of the target, shape (4, 4), if the detector solves it anyway.
     """
 
     uv: Array
@@ -49,33 +49,33 @@ class Detection:
 
 
 class Detector(Protocol[M]):
-    """A detector: parameters frozen in the object, memory (last positions, say) passed through.
+    """A detector: its parameters are frozen in the object; its state, such as the last positions, is passed through.
 
-    Whoever runs it gives `frame` only where `needs_image` says so, and `view` only where `needs_truth` does.
+    The caller gives `picture` only if `needs_image` is set, and `view` only if `needs_truth` is.
     """
 
     @property
     def kind(self) -> str:
-        """The detector's word in a scenario."""
+        """The detector's name in a scenario."""
         ...
 
     needs_image: ClassVar[bool]
-    """Whether it looks at the picture."""
+    """It reads the picture."""
     needs_truth: ClassVar[bool]
-    """Whether it looks behind the scenes: the oracle."""
+    """It reads the ground truth: the oracle."""
     markers: ClassVar[tuple[str, ...]]
-    """Kinds of markers that it can see; empty: any."""
+    """Kinds of markers that it can detect; empty: any."""
 
     def init(self) -> M:
-        """The memory before the first picture."""
+        """The state before the first picture."""
         ...
 
     def look(self, memory: M, camera: Camera, target: Target) -> Look | None:
-        """Where it is going to look in the next picture; None for everywhere."""
+        """Regions of interest in the next picture; None for the whole picture."""
         ...
 
     def detect(
-        self, memory: M, frame: Frame | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
+        self, memory: M, picture: Picture | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
     ) -> tuple[M, Detection]:
-        """One picture: the next memory and where the markers are."""
+        """One picture: the next state and the marker positions."""
         ...

@@ -1,43 +1,43 @@
-"""From detected pixels to an Observation: undistorted coordinates, depth as the scenario says, pose."""
+"""The observer: from detected pixels to an Observation, with undistorted coordinates, depths, pose and odometry."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vstestbed.camera import Camera
 from vstestbed.camera.base import FORWARD_COSINE
-from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, adjoint, all_finite, exp, inverse, transform
-from vstestbed.core.planar import arc, composed, place_of, pose_on_ground, wrapped
-from vstestbed.features.depth import AtGoal, Constant, Depth, Estimate, OnFloor, OracleDepth, PnP
+from vstestbed.core.planar import arc, composed, place_of, pose_on_ground
+from vstestbed.features.depth import Depth, DepthCues
 from vstestbed.features.observation import Goal, Observation, OwnMotion
 from vstestbed.targets.base import Target
 from vstestbed.vision.base import Detection
 from vstestbed.vision.pose.calibration_error import pose_by_depth
+from vstestbed.vision.pose.dead_reckoning import corrections, fused_place
 from vstestbed.vision.pose.derotate import NO_TRIM, Derotation, Trim, level_from_tilt, level_rays, level_twist, trimmed
 from vstestbed.vision.pose.floor_pose import solve_place
 from vstestbed.vision.pose.flow_depth import FlowMemory, init_flow, update_flow
 from vstestbed.vision.pose.homography import relative_view
 from vstestbed.vision.pose.pnp import solve_pose_from_rays
 
-COMPASS_S = 0.5
-"""Time constant with which a heading by odometry follows the compass [s]."""
-LANDMARKS_S = 0.25
-"""Time constant with which a position by odometry follows the landmarks [s]."""
-NEAREST_M = 0.01
-"""A depth carried on by the camera's own motion stays at or above this [m]."""
-
 
 @dataclass(frozen=True, slots=True)
 class ObserverMemory:
-    """Time [s] of the last frame, the pose (4, 4) then (None: never known), and the depth estimator's memory.
+    """What an observer keeps from one frame to the next.
 
-    Of a vehicle also its place (None: never known) and its way by odometry, (x, y, heading). Of a craft the trim of its tilt.
+    Attributes:
+        t: exposure of the last frame [s].
+        T_camera_target: pose then, shape (4, 4); None where it has never been known.
+        flow: state of the depth estimator; None without one.
+        place: a vehicle's planar pose (x, y, heading) in the world [m, rad]; None where it is not known.
+        odometry: a vehicle's planar pose by odometry alone, from where it started; None for other robots.
+        trim: correction of a craft's measured tilt.
     """
 
     t: float = np.nan
@@ -48,23 +48,35 @@ class ObserverMemory:
     trim: Trim = NO_TRIM
 
 
+class _View(NamedTuple):
+    """Measurements of one frame, in the camera's frame or, where the scenario derotates, in the level camera's."""
+
+    ray: Array | None
+    xy: Array
+    depth: Array
+    range: Array | None
+    T_camera_target: Array | None
+    motion: OwnMotion | None
+
+
 @dataclass(frozen=True, kw_only=True)
 class Observer:
     """Turns detections into observations.
 
     Attributes:
-        camera: the calibrated lens.
+        camera: the calibrated camera.
         target: the marker layout.
         goal: the goal view.
-        depth: where depths come from.
-        pixel_sigma_px: standard deviation of the noise added to every measured coordinate, whatever detected it [px].
-        dropout: probability of each marker in each picture not to be reported.
-        wanted: fields of the observation that the law looks at: `ray`, `relative` and a pose that the detector has not
-            solved are made only where they are wanted.
-        grounded: the robot is a vehicle on the floor; its place is told where the target stands still.
-        derotation: how what a tilted craft sees is brought to its level frame (`derotate`).
-        trim_s: time constant with which the picture corrects the craft's tilt for that [s]; 0: not at all.
-        depth_scale: by how much each marker's depth is told wrong, shape (N,); None where it is not. The memory stays right.
+        depth: source of the depths.
+        pixel_sigma_px: standard deviation of the noise added to every measured coordinate, whatever the detector [px].
+        dropout: probability that a marker is not reported, for each marker and picture.
+        required_fields: fields of the observation that the law reads; `ray`, `relative` and a pose that the detector has not
+            solved are computed only where they are required.
+        grounded: the robot is a ground vehicle; its planar pose is estimated where the target stands still.
+        derotation: how the measurements of a tilted craft are rotated into its level frame (`derotate`).
+        trim_s: time constant with which the goal view corrects the craft's measured tilt [s]; 0 leaves it uncorrected.
+        depth_scale: factor on each marker's reported depth, shape (N,), a calibration error; None for none. The memory stays
+            unscaled.
     """
 
     camera: Camera
@@ -73,7 +85,7 @@ class Observer:
     depth: Depth
     pixel_sigma_px: float = 0.0
     dropout: float = 0.0
-    wanted: tuple[str, ...] = ()
+    required_fields: tuple[str, ...] = ()
     grounded: bool = False
     derotation: Derotation = "none"
     trim_s: float = 0.0
@@ -81,13 +93,12 @@ class Observer:
 
     def init(self) -> ObserverMemory:
         """The memory before the first frame."""
-        flow = init_flow(len(self.target.points)) if isinstance(self.depth, Estimate) else None
+        flow = None if self.depth.estimator is None else init_flow(len(self.target.points))
         return ObserverMemory(flow=flow, odometry=np.zeros(3) if self.grounded else None)
 
     def uses_motion(self, detection: Detection) -> bool:
-        """Whether `observe` will look at the twist: to estimate depth, or to carry the pose on where markers are missing."""
-        guess = isinstance(self.depth, Estimate) or self.dropout > 0 or not all_finite(detection.uv)
-        return guess or self.grounded or "motion" in self.wanted
+        """Whether `observe` will read the twist: for depth from motion, odometry, or a pose propagated over missing markers."""
+        return self._always_uses_motion or not all_finite(detection.uv)
 
     def observe(
         self,
@@ -102,53 +113,39 @@ class Observer:
     ) -> tuple[ObserverMemory, Observation]:
         """What a law may know of one frame.
 
-        The pose is the detector's where it solved one (and no noise is added), else it is solved from the pixels; with
-        too few markers the last one is carried on by the camera's own motion, T <- exp(-twist dt) T, which holds for a
-        target that stands still.
+        The pose is the detector's where it solved one (and no noise is added), else it is solved from the pixels; with too few
+        markers the last one is propagated by the camera's own motion, T <- exp(-twist dt) T, which holds for a target at rest.
 
         Args:
             memory: the last frame.
             t: time of exposure [s].
-            detection: pixels (N, 2), and what the detector found besides.
-            twist: camera twist (6,) since the last frame, in the camera frame, as the robot measures it.
-            rng: draws the pixel noise.
-            compass: a vehicle's heading as its compass has it [rad]; None without one.
-            tilt: a craft's roll and pitch (2,) as it estimates them at the exposure [rad]; None for what cannot tilt.
-            own: the camera's own motion, told on to a law that asks for it.
+            detection: pixels (N, 2), and what else the detector found.
+            twist: camera twist (6,) since the last frame, in the camera frame, as the robot measures it [m/s, rad/s].
+            rng: source of the pixel noise and of the dropout.
+            compass: a vehicle's measured heading [rad]; None without a compass.
+            tilt: a craft's estimated roll and pitch (2,) at the exposure [rad]; None for robots that do not tilt.
+            own: the camera's own motion, passed on to a law that requires it.
 
         Raises:
             ParameterError: the oracle's depth is asked for and the detector is not the oracle.
         """
         uv, T = self._reported(detection, rng)
-        xy, flow = self.camera.normalise(uv), memory.flow
-        solve = self._poses and (T is None or self.pixel_sigma_px > 0)
-        turned = tilt if self.derotation != "none" else None
-        ray = self.camera.ray(uv) if solve or self._rays or flow is not None or turned is not None else None
-        fresh = T is not None
-        if solve and ray is not None:
-            T, fresh = self._pose(ray, t, memory, T, twist)
-        if isinstance(self.depth, Estimate) and flow is not None and ray is not None:
-            flow = update_flow(self.depth, flow, t, ray, twist)
-        depth, reach = self._distances(detection, T, flow, xy)
-        carried, trim = T, memory.trim
-        if turned is not None and ray is not None:
-            if self.trim_s > 0 and fresh and T is not None:
-                share = 0.0 if math.isnan(memory.t) else 1 - math.exp(-(t - memory.t) / self.trim_s)
-                trim = trimmed(trim, turned, T, self.goal.T_camera_target, self.camera.mount.T[:3, :3], share)
-            turned = turned + trim.angles
-            mount = self.camera.mount.T[:3, :3]
-            ray, xy, depth, T = self._level(ray, reach, depth, T, turned, level_from_tilt(turned, mount))
-            if own is not None:
-                own = replace(own, twist=level_twist(own.twist, turned, mount), moved=level_twist(own.moved, turned, mount))
-        relative = relative_view(self.goal.xy, xy, self.goal.normal) if "relative" in self.wanted else None
-        odometry, place = self._driven(memory, t, twist, T if fresh else None, compass)
-        depth, reach, pose = self._scaled(depth, reach, T if fresh or self._stays else None)
-        told = (ray, reach) if self._rays else (None, None)
-        seen = Observation(t, uv, xy, depth, pose, *told, relative, odometry, place, own if "motion" in self.wanted else None)
-        return ObserverMemory(t, carried, flow, place, odometry, trim), seen
+        xy = self.camera.normalise(uv)
+        tilt = tilt if self.derotation != "none" else None
+        ray = self.camera.ray(uv) if self._solves(T) or self._always_rays or tilt is not None else None
+        T, solved = self._pose(ray, t, memory, T, twist)
+        flow = self._flow(memory.flow, t, ray, twist)
+        view = _View(ray, xy, *self._distances(detection, T, flow, xy), T, own)
+        trim = memory.trim
+        if tilt is not None:
+            trim = self._trim(memory, t, tilt, T if solved else None)
+            view = self._leveled(view, tilt + trim.angles)
+        odometry, place = self._driven(memory, t, twist, view.T_camera_target if solved else None, compass)
+        # The pose is kept as it is in the camera's own frame: the next frame's tilt is another.
+        return ObserverMemory(t, T, flow, place, odometry, trim), self._observation(t, uv, view, solved, odometry, place)
 
     def _reported(self, detection: Detection, rng: np.random.Generator) -> tuple[Array, Array | None]:
-        """The detection's pixels (N, 2), some dropped and with noise, and its pose if it has one that all of them stand behind."""
+        """The detection's pixels (N, 2) with dropout and noise, and its pose; None where dropout took a marker from under it."""
         uv, T = detection.uv, detection.T_camera_target
         if self.dropout > 0:
             dropped = rng.random(len(uv)) < self.dropout
@@ -157,132 +154,135 @@ class Observer:
             uv = uv + rng.normal(0.0, self.pixel_sigma_px, uv.shape)
         return uv, T
 
+    @cached_property
+    def _needs_pose(self) -> bool:
+        return self.depth.needs_pose or bool({"T_camera_target", "place"} & set(self.required_fields))
+
+    @cached_property
+    def _needs_ranges(self) -> bool:
+        return "ray" in self.required_fields or self.derotation != "none"
+
+    @cached_property
+    def _always_rays(self) -> bool:
+        """Whether rays are computed even where no pose is solved."""
+        return "ray" in self.required_fields or self.depth.estimator is not None
+
+    @cached_property
+    def _always_uses_motion(self) -> bool:
+        return self.depth.estimator is not None or self.dropout > 0 or self.grounded or "motion" in self.required_fields
+
+    @cached_property
+    def _predictable(self) -> bool:
+        """Whether a pose may be propagated by the camera's motion alone: a target that moves by itself is known only while seen."""
+        return not self.target.moves or self.target.on_gripper
+
+    @cached_property
+    def _base_from_camera_twist(self) -> Array:
+        """Matrix (3, 6) from the camera's twist to the vehicle's (vx, vy, wz)."""
+        return adjoint(self.camera.mount.T)[[0, 1, 5]]
+
+    def _solves(self, T: Array | None) -> bool:
+        """Whether the pose is to be solved, given the detector's; noise added to the pixels is not in the detector's pose."""
+        return self._needs_pose and (T is None or self.pixel_sigma_px > 0)
+
+    def _pose(self, ray: Array | None, t: float, memory: ObserverMemory, T: Array | None, twist: Array) -> tuple[Array | None, bool]:
+        """The pose (4, 4) in this frame, and whether it was measured rather than propagated.
+
+        Args:
+            ray: unit rays of the markers (N, 3). T: the detector's pose. The others as `observe`.
+        """
+        if ray is None or not self._solves(T):
+            return T, T is not None
+        last = memory.T_camera_target
+        predicted = T if last is None else exp(-twist * (t - memory.t)) @ last
+        seen = np.isfinite(ray[:, 0])  # noise may put a pixel outside a lens's image circle
+        if np.count_nonzero(seen) < (1 if self.depth.on_floor else 3):
+            return predicted, False
+        found = self._solved_pose(ray[seen], seen, predicted)
+        return (predicted, False) if found is None else (found, True)
+
+    def _solved_pose(self, rays: Array, seen: NDArray[np.bool_], predicted: Array | None) -> Array | None:
+        """The pose solved from the rays (n, 3) of those markers that are `seen` (N,); None where they do not determine it."""
+        if self.depth.on_floor:
+            return self._pose_on_floor(rays, seen, predicted)
+        points = self.target.points[seen]
+        found = solve_pose_from_rays(rays, points, predicted)
+        if found is None and predicted is None and self.grounded:
+            # Three markers leave up to four poses; of a vehicle's, one has the base upright on the floor.
+            found = solve_pose_from_rays(rays, points, self._pose_on_floor(rays, seen, None))
+        return found
+
+    def _pose_on_floor(self, rays: Array, seen: NDArray[np.bool_], predicted: Array | None) -> Array | None:
+        """As `_solved_pose`, for a base that stands upright on the floor."""
+        mount, pose = self.camera.mount.T, self.target.pose.T
+        before = None if predicted is None else place_of(pose @ inverse(mount @ predicted))
+        place = solve_place(rays, transform(pose, self.target.points[seen]), mount, before)
+        return None if place is None else inverse(pose_on_ground(place) @ mount) @ pose
+
+    def _flow(self, flow: FlowMemory | None, t: float, ray: Array | None, twist: Array) -> FlowMemory | None:
+        """The depth estimator's next state; None without one."""
+        estimator = self.depth.estimator
+        return flow if estimator is None or flow is None or ray is None else update_flow(estimator, flow, t, ray, twist)
+
+    def _distances(self, detection: Detection, T: Array | None, flow: FlowMemory | None, xy: Array) -> tuple[Array, Array | None]:
+        """Depths (N,) and, where they are needed, ranges (N,) [m]; NaN where not known."""
+        p = transform(T, self.target.points) if T is not None and self.depth.needs_pose else None
+        by_flow = None if flow is None else (flow.ray, 1 / flow.inverse_range)
+        cues = DepthCues(self.goal, xy, p, detection.p_camera, by_flow)
+        return self.depth.depths(cues), self.depth.ranges(cues) if self._needs_ranges else None
+
+    def _trim(self, memory: ObserverMemory, t: float, tilt: Array, T: Array | None) -> Trim:
+        """The correction of the measured tilt (2,), updated where the pose (4, 4) is measured."""
+        if self.trim_s == 0 or T is None:
+            return memory.trim
+        gain = 0.0 if math.isnan(memory.t) else 1 - math.exp(-(t - memory.t) / self.trim_s)
+        return trimmed(memory.trim, tilt, T, self.goal.T_camera_target, self.camera.mount.T[:3, :3], gain)
+
+    def _leveled(self, view: _View, tilt: Array) -> _View:
+        """The view in the level camera's frame; preset depths stay as they are."""
+        assert view.ray is not None
+        mount = self.camera.mount.T[:3, :3]
+        ray, T, depth, own = level_rays(view.ray, tilt, self.camera, self.derotation), view.T_camera_target, view.depth, view.motion
+        ahead = ray[:, 2:]
+        xy = ray[:, :2] / np.where(ahead > FORWARD_COSINE, ahead, np.nan)
+        if T is not None:
+            T_level_camera = np.eye(4)
+            T_level_camera[:3, :3] = level_from_tilt(tilt, mount)
+            T = T_level_camera @ T
+        if view.range is not None and not self.depth.preset:
+            depth = view.range * ray[:, 2]  # the rotation leaves ranges alone
+        if own is not None:
+            own = replace(own, twist=level_twist(own.twist, tilt, mount), moved=level_twist(own.moved, tilt, mount))
+        return _View(ray, xy, depth, view.range, T, own)
+
+    def _driven(
+        self, memory: ObserverMemory, t: float, twist: Array, T: Array | None, compass: float | None
+    ) -> tuple[Array | None, Array | None]:
+        """A vehicle's odometry and its planar pose, given the measured pose T (4, 4) of the landmarks; None for other robots."""
+        if memory.odometry is None:
+            return None, memory.place
+        dt = t - memory.t
+        step = np.zeros(3) if np.isnan(memory.t) else arc(self._base_from_camera_twist @ twist, dt)
+        odometry = composed(memory.odometry, step)
+        if self.target.moves:  # no landmark
+            return odometry, None
+        predicted = None if memory.place is None else composed(memory.place, step)
+        T_world_camera = None if T is None else self.target.pose.T @ inverse(T)
+        return odometry, fused_place(predicted, T_world_camera, self.camera.mount.T, compass, corrections(dt))
+
+    def _observation(self, t: float, uv: Array, view: _View, solved: bool, odometry: Array | None, place: Array | None) -> Observation:
+        """What the law is given: the required fields alone, distances with the calibration's error."""
+        required = self.required_fields
+        depth, reach, pose = self._scaled(view.depth, view.range, view.T_camera_target if solved or self._predictable else None)
+        rays = (view.ray, reach) if "ray" in required else (None, None)
+        relative = relative_view(self.goal.xy, view.xy, self.goal.normal) if "relative" in required else None
+        motion = view.motion if "motion" in required else None
+        return Observation(t, uv, view.xy, depth, pose, *rays, relative, odometry, place, motion)
+
     def _scaled(self, depth: Array, reach: Array | None, pose: Array | None) -> tuple[Array, Array | None, Array | None]:
-        """Depths, ranges and pose as a scenario tells them wrong."""
+        """Depths, ranges and pose with the calibration's error of depth."""
         scale = self.depth_scale
         if scale is None:
             return depth, reach, pose
         wrong = None if pose is None else pose_by_depth(pose, self.target.points, scale)
         return depth * scale, None if reach is None else reach * scale, wrong
-
-    def _driven(
-        self, memory: ObserverMemory, t: float, twist: Array, T: Array | None, compass: float | None
-    ) -> tuple[Array | None, Array | None]:
-        """A vehicle's odometry and its place, with T_camera_target (4, 4) where it is seen; None for other robots."""
-        if memory.odometry is None:
-            return None, memory.place
-        step = np.zeros(3) if np.isnan(memory.t) else arc(self._to_base @ twist, t - memory.t)
-        trust = -np.expm1([(memory.t - t) / tau for tau in (COMPASS_S, LANDMARKS_S)])
-        before = None if memory.place is None else composed(memory.place, step)
-        return composed(memory.odometry, step), self._place(before, T, compass, trust)
-
-    def _level(
-        self, ray: Array, reach: Array | None, depth: Array, T: Array | None, tilt: Array, R: Array
-    ) -> tuple[Array, Array, Array, Array | None]:
-        """Rays, normalised coordinates, depths and pose in the level camera's frame. Constant depths stay as they are."""
-        ray = level_rays(ray, tilt, self.camera, self.derotation)
-        ahead = ray[:, 2:]
-        xy = ray[:, :2] / np.where(ahead > FORWARD_COSINE, ahead, np.nan)
-        if T is not None:
-            turned = np.eye(4)
-            turned[:3, :3] = R
-            T = turned @ T
-        if not isinstance(self.depth, Constant | AtGoal) and reach is not None:
-            depth = reach * ray[:, 2]
-        return ray, xy, depth, T
-
-    @property
-    def _rays(self) -> bool:
-        return "ray" in self.wanted
-
-    @property
-    def _ranges(self) -> bool:
-        return self._rays or self.derotation != "none"
-
-    @property
-    def _poses(self) -> bool:
-        return isinstance(self.depth, PnP | OnFloor) or bool({"T_camera_target", "place"} & set(self.wanted))
-
-    @property
-    def _stays(self) -> bool:
-        """Whether a pose may be carried on by the camera's own motion: where a target goes that moves is known only while it is seen."""
-        return not self.target.moves or self.target.on_gripper
-
-    @cached_property
-    def _to_base(self) -> Array:
-        """Of a twist (6,) of the camera the vehicle's (vx, vy, wz), shape (3, 6)."""
-        return adjoint(self.camera.mount.T)[[0, 1, 5]]
-
-    def _place(self, carried: Array | None, T: Array | None, compass: float | None, trust: Array) -> Array | None:
-        """(x, y, heading): the position by what is seen, the heading by the compass; each by odometry where it lacks.
-
-        The lens's place in the map is seen whatever way the vehicle is said to head; the mount's arm leads from there to it.
-        Both are carried on by the encoders and drawn to what is seen and read, with time constants LANDMARKS_S and COMPASS_S, of
-        which `trust` (2,) is what a frame makes, compass first: biases stay, noise less so.
-        """
-        if self.target.moves:
-            return None
-        seen = None if T is None else self.target.pose.T @ inverse(T)
-        mount = self.camera.mount.T
-        before = carried if seen is None else place_of(seen @ inverse(mount))
-        if before is None:
-            return None
-        heading = float(before[2])
-        if compass is not None:
-            heading = compass if carried is None else float(carried[2] + trust[0] * wrapped(compass - carried[2]))
-        if seen is None:
-            return np.array([before[0], before[1], heading])
-        arm = pose_on_ground(np.array([0.0, 0.0, heading])) @ mount[:, 3]
-        xy = seen[:2, 3] - arm[:2]
-        if carried is not None:
-            xy = carried[:2] + trust[1] * (xy - carried[:2])
-        return np.array([xy[0], xy[1], heading])
-
-    def _pose(self, ray: Array, t: float, memory: ObserverMemory, hint: Array | None, twist: Array) -> tuple[Array | None, bool]:
-        """The pose solved from the rays (N, 3) of noisy or bare pixels; else the last one, carried on; and whether it was solved."""
-        last = memory.T_camera_target
-        carried = hint if last is None else exp(-twist * (t - memory.t)) @ last
-        seen = np.isfinite(ray[:, 0])  # noise may put a pixel outside a lens's circle
-        if np.count_nonzero(seen) < (1 if isinstance(self.depth, OnFloor) else 3):
-            return carried, False
-        if isinstance(self.depth, OnFloor):
-            found = self._pose_on_floor(ray[seen], seen, carried)
-        else:
-            found = solve_pose_from_rays(ray[seen], self.target.points[seen], carried)
-            if found is None and carried is None and self.grounded:  # three markers leave up to four poses: one stands on the floor
-                found = solve_pose_from_rays(ray[seen], self.target.points[seen], self._pose_on_floor(ray[seen], seen, None))
-        return (carried, False) if found is None else (found, True)
-
-    def _pose_on_floor(self, rays: Array, seen: NDArray[np.bool_], carried: Array | None) -> Array | None:
-        mount, pose = self.camera.mount.T, self.target.pose.T
-        before = None if carried is None else place_of(pose @ inverse(mount @ carried))
-        place = solve_place(rays, transform(pose, self.target.points[seen]), mount, before)
-        return None if place is None else inverse(pose_on_ground(place) @ mount) @ pose
-
-    def _distances(self, detection: Detection, T: Array | None, flow: FlowMemory | None, xy: Array) -> tuple[Array, Array | None]:
-        """Depth of each marker (N,) and, where the law wants it, range (N,) [m]; NaN where not known.
-
-        A constant is taken for either; an estimate by flow is of range, and tells the depth too.
-        """
-        n = len(detection.uv)
-        match self.depth:
-            case PnP() | OnFloor() if T is not None:
-                p = transform(T, self.target.points)
-                depth = np.where(np.isfinite(xy[:, 0]), np.maximum(p[:, 2], NEAREST_M), p[:, 2])
-                return depth, np.linalg.norm(p, axis=1) if self._ranges else None
-            case PnP() | OnFloor():
-                return np.full(n, np.nan), np.full(n, np.nan) if self._ranges else None
-            case Constant(depth_m=depth):
-                return np.full(n, depth), np.full(n, depth) if self._ranges else None
-            case AtGoal():
-                return self.goal.depth, self.goal.range
-            case Estimate() if flow is not None:
-                reach = 1 / flow.inverse_range
-                return reach * flow.ray[:, 2], reach if self._ranges else None
-            case OracleDepth() if detection.p_camera is not None:
-                p = detection.p_camera
-                return p[:, 2], np.linalg.norm(p, axis=1) if self._ranges else None
-            case OracleDepth():
-                raise ParameterError("depth", "oracle is only with detector {kind: oracle}; valid here: pnp, constant, goal, estimate")
-            case _:
-                raise ParameterError("memory", "does not belong to this depth; begin with Observer.init()")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
-from vstestbed.camera import Perspective, Spherical
+from vstestbed.camera import Perspective, SphericalCamera
 from vstestbed.core.geometry import Array
 from vstestbed.report import Setting
 from vstestbed.report.run.expected_path import GroundTask, ideal_bicycle_path, largest_deviation, visible_region
@@ -49,7 +49,7 @@ def test_a_camera_that_looks_up_sees_a_rectangle_of_the_plane_above():
 
 
 def test_a_camera_that_sees_everything_sees_all_of_a_plane():
-    assert visible_region(Spherical(), AHEAD, 1.0, 3.0)[2].all()
+    assert visible_region(SphericalCamera(), AHEAD, 1.0, 3.0)[2].all()
 
 
 def test_only_what_drives_has_a_ride():

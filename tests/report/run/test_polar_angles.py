@@ -8,10 +8,9 @@ import numpy as np
 import polars as pl
 import pytest
 
-from vstestbed.camera import Camera, Perspective, Spherical
+from vstestbed.camera import Camera, Perspective, SphericalCamera
 from vstestbed.core.geometry import Array, direction
-from vstestbed.features import Feature, Point, Polar
-from vstestbed.features import Spherical as SphericalFeature
+from vstestbed.features import Feature, Point, Polar, Spherical
 from vstestbed.report import Setting, render_page
 from vstestbed.report.html.canvas import marker_colors
 from vstestbed.report.run import polar_angles as angles
@@ -54,7 +53,7 @@ def whole_turns(phi: Array) -> None:
 
 
 LENS = Perspective(width=640, height=480, fovy_deg=64)
-SKY = Spherical(width=640, height=640)
+SKY = SphericalCamera(width=640, height=640)
 
 
 def test_polar_ways_are_angle_and_radius() -> None:
@@ -70,7 +69,7 @@ def test_polar_ways_are_angle_and_radius() -> None:
 @pytest.mark.parametrize("camera", [LENS, SKY])
 def test_spherical_ways_are_both_angles(camera: Camera) -> None:
     angle = way(theta=(0.2, 0.6) if camera is LENS else (2.9, 0.3))
-    figure = angles.spherical(tracks(camera, SphericalFeature(), angle))
+    figure = angles.spherical(tracks(camera, Spherical(), angle))
     for i in range(MARKERS):
         for k in (0, 1):
             drawn_way = lines(figure, i)[k]
@@ -105,7 +104,7 @@ def test_no_line_jumps_and_the_true_way_runs_beside_the_measured_one(offset: flo
 @pytest.mark.parametrize(("camera", "theta"), [(LENS, (0.1, 0.5)), (SKY, (3.0, 0.3)), (SKY, (0.3, 1.2))])
 def test_ways_on_the_sphere_are_unit_rays(camera: Camera, theta: tuple[float, float]) -> None:
     angle = way(theta=theta)
-    figure = angles.on_sphere(tracks(camera, SphericalFeature(), angle))
+    figure = angles.on_sphere(tracks(camera, Spherical(), angle))
     assert figure is not None
     axes = figure.axes[0]
     viewer = drawn(towards_viewer(axes))
@@ -124,7 +123,7 @@ def test_only_runs_of_these_features_have_them() -> None:
         (None, [False, False, False]),
         (Point(), [False, False, False]),
         (Polar(), [True, False, False]),
-        (SphericalFeature(), [False, True, True]),
+        (Spherical(), [False, True, True]),
     ):
         run = tracks(LENS, feature, way())
         assert [draw(run) is not None for draw in figures] == has
@@ -136,7 +135,7 @@ def test_only_runs_of_these_features_have_them() -> None:
 @pytest.mark.filterwarnings("error")
 def test_markers_that_are_never_seen_have_no_figure() -> None:
     nothing = np.full((5, MARKERS, 2), np.nan)
-    for feature in (Polar(), SphericalFeature()):
+    for feature in (Polar(), Spherical()):
         run = tracks(SKY, feature, nothing)
         assert [draw(run) for draw in (angles.polar, angles.spherical, angles.on_sphere)] == [None, None, None]
 
@@ -146,7 +145,7 @@ def test_markers_that_are_never_seen_have_no_figure() -> None:
 def test_short_runs(frames: int) -> None:
     angle = way()[:frames]
     assert angles.polar(tracks(LENS, Polar(), angle)) is not None
-    assert angles.on_sphere(tracks(LENS, SphericalFeature(), angle)) is not None
+    assert angles.on_sphere(tracks(LENS, Spherical(), angle)) is not None
 
 
 def test_marker_on_the_axis_only() -> None:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vstestbed.camera import Camera, Catadioptric, Fisheye, Frame, Look, Spherical
+from vstestbed.camera import Camera, Catadioptric, Fisheye, Look, Picture, SphericalCamera
 from vstestbed.camera.radial import Radial
 from vstestbed.core.geometry import Array, Pose, direction
 from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart
 from vstestbed.sim.lens.cube import cube_of
-from vstestbed.sim.render.opengl import Eye, View
+from vstestbed.sim.render.opengl import OpenGLRenderer, SceneCamera
 from vstestbed.sim.scene.compose import Parts
 from vstestbed.sim.scene.stage import Stage
 from vstestbed.sim.scene.world import World
@@ -26,7 +26,7 @@ LENSES = {
     "kannala-brandt": Fisheye(width=640, height=640, coefficients=(-0.02, 0.003, -0.0004, 0.0)),
     "parabolic mirror": Catadioptric(width=640, height=640, xi=1.0),
     "hyperbolic mirror": Catadioptric(width=640, height=640, xi=0.8),
-    "spherical": Spherical(width=640, height=640),
+    "spherical": SphericalCamera(width=640, height=640),
 }
 NONE = np.zeros(0)
 BALLS, RADIUS = 20, 0.045
@@ -57,7 +57,7 @@ def test_rendered_balls_lie_where_the_lens_projects_them(name: str):
     lens = LENSES[name]
     points = scattered(lens, seed=1) * np.random.default_rng(2).uniform(0.9, 1.2, (BALLS, 1))
     stage = stage_of(lens, points)
-    frame = Frame(0.0, Eye(stage, lens).glimpse())
+    frame = Picture(0.0, OpenGLRenderer(stage, lens).images())
     # Balls all around leave no pose in one view: the bias of the centre, under .3 px, is taken from the true one.
     memory = BlobsMemory(T_camera_target=np.eye(4))
     found = Blobs().detect(memory, frame, None, lens, stage.parts.target, np.random.default_rng(0))[1]
@@ -77,7 +77,7 @@ def test_the_own_picture_shows_them_there_too(name: str):
     lens = LENSES[name]
     points = scattered(lens, seed=3)
     stage = stage_of(lens, points)
-    image = Eye(stage, lens).picture()
+    image = OpenGLRenderer(stage, lens).full_image()
     stage.close()
     u, v = np.rint(lens.project(points)).astype(int).T
     np.testing.assert_allclose(image[v, u], 255 * stage.parts.target.colors, atol=1)
@@ -88,7 +88,7 @@ def test_a_world_of_one_colour_has_no_seams(name: str):
     lens = LENSES[name]
     stage = stage_of(lens, np.array([[0, 0, 1e4]]))  # beyond the far plane
     stage.model.tex_data[:] = 137
-    image = Eye(stage, lens).picture()
+    image = OpenGLRenderer(stage, lens).full_image()
     stage.close()
     seen = cube_of(lens).owner >= 0
     grid = np.stack(np.meshgrid(np.arange(lens.width), np.arange(lens.height)), axis=-1).astype(float)
@@ -116,25 +116,25 @@ def test_faces_are_as_fine_as_the_lens():
     assert 0.999 * lens.f < front.f < 1.05 * lens.f
     assert all(side.f == pytest.approx(lens.f * end / np.sin(end), rel=0.02) for side in sides)
     assert len(cube_of(Fisheye(fov_deg=80)).faces) == 1
-    assert len(cube_of(Spherical()).faces) == 6
+    assert len(cube_of(SphericalCamera()).faces) == 6
 
 
 @pytest.fixture
 def renders(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Names of the cameras that were drawn."""
     out: list[str] = []
-    plain, make = View.raw, View.__init__
+    plain, make = SceneCamera.raw, SceneCamera.__init__
 
-    def named(self: View, stage: Stage, camera: str, *args: object) -> None:
+    def named(self: SceneCamera, stage: Stage, camera: str, *args: object) -> None:
         make(self, stage, camera, *args)
         self.__dict__["name"] = camera
 
-    def counted(self: View) -> object:
+    def counted(self: SceneCamera) -> object:
         out.append(self.__dict__["name"])
         return plain(self)
 
-    monkeypatch.setattr(View, "__init__", named)
-    monkeypatch.setattr(View, "raw", counted)
+    monkeypatch.setattr(SceneCamera, "__init__", named)
+    monkeypatch.setattr(SceneCamera, "raw", counted)
     return out
 
 
@@ -147,27 +147,27 @@ def test_only_faces_that_are_looked_at_are_drawn(renders: list[str]):
     lens = LENSES["equidistant"]
     points = direction(np.array([[0.1, 0.0], [1.4, 0.0], [np.pi / 4, 0.0], [1.4, np.pi / 2]]))
     stage = stage_of(lens, points)
-    eye = Eye(stage, lens)
+    eye = OpenGLRenderer(stage, lens)
     for markers, faces in (([0], {"eye"}), ([1], {"eye_right"}), ([2], {"eye", "eye_right"}), ([0, 3], {"eye", "eye_down"})):
         renders.clear()
         look: Look = (tuple(window(lens.project(points[i : i + 1])[0]) for i in markers),)
-        image = eye.glimpse(look)[0]
+        image = eye.images(look)[0]
         assert set(renders) == faces
         assert len(renders) == len(faces)
         assert not eye.whole
         for left, top, right, bottom in look[0]:
-            np.testing.assert_array_equal(image[top:bottom, left:right], eye.picture()[top:bottom, left:right])
+            np.testing.assert_array_equal(image[top:bottom, left:right], eye.full_image()[top:bottom, left:right])
     stage.close()
 
 
 def test_only_panels_that_are_looked_at_are_drawn(renders: list[str]):
     lens = LENSES["spherical"]
     stage = stage_of(lens, np.array([[0, 0, 1.0]]))
-    eye = Eye(stage, lens)
-    some = eye.glimpse(((), ((1, 1, 9, 9),), (), (), ((1, 1, 9, 9), (20, 20, 30, 30)), ()))
+    eye = OpenGLRenderer(stage, lens)
+    some = eye.images(((), ((1, 1, 9, 9),), (), (), ((1, 1, 9, 9), (20, 20, 30, 30)), ()))
     assert renders == ["eye_right", "eye_up"]
     assert [image is not None for image in some] == [False, True, False, False, True, False]
     assert not eye.whole
-    assert len([image for image in eye.glimpse() if image is not None]) == 6
+    assert len([image for image in eye.images() if image is not None]) == 6
     assert eye.whole
     stage.close()

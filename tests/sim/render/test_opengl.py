@@ -15,7 +15,7 @@ from vstestbed.camera import Perspective
 from vstestbed.core.geometry import FLIP, Array, Pose, inverse, transform
 from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart
-from vstestbed.sim.render.opengl import Eye
+from vstestbed.sim.render.opengl import OpenGLRenderer
 from vstestbed.sim.render.pixel_check import BALLS, pixel_convention
 from vstestbed.sim.scene.compose import Parts, compose
 from vstestbed.sim.scene.stage import Stage
@@ -85,7 +85,7 @@ def square():
     """A stage with a square of unlit discs 1 m in front of the camera, and its eye."""
     camera, target = Perspective(), Square(side=0.5, pose=Pose(xyz=(0, 0, 1)), marker=Disc(radius=0.03, lit=False))
     stage = Stage(free_parts(camera, target))
-    yield stage, Eye(stage, camera)
+    yield stage, OpenGLRenderer(stage, camera)
     stage.close()
 
 
@@ -99,7 +99,7 @@ def test_unlit_markers_have_exactly_their_colour(square):
     # At a slant as well: no shading.
     for T in (np.eye(4), Pose(xyz=(0.3, -0.1, -0.2), rpy_deg=(4, -15, 20)).T):
         view(stage, T)
-        image = eye.picture()
+        image = eye.full_image()
         u, v = np.round(camera.project(transform(inverse(T) @ target.pose.T, target.points))).astype(int).T
         # 0 and 255 exactly; half a grey level of rounding and half of stray light for 127.5.
         colours = image[v, u].astype(int)
@@ -113,18 +113,18 @@ def test_a_view_seen_again_has_the_same_bytes(square):
     stage, eye = square
     here, there = np.eye(4), Pose(xyz=(0.1, 0, 0)).T
     view(stage, here)
-    first = eye.picture()
+    first = eye.full_image()
     view(stage, there)
-    assert not np.array_equal(eye.picture(), first)
+    assert not np.array_equal(eye.full_image(), first)
     view(stage, here)
-    np.testing.assert_array_equal(eye.picture(), first)
+    np.testing.assert_array_equal(eye.full_image(), first)
 
 
 def test_noise_comes_from_the_generator(square):
     stage, _ = square
     view(stage, np.eye(4))
-    plain = Eye(stage, stage.parts.camera).picture()
-    noisy = [Eye(stage, stage.parts.camera, 3.0, np.random.default_rng(seed)).picture() for seed in (5, 5, 6)]
+    plain = OpenGLRenderer(stage, stage.parts.camera).full_image()
+    noisy = [OpenGLRenderer(stage, stage.parts.camera, 3.0, np.random.default_rng(seed)).full_image() for seed in (5, 5, 6)]
     np.testing.assert_array_equal(noisy[0], noisy[1])
     assert not np.array_equal(noisy[0], noisy[2])
     middle = (plain > 20) & (plain < 235)  # where nothing is clipped

@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
-from vstestbed.camera import Camera, Catadioptric, Fisheye, Frame, Perspective, Spherical
+from vstestbed.camera import Camera, Catadioptric, Fisheye, Perspective, Picture, SphericalCamera
 from vstestbed.core.errors import EnvironmentLackError, ParameterError
 from vstestbed.core.geometry import FLIP, Array, Pose, inverse, transform
 from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart
-from vstestbed.sim.render.opengl import Eye
-from vstestbed.sim.render.pictures import eye_of
+from vstestbed.sim.render.opengl import OpenGLRenderer
+from vstestbed.sim.render.pictures import servo_renderer
 from vstestbed.sim.render.pixel_check import pixel_convention
-from vstestbed.sim.render.rays import BLANK, Caster, RayEye, RayView
+from vstestbed.sim.render.rays import BLANK, Caster, RayRenderer, RaySceneCamera
 from vstestbed.sim.scene.compose import LENS_GROUP, Parts
 from vstestbed.sim.scene.stage import Stage
 from vstestbed.sim.scene.world import World
@@ -58,12 +58,14 @@ def test_markers_lie_where_opengl_draws_them(marker: Disc | Sphere):
     camera = Perspective(multisampling=4)
     target = Square(side=0.5, pose=Pose(xyz=(0, 0, 1)), marker=marker)
     stage = free_stage(target, camera)
-    eyes = Eye(stage, camera), RayEye(stage, camera)
+    eyes = OpenGLRenderer(stage, camera), RayRenderer(stage, camera)
     views = (Pose(), Pose(xyz=(0.3, -0.1, -0.2), rpy_deg=(4, -15, 20)), Pose(xyz=(-0.2, 0.1, -0.6), rpy_deg=(-8, 10, 100)))
     detector, differences = Blobs(), []
     for view in views:
         stage.place(0.0, target.pose.T, NONE, view.T)
-        seen = [detector.detect(detector.init(), Frame(0.0, eye.glimpse()), None, camera, target, np.random.default_rng(0)) for eye in eyes]
+        seen = [
+            detector.detect(detector.init(), Picture(0.0, eye.images()), None, camera, target, np.random.default_rng(0)) for eye in eyes
+        ]
         differences.append(seen[0][1].uv - seen[1][1].uv)
     stage.close()
     # The detector's own scatter on pictures of several samples a pixel is .02 to .04 px; half a pixel would be 5 times this.
@@ -74,7 +76,7 @@ def test_markers_lie_where_opengl_draws_them(marker: Disc | Sphere):
 def test_grey_levels_are_those_of_opengl(arm, offset: Array):
     stage = arm(offset)
     camera = stage.parts.camera
-    by_gl, by_rays = (eye.picture().astype(int) for eye in (Eye(stage, camera), RayEye(stage, camera)))
+    by_gl, by_rays = (eye.full_image().astype(int) for eye in (OpenGLRenderer(stage, camera), RayRenderer(stage, camera)))
     apart = np.abs(by_gl - by_rays).max(axis=-1)
     # Only OpenGL smoothes the floor's far squares, draws highlights, and makes circles from 28 corners.
     assert np.median(apart) == 0
@@ -83,21 +85,21 @@ def test_grey_levels_are_those_of_opengl(arm, offset: Array):
 
 
 def test_from_outside_too(arm):
-    from vstestbed.sim.render.opengl import View
+    from vstestbed.sim.render.opengl import SceneCamera
 
     stage = arm(ELSEWHERE)
-    by_gl = View(stage, "overview", 480, 270, shadows=False, style="outside").picture().astype(int)
-    apart = np.abs(by_gl - RayView(stage, "overview", 480, 270).picture()).max(axis=-1)
+    by_gl = SceneCamera(stage, "overview", 480, 270, shadows=False, style="outside").full_image().astype(int)
+    apart = np.abs(by_gl - RaySceneCamera(stage, "overview", 480, 270).full_image()).max(axis=-1)
     assert np.median(apart) == 0
     assert np.mean(apart > 10) < 0.01  # an arm's length that is missing, or another arm, would be 2 % and more
 
 
 def test_what_stands_still_is_not_drawn_again_and_looks_the_same(arm):
-    view = RayView(arm(), "overview", 320, 180, samples=4)
-    view.picture()
+    view = RaySceneCamera(arm(), "overview", 320, 180, samples=4)
+    view.full_image()
     for step in range(1, 4):
         stage = arm(step * 0.1 * ELSEWHERE)
-        np.testing.assert_array_equal(view.picture(), RayView(stage, "overview", 320, 180, samples=4).picture())
+        np.testing.assert_array_equal(view.full_image(), RaySceneCamera(stage, "overview", 320, 180, samples=4).full_image())
 
 
 def test_rays_hit_what_single_rays_hit(arm):
@@ -123,23 +125,23 @@ def test_rays_hit_what_single_rays_hit(arm):
 @pytest.mark.parametrize("multisampling", [0, 4])
 def test_windows_are_cut_from_the_whole_picture(arm, multisampling: int):
     stage = arm()
-    eye = RayEye(stage, replace(stage.parts.camera, multisampling=multisampling))
-    (whole,) = eye.glimpse()
+    eye = RayRenderer(stage, replace(stage.parts.camera, multisampling=multisampling))
+    (whole,) = eye.images()
     windows = ((300, 100, 420, 180), (0, 0, 30, 40), (600, 430, 640, 480), (410, 150, 470, 200))
-    (image,) = eye.glimpse((windows,))
+    (image,) = eye.images((windows,))
     assert whole is not None and image is not None
     blank = np.ones(image.shape[:2], dtype=bool)
     for left, top, right, bottom in windows:
         blank[top:bottom, left:right] = False
         np.testing.assert_array_equal(image[top:bottom, left:right], whole[top:bottom, left:right])
     assert (image[blank] == BLANK).all()
-    assert eye.glimpse(((),)) == (None,)
+    assert eye.images(((),)) == (None,)
 
 
 LENSES = [
     Fisheye(multisampling=4, width=800, height=800),
     Catadioptric(multisampling=4, width=800, height=800),
-    Spherical(multisampling=4, width=800, height=800),
+    SphericalCamera(multisampling=4, width=800, height=800),
     Perspective(multisampling=4, fovy_deg=90, distortion=BARREL),
 ]
 
@@ -153,12 +155,12 @@ def test_twenty_balls_lie_where_the_lens_projects_them_by_both_renderers(lens: C
         if len(chosen) < 20 and all(np.linalg.norm(uv - other) > 60 for other in chosen):
             chosen.append(uv)
     assert len(chosen) == 20
-    radius = 0.045 if isinstance(lens, Spherical) else 0.015  # [m], 2 to 6 px
+    radius = 0.045 if isinstance(lens, SphericalCamera) else 0.015  # [m], 2 to 6 px
     balls = lens.ray(np.array(chosen)) * rng.uniform(1, 1.5, (20, 1))
     target = Points(at=tuple(map(tuple, balls.tolist())), pose=Pose(), marker=Sphere(radius=radius, lit=False))
     stage = free_stage(target, lens)
     stage.place(0.0, np.eye(4), NONE, np.eye(4))
-    pictures = [eye(stage, lens).picture().astype(float) for eye in (RayEye, Eye)]
+    pictures = [eye(stage, lens).full_image().astype(float) for eye in (RayRenderer, OpenGLRenderer)]
     stage.close()
     np.testing.assert_allclose(lens.project(balls), chosen, atol=1e-6)
     wanted = np.array([outline_centre(lens, ball, radius) for ball in balls])
@@ -204,7 +206,7 @@ def test_balls_of_the_pixel_check_lie_where_they_should():
 
 
 def test_no_ray_is_black(arm):
-    image = RayEye(arm(), Fisheye(width=64, height=64)).picture()
+    image = RayRenderer(arm(), Fisheye(width=64, height=64)).full_image()
     assert (image[0, 0] == 0).all()
     assert image[32, 32].min() > 0
 
@@ -215,18 +217,18 @@ def test_unlit_markers_have_exactly_their_colour():
     T = Pose(xyz=(0.3, -0.1, -0.2), rpy_deg=(4, -15, 20)).T
     stage.place(0.0, target.pose.T, NONE, T)
     u, v = np.round(camera.project(transform(inverse(T) @ target.pose.T, target.points))).astype(int).T
-    assert np.abs(RayEye(stage, camera).picture()[v, u] - 255 * target.colors).max() <= 1
+    assert np.abs(RayRenderer(stage, camera).full_image()[v, u] - 255 * target.colors).max() <= 1
     stage.close()
 
 
 def test_noise_is_that_of_opengl(arm):
     stage = arm()
     camera = stage.parts.camera
-    plain = RayEye(stage, camera).picture().astype(int)
-    noisy = [RayEye(stage, camera, 3.0, np.random.default_rng(seed)).picture() for seed in (5, 5, 6)]
+    plain = RayRenderer(stage, camera).full_image().astype(int)
+    noisy = [RayRenderer(stage, camera, 3.0, np.random.default_rng(seed)).full_image() for seed in (5, 5, 6)]
     np.testing.assert_array_equal(noisy[0], noisy[1])
     assert not np.array_equal(noisy[0], noisy[2])
-    by_gl = [Eye(stage, camera, sigma, np.random.default_rng(5)).picture().astype(int) for sigma in (0.0, 3.0)]
+    by_gl = [OpenGLRenderer(stage, camera, sigma, np.random.default_rng(5)).full_image().astype(int) for sigma in (0.0, 3.0)]
     clear = (plain == by_gl[0]) & (plain > 20) & (plain < 235)
     np.testing.assert_array_equal((noisy[0] - plain)[clear], (by_gl[1] - by_gl[0])[clear])
 
@@ -235,25 +237,25 @@ class TestWhatRaysCannotDraw:
     def test_shadows(self, arm):
         camera = replace(arm().parts.camera, shadows=True)
         with pytest.raises(ParameterError, match=r"camera.renderer must be gl or auto: shadows need OpenGL"):
-            RayEye(arm(), replace(camera, renderer="rays"))
+            RayRenderer(arm(), replace(camera, renderer="rays"))
         with pytest.raises(EnvironmentLackError, match=r"shadows need OpenGL; .*install libegl1 libgl1"):
-            RayEye(arm(), camera)
+            RayRenderer(arm(), camera)
 
     def test_textured_markers(self):
         camera = Perspective()
         stage = free_stage(Square(side=0.5, pose=Pose(xyz=(0, 0, 1))), camera)
         stage.model.mat_texid[stage.model.material("target/color_0").id] = stage.model.mat_texid[stage.model.material("floor").id]
         with pytest.raises(EnvironmentLackError, match="textured markers need OpenGL; "):
-            RayEye(stage, camera)
+            RayRenderer(stage, camera)
         with pytest.raises(ParameterError, match="must be gl or auto: textured markers need OpenGL"):
-            RayEye(stage, replace(camera, renderer="rays"))
+            RayRenderer(stage, replace(camera, renderer="rays"))
         stage.close()
 
 
 class TestChoice:
     def test_each_word_is_heard(self, arm):
         camera = arm().parts.camera
-        names = {word: eye_of(arm(), replace(camera, renderer=word)).renderer for word in ("auto", "gl", "rays")}
+        names = {word: servo_renderer(arm(), replace(camera, renderer=word)).name for word in ("auto", "gl", "rays")}
         assert names["auto"] == names["gl"] != names["rays"] == "rays (mj_multiRay)"
 
     def test_auto_takes_rays_without_opengl_and_gl_does_not(self, arm, monkeypatch: pytest.MonkeyPatch):
@@ -262,11 +264,11 @@ class TestChoice:
         monkeypatch.setenv("MUJOCO_GL", "disable")
         monkeypatch.setattr(gl, "_lack", [])
         camera = arm().parts.camera
-        assert eye_of(arm(), camera).renderer == "rays (mj_multiRay)"
+        assert servo_renderer(arm(), camera).name == "rays (mj_multiRay)"
         with pytest.raises(EnvironmentLackError, match="no OpenGL: MUJOCO_GL=disable is set"):
-            eye_of(arm(), replace(camera, renderer="gl"))
+            servo_renderer(arm(), replace(camera, renderer="gl"))
         with pytest.raises(EnvironmentLackError, match=r"shadows need OpenGL \(no OpenGL: MUJOCO_GL=disable is set\); unset MUJOCO_GL"):
-            eye_of(arm(), replace(camera, shadows=True))
+            servo_renderer(arm(), replace(camera, shadows=True))
 
 
 def test_arm_ibvs_converges_with_the_same_bytes_each_time():

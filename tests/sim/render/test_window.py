@@ -10,7 +10,7 @@ import pytest
 import vstestbed as vs
 from vstestbed.camera import Perspective
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.sim.render.opengl import Eye, View
+from vstestbed.sim.render.opengl import OpenGLRenderer, SceneCamera
 from vstestbed.sim.render.window import REACH, part_round
 from vstestbed.sim.scene.compose import Parts
 from vstestbed.sim.scene.stage import Stage
@@ -34,11 +34,11 @@ def stage_of(scenario: Scenario) -> Stage:
 )
 def test_a_part_is_what_the_whole_picture_has_there(changes: dict[str, object]):
     stage = stage_of(vs.load("arm_ibvs", changes))
-    eye = Eye(stage, stage.parts.camera)
-    whole = eye.picture()
+    eye = OpenGLRenderer(stage, stage.parts.camera)
+    whole = eye.full_image()
     assert eye.whole
     left, top, right, bottom = PART
-    (part,) = eye.glimpse((WINDOWS,))
+    (part,) = eye.images((WINDOWS,))
     assert part is not None and not eye.whole
     apart = np.abs(part[top:bottom, left:right].astype(int) - whole[top:bottom, left:right]).max(axis=-1)
     # Vertices are rounded to 1/256 px after a float's rounding, which differs: a pixel in some thousands is another one.
@@ -47,14 +47,14 @@ def test_a_part_is_what_the_whole_picture_has_there(changes: dict[str, object]):
     outside = np.ones(part.shape[:2], dtype=bool)
     outside[top:bottom, left:right] = False
     assert not part[outside].any()
-    np.testing.assert_array_equal(eye.picture(), whole)  # and nothing of it stays
+    np.testing.assert_array_equal(eye.full_image(), whole)  # and nothing of it stays
 
 
 def test_the_next_part_has_nothing_of_the_last():
     stage = stage_of(vs.load("arm_ibvs"))
-    eye = Eye(stage, stage.parts.camera)
-    eye.glimpse((WINDOWS,))
-    (part,) = eye.glimpse((((10, 400, 40, 430),),))
+    eye = OpenGLRenderer(stage, stage.parts.camera)
+    eye.images((WINDOWS,))
+    (part,) = eye.images((((10, 400, 40, 430),),))
     assert part is not None and part[390:440, :70].any() and not part[68:212, 218:452].any()
 
 
@@ -65,8 +65,8 @@ def test_the_next_part_has_nothing_of_the_last():
 )
 def test_where_a_part_is_not_enough_the_picture_is_whole(camera: Perspective, sigma: float):
     stage = stage_of(replace(vs.load("arm_ibvs"), camera=camera))
-    eye = Eye(stage, camera, sigma, np.random.default_rng(0))
-    (image,) = eye.glimpse((WINDOWS,))
+    eye = OpenGLRenderer(stage, camera, sigma, np.random.default_rng(0))
+    (image,) = eye.images((WINDOWS,))
     assert eye.whole and image is not None and image[10, 10].any()
 
 
@@ -81,10 +81,10 @@ def test_a_floor_casts_no_shadow_on_itself():
     # With its own shadow, software OpenGL dotted the floor of this view from the light's side on.
     stage = stage_of(vs.load("omni_ibvs", {"robot.wheels": "planar"}))
     stage.model.vis.quality.shadowsize = 1024
-    view = View(stage, "overview", 480, 270, shadows=True, style="outside")
-    lit = view.picture().max(axis=-1)
+    view = SceneCamera(stage, "overview", 480, 270, shadows=True, style="outside")
+    lit = view.full_image().max(axis=-1)
     stage.model.geom_rgba[:, 3] = np.where(stage.model.geom_group == 0, stage.model.geom_rgba[:, 3], 0)
     stage.model.mat_rgba[[m for m in range(stage.model.nmat) if stage.model.material(m).name != "floor"], 3] = 0
-    bare = view.picture().max(axis=-1)
+    bare = view.full_image().max(axis=-1)
     assert np.mean(lit < 120) > 1e-3  # the base, its shadow, those of the landmarks: so there are shadows
     assert not np.any(bare < 140)  # the floor's darker squares are 155 and more

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tests.vision.conftest import Picture
-from vstestbed.camera import Frame, Perspective
+from tests.vision.conftest import TakePicture
+from vstestbed.camera import Perspective, Picture
 from vstestbed.core.geometry import Array, Pose, exp, inverse, rigid_error, transform
 from vstestbed.targets.base import Target
 from vstestbed.targets.markers import Disc, Marker, Sphere
@@ -41,12 +41,12 @@ def _poses(n: int) -> list[Array]:
     return [_tilted(d[0], d[1], d[2], (d[3], d[4], d[5])) for d in draws]
 
 
-def _detect(frame: Frame, target: Target, blobs: Blobs | None = None, camera: Perspective = CAMERA) -> Detection:
+def _detect(frame: Picture, target: Target, blobs: Blobs | None = None, camera: Perspective = CAMERA) -> Detection:
     blobs = blobs or Blobs()
     return blobs.detect(blobs.init(), frame, None, camera, target, RNG)[1]
 
 
-def _errors(picture: Picture, target: Target, blobs: Blobs, camera: Perspective = CAMERA, n: int = 20) -> Array:
+def _errors(picture: TakePicture, target: Target, blobs: Blobs, camera: Perspective = CAMERA, n: int = 20) -> Array:
     """Distances [px] of all markers in n views from the analytic projection; every marker must be seen."""
     errors = []
     for T in _poses(n):
@@ -60,7 +60,7 @@ MARKERS = [Disc(radius=0.02), Disc(radius=0.06), Sphere(radius=0.02), Sphere(rad
 
 
 @pytest.mark.parametrize("marker", MARKERS, ids=lambda m: f"{m.kind} {m.radius}")
-def test_error_against_projection(picture: Picture, marker: Marker) -> None:
+def test_error_against_projection(picture: TakePicture, marker: Marker) -> None:
     # One sample a pixel: discs of 5 to 12 px radius have .04 to .1 px of rounding; an error of zero would be the truth leaking.
     errors = _errors(picture, _square(marker), Blobs())
     assert np.median(errors) < 0.1
@@ -69,7 +69,7 @@ def test_error_against_projection(picture: Picture, marker: Marker) -> None:
 
 
 @pytest.mark.parametrize("marker", [Disc(radius=0.06), Sphere(radius=0.06)], ids=lambda m: m.kind)
-def test_correction_of_the_centre_matters_for_large_markers(picture: Picture, marker: Marker) -> None:
+def test_correction_of_the_centre_matters_for_large_markers(picture: TakePicture, marker: Marker) -> None:
     with_it = np.median(_errors(picture, _square(marker), Blobs()))
     without = np.median(_errors(picture, _square(marker), Blobs(correct_centre=False)))
     assert with_it < 0.06
@@ -77,7 +77,7 @@ def test_correction_of_the_centre_matters_for_large_markers(picture: Picture, ma
 
 
 @pytest.mark.parametrize(("marker", "bound"), [(Disc(radius=0.02), 0.06), (Sphere(radius=0.02), 0.1)], ids=["disc", "sphere"])
-def test_grey_moments_with_multisampling(picture: Picture, marker: Marker, bound: float) -> None:
+def test_grey_moments_with_multisampling(picture: TakePicture, marker: Marker, bound: float) -> None:
     # A fixed threshold would be .27 px off towards the light on balls.
     camera = Perspective(multisampling=4)
     grey = _errors(picture, _square(marker), Blobs(moments="grey"), camera)
@@ -86,7 +86,7 @@ def test_grey_moments_with_multisampling(picture: Picture, marker: Marker, bound
     assert np.median(grey) < np.median(binary)
 
 
-def test_pose_comes_with_the_detection(picture: Picture) -> None:
+def test_pose_comes_with_the_detection(picture: TakePicture) -> None:
     target = _square(Disc(radius=0.02))
     found = _detect(picture(target, FRONT, CAMERA), target)
     assert found.p_camera is None
@@ -96,7 +96,7 @@ def test_pose_comes_with_the_detection(picture: Picture) -> None:
     assert angle < 0.015
 
 
-def test_markers_that_do_not_glow_keep_their_hue(picture: Picture) -> None:
+def test_markers_that_do_not_glow_keep_their_hue(picture: TakePicture) -> None:
     target = _square(Sphere(radius=0.05))
     for T in _poses(10):
         lit, glowing = (_detect(picture(target, T, CAMERA, lit=lit), target) for lit in (True, False))
@@ -105,7 +105,7 @@ def test_markers_that_do_not_glow_keep_their_hue(picture: Picture) -> None:
         assert np.abs(lit.uv - glowing.uv).max() < 0.15
 
 
-def test_twelve_markers(picture: Picture) -> None:
+def test_twelve_markers(picture: TakePicture) -> None:
     at = tuple((0.12 * i, 0.12 * j, 0.02 * ((i + j) % 3)) for i, j in itertools.product(range(-2, 2), range(-1, 2)))
     target = Points(pose=Pose(), at=at, marker=Disc(radius=0.02))
     for T in _poses(5):
@@ -114,7 +114,7 @@ def test_twelve_markers(picture: Picture) -> None:
         assert np.linalg.norm(found.uv - CAMERA.project(transform(T, target.points)), axis=1).max() < 0.35
 
 
-def test_twenty_four_markers_are_told_apart(picture: Picture) -> None:
+def test_twenty_four_markers_are_told_apart(picture: TakePicture) -> None:
     at = tuple((0.12 * i, 0.12 * j, 0.0) for i, j in itertools.product(range(-3, 3), range(-2, 2)))
     target = Points(pose=Pose(), at=at, marker=Disc(radius=0.02))
     T = Pose(xyz=(0.05, 0.05, 1.1), rpy_deg=(10, 10, 5)).T
@@ -126,7 +126,7 @@ def test_twenty_four_markers_are_told_apart(picture: Picture) -> None:
 # What is not seen
 
 
-def test_cut_by_the_border_is_not_seen(picture: Picture) -> None:
+def test_cut_by_the_border_is_not_seen(picture: TakePicture) -> None:
     target = _square(Disc(radius=0.03))
     for shift in (0.65, 0.68, 0.7, 0.8):  # half the picture is .833 m wide at 1 m: the right markers (at +.15) are cut, then outside
         T = Pose(xyz=(shift, 0, 1)).T
@@ -150,7 +150,7 @@ def _plate(i: int, offset: float, T: Array, target: Target, rgba: str = ".5 .5 .
 
 @pytest.mark.parametrize("offset", [-0.5, 0.0, 0.5])
 @pytest.mark.parametrize("rgba", [".5 .5 .5 1", ".9 .1 .6 1"], ids=["grey", "coloured"])
-def test_half_hidden_is_not_seen_and_spoils_nothing(picture: Picture, offset: float, rgba: str) -> None:
+def test_half_hidden_is_not_seen_and_spoils_nothing(picture: TakePicture, offset: float, rgba: str) -> None:
     target = _square(Disc(radius=0.02))
     found = _detect(picture(target, FRONT, CAMERA, _plate(2, offset, FRONT, target, rgba)), target)
     assert found.seen.tolist() == [True, True, False, True]
@@ -159,7 +159,7 @@ def test_half_hidden_is_not_seen_and_spoils_nothing(picture: Picture, offset: fl
 
 
 @pytest.mark.study
-def test_little_hidden_shifts_little(picture: Picture) -> None:
+def test_little_hidden_shifts_little(picture: TakePicture) -> None:
     # However much of a marker is hidden, what is reported is never off by more than about a pixel.
     target = _square(Disc(radius=0.02))
     true = CAMERA.project(transform(FRONT, target.points))
@@ -170,7 +170,7 @@ def test_little_hidden_shifts_little(picture: Picture) -> None:
             assert np.linalg.norm(found.uv - true, axis=1)[0] < 1.2
 
 
-def test_half_hidden_among_few_markers(picture: Picture) -> None:
+def test_half_hidden_among_few_markers(picture: TakePicture) -> None:
     for at in (((0, 0, 0), (0.2, 0, 0), (0, 0.2, 0)), ((0, 0, 0), (0.2, 0, 0)), ((0, 0, 0),)):
         target = Points(pose=Pose(), at=at, marker=Disc(radius=0.025))
         assert _detect(picture(target, FRONT, CAMERA), target).seen.all()
@@ -178,7 +178,7 @@ def test_half_hidden_among_few_markers(picture: Picture) -> None:
         assert found.seen.tolist() == [False] + [True] * (len(at) - 1)
 
 
-def test_three_markers_have_a_pose_from_the_first_picture_on(picture: Picture) -> None:
+def test_three_markers_have_a_pose_from_the_first_picture_on(picture: TakePicture) -> None:
     target = Points(pose=Pose(), at=((0, 0, 0), (0.3, 0, 0), (0, 0.3, 0)), marker=Disc(radius=0.03))
     right = 0
     for T in _poses(10):
@@ -190,14 +190,14 @@ def test_three_markers_have_a_pose_from_the_first_picture_on(picture: Picture) -
     assert right >= 8
 
 
-def test_behind_the_camera_and_no_target(picture: Picture) -> None:
+def test_behind_the_camera_and_no_target(picture: TakePicture) -> None:
     target = _square(Disc(radius=0.02))
     found = _detect(picture(target, Pose(xyz=(0, 0, -1)).T, CAMERA), target)
     assert not found.seen.any()
     assert found.T_camera_target is None
 
 
-def test_smaller_things_of_the_same_hue_are_not_taken(picture: Picture) -> None:
+def test_smaller_things_of_the_same_hue_are_not_taken(picture: TakePicture) -> None:
     target = _square(Disc(radius=0.02))
     extra = '<geom type="sphere" size=".012" pos=".3 .2 1" rgba="1 0 0 1"/>'
     found = _detect(picture(target, FRONT, CAMERA, extra), target)
@@ -218,7 +218,9 @@ def _path(n: int) -> list[Array]:
 
 
 @pytest.mark.parametrize("camera", [CAMERA, Perspective(multisampling=4)], ids=["sharp", "smooth"])
-def test_windows_give_the_same_bytes_as_the_whole_picture(picture: Picture, camera: Perspective, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_windows_give_the_same_bytes_as_the_whole_picture(
+    picture: TakePicture, camera: Perspective, monkeypatch: pytest.MonkeyPatch
+) -> None:
     target, blobs = _square(Sphere(radius=0.02)), Blobs()
     frames = [picture(target, T, camera) for T in _path(25)]
     whole = [_detect(frame, target, blobs, camera) for frame in frames]
@@ -230,7 +232,7 @@ def test_windows_give_the_same_bytes_as_the_whole_picture(picture: Picture, came
         assert found.uv.tobytes() == expected.uv.tobytes()
 
 
-def test_lost_and_found_again(picture: Picture) -> None:
+def test_lost_and_found_again(picture: TakePicture) -> None:
     target, blobs = _square(Disc(radius=0.02)), Blobs()
     memory = blobs.init()
     screen = PLATE.format(w=0.4, x=0, y=0, z=0.5, rgba=".5 .5 .5 1")
@@ -241,7 +243,7 @@ def test_lost_and_found_again(picture: Picture) -> None:
     assert seen == [4] * 4 + [0] * 4 + [4] * 4
 
 
-def test_marker_that_leaves_the_picture_and_comes_back(picture: Picture) -> None:
+def test_marker_that_leaves_the_picture_and_comes_back(picture: TakePicture) -> None:
     target, blobs = _square(Disc(radius=0.02)), Blobs()
     memory = blobs.init()
     for x in [*np.arange(0.5, 0.8, 0.02), *np.arange(0.8, 0.5, -0.02)]:
@@ -272,7 +274,7 @@ def test_no_half_pixel_bias() -> None:
     offsets = []
     for _ in range(40):
         centres = CAMERA.project(transform(Pose(xyz=(0, 0, 1)).T, target.points)) + rng.uniform(-0.5, 0.5, 2)
-        found = _detect(Frame(t=0.0, images=(_drawn(centres, target.colors, 7.68),)), target, blobs)
+        found = _detect(Picture(t=0.0, images=(_drawn(centres, target.colors, 7.68),)), target, blobs)
         assert found.seen.all()
         offsets.append(found.uv - centres)
     # 160 markers with .07 px of rounding: the mean is known within .006 px.
@@ -283,7 +285,7 @@ def test_noise_in_the_picture() -> None:
     target = _square(Disc(radius=0.02))
     centres = CAMERA.project(transform(Pose(xyz=(0, 0, 1)).T, target.points))
     image = _drawn(centres, target.colors, 7.68).astype(float) + np.random.default_rng(0).normal(0, 8, (480, 640, 3))
-    found = _detect(Frame(t=0.0, images=(np.clip(np.round(image), 0, 255).astype(np.uint8),)), target)
+    found = _detect(Picture(t=0.0, images=(np.clip(np.round(image), 0, 255).astype(np.uint8),)), target)
     assert found.seen.all()
     assert np.abs(found.uv - centres).max() < 0.3
 
@@ -291,13 +293,13 @@ def test_noise_in_the_picture() -> None:
 SIGMAS = (2.0, 8.0, 20.0)
 
 
-def _noisy(frame: Frame, sigma: float, rng: np.random.Generator) -> Frame:
+def _noisy(frame: Picture, sigma: float, rng: np.random.Generator) -> Picture:
     noise = rng.normal(0.5, sigma, frame.image.shape)
-    return Frame(t=0.0, images=(np.clip(frame.image + noise, 0, 255).astype(np.uint8),))
+    return Picture(t=0.0, images=(np.clip(frame.image + noise, 0, 255).astype(np.uint8),))
 
 
 @pytest.mark.parametrize("sigma", [0.0, *SIGMAS])
-def test_noise_is_estimated_from_the_picture(picture: Picture, sigma: float) -> None:
+def test_noise_is_estimated_from_the_picture(picture: TakePicture, sigma: float) -> None:
     image = _noisy(picture(_square(Sphere(radius=0.06)), FRONT, CAMERA), sigma, np.random.default_rng(3)).image
     assert noise_level(image) == pytest.approx(sigma, rel=0.1)
     assert (noise_level(image) == 0) == (sigma == 0)
@@ -313,7 +315,7 @@ def test_noise_of_a_low_picture(height: int) -> None:
 @pytest.mark.parametrize(
     "camera", [pytest.param(CAMERA, id="sharp"), pytest.param(Perspective(multisampling=4), id="smooth", marks=pytest.mark.study)]
 )
-def test_centroids_scatter_with_the_noise(picture: Picture, camera: Perspective) -> None:
+def test_centroids_scatter_with_the_noise(picture: TakePicture, camera: Perspective) -> None:
     target, blobs, rng = _square(Disc(radius=0.02)), Blobs(), np.random.default_rng(4)
     frames = [picture(target, T, camera) for T in _poses(20)]
     clean = [_detect(frame, target, blobs, camera).uv for frame in frames]
@@ -332,7 +334,7 @@ def test_centroids_scatter_with_the_noise(picture: Picture, camera: Perspective)
 
 
 @pytest.mark.parametrize("marker", MARKERS, ids=lambda m: f"{m.kind} {m.radius}")
-def test_noise_does_not_shift_shaded_markers(picture: Picture, marker: Marker) -> None:
+def test_noise_does_not_shift_shaded_markers(picture: TakePicture, marker: Marker) -> None:
     target, rng = _square(marker), np.random.default_rng(5)
     errors = []
     for T in _poses(20):
@@ -343,7 +345,7 @@ def test_noise_does_not_shift_shaded_markers(picture: Picture, marker: Marker) -
     assert np.abs(np.mean(errors, axis=(0, 1))).max() < 0.1
 
 
-def test_much_noise_while_tracking(picture: Picture) -> None:
+def test_much_noise_while_tracking(picture: TakePicture) -> None:
     target, blobs, rng = _square(Disc(radius=0.02)), Blobs(), np.random.default_rng(6)
     memory, seen = blobs.init(), []
     for T in _path(40):
@@ -358,7 +360,7 @@ def test_much_noise_while_tracking(picture: Picture) -> None:
 
 def test_noise_alone_holds_no_markers() -> None:
     target, blobs, rng = _square(Disc(radius=0.02)), Blobs(), np.random.default_rng(7)
-    grey = Frame(t=0.0, images=(np.full((CAMERA.height, CAMERA.width, 3), 128, np.uint8),))
+    grey = Picture(t=0.0, images=(np.full((CAMERA.height, CAMERA.width, 3), 128, np.uint8),))
     for sigma in SIGMAS:
         for _ in range(10):
             assert not _detect(_noisy(grey, sigma, rng), target, blobs).seen.any()
@@ -367,7 +369,7 @@ def test_noise_alone_holds_no_markers() -> None:
 def test_grey_pictures_hold_no_markers() -> None:
     target, blobs = _square(Disc(radius=0.02)), Blobs()
     ramp = np.repeat(np.tile(np.arange(640) * 255 // 639, (480, 1))[..., None], 3, axis=2).astype(np.uint8)
-    memory, found = blobs.detect(blobs.init(), Frame(t=0.0, images=(ramp,)), None, CAMERA, target, RNG)
+    memory, found = blobs.detect(blobs.init(), Picture(t=0.0, images=(ramp,)), None, CAMERA, target, RNG)
     assert not found.seen.any()
     assert memory.blobs == (None,) * 4
     assert memory.T_camera_target is None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.vision.conftest import Picture
+from tests.vision.conftest import TakePicture
 from vstestbed.camera import Perspective
 from vstestbed.core.geometry import Array, Pose, exp, rigid_error, transform
 from vstestbed.targets.markers import Disc
@@ -40,32 +40,32 @@ def _check(found, wanted: list[bool], T: Array) -> None:
     assert np.abs(found.uv - true)[found.seen].max() < 0.5
 
 
-def _seen(picture: Picture, T: Array, extra: str):
+def _seen(picture: TakePicture, T: Array, extra: str):
     return Blobs().detect(Blobs().init(), picture(TARGET, T, CAMERA, extra), None, CAMERA, TARGET, RNG)[1]
 
 
 @pytest.mark.parametrize("radius", [0.015, 0.022, 0.05])
 @pytest.mark.parametrize("markers", [(0,), (2,), (0, 1), (1, 3), (0, 1, 2, 3)], ids=str)
-def test_from_the_first_picture_on(picture: Picture, markers: tuple[int, ...], radius: float) -> None:
+def test_from_the_first_picture_on(picture: TakePicture, markers: tuple[int, ...], radius: float) -> None:
     # One decoy for each of the markers, larger and smaller than those, beside the target.
     extra = "".join(_ball(m, -0.4 + 0.2 * m, (-0.35, 0.33)[m % 2], radius) for m in markers)
     _check(_seen(picture, FRONT, extra), [True] * 4, FRONT)
 
 
-def test_several_of_one_hue(picture: Picture) -> None:
+def test_several_of_one_hue(picture: TakePicture) -> None:
     extra = "".join(_ball(1, x, 0.33) for x in (-0.3, 0.0, 0.3))
     _check(_seen(picture, FRONT, extra), [True] * 4, FRONT)
 
 
 @pytest.mark.parametrize("marker", range(4))
 @pytest.mark.parametrize("pose", [FRONT, _tilted(0.5, 2.5, (-0.1, 0.05, 1.1))], ids=["front", "tilted"])
-def test_a_decoy_beside_a_hidden_marker_is_not_it(picture: Picture, marker: int, pose: Array) -> None:
+def test_a_decoy_beside_a_hidden_marker_is_not_it(picture: TakePicture, marker: int, pose: Array) -> None:
     p = transform(pose, TARGET.points)[marker] * 0.9
     extra = SCREEN.format(x=p[0], y=p[1], z=p[2]) + _ball(marker, p[0] + 0.13, p[1], 0.02, pose[2, 3])
     _check(_seen(picture, pose, extra), [i != marker for i in range(4)], pose)
 
 
-def test_a_decoy_that_passes_in_front_of_a_marker_does_not_take_it_along(picture: Picture) -> None:
+def test_a_decoy_that_passes_in_front_of_a_marker_does_not_take_it_along(picture: TakePicture) -> None:
     blobs = Blobs()
     memory, whole = blobs.init(), 0
     u, v, _ = transform(FRONT, TARGET.points)[2]
@@ -84,7 +84,7 @@ def test_a_decoy_that_passes_in_front_of_a_marker_does_not_take_it_along(picture
 
 
 @pytest.mark.parametrize("known", [True, False], ids=["tracked before", "first picture"])
-def test_with_a_marker_hidden_none_jumps_to_decoys_of_all_hues(picture: Picture, known: bool) -> None:
+def test_with_a_marker_hidden_none_jumps_to_decoys_of_all_hues(picture: TakePicture, known: bool) -> None:
     """Three markers continue a pose that is known; without one any three blobs make a pose, and nothing is told from another."""
     blobs, p = Blobs(), transform(FRONT, TARGET.points)[0] * 0.9
     memory = blobs.init()
@@ -99,7 +99,7 @@ def test_with_a_marker_hidden_none_jumps_to_decoys_of_all_hues(picture: Picture,
         assert not found.seen.any()
 
 
-def test_tracked_windows_are_not_left_for_a_decoy_nearby(picture: Picture) -> None:
+def test_tracked_windows_are_not_left_for_a_decoy_nearby(picture: TakePicture) -> None:
     blobs = Blobs()
     memory = blobs.init()
     extra = _ball(0, transform(FRONT, TARGET.points)[0][0] + 0.06, transform(FRONT, TARGET.points)[0][1], 0.02)

@@ -4,13 +4,13 @@ import mujoco
 import numpy as np
 import pytest
 
-from vstestbed.camera import Fisheye, Frame, Perspective, Spherical
+from vstestbed.camera import Fisheye, Perspective, Picture, SphericalCamera
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose, inverse
 from vstestbed.core.planar import GroundPose
 from vstestbed.robots import Omni
 from vstestbed.robots.ground import GroundStart
-from vstestbed.sim.render.pictures import eye_of
+from vstestbed.sim.render.pictures import servo_renderer
 from vstestbed.sim.scene.compose import Parts
 from vstestbed.sim.scene.stage import Stage
 from vstestbed.sim.scene.world import Plate, World
@@ -31,13 +31,13 @@ class Bench:
         robot = Omni(wheels="planar", start=GroundStart(nominal=GroundPose()))
         self.lines, self.camera = lines, camera
         self.stage = Stage(Parts(robot, camera, lines, world or World(), 0.002), samples=camera.multisampling)
-        self.eye = eye_of(self.stage, camera, sigma, np.random.default_rng(1))
+        self.eye = servo_renderer(self.stage, camera, sigma, np.random.default_rng(1))
 
     def frame(self, x, y, heading_deg, look=None):
         T = GroundPose(x=x, y=y, heading_deg=heading_deg).T @ self.camera.mount.T
         self.stage.place(0.0, self.lines.pose.T, np.zeros(3), T)
         mujoco.mj_forward(self.stage.model, self.stage.data)
-        return Frame(0.0, self.eye.glimpse(look), self.eye.whole), T
+        return Picture(0.0, self.eye.images(look), self.eye.whole), T
 
     def errors(self, places):
         """Measured less true pixels of all points at each place, (places, N, 2); each picture on its own."""
@@ -69,7 +69,9 @@ def test_of_two_lines_each_by_its_hue():
     assert np.sqrt(np.nanmean(errors**2)) < 0.1
 
 
-@pytest.mark.parametrize("camera", [Fisheye(width=480, height=480, fov_deg=170, mount=MOUNT), Spherical(mount=MOUNT)], ids=lambda c: c.kind)
+@pytest.mark.parametrize(
+    "camera", [Fisheye(width=480, height=480, fov_deg=170, mount=MOUNT), SphericalCamera(mount=MOUNT)], ids=lambda c: c.kind
+)
 def test_any_lens(camera):
     errors = Bench(GroundLines(route=WAY, marker={"kind": "stripe", "width_m": 0.05}), camera).errors(PLACES[:6])
     assert np.isfinite(errors).all() and np.sqrt((errors**2).mean()) < 0.1
@@ -117,6 +119,6 @@ def test_only_the_strips_are_looked_at():
 
 def test_refuses_a_floor_that_it_does_not_see():
     up = Perspective(mount=Pose(xyz=(0, 0, 0.3)))
-    frame = Frame(0.0, (np.zeros((480, 640, 3), np.uint8),))
+    frame = Picture(0.0, (np.zeros((480, 640, 3), np.uint8),))
     with pytest.raises(ParameterError, match="where the camera sees the floor"):
         Lines().detect(Lines().init(), frame, None, up, GroundLines(route=WAY), RNG)

@@ -9,12 +9,12 @@ import cv2
 import numpy as np
 import pytest
 
-from vstestbed.camera import Frame, Perspective
+from vstestbed.camera import Perspective, Picture
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, exp, rigid_error, transform
 from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart
-from vstestbed.sim.render.opengl import Eye
+from vstestbed.sim.render.opengl import OpenGLRenderer
 from vstestbed.sim.scene.compose import Parts
 from vstestbed.sim.scene.stage import Stage
 from vstestbed.sim.scene.world import Plate, World
@@ -26,23 +26,23 @@ from vstestbed.vision.detect.tag_print import dictionary, tag_picture
 
 CAMERA = Perspective()  # 640 x 480, f = 384 px
 RNG = np.random.default_rng(0)
-Picture = Callable[..., Frame]
+TakePicture = Callable[..., Picture]
 
 
 @pytest.fixture(scope="module")
-def picture() -> Iterator[Picture]:
-    """picture(target, T_camera_target, camera, plates) -> Frame, drawn by the scene itself; one renderer a scene."""
-    stages: dict[tuple[object, ...], tuple[Stage, Eye]] = {}
+def picture() -> Iterator[TakePicture]:
+    """picture(target, T_camera_target, camera, plates) -> Picture, drawn by the scene itself; one renderer a scene."""
+    stages: dict[tuple[object, ...], tuple[Stage, OpenGLRenderer]] = {}
 
-    def take(target: Target, T: Array, camera: Perspective = CAMERA, plates: tuple[Plate, ...] = ()) -> Frame:
+    def take(target: Target, T: Array, camera: Perspective = CAMERA, plates: tuple[Plate, ...] = ()) -> Picture:
         key = (target, camera, plates)
         if key not in stages:
             world = World(floor_z=-20.0, plates=plates)
             stage = Stage(Parts(Free(start=FreeStart(nominal=Pose())), camera, target, world, 0.002), camera.multisampling)
-            stages[key] = stage, Eye(stage, camera)
+            stages[key] = stage, OpenGLRenderer(stage, camera)
         stage, eye = stages[key]
         stage.place(0.0, T, np.zeros(0), np.eye(4))
-        return Frame(0.0, (eye.picture(),))
+        return Picture(0.0, (eye.full_image(),))
 
     yield take
     for stage, _ in stages.values():
@@ -68,12 +68,12 @@ def _views(n: int = 20, least_tilt: float = 0.0, most_tilt: float = 0.8) -> list
     return [_view(d[0], d[1], d[2], d[3:]) for d in np.random.default_rng(1).uniform(low, high, (n, 6))]
 
 
-def _detect(frame: Frame, target: Target, camera: Perspective = CAMERA, tags: Tags | None = None) -> Detection:
+def _detect(frame: Picture, target: Target, camera: Perspective = CAMERA, tags: Tags | None = None) -> Detection:
     tags = tags or Tags()
     return tags.detect(tags.init(), frame, None, camera, target, RNG)[1]
 
 
-def _errors(picture: Picture, target: Target, views: list[Array], camera: Perspective = CAMERA) -> Array:
+def _errors(picture: TakePicture, target: Target, views: list[Array], camera: Perspective = CAMERA) -> Array:
     """Distances [px] of all centres from the analytic projection; every tag must be seen, in the target's order."""
     errors = []
     for T in views:
@@ -87,14 +87,14 @@ def _errors(picture: Picture, target: Target, views: list[Array], camera: Perspe
 
 
 @pytest.mark.parametrize("tag", [Tag(), Tag(lit=False), Tag(family="apriltag_16h5"), Tag(family="aruco_5x5_100", first_id=40)])
-def test_error_against_projection(picture: Picture, tag: Tag) -> None:
+def test_error_against_projection(picture: TakePicture, tag: Tag) -> None:
     errors = _errors(picture, _square(marker=tag), _views())
     assert np.median(errors) < 0.02
     assert errors.max() < 0.12
     assert errors.min() > 0  # an error of zero would be the truth leaking
 
 
-def test_error_at_forty_degrees(picture: Picture) -> None:
+def test_error_at_forty_degrees(picture: TakePicture) -> None:
     """The centroid of the corners would be off by perspective; crossed diagonals are not."""
     tilt, target = np.radians(40), _square(marker=Tag(size=0.15))
     views = _views(20, tilt, tilt)
@@ -109,11 +109,11 @@ def test_error_at_forty_degrees(picture: Picture) -> None:
 @pytest.mark.parametrize(
     "camera", [Perspective(multisampling=4), Perspective(distortion=(-0.2, 0.05, 0.001, -0.001, 0.0))], ids=["multisampled", "lens"]
 )
-def test_error_with_other_pictures(picture: Picture, camera: Perspective) -> None:
+def test_error_with_other_pictures(picture: TakePicture, camera: Perspective) -> None:
     assert np.median(_errors(picture, _square(), _views(10), camera)) < 0.05
 
 
-def test_pose_from_all_corners(picture: Picture) -> None:
+def test_pose_from_all_corners(picture: TakePicture) -> None:
     target = _square()
     for T in _views(10):
         found = _detect(picture(target, T), target)
@@ -123,7 +123,7 @@ def test_pose_from_all_corners(picture: Picture) -> None:
         assert angle < 2e-3
 
 
-def test_one_tag_gives_the_pose(picture: Picture) -> None:
+def test_one_tag_gives_the_pose(picture: TakePicture) -> None:
     target = Points(pose=Pose(), at=((0.0, 0.0, 0.0),), marker=Tag(size=0.2))
     for T in _views(10):
         found = _detect(picture(target, T), target)
@@ -131,7 +131,7 @@ def test_one_tag_gives_the_pose(picture: Picture) -> None:
         assert rigid_error(found.T_camera_target, T)[0] < 2e-3
 
 
-def test_noise_scatters_in_proportion(picture: Picture) -> None:
+def test_noise_scatters_in_proportion(picture: TakePicture) -> None:
     target, rng = _square(), np.random.default_rng(2)
     true, image = CAMERA.project(transform(FRONT, target.points)), picture(target, FRONT).image
     spread = []
@@ -139,13 +139,13 @@ def test_noise_scatters_in_proportion(picture: Picture) -> None:
         errors = []
         for _ in range(20):
             noisy = np.clip(image + rng.normal(0, sigma, image.shape) + 0.5, 0, 255).astype(np.uint8)
-            errors.append(_detect(Frame(0.0, (noisy,)), target).uv - true)
+            errors.append(_detect(Picture(0.0, (noisy,)), target).uv - true)
         spread.append(np.nanstd(errors))
     assert spread[0] < 0.05
     assert 1.5 < spread[1] / spread[0] < 2.7
 
 
-def test_what_opencv_leaves_uncorrected(picture: Picture) -> None:
+def test_what_opencv_leaves_uncorrected(picture: TakePicture) -> None:
     """Its own refinements of the same tags: a constant (+.43, +.43) px with `apriltag`; half a pixel and more inwards with others."""
     target, offsets, outward = _square(), [], []
     for how, out in ((cv2.aruco.CORNER_REFINE_APRILTAG, offsets), (cv2.aruco.CORNER_REFINE_CONTOUR, outward)):
@@ -166,7 +166,7 @@ def test_what_opencv_leaves_uncorrected(picture: Picture) -> None:
 # Which is which, and what is not seen
 
 
-def test_numbers_by_order_and_others_ignored(picture: Picture) -> None:
+def test_numbers_by_order_and_others_ignored(picture: TakePicture) -> None:
     drawn = _square(marker=Tag(first_id=10))
     frame = picture(drawn, FRONT)
     true = CAMERA.project(transform(FRONT, drawn.points))
@@ -179,7 +179,7 @@ def test_numbers_by_order_and_others_ignored(picture: Picture) -> None:
 
 @pytest.mark.parametrize("corner", [False, True])
 @pytest.mark.parametrize("offset", [-0.45, -0.2, 0.0, 0.3])
-def test_half_hidden_is_not_seen_and_spoils_nothing(picture: Picture, offset: float, corner: bool) -> None:
+def test_half_hidden_is_not_seen_and_spoils_nothing(picture: TakePicture, offset: float, corner: bool) -> None:
     """A plate before tag 2 whose right edge passes at `offset` tag sizes from its centre; or which only takes its lower left corner."""
     target, size = _square(), Tag().size
     p = transform(FRONT, target.points)[2]
@@ -194,14 +194,14 @@ def test_half_hidden_is_not_seen_and_spoils_nothing(picture: Picture, offset: fl
     assert rigid_error(found.T_camera_target, FRONT)[0] < 1e-3
 
 
-def test_a_small_thing_before_the_middle_is_not_read_over(picture: Picture) -> None:
+def test_a_small_thing_before_the_middle_is_not_read_over(picture: TakePicture) -> None:
     target = _square()
     p = transform(FRONT, target.points)[1]
     plate = Plate(pose=Pose(xyz=(float(p[0]), float(p[1]), float(p[2] - 0.03))), width=0.03, height=0.03)
     assert _detect(picture(target, FRONT, CAMERA, (plate,)), target).seen.tolist() == [True, False, True, True]
 
 
-def test_cut_by_the_border_is_not_seen(picture: Picture) -> None:
+def test_cut_by_the_border_is_not_seen(picture: TakePicture) -> None:
     target = _square()
     for shift in np.arange(0.6, 0.85, 0.01):  # half the picture is .833 m wide at 1 m; the right tags' edges lie at .15 +- .05
         T = Pose(xyz=(float(shift), 0, 1)).T
@@ -214,7 +214,7 @@ def test_cut_by_the_border_is_not_seen(picture: Picture) -> None:
         assert not found.seen.any() or np.nanmax(np.abs(found.uv - CAMERA.project(transform(T, target.points)))) < 0.1
 
 
-def test_no_target(picture: Picture) -> None:
+def test_no_target(picture: TakePicture) -> None:
     found = _detect(picture(_square(), Pose(xyz=(0, 0, -1)).T), _square())
     assert not found.seen.any()
     assert found.T_camera_target is None
@@ -223,7 +223,7 @@ def test_no_target(picture: Picture) -> None:
 # Tracking
 
 
-def test_windows_say_what_the_whole_picture_says(picture: Picture, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_windows_say_what_the_whole_picture_says(picture: TakePicture, monkeypatch: pytest.MonkeyPatch) -> None:
     from vstestbed.vision.detect import tags as module
 
     target, tags, looked = _square(side=0.4), Tags(), []
@@ -241,7 +241,7 @@ def test_windows_say_what_the_whole_picture_says(picture: Picture, monkeypatch: 
         assert np.abs(found.uv - _detect(frame, target).uv).max() < 0.02
 
 
-def test_lost_and_found_again(picture: Picture) -> None:
+def test_lost_and_found_again(picture: TakePicture) -> None:
     target, tags = _square(), Tags()
     memory, away = tags.init(), FRONT.copy()
     away[0, 3] += 0.65
@@ -273,8 +273,8 @@ def test_a_tag_with_its_quiet_zone() -> None:
 
 
 def test_a_missing_picture_or_tag_is_refused() -> None:
-    tags, frame = Tags(), Frame(0.0, np.zeros((480, 640, 3), np.uint8))
-    with pytest.raises(ParameterError, match="frame is missing"):
+    tags, frame = Tags(), Picture(0.0, np.zeros((480, 640, 3), np.uint8))
+    with pytest.raises(ParameterError, match="picture is missing"):
         tags.detect(tags.init(), None, None, CAMERA, _square(), RNG)
     with pytest.raises(ParameterError, match="must be tag"):
         tags.detect(tags.init(), frame, None, CAMERA, _square(marker=Disc()), RNG)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from vstestbed.camera import Frame, Perspective, Spherical
+from vstestbed.camera import Perspective, Picture, SphericalCamera
 from vstestbed.core.geometry import Array, Pose, direction, exp, inverse, rigid_error, transform
 from vstestbed.targets.base import Target
 from vstestbed.targets.markers import Sphere
@@ -15,13 +15,13 @@ from vstestbed.vision import Blobs, Oracle, TruthView
 from vstestbed.vision.detect.track import BlobsMemory, hand_over, look_of
 
 RNG = np.random.default_rng(0)
-CAMERA = Spherical(width=640, height=640)
+CAMERA = SphericalCamera(width=640, height=640)
 PANEL = CAMERA.panels[0].lens
 FRONT, RIGHT, BACK, LEFT, UP, DOWN = range(6)
 TARGET = Square(pose=Pose(), side=0.4, marker=Sphere(radius=0.05))
 
 
-def drawn(target: Target, T: Array, panels: tuple[int, ...] = (0, 1, 2, 3, 4, 5)) -> Frame:
+def drawn(target: Target, T: Array, panels: tuple[int, ...] = (0, 1, 2, 3, 4, 5)) -> Picture:
     """Panels with the target's spheres, one sample a pixel: the rays that meet one (|ray x p| <= radius, p before the lens)."""
     grid = np.stack(np.meshgrid(np.arange(CAMERA.face_px), np.arange(CAMERA.face_px)), axis=-1).reshape(-1, 2).astype(float)
     images: list[NDArray[np.uint8] | None] = []
@@ -35,7 +35,7 @@ def drawn(target: Target, T: Array, panels: tuple[int, ...] = (0, 1, 2, 3, 4, 5)
             meets = (np.linalg.norm(np.cross(rays, p), axis=1) <= target.marker.radius) & (rays @ p > 0)
             image[meets] = np.rint(255 * rgb)
         images.append(image.reshape(CAMERA.face_px, CAMERA.face_px, 3))
-    return Frame(0.0, tuple(images), whole=len(panels) == 6)
+    return Picture(0.0, tuple(images), whole=len(panels) == 6)
 
 
 def placed(theta: float, phi: float, distance: float = 1.2) -> Array:

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from vstestbed.camera import Perspective, Spherical
+from vstestbed.camera import Perspective, SphericalCamera
 from vstestbed.core.geometry import Pose, exp
 from vstestbed.vision.pose.derotate import NO_TRIM, level_from_tilt, level_rays, level_twist, trimmed
 
 DOWN = Pose(xyz=(0.0, 0.0, 0.0), rpy_deg=(180, 0, 0))
-ROUND = Spherical(width=640, height=640, mount=DOWN)
+ROUND = SphericalCamera(width=640, height=640, mount=DOWN)
 FLAT = Perspective(width=640, height=640, fovy_deg=100, mount=DOWN)
 POINTS = np.array([[1.0, 1, 3], [-1, 1, 3], [-1, -1, 3], [1, -1, 3], [0.3, 2, 1]])
 
@@ -30,7 +30,7 @@ def worst(a: np.ndarray, b: np.ndarray) -> float:
 def test_exact_is_exact_however_the_camera_sits(mount):
     tilt = np.radians([25.0, -17.0])
     level, tilted = seen(tilt, mount)
-    np.testing.assert_allclose(level_rays(tilted, tilt, Spherical(mount=mount), "exact"), level, atol=1e-12)
+    np.testing.assert_allclose(level_rays(tilted, tilt, SphericalCamera(mount=mount), "exact"), level, atol=1e-12)
 
 
 @pytest.mark.parametrize("camera", [ROUND, FLAT], ids=["angles", "plane"])

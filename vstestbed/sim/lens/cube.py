@@ -1,4 +1,4 @@
-"""The picture of a lens that sees beyond a plane, put together from pinhole pictures on the faces of a cube."""
+"""Images of wide lenses, composed of pinhole images on the faces of a cube (cube map)."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from vstestbed.core.geometry import Array
 from vstestbed.sim.lens.pinhole import Pinhole, covering, pinhole_of, pixel_grid
 
 NOWHERE = -10.0
-"""Where a pixel that a face does not hold lies in it [px]: outside, so that cv2.remap leaves it alone."""
+"""Coordinate of a pixel that a face does not hold [px]: outside, so that cv2.remap leaves it unchanged."""
 MOST_PX = 2048.0
-"""Largest focal length of a drawn face [px]; a lens that has more pixels a radian is blurred."""
+"""Largest focal length of a rendered face [px]; the image of a lens with more pixels per radian is blurred."""
 SEAM_PX = 24
-"""A face is drawn, too, when a window comes this near to it [px]: a marker may turn up a little outside of its window."""
+"""A face is also rendered when a window comes this near to it [px]: a marker may appear a little outside of its window."""
 
 
 @dataclass(frozen=True)
 class Patch:
-    """What one face gives to the picture: rows and columns of its part, and for cv2.remap where they lie in the face."""
+    """One face's part of the image: its rows and columns, and their coordinates in the face for cv2.remap."""
 
     rows: slice
     columns: slice
@@ -34,11 +34,12 @@ class Patch:
 
 @dataclass(frozen=True)
 class Cube:
-    """How a camera's own picture comes from drawn faces.
+    """How a camera's own image is composed of rendered faces.
 
     Attributes:
-        faces: the faces that the lens can see. patches: what each gives.
-        owner: which of them each pixel is taken from, shape (H, W); -1 where the lens sees nothing.
+        faces: the faces that the lens can see.
+        patches: the part of each.
+        owner: index of the face that each pixel is taken from, shape (H, W); -1 where the lens sees nothing.
     """
 
     faces: tuple[Pinhole, ...]
@@ -46,7 +47,7 @@ class Cube:
     owner: NDArray[np.int8]
 
     def needed(self, windows: Iterable[Window]) -> set[int]:
-        """The faces that have a part in windows of the camera's picture, or come within SEAM_PX of one."""
+        """Indices of the faces that have pixels in windows of the camera's image, or within SEAM_PX of one."""
         out: set[int] = set()
         for left, top, right, bottom in windows:
             part = self.owner[max(top - SEAM_PX, 0) : bottom + SEAM_PX, max(left - SEAM_PX, 0) : right + SEAM_PX]
@@ -54,7 +55,7 @@ class Cube:
         return out
 
     def compose(self, drawn: dict[int, Image]) -> Image:
-        """The camera's picture (H, W, 3) from drawn faces; black where a face is missing or the lens sees nothing."""
+        """The camera's image (H, W, 3) from rendered faces, by index; black where a face is missing or the lens sees nothing."""
         image = np.zeros((*self.owner.shape, 3), np.uint8)
         for i, face in drawn.items():
             patch = self.patches[i]
@@ -65,7 +66,7 @@ class Cube:
 
 @lru_cache(maxsize=4)
 def cube_of(camera: Camera) -> Cube:
-    """The faces that a lens can see, and how its picture comes from them.
+    """The faces that a lens can see, and how its image is composed of them.
 
     A pixel is taken from the face that its ray meets in the middle part, |x|, |y| <= 1 in normalised coordinates. A lens
     with panels has them as faces. For any other, a face is as large as it is needed, and as fine: a pinhole picture of focal
@@ -94,11 +95,12 @@ def cube_of(camera: Camera) -> Cube:
 
 
 def _patch(mine: NDArray[np.bool_], px: Array) -> Patch:
-    """The part of the picture that holds the pixels `mine` (H, W), which lie at px (N, 2) in the face."""
+    """The part of the image that holds the pixels `mine` (H, W), which lie at px (N, 2) in the face."""
     v, u = np.nonzero(mine)
     rows, columns = slice(int(v.min()), int(v.max()) + 1), slice(int(u.min()), int(u.max()) + 1)
     at = np.full((*mine.shape, 2), NOWHERE, np.float32)
     at[mine] = px
+    # Fixed-point maps, converted once: remapping with them is faster than with floats.
     coarse, rest = cv2.convertMaps(at[rows, columns, 0].copy(), at[rows, columns, 1].copy(), cv2.CV_16SC2)
     return Patch(rows, columns, (np.asarray(coarse, np.int16), np.asarray(rest, np.uint16)))
 
@@ -128,5 +130,5 @@ def _angle_to_next(rays: Array) -> Array:
 
 
 def drawn_for(camera: Camera) -> tuple[Pinhole, ...]:
-    """The pictures that OpenGL has to draw for a lens: its own, or the faces that it can see."""
+    """The pinhole images to be rendered for a lens: its own, or the faces that it can see."""
     return (pinhole_of(camera),) if isinstance(camera, Perspective) else cube_of(camera).faces

@@ -1,4 +1,4 @@
-"""Which OpenGL there is, found before MuJoCo and dm_control are imported (they decide at import, and die badly)."""
+"""Which OpenGL backend works, found out before MuJoCo and dm_control are imported: they choose theirs at import."""
 
 from __future__ import annotations
 
@@ -9,18 +9,19 @@ import sys
 from vstestbed.core.errors import EnvironmentLackError
 
 REMEDY = "on Debian or Ubuntu: apt-get install libegl1 libgl1 (then `vstestbed doctor` tells whether it works)"
+UNSET_REMEDY = "unset MUJOCO_GL or set MUJOCO_GL=egl"
 LIBRARIES = {"egl": ("libEGL.so.1", "libGL.so.1"), "osmesa": ("libOSMesa.so.8",), "glfw": ("libGL.so.1",)}
-"""What each backend of MuJoCo loads, by its word in MUJOCO_GL."""
+"""Shared libraries that each of MuJoCo's backends loads, by its name in MUJOCO_GL."""
 DRIVER_REMEDY = "on Debian or Ubuntu: apt-get install libegl-mesa0 libgl1-mesa-dri"
 DEVICE_PLATFORM = 0x313F
-"""EGL_PLATFORM_DEVICE_EXT."""
+"""EGL_PLATFORM_DEVICE_EXT, from the extension EGL_EXT_platform_device."""
 ON, OFF = ("", "1", "on", "true", "enable", "enabled"), ("0", "off", "false", "disable", "disabled")
 _lack: list[tuple[str, str]] = []
-"""Why `choose_backend` switched OpenGL off: (lack, remedy)."""
+"""Why `choose_backend` switched OpenGL off, as (lack, remedy); empty where it did not."""
 
 
 def missing_libraries(backend: str = "egl") -> list[str]:
-    """Shared libraries that a backend needs and the loader does not find."""
+    """Shared libraries that a backend needs and the dynamic loader does not find."""
     missing = []
     for name in LIBRARIES[backend]:
         try:
@@ -31,7 +32,11 @@ def missing_libraries(backend: str = "egl") -> list[str]:
 
 
 def _egl_starts() -> bool:
-    """Whether some EGL device starts a display, asked as both libraries ask when they are imported (a first start takes 25 ms)."""
+    """Whether some EGL device initialises a display; a first start takes 25 ms.
+
+    MuJoCo and dm_control make the same calls when they are imported. They are made here with ctypes alone, because importing
+    PyOpenGL would fix its platform.
+    """
     egl = ctypes.CDLL("libEGL.so.1")
     pointer, number = ctypes.c_void_p, ctypes.c_int
     egl.eglGetProcAddress.restype, egl.eglGetProcAddress.argtypes = pointer, [ctypes.c_char_p]
@@ -49,15 +54,15 @@ def _egl_starts() -> bool:
 
 
 def choose_backend() -> None:
-    """Choose `egl` on Linux where MUJOCO_GL says nothing, and `disable` where what it says cannot work.
+    """Set MUJOCO_GL on Linux: `egl` where it is unset, `disable` where the backend that it names cannot work.
 
-    Both libraries import their backend when they are imported, and die of a missing one with words that help nobody.
+    MuJoCo and dm_control load their backend at import and fail with an obscure error where it is missing.
     """
     if not sys.platform.startswith("linux"):
         return
     word = os.environ.get("MUJOCO_GL", "").strip().lower()
     backend = "egl" if word in ON else "disable" if word in OFF else word
-    if backend != "disable" and (lack := _lack_of(backend, said=word not in ON)):
+    if backend != "disable" and (lack := _lack_of(backend, requested=word not in ON)):
         _lack.append(lack)
         backend = "disable"
     os.environ["MUJOCO_GL"] = backend
@@ -65,34 +70,41 @@ def choose_backend() -> None:
         os.environ["PYOPENGL_PLATFORM"] = backend
 
 
-def _lack_of(backend: str, said: bool) -> tuple[str, str] | None:
-    """Why a backend cannot work, and the remedy; `said`: the user asked for it."""
+def _lack_of(backend: str, requested: bool) -> tuple[str, str] | None:
+    """Why a backend cannot work, and the remedy; None where it can. `requested`: the user named it in MUJOCO_GL."""
     if backend not in LIBRARIES:
         return f"MUJOCO_GL={backend} is set, and there is no such backend", f"unset MUJOCO_GL, or set it to {', '.join(sorted(LIBRARIES))}"
     if missing := missing_libraries(backend):
-        words = f"{' and '.join(missing)} not found" + (f", which MUJOCO_GL={backend} needs" if said else "")
-        return words, "unset MUJOCO_GL or set MUJOCO_GL=egl" if said and backend != "egl" else REMEDY
+        return _missing_words(backend, missing, requested)
     if backend == "egl" and not _egl_starts():
         return "libEGL starts no display", DRIVER_REMEDY
-    if backend == "glfw" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        return "MUJOCO_GL=glfw needs a display, and there is none", "unset MUJOCO_GL or set MUJOCO_GL=egl"
+    if backend == "glfw" and not any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")):
+        return "MUJOCO_GL=glfw needs a display, and there is none", UNSET_REMEDY
     return None
 
 
+def _missing_words(backend: str, missing: list[str], requested: bool) -> tuple[str, str]:
+    """The sentence about missing libraries, and the remedy."""
+    lack = f"{' and '.join(missing)} not found"
+    if not requested:
+        return lack, REMEDY
+    return f"{lack}, which MUJOCO_GL={backend} needs", REMEDY if backend == "egl" else UNSET_REMEDY
+
+
 def require() -> None:
-    """Raise EnvironmentLackError, with the remedy, where no picture can be rendered."""
+    """Raise EnvironmentLackError, with the remedy, where OpenGL is switched off."""
     if os.environ.get("MUJOCO_GL", "").lower() not in OFF:
         return
-    if not _lack:  # the user switched it off, or a parent process found it lacking
+    if not _lack:  # the user switched it off, or a parent process did and MUJOCO_GL was inherited
         missing = missing_libraries()
         set_ = f"MUJOCO_GL={os.environ['MUJOCO_GL']} is set"
-        _lack.append((f"{' and '.join(missing)} not found", REMEDY) if missing else (set_, "unset MUJOCO_GL or set MUJOCO_GL=egl"))
+        _lack.append((f"{' and '.join(missing)} not found", REMEDY) if missing else (set_, UNSET_REMEDY))
     lack, remedy = _lack[0]
     raise EnvironmentLackError(f"no OpenGL: {lack}", remedy)
 
 
 def explain(error: ImportError) -> EnvironmentLackError | None:
-    """What a failed import of MuJoCo's or dm_control's renderer means; None where it is about something else."""
+    """The error to show for a failed import of MuJoCo's or dm_control's renderer; None where EGL is not the cause."""
     words = str(error).rstrip(".")
     if "EGL" not in words:
         return None

@@ -1,4 +1,4 @@
-"""Pictures of a stage: the kept dm_control camera, and the servo camera's picture through its lens."""
+"""Rendering with OpenGL: a camera of the scene kept by dm_control, and the servo camera's images through its lens."""
 
 from __future__ import annotations
 
@@ -20,22 +20,23 @@ from vstestbed.sim.scene.compose import LENS_GROUP
 from vstestbed.sim.scene.stage import Stage
 
 
-class View:
-    """One camera of a stage, kept; `picture` renders what it sees now.
+class SceneCamera:
+    """One pinhole camera of a stage, kept between images.
 
     Args:
         stage: the scene.
         camera: name in the scene (`eye`, `overview`, ...).
-        width, height: size of the picture [px].
+        width, height: size of the image [px].
         shadows: draw shadows.
-        style: `own` is what the servo camera sees (what encloses the lens left out); `outside` shows everything.
+        style: `own` is what the servo camera sees (the geoms that enclose the lens are left out); `outside` shows everything.
 
     Raises:
-        EnvironmentLackError: no OpenGL here.
+        EnvironmentLackError: OpenGL does not work on this machine.
     """
 
     def __init__(self, stage: Stage, camera: str, width: int, height: int, shadows: bool, style: Literal["own", "outside"]):
         gl.require()
+        # MuJoCo allocates the offscreen buffer from the model's size when it makes a context; it must hold the largest camera.
         vis = stage.model.vis.global_
         vis.offwidth, vis.offheight = max(vis.offwidth, width), max(vis.offheight, height)
         if not shadows:
@@ -56,31 +57,36 @@ class View:
         except Exception as error:  # EGL, PyOpenGL and MuJoCo raise half a dozen types when a driver is broken
             raise EnvironmentLackError(f"OpenGL does not work here: {error}", gl.REMEDY) from error
 
-    def picture(self) -> Image:
-        """The picture now, (H, W, 3) uint8 RGB, a copy of its own."""
+    def full_image(self) -> Image:
+        """The image now, shape (H, W, 3) uint8 RGB, as a copy that the caller may keep."""
         return np.ascontiguousarray(self.raw())
 
     def raw(self, window: Window | None = None) -> Image:
-        """The picture as the kept camera gives it: a view of its own buffer, overwritten by the next one.
+        """The image now as a view of dm_control's buffer, which the next call overwrites.
 
-        window: the part of it that is wanted; the rest is black.
+        Args:
+            window: the part to be drawn; the rest is black. None draws the whole image.
         """
         self._camera.window = window
         return self._camera.render(scene_option=self._option, render_flag_overrides=self._flags)
 
 
-class Eye:
-    """The servo camera's picture through its lens, with sensor noise.
+class OpenGLRenderer:
+    """The servo camera's images through its lens, with sensor noise.
 
-    A pinhole lens is drawn as it is, a distorted one resampled from a pinhole picture. A lens with panels gives them. Any
-    other is put together from the faces of a cube round it, of which only those are drawn that somebody looks at.
+    A pinhole image is drawn directly and a distorted one is resampled from a pinhole image. Any wider lens is drawn as the faces
+    of a cube around it: a lens with panels returns the faces themselves, any other the image composed of them.
 
     Args:
-        stage: the scene. camera: the lens. image_sigma: standard deviation of the noise of each channel, in grey levels
-        (of 255). rng: where the noise comes from.
+        stage: the scene.
+        camera: the lens.
+        image_sigma: standard deviation of the noise on each channel [grey levels of 255].
+        rng: source of the noise.
 
     Attributes:
-        renderer: what draws. spent_s: wall time spent on pictures [s]. whole: whether the last pictures show all there is.
+        name: the OpenGL renderer's name.
+        spent_s: wall time spent on images so far [s].
+        whole: the last images are complete; no part was left blank.
     """
 
     def __init__(self, stage: Stage, camera: Camera, image_sigma: float = 0.0, rng: np.random.Generator | None = None):
@@ -89,51 +95,58 @@ class Eye:
         self._cube = None if isinstance(camera, Perspective) else cube_of(camera)
         self._panels = len(camera.panels)
         self._size = camera.width, camera.height
-        # where a lens bends the picture, or noise is estimated from all of it, a part is not enough
+        # Resampling needs pixels from beyond a window, and the noise level is estimated from the whole image.
         self._parts = self._maps is None and image_sigma == 0
         self._sigma, self._rng = image_sigma, rng
-        self._views = [View(stage, p.name, p.width, p.height, camera.shadows, "own") for p in drawn]
-        self.renderer = self._views[0].renderer
+        self._views = [SceneCamera(stage, p.name, p.width, p.height, camera.shadows, "own") for p in drawn]
+        self.name = self._views[0].renderer
         self.spent_s = 0.0
         self.whole = True
 
-    def picture(self) -> Image:
-        """The camera's own picture now, (H, W, 3) uint8 RGB, its own for good; a lens with panels is drawn for it all around."""
+    def full_image(self) -> Image:
+        """The camera's own image now, shape (H, W, 3) uint8 RGB, as a copy; the panels of a lens that has them are composed."""
         if self._cube is not None and self._panels > 1:
-            return self._cube.compose(dict(enumerate(image for image in self.glimpse() if image is not None)))
-        return np.ascontiguousarray(self.glimpse()[0])
+            return self._cube.compose(dict(enumerate(image for image in self.images() if image is not None)))
+        return np.ascontiguousarray(self.images()[0])
 
-    def glimpse(self, look: Look | None = None, clean: bool = False) -> tuple[Image | None, ...]:
-        """The pictures now, one a panel; they may lie in the renderer's buffer, and then hold only until the next ones.
+    def images(self, look: Look | None = None, clean: bool = False) -> tuple[Image | None, ...]:
+        """The images now, one for each panel; they may share the renderer's buffer and are valid until the next call.
 
-        look: where somebody is going to look; a panel with no window is left out, any other is drawn whole, but for
-        faces of the cube without a part in its windows, which are black. Of a pinhole lens's picture the rectangle round
-        all windows is drawn, the rest is black. clean: without noise.
+        Args:
+            look: regions of interest, None for everything. Of a pinhole camera the rectangle around all windows is drawn; of a
+                camera with panels every panel with a window; of any other lens the cube's faces that reach into the windows.
+                What is not drawn is black, or None for a whole panel.
+            clean: leave out the sensor's noise.
         """
         start = time.perf_counter()
-        if self._cube is None:
-            window = part_round(look[0], *self._size) if look is not None and self._parts else None
-            images = (self._resampled(self._views[0].raw(window)),)
-            self.whole = window is None
-        elif self._panels > 1:
-            images = tuple(view.raw() if look is None or look[i] else None for i, view in enumerate(self._views))
-            self.whole = look is None or all(look)
-        else:
-            faces = range(len(self._views)) if look is None else self._cube.needed(look[0])
-            images = (self._cube.compose({i: self._views[i].raw() for i in faces}),)
-            self.whole = len(faces) == len(self._views)
+        images = self._pinhole(look) if self._cube is None else self._panel_images(look) if self._panels > 1 else self._composed(look)
         if not clean:
-            images = tuple(None if image is None else self.grained(image) for image in images)
+            images = tuple(None if image is None else self.with_noise(image) for image in images)
         self.spent_s += time.perf_counter() - start
         return images
 
-    def grained(self, image: Image) -> Image:
-        """A clean picture with the sensor's noise."""
+    def with_noise(self, image: Image) -> Image:
+        """A clean image with the sensor's noise added."""
         return noisy(image, self._sigma, self._rng)
 
-    def _resampled(self, image: Image) -> Image:
-        """A drawn picture through a distorted lens; the same where there is no distortion."""
+    def _pinhole(self, look: Look | None) -> tuple[Image]:
+        """The image of a perspective lens, drawn at least in the rectangle around the windows."""
+        window = part_round(look[0], *self._size) if look is not None and self._parts else None
+        self.whole = window is None
+        image = self._views[0].raw(window)
         if self._maps is None:
-            return image
+            return (image,)
         still = np.ascontiguousarray(image)
-        return np.asarray(cv2.remap(still, *self._maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.uint8)
+        return (np.asarray(cv2.remap(still, *self._maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.uint8),)
+
+    def _panel_images(self, look: Look | None) -> tuple[Image | None, ...]:
+        """The panels' images; None for a panel without a window."""
+        self.whole = look is None or all(look)
+        return tuple(view.raw() if look is None or look[i] else None for i, view in enumerate(self._views))
+
+    def _composed(self, look: Look | None) -> tuple[Image]:
+        """The image of a wide lens, composed of the cube's faces that the windows need."""
+        assert self._cube is not None
+        faces = range(len(self._views)) if look is None else self._cube.needed(look[0])
+        self.whole = len(faces) == len(self._views)
+        return (self._cube.compose({i: self._views[i].raw() for i in faces}),)

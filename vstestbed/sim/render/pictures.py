@@ -1,4 +1,4 @@
-"""Who draws the pictures: OpenGL, or rays where it does not work."""
+"""Choice of the renderer: OpenGL, or ray casting where OpenGL does not work."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from vstestbed.camera import Camera, Image
 from vstestbed.core.errors import EnvironmentLackError
 from vstestbed.core.geometry import Array
-from vstestbed.sim.base import Eyes
+from vstestbed.sim.base import Renderer
 from vstestbed.sim.render import gl_probe as gl
 
 if TYPE_CHECKING:
@@ -20,82 +20,87 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 FILM_RAYS = 4
-"""Rays that a pixel of the outside view gets where a thing ends, two each way."""
+"""Rays for each pixel of the outside view at the edge of an object, two each way."""
 
 
-class Outside(Protocol):
-    """A picture of the scene from outside."""
+class OutsideView(Protocol):
+    """A camera of the scene that films the robot from outside."""
 
-    def picture(self) -> Image:
-        """The picture now, (H, W, 3) uint8 RGB, its own for good."""
+    def full_image(self) -> Image:
+        """The image now, shape (H, W, 3) uint8 RGB, as a copy that the caller may keep."""
         ...
 
 
-def eye_of(stage: Stage, camera: Camera, image_sigma: float = 0.0, rng: np.random.Generator | None = None) -> Eyes:
-    """What makes the servo camera's pictures, as `camera.renderer` says.
+# The functions import OpenGL's and the rays' modules only when called: importing the first fails on a machine without OpenGL.
+
+
+def servo_renderer(stage: Stage, camera: Camera, image_sigma: float = 0.0, rng: np.random.Generator | None = None) -> Renderer:
+    """The renderer of the servo camera, as `camera.renderer` asks.
 
     Raises:
-        EnvironmentLackError: OpenGL is asked for, or the picture needs it, and it does not work here.
-        ParameterError: rays are asked for, and cannot draw this.
+        EnvironmentLackError: OpenGL is asked for, or the image needs it, and it does not work here.
+        ParameterError: rays are asked for and cannot draw this scene.
     """
 
-    def by_gl() -> Eyes:
-        from vstestbed.sim.render.opengl import Eye
+    def by_gl() -> Renderer:
+        from vstestbed.sim.render.opengl import OpenGLRenderer
 
-        return Eye(stage, camera, image_sigma, rng)
+        return OpenGLRenderer(stage, camera, image_sigma, rng)
 
-    def by_rays() -> Eyes:
-        from vstestbed.sim.render.rays import RayEye
+    def by_rays() -> Renderer:
+        from vstestbed.sim.render.rays import RayRenderer
 
-        return RayEye(stage, camera, image_sigma, rng)
+        return RayRenderer(stage, camera, image_sigma, rng)
 
     return _chosen(camera, by_gl, by_rays)
 
 
-def view_of(stage: Stage, name: str, width: int, height: int, camera: Camera, shadows: bool = True) -> Outside:
-    """What makes the pictures of one of the scene's cameras, as the servo camera's `renderer` says; rays draw no shadows.
+def outside_view(stage: Stage, name: str, width: int, height: int, camera: Camera, shadows: bool = True) -> OutsideView:
+    """One of the scene's cameras, rendered as the servo camera's `renderer` asks; rays draw no shadows.
 
     Raises:
-        EnvironmentLackError: OpenGL is asked for, and does not work here.
+        EnvironmentLackError: OpenGL is asked for and does not work here.
     """
 
-    def by_gl() -> Outside:
-        from vstestbed.sim.render.opengl import View
+    def by_gl() -> OutsideView:
+        from vstestbed.sim.render.opengl import SceneCamera
 
-        return View(stage, name, width, height, shadows, style="outside")
+        return SceneCamera(stage, name, width, height, shadows, style="outside")
 
-    def by_rays() -> Outside:
-        from vstestbed.sim.render.rays import RayView
+    def by_rays() -> OutsideView:
+        from vstestbed.sim.render.rays import RaySceneCamera
 
-        return RayView(stage, name, width, height, FILM_RAYS)
+        return RaySceneCamera(stage, name, width, height, FILM_RAYS)
 
     return _chosen(camera, by_gl, by_rays)
 
 
-def bare_of(stage: Stage, camera: Camera) -> Callable[[Array], object]:
-    """The least that a picture of the servo camera costs, given the markers (N, 3) in its frame.
+def bare_renderer(stage: Stage, camera: Camera) -> Callable[[Array], object]:
+    """The cheapest rendering of the servo camera, as a function of the markers (N, 3) [m] in its frame; for speed baselines.
 
-    What OpenGL draws before the lens and the noise, of several faces of a cube only those with a marker; or all rays.
+    With OpenGL that is what is drawn before the lens and the noise, of several faces of a cube only those with a marker; with
+    rays it is the whole image.
     """
 
     def by_gl() -> Callable[[Array], object]:
         from vstestbed.sim.lens.cube import drawn_for
-        from vstestbed.sim.render.opengl import View
+        from vstestbed.sim.render.opengl import SceneCamera
 
         drawn = drawn_for(camera)
-        views = [View(stage, face.name, face.width, face.height, camera.shadows, "own") for face in drawn]
+        views = [SceneCamera(stage, face.name, face.width, face.height, camera.shadows, "own") for face in drawn]
         return lambda p: [v.raw() for v, face in zip(views, drawn, strict=True) if len(drawn) == 1 or face.holds(p)]
 
     def by_rays() -> Callable[[Array], object]:
-        from vstestbed.sim.render.rays import RayEye
+        from vstestbed.sim.render.rays import RayRenderer
 
-        eye = RayEye(stage, camera)
-        return lambda p: eye.glimpse()
+        renderer = RayRenderer(stage, camera)
+        return lambda p: renderer.images()
 
     return _chosen(camera, by_gl, by_rays)
 
 
 def _chosen(camera: Camera, by_gl: Callable[[], T], by_rays: Callable[[], T]) -> T:
+    """What `camera.renderer` asks for; with `auto`, rays where OpenGL does not work, with a warning."""
     if camera.renderer == "rays":
         return by_rays()
     try:
@@ -107,13 +112,13 @@ def _chosen(camera: Camera, by_gl: Callable[[], T], by_rays: Callable[[], T]) ->
             raise
     try:
         made = by_rays()
-    except EnvironmentLackError as refused:  # what rays cannot draw, and why it is left to them
+    except EnvironmentLackError as refused:  # what rays cannot draw, and why OpenGL could not draw it
         raise EnvironmentLackError(f"{refused.lack} ({lack.lack})", lack.remedy) from None
-    _say(lack.lack)
+    _warn_once(lack.lack)
     return made
 
 
 @functools.cache
-def _say(lack: str) -> None:
-    """Tell once that rays are used, on standard error (where nobody has set up logging otherwise)."""
+def _warn_once(lack: str) -> None:
+    """Warn once for each reason that rays are used: on standard error, unless the application has configured logging."""
     logging.getLogger("vstestbed").warning("%s; rays draw the pictures instead, films without shadows", lack)

@@ -1,4 +1,4 @@
-"""Is a rendered pixel where the camera model says? Balls of known place, drawn and measured."""
+"""Check of the pixel convention: balls of known position are rendered, detected and compared with the camera model."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from typing import Literal
 
 import numpy as np
 
-from vstestbed.camera import Camera, Frame, Perspective
+from vstestbed.camera import Camera, Perspective, Picture
 from vstestbed.core.geometry import Array, Pose, transform
 from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart
-from vstestbed.sim.render.pictures import eye_of
+from vstestbed.sim.render.pictures import servo_renderer
 from vstestbed.sim.scene.compose import Parts
 from vstestbed.sim.scene.stage import Stage
 from vstestbed.sim.scene.world import World
@@ -20,19 +20,19 @@ from vstestbed.targets.points import Points
 from vstestbed.vision import Blobs
 
 BALLS = tuple((x, y, z) for z, y in ((0.0, -0.35), (0.3, 0.0), (-0.2, 0.35)) for x in (-0.5, -0.17, 0.17, 0.5))
-"""Twelve balls over the whole picture at several depths, in the target frame [m]."""
+"""Twelve balls over the whole image at several depths, in the target frame [m]."""
 
 
 @dataclass(frozen=True)
 class PixelCheck:
-    """Measured minus predicted pixels (N, 2), and what drew them."""
+    """Measured minus predicted pixels (N, 2), and the renderer's name."""
 
     errors: Array
     renderer: str
 
 
 def pixel_convention(renderer: Literal["auto", "gl", "rays"] = "auto", camera: Camera | None = None) -> PixelCheck:
-    """Render twelve balls, find them as a detector does, and compare with the projection of their centres.
+    """Render twelve balls, detect them, and compare with the projection of their centres.
 
     Raises:
         EnvironmentLackError: renderer is gl, and OpenGL does not work here.
@@ -43,11 +43,11 @@ def pixel_convention(renderer: Literal["auto", "gl", "rays"] = "auto", camera: C
     parts = Parts(robot, camera, target, World(floor_z=-20.0), step=0.002)
     stage = Stage(parts, samples=camera.multisampling)
     try:
-        eye = eye_of(stage, camera)
+        drawing = servo_renderer(stage, camera)
         stage.place(0.0, target.pose.T, np.zeros(0), np.eye(4))
-        image = eye.picture()
+        image = drawing.full_image()
         detector = Blobs()
-        _, found = detector.detect(detector.init(), Frame(0.0, (image,)), None, camera, target, np.random.default_rng(0))
+        _, found = detector.detect(detector.init(), Picture(0.0, (image,)), None, camera, target, np.random.default_rng(0))
     finally:
         stage.close()
-    return PixelCheck(found.uv - camera.project(transform(target.pose.T, target.points)), eye.renderer)
+    return PixelCheck(found.uv - camera.project(transform(target.pose.T, target.points)), drawing.name)

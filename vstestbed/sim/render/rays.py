@@ -1,4 +1,4 @@
-"""Pictures without OpenGL: every pixel's own ray through the lens, cast into the scene by MuJoCo."""
+"""Rendering without OpenGL: one ray through the lens for each pixel, cast into the scene by MuJoCo."""
 
 from __future__ import annotations
 
@@ -22,26 +22,27 @@ from vstestbed.sim.scene.stage import Stage
 
 RENDERER = "rays (mj_multiRay)"
 BLANK = 128
-"""Grey level outside of the windows that somebody looks at: of no colour, and of no pattern."""
+"""Grey level outside of the regions of interest: without colour or pattern, so that no detector finds a marker there."""
 MOST_RAYS = 1 << 15
 """Rays shaded at a time: their hits and normals stay in the cache (640 x 480: 90 ms instead of 110)."""
 TILE_PX = 48
-"""Side of the pieces in which a picture is cast: small ones have few things before them, and each costs 40 us."""
+"""Side of the tiles in which an image is cast: a small one has few geoms in view, but each costs 40 us."""
 FAR = 1e10
-"""Rays have no end [m]."""
+"""Length of a ray [m]: unlimited in effect."""
 NO_RAY = -2
-"""Instead of a geom where the lens has no ray; -1 is the sky, as MuJoCo says it."""
+"""Geom number where the lens has no ray; MuJoCo's -1 is a ray that hits nothing, the sky."""
 
 
 class Caster:
-    """Casts rays from one point and tells their colours.
+    """Casts rays from one point and shades what they hit.
 
-    Things whose bounding sphere no ray of a bundle can meet are left out of its cast. `mj_multiRay` has such a cut of its
-    own, by angles of a thing's corners, which (MuJoCo 3.17) cuts off parts of things: it is switched off, in a model of
-    its own, by taking away the bodies' bounding volumes.
+    Geoms whose bounding sphere no ray of a bundle can meet are culled. `mj_multiRay` culls too, by the angles of a geom's corners,
+    which in MuJoCo 3.17 cuts off parts of geoms: that is switched off, in a copy of the model, by removing the bodies' bounding
+    volumes.
 
     Args:
-        stage: the scene. outside: whether what encloses the servo camera's lens is seen too.
+        stage: the scene.
+        outside: show the geoms that enclose the servo camera's lens.
     """
 
     def __init__(self, stage: Stage, outside: bool = False):
@@ -56,10 +57,11 @@ class Caster:
     def cast(self, T_world_camera: Array, bundles: list[Array]) -> tuple[Image, NDArray[np.int32]]:
         """Colours (N, 3) and geoms (N,) of what unit rays in the camera's frame hit, bundle after bundle; -1 is the sky.
 
-        Where there is no ray (NaN) the colour is black, the geom -2. A bundle (n, 3) is best narrow.
+        Where there is no ray (NaN) the colour is black, the geom -2. Narrow bundles (n, 3) are culled best.
         """
         turn = np.ascontiguousarray(T_world_camera[:3, :3].T)
-        rays = np.concatenate([bundle @ turn for bundle in bundles])  # one large product would be handed to threads: 30 times slower
+        # One product for all bundles would be handed to BLAS threads: 30 times slower.
+        rays = np.concatenate([bundle @ turn for bundle in bundles])
         n = len(rays)
         geoms, distance, normal = np.full(n, NO_RAY, np.int32), np.zeros(n), np.zeros((n, 3))
         origin = np.ascontiguousarray(T_world_camera[:3, 3])
@@ -81,19 +83,19 @@ class Caster:
         return colours, geoms
 
     def _hits(self, origin: Array, rays: Array, geoms: NDArray[np.int32], distance: Array, normal: Array) -> None:
-        """Fill in what one bundle of rays (n, 3) hits, where, and with which normals."""
+        """Fill in the geoms, distances and normals that one bundle of rays (n, 3) hits."""
         model, n = self._model, len(rays)
         model.geom_group[:] = np.where(self._shown & self._within_reach(origin, _cone(rays)), 0, 1)
         flat, normals = rays.reshape(-1), normal.reshape(-1)
         mujoco.mj_multiRay(model, self._data, origin, flat, self._groups, True, -1, geoms, distance, normals, n, FAR)
 
     def _within_reach(self, origin: Array, cone: tuple[Array, float]) -> NDArray[np.bool_]:
-        """Which geoms have a bounding sphere that reaches into a cone from `origin`."""
+        """Which geoms have a bounding sphere that intersects a cone from `origin`; planes have none and always count."""
         return self._endless | _meets(self._data.geom_xpos - origin, self._model.geom_rbound, *cone)
 
 
 def _cone(rays: Array) -> tuple[Array, float]:
-    """Axis (3,) and half angle [rad] of a cone that holds unit rays (n, 3): their mean, and the farthest from it."""
+    """Axis (3,) and half angle [rad] of a cone that holds unit rays (n, 3): their mean, and the largest angle from it."""
     axis = rays.sum(axis=0)
     size = math.sqrt(float(axis @ axis))
     if size < 1e-6 * len(rays):
@@ -103,19 +105,20 @@ def _cone(rays: Array) -> tuple[Array, float]:
 
 
 def _meets(centres: Array, radii: Array, axis: Array, half_angle: float) -> NDArray[np.bool_]:
-    """Which spheres, of centres (N, 3) as seen from a cone's tip and radii (N,) [m], reach into the cone."""
+    """Which spheres, of centres (N, 3) relative to a cone's apex and radii (N,) [m], intersect the cone."""
     far = np.maximum(np.sqrt((centres * centres).sum(axis=1)), 1e-12)
     angle = np.arccos(np.clip(centres @ axis / far, -1, 1))
     return (far <= radii) | (angle <= half_angle + np.arcsin(np.minimum(radii / far, 1)) + 1e-6)
 
 
 class Raster:
-    """A picture's rays, in the frame that they are cast from; `draw` casts those of a window.
+    """The rays of an image in the camera's frame; `draw` casts those of a window.
 
     Args:
-        lens: through which the picture is seen. R_camera_lens: how it stands in the camera (3, 3).
-        samples: n x n rays, n = ceil(sqrt(samples)), in pixels whose neighbours show another thing; 0: one ray through the
-            centre of each pixel, as everywhere else.
+        lens: the lens of the image.
+        R_camera_lens: its orientation in the camera's frame, shape (3, 3).
+        samples: antialiasing: n x n rays, n = ceil(sqrt(samples)), in pixels with a neighbour that shows another geom; 0: one
+            ray through the centre of each pixel, as everywhere else.
     """
 
     def __init__(self, lens: Camera, R_camera_lens: Array, samples: int):
@@ -137,7 +140,7 @@ class Raster:
         return self._rays[top:bottom, left:right]
 
     def draw(self, image: Image, windows: tuple[Window, ...], caster: Caster, T_world_camera: Array) -> None:
-        """Fill windows of a picture (H, W, 3) with what is seen there."""
+        """Render windows of an image (H, W, 3) in place."""
         waiting, rays = [], 0
         for tile in (tile for window in windows for tile in _tiles(window)):
             waiting.append(tile)
@@ -149,7 +152,7 @@ class Raster:
             self._draw(image, waiting, caster, T_world_camera)
 
     def _draw(self, image: Image, tiles: list[Window], caster: Caster, T: Array) -> None:
-        grow = 1 if len(self._within) else 0  # a border is told by a pixel's neighbours
+        grow = 1 if len(self._within) else 0  # an edge is found by a pixel's neighbours
         cut = [(max(0, a - grow), max(0, b - grow), min(self.width, c + grow), min(self.height, d + grow)) for a, b, c, d in tiles]
         parts = [self.rays(window) for window in cut]
         colours, geoms = caster.cast(T, [part.reshape(-1, 3) for part in parts])
@@ -163,7 +166,7 @@ class Raster:
             start = end
 
     def _refine(self, drawn: Image, geoms: NDArray[np.int32], corner: tuple[int, int], caster: Caster, T: Array) -> None:
-        """Give pixels at the borders of things the mean colour of many rays."""
+        """Antialias: give pixels at the edges of geoms the mean colour of many rays."""
         row, column = np.nonzero(_borders(geoms))
         if len(row):
             uv = np.stack([column + corner[0], row + corner[1]], axis=-1)[:, None] + self._within
@@ -172,7 +175,7 @@ class Raster:
 
 
 def _tiles(window: Window) -> Iterator[Window]:
-    """A window, in pieces through which few things are seen."""
+    """The tiles of a window."""
     left, top, right, bottom = window
     for v in range(top, bottom, TILE_PX):
         for u in range(left, right, TILE_PX):
@@ -180,21 +183,23 @@ def _tiles(window: Window) -> Iterator[Window]:
 
 
 def _borders(geoms: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """Which pixels (H, W) have another thing than their own among their eight neighbours."""
+    """Which pixels (H, W) have a neighbour, of eight, that shows another geom."""
     wide = np.pad(geoms, 1, mode="edge")
     height, width = geoms.shape
     near = [wide[i : i + height, j : j + width] for i in range(3) for j in range(3)]
     return np.logical_or.reduce([other != geoms for other in near])
 
 
-class RayEye:
-    """The servo camera's picture through any lens, by rays; the same as `Eye` makes with OpenGL, where both can.
+class RayRenderer:
+    """The servo camera's images through any lens, by ray casting; the same as `OpenGLRenderer`'s, where both can render them.
 
-    Only the windows that somebody looks at are cast. It has no shadows and no textures (see `refuse`).
+    Only the regions of interest are cast. There are no shadows and no textures (see `refuse`).
 
     Args:
-        stage: the scene. camera: the lens. image_sigma: standard deviation of the noise of each channel, in grey levels
-        (of 255). rng: where the noise comes from.
+        stage: the scene.
+        camera: the lens.
+        image_sigma: standard deviation of the noise on each channel [grey levels of 255].
+        rng: source of the noise.
 
     Raises:
         ParameterError, EnvironmentLackError: rays cannot draw what the scene or the camera asks for.
@@ -205,23 +210,25 @@ class RayEye:
         refuse(camera, self._caster.paint.textured_target)
         self._sigma, self._rng = image_sigma, rng
         self._rasters: dict[int, Raster] = {}
-        self.renderer = RENDERER
+        self.name = RENDERER
         self.spent_s = 0.0
         self.whole = True
 
-    def picture(self) -> Image:
-        """The camera's own picture now, (H, W, 3) uint8 RGB, its own for good."""
+    def full_image(self) -> Image:
+        """The camera's own image now, shape (H, W, 3) uint8 RGB, as a copy."""
+        # A lens with panels is cast through its own projection here; number -1 keeps that raster beside those of the panels.
         return self._draw(Panel(self._camera, np.eye(3)), -1 if self._camera.panels[0].lens is not self._camera else 0, None)
 
-    def grained(self, image: Image) -> Image:
-        """A clean picture with the sensor's noise."""
+    def with_noise(self, image: Image) -> Image:
+        """A clean image with the sensor's noise added."""
         return noisy(image, self._sigma, self._rng)
 
-    def glimpse(self, look: Look | None = None, clean: bool = False) -> tuple[Image | None, ...]:
-        """The pictures now, one a panel, each its own for good.
+    def images(self, look: Look | None = None, clean: bool = False) -> tuple[Image | None, ...]:
+        """The images now, one for each panel, as copies.
 
-        look: where somebody is going to look; a panel with no window is left out, others are blank outside of their windows.
-        clean: without noise.
+        Args:
+            look: regions of interest, None for everything; a panel without a window is None, others are blank outside of theirs.
+            clean: leave out the sensor's noise.
         """
         start = time.perf_counter()
         images = []
@@ -239,11 +246,11 @@ class RayEye:
         image = np.full((raster.height, raster.width, 3), BLANK, np.uint8)
         whole = ((0, 0, raster.width, raster.height),)
         raster.draw(image, whole if windows is None else windows, self._caster, self._stage.camera_pose())
-        return image if clean else self.grained(image)
+        return image if clean else self.with_noise(image)
 
 
 def refuse(camera: Camera, textured_target: bool) -> None:
-    """Refuse what rays cannot draw.
+    """Refuse textured markers and shadows, which rays cannot draw.
 
     Raises:
         ParameterError: rays were asked for. EnvironmentLackError: they are what is left without OpenGL.
@@ -255,14 +262,15 @@ def refuse(camera: Camera, textured_target: bool) -> None:
         raise EnvironmentLackError(f"{lacks[0]} OpenGL", gl.REMEDY)
 
 
-class RayView:
-    """One camera of a stage, from outside, by rays: no shadows. Where the camera stands still, only what moved is drawn anew.
+class RaySceneCamera:
+    """A camera of a stage that films from outside, by rays, without shadows; while it is at rest, only changed tiles are cast.
 
     Args:
-        stage: the scene. camera: name in the scene. width, height: size of the picture [px]. samples: see Raster.
+        stage: the scene.
+        camera: name in the scene.
+        width, height: size of the image [px].
+        samples: antialiasing, see `Raster`.
     """
-
-    renderer = RENDERER
 
     def __init__(self, stage: Stage, camera: str, width: int, height: int, samples: int = 0):
         self._stage, self._camera, self._caster = stage, camera, Caster(stage, outside=True)
@@ -270,12 +278,12 @@ class RayView:
         self._raster = Raster(lens, np.eye(3), samples)
         self._tiles = [(tile, _cone(self._raster.rays(tile).reshape(-1, 3))) for tile in _tiles((0, 0, width, height))]
         self._pixel = 2 / lens.f if samples else 0.0
-        """What neighbours may add to a tile's cone [rad]."""
+        """Angle by which antialiasing looks beyond a tile [rad]."""
         self._image = np.empty((height, width, 3), np.uint8)
         self._before: tuple[Array, Array, Array] | None = None
 
-    def picture(self) -> Image:
-        """The picture now, (H, W, 3) uint8 RGB, its own for good."""
+    def full_image(self) -> Image:
+        """The image now, shape (H, W, 3) uint8 RGB, as a copy."""
         data = self._stage.data
         seen_from, T = data.camera(self._camera), np.eye(4)
         T[:3, :3], T[:3, 3] = seen_from.xmat.reshape(3, 3) @ FLIP[:3, :3], seen_from.xpos
@@ -285,12 +293,13 @@ class RayView:
         return self._image.copy()
 
     def _changed(self, T: Array, cone: tuple[Array, float]) -> bool:
-        """Whether something within a cone of the camera (axis in its frame) has moved since the last picture."""
+        """Whether a geom within a cone of the camera (axis in its frame) has moved since the last image."""
         if self._before is None or not np.array_equal(self._before[0], T):
             return True
         data, bound = self._stage.data, self._stage.model.geom_rbound
         _, position, attitude = self._before
         moved = (data.geom_xpos != position).any(axis=1) | (data.geom_xmat != attitude).any(axis=1)
+        # Where it was and where it is now: both tiles change.
         spheres = np.concatenate([position[moved], data.geom_xpos[moved]]) - T[:3, 3]
         radii = np.tile(np.where(bound > 0, bound, np.inf)[moved], 2)
         return bool(_meets(spheres, radii, T[:3, :3] @ cone[0], cone[1] + self._pixel).any())

@@ -1,4 +1,4 @@
-"""A camera of which a part of the picture can be drawn: where nobody looks, software OpenGL need not paint."""
+"""Rendering of a window of the image: with software OpenGL the cost is in the pixels, and a tracker needs few of them."""
 
 from __future__ import annotations
 
@@ -12,31 +12,34 @@ from dm_control import mujoco as dm
 from vstestbed.camera import Window
 
 REACH = 0.05
-"""The part reaches beyond the windows by this share of the picture's width: what turns up beside its window is still seen."""
+"""Margin around the windows, as a share of the image's width: a marker a little outside of its window is still rendered."""
 
 
 class PartCamera(dm.Camera):
-    """dm_control's kept camera with a window: of the picture only that is drawn and read, and the rest is black.
+    """dm_control's camera with a window: only that part of the image is drawn and read back; the rest is black.
 
-    The part is drawn through its own share of the frustum, which puts every vertex where it is in the whole picture but for
-    the rounding of single floats: on a grid of 1/256 px one in fifty comes to lie on the next knot.
+    The window is drawn through its own share of the frustum. Vertices land where they do in the whole image, up to the rounding
+    of single floats: of the rasteriser's 1/256 px positions one in fifty is off by one.
 
     Attributes:
-        window: the part (left, top, right, bottom) [px] of the next picture; None for all of it.
+        window: the part (left, top, right, bottom) [px] of the next image; None for all of it.
     """
 
     window: Window | None = None
     _drawn: tuple[slice, slice] = (slice(None), slice(None))
 
     def update(self, scene_option: Any = None) -> None:
-        """Bring the scene up to date. Planes cast no shadow: nothing lies behind a floor, and software OpenGL would dot it with its own."""
+        """Update the scene. Planes are made decoration, which casts no shadow.
+
+        Nothing lies below a floor to be shaded, and software OpenGL would speckle it with its own shadow (shadow acne).
+        """
         super().update(scene_option)
         for geom in self._scene.ptr.geoms[: self._scene.ptr.ngeom]:
             if geom.type == mujoco.mjtGeom.mjGEOM_PLANE:
                 geom.category = int(mujoco.mjtCatBit.mjCAT_DECOR)
 
     def _render_on_gl_thread(self, depth: bool, overlays: Any) -> None:
-        """As dm_control's, within the window; its buffer has the lowest row first."""
+        """As dm_control's, within the window. The buffer has the lowest row first, as OpenGL does."""
         if self.window is None:
             self._drawn = slice(None), slice(None)
             super()._render_on_gl_thread(depth, overlays)
@@ -50,16 +53,16 @@ class PartCamera(dm.Camera):
         mujoco.mjr_render(rect, self._scene.ptr, context)
         part = np.empty((rect.height, rect.width, 3), np.uint8)
         mujoco.mjr_readPixels(part, None, rect, context)
-        self._rgb_buffer[self._drawn] = 0
+        self._rgb_buffer[self._drawn] = 0  # only what was drawn last: the rest is black already
         self._drawn = slice(self._height - bottom, self._height - top), slice(left, right)
         self._rgb_buffer[self._drawn] = part
 
 
 def _narrow(camera: mujoco.MjvGLCamera, window: Window, width: int, height: int) -> None:
-    """Narrow a camera's frustum to a window of its picture (width x height)."""
+    """Narrow a camera's frustum to a window of its image (width x height)."""
     left, top, right, bottom = window
     high = camera.frustum_top - camera.frustum_bottom
-    half = camera.frustum_width or high * width / height / 2
+    half = camera.frustum_width or high * width / height / 2  # MuJoCo: 0 means "from the viewport's aspect ratio"
     first = camera.frustum_center - half
     camera.frustum_center = first + half * (left + right) / width
     camera.frustum_width = half * (right - left) / width
@@ -67,7 +70,7 @@ def _narrow(camera: mujoco.MjvGLCamera, window: Window, width: int, height: int)
 
 
 def part_round(windows: Sequence[Window], width: int, height: int) -> Window | None:
-    """The rectangle round all windows, and some more about it, within a picture; None where there is no window."""
+    """The rectangle around all windows, with a margin, clipped to the image (width x height); None without windows."""
     if not windows:
         return None
     lefts, tops, rights, bottoms = zip(*windows, strict=True)

@@ -1,4 +1,4 @@
-"""Which blob is which marker where several have its hue: the choice that one pose of the target explains."""
+"""Data association: which blob is which marker where several have its hue, by the pose of the target that explains them."""
 
 from __future__ import annotations
 
@@ -15,95 +15,108 @@ from vstestbed.vision.detect.colour_blobs import Blob
 from vstestbed.vision.pose.pnp import solve_pose_from_rays, three_ray_poses
 
 Placed = tuple[int, Blob]
-"""A blob and the panel of the camera in which it is."""
+"""Index of the camera's panel, and a blob in it."""
+Candidates = list[list[Placed]]
+"""For each marker the blobs of its hue."""
+Hypothesis = tuple[Array, Candidates, int]
+"""A pose (4, 4), the blobs that it may explain, and how many of them it must explain."""
+
 MOST_OF_A_HUE = 4
-"""Blobs of one hue that are weighed at most, whole ones first, the largest."""
+"""Candidates of one marker at most: blobs that are not cut first, then the largest. Bounds the number of hypotheses."""
 SEEDS = 4
-"""Markers whose blobs make the poses that are tried: 4^4 of them at most."""
+"""Markers whose blobs make hypotheses: at most 4^4 of four."""
 OFF_PX, OFF_SHARE = 3.0, 0.03
-"""A blob this far from where the pose has its marker is another thing [px], or by this share of the target's size in the picture:
-far more than detection errs by, and more than a lens some percent out of calibration bends a target."""
+"""A blob farther than this from the predicted marker is another object [px], or by this share of the target's size in the image.
+It is far more than the detection's error, and more than the distortion of a target by a lens some percent out of calibration."""
 NEAR_PX, NEAR_SHARE = 15.0, 0.15
-"""A blob this near to where the last pose has its marker may be where that has gone [px], or by this share of the target's size."""
+"""Search radius around a marker under the last pose [px], or this share of the target's size in the image."""
 LIKE_AREA = 0.3
-"""|log(area / expected)| up to which a blob may be the marker: a sphere of another size elsewhere is not."""
+"""Largest |log(area / predicted area)| of a marker's blob: rejects balls of another size elsewhere in the scene."""
 
 
 def allowed_px(uv: Array) -> float:
-    """How far off a marker's blob may lie in a picture of markers at uv (N, 2) [px]."""
+    """Largest distance of a blob from its predicted marker, in an image of markers at uv (N, 2) [px]."""
     seen = uv[np.isfinite(uv[:, 0])]
     return max(OFF_PX, OFF_SHARE * float(np.ptp(seen, axis=0).max())) if len(seen) else OFF_PX
 
 
-def choose(candidates: list[list[Placed]], camera: Camera, target: Target, previous: Array | None) -> list[Placed | None]:
+def assign_blobs(candidates: Candidates, camera: Camera, target: Target, previous: Array | None) -> list[Placed | None]:
     """One blob for each marker, None where none fits.
 
-    Every choice for the markers with the fewest candidates gives a pose, and so do, near the previous pose, three blobs: they
-    have a pose wherever they are, and only what continues tells. That pose is best which explains most blobs, by place
-    and by area, each counted by how well it fits. With no pose that explains four (three that continue the previous one)
-    nothing is told from another: no marker is reported. Fewer than three markers make no pose: the first of each, or
-    the nearest to where it was.
+    Hypothesise and verify, as in RANSAC but exhaustively: every combination of blobs of the markers with the fewest candidates
+    gives a pose. The pose that explains most blobs by position and area wins, each blob weighted by how well it fits. Four blobs
+    must agree with a pose, or three near the previous pose: three blobs have a pose wherever they are, so only continuity tells
+    them from others. Where no pose is explained so, no marker is reported. Fewer than three markers determine no pose: then the
+    first candidate, or the one nearest to the last pose, is taken.
 
     Args:
-        candidates: for each marker the blobs of its hue, the likeliest first.
-        camera: the lens, of one panel. target: what is looked at. previous: its last pose (4, 4).
+        candidates: for each marker the blobs of its hue.
+        camera: the camera, of one panel.
+        target: the marker layout.
+        previous: last pose of the target, shape (4, 4).
     """
     few = [sorted(c, key=lambda f: (f[1].whole, f[1].area), reverse=True)[:MOST_OF_A_HUE] for c in candidates]
-    first: list[Placed | None] = [c[0] if c else None for c in few]
-    there = [i for i, c in enumerate(few) if c]
-    if all(len(c) < 2 for c in few) or len(there) < 3:
-        return _nearest(few, camera, target, previous) if previous is not None and len(there) else first
-    for tried in (_likely, _anywhere):
-        best, found = 0.0, [None] * len(few)
-        for T, near, least in tried(few, there, camera, target, previous):
-            score, chosen = _explained(near, T, camera, target)
-            if score > best and sum(f is not None for f in chosen) >= least:
-                best, found = score, chosen
-        if best > 0:
-            return list(found)
+    present = [i for i, c in enumerate(few) if c]
+    if len(present) < 3 or max(map(len, few)) < 2:
+        return _without_pose(few, camera, target, previous)
+    for hypotheses in (_of_four_or_near, _of_three):
+        found = _best(hypotheses(few, present, camera, target, previous), camera, target)
+        if found is not None:
+            return found
     return [None] * len(few)
 
 
-Tried = Iterator[tuple[Array, list[list[Placed]], int]]
-"""Poses to be tried, the blobs that each may explain, and how many of them it must."""
+def _best(hypotheses: Iterator[Hypothesis], camera: Camera, target: Target) -> list[Placed | None] | None:
+    """The blobs that the best hypothesis explains; None where none explains enough of them."""
+    best, found = 0.0, None
+    for T, candidates, least in hypotheses:
+        score, chosen = _explained(candidates, T, camera, target)
+        if score > best and sum(f is not None for f in chosen) >= least:
+            best, found = score, chosen
+    return found
 
 
-def _likely(few: list[list[Placed]], there: list[int], camera: Camera, target: Target, previous: Array | None) -> Tried:
-    """Poses of four blobs, and of three near where they were."""
-    seeds = sorted(there, key=lambda i: len(few[i]))[:SEEDS]
+def _of_four_or_near(few: Candidates, present: list[int], camera: Camera, target: Target, previous: Array | None) -> Iterator[Hypothesis]:
+    """Poses of four blobs anywhere, then of three blobs near the markers under the last pose."""
+    seeds = sorted(present, key=lambda i: len(few[i]))[:SEEDS]
     if len(seeds) > 3:
-        for some in product(*(few[i] for i in seeds)):
-            for T in _poses(seeds, [b for _, b in some], camera, target, previous):
-                yield T, few, 4
+        for T in _poses(seeds, few, camera, target, previous):
+            yield T, few, 4
     if previous is None:
         return
+    near = _near(few, camera, target, previous)
+    for three in combinations([i for i in present if near[i]][:SEEDS], 3):
+        for T in _poses(list(three), near, camera, target, previous):
+            yield T, near, 3
+
+
+def _of_three(few: Candidates, present: list[int], camera: Camera, target: Target, previous: Array | None) -> Iterator[Hypothesis]:
+    """Poses of three blobs anywhere: where three markers are all that is seen, and continue a pose or are the whole target."""
+    if len(present) == 3 and (previous is not None or len(target.points) == 3):
+        for T in _poses(present, few, camera, target, previous):
+            yield T, few, 3
+
+
+def _near(few: Candidates, camera: Camera, target: Target, previous: Array) -> Candidates:
+    """The candidates within the search radius of their marker under the last pose."""
     uv = camera.project(transform(previous, target.points))
-    reach = max(NEAR_PX, NEAR_SHARE * float(np.ptp(uv, axis=0).max()))
-    near = [[f for f in c if _off(f[1], uv[i]) <= reach] for i, c in enumerate(few)]
-    for three in combinations([i for i in there if near[i]][:SEEDS], 3):
-        for some in product(*(near[i] for i in three)):
-            for T in _poses(list(three), [b for _, b in some], camera, target, previous):
-                yield T, near, 3
+    radius = max(NEAR_PX, NEAR_SHARE * float(np.ptp(uv, axis=0).max()))
+    return [[f for f in c if _off(f[1], uv[i]) <= radius] for i, c in enumerate(few)]
 
 
-def _anywhere(few: list[list[Placed]], there: list[int], camera: Camera, target: Target, previous: Array | None) -> Tried:
-    """Poses of three blobs that continue the previous pose, or of a target of three."""
-    if len(there) == 3 and (previous is not None or len(target.points) == 3):
-        for some in product(*(few[i] for i in there)):
-            for T in _poses(there, [b for _, b in some], camera, target, previous):
-                yield T, few, 3
+def _poses(which: list[int], few: Candidates, camera: Camera, target: Target, previous: Array | None) -> Iterator[Array]:
+    """The poses of every combination of candidates of the markers `which`."""
+    points = target.points[which]
+    for some in product(*(few[i] for i in which)):
+        rays = camera.ray(np.array([(b.u, b.v) for _, b in some]))
+        if len(which) == 3 and previous is None:
+            yield from three_ray_poses(rays, points)
+        elif (T := solve_pose_from_rays(rays, points, previous)) is not None:
+            yield T
 
 
-def _poses(which: list[int], blobs: list[Blob], camera: Camera, target: Target, previous: Array | None) -> list[Array]:
-    rays, points = camera.ray(np.array([(b.u, b.v) for b in blobs])), target.points[which]
-    if len(which) == 3 and previous is None:
-        return three_ray_poses(rays, points)
-    T = solve_pose_from_rays(rays, points, previous)
-    return [] if T is None else [T]
-
-
-def _explained(few: list[list[Placed]], T: Array, camera: Camera, target: Target) -> tuple[float, list[Placed | None]]:
-    """How many blobs a pose explains, each counted by 1 less its distance over the one allowed, and which."""
+def _explained(few: Candidates, T: Array, camera: Camera, target: Target) -> tuple[float, list[Placed | None]]:
+    """Score of a pose, sum over markers of max(0, 1 - distance / allowed), and the blob of each marker that it explains."""
     bias, area = centre_bias(camera, target, T)
     uv = camera.project(transform(T, target.points)) + bias
     allowed, chosen, score = allowed_px(uv), [], 0.0
@@ -115,15 +128,19 @@ def _explained(few: list[list[Placed]], T: Array, camera: Camera, target: Target
     return score, chosen
 
 
-def _nearest(few: list[list[Placed]], camera: Camera, target: Target, previous: Array) -> list[Placed | None]:
-    """Of each marker's candidates the one nearest to where it was last."""
+def _without_pose(few: Candidates, camera: Camera, target: Target, previous: Array | None) -> list[Placed | None]:
+    """Of each marker's candidates the one nearest to it under the last pose; without one the first."""
+    if previous is None:
+        return [c[0] if c else None for c in few]
     uv = camera.project(transform(previous, target.points))
     return [min(c, key=lambda f: _off(f[1], uv[i]), default=None) for i, c in enumerate(few)]
 
 
 def _off(blob: Blob, uv: Array) -> float:
+    """Distance of a blob's centroid from uv (2,) [px]."""
     return float(np.hypot(blob.u - uv[0], blob.v - uv[1]))
 
 
 def _like(blob: Blob, area: float) -> bool:
+    """Whether a blob has the predicted area [px^2]; a cut one may have any."""
     return not blob.whole or abs(np.log(blob.area / area)) <= LIKE_AREA

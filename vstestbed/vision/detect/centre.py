@@ -1,4 +1,4 @@
-"""The image of the centre is not the centre of the image: perspective's bias on discs and spheres."""
+"""Perspective bias: the centroid of a marker's image is not the image of its centre (discs and spheres)."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from vstestbed.core.geometry import Array, transform
 from vstestbed.targets.base import Target
 
 BALL_ROUNDS = 5
-"""Distance and bias settle to 1e-4 in so many rounds (balls of 2 to 60 px, to 65 degrees off axis)."""
+"""Iterations after which distance and bias have converged to 1e-4 (balls of 2 to 60 px, to 65 degrees off axis)."""
 CORNERS = 32
-"""Corners of the polygon that stands for a rim: centroid and area are then right to 1e-4 of bias and area."""
+"""Corners of the polygon that approximates an outline: its bias and area are then right to 1e-4."""
 
 
 def _circle() -> tuple[Array, Array]:
@@ -28,15 +28,15 @@ _COS, _SIN = _circle()
 
 
 def centre_bias(camera: Camera, target: Target, T_camera_target: Array) -> tuple[Array, Array]:
-    """How far the centroid of each marker's image lies from the image of its centre, and how large the image is.
+    """Centroid of each marker's image relative to the image of its centre, and the image's area.
 
     The rim (of a disc: in the target's plane; of a sphere: the circle where the rays touch it, centre p (d^2 - r^2)/d^2,
-    radius r sqrt(1 - r^2/d^2), d = |p|) goes through the lens as a polygon; with its corners q_i relative to the image
-    of the centre, a_i = q_i x q_i+1,  area = |sum a_i|/2,  bias = sum (q_i + q_i+1) a_i / (3 sum a_i).
-    Any lens will do. Where the lens does not see a whole rim the result is NaN.
+    radius r sqrt(1 - r^2/d^2), d = |p|) is projected as a polygon; with its corners q_i relative to the image of the centre,
+    a_i = q_i x q_i+1,  area = |sum a_i|/2,  bias = sum (q_i + q_i+1) a_i / (3 sum a_i).
+    This holds for any lens. Where the lens does not see a whole rim the result is NaN.
 
     Args:
-        camera: the lens.
+        camera: the camera.
         target: marker points, kind and radius.
         T_camera_target: the target's pose, shape (4, 4).
 
@@ -67,29 +67,30 @@ def _of_rims(camera: Camera, p: Array) -> tuple[Array, Array]:
 
 
 def ball_bias(camera: Camera, radius: float, centroid: Array, area: Array) -> Array:
-    """The bias (N, 2) [px] of balls whose distance their own size tells: centroids (N, 2) [px], areas (N,) [px^2].
+    """The bias (N, 2) [px] of balls from centroids (N, 2) [px] and areas (N,) [px^2], without a pose.
 
-    No pose is needed; an error of 5 % in the area makes one of 5 % in the bias. NaN stays NaN.
+    The area gives a ball's distance; an error of 5 % in the area makes one of 5 % in the bias. NaN stays NaN.
     """
     bias, reach = np.zeros_like(centroid), np.full(len(area), 10 * radius)
     for _ in range(BALL_ROUNDS):
         p = camera.ray(centroid - bias) * reach[:, None]
         bias, expected = _of_rims(camera, _sphere_rims(p, radius))
         with np.errstate(invalid="ignore"):
+            # The area falls with the square of the distance; never closer than the ball's own surface.
             reach = np.maximum(reach * np.sqrt(expected / area), 1.01 * radius)
     return bias
 
 
 @lru_cache(maxsize=256)
 def _disc_rims(points: bytes, radius: float) -> Array:
-    """Each disc's centre (points (N, 3) as bytes) and rim in the target's frame, shape (N (CORNERS + 2), 3), made once."""
+    """Each disc's centre and rim in the target's frame, shape (N (CORNERS + 2), 3); points (N, 3) as bytes, which can be hashed."""
     centre = np.frombuffer(points).reshape(-1, 1, 3)
     rim = centre + radius * np.stack([_COS, _SIN, np.zeros_like(_COS)], axis=-1)
     return np.concatenate([centre, rim], axis=1).reshape(-1, 3)
 
 
 def _sphere_rims(p: Array, radius: float) -> Array:
-    """Centres, and circles in which the rays from the camera touch the spheres, shape (N, CORNERS + 2, 3); NaN from within.
+    """Centres of spheres, and the circles of tangency of the camera's rays, shape (N, CORNERS + 2, 3); NaN from inside.
 
     Reference for the basis across a ray: Duff et al. 2017, Building an orthonormal basis, revisited, JCGT 6(1).
     """
@@ -98,7 +99,7 @@ def _sphere_rims(p: Array, radius: float) -> Array:
         shrink = 1 - radius**2 / d2
         rho = radius * np.sqrt(shrink)
         x, y, z = (p / np.sqrt(d2)[:, None]).T
-    sign = np.copysign(1.0, z)
+    sign = np.copysign(1.0, z)  # the branch without a singularity at z = -1
     a = -1 / (sign + z)
     b = x * y * a
     e1 = np.stack([1 + sign * x * x * a, sign * b, -sign * x], axis=-1)

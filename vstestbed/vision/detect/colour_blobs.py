@@ -1,4 +1,4 @@
-"""Coloured blobs in a picture, or in a window of it: one mask, contours, moments, the colour at the centroid."""
+"""Segmentation of coloured blobs in a window of an image: chroma mask, contours, moments, hue at the centroid."""
 
 from __future__ import annotations
 
@@ -16,29 +16,34 @@ from vstestbed.camera import Image, Window
 Rim = Literal["sharp", "binary", "grey"]
 
 STRIP_PX = 38400
-"""Pixels masked at a time: the intermediate pictures then stay in the core's cache (640x480: .1 ms instead of 1 ms)."""
+"""Pixels masked at a time: the intermediate images then stay in the core's cache (640x480: .1 ms instead of 1 ms)."""
 ROUGHNESS = 0.005
-"""Share of its area by which an ellipse made of pixels may seem to miss something (distortion, a ball drawn with facets) ..."""
+"""Share of its area by which a whole ellipse of pixels may seem incomplete (distortion, a ball drawn with facets) ..."""
 ROUGHNESS_PX = {"sharp": 1.0, "binary": 1.5, "grey": 1.5}
 """... and how much more [px^2]: rendered discs and balls of 2 to 24 px radius reach .3, .8 and 1.2. A disc of 8 px of which
 7 % are hidden is past both."""
 
 NOISE_ROWS = 60
-"""A picture's noise is estimated from every so many rows: 480 rows give 5112 differences, enough for a few percent.
-Of a lower picture the row in the middle is taken."""
+"""Noise is estimated from one row in so many: 480 rows give 5112 differences, enough for a few percent. Of an image with fewer
+rows the middle one is taken."""
 MEDIAN_STEP = 0.6745 * math.sqrt(2)
-"""Median absolute difference of two independent Gaussian numbers, in their standard deviations."""
+"""Median absolute difference of two independent Gaussian numbers of standard deviation 1; .6745 is the normal upper quartile."""
 NOISE_ROUGHNESS_PX = 0.1
-"""What noise adds to ROUGHNESS_PX [px^2 per grey level of its standard deviation] (rendered discs and balls of 4 to 30 px radius)."""
+"""Added to ROUGHNESS_PX by noise [px^2 per grey level of its standard deviation] (rendered discs and balls of 4 to 30 px radius)."""
 
 _NEIGHBOURS = np.ones((3, 3), np.uint8)
 
 
 @dataclass(frozen=True, slots=True)
 class Blob:
-    """A connected region of saturated colour: centroid (u, v) [px], area [px^2], hue [deg], box, and whether it is whole.
+    """A connected region of saturated colour.
 
-    Whole: cut neither by the picture's border nor by something in front, as far as its own shape tells.
+    Attributes:
+        u, v: centroid [px].
+        area: area [px^2].
+        hue_deg: hue at the centroid [deg].
+        box: bounding box [px].
+        whole: neither cut by the image's border nor, judging by its own shape, partly occluded.
     """
 
     u: float
@@ -54,7 +59,7 @@ class Blob:
         return max(self.box[2] - self.box[0], self.box[3] - self.box[1])
 
     def cut_by(self, window: Window, width: int, height: int) -> bool:
-        """Whether it reaches an edge of the window that is no border of the picture (width x height), and may go on beyond."""
+        """Whether it reaches an edge of the window inside the image (width x height), and may continue beyond."""
         left, top, right, bottom = self.box
         return left <= window[0] > 0 or top <= window[1] > 0 or right >= window[2] < width or bottom >= window[3] < height
 
@@ -62,7 +67,7 @@ class Blob:
 def chroma(image: Image) -> Image:
     """max(r, g, b) - min(r, g, b), shape (H, W), of an RGB image (H, W, 3).
 
-    Zero for every grey, however bright; in proportion to the share of a pixel that something coloured covers.
+    Zero for every grey, however bright, and proportional to the share of a pixel that a coloured object covers on grey.
     """
     r, g, b = cv2.split(image)
     high = cv2.max(cv2.max(r, g), b)
@@ -70,35 +75,34 @@ def chroma(image: Image) -> Image:
 
 
 def noise_level(image: Image) -> float:
-    """Standard deviation of a picture's noise [grey levels], from the picture alone: 0 for a clean one.
+    """Standard deviation of an image's noise [grey levels], estimated from the image alone: 0 for a clean one.
 
-    The median step between neighbours in a row; most pixels of a rendered surface equal their neighbours, so that it is
-    exactly 0 without noise. Noise under about .7 is lost in the rounding to grey levels. A backdrop as rough as noise
-    counts as noise.
+    From the median step between neighbours in a row: most pixels of a rendered surface equal their neighbours, so that it is
+    exactly 0 without noise. Noise below about .7 is lost in the rounding to grey levels. A textured background counts as noise.
     """
     first = min(NOISE_ROWS, len(image)) // 2
     rows = np.ascontiguousarray(image[first::NOISE_ROWS, :, 1])
     steps = cv2.absdiff(rows[:, 1:], rows[:, :-1])
-    if 2 * cv2.countNonZero(steps) <= steps.size:
+    if 2 * cv2.countNonZero(steps) <= steps.size:  # the median is 0: no need to sort
         return 0.0
     return float(np.median(steps)) / MEDIAN_STEP
 
 
 def chroma_mask(image: Image, threshold: int) -> Image:
-    """255 where the chroma is over the threshold, else 0: shape (H, W) of an RGB image (H, W, 3)."""
+    """255 where the chroma exceeds the threshold, else 0, shape (H, W), of an RGB image (H, W, 3)."""
     height, width = image.shape[:2]
     if height * width <= STRIP_PX:
         return np.asarray(cv2.threshold(chroma(image), threshold, 255, cv2.THRESH_BINARY)[1], np.uint8)
     mask = np.empty((height, width), np.uint8)
     rows = max(1, STRIP_PX // width)
-    buffers = np.empty((4, rows, width), np.uint8)
+    buffers = np.empty((4, rows, width), np.uint8)  # reused for each strip; `chroma` would allocate six images
     for top in range(0, height, rows):
         strip = image[top : top + rows]
         r, g, b, high = buffers[:, : len(strip)]
         cv2.split(strip, (r, g, b))
         cv2.max(r, g, high)
         cv2.max(high, b, high)
-        cv2.min(r, g, r)
+        cv2.min(r, g, r)  # r is not needed any more: the minimum is built in its place
         cv2.min(r, b, r)
         cv2.subtract(high, r, high)
         cv2.threshold(high, threshold, 255, cv2.THRESH_BINARY, mask[top : top + rows])
@@ -106,18 +110,17 @@ def chroma_mask(image: Image, threshold: int) -> Image:
 
 
 def find_blobs(image: Image, window: Window, threshold: int, least_area: float, rim: Rim, noise: float = 0.0) -> list[Blob]:
-    """All blobs of at least `least_area` pixels whose chroma is over the threshold, in a window of an RGB picture.
+    """All blobs of at least `least_area` pixels whose chroma exceeds the threshold, in a window of an RGB image.
 
     Args:
-        image: the whole picture, shape (H, W, 3).
-        window: where to look.
+        image: the whole image, shape (H, W, 3).
+        window: the part to be searched [px].
         threshold: chroma above which a pixel belongs to a blob, 0..255.
         least_area: smaller blobs are noise [px^2].
-        rim: how pixels count at a blob's rim. `sharp`: as the threshold says (by coverage where there is noise), for
-            pictures of one sample a pixel;
-            for smoothed ones `binary` (in or out at half coverage) or `grey` (by coverage).
-        noise: standard deviation of the picture's noise [grey levels]; where there is any, blobs are looked for in the
-            smoothed picture, which has three eighths of it, and measured as `_noisy_coverage` says.
+        rim: weights of the pixels at a blob's edge. `sharp`: by the threshold (by coverage where there is noise), for images
+            of one sample a pixel; for images with smooth edges `binary` (in or out at half coverage) or `grey` (by coverage).
+        noise: standard deviation of the image's noise [grey levels]; if positive, blobs are segmented in the smoothed image,
+            which has three eighths of it, and measured as in `_noisy_coverage`.
     """
     left, top, right, bottom = window
     part = image[top:bottom, left:right]
@@ -126,10 +129,10 @@ def find_blobs(image: Image, window: Window, threshold: int, least_area: float, 
     contours = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[0]
     for contour in contours:
         x, y, w, h = cv2.boundingRect(contour)
-        if w * h < least_area:
+        if w * h < least_area:  # the box bounds the area: most specks of noise end here
             continue
         alone = mask[y : y + h, x : x + w]
-        if len(contours) > 1:
+        if len(contours) > 1:  # remove the parts of other blobs from this one's box
             filled = cv2.drawContours(np.zeros((h, w), np.uint8), [contour], 0, 255, cv2.FILLED, offset=(-x, -y))
             alone = np.asarray(cv2.bitwise_and(alone, filled), np.uint8)
         blob = _blob(image, alone, (left + x, top + y, left + x + w, top + y + h), rim, noise)
@@ -139,12 +142,12 @@ def find_blobs(image: Image, window: Window, threshold: int, least_area: float, 
 
 
 def _blob(image: Image, alone: Image, box: Window, rim: Rim, noise: float) -> Blob | None:
-    """One blob from its own pixels in its box: 255 in `alone`.
+    """One blob from its own pixels in its box, 255 in `alone`; None without mass.
 
-    Moments are taken within the blob's own box (of two pixels more on each side where pixels at the rim count by
-    coverage), so that they are the same numbers whatever window it was found in.
-    An ellipse with second central moments mu (per area) has area 4 pi sqrt(det mu); a blob that is smaller than that
-    has a piece missing. (Coverage is an ellipse smeared over a pixel, which adds 1/12 to mu_xx and mu_yy.)
+    Moments are computed within the blob's own box (two pixels larger on each side where edge pixels are weighted by coverage),
+    so that they are the same to the last bit whatever window the blob was found in.
+    An ellipse with second central moments mu (per area) has area 4 pi sqrt(det mu); a blob that is smaller
+    is partly occluded. (Coverage is an ellipse convolved with a pixel, which adds its variance 1/12 to mu_xx and mu_yy.)
     """
     height, width = image.shape[:2]
     left, top = box[:2]
@@ -162,6 +165,7 @@ def _blob(image: Image, alone: Image, box: Window, rim: Rim, noise: float) -> Bl
     area = mass / 255
     x, y = m["m10"] / mass, m["m01"] / mass
     spread = 1 / 12 if rim == "grey" else 0.0
+    # OpenCV's central moments are sums; divided by the mass they are variances about the centroid.
     xx, yy, xy = m["mu20"] / mass - spread, m["mu02"] / mass - spread, m["mu11"] / mass
     ellipse = 4 * math.pi * math.sqrt(max(xx * yy - xy * xy, 0.0))
     inside = box[0] > 0 and box[1] > 0 and box[2] < width and box[3] < height
@@ -170,28 +174,30 @@ def _blob(image: Image, alone: Image, box: Window, rim: Rim, noise: float) -> Bl
 
 
 def _coverage(chroma: Image, alone: Image, rim: Rim) -> Image:
-    """How much of each pixel a blob covers, 0..255, one pixel farther out than the threshold saw it.
+    """Coverage of each pixel by a blob, 0..255, one pixel farther out than the thresholded mask.
 
-    A rim pixel's coverage is its chroma over the mean chroma of the blob's own pixels next to it, that is, over what the
-    blob looks like just there: a fixed threshold would shift the centroid of a smoothed, shaded ball by .3 px towards the light.
-    The chroma of what is behind (a blue sky has 15) counts for nothing: as coverage it would make a halo of a pixel.
+    The coverage of an edge pixel is its chroma over the mean chroma of the blob's own pixels next to it, which follows shading:
+    a fixed threshold would shift the centroid of a smoothed, shaded ball by .3 px towards the light. The chroma of the
+    background (a blue sky has 15) is subtracted: as coverage it would add a halo one pixel wide.
     """
     chroma = chroma - chroma.min()
     own = cv2.bitwise_and(chroma, alone)
     total = cv2.boxFilter(own, cv2.CV_32F, (3, 3), normalize=False)
     count = cv2.boxFilter(alone, cv2.CV_32F, (3, 3), normalize=False)
+    # chroma / (total / count); the small number keeps pixels without neighbours of the blob from dividing 0 by 0.
     share = cv2.convertScaleAbs(cv2.divide(cv2.multiply(chroma, count, dtype=cv2.CV_32F), total + 1e-3))
     edge = share if rim == "grey" else cv2.threshold(share, 127, 255, cv2.THRESH_BINARY)[1]
     edge = cv2.bitwise_and(edge, cv2.dilate(alone, _NEIGHBOURS))
+    # Inside, away from the edge, coverage is full whatever the shading.
     return np.asarray(cv2.max(edge, cv2.erode(alone, _NEIGHBOURS)), np.uint8)
 
 
 def _noisy_coverage(part: Image, found: Image, rim: Rim) -> NDArray[np.float32]:
-    """How much of each pixel a blob covers in a noisy picture, in units of 1/255, with the noise; `found` is where it is about.
+    """Noisy coverage of each pixel by a blob in a noisy image, in units of 1/255; `found` is the blob's approximate mask.
 
-    In or out at half of the local chroma of the smoothed picture gives the border, which is all that `binary` takes. Else
-    a pixel next to that border has its own, unsmoothed chroma over the mean chroma of the blob's pixels next to it, both less
-    the background's; it may be below 0 or above 255, since clipping would let noise shift the mean.
+    The border is where the smoothed image has half of the local chroma; `binary` takes that alone. Otherwise the coverage of a
+    pixel next to the border is its own, unsmoothed chroma over the mean chroma of the blob's pixels next to it, both less the
+    background's. It may be below 0 or above 255: clipping would bias the mean.
     """
     smooth, raw = chroma(_smoothed(part)).astype(np.float32), chroma(part).astype(np.float32)
     near = cv2.dilate(found, _NEIGHBOURS)
@@ -210,11 +216,11 @@ def _noisy_coverage(part: Image, found: Image, rim: Rim) -> NDArray[np.float32]:
 
 
 def _smoothed(image: Image) -> Image:
-    """An image whose noise is three eighths of what it was: each pixel its neighbours' mean with weights 1, 2, 1 both ways."""
+    """The image filtered by the binomial kernel (1, 2, 1)/4 in both directions, which leaves 3/8 of white noise."""
     return np.asarray(cv2.GaussianBlur(image, (3, 3), 0), np.uint8)
 
 
 def _hue(image: Image, u: int, v: int) -> float:
-    """Hue [deg] of the mean colour of the 3 x 3 pixels round (u, v): white light and grey neighbours do not change it."""
+    """Hue [deg] of the mean colour of the 3 x 3 pixels around (u, v); mixing in white or grey does not change a hue."""
     r, g, b, _ = cv2.mean(image[max(v - 1, 0) : v + 2, max(u - 1, 0) : u + 2])
     return 360 * colorsys.rgb_to_hsv(r, g, b)[0]

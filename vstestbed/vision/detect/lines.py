@@ -1,4 +1,4 @@
-"""Lines on the floor: a strip of floor round each look distance, seen from straight above, in which stripes are found by hue."""
+"""Lines on the floor: bird's-eye strips of the floor around the look-ahead distances, in which stripes are found by hue."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from annotated_types import Ge, Gt, Le, Lt
 from numpy.typing import NDArray
 
-from vstestbed.camera import Camera, Frame, Image, Look, Window
+from vstestbed.camera import Camera, Image, Look, Picture, Window
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.spec import spec
@@ -21,24 +21,26 @@ from vstestbed.vision.base import Detection, TruthView
 from vstestbed.vision.detect.colour_blobs import chroma
 
 ROWS = 9
-"""Rows of a strip, one about every pixel: a stripe's direction shows, and a bend of 2 m is straight over them."""
+"""Rows of a strip, about one pixel apart: enough for a stripe's direction, few enough for a bend of 2 m radius to be straight."""
 LEAST_ROWS = 5
-"""A line is not told from fewer."""
+"""Fewest rows from which a line is fitted."""
 FINEST_M, COARSEST_M = 5e-4, 0.02
-"""Between these lies the raster of a strip [m]; else a raster unit is a pixel."""
+"""Limits of a strip's raster [m]; between them a cell is as large as a pixel."""
 OUTSIDE = np.float32(-9)
-"""Where a picture has no pixel [px]: far enough out for interpolation to find nothing there."""
+"""Coordinate for a cell that the camera does not see [px]: far enough outside for interpolation not to reach the image."""
 BACKDROP = (128, 128, 128)
-"""What is outside of the picture: of no colour."""
+"""Grey for cells outside of the image: without hue."""
 
 
 @dataclass(frozen=True, slots=True)
 class Strip:
-    """A strip of floor as a raster of ROWS rows, and the pixels that it is made of.
+    """A strip of floor as a raster of ROWS x K cells, in the vehicle's frame (x ahead, y left), and its pixels.
 
     Attributes:
-        ahead: of its middle row [m]. row_m, column_m: the raster [m]. lefts: of the columns' middles, shape (K,) [m].
-        maps: for each of the camera's panels the pixels u and v, each (ROWS, K), or OUTSIDE where it does not see the place.
+        ahead: x of its middle row, the look-ahead distance [m].
+        row_m, column_m: size of a cell [m].
+        lefts: y of the columns, shape (K,) [m], from left to right.
+        maps: for each of the camera's panels the pixels u and v of the cells, each (ROWS, K), or OUTSIDE where it is not seen.
     """
 
     ahead: float
@@ -48,7 +50,7 @@ class Strip:
     maps: tuple[tuple[NDArray[np.float32], NDArray[np.float32]], ...]
 
     def window(self, panel: int, lens: Camera) -> Window | None:
-        """The piece of a panel's picture that it is made of; None where there is none."""
+        """The window of a panel's image that holds the strip; None where the panel does not see it."""
         uv = np.stack(self.maps[panel], axis=-1).reshape(-1, 2)
         uv = uv[uv[:, 0] != OUTSIDE]
         if not len(uv):
@@ -59,7 +61,7 @@ class Strip:
 
 @dataclass(frozen=True, slots=True)
 class LinesMemory:
-    """The strips (made with the first picture), and how far to the left each point was last, shape (N,) [m], NaN where not seen."""
+    """The strips, built with the first picture, and the last y of each point, shape (N,) [m], NaN where never seen."""
 
     strips: tuple[Strip, ...] = ()
     lefts: Array | None = None
@@ -69,19 +71,19 @@ class LinesMemory:
 class Lines:
     """Lines on the floor by colour, where they cross the target's look distances.
 
-    The camera's mount and lens are calibrated, the vehicle stands upright on a level floor: so each pixel is a place on the
-    floor. A strip of floor across each look distance is put together from the picture, seen from straight above, about a
-    pixel to a raster unit, whatever the lens. In it a line's pixels are those of its hue; of their connected regions the
-    largest counts, or where two are of one size, as where a way crosses itself, the one nearest to the last picture's. In
-    each of nine rows the centroid by chroma is taken, a straight line fitted to them robustly (Huber), and
-    where that crosses the look distance is the point. It is not reported where the region is cut by the strip's end, or is not
-    as wide as a stripe (something stands before it). A vehicle that pitches sees the floor displaced, as a real one does.
+    The camera's mount and lens are calibrated and the vehicle is upright on a level floor, so each pixel is a point of the floor
+    (inverse perspective mapping). A strip of floor across each look-ahead distance is resampled from the image, at about one
+    pixel a cell, whatever the lens. A line's cells are those of its hue; of their connected regions the largest is taken or,
+    where two are of one size, as at a crossing, the one nearest to the last picture's. The centroids by chroma of the nine rows
+    are fitted by a straight line (robustly, Huber), and its intersection with the look-ahead distance is the point. It is
+    rejected where the region is cut by the strip's end or is not as wide as a stripe (occlusion). The pitch of a vehicle on its
+    suspension displaces the floor, as on a real one.
 
     Args:
         chroma: max - min of r, g, b (0..255) above which a pixel belongs to a line.
         hue_tolerance_deg: largest difference to the line's hue; never more than half the step between two lines' hues.
-        reach_m: how far to each side a line is looked for [m].
-        width_tolerance: largest relative difference between the width seen and the stripe's.
+        reach_m: half width of the strips, to each side of the vehicle [m].
+        width_tolerance: largest relative difference between the measured width and the stripe's.
 
     Reference: view of a plane from above: Corke 2017, Robotics, Vision & Control, section 14.2 (planar homography); robust fit:
     Huber 1981, Robust Statistics.
@@ -101,22 +103,22 @@ class Lines:
         return LinesMemory()
 
     def look(self, memory: LinesMemory, camera: Camera, target: Target) -> Look | None:
-        """The pieces of the picture that the strips are made of; None before the first."""
+        """The windows that hold the strips; None before the first picture."""
         if not memory.strips:
             return None
         panels = enumerate(camera.panels)
         return tuple(tuple(w for s in memory.strips if (w := s.window(i, panel.lens)) is not None) for i, panel in panels)
 
     def detect(
-        self, memory: LinesMemory, frame: Frame | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
+        self, memory: LinesMemory, picture: Picture | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
     ) -> tuple[LinesMemory, Detection]:
         """Crossings (N, 2) [px] in one picture, in the target's order, NaN where not seen.
 
         Raises:
-            ParameterError: there is no picture, or the target is no lines.
+            ParameterError: there is no picture, or the target is not of kind lines.
         """
-        if frame is None or all(image is None for image in frame.images):
-            raise ParameterError("frame", "is missing: detector lines needs a picture; use detector oracle where there is none")
+        if picture is None or picture.empty:
+            raise ParameterError("picture", "is missing: detector lines needs one; use detector oracle where there is none")
         if not isinstance(target, GroundLines):
             raise ParameterError("target", "must be of kind lines for detector lines")
         strips = memory.strips or tuple(_strip(camera, ahead, self.reach_m) for ahead in target.look_m)
@@ -124,8 +126,9 @@ class Lines:
         last = np.full(n, np.nan) if memory.lefts is None else memory.lefts
         hues, lefts = target.hues_deg, np.full(n, np.nan)
         for k, strip in enumerate(strips):
-            floor = _from_above(frame, strip)
+            floor = _from_above(picture, strip)
             colour, hue = chroma(floor), np.asarray(cv2.cvtColor(floor, cv2.COLOR_RGB2HSV)[..., 0], np.uint8)
+            # Points are ordered line by line, each at all look-ahead distances: every len(strips)-th is in this strip.
             for i in range(k, n, len(strips)):
                 mask = self._mask(colour, hue, hues[i], n // len(strips))
                 lefts[i] = self._cross(strip, colour, mask, target.marker.width_m, last[i])
@@ -134,13 +137,19 @@ class Lines:
         return LinesMemory(strips, np.where(np.isfinite(lefts), lefts, last)), Detection(uv=uv)
 
     def _mask(self, colour: Image, hue: Image, hue_deg: float, lines: int) -> Image:
-        """1 where a raster unit is of a line's hue. OpenCV's hue is in steps of 2 degrees."""
+        """1 where a cell has a line's hue, shape (ROWS, K). OpenCV's hue of 8 bits is in steps of 2 degrees."""
         tolerance = min(self.hue_tolerance_deg, 180 / lines)
+        # One comparison for each of the 256 hues, then a lookup for each cell.
         apart = np.abs((2.0 * np.arange(256) - hue_deg + 180) % 360 - 180)
         return ((colour > self.chroma) & (apart <= tolerance)[hue]).astype(np.uint8)
 
     def _cross(self, strip: Strip, colour: Image, mask: Image, width_m: float, last: float) -> float:
-        """How far to the left a line crosses the middle of its strip [m]; NaN where it cannot be told."""
+        """Y at which a line crosses the middle row of its strip [m]; NaN where it is not seen well enough.
+
+        Args:
+            strip: the strip. colour: its chroma (ROWS, K). mask: 1 in the line's cells (ROWS, K).
+            width_m: width of the stripe [m]. last: y in the last picture [m], NaN where it was not seen.
+        """
         count, labels, stats, centres = cv2.connectedComponentsWithStats(mask, connectivity=8)
         if count < 2:
             return math.nan
@@ -162,25 +171,26 @@ class Lines:
 
 
 def _fit(points: NDArray[np.floating[Any]]) -> tuple[float, float]:
-    """Slope and value at 0 of the line through points (K, 2), robustly: outliers over a unit or so count little."""
+    """Slope and intercept of the line through points (K, 2), with Huber's loss: outliers beyond a unit or so weigh little."""
     vx, vy, x0, y0 = cv2.fitLine(points.astype(np.float32), cv2.DIST_HUBER, 0, 1e-3, 1e-3).ravel().tolist()
     slope = vy / vx if abs(vx) > 1e-6 else math.copysign(1e6, vy)
     return slope, y0 - slope * x0
 
 
 def _strip(camera: Camera, ahead: float, reach: float) -> Strip:
-    """The strip of floor at a look distance [m], `reach` [m] to each side, and the pixels that it is made of in each panel.
+    """The strip of floor at a look-ahead distance [m], `reach` [m] to each side, with its pixels in each panel.
 
     Raises:
         ParameterError: the camera does not see the floor there.
     """
+    # Pixels per metre by finite differences of 2 mm, which hold for any lens.
     mount, step = camera.mount.T, 0.002
     here, on, left = camera.project(on_foot(mount, np.array([[ahead, 0.0], [ahead + step, 0.0], [ahead, step]])))
     row_m, column_m = (float(np.clip(step / np.linalg.norm(uv - here), FINEST_M, COARSEST_M)) for uv in (on, left))
     if not math.isfinite(row_m + column_m):
         raise ParameterError("target.look_m", "must be where the camera sees the floor", ahead)
     half = math.ceil(reach / column_m)
-    lefts: Array = np.arange(half, -half - 1, -1, dtype=np.float64) * column_m  # as in the picture, left at the left
+    lefts: Array = np.arange(half, -half - 1, -1, dtype=np.float64) * column_m  # left is left, as in the image
     aheads: Array = ahead + (np.arange(ROWS, dtype=np.float64) - ROWS // 2) * row_m
     floor = np.stack(np.meshgrid(aheads, lefts, indexing="ij"), axis=-1)
     p = on_foot(mount, floor.astype(np.float64))
@@ -192,10 +202,10 @@ def _strip(camera: Camera, ahead: float, reach: float) -> Strip:
     return Strip(ahead, row_m, column_m, lefts, tuple(maps))
 
 
-def _from_above(frame: Frame, strip: Strip) -> Image:
-    """The strip's picture (ROWS, K, 3); of several panels that see a place, the first that was drawn."""
+def _from_above(picture: Picture, strip: Strip) -> Image:
+    """The strip's image (ROWS, K, 3); where several panels see a cell, from the first of them."""
     out: Image | None = None
-    for image, maps in zip(frame.images, strip.maps, strict=True):
+    for image, maps in zip(picture.images, strip.maps, strict=True):
         if image is None or (maps[0] == OUTSIDE).all():
             continue
         seen = np.asarray(cv2.remap(image, *maps, cv2.INTER_LINEAR, None, cv2.BORDER_CONSTANT, BACKDROP), np.uint8)

@@ -1,4 +1,4 @@
-"""From blobs to marker centres: perspective's bias taken off, blobs that do not fit the pose left out."""
+"""From blobs to marker centres: perspective bias corrected, blobs that do not fit the pose rejected."""
 
 from __future__ import annotations
 
@@ -16,71 +16,87 @@ from vstestbed.vision.detect.track import BlobsMemory
 from vstestbed.vision.pose.pnp import solve_pose_from_rays, three_ray_poses
 
 AREA_NOISE_PX = 3.5
-"""What rounding to pixels does to a blob's area, three standard deviations [px^2] (drawn ellipses of 2 to 8 px radius)."""
+"""Error of a blob's area by rounding to pixels, three standard deviations [px^2] (drawn ellipses of 2 to 8 px radius)."""
 SAME_BIAS_PX = 0.02
-"""A bias that differs by less from the one assumed stands: solving the pose again would change it by a tenth of that."""
+"""The bias has converged when it changes by less than this [px]; another round would change it by a tenth of that."""
 MOST_ROUNDS = 3
-"""Poses solved at most for one picture, besides one for each marker that is left out."""
+"""Most poses solved for one picture, besides one for each rejected marker."""
 SURPRISE = 0.15
-"""Sum over three markers of |log(area / expected)|: under .05 for the right pose of rendered discs, over .6 for most others."""
+"""Sum over three markers of |log(area / predicted)|: under .05 for the right pose of rendered discs, over .6 for most others."""
 
 
-class Measure:
-    """Measures one picture's blobs; pixels are those of the panel in which each blob was found.
+class MarkerFit:
+    """Fits one picture's blobs by a pose of the target; pixels are those of the panel in which each blob was found.
 
     Args:
-        camera: the lens. target: what is looked at. panels: of each marker's blob, N of them.
-        area_tolerance: largest relative difference between a blob's area and the expected one.
-        edge: how far inside or outside of the true border a blob's border may lie [px].
+        camera: the camera.
+        target: the marker layout, of N markers.
+        panels: index of the panel of each marker's blob, N of them.
+        area_tolerance: largest relative difference between a blob's area and the predicted one.
+        edge: error of a blob's border, inwards or outwards [px].
     """
 
     def __init__(self, camera: Camera, target: Target, panels: list[int], area_tolerance: float, edge: float):
         self._camera, self._target, self._tolerance, self._edge = camera, target, area_tolerance, edge
         self._of = None if len(camera.panels) == 1 else np.array(panels)
-        self.aliens = np.zeros(len(target.points), dtype=bool)
-        """Which blobs are no markers of this target: the pose of the others rules them out, (N,)."""
+        self.outliers = np.zeros(len(target.points), dtype=bool)
+        """Which blobs are no markers of this target: they lie far from where the pose of the others predicts them, (N,)."""
 
     def centres(self, blobs: list[Blob | None], memory: BlobsMemory, correct: bool) -> tuple[Array, Array | None, Array]:
-        """Marker centres (N, 2) in the camera's own pixels, the pose (4, 4), and perspective's bias (N, 2) in the panels'.
+        """Marker centres (N, 2) in the camera's own pixels, the pose (4, 4), and the perspective bias (N, 2) in the panels'.
 
-        The pose is solved from centroids less the bias of the last picture, which gives this picture's bias; where that
-        is not the same within SAME_BIAS_PX, once more. `correct` says whether to take the bias off the centres.
+        Args:
+            blobs: of each marker; None where none was found.
+            memory: the last picture, whose bias and pose start the iteration.
+            correct: subtract the bias from the centres.
         """
-        whole = [b if b and b.whole else None for b in blobs]
-        centroid = np.array([(b.u, b.v) if b else (np.nan, np.nan) for b in whole])
-        area = np.array([b.area if b else np.nan for b in whole])
+        centroid, area = _whole(blobs)
         assumed = np.zeros_like(centroid) if memory.bias is None else memory.bias
-        T = self._pose(centroid - assumed, area, memory.T_camera_target)
-        for _ in range(len(blobs) + MOST_ROUNDS):
+        T, bias = self._fitted(centroid, area, assumed, memory.T_camera_target)
+        if T is None:
+            bias = self._bias_without_pose(centroid, area, bias, memory.T_camera_target)
+        uv = centroid - bias if correct else centroid
+        return (uv if self._of is None else self._camera.project(self._rays(uv))), T, bias
+
+    def _fitted(self, centroid: Array, area: Array, assumed: Array, previous: Array | None) -> tuple[Array | None, Array]:
+        """The pose (4, 4) that fits the markers, None where there is none, and their bias (N, 2) [px].
+
+        Alternates between the pose from the centroids less the assumed bias and the bias under that pose, until the bias has
+        converged. Rejected markers become NaN in `centroid` (N, 2) and `area` (N,), in place.
+        """
+        T = self._pose(centroid - assumed, area, previous)
+        for _ in range(len(centroid) + MOST_ROUNDS):
             if T is None:
                 break
             bias, expected = self._expected(T)
             worst, misfit = self._worst(area, expected)
-            found = self._outlier(T, centroid, bias, area, memory.T_camera_target, misfit)
-            if found is not None:
-                worst, T, assumed = found
+            outlier = self._outlier(T, centroid, bias, area, previous, misfit)
+            if outlier is not None:
+                worst, T, assumed = outlier
                 centroid[worst] = area[worst] = np.nan
                 continue
             if misfit > 1:
                 centroid[worst] = area[worst] = np.nan
-            elif not np.abs(bias - assumed).max() > SAME_BIAS_PX:
+            elif not np.abs(bias - assumed).max() > SAME_BIAS_PX:  # "not >" so that the NaN of lost markers ends the loop
                 break
             assumed = bias
-            T = self._pose(centroid - assumed, area, T if memory.T_camera_target is None else memory.T_camera_target)
-        if T is None and self._target.marker.kind == "sphere":
-            assumed = self._by_size(centroid, area)
-        elif T is None and memory.T_camera_target is not None:
-            assumed = self._expected(memory.T_camera_target)[0]
-        uv = centroid - assumed if correct else centroid
-        return (uv if self._of is None else self._camera.project(self._rays(uv))), T, assumed
+            T = self._pose(centroid - assumed, area, T if previous is None else previous)
+        return T, assumed
+
+    def _bias_without_pose(self, centroid: Array, area: Array, assumed: Array, previous: Array | None) -> Array:
+        """Bias (N, 2) [px] of markers too few for a pose: of balls by their size, of discs under the last pose."""
+        if self._target.marker.kind == "sphere":
+            return self._by_size(centroid, area)
+        return assumed if previous is None else self._expected(previous)[0]
 
     def _outlier(
         self, T: Array, centroid: Array, bias: Array, area: Array, previous: Array | None, misfit: float
     ) -> tuple[int, Array, Array] | None:
-        """The blob that does not belong to the others, with their pose and bias, where the pose of all explains them badly.
+        """The blob that is not this target's, with the pose and bias of the others; None where the pose of all explains them.
 
-        That one is left out whose others agree best: in place and, since three points always do, in area. Four blobs of which
-        one is elsewhere may have a pose that nearly fits their places, but hardly one that fits their areas too.
+        Leave one out: that blob is dropped without which the others fit best, by position and, since three points always have a
+        pose, by area. Four blobs of which one is another object may have a pose that nearly fits their positions, but hardly
+        one that fits their areas too.
         """
         seen = np.flatnonzero(np.isfinite(centroid[:, 0]))
         if self._of is not None or len(seen) < 4:
@@ -101,11 +117,11 @@ class Measure:
             if score < best:
                 best, found = score, (i, pose, there)
         if found is not None:
-            self.aliens[found[0]] = self._off(found[1], centroid, found[2])[found[0]] > allowed
+            self.outliers[found[0]] = self._off(found[1], centroid, found[2])[found[0]] > allowed
         return found
 
     def _of_others(self, uv: Array, area: Array, previous: Array | None) -> Array | None:
-        """The pose of blobs without one; of three the one that continues the last pose, unless their areas ask for another."""
+        """The pose without one blob; of three, the one that continues the last pose, unless their areas contradict it."""
         seen = np.isfinite(uv[:, 0])
         pose = self._pose(uv, area, previous)
         if np.count_nonzero(seen) > 3 or (pose is not None and self._surprise(pose, area) < SURPRISE):
@@ -113,15 +129,16 @@ class Measure:
         return self._first_of_three(self._rays(uv[seen]), area)
 
     def _surprise(self, T: Array, area: Array) -> float:
+        """Sum of |log(area / predicted)| of areas (N,) under a pose."""
         return float(np.nansum(np.abs(np.log(area / self._expected(T)[1]))))
 
     def _off(self, T: Array, centroid: Array, bias: Array) -> Array:
-        """How far each centroid (N, 2) is from where a pose has it, (N,) [px]."""
+        """Distance of each centroid (N, 2) from its prediction under a pose, shape (N,) [px]."""
         uv = self._camera.project(transform(T, self._target.points)) + bias
         return np.linalg.norm(centroid - uv, axis=1)
 
     def _expected(self, T_camera_target: Array) -> tuple[Array, Array]:
-        """Perspective's bias (N, 2) [px] and the area (N,) [px^2] of each marker in its panel."""
+        """Predicted perspective bias (N, 2) [px] and area (N,) [px^2] of each marker in its panel."""
         if self._of is None:
             return centre_bias(self._camera, self._target, T_camera_target)
         bias, area = np.full((len(self._of), 2), np.nan), np.full(len(self._of), np.nan)
@@ -134,7 +151,7 @@ class Measure:
         return bias, area
 
     def _by_size(self, centroid: Array, area: Array) -> Array:
-        """Perspective's bias (N, 2) [px] of balls too few for a pose, from the size of each; 0 for what is not seen."""
+        """Perspective bias (N, 2) [px] of balls, from the apparent size of each; 0 for those not seen."""
         radius = self._target.marker.radius
         if self._of is None:
             bias = ball_bias(self._camera, radius, centroid, area)
@@ -146,7 +163,7 @@ class Measure:
         return np.nan_to_num(bias)
 
     def _rays(self, uv: Array) -> Array:
-        """Unit rays (N, 3) in the camera frame of pixels (N, 2) of the panels."""
+        """Unit rays (N, 3) in the camera frame of the markers' pixels (N, 2), each in its panel."""
         if self._of is None:
             return self._camera.ray(uv)
         rays = np.empty((len(uv), 3))
@@ -156,6 +173,7 @@ class Measure:
         return rays
 
     def _pose(self, uv: Array, area: Array, previous: Array | None) -> Array | None:
+        """The pose (4, 4) from the images of the centres (N, 2) [px]; None with fewer than three."""
         seen = np.isfinite(uv[:, 0])
         n = int(np.count_nonzero(seen))
         if n < 3:
@@ -168,14 +186,15 @@ class Measure:
         return solve_pose_from_rays(rays, points, previous)
 
     def _first_of_three(self, rays: Array, area: Array) -> Array | None:
-        """Of the poses that rays (3, 3) leave, the one that makes the areas (N,) least surprising; None if even that does not fit."""
+        """Of the poses that three rays (3, 3) leave, the one that fits the areas (N,) best; None if even that does not fit."""
         poses = three_ray_poses(rays, self._target.points[np.isfinite(area)])
         best = min(poses, key=lambda T: self._surprise(T, area), default=None)
         return best if best is not None and self._surprise(best, area) < SURPRISE else None
 
     def _worst(self, area: Array, expected: Array) -> tuple[int, float]:
-        """Which area (N,) is farthest from the expected one, and by how much, in units of what is allowed; unseen ones are not."""
+        """Index of the area (N,) farthest from the predicted one, and that difference over the one allowed; NaN areas are skipped."""
         worst, most = 0, -1.0
+        # A loop in Python: on these few numbers it is quicker than NumPy.
         for i, (a, e) in enumerate(zip(area.tolist(), expected.tolist(), strict=True)):
             if math.isnan(a):
                 continue
@@ -184,3 +203,9 @@ class Measure:
             if misfit > most:
                 worst, most = i, misfit
         return worst, most
+
+
+def _whole(blobs: list[Blob | None]) -> tuple[Array, Array]:
+    """Centroids (N, 2) [px] and areas (N,) [px^2] of the blobs that are whole, NaN for the others."""
+    whole = [b if b and b.whole else None for b in blobs]
+    return np.array([(b.u, b.v) if b else (np.nan, np.nan) for b in whole]), np.array([b.area if b else np.nan for b in whole])

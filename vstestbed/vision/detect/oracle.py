@@ -1,4 +1,4 @@
-"""The oracle: a detector that knows the truth. The baseline against which vision is compared, never a default."""
+"""The oracle: a detector that reads the ground truth. A baseline for comparison with vision, never a default."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from vstestbed.camera import Camera, Frame, Look
+from vstestbed.camera import Camera, Look, Picture
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import all_finite
 from vstestbed.core.spec import spec
@@ -18,11 +18,11 @@ from vstestbed.vision.base import Detection, TruthView
 class Oracle:
     """True projections and true depths; pixel noise is the scenario's `noise.pixel_sigma_px`, added by the `Observer`.
 
-    What the lens cannot see is never seen: with a perspective one, all that is behind it. With a limited field of view,
-    neither is a marker that is hidden, outside the picture or cut by its border (`Camera.whole`).
+    Directions that the lens cannot project are never seen: with a perspective lens, all behind the camera. With a limited
+    field of view a marker is also lost when it is occluded, outside the image or cut by its border (`Camera.whole`).
 
     Args:
-        field_of_view: `limited` by the picture and by what stands in the way, or `unlimited`: all that the lens can project.
+        field_of_view: `limited` by the image's borders and by occlusion, or `unlimited`: all that the lens can project.
     """
 
     kind: Literal["oracle"] = "oracle"
@@ -32,15 +32,15 @@ class Oracle:
     markers: ClassVar[tuple[str, ...]] = ()
 
     def init(self) -> None:
-        """The oracle remembers nothing."""
+        """The oracle has no state."""
 
     def look(self, memory: None, camera: Camera, target: Target) -> Look | None:
-        """It looks at no picture."""
+        """None: it reads no picture."""
 
     def detect(
-        self, memory: None, frame: Frame | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
+        self, memory: None, picture: Picture | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
     ) -> tuple[None, Detection]:
-        """True pixels (N, 2) and centres (N, 3) of what can be seen, NaN for the rest.
+        """True pixels (N, 2) and centres (N, 3) of the visible markers, NaN for the others.
 
         Raises:
             ParameterError: no truth was given.

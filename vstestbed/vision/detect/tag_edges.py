@@ -1,4 +1,4 @@
-"""A tag's corners to hundredths of a pixel: its four edges measured in the grey picture, and crossed."""
+"""Subpixel corners of tags: the four edges measured in the grey image and intersected, good to hundredths of a pixel."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from vstestbed.core.geometry import Array
 Image = NDArray[np.uint8]
 
 ALONG = np.linspace(0.1, 0.9, 16)
-"""Where an edge is measured, as shares of its length: the corners' own blur is left out."""
+"""Positions along an edge at which it is measured, as shares of its length; the blurred corners are left out."""
 ACROSS = np.linspace(-1, 1, 25)
 """Samples of one profile across an edge, in units of its reach."""
 ENDS = 3
-"""Samples at a profile's end that tell black and white."""
+"""Samples at each end of a profile whose mean is its black or white level."""
 REACH = 0.65
-"""A profile reaches this share of a module to both sides: it ends within the black border and within the white quiet zone ..."""
+"""Half length of a profile in modules: it ends within the black border and within the white quiet zone ..."""
 MOST_REACH_PX = 4.0
-"""... and about as far as this at most [px], beyond any blur of a pixel's order."""
+"""... and its limit [px], beyond any blur of the order of a pixel."""
 ROUNDS = 4
-"""Measurements at most; each starts from the corners that the last one gave ..."""
+"""Most iterations; each starts from the corners of the last one ..."""
 STEADY_PX = 0.02
-"""... and none follows one that moved no corner by more than this, since it would move them by a fraction of that."""
+"""... and they end when no corner moves by more than this [px], since the next would move them by a fraction of that."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,17 +48,17 @@ class Edges:
 def measure_edges(grey: Image, corners: Array, modules: int) -> Edges:
     """The edges of tags whose corners are known within half a module.
 
-    Profiles lie across an edge along the tag's own rows and columns, as the corners' homography puts them into the picture,
-    so that also a tilted tag's end within one module. A profile of length 2 r goes from black b to white w: the edge lies at
-    r (1 - 2 mean(I - b)/(w - b)), which no symmetrical blur shifts. Lines fitted to these points by least squares, crossed,
-    are the corners.
+    Profiles of intensity I are sampled across an edge along the tag's own rows and columns, mapped into the image by the
+    corners' homography, so that they end within one module also on a tilted tag. Along a profile of length 2 r from black b to
+    white w the edge lies at r (1 - 2 mean(I - b)/(w - b)), which no symmetrical blur shifts. Lines are fitted to these points
+    by total least squares; their intersections are the corners.
 
     Args:
-        grey: the picture (H, W).
+        grey: the image (H, W).
         corners: shape (N, 4, 2) [px], clockwise from the tag's own upper left.
-        modules: along a tag's edge.
+        modules: number of modules along a tag's edge.
     """
-    with np.errstate(divide="ignore", invalid="ignore"):  # lines that never cross give NaN, which no one takes for a tag
+    with np.errstate(divide="ignore", invalid="ignore"):  # parallel lines give NaN, which fails every check of a tag
         edges = _measured_once(grey, corners, modules)
         for _ in range(ROUNDS - 1):
             if np.abs(edges.corners - corners).max() < STEADY_PX:
@@ -68,6 +68,7 @@ def measure_edges(grey: Image, corners: Array, modules: int) -> Edges:
 
 
 def _measured_once(grey: Image, corners: Array, modules: int) -> Edges:
+    """One iteration of `measure_edges`."""
     size = np.array([grey.shape[1], grey.shape[0]]) - 1
     middle, reach = _profiles(corners, modules)
     where = (middle[..., None, :] + ACROSS[:, None] * reach[..., None, :]).astype(np.float32)
@@ -76,14 +77,15 @@ def _measured_once(grey: Image, corners: Array, modules: int) -> Edges:
     share, step = _crossing(np.asarray(profile, float).reshape(where.shape[:-1]))
     measured, misfit = _cross(middle + share[..., None] * reach)
     contrast = step.min(axis=(1, 2)) / np.maximum(np.median(step, axis=(1, 2)), 1.0)
+    # Samples outside of the image repeat its border pixels; a negative distance rejects the tag.
     border = np.minimum(where, size - where).min(axis=(1, 2, 3, 4))
     return Edges(measured, np.abs(misfit).max(axis=(1, 2)), contrast, border)
 
 
 def _profiles(corners: Array, modules: int) -> tuple[Array, Array]:
-    """Middles of the profiles and vectors from there to their outer ends, both (N, 4, S, 2) [px].
+    """Midpoints of the profiles and the vectors from there to their outer ends, both (N, 4, S, 2) [px].
 
-    The unit square's map into the picture: Heckbert 1989, Fundamentals of Texture Mapping and Image Warping, section 2.2.3.
+    Homography of the unit square from its four corners: Heckbert 1989, Fundamentals of Texture Mapping and Image Warping, section 2.2.3.
     """
     a, b, c, d = (corners[:, k] for k in range(4))
     e, f, s = b - c, d - c, a - b + c - d
@@ -103,13 +105,13 @@ def _profiles(corners: Array, modules: int) -> tuple[Array, Array]:
 
 
 def _mapped(H: Array, p: Array) -> Array:
-    """Points (4, 2, S) of the unit square in the picture, (N, 4, S, 2)."""
+    """Points (4, 2, S) of the unit square mapped into the image by homographies (N, 3, 3), shape (N, 4, S, 2)."""
     q = np.einsum("nij,ejs->nesi", H[:, :, :2], p) + H[:, None, None, :, 2]
     return q[..., :2] / q[..., 2:]
 
 
 def _crossing(profile: Array) -> tuple[Array, Array]:
-    """Where profiles (..., K) step from black to white, in -1..1 from their inner to their outer end, and by how much."""
+    """Position of the edge in profiles (..., K), from -1 at their inner to 1 at their outer end, and the step's height."""
     black, white = profile[..., :ENDS].mean(axis=-1), profile[..., -ENDS:].mean(axis=-1)
     step = white - black
     mean = np.trapezoid(profile, axis=-1) / (profile.shape[-1] - 1)
@@ -117,16 +119,18 @@ def _crossing(profile: Array) -> tuple[Array, Array]:
 
 
 def _cross(points: Array) -> tuple[Array, Array]:
-    """Lines through points (N, 4, S, 2), crossed: corners (N, 4, 2), and the points' distances from their lines (N, 4, S)."""
+    """Intersections (N, 4, 2) of the lines through points (N, 4, S, 2), and the points' distances from their lines (N, 4, S)."""
     mean = points.mean(axis=2)
     d = points - mean[:, :, None]
     xx, yy, xy = (d[..., 0] ** 2).sum(-1), (d[..., 1] ** 2).sum(-1), (d[..., 0] * d[..., 1]).sum(-1)
-    angle = np.arctan2(2 * xy, xx - yy) / 2 + np.pi / 2
+    angle = np.arctan2(2 * xy, xx - yy) / 2 + np.pi / 2  # the scatter matrix's minor axis, in closed form
     normal = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     lines = np.concatenate([normal, -(normal * mean).sum(-1, keepdims=True)], axis=-1)
+    # Homogeneous lines: their cross product is the point of intersection.
     crossed = np.cross(np.roll(lines, 1, axis=1), lines)
     return crossed[..., :2] / crossed[..., 2:], (d * normal[:, :, None]).sum(-1)
 
 
 def _flat(v: Array) -> Array:
+    """Vectors (N, 2) with a third component 0, for np.cross."""
     return np.concatenate([v, np.zeros((len(v), 1))], axis=-1)

@@ -1,4 +1,4 @@
-"""Tags as they are printed: the modules of each family, as pictures made in memory."""
+"""Printed tags: images of each family's tags, for the textures of the scene."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from vstestbed.targets.markers import Marker, Tag
 
 PX_PER_MODULE = 16
-"""Texels along a module: a power of two, so that the smaller pictures that OpenGL makes of it keep their edges between texels."""
+"""Texels along a module: a power of two, so that the edges stay between texels at every level of OpenGL's mipmap."""
 
 
 @lru_cache

@@ -1,4 +1,4 @@
-"""Square tags (AprilTag, ArUco): found and read by OpenCV, measured along their edges, tracked in windows."""
+"""Square fiducial tags (AprilTag, ArUco): found and decoded by OpenCV, refined along their edges, tracked in windows."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from annotated_types import Ge, Gt, Le, Lt
 
-from vstestbed.camera import Camera, Frame, Look, Window
+from vstestbed.camera import Camera, Look, Picture, Window
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.spec import spec
@@ -25,16 +25,16 @@ from vstestbed.vision.detect.windows import windows_round
 from vstestbed.vision.pose.pnp import solve_pose_from_rays
 
 CONTOUR_PX = math.sqrt(0.5)
-"""OpenCV's corners lie this far inside the black square [px]: they are middles of outermost black pixels."""
+"""OpenCV's corners are centres of the outermost black pixels, and lie this far inside the black square [px]."""
 Found = tuple[int, Array]
-"""The panel of the camera in which a tag is seen, and its corners (4, 2) there [px]."""
+"""Index of the camera's panel in which a tag is seen, and its corners (4, 2) there [px]."""
 QUIET = 0.25
-"""A window has this share of a tag's size round it, besides its margin: the quiet zone and a little more."""
+"""Margin of a window as a share of the tag's size, for the white quiet zone that OpenCV needs; besides the margin in pixels."""
 
 
 @dataclass(frozen=True, slots=True)
 class TagsMemory:
-    """Each tag's corners (4, 2) in the last picture [px] (None: lost) and its move since the one before; the last pose."""
+    """Each tag's corners (4, 2) in the last picture [px] (None for a lost one), their moves since the one before [px], the last pose."""
 
     corners: tuple[Array | None, ...] = ()
     moves: tuple[tuple[float, float], ...] = ()
@@ -43,24 +43,24 @@ class TagsMemory:
 
 @spec
 class Tags:
-    """Markers that are tags, told apart by their numbers; a marker's pixel is the image of its tag's centre.
+    """Markers that are fiducial tags, identified by their number; a marker's pixel is the image of its tag's centre.
 
-    OpenCV finds and reads the tags, and gives corners to within a pixel. From there each edge is measured in the grey
-    picture and the four lines crossed (`measure_edges`): corners to .01 px, without a constant offset. (OpenCV's own
-    refinements, on rendered tags of 20 to 75 px: `subpix` .4 px, inwards; `contour` .7 px, inwards; `apriltag` .6 px, of
-    which a constant (+.43, +.43).) The diagonals of the corners' rays cross in the centre's ray, whatever the perspective
-    and the lens. The pose is solved from all corners; one tag suffices.
+    OpenCV finds and decodes the tags, with corners good to a pixel. From there each edge is measured in the grey image and the
+    four lines are intersected (`measure_edges`): corners to .01 px, without a constant offset. (OpenCV's own refinements, on
+    rendered tags of 20 to 75 px: `subpix` .4 px, inwards; `contour` .7 px, inwards; `apriltag` .6 px, of which a constant
+    (+.43, +.43).) The diagonals of the corners' rays intersect in the centre's ray, whatever the perspective and the lens.
+    The pose is solved from all corners; one tag suffices.
 
-    A tracked tag is looked for in a window round its predicted place (last + last move); when one is lost, the whole
-    picture is searched. A tag is not reported if it touches the picture's border, if it is misread, or if a point of its
-    edges is off its line or without contrast (something stands before it). Tags need about 2 px a module.
+    A tracked tag is searched in a window around its predicted position (constant velocity); when one is lost, the whole image
+    is searched. A tag is rejected if it touches the image's border, if it is misread, or if a point of its edges is off its
+    line or without contrast (occlusion). Tags need about 2 px a module.
 
     Args:
         astray_px: largest distance of an edge's point from the edge's line [px].
-        misread: how many of a tag's modules may be read wrongly; 3 finds more of the tags under 2 px a module, and also such
-            as something stands before the inner modules of.
+        misread: how many of a tag's modules may be read wrongly; 3 finds more of the tags under 2 px a module, and also tags
+            whose inner modules are occluded.
         contrast: least step from black to white at an edge's point, as a share of the tag's median step.
-        window_margin_px: what a window has round the predicted tag and its quiet zone, besides half of its last move.
+        window_margin_px: margin of a window around the predicted tag and its quiet zone, besides half of its last move.
 
     Reference: Garrido-Jurado et al. 2014, doi:10.1016/j.patcog.2014.01.005 (finding and reading square tags).
     """
@@ -79,24 +79,24 @@ class Tags:
         return TagsMemory()
 
     def look(self, memory: TagsMemory, camera: Camera, target: Target) -> Look | None:
-        """The windows of the next picture; None for everything, as always in a camera with panels."""
+        """The windows of the next picture; None for everything, always so in a camera with panels."""
         windows = self._windows(memory, camera)
         return None if windows is None else (tuple(windows),)
 
     def detect(
-        self, memory: TagsMemory, frame: Frame | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
+        self, memory: TagsMemory, picture: Picture | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
     ) -> tuple[TagsMemory, Detection]:
         """Tag centres (N, 2) [px] in one picture, NaN where not seen, and the pose (4, 4) where it can be solved.
 
         Raises:
             ParameterError: there is no picture, or the target's markers are not tags.
         """
-        if frame is None or all(image is None for image in frame.images):
-            raise ParameterError("frame", "is missing: detector tags needs a picture; use detector oracle where there is none")
+        if picture is None or picture.empty:
+            raise ParameterError("picture", "is missing: detector tags needs one; use detector oracle where there is none")
         tag, n = target.marker, len(target.points)
         if not isinstance(tag, Tag):
             raise ParameterError("target.marker", "must be tag for detector tags", tag.kind)
-        greys = [None if image is None else np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.uint8) for image in frame.images]
+        greys = [None if image is None else np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.uint8) for image in picture.images]
         found = self._track(greys, memory, camera, tag, n) or self._search(greys, camera, tag, n)
         uv, T = _measure(found, memory.T_camera_target, camera, target, tag)
         corners = tuple(found[i][1] if i in found else None for i in range(n))
@@ -104,13 +104,14 @@ class Tags:
         return TagsMemory(corners, _moves(memory, corners), kept), Detection(uv=uv, T_camera_target=T)
 
     def _windows(self, memory: TagsMemory, camera: Camera) -> list[Window] | None:
+        """A window for each tag; None where the whole image is to be searched."""
         if len(camera.panels) > 1:
             return None
         boxes = [None if c is None else _box(c) for c in memory.corners]
         return windows_round(boxes, memory.moves, [0] * len(boxes), camera, self.window_margin_px)
 
     def _track(self, greys: list[Image | None], memory: TagsMemory, camera: Camera, tag: Tag, n: int) -> dict[int, Found] | None:
-        """All tags, each from a window of its own; None: whole pictures must be searched."""
+        """All tags, each from a window of its own; None where one is lost and the whole image must be searched."""
         windows, grey = self._windows(memory, camera), greys[0]
         if windows is None or grey is None:
             return None
@@ -119,21 +120,21 @@ class Tags:
         return {i: (0, corners) for i, corners in whole.items()} if len(whole) == n else None
 
     def _search(self, greys: list[Image | None], camera: Camera, tag: Tag, n: int) -> dict[int, Found]:
-        """The tags that are seen in whole pictures; where panels overlap, from the one whose middle is nearer."""
+        """The tags found in whole images; where panels overlap, in the panel whose axis is nearer."""
         found: dict[int, Found] = {}
-        along: dict[int, float] = {}
+        cosines: dict[int, float] = {}
         for panel, grey in enumerate(greys):
             if grey is None:
                 continue
             whole = self._whole(grey, _read(grey, (0, 0, grey.shape[1], grey.shape[0]), tag, n, self.misread), tag)
             for i, corners in whole.items():
-                forward = float(camera.panels[panel].lens.ray(corners.mean(axis=0))[2])
-                if forward > along.get(i, -2.0):
-                    found[i], along[i] = (panel, corners), forward
+                cosine = float(camera.panels[panel].lens.ray(corners.mean(axis=0))[2])
+                if cosine > cosines.get(i, -2.0):
+                    found[i], cosines[i] = (panel, corners), cosine
         return found
 
     def _whole(self, grey: Image, rough: dict[int, Array], tag: Tag) -> dict[int, Array]:
-        """The tags whose edges are all to be seen, with measured corners."""
+        """The tags whose edges are visible all along, with measured corners."""
         if not rough:
             return {}
         edges = measure_edges(grey, np.stack(list(rough.values())), tag.modules)
@@ -142,7 +143,7 @@ class Tags:
 
 
 def _read(grey: Image, window: Window, tag: Tag, n: int, misread: int) -> dict[int, Array]:
-    """Rough corners (4, 2) [px] by marker, of the target's tags that can be read in a window of the picture."""
+    """OpenCV's corners (4, 2) [px], by marker, of the target's tags that it decodes in a window of the image."""
     left, top, right, bottom = window
     quads, markers, _ = _reader(tag.family, tag.first_id, n, misread).detectMarkers(grey[top:bottom, left:right])
     rough: dict[int, Array] = {}
@@ -155,7 +156,10 @@ def _read(grey: Image, window: Window, tag: Tag, n: int, misread: int) -> dict[i
 
 @lru_cache
 def _reader(family: str, first: int, n: int, misread: int) -> cv2.aruco.ArucoDetector:
-    """OpenCV's detector for n tags of a family, which it numbers from 0 on: ten times as quick as for all 587."""
+    """OpenCV's detector for n tags of a family, numbered from 0.
+
+    A dictionary of these tags alone is searched ten times as fast as the whole family of 587.
+    """
     whole = dictionary(family)
     how = cv2.aruco.DetectorParameters()
     how.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
@@ -165,15 +169,16 @@ def _reader(family: str, first: int, n: int, misread: int) -> cv2.aruco.ArucoDet
 
 
 def _measure(found: dict[int, Found], previous: Array | None, camera: Camera, target: Target, tag: Tag) -> tuple[Array, Array | None]:
-    """Pixels of all centres (N, 2) in the camera's own picture and the pose, from the corners (4, 2) of those that are seen."""
+    """Images of all centres (N, 2) [px] in the camera's own image, and the pose, from the corners (4, 2) of the tags found."""
     uv = np.full((len(target.points), 2), np.nan)
     if not found:
         return uv, None
     seen = list(found)
     panels = [(camera.panels[panel], corners) for panel, corners in found.values()]
     rays = np.stack([panel.lens.ray(corners) @ panel.R_camera_panel.T for panel, corners in panels])
-    diagonals = np.cross(rays[:, :2], rays[:, 2:])
+    diagonals = np.cross(rays[:, :2], rays[:, 2:])  # normals of the planes through the camera and each diagonal
     centre = np.cross(diagonals[:, 0], diagonals[:, 1])
+    # The planes intersect in a line through the camera; of its two directions take the one towards the corners.
     centre *= np.sign((centre * rays.sum(axis=1)).sum(axis=-1, keepdims=True))
     uv[seen] = camera.project(centre)
     points = target.points[seen][:, None] + tag.corners
@@ -181,7 +186,7 @@ def _measure(found: dict[int, Found], previous: Array | None, camera: Camera, ta
 
 
 def _box(corners: Array) -> Window:
-    """What a tag (4, 2) takes of the picture with its quiet zone."""
+    """Bounding box of a tag's corners (4, 2) with its quiet zone."""
     low, high = corners.min(axis=0), corners.max(axis=0)
     room = QUIET * (high - low).max()
     (left, top), (right, bottom) = (low - room).tolist(), (high + room + 1).tolist()
@@ -189,7 +194,7 @@ def _box(corners: Array) -> Window:
 
 
 def _moves(memory: TagsMemory, corners: tuple[Array | None, ...]) -> tuple[tuple[float, float], ...]:
-    """By how much each tag has moved since the last picture [px]; nothing where it was not seen then or is not now."""
+    """Displacement of each tag since the last picture [px]; zero where it was not seen then or is not now."""
     before = memory.corners or (None,) * len(corners)
     moves = [np.zeros(2) if a is None or b is None else (b - a).mean(axis=0) for a, b in zip(before, corners, strict=True)]
     return tuple((float(du), float(dv)) for du, dv in moves)

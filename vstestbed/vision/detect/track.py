@@ -1,8 +1,9 @@
-"""Where blobs are looked for next: windows round predicted blobs, in the panel of the camera that will hold them best."""
+"""Tracking of blobs over a camera's panels: search windows around predicted blobs, handover between panels."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,17 +14,22 @@ from vstestbed.vision.detect.colour_blobs import Blob
 from vstestbed.vision.detect.windows import Move, window_round, windows_round
 
 REACH = 0.1
-"""A camera with panels is asked for windows that are larger by this share of a panel on each side, and for the next panel
-where such a window leaves the first: a marker that turns up beside its own window is then still in a picture."""
+"""In a camera with panels, windows are enlarged by this share of a panel on each side, and continue on the next panel where they
+leave the first, so that a marker a little outside of its predicted window is still rendered."""
 TWIN_COSINE = math.cos(math.radians(3))
-"""Two blobs of one hue nearer to each other than 3 degrees, in two panels that overlap, are one marker seen twice."""
+"""Two blobs of one hue less than 3 degrees apart, in two overlapping panels, are one marker seen twice."""
 
 
 @dataclass(frozen=True, slots=True)
 class BlobsMemory:
-    """Each marker's blob in the last picture (None: lost) and its move since the one before [px]; the last pose and bias.
+    """State of the blob detector, of N markers.
 
-    `panels` says in which of the camera's panels the blob will be looked for; blob and move are told in that one's pixels.
+    Attributes:
+        blobs: each marker's blob in the last picture; None for a lost one.
+        moves: displacement of each blob since the picture before [px].
+        T_camera_target: last known pose of the target, shape (4, 4).
+        bias: perspective bias in the last picture, shape (N, 2) [px].
+        panels: index of the panel in which each marker will be searched; blob and move are in that panel's pixels.
     """
 
     blobs: tuple[Blob | None, ...] = ()
@@ -34,32 +40,40 @@ class BlobsMemory:
 
 
 def windows(memory: BlobsMemory, camera: Camera, margin: int) -> list[Window] | None:
-    """A window round each marker's predicted blob, within its panel; None where one is lost or the whole is quicker."""
+    """A window around each marker's predicted blob, in its panel; None where one is lost or a whole search is faster."""
     return windows_round([b.box if b else None for b in memory.blobs], memory.moves, memory.panels, camera, margin)
 
 
 def look_of(memory: BlobsMemory, camera: Camera, margin: int) -> Look | None:
-    """The windows in each panel that the next detection may want; None: everything."""
+    """Regions of interest, in each panel, of the next detection; None for everything."""
     own = windows(memory, camera, margin)
-    if own is None or len(camera.panels) == 1:
-        return None if own is None else (tuple(own),)
+    if own is None:
+        return None
+    if len(camera.panels) == 1:
+        return (tuple(own),)
     out: list[list[Window]] = [[] for _ in camera.panels]
     for blob, move, home in zip(memory.blobs, memory.moves, memory.panels, strict=True):
         if blob is None:
             return None
-        lens = camera.panels[home].lens
-        wide = margin + REACH * lens.width
-        panels = [home] if _slack(blob, move, lens) >= wide else range(len(out))
-        for panel in panels:
-            seen = (blob, move) if panel == home else seen_from(blob, move, home, panel, camera)
-            window = window_round(seen[0].box, seen[1], camera.panels[panel].lens, wide) if seen else None
-            if window is not None:
-                out[panel].append(window)
+        for panel, window in _enlarged_windows(blob, move, home, camera, margin):
+            out[panel].append(window)
     return tuple(tuple(some) for some in out)
 
 
+def _enlarged_windows(blob: Blob, move: Move, home: int, camera: Camera, margin: int) -> Iterator[tuple[int, Window]]:
+    """The enlarged window around a predicted blob, in its own panel and, near the border, in every other that sees it."""
+    lens = camera.panels[home].lens
+    wide = margin + REACH * lens.width
+    panels = [home] if _slack(blob, move, lens) >= wide else range(len(camera.panels))
+    for panel in panels:
+        seen = (blob, move) if panel == home else seen_from(blob, move, home, panel, camera)
+        window = window_round(seen[0].box, seen[1], camera.panels[panel].lens, wide) if seen else None
+        if window is not None:
+            yield panel, window
+
+
 def moves_of(memory: BlobsMemory, blobs: list[Blob | None], panels: list[int], camera: Camera) -> tuple[Move, ...]:
-    """By how much each blob has moved since the last picture [px]; nothing where it was not seen then or is not now."""
+    """Displacement of each blob since the last picture [px]; zero where it was not seen then or is not now."""
     none = (None,) * len(blobs)
     out: list[Move] = []
     for a, b, before, panel in zip(memory.blobs or none, blobs, memory.panels or none, panels, strict=True):
@@ -71,7 +85,7 @@ def moves_of(memory: BlobsMemory, blobs: list[Blob | None], panels: list[int], c
 
 
 def hand_over(memory: BlobsMemory, camera: Camera, margin: int) -> BlobsMemory:
-    """The same with each blob in the panel in which it will be farthest from the border, where it comes near its own's."""
+    """The same with each blob that nears its panel's border in the panel where it will be farthest from a border."""
     blobs, moves, panels = list(memory.blobs), list(memory.moves), list(memory.panels)
     for i, (blob, move, home) in enumerate(zip(memory.blobs, memory.moves, memory.panels, strict=True)):
         if blob is None:
@@ -88,7 +102,7 @@ def hand_over(memory: BlobsMemory, camera: Camera, margin: int) -> BlobsMemory:
 
 
 def seen_from(blob: Blob, move: Move, panel: int, other: int, camera: Camera) -> tuple[Blob, Move] | None:
-    """A blob and its move as another panel sees them; None where that cannot, even in part of its field of view, see it."""
+    """A blob and its move in another panel's pixels; None where the blob's prediction lies outside of that panel."""
     here, there = camera.panels[panel], camera.panels[other]
     left, top, right, bottom = blob.box
     corners = [(left - 0.5, top - 0.5), (right - 0.5, top - 0.5), (left - 0.5, bottom - 0.5), (right - 0.5, bottom - 0.5)]
@@ -103,29 +117,34 @@ def seen_from(blob: Blob, move: Move, panel: int, other: int, camera: Camera) ->
 
 
 def _slack(blob: Blob, move: Move, lens: Camera) -> float:
-    """How far inside the picture the predicted blob's box lies [px]; negative where it reaches out."""
+    """Least distance of the predicted blob's box from the image's border [px]; negative where it reaches beyond."""
     (left, top, right, bottom), (du, dv) = blob.box, move
     return min(left + du, top + dv, lens.width - right - du, lens.height - bottom - dv)
 
 
 def at_border(blob: Blob, lens: Camera) -> bool:
-    """Whether a blob touches the picture's border."""
+    """Whether a blob touches the image's border."""
     left, top, right, bottom = blob.box
     return left <= 0 or top <= 0 or right >= lens.width or bottom >= lens.height
 
 
 def largest(found: list[tuple[int, Blob]], camera: Camera) -> tuple[int, Blob] | None:
-    """Of a hue's blobs, each with its panel, whole ones first, the largest; in panels by the angle that it fills.
+    """Of the blobs of one hue, each with its panel, the largest, blobs that are not cut first; in panels by solid angle.
 
-    Where panels overlap, the same marker may be whole in two of them; that one counts in which it is nearer the middle.
-    A pinhole stretches what lies an angle a off its axis to 1 / cos^3 a of the area that it has there.
+    A pinhole image enlarges the area of what lies at an angle a off the axis by 1 / cos^3 a. Where panels overlap, a marker may
+    be seen twice; the panel whose axis is nearer to it is taken.
     """
     if len(camera.panels) == 1 or not found:
         return max(found, key=lambda f: (f[1].whole, f[1].area), default=None)
     rays = [camera.panels[p].lens.ray(np.array([[b.u, b.v]]))[0] for p, b in found]
-    along = [float(ray[2]) for ray in rays]
-    best = max(range(len(found)), key=lambda i: (found[i][1].whole, found[i][1].area * along[i] ** 3))
-    world = [camera.panels[p].R_camera_panel @ ray for (p, _), ray in zip(found, rays, strict=True)]
-    twins = [i for i in range(len(found)) if found[i][1].whole == found[best][1].whole and world[i] @ world[best] > TWIN_COSINE]
-    twins = [i for i in twins if found[i][0] != found[best][0]] + [best]
-    return found[max(twins, key=lambda i: along[i])]
+    cosine = [float(ray[2]) for ray in rays]
+    best = max(range(len(found)), key=lambda i: (found[i][1].whole, found[i][1].area * cosine[i] ** 3))
+    in_camera = [camera.panels[p].R_camera_panel @ ray for (p, _), ray in zip(found, rays, strict=True)]
+    return found[max(_twins(found, in_camera, best), key=lambda i: cosine[i])]
+
+
+def _twins(found: list[tuple[int, Blob]], rays: list[Array], index: int) -> list[int]:
+    """Indices of blobs that are the same marker as that of `index` in other panels, and `index` itself."""
+    panel, blob = found[index]
+    others = [i for i, (p, b) in enumerate(found) if p != panel and b.whole == blob.whole]
+    return [i for i in others if rays[i] @ rays[index] > TWIN_COSINE] + [index]

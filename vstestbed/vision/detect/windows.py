@@ -1,4 +1,4 @@
-"""Windows round things that are tracked: where the next picture is looked at."""
+"""Search windows around tracked objects in the next picture."""
 
 from __future__ import annotations
 
@@ -8,13 +8,16 @@ from collections.abc import Sequence
 from vstestbed.camera import Camera, Window
 
 Move = tuple[float, float]
-"""By how much a thing moved from one picture to the next [px]."""
+"""Displacement (du, dv) of an object from one picture to the next [px]."""
 MOST_WINDOWED = 0.3
-"""Share of all pictures that windows may cover together; beyond it, one search of the whole pictures is quicker."""
+"""Share of the image area that the windows may cover together; beyond it a search of the whole image is faster."""
 
 
 def window_round(box: Window, move: Move, lens: Camera, margin: float) -> Window | None:
-    """A window round a thing's predicted box, with `margin` [px] and half of the move about it; None outside of the picture."""
+    """The window around an object's predicted box, clipped to the image; None outside of the image.
+
+    The box is predicted at constant velocity; the window has `margin` [px] and half of the last move around it.
+    """
     (left, top, right, bottom), (du, dv) = box, move
     grow_u, grow_v = margin + abs(du) / 2, margin + abs(dv) / 2
     window = (
@@ -29,11 +32,13 @@ def window_round(box: Window, move: Move, lens: Camera, margin: float) -> Window
 def windows_round(
     boxes: Sequence[Window | None], moves: Sequence[Move], panels: Sequence[int], camera: Camera, margin: float
 ) -> list[Window] | None:
-    """A window round each thing's predicted box in its panel of the camera; None where one is lost or the whole is quicker.
+    """A window around each object's predicted box, in its panel; None where an object is lost or a whole search is faster.
 
     Args:
-        boxes: where the things were [px], None: lost. moves: by how much each had moved since the picture before.
-        panels: in which of the camera's panels each is. margin: what a window has round the predicted box [px].
+        boxes: bounding boxes in the last picture [px]; None for a lost object.
+        moves: displacements since the picture before [px].
+        panels: index of the camera's panel in which each object is.
+        margin: margin around the predicted box [px].
     """
     out: list[Window] = []
     for box, move, panel in zip(boxes, moves, panels, strict=True):

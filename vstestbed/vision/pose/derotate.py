@@ -1,17 +1,17 @@
-"""Derotation: what a tilted craft's camera would see were the craft level, from the roll and pitch that its IMU tells.
+"""Derotation: image features of a tilted craft rotated into its level frame, by the roll and pitch of its IMU.
 
-A craft leans to accelerate; to its camera the world then turns, which a law of (vx, vy, vz, wz) takes for an error and answers
-with more acceleration. So measured rays are brought to the level frame, which shares the craft's place and heading, before any
-law sees them; goals, poses and interaction matrices are all of that frame. With phi = R_camera_base (roll, pitch, 0):
+A multirotor tilts to accelerate; its camera then sees the world rotate, which a law of (vx, vy, vz, wz) takes for an error and
+answers with more acceleration. So measured rays are rotated into the level frame, which shares the craft's position and heading,
+before any law sees them; goals, poses and interaction matrices are in that frame. With phi = R_camera_base (roll, pitch, 0):
 
   exact        ray_level = R_level_camera ray, R_level_camera = R_camera_base Ry(pitch) Rx(roll) R_base_camera.
-               With a pinhole picture: the virtual image plane that stays level.
+               For a pinhole camera this is the virtual image plane that stays level.
   first_order  s_level = s - L_w phi, L_w the rotational columns of the interaction matrix at the measured s: those of the angles
                (theta, phi) on the sphere, or of (x, y) for a pinhole. Good for small tilts away from the axis.
-  as_printed   the same with the matrix of print (Corke 2017, section 16.4.3): its two rows are swapped, and that of phi lacks
-               1/sin theta. For comparison only.
+  as_printed   the same with the matrix as printed (Corke 2017, section 16.4.3): its two rows are swapped, and that of phi
+               lacks 1/sin theta. For comparison only.
 
-References: Hamel & Mahony 2002, doi:10.1109/TRA.2002.999647 (visual servoing of a craft that leans, on the sphere); Lee, Ryan &
+References: Hamel & Mahony 2002, doi:10.1109/TRA.2002.999647 (visual servoing of an underactuated craft, on the sphere); Lee, Ryan &
 Kim 2012, doi:10.1109/ICRA.2012.6225103 (virtual image plane); Corke 2017, doi:10.1007/978-3-319-54413-7.
 """
 
@@ -32,16 +32,16 @@ _ANGLES, _PLANE = Spherical(), Point()
 
 
 def level_from_tilt(tilt: Array, R_base_camera: Array) -> Array:
-    """R_level_camera (3, 3): how the camera stands against the one of the level craft, for (roll, pitch) (2,) [rad]."""
+    """R_level_camera (3, 3): rotation from the camera's frame to that of the level craft's camera, for (roll, pitch) (2,) [rad]."""
     (cr, cp), (sr, sp) = np.cos(tilt), np.sin(tilt)
     R_level_base = np.array([[cp, sp * sr, sp * cr], [0.0, cr, -sr], [-sp, cp * sr, cp * cr]])
     return R_base_camera.T @ R_level_base @ R_base_camera
 
 
 def level_twist(twist: Array, tilt: Array, R_base_camera: Array) -> Array:
-    """Twist (6,) of the level camera, in its own frame, from the camera's: it shares the place, and turns with the heading alone.
+    """Twist (6,) of the level camera in its own frame, from the camera's: same velocity, rotation by the heading's rate alone.
 
-    The heading's rate is w_z + w_x tan(pitch), w the craft's rates in level axes; tamed near a nose straight up.
+    The heading's rate is w_z + w_x tan(pitch), with w the craft's angular velocity in level axes.
 
     Args:
         twist: of the camera in its own frame (6,) [m/s, rad/s].
@@ -50,13 +50,14 @@ def level_twist(twist: Array, tilt: Array, R_base_camera: Array) -> Array:
     """
     R = level_from_tilt(tilt, R_base_camera)
     wx, _, wz = (R_base_camera @ R @ twist[3:]).tolist()
+    # cos is limited: at a pitch of 90 degrees the heading has no rate.
     heading = wz + wx * math.sin(tilt[1]) / max(math.cos(tilt[1]), 0.1)
     return np.concatenate([R @ twist[:3], heading * R_base_camera[2]])
 
 
 @dataclass(frozen=True, slots=True)
 class Trim:
-    """What the picture says is wrong with the IMU's roll and pitch (2,) [rad], and from how many pictures."""
+    """Estimated correction of the IMU's roll and pitch (2,) [rad], and the number of pictures that it is from."""
 
     angles: Array
     count: int = 0
@@ -65,32 +66,35 @@ class Trim:
 NO_TRIM = Trim(np.zeros(2))
 
 
-def trimmed(trim: Trim, tilt: Array, T_camera_target: Array, T_goal_target: Array, R_base_camera: Array, share: float) -> Trim:
-    """The trim after one more picture: a biased accelerometer's steady error of the tilt goes, picture noise is averaged.
+def trimmed(trim: Trim, tilt: Array, T_camera_target: Array, T_goal_target: Array, R_base_camera: Array, gain: float) -> Trim:
+    """The trim after one more picture: it removes the steady tilt error of a biased accelerometer and averages image noise.
 
-    The goal view is a level craft's, so it tells which way is down in the target's frame, R_goal_target^T R_camera_base (0, 0, -1);
-    the pose tells it in the camera's. trim <- trim + k (tilt by the picture - tilt - trim).
+    The goal view is that of a level craft, so it gives the direction of gravity in the target's frame,
+    R_goal_target^T R_camera_base (0, 0, -1), and the measured pose takes it to the camera's frame.
+    trim <- trim + k (tilt by the pose - tilt - trim).
 
     Args:
-        trim: so far. tilt: roll and pitch by the IMU (2,) [rad].
+        trim: before this picture.
+        tilt: roll and pitch by the IMU, shape (2,) [rad].
         T_camera_target, T_goal_target: poses (4, 4) of the target now and in the goal view.
         R_base_camera: the mount's rotation (3, 3).
-        share: k of later pictures; the first ones are averaged.
+        gain: k of later pictures; the first ones are averaged.
     """
     down = R_base_camera.T @ np.array([0.0, 0.0, -1.0])
     up = -R_base_camera @ T_camera_target[:3, :3] @ T_goal_target[:3, :3].T @ down
     seen = np.array([math.atan2(up[1], up[2]), -math.asin(max(-1.0, min(1.0, float(up[0]))))])
-    return Trim(trim.angles + max(share, 1 / (trim.count + 1)) * (seen - tilt - trim.angles), trim.count + 1)
+    # 1/n is the running mean of the first n pictures, until the constant gain is larger.
+    return Trim(trim.angles + max(gain, 1 / (trim.count + 1)) * (seen - tilt - trim.angles), trim.count + 1)
 
 
 def level_rays(ray: Array, tilt: Array, camera: Camera, how: Derotation) -> Array:
-    """Unit rays (N, 3) in the level camera's frame, NaN where they are, from those in the camera's.
+    """Unit rays (N, 3) in the level camera's frame from those in the camera's; NaN stays NaN.
 
     Args:
         ray: measured unit rays (N, 3).
         tilt: roll and pitch (2,) [rad] as the craft estimates them.
-        camera: the lens, and how it sits on the craft.
-        how: exactly, or to first order.
+        camera: the camera and its mount.
+        how: the method, see above.
     """
     R = camera.mount.T[:3, :3]
     if how == "none":
@@ -110,6 +114,7 @@ def level_rays(ray: Array, tilt: Array, camera: Camera, how: Derotation) -> Arra
 
 
 def _on_plane(ray: Array, turn: Array) -> Array:
+    """First-order derotation in the image plane; the rotational columns do not depend on the depth, taken as 1."""
     xy = ray[:, :2] / ray[:, 2:]
     L = _PLANE.interaction(xy, np.ones(len(xy))).reshape(-1, 2, 6)
     xy = xy - L[..., 3:] @ turn
@@ -118,6 +123,7 @@ def _on_plane(ray: Array, turn: Array) -> Array:
 
 
 def _on_sphere(ray: Array, turn: Array, how: Derotation) -> Array:
+    """First-order derotation in the angles (theta, phi) on the sphere, by the right matrix or by the printed one."""
     s = _ANGLES.measure(ray).reshape(-1, 2)
     if how == "as_printed":
         rate = printed_matrix(s) @ turn[:2]
@@ -128,7 +134,7 @@ def _on_sphere(ray: Array, turn: Array, how: Derotation) -> Array:
 
 
 def printed_matrix(s: Array) -> Array:
-    """The book's derotation matrix (N, 2, 2) at angles (theta, phi) (N, 2): wrong, see above."""
+    """The derotation matrix (N, 2, 2) as printed, at angles (theta, phi) (N, 2): wrong, see the module's docstring."""
     theta, phi = s.T
     return np.stack(
         [np.stack([np.cos(phi) * np.cos(theta), np.sin(phi) * np.cos(theta)], axis=-1), np.stack([np.sin(phi), -np.cos(phi)], axis=-1)],

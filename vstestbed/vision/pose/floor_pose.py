@@ -1,4 +1,4 @@
-"""Where a camera that rides upright over the floor stands: from the rays to landmarks of known height."""
+"""Planar pose of a vehicle from the rays to landmarks of known height: its camera is upright over the floor."""
 
 from __future__ import annotations
 
@@ -9,33 +9,34 @@ import numpy as np
 from vstestbed.core.geometry import Array
 
 ROUNDS = 12
-"""Gauss-Newton steps at most; three or four do from a frame ago."""
+"""Most Gauss-Newton steps; three or four suffice from the pose a frame ago."""
 SETTLED = 1e-10
-"""A step [m, rad] under this ends them."""
+"""Converged when a step is smaller than this [m, rad]."""
 UNTOLD = 1e-4
-"""Singular values under this share of the largest count as zero: two landmarks one above the other do not tell the heading."""
+"""Singular values below this share of the largest count as zero: two landmarks on one vertical leave the heading open."""
 LEVEL = 0.03
-"""A ray with less than this of its unit length upwards (1.7 degrees) tells no distance by its height."""
+"""Least |z| of a unit ray (1.7 degrees of elevation) whose landmark's height gives a distance."""
 FITS = 0.1
-"""Mean angle between rays and landmarks [rad] over which a place is no solution."""
+"""A solution whose angular errors have a larger root mean square than this [rad] is rejected."""
 
 
 def solve_place(rays: Array, points: Array, T_base_camera: Array, previous: Array | None = None) -> Array | None:
-    """The place (x, y, heading) of a base that stands on the floor, from N >= 1 rays; None where it cannot be told.
+    """Planar pose (x, y, heading) of a base on the floor from N >= 1 rays; None where they leave it open.
 
-    Minimises the angles between the rays and the landmarks. Two equations a landmark for three unknowns: one landmark leaves
-    the heading as it was before (0 without a previous place).
+    Minimises the angles between the rays and the landmarks, with two equations a landmark for three unknowns. With one landmark
+    the heading stays as it was (0 without a previous pose).
 
     Args:
         rays: unit rays in the camera frame, shape (N, 3).
         points: the landmarks in the map's frame, z up from the floor, shape (N, 3) [m].
         T_base_camera: the camera's mount, shape (4, 4); the base's origin is on the floor.
-        previous: the place a frame ago, shape (3,) [m, rad].
+        previous: the planar pose a frame ago, shape (3,) [m, rad].
 
     Reference: Gauss-Newton on bearings, as in virtual visual servoing: Marchand, Uchiyama & Spindler 2016,
     doi:10.1109/TVCG.2015.2513408; with three unknowns instead of six.
     """
     d, origin = rays @ T_base_camera[:3, :3].T, T_base_camera[:3, 3]
+    # The previous pose may be a local minimum: the closed form always competes with it.
     guesses = [g for g in (previous, _by_height(d, points, origin)) if g is not None]
     if not guesses:
         return None
@@ -45,7 +46,7 @@ def solve_place(rays: Array, points: Array, T_base_camera: Array, previous: Arra
 
 
 def _by_height(d: Array, points: Array, origin: Array) -> Array | None:
-    """A first place: where each ray reaches its landmark's height, the floor plan of those laid on the map's by turning it."""
+    """Initial guess: the points where rays reach their landmark's height, registered to the map by a planar rigid motion."""
     height = points[:, 2] - origin[2]
     told = (np.abs(d[:, 2]) > LEVEL) & (height * d[:, 2] > 0)
     if not told.any():
@@ -59,10 +60,10 @@ def _by_height(d: Array, points: Array, origin: Array) -> Array | None:
 
 
 def _refined(d: Array, points: Array, origin: Array, place: Array) -> tuple[Array, float]:
-    """The place that fits best near a first one, and the root mean square of its angles [rad].
+    """Gauss-Newton from an initial planar pose: the pose, and the root mean square of its angular errors [rad].
 
-    p = R(heading)^T (m - (x, y)) - o is where a landmark m is seen from the lens at o;  dp/d(x, y) = -R^T,
-    dp/dheading = R'^T (m - (x, y)), and the error is the part of p/|p| across the ray.
+    p = R(heading)^T (m - (x, y)) - o is a landmark m relative to the lens at o;  dp/d(x, y) = -R^T,
+    dp/dheading = R'^T (m - (x, y)), and the error is the component of p/|p| orthogonal to the ray.
     """
     place = np.array(place, dtype=float)
     across = np.eye(3) - d[:, :, None] * d[:, None, :]
@@ -79,6 +80,7 @@ def _refined(d: Array, points: Array, origin: Array, place: Array) -> tuple[Arra
 
 
 def _errors(d: Array, across: Array, points: Array, origin: Array, place: Array) -> tuple[Array, Array]:
+    """Errors (3 N,) [1] and their Jacobian (3 N, 3) by (x, y, heading)."""
     c, s = math.cos(place[2]), math.sin(place[2])
     m = points[:, :2] - place[:2]
     p = np.column_stack([c * m[:, 0] + s * m[:, 1], -s * m[:, 0] + c * m[:, 1], points[:, 2]]) - origin
@@ -88,6 +90,6 @@ def _errors(d: Array, across: Array, points: Array, origin: Array, place: Array)
     dp[:, 0, 0], dp[:, 0, 1], dp[:, 1, 0], dp[:, 1, 1] = -c, -s, s, -c
     dp[:, 0, 2], dp[:, 1, 2] = p[:, 1] + origin[1], -p[:, 0] - origin[0]
     dunit = (dp - unit[:, :, None] * (unit[:, None] @ dp)) / reach[:, :, None]
-    behind = np.sum(unit * d, axis=1, keepdims=True) < 0  # the part across is small there too
+    behind = np.sum(unit * d, axis=1, keepdims=True) < 0  # the orthogonal component is small there too
     e = np.where(behind, np.sign(unit) * 1.0, (across @ unit[:, :, None])[..., 0])
     return e.ravel(), (across @ dunit).reshape(-1, 3)

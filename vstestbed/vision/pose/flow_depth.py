@@ -1,4 +1,4 @@
-"""Depth from motion: each marker's inverse range by recursive least squares on the flow of its ray, whatever the lens."""
+"""Depth from motion: recursive least squares for each marker's inverse range from the flow of its ray, for any lens."""
 
 from __future__ import annotations
 
@@ -12,22 +12,25 @@ from vstestbed.features.depth import Estimate
 FLOW_NOISE = 3e-4
 """Standard deviation of a ray along one direction [rad]: 0.1 px at a focal length of 350 px."""
 RANGE = 50.0
-"""The estimate stays between the initial depth over this and the initial depth times this."""
+"""The estimate is limited to the initial depth divided and multiplied by this."""
 BESIDE = 0.2
-"""A ray with less than this of its unit length along z takes the initial depth for its range: depths there mean little."""
+"""A unit ray with a z below this starts with the initial depth as its range: there depth is a small share of the range."""
 CLEAR = 30.0
-"""A frame with this many times the evidence of one that shows no more than noise (it gives the range to 18 %) forgets at half
-the full rate, a poorer one at less: what is known fades as new knowledge comes in, not as the motion fades."""
+"""Evidence, in units of that of the noise, at which a frame (it gives the range to 18 %) forgets at half the full rate. Weaker
+frames forget less: information fades as new information arrives, not as the motion fades."""
 
 _AHEAD = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True, slots=True)
 class FlowMemory:
-    """Inverse ranges (N,) [1/m] at the last frame, what is known of them (N,), the rays (N, 3) and the time then.
+    """State of the estimator, of N markers.
 
-    A range is NaN until its marker is seen. `information` is the sum of squared translational flows per unit of inverse
-    range [(m/s)^2], old ones forgotten.
+    Attributes:
+        inverse_range: estimates theta, shape (N,) [1/m], NaN until the marker is first seen.
+        information: sum of phi.phi with forgetting, shape (N,) [(m/s)^2].
+        ray: unit rays at the last frame, shape (N, 3).
+        t: time of the last frame [s].
     """
 
     inverse_range: Array
@@ -49,13 +52,12 @@ def update_flow(estimate: Estimate, memory: FlowMemory, t: float, ray: Array, tw
     gain:        I <- I exp(-c dt/forget) + phi.phi,   theta <- theta + phi.(y - phi theta) / I
                  c = phi.phi / (phi.phi + CLEAR least), so that I settles no lower than CLEAR least forget / dt
     prediction:  theta_dot = theta^2 r.v,   since R_dot = -r.v (half before, half after)
-    A marker begins at the initial depth. I starts at and never falls under least = (sqrt(2) FLOW_NOISE / (dt theta))^2, an
-    uncertainty of the prior as large as itself.
-    A frame whose motion shows less than that noise teaches nothing, and makes nothing forgotten.
+    A marker starts at the initial depth. I starts at and never falls below least = (sqrt(2) FLOW_NOISE / (dt theta))^2, which
+    is a prior of 100 % uncertainty. A frame with less evidence than that is skipped, without forgetting.
 
     Args:
         estimate: the parameters.
-        memory: the last frame.
+        memory: the state at the last frame.
         t: time of this frame [s].
         ray: unit rays in the camera's frame, shape (N, 3), NaN where not seen.
         twist: camera twist in its own frame, shape (6,).
@@ -66,13 +68,14 @@ def update_flow(estimate: Estimate, memory: FlowMemory, t: float, ray: Array, tw
     dt = t - memory.t
     begin = np.where(ray[:, 2] > BESIDE, ray[:, 2], 1.0) / estimate.initial_m
     theta = np.where(np.isnan(memory.inverse_range) & np.isfinite(ray[:, 0]), begin, memory.inverse_range)
-    if not dt > 0:
+    if not dt > 0:  # also the first frame, whose dt is NaN
         return FlowMemory(theta, memory.information, np.where(np.isfinite(ray), ray, memory.ray), t)
     known = np.isfinite(ray[:, 0]) & np.isfinite(memory.ray[:, 0])
+    # Lost markers get any unit ray, so that no NaN spreads; `known` masks the result.
     middle = np.where(known[:, None], ray + memory.ray, _AHEAD)
     middle /= np.linalg.norm(middle, axis=1, keepdims=True)
     nearing = middle @ twist[:3]
-    theta = _advance(theta, nearing, dt / 2)
+    theta = _advance(theta, nearing, dt / 2)  # to mid-interval, where the flow is measured
     phi = middle * nearing[:, None] - twist[:3]
     y = np.where(known[:, None], (ray - memory.ray) / dt + np.cross(twist[3:], middle), 0.0)
     evidence = np.einsum("ni,ni->n", phi, phi)
@@ -82,6 +85,7 @@ def update_flow(estimate: Estimate, memory: FlowMemory, t: float, ray: Array, tw
     forgotten = np.exp(-dt / estimate.forget_s * evidence / (evidence + CLEAR * least))
     information = np.where(teaches, information * forgotten + evidence, information)
     innovation = np.einsum("ni,ni->n", phi, y - phi * theta[:, None])
+    # The limits keep a single bad frame from sending a range to infinity or to zero.
     theta = theta + np.where(teaches, innovation / information, 0.0)
     low, high = 1 / (RANGE * estimate.initial_m), RANGE / estimate.initial_m
     theta = np.clip(_advance(np.clip(theta, low, high), nearing, dt / 2), low, high)

@@ -1,4 +1,4 @@
-"""Two views of a plane: their homography, and the rotation between the cameras that it holds."""
+"""Homography between two views of a plane, and the rotation between the cameras from its decomposition."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from vstestbed.core.geometry import Array
 from vstestbed.features.observation import Relative
 
 OPEN = 0.01
-"""Share of the largest singular value under which one counts as zero: three of four points on a line reach .004 by .3 px of
-noise; a square has .35, tilted by 70 degrees .1."""
+"""Share of the largest singular value below which one counts as zero: with three of four points collinear, .3 px of noise makes
+.004; a square has .35, tilted by 70 degrees .1."""
 
 
 def relative_view(goal_xy: Array, xy: Array, goal_normal: Array) -> Relative | None:
-    """The Euclidean homography H = R + t n^T / d from the goal's view to this one, and R; None where it cannot be told.
+    """The Euclidean homography H = R + t n^T / d from the goal's view to this one, and R; None where the points leave it open.
 
     H maps m* (goal, normalised, third coordinate 1) to (Z/Z*) m: its scale is the one that makes the middle singular value
-    1, its sign the one that keeps the points in front of the camera. (OpenCV's own decomposition gives nan at some half turns
-    and loses half of the digits near the goal, hence `_rotation`.) Points of which all but one lie on a line in one of the
-    views, such as a plane seen edge on, leave it open.
+    1, its sign the one that keeps the points in front of the camera. (OpenCV's own decomposition gives NaN at some half turns
+    and loses half of the digits near the goal, hence `_rotation`.) Points of which all but one are collinear in one of the
+    views, such as a plane seen edge-on, leave it open.
 
     Args:
         goal_xy, xy: normalised coordinates of N >= 4 points of one plane in either view, shape (N, 2); NaN where not seen.
-        goal_normal: unit normal (3,) of the plane in the goal's frame, away from the camera, as the goal view has it.
+        goal_normal: unit normal (3,) of the plane in the goal's frame, pointing away from the camera.
 
     Reference: Ma, Soatto, Kosecka & Sastry 2004, An Invitation to 3-D Vision, section 5.3.3, doi:10.1007/978-0-387-21779-6.
     """
@@ -39,7 +39,7 @@ def relative_view(goal_xy: Array, xy: Array, goal_normal: Array) -> Relative | N
         return None
     H = H / np.linalg.svd(H, compute_uv=False)[1]
     ratios = goal_xy @ H[2, :2] + H[2, 2]
-    if ratios.min() < 0 < ratios.max():
+    if ratios.min() < 0 < ratios.max():  # points on both sides of the camera
         return None
     H = H if ratios.min() > 0 else -H
     return Relative(H=H, R_camera_goal=_rotation(H, goal_xy, goal_normal))
@@ -61,7 +61,7 @@ def left_open(a: Array, b: Array) -> NDArray[np.bool_]:
 
 
 def _scaled(xy: Array) -> Array:
-    """Points (..., N, 2) about their mean, at a distance of 1 in the mean square."""
+    """Points (..., N, 2) relative to their mean, scaled to a mean square distance of 1 (Hartley's normalisation)."""
     d = xy - xy.mean(axis=-2, keepdims=True)
     size2 = np.sum(d * d, axis=(-2, -1), keepdims=True) / d.shape[-2]
     return d / np.maximum(np.sqrt(size2), 1e-12)
@@ -71,21 +71,23 @@ def _rotation(H: Array, goal_xy: Array, goal_normal: Array) -> Array:
     """R of H = R + t n^T/d: with v1, v2, v3 the right singular vectors of H and 1 the middle singular value,
 
     n = v2 x u,  R = [H v2, H u, H v2 x H u] [v2, u, v2 x u]^T,  u = (a v1 +- b v3)/sqrt(a^2 + b^2),  a^2 = 1 - s3^2, b^2 = s1^2 - 1.
-    H keeps the lengths of v2 and u, which lie in the plane. Of the two, the one whose normal is nearest to the goal's and
-    leaves the points in front of the plane. A pure rotation has no normal, and any u will do.
+    H preserves the lengths of v2 and u, which lie in the plane. Of the two solutions that one is taken which has the points in
+    front of the plane and its normal nearest to the goal's. A pure rotation has no normal, and any u gives R.
     """
     (s1, _, s3), Vt = np.linalg.svd(H)[1:]
     v1, v2, v3 = Vt
     a, b = np.sqrt(max(1 - s3 * s3, 0.0)), np.sqrt(max(s1 * s1 - 1, 0.0))
     size = np.hypot(a, b)
     a, b = (a / size, b / size) if size > 0 else (1.0, 0.0)
-    ways = []
+    solutions = []
     for u in (a * v1 + b * v3, a * v1 - b * v3):
         n = np.cross(v2, u)
         n = n if n[2] > 0 else -n
         visible = (goal_xy @ n[:2] + n[2]).min() > 0
-        ways.append((float(n @ goal_normal) - (0.0 if visible else 2.0), u))
-    u = max(ways, key=lambda way: way[0])[1]
+        # n . n* lies in -1..1, so a penalty of 2 ranks every invisible plane behind every visible one.
+        solutions.append((float(n @ goal_normal) - (0.0 if visible else 2.0), u))
+    u = max(solutions, key=lambda solution: solution[0])[1]
     plane, seen = np.stack([v2, u, np.cross(v2, u)]), np.stack([H @ v2, H @ u, np.cross(H @ v2, H @ u)])
+    # The nearest rotation to the product: rounding in v2 and u would leave it slightly off orthogonal.
     U, _, Wt = np.linalg.svd(seen.T @ plane)
     return U @ Wt

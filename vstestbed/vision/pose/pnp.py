@@ -1,11 +1,11 @@
-"""The target's pose from its marker pixels: perspective-n-point, with the mirror pose kept in view."""
+"""The target's pose from its marker pixels: perspective-n-point, with the mirror pose of planar targets considered."""
 
 from __future__ import annotations
 
 import math
 from functools import lru_cache
 from itertools import combinations
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import cv2
 import numpy as np
@@ -16,47 +16,57 @@ from vstestbed.vision.all_round import solve_pose_all_round
 
 _K, _EYE = np.eye(3), np.eye(4)
 STANDS = 1e-3
-"""A pose that continues the last one stands where its pixel error is under this share of the image points' spread: a mirror
-pose that fits as well as that cannot be told from the right one."""
+"""A refined previous pose is accepted if its reprojection error is below this share of the image points' spread: a
+mirror pose that fits as well is indistinguishable from the right one."""
 CONTINUES = 0.2
-"""Farther from the last pose than this (radians plus share of the distance) it does not continue it; the refinement's few
-rounds reach rounding from nearer."""
+"""... and if it is nearer to the previous pose than this (radians plus share of the distance); from nearer the refinement's few
+iterations converge to rounding."""
 CLEARLY_WORSE = 6.0
-"""Of two mirror poses, the one whose pixels fit this many times worse is out, whatever came before."""
+"""A mirror pose whose reprojection error is larger by this factor is rejected, whatever the previous pose."""
 SAME_SCENE = 0.5
-"""Of the up to four poses that three markers leave, one farther than this from the last (radians plus share of the distance)
-does not continue it."""
+"""Three markers have up to four poses; one farther than this from the last (radians plus share of the distance) is rejected."""
 WIDE = 0.2
-"""A ray with less than this of its unit length along z (78 degrees off axis) is not given to the solvers as x/z, y/z."""
+"""Least z of a unit ray (78 degrees off axis) for which the solvers are given x/z, y/z."""
 
 FITS = 0.5
-"""A pose whose pixel error is more than this share of the image points' spread is no solution."""
+"""A pose whose reprojection error exceeds this share of the image points' spread is no solution."""
 DOUBTFUL = 0.3
-"""IPPE's poses with an error above this share of the spread may be nonsense out of a half turn."""
+"""IPPE's poses with an error above this share of the spread may be corrupted near a half turn."""
 NEAR_HALF_TURN = 0.3
-"""IPPE's rotations this near to a half turn [rad] are not relied upon; farther off its nonsense shows in the error."""
+"""IPPE's rotations this near to a half turn [rad] are solved once more; farther off a corrupted one shows in the error."""
 ROUNDING = 1e-12
-"""Pixel errors (normalised) that differ by this are equal."""
+"""Reprojection errors (normalised) that differ by this are equal."""
+Layout = Literal["line", "line and one", "plane", "space"]
+"""Collinear; collinear but for one point; coplanar; in space."""
 _START_VECTOR = np.array([[0.0], [0.0], [1.0]])
 _START = exp(np.array([0, 0, 0, 0, 0, 1.0]))[:3, :3]
 _TURN = exp(np.array([0, 0, 0, 0.5, 0.7, 1.1]))
+"""A rotation by 1.4 rad, which takes a pose away from a half turn."""
+
+
+class _Candidate(NamedTuple):
+    """A pose that a solver found: reprojection error [rms of one coordinate], rotation angle as solved [rad], pose (4, 4)."""
+
+    error: float
+    angle: float
+    T: Array
 
 
 def solve_pose(xy: Array, points: Array, previous: Array | None = None) -> Array | None:
-    """Pose T_camera_target (4, 4) from N >= 3 points and their normalised image coordinates; None where it cannot be told.
+    """Pose T_camera_target (4, 4) from N >= 3 points and their normalised image coordinates; None where they leave it open.
 
     Minimises sum |xy_i - project(T p_i)|^2, starting from the previous pose and, where that leads to no good fit, from
-    - IPPE for coplanar points (N >= 4), both of its poses weighed: the better fit where it fits clearly better, else the
-      one nearer to `previous`;
+    - IPPE for coplanar points (N >= 4), with both of its poses: the better fit where it is clearly better, else the one nearer
+      to `previous`;
     - SQPnP for points in space (N >= 4);
-    - P3P for points of which all but one lie on a line: they fix no homography, which IPPE starts from, and SQPnP finds a
-      lesser minimum for one view in fourteen. The pose that three of them leave and the others fit best;
+    - P3P for points of which all but one are collinear: they determine no homography, which IPPE starts from, and SQPnP finds a
+      local minimum in one view of fourteen. Of the poses of three of the points, the one that all fit best;
     - P3P for three points: the pose nearest to `previous`, None without one.
-    A pose that puts a point behind the camera is no solution, nor is one that leaves half of the image's spread unexplained.
-    Points on one line have none.
+    A pose with a point behind the camera is no solution, nor is one that leaves half of the image's spread unexplained.
+    Collinear points have none.
 
-    IPPE hands its rotation out as a vector, which is lost near a half turn; where that may have happened the points are
-    solved once more, turned. The refinement works on turned points at all times and is kept where it fits better.
+    OpenCV returns IPPE's rotation as a rotation vector, which is corrupted near a half turn; where that may have happened the
+    points are rotated and solved once more. The refinement always works on rotated points and is kept where it fits better.
 
     Args:
         xy: normalised, undistorted coordinates, shape (N, 2).
@@ -75,31 +85,38 @@ def solve_pose(xy: Array, points: Array, previous: Array | None = None) -> Array
         return None
     if len(points) == 3:
         return None if previous is None else _continue(_three(xy, points), previous)
+    return _of_many(xy, points, shape, previous)
+
+
+def _of_many(xy: Array, points: Array, shape: Layout, previous: Array | None) -> Array | None:
+    """`solve_pose` for four points and more: track the previous pose; where it does not fit, search."""
     spread = _spread(xy)
     if previous is not None:
         T, error = _refine(xy, points, previous)
         if error < STANDS * spread and _step(T, previous) < CONTINUES:
             return T
-    planar = shape == "plane"
-    found = _from_three(xy, points) if shape == "line and one" else _candidates(xy, points, planar)
-    if planar and any(_doubtful(error, angle, spread) for error, angle, _ in found):
-        found += [(error, angle, T @ _TURN) for error, angle, T in _candidates(xy, points @ _TURN[:3, :3].T, planar)]
-    fitting = [(error, T) for error, _, T in found if error < FITS * spread and _in_front(T, points)]
-    if not fitting:
+    solutions = [c for c in _candidates(xy, points, shape, spread) if c.error < FITS * spread and _in_front(c.T, points)]
+    if not solutions:
         return None
-    least = min(fitting, key=_error)
-    if previous is not None:
-        rivals = [f for f in fitting if f[0] <= CLEARLY_WORSE * least[0]]
-        least = rivals[0] if len(rivals) == 1 else min(rivals, key=lambda f: _step(f[1], previous))
-    T, error = _refine(xy, points, least[1])
-    return T if error <= least[0] + ROUNDING else least[1]
+    best = _preferred(solutions, previous)
+    T, error = _refine(xy, points, best.T)
+    return T if error <= best.error + ROUNDING else best.T
+
+
+def _preferred(solutions: list[_Candidate], previous: Array | None) -> _Candidate:
+    """The best fit or, of several that fit about as well, the one nearest to the previous pose."""
+    best = min(solutions, key=lambda c: c.error)
+    if previous is None:
+        return best
+    rivals = [c for c in solutions if c.error <= CLEARLY_WORSE * best.error]
+    return rivals[0] if len(rivals) == 1 else min(rivals, key=lambda c: _step(c.T, previous))
 
 
 def solve_pose_from_rays(rays: Array, points: Array, previous: Array | None = None) -> Array | None:
-    """`solve_pose` for any lens: from unit rays (N, 3) in the camera frame, also such as point sideways or back.
+    """`solve_pose` for any lens: from unit rays (N, 3) in the camera frame, which may point sideways or backwards.
 
-    Rays too far off axis for x/z, y/z are turned to a virtual camera that looks along their mean, solved there and
-    turned back: T_camera_target = R_camera_virtual T_virtual_target. Where no such view holds them: `solve_pose_all_round`.
+    Rays too far off axis for x/z, y/z are rotated to a virtual camera that looks along their mean:
+    T_camera_target = R_camera_virtual T_virtual_target. Where no such view holds them all: `solve_pose_all_round`.
     """
     if len(rays) < 3:
         return None
@@ -114,7 +131,7 @@ def solve_pose_from_rays(rays: Array, points: Array, previous: Array | None = No
 
 
 def three_ray_poses(rays: Array, points: Array) -> list[Array]:
-    """All poses (4, 4), at most four, that put three points (3, 3) [m] on three rays (3, 3) within 78 degrees of one direction."""
+    """All poses (4, 4), at most four, of three points (3, 3) [m] on three rays (3, 3); none unless a virtual camera sees them."""
     if _layout(np.ascontiguousarray(points).tobytes()) == "line":
         return []
     if rays[:, 2].min() > WIDE:
@@ -127,7 +144,7 @@ def three_ray_poses(rays: Array, points: Array) -> list[Array]:
 
 
 def _virtual(rays: Array) -> Array | None:
-    """T_camera_virtual (4, 4) of a camera at the same place that looks along the rays' mean; None where it does not see all."""
+    """T_camera_virtual (4, 4) of a camera at the same position that looks along the rays' mean; None where it does not see all."""
     mean = rays.mean(axis=0)
     if np.linalg.norm(mean) < WIDE:
         return None
@@ -136,37 +153,44 @@ def _virtual(rays: Array) -> Array | None:
     return T if (rays @ T[:3, 2]).min() > WIDE else None
 
 
-def _candidates(xy: Array, points: Array, planar: bool) -> list[tuple[float, float, Array]]:
-    """Of each pose the solver finds: the error [rms of one coordinate], the length of the rotation vector, the pose (4, 4)."""
-    flag = cv2.SOLVEPNP_IPPE if planar else cv2.SOLVEPNP_SQPNP
+def _candidates(xy: Array, points: Array, shape: Layout, spread: float) -> list[_Candidate]:
+    """The poses of the solver for this layout; planar ones that may be corrupted near a half turn also from rotated points."""
+    if shape == "line and one":
+        return _from_three(xy, points)
+    if shape == "space":
+        return _solved(xy, points, cv2.SOLVEPNP_SQPNP)
+    found = _solved(xy, points, cv2.SOLVEPNP_IPPE)
+    if any(_doubtful(c.error, c.angle, spread) for c in found):
+        found += [c._replace(T=c.T @ _TURN) for c in _solved(xy, points @ _TURN[:3, :3].T, cv2.SOLVEPNP_IPPE)]
+    return found
+
+
+def _solved(xy: Array, points: Array, flag: int) -> list[_Candidate]:
+    """The poses that one of OpenCV's solvers finds."""
     found, rotations, translations, errors = cv2.solvePnPGeneric(points, xy, _K, None, flags=flag)
     if not found:
         return []
-    return [(e, cv2.norm(r), _matrix(r, t)) for r, t, e in zip(rotations, translations, errors.ravel().tolist(), strict=True)]
+    return [_Candidate(e, cv2.norm(r), _matrix(r, t)) for r, t, e in zip(rotations, translations, errors.ravel().tolist(), strict=True)]
 
 
-def _from_three(xy: Array, points: Array) -> list[tuple[float, float, Array]]:
-    """As `_candidates`, of the poses that three of the points leave: the three that span the largest triangle."""
+def _from_three(xy: Array, points: Array) -> list[_Candidate]:
+    """The poses of three of the points, those that span the largest triangle, with the error of all."""
     triples = np.array(list(combinations(range(len(points)), 3)))
     a, b, c = np.moveaxis(points[triples], 1, 0)
     chosen = triples[np.linalg.norm(np.cross(b - a, c - a), axis=1).argmax()]
-    return [(_misfit(T, xy, points), 0.0, T) for T in _three(xy[chosen], points[chosen])]
-
-
-def _error(candidate: tuple[float, Array]) -> float:
-    return candidate[0]
+    return [_Candidate(_misfit(T, xy, points), 0.0, T) for T in _three(xy[chosen], points[chosen])]
 
 
 def _doubtful(error: float, angle: float, spread: float) -> bool:
-    """True where the rotation is near a half turn, or came out of one as nonsense (nan, or a pose that does not fit)."""
+    """Whether the rotation is near a half turn, or was corrupted by one (NaN, or a pose that does not fit)."""
     return not (error < DOUBTFUL * spread and abs(angle - math.pi) > NEAR_HALF_TURN)
 
 
 def _refine(xy: Array, points: Array, T: Array) -> tuple[Array, float]:
-    """The pose after virtual visual servoing from a given one, and its error; infinite where a point comes behind the camera.
+    """The pose refined by virtual visual servoing, and its reprojection error; infinite with a point behind the camera.
 
-    A rotation vector is exact to rounding only away from 0 and from a half turn (OpenCV's is 0 under 1e-5 rad), hence the
-    points are turned beforehand so that the refinement starts at one radian.
+    A rotation vector is exact to rounding only away from 0 and from a half turn (OpenCV's is 0 below 1e-5 rad), hence the
+    points are rotated first such that the refinement starts at one radian.
     """
     turn = _START.T @ T[:3, :3]
     turned = points @ turn.T
@@ -177,7 +201,7 @@ def _refine(xy: Array, points: Array, T: Array) -> tuple[Array, float]:
 
 
 def _misfit(T: Array, xy: Array, points: Array) -> float:
-    """Rms error of one image coordinate under a pose; infinite where a point comes behind the camera."""
+    """Reprojection error of a pose, rms of one coordinate; infinite with a point behind the camera."""
     p = points @ T[:3, :3].T
     p += T[:3, 3]
     z = p[:, 2:]
@@ -193,13 +217,14 @@ def _spread(xy: Array) -> float:
 
 
 def _three(xy: Array, points: Array) -> list[Array]:
+    """The poses (4, 4), at most four, of three points, all in front of the camera."""
     _, rotations, translations = cv2.solveP3P(points, xy, _K, None, flags=cv2.SOLVEPNP_AP3P)
     poses = [_matrix(r, t) for r, t in zip(rotations, translations, strict=True)]
     return [T for T in poses if np.isfinite(T).all() and _in_front(T, points)]
 
 
 def _continue(poses: list[Array], previous: Array) -> Array | None:
-    """The pose nearest to the previous one, unless even that is another scene."""
+    """The pose nearest to the previous one; None if even that is farther than SAME_SCENE."""
     steps = [_step(T, previous) for T in poses]
     if not steps or min(steps) > SAME_SCENE:
         return None
@@ -207,7 +232,7 @@ def _continue(poses: list[Array], previous: Array) -> Array | None:
 
 
 def _step(T: Array, previous: Array) -> float:
-    """How far apart two poses are: the angle [rad] plus the distance as a share of that to the target."""
+    """Distance between two poses: the angle [rad] plus the translation as a share of the distance to the target."""
     distance, angle = rigid_error(T, previous)
     return angle + distance / math.hypot(*previous[:3, 3].tolist())
 
@@ -232,8 +257,8 @@ def _looking_along(direction: Array) -> Array:
 
 
 @lru_cache(maxsize=4096)
-def _layout(points: bytes) -> Literal["line", "line and one", "plane", "space"]:
-    """How points (N, 3) lie, given as bytes so that the answer can be kept: the same few sets come back at each frame."""
+def _layout(points: bytes) -> Layout:
+    """The layout of points (N, 3), given as bytes, which can be hashed: the same few subsets of markers recur at every frame."""
     p = np.frombuffer(points).reshape(-1, 3)
     s = _extent(p)
     if _flat(s, 1):
@@ -244,9 +269,10 @@ def _layout(points: bytes) -> Literal["line", "line and one", "plane", "space"]:
 
 
 def _extent(points: Array) -> Array:
-    """Singular values (3,) [m] of points (N, 3) about their mean: how far they reach along their own three axes."""
+    """Singular values (3,) [m] of points (N, 3) about their mean: their extent along their principal axes."""
     return np.linalg.svd(points - points.mean(axis=0), compute_uv=False).astype(float)
 
 
 def _flat(extent: Array, axis: int) -> bool:
+    """Whether points have no extent along a principal axis, up to rounding."""
     return bool(extent[axis] <= 1e-6 * extent[0])
