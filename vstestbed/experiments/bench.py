@@ -12,7 +12,7 @@ from vstestbed.loop.recording import Recording
 from vstestbed.loop.run import run
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.scene.compose import Parts
-from vstestbed.sim.speed_baseline import measure_baseline
+from vstestbed.sim.speed_baseline import BaselineCost, measure_baseline
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,8 @@ from tests.loop.test_golden_loops import ROWS, SET, STARTS, decided_by_rounding,
 from vstestbed.core.assets import bundled_scenarios
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, inverse
-from vstestbed.experiments.basin.batch import fly, ideal, start_of, started_at
+from vstestbed.experiments.basin.batch import fly
+from vstestbed.experiments.basin.setup import ideal, start_of, started_at
 from vstestbed.features import FEATURES, LineFeature, Polar, Polygon
 from vstestbed.features.depth import AtGoal, Constant, Estimate, OracleDepth
 from vstestbed.laws import IBVS, LAWS, PBVS, Hybrid, Law, Partitioned

@@ -15,8 +15,8 @@ from vstestbed.cli.app import main
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose, inverse
 from vstestbed.experiments.basin import maps as basin
-from vstestbed.experiments.basin.batch import ideal, start_of, started_at
 from vstestbed.experiments.basin.maps import Axis, laws, starts
+from vstestbed.experiments.basin.setup import ideal, start_of, started_at
 from vstestbed.experiments.comparison import chosen
 
 FAST = {"law.gain": 1.0, "detector": {"kind": "oracle", "field_of_view": "unlimited"}}

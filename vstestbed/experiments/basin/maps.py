@@ -16,7 +16,8 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.files import write_whole, writing
 from vstestbed.core.geometry import Array, Pose, inverse, rotation_from_rpy
 from vstestbed.core.outcome import Outcome
-from vstestbed.experiments.basin.batch import Batch, BatchSetup, fly, ideal, start_of, started_at
+from vstestbed.experiments.basin.batch import Batch, fly
+from vstestbed.experiments.basin.setup import BatchSetup, ideal, start_of, started_at
 from vstestbed.experiments.comparison import Comparison, controllers
 from vstestbed.loop.run import run
 from vstestbed.scenario.scenario import Scenario

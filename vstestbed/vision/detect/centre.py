@@ -47,7 +47,7 @@ def centre_bias(camera: Camera, target: Target, T_camera_target: Array) -> tuple
     Reference: Heikkila & Silven 1997, doi:10.1109/CVPR.1997.609468 (the bias in closed form for a pinhole and a disc).
     """
     points, radius = target.points, target.marker.radius
-    if target.marker.kind == "disc":
+    if not target.marker.height_m:  # flat
         p = transform(T_camera_target, _disc_rims(points.tobytes(), radius)).reshape(len(points), -1, 3)
     else:
         p = _sphere_rims(transform(T_camera_target, points), radius)

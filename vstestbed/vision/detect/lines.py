@@ -119,6 +119,7 @@ class Lines:
         """
         if picture is None or picture.empty:
             raise ParameterError("picture", "is missing: detector lines needs one; use detector oracle where there is none")
+        # a scenario refuses other targets; called directly, without lines there is nothing to look for
         if not isinstance(target, GroundLines):
             raise ParameterError("target", "must be of kind lines for detector lines")
         strips = memory.strips or tuple(_strip(camera, ahead, self.reach_m) for ahead in target.look_m)

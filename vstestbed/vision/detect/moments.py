@@ -85,7 +85,7 @@ class MarkerFit:
 
     def _bias_without_pose(self, centroid: Array, area: Array, assumed: Array, previous: Array | None) -> Array:
         """Bias (N, 2) [px] of markers too few for a pose: of balls by their size, of discs under the last pose."""
-        if self._target.marker.kind == "sphere":
+        if self._target.marker.height_m:
             return self._by_size(centroid, area)
         return assumed if previous is None else self._expected(previous)[0]
 

@@ -94,6 +94,7 @@ class Tags:
         if picture is None or picture.empty:
             raise ParameterError("picture", "is missing: detector tags needs one; use detector oracle where there is none")
         tag, n = target.marker, len(target.points)
+        # a scenario refuses other markers; called directly, without a family there is no dictionary
         if not isinstance(tag, Tag):
             raise ParameterError("target.marker", "must be tag for detector tags", tag.kind)
         greys = [None if image is None else np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.uint8) for image in picture.images]

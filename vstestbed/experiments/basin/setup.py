@@ -1,0 +1,140 @@
+"""What a batch of ideal closed loops needs: the scenario made ideal, and what all its runs share."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array, Pose, inverse
+from vstestbed.features.depth import Estimate, PnP
+from vstestbed.features.observation import Goal
+from vstestbed.laws.views import BatchLaw
+from vstestbed.robots import Free, Mount
+from vstestbed.robots.free import FreeStart
+from vstestbed.scenario.scenario import Noise, Scenario
+from vstestbed.sim.scene.world import World
+from vstestbed.sim.timing import Timing
+from vstestbed.vision import Oracle
+
+SLACK_S = 1e-9
+"""The judge of one run allows this much when it compares times [s]."""
+
+
+def ideal(scenario: Scenario, field_of_view: str | None = None) -> Scenario:
+    """The same task with the ideal camera of a batch: oracle detector, no noise, no latency, no obstacles.
+
+    The camera starts where the scenario's robot holds it. Gains, depth, goal, stop block and the camera's rate stay.
+
+    Args:
+        scenario: of a robot that moves its camera with six degrees of freedom.
+        field_of_view: `limited` or `unlimited`; None: that of the scenario's oracle, else limited.
+
+    Raises:
+        ParameterError: the robot has fewer degrees of freedom, or the target moves.
+    """
+    robot, camera, detector = scenario.robot, scenario.camera, scenario.detector
+    if scenario.target.moves:
+        raise ParameterError("target.motion", "must be still in a batch", scenario.target.motion)
+    if (motions := robot.motion_basis(Mount.of(camera.mount.T), robot.start_joints()).shape[1]) != 6:
+        words = f"moves its camera in {motions} directions, and the ideal camera of a batch in all six; use free or puma560"
+        raise ParameterError("robot.kind", words, robot.kind)
+    if field_of_view is None:
+        field_of_view = detector.field_of_view if isinstance(detector, Oracle) else "limited"
+    start = FreeStart(nominal=Pose.of(robot.flange_pose(robot.configuration())))
+    return replace(
+        scenario,
+        robot=robot if robot.model is None else Free(start=start),
+        camera=replace(camera, latency_s=0.0),
+        timing=Timing(),
+        detector=Oracle(field_of_view=field_of_view),  # pyright: ignore[reportArgumentType]
+        noise=Noise(),
+        world=World(),
+    )
+
+
+@dataclass(frozen=True)
+class BatchSetup:
+    """What all runs of a batch share: the scenario, checked, and values derived from it."""
+
+    scenario: Scenario
+
+    def __post_init__(self) -> None:
+        """Refuse what a batch cannot simulate."""
+        self._check_law()
+        self._check_task()
+        self._check_ideal()
+
+    def _check_law(self) -> None:
+        s = self.scenario
+        if not isinstance(s.law, BatchLaw):
+            raise ParameterError("law.kind", "must have equations for many runs at once (laws.views.BatchLaw)", s.law.kind)
+        if s.law.visibility.margin_px > 0:
+            raise ParameterError("law.visibility.margin_px", "must be 0 in a batch", s.law.visibility.margin_px)
+        if s.law.feedforward.kind != "none":
+            raise ParameterError("law.feedforward", "must be none in a batch")
+        if isinstance(s.law.depth, Estimate):
+            raise ParameterError("law.depth", "may not be estimate in a batch; valid: pnp, constant, goal, oracle")
+
+    def _check_task(self) -> None:
+        s = self.scenario
+        if len(s.goal_views) > 1 or s.target.moves:
+            raise ParameterError("goal", "must be one view of a target that stands still, in a batch")
+        if s.stop.converged.error_px is None or s.stop.converged.by_estimate:
+            raise ParameterError("stop.converged", "must be judged by error_px alone in a batch")
+
+    def _check_ideal(self) -> None:
+        s = self.scenario
+        noisy = s.noise.pixel_sigma_px > 0 or s.noise.image_sigma > 0 or s.timing != Timing()
+        if not (s.calibration.camera_exact and s.calibration.depth_exact):
+            raise ParameterError("calibration", "must be exact in a batch, whose poses and depths are true")
+        if not (s.robot.model is None and isinstance(s.detector, Oracle)) or s.camera.latency_s or noisy or s.world.plates:
+            words = "must have a free camera, detector oracle, no latency, no noise and no plates for a batch; `batch.ideal` makes it so"
+            raise ParameterError("scenario", words)
+
+    @cached_property
+    def law(self) -> BatchLaw:
+        """The law, known to be a batch law by `_check_law`."""
+        assert isinstance(self.scenario.law, BatchLaw)
+        return self.scenario.law
+
+    @cached_property
+    def error_px(self) -> float:
+        """RMS error that counts as converged [px]."""
+        return s if (s := self.scenario.stop.converged.error_px) is not None else math.nan
+
+    @cached_property
+    def needed(self) -> int:
+        """Fewest visible markers with which the law gives a command."""
+        return self.scenario.law.markers_needed(np.eye(6))
+
+    @cached_property
+    def posed(self) -> bool:
+        """Whether the law uses a pose solved from the pixels, or depths from it."""
+        law = self.scenario.law
+        return isinstance(law.depth, PnP) and law.inputs != ("relative",)
+
+    def frames(self, duration_s: float) -> int:
+        """Number of frames after which a time [s] has passed, by the rule of the `Judge`."""
+        return max(0, math.ceil((duration_s - SLACK_S) * self.scenario.camera.rate_hz - 1e-9))
+
+    def goal(self, rows: NDArray[np.bool_] | slice) -> Goal:
+        """The goal view with only some of the markers."""
+        g = self.scenario.goal_view
+        return replace(g, uv=g.uv[rows], xy=g.xy[rows], depth=g.depth[rows], ray=g.ray[rows], range=g.range[rows])
+
+
+def start_of(scenario: Scenario) -> Array:
+    """The scenario's own start T_camera_target (4, 4)."""
+    T_world_camera = scenario.robot.flange_pose(scenario.robot.configuration()) @ scenario.camera.mount.T
+    return inverse(T_world_camera) @ scenario.target.pose.T
+
+
+def started_at(scenario: Scenario, T_camera_target: Array) -> Scenario:
+    """The scenario of an ideal camera, started at a pose T_camera_target (4, 4)."""
+    T_world_flange = scenario.target.pose.T @ inverse(T_camera_target) @ inverse(scenario.camera.mount.T)
+    return replace(scenario, robot=Free(start=FreeStart(nominal=Pose.of(T_world_flange))))
