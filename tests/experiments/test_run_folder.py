@@ -20,10 +20,11 @@ import pytest
 
 from vstestbed.core.errors import EnvironmentLackError, OutputError, RunFolderError
 from vstestbed.experiments.run_folder import new_folder, run_into, write_whole
+from vstestbed.loop.columns import Layout
 from vstestbed.loop.log_file import PartWriter, read_log
-from vstestbed.loop.recording import Layout
 from vstestbed.scenario.load import load
 from vstestbed.scenario.scenario import Scenario
+from vstestbed.tasks.frame import Frame
 
 NO_FILM = ("--video", "none")
 PROMISED = {"scenario.yaml", "model.xml", "log.parquet", "summary.json", "report.html"}
@@ -209,8 +210,8 @@ class TestWholeOrNotAtAll:
 
     def test_a_run_that_fails_later_keeps_what_it_had(self, scenario: Scenario, tmp_path: Path) -> None:
         class Fails:
-            def tick(self, tick: object) -> None:
-                if getattr(tick, "frame", 0) == 5:
+            def frame(self, frame: Frame) -> None:
+                if frame.timing.number == 5:
                     raise EnvironmentLackError("the plug was pulled", "put it in again")
 
         folder = new_folder(scenario, tmp_path / "run")

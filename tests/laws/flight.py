@@ -10,8 +10,9 @@ from vstestbed.core.geometry import Array, Pose
 from vstestbed.laws import Law
 from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart
-from vstestbed.scenario.scenario import GoalView, Scenario
+from vstestbed.scenario.scenario import Scenario
 from vstestbed.targets.points import Points, Square
+from vstestbed.tasks import GoalView
 from vstestbed.tasks.stop import Converged, Stop
 from vstestbed.vision import Oracle
 

@@ -29,7 +29,7 @@ def drive(scenario, naive: bool, steps: int = 300):
             return k, farthest
         L = feature.interaction(xy, p[:, 2])
         # Print: of the camera's six columns those named vx, vy and wz, as if the camera's axes were the vehicle's.
-        basis = np.eye(6)[:, [0, 1, 5]] if naive else scenario.robot.motion_basis(mount)
+        basis = np.eye(6)[:, [0, 1, 5]] if naive else scenario.robot.motion_basis(mount, scenario.robot.start_joints())
         u = -np.linalg.pinv(L @ basis) @ e
         T = T @ exp(PLANE @ u * STEP_S)
         if np.hypot(*T[:2, 3]) > 100:
@@ -66,7 +66,7 @@ def test_the_basis_is_what_the_camera_does(rpy_deg):
         },
     )
     mount, d = Mount.of(scenario.camera.mount.T), 1e-6
-    basis = scenario.robot.motion_basis(mount)
+    basis = scenario.robot.motion_basis(mount, scenario.robot.start_joints())
     for i in range(3):
         T = inverse(mount.T_flange_camera) @ exp(PLANE[:, i] * d) @ mount.T_flange_camera
         twist = np.array([*T[:3, 3], T[2, 1], T[0, 2], T[1, 0]]) / d

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from vstestbed.camera import Perspective
@@ -19,7 +21,7 @@ BASIS = np.eye(6)[:, [0, 5]]
 def goal(place: Array | None = None, gap_m: float | None = None) -> Goal:
     T = inverse(CAMERA.mount.T) @ pose_on_ground(np.array([gap_m or 3.0, 0.0, 0.0]))
     view = Goal.from_view(CAMERA, POINTS, T)
-    return Goal(**{f: getattr(view, f) for f in view.__slots__} | {"place": place, "gap_m": gap_m})
+    return replace(view, place=place, gap_m=gap_m)
 
 
 def observe(t: float, place: Array, start: Array, target: Array | None = None, seen: bool = True) -> Observation:

@@ -22,8 +22,9 @@ from vstestbed.laws.base import AdaptiveGain, ConstantGain
 from vstestbed.loop import run as loop
 from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart
-from vstestbed.scenario.scenario import GoalView, Scenario
+from vstestbed.scenario.scenario import Scenario
 from vstestbed.targets.points import Square
+from vstestbed.tasks import GoalView
 from vstestbed.tasks.stop import Converged, Stop
 from vstestbed.vision import Oracle
 

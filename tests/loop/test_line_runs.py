@@ -23,9 +23,9 @@ def run(name, **settings):
 def test_it_recovers_from_30_cm_and_20_degrees(name, settled_s):
     recording = run(name, robot__wheels="planar", stop__duration_s=4.5) if name == "omni_line" else run(name, stop__duration_s=4.5)
     assert recording.outcome is Outcome.completed
-    assert recording["off_m"][0] == pytest.approx(0.3, abs=1e-6)
+    assert recording["task_error_m"][0] == pytest.approx(0.3, abs=1e-6)
     assert np.degrees(recording["base_heading"][0]) == pytest.approx(20, abs=0.1)  # turned away from the line
-    assert np.abs(recording["off_m"][recording["t"] > settled_s]).max() < 0.05
+    assert np.abs(recording["task_error_m"][recording["t"] > settled_s]).max() < 0.05
 
 
 @pytest.mark.parametrize(("name", "bound"), [("car_line", 0.03), ("omni_line", 0.02)])
@@ -35,7 +35,7 @@ def test_a_bend_of_2_m_and_another_the_other_way(name, bound):
     more = {"robot__wheels": "planar"} if name == "omni_line" else {}
     recording = run(name, robot__start=start, target__route=BEND, goal__settle_s=0, stop__duration_s=9.5, **more)
     assert recording.outcome is Outcome.completed and not recording["lost"].any()
-    assert recording.summary()["worst_off_m"] < bound
+    assert recording.summary()["worst_task_error_m"] < bound
     speed = np.hypot(np.diff(recording["base_x"]), np.diff(recording["base_y"])) * 25
     assert speed[50:].mean() == pytest.approx(0.8, rel=0.02)
 
@@ -44,7 +44,7 @@ def test_over_the_line_but_not_along_it_is_no_success():
     """Ice on which the wheels spin: it stands over the line, within its band."""
     start = {"nominal": {"x": 0, "y": 0, "heading_deg": 0}}
     stuck = run("car_line", detector="oracle", world__floor_friction=0.004, robot__start=start, stop__duration_s=5)
-    assert np.abs(stuck["off_m"]).max() < 0.05
+    assert np.abs(stuck["task_error_m"]).max() < 0.05
     assert stuck.outcome is Outcome.timed_out
     assert "the vehicle, along its line, made 0.0" in stuck.reason and "0.8 m/s were ordered" in stuck.reason
 
@@ -66,7 +66,7 @@ def test_the_oracle_sees_the_same_points():
     # Both start alike; the first picture's points differ by the detector's error alone.
     for i in (0, 1):
         assert pixels[f"u_{i}"][0] == pytest.approx(truth[f"u_{i}"][0], abs=0.5)
-    assert truth.outcome is Outcome.completed or truth["off_m"][-1] < truth["off_m"][0]
+    assert truth.outcome is Outcome.completed or truth["task_error_m"][-1] < truth["task_error_m"][0]
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
-from vstestbed.loop.recording import Layout, Recording
+from vstestbed.loop.columns import Layout
+from vstestbed.loop.recording import Recording
 from vstestbed.scenario.scenario import Scenario
 
 
@@ -117,5 +118,5 @@ def test_every_promised_name_is_there(scenario: Scenario):
 
 def test_a_task_without_an_end_tells_its_worst_error_once_settled():
     pursuit = vs.load("car_pursuit", {"goal.settle_s": 0.2})
-    assert recording(pursuit, 5, vs.Outcome.completed, off_m=[1, 0.5, -0.25, 0.125, 0]).summary()["worst_off_m"] == 0.25
-    assert "worst_off_m" not in recording(vs.load("ibvs_book"), 5).summary()
+    assert recording(pursuit, 5, vs.Outcome.completed, task_error_m=[1, 0.5, -0.25, 0.125, 0]).summary()["worst_task_error_m"] == 0.25
+    assert "worst_task_error_m" not in recording(vs.load("ibvs_book"), 5).summary()

@@ -18,9 +18,9 @@ from vstestbed.core.geometry import Array
 from vstestbed.experiments.run_folder import run_into
 from vstestbed.loop import run as loop
 from vstestbed.loop.log_file import read_log
-from vstestbed.loop.recording import Tick
 from vstestbed.sim.base import Plant
 from vstestbed.sim.plant import MujocoPlant
+from vstestbed.tasks.frame import Frame
 
 PACKAGE = Path(vs.__file__).parent
 TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
@@ -296,8 +296,8 @@ class TestTruthFence:
 class TestEnds:
     def test_interrupted_keeps_what_there_was(self, tmp_path: Path):
         class Impatient:
-            def tick(self, tick: Tick) -> None:
-                if tick.frame == 4:
+            def frame(self, frame: Frame) -> None:
+                if frame.timing.number == 4:
                     raise KeyboardInterrupt
 
         r = run_into(tmp_path, vs.load("arm_ibvs"), "none", [Impatient()])

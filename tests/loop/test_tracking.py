@@ -17,7 +17,7 @@ class TestTracking:
         assert r.outcome is vs.Outcome.completed
         s, settled = r.summary(), r["t"] >= 5
         metres = r["position_error_m"][settled]
-        assert np.allclose(metres, np.abs(r["off_m"][settled]), rtol=0, atol=1e-12)
+        assert np.allclose(metres, np.abs(r["task_error_m"][settled]), rtol=0, atol=1e-12)
         assert s["tracking_rms_m"] == pytest.approx(np.sqrt(np.mean(metres**2)))
         assert s["tracking_max_m"] == pytest.approx(metres.max())
         assert 0 < s["tracking_rms_px"] < s["tracking_max_px"]

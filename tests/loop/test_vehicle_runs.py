@@ -143,9 +143,9 @@ class TestPursuit:
         recording = run("car_pursuit", stop__duration_s=12)
         assert recording.outcome is Outcome.completed, recording.reason
         settled = recording["t"] >= 8
-        assert np.abs(recording["off_m"][settled]).max() < 0.25
+        assert np.abs(recording["task_error_m"][settled]).max() < 0.25
         true = np.hypot(recording["tgt_x"] - recording["base_x"], recording["tgt_y"] - recording["base_y"]) - 2.5
-        np.testing.assert_allclose(recording["off_m"], true, atol=1e-9)
+        np.testing.assert_allclose(recording["task_error_m"], true, atol=1e-9)
 
     def test_of_a_single_point_its_own_place_is_pursued_whichever_way_the_leader_heads(self):
         route = {"kind": "circle", "radius_m": 3}
@@ -154,13 +154,13 @@ class TestPursuit:
         assert recording.outcome is Outcome.completed, recording.reason
         assert np.ptp(np.unwrap(np.arctan2(np.gradient(recording["tgt_y"]), np.gradient(recording["tgt_x"])))) > np.pi  # it has turned
         # 2.5 m under the bearing of a ball .3 m above the lens: a car that pitches by .1 degree errs by 4 cm.
-        assert recording.summary()["worst_off_m"] < 0.25
+        assert recording.summary()["worst_task_error_m"] < 0.25
 
     def test_behind_a_leader_that_stands_although_told_to_drive_nothing_is_completed(self):
         """On ice too slippery to start on, both stand where the gap is right."""
         settings = {"world__floor_friction": 0.002, "robot__start__nominal": {"x": -2.75}, "stop__duration_s": 9}
         stuck = run("car_pursuit", detector="oracle", **settings)
-        assert np.abs(stuck["off_m"]).max() < 0.25
+        assert np.abs(stuck["task_error_m"]).max() < 0.25
         assert stuck.outcome is Outcome.timed_out
         assert "the vehicle ahead made 0.0" in stuck.reason and "0.5 m/s were ordered" in stuck.reason
 

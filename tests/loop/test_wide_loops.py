@@ -13,7 +13,7 @@ import vstestbed as vs
 from tests.conftest import Ended
 from vstestbed.core.errors import VstestbedError
 from vstestbed.core.outcome import Outcome
-from vstestbed.loop.recording import Tick
+from vstestbed.tasks.frame import Frame
 
 
 def test_markers_behind_the_camera_come_to_the_goal_view():
@@ -23,8 +23,8 @@ def test_markers_behind_the_camera_come_to_the_goal_view():
     images: list[object] = []
 
     class Look:
-        def tick(self, tick: Tick) -> None:
-            images.append(tick.image)
+        def frame(self, frame: Frame) -> None:
+            images.append(frame.image)
 
     r = vs.run(scenario, [Look()])
     assert r.outcome is Outcome.converged

@@ -11,9 +11,9 @@ import pytest
 from vstestbed.core.planar import moved
 from vstestbed.laws.polar_pose import PolarGains, polar_law
 from vstestbed.robots.allocation import Mount
-from vstestbed.robots.base import Encoders
 from vstestbed.robots.bicycle import drive
 from vstestbed.robots.car import RADIUS, TRACK, WHEELBASE, Car, CarLimits, CarServos
+from vstestbed.robots.reading import Reading
 
 MODELS = Path(__file__).parents[2] / "models"
 G = 9.81
@@ -49,8 +49,8 @@ class Driver:
         mujoco.mj_forward(self.model, self.data)
 
     @property
-    def encoders(self) -> Encoders:
-        return Encoders(self.data.qpos[self.q].copy(), self.data.qvel[self.qd].copy())
+    def reading(self) -> Reading:
+        return Reading(self.data.qpos[self.q].copy(), self.data.qvel[self.qd].copy())
 
     @property
     def place(self) -> np.ndarray:
@@ -67,7 +67,7 @@ class Driver:
         assert period is not None
         for k in range(round(duration / period)):
             order = np.array(setpoint(k * period))
-            self.memory, self.data.ctrl[:] = self.car.actuate(self.memory, order, self.encoders, period)
+            self.memory, self.data.ctrl[:] = self.car.actuate(self.memory, order, self.reading, period)
             mujoco.mj_step(self.model, self.data, nstep=round(period / self.model.opt.timestep))
             yield (k + 1) * period
 
@@ -220,7 +220,7 @@ class TestSteering:
         radius = way / (places[-1, 2] - places[0, 2])
         assert radius * np.sign(speed) == pytest.approx(WHEELBASE / np.tan(steering), rel=within)
         # An open differential: each rear wheel rolls on its own circle.
-        left, right = driver.encoders.qd[3:5]
+        left, right = driver.reading.qd[3:5]
         inner = (WHEELBASE / np.tan(steering) - TRACK / 2) / (WHEELBASE / np.tan(steering) + TRACK / 2)
         assert left / right == pytest.approx(inner, rel=0.01)
 
@@ -243,7 +243,7 @@ class TestServos:
         car = Car(limits=CarLimits(acceleration_mps2=1.0, steering_rate_radps=0.5))
         driver, speeds, angles = Driver(rubber, car), [], []
         for _ in driver.go(2.5, lambda _: (1.0, 1.0)):
-            speeds.append(driver.encoders.qd[3:5].mean() * RADIUS)
+            speeds.append(driver.reading.qd[3:5].mean() * RADIUS)
             angles.append(driver.joint("steering"))
         slope, rate = np.diff(speeds) / 0.01, np.diff(angles) / 0.01
         # A servo behind a ramp follows with its slope; it may pass it by a little while it catches up.
@@ -264,10 +264,10 @@ class TestOdometry:
     def way(self, model: mujoco.MjModel, car: Car | None = None) -> tuple[np.ndarray, np.ndarray]:
         """True and dead-reckoned place after 8 s of slalom at 1 m/s, read at 25 Hz."""
         driver = Driver(model, car or Car())
-        place, before = driver.place, driver.encoders
+        place, before = driver.place, driver.reading
         for k, _ in enumerate(driver.go(8.0, lambda t: (1.0, 0.8 * np.sin(1.5 * t)))):
             if k % 4 == 3:
-                now = driver.encoders
+                now = driver.reading
                 place = moved(place, driver.car.odometry(before, now, 0.04), 0.04)
                 before = now
         return driver.place, place
@@ -286,9 +286,9 @@ class TestOdometry:
         """2 % too large: wheels turn 2 % slower, odometry says what was ordered."""
         driver = Driver(rubber, Car(wheel_radius_error=0.02))
         driver.drive(2.0, 1.0, 0.0)
-        before, start = driver.encoders, driver.place
+        before, start = driver.reading, driver.place
         end = driver.drive(2.0, 1.0, 0.0)[-1]
-        told = driver.car.odometry(before, driver.encoders, 2.0)
+        told = driver.car.odometry(before, driver.reading, 2.0)
         assert told[0] == pytest.approx(1.0, abs=0.003)
         assert (end - start)[0] / 2 == pytest.approx(1 / 1.02, abs=0.003)
 
@@ -315,12 +315,12 @@ def test_under_the_polar_law_it_drives_as_the_ideal_bicycle(rubber, start, way):
     goal, gains, mount = np.array([5, 5, np.pi / 2]), PolarGains(1, 4, -2.5), Mount.of(np.eye(4))
     driver, order = Driver(rubber), [0.0, 0.0]
     driver.data.qpos[[0, 1, 3, 6]] = *start[:2], np.cos(start[2] / 2), np.sin(start[2] / 2)
-    basis, limits = driver.car.motion_basis(mount), driver.car.limits.bicycle()
+    basis, limits = driver.car.motion_basis(mount, driver.reading.q), driver.car.limits.bicycle()
     places = []
     for k, _ in enumerate(driver.go(12.0, lambda _, order=order: (order[0], order[1]))):
         if k % 4 == 3:
             u = np.array(polar_law(driver.place, goal, np.array(way), gains, 1.0))
-            order[:] = driver.car.allocate(basis @ u, driver.encoders, mount, 0.04).setpoint
+            order[:] = driver.car.allocate(basis @ u, driver.reading, mount, 0.04).setpoint
         places.append(driver.place)
     ideal = drive(lambda p: polar_law(p, goal, np.array(way), gains, 1.0), np.array(start), WHEELBASE, limits, 12.0, 0.04)
     apart = np.linalg.norm(np.array(places)[::5, None, :2] - ideal.place[:, :2], axis=2).min(axis=1)

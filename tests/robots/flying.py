@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from vstestbed.core.geometry import Array
-from vstestbed.robots.base import Encoders
+from vstestbed.robots.flight_reading import FlightReading
 from vstestbed.robots.groundspeed import Flow
 from vstestbed.robots.quadrotor import Flight, FlightPose, FlightStart, Imu, Quadrotor
 
@@ -68,10 +68,10 @@ class Flown:
         """R_world_base (3, 3), true."""
         return self.data.body("robot/base").xmat.reshape(3, 3)
 
-    def encoders(self) -> Encoders:
+    def reading(self) -> FlightReading:
         """What the craft measures now."""
-        told = {name: self.data.sensor(f"robot/{name}").data.copy() for name in self.robot.sensors}
-        return self.robot.measured(Encoders(np.zeros(0), np.zeros(0), told), self.rng)
+        sensors = {name: self.data.sensor(f"robot/{name}").data.copy() for name in self.robot.sensors}
+        return self.robot.measured(np.zeros(0), np.zeros(0), sensors, self.rng)
 
     def tilt(self, roll: float, pitch: float = 0.0) -> None:
         """Put the craft at a tilt [rad], which its filter knows."""
@@ -92,7 +92,7 @@ class Flown:
         for k in range(round(duration / DT)):
             if wind is not None:
                 self.model.opt.wind[:] = wind(k * DT)
-            self.memory, self.data.ctrl[:] = self.robot.actuate(self.memory, setpoint, self.encoders(), DT)
+            self.memory, self.data.ctrl[:] = self.robot.actuate(self.memory, setpoint, self.reading(), DT)
             self.step()
             rows.append(self._row())
             memory.append(self.memory)

@@ -7,9 +7,9 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose, inverse
 from vstestbed.core.planar import GroundPose, moved, pose_on_ground
 from vstestbed.robots.allocation import Mount
-from vstestbed.robots.base import Encoders
 from vstestbed.robots.car import RADIUS, TRACK, WHEELBASE, Car, CarLimits, Compass
 from vstestbed.robots.ground import GroundBox, GroundStart
+from vstestbed.robots.reading import Reading
 
 CAR = Car()
 MOUNT = Mount.of(Pose(xyz=(0.2, 0.1, 0.5), rpy_deg=(-90, 0, -90)).T)
@@ -17,13 +17,13 @@ MOUNT = Mount.of(Pose(xyz=(0.2, 0.1, 0.5), rpy_deg=(-90, 0, -90)).T)
 PERIOD = 0.04
 
 
-def encoders(steering: float = 0.0, left: float = 0.0, right: float = 0.0) -> Encoders:
+def reading(steering: float = 0.0, left: float = 0.0, right: float = 0.0) -> Reading:
     """Wheels standing at angles [rad]; the front wheels' angles are of no matter."""
-    return Encoders(np.array([steering, 0.0, 0.0, left, right, 0.0, 0.0]), np.zeros(7))
+    return Reading(np.array([steering, 0.0, 0.0, left, right, 0.0, 0.0]), np.zeros(7))
 
 
 def camera_twist(v: float, w: float) -> np.ndarray:
-    return CAR.motion_basis(MOUNT) @ [v, w]
+    return CAR.motion_basis(MOUNT, CAR.start_joints()) @ [v, w]
 
 
 class TestKinematics:
@@ -40,11 +40,13 @@ class TestKinematics:
             T0, T1 = (pose_on_ground(moved(place, np.array([v, 0, w]), t)) @ mount.T_flange_camera for t in (0.0, dt))
             step = inverse(T0) @ T1 / dt
             twist = [*step[:3, 3], step[2, 1], step[0, 2], step[1, 0]]
-            np.testing.assert_allclose(CAR.motion_basis(mount) @ [v, w], twist, atol=1e-5)  # first order in dt, and rounding over dt
+            np.testing.assert_allclose(
+                CAR.motion_basis(mount, CAR.start_joints()) @ [v, w], twist, atol=1e-5
+            )  # first order in dt, and rounding over dt
 
     @pytest.mark.parametrize(("v", "w"), [(0.5, 0.2), (0.5, -0.2), (-0.5, 0.2), (-0.5, -0.2), (0.7, 0.0)])
     def test_an_order_within_its_limits_is_made_as_it_is(self, v, w):
-        made = CAR.allocate(camera_twist(v, w), encoders(), MOUNT, PERIOD)
+        made = CAR.allocate(camera_twist(v, w), reading(), MOUNT, PERIOD)
         speed, steering = made.setpoint
         assert (speed, speed * np.tan(steering) / WHEELBASE) == (pytest.approx(v), pytest.approx(w))
         np.testing.assert_allclose(made.twist, camera_twist(v, w), atol=1e-12)
@@ -52,31 +54,31 @@ class TestKinematics:
 
     def test_in_reverse_the_wheels_point_the_other_way(self):
         """Backwards and turning left: the nose swings left, so the front wheels point right."""
-        assert CAR.allocate(camera_twist(-0.5, 0.2), encoders(), MOUNT, PERIOD).setpoint[1] == pytest.approx(-np.arctan(0.4))
+        assert CAR.allocate(camera_twist(-0.5, 0.2), reading(), MOUNT, PERIOD).setpoint[1] == pytest.approx(-np.arctan(0.4))
 
     def test_what_a_car_cannot_do_is_left_out(self):
         aside = MOUNT.to_camera @ np.array([0.4, 0.3, -0.2, 0.1, 0.5, 0.1])
-        made = CAR.allocate(aside, encoders(), MOUNT, PERIOD)
+        made = CAR.allocate(aside, reading(), MOUNT, PERIOD)
         np.testing.assert_allclose(made.twist, camera_twist(0.4, 0.1), atol=1e-12)
 
 
 class TestLimits:
     def test_too_fast_becomes_slower_on_the_same_arc(self):
-        made = CAR.allocate(camera_twist(-4.0, 2.0), encoders(), MOUNT, PERIOD)
+        made = CAR.allocate(camera_twist(-4.0, 2.0), reading(), MOUNT, PERIOD)
         np.testing.assert_allclose(made.setpoint, [-1.0, -np.arctan(0.5)])
         np.testing.assert_allclose(made.twist, camera_twist(-1.0, 0.5), atol=1e-12)
         assert (made.scale, made.limit) == (pytest.approx(0.25), "speed")
 
     @pytest.mark.parametrize(("v", "w", "sign"), [(0.2, 1.0, 1), (0.2, -1.0, -1), (-0.2, 1.0, -1), (-0.2, -1.0, 1)])
     def test_too_tight_becomes_the_tightest_to_the_same_side(self, v, w, sign):
-        made = CAR.allocate(camera_twist(v, w), encoders(), MOUNT, PERIOD)
+        made = CAR.allocate(camera_twist(v, w), reading(), MOUNT, PERIOD)
         np.testing.assert_allclose(made.setpoint, [v, sign * 1.0])
         turn = abs(v) * np.tan(1.0) * np.sign(w)
         np.testing.assert_allclose(made.twist, camera_twist(v, turn), atol=1e-12)
         assert (made.scale, made.limit) == (pytest.approx(turn / w), "joint_limit")
 
     def test_on_the_spot_it_keeps_its_wheels(self):
-        held = encoders(steering=-0.3)
+        held = reading(steering=-0.3)
         made = CAR.allocate(camera_twist(0.0, 0.7), held, MOUNT, PERIOD)
         np.testing.assert_allclose(made.setpoint, [0.0, -0.3], atol=1e-12)
         np.testing.assert_allclose(made.twist, 0, atol=1e-12)
@@ -87,8 +89,8 @@ class TestLimits:
 
     def test_other_limits(self):
         fast = Car(limits=CarLimits(speed_mps=3, steering_rad=0.5))
-        np.testing.assert_allclose(fast.allocate(camera_twist(2.5, 0.5), encoders(), MOUNT, PERIOD).setpoint, [2.5, np.arctan(0.2)])
-        np.testing.assert_allclose(fast.allocate(camera_twist(0.5, 1.0), encoders(), MOUNT, PERIOD).setpoint, [0.5, 0.5])
+        np.testing.assert_allclose(fast.allocate(camera_twist(2.5, 0.5), reading(), MOUNT, PERIOD).setpoint, [2.5, np.arctan(0.2)])
+        np.testing.assert_allclose(fast.allocate(camera_twist(0.5, 1.0), reading(), MOUNT, PERIOD).setpoint, [0.5, 0.5])
         with pytest.raises(ParameterError, match="speed_mps"):
             CarLimits(speed_mps=4)
         with pytest.raises(ParameterError, match="steering_rad"):
@@ -97,9 +99,9 @@ class TestLimits:
 
 class TestCompass:
     def readings(self, car: Car, heading: float, n: int) -> np.ndarray:
-        raw = Encoders(np.zeros(7), np.zeros(7), {"heading": np.array([np.cos(heading), np.sin(heading), 0.01])})
+        sensors = {"heading": np.array([np.cos(heading), np.sin(heading), 0.01])}
         rng = np.random.default_rng(1)
-        return np.array([car.measured(raw, rng).instruments["compass"][0] for _ in range(n)])
+        return np.array([car.measured(np.zeros(7), np.zeros(7), sensors, rng).heading for _ in range(n)])
 
     def test_noise_and_bias(self):
         told = np.degrees(self.readings(Car(compass=Compass(bias_deg=5, sigma_deg=0.5)), np.radians(40), 4000))
@@ -113,10 +115,10 @@ class TestCompass:
         assert np.all((told >= -np.pi) & (told < np.pi)) and told.min() < -3 and told.max() > 3
 
     def test_the_truth_does_not_pass(self):
-        raw = Encoders(np.arange(7.0), np.zeros(7), {"heading": np.array([1.0, 0, 0])})
-        told = CAR.measured(raw, np.random.default_rng(0))
-        assert set(told.instruments) == {"compass"}
-        np.testing.assert_array_equal(told.q, raw.q)
+        q, sensors = np.arange(7.0), {"heading": np.array([1.0, 0, 0])}
+        measured = CAR.measured(q, np.zeros(7), sensors, np.random.default_rng(0))
+        assert type(measured) is Reading and measured.tilt is None and measured.heading != 0.0  # nothing but encoders and compass
+        np.testing.assert_array_equal(measured.q, q)
 
     def test_same_seed_same_readings(self):
         np.testing.assert_array_equal(self.readings(CAR, 1.0, 5), self.readings(CAR, 1.0, 5))
@@ -126,13 +128,13 @@ class TestOdometry:
     def test_an_arc_from_its_wheels(self):
         v, w = 0.6, -0.4
         left, right = ((v + side * w * TRACK / 2) / RADIUS * PERIOD for side in (-1, 1))
-        before, now = encoders(left=3, right=7), encoders(left=3 + left, right=7 + right)
+        before, now = reading(left=3, right=7), reading(left=3 + left, right=7 + right)
         np.testing.assert_allclose(CAR.odometry(before, now, PERIOD), [v, 0, w], atol=1e-12)
         np.testing.assert_allclose(CAR.measured_twist(before, now, PERIOD, np.zeros(6), MOUNT), camera_twist(v, w), atol=1e-12)
         np.testing.assert_allclose(Car(wheel_radius_error=0.02).odometry(before, now, PERIOD), [1.02 * v, 0, 1.02 * w], atol=1e-12)
 
     def test_no_time_no_motion(self):
-        np.testing.assert_array_equal(CAR.measured_twist(encoders(), encoders(left=1), 0.0, np.ones(6), MOUNT), np.zeros(6))
+        np.testing.assert_array_equal(CAR.measured_twist(reading(), reading(left=1), 0.0, np.ones(6), MOUNT), np.zeros(6))
 
 
 class TestServos:
@@ -140,7 +142,7 @@ class TestServos:
         """Controls (periods, 2) when the wheels follow at once, at a share of the speed told."""
         memory, ctrl, out = car.begin(), np.zeros(2), []
         for _ in range(periods):
-            wheels = Encoders(np.zeros(7), np.array([0, 0, 0, 1, 1, 0, 0]) * ctrl[0] * speed_share)
+            wheels = Reading(np.zeros(7), np.array([0, 0, 0, 1, 1, 0, 0]) * ctrl[0] * speed_share)
             memory, ctrl = car.actuate(memory, np.array(setpoint), wheels, 0.01)
             out.append(ctrl)
         return np.array(out)

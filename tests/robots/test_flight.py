@@ -9,7 +9,7 @@ from tests.robots.flying import DT, Flown, Log, Response, perfect
 from vstestbed.core.geometry import Array
 from vstestbed.robots.attitude import GRAVITY, Filter, level
 from vstestbed.robots.flight import MAX_TILT_RATE, Gains, aim, attitude_loop, rate_loop
-from vstestbed.robots.quadrotor import HOLD
+from vstestbed.robots.flight_reading import HOLD
 from vstestbed.robots.rotors import HOVER, MASS, mix, speed_control
 
 FLAT = level((0.0, 0.0, 1.0))

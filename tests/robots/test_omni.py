@@ -7,9 +7,9 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose, exp, inverse
 from vstestbed.core.planar import GroundPose, moved, pose_on_ground
 from vstestbed.robots.allocation import Mount
-from vstestbed.robots.base import Encoders
 from vstestbed.robots.ground import GroundBox, GroundStart
 from vstestbed.robots.omni import HALF_BASE, HALF_TRACK, RADIUS, SPEED_LIMIT, W_INVERSE, WHEELS, Omni, W, wheel_matrix
+from vstestbed.robots.reading import Reading
 
 BASE = Omni()
 PERIOD = 0.04
@@ -24,7 +24,7 @@ MOTIONS = [(0.3, 0.0, 0.0), (0.0, -0.2, 0.0), (0.0, 0.0, 0.7), (0.2, -0.1, -0.5)
 
 
 def readings(q):
-    return Encoders(np.asarray(q, dtype=float), np.zeros(len(q)))
+    return Reading(np.asarray(q, dtype=float), np.zeros(len(q)))
 
 
 @pytest.fixture(params=MOUNTS)
@@ -56,7 +56,7 @@ class TestKinematics:
 
 class TestMotionBasis:
     def test_is_the_cameras_twist_by_finite_differences(self, mount):
-        basis, at, dt = BASE.motion_basis(mount), np.array([1.0, -2.0, 0.7]), 1e-6
+        basis, at, dt = BASE.motion_basis(mount, BASE.start_joints()), np.array([1.0, -2.0, 0.7]), 1e-6
         for column in range(3):
             motion = np.eye(3)[column]
             ends = [pose_on_ground(moved(at, motion, t)) @ mount.T_flange_camera for t in (-dt, dt)]
@@ -67,14 +67,14 @@ class TestMotionBasis:
 
     def test_a_camera_aside_is_carried_sideways_by_yaw(self):
         # What a reduced Jacobian of three columns leaves out: .2 m ahead and .1 m left, turning at 1 rad/s, it moves by (-.1, .2).
-        aside = BASE.motion_basis(Mount.of(MOUNTS["straight up"].T))
+        aside = BASE.motion_basis(Mount.of(MOUNTS["straight up"].T), BASE.start_joints())
         np.testing.assert_allclose(aside[:, 2], [-0.1, 0.2, 0, 0, 0, 1], atol=1e-15)
 
 
 class TestAllocation:
     @pytest.mark.parametrize("motion", MOTIONS)
     def test_a_small_command_is_made_exactly(self, mount, motion):
-        twist = BASE.motion_basis(mount) @ motion
+        twist = BASE.motion_basis(mount, BASE.start_joints()) @ motion
         made = BASE.allocate(twist, readings(np.zeros(4)), mount, PERIOD)
         np.testing.assert_allclose(made.twist, twist, atol=1e-12)
         np.testing.assert_allclose(made.setpoint, W @ motion, atol=1e-10)
@@ -82,7 +82,7 @@ class TestAllocation:
 
     @pytest.mark.parametrize("motion", MOTIONS)
     def test_a_fast_command_is_scaled_as_a_whole(self, mount, motion):
-        twist = BASE.motion_basis(mount) @ (20 * np.array(motion))
+        twist = BASE.motion_basis(mount, BASE.start_joints()) @ (20 * np.array(motion))
         made = BASE.allocate(twist, readings(np.zeros(4)), mount, PERIOD)
         assert made.limit == "speed" and 0 < made.scale < 1
         assert np.abs(made.setpoint).max() == pytest.approx(SPEED_LIMIT)

@@ -10,8 +10,8 @@ import vstestbed as vs
 from vstestbed.core.assets import model_path
 from vstestbed.core.geometry import exp, inverse
 from vstestbed.robots.allocation import Mount
-from vstestbed.robots.base import Encoders
 from vstestbed.robots.puma560 import JOINT_LIMITS, SPEED_LIMITS, Puma560, forward, jacobian
+from vstestbed.robots.reading import Reading
 
 UNLIMITED = {"kind": "oracle", "field_of_view": "unlimited"}
 
@@ -71,17 +71,17 @@ class TestOffTheLimits:
     NEAR = np.radians([0, 45, -215, 0, 45, -45])  # joint 3 is 10 degrees from its limit
 
     def test_the_open_motion_moves_the_joint_off_and_stays_open(self):
-        free = np.linalg.qr(np.random.default_rng(1).normal(size=(6, 2)))[0]
+        null_space = np.linalg.qr(np.random.default_rng(1).normal(size=(6, 2)))[0]
         arm, mount = Puma560(avoid_limits=2.0), Mount.of(np.eye(4))
-        twist = arm.aside(free, Encoders(self.NEAR, np.zeros(6)), mount)
-        assert np.allclose(free @ (free.T @ twist), twist)
+        twist = arm.secondary_task(null_space, Reading(self.NEAR, np.zeros(6)), mount)
+        assert np.allclose(null_space @ (null_space.T @ twist), twist)
         dq = np.linalg.solve(jacobian(self.NEAR), twist)
         assert dq[2] > 0
-        assert np.allclose(Puma560().aside(free, Encoders(self.NEAR, np.zeros(6)), mount), 0)
+        assert np.allclose(Puma560().secondary_task(null_space, Reading(self.NEAR, np.zeros(6)), mount), 0)
 
     def test_in_the_middle_of_its_range_it_stays(self):
         middle = JOINT_LIMITS.mean(axis=1)
-        assert np.allclose(Puma560(avoid_limits=2.0).aside(np.eye(6)[:, :2], Encoders(middle, np.zeros(6)), Mount.of(np.eye(4))), 0)
+        assert np.allclose(Puma560(avoid_limits=2.0).secondary_task(np.eye(6)[:, :2], Reading(middle, np.zeros(6)), Mount.of(np.eye(4))), 0)
 
     def test_it_arrives_where_it_would_have_met_a_limit(self):
         runs = [vs.run(vs.load("arm_avoid_limits", {"detector": "oracle", "robot.avoid_limits": k})) for k in (0.0, 5.0)]

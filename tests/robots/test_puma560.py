@@ -6,7 +6,6 @@ import pytest
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose, inverse
 from vstestbed.robots import Mount, Puma560
-from vstestbed.robots.base import Encoders
 from vstestbed.robots.puma560 import (
     JOINT_LIMITS,
     LIMIT_HORIZON_S,
@@ -18,6 +17,7 @@ from vstestbed.robots.puma560 import (
     forward,
     jacobian,
 )
+from vstestbed.robots.reading import Reading
 
 ARM = Puma560()
 Q0 = ARM.configuration()
@@ -26,7 +26,7 @@ PERIOD = 0.04
 
 
 def at_rest(q):
-    return Encoders(np.asarray(q, dtype=float), np.zeros(6))
+    return Reading(np.asarray(q, dtype=float), np.zeros(6))
 
 
 def test_a_small_command_is_made_exactly():

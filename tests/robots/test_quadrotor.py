@@ -1,7 +1,6 @@
 """The quadrotor as a robot: its block, its instruments, setpoints, and flights with noise, bias, wind and ground."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,14 +9,15 @@ from tests.robots.flying import Flown, perfect
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose, adjoint, inverse
 from vstestbed.robots.allocation import Mount
-from vstestbed.robots.base import Encoders
+from vstestbed.robots.flight_reading import HOLD, ROTORS_OFF, descend
 from vstestbed.robots.groundspeed import Filtered, Flow
-from vstestbed.robots.quadrotor import HOLD, LOWEST_M, ROTORS_OFF, STANDING_M, FlightBox, FlightPose, FlightStart, Imu, Quadrotor, descend
+from vstestbed.robots.quadrotor import LOWEST_M, STANDING_M, FlightBox, FlightPose, FlightStart, Imu, Quadrotor
 from vstestbed.robots.rotors import HOVER
 
 DOWN = Mount.of(Pose(xyz=(0.1, 0.0, -0.05), rpy_deg=(180, 0, 90)).T)
-TOLD = {"gyro": np.zeros(3), "accelerometer": np.array([0, 0, 9.81]), "velocity": np.zeros(3), "range": np.array([2.0])}
-RAW = Encoders(np.zeros(0), np.zeros(0), TOLD)
+SENSORS = {"gyro": np.zeros(3), "accelerometer": np.array([0, 0, 9.81]), "velocity": np.zeros(3), "range": np.array([2.0])}
+NO_JOINTS = np.zeros(0)
+RAW = Quadrotor().measured(NO_JOINTS, NO_JOINTS, SENSORS, np.random.default_rng(0))
 
 
 class TestBlock:
@@ -57,24 +57,31 @@ class TestInstruments:
             velocity=Flow(sigma_mps=0.1, scale_error=0.5),
             range_sigma_m=0.2,
         )
-        rng, raw = np.random.default_rng(0), Encoders(RAW.q, RAW.qd, TOLD | {"velocity": np.array([1.0, 2.0, 0.0])})
-        rows = [robot.measured(raw, rng).instruments for _ in range(4000)]
+        rng, sensors = np.random.default_rng(0), SENSORS | {"velocity": np.array([1.0, 2.0, 0.0])}
+        rows = [robot.measured(NO_JOINTS, NO_JOINTS, sensors, rng) for _ in range(4000)]
         expected = {
             "gyro": ([0.1, 0.2, 0.3], 0.01),
-            "accelerometer": ([1, 2, 12.81], 0.5),
+            "force": ([1, 2, 12.81], 0.5),
             "velocity": ([1.5, 3, 0], 0.1 * math.sqrt(20)),  # 20 readings of 1 ms make one of 20 ms
-            "range": ([2.0], 0.2),
+            "range_m": (2.0, 0.2),
         }
         for name, (mean, sigma) in expected.items():
-            a = np.array([row[name] for row in rows])
+            a = np.array([getattr(row, name) for row in rows])
             # Four standard errors of 4000 draws.
             np.testing.assert_allclose(a.mean(axis=0), mean, atol=4 * sigma / math.sqrt(4000))
             np.testing.assert_allclose(a.std(axis=0), sigma, rtol=4 / math.sqrt(2 * 4000))
 
     def test_without_noise_they_are_exact(self):
-        told = perfect(range_sigma_m=0.0).measured(RAW, np.random.default_rng(0)).instruments
-        for name, value in TOLD.items():
-            np.testing.assert_array_equal(told[name], value)
+        reading = perfect(range_sigma_m=0.0).measured(NO_JOINTS, NO_JOINTS, SENSORS, np.random.default_rng(0))
+        for field, sensor in (("gyro", "gyro"), ("force", "accelerometer"), ("velocity", "velocity")):
+            np.testing.assert_array_equal(getattr(reading, field), SENSORS[sensor])
+        assert reading.range_m == 2.0
+        assert reading.estimate is None and reading.tilt is None  # those are made on board (`reported`)
+
+    def test_a_range_finder_that_meets_nothing_reads_infinity(self):
+        """MuJoCo's own value for that is -1."""
+        sensors = SENSORS | {"range": np.array([-1.0])}
+        assert Quadrotor().measured(NO_JOINTS, NO_JOINTS, sensors, np.random.default_rng(0)).range_m == math.inf
 
     def test_one_seed_one_noise(self):
         logs = [Flown(Quadrotor(), seed=5).fly([0.5, 0, 0, 0.2], 0.5) for _ in range(2)]
@@ -83,25 +90,25 @@ class TestInstruments:
 
 class TestSetpoints:
     def test_basis_is_four_columns_of_the_mount(self):
-        basis = Quadrotor().motion_basis(DOWN)
+        basis = Quadrotor().motion_basis(DOWN, NO_JOINTS)
         assert basis.shape == (6, 4)
         u = np.array([0.3, -0.2, 0.1, 0.4])
         np.testing.assert_allclose(basis @ u, adjoint(inverse(DOWN.T_flange_camera)) @ [0.3, -0.2, 0.1, 0, 0, 0.4], atol=1e-12)
 
     def test_a_twist_within_limits_is_kept(self):
         robot, u = Quadrotor(), np.array([0.3, -0.2, 0.1, 0.4])
-        found = robot.allocate(robot.motion_basis(DOWN) @ u, RAW, DOWN, 0.04)
+        found = robot.allocate(robot.motion_basis(DOWN, NO_JOINTS) @ u, RAW, DOWN, 0.04)
         np.testing.assert_allclose(found.setpoint, u, atol=1e-12)
         assert (found.scale, found.limit) == (1.0, "")
 
     @pytest.mark.parametrize(("u", "scale"), [((4, 3, 0, 0), 0.4), ((0, 0, -2, 0), 0.5), ((0.1, 0, 0, 1.6), 0.5), ((4, 0, 4, 0), 0.25)])
     def test_beyond_them_it_is_scaled_as_a_whole(self, u, scale):
         robot = Quadrotor()
-        found = robot.allocate(robot.motion_basis(DOWN) @ np.array(u, dtype=float), RAW, DOWN, 0.04)
+        found = robot.allocate(robot.motion_basis(DOWN, NO_JOINTS) @ np.array(u, dtype=float), RAW, DOWN, 0.04)
         np.testing.assert_allclose(found.setpoint, scale * np.array(u), atol=1e-12)
         assert found.scale == pytest.approx(scale)
         assert found.limit == "speed"
-        np.testing.assert_allclose(found.twist, robot.motion_basis(DOWN) @ found.setpoint, atol=1e-12)
+        np.testing.assert_allclose(found.twist, robot.motion_basis(DOWN, NO_JOINTS) @ found.setpoint, atol=1e-12)
 
     def test_roll_and_pitch_rates_are_dropped(self):
         found = Quadrotor().allocate(DOWN.to_camera @ np.array([0.1, 0, 0, 0.7, -0.7, 0]), RAW, DOWN, 0.04)
@@ -111,14 +118,12 @@ class TestSetpoints:
         """By what flies: against MuJoCo's own velocity of the craft, through the mount."""
         craft = Flown(Quadrotor())
         craft.fly([0.8, -0.3, 0.2, 0.4], 3.0)
-        before = replace(
-            craft.encoders(), instruments={**craft.encoders().instruments, **craft.robot.reported(craft.memory, craft.encoders())}
-        )
+        before = craft.robot.reported(craft.memory, craft.reading())
         true = DOWN.to_camera @ np.concatenate([craft.R.T @ craft.data.qvel[:3], craft.data.qvel[3:]])
         found = craft.robot.measured_twist(before, before, 0.04, np.zeros(6), DOWN)
         # The estimate's noise: 2 cm/s, and a gyro reading's .002 rad/s and what is left of its bias.
         np.testing.assert_allclose(found, true, atol=0.03)
-        raw = craft.robot.measured_twist(craft.encoders(), craft.encoders(), 0.04, np.zeros(6), DOWN)
+        raw = craft.robot.measured_twist(craft.reading(), craft.reading(), 0.04, np.zeros(6), DOWN)
         np.testing.assert_allclose(raw, true, atol=0.5)
 
     def test_an_order_that_is_no_number_holds(self):
@@ -187,9 +192,9 @@ class TestDown:
         craft = Flown(Quadrotor(start=FlightStart(nominal=FlightPose(xyz=(0, 0, 1.0)))), seed=4)
         log = craft.fly(descend(0.3), 1.5)
         assert log.velocity[-1, 2] == pytest.approx(-0.3, abs=0.03)
-        assert not craft.robot.stands(craft.memory, craft.encoders())
+        assert not craft.robot.stands(craft.memory, craft.reading())
         log = craft.fly(descend(0.3), 3.0)
-        assert craft.robot.stands(craft.memory, craft.encoders())
+        assert craft.robot.stands(craft.memory, craft.reading())
         assert log.position[-1, 2] == pytest.approx(STANDING_M, abs=0.002)
         craft.fly(ROTORS_OFF, 0.1)
         log = craft.fly(descend(0.3), 2.0)  # off is off
@@ -205,7 +210,7 @@ class TestDown:
         craft, told, touched = Flown(Quadrotor(start=FlightStart(nominal=FlightPose(xyz=(0, 0, 0.4)))), seed=4), [], []
         for _ in range(200):
             craft.fly(descend(speed), 0.01, lambda t: (6, 0, 0))
-            told.append(craft.robot.stands(craft.memory, craft.encoders()))
+            told.append(craft.robot.stands(craft.memory, craft.reading()))
             touched.append(craft.data.ncon > 0)
         first = touched.index(True)
         assert not any(told[:first])  # 5 cm before, still sinking as told
@@ -214,12 +219,12 @@ class TestDown:
     def test_hovering_low_is_not_standing(self):
         craft = Flown(Quadrotor(start=FlightStart(nominal=FlightPose(xyz=(0, 0, 0.2)))))
         craft.fly(HOLD, 0.5)
-        assert not craft.robot.stands(craft.memory, craft.encoders())
+        assert not craft.robot.stands(craft.memory, craft.reading())
 
     def test_a_rotor_at_its_limit_is_told(self):
         craft = Flown(perfect())
         log = craft.fly([0, 0, 3.0, 0], 0.5)  # 7.5 m/s^2 up: 1.76 times the weight, rotors give 1.35
         assert log.memory[99].limited_s == pytest.approx(0.1, abs=0.02)
-        assert craft.robot.reported(craft.memory, craft.encoders())["rotor_limit_s"][0] > 0.0
+        assert craft.robot.reported(craft.memory, craft.reading()).estimate.rotor_limit_s > 0.0
         log = craft.fly(HOLD, 1.0)
         assert log.memory[-1].limited_s == 0.0

@@ -62,8 +62,8 @@ class TestTruth:
         # MuJoCo's own step would leave it behind.
         np.testing.assert_allclose(now.T_world_camera, forward(now.q) @ mount, atol=1e-12)
         assert rigid_error(before.T_world_camera, now.T_world_camera)[0] > 2e-4
-        np.testing.assert_array_equal(plant.encoders().q, now.q)
-        np.testing.assert_array_equal(plant.encoders().qd, now.qd)
+        np.testing.assert_array_equal(plant.reading().q, now.q)
+        np.testing.assert_array_equal(plant.reading().qd, now.qd)
         np.testing.assert_array_equal(now.ctrl, [0.4, 0.2, -0.3, 0.5, 0.5, -0.5])
 
     def test_twist_is_the_derivative_of_the_pose(self, arm: Build):
@@ -139,17 +139,17 @@ class TestSpeeds:
         plant.apply(one_joint(joint, 0.95 * dead))
         plant.advance(250)
         # MuJoCo's friction is a stiff damper: under .1 mrad/s leaks through, a thousandth of the command.
-        assert abs(plant.encoders().qd[joint]) < 1e-4
+        assert abs(plant.reading().qd[joint]) < 1e-4
         plant.apply(one_joint(joint, 1.5 * dead))
         plant.advance(250)
         kv, damping = self.KV[joint], self.DAMPING[joint]
-        assert plant.encoders().qd[joint] == pytest.approx(0.5 * dead * kv / (kv + damping), rel=0.02)
+        assert plant.reading().qd[joint] == pytest.approx(0.5 * dead * kv / (kv + damping), rel=0.02)
 
     def test_a_camera_twist_comes_out_as_ordered(self, arm: Build):
         s = vs.load("arm_ibvs", {"robot.actuation": "ideal", "camera.mount": MOUNT})
         plant, twist = arm("ideal", MOUNT), np.array([0.05, -0.04, 0.03, 0.1, -0.05, 0.2])
         for _ in range(10):
-            allocation = s.robot.allocate(twist, plant.encoders(), Mount.of(s.camera.mount.T), s.camera.period)
+            allocation = s.robot.allocate(twist, plant.reading(), Mount.of(s.camera.mount.T), s.camera.period)
             np.testing.assert_allclose(allocation.twist, twist, atol=1e-12)  # far from limits and singularities
             plant.apply(allocation.setpoint)
             plant.advance(20)

@@ -54,7 +54,7 @@ def test_derotation_takes_the_overshoot_away():
 def test_it_stays_by_its_path():
     for seed in SEEDS:
         r, m = fly("quadrotor_path", seed)
-        farthest = np.abs(r["off_m"][r["t"] > r.scenario.goal.settle_s]).max()
+        farthest = np.abs(r["task_error_m"][r["t"] > r.scenario.goal.settle_s]).max()
         print(f"  farthest {farthest:.4f} m", flush=True)
         assert m["outcome"] == "completed"
         assert farthest < 0.15

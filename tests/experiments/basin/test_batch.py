@@ -22,8 +22,9 @@ from vstestbed.laws.base import AdaptiveGain, ConstantGain, TwistLimits
 from vstestbed.laws.visibility import Visibility
 from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart
-from vstestbed.scenario.scenario import GoalView, Noise, Scenario
+from vstestbed.scenario.scenario import Noise, Scenario
 from vstestbed.targets.points import Points, Square
+from vstestbed.tasks import GoalView
 from vstestbed.tasks.stop import Converged, Stop
 from vstestbed.vision import Oracle
 

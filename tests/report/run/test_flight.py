@@ -46,7 +46,7 @@ def test_attitude_follows_what_the_velocity_loop_asks(tracks: Tracks, step: Reco
     assert np.abs(asked).max() > 10
     delayed = [np.abs(true[k:] - asked[: len(asked) - k]).mean() for k in range(12)]
     assert 2 <= int(np.argmin(delayed)) <= 9  # .2 s of attitude loop and rotors at 25 Hz, never ahead of its order
-    assert np.degrees(step["ask_roll"]) == pytest.approx(asked)
+    assert np.degrees(step["ref_roll"]) == pytest.approx(asked)
 
 
 def test_rates_follow_what_the_attitude_loop_asks(tracks: Tracks):

@@ -59,7 +59,7 @@ def test_errors_of_the_place_are_told_from_the_truth():
 
 def test_the_task_has_its_band_and_its_worst_once_settled():
     off = np.where(T < 4, 1.0, 0.02 * np.sin(5 * T))
-    figure = vehicle.task_error(tracks(replace(GROUND_TASK, band_m=0.05, settle_s=4.0), off_m=off))
+    figure = vehicle.task_error(tracks(replace(GROUND_TASK, band_m=0.05, settle_s=4.0), task_error_m=off))
     assert figure is not None
     axes = figure.axes[0]
     assert axes.get_title(loc="left") == "at most 0.020 m off once settled"

@@ -137,7 +137,7 @@ def test_noise_comes_from_the_generator(square):
 HASHES = """
 import hashlib, vstestbed as vs
 class Picture:
-    def tick(self, tick): print(hashlib.sha256(tick.image.tobytes()).hexdigest())
+    def frame(self, frame): print(hashlib.sha256(frame.image.tobytes()).hexdigest())
 r = vs.run(vs.load("arm_ibvs", {"stop.duration_s": 0.16, "law.gain": 2, "noise.image_sigma": 1.0}), [Picture()])
 print(hashlib.sha256(r.table.tobytes()).hexdigest())
 """

@@ -12,7 +12,7 @@ import vstestbed as vs
 from vstestbed.camera import Perspective
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import FLIP, Pose, transform
-from vstestbed.robots.puma560 import JOINT_LIMITS, SERVOS, forward
+from vstestbed.robots.puma560 import ACTUATIONS, JOINT_LIMITS, forward
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.build import scene_files
 from vstestbed.sim.clock import Clock
@@ -83,15 +83,15 @@ def test_the_eye_sits_on_the_flange(mount: dict):
         np.testing.assert_allclose(pose_of(data.camera("eye").xpos, data.camera("eye").xmat) @ FLIP, expected, atol=1e-12)
 
 
-@pytest.mark.parametrize("actuation", SERVOS)
+@pytest.mark.parametrize("actuation", ACTUATIONS)
 def test_actuation_keeps_one_profile(actuation: str):
-    model, servo = compiled(vs.load("arm_ibvs", {"robot.actuation": actuation})), SERVOS[actuation]
+    model, chosen = compiled(vs.load("arm_ibvs", {"robot.actuation": actuation})), ACTUATIONS[actuation]
     assert [model.actuator(i).name for i in range(model.nu)] == [f"robot/joint_{i}" for i in range(1, 7)]
     assert model.na == (6 if actuation == "industrial" else 0)
-    assert np.all((model.dof_frictionloss > 0) == servo.friction)
-    assert np.all((model.dof_damping > 0) == servo.friction)
+    assert np.all((model.dof_frictionloss > 0) == chosen.friction)
+    assert np.all((model.dof_damping > 0) == chosen.friction)
     links = [model.body(f"robot/link_{i}").id for i in range(1, 7)]
-    np.testing.assert_array_equal(model.body_gravcomp[links], float(servo.gravity_compensated))
+    np.testing.assert_array_equal(model.body_gravcomp[links], float(chosen.gravity_compensated))
     assert model.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST
 
 

@@ -7,9 +7,10 @@ import pytest
 import vstestbed as vs
 from vstestbed.core.geometry import inverse
 from vstestbed.core.planar import place_of, relative
+from vstestbed.robots.reading import Reading
 from vstestbed.sim.build import build_plant, scene_files
 from vstestbed.sim.scene.compose import Parts
-from vstestbed.sim.scene.lead_vehicle import Leader
+from vstestbed.sim.scene.lead_vehicle import LeadVehicle
 from vstestbed.sim.scene.overview import WIDE_PICTURE, eye_for
 from vstestbed.sim.scene.stage import Stage
 
@@ -53,11 +54,11 @@ def test_the_written_model_loads_alone_and_starts_there(name, tmp_path):
 
 def test_a_reading_stays_until_time_passes():
     plant = plant_of(vs.load("car_pbvs"))
-    first = plant.encoders()
-    assert plant.encoders() is first
-    assert set(first.instruments) == {"compass"}  # the true heading does not come out
+    first = plant.reading()
+    assert plant.reading() is first
+    assert type(first) is Reading and first.heading not in (None, 0.0)  # the compass; the true heading does not come out
     plant.advance(5)
-    assert plant.encoders() is not first
+    assert plant.reading() is not first
 
 
 def test_the_onboard_controller_keeps_its_period_however_time_is_asked_for():
@@ -67,11 +68,11 @@ def test_the_onboard_controller_keeps_its_period_however_time_is_asked_for():
         plant.apply(np.array([1.0, 0.3]))
         for steps in pieces:
             assert plant.advance(steps)
-        readings.append(plant.encoders().q)
+        readings.append(plant.reading().q)
     np.testing.assert_array_equal(*readings)
 
 
-class TestLeader:
+class TestLeadVehicle:
     def test_it_keeps_to_its_route_and_its_speed(self):
         s = vs.load("car_pursuit")
         plant = plant_of(s)
@@ -92,7 +93,7 @@ class TestLeader:
     def test_it_needs_a_vehicle(self):
         s = vs.load("arm_ibvs")
         with pytest.raises(TypeError, match="no vehicle"):
-            Leader(Stage(Parts(s.robot, s.camera, s.target, s.world, 0.002)))
+            LeadVehicle(Stage(Parts(s.robot, s.camera, s.target, s.world, 0.002)))
 
 
 class TestOverview:

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from vstestbed.sim.scene.wind import Weather
+from vstestbed.sim.scene.wind import WindField
 from vstestbed.sim.scene.world import Gust, Wind
 
 MODEL = mujoco.MjModel.from_xml_string("<mujoco><worldbody/></mujoco>")
@@ -16,11 +16,11 @@ def test_a_gust_comes_and_goes():
 
 
 def test_turbulence_has_its_size_and_its_memory():
-    weather = Weather(Wind(turbulence_mps=0.5, turbulence_s=0.2), MODEL, np.random.default_rng(0))
+    field = WindField(Wind(turbulence_mps=0.5, turbulence_s=0.2), MODEL, np.random.default_rng(0))
     rows = []
     for k in range(40000):
-        weather.blow(0.01 * k, 0.01)
-        rows.append(weather.now)
+        field.blow(0.01 * k, 0.01)
+        rows.append(MODEL.opt.wind.copy())
     u = np.array(rows)
     # 400 s hold 2000 correlation times on each of three axes: 2 % of the size, twice that.
     assert u.std() == pytest.approx(0.5, rel=0.04)

@@ -1,19 +1,19 @@
-"""Paces: who shall keep going is watched over two seconds, from the time to settle on."""
+"""Minimum speeds: distances are watched over two seconds, from the time to settle on."""
 
 import pytest
 
-from vstestbed.scenario.progress_check import Pace, PaceMaker
+from vstestbed.tasks.speed_monitor import MinSpeed, SpeedMonitor
 
-CRUISE = Pace("the vehicle", told_mps=0.8, least_mps=0.64)
+CRUISE = MinSpeed("the vehicle", ordered_mps=0.8, least_mps=0.64)
 
 
 def watched(speed, until_s=10.0, from_s=4.0, dt=0.04):
-    """The pacemaker after a run whose speed is a function of time."""
-    maker, way, n = PaceMaker((CRUISE,), from_s), 0.0, round(until_s / dt)
+    """When a speed monitor first found somebody too slow, and the reason, in a run whose speed is a function of time."""
+    monitor, travelled, n = SpeedMonitor((CRUISE,), from_s), 0.0, round(until_s / dt)
     for k in range(n + 1):
-        maker.watch(k * dt, (way,), at_the_end=k == n)
-        way += speed(k * dt) * dt
-    return maker.slow
+        monitor.update(k * dt, (travelled,), at_the_end=k == n)
+        travelled += speed(k * dt) * dt
+    return monitor.slow
 
 
 def test_a_steady_drive_is_fine_and_so_is_a_start_from_standstill():

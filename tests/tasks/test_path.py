@@ -1,8 +1,7 @@
-"""Views that move: along a path, and down onto a pad."""
+"""Views that move along a path: timing, velocity, distance from it."""
 
 import numpy as np
 import pytest
-from vstestbed.loop.reference import DEEPEST, LandingCourse, Path, course_of
 
 import vstestbed as vs
 from vstestbed.core.geometry import Pose, inverse
@@ -16,8 +15,8 @@ WAY = (
 )
 
 
-class TestPath:
-    path = Path(GoalPath(way=WAY, speed_mps=0.5, settle_s=3.0))
+class TestTrajectory:
+    path = GoalPath(way=WAY, speed_mps=0.5, settle_s=3.0).trajectory
 
     def places(self, t):
         return np.array([inverse(self.path.at(x)[0])[:3, 3] for x in t])
@@ -50,7 +49,7 @@ class TestPath:
         assert self.path.off(first, self.path.end_s + 30) == pytest.approx(np.linalg.norm(last[:3, 3] - first[:3, 3]))
 
     def test_its_twist_is_its_poses_derivative(self):
-        path = Path(GoalPath(way=WAY, speed_mps=0.5, settle_s=3.0, lead_s=0.0))
+        path = GoalPath(way=WAY, speed_mps=0.5, settle_s=3.0, lead_s=0.0).trajectory
         for t in (5.0, 9.0, 12.0, 13.5):
             h = 1e-4
             before, now, after = (inverse(path.at(t + d)[0]) for d in (-h, 0, h))
@@ -60,38 +59,22 @@ class TestPath:
             np.testing.assert_allclose(path.twist(t), [*v, *w], atol=1e-5)
 
 
-class TestViews:
-    def test_a_view_is_passed_only_with_all_that_counts_in_sight(self):
-        """An error over one marker of three says little: what the end asks for, all seen, a via point asks for too."""
-        course = course_of(vs.load("omni_via_points"))
-        assert not course.passed(0.1, all_seen=False) and course.view == 0
-        assert not course.passed(3.1, all_seen=True) and course.view == 0
-        assert course.passed(2.9, all_seen=True) and course.view == 1
+class TestReference:
+    def test_the_law_is_told_the_view_of_this_time_with_its_velocity(self):
+        scenario = vs.load("quadrotor_path")
+        task, nothing = scenario.goal, np.zeros((4, 2))
+        memory = task.begin(scenario.setup, scenario.goal_views)
+        for t in (0.0, task.settle_s + 1.0, task.end_s + 1.0):
+            memory, goal = task.reference(memory, Observation(t, nothing, nothing, np.ones(4)))
+            T, view = task.trajectory.at(t)
+            np.testing.assert_array_equal(goal.T_camera_target, T)
+            np.testing.assert_array_equal(goal.twist, task.trajectory.twist(t))
+            assert goal.view == view
+        assert view == len(task.way) - 1
 
-
-class TestLanding:
-    def seen(self, t: float, xyz: tuple[float, float, float], turn_deg: float = 0.0) -> Observation:
-        nothing = np.zeros((4, 2))
-        pose = Pose(xyz=xyz, rpy_deg=(0, 0, 45 + turn_deg)).T
-        return Observation(t, nothing, nothing, np.ones(4), T_camera_target=pose)
-
-    def course(self) -> LandingCourse:
-        course = course_of(vs.load("quadrotor_land"))
-        assert isinstance(course, LandingCourse)
-        return course
-
-    @pytest.mark.parametrize(("xyz", "turn"), [((0.3, 0, 1.5), 0), ((0, 0, 2.2), 0), ((0, 0, 1.5), 30)])
-    def test_it_waits_while_the_craft_is_not_over_its_pad(self, xyz, turn):
-        course = self.course()
-        for k in range(50):
-            course.goal(self.seen(0.04 * k, xyz, turn))
-        assert course.share == 1.0
-
-    def test_it_comes_down_at_its_speed_and_goes_on_when_near(self):
-        course, height = self.course(), 1.5
-        for k in range(26):
-            goal = course.goal(self.seen(0.04 * k, (0, 0, height * course.share)))
-        np.testing.assert_allclose(goal.T_camera_target[:3, 3], [0, 0, 1.25], atol=1e-9)  # .25 m/s for a second
-        for k in range(26, 300):
-            course.goal(self.seen(0.04 * k, (0.3, 0, 0.2)))  # off its pad, but too near to wait
-        assert course.share == DEEPEST
+    def test_its_error_is_the_cameras_distance_from_the_path(self):
+        scenario = vs.load("quadrotor_path")
+        task, setup, T_target = scenario.goal, scenario.setup, scenario.target.T_world_start
+        T_camera = T_target @ inverse(task.trajectory.at(0.0)[0])
+        T_camera[:3, 3] += T_target[:3, 2] * 0.25  # square to the first leg, which is level
+        assert task.error_m(setup, T_camera @ inverse(setup.camera.mount.T), T_target, 0.0) == pytest.approx(0.25)

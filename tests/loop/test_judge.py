@@ -1,0 +1,126 @@
+"""The judge: each outcome from the frames that call for it, with the reason that a person reads; which of several counts."""
+
+from dataclasses import replace
+
+import pytest
+
+import vstestbed as vs
+from tests.tasks.frames import back_from_target, first_verdict, frame, times
+from vstestbed.core.outcome import Outcome
+from vstestbed.loop.judge import Judge
+from vstestbed.robots.failsafe import OFF, SINKS, Failsafe
+from vstestbed.robots.supervisor import Supervisor
+from vstestbed.tasks.reached import GoalMonitor
+from vstestbed.tasks.stop import Converged, Stop
+
+STOP = Stop(duration_s=10, converged=Converged(error_px=0.2, hold_s=0.5), lost_after_s=1.0)
+SETUP = vs.load("arm_ibvs").setup
+
+
+def judged(seconds, supervisor=None, stop=STOP, **given):
+    """The verdict (outcome, reason) on the same frame at 25 Hz for so long, and when it fell; None to go on."""
+    supervisor = supervisor or Supervisor()
+    monitor = GoalMonitor(replace(SETUP, stop=stop), 1, supervisor)
+    judge = Judge(monitor, stop, SETUP.target, supervisor)
+    found = first_verdict(monitor, judge, (frame(t, **given) for t in times(seconds)))
+    return None if found is None else (*found[0], found[1])
+
+
+def test_a_run_under_way_goes_on():
+    assert judged(9.9) is None
+
+
+def test_the_goal_must_be_held():
+    outcome, _, t = judged(5, rms_px=0.1)
+    assert outcome is Outcome.converged
+    assert t == pytest.approx(0.52, abs=0.021)  # hold_s at the next frame
+
+
+def test_a_goal_with_a_marker_out_of_sight_is_not_reached():
+    assert judged(9.9, rms_px=0.1, all_seen=False) is None
+
+
+@pytest.mark.parametrize(
+    ("given", "outcome", "words"),
+    [
+        ({"contact": True}, Outcome.collided, "touched"),
+        ({"T_world_camera": back_from_target(201.0)}, Outcome.diverged, "200 m"),
+        ({"T_world_camera": back_from_target(-0.1)}, Outcome.target_lost, "crossed the plane"),
+        (
+            {"lost": True, "rest_reason": "too few markers in sight"},
+            Outcome.target_lost,
+            "too few markers in sight for 1 s, from the start on",
+        ),
+        ({"lost": True, "rest_reason": "the depth of the markers in sight cannot be told"}, Outcome.target_lost, "depth of the markers"),
+        ({"limit": "joint_limit", "scale": 0.0}, Outcome.joint_limit, "joint"),
+        ({"limit": "singular", "scale": 0.01}, Outcome.singular, "singular"),
+        ({"speed_mps": 0.0}, Outcome.local_minimum, "5 px"),
+    ],
+)
+def test_each_end_has_its_evidence(given, outcome, words):
+    found, reason, t = judged(9, **given)
+    assert found is outcome
+    assert words in reason
+    assert t < 2.1  # nothing takes longer than the two seconds of rest
+
+
+def test_time_runs_out():
+    assert judged(10.1)[0] is Outcome.timed_out
+
+
+class TestOrder:
+    """Of several outcomes in one frame: given up by the supervisor, reached, the safety monitors in their order, missed."""
+
+    AT_ONCE = Stop(duration_s=10, converged=Converged(error_px=0.2, hold_s=0.0), lost_after_s=0.0)
+    LAST = Stop(duration_s=0.04, lost_after_s=0.04)
+    """Out of sight for too long in the very frame in which the time is out."""
+
+    @pytest.mark.parametrize(
+        ("stop", "given", "outcome"),
+        [
+            (AT_ONCE, {"rms_px": 0.1, "contact": True, "T_world_camera": back_from_target(201.0)}, Outcome.converged),
+            (AT_ONCE, {"contact": True, "T_world_camera": back_from_target(201.0), "lost": True}, Outcome.collided),
+            (AT_ONCE, {"T_world_camera": back_from_target(-201.0), "lost": True}, Outcome.diverged),
+            (AT_ONCE, {"T_world_camera": back_from_target(-0.1), "lost": True, "rest_reason": "blind"}, Outcome.target_lost),
+            (LAST, {"lost": True, "rest_reason": "blind"}, Outcome.target_lost),
+            (LAST, {}, Outcome.timed_out),
+        ],
+    )
+    def test_the_first_of_them_counts(self, stop, given, outcome):
+        assert judged(0.04, stop=stop, **given)[0] is outcome
+
+    def test_behind_the_target_is_said_before_out_of_sight(self):
+        _, reason, _ = judged(0.04, stop=self.AT_ONCE, T_world_camera=back_from_target(-0.1), lost=True, rest_reason="blind")
+        assert "crossed the plane" in reason
+
+
+class TestACraftThatGaveUp:
+    WHY = (Outcome.overturned, "tilted")
+
+    def craft(self, **given) -> Failsafe:
+        return Failsafe(lands=False, lost_after_s=1.0, aborted=self.WHY, **given)
+
+    def test_the_judge_waits_until_it_is_down(self):
+        assert judged(9.9, supervisor=self.craft()) is None
+        outcome, reason, t = judged(9.9, supervisor=self.craft(off_at=5.0, mode=OFF))
+        assert outcome is Outcome.overturned and reason == "tilted; the craft set down"
+        assert t == pytest.approx(5.52, abs=0.021)  # half a second with its rotors off, at the next frame
+
+    def test_not_beyond_the_end_of_the_time(self):
+        outcome, reason, t = judged(10.1, supervisor=self.craft())
+        assert outcome is Outcome.overturned and "was still on its way down when the time ran out" in reason
+        assert t == pytest.approx(10.0)
+
+    def test_a_touch_ends_it_at_once_with_both_reasons(self):
+        outcome, reason, t = judged(1.0, supervisor=self.craft(), contact=True)
+        assert outcome is Outcome.collided and reason == "the robot touched something, after tilted"
+        assert t == 0.0
+
+    def test_its_feet_may_touch_while_it_sinks_and_not_before(self):
+        assert judged(1.0, supervisor=self.craft(), feet=True)[0] is Outcome.collided
+        assert judged(1.0, supervisor=self.craft(mode=SINKS), feet=True) is None
+
+    def test_a_target_out_of_sight_is_its_supervisors_matter(self):
+        """It sets down first; a judge that ended the run would leave it in the air."""
+        flying = Failsafe(lands=False, lost_after_s=1.0)
+        assert judged(9.9, supervisor=flying, lost=True, rest_reason="nothing in sight") is None

@@ -1,0 +1,124 @@
+"""The safety monitors, one by one: what ends a run whatever its task."""
+
+import pytest
+
+import vstestbed as vs
+from tests.tasks.frames import back_from_target, frame, times
+from vstestbed.core.geometry import Pose
+from vstestbed.core.outcome import Outcome
+from vstestbed.loop.monitors import (
+    BLOCKED_SCALE,
+    FAR_M,
+    Collision,
+    Divergence,
+    LimitReached,
+    PlaneCrossed,
+    TargetLost,
+    safety_monitors,
+)
+from vstestbed.robots.failsafe import Failsafe
+from vstestbed.robots.supervisor import Supervisor
+
+
+def verdicts(monitor, seconds, from_s=0.0, **given):
+    """What a monitor says of the same frame at 25 Hz, (time [s], verdict) where it says something."""
+    said = [(t, monitor.update(frame(t, **given))) for t in times(seconds, from_s)]
+    return [(t, verdict) for t, verdict in said if verdict]
+
+
+class TestCollision:
+    def test_a_touch_is_one(self):
+        monitor = Collision(Supervisor())
+        assert monitor.update(frame()) is None
+        assert monitor.update(frame(contact=True)) == (Outcome.collided, "the robot touched something")
+
+    @pytest.mark.parametrize(("lands", "collides"), [(True, False), (False, True)])
+    def test_feet_may_touch_in_a_landing(self, lands, collides):
+        monitor = Collision(Failsafe(lands=lands, lost_after_s=1.0))
+        assert monitor.touches(frame(feet=True)) is collides
+        assert (monitor.update(frame(feet=True)) is not None) is collides
+        assert monitor.touches(frame(feet=True, contact=True))
+
+    def test_it_says_why_the_task_had_been_given_up(self):
+        failsafe = Failsafe(lands=True, lost_after_s=1.0, aborted=(Outcome.overturned, "tilted at 3.0 s"))
+        assert Collision(failsafe).update(frame(contact=True))[1] == "the robot touched something, after tilted at 3.0 s"
+
+
+class TestDivergence:
+    def test_beyond_far_off(self):
+        monitor = Divergence()
+        assert monitor.update(frame(T_world_camera=back_from_target(FAR_M - 0.1))) is None
+        outcome, reason = monitor.update(frame(T_world_camera=back_from_target(FAR_M + 0.1)))
+        assert outcome is Outcome.diverged and reason == "the camera is more than 200 m away from the target"
+
+    def test_it_is_the_distance_from_the_target(self):
+        """Both far from the world's origin, near each other."""
+        far = Pose(xyz=(0, 500, 0)).T
+        assert Divergence().update(frame(T_world_camera=far @ back_from_target(1.0), T_world_target=far)) is None
+
+
+class TestPlaneCrossed:
+    @pytest.mark.parametrize(("distance_m", "crossed"), [(0.01, False), (1.0, False), (0.0, True), (-0.01, True)])
+    def test_behind_the_front(self, distance_m, crossed):
+        verdict = PlaneCrossed().update(frame(T_world_camera=back_from_target(distance_m)))
+        assert (verdict is not None) is crossed
+        assert verdict is None or verdict == (Outcome.target_lost, "the camera crossed the plane of the target")
+
+    def test_the_front_turns_with_the_target(self):
+        turned = Pose(rpy_deg=(0, 180, 0)).T
+        assert PlaneCrossed().update(frame(T_world_camera=back_from_target(1.0), T_world_target=turned)) is not None
+
+
+class TestTargetLost:
+    def test_out_of_sight_for_too_long(self):
+        t, verdict = verdicts(TargetLost(1.0), 1.5, lost=True, rest_reason="too few markers in sight")[0]
+        assert t == pytest.approx(1.0)
+        assert verdict == (Outcome.target_lost, "too few markers in sight for 1 s, from the start on")
+
+    def test_a_target_that_was_seen_is_not_called_never_seen(self):
+        monitor = TargetLost(1.0)
+        assert monitor.update(frame()) is None
+        _, (_, reason) = verdicts(monitor, 1.6, from_s=0.04, lost=True, rest_reason="too few markers in sight")[0]
+        assert reason == "too few markers in sight for 1 s"
+
+    def test_seen_in_between_it_waits_anew(self):
+        monitor = TargetLost(1.0)
+        assert not verdicts(monitor, 0.96, lost=True) and not verdicts(monitor, 1.0, from_s=1.0)
+        assert verdicts(monitor, 3.0, from_s=1.04, lost=True)[0][0] == pytest.approx(2.04)
+
+    def test_a_law_that_gives_no_reason_is_given_one(self):
+        _, (_, reason) = verdicts(TargetLost(0.5), 1.0, lost=True)[0]
+        assert reason == f"{Outcome.target_lost.value} for 0.5 s, from the start on"
+
+
+class TestLimitReached:
+    @pytest.mark.parametrize("limit", ["joint_limit", "singular"])
+    def test_after_a_second_of_nearly_nothing(self, limit):
+        t, verdict = verdicts(LimitReached(), 1.5, limit=limit, scale=BLOCKED_SCALE / 2)[0]
+        assert t == pytest.approx(1.0)
+        assert verdict == (Outcome[limit], f"{Outcome[limit].value} for 1 s")
+
+    @pytest.mark.parametrize(("limit", "scale"), [("joint_limit", 2 * BLOCKED_SCALE), ("speed", 0.0), ("", 1.0)])
+    def test_what_goes_on_slowly_or_meets_its_speed_limit_is_not_stopped(self, limit, scale):
+        assert not verdicts(LimitReached(), 3.0, limit=limit, scale=scale)
+
+    def test_a_moment_of_motion_in_between(self):
+        monitor = LimitReached()
+        assert not verdicts(monitor, 0.8, limit="singular", scale=0.0)
+        assert not verdicts(monitor, 0.84, from_s=0.84)
+        assert not verdicts(monitor, 1.8, from_s=0.88, limit="singular", scale=0.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "supervisor", "left_out"),
+    [
+        ("arm_ibvs", Supervisor(), set()),
+        ("car_pbvs", Supervisor(), {PlaneCrossed}),  # landmarks in the room have no front
+        ("quadrotor_hover", Failsafe(lands=False, lost_after_s=1.0), {TargetLost}),  # it sets down first
+    ],
+)
+def test_each_run_has_the_monitors_that_apply(name, supervisor, left_out):
+    collision = Collision(supervisor)
+    monitors = safety_monitors(vs.load(name).target, supervisor, 1.0, collision)
+    assert monitors[0] is collision
+    assert [type(m) for m in monitors] == [c for c in (Collision, Divergence, PlaneCrossed, TargetLost, LimitReached) if c not in left_out]

@@ -1,0 +1,104 @@
+"""What is done when the law cannot: held, sunk, rotors off, and why."""
+
+import math
+
+import numpy as np
+
+from vstestbed.core.outcome import Outcome
+from vstestbed.robots.failsafe import DOWN_S, FOLLOWS, HOLD_S, HOLDS, OFF, SINKS, Failsafe
+from vstestbed.robots.flight_reading import HOLD, ROTORS_OFF, FlightEstimate, FlightReading, descend
+from vstestbed.robots.supervisor import Supervisor
+
+SETPOINT = np.array([0.5, 0.1, -0.2, 0.3])
+
+
+def reading(range_m: float = 3.0, overturned: bool = False, rotor_limit_s: float = 0.0, stands: bool = False) -> FlightReading:
+    """What the craft measures and estimates: by default it hovers 3 m over the ground."""
+    still, no_joints = np.zeros(3), np.zeros(0)
+    estimate = FlightEstimate(still, still, np.zeros(2), still, rotor_limit_s, overturned, stands)
+    return FlightReading(
+        no_joints, no_joints, tilt=np.zeros(2), gyro=still, force=still, velocity=still, range_m=range_m, estimate=estimate
+    )
+
+
+def flown(failsafe: Failsafe, until: float, since: float = 0.0, lost: str = "", **given: float) -> np.ndarray:
+    """The last setpoint of a stretch of frames at 25 Hz."""
+    setpoint = SETPOINT
+    for t in np.arange(since, until, 0.04):
+        setpoint = failsafe.filter(float(t), lost, reading(**given), np.zeros(4) if lost else SETPOINT)
+    return setpoint
+
+
+def test_it_follows_the_law():
+    failsafe = Failsafe(lands=False, lost_after_s=1.0)
+    np.testing.assert_array_equal(flown(failsafe, 5.0), SETPOINT)
+    assert failsafe.mode == FOLLOWS and failsafe.aborted is None
+
+
+def test_lost_it_holds_then_sinks_then_stands():
+    failsafe = Failsafe(lands=False, lost_after_s=1.0)
+    np.testing.assert_array_equal(flown(failsafe, 0.9, lost="nothing in sight"), HOLD)
+    assert failsafe.mode == HOLDS and not failsafe.may_touch
+    np.testing.assert_array_equal(flown(failsafe, 3.0, 0.9, lost="nothing in sight"), descend(0.4))
+    assert failsafe.mode == SINKS and failsafe.may_touch
+    assert failsafe.aborted is not None and failsafe.aborted[0] is Outcome.target_lost
+    np.testing.assert_array_equal(flown(failsafe, 4.0, 3.0, lost="nothing in sight", stands=True), ROTORS_OFF)
+    assert failsafe.mode == OFF and failsafe.down(4.0)
+
+
+def test_seen_again_it_follows_again():
+    failsafe = Failsafe(lands=False, lost_after_s=1.0)
+    flown(failsafe, 2.0, lost="nothing in sight")
+    np.testing.assert_array_equal(flown(failsafe, 2.1, 2.0), SETPOINT)
+    assert failsafe.aborted is None and failsafe.mode == FOLLOWS
+
+
+def test_seen_again_when_low_it_sets_down_all_the_same():
+    failsafe = Failsafe(lands=False, lost_after_s=1.0)
+    flown(failsafe, 2.0, lost="nothing in sight")
+    np.testing.assert_array_equal(flown(failsafe, 2.1, 2.0, range_m=0.3), descend(0.4))
+
+
+def test_overturned_it_gives_up_whatever_it_sees():
+    failsafe = Failsafe(lands=False, lost_after_s=1.0)
+    np.testing.assert_array_equal(flown(failsafe, 0.1, overturned=True), HOLD)
+    np.testing.assert_array_equal(flown(failsafe, HOLD_S + 1.0, 0.1), descend(0.4))
+    assert failsafe.aborted is not None and failsafe.aborted[0] is Outcome.overturned
+
+
+def test_a_rotor_at_its_limit_for_too_long():
+    failsafe = Failsafe(lands=False, lost_after_s=1.0)
+    flown(failsafe, 0.1, rotor_limit_s=0.9)
+    assert failsafe.aborted is None
+    flown(failsafe, 0.2, 0.1, rotor_limit_s=1.1)
+    assert failsafe.aborted is not None and failsafe.aborted[0] is Outcome.rotor_limit
+
+
+def test_only_a_landing_ends_with_rotors_off_in_sight_of_its_target():
+    np.testing.assert_array_equal(flown(Failsafe(lands=True, lost_after_s=1.0), 1.0, stands=True), ROTORS_OFF)
+    np.testing.assert_array_equal(flown(Failsafe(lands=False, lost_after_s=1.0), 1.0, stands=True), SETPOINT)
+
+
+def test_down_is_half_a_second_with_rotors_off():
+    failsafe = Failsafe(lands=True, lost_after_s=1.0)
+    assert not failsafe.down(9.0)
+    flown(failsafe, 1.0, stands=True)
+    assert failsafe.off_at == 0.0 and not failsafe.down(DOWN_S - 0.01) and failsafe.down(DOWN_S)
+    np.testing.assert_array_equal(flown(failsafe, 2.0, 1.0), ROTORS_OFF)  # once off they stay off, whatever is seen
+
+
+def test_the_reason_says_what_and_when():
+    failsafe = Failsafe(lands=False, lost_after_s=1.0)
+    flown(failsafe, 1.5, lost="nothing in sight")
+    assert failsafe.aborted == (Outcome.target_lost, "nothing in sight for 1 s at 1.0 s")
+    failsafe = Failsafe(lands=False, lost_after_s=1.0)
+    flown(failsafe, 0.02, rotor_limit_s=1.1)
+    assert failsafe.aborted == (Outcome.rotor_limit, "a rotor stood at its limit for 1 s at 0.0 s")
+
+
+def test_other_robots_follow_their_law_whatever_happens():
+    """They are safe when they stand still."""
+    supervisor = Supervisor()
+    assert supervisor.filter(5.0, "nothing in sight", reading(overturned=True), SETPOINT) is SETPOINT
+    assert supervisor.mode == FOLLOWS and supervisor.aborted is None and supervisor.may_touch
+    assert not supervisor.sets_down and not supervisor.down(math.inf)

@@ -1,0 +1,54 @@
+"""A gap: its error, the speeds that both vehicles must keep, and how far they have come."""
+
+import numpy as np
+import pytest
+
+import vstestbed as vs
+from vstestbed.core.geometry import inverse
+from vstestbed.core.planar import place_of, pose_on_ground
+from vstestbed.tasks.gap import Pair
+
+STILL = {"target.motion": "still", "target.pose.xyz": [3, 0, 0.6]}
+
+
+def test_both_distances_count_the_leaders_by_its_own_origin():
+    target = vs.load("car_pursuit").target
+    odometer = Pair(target)
+    for k in range(101):
+        leader = pose_on_ground(np.array([0.02 * k, 0.0, 0.0]))
+        travelled = odometer.update(pose_on_ground(np.array([-3 + 0.01 * k, 0.5, 0.1])), leader @ target.pose.T)
+    assert travelled == pytest.approx((2.0, 1.0))
+
+
+def test_only_a_vehicle_that_is_told_to_drive_has_a_least_speed():
+    scenario = vs.load("car_pursuit")
+    speeds = scenario.goal.least_speeds(scenario.setup)
+    assert [s.who for s in speeds] == ["the vehicle ahead", "the vehicle that follows"]
+    assert [(s.ordered_mps, s.least_mps) for s in speeds] == [(0.5, 0.4), (0.5, 0.25)]
+    assert isinstance(scenario.goal.odometer(scenario.setup), Pair)
+    still = vs.load("car_pursuit", STILL)
+    assert still.goal.least_speeds(still.setup) == () and still.goal.odometer(still.setup) is None
+
+
+def test_its_error_is_the_distance_on_the_floor_minus_the_gap():
+    scenario = vs.load("car_pursuit", {"goal.gap_m": 1.5})
+    T_target = pose_on_ground(np.array([4.0, 6.0, 1.0]))
+    T_target[2, 3] = 0.7  # how high it sits is no distance
+    assert scenario.goal.error_m(scenario.setup, pose_on_ground(np.array([1.0, 2.0, 0.3])), T_target, 0.0) == pytest.approx(3.5)
+
+
+def test_a_tenth_of_it_is_the_band_by_default():
+    assert vs.load("car_pursuit", {"goal.gap_m": 2.0, "goal.band_m": None}).goal.tolerance_m == pytest.approx(0.2)
+    assert vs.load("car_pursuit", {"goal.band_m": 0.07}).goal.tolerance_m == 0.07
+
+
+def test_the_goal_view_is_that_of_the_target_straight_ahead():
+    scenario = vs.load("car_pursuit", {"goal.gap_m": 2.0})
+    target, mount = scenario.target, scenario.camera.mount.T
+    (pose,) = scenario.goal.goal_poses(target, mount)
+    x, y, heading = place_of(mount @ pose @ inverse(target.pose.T))
+    assert scenario.goal_view.gap_m == 2.0
+    origin = (mount @ pose)[:3, 3]
+    np.testing.assert_allclose(origin, [2.0, 0.0, target.pose.xyz[2]], atol=1e-12)
+    assert heading == pytest.approx(0.0, abs=1e-12) and y == pytest.approx(-target.pose.xyz[1], abs=1e-12)
+    assert x == pytest.approx(2.0 - target.pose.xyz[0])

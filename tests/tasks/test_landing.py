@@ -1,0 +1,104 @@
+"""Landing: when the reference comes down, and how a touch-down is judged."""
+
+import numpy as np
+import pytest
+
+import vstestbed as vs
+from tests.tasks.frames import frame
+from vstestbed.core.geometry import Pose, inverse
+from vstestbed.core.outcome import Outcome
+from vstestbed.features.observation import Observation
+from vstestbed.robots.failsafe import DOWN_S, Failsafe
+from vstestbed.tasks.landing import DEEPEST, LandingMonitor, Touchdown
+
+SCENARIO = vs.load("quadrotor_land")
+TASK = SCENARIO.goal
+
+
+class TestReference:
+    def seen(self, t: float, xyz: tuple[float, float, float], turn_deg: float = 0.0) -> Observation:
+        nothing = np.zeros((4, 2))
+        pose = Pose(xyz=xyz, rpy_deg=(0, 0, 45 + turn_deg)).T
+        return Observation(t, nothing, nothing, np.ones(4), T_camera_target=pose)
+
+    @pytest.mark.parametrize(("xyz", "turn"), [((0.3, 0, 1.5), 0), ((0, 0, 2.2), 0), ((0, 0, 1.5), 30)])
+    def test_it_waits_while_the_craft_is_not_over_its_pad(self, xyz, turn):
+        memory = TASK.begin(SCENARIO.setup, SCENARIO.goal_views)
+        for k in range(50):
+            memory, _ = TASK.reference(memory, self.seen(0.04 * k, xyz, turn))
+        assert memory.share == 1.0
+
+    def test_it_waits_while_the_pad_is_out_of_sight(self):
+        memory, nothing = TASK.begin(SCENARIO.setup, SCENARIO.goal_views), np.full((4, 2), np.nan)
+        for k in range(50):
+            memory, _ = TASK.reference(memory, Observation(0.04 * k, nothing, nothing, np.full(4, np.nan)))
+        assert memory.share == 1.0
+
+    def test_it_comes_down_at_its_speed_and_goes_on_when_near(self):
+        memory, height = TASK.begin(SCENARIO.setup, SCENARIO.goal_views), 1.5
+        for k in range(26):
+            memory, goal = TASK.reference(memory, self.seen(0.04 * k, (0, 0, height * memory.share)))
+        np.testing.assert_allclose(goal.T_camera_target[:3, 3], [0, 0, 1.25], atol=1e-9)  # .25 m/s for a second
+        for k in range(26, 300):
+            memory, _ = TASK.reference(memory, self.seen(0.04 * k, (0.3, 0, 0.2)))  # off its pad, but too near to wait
+        assert memory.share == DEEPEST
+
+
+def craft(k: int, offset_m: float, sink_mps: float) -> np.ndarray:
+    """T_world_craft (4, 4) at frame k of a descent at a speed that ends on the pad at frame 20."""
+    return Pose(xyz=(offset_m, 0, 0.172 + sink_mps * 0.04 * (20 - k))).T
+
+
+class TestTouchdown:
+    @pytest.mark.parametrize(
+        ("offset_m", "sink_mps", "outcome", "reason"),
+        [
+            (0.1, 0.3, Outcome.landed, "touched down 10 cm from the pad's centre at 0.30 m/s"),
+            (0.25, 0.3, Outcome.collided, "touched down 25 cm from the pad's centre at 0.30 m/s: more than 20 cm or 0.5 m/s"),
+            (0.1, 0.6, Outcome.collided, "touched down 10 cm from the pad's centre at 0.60 m/s: more than 20 cm or 0.5 m/s"),
+        ],
+    )
+    def test_it_is_judged_by_place_and_speed(self, offset_m, sink_mps, outcome, reason):
+        down = Touchdown(TASK)
+        for k in range(30):
+            assert down.verdict is None or k > 20
+            down.update(0.04 * k, craft(k, offset_m, sink_mps), np.eye(4), feet=k >= 20)
+        assert down.offset_m == pytest.approx(offset_m) and down.speed_mps == pytest.approx(sink_mps)
+        assert down.verdict == (outcome, reason)
+
+    def test_speed_is_against_a_pad_that_moves(self):
+        down = Touchdown(TASK)
+        for k in range(22):
+            deck = Pose(xyz=(0.02 * k, 0, 0)).T  # half a metre a second
+            down.update(0.04 * k, deck @ craft(k, 0.1, 0.3), deck, feet=k >= 20)
+        assert down.speed_mps == pytest.approx(0.3) and down.offset_m == pytest.approx(0.1)
+
+
+class TestMonitor:
+    def landing(self, frames: int, off_at: float):
+        """The monitor after a touch at frame 20, and its last answer; rotors went off at a time [s]."""
+        monitor = TASK.monitor(SCENARIO.setup, Failsafe(lands=True, lost_after_s=1.0, off_at=off_at))
+        assert isinstance(monitor, LandingMonitor)
+        mount, pad = SCENARIO.camera.mount.T, np.eye(4)
+        for k in range(frames):
+            T_camera = craft(min(k, 20), 0.1, 0.3) @ mount
+            seen = frame(0.04 * k, rms_px=0.0, T_world_camera=T_camera, T_world_target=pad, feet=k >= 20)
+            monitor.measure(seen)
+            verdict = monitor.reached(seen)
+        return verdict
+
+    def test_it_is_reached_when_the_craft_has_set_down(self):
+        assert self.landing(40, off_at=1.0 + DOWN_S) is None  # touched, and not down yet
+        assert self.landing(40, off_at=0.9) == (Outcome.landed, "touched down 10 cm from the pad's centre at 0.30 m/s")
+
+    def test_no_error_in_the_image_makes_a_landing(self):
+        """Not for a frame at the goal view, whose error is zero all the way down."""
+        assert self.landing(20, off_at=np.nan) is None
+        assert not TASK.monitor(SCENARIO.setup, Failsafe(lands=True, lost_after_s=1.0)).near(frame(rms_px=0.0))
+
+
+def test_the_goal_pose_is_the_view_from_which_it_comes_down():
+    (pose,) = SCENARIO.goal_poses
+    np.testing.assert_array_equal(pose, TASK.above.T)
+    assert (SCENARIO.target.T_world_start @ inverse(pose))[2, 3] > 1.0
+    assert TASK.lands and TASK.bases == {"floating"} and TASK.view_fields == ("goal.above",)

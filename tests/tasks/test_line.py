@@ -1,0 +1,66 @@
+"""A line: offset from it, and how far along it a vehicle has come."""
+
+import numpy as np
+import pytest
+
+import vstestbed as vs
+from vstestbed.core.planar import pose_on_ground
+from vstestbed.tasks.line import AlongRoute
+
+I4 = np.eye(4)
+CIRCLE = {"target.route": {"kind": "circle", "radius_m": 2}, "goal.offset_m": 0.0}
+EIGHT = {"target.route": {"kind": "figure_eight", "length_m": 12, "width_m": 5}}
+
+
+def travelled(scenario, places):
+    """Distance along its line of a vehicle at these places in turn [m]."""
+    odometer = scenario.goal.odometer(scenario.setup)
+    assert isinstance(odometer, AlongRoute)
+    return [odometer.update(pose_on_ground(np.array(place)), I4)[0] for place in places][-1]
+
+
+def round_the_circle(radius, turns, heading):
+    """Places on a circle about (0, 2) from its lowest point on, a vehicle `heading` off the way round to the left."""
+    a = 2 * np.pi * np.linspace(0, turns, round(abs(turns) * 400) + 1)
+    return np.column_stack([radius * np.sin(a), 2 - radius * np.cos(a), a + heading])
+
+
+@pytest.mark.parametrize("radius", [2.0, 1.7, 2.3])
+def test_it_is_the_vehicles_own_way_beside_the_line_also_round_and_round(radius):
+    made = travelled(vs.load("car_line", CIRCLE), round_the_circle(radius, 1.5, 0.0))
+    assert made == pytest.approx(3 * np.pi * radius, rel=1e-3)
+
+
+def test_a_line_has_no_direction_of_its_own():
+    """The vehicle that starts against the route's direction goes on when it drives where it looks."""
+    made = travelled(vs.load("car_line", CIRCLE), round_the_circle(2.0, -0.5, np.pi))
+    assert made == pytest.approx(2 * np.pi, rel=1e-3)
+
+
+def test_backwards_and_turned_round_is_the_wrong_way():
+    s = vs.load("car_line", CIRCLE)
+    assert travelled(s, round_the_circle(2.0, -0.5, 0.0)) == pytest.approx(-2 * np.pi, rel=1e-3)  # in reverse
+    there, back = round_the_circle(2.0, 0.25, 0.0), round_the_circle(2.0, 0.25, np.pi)[::-1]
+    assert travelled(s, [*there, *back]) == pytest.approx(0.0, abs=1e-3)  # turned round on the line, and home again
+
+
+def test_where_the_line_crosses_itself_it_stays_on_its_branch():
+    s = vs.load("omni_line", EIGHT | {"target.offsets_m": [0.0]})
+    route = s.target.route
+    along = np.linspace(0, route.length, 1500)
+    assert travelled(s, route.at(along)[:, :3]) == pytest.approx(route.length, rel=1e-3)
+
+
+@pytest.mark.parametrize(("radius", "error"), [(2.0, -0.3), (1.7, 0.0), (2.3, -0.6)])
+def test_its_error_is_the_offset_to_the_left_minus_the_one_asked_for(radius, error):
+    """Round to the left the circle's centre is on the left: on a smaller circle the vehicle is to the left of its line."""
+    s = vs.load("car_line", CIRCLE | {"goal.offset_m": 0.3})
+    place = round_the_circle(radius, 0.3, 0.0)[-1]
+    # A tenth of a millimetre: the route is sampled every centimetre.
+    assert s.goal.error_m(s.setup, pose_on_ground(place), I4, 0.0) == pytest.approx(error, abs=1e-4)
+
+
+def test_the_vehicle_must_make_most_of_the_speed_that_the_law_orders():
+    s = vs.load("car_line", {"law.cruise_mps": 0.6})
+    (speed,) = s.goal.least_speeds(s.setup)
+    assert (speed.who, speed.ordered_mps, speed.least_mps) == ("the vehicle, along its line,", 0.6, pytest.approx(0.48))
