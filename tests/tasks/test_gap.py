@@ -6,14 +6,14 @@ import pytest
 import vstestbed as vs
 from vstestbed.core.geometry import inverse
 from vstestbed.core.planar import place_of, pose_on_ground
-from vstestbed.tasks.gap import Pair
+from vstestbed.tasks.gap import LeaderAndFollower
 
 STILL = {"target.motion": "still", "target.pose.xyz": [3, 0, 0.6]}
 
 
 def test_both_distances_count_the_leaders_by_its_own_origin():
     target = vs.load("car_pursuit").target
-    odometer = Pair(target)
+    odometer = LeaderAndFollower(target)
     for k in range(101):
         leader = pose_on_ground(np.array([0.02 * k, 0.0, 0.0]))
         travelled = odometer.update(pose_on_ground(np.array([-3 + 0.01 * k, 0.5, 0.1])), leader @ target.pose.T)
@@ -25,7 +25,7 @@ def test_only_a_vehicle_that_is_told_to_drive_has_a_least_speed():
     speeds = scenario.goal.least_speeds(scenario.setup)
     assert [s.who for s in speeds] == ["the vehicle ahead", "the vehicle that follows"]
     assert [(s.ordered_mps, s.least_mps) for s in speeds] == [(0.5, 0.4), (0.5, 0.25)]
-    assert isinstance(scenario.goal.odometer(scenario.setup), Pair)
+    assert isinstance(scenario.goal.odometer(scenario.setup), LeaderAndFollower)
     still = vs.load("car_pursuit", STILL)
     assert still.goal.least_speeds(still.setup) == () and still.goal.odometer(still.setup) is None
 

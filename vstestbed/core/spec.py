@@ -31,6 +31,7 @@ from vstestbed.core.errors import ParameterError
 T = TypeVar("T")
 # Not strict: YAML has lists where a spec has tuples, and integers where it has floats. `scenario.validation` refuses other conversions.
 _CONFIG = ConfigDict(extra="forbid", allow_inf_nan=False, arbitrary_types_allowed=True, strict=False)
+_GROWN: list[str] = []  # rooms that have got a kind since the validators were built
 _SPECS: list[type] = []  # every spec in the order of definition, so that `rebuild_specs` builds parts before what holds them
 
 
@@ -51,6 +52,10 @@ def _with_our_errors(cls: Any) -> None:
     checked_init = cls.__init__
 
     def init(self: Any, **values: Any) -> None:
+        if _GROWN:
+            rebuild_specs()
+            type(self).__init__(self, **values)
+            return
         try:
             checked_init(self, **values)
         except pydantic.ValidationError as error:
@@ -66,10 +71,11 @@ def _with_our_errors(cls: Any) -> None:
 
 
 def rebuild_specs() -> None:
-    """Rebuild the validators of all specs in the order of definition, once after a `OneOf` has grown.
+    """Rebuild the validators of all specs in the order of definition; the next constructor does it after a `OneOf` has grown.
 
     Pydantic compiles a validator when the class is defined, with the kinds known then; without this a plugin's kind is refused.
     """
+    _GROWN.clear()
     for cls in _SPECS:
         rebuild_dataclass(cls, force=True)
         _with_our_errors(cls)  # pydantic has put its own constructor back
@@ -100,7 +106,7 @@ class OneOf:
         self.contract = contract
         self.members: dict[str, type] = {}
         for member in members:
-            self.add(member)
+            self._add(member)
 
     def add(self, member: type[T]) -> type[T]:
         """Register one more kind (usable as a decorator by a plugin).
@@ -108,6 +114,12 @@ class OneOf:
         Raises:
             ParameterError: the class is no spec, its word is taken, or it breaks the contract of the room.
         """
+        if self._add(member):
+            _GROWN.append(self.what)
+        return member
+
+    def _add(self, member: type) -> bool:
+        """Whether the member is new."""
         # By identity: a subclass of a spec is a dataclass, too, but without @spec its own fields would be ignored.
         if not any(member is known for known in _SPECS):
             name = getattr(member, "__name__", repr(member))
@@ -118,8 +130,9 @@ class OneOf:
             raise ParameterError("kind", f"{taken}; give {member.__name__} a `kind` of its own")
         if self.contract is not None:
             self.contract.check(member)
+        new = kind not in self.members
         self.members[kind] = member
-        return member
+        return new
 
     def load_entry_points(self) -> bool:
         """Register the classes that installed packages offer under `vstestbed.<what>s`; True if any was new."""

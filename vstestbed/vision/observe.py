@@ -267,8 +267,8 @@ class Observer:
         if self.target.moves:  # no landmark
             return odometry, None
         predicted = None if memory.place is None else composed(memory.place, step)
-        T_world_camera = None if T is None else self.target.pose.T @ inverse(T)
-        return odometry, fused_place(predicted, T_world_camera, self.camera.mount.T, compass, corrections(dt))
+        T_map_camera = None if T is None else self.target.pose.T @ inverse(T)  # by the landmarks, whose places are known
+        return odometry, fused_place(predicted, T_map_camera, self.camera.mount.T, compass, corrections(dt))
 
     def _observation(self, t: float, uv: Array, view: _View, solved: bool, odometry: Array | None, place: Array | None) -> Observation:
         """What the law is given: the required fields alone, distances with the calibration's error."""

@@ -39,7 +39,7 @@ def ideal(scenario: Scenario, field_of_view: str | None = None) -> Scenario:
     """
     robot, camera, detector = scenario.robot, scenario.camera, scenario.detector
     if scenario.target.moves:
-        raise ParameterError("target.motion", "must be still in a batch", scenario.target.motion)
+        raise ParameterError("target.motion", "must be still in a batch", scenario.target.motion.kind)
     if (motions := robot.motion_basis(Mount.of(camera.mount.T), robot.start_joints()).shape[1]) != 6:
         words = f"moves its camera in {motions} directions, and the ideal camera of a batch in all six; use free or puma560"
         raise ParameterError("robot.kind", words, robot.kind)
@@ -125,7 +125,7 @@ class BatchSetup:
     def goal(self, rows: NDArray[np.bool_] | slice) -> Goal:
         """The goal view with only some of the markers."""
         g = self.scenario.goal_view
-        return replace(g, uv=g.uv[rows], xy=g.xy[rows], depth=g.depth[rows], ray=g.ray[rows], range=g.range[rows])
+        return replace(g, uv=g.uv[rows], depth=g.depth[rows], ray=g.ray[rows], range=g.range[rows])
 
 
 def start_of(scenario: Scenario) -> Array:

@@ -61,7 +61,7 @@ def tilt(tracks: Tracks) -> Figure | None:
 
 def rates(tracks: Tracks) -> Figure | None:
     """Body rates: reference of the attitude loop (thin line) and gyro less its bias (pale band)."""
-    flown, reference = (tracks.columns(*(f"{what}_{name}" for name in ("wx", "wy", "wz"))) for what in ("fly", "ask"))
+    flown, reference = (tracks.columns(*(f"{what}_{name}" for name in ("wx", "wy", "wz"))) for what in ("est", "ref"))
     if not np.isfinite(flown).any():
         return None
     figure = new_figure(4.4)

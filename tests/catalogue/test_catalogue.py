@@ -1,0 +1,117 @@
+"""The catalogue: every registered kind passes the suites that a plugin is tested with (`vstestbed.testing`)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import vstestbed as vs
+import vstestbed.testing as suites
+from tests.examples.two_link import TwoLink
+from tests.examples.wrong import Crooked, Displaced, Shifted, Stateful
+from vstestbed.core.geometry import Pose
+from vstestbed.laws import LAWS
+from vstestbed.robots import ROBOTS, Free, Mount
+from vstestbed.robots.free import FreeStart
+from vstestbed.targets import TARGETS, GroundLines, Points, Square
+from vstestbed.targets.route import Straight
+from vstestbed.tasks import GOALS
+from vstestbed.tasks.stop import Converged
+from vstestbed.testing.scenarios import quick
+from vstestbed.vision import DETECTORS, Tags
+
+LAW_PARAMETERS = {"partitioned": {"gain": 1.0}, "pbvs": {"gain": 1.0}, "hybrid": {"gain": 1.0}, "ibvs": {"gain": 1.0}}
+TASKS = {
+    "view": lambda: quick("view"),
+    "view_from": lambda: scenario("omni_ibvs", {"robot.wheels": "planar"}),
+    "views": lambda: scenario("omni_via_points", {"robot.wheels": "planar"}),
+    "pose": lambda: quick("pose"),
+    "gap": lambda: quick("gap"),
+    "line": lambda: quick("line"),
+    "track": lambda: scenario("arm_track_circle", {"stop.duration_s": 8.0}),
+    "path": lambda: quick("path"),
+    "landing": lambda: quick("landing"),
+}
+TARGET_EXAMPLES = {
+    "square": lambda: Square(side=0.4, pose=Pose(xyz=(0, 0, 1))),
+    "points": lambda: Points(at=((0, 0, 0), (0.2, 0, 0.1), (0, 0.3, 0)), pose=Pose(xyz=(0, 0, 1))),
+    "lines": lambda: GroundLines(route=Straight(length_m=5.0)),
+}
+
+
+def scenario(name, changes):
+    return vs.load(name, {"detector": {"kind": "oracle"}, **changes})
+
+
+def robot(kind):
+    return Free(start=FreeStart(nominal=Pose(xyz=(0, 0, -1)))) if kind == "free" else ROBOTS.members[kind]()
+
+
+def test_the_catalogue_is_whole():
+    assert set(TASKS) == set(GOALS.members)
+    assert set(TARGET_EXAMPLES) == set(TARGETS.members)
+
+
+@pytest.mark.parametrize("kind", LAWS.members)
+def test_every_law(kind):
+    suites.check_law(LAWS.members[kind](**LAW_PARAMETERS.get(kind, {})))
+
+
+@pytest.mark.parametrize("kind", ROBOTS.members)
+def test_every_robot(kind):
+    suites.check_robot(robot(kind))
+
+
+@pytest.mark.parametrize("kind", TARGETS.members)
+def test_every_target(kind):
+    suites.check_target(TARGET_EXAMPLES[kind]())
+
+
+@pytest.mark.parametrize("kind", DETECTORS.members)
+def test_every_detector(kind):
+    suites.check_detector(DETECTORS.members[kind]())
+
+
+@pytest.mark.parametrize("kind", GOALS.members)
+def test_every_task(kind):
+    suites.check_task(TASKS[kind]())
+
+
+class TestTheSuitesFindWhatIsWrong:
+    def test_a_law_that_keeps_state(self, own_kinds):
+        with pytest.raises(AssertionError, match="state is passed, not stored"):
+            suites.check_law(LAWS.add(Stateful)())
+
+    def test_a_robot_whose_motions_are_not_its_own(self):
+        with pytest.raises(AssertionError, match="a motion that its flange_pose does not make"):
+            suites.check_robot(Crooked())
+
+    def test_a_detector_that_is_off(self, own_kinds):
+        with pytest.raises(AssertionError, match="every marker must be within"):
+            suites.check_detector(DETECTORS.add(Shifted)())
+
+    def test_a_target_seen_where_it_is_not(self):
+        with pytest.raises(AssertionError, match="seen_from must be points"):
+            suites.check_target(Displaced(side=0.4, pose=Pose()))
+
+    def test_a_task_that_ends_too_soon(self):
+        easy = quick("view")
+        easy = replace(easy, stop=replace(easy.stop, converged=Converged(error_px=1e4, hold_s=0.0)))
+        with pytest.raises(AssertionError, match="3 frames must not be enough, converged"):
+            suites.check_task(easy)
+
+
+def test_a_two_link_arm_is_a_robot():
+    """Fewer than six joints, and a basis that changes with the configuration."""
+    arm = TwoLink()
+    suites.check_robot(arm)
+    mount = Mount.of(np.eye(4))
+    bent, straight = arm.motion_basis(mount, np.array([0.3, 1.2])), arm.motion_basis(mount, np.array([0.3, 0.1]))
+    assert bent.shape == (6, 2)
+    assert np.abs(bent - straight).max() > 0.1
+
+
+def test_tags_see_only_tags():
+    assert Tags.markers == ("tag",)

@@ -1,0 +1,65 @@
+"""Kinds that break their contract, each in one way: the suites must say so."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+
+from vstestbed.core.spec import spec
+from vstestbed.laws import IBVS
+from vstestbed.robots import Omni
+from vstestbed.targets import Square
+from vstestbed.vision import Blobs
+
+COUNT = [0]
+
+
+@spec
+class Stateful(IBVS):
+    """Its gain depends on how often it was asked."""
+
+    kind: Literal["stateful"] = "stateful"
+
+    def step(self, memory: Any, observation: Any, goal: Any, basis: Any) -> Any:
+        """One frame."""
+        COUNT[0] += 1
+        memory, command = super().step(memory, observation, goal, basis)
+        factor = 1 + 0.001 * COUNT[0]
+        return memory, replace(command, u=command.u * factor, twist=command.twist * factor)
+
+
+@spec
+class Crooked(Omni):
+    """It says that it can rise."""
+
+    kind: Literal["crooked"] = "crooked"
+
+    def motion_basis(self, mount: Any, q: Any) -> Any:
+        """With a fourth motion."""
+        return np.column_stack([super().motion_basis(mount, q), mount.to_camera[:, 2]])
+
+
+@spec
+class Shifted(Blobs):
+    """Two pixels off."""
+
+    kind: Literal["shifted"] = "shifted"
+    markers: ClassVar[tuple[str, ...]] = Blobs.markers
+
+    def detect(self, *given: Any) -> Any:
+        """Beside the markers."""
+        memory, detection = super().detect(*given)
+        return memory, replace(detection, uv=detection.uv + 2.0)
+
+
+@spec
+class Displaced(Square):
+    """Seen a millimetre off."""
+
+    kind: Literal["displaced"] = "displaced"
+
+    def seen_from(self, T_target_camera: Any) -> Any:
+        """Off."""
+        return super().seen_from(T_target_camera) + 1e-3

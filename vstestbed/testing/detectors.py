@@ -1,0 +1,68 @@
+"""What every detector must do."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from vstestbed.camera import Picture
+from vstestbed.core.errors import ParameterError
+from vstestbed.scenario.load import load
+from vstestbed.scenario.scenario import Scenario
+from vstestbed.sim.build import build_plant
+from vstestbed.vision import Detector, TruthView
+
+SCENES: dict[str, tuple[str, dict[str, object]]] = {
+    "disc": ("ibvs_book", {}),
+    "tag": ("arm_tags", {}),
+    "stripe": ("omni_line", {}),
+    "sphere": ("car_parking", {}),
+}
+"""A bundled scenario with each kind of marker in the picture at its start."""
+
+
+def check_detector(detector: Detector[Any], scenario: Scenario | None = None, within_px: float = 0.5) -> None:
+    """A detector finds all markers of a rendered picture, at their places; none in an empty one; and its memory is passed.
+
+    Args:
+        detector: with the parameters to test.
+        scenario: whose start shows all markers; None: a bundled one with a marker that it sees.
+        within_px: largest distance from the true image of a marker's centre [px].
+
+    Raises:
+        AssertionError: it says what was expected and what was found.
+    """
+    name, changes = SCENES[detector.markers[0] if detector.markers else "disc"]
+    s = replace(scenario or load(name, changes), detector=detector)
+    plant, _ = build_plant(
+        s.robot, s.camera, s.target, s.world, s.physics, needs_image=detector.needs_image, needs_truth=detector.needs_truth
+    )
+    try:
+        picture, truth = plant.capture()
+    finally:
+        plant.close()
+    view = TruthView(truth.p_camera, truth.hidden) if detector.needs_truth else None
+    true, memory = s.camera.project(truth.p_camera), detector.init()
+    shown = s.camera.inside(true) & ~truth.hidden
+    assert shown.any(), f"{s.name or 'the scenario'} must show markers at its start"
+    for turn in ("from the whole picture", "beside the last one"):  # the second time it may look in windows
+        memory, detection = detector.detect(memory, picture, view, s.camera, s.target, np.random.default_rng(0))
+        assert detection.uv.shape == true.shape, f"{detector.kind}: uv must have shape {true.shape}, got {detection.uv.shape}"
+        error = np.linalg.norm(detection.uv - true, axis=1)[shown]
+        assert (error < within_px).all(), f"{detector.kind} {turn}: every marker must be within {within_px:g} px, off by {error.round(3)}"
+    if detector.needs_image and picture is not None:
+        _check_nothing(detector, s, picture)
+
+
+def _check_nothing(detector: Detector[Any], s: Scenario, picture: Picture) -> None:
+    """An empty picture has no markers; no picture at all is a mistake."""
+    empty = replace(picture, images=tuple(None if image is None else np.full_like(image, 128) for image in picture.images))
+    _, detection = detector.detect(detector.init(), empty, None, s.camera, s.target, np.random.default_rng(0))
+    assert np.isnan(detection.uv).all(), f"{detector.kind}: an empty picture has no markers, it found {detection.uv}"
+    try:
+        detector.detect(detector.init(), None, None, s.camera, s.target, np.random.default_rng(0))
+    except ParameterError:
+        return
+    raise AssertionError(f"{detector.kind}: without a picture detect must raise ParameterError")

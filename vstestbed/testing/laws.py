@@ -1,0 +1,108 @@
+"""What every control law must do."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array
+from vstestbed.features.observation import Observation
+from vstestbed.laws import Law
+from vstestbed.laws.base import LAW_CONTRACT
+from vstestbed.loop.run import run
+from vstestbed.robots import Mount
+from vstestbed.scenario.scenario import Scenario
+from vstestbed.targets import Points
+from vstestbed.tasks.frame import Frame
+from vstestbed.testing.scenarios import QUICK, quick
+
+
+class _Frames:
+    """Keeps the frames of a run."""
+
+    def __init__(self) -> None:
+        self.kept: list[Frame] = []
+
+    def frame(self, frame: Frame) -> None:
+        """Keep one."""
+        self.kept.append(frame)
+
+
+def check_law(law: Law[Any], scenario: Scenario | None = None) -> None:
+    """A law reaches its goal in closed loop, is a function of its memory and its observation, and refuses what it cannot do.
+
+    Args:
+        law: with the parameters to test.
+        scenario: the closed loop to test it in, its own law is replaced; None: a quick one for the first of `law.tasks`.
+
+    Raises:
+        AssertionError: it says what was expected and what was found.
+    """
+    LAW_CONTRACT.check(type(law))
+    loop = replace(scenario or quick(law.tasks[0]), law=law)
+    frames = _Frames()
+    recording = run(loop, watch=[frames])
+    assert recording.outcome.success, f"{law.kind} must reach its goal in {loop.name}: {recording.outcome.name}, {recording.reason}"
+    _check_commands(law, loop, frames.kept)
+    _check_lost(law, loop, frames.kept[0])
+    _check_refusals(law, loop)
+
+
+def _check_commands(law: Law[Any], loop: Scenario, frames: list[Frame]) -> None:
+    """Replayed by hand the law gives the same commands: it has no state of its own, and does not write into what it is given."""
+    memory, basis = law.init(loop.goal_views[0]), _basis(loop)
+    for frame in frames:
+        before = {name: value.copy() for name, value in _arrays(frame.observation).items()}
+        memory, command = law.step(memory, frame.observation, frame.goal, basis)
+        where = f"{law.kind} in frame {frame.timing.number}"
+        same = np.array_equal(command.twist, frame.command.twist)
+        assert same, f"{where}: another command for the same memory and observation; state is passed, not stored"
+        for name, value in _arrays(frame.observation).items():
+            assert np.array_equal(value, before[name], equal_nan=True), f"{where}: it wrote into observation.{name}"
+        assert np.isfinite(command.twist).all(), f"{where}: the twist must be finite, got {command.twist}"
+        np.testing.assert_allclose(basis @ command.u, command.twist, atol=1e-9, err_msg=f"{where}: twist must be basis @ u")
+        within = law.limits.scale(command.twist) > 1 - 1e-9
+        assert within, f"{where}: the twist {command.twist} is beyond the law's own limits"
+        if frame.goal.view + 1 < len(loop.goal_views):  # a law begins anew at each via point; how it goes on is the loop's matter
+            return
+
+
+def _check_lost(law: Law[Any], loop: Scenario, first: Frame) -> None:
+    """Without a marker in sight the law orders something finite, and says why if it orders rest."""
+    gone = {name: np.full_like(value, np.nan) for name, value in _arrays(first.observation).items() if name in ("uv", "xy", "depth", "ray")}
+    blind = replace(first.observation, **gone, T_camera_target=None, relative=None)
+    _, command = law.step(law.init(loop.goal_views[0]), blind, first.goal, _basis(loop))
+    assert np.isfinite(command.twist).all(), f"{law.kind} without markers in sight: the twist must be finite, got {command.twist}"
+    assert command.twist.any() or command.rest_reason, f"{law.kind} without markers in sight: a rest must have a rest_reason"
+
+
+def _check_refusals(law: Law[Any], loop: Scenario) -> None:
+    """A task that it does not take and too few markers are refused before a run, with a ParameterError."""
+    other = next((word for word in QUICK if word not in law.tasks), None)
+    if other is not None:
+        _must_refuse(lambda: replace(quick(other), law=law), f"{law.kind} must be refused for a {other}, which it does not take")
+    needed = law.markers_needed(_basis(loop))
+    if needed > 1 and len(loop.target.places):
+        few = Points(at=tuple(map(tuple, loop.target.places[: needed - 1].tolist())), pose=loop.target.pose, marker=loop.target.marker)
+        _must_refuse(lambda: replace(loop, target=few), f"{law.kind} needs {needed} markers, and {needed - 1} must be refused")
+
+
+def _must_refuse(build: Any, words: str) -> None:
+    try:
+        build()
+    except ParameterError:
+        return
+    raise AssertionError(words)
+
+
+def _basis(loop: Scenario) -> Array:
+    """The robot's motions at its start."""
+    return loop.robot.motion_basis(Mount.of(loop.believed_camera.mount.T), loop.robot.start_joints())
+
+
+def _arrays(seen: Observation) -> dict[str, Array]:
+    named = {name: getattr(seen, name) for name in ("uv", "xy", "depth", "ray", "range", "T_camera_target", "place", "odometry")}
+    return {name: value for name, value in named.items() if value is not None}

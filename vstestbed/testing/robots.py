@@ -1,0 +1,117 @@
+"""What every robot must do."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vstestbed.core.contract import Contract
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array
+from vstestbed.features import ThetaU
+from vstestbed.robots import Mount, Robot, RobotBase
+from vstestbed.robots.reading import Reading
+
+STEP = 1e-6
+"""Difference by which a configuration is moved [rad or m]: the quotient then has 9 digits."""
+HUGE = 1e4
+"""Factor on a twist that no real robot can make."""
+
+
+def check_robot(robot: Robot, T_flange_camera: Array | None = None, seed: int = 0) -> None:
+    """A robot's motions agree with its own kinematics, its allocation stays within limits, its start is where it says.
+
+    Args:
+        robot: with the parameters to test.
+        T_flange_camera: the camera's mount, shape (4, 4); a general one by default.
+        seed: of the twists tried.
+
+    Raises:
+        AssertionError: it says what was expected and what was found.
+    """
+    Contract(Robot, base=RobotBase).check(type(robot))
+    rng = np.random.default_rng(seed)
+    mount = Mount.of(_general_mount() if T_flange_camera is None else T_flange_camera)
+    _check_start(robot, rng)
+    _check_motions(robot, mount)
+    _check_allocation(robot, mount, rng)
+
+
+def _general_mount() -> Array:
+    """A mount with all coordinates, a camera over the floor."""
+    T = np.eye(4)
+    T[:3, :3] = [[0, 0, 1], [-1, 0, 0], [0, -1, 0]]  # camera axes: it looks along x
+    T[:3, 3] = 0.1, -0.05, 0.4
+    return T
+
+
+def _check_start(robot: Robot, rng: np.random.Generator) -> None:
+    configuration = robot.configuration()
+    same = robot.started_at(configuration)
+    error = np.abs(robot.flange_pose(same.configuration()) - robot.flange_pose(configuration)).max()
+    assert error < 1e-9, f"{robot.kind}: started_at(configuration()) must stand where it stood, it is {error:.2g} off"
+    n, joints = len(robot.start_joints()), len(robot.joints)
+    assert n == joints, f"{robot.kind}: start_joints() must have one angle for each of its {joints} joints, got {n}"
+    if robot.start.random is None:
+        try:
+            robot.randomised(rng)
+        except ParameterError:
+            return
+        raise AssertionError(f"{robot.kind}: without a random block randomised() must raise ParameterError")
+
+
+def _check_motions(robot: Robot, mount: Mount) -> None:
+    """The motions lie in what finite differences of the flange's pose show to be possible; all of it, of a robot with joints."""
+    q = robot.start_joints()
+    basis = robot.motion_basis(mount, q)
+    assert basis.shape[0] == 6, f"{robot.kind}: motion_basis must have shape (6, n), got {basis.shape}"
+    rank = np.linalg.matrix_rank(basis)
+    assert rank == basis.shape[1], f"{robot.kind}: motion_basis must have independent columns, {basis.shape[1]} have rank {rank}"
+    possible = mount.to_camera @ _twists(robot)
+    outside = basis - possible @ np.linalg.lstsq(possible, basis, rcond=1e-9)[0]
+    worst = float(np.abs(outside).max())
+    assert worst < 1e-4, f"{robot.kind}: motion_basis has a motion that its flange_pose does not make (by {worst:.2g})"
+    if robot.base == "fixed":
+        reach = np.linalg.matrix_rank(possible, tol=1e-4)
+        assert rank >= reach, f"{robot.kind}: its joints make {reach} independent twists, motion_basis has {rank}"
+
+
+def _twists(robot: Robot) -> Array:
+    """Flange twists (6, m), (v, w) in the flange's frame, of each coordinate of the configuration, by central differences."""
+    q = robot.configuration()
+    if q.size == 16:  # a flat pose: what moves anywhere
+        return np.eye(6)
+    T, columns = robot.flange_pose(q), []
+    for i in range(len(q)):
+        step = STEP * (np.arange(len(q)) == i)
+        before, after = robot.flange_pose(q - step), robot.flange_pose(q + step)
+        turn = ThetaU().measure(before[:3, :3].T @ after[:3, :3])
+        v = T[:3, :3].T @ (after[:3, 3] - before[:3, 3])
+        columns.append(np.concatenate([v, T[:3, :3].T @ before[:3, :3] @ turn]) / (2 * STEP))
+    return np.array(columns).T
+
+
+def _check_allocation(robot: Robot, mount: Mount, rng: np.random.Generator) -> None:
+    """What an allocation says that it makes lies in the motions; it is never more than was asked for, and limits hold."""
+    reading = _reading(robot)
+    basis = robot.motion_basis(mount, reading.q)
+    for _ in range(20):
+        twist = basis @ rng.normal(0, 0.05, basis.shape[1])
+        made = robot.allocate(twist, reading, mount, 0.04)
+        assert np.isfinite(made.setpoint).all(), f"{robot.kind}: a setpoint must be finite, got {made.setpoint}"
+        assert -1e-12 <= made.scale <= 1 + 1e-12, f"{robot.kind}: scale must be in [0, 1], got {made.scale}"
+        left = made.twist - basis @ np.linalg.lstsq(basis, made.twist, rcond=None)[0]
+        assert np.abs(left).max() < 1e-6, f"{robot.kind}: allocate says that it makes a twist which motion_basis does not have"
+        many = robot.allocate(HUGE * twist, reading, mount, 0.04)
+        assert bool(many.limit) == (many.scale < 1 - 1e-9), f"{robot.kind}: a command that is scaled must name its limit"
+        if many.limit:
+            more = robot.allocate(10 * HUGE * twist, reading, mount, 0.04)
+            size, larger = (float(np.abs(m.setpoint).max()) for m in (many, more))
+            assert larger <= 1.01 * size, f"{robot.kind}: beyond its limits the setpoint must not grow with the command"
+    rest = robot.allocate(np.zeros(6), reading, mount, 0.04)
+    assert np.abs(rest.twist).max() < 1e-9, f"{robot.kind}: a command to rest must be rest, it makes {rest.twist}"
+
+
+def _reading(robot: Robot) -> Reading:
+    """What it reads at rest at its start."""
+    q = robot.start_joints()
+    return Reading(q, np.zeros_like(q))
