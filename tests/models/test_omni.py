@@ -191,7 +191,7 @@ def test_its_ends_are_what_scenarios_are_checked_against(wheels):
     middle = data.geom_xpos[own] + np.einsum("nij,nj->ni", R, model.geom_aabb[own, :3])
     half = np.einsum("nij,nj->ni", np.abs(R), model.geom_aabb[own, 3:])
     assert ((middle - half)[:, 0].min(), (middle + half)[:, 0].max()) == pytest.approx(Omni.ends_m, abs=1.5e-3)
-    assert Omni.top_speed_mps == pytest.approx(SPEED_LIMIT / W[0, 0])
+    assert Omni().top_speed_mps == pytest.approx(SPEED_LIMIT / W[0, 0])
 
 
 class TestView:

@@ -7,7 +7,7 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.camera import Perspective
-from vstestbed.core.errors import ParameterError
+from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.core.geometry import exp
 from vstestbed.sim.base import Plant
 from vstestbed.sim.build import build_plant
@@ -83,7 +83,7 @@ def test_nothing_overtakes():
     ],
 )
 def test_times_that_do_not_fit_are_refused(timing, words):
-    with pytest.raises((ParameterError, vs.errors.ScenarioError), match=words):
+    with pytest.raises((ParameterError, ScenarioError), match=words):
         vs.load("ibvs_book", IDEAL | {"timing": timing})
 
 
