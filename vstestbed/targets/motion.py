@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from annotated_types import Ge, Gt
@@ -41,6 +41,8 @@ class MotionBase:
     moves: ClassVar[bool] = True
     by_itself: ClassVar[bool] = True
     on_gripper: ClassVar[bool] = False
+
+    kind: Any  # the word in a scenario: a field of each motion
 
     @property
     def carrier(self) -> Carried | None:

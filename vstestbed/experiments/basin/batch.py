@@ -77,7 +77,7 @@ def ideal(scenario: Scenario, field_of_view: str | None = None) -> Scenario:
     """
     robot, camera, detector = scenario.robot, scenario.camera, scenario.detector
     if scenario.target.moves:
-        raise ParameterError("target.motion", "must be still in a batch", scenario.target.motion)
+        raise ParameterError("target.motion", "must be still in a batch", scenario.target.motion.kind)
     if (motions := robot.motion_basis(Mount.of(camera.mount.T), robot.start_joints()).shape[1]) != 6:
         words = f"moves its camera in {motions} directions, and the ideal camera of a batch in all six; use free or puma560"
         raise ParameterError("robot.kind", words, robot.kind)
@@ -96,7 +96,7 @@ def ideal(scenario: Scenario, field_of_view: str | None = None) -> Scenario:
 
 
 def fly(scenario: Scenario, start: Array) -> Batch:
-    """Ideal cameras, each from its own start, until each has ended as a run of the scenario would (`loop.run`, `stop.Judge`).
+    """Ideal cameras, each from its own start, until each has ended as a run of the scenario would (`loop.run`, `loop.judge.Judge`).
 
     T_camera_target <- exp(-v period) T_camera_target, with v by the law's own equations. A run that has ended leaves the
     batch. Markers that a run does not see are left out of its equations. Depth and pose are true where they are solved from
@@ -173,7 +173,7 @@ class Flight:
     def goal(self, rows: NDArray[np.bool_] | slice) -> Goal:
         """The goal view of some of the markers."""
         g = self.scenario.goal_view
-        return replace(g, uv=g.uv[rows], xy=g.xy[rows], depth=g.depth[rows], ray=g.ray[rows], range=g.range[rows])
+        return replace(g, uv=g.uv[rows], depth=g.depth[rows], ray=g.ray[rows], range=g.range[rows])
 
 
 @dataclass
