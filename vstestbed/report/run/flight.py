@@ -60,7 +60,7 @@ def tilt(tracks: Tracks) -> Figure | None:
 
 def rates(tracks: Tracks) -> Figure | None:
     """Body rates: asked for by the attitude loop (thin line) and flown, by the gyro less its bias (pale band)."""
-    flown, asked = (tracks.columns(*(f"{what}_{name}" for name in ("wx", "wy", "wz"))) for what in ("fly", "ask"))
+    flown, asked = (tracks.columns(*(f"{what}_{name}" for name in ("wx", "wy", "wz"))) for what in ("est", "ref"))
     if not np.isfinite(flown).any():
         return None
     figure = new_figure(4.4)
