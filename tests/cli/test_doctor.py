@@ -18,7 +18,7 @@ def pixel_errors(monkeypatch: pytest.MonkeyPatch):
     import vstestbed.sim.render.pixel_check
 
     def set_(errors: np.ndarray) -> None:
-        monkeypatch.setattr(vstestbed.sim.check, "pixel_convention", lambda renderer: PixelCheck(errors, "a renderer"))
+        monkeypatch.setattr(vstestbed.sim.render.pixel_check, "pixel_convention", lambda renderer: PixelCheck(errors, "a renderer"))
 
     return set_
 
