@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import inspect
 import json
 from collections.abc import Iterator
 from dataclasses import replace
@@ -20,6 +21,7 @@ from vstestbed.loop import run as loop
 from vstestbed.loop.log_file import read_log
 from vstestbed.sim.base import Plant
 from vstestbed.sim.plant import MujocoPlant
+from vstestbed.tasks import GOALS
 from vstestbed.tasks.frame import Frame
 
 PACKAGE = Path(vs.__file__).parent
@@ -233,12 +235,13 @@ class TestTruthFence:
     """What the simulator knows reaches the recorder, the judge and the oracle, and nobody else."""
 
     # vision/base.py says what the oracle is given; its package hands that on by name.
-    KNOWS = ("vision/detect/oracle.py", "vision/base.py", "vision/__init__.py")
+    KNOWS = ("vision/detect/oracle.py", "vision/base.py")
     ROOMS = ("laws", "robots", "vision", "features", "camera", "targets")
 
     def files(self) -> list[Path]:
         found = [f for room in self.ROOMS for f in (PACKAGE / room).rglob("*.py")]
         assert len(found) > 80
+        assert all(PACKAGE / name in found for name in self.KNOWS)
         return [f for f in found if f.relative_to(PACKAGE).as_posix() not in self.KNOWS]
 
     @staticmethod
@@ -250,7 +253,7 @@ class TestTruthFence:
             elif isinstance(node, ast.FunctionDef):
                 node.returns = None
         walked = list(ast.walk(tree))
-        names = {n.id for n in walked if isinstance(n, ast.Name)}
+        names = {n.id for n in walked if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Load)}
         return names | {n.attr for n in walked if isinstance(n, ast.Attribute)}
 
     def test_no_room_that_sees_or_decides_reads_the_truth(self):
@@ -267,6 +270,22 @@ class TestTruthFence:
             # A lens projects points that it is given; the observer hands on what an oracle found.
             if "camera" not in file.parts and file.name != "observe.py":
                 assert "p_camera" not in spoken, file
+
+    def readers(self, room: str, *words: str) -> set[str]:
+        """Classes of a room that read one of these names or attributes."""
+        files = sorted((PACKAGE / room).rglob("*.py"))
+        classes = [n for f in files for n in ast.walk(ast.parse(f.read_text())) if isinstance(n, ast.ClassDef)]
+        return {cls.name for cls in classes if self.spoken(cls) & set(words)}
+
+    def test_of_a_task_only_what_judges_reads_the_truth(self):
+        """Reference and goal views, which the law is told, are made of an observation and an error in the image."""
+        assert self.readers("tasks", "truth", "T_world_camera", "hidden") == {"Frame", "ToleranceMonitor", "LandingMonitor"}
+        for task in GOALS.members.values():
+            for name, arguments in (("reference", ["self", "memory", "seen"]), ("passed", ["self", "memory", "error"])):
+                assert list(inspect.signature(getattr(task, name)).parameters) == arguments
+
+    def test_of_a_robot_only_its_log_is_given_the_truth(self):
+        assert self.readers("robots", "T_world_base") == {"VehicleLog"}
 
     def test_only_the_loop_opens_the_fence_and_only_for_the_oracle(self):
         opened = {f.name for f in PACKAGE.rglob("*.py") if "TruthView" in self.spoken(ast.parse(f.read_text()))}

@@ -7,9 +7,11 @@ import pytest
 
 import vstestbed as vs
 from tests.tasks.frames import first_verdict, frame, times
+from vstestbed.core.geometry import inverse
 from vstestbed.core.outcome import Outcome
 from vstestbed.core.planar import pose_on_ground
 from vstestbed.loop.judge import Judge
+from vstestbed.robots.failsafe import Failsafe
 from vstestbed.robots.supervisor import Supervisor
 from vstestbed.tasks.continuing import ToleranceMonitor
 from vstestbed.tasks.stop import Stop
@@ -61,6 +63,29 @@ def test_the_reason_is_what_came_first():
 def test_a_time_that_ends_before_it_may_settle_shows_nothing():
     (outcome, reason), t = ended(0.8, lambda t: 0.0, Stop(duration_s=3))
     assert outcome is Outcome.timed_out and reason == "3 s ended before the 4 s in which it may settle" and t == pytest.approx(3.0)
+
+
+def test_a_craft_that_left_its_path_while_it_had_given_up_did_not_keep_it():
+    """Blind for two seconds it sinks; it sees its target again, climbs back and flies on as if nothing had been."""
+    scenario = vs.load("quadrotor_path", {"goal.settle_s": 1.0})
+    stop, failsafe = Stop(duration_s=scenario.goal.end_s + 1), Failsafe(lands=False, lost_after_s=1.0)
+    monitor = scenario.goal.monitor(replace(scenario.setup, stop=stop), failsafe)
+    judge = Judge(monitor, stop, scenario.target, failsafe)
+
+    def at(t, off_m):
+        T = scenario.target.T_world_start @ inverse(scenario.goal.trajectory.at(t)[0])
+        T[2, 3] -= off_m
+        return frame(t, T_world_camera=T, T_world_target=scenario.target.T_world_start)
+
+    for t in times(stop.duration_s):
+        blind = 3.0 <= t < 5.0
+        failsafe.aborted = (Outcome.target_lost, "nothing in sight") if blind else None
+        verdict = first_verdict(monitor, judge, [at(t, 1.0 if blind else 0.0)])
+        if verdict:
+            break
+    (outcome, reason), ended_s = verdict
+    assert ended_s == pytest.approx(stop.duration_s, abs=0.041)
+    assert outcome is Outcome.timed_out and reason.startswith("out of its band of 0.15 m at 3 s")
 
 
 def test_an_error_that_is_no_number_is_out_of_the_band():

@@ -5,6 +5,7 @@ import pytest
 
 import vstestbed as vs
 from tests.tasks.frames import frame
+from vstestbed.core.errors import ScenarioError
 from vstestbed.core.geometry import Pose, inverse
 from vstestbed.core.outcome import Outcome
 from vstestbed.features.observation import Observation
@@ -102,3 +103,8 @@ def test_the_goal_pose_is_the_view_from_which_it_comes_down():
     np.testing.assert_array_equal(pose, TASK.above.T)
     assert (SCENARIO.target.T_world_start @ inverse(pose))[2, 3] > 1.0
     assert TASK.lands and TASK.bases == {"floating"} and TASK.view_fields == ("goal.above",)
+
+
+def test_without_a_pad_there_is_no_landing():
+    with pytest.raises(ScenarioError, match=r"target\.pad: is missing: goal of kind landing needs one, e\.g\. \{side: 0\.9\}"):
+        vs.load("quadrotor_land", {"target.pad": None})

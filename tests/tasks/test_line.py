@@ -4,12 +4,17 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
+from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.core.planar import pose_on_ground
 from vstestbed.tasks.line import AlongRoute
 
 I4 = np.eye(4)
 CIRCLE = {"target.route": {"kind": "circle", "radius_m": 2}, "goal.offset_m": 0.0}
 EIGHT = {"target.route": {"kind": "figure_eight", "length_m": 12, "width_m": 5}}
+
+
+def circle(radius):
+    return {"kind": "circle", "radius_m": radius}
 
 
 def travelled(scenario, places):
@@ -64,3 +69,29 @@ def test_the_vehicle_must_make_most_of_the_speed_that_the_law_orders():
     s = vs.load("car_line", {"law.cruise_mps": 0.6})
     (speed,) = s.goal.least_speeds(s.setup)
     assert (speed.who, speed.ordered_mps, speed.least_mps) == ("the vehicle, along its line,", 0.6, pytest.approx(0.48))
+
+
+@pytest.mark.parametrize(
+    ("name", "settings", "words"),
+    [
+        ("car_line", {"target.route": circle(0.6)}, "target.route: has a bend of 0.6 m where the vehicle shall drive, which turns"),
+        ("car_line", {"target.route": circle(2), "goal.offset_m": 1.5}, "has a bend of 0.5 m where the vehicle shall drive"),
+        ("car_line", {"law.cruise_mps": 1.5}, "law.cruise_mps: must be at most 1 m/s, which the limits of robot and law allow, got 1.5"),
+        ("omni_line", {"law.limits.speed_mps": 0.5}, "law.cruise_mps: must be at most 0.5 m/s"),
+    ],
+)
+def test_a_line_that_cannot_be_driven_is_refused_with_what_would_work(name, settings, words):
+    with pytest.raises((ParameterError, ScenarioError)) as told:
+        vs.load(name, settings)
+    assert words in str(told.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "settings"),
+    [
+        ("car_line", {"target.route": circle(0.5), "goal.offset_m": -0.3}),  # outside the bend
+        ("omni_line", {"target.route": circle(0.5)}),
+    ],
+)
+def test_a_line_that_can_be_driven_is_taken(name, settings):
+    vs.load(name, settings)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
+from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.core.geometry import inverse, quaternion_wxyz
 from vstestbed.tasks.frame import ImageError
 
@@ -50,3 +51,16 @@ def test_the_distance_to_go_is_to_the_last_of_them():
     log |= {f"tgt_q{a}": quaternion_wxyz(T_target[None, :3, :3])[:, i] for i, a in enumerate("wxyz")}
     log |= {f"cam_{a}": np.array([T_camera[i, 3] + d]) for i, (a, d) in enumerate(zip("xyz", (3.0, 4.0, 0.0), strict=True))}
     assert scenario.goal.distance_to_go_m(log, scenario.goal_poses) == pytest.approx(5.0)
+
+
+@pytest.mark.parametrize(
+    ("views", "words"),
+    [
+        ([{"view_from": {"x": -2}}], "goal.views: must be a list of 2 or more views; one alone"),
+        ([{"view_from": {"x": -2}}, {"view_from": {"z": 1}}], "goal.views.1.view_from.z: unknown field"),
+    ],
+)
+def test_views_that_are_none_are_refused(views, words):
+    with pytest.raises((ParameterError, ScenarioError)) as told:
+        vs.load("omni_via_points", {"goal.views": views})
+    assert words in str(told.value)

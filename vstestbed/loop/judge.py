@@ -29,11 +29,12 @@ class Judge:
 
     def verdict(self, frame: Frame) -> Verdict | None:
         """The outcome after this frame with its reason, or None to go on."""
-        reached = self._task.reached(frame)
-        found = [monitor.update(frame) for monitor in self._monitors]  # each sees every frame, whoever decides: they keep times
+        # Each sees every frame, whoever decides: they keep times, and a task that was left while it had been given up was left.
+        reached, missed = self._task.reached(frame), self._task.missed(frame)
+        found = [monitor.update(frame) for monitor in self._monitors]
         if self._supervisor.aborted and not self._collision.touches(frame):
             return self._after_abort(frame.t)
-        return reached or next(filter(None, found), None) or self._task.missed(frame)
+        return reached or next(filter(None, found), None) or missed
 
     def _after_abort(self, t: float) -> Verdict | None:
         """Of a robot that gave its task up: why, once it is down or the time is out."""

@@ -32,7 +32,7 @@ class HoldTimer:
 
 
 class TaskMonitor:
-    """Measures once a frame; asked then whether the task is reached, and, if nothing else ended the run, whether it is missed.
+    """Measures once a frame; asked then, once each, whether the task is reached and whether it is missed.
 
     Columns of the log: `view`, of several goal views the number of the one that counts; the task's own (`error_columns`);
     `est_position_m`, `est_rotation_rad`, how far the robot thinks it is from its goal, where the goal counts as reached by that
@@ -84,7 +84,7 @@ class TaskMonitor:
         return None
 
     def missed(self, frame: Frame) -> Verdict | None:
-        """The outcome where the task cannot be completed any more; asked after all other monitors."""
+        """The outcome where the task cannot be completed any more; it counts after those of all other monitors."""
         return None
 
 

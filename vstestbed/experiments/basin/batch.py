@@ -62,7 +62,7 @@ class Batch:
 
 
 def fly(scenario: Scenario, start: Array) -> Batch:
-    """Simulate ideal cameras from their own starts, each until it ends as a single run would (`loop.run`, `stop.Judge`).
+    """Simulate ideal cameras from their own starts, each until it ends as a single run would (`loop.run`, `loop.judge.Judge`).
 
     T_camera_target <- exp(-v period) T_camera_target, with the twist v of the law. A run that has ended leaves the batch. Markers
     that a run does not see are left out of its equations. Depths and poses that a law solves from the pixels are true, since the

@@ -23,9 +23,13 @@ def add_robot(scene: mujoco.MjSpec, robot: Robot, prefix: str, friction: float |
         robot: what is attached; the ideal camera is a body without mass that is put where it is told.
         prefix: of all its names (`robot/`, `leader/`).
         friction: the floor's, where the scenario tells it.
+
+    Raises:
+        ParameterError: the robot's model has no site `flange`.
     """
     if robot.model is None:
         return scene.worldbody.add_body(name=f"{prefix}camera", mocap=True), np.eye(4)
+    T_body_flange = _flange_pose(robot.model)  # first: it refuses a model that has no flange
     model = mujoco.MjSpec.from_file(str(model_path(robot.model)))
     _choose_servos(model, robot)
     model.option.timestep = scene.option.timestep
@@ -39,7 +43,7 @@ def add_robot(scene: mujoco.MjSpec, robot: Robot, prefix: str, friction: float |
         for geom in [*model.geoms, scene.geom("floor")]:
             geom.friction[0] = min(geom.friction[0], friction)
     scene.attach(model, prefix=prefix, frame=scene.worldbody.add_frame())
-    return scene.site(f"{prefix}flange").parent, _flange_pose(robot.model)
+    return scene.site(f"{prefix}flange").parent, T_body_flange
 
 
 @functools.cache

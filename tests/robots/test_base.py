@@ -1,0 +1,130 @@
+"""What every robot of the room does alike: starts, mounts, bases, logs."""
+
+import numpy as np
+import pytest
+
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Pose, exp, rigid_error
+from vstestbed.core.planar import GroundPose
+from vstestbed.robots import Car, Free, Mount, Omni, Puma560, Quadrotor
+from vstestbed.robots.base import RobotLog, RobotState
+from vstestbed.robots.failsafe import Failsafe
+from vstestbed.robots.flight_reading import HOLD
+from vstestbed.robots.free import Box, FreeStart
+from vstestbed.robots.ground import GroundBox, GroundStart
+from vstestbed.robots.puma560 import JointAngles, JointBox, PumaStart
+from vstestbed.robots.quadrotor import FlightBox, FlightPose, FlightStart
+from vstestbed.robots.reading import Reading
+from vstestbed.robots.supervisor import Supervisor
+
+GROUND = GroundStart(nominal=GroundPose(x=1, y=2, heading_deg=30), random=GroundBox(x=1, y=1))
+ROBOTS = {
+    "free": Free(start=FreeStart(nominal=Pose(xyz=(1, 2, 3), rpy_deg=(10, 20, 30)), random=Box(xyz=(0.1, 0, 0)))),
+    "puma560": Puma560(start=PumaStart(nominal=JointAngles(q_deg=(5, 45, -180, 10, 45, -45)), random=JointBox(q_deg=1.0))),
+    "car": Car(start=GROUND),
+    "omni": Omni(start=GROUND),
+    "omni, planar wheels": Omni(start=GROUND, wheels="planar"),
+    "quadrotor": Quadrotor(start=FlightStart(nominal=FlightPose(xyz=(1, 2, 3), yaw_deg=40), random=FlightBox(xyz=(1, 1, 1)))),
+}
+ELSEWHERE = {
+    "free": (Pose(xyz=(1, 2, 3)).T @ exp(np.array([0.2, -0.1, 0.3, 0.4, -0.2, 1.0]))).ravel(),
+    "puma560": np.array([0.1, 0.7, -3.0, 0.2, 0.9, -0.5]),
+    "car": np.array([-3.0, 4.0, 2.5]),
+    "omni": np.array([-3.0, 4.0, -2.5]),
+    "omni, planar wheels": np.array([-3.0, 4.0, 0.5]),
+    "quadrotor": np.array([-1.0, 2.0, 5.0, -1.2]),
+}
+
+
+@pytest.fixture(params=ROBOTS)
+def name(request: pytest.FixtureRequest) -> str:
+    return request.param
+
+
+def test_started_elsewhere_it_stands_there_and_is_the_same_robot_otherwise(name):
+    robot = ROBOTS[name]
+    moved = robot.started_at(ELSEWHERE[name])
+    # Through degrees, and of a pose through roll, pitch and yaw: rounding.
+    np.testing.assert_allclose(moved.configuration(), ELSEWHERE[name], atol=1e-12)
+    assert moved.start.random == robot.start.random and type(moved) is type(robot)
+    back = moved.started_at(robot.configuration())
+    assert rigid_error(back.flange_pose(back.configuration()), robot.flange_pose(robot.configuration())) == pytest.approx((0, 0), abs=1e-7)
+
+
+def test_a_start_elsewhere_keeps_all_other_parameters():
+    assert Omni(wheels="planar", wheel_radius_error=0.01).started_at(np.ones(3)).wheel_radius_error == 0.01
+    assert Puma560(actuation="industrial", avoid_limits=2.0).started_at(ELSEWHERE["puma560"]).actuation == "industrial"
+    assert Quadrotor(max_speed_mps=3.0).started_at(ELSEWHERE["quadrotor"]).max_speed_mps == 3.0
+
+
+def test_its_joints_at_the_start(name):
+    robot = ROBOTS[name]
+    joints = robot.start_joints()
+    assert joints.shape == (len(robot.joints),)
+    # An arm's configuration is its joints; a vehicle's wheels have not turned, wherever it stands.
+    np.testing.assert_array_equal(joints, robot.configuration() if name == "puma560" else 0.0)
+
+
+def test_only_an_arm_has_servos_to_idealise(name):
+    robot = ROBOTS[name]
+    if name == "puma560":
+        arm = Puma560(start=robot.start, actuation="industrial", avoid_limits=2.0)
+        ideal = arm.idealised()
+        assert (ideal.actuation, ideal.avoid_limits, ideal.start) == ("ideal", 2.0, arm.start)
+        assert ideal.actuator_set is not None and not ideal.actuator_set.friction
+    else:
+        assert robot.idealised() is robot
+
+
+@pytest.mark.parametrize(
+    ("base", "names"), [("fixed", {"free", "puma560"}), ("planar", {"car", "omni", "omni, planar wheels"}), ("floating", {"quadrotor"})]
+)
+def test_bases(base, names):
+    assert {name for name, robot in ROBOTS.items() if robot.base == base} == names
+
+
+class TestMount:
+    def test_a_vehicles_camera_must_be_over_the_floor(self, name):
+        robot = ROBOTS[name]
+        robot.check_mount((0.2, 0.1, 0.3))
+        for z in (0.0, -0.1):
+            if robot.base != "planar":
+                robot.check_mount((0.2, 0.1, z))
+                continue
+            with pytest.raises(ParameterError) as told:
+                robot.check_mount((0.2, 0.1, z))
+            assert told.value.field == "camera.mount.xyz"
+            assert "must have z > 0: the vehicle's frame lies on the floor, and the camera would be under it" in str(told.value)
+
+    def test_the_motion_basis_spans_what_is_allocated(self, name):
+        """A small twist within the basis is made exactly, one beside it is not made."""
+        robot = ROBOTS[name]
+        mount, q = Mount.of(Pose(xyz=(0.1, 0.05, 0.2), rpy_deg=(20, -30, 100)).T), robot.start_joints()
+        basis, reading = robot.motion_basis(mount, q), Reading(q, np.zeros(len(q)))
+        assert basis.shape == (6, {"fixed": 6, "planar": 3, "floating": 4}[robot.base] - (name == "car"))
+        twist = basis @ np.full(basis.shape[1], 0.01)
+        np.testing.assert_allclose(robot.allocate(twist, reading, mount, 0.04).twist, twist, atol=1e-9)
+
+
+class TestSupervisorAndLog:
+    def test_only_a_craft_that_flies_has_a_failsafe_and_a_setpoint_that_holds(self, name):
+        robot = ROBOTS[name]
+        supervisor, hold = robot.supervisor(True, 0.7), robot.hold_setpoint()
+        if robot.base == "floating":
+            assert isinstance(supervisor, Failsafe) and (supervisor.lands, supervisor.lost_after_s) == (True, 0.7)
+            np.testing.assert_array_equal(hold, HOLD)
+        else:
+            assert type(supervisor) is Supervisor and hold is None
+
+    def test_a_robot_on_a_fixed_base_has_no_columns_of_its_own(self, name):
+        robot = ROBOTS[name]
+        assert bool(robot.log(Supervisor()).columns) is (robot.base != "fixed")
+
+    def test_no_columns_no_values(self):
+        still = np.zeros(3)
+        state = RobotState(0.0, np.eye(4), still, still, Reading(still, still), np.zeros(0), still)
+        assert RobotLog().columns == () and RobotLog().row(state).shape == (0,)
+
+
+def test_of_vehicles_only_one_on_planar_wheels_cannot_slip(name):
+    assert ROBOTS[name].slips is (name != "omni, planar wheels")
