@@ -4,6 +4,16 @@
     recording = vs.run(vs.load("arm_ibvs", {"law.gain": 1.0}))
     recording.outcome, recording.summary(), recording.frame()
 
+To extend it, a kind is one class and one registration:
+
+    @vs.LAWS.add
+    @vs.spec
+    class Mine(vs.LawBase):
+        kind: Literal["mine"] = "mine"
+        gain: float = 0.5
+
+        def step(self, memory, observation, goal, basis): ...
+
 Public names are imported when first used, so that `import vstestbed` costs nothing.
 """
 
@@ -13,33 +23,96 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from vstestbed import features
+    from vstestbed import features, testing
+    from vstestbed.camera import CAMERAS, Camera
+    from vstestbed.core import errors
+    from vstestbed.core.geometry import Array
     from vstestbed.core.outcome import Outcome
+    from vstestbed.core.spec import spec
     from vstestbed.experiments.comparison import compare
     from vstestbed.experiments.run_folder import run_into
+    from vstestbed.features import FEATURES, Feature
+    from vstestbed.features.observation import Goal, Observation
+    from vstestbed.laws import LAWS, Command, Law, LawBase
     from vstestbed.loop.recording import Recording
     from vstestbed.loop.run import run
+    from vstestbed.robots import ROBOTS, Allocation, Mount, Reading, Robot, RobotBase
     from vstestbed.scenario.load import load
     from vstestbed.scenario.scenario import Scenario
+    from vstestbed.targets import TARGETS, Target
+    from vstestbed.tasks import GOALS, Task, TaskBase
+    from vstestbed.tasks.frame import Frame
+    from vstestbed.vision import DETECTORS, Detection, Detector
 
 _HOMES = {
-    "compare": "vstestbed.experiments.comparison",
-    "run": "vstestbed.loop.run",
-    "run_into": "vstestbed.experiments.run_folder",
-    "load": "vstestbed.scenario.load",
-    "Scenario": "vstestbed.scenario.scenario",
-    "Recording": "vstestbed.loop.recording",
-    "Outcome": "vstestbed.core.outcome",
+    "vstestbed.camera": ("CAMERAS", "Camera"),
+    "vstestbed.core.geometry": ("Array",),
+    "vstestbed.core.outcome": ("Outcome",),
+    "vstestbed.core.spec": ("spec",),
+    "vstestbed.experiments.comparison": ("compare",),
+    "vstestbed.experiments.run_folder": ("run_into",),
+    "vstestbed.features": ("FEATURES", "Feature"),
+    "vstestbed.features.observation": ("Goal", "Observation"),
+    "vstestbed.laws": ("LAWS", "Command", "Law", "LawBase"),
+    "vstestbed.loop.recording": ("Recording",),
+    "vstestbed.loop.run": ("run",),
+    "vstestbed.robots": ("ROBOTS", "Allocation", "Mount", "Reading", "Robot", "RobotBase"),
+    "vstestbed.scenario.load": ("load",),
+    "vstestbed.scenario.scenario": ("Scenario",),
+    "vstestbed.targets": ("TARGETS", "Target"),
+    "vstestbed.tasks": ("GOALS", "Task", "TaskBase"),
+    "vstestbed.tasks.frame": ("Frame",),
+    "vstestbed.vision": ("DETECTORS", "Detection", "Detector"),
 }
+_MODULES = {"errors": "vstestbed.core.errors", "features": "vstestbed.features", "testing": "vstestbed.testing"}
+_HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
-__all__ = ["Outcome", "Recording", "Scenario", "compare", "features", "load", "run", "run_into"]
+__all__ = [
+    "CAMERAS",
+    "DETECTORS",
+    "FEATURES",
+    "GOALS",
+    "LAWS",
+    "ROBOTS",
+    "TARGETS",
+    "Allocation",
+    "Array",
+    "Camera",
+    "Command",
+    "Detection",
+    "Detector",
+    "Feature",
+    "Frame",
+    "Goal",
+    "Law",
+    "LawBase",
+    "Mount",
+    "Observation",
+    "Outcome",
+    "Reading",
+    "Recording",
+    "Robot",
+    "RobotBase",
+    "Scenario",
+    "Target",
+    "Task",
+    "TaskBase",
+    "compare",
+    "errors",
+    "features",
+    "load",
+    "run",
+    "run_into",
+    "spec",
+    "testing",
+]
 
 
 def __getattr__(name: str) -> object:
-    if name == "features":
-        return import_module("vstestbed.features")
-    if name in _HOMES:
-        return getattr(import_module(_HOMES[name]), name)
+    if name in _MODULES:
+        return import_module(_MODULES[name])
+    if name in _HOME_OF:
+        return getattr(import_module(_HOME_OF[name]), name)
     raise AttributeError(f"module 'vstestbed' has no attribute {name!r}; public names: {', '.join(__all__)}")
 
 

@@ -7,7 +7,7 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose, exp, rigid_error
 from vstestbed.core.planar import GroundPose
 from vstestbed.robots import Car, Free, Mount, Omni, Puma560, Quadrotor
-from vstestbed.robots.base import RobotLog, RobotState
+from vstestbed.robots.robot_log import RobotLog, RobotState
 from vstestbed.robots.failsafe import Failsafe
 from vstestbed.robots.flight_reading import HOLD
 from vstestbed.robots.free import Box, FreeStart

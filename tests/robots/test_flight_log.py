@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from vstestbed.core.geometry import Pose
-from vstestbed.robots.base import RobotState
+from vstestbed.robots.robot_log import RobotState
 from vstestbed.robots.failsafe import SINKS, Failsafe
 from vstestbed.robots.flight_reading import FlightEstimate, FlightReading
 from vstestbed.robots.quadrotor import Quadrotor

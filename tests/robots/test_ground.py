@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from vstestbed.core.planar import moved, pose_on_ground
-from vstestbed.robots.base import RobotState
+from vstestbed.robots.robot_log import RobotState
 from vstestbed.robots.ground import VehicleLog
 from vstestbed.robots.reading import Reading
 

@@ -9,11 +9,11 @@ from vstestbed.targets import GroundLines, Points, Square
 from vstestbed.targets.attached import Carried, Held
 from vstestbed.targets.markers import Disc
 from vstestbed.targets.motion import Line, Still
-from vstestbed.targets.route import Circle, Straight
+from vstestbed.targets.route import CircularRoute, Straight
 
 SQUARE = Square(pose=Pose(), side=0.2, marker=Disc(radius=0.02))
 POINTS = Points(pose=Pose(), at=((0, 0, 0), (0.3, 0, 0), (0, 0.4, 0.1)))
-LINES = GroundLines(route=Circle(radius_m=2.0), offsets_m=(0.25, -0.25), pose=Pose(xyz=(1, 2, 0), rpy_deg=(0, 0, 90)))
+LINES = GroundLines(route=CircularRoute(radius_m=2.0), offsets_m=(0.25, -0.25), pose=Pose(xyz=(1, 2, 0), rpy_deg=(0, 0, 90)))
 
 
 @pytest.mark.parametrize("target", [SQUARE, POINTS])
@@ -53,7 +53,7 @@ def test_only_a_square_has_a_board_and_with_it_a_front():
         (Still(), False, False),
         (Line(velocity_mps=(0.1, 0, 0)), True, False),
         (Held(), True, True),
-        (Carried(route=Circle(radius_m=2)), True, False),
+        (Carried(route=CircularRoute(radius_m=2)), True, False),
     ],
 )
 def test_what_moves_it(motion, moves, on_gripper):
@@ -66,5 +66,5 @@ def test_it_starts_where_its_motion_puts_it():
     pose = Pose(xyz=(0.3, 0.1, 0.5), rpy_deg=(0, 90, 0))
     for motion in (Still(), Line(velocity_mps=(0.1, 0, 0)), Held()):
         np.testing.assert_allclose(Square(side=0.2, pose=pose, motion=motion).T_world_start, pose.T, atol=1e-12)
-    carried = Square(side=0.2, pose=pose, motion=Carried(route=Circle(radius_m=2), from_m=np.pi))
+    carried = Square(side=0.2, pose=pose, motion=Carried(route=CircularRoute(radius_m=2), from_m=np.pi))
     np.testing.assert_allclose(carried.T_world_start, pose_on_ground(np.array([2.0, 2.0, np.pi / 2])) @ pose.T, atol=1e-4)  # samples

@@ -21,6 +21,8 @@ SCENES: dict[str, tuple[str, dict[str, object]]] = {
     "sphere": ("car_parking", {}),
 }
 """A bundled scenario with each kind of marker in the picture at its start."""
+MARGIN_PX = 10.0
+"""A marker that must be found is this far inside the picture [px]."""
 
 
 def check_detector(detector: Detector[Any], scenario: Scenario | None = None, within_px: float = 0.5) -> None:
@@ -45,7 +47,7 @@ def check_detector(detector: Detector[Any], scenario: Scenario | None = None, wi
         plant.close()
     view = TruthView(truth.p_camera, truth.hidden) if detector.needs_truth else None
     true, memory = s.camera.project(truth.p_camera), detector.init()
-    shown = s.camera.inside(true) & ~truth.hidden
+    shown = s.camera.whole(truth.p_camera, s.target.marker.radius, MARGIN_PX) & ~truth.hidden
     assert shown.any(), f"{s.name or 'the scenario'} must show markers at its start"
     for turn in ("from the whole picture", "beside the last one"):  # the second time it may look in windows
         memory, detection = detector.detect(memory, picture, view, s.camera, s.target, np.random.default_rng(0))

@@ -9,7 +9,7 @@ import pytest
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose
-from vstestbed.robots.base import Actuation, RobotBase
+from vstestbed.robots import Actuation, RobotBase
 from vstestbed.robots.free import Free, FreeStart
 from vstestbed.sim.scene import attach
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from vstestbed.core.geometry import Array, exp, transform
 from vstestbed.core.outcome import Outcome
+from vstestbed.experiments.basin.one_by_one import OneByOne
 from vstestbed.experiments.basin.setup import BatchSetup
 from vstestbed.features.observation import Goal
 from vstestbed.laws.views import Views
@@ -188,6 +189,11 @@ def _commands(setup: BatchSetup, runs: _Runs, p: Array, seen: NDArray[np.bool_],
     usable = seen & (p[..., 2] > 0) if plane else seen
     memory, twist = runs.memory.copy(), np.full((len(p), 6), np.nan)
     needed = max(setup.needed, FIRST_POSE) if setup.posed and t == 0 else setup.needed
+    if isinstance(setup.law, OneByOne):
+        enough = np.count_nonzero(usable, axis=1) >= needed
+        views = Views(t, p[enough], runs.T[enough], setup.scenario.goal_view, law.depth)
+        memory[enough], twist[enough] = setup.law.step(memory[enough], views, usable[enough], setup.scenario.goal_view)
+        return memory, twist, np.isfinite(twist[:, 0])
     for which, rows in _groups(usable):
         if np.count_nonzero(rows) < needed:
             continue

@@ -131,7 +131,8 @@ class Basin:
 
 def _gain_step(scenario: Scenario) -> float | None:
     """Gain times period, the step of the discrete loop; None for a law without a constant gain."""
-    value = getattr(getattr(scenario.law, "gain", None), "value", None)
+    gain = getattr(scenario.law, "gain", None)
+    value = gain if isinstance(gain, float) else getattr(gain, "value", None)
     return None if value is None else value * scenario.camera.period
 
 

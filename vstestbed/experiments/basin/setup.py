@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, inverse
+from vstestbed.experiments.basin.one_by_one import OneByOne
 from vstestbed.features.depth import Estimate, PnP
 from vstestbed.features.observation import Goal
 from vstestbed.laws.views import BatchLaw
@@ -71,8 +72,9 @@ class BatchSetup:
 
     def _check_law(self) -> None:
         s = self.scenario
-        if not isinstance(s.law, BatchLaw):
-            raise ParameterError("law.kind", "must have equations for many runs at once (laws.views.BatchLaw)", s.law.kind)
+        foreign = sorted({"motion", "odometry", "place"} & set(s.law.inputs))
+        if foreign:
+            raise ParameterError("law.kind", f"{s.law.kind} reads {foreign[0]}, which the ideal cameras of a batch do not measure")
         if s.law.visibility.margin_px > 0:
             raise ParameterError("law.visibility.margin_px", "must be 0 in a batch", s.law.visibility.margin_px)
         if s.law.feedforward.kind != "none":
@@ -97,10 +99,10 @@ class BatchSetup:
             raise ParameterError("scenario", words)
 
     @cached_property
-    def law(self) -> BatchLaw:
-        """The law, known to be a batch law by `_check_law`."""
-        assert isinstance(self.scenario.law, BatchLaw)
-        return self.scenario.law
+    def law(self) -> BatchLaw | OneByOne:
+        """The law, by its equations for many runs where it has such."""
+        law = self.scenario.law
+        return law if isinstance(law, BatchLaw) else OneByOne(law, self.scenario.camera)
 
     @cached_property
     def error_px(self) -> float:

@@ -13,7 +13,7 @@ from vstestbed.core.geometry import exp, inverse
 from vstestbed.core.outcome import Outcome
 from vstestbed.experiments.delay.lag import Lag, measure_lags
 from vstestbed.experiments.delay.theory import closed_form, gain_limit, swing_frames
-from vstestbed.laws.base import ConstantGain, TwistLimits
+from vstestbed.laws.base import TwistLimits
 from vstestbed.laws.visibility import Visibility
 from vstestbed.loop.run import run
 from vstestbed.robots import Robot
@@ -98,7 +98,7 @@ def prepared(scenario: Scenario) -> Scenario:
     names = {field.name for field in fields(law)}
     if "gain" not in names or "gain_z" in names:
         raise ParameterError("law.kind", "must have one gain for all directions: ibvs, pbvs or hybrid", law.kind)
-    plain = {"limits": TwistLimits(), "smooth_start_s": 0.0, "visibility": Visibility(), "gain": ConstantGain(value=2.0)}
+    plain = {"limits": TwistLimits(), "smooth_start_s": 0.0, "visibility": Visibility(), "gain": 2.0}
     settled = replace(
         scenario,
         law=replace(law, **{name: value for name, value in plain.items() if name in names}),  # only those fields that this law has
@@ -145,7 +145,7 @@ def growth(at_start: Scenario, gain: float, delay_frames: int) -> float:
     recording = run(
         replace(
             at_start,
-            law=replace(at_start.law, gain=ConstantGain(value=gain)),
+            law=replace(at_start.law, gain=gain),
             camera=replace(at_start.camera, latency_s=delay_frames * period),
             stop=Stop(
                 duration_s=frames * period, converged=Converged(error_px=1e-9, hold_s=frames * period)

@@ -19,7 +19,7 @@ def corrections(dt: float) -> Array:
 
 
 def fused_place(
-    predicted: Array | None, T_world_camera: Array | None, T_base_camera: Array, compass: float | None, gains: Array
+    predicted: Array | None, T_map_camera: Array | None, T_base_camera: Array, compass: float | None, gains: Array
 ) -> Array | None:
     """Planar pose (x, y, heading) of a vehicle; None where it has never been known.
 
@@ -30,21 +30,21 @@ def fused_place(
 
     Args:
         predicted: by odometry from the last frame, shape (3,) [m, rad]; None where it was not known then.
-        T_world_camera: camera pose by the landmarks, shape (4, 4); None where they are not seen.
+        T_map_camera: camera pose by the landmarks, shape (4, 4); None where they are not seen.
         T_base_camera: the mount, shape (4, 4).
         compass: measured heading [rad]; None without a compass.
         gains: k_c and k_l of this frame, shape (2,).
     """
-    known = predicted if T_world_camera is None else place_of(T_world_camera @ inverse(T_base_camera))
+    known = predicted if T_map_camera is None else place_of(T_map_camera @ inverse(T_base_camera))
     if known is None:
         return None
     heading = float(known[2])
     if compass is not None:
         heading = compass if predicted is None else float(predicted[2] + gains[0] * wrapped(compass - predicted[2]))
-    if T_world_camera is None:
+    if T_map_camera is None:
         return np.array([known[0], known[1], heading])
     lever = pose_on_ground(np.array([0.0, 0.0, heading])) @ T_base_camera[:, 3]
-    xy = T_world_camera[:2, 3] - lever[:2]
+    xy = T_map_camera[:2, 3] - lever[:2]
     if predicted is not None:
         xy = predicted[:2] + gains[1] * (xy - predicted[:2])
     return np.array([xy[0], xy[1], heading])
