@@ -88,6 +88,13 @@ def _time_to_converge(scenario: Scenario, outcome: Outcome, log: Columns) -> flo
     """Start of the last unbroken stretch under the threshold, when the run converged [s]."""
     if outcome is not Outcome.converged or not len(log["t"]):
         return None
+    over = np.flatnonzero(~_converged_frames(scenario, log))
+    first = int(over[-1]) + 1 if len(over) else 0
+    return float(log["t"][first]) if first < len(log["t"]) else None
+
+
+def _converged_frames(scenario: Scenario, log: Columns) -> Array:
+    """Frames in which the conditions of `stop.converged` hold at the last goal view, shape (frames,) bool."""
     counted = scenario.goal_view.counted
     markers = range(len(scenario.target.points)) if counted is None else np.flatnonzero(counted)
     whole = np.all([np.isfinite(log[f"u_{i}"]) for i in markers], axis=0)
@@ -96,9 +103,7 @@ def _time_to_converge(scenario: Scenario, outcome: Outcome, log: Columns) -> flo
     error = log.get("level_error_px", log["error_px"])  # of a craft that leans, what the judge goes by
     rows = zip(whole, error, *estimate, strict=True)
     last_view = log["view"] == len(scenario.goal_views) - 1 if len(scenario.goal_views) > 1 else np.ones(len(whole), dtype=bool)
-    over = np.flatnonzero(~(np.array([reached.near(*row) for row in rows]) & last_view & ~log["lost"].astype(bool)))
-    first = int(over[-1]) + 1 if len(over) else 0
-    return float(log["t"][first]) if first < len(log["t"]) else None
+    return np.array([reached.near(*row) for row in rows]) & last_view & ~log["lost"].astype(bool)
 
 
 def _final(log: Columns) -> dict[str, object]:

@@ -50,18 +50,11 @@ class Failsafe(Supervisor):
     _since: float = math.nan
 
     def filter(self, t: float, rest_reason: str, reading: Reading, setpoint: Array) -> Array:
-        """The setpoint (4,) that is flown: the law's, or what is safe."""
+        """The setpoint (4,) that the flight loops get: the law's, or hold, descend, rotors off."""
         assert isinstance(reading, FlightReading) and reading.estimate is not None
-        self._watch(t, rest_reason, reading.range_m, reading.estimate)
-        if not math.isnan(self.off_at):
-            self.mode = OFF
-            return ROTORS_OFF
-        if not self.aborted:
-            self.mode = HOLDS if rest_reason else FOLLOWS
-        else:
-            self.mode = HOLDS if t - self._since < HOLD_S and self.aborted[0] is not Outcome.target_lost else SINKS
-        if reading.estimate.stands and (self.lands or self.aborted):
-            self.off_at, self.mode = t, OFF
+        self._update_abort(t, rest_reason, reading.range_m, reading.estimate)
+        self.mode = self._next_mode(t, rest_reason, reading.estimate)
+        if self.mode == OFF:
             return ROTORS_OFF
         if self.mode == SINKS:
             return descend(SINK_MPS)
@@ -76,21 +69,45 @@ class Failsafe(Supervisor):
         """Whether it has stood with its rotors off for a moment."""
         return t - self.off_at >= DOWN_S
 
-    def _watch(self, t: float, lost: str, height: float, estimate: FlightEstimate) -> None:
-        """Give up where it has to; seen again, a target that was lost is followed again."""
-        self._lost_at = (t if math.isnan(self._lost_at) else self._lost_at) if lost else math.nan
+    def _next_mode(self, t: float, rest_reason: str, estimate: FlightEstimate) -> int:
+        """The mode of this frame; entering OFF notes the time, and nothing leads out of it again."""
+        if math.isnan(self.off_at) and estimate.stands and (self.lands or self.aborted):
+            self.off_at = t
         if not math.isnan(self.off_at):
+            return OFF
+        if not self.aborted:
+            return HOLDS if rest_reason else FOLLOWS
+        # A lost target has already had its `lost_after_s` of holding before the task was given up.
+        holds = t - self._since < HOLD_S and self.aborted[0] is not Outcome.target_lost
+        return HOLDS if holds else SINKS
+
+    def _update_abort(self, t: float, rest_reason: str, height: float, estimate: FlightEstimate) -> None:
+        """Give the task up where there is cause; take up again a task whose target was lost and is seen again."""
+        if not rest_reason:
+            self._lost_at = math.nan
+        elif math.isnan(self._lost_at):
+            self._lost_at = t
+        if not math.isnan(self.off_at) or self._final:
             return
-        if self.aborted and self.aborted[0] is not Outcome.target_lost:
-            return  # overturned, or a rotor at its limit: there is no way back
-        if self.aborted and not lost and height > RESUME_M:
+        if self.aborted and not rest_reason and height > RESUME_M:
             self.aborted = None
+        if cause := self._cause(t, rest_reason, estimate):
+            self._give_up(t, *cause)
+
+    @property
+    def _final(self) -> bool:
+        """Whether the task was given up for good: overturned, or a rotor at its limit."""
+        return self.aborted is not None and self.aborted[0] is not Outcome.target_lost
+
+    def _cause(self, t: float, rest_reason: str, estimate: FlightEstimate) -> Verdict | None:
+        """Why the task must be given up in this frame, the most urgent cause first; None where it need not."""
         if estimate.overturned:
-            self._give_up(t, Outcome.overturned, Outcome.overturned.value)
-        elif estimate.rotor_limit_s > LIMIT_S:
-            self._give_up(t, Outcome.rotor_limit, f"a rotor stood at its limit for {LIMIT_S:g} s")
-        elif lost and not self.aborted and t - self._lost_at >= self.lost_after_s:
-            self._give_up(t, Outcome.target_lost, f"{lost} for {self.lost_after_s:g} s")
+            return Outcome.overturned, Outcome.overturned.value
+        if estimate.rotor_limit_s > LIMIT_S:
+            return Outcome.rotor_limit, f"a rotor stood at its limit for {LIMIT_S:g} s"
+        if rest_reason and not self.aborted and t - self._lost_at >= self.lost_after_s:
+            return Outcome.target_lost, f"{rest_reason} for {self.lost_after_s:g} s"
+        return None
 
     def _give_up(self, t: float, outcome: Outcome, reason: str) -> None:
         self.aborted, self._since = (outcome, f"{reason} at {t:.1f} s"), t

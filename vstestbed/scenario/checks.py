@@ -27,11 +27,8 @@ def check_robot(robot: Robot, target: Target, world: World, derotation: str, lev
     Raises:
         ParameterError: it names the field, and what would work.
     """
-    flies = robot.base == "floating"
-    if not flies and derotation != "none":
-        raise ParameterError("derotation", "is for a craft that leans (robot quadrotor); here it must be none", derotation)
-    if not flies and not world.wind.still:
-        raise ParameterError("world.wind", f"is for a craft that flies (robot quadrotor), and robot {robot.kind} does not feel it")
+    if robot.base != "floating":
+        _check_without_flight(robot, world, derotation)
     if level_trim_s and (derotation == "none" or target.moves):
         words = "corrects the tilt for a derotation by a target that stands still; here it must be 0"
         raise ParameterError("level_trim_s", words, level_trim_s)
@@ -40,6 +37,14 @@ def check_robot(robot: Robot, target: Target, world: World, derotation: str, lev
         raise ParameterError("world.floor_friction", words, world.floor_friction)
     if target.on_gripper and not robot.gripper:
         raise ParameterError("target.motion", f"held is for an arm's hand; robot {robot.kind} has none, use puma560")
+
+
+def _check_without_flight(robot: Robot, world: World, derotation: str) -> None:
+    """Refuse derotation and wind for a robot that does not fly."""
+    if derotation != "none":
+        raise ParameterError("derotation", "is for a craft that tilts (robot quadrotor); here it must be none", derotation)
+    if not world.wind.still:
+        raise ParameterError("world.wind", f"acts only on a craft that flies (robot quadrotor), not on robot {robot.kind}")
 
 
 def check_floor_depth(robot: Robot, law: Law[Any]) -> None:
@@ -80,11 +85,23 @@ def check_markers(robot: Robot, camera: Camera, target: Target, detector: Detect
     Raises:
         ParameterError: it names the field, and what would work.
     """
-    marker, seen = target.marker.kind, detector.markers
+    _check_marker_kind(target.marker.kind, detector)
+    _check_marker_count(robot, camera, target, law)
+    if law.depth.needs_pose and not law.depth.on_floor and _leaves_pose_open(target.points):
+        raise _open_pose(robot, target.points, law, needs_pose)
+
+
+def _check_marker_kind(marker: str, detector: Detector[Any]) -> None:
+    """Refuse a kind of marker that the detector cannot detect; a detector that names none detects all."""
+    seen = detector.markers
     if seen and marker not in seen:
         words = f"may not be {marker}: detector {detector.kind} sees {', '.join(seen)}; with {marker} use"
         able = [kind for kind, member in DETECTORS.members.items() if not member.markers or marker in member.markers]
         raise ParameterError("target.marker", f"{words} detector {' or '.join(able)}")
+
+
+def _check_marker_count(robot: Robot, camera: Camera, target: Target, law: Law[Any]) -> None:
+    """Refuse fewer markers than the law needs for the motions that the robot can make."""
     points, basis = target.points, robot.motion_basis(Mount.of(camera.mount.T), robot.start_joints())
     needed = max(law.markers_needed(basis), 1)
     if len(points) < needed:
@@ -93,8 +110,6 @@ def check_markers(robot: Robot, camera: Camera, target: Target, detector: Detect
         less = _needed_on_floor(robot, law, basis)
         enough = less is not None and len(points) >= less
         raise ParameterError("target", words + (f"; with law.depth floor {less} will do" if enough else ""))
-    if law.depth.needs_pose and not law.depth.on_floor and _leaves_pose_open(points):
-        raise _open_pose(robot, points, law, needs_pose)
 
 
 def _leaves_pose_open(points: Array) -> bool:

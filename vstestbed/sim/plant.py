@@ -12,6 +12,7 @@ from vstestbed.camera import Look, Picture
 from vstestbed.core.geometry import Array, adjoint, inverse
 from vstestbed.robots.reading import Reading
 from vstestbed.sim.base import Renderer, Truth
+from vstestbed.sim.contacts import RobotContacts
 from vstestbed.sim.render.motion_blur import MotionBlur
 from vstestbed.sim.render.noise import NO_DRIFT, Drift
 from vstestbed.sim.scene.lead_vehicle import LeadVehicle
@@ -53,38 +54,32 @@ class MujocoPlant:
         path: Path | None = None,
         drift: Drift = NO_DRIFT,
     ):
-        self._path, self._drift = path, drift
-        self._scenery = bool(stage.parts.world.plates or stage.parts.world.decoys or path)
-        self._stage, self._eye, self._see_hidden = stage, eye, see_hidden
+        robot, world = stage.parts.robot, stage.parts.world
+        self._stage, self._robot, self._target = stage, robot, stage.parts.target
+        self.step_s, self.steps_per_frame, self._steps = stage.parts.step, steps_per_frame, 0
+        self._path, self._scenery = path, bool(world.plates or world.decoys or path)
+        self._eye, self._drift = eye, drift
         self._exposure = MotionBlur(eye) if eye else None
-        robot, model = stage.parts.robot, stage.model
-        self.step_s, self.steps_per_frame = stage.parts.step, steps_per_frame
-        self._target = stage.parts.target
-        self._robot = robot
-        self._ctrl = np.array([model.actuator_ctrladr[model.actuator(f"robot/{name}").id] for name in robot.actuators], dtype=int)
-        bodies = [model.body(i).name.startswith("robot/") for i in range(model.nbody)]
-        self._robot_geoms = np.array(bodies)[model.geom_bodyid]
-        self._floor = model.geom("floor").id
-        feet = np.zeros(model.ngeom, dtype=bool)
-        feet[[model.geom(f"robot/{name}").id for name in robot.feet]] = True
-        self._feet, self._base = feet, robot.base
-        wind = stage.parts.world.wind
-        self._wind_field = WindField(wind, model, rng.spawn(1)[0]) if robot.base == "floating" else None
-        self._windy = not wind.still
+        self._see_hidden, self._visible = see_hidden, np.zeros(len(self._target.points), dtype=bool)
+        self._contacts = RobotContacts(stage.model, robot)
+        # A stream of its own: turbulence, drawn at the control rate, must not shift the noise that the sensors draw.
+        self._wind_field = WindField(world.wind, stage.model, rng.spawn(1)[0]) if robot.base == "floating" else None
         self._sensors = SensorReader(stage, rng)
         self._leader = LeadVehicle(stage) if stage.leader else None
         self._velocity = np.zeros(6)
-        self._visible = np.zeros(len(self._target.points), dtype=bool)
-        self._steps = 0
         self._memory: Any = robot.begin()
         self._hold = robot.hold_setpoint()
         self._setpoint: Array | None = self._hold
         self._heard, self._patience = 0, max(round(SILENCE_S / self.step_s), SILENCE_PICTURES * steps_per_frame)
-        self._control_steps = max(1, round((robot.control_period_s or 0.0) / self.step_s)) if robot.control_period_s else 0
-        q, T = stage.parts.start
-        stage.place(0.0, stage.parts.T_world_target if path is None else path(0.0), q, T)
+        self._control_steps = _whole_steps(robot.control_period_s, self.step_s)
+        self._start()
+
+    def _start(self) -> None:
+        """Put everything where it starts, in equilibrium."""
+        q, T = self._stage.parts.start
+        self._stage.place(0.0, self._stage.parts.T_world_target if self._path is None else self._path(0.0), q, T)
         self._settle()
-        if robot.base == "planar" or self._leader:
+        if self._robot.base == "planar" or self._leader:
             self._stand()
 
     def _settle(self) -> None:
@@ -104,10 +99,10 @@ class MujocoPlant:
         """Let vehicles sink into their springs, then bring them back to where they start, at rest; the clock begins there."""
         stage, data = self._stage, self._stage.data
         T_robot, T_leader = stage.parts.start[1] @ stage.mount_inverse, self._target.T_world_start @ stage.target_inverse
-        if self._base == "floating" and stage.root is not None:  # it would fall on the vehicle that settles
+        if self._robot.base == "floating" and stage.root is not None:  # it would fall on the vehicle that settles
             stage.root.put(data.qpos, AWAY @ T_robot)
         stage.physics.step(round(SETTLE_S / self.step_s))
-        for root, T_start, stands in ((stage.root, T_robot, self._base == "planar"), (stage.leader, T_leader, True)):
+        for root, T_start, stands in ((stage.root, T_robot, self._robot.base == "planar"), (stage.leader, T_leader, True)):
             if root is not None:
                 T = T_start.copy()
                 T[2, 3] = root.pose(data)[2, 3] if stands else T[2, 3]
@@ -148,9 +143,9 @@ class MujocoPlant:
         if stage.parts.target.on_gripper:  # the camera against the target that the hand holds
             twist = -adjoint(inverse(T) @ T_target) @ self._twist(stage.held_site)
         hidden = stage.hidden(T, p_camera) if self._see_hidden else self._visible
-        q, qd, ctrl = *self._sensors.joints(), stage.data.ctrl[self._ctrl]
-        contact, feet = self._contacts()
-        act = stage.data.act[stage.activations]
+        q, qd, ctrl = *self._sensors.joints(), stage.data.ctrl[stage.at.ctrl]
+        contact, feet = self._contacts.touching(stage.data)
+        act = stage.data.act[stage.at.act]
         return Truth(T, T_target, twist, q, qd, ctrl, p_camera, hidden, contact, feet, act, stage.model.opt.wind.copy())
 
     def expose(self, weight: float, look: Look | None = None) -> None:
@@ -168,17 +163,6 @@ class MujocoPlant:
         mujoco.mj_objectVelocity(self._stage.model, self._stage.data, mujoco.mjtObj.mjOBJ_SITE, site, self._velocity, 1)
         return np.concatenate([self._velocity[3:], self._velocity[:3]])
 
-    def _contacts(self) -> tuple[bool, bool]:
-        """Whether the robot touches something with anything but its feet, and whether a foot touches something."""
-        data = self._stage.data
-        if not data.ncon:
-            return False, False
-        pairs = data.contact.geom
-        feet = bool(self._feet[pairs].any())
-        if self._base == "planar":  # wheels and casters are on the floor, that is what they are for
-            pairs = pairs[(pairs != self._floor).all(axis=1)]
-        return bool((self._robot_geoms & ~self._feet)[pairs].any()), feet
-
     def reading(self) -> Reading:
         """What the robot's own sensors, and its onboard controller, tell now: the same until time passes."""
         return self._robot.reported(self._memory, self._sensors.read(self._steps))
@@ -187,7 +171,7 @@ class MujocoPlant:
         """A setpoint from now on; without an onboard controller it is the actuators' controls (n,)."""
         self._setpoint, self._heard = setpoint, self._steps
         if not self._control_steps:
-            self._stage.data.ctrl[self._ctrl] = setpoint
+            self._stage.data.ctrl[self._stage.at.ctrl] = setpoint
 
     def advance(self, steps: int) -> bool:
         """Let physics steps pass; False when MuJoCo reports an instability."""
@@ -221,15 +205,20 @@ class MujocoPlant:
 
     def _control(self, dt: float) -> None:
         data = self._stage.data
-        if self._wind_field is not None and self._windy:
+        if self._wind_field is not None and not self._stage.parts.world.wind.still:
             self._wind_field.blow(self._steps * self.step_s, dt)
         setpoint = self._setpoint
         if setpoint is not None:
             if self._hold is not None and self._steps - self._heard > self._patience:
                 setpoint = self._hold
             reading = self._sensors.read(self._steps)
-            self._memory, data.ctrl[self._ctrl] = self._robot.actuate(self._memory, setpoint, reading, dt)
+            self._memory, data.ctrl[self._stage.at.ctrl] = self._robot.actuate(self._memory, setpoint, reading, dt)
 
     def close(self) -> None:
         """Free pictures and physics."""
         self._stage.close()
+
+
+def _whole_steps(period_s: float | None, step_s: float) -> int:
+    """A controller's period as whole physics steps, one at least; 0 for a robot without an onboard controller."""
+    return max(1, round(period_s / step_s)) if period_s else 0

@@ -29,7 +29,7 @@ class SensorReader:
     def joints(self) -> tuple[Array, Array]:
         """True joint positions and speeds (n,) each."""
         data = self._stage.data
-        return data.qpos[self._stage.qpos], data.qvel[self._stage.qvel]
+        return data.qpos[self._stage.at.qpos], data.qvel[self._stage.at.qvel]
 
     def restart(self) -> None:
         """Forget the last reading."""

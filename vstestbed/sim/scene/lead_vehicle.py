@@ -10,6 +10,7 @@ import numpy as np
 from vstestbed.core.planar import place_of, relative
 from vstestbed.robots import Mount
 from vstestbed.robots.reading import Reading
+from vstestbed.sim.scene.indices import StateIndices
 from vstestbed.sim.scene.stage import Stage
 
 PERIOD_S = 0.01
@@ -36,14 +37,10 @@ class LeadVehicle:
         self._stage, self._motion, self._root = stage, motion, stage.leader
         self._robot = stage.parts.leader
         self._mount = Mount.of(np.eye(4))
-        model = stage.model
-        self._ctrl = np.array([model.actuator_ctrladr[model.actuator(f"leader/{name}").id] for name in self._robot.actuators], dtype=int)
+        self._at = StateIndices.of(stage.model, self._robot, "leader/")
         self._memory: Any = self._robot.begin()
         self._s = motion.from_m
         self.steps = max(1, round(PERIOD_S / stage.parts.step))
-        joints = [model.joint(f"leader/{name}") for name in self._robot.joints]
-        self._qpos = np.array([j.qposadr[0] for j in joints], dtype=int)
-        self._qvel = np.array([j.dofadr[0] for j in joints], dtype=int)
 
     def drive(self, dt: float) -> None:
         """Steer for the next dt seconds."""
@@ -56,6 +53,6 @@ class LeadVehicle:
         w = v * (curvature / max(1 - curvature * offset, 0.1) - CROSS_GAIN * offset - HEADING_GAIN * math.sin(turn))
         twist = np.array([v, 0.0, 0.0, 0.0, 0.0, w])
         data = self._stage.data
-        reading = Reading(data.qpos[self._qpos], data.qvel[self._qvel])
+        reading = Reading(data.qpos[self._at.qpos], data.qvel[self._at.qvel])
         setpoint = self._robot.allocate(twist, reading, self._mount, dt).setpoint
-        self._memory, data.ctrl[self._ctrl] = self._robot.actuate(self._memory, setpoint, reading, dt)
+        self._memory, data.ctrl[self._at.ctrl] = self._robot.actuate(self._memory, setpoint, reading, dt)
