@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vstestbed.core.geometry import Array, rotation_angle, rotation_from_quaternion
 from vstestbed.core.outcome import Outcome
@@ -93,7 +94,7 @@ def _time_to_converge(scenario: Scenario, outcome: Outcome, log: Columns) -> flo
     return float(log["t"][first]) if first < len(log["t"]) else None
 
 
-def _converged_frames(scenario: Scenario, log: Columns) -> Array:
+def _converged_frames(scenario: Scenario, log: Columns) -> NDArray[np.bool_]:
     """Frames in which the conditions of `stop.converged` hold at the last goal view, shape (frames,) bool."""
     counted = scenario.goal_view.counted
     markers = range(len(scenario.target.points)) if counted is None else np.flatnonzero(counted)

@@ -1,8 +1,11 @@
-"""The quadrotor's failsafe: what is flown when the law cannot go on, by the craft's own instruments.
+"""The quadrotor's failsafe: a state machine that overrides the law's setpoint, from onboard estimates alone.
 
-Without a target in sight the law rests and the craft holds (or coasts for a moment after a target that moved); after a while
-it sinks until it stands, and rotors go off. A craft that overturned levels by itself (its flight loops take no setpoint then); a
-rotor that stays at its limit means that setpoints cannot be kept: both give the task up, hold and sink. Nothing falls silently.
+    follow --target lost--> hold (the law rests, or coasts after a moving target) --lost_after_s--> sink --feet down--> off
+    follow --overturned, or a rotor at its limit--> hold --HOLD_S--> sink --feet down--> off
+
+A lost target that is seen again brings it back to `follow`, unless the craft is already near the ground. An overturned craft is
+levelled by its flight loops, which ignore setpoints meanwhile; a rotor that stays at its limit means that setpoints cannot be
+tracked. Both end the task, since neither is cured by seeing the target.
 """
 
 from __future__ import annotations
@@ -18,26 +21,26 @@ from vstestbed.robots.reading import Reading
 from vstestbed.robots.supervisor import Supervisor
 
 HOLD_S = 2.0
-"""How long a craft that has given up holds before it sinks [s]."""
+"""How long the craft holds after an abort before it sinks [s]."""
 SINK_MPS = 0.4
-"""How fast it sinks [m/s]."""
+"""Descent rate [m/s], under the .5 m/s at which a touch-down counts as a landing (`GoalLanding.touch_mps`)."""
 RESUME_M = 0.5
-"""Lower than this over the ground it sets down even when it sees its target again [m]."""
+"""Below this height the descent goes on even when the target is seen again [m]."""
 LIMIT_S = 1.0
-"""How long a rotor may stand at its limit [s]."""
+"""A rotor at its limit for longer aborts the task [s]; a step of the setpoint may saturate one for a moment."""
 DOWN_S = 0.5
-"""How long it must stand with rotors off to be down [s]."""
+"""How long the rotors must be off before the craft counts as down [s]; they spin down with a time constant of .117 s."""
 FOLLOWS, HOLDS, SINKS, OFF = range(4)
-"""What the failsafe does, as column `supervisor` of the log has it."""
+"""Modes, as numbered in the log's column `supervisor`."""
 
 
 @dataclass
 class Failsafe(Supervisor):
-    """Watches one flight.
+    """The failsafe of one flight.
 
     Attributes:
-        lands: the task ends on the ground. lost_after_s: how long it holds without sight before it sinks [s].
-        aborted: why the task was given up. off_at: when the rotors went off [s]. mode: what it does.
+        lands: the task ends on the ground. lost_after_s: how long to hold without sight of the target before sinking [s].
+        aborted: why the task was aborted; None while it goes on. off_at: when the rotors went off [s]. mode: see FOLLOWS, ...
     """
 
     sets_down: ClassVar[bool] = True
@@ -62,11 +65,12 @@ class Failsafe(Supervisor):
 
     @property
     def may_touch(self) -> bool:
-        """Whether the feet may be on something: in a landing, or once it sinks to set down."""
+        """Whether ground contact of the feet is allowed: in a landing, or once it sinks."""
         return self.lands or self.mode in (SINKS, OFF)
 
     def down(self, t: float) -> bool:
-        """Whether it has stood with its rotors off for a moment."""
+        """Whether the rotors have been off for DOWN_S."""
+        # NaN while they are on: the comparison is False then.
         return t - self.off_at >= DOWN_S
 
     def _next_mode(self, t: float, rest_reason: str, estimate: FlightEstimate) -> int:
