@@ -120,7 +120,10 @@ class Level(NamedTuple):
         return self.xx * a + self.zx * c, self.xy * a + self.yy * b + self.zy * c, self.xz * a + self.yz * b + self.zz * c
 
     def heading_rate(self, rates: Vector) -> float:
-        """Rate of the heading [rad/s], (w_y sin roll + w_z cos roll) / cos pitch, of body rates w (3,) [rad/s]; bounded near pitch 90 degrees."""
+        """Rate of the heading [rad/s], (w_y sin roll + w_z cos roll) / cos pitch, of body rates w (3,) [rad/s].
+
+        Bounded near a pitch of 90 degrees.
+        """
         return (self.yy * rates[2] - self.yz * rates[1]) / max(self.xx, 0.1)
 
 

@@ -1,4 +1,4 @@
-"""The physical plant: a robot with masses, gears and friction in MuJoCo, its camera rendered."""
+"""The physical plant: a robot with inertia, gears and friction in MuJoCo, and its rendered camera."""
 
 from __future__ import annotations
 
@@ -23,24 +23,23 @@ from vstestbed.targets.motion import Path
 
 AWAY = np.eye(4)
 AWAY[2, 3] = 1000.0
-"""Where a craft is while a vehicle settles: high up [m]."""
+"""Displacement of a craft while a vehicle settles: 1 km up [m]."""
 SILENCE_S, SILENCE_PICTURES = 0.5, 3
-"""An order to a craft that flies lasts so long [s], or so many of the camera's periods where they are longer: then it holds."""
+"""Command timeout of a flying craft, after which it holds: SILENCE_S [s], or SILENCE_PICTURES camera periods if these are longer."""
 SETTLE_S = 1.0
-"""A vehicle stands this long on its springs before the start [s]."""
+"""How long vehicles settle on their springs before the start [s]; a car's body comes to rest in half of it."""
 
 
 class MujocoPlant:
     """Steps a dm_control physics; setpoints go to the actuators, through the robot's onboard controller where it has one.
 
-    dm_control's step ends with `mj_step1`, so that poses, the camera and velocities are those of the present time, not
-    one step old. The robot starts at rest and in equilibrium: integrating servos carry the gravity load from the start,
-    as they do when brakes are released; vehicles have sunk into their springs.
+    The robot starts at rest and in equilibrium: integrating servos carry the gravity load from the start, as they do when brakes are
+    released; vehicles have settled on their springs.
 
     Args:
         stage: the scene. steps_per_frame: physics steps between pictures.
-        eye: makes the pictures; None where no detector needs them. see_hidden: cast rays for the truth's `hidden`.
-        rng: noise of the robot's own sensors. path: where a target that moves by itself is at a time, None for any other.
+        eye: renderer of the pictures; None where no detector needs them. see_hidden: compute the truth's `hidden` by casting rays.
+        rng: generator of the robot's sensor noise. path: the pose of a target that moves by itself as a function of time, else None.
         drift: of the camera's gains.
     """
 
@@ -75,7 +74,7 @@ class MujocoPlant:
         self._start()
 
     def _start(self) -> None:
-        """Put everything where it starts, in equilibrium."""
+        """Place everything at its start, in equilibrium."""
         q, T = self._stage.parts.start
         self._stage.place(0.0, self._stage.parts.T_world_target if self._path is None else self._path(0.0), q, T)
         self._settle()
@@ -83,7 +82,8 @@ class MujocoPlant:
             self._stand()
 
     def _settle(self) -> None:
-        """Integrating servos start at q + (gravity torque) / kp, rotors at the speed that carries the craft."""
+        """Equilibrium of the actuators: integrating servos start at q + (gravity torque) / kp, rotors at hover."""
+        # At q itself an industrial arm would sag until its servos carry it: joint 2 by 2 mrad.
         model, data = self._stage.model, self._stage.data
         self._stage.rest()
         mujoco.mj_forward(model, data)
@@ -96,14 +96,17 @@ class MujocoPlant:
         mujoco.mj_forward(model, data)
 
     def _stand(self) -> None:
-        """Let vehicles sink into their springs, then bring them back to where they start, at rest; the clock begins there."""
+        """Let vehicles settle on their springs, then move them back to their start, at rest, at time 0."""
         stage, data = self._stage, self._stage.data
         T_robot, T_leader = stage.parts.start[1] @ stage.mount_inverse, self._target.T_world_start @ stage.target_inverse
-        if self._robot.base == "floating" and stage.root is not None:  # it would fall on the vehicle that settles
+        if (
+            self._robot.base == "floating" and stage.root is not None
+        ):  # out of the way: it is not controlled yet, and would fall on the vehicle
             stage.root.put(data.qpos, AWAY @ T_robot)
         stage.physics.step(round(SETTLE_S / self.step_s))
         for root, T_start, stands in ((stage.root, T_robot, self._robot.base == "planar"), (stage.leader, T_leader, True)):
             if root is not None:
+                # What settled is the height; x, y and heading are the scenario's, whatever the settling did to them.
                 T = T_start.copy()
                 T[2, 3] = root.pose(data)[2, 3] if stands else T[2, 3]
                 root.put(data.qpos, T)
@@ -119,13 +122,13 @@ class MujocoPlant:
         return self._eye.spent_s if self._eye else 0.0
 
     def capture(self, look: Look | None = None) -> tuple[Picture | None, Truth]:
-        """The picture, where one is wanted, and the truth, now."""
+        """The picture, where a detector needs one, and the truth, now."""
         truth = self.truth()
         frame = self._drift.of(Picture(self._steps * self.step_s, self._eye.images(look), self._eye.whole)) if self._eye else None
         return frame, truth
 
     def _move_scenery(self) -> None:
-        """Put what moves by itself where it is now."""
+        """Move plates, decoys and a target with a path of its own to their present poses."""
         stage, t = self._stage, self._steps * self.step_s
         if self._scenery:
             stage.place_plates(t)
@@ -135,12 +138,14 @@ class MujocoPlant:
 
     def truth(self) -> Truth:
         """The truth, now."""
+        # dm_control's step ends with `mj_step1`: poses and velocities are those of the present time. After MuJoCo's own `mj_step` they
+        # would be one step old, .5 mm for a fast arm.
         stage = self._stage
         self._move_scenery()
         T, T_target = stage.camera_pose(), stage.target_pose()
         p_camera = self._target.seen_from(inverse(T_target) @ T)
         twist = self._twist(stage.eye)
-        if stage.parts.target.on_gripper:  # the camera against the target that the hand holds
+        if stage.parts.target.on_gripper:  # relative to the target in the gripper; the camera itself is at rest
             twist = -adjoint(inverse(T) @ T_target) @ self._twist(stage.held_site)
         hidden = stage.hidden(T, p_camera) if self._see_hidden else self._visible
         q, qd, ctrl = *self._sensors.joints(), stage.data.ctrl[stage.at.ctrl]
@@ -149,32 +154,32 @@ class MujocoPlant:
         return Truth(T, T_target, twist, q, qd, ctrl, p_camera, hidden, contact, feet, act, stage.model.opt.wind.copy())
 
     def expose(self, weight: float, look: Look | None = None) -> None:
-        """Let in the light of now, where a detector asks for pictures."""
+        """Add an image of the exposure, where a detector needs pictures."""
         self._move_scenery()
         if self._exposure is not None:
             self._exposure.add(weight, look)
 
     def developed(self, t: float) -> Picture | None:
-        """The picture of what was let in since the last one."""
+        """The picture of all images added since the last one."""
         return self._drift.of(self._exposure.developed(t)) if self._exposure else None
 
     def _twist(self, site: int) -> Array:
-        """True twist (6,) of a site in its own frame."""
+        """True twist (v, w) (6,) of a site in its own frame; MuJoCo has the angular part first."""
         mujoco.mj_objectVelocity(self._stage.model, self._stage.data, mujoco.mjtObj.mjOBJ_SITE, site, self._velocity, 1)
         return np.concatenate([self._velocity[3:], self._velocity[:3]])
 
     def reading(self) -> Reading:
-        """What the robot's own sensors, and its onboard controller, tell now: the same until time passes."""
+        """The reading of the robot's sensors with the onboard estimates; the same until time passes."""
         return self._robot.reported(self._memory, self._sensors.read(self._steps))
 
     def apply(self, setpoint: Array) -> None:
-        """A setpoint from now on; without an onboard controller it is the actuators' controls (n,)."""
+        """Set the setpoint; without an onboard controller these are the actuators' controls (n,)."""
         self._setpoint, self._heard = setpoint, self._steps
         if not self._control_steps:
             self._stage.data.ctrl[self._stage.at.ctrl] = setpoint
 
     def advance(self, steps: int) -> bool:
-        """Let physics steps pass; False when MuJoCo reports an instability."""
+        """Advance by physics steps; False when MuJoCo reports an instability."""
         try:
             if self._control_steps or self._leader:
                 self._advance_onboard(steps)
@@ -186,7 +191,7 @@ class MujocoPlant:
         return True
 
     def _advance_onboard(self, steps: int) -> None:
-        """Onboard controllers act every `_control_steps` steps of the physics clock, however the steps are asked for."""
+        """Advance with onboard controllers, which act at fixed multiples of the physics step, however the call divides the time."""
         mine, theirs = self._control_steps, self._leader.steps if self._leader else 0
         end = self._steps + steps
         while self._steps < end:
@@ -204,11 +209,13 @@ class MujocoPlant:
             self._leader.drive(dt)
 
     def _control(self, dt: float) -> None:
+        """One period of the robot's onboard controller, and of the wind that acts on it."""
         data = self._stage.data
         if self._wind_field is not None and not self._stage.parts.world.wind.still:
             self._wind_field.blow(self._steps * self.step_s, dt)
         setpoint = self._setpoint
         if setpoint is not None:
+            # Pictures may be dropped or late: a craft must not fly on with the last velocity for ever.
             if self._hold is not None and self._steps - self._heard > self._patience:
                 setpoint = self._hold
             reading = self._sensors.read(self._steps)

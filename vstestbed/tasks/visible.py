@@ -1,4 +1,4 @@
-"""Can the camera see what a goal view asks for, and does the robot stand as its camera must?"""
+"""Checks of goal views: markers within the picture, a flying robot level."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from vstestbed.targets import Target
 from vstestbed.vision import Detector
 
 PLANE_INPUTS = {"xy", "depth", "relative"}
-"""Fields of an observation that exist only for what is in front of the camera."""
+"""Fields of an observation that exist only for points in front of the camera."""
 LEVEL_DEG = 1.0
-"""The craft of a goal view may lean by so much [deg]."""
+"""Largest tilt of the craft at a goal view [deg]."""
 
 
 def check_visible(
@@ -75,7 +75,7 @@ def _not_visible(field: str, bad: NDArray[np.intp], where: str, remedy: str) -> 
 
 
 def check_level(robot: Robot, camera: Camera, target: Target, T_camera_target: Array, field: str) -> None:
-    """Refuse a goal view in which a craft would lean: it hovers level, and what it sees there is compared with a level craft's.
+    """Refuse a goal view from a tilted craft: a craft hovers level, and would never see that view at rest.
 
     Raises:
         ParameterError: it names the field, and what would work.
@@ -85,5 +85,5 @@ def check_level(robot: Robot, camera: Camera, target: Target, T_camera_target: A
     up = (target.T_world_start @ inverse(T_camera_target) @ inverse(camera.mount.T))[2, 2]
     lean = math.degrees(math.acos(max(-1.0, min(1.0, float(up)))))
     if lean > LEVEL_DEG:
-        words = f"is the view from a craft that leans by {lean:.3g} deg, and it hovers level; turn the view, or camera.mount, by as much"
+        words = f"is the view from a craft tilted by {lean:.3g} deg, and it hovers level; turn the view, or camera.mount, by as much"
         raise ParameterError(field, words)

@@ -1,4 +1,4 @@
-"""The vehicle ahead: it carries the target along a route. Its driver knows where it is; he is no part of the experiment."""
+"""The lead vehicle, which carries the target along a route, with path following by its true place."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from vstestbed.sim.scene.indices import StateIndices
 from vstestbed.sim.scene.stage import Stage
 
 PERIOD_S = 0.01
-"""How often the driver steers [s]."""
+"""Period of the path following [s], that of a car's onboard servos."""
 CROSS_GAIN, HEADING_GAIN = 1.5, 2.5
-"""What he does about an offset [1/m^2] and about a wrong heading [1/m]: the offset dies out within about 1.6 m, without overshoot."""
+"""Gains of lateral offset [1/m^2] and heading error [1/m], overdamped: poles -1 and -1.5 [1/m]. The offset decays within some 1.6 m."""
 
 
 class LeadVehicle:
@@ -43,13 +43,14 @@ class LeadVehicle:
         self.steps = max(1, round(PERIOD_S / stage.parts.step))
 
     def drive(self, dt: float) -> None:
-        """Steer for the next dt seconds."""
+        """One period dt [s] of the path following."""
         place = place_of(self._root.pose(self._stage.data))
         route = self._motion.route
         self._s, _ = route.nearest(place[:2], around=self._s, reach=0.5)
         x, y, heading, curvature = route.at(self._s)
         _, offset, turn = relative(np.array([x, y, heading]), place)
         v = self._motion.speed_mps
+        # curvature / (1 - curvature offset) is that of the parallel on which it drives; bounded near the centre of the bend.
         w = v * (curvature / max(1 - curvature * offset, 0.1) - CROSS_GAIN * offset - HEADING_GAIN * math.sin(turn))
         twist = np.array([v, 0.0, 0.0, 0.0, 0.0, w])
         data = self._stage.data

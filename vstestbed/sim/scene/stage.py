@@ -50,7 +50,7 @@ class Stage:
         self.held_site = self.model.site("target/frame").id if parts.target.on_gripper else -1
 
     def place(self, t: float, T_world_target: Array, q: Array, T_world_camera: Array | None = None) -> None:
-        """Put the scene into a state: joints q (n,); T_world_camera for what is free to go anywhere. Kinematics are brought up to date."""
+        """Put the scene into a state and update its kinematics: joints q (n,); T_world_camera (4, 4) for a movable base."""
         self.data.time = t
         self.place_target(T_world_target)
         self.place_plates(t)
@@ -65,7 +65,7 @@ class Stage:
         mujoco.mj_camlight(self.model, self.data)
 
     def rest(self) -> None:
-        """Controls and activations of a craft that hovers at its start; nothing for other robots."""
+        """Set the controls and activations of a craft that hovers at its start; nothing for other robots."""
         if self._rest is not None:
             self.data.ctrl[self.at.ctrl] = self.data.act[self.at.act] = self._rest
 
@@ -80,7 +80,7 @@ class Stage:
         return self._T_target_leader
 
     def place_target(self, T: Array) -> None:
-        """Put the target at a pose (4, 4), with the vehicle that carries it; what the hand holds is where the joints put it."""
+        """Put the target at a pose (4, 4), with the vehicle that carries it; nothing for one in the gripper, which the joints place."""
         if self.parts.target.on_gripper:
             return
         if self.leader is not None:
@@ -91,7 +91,7 @@ class Stage:
         self.data.mocap_quat[mocap] = quaternion_wxyz(T[:3, :3])
 
     def place_plates(self, t: float) -> None:
-        """Put the plates and decoys where they are at a time [s]."""
+        """Put plates and decoys at their poses at a time [s]."""
         for path, mocap in zip(self._plate_paths, self._plates, strict=True):
             T = path(t)
             self.data.mocap_pos[mocap] = T[:3, 3]
@@ -112,14 +112,12 @@ class Stage:
         return T
 
     def hidden(self, T_world_camera: Array, p_camera: Array) -> NDArray[np.bool_]:
-        """Which marker centres (N, 3) stand behind something: a ray from the lens meets another thing well before them.
-
-        A point that does not exist (NaN) does not. What encloses the lens is left out of the cast (as in the picture).
-        """
+        """Which marker centres (N, 3) are occluded: a ray from the lens hits something before them. Not those that do not exist (NaN)."""
         marker = self.parts.target.marker
+        # The ray hits the marker itself before its centre, by its height; 2 mm of slack for a flat one.
         slack = marker.height_m + 0.002
         groups = np.ones(6, dtype=np.uint8)
-        groups[LENS_GROUP] = 0
+        groups[LENS_GROUP] = 0  # the lens lies inside these; they are not in the picture either
         p_world = p_camera @ T_world_camera[:3, :3].T
         reach = np.linalg.norm(p_world, axis=1)
         geom = np.zeros(1, dtype=np.int32)
