@@ -59,6 +59,7 @@ class FrameController:
 
     def __init__(self, scenario: Scenario, plant: Plant, spent: dict[str, float]):
         self.scenario, self.plant, self.spent = scenario, plant, spent
+        # The calibrated mount: what the robot does with a command follows from what it believes, errors included.
         self.mount = Mount.of(scenario.believed_camera.mount.T)
         self.last_twist = np.zeros(6)
         # an oracle looks with the true lens; a real detector knows only the calibrated one
@@ -96,7 +97,7 @@ class FrameController:
         frame = self._frame(shot, now, seen, goal, command, allocation)
         self.before = shot
         self.reference_memory, next_goal = s.goal.passed(self.reference_memory, frame.error)
-        if next_goal is not None:
+        if next_goal is not None:  # a law's memory belongs to one goal
             self.law_memory = self.law.init(next_goal)
         return frame
 

@@ -89,6 +89,7 @@ def _time_to_converge(scenario: Scenario, outcome: Outcome, log: Columns) -> flo
     """Start of the last unbroken stretch in which the goal's conditions held, of a run that converged [s]."""
     if outcome is not Outcome.converged or not len(log["t"]):
         return None
+    # From the end backwards: an error that dips under its threshold on the way there has not converged.
     over = np.flatnonzero(~_converged_frames(scenario, log))
     first = int(over[-1]) + 1 if len(over) else 0
     return float(log["t"][first]) if first < len(log["t"]) else None
@@ -123,6 +124,7 @@ def _path(scenario: Scenario, log: Columns) -> dict[str, object]:
         return {"path_length_m": None, "path_ratio": None, "max_retreat_m": None, "max_rotation_deg": None}
     camera, target = _columns(log, "cam", ("x", "y", "z")), _columns(log, "tgt", ("x", "y", "z"))
     length = float(np.linalg.norm(np.diff(camera, axis=0), axis=1).sum())
+    # Under 1 mm the ratio says nothing: a run that starts at its goal has no straight way to compare with.
     straight = scenario.goal.distance_to_go_m(log, scenario.goal_poses)
     distance = np.linalg.norm(camera - target, axis=1)
     at_goal = float(np.linalg.norm(scenario.goal_poses[-1][:3, 3]))

@@ -98,6 +98,7 @@ class LimitReached:
 
     def update(self, frame: Frame) -> Verdict | None:
         """The limit's outcome, after BLOCKED_S."""
+        # "speed" is no such limit: a command that is merely too fast is carried out more slowly.
         limit = frame.allocation.limit
         blocked = limit in ("joint_limit", "singular") and frame.allocation.scale < BLOCKED_SCALE
         if self._timer.lasting(blocked, frame.t) < BLOCKED_S:

@@ -50,7 +50,7 @@ class Log:
 
     def table(self) -> Array:
         """All rows, shape (rows, columns)."""
-        self._turn()
+        self._turn()  # what waits for a full chunk
         return np.concatenate(self._rows) if self._rows else np.zeros((0, len(self._layout.columns)))
 
 

@@ -101,6 +101,7 @@ def run(scenario: Scenario, watch: Iterable[Watcher] = ()) -> Recording:
     except KeyboardInterrupt:
         outcome, reason = Outcome.interrupted, Outcome.interrupted.value
     finally:
+        # Also when a watcher raises: the plant holds an OpenGL context, which the next run needs.
         spent["render"] = plant.render_s
         loop_s = time.perf_counter() - ready
         plant.close()

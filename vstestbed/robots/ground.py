@@ -111,6 +111,7 @@ class VehicleLog(RobotLog):
         x, y, heading = state.odometry
         c, s = self._turn
         dead_reckoning = np.array([c * x - s * y, s * x + c * y, heading]) + self._start
+        # Of the first frame there is no step.
         slip = (0.0, 0.0) if self._before is None else _slip(self._before, state)
         self._before = state
         return np.concatenate([place_of(state.T_world_base), state.place, dead_reckoning, slip])

@@ -53,7 +53,7 @@ def wheel_matrix(radius: float = RADIUS, rollers: float = ROLLERS) -> Array:
         radius: of the wheels [m].
         rollers: n, how many rollers a wheel has; infinity for the textbooks' equations.
     """
-    kappa = np.sinc(1 / rollers)
+    kappa = np.sinc(1 / rollers)  # numpy's sinc(x) is sin(pi x) / (pi x)
     x, y = PLACES.T
     return np.stack([np.ones(4), SIDES / kappa, SIDES * x / kappa - y], axis=1) / radius
 

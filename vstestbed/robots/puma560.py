@@ -189,6 +189,7 @@ class Puma560(RobotBase):
     def __post_init__(self) -> None:
         """Refuse a start outside the joint limits."""
         limits = np.degrees(JOINT_LIMITS)
+        # Beyond a limit MuJoCo's constraint would push the joint back before the first command.
         for i, (q, (low, high)) in enumerate(zip(self.start.nominal.q_deg, limits, strict=True)):
             if not low <= q <= high:
                 raise ParameterError(f"start.nominal.q_deg.{i}", f"must be within joint {i + 1}'s limits {low:g} to {high:g} deg", q)

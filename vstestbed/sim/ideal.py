@@ -75,6 +75,7 @@ class IdealPlant:
         p_camera = self._target.seen_from(self._T_target_world @ T)
         hidden = self._hidden
         if self._stage is not None:
+            # Before the cast of rays, and before the picture that `capture` takes next.
             self._stage.place(self._t, self._T_world_target, NONE, T)
             hidden = self._stage.hidden(T, p_camera)
         return Truth(

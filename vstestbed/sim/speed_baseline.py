@@ -27,7 +27,7 @@ class BaselineCost:
 
 
 def measure_baseline(parts: Parts, steps_per_frame: int, ctrl: Array, q: Array, T_world_camera: Array, pictures: bool) -> BaselineCost:
-    """Replay a recorded run's controls with bare `mj_step`, and its views with bare renders.
+    """Replay a recorded run's controls with plain `mj_step`, and its views with plain renders.
 
     Ray casting renders whole images here, so that a run, which renders windows, may cost less.
 

@@ -131,6 +131,7 @@ class Target:
 
     def path(self, rng: np.random.Generator) -> Path:
         """Its pose in the world (4, 4) as a function of time, for a target that moves by itself or stands still."""
+        # Displacements are in the target's own axes at rest: a motion turns with `pose`.
         rest, displacement = self.pose.T, self.motion.path(rng)
         return lambda t: rest @ displacement(t)
 

@@ -115,6 +115,7 @@ class GroundLines(Target):
         way = self.route.samples
         return way.xy + offset * np.stack([-np.sin(way.heading), np.cos(way.heading)], axis=-1)
 
+    # Cached: `seen_from` runs for every frame, and a route has hundreds of samples.
     @cached_property
     def _lines(self) -> tuple[Array, ...]:
         return tuple(self.line(i) for i in range(len(self.offsets_m)))
@@ -153,6 +154,7 @@ def _crossings(line: Array, foot: Array, aheads: tuple[float, ...]) -> Array:
     x, y = c * d[:, 0] + s * d[:, 1], c * d[:, 1] - s * d[:, 0]
     out = np.full((len(aheads), 2), np.nan)
     for point, ahead in zip(out, aheads, strict=True):
+        # A crossing is where neighbouring samples lie on different sides; between them the line is straight.
         before = x < ahead
         at = np.flatnonzero(before[:-1] != before[1:])
         if len(at):

@@ -187,6 +187,7 @@ class Tag(Flat):
 
     @property
     def _family(self) -> tuple[int, int]:
+        # `apriltag_36h11`: bits and distance name the set. `aruco_4x4_50`: bits along a side, and the number of tags.
         kind, bits, *count = self.family.split("_")
         return APRILTAGS[bits] if kind == "apriltag" else (int(bits[0]), int(count[0]))
 
@@ -213,6 +214,7 @@ class Tag(Flat):
     @property
     def radius(self) -> float:
         """Half the diagonal of the tag with its quiet zone [m]: the room that the tag needs, however it is rotated."""
+        # The quiet zone belongs to it: a neighbour that covers it would hide the black square's edge.
         return self.tile / math.sqrt(2)
 
     @property

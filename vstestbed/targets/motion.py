@@ -71,7 +71,7 @@ class Still(MotionBase):
 
     def path(self, rng: np.random.Generator) -> Path:
         """No displacement."""
-        D = np.eye(4)
+        D = np.eye(4)  # one array for all times: nobody writes to a displacement
         return lambda t: D
 
 

@@ -72,6 +72,7 @@ class Route(ABC):
         A closed route is periodic; an open one continues straight beyond both ends.
         """
         table, s = self.samples, np.asarray(s, dtype=float)
+        # Not np.mod: the number of laps is needed for the heading, too.
         rounds = np.floor(s / self.length) if self.closed else np.zeros_like(s)
         along = s - rounds * self.length
         inside = np.clip(along, 0.0, self.length)
@@ -117,6 +118,7 @@ class Route(ABC):
         way = self.samples
         distance = np.hypot(way.xy[:, 0] - place[0], way.xy[:, 1] - place[1])
         with_it = np.cos(way.heading - place[2])
+        # Both senses (|cos|): a painted line has no direction. Far off, square to it, no branch qualifies, and the nearest counts.
         near = np.where(np.abs(with_it) > np.sqrt(0.5), distance, np.inf)
         i = int(np.argmin(near if np.isfinite(near).any() else distance))
         return float(way.s[i]), float(with_it[i])

@@ -31,6 +31,7 @@ Log = Mapping[str, Array]
 """The columns of a log by name, shape (frames,) each."""
 
 
+# eq=False: compared by identity, since the comparison of its arrays has no single truth value.
 @dataclass(frozen=True, eq=False)
 class Setup:
     """The parts of an experiment that a task uses.

@@ -95,7 +95,7 @@ class ToleranceMonitor(TaskMonitor):
         # `not <=`: an error of NaN is a violation, too.
         if settled and self._left_at is None and not abs(self._error_m) <= self.task.tolerance_m:
             self._left_at = t, self._error_m
-        over = t >= duration - 1e-9
+        over = t >= duration - 1e-9  # times are sums of steps, and may miss the end by a rounding
         if self._speeds and self._odometer:
             travelled = self._odometer.update(frame.T_world_base(self.mount_inverse), frame.truth.T_world_target)
             self._speeds.update(t, travelled, over)

@@ -75,6 +75,7 @@ class GoalGap(Continuing):
         p: Array = target.points @ target.pose.T[:3, :3].T  # from the target's origin, in the axes of what carries it
         if np.ptp(p[:, :2], axis=0).max() > ONE_PLACE_M:
             return
+        # One place gives one direction and, by the known height, one distance: enough for a point, not for the carrier's heading.
         if np.abs(p[0, :2]).max() > ONE_PLACE_M:
             words = (
                 "has its points at one place of the floor plan, which does not tell its heading, so that its origin, to which the gap is"
@@ -91,6 +92,7 @@ class GoalGap(Continuing):
 
     def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]:
         """The target straight ahead at the gap, its carrier at the vehicle's heading."""
+        # The gap counts from the target's origin: its place on the carrier is dropped, its height and orientation stay.
         carrier = target.pose.T.copy()
         carrier[:2, 3] = 0.0
         return (inverse(mount) @ pose_on_ground(np.array([self.gap_m, 0.0, 0.0])) @ carrier,)

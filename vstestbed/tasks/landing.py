@@ -79,6 +79,7 @@ class GoalLanding(TaskBase):
         """The view, which descends while the craft is over its pad by its own estimate."""
         share, T = memory.share, self.above.T.copy()
         height = float(np.linalg.norm(T[:3, 3]))
+        # The first frame has no duration yet. Without an estimate the reference waits, too: `_over` is False.
         if not math.isnan(memory.t) and self._over(share, seen):
             share = max(DEEPEST, share - self.descend_mps * (seen.t - memory.t) / height)
         T[:3, 3] *= share
@@ -92,6 +93,7 @@ class GoalLanding(TaskBase):
             return False
         whole = self.above.T
         down = whole[:3, 3] / np.linalg.norm(whole[:3, 3])
+        # Both in the camera's frame: `away` is the tracking error of position, `down` the direction of the descent.
         away = T[:3, 3] - share * whole[:3, 3]
         if float(T[:3, 3] @ down) < self.commit_m:
             return True

@@ -125,6 +125,7 @@ class AlongRoute:
         if math.isnan(self._s):
             self._s, with_it = route.branch(place)
             self._sense = 1.0 if with_it >= 0 else -1.0
+        # Near its last arc length: where the line crosses itself, the nearest point may be on the other branch.
         s, offset = route.nearest(place[:2], around=self._s, reach=ALONG_M)
         self._travelled += self._sense * (s - self._s) * (1 - float(route.at(s)[3]) * offset)
         self._s = s

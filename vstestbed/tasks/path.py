@@ -136,6 +136,7 @@ class Trajectory:
             return inverse(self._ways[-1]), len(self._ways) - 1
         a, b = self._ways[leg], self._ways[leg + 1]
         share = _smooth((t - self._until[leg]) / (self._until[leg + 1] - self._until[leg]))
+        # The camera's pose in the target's frame is interpolated, not T_camera_target: that would bend the line while the camera turns.
         T = np.eye(4)
         T[:3, 3] = (1 - share) * a[:3, 3] + share * b[:3, 3]
         turn = share * _TURN.measure(a[:3, :3].T @ b[:3, :3])
@@ -145,6 +146,7 @@ class Trajectory:
     def twist(self, t: float) -> Array:
         """Velocity of the reference camera at t + lead_s, in its frame at time t (6,) [m/s, rad/s]."""
         before, after = (inverse(self.at(t + self._lead + h)[0]) for h in (-DIFFERENCE_S, DIFFERENCE_S))
+        # Ahead in time, since the craft lags, but in the axes of the camera now, in which the law commands.
         back = inverse(self.at(t)[0])[:3, :3].T
         v = (after[:3, 3] - before[:3, 3]) / (2 * DIFFERENCE_S)
         w = before[:3, :3] @ _TURN.measure(before[:3, :3].T @ after[:3, :3]) / (2 * DIFFERENCE_S)
@@ -159,6 +161,7 @@ class Trajectory:
             began, ended = until[leg], until[leg + 1]
             if began > last or ended < first:
                 continue
+            # The part of this leg within the window, by travelled shares; a leg of pure rotation has no length to divide by.
             a, along = self._ways[leg][:3, 3], self._ways[leg + 1][:3, 3] - self._ways[leg][:3, 3]
             low, high = (_smooth(np.clip((when - began) / (ended - began), 0, 1)) for when in (first, last))
             share = np.clip((x - a) @ along / max(along @ along, 1e-12), low, high)

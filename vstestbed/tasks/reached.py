@@ -42,6 +42,7 @@ class GoalMonitor(TaskMonitor):
         at_rest = not frame.error.lost and not self._near and max(map(abs, frame.command.twist.tolist())) < REST
         if self._rest.lasting(at_rest, frame.t) >= REST_S:
             return Outcome.local_minimum, f"the commanded twist is zero {self._distance()}"
+        # After the local minimum: of a law that rests in the last frame, the more telling reason counts.
         duration = self.setup.stop.duration_s
         return (Outcome.timed_out, f"{duration:g} s were not enough") if frame.t >= duration - 1e-9 else None
 

@@ -42,6 +42,7 @@ class SpeedMonitor:
         """Add the distances so far [m] at a time [s]. A run shorter than the window is tested as a whole."""
         past = self._past
         past.append((t, travelled))
+        # The first entry left is the newest that is a whole window old: the mean is over WINDOW_S, whatever the frame rate.
         while len(past) > 2 and past[1][0] <= t - WINDOW_S + 1e-9:
             past.popleft()
         began, before = past[0]

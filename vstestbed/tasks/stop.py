@@ -29,6 +29,7 @@ class Converged:
     def __post_init__(self) -> None:
         """Without a condition, 0.2 px."""
         if self.error_px is None and self.position_m is None and self.rotation_deg is None:
+            # Past the frozen dataclass: whether there is a default depends on the other fields.
             object.__setattr__(self, "error_px", 0.2)
 
     @property

@@ -71,6 +71,7 @@ class GoalViews(TaskBase):
         """The next view, when all markers that count are seen with a small error."""
         if not (error.all_seen and error.rms_px < self.threshold_px and memory.view + 1 < len(self.views)):
             return memory, None
+        # Returned as a new goal, the view makes the loop initialise the law again: its memory belongs to the view that is passed.
         memory = memory._replace(view=memory.view + 1)
         return memory, memory.views[memory.view]
 

@@ -82,6 +82,7 @@ def check_level(robot: Robot, camera: Camera, target: Target, T_camera_target: A
     """
     if robot.base != "floating":
         return
+    # z of the base, in the world's axes: its last component is the cosine of the tilt.
     up = (target.T_world_start @ inverse(T_camera_target) @ inverse(camera.mount.T))[2, 2]
     lean = math.degrees(math.acos(max(-1.0, min(1.0, float(up)))))
     if lean > LEVEL_DEG:

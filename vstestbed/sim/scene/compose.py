@@ -100,6 +100,7 @@ def compose(parts: Parts) -> mujoco.MjSpec:
         _add_target(scene, parts.target, carrier, parts.target.pose.T)
     _frame_overview(scene, parts)
     for i, plate in enumerate(parts.world.plates):
+        # Mocap bodies are moved by writing their pose: no joint, no dynamics. Until it is present, a plate is out of sight.
         holder = scene.worldbody.add_body(name=f"plate_{i}", mocap=True, pos=AWAY, quat=quaternion_wxyz(plate.pose.T[:3, :3]))
         size = [plate.width / 2, plate.height / 2, 0.002]
         _visual(holder, f"plate_{i}", mujoco.mjtGeom.mjGEOM_BOX, size, [0.45, 0.45, 0.47, 1], 0)
@@ -179,7 +180,7 @@ def _add_target(scene: mujoco.MjSpec, target: Target, carrier: mujoco.MjsBody | 
     """
     parent = carrier or scene.worldbody
     body = parent.add_body(name="target/frame", mocap=carrier is None, pos=T[:3, 3], quat=quaternion_wxyz(T[:3, :3]))
-    if target.on_gripper:
+    if target.on_gripper:  # MuJoCo gives the velocity of a site in its own axes, which the truth needs of a target in motion
         body.add_site(name="target/frame", group=SITE_GROUP, size=[0.005] * 3)
     points_a_line = len(target.points) // max(len(target.stripes), 1)
     for i, edges in enumerate(target.stripes):

@@ -46,6 +46,7 @@ class LeadVehicle:
         """One period dt [s] of the path following."""
         place = place_of(self._root.pose(self._stage.data))
         route = self._motion.route
+        # Near its last arc length, since the route may cross itself: .5 m is far more than it drives in a period.
         self._s, _ = route.nearest(place[:2], around=self._s, reach=0.5)
         x, y, heading, curvature = route.at(self._s)
         _, offset, turn = relative(np.array([x, y, heading]), place)
