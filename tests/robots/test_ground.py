@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from vstestbed.core.planar import moved, pose_on_ground
-from vstestbed.robots.robot_log import RobotState
 from vstestbed.robots.ground import VehicleLog
 from vstestbed.robots.reading import Reading
+from vstestbed.robots.robot_log import RobotState
 
 ORIGIN = np.zeros(3)
 NO_READING = Reading(np.zeros(0), np.zeros(0))

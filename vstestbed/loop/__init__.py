@@ -1,1 +1,1 @@
-"""The time loop: exposures, the controller, the record of a run, its log and its metrics."""
+"""The time loop: exposures, the frame controller, verdicts, the log of a run and its metrics."""

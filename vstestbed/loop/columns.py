@@ -1,4 +1,4 @@
-"""The columns of a log, each beside what it holds."""
+"""The columns of a log, each beside the function that fills it."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from vstestbed.tasks.frame import Frame
 POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
 Kept = Mapping[str, Any]
-"""What a log keeps of a frame, by name: numbers and arrays, no picture."""
+"""The numbers and arrays of a frame that enter the log, by name; no picture."""
 Stacked = Mapping[str, Array]
-"""The same of n frames, stacked along the first axis."""
+"""The same for n frames, stacked along the first axis."""
 Block = tuple[tuple[str, ...], Callable[[Stacked], Array]]
 """Names of columns side by side, and their values (n, columns)."""
 
 
 def kept(frame: Frame) -> Kept:
-    """The numbers and arrays of a frame that `Layout.rows` makes rows of."""
+    """The numbers and arrays of a frame from which `Layout.rows` makes a row."""
     seen, truth, goal = frame.observation, frame.truth, frame.goal
     return {
         "t": frame.timing.t,
@@ -53,11 +53,11 @@ def kept(frame: Frame) -> Kept:
 class Layout:
     """The columns of a scenario's log, and how frames become rows of numbers.
 
-    All that was seen and all that was true (act_, q_, ctrl_, ...) is of the exposure at t. The row's command cmd_ is what the law
-    made of that picture; it holds from t_cmd on, when it reaches the robot. applied_ is the twist after the robot's joint limits
+    Measurements and truth (act_, q_, ctrl_, ...) are those of the exposure at t. The command cmd_ was computed from that picture and
+    is in force from t_cmd on, when it reaches the robot. applied_ is the twist after the robot's joint limits
     and singularity damping; scale is the ratio of applied_ to the law's unsaturated command.
     For a camera without an image plane, theta and phi [rad] are the measured ray's angles from the axis and about it.
-    What only this robot and this task have follows by their own columns (`Robot.log`, `Task.monitor`).
+    The robot's and the task's own columns follow (`Robot.log`, `Task.monitor`).
     """
 
     def __init__(self, scenario: Scenario):
@@ -65,13 +65,13 @@ class Layout:
         self._camera, self._believed = scenario.camera, scenario.believed_camera
         self._T_camera_base, self._planar = inverse(scenario.camera.mount.T), robot.base == "planar"
         exact = scenario.calibration.camera_exact and scenario.calibration.depth_exact
-        # with a wrong calibration what the law is told is not where the goal is; along a path it is, moment by moment
+        # With a wrong calibration the law's goal is not the true one, from which errors count; along a path it is the one of its time.
         self._goal_poses = None if exact or goal.by_clock else np.array(scenario.goal_poses)
         self._blocks = self._laid_out(scenario)
         self.columns: tuple[str, ...] = tuple(name for names, _ in self._blocks for name in names)
 
     def _laid_out(self, scenario: Scenario) -> tuple[Block, ...]:
-        """All columns in their order."""
+        """All columns in their order, which existing logs fix."""
         robot = scenario.robot
         rays = len(scenario.camera.panels) > 1
         per_marker = ("u", "v", "u_true", "v_true", "u_goal", "v_goal", "depth") + (("theta", "phi") if rays else ())

@@ -22,12 +22,12 @@ from vstestbed.vision import Detector, Observer, TruthView
 
 _NO_ROW = np.zeros(0)
 _NOWHERE = np.full(3, np.nan)
-"""The place of a robot that has none."""
+"""Place and odometry of a robot that has none."""
 
 
 @dataclass(frozen=True, slots=True)
 class Arrival:
-    """When a picture has arrived [s], when its command will reach the robot [s], and the integral of all commands so far (6,) [m, rad]."""
+    """Arrival of a picture: its time [s], when its command will reach the robot [s], the integral of all commands so far (6,) [m, rad]."""
 
     t: float
     t_cmd: float
@@ -51,14 +51,15 @@ def _observer(scenario: Scenario) -> Observer:
 
 
 class FrameController:
-    """What happens when a picture arrives. Holds the memories that detector, observer, reference and law pass on.
+    """The control step when a picture arrives. Holds the state of detector, observer, reference and law between frames.
 
     Args:
-        scenario: the experiment. plant: measures what the robot measures. spent: wall time by part, added to [s].
+        scenario: the experiment. plant: source of the robot's sensor readings. spent: wall time by part, added to [s].
     """
 
     def __init__(self, scenario: Scenario, plant: Plant, spent: dict[str, float]):
         self.scenario, self.plant, self.spent = scenario, plant, spent
+        # The calibrated mount: what the robot does with a command follows from what it believes, errors included.
         self.mount = Mount.of(scenario.believed_camera.mount.T)
         self.last_twist = np.zeros(6)
         # an oracle looks with the true lens; a real detector knows only the calibrated one
@@ -76,16 +77,17 @@ class FrameController:
         self.before: Exposed | None = None
 
     def look(self) -> Look | None:
-        """Where the detector is going to look next, as far as it knows by now."""
+        """The detector's region of interest for the next picture; None for all of it."""
         return self.detector.look(self.detector_memory, self.seen_through, self.scenario.target)
 
     def arrive(self, shot: Exposed, now: Arrival) -> Frame:
-        """One control step: from a picture to a command."""
+        """One control step: detect, observe, reference, law, allocation."""
         s, began, last = self.scenario, time.perf_counter(), self.before or shot
         seen = self._observe(shot, last, now)
         self.reference_memory, goal = s.goal.reference(self.reference_memory, seen)
         seen = seen.only(goal.counted)
         detected = time.perf_counter()
+        # The robot as it is now, not as it was at the exposure: the command acts from here on.
         reading = self.plant.reading()
         mount = self._mount_at(reading.q)
         self.law_memory, command = self.law.step(self.law_memory, seen, goal, s.robot.motion_basis(mount, reading.q))
@@ -95,12 +97,12 @@ class FrameController:
         frame = self._frame(shot, now, seen, goal, command, allocation)
         self.before = shot
         self.reference_memory, next_goal = s.goal.passed(self.reference_memory, frame.error)
-        if next_goal is not None:
+        if next_goal is not None:  # a law's memory belongs to one goal
             self.law_memory = self.law.init(next_goal)
         return frame
 
     def _frame(self, shot: Exposed, now: Arrival, seen: Observation, goal: Goal, command: Command, allocation: Allocation) -> Frame:
-        """The frame, with the columns that only this robot and this task have."""
+        """The frame, with the robot's and the task's own columns."""
         error = ImageError.of(seen, goal, command.rest_reason)
         image = shot.picture.image if shot.picture and shot.picture.whole else None
         timing = FrameTiming(shot.number, shot.t, now.t_cmd)
@@ -114,21 +116,23 @@ class FrameController:
         return replace(frame, row=np.array(values)) if values else frame
 
     def _mount_at(self, q: Array) -> Mount:
-        """The camera's mount; of one that watches the gripper (eye to hand), where it is against the flange at the joints q."""
+        """The camera's mount; eye to hand, the camera's pose relative to the flange at the joints q."""
         if not self.scenario.target.on_gripper:
             return self.mount
         return Mount.facing(inverse(self.scenario.robot.flange_pose(q)) @ self.mount.T_flange_camera)
 
     def _own_motion(self, last: Exposed, shot: Exposed, now: Arrival, twist: Array) -> OwnMotion:
-        """What the robot knows of the camera's motion since the last picture, and since this one's exposure."""
+        """The camera's motion since the last picture, and since this one's exposure, by the robot's own sensors."""
+        # Integrated commands stand in for a robot without sensors of its motion.
         moved, age, reading = now.way - shot.way, now.t - shot.t, self.plant.reading()
         if age > 0:
             moved = self.scenario.robot.measured_twist(shot.reading, reading, age, moved / age, self._mount_at(reading.q)) * age
         return OwnMotion(twist, shot.t - last.t, moved, age, self.last_twist)
 
     def _observe(self, shot: Exposed, last: Exposed, now: Arrival) -> Observation:
-        """What the law may know of this picture."""
+        """The law's measurement from this picture."""
         s = self.scenario
+        # Truth reaches a detector only if it says that it needs it (an oracle): the one place where it passes the fence.
         view = TruthView(shot.truth.p_camera, shot.truth.hidden) if s.detector.needs_truth else None
         detected = self.detector.detect(self.detector_memory, shot.picture, view, self.seen_through, s.target, self.rng)
         self.detector_memory, detection = detected
@@ -144,11 +148,12 @@ class FrameController:
         return seen
 
     def _allocate(self, t: float, command: Command, mount: Mount) -> Allocation:
-        """A command as a setpoint within the robot's limits, as far as its supervisor lets it through."""
+        """The setpoint for a command, within the robot's limits, unless its supervisor overrides it."""
         robot, reading, twist = self.scenario.robot, self.plant.reading(), command.twist
         if command.null_space is not None:
             twist = twist + robot.secondary_task(command.null_space, reading, mount)
         allocation = robot.allocate(twist, reading, mount, self.scenario.camera.period)
+        # Before the supervisor: the law's memory of what it commanded, within limits.
         self.last_twist = allocation.twist
         setpoint = self.supervisor.filter(t, command.rest_reason, reading, allocation.setpoint)
         return allocation if setpoint is allocation.setpoint else replace(allocation, setpoint=setpoint)

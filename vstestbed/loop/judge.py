@@ -1,4 +1,4 @@
-"""The judge: asks the task's monitor and the safety monitors, frame by frame, whether a run is over, and why."""
+"""The judge: the verdict on each frame, from the task's monitor and the safety monitors."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from vstestbed.tasks.stop import Stop
 
 
 class Judge:
-    """Decides by truth and by what was seen and ordered; what it knows never comes back to the law.
+    """Decides by truth, measurements and commands; nothing of it comes back to the law.
 
-    Of several outcomes in one frame counts: a task given up by the supervisor, a task that is reached, the safety monitors in their
-    order, a task that is missed.
+    Precedence of several outcomes in one frame: a task aborted by the supervisor, a task that is reached, the safety monitors in
+    their order, a task that is missed.
 
     Args:
-        task: the task's monitor, which has measured the frame before the judge is asked. stop: times.
-        target: what is looked at. supervisor: the robot's.
+        task: the task's monitor, which has already measured the frame. stop: time limits.
+        target: the scenario's. supervisor: the robot's.
     """
 
     def __init__(self, task: TaskMonitor, stop: Stop, target: Target, supervisor: Supervisor):
@@ -37,7 +37,7 @@ class Judge:
         return reached or next(filter(None, found), None) or missed
 
     def _after_abort(self, t: float) -> Verdict | None:
-        """Of a robot that gave its task up: why, once it is down or the time is out."""
+        """The abort's verdict, once the robot is down or the duration is over."""
         down = self._supervisor.down(t)
         if self._supervisor.aborted is None or not (down or t >= self._duration_s - 1e-9):
             return None

@@ -1,6 +1,6 @@
-"""A run's log on disk: `log.part` grows line by line; `log.parquet` is what it becomes; both read the same.
+"""A run's log on disk: `log.part` grows line by line, and becomes `log.parquet` at the end; both read the same.
 
-`log.part` is CSV whose numbers read back exactly, so it can be read at any length (a last line without an end is left out).
+`log.part` is CSV whose numbers read back exactly; the log of a run that was killed ends with its last complete line.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class PartWriter:
-    """Writes `log.part` row by row; each line is with the operating system before the next frame is looked at."""
+    """Writes `log.part` row by row, line-buffered: a killed process loses no finished line."""
 
     def __init__(self, path: Path, layout: Layout):
         self._layout = layout
@@ -29,6 +29,7 @@ class PartWriter:
 
     def append(self, row: list[float]) -> None:
         """Add one row of `Layout.rows`."""
+        # repr: the shortest text that reads back as the same float.
         self._file.write(",".join(map(repr, row)) + "\n")
 
     def close(self) -> None:
@@ -41,7 +42,7 @@ def read_log(folder: Path, scenario: Scenario | None = None) -> polars.DataFrame
 
     Args:
         folder: a run's folder.
-        scenario: where given, the log must have the columns of this scenario's runs.
+        scenario: where given, the log must have the columns that runs of this scenario have.
 
     Raises:
         RunFolderError: neither is there, or neither can be read, or it is the log of another experiment.

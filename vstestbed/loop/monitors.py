@@ -1,4 +1,4 @@
-"""What ends a run whatever its task: one small monitor each for a contact, the far distance, a lost target, a limit."""
+"""Safety monitors, which end a run whatever its task: collision, divergence, lost target, joint limit, singularity."""
 
 from __future__ import annotations
 
@@ -13,33 +13,33 @@ from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.monitor import HoldTimer
 
 FAR_M = 200.0
-"""A camera this far from its target has diverged [m]."""
+"""Distance from the target beyond which the camera has diverged [m]."""
 BLOCKED_S = 1.0
-"""How long a limit must stop the robot to end the run [s]."""
+"""How long a limit must block the robot before the run ends [s]."""
 BLOCKED_SCALE = 0.02
-"""A command scaled under this has been stopped by the limit."""
+"""A command scaled to less than this is blocked by the limit."""
 
 
 class Monitor(Protocol):
-    """Looks at every frame."""
+    """Tests every frame."""
 
     def update(self, frame: Frame) -> Verdict | None:
-        """The outcome that this frame brings, with its reason; None to go on."""
+        """The verdict, if this frame ends the run; None to go on."""
         ...
 
 
 class Collision:
-    """The robot touches something, or its feet do before they may."""
+    """The robot touches something, or its feet do before they are allowed to."""
 
     def __init__(self, supervisor: Supervisor):
         self._supervisor = supervisor
 
     def touches(self, frame: Frame) -> bool:
-        """Whether there is such a contact now."""
+        """Whether there is such a contact in this frame."""
         return frame.truth.contact or (frame.truth.feet and not self._supervisor.may_touch)
 
     def update(self, frame: Frame) -> Verdict | None:
-        """Collided, with why the task had been given up before."""
+        """Collided, with the reason of an earlier abort."""
         if not self.touches(frame):
             return None
         aborted = self._supervisor.aborted
@@ -57,21 +57,21 @@ class Divergence:
 
 
 class PlaneCrossed:
-    """The camera is behind a target that has a front only."""
+    """The camera is behind a target that has markers on its front only."""
 
     def update(self, frame: Frame) -> Verdict | None:
         """Lost: from there no marker can be seen."""
-        normal = frame.truth.T_world_target[:3, 2].tolist()  # z points away from who looks at the front
+        normal = frame.truth.T_world_target[:3, 2].tolist()  # z points away from a camera in front of it
         if sum(map(mul, _from_target(frame), normal)) >= 0:
             return Outcome.target_lost, "the camera crossed the plane of the target"
         return None
 
 
 class TargetLost:
-    """The law has had nothing to go by for too long.
+    """The law has had no measurement for too long.
 
     Args:
-        lost_after_s: how long the target may be out of sight [s].
+        lost_after_s: longest time without sight of the target [s].
     """
 
     def __init__(self, lost_after_s: float):
@@ -98,6 +98,7 @@ class LimitReached:
 
     def update(self, frame: Frame) -> Verdict | None:
         """The limit's outcome, after BLOCKED_S."""
+        # "speed" is no such limit: a command that is merely too fast is carried out more slowly.
         limit = frame.allocation.limit
         blocked = limit in ("joint_limit", "singular") and frame.allocation.scale < BLOCKED_SCALE
         if self._timer.lasting(blocked, frame.t) < BLOCKED_S:
@@ -111,11 +112,13 @@ def _from_target(frame: Frame) -> list[float]:
 
 
 def safety_monitors(target: Target, supervisor: Supervisor, lost_after_s: float, collision: Collision) -> tuple[Monitor, ...]:
-    """The monitors of a run, first things first."""
+    """The monitors of a run in the order of their precedence."""
     return (
         collision,
         Divergence(),
         *((PlaneCrossed(),) if target.one_sided else ()),
-        *(() if supervisor.sets_down else (TargetLost(lost_after_s),)),  # it ends the run itself, when it is down
+        *(
+            () if supervisor.sets_down else (TargetLost(lost_after_s),)
+        ),  # such a supervisor sets the craft down first; ending the run here would leave it in the air
         LimitReached(),
     )

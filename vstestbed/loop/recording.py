@@ -1,4 +1,4 @@
-"""What a run leaves: frames become rows (`columns`), rows a log; on disk (`log_file`) it grows with the same numbers."""
+"""The record of a run: frames become rows (`columns`), rows a log; `log_file` writes the same numbers to disk."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 
 
 class Watcher(Protocol):
-    """Somebody who looks on while a run goes: the log on disk, a video, a progress bar."""
+    """Receives every frame of a run: the log on disk, a video, a progress bar."""
 
     def frame(self, frame: Frame) -> None:
-        """One frame has been dealt with."""
+        """One frame is complete."""
         ...
 
 
@@ -38,7 +38,7 @@ class Log:
         self._waiting: list[Kept] = []
 
     def append(self, frame: Frame) -> None:
-        """Keep one more frame. Nobody may write again into its arrays."""
+        """Keep one more frame, whose arrays must not be written to again: they are not copied."""
         self._waiting.append(kept(frame))
         if len(self._waiting) == self.CHUNK:
             self._turn()
@@ -50,19 +50,19 @@ class Log:
 
     def table(self) -> Array:
         """All rows, shape (rows, columns)."""
-        self._turn()
+        self._turn()  # what waits for a full chunk
         return np.concatenate(self._rows) if self._rows else np.zeros((0, len(self._layout.columns)))
 
 
 @dataclass(frozen=True)
 class Recording:
-    """A finished run: its scenario, how it ended, its log, where wall time went.
+    """A finished run: scenario, outcome, log, wall time by part.
 
     Attributes:
         columns: names of the log's columns; `table` holds them as (frames, columns).
         time_ms: wall time by part, in all [ms]: physics render detect law record video.
         wall_time_s: wall time of the run [s]; loop_s: of its loop alone, without building and closing the scene [s].
-        versions: of what made it.
+        versions: of the packages and the renderer used.
     """
 
     scenario: Scenario
@@ -86,7 +86,7 @@ class Recording:
         return to_frame(self.columns, self.table)
 
     def summary(self) -> dict[str, object]:
-        """The run in numbers, as `summary.json` has them; `time_ms` is the mean wall time of a frame by part [ms]."""
+        """The metrics of the run, as in `summary.json`; `time_ms` is the mean wall time of a frame by part [ms]."""
         figures = summarise(self.scenario, self.outcome, {name: self.table[:, i] for i, name in enumerate(self.columns)})
         sim_time = float(self["t"][-1]) if len(self.table) else 0.0
         frames = max(len(self.table), 1)

@@ -1,4 +1,4 @@
-"""run(scenario): the only time loop. It keeps the clock, the delay of pictures, the order of a frame's parts, the end."""
+"""run(scenario): the only time loop. It advances the clock from event to event: exposures, arriving pictures, arriving commands."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from vstestbed.sim.timing import DelayLine
 from vstestbed.tasks.frame import Frame
 
 PARTS = ("physics", "render", "detect", "law", "record", "video")
-"""Where a run's wall time goes."""
+"""Parts of a run's wall time."""
 
 
 def _until_the_end(scenario: Scenario, plant: Plant, note: Callable[[Frame], None], spent: dict[str, float]) -> Verdict:
-    """Take pictures, deliver them and the commands made of them, each when it is due; stop when the judge says so."""
+    """Take pictures, deliver them and their commands, each when it is due, until the judge's verdict."""
     controller, camera = FrameController(scenario, plant, spent), CameraClock(scenario, plant)
     judge = Judge(controller.monitor, scenario.stop, scenario.target, controller.supervisor)
     commands: DelayLine[Allocation] = DelayLine(round(scenario.timing.command_latency_s / plant.step_s))
@@ -41,9 +41,11 @@ def _until_the_end(scenario: Scenario, plant: Plant, note: Callable[[Frame], Non
             note(frame)
             if verdict := judge.verdict(frame):
                 return verdict
+        # After the pictures: without latency, a command takes effect in the step in which its picture arrived.
         for allocation in commands.pop_due(step):
             plant.apply(allocation.setpoint)
             twist = allocation.twist
+        # The physics runs to the next event in one call.
         due = commands.next_due()
         ahead = (camera.next_event() if due is None else min(camera.next_event(), due)) - step
         start = time.perf_counter()
@@ -59,10 +61,10 @@ def run(scenario: Scenario, watch: Iterable[Watcher] = ()) -> Recording:
 
     Args:
         scenario: the experiment (`Scenario.randomised` draws another start).
-        watch: told of every frame. A KeyboardInterrupt ends the run with the outcome `interrupted`.
+        watch: receive every frame. A KeyboardInterrupt ends the run with the outcome `interrupted`.
 
     Raises:
-        ParameterError: it is no Scenario.
+        ParameterError: `scenario` is not a Scenario.
         EnvironmentLackError: a picture is needed that only OpenGL can draw, and it does not work here.
     """
     if not isinstance(scenario, Scenario):
@@ -99,6 +101,7 @@ def run(scenario: Scenario, watch: Iterable[Watcher] = ()) -> Recording:
     except KeyboardInterrupt:
         outcome, reason = Outcome.interrupted, Outcome.interrupted.value
     finally:
+        # Also when a watcher raises: the plant holds an OpenGL context, which the next run needs.
         spent["render"] = plant.render_s
         loop_s = time.perf_counter() - ready
         plant.close()

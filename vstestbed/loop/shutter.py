@@ -1,4 +1,4 @@
-"""The camera on the loop's clock: exposures, and pictures on their way."""
+"""The camera on the loop's clock: exposures, and pictures in transit."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from vstestbed.sim.timing import DelayLine, Planned, Shutter
 
 @dataclass(frozen=True, slots=True)
 class Exposed:
-    """A picture on its way to the law, with what the robot measured and had been ordered at its exposure.
+    """A picture in transit to the law, with the sensor reading and the integrated commands at its exposure.
 
     Attributes:
-        number: counts frames. picture: None where no detector asks for one. t: exposure [s]. truth: then.
-        reading: what the robot measured then. ordered: mean twist (6,) ordered since the last exposure.
-        way: the sum of all that was ordered until then, (6,) [m, rad].
+        number: counts frames. picture: None where no detector asks for one. t: time of exposure [s].
+        truth, reading: truth and sensor reading at that time. ordered: mean commanded twist (6,) since the last exposure.
+        way: integral of all commands until then, (6,) [m, rad].
     """
 
     number: int
@@ -35,10 +35,10 @@ class Exposed:
 
 
 class CameraClock:
-    """The camera on the clock: takes the pictures that its shutter plans, and sends them on their way.
+    """The camera on the clock: takes the pictures that its shutter plans, and sends them with their latency.
 
     Attributes:
-        line: pictures on their way. way: the sum of all that was ordered so far, (6,) [m, rad]; the loop adds to it.
+        line: pictures in transit. way: integral of all commands so far, (6,) [m, rad]; the loop adds to it.
     """
 
     def __init__(self, scenario: Scenario, plant: Plant):
@@ -59,19 +59,20 @@ class CameraClock:
         return opens if due is None else min(opens, due)
 
     def act(self, step: int, look_next: Callable[[], Look | None]) -> None:
-        """Open the shutter where that is due; a picture that is whole is sent. `look_next` tells where the detector will look."""
+        """Open the shutter when it is due, and send complete pictures. `look_next` gives the detector's region of interest."""
         while (planned := self.planned).opens[self.opening] == step:
-            # with pictures still on their way, nobody knows yet where to look
+            # with pictures in transit the region of interest is not known yet: the detector has not seen them
             look = look_next() if self.line.next_due() is None else None
             if len(planned.opens) == 1:
                 picture, truth = self.plant.capture(look)
                 if picture is not None and planned.arrives > step:
-                    picture = picture.copy()  # it will wait while the next ones are taken
+                    picture = picture.copy()  # the next picture overwrites the renderer's buffer before this one arrives
                 self._send(planned, picture, self._shot(step, truth))
             else:
                 self._expose(planned, step, look)
 
     def _expose(self, planned: Planned, step: int, look: Look | None) -> None:
+        # Truth, time stamp and reading are those of the exposure's middle: a symmetric smear leaves a marker's centre there.
         if step >= planned.middle and self.middle is None:
             self.middle = self._shot(step, self.plant.truth())
         self.plant.expose(planned.weights[self.opening], look)
@@ -80,7 +81,7 @@ class CameraClock:
             self._send(planned, self.plant.developed(self.middle.t), self.middle)
 
     def _shot(self, step: int, truth: Truth) -> Exposed:
-        """What is true and measured at an exposure, still without its picture."""
+        """Truth and reading at an exposure, still without the picture."""
         ordered = (self.way - self._way_before) / (max(1, step - self._step_before) * self.plant.step_s)
         self._way_before, self._step_before = self.way, step
         return Exposed(self.planned.frame, None, step * self.plant.step_s, truth, self.plant.reading(), ordered, self.way)

@@ -1,4 +1,4 @@
-"""Robots, in numpy only: what they can do, how a command becomes a setpoint, their limits. Their bodies are in models/."""
+"""Robots, in numpy only: kinematics, limits, onboard controllers, sensor models. Their bodies are MJCF files in models/."""
 
 from vstestbed.core.contract import Contract
 from vstestbed.core.spec import OneOf
@@ -13,7 +13,7 @@ from vstestbed.robots.reading import Reading
 
 ROBOTS = OneOf("robot", Free, Puma560, Omni, Car, Quadrotor, contract=Contract(Robot, base=RobotBase))
 VEHICLES: dict[str, type[Omni | Car]] = {"omni": Omni, "car": Car}
-"""What can carry a target."""
+"""Robots that can carry a target along a route (`Carried.by`)."""
 
 __all__ = [
     "ROBOTS",

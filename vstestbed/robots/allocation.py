@@ -1,4 +1,4 @@
-"""How a command becomes a setpoint: the camera's mount, the allocation, the actuators chosen."""
+"""From a camera twist to an actuator setpoint: the camera's mount, the allocation, the choice of actuators."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ Limit = Literal["", "speed", "joint_limit", "singular"]
 
 @dataclass(frozen=True, slots=True)
 class Allocation:
-    """A command made a setpoint.
+    """A commanded camera twist, allocated to the actuators.
 
     Attributes:
-        setpoint: what the actuators are told (joint velocities [rad/s], or a twist).
-        twist: the camera twist (6,) that the setpoint stands for by the robot's own model.
+        setpoint: of the actuators or the onboard controller (joint velocities [rad/s], or a twist).
+        twist: the camera twist (6,) that the setpoint realises by the robot's own model.
         scale: factor in [0, 1] by which the whole command was scaled to stay within limits.
-        limit: which limit scaled it ("" for none).
+        limit: the limit that scaled it ("" for none).
     """
 
     setpoint: Array
@@ -29,7 +29,7 @@ class Allocation:
 
 @dataclass(frozen=True, slots=True)
 class Mount:
-    """Where the camera sits on the robot: twist transforms between the flange and the camera, made once.
+    """Where the camera sits on the robot, with the twist transforms between flange and camera, computed once.
 
     Attributes:
         T_flange_camera: pose (4, 4).
@@ -47,19 +47,21 @@ class Mount:
 
     @classmethod
     def facing(cls, T_flange_camera: Array) -> Mount:
-        """Of a camera in the room that watches the flange, now at a pose (4, 4) in its frame.
+        """The mount of an eye-to-hand camera, now at a pose (4, 4) in the flange's frame.
 
-        The camera's twist against what the flange holds is minus the flange's own: v_camera = -Ad(T_camera_flange) v_flange.
+        v_camera = -Ad(T_camera_flange) v_flange, the camera's twist relative to the target in the gripper.
         """
+        # The camera stands still in the room: moving the flange is, for the pictures, the opposite motion of the camera. With this
+        # sign, a law needs no eye-to-hand variant.
         return cls(T_flange_camera, -adjoint(T_flange_camera), -adjoint(inverse(T_flange_camera)))
 
 
 @dataclass(frozen=True, slots=True)
 class Actuation:
-    """Which of the actuators in a robot's MJCF file a scenario uses, and what its joints feel.
+    """Which of the actuators in a robot's MJCF file a scenario uses, and which forces act on its joints.
 
     Attributes:
-        prefix: actuators named `<prefix>_<joint>` are kept, the others left out.
+        prefix: actuators named `<prefix>_<joint>` are kept, the others deleted.
         friction: joints keep their damping and Coulomb friction.
         gravity_compensated: links are weightless to the joints (MuJoCo's gravcomp).
     """

@@ -1,17 +1,17 @@
-"""Which way is up: a complementary filter of gyro and accelerometer (Mahony) on the sphere of directions.
+"""Attitude estimation: the complementary filter of Mahony et al. for gyro and accelerometer, on the sphere of directions.
 
-The estimate is z, the world's up in body axes, unit: its parts are (-sin pitch, cos pitch sin roll, cos pitch cos roll).
-Heading has no reference in an IMU and is left out. With the gyro's reading w, its bias b and the measured up a / |a|:
+The estimate is z, the world's up in body axes, unit: (-sin pitch, cos pitch sin roll, cos pitch cos roll).
+An IMU has no reference for heading, which is left out. With the gyro's reading w, its bias b and the measured up a / |a|:
 
     e = a / |a| x z,   z_dot = z x (w - b + k_p e),   b_dot = -k_i e.
 
-An accelerometer does not feel gravity but all other forces: a = up g + acceleration. In flight, thrust is nearly the only one,
-so it tells of the tilt only over times in which accelerations average out; hence a low gain. Where a velocity is measured its
-rate is taken from a first (`acceleration`): without that a step to 2 m/s puts the estimate off by 5
-degrees, and the velocity, levelled with it, overshoots by a quarter.
+An accelerometer measures specific force, a = up g + acceleration, which in flight is nearly the thrust alone. It indicates the
+tilt only averaged over times in which accelerations cancel; hence a low gain. Where a velocity is measured, its rate is first
+subtracted from a (`acceleration`): without that a step to 2 m/s disturbs the estimate by 5 degrees, and the velocity, levelled with
+it, overshoots by a quarter.
 
 Reference: Mahony, Hamel & Pflimlin 2008, doi:10.1109/TAC.2008.923738, the passive filter on one direction;
-Martin & Salaun 2010, doi:10.1109/ROBOT.2010.5509980, on what an accelerometer feels;
+Martin & Salaun 2010, doi:10.1109/ROBOT.2010.5509980, on what an accelerometer measures;
 Hua 2010, doi:10.1016/j.conengprac.2010.01.016, on the use of a velocity.
 """
 
@@ -35,9 +35,9 @@ class Filter:
     """Gains of the attitude filter.
 
     Args:
-        gain: k_p [1/s]: the accelerometer's direction is believed over times longer than 1 / gain.
+        gain: k_p [1/s]: the accelerometer corrects the gyro over times longer than 1 / gain.
         bias_gain: k_i [1/s^2], for the gyro's bias.
-        acceleration: `imu` believes the accelerometer as it is, `velocity` takes the measured velocity's rate from it.
+        acceleration: `imu` uses the accelerometer as it is, `velocity` subtracts the rate of the measured velocity from it.
     """
 
     gain: Annotated[float, Gt(0)] = 0.5
@@ -59,6 +59,7 @@ class Attitude(NamedTuple):
     @property
     def pitch(self) -> float:
         """Pitch [rad]."""
+        # Rounding may leave a unit vector's part a little over 1, which asin refuses; `tilt` likewise.
         return -math.asin(max(-1.0, min(1.0, self.up[0])))
 
     @property
@@ -73,18 +74,21 @@ def step(memory: Attitude, gyro: Vector, force: Vector, acceleration: Vector, fi
     Args:
         gyro: angular velocity in body axes (3,) [rad/s].
         force: the accelerometer's reading in body axes (3,) [m/s^2]: (0, 0, g) at rest.
-        acceleration: known acceleration in body axes (3,) [m/s^2], taken from the reading; zeros where none is known.
+        acceleration: known acceleration in body axes (3,) [m/s^2], subtracted from the reading; zeros where none is known.
         dt: [s].
     """
+    # Plain floats, written out: it runs at 1 kHz, where numpy's overhead for three numbers would be most of the time.
     (x, y, z), (bx, by, bz) = memory
     ax, ay, az = force[0] - acceleration[0], force[1] - acceleration[1], force[2] - acceleration[2]
     size = math.sqrt(ax * ax + ay * ay + az * az)
     ex = ey = ez = 0.0
-    if 0.5 * GRAVITY < size < 1.5 * GRAVITY:  # else the reading is mostly something else than gravity
+    if 0.5 * GRAVITY < size < 1.5 * GRAVITY:  # else (free fall, a hard pull) the direction is mostly not gravity's
         ex, ey, ez = (ay * z - az * y) / size, (az * x - ax * z) / size, (ax * y - ay * x) / size
     k = filter.gain
     wx, wy, wz = gyro[0] - bx + k * ex, gyro[1] - by + k * ey, gyro[2] - bz + k * ez
     dx, dy, dz = (y * wz - z * wy) * dt, (z * wx - x * wz) * dt, (x * wy - y * wx) * dt
+    # z turns by the second-order series of exp(-[w] dt): |w|^3 dt^2 t / 6 of error; the first order
+    # would have |w|^2 dt t / 2.
     h = 0.5 * dt
     x, y, z = x + dx + h * (dy * wz - dz * wy), y + dy + h * (dz * wx - dx * wz), z + dz + h * (dx * wy - dy * wx)
     n = 1.0 / math.sqrt(x * x + y * y + z * z)
@@ -93,7 +97,7 @@ def step(memory: Attitude, gyro: Vector, force: Vector, acceleration: Vector, fi
 
 
 class Level(NamedTuple):
-    """R_level_body, the body's axes in the level frame that shares its heading, as nine numbers by rows."""
+    """R_level_body (3, 3) by rows: from body axes to the level frame, which has z up and the body's heading. yx is always 0."""
 
     xx: float
     xy: float
@@ -116,12 +120,15 @@ class Level(NamedTuple):
         return self.xx * a + self.zx * c, self.xy * a + self.yy * b + self.zy * c, self.xz * a + self.yz * b + self.zz * c
 
     def heading_rate(self, rates: Vector) -> float:
-        """Rate of the heading [rad/s], (w_y sin roll + w_z cos roll) / cos pitch, of body rates w (3,) [rad/s]; tamed near a nose-up."""
+        """Rate of the heading [rad/s], (w_y sin roll + w_z cos roll) / cos pitch, of body rates w (3,) [rad/s].
+
+        Bounded near a pitch of 90 degrees.
+        """
         return (self.yy * rates[2] - self.yz * rates[1]) / max(self.xx, 0.1)
 
 
 def level(up: Vector) -> Level:
-    """R_level_body = Ry(pitch) Rx(roll) of an `up` (3,); x stays the heading (nose straight up or down: it has none, roll 0)."""
+    """R_level_body = Ry(pitch) Rx(roll) for an `up` (3,). With the nose straight up or down, roll is taken as 0."""
     sp, cp = -up[0], math.hypot(up[1], up[2])
     sr, cr = (up[1] / cp, up[2] / cp) if cp > 1e-6 else (0.0, 1.0)
     return Level(cp, sp * sr, sp * cr, 0.0, cr, -sr, -sp, cp * sr, cp * cr)

@@ -17,7 +17,7 @@ Base = Literal["fixed", "planar", "floating"]
 
 
 class Robot(Protocol):
-    """A robot that carries (or is) the camera. Its configuration tells where it stands: joint angles, a flat pose, (x, y, heading).
+    """A robot that carries (or is) the camera. Its configuration: joint angles, a flattened pose, or (x, y, heading).
 
     `RobotBase` has defaults for all but `kind`, `start`, `configuration`, `randomised`, `started_at`, `flange_pose`, `motion_basis`,
     `measured_twist` and `allocate`.
@@ -37,11 +37,11 @@ class Robot(Protocol):
     gripper: ClassVar[bool]
     """Whether it can hold the target, in front of a camera that stands in the room."""
     control_period_s: ClassVar[float | None]
-    """How often its onboard controller turns the setpoint into controls [s]; None where the setpoint is the controls."""
+    """Period of its onboard controller, from setpoint to actuator controls [s]; None where the setpoint is the controls."""
     largest_step_s: ClassVar[float]
-    """The largest physics step that its actuators were tested at [s]."""
+    """The largest physics step at which its actuators were tested [s]."""
     ends_m: ClassVar[tuple[float, float]]
-    """Of a vehicle, where it ends behind and ahead of its origin [m]."""
+    """Of a vehicle: x of its rear and of its front end in the base frame [m]."""
 
     @property
     def kind(self) -> str:
@@ -70,7 +70,7 @@ class Robot(Protocol):
 
     @property
     def turning_radius_m(self) -> float:
-        """Of a vehicle, the radius of its tightest circle [m]."""
+        """Of a vehicle: the radius of its tightest circle [m]."""
         ...
 
     @property
@@ -104,7 +104,7 @@ class Robot(Protocol):
         ...
 
     def check_mount(self, xyz: tuple[float, ...]) -> None:
-        """Refuse a place of the camera on the robot [m]. ParameterError names `camera.mount.xyz`."""
+        """Refuse an impossible place of the camera on the robot [m]. ParameterError names `camera.mount.xyz`."""
         ...
 
     def flange_pose(self, configuration: Array) -> Array:
@@ -116,19 +116,19 @@ class Robot(Protocol):
         ...
 
     def measured(self, q: Array, qd: Array, sensors: Mapping[str, Array], rng: np.random.Generator) -> Reading:
-        """Its reading, from true joints and MuJoCo's perfect sensors by name: with its instruments' noise and bias."""
+        """Its sensor reading: true joints and MuJoCo's perfect sensors, by name, with noise and bias added."""
         ...
 
     def measured_twist(self, before: Reading, now: Reading, duration: float, ordered: Array, mount: Mount) -> Array:
-        """Mean camera twist (6,) between two readings; `ordered` where it measures none."""
+        """Mean camera twist (6,) between two readings; the commanded one, `ordered`, where the robot cannot measure it."""
         ...
 
     def allocate(self, twist: Array, reading: Reading, mount: Mount, period: float) -> Allocation:
-        """A camera twist (6,) as a setpoint that keeps the limits for one period [s]."""
+        """The setpoint for a camera twist (6,), within the robot's limits for one period [s]."""
         ...
 
     def secondary_task(self, null_space: Array, reading: Reading, mount: Mount) -> Array:
-        """A camera twist (6,) in the span of `null_space` (6, k), added to the law's: aims of its own in what the law leaves open."""
+        """Secondary task: a camera twist (6,) in the span of `null_space` (6, k), added to the law's."""
         ...
 
     def supervisor(self, lands: bool, lost_after_s: float) -> Supervisor:
@@ -140,23 +140,23 @@ class Robot(Protocol):
         ...
 
     def begin(self) -> Any:
-        """The memory of its onboard controller before the start."""
+        """The initial state of its onboard controller."""
         ...
 
     def actuate(self, memory: Any, setpoint: Array, reading: Any, dt: float) -> tuple[Any, Array]:
-        """One step of its onboard controller: the next memory and the actuators' controls (nu,)."""
+        """One step of its onboard controller: the next state and the actuators' controls (nu,)."""
         ...
 
     def reported(self, memory: Any, reading: Any) -> Any:
-        """The reading with what its onboard controller estimates."""
+        """The reading with the onboard controller's estimates added."""
         ...
 
     def rest_ctrl(self) -> Array | None:
-        """Controls, and activations, with which it keeps its start (nu,); None where those of the file do."""
+        """Controls and activations (nu,) that hold it at its start; None where the defaults of its file do."""
         ...
 
     def hold_setpoint(self) -> Array | None:
-        """The setpoint that holds it where it is when no command comes; None where the last one stays."""
+        """The setpoint that takes over when commands stop coming; None where the last one stays in force."""
         ...
 
 
@@ -169,6 +169,7 @@ class RobotBase:
     feet: ClassVar[tuple[str, ...]] = ()
     gripper: ClassVar[bool] = False
     control_period_s: ClassVar[float | None] = None
+    # The servo gains in puma560.xml and the contacts of the vehicles' wheels were measured at 2 ms.
     largest_step_s: ClassVar[float] = 0.002
     ends_m: ClassVar[tuple[float, float]] = (0.0, 0.0)
 

@@ -1,11 +1,11 @@
-"""The kinematic bicycle: what a car does whose wheels roll without slip, its limits, and the way it drives under a law.
+"""Kinematic bicycle model: a car whose wheels roll without slip, its limits, and its closed loop with a law.
 
 With the frame under the middle of the rear axle, x forward, L the wheelbase and gamma the steering angle of the middle of the
 front axle:
 
     x_dot = v cos(heading),  y_dot = v sin(heading),  heading_dot = w = v tan(gamma) / L
 
-Places are (x, y, heading), shape (..., 3), [m, m, rad]; speeds and angles have the leading axes. One run is the batch of nothing.
+Places are (x, y, heading), shape (..., 3), [m, m, rad]; speeds and angles have the leading axes; a single car has none.
 
 Reference: Corke 2017, Robotics, Vision & Control, eq. 4.2, doi:10.1007/978-3-319-54413-7.
 """
@@ -21,12 +21,12 @@ from vstestbed.core.geometry import Array
 from vstestbed.core.planar import moved
 
 STANDSTILL = 1e-6
-"""Slower than this [m/s] a car stands: no steering angle follows from a yaw rate."""
+"""Below this speed [m/s] a car counts as standing: gamma = atan(L w / v) is undefined there."""
 
 
 @dataclass(frozen=True, slots=True)
 class BicycleLimits:
-    """What a car can do.
+    """Limits of a car.
 
     Attributes:
         speed_mps, steering_rad: largest sizes of speed and steering angle.
@@ -40,11 +40,9 @@ class BicycleLimits:
 
 
 def steering_of(v: Array | float, w: Array | float, wheelbase: float) -> Array:
-    """The steering angle whose arc has a speed v [m/s] and a yaw rate w [rad/s]: gamma = atan(L w / v), in [-pi/2, pi/2].
-
-    Written atan2(sign(v) L w, |v|), which holds in reverse too and has a limit (a quarter turn) where v is 0.
-    """
+    """The steering angle for a speed v [m/s] and a yaw rate w [rad/s]: gamma = atan(L w / v), in [-pi/2, pi/2]."""
     v, w = np.asarray(v, dtype=float), np.asarray(w, dtype=float)
+    # atan2(sign(v) L w, |v|) and not atan2(L w, v): in reverse that would point the wheels backwards. At v = 0 it is a quarter turn.
     return np.arctan2(np.where(v < 0, -w, w) * wheelbase, np.abs(v))
 
 
@@ -54,16 +52,15 @@ def yaw_rate(v: Array | float, steering: Array | float, wheelbase: float) -> Arr
 
 
 def within_limits(v: Array | float, w: Array | float, held: Array | float, wheelbase: float, limits: BicycleLimits) -> tuple[Array, Array]:
-    """The speed and steering angle that make (v, w) as far as a car can.
+    """The speed and steering angle that come nearest to a commanded (v, w) within a car's limits.
 
-    Speed and yaw rate are scaled together, so that a motion that is too fast becomes a slower one on the same arc. On an arc
-    that is too tight the steering angle stays at its limit, with the sign of the arc's curvature, and the speed as ordered: a
-    slower car turns no tighter, and the order's yaw rate would ask for a faster one. A car that shall not move (or only turn on
-    the spot) keeps its steering angle `held`.
+    A command that is too fast becomes a slower motion along the same arc. On an arc that is too tight the steering angle saturates,
+    with the sign of the arc's curvature, and the speed stays as commanded. A car that is to stand, or to turn on the spot, keeps its
+    steering angle `held`.
 
     Args:
-        v, w: speed [m/s] and yaw rate [rad/s] ordered, shape (...).
-        held: the steering angle as it is, shape (...), [rad].
+        v, w: commanded speed [m/s] and yaw rate [rad/s], shape (...).
+        held: the present steering angle, shape (...), [rad].
         wheelbase: L [m].
         limits: of the speed and of the steering angle.
 
@@ -71,17 +68,20 @@ def within_limits(v: Array | float, w: Array | float, held: Array | float, wheel
         (v, gamma): speed [m/s] and steering angle [rad], shape (...) each.
     """
     steering = np.clip(steering_of(v, w, wheelbase), -limits.steering_rad, limits.steering_rad)
+    # Else rest would straighten the wheels, or turn them to their stop, under a car that stands.
     steering = np.where(np.abs(v) < STANDSTILL, held, steering)
+    # The angle is that of the arc before the speed is cut, so the yaw rate shrinks with the speed and the arc stays. In a bend that is
+    # too tight the speed is not cut: a slower car turns no tighter, and keeping the yaw rate would take a faster one.
     return np.clip(v, -limits.speed_mps, limits.speed_mps), steering
 
 
-def toward(now: Array, wanted: Array, most: float) -> Array:
-    """`now` moved towards `wanted`, by `most` at the most."""
-    return now + np.clip(wanted - now, -most, most)
+def toward(now: Array, setpoint: Array, most: float) -> Array:
+    """Rate limiter: `now` moved towards `setpoint` by `most` at the most."""
+    return now + np.clip(setpoint - now, -most, most)
 
 
 def rolled(place: Array, v: Array, steering: Array, wheelbase: float, duration: float) -> Array:
-    """Where a bicycle comes to from `place` (..., 3) with constant speed and steering angle: the exact arc."""
+    """The place after `duration` [s] at constant speed and steering angle from `place` (..., 3): the exact arc."""
     v = np.asarray(v, dtype=float)
     motion = np.stack(np.broadcast_arrays(v, 0.0, yaw_rate(v, steering, wheelbase)), axis=-1)
     return moved(place, motion, duration)
@@ -89,12 +89,12 @@ def rolled(place: Array, v: Array, steering: Array, wheelbase: float, duration: 
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """A drive of the ideal bicycle, instants first.
+    """Trajectory of the ideal bicycle, time along the first axis.
 
     Attributes:
         t: instants (T,) [s].
-        place: (x, y, heading) (T, ..., 3); the heading runs on, it is not wrapped.
-        v, steering: what the bicycle does from each instant to the next, (T, ...) [m/s], [rad]; at the last as before it.
+        place: (x, y, heading) (T, ..., 3); the heading is not wrapped.
+        v, steering: held from each instant to the next, (T, ...) [m/s], [rad]; the last ones repeat.
     """
 
     t: Array
@@ -111,13 +111,13 @@ def drive(
     duration: float,
     period: float = 0.01,
 ) -> Drive:
-    """The closed loop of a law and a bicycle that knows its place, rolls without slip, and obeys within its limits.
+    """Closed loop of a law and a bicycle that knows its place, rolls without slip, and follows commands within its limits.
 
     Args:
-        law: maps places (..., 3) to speed and yaw rate ordered (v, w), shape (...) each.
+        law: maps places (..., 3) to commanded speed and yaw rate (v, w), shape (...) each.
         start: (x, y, heading), shape (..., 3); it stands, wheels straight.
         wheelbase: L [m].
-        limits: of speed and steering angle, and of their rates: between two periods both move by no more than that.
+        limits: of speed and steering angle, and of their rates.
         duration: how long [s].
         period: of the law; the motion between is an exact arc [s].
     """

@@ -1,8 +1,8 @@
-"""A car: bicycle kinematics both ways, its onboard servos, odometry of the rear wheels, a compass.
+"""A car: bicycle kinematics both ways, onboard servos, odometry of the rear wheels, a compass.
 
-Its frame stands on the floor under the middle of the rear axle, x forward. It moves with u = (v, w) of that frame: it cannot go
-sideways, and cannot turn on the spot. The setpoint is (speed [m/s], steering angle [rad]); `actuate` moves both there no faster than
-a motor and a steering gear do. The body is in models/car.xml; a test holds the file and this together.
+Its frame lies on the floor under the middle of the rear axle, x forward. It moves with u = (v, w) of that frame: it can neither go
+sideways nor turn on the spot. The setpoint is (speed [m/s], steering angle [rad]); `actuate` approaches both within their rate limits.
+The body is in models/car.xml; a test compares the dimensions here with that file.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from vstestbed.robots.ground import PLANE, GroundStart, Vehicle
 from vstestbed.robots.reading import Reading
 
 WHEELBASE, TRACK, RADIUS = 1.0, 0.6, 0.15
-"""[m], those of the model."""
+"""Wheelbase, track and wheel radius [m], as in models/car.xml."""
 SPEED_INTEGRAL = 8.0
-"""Integral gain of the speed servo [1/s]: against the motor loop's offset under rolling resistance, .005 m/s. Slower than that loop,
-whose time constant is .03 s, by four."""
+"""Integral gain of the speed servo [1/s]. It removes the offset of .005 m/s that rolling resistance leaves in the motor loop, and is
+four times as slow as that loop, whose time constant is .03 s."""
 INTEGRAL_LIMIT = 1.0
-"""Most that the integral adds [rad/s of the wheels]: it does not wind up against a wall."""
+"""Bound of the integral [rad/s of the wheels]: anti-windup, for a car that is held up by a wall."""
 
 _STEERING, _REAR = 0, slice(3, 5)
-"""Where `Car.joints` has the steering and the rear wheels."""
+"""Indices of the steering and of the rear wheels in `Car.joints`."""
 
 
 @spec
@@ -45,10 +45,10 @@ class Compass:
 
 @spec
 class CarLimits:
-    """What the onboard servos allow.
+    """Limits of the onboard servos.
 
     Args:
-        speed_mps: largest speed, forward and in reverse [m/s]. At 3 a hard bend is a slide.
+        speed_mps: largest speed, forward and in reverse [m/s]. At 3 m/s the car slides in a tight bend.
         steering_rad: largest steering angle of the middle of the front axle [rad].
         acceleration_mps2: how fast the speed setpoint is followed [m/s^2]; the rear tyres hold about 3.
         steering_rate_radps: how fast the steering setpoint is followed [rad/s].
@@ -66,7 +66,7 @@ class CarLimits:
 
 @dataclass(frozen=True, slots=True)
 class CarServos:
-    """The onboard memory: where speed [m/s] and steering [rad] setpoints are on their way, and the speed loop's integral [rad/s]."""
+    """State of the onboard servos: rate-limited speed [m/s] and steering [rad], and the speed loop's integral [rad/s]."""
 
     speed: float = 0.0
     steering: float = 0.0
@@ -80,7 +80,7 @@ class Car(Vehicle):
     Args:
         start: where the middle of its rear axle starts on the floor, and its heading.
         compass: errors of its compass.
-        wheel_radius_error: relative error of the wheel radius that it believes in, in its speed servo and its odometry: .02 for 2 %
+        wheel_radius_error: relative error of the calibrated wheel radius, which its speed servo and its odometry use: .02 for 2 %
             too large.
         limits: of its speed, its steering angle and their rates.
     """
@@ -93,7 +93,7 @@ class Car(Vehicle):
     actuators: ClassVar[tuple[str, ...]] = ("drive", "steering")
     sensors: ClassVar[tuple[str, ...]] = ("heading",)
     ends_m: ClassVar[tuple[float, float]] = (-0.188, 1.208)
-    """Where its bumpers end, behind and ahead of its origin [m]."""
+    """x of its rear and its front bumper [m]."""
     control_period_s: ClassVar[float | None] = 0.01
 
     @property
@@ -121,7 +121,7 @@ class Car(Vehicle):
 
     @property
     def believed_radius(self) -> float:
-        """The wheel radius that it believes in [m]."""
+        """The calibrated wheel radius, with its error [m]."""
         return RADIUS * (1 + self.wheel_radius_error)
 
     def randomised(self, rng: np.random.Generator) -> Car:
@@ -145,13 +145,14 @@ class Car(Vehicle):
     def odometry(self, before: Reading, now: Reading, duration: float) -> Array:
         """Mean motion (vx, 0, wz), shape (3,), of the base between two readings of its encoders.
 
-        v = r (left + right) / 2,  w = r (right - left) / track, of the rear wheels' speeds and the radius that it believes in.
+        v = r (left + right) / 2,  w = r (right - left) / track, of the rear wheels' speeds and the calibrated radius r.
 
-        Of the rear wheels, not v tan(steering) / L: where tyres hold they roll without side slip, and the result is exact however the
-        steering moves meanwhile; the front ones slip sideways a little. Where a wheel spins both are wrong.
+        Where a wheel spins, it is wrong.
         """
         if duration <= 0:
             return np.zeros(3)
+        # Not v tan(steering) / L: the rear wheels roll without side slip while tyres hold, so this is exact however the steering
+        # moves between the readings, and the front wheels slip sideways a little.
         left, right = (now.q[_REAR] - before.q[_REAR]) * (self.believed_radius / duration)
         return np.array([(left + right) / 2, 0.0, (right - left) / TRACK])
 
@@ -162,9 +163,9 @@ class Car(Vehicle):
     def allocate(self, twist: Array, reading: Reading, mount: Mount, period: float) -> Allocation:
         """Speed [m/s] and steering angle [rad] for a camera twist (6,), as `bicycle.within_limits` has it.
 
-        Of the base's twist only (v, w) can be made; the rest is left out, and `twist` is without it. `scale` is the part of the speed
-        that is left ("speed") or of the turn, where the arc is too tight ("joint_limit": the steering is at its end), or 0
-        for a turn on the spot ("singular"); of several the smallest. A car that shall stand keeps its steering as measured.
+        Only (v, w) of the base's twist can be realised; the rest is dropped, also from `Allocation.twist`. `scale` is the realised
+        share of the speed ("speed") or of the yaw rate, where the arc is too tight ("joint_limit": the steering is at its stop), or 0
+        for a turn on the spot ("singular"); of several the smallest. A car that is to stand keeps its measured steering angle.
         """
         v, w = (PLANE[:, [0, 2]].T @ (mount.to_flange @ twist)).tolist()
         held = float(reading.q[_STEERING])
@@ -179,14 +180,13 @@ class Car(Vehicle):
         return Allocation(setpoint=np.array([speed, steering]), twist=made, scale=scale, limit=limit)
 
     def begin(self) -> CarServos:
-        """It stands, wheels straight."""
+        """At rest, wheels straight."""
         return CarServos()
 
     def actuate(self, memory: CarServos, setpoint: Array, reading: Reading, dt: float) -> tuple[CarServos, Array]:
-        """One period dt [s] of the speed and steering servos: the next memory, and ctrl (2,): wheels [rad/s], steering [rad].
+        """One period dt [s] of the speed and steering servos: the next state, and ctrl (2,): wheels [rad/s], steering [rad].
 
-        Both setpoints are approached at the limits' rates. The speed has an integral of its error, measured at the rear wheels' mean
-        speed; a car that shall stand has none: its motor holds it.
+        Both setpoints are approached within their rate limits. The speed loop has integral action on the rear wheels' mean speed.
         """
         limits = self.limits
         v, angle = setpoint.tolist()
@@ -195,17 +195,19 @@ class Car(Vehicle):
         steering = memory.steering + _within(turn, limits.steering_rate_radps * dt)
         wheels = speed / self.believed_radius
         error = wheels - sum(reading.qd[_REAR].tolist()) / 2
+        # None at rest: the motor loop alone holds a standing car, and an integral would creep it after a residual error.
         integral = _within(memory.integral + SPEED_INTEGRAL * error * dt, INTEGRAL_LIMIT) if speed else 0.0
         return CarServos(speed, steering, integral), np.array([wheels + integral, steering])
 
 
 def _within(x: float, most: float) -> float:
-    """x, or the end of [-most, most] that is nearest."""
+    """Clip x to [-most, most]."""
     return max(-most, min(most, x))
 
 
 def _smallest(of_speed: float, of_turn: float) -> tuple[float, Limit]:
-    """The scale of an allocation and its limit's name, from what is left of the speed and of the turn."""
+    """The scale of an allocation and the name of its limit, from the realised shares of speed and yaw rate."""
+    # The speed's cut shrinks the yaw rate alike: only a yaw rate that shrinks more has met the steering's stop. 1e-9 is for rounding.
     if of_turn < of_speed - 1e-9:
         return of_turn, "joint_limit"
     return (of_speed, "speed") if of_speed < 1 else (1.0, "")

@@ -1,8 +1,11 @@
-"""The quadrotor's failsafe: what is flown when the law cannot go on, by the craft's own instruments.
+"""The quadrotor's failsafe: a state machine that overrides the law's setpoint, from onboard estimates alone.
 
-Without a target in sight the law rests and the craft holds (or coasts for a moment after a target that moved); after a while
-it sinks until it stands, and rotors go off. A craft that overturned levels by itself (its flight loops take no setpoint then); a
-rotor that stays at its limit means that setpoints cannot be kept: both give the task up, hold and sink. Nothing falls silently.
+    follow --target lost--> hold (the law rests, or coasts after a moving target) --lost_after_s--> sink --feet down--> off
+    follow --overturned, or a rotor at its limit--> hold --HOLD_S--> sink --feet down--> off
+
+A lost target that is seen again brings it back to `follow`, unless the craft is already near the ground. An overturned craft is
+levelled by its flight loops, which ignore setpoints meanwhile; a rotor that stays at its limit means that setpoints cannot be
+tracked. Both end the task, since neither is cured by seeing the target.
 """
 
 from __future__ import annotations
@@ -18,26 +21,26 @@ from vstestbed.robots.reading import Reading
 from vstestbed.robots.supervisor import Supervisor
 
 HOLD_S = 2.0
-"""How long a craft that has given up holds before it sinks [s]."""
+"""How long the craft holds after an abort before it sinks [s]."""
 SINK_MPS = 0.4
-"""How fast it sinks [m/s]."""
+"""Descent rate [m/s], under the .5 m/s at which a touch-down counts as a landing (`GoalLanding.touch_mps`)."""
 RESUME_M = 0.5
-"""Lower than this over the ground it sets down even when it sees its target again [m]."""
+"""Below this height the descent goes on even when the target is seen again [m]."""
 LIMIT_S = 1.0
-"""How long a rotor may stand at its limit [s]."""
+"""A rotor at its limit for longer aborts the task [s]; a step of the setpoint may saturate one for a moment."""
 DOWN_S = 0.5
-"""How long it must stand with rotors off to be down [s]."""
+"""How long the rotors must be off before the craft counts as down [s]; they spin down with a time constant of .117 s."""
 FOLLOWS, HOLDS, SINKS, OFF = range(4)
-"""What the failsafe does, as column `supervisor` of the log has it."""
+"""Modes, as numbered in the log's column `supervisor`."""
 
 
 @dataclass
 class Failsafe(Supervisor):
-    """Watches one flight.
+    """The failsafe of one flight.
 
     Attributes:
-        lands: the task ends on the ground. lost_after_s: how long it holds without sight before it sinks [s].
-        aborted: why the task was given up. off_at: when the rotors went off [s]. mode: what it does.
+        lands: the task ends on the ground. lost_after_s: how long to hold without sight of the target before sinking [s].
+        aborted: why the task was aborted; None while it goes on. off_at: when the rotors went off [s]. mode: see FOLLOWS, ...
     """
 
     sets_down: ClassVar[bool] = True
@@ -50,18 +53,11 @@ class Failsafe(Supervisor):
     _since: float = math.nan
 
     def filter(self, t: float, rest_reason: str, reading: Reading, setpoint: Array) -> Array:
-        """The setpoint (4,) that is flown: the law's, or what is safe."""
+        """The setpoint (4,) that the flight loops get: the law's, or hold, descend, rotors off."""
         assert isinstance(reading, FlightReading) and reading.estimate is not None
-        self._watch(t, rest_reason, reading.range_m, reading.estimate)
-        if not math.isnan(self.off_at):
-            self.mode = OFF
-            return ROTORS_OFF
-        if not self.aborted:
-            self.mode = HOLDS if rest_reason else FOLLOWS
-        else:
-            self.mode = HOLDS if t - self._since < HOLD_S and self.aborted[0] is not Outcome.target_lost else SINKS
-        if reading.estimate.stands and (self.lands or self.aborted):
-            self.off_at, self.mode = t, OFF
+        self._update_abort(t, rest_reason, reading.range_m, reading.estimate)
+        self.mode = self._next_mode(t, rest_reason, reading.estimate)
+        if self.mode == OFF:
             return ROTORS_OFF
         if self.mode == SINKS:
             return descend(SINK_MPS)
@@ -69,28 +65,53 @@ class Failsafe(Supervisor):
 
     @property
     def may_touch(self) -> bool:
-        """Whether the feet may be on something: in a landing, or once it sinks to set down."""
+        """Whether ground contact of the feet is allowed: in a landing, or once it sinks."""
         return self.lands or self.mode in (SINKS, OFF)
 
     def down(self, t: float) -> bool:
-        """Whether it has stood with its rotors off for a moment."""
+        """Whether the rotors have been off for DOWN_S."""
+        # NaN while they are on: the comparison is False then.
         return t - self.off_at >= DOWN_S
 
-    def _watch(self, t: float, lost: str, height: float, estimate: FlightEstimate) -> None:
-        """Give up where it has to; seen again, a target that was lost is followed again."""
-        self._lost_at = (t if math.isnan(self._lost_at) else self._lost_at) if lost else math.nan
+    def _next_mode(self, t: float, rest_reason: str, estimate: FlightEstimate) -> int:
+        """The mode of this frame; entering OFF notes the time, and nothing leads out of it again."""
+        if math.isnan(self.off_at) and estimate.stands and (self.lands or self.aborted):
+            self.off_at = t
         if not math.isnan(self.off_at):
+            return OFF
+        if not self.aborted:
+            return HOLDS if rest_reason else FOLLOWS
+        # A lost target has already had its `lost_after_s` of holding before the task was given up.
+        holds = t - self._since < HOLD_S and self.aborted[0] is not Outcome.target_lost
+        return HOLDS if holds else SINKS
+
+    def _update_abort(self, t: float, rest_reason: str, height: float, estimate: FlightEstimate) -> None:
+        """Give the task up where there is cause; take up again a task whose target was lost and is seen again."""
+        if not rest_reason:
+            self._lost_at = math.nan
+        elif math.isnan(self._lost_at):
+            self._lost_at = t
+        if not math.isnan(self.off_at) or self._final:
             return
-        if self.aborted and self.aborted[0] is not Outcome.target_lost:
-            return  # overturned, or a rotor at its limit: there is no way back
-        if self.aborted and not lost and height > RESUME_M:
+        if self.aborted and not rest_reason and height > RESUME_M:
             self.aborted = None
+        if cause := self._cause(t, rest_reason, estimate):
+            self._give_up(t, *cause)
+
+    @property
+    def _final(self) -> bool:
+        """Whether the task was given up for good: overturned, or a rotor at its limit."""
+        return self.aborted is not None and self.aborted[0] is not Outcome.target_lost
+
+    def _cause(self, t: float, rest_reason: str, estimate: FlightEstimate) -> Verdict | None:
+        """Why the task must be given up in this frame, the most urgent cause first; None where it need not."""
         if estimate.overturned:
-            self._give_up(t, Outcome.overturned, Outcome.overturned.value)
-        elif estimate.rotor_limit_s > LIMIT_S:
-            self._give_up(t, Outcome.rotor_limit, f"a rotor stood at its limit for {LIMIT_S:g} s")
-        elif lost and not self.aborted and t - self._lost_at >= self.lost_after_s:
-            self._give_up(t, Outcome.target_lost, f"{lost} for {self.lost_after_s:g} s")
+            return Outcome.overturned, Outcome.overturned.value
+        if estimate.rotor_limit_s > LIMIT_S:
+            return Outcome.rotor_limit, f"a rotor stood at its limit for {LIMIT_S:g} s"
+        if rest_reason and not self.aborted and t - self._lost_at >= self.lost_after_s:
+            return Outcome.target_lost, f"{rest_reason} for {self.lost_after_s:g} s"
+        return None
 
     def _give_up(self, t: float, outcome: Outcome, reason: str) -> None:
         self.aborted, self._since = (outcome, f"{reason} at {t:.1f} s"), t

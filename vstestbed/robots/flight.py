@@ -1,14 +1,14 @@
-"""The loops of flight: velocity to acceleration, acceleration to tilt and thrust, tilt to rates, rates to torques.
+"""Cascaded flight control: velocity to acceleration, acceleration to tilt and thrust, tilt to rates, rates to torques.
 
 In the level frame (x the heading, z up) and in body axes:
 
     a      = k_v (v* - v) + k_vi int(v_m - v) + r* z x v*      (x and y; z with gains of its own)
-    F      = m (a + g z),  the tilt cut to its limit; thrust = F_z / cos(tilt): the true weight is fed forward
+    F      = m (a + g z),  the tilt cut to its limit; thrust = F_z / cos(tilt): feedforward of the weight
     w*     = k_R (rotation that takes the body's z to F) + r* up
     torque = J (k_w (w* - w) + k_wi int(w* - w))
 
-v_m is the velocity that orders should give in still air, a_m' = k_R (k_v (v* - v_m) - a_m), v_m' = a_m: the integral answers wind
-and wrong trim only, so it can be quick without overshoot after a step of the order.
+v_m is a reference model, the velocity that the setpoint should give in still air, a_m' = k_R (k_v (v* - v_m) - a_m), v_m' = a_m.
+The integral acts on v_m - v, thus on wind and trim errors alone, and can be quick without overshoot after a step of the setpoint.
 
 Reference: the cascade of Mahony, Kumar & Corke 2012, doi:10.1109/MRA.2012.2206474, with the reduced attitude of
 Brescianini & D'Andrea 2020, doi:10.1016/j.automatica.2019.108703 (tilt first, heading by its rate alone).
@@ -29,13 +29,13 @@ Positive = Annotated[float, Gt(0)]
 NotNegative = Annotated[float, Ge(0)]
 
 RECOVER_RAD, RECOVERED_RAD = math.radians(60), math.radians(15)
-"""Tilted by more, the craft forgets its orders and levels; under the second it takes orders again."""
+"""Tilted by more than the first, the craft ignores its setpoint and levels; under the second it takes setpoints again."""
 MAX_TILT_RATE = 4.0
-"""[rad/s]: what the attitude loop asks for at most. The rotors' torque at hover, 2.2 Nm, stops it in .15 s."""
+"""Largest rate that the attitude loop commands [rad/s]. The rotors' torque at hover, 2.2 Nm, stops it in .15 s."""
 MAX_YAW_ACCELERATION = 0.4
-"""[rad/s^2]: how quickly the yaw order moves; the rotors' share of yaw gives .45."""
+"""Slope of the yaw-rate command [rad/s^2], a little under the .45 that the rotors' share of yaw can realise."""
 MAX_TRIM = 3.0
-"""Bound of the velocity loop's integral [m/s^2]: a wind of 10 m/s asks for 1.5."""
+"""Bound of the velocity loop's integral [m/s^2]; a wind of 10 m/s takes 1.5."""
 MAX_RATE_TRIM = 3.0
 """Bound of the rate loop's integral [rad/s^2]."""
 STILL: Vector = (0.0, 0.0, 0.0)
@@ -52,7 +52,7 @@ class Gains:
         attitude: k_R [1/s].
         velocity, velocity_integral: k_v [1/s], k_vi [1/s^2] along x and y of the level frame.
         climb, climb_integral: the same along z.
-        tilt_deg: largest tilt asked for [deg].
+        tilt_deg: largest commanded tilt [deg].
         rotor_s: time constant that the speed controllers give the rotors [s]; without them it is .117.
     """
 
@@ -69,16 +69,16 @@ class Gains:
 
 
 class Loops(NamedTuple):
-    """The loops' memory.
+    """State of the loops.
 
     Attributes:
         trim: the velocity loop's integral (3,) in the level frame [m/s^2].
         model: v_m (3,) [m/s] and a_m along x and y (2,) [m/s^2].
         rate_trim: the rate loop's integral (2,) [rad/s^2].
-        yaw_rate: the yaw order, its slope limited [rad/s].
-        levelling: whether the craft hears no order until it is level.
-        force: the direction (3,) in the level frame that the velocity loop asked of the attitude loop, unit.
-        wanted: body rates (3,) that the attitude loop asked of the rate loop [rad/s].
+        yaw_rate: the yaw-rate command, its slope limited [rad/s].
+        levelling: whether the craft ignores its setpoint until it is level.
+        force: reference of the attitude loop: the thrust's direction (3,) in the level frame, unit.
+        wanted: reference of the rate loop: body rates (3,) [rad/s].
     """
 
     trim: Vector = STILL
@@ -91,13 +91,13 @@ class Loops(NamedTuple):
 
     @property
     def tilt(self) -> tuple[float, float]:
-        """The roll and pitch asked of the attitude loop [rad]: those of a craft whose z is along `force`."""
+        """Reference roll and pitch [rad]: those of a craft whose z is along `force`."""
         x, y, z = self.force
         return -math.asin(max(-1.0, min(1.0, y))), math.atan2(x, z)
 
 
 class Push(NamedTuple):
-    """What the rotors have to make: a thrust [N] along the body's z and a torque (3,) [Nm] in body axes."""
+    """Commanded thrust [N] along the body's z and torque (3,) [Nm] in body axes."""
 
     thrust: float
     torque: Vector
@@ -108,19 +108,21 @@ def fly(
 ) -> tuple[Loops, Push]:
     """One step of all loops.
 
-    A craft tilted beyond 60 degrees levels first: it hears no order until it is within 15 degrees, and starts then from no trim.
+    A craft tilted beyond 60 degrees levels first: it ignores its setpoint until it is within 15 degrees.
 
     Args:
-        order, velocity: wanted and estimated velocity in the level frame, (3,) [m/s].
-        yaw_order: wanted rate of the heading [rad/s].
+        order, velocity: commanded and estimated velocity in the level frame, (3,) [m/s].
+        yaw_order: commanded rate of the heading [rad/s].
         R: R_level_body, estimated.
         rates: body rates, (3,) [rad/s].
         dt: [s].
     """
+    # Two thresholds (hysteresis): with one, a craft that swings about it would alternate between levelling and its setpoint.
     levelling = R.zz < math.cos(RECOVERED_RAD if memory.levelling else RECOVER_RAD)
     most = MAX_YAW_ACCELERATION * dt
     yaw_rate = memory.yaw_rate + max(-most, min(most, (0.0 if levelling else yaw_order) - memory.yaw_rate))
     if levelling:
+        # Trim and model start anew: integrated upside down, or from the fall, they would throw the craft off again.
         trim, model, acceleration = STILL, (*velocity, 0.0, 0.0), STILL
     else:
         model = respond(memory.model, order, gains, dt)
@@ -134,7 +136,7 @@ def fly(
 
 
 def respond(model: Model, order: Vector, gains: Gains, dt: float) -> Model:
-    """v_m and a_m after one more step, from an order (3,) [m/s]; along z, where rotors answer at once, v_m' = k_c (v* - v_m)."""
+    """The reference model v_m, a_m after one step, for a setpoint (3,) [m/s]; along z, without tilt in between, v_m' = k_c (v* - v_m)."""
     x, y, z, ax, ay = model
     k, lag = gains.velocity, gains.attitude * dt
     ax, ay = ax + lag * (k * (order[0] - x) - ax), ay + lag * (k * (order[1] - y) - ay)
@@ -142,8 +144,9 @@ def respond(model: Model, order: Vector, gains: Gains, dt: float) -> Model:
 
 
 def retrim(trim: Vector, model: Model, velocity: Vector, yaw_rate: float, gains: Gains, dt: float) -> Vector:
-    """The velocity loop's integral (3,) [m/s^2] after one more step, within bounds; it turns against the heading, as wind does."""
+    """The velocity loop's integral (3,) [m/s^2] after one step, within bounds."""
     x, y, z = trim
+    # The level frame turns with the heading, the wind does not: its compensation must turn back by as much.
     i, j, turn = gains.velocity_integral * dt, gains.climb_integral * dt, yaw_rate * dt
     x, y = x + turn * y + i * (model[0] - velocity[0]), y - turn * x + i * (model[1] - velocity[1])
     z += j * (model[2] - velocity[2])
@@ -151,8 +154,9 @@ def retrim(trim: Vector, model: Model, velocity: Vector, yaw_rate: float, gains:
 
 
 def velocity_loop(trim: Vector, order: Vector, velocity: Vector, yaw_rate: float, gains: Gains) -> Vector:
-    """Wanted acceleration (3,) in the level frame [m/s^2], for velocities (3,) [m/s]."""
+    """Commanded acceleration (3,) in the level frame [m/s^2], for velocities (3,) [m/s]."""
     k = gains.velocity
+    # The last terms are r* z x v*: to keep a velocity in a frame that turns, the craft must accelerate sideways.
     return (
         k * (order[0] - velocity[0]) + trim[0] - yaw_rate * order[1],
         k * (order[1] - velocity[1]) + trim[1] + yaw_rate * order[0],
@@ -161,12 +165,13 @@ def velocity_loop(trim: Vector, order: Vector, velocity: Vector, yaw_rate: float
 
 
 def aim(acceleration: Vector, R: Level, tilt_deg: float) -> tuple[Vector, float]:
-    """The force's direction (3,) in the level frame, unit, and the thrust [N], for a wanted acceleration (3,) [m/s^2].
+    """The force's direction (3,) in the level frame, unit, and the thrust [N], for a commanded acceleration (3,) [m/s^2].
 
-    The vertical part is kept, the level part cut to the tilt limit. Where the craft is tilted the thrust grows with 1 / cos(tilt),
-    to twice at most; upside down there is none but what turning it over needs.
+    The vertical part is kept, the horizontal part cut to the tilt limit. The thrust grows with 1 / cos(tilt), to twice at most;
+    upside down it is 0, and the rotors make only the torque that turns the craft over.
     """
     ax, ay, az = acceleration
+    # Upward in any dive: a thrust of 0 would have no direction, and its tilt limit would be 0, too.
     up = max(0.3 * GRAVITY, GRAVITY + az)
     most, size = up * math.tan(math.radians(tilt_deg)), math.hypot(ax, ay)
     if size > most:
@@ -177,20 +182,20 @@ def aim(acceleration: Vector, R: Level, tilt_deg: float) -> tuple[Vector, float]
 
 
 def attitude_loop(force: Vector, gains: Gains) -> tuple[float, float]:
-    """Wanted roll and pitch rates [rad/s] that turn the body's z to `force` (3,), unit, in body axes.
+    """Commanded roll and pitch rates [rad/s] that turn the body's z to `force` (3,), unit, in body axes.
 
     The rotation is by atan2(|(F_x, F_y)|, F_z) about (-F_y, F_x, 0).
     """
     x, y, z = force
     sine = math.hypot(x, y)
     if sine < 1e-9:
-        return (0.0, 0.0) if z > 0 else (MAX_TILT_RATE, 0.0)  # upside down any way is as long
+        return (0.0, 0.0) if z > 0 else (MAX_TILT_RATE, 0.0)  # upside down: any axis is as good
     rate = min(MAX_TILT_RATE, gains.attitude * math.atan2(sine, z)) / sine
     return -rate * y, rate * x
 
 
 def rate_loop(trim: tuple[float, float], wanted: Vector, rates: Vector, gains: Gains, dt: float) -> tuple[tuple[float, float], Vector]:
-    """Integrals [rad/s^2] and torque (3,) [Nm], for body rates (3,) [rad/s]. Yaw's torque stays within its share."""
+    """Integrals [rad/s^2] and torque (3,) [Nm], for body rates (3,) [rad/s]; the yaw torque stays within its share."""
     ex, ey, ez = wanted[0] - rates[0], wanted[1] - rates[1], wanted[2] - rates[2]
     k, i = gains.rate, gains.rate_integral * dt
     tx = max(-MAX_RATE_TRIM, min(MAX_RATE_TRIM, trim[0] + i * ex))

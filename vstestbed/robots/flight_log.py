@@ -18,11 +18,11 @@ WIND = ("wind_x", "wind_y", "wind_z")
 
 
 class FlightLog(RobotLog):
-    """What the log has of a flight.
+    """Estimates, references and rotor speeds of a flight.
 
     `est_roll`, `est_pitch` [rad], `est_vx`, `est_vy`, `est_vz` (level frame) [m/s], `est_wx`, `est_wy`, `est_wz` (body) [rad/s]: the
     craft's own estimate; `ref_roll`, ..., `ref_wz`: references from its velocity loop and its attitude loop; `wind_x`, ... true, in the
-    world [m/s]; `speed_NAME`: true, of each rotor [rad/s]; `supervisor`: what the failsafe does, 0 follows the law, 1 holds, 2 sinks,
+    world [m/s]; `speed_NAME`: true, of each rotor [rad/s]; `supervisor`: mode of the failsafe, 0 follows the law, 1 holds, 2 sinks,
     3 rotors off.
 
     Args:
@@ -38,6 +38,7 @@ class FlightLog(RobotLog):
         reading = state.reading
         assert isinstance(reading, FlightReading) and reading.tilt is not None and reading.estimate is not None
         roll, pitch = reading.tilt.tolist()
+        # The level frame is the estimate's own: with the true tilt, an error of tilt would show as one of velocity, too.
         up = (-math.sin(pitch), math.cos(pitch) * math.sin(roll), math.cos(pitch) * math.cos(roll))
         estimate = reading.estimate
         velocity = level(up).to_level(tuple(estimate.velocity.tolist()))

@@ -1,4 +1,4 @@
-"""The ideal camera: it moves exactly as it is told, x_dot = v, by the SE(3) exponential."""
+"""The ideal camera: it follows its commanded twist exactly, by the SE(3) exponential."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ class Box:
 class FreeStart:
     """Where the camera starts: `nominal`, and what `random` starts are drawn from.
 
-    That is a box of poses, or an arm's start block (`nominal` and `random` with their q_deg): each seed then starts the
-    camera where it starts the arm's flange, which makes ideal motion and the arm's comparable pair by pair.
+    `random` is a box of poses, or an arm's start block (`nominal` and `random` with their q_deg): each seed then starts the
+    camera where it starts the arm's flange, so that ideal and real motion can be compared in pairs.
     """
 
     nominal: Pose
@@ -37,7 +37,7 @@ class FreeStart:
 
 @spec
 class Free(RobotBase):
-    """A camera that flies without mass; its flange is the camera's body. `start.nominal` is its pose in the world."""
+    """A camera without mass; its flange is the camera's body. `start.nominal` is its pose in the world."""
 
     kind: Literal["free"] = "free"
     start: FreeStart
@@ -52,6 +52,7 @@ class Free(RobotBase):
         if box is None:
             raise ParameterError("robot.start.random", "is missing: a seed draws the start from it, e.g. {xyz: [.2, .2, .2]}")
         if isinstance(box, PumaStart):
+            # By the arm's own draw, joint by joint: the same random numbers give the arm's flange pose of the same seed.
             arm = Puma560(start=box).randomised(rng)
             nominal = Pose.of(arm.flange_pose(arm.configuration()))
             return Free(start=FreeStart(nominal=nominal, random=box))
@@ -69,13 +70,13 @@ class Free(RobotBase):
         return configuration.reshape(4, 4)
 
     def motion_basis(self, mount: Mount, q: Array) -> Array:
-        """All six twists."""
+        """All six degrees of freedom."""
         return np.eye(6)
 
     def measured_twist(self, before: Reading, now: Reading, duration: float, ordered: Array, mount: Mount) -> Array:
-        """The twist ordered: it moves exactly so."""
+        """The commanded twist, which it follows exactly."""
         return ordered
 
     def allocate(self, twist: Array, reading: Reading, mount: Mount, period: float) -> Allocation:
-        """The twist of the flange that moves the camera so: no limits."""
+        """The twist of the flange that gives the camera this twist; no limits."""
         return Allocation(setpoint=mount.to_flange @ twist, twist=twist)

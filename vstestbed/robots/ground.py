@@ -1,6 +1,6 @@
-"""What vehicles on a floor share: where they start, and which body twists they can make.
+"""Defaults of ground vehicles: start, planar motion, log.
 
-A vehicle's configuration is (x, y, heading), shape (..., 3), [m, m, rad]; its frame stands on the floor with x forward and z up.
+A vehicle's configuration is (x, y, heading), shape (..., 3), [m, m, rad]; its frame lies on the floor with x forward and z up.
 Its motion is u = (vx, vy, wz) of that frame in its own axes, shape (..., 3), [m/s, m/s, rad/s].
 """
 
@@ -21,7 +21,7 @@ from vstestbed.robots.robot_log import RobotLog, RobotState
 from vstestbed.robots.supervisor import Supervisor
 
 PLANE = np.zeros((6, 3))
-"""The body twist (v, w) of a planar motion: PLANE @ (vx, vy, wz). Its transpose takes the motion out of a twist."""
+"""Selection matrix (6, 3): a planar motion (vx, vy, wz) as a body twist (v, w); its transpose projects a twist on the plane."""
 PLANE[[0, 1, 5], [0, 1, 2]] = 1.0
 
 
@@ -46,7 +46,7 @@ class GroundStart:
         return self.nominal.place
 
     def drawn(self, rng: np.random.Generator) -> GroundStart:
-        """A start whose nominal pose is drawn evenly from the box.
+        """A start whose nominal pose is drawn from the box, uniformly.
 
         Raises:
             ParameterError: there is no box.
@@ -84,19 +84,19 @@ class Vehicle(RobotBase):
             raise ParameterError("camera.mount.xyz", words, xyz)
 
     def log(self, supervisor: Supervisor) -> RobotLog:
-        """Where it is, where it thinks it is, and how it slips."""
+        """True place, estimated place, dead reckoning, slip."""
         return VehicleLog(self.configuration())
 
 
 class VehicleLog(RobotLog):
     """Columns of a vehicle: places (x, y [m], heading [rad]) in the world, and its slip.
 
-    `base_` is the true place, `est_` the one it knows of by landmarks, compass and encoders, `odo_` dead reckoning by encoders alone
-    from where it really started; `slip_mps` and `slip_radps` are how fast odometry and truth part from frame to frame (sliding over
-    the floor, turning on it, wheels of another radius than believed).
+    `base_` is the true place, `est_` the estimate from landmarks, compass and encoders, `odo_` dead reckoning by encoders alone
+    from the true start; `slip_mps` and `slip_radps` are the rates at which odometry and truth diverge from frame to frame (wheels that
+    slide or turn on the spot, a wrong wheel radius).
 
     Args:
-        start: where it stood at the start, (x, y, heading), shape (3,).
+        start: the true start (x, y, heading), shape (3,) [m, m, rad].
     """
 
     columns = (*(f"{name}_{part}" for name in ("base", "est", "odo") for part in ("x", "y", "heading")), "slip_mps", "slip_radps")
@@ -107,18 +107,20 @@ class VehicleLog(RobotLog):
 
     def row(self, state: RobotState) -> Array:
         """Places and slip at one exposure."""
+        # Odometry counts from (0, 0, 0) in the vehicle's own frame at the start.
         x, y, heading = state.odometry
         c, s = self._turn
         dead_reckoning = np.array([c * x - s * y, s * x + c * y, heading]) + self._start
+        # Of the first frame there is no step.
         slip = (0.0, 0.0) if self._before is None else _slip(self._before, state)
         self._before = state
         return np.concatenate([place_of(state.T_world_base), state.place, dead_reckoning, slip])
 
 
 def _slip(before: RobotState, now: RobotState) -> tuple[float, float]:
-    """Speed over the floor [m/s] and rate on it [rad/s] between two frames that the encoders did not notice, as magnitudes.
+    """Magnitudes of slip between two frames: linear [m/s] and angular [rad/s].
 
-    The true step less the one by odometry, both in the vehicle's frame before it.
+    The true step minus the one by odometry, both in the vehicle's frame at the earlier frame.
     """
     duration = now.t - before.t
     if duration <= 0:

@@ -1,12 +1,12 @@
-"""How fast over the ground: a noisy velocity instrument, made usable at the control rate.
+"""Ground-speed estimation: a noisy velocity sensor, filtered for use at the control rate.
 
-The instrument (optical flow with a range, or Doppler) tells the velocity in body axes. Two ways to use it, both in the level
+The sensor (optical flow with a range finder, or Doppler) measures the velocity in body axes. Two filters, both in the level
 frame, which turns with the heading at the rate r:
 
   flow      fused with the accelerometer. With f = R_level_body a - (0, 0, g), the innovation i = R_level_body v_measured - v and
-            ignored offsets d:  v_dot = f - r z x v + 2 w i + d,  d_dot = w^2 i.
-            Quick and quiet; d takes what a tilted estimate or a biased accelerometer adds, so v has no steady error.
-  filtered  a first-order low pass: v_dot = i / tau. Quiet or quick.
+            an estimated offset d:  v_dot = f - r z x v + 2 w i + d,  d_dot = w^2 i.
+            d absorbs the bias of the accelerometer and the error of the attitude, so v has no steady error.
+  filtered  a first-order low pass: v_dot = i / tau, a trade of noise against lag.
 
 Reference: fixed-gain form of the observer of Hua 2010, doi:10.1016/j.conengprac.2010.01.016.
 """
@@ -21,8 +21,8 @@ from vstestbed.core.spec import OneOf, spec
 from vstestbed.robots.attitude import GRAVITY, Level, Vector
 
 READING_S = 0.02
-"""A flow sensor's exposure and period [s], 50 Hz: over such a time its noise has `sigma_mps`. Control runs faster, and each of its
-readings carries noise of the same power spectrum."""
+"""A flow sensor's exposure and period [s], 50 Hz, to which `sigma_mps` refers. The controller reads faster, with noise of the same
+power spectrum."""
 
 Sigma = Annotated[float, Ge(0)]
 
@@ -33,8 +33,8 @@ class Flow:
 
     Args:
         sigma_mps: noise of a reading of 20 ms on each axis [m/s].
-        scale_error: relative error of the scale (of the range behind a flow).
-        bandwidth: w [1/s]: slower than this the instrument is believed, quicker the accelerometer.
+        scale_error: relative error of the scale (of the range by which a flow is multiplied).
+        bandwidth: w [1/s], the crossover: the velocity sensor counts below it, the accelerometer above.
     """
 
     kind: Literal["flow"] = "flow"
@@ -72,11 +72,11 @@ class Groundspeed(NamedTuple):
 
 
 def step(memory: Groundspeed, R: Level, measured: Vector, force: Vector, yaw_rate: float, source: Source, dt: float) -> Groundspeed:
-    """One step of the estimate.
+    """One step of the filter.
 
     Args:
         R: R_level_body, estimated.
-        measured: the instrument's velocity in body axes (3,) [m/s].
+        measured: the sensor's velocity in body axes (3,) [m/s].
         force: the accelerometer's reading in body axes (3,) [m/s^2].
         yaw_rate: the level frame's rate about z [rad/s].
         dt: [s].
@@ -87,10 +87,12 @@ def step(memory: Groundspeed, R: Level, measured: Vector, force: Vector, yaw_rat
     if isinstance(source, Filtered):
         k = 1.0 / source.tau_s
         ax, ay, az = k * ix, k * iy, k * iz
+        # v relaxes in the turning frame itself; only the acceleration handed on needs the frame's rotation, r z x v.
         v = vx + ax * dt, vy + ay * dt, vz + az * dt
         return Groundspeed(v, (dx, dy, dz), (ax - yaw_rate * vy, ay + yaw_rate * vx, az))
     fx, fy, fz = R.to_level(force)
     w = source.bandwidth
+    # Gains 2 w and w^2: the error's characteristic polynomial is (s + w)^2, critically damped.
     k, j = 2.0 * w, w * w * dt
     ax, ay, az = fx + k * ix + dx, fy + k * iy + dy, fz - GRAVITY + k * iz + dz
     v = vx + (ax + yaw_rate * vy) * dt, vy + (ay - yaw_rate * vx) * dt, vz + az * dt

@@ -1,21 +1,21 @@
 """Omnidirectional base on four mecanum wheels: wheel kinematics both ways, odometry, limits.
 
-A wheel's rollers leave it free across their axles: the floor holds the point under the wheel only along the roller that lies
-there. With the wheel at (x, y), turning at q_dot, and that roller along (cos(phi), side):
+A wheel's rollers turn freely about their axles: the floor constrains the point under the wheel only along the axis of the roller that
+lies there. With the wheel at (x, y), turning at q_dot, and that roller along (cos(phi), side):
 
     cos(phi) (vx - wz y - R q_dot) + side (vy + wz x) = 0
 
 where phi is how far the wheel has turned from "a roller straight below", in [-pi/n, pi/n] for n rollers: a roller at 45 degrees
-to the axle is tilted by phi, and its projection on the floor turned. Print has cos(phi) = 1, as for rollers without end; a wheel
+to the axle is tilted by phi, and its projection on the floor turned. Textbooks have cos(phi) = 1, as for infinitely many rollers; a wheel
 with n rollers has the mean over a roller's turn, kappa = sin(pi/n) / (pi/n), which is .980 for nine. Thus
 
     R q_dot = vx + side (vy + wz x) / kappa - wz y
 
-and with kappa = 1 the equations of print: vx -+ vy -+ (half base + half track) wz.
+and with kappa = 1 the equations of the textbooks: vx -+ vy -+ (half base + half track) wz.
 
 Reference: Muir & Neuman 1987, "Kinematic modeling for feedback control of an omnidirectional wheeled mobile robot", ICRA, pp.
 1772-1778; Taheri, Qiao & Ghaeminezhad 2015, doi:10.5120/19804-1586. Any roller angle: Lynch & Park 2017, Modern Robotics, 13.2.
-Bodies are in models/omni.xml and models/omni_planar.xml; a test holds the files and this together.
+Bodies are in models/omni.xml and models/omni_planar.xml; a test compares the dimensions here with those files.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ from vstestbed.robots.reading import Reading
 
 WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 RADIUS, HALF_BASE, HALF_TRACK, ROLLERS = 0.05, 0.15, 0.16, 9
-"""Radius of the wheels, their places at (+-HALF_BASE, +-HALF_TRACK) [m], rollers on each: those of the model."""
+"""Wheel radius, half of wheelbase and track [m], rollers on each wheel, as in models/omni.xml."""
 PLACES = np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]]) * (HALF_BASE, HALF_TRACK)
 """Places (x, y) of the wheels in the base frame, shape (4, 2) [m]."""
 SIDES = np.array([-1.0, 1.0, 1.0, -1.0])
-"""The roller on the floor lies along (1, side)."""
+"""Axis of the roller on the floor, (1, side), by wheel; with the opposite signs the axes meet at the centre, and yaw is lost."""
 SPEED_LIMIT = 20.0
 """Of a wheel [rad/s]: a little under the motors' 20.9 rad/s without load (models/omni.xml)."""
 
@@ -51,16 +51,16 @@ def wheel_matrix(radius: float = RADIUS, rollers: float = ROLLERS) -> Array:
 
     Args:
         radius: of the wheels [m].
-        rollers: n, how many rollers a wheel has; infinity for the equations of print.
+        rollers: n, how many rollers a wheel has; infinity for the textbooks' equations.
     """
-    kappa = np.sinc(1 / rollers)
+    kappa = np.sinc(1 / rollers)  # numpy's sinc(x) is sin(pi x) / (pi x)
     x, y = PLACES.T
     return np.stack([np.ones(4), SIDES / kappa, SIDES * x / kappa - y], axis=1) / radius
 
 
 W = wheel_matrix()
 W_INVERSE = np.linalg.pinv(W)
-"""Motion from wheel speeds (3, 4). Four wheels measure three numbers: the mean where they disagree (least squares)."""
+"""Motion from wheel speeds (3, 4). Four wheels overdetermine three velocities: least squares where slip makes them disagree."""
 
 
 @spec
@@ -69,9 +69,9 @@ class Omni(Vehicle):
 
     Args:
         wheels: `rollers` (default): nine free rollers on each wheel touch the floor, and slip where it is slippery;
-            `planar`: wheels that never slip, without contact, a tenth of the cost.
+            `planar`: ideal wheels without contact, a tenth of the cost.
         start: where it starts on the floor.
-        wheel_radius_error: relative error of the radius that the robot believes its wheels to have: .02 for 2 % too large.
+        wheel_radius_error: relative error of the calibrated wheel radius: .02 for 2 % too large.
     """
 
     kind: Literal["omni"] = "omni"
@@ -80,7 +80,7 @@ class Omni(Vehicle):
     wheel_radius_error: Annotated[float, Gt(-0.5), Lt(1)] = 0.0
     actuators: ClassVar[tuple[str, ...]] = WHEELS
     ends_m: ClassVar[tuple[float, float]] = (-0.208, 0.208)
-    """Where its wheels end, behind and ahead of its origin [m]."""
+    """x of the rear and the front edge of its wheels [m]."""
 
     @property
     def model(self) -> str:
@@ -99,7 +99,8 @@ class Omni(Vehicle):
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """What its encoders read: the wheels; without wheel joints the vehicle's own joints, of which only differences are used."""
+        """The joints that its encoders read: the wheels, or the base's own joints in the model without wheel joints."""
+        # Only differences of the latter are used (`odometry`): the absolute place would be truth.
         return WHEELS if self.wheels == "rollers" else ("root_x", "root_y", "root_yaw")
 
     def randomised(self, rng: np.random.Generator) -> Omni:
@@ -115,10 +116,10 @@ class Omni(Vehicle):
         return mount.to_camera @ PLANE
 
     def odometry(self, before: Reading, now: Reading, duration: float) -> Array:
-        """Mean motion (vx, vy, wz) of the base between two readings of its encoders, with the radius that it believes in.
+        """Mean motion (vx, vy, wz) of the base between two readings of its encoders, with the calibrated radius.
 
-        Rollers: the wheels' ways by the kinematics; what slips is not known. Planar: wheels that cannot slip turn as the way
-        between the two poses asks, which an arc of constant speed gives to third order in the duration.
+        Rollers: inverse wheel kinematics, blind to slip. Planar: the arc of constant velocity between the two poses, which is what
+        wheels without slip would measure, to third order in the duration.
         """
         belief = 1 + self.wheel_radius_error
         if duration <= 0:
@@ -134,9 +135,10 @@ class Omni(Vehicle):
     def allocate(self, twist: Array, reading: Reading, mount: Mount, period: float) -> Allocation:
         """Wheel speeds (4,) [rad/s] for a camera twist (6,), scaled as a whole into their limits.
 
-        Of the base's twist only (vx, vy, wz) can be made; the rest is left out, and `twist` is without it.
+        Only (vx, vy, wz) of the base's twist can be realised; the rest is dropped, also from `Allocation.twist`.
         """
         motion = PLANE.T @ (mount.to_flange @ twist)
+        # Wheels that the robot takes for larger than they are get less speed, and the base moves by less than `twist` says.
         speeds = W @ motion / (1 + self.wheel_radius_error)
         scale = min(1.0, SPEED_LIMIT / max(float(np.abs(speeds).max()), 1e-12))
         limit: Literal["", "speed"] = "speed" if scale < 1.0 else ""

@@ -3,7 +3,7 @@
 A_i = Rz(q_i) Tz(d_i) Tx(a_i) Rx(alpha_i),  T_base_flange = A_1 ... A_6.
 
 The flange is frame 6, which the table leaves at the wrist's centre (d_6 = 0). The base frame stands on the floor.
-Dynamics, gears and friction are in `models/puma560.xml`; a test holds the two files together.
+Dynamics, gears and friction are in `models/puma560.xml`; a test compares the two files.
 """
 
 from __future__ import annotations
@@ -42,19 +42,19 @@ SPEED_LIMITS = np.array([1.92, 1.51, 2.40, 5.34, 5.09, 5.74])
 """[rad/s]. Source: Corke 1996, Visual Control of Robots, Table 2.21: where the amplifiers' voltage saturates."""
 
 REACH_UNIT = 0.4318
-"""[m]. A metre and a radian cannot be compared; singular values here are of v / REACH_UNIT (the upper arm's length) and w."""
+"""Length that makes metres and radians comparable [m], the upper arm's a_2: singular values are those of (v / REACH_UNIT, w)."""
 
 _SCALE = np.array([1 / REACH_UNIT] * 3 + [1.0] * 3)
 
+# Exactly 0 or +-1, as every alpha is a multiple of a quarter turn; cos(pi / 2) alone is 6e-17 in floating point.
 _SIN_ALPHA, _COS_ALPHA = np.round(np.sin(DH[:, 2])), np.round(np.cos(DH[:, 2]))
-"""Exact: every alpha is a multiple of a quarter turn."""
 
 
 def kinematics(q: Array) -> tuple[Array, Array]:
     """Pose and geometric Jacobian of the flange together.
 
     With z_i and o_i the axis and origin of the frame before joint i, and o the flange's origin:
-    v = sum z_i x (o - o_i) dq_i,  w = sum z_i dq_i, both turned into the flange's axes.
+    v = sum z_i x (o - o_i) dq_i,  w = sum z_i dq_i, both expressed in the flange's axes.
 
     Args:
         q: joint angles, shape (6,), [rad].
@@ -67,7 +67,7 @@ def kinematics(q: Array) -> tuple[Array, Array]:
     R_t = T[:3, :3].T
     axes = R_t @ frames[:6, :3, 2].T
     arms = R_t @ (T[:3, 3] - frames[:6, :3, 3]).T
-    J = np.empty((6, 6))
+    J = np.empty((6, 6))  # rows 0 to 2: axes x arms, column by column
     J[0] = axes[1] * arms[2] - axes[2] * arms[1]
     J[1] = axes[2] * arms[0] - axes[0] * arms[2]
     J[2] = axes[0] * arms[1] - axes[1] * arms[0]
@@ -100,7 +100,7 @@ def jacobian(q: Array) -> Array:
 
 
 def resolved_rate(J: Array, twist: Array, speed_limits: Array = SPEED_LIMITS, threshold: float = 0.05) -> Array:
-    """Joint speeds that make a flange twist, damped near singularities and scaled as a whole into the speed limits.
+    """Damped resolved-rate control: joint speeds for a flange twist, scaled as a whole into the speed limits.
 
     dq = Js^T (Js Js^T + lambda^2 I)^-1 ts,  where Js and ts have v divided by REACH_UNIT, and
     lambda^2 = (1 - (s_min / threshold)^2) threshold^2 where s_min < threshold, else 0.
@@ -114,7 +114,7 @@ def resolved_rate(J: Array, twist: Array, speed_limits: Array = SPEED_LIMITS, th
         threshold: smallest singular value of Js that is left undamped.
 
     Returns:
-        dq (6,) [rad/s]; `J @ dq` is the twist that is really made.
+        dq (6,) [rad/s]; `J @ dq` is the realised twist.
 
     Reference: Nakamura & Hanafusa 1986, doi:10.1115/1.3143764; this law of lambda from Maciejewski & Klein 1988,
     doi:10.1002/rob.4620050603, as written by Chiaverini, Siciliano & Egeland 1994, doi:10.1109/87.294335.
@@ -122,24 +122,26 @@ def resolved_rate(J: Array, twist: Array, speed_limits: Array = SPEED_LIMITS, th
     U, s, Vt = np.linalg.svd(J * _SCALE[:, None])
     damping2 = max(0.0, threshold**2 - s[-1] ** 2)
     dq = Vt.T @ (s / (s**2 + damping2) * (U.T @ (twist * _SCALE)))
+    # Scaled as a whole: joints clipped one by one would change the direction of the camera's motion, not only its speed.
     return dq / max(1.0, float(np.max(np.abs(dq) / speed_limits)))
 
 
 NO_LIMITS = np.full(6, np.inf)
 LIMIT_MARGIN = np.radians(1.0)
-"""A joint comes to rest this far before its hard stop [rad]."""
+"""Distance from its hard stop at which a joint comes to rest [rad]."""
 LIMIT_HORIZON_S = 0.25
-"""Near its limit a joint may move so fast that it would reach the margin in this time, not faster [s]."""
+"""Velocity damper: near its limit a joint may approach no faster than to reach the margin in this time [s]."""
 
 INNER = 0.8
-"""Share of a joint's range in its middle in which it is far from its limits."""
+"""Central share of a joint's range in which limit avoidance leaves it alone."""
 
 ACTUATIONS = {
     "ideal": Actuation("ideal", friction=False, gravity_compensated=True),
     "industrial": Actuation("industrial", friction=True, gravity_compensated=False),
     "raw": Actuation("raw", friction=True, gravity_compensated=True),
 }
-"""Stiff and frictionless; velocity loop with integral action; proportional velocity loop, where friction leaves an error."""
+"""`ideal`: stiff and frictionless; `industrial`: velocity loop with integral action; `raw`: proportional velocity loop, in which friction
+leaves a steady-state error."""
 
 Six = Annotated[tuple[float, ...], Len(6, 6)]
 
@@ -172,9 +174,9 @@ class Puma560(RobotBase):
 
     Args:
         actuation: `ideal`, `industrial` (default) or `raw`: which servo amplifiers the joints have.
-        start: joint angles at the start; the textbook's by default (its +180 deg for joint 3 is -180 within the limits).
-        avoid_limits: how fast joints in the outer fifth of their range move back towards its middle [1/s], where the law leaves
-            motions open (`law.redundant`); 0: the arm makes none of them.
+        start: joint angles at the start; the textbook's by default (its +180 deg of joint 3 is -180 here, within the limits).
+        avoid_limits: gain of joint-limit avoidance [1/s], by which joints in the outer fifth of their range move back towards its
+            middle in the null space of the law (`law.redundant`); 0: none.
     """
 
     kind: Literal["puma560"] = "puma560"
@@ -187,6 +189,7 @@ class Puma560(RobotBase):
     def __post_init__(self) -> None:
         """Refuse a start outside the joint limits."""
         limits = np.degrees(JOINT_LIMITS)
+        # Beyond a limit MuJoCo's constraint would push the joint back before the first command.
         for i, (q, (low, high)) in enumerate(zip(self.start.nominal.q_deg, limits, strict=True)):
             if not low <= q <= high:
                 raise ParameterError(f"start.nominal.q_deg.{i}", f"must be within joint {i + 1}'s limits {low:g} to {high:g} deg", q)
@@ -198,7 +201,7 @@ class Puma560(RobotBase):
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """Each has its actuator."""
+        """All six; each has an actuator."""
         return self.actuators
 
     @property
@@ -211,7 +214,7 @@ class Puma560(RobotBase):
         return np.radians(self.start.nominal.q_deg)
 
     def start_joints(self) -> Array:
-        """Those of the configuration."""
+        """The configuration itself."""
         return self.configuration()
 
     def started_at(self, configuration: Array) -> Puma560:
@@ -220,7 +223,7 @@ class Puma560(RobotBase):
         return replace(self, start=PumaStart(nominal=nominal, random=self.start.random))
 
     def idealised(self) -> Puma560:
-        """With stiff servos and without friction."""
+        """The same arm with stiff servos and without friction."""
         return replace(self, actuation="ideal")
 
     def randomised(self, rng: np.random.Generator) -> Puma560:
@@ -238,32 +241,34 @@ class Puma560(RobotBase):
         return forward(configuration)
 
     def motion_basis(self, mount: Mount, q: Array) -> Array:
-        """All six camera twists."""
+        """All six degrees of freedom, also near singularities: `allocate` damps there."""
         return np.eye(6)
 
     def measured_twist(self, before: Reading, now: Reading, duration: float, ordered: Array, mount: Mount) -> Array:
-        """Mean camera twist (6,) from the joints' way between two readings: J at the middle of it times dq / duration."""
+        """Mean camera twist (6,) between two readings: J at the mean joint angles times dq / duration."""
         if duration <= 0:
             return np.zeros(6)
+        # At the middle: the chord and the path differ in the third order of dq there, in the second at either end.
         J = jacobian((before.q + now.q) / 2)
         return mount.to_camera @ (J @ ((now.q - before.q) / duration))
 
     def secondary_task(self, null_space: Array, reading: Reading, mount: Mount) -> Array:
-        """The open motion that comes nearest to moving joints off their limits.
+        """Joint-limit avoidance in the null space of the law.
 
-        Wanted: dq_i = -avoid_limits (q_i - edge_i) beyond the edge of the middle four fifths of a joint's range, else 0. Of the
-        joint motions that these twists make, J^-1 null_space z, the one nearest to it, by least squares: the distance to the
-        limits never grows by it.
+        Desired: dq*_i = -avoid_limits (q_i - edge_i) beyond the edge of the middle four fifths of a joint's range, else 0. The
+        null-space motion J^-1 null_space z nearest to dq* in the least-squares sense is taken.
 
         References: Liegeois 1977, doi:10.1109/TSMC.1977.4309644; Chaumette & Marchand 2001, doi:10.1109/70.964671.
         """
         low, high = (JOINT_LIMITS.mean(axis=1) + side * INNER * np.ptp(JOINT_LIMITS, axis=1) / 2 for side in (-1, 1))
-        wanted = -self.avoid_limits * (reading.q - np.clip(reading.q, low, high))
-        if null_space.shape[1] == 0 or not wanted.any():
+        desired = -self.avoid_limits * (reading.q - np.clip(reading.q, low, high))
+        if null_space.shape[1] == 0 or not desired.any():
             return np.zeros(6)
         J = jacobian(reading.q)
-        ways = np.column_stack([resolved_rate(J, mount.to_flange @ twist, NO_LIMITS) for twist in null_space.T])
-        return null_space @ np.linalg.lstsq(ways, wanted, rcond=1e-6)[0]
+        # A projection: dq . dq* >= 0, so this task on its own never moves the joints as a whole nearer to their limits. The damped
+        # inverse for J^-1, as `allocate` will use it, so that the fit is of motions that the joints are really given.
+        joint_motions = np.column_stack([resolved_rate(J, mount.to_flange @ twist, NO_LIMITS) for twist in null_space.T])
+        return null_space @ np.linalg.lstsq(joint_motions, desired, rcond=1e-6)[0]
 
     def allocate(self, twist: Array, reading: Reading, mount: Mount, period: float) -> Allocation:
         """Joint speeds for a camera twist (6,): damped resolved rate, then scaled as a whole into speed and position limits.
@@ -271,24 +276,26 @@ class Puma560(RobotBase):
         Near a position limit a joint's speed towards it is bounded by its distance over LIMIT_HORIZON_S
         (velocity damper: Faverjon & Tournassoud 1987, doi:10.1109/ROBOT.1987.1087982).
         """
-        wanted = mount.to_flange @ twist
+        commanded = mount.to_flange @ twist
         J = jacobian(reading.q)
-        dq = resolved_rate(J, wanted, NO_LIMITS)
+        dq = resolved_rate(J, commanded, NO_LIMITS)
         realised = J @ dq
-        along = _share(realised, wanted)
+        along = _share(realised, commanded)
         limit: Limit = "singular" if along < 0.5 else ""
+        # By the measured joints, not by integrated commands: the servos lag behind those.
         room = np.where(dq > 0, JOINT_LIMITS[:, 1] - reading.q, reading.q - JOINT_LIMITS[:, 0]) - LIMIT_MARGIN
+        # Not shorter than a period: within one, no further command could slow the joint down.
         damper = np.maximum(room, 0.0) / max(LIMIT_HORIZON_S, period)
         size = np.maximum(np.abs(dq), 1e-12)
         speed, position = float((SPEED_LIMITS / size).min()), float((damper / size).min())
         scale = min(1.0, speed, position)
-        if scale < 1.0:
+        if scale < 1.0:  # a limit met hides the singularity beside it: `scale` has both
             limit = "joint_limit" if position < speed else "speed"
         return Allocation(setpoint=dq * scale, twist=mount.to_camera @ realised * scale, scale=scale * along, limit=limit)
 
 
-def _share(realised: Array, wanted: Array) -> float:
-    """How much of a wanted twist (6,) a realised one makes, 0 to 1, lengths in REACH_UNIT; 1 when nothing is wanted."""
-    a, b = realised * _SCALE, wanted * _SCALE
+def _share(realised: Array, commanded: Array) -> float:
+    """Projection of a realised twist (6,) on the commanded one, as a share of it, 0 to 1, lengths in REACH_UNIT; 1 for a zero command."""
+    a, b = realised * _SCALE, commanded * _SCALE
     size = float(b @ b)
     return min(1.0, max(0.0, float(a @ b) / size)) if size > 0 else 1.0

@@ -1,9 +1,9 @@
-"""Quadrotor: a 4 kg craft told velocities in its level frame, flown by its own instruments.
+"""Quadrotor: a 4 kg craft with velocity setpoints in its level frame, flown by its onboard sensors.
 
-A setpoint is (vx, vy, vz, wz) of the level frame: x the heading, z up, wz the heading's rate. On board, a thousand times a second:
-attitude from the IMU (`attitude`), velocity from its instrument (`groundspeed`), the loops (`flight`), the rotors (`rotors`).
-Nothing here reads anything but `FlightReading`, after `measured` has put noise and bias on it. The failsafe that may override the
-law is in `failsafe`.
+A setpoint is (vx, vy, vz, wz) of the level frame: x the heading, z up, wz the heading's rate. On board, at 1 kHz:
+attitude from the IMU (`attitude`), velocity from its sensor (`groundspeed`), the control loops (`flight`), the rotors (`rotors`).
+All of it reads `FlightReading` alone, after `measured` has added noise and bias. The failsafe that may override the law is in
+`failsafe`.
 Mass, rotors, drag and sensors are in `models/quadrotor.xml`.
 """
 
@@ -37,17 +37,17 @@ from vstestbed.robots.rotors import HOVER, Four, mix, speed_control
 from vstestbed.robots.supervisor import Supervisor
 
 STANDING_M = 0.172
-"""Height of the centre over the ground when the craft stands on its feet [m]."""
+"""Height of the centre over the ground when the craft stands on its feet [m], by models/quadrotor.xml."""
 LOWEST_M = 0.2
 """The lowest start: it hovers there, its feet 3 cm above the ground [m]."""
 STANDING_MARGIN_M = 0.05
-"""A range within it of the legs' says that the feet are down: the range finder's noise and a few degrees of tilt [m]."""
+"""Within this of STANDING_M the measured range allows for standing: the range finder's noise and a few degrees of tilt [m]."""
 STOPPED_MPS = 0.12
-"""What sinks slower than its orders ask for by more, near the ground, is stopped by it [m/s]; noise of the estimate is .02."""
+"""Near the ground, a descent slower than the reference by this much is taken to be stopped by it [m/s]; the estimate's noise is .02."""
 STANDING_COSINE = math.cos(math.radians(30))
-"""What leans more does not stand."""
+"""A craft tilted by more than 30 degrees does not stand."""
 LEVEL_AXES = [0, 1, 2, 5]
-"""vx, vy, vz and wz of a twist."""
+"""Indices of vx, vy, vz and wz in a twist: the four velocities that a level craft can track."""
 
 Sigma = Annotated[float, Ge(0)]
 Positive = Annotated[float, Gt(0)]
@@ -83,7 +83,7 @@ class Imu:
     """Noise of each reading (at the control rate) and constant bias, in body axes.
 
     The defaults are an MPU-6000's by its data sheet (InvenSense 2013: .005 deg/s and 400 ug per root hertz, here over 500 Hz), with
-    the bias that is left after it was calibrated.
+    the bias that calibration leaves.
 
     Args:
         gyro_sigma_radps, gyro_bias_radps: [rad/s].
@@ -97,7 +97,7 @@ class Imu:
 
 
 class Flight(NamedTuple):
-    """The memory on board: what is estimated, the loops, W of the rotors; `armed`, and for how long a rotor has been at its limit."""
+    """Onboard state: estimates, flight loops, squared rotor speeds W, `armed`, and for how long a rotor has been at its limit [s]."""
 
     attitude: Attitude = Attitude()
     ground: Groundspeed = Groundspeed()
@@ -109,19 +109,19 @@ class Flight(NamedTuple):
 
     @property
     def overturned(self) -> bool:
-        """Tilted beyond 60 degrees by its own estimate, or on its way back from there."""
+        """Tilted beyond 60 degrees by its own estimate, or still levelling after that."""
         return self.attitude.tilt > RECOVER_RAD or self.loops.levelling
 
 
 @spec
 class Quadrotor(RobotBase):
-    """A 4 kg quadrotor with four real rotors; the camera sits relative to its centre (x forward, y left, z up).
+    """A 4 kg quadrotor with four simulated rotors; the camera is mounted relative to its centre (x forward, y left, z up).
 
     Args:
         start: where it hovers at the start.
         imu: noise and bias of gyro and accelerometer.
-        velocity: where the velocity comes from, `flow` or `filtered`, and its noise.
-        range_sigma_m: noise of the range finder that looks down [m].
+        velocity: velocity sensor and filter, `flow` or `filtered`, and its noise.
+        range_sigma_m: noise of the downward range finder [m].
         attitude: gains of the attitude filter.
         gains: gains of the flight loops.
         max_speed_mps, max_climb_mps, max_yaw_rate_radps: limits of a setpoint, scaled as a whole.
@@ -183,7 +183,7 @@ class Quadrotor(RobotBase):
         return Failsafe(lands, lost_after_s)
 
     def log(self, supervisor: Supervisor) -> RobotLog:
-        """Estimate, references of the loops, wind, rotors, what the failsafe does."""
+        """Estimates, references of the loops, wind, rotors, mode of the failsafe."""
         return FlightLog(supervisor, self.actuators)
 
     def hold_setpoint(self) -> Array:
@@ -192,6 +192,7 @@ class Quadrotor(RobotBase):
 
     def rest_ctrl(self) -> Array:
         """Actuator controls, and activations, of the start: rotors that carry the weight, (4,) [(rad/s)^2]."""
+        # With activations of 0 the craft would fall while its rotors spin up.
         return np.full(4, HOVER)
 
     def flange_pose(self, configuration: Array) -> Array:
@@ -201,12 +202,13 @@ class Quadrotor(RobotBase):
         return np.array([(c, -s, 0, x), (s, c, 0, y), (0, 0, 1, z), (0, 0, 0, 1.0)])
 
     def motion_basis(self, mount: Mount, q: Array) -> Array:
-        """Twists (6, 4) that a camera on the level craft makes with vx, vy, vz and wz."""
+        """Camera twists (6, 4) of vx, vy, vz and wz of the level craft."""
         return mount.to_camera[:, LEVEL_AXES]
 
     def measured(self, q: Array, qd: Array, sensors: Mapping[str, Array], rng: np.random.Generator) -> FlightReading:
-        """The instruments' readings: MuJoCo's perfect sensors with this craft's noise, bias and scale."""
+        """Sensor readings: MuJoCo's perfect sensors with this craft's noise, bias and scale error."""
         sigma, bias = self._errors
+        # One draw for all sensors: this runs at the control rate.
         e = sigma * rng.standard_normal(10) + bias
         height = float(sensors["range"][0])
         return FlightReading(
@@ -215,12 +217,13 @@ class Quadrotor(RobotBase):
             gyro=sensors["gyro"] + e[0:3],
             force=sensors["accelerometer"] + e[3:6],
             velocity=sensors["velocity"] * (1.0 + self.velocity.scale_error) + e[6:9],
-            range_m=math.inf if height < 0 else height + float(e[9]),  # MuJoCo tells -1 where the ray meets nothing
+            range_m=math.inf if height < 0 else height + float(e[9]),  # MuJoCo gives -1 where the ray hits nothing
         )
 
     @cached_property
     def _errors(self) -> tuple[Array, Array]:
         """Standard deviation and bias (10,) of gyro, accelerometer, velocity and range."""
+        # `sigma_mps` is that of a 20 ms reading; one of 1 ms has the same power spectrum with sqrt(20) times as much.
         imu, flow = self.imu, self.velocity.sigma_mps * math.sqrt(READING_S / 0.001)
         sigma = np.repeat([imu.gyro_sigma_radps, imu.accel_sigma_mps2, flow, self.range_sigma_m], [3, 3, 3, 1])
         return sigma, np.array([*imu.gyro_bias_radps, *imu.accel_bias_mps2, 0.0, 0.0, 0.0, 0.0])
@@ -231,9 +234,9 @@ class Quadrotor(RobotBase):
         return mount.to_camera @ (0.5 * (before.body_twist + now.body_twist))
 
     def allocate(self, twist: Array, reading: Reading, mount: Mount, period: float) -> Allocation:
-        """A camera twist (6,) as a setpoint (vx, vy, vz, wz) of the level frame, scaled as a whole into the speed limits.
+        """The setpoint (vx, vy, vz, wz) in the level frame for a camera twist (6,), scaled as a whole into the speed limits.
 
-        What the craft cannot do at will, roll and pitch rates, is dropped.
+        Roll and pitch rates are dropped: the craft needs its tilt to accelerate.
         """
         u = (mount.to_flange @ twist)[LEVEL_AXES]
         vx, vy, vz, wz = u.tolist()
@@ -242,20 +245,20 @@ class Quadrotor(RobotBase):
         return Allocation(setpoint=u, twist=mount.to_camera[:, LEVEL_AXES] @ u, scale=1.0 / over, limit="speed" if over > 1.0 else "")
 
     def begin(self) -> Flight:
-        """The memory of a craft that hovers, level and still."""
+        """The state of a craft that hovers, level and at rest."""
         return Flight()
 
     def actuate(self, memory: Flight, setpoint: Array, reading: FlightReading, dt: float) -> tuple[Flight, Array]:
-        """One control step: squared rotor speeds (4,) ordered, for a setpoint (vx, vy, vz, wz).
+        """One control step: commanded squared rotor speeds (4,) for a setpoint (vx, vy, vz, wz).
 
-        A setpoint that is not finite holds the craft where it is; ROTORS_OFF disarms it. A craft that is not armed lets its
-        rotors run out.
+        A setpoint that is not finite means hover; ROTORS_OFF disarms the craft for good, and its rotors run out.
         """
         gyro, force, speed = tuple(reading.gyro.tolist()), tuple(reading.force.tolist()), tuple(reading.velocity.tolist())
         vx, vy, vz, wz = setpoint.tolist()
         armed = memory.armed and vz != -math.inf
         if not math.isfinite(vx + vy + vz + wz):
             vx = vy = vz = wz = 0.0
+        # The filters in turn: the last velocity estimate's rate levels the accelerometer, and the new attitude the new velocity.
         R = level(memory.attitude.up)
         still = self.attitude.acceleration == "imu"
         known = (0.0, 0.0, 0.0) if still else R.to_body(memory.ground.acceleration)
@@ -264,7 +267,7 @@ class Quadrotor(RobotBase):
         bias = attitude.bias
         rates = gyro[0] - bias[0], gyro[1] - bias[1], gyro[2] - bias[2]
         ground = groundspeed.step(memory.ground, R, speed, force, R.heading_rate(rates), self.velocity, dt)
-        if not armed:
+        if not armed:  # for good: nothing sets `armed` again
             W, orders = speed_control(memory.W, (0.0, 0.0, 0.0, 0.0), self.gains.rotor_s, dt)
             return Flight(attitude, ground, Loops(), W, rates, False), np.array(orders)
         loops, push = fly(memory.loops, (vx, vy, vz), wz, ground.velocity, R, rates, self.gains, dt)
@@ -273,18 +276,19 @@ class Quadrotor(RobotBase):
         return Flight(attitude, ground, loops, W, rates, True, memory.limited_s + dt if mixed.cut else 0.0), np.array(orders)
 
     def stands(self, memory: Flight, reading: FlightReading) -> bool:
-        """Whether the craft stands on something, by its own instruments: upright, near the ground, and it does not sink as ordered.
+        """Whether the ground carries the craft, by its own sensors: upright, near the ground, and it does not sink as commanded.
 
-        That shows at once in its speed beside the one that its orders should give (`Loops.model`), and where it is told to stay at
-        a height under the ground, or sinks slowly, soon after in its rotors: the climb loop takes thrust away, to under .9 of the weight.
+        Either its climb rate stays above the one that its setpoints should give (`Loops.model`), which shows at once; or, in a slow
+        descent, the climb loop has taken thrust away, to under .9 of the weight.
         """
         upright = math.cos(memory.attitude.roll) * math.cos(memory.attitude.pitch) > STANDING_COSINE
         near = reading.range_m < STANDING_M + STANDING_MARGIN_M
+        # By the rotors alone it takes .5 s and more; on a deck that moves, in wind, a craft light on its feet slides off meanwhile.
         stopped = memory.armed and memory.ground.velocity[2] - memory.loops.model[2] > STOPPED_MPS
         return upright and near and (stopped or sum(memory.W) < 4 * 0.9 * HOVER)
 
     def reported(self, memory: Flight, reading: FlightReading) -> FlightReading:
-        """The reading with what the craft estimates of its flight."""
+        """The reading with the onboard estimate added."""
         attitude = memory.attitude
         tilt = np.array([attitude.roll, attitude.pitch])
         estimate = FlightEstimate(

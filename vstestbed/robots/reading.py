@@ -1,4 +1,4 @@
-"""What a robot measures of itself at one instant."""
+"""A robot's sensor reading at one instant."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from vstestbed.core.geometry import Array
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """Proprioception: joint encoders, and the two quantities that an observer can use of any robot.
+    """Proprioception: joint encoders, and the two quantities of orientation that an observer can use.
 
-    A robot with more instruments has a reading of its own with more fields (`FlightReading`).
+    A robot with more sensors has a subclass with more fields (`FlightReading`).
 
     Attributes:
-        q, qd: its joints [rad, rad/s], shape (n,) each.
-        heading: of a robot with a compass, from the world's x axis, counter-clockwise [rad].
-        tilt: of a robot that estimates its attitude, roll and pitch, shape (2,) [rad].
+        q, qd: joint positions and velocities [rad, rad/s], shape (n,) each.
+        heading: by a compass, from the world's x axis, counter-clockwise [rad]; None without one.
+        tilt: estimated roll and pitch, shape (2,) [rad]; None where the robot estimates none.
     """
 
     q: Array

@@ -12,12 +12,12 @@ from vstestbed.robots.reading import Reading
 
 @dataclass(frozen=True, slots=True)
 class RobotState:
-    """What a robot's own log columns are made of, at one exposure; the truth among it goes to the log and nowhere else.
+    """Input of a robot's own log columns at one exposure. It holds truth, which goes to the log and nowhere else.
 
     Attributes:
         t: time [s]. T_world_base: true pose of the base (4, 4).
-        place, odometry: (x, y, heading) [m, m, rad] as the observer has them, NaN where it has none.
-        reading: what the robot measured of itself.
+        place, odometry: (x, y, heading) [m, m, rad] as the observer estimates them, NaN where it has none.
+        reading: the robot's sensor reading.
         act: true activations of its actuators (nu,). wind: true velocity of the air in the world (3,) [m/s].
     """
 
@@ -33,7 +33,7 @@ class RobotState:
 class RobotLog:
     """The columns that only this robot has in a log, and their values frame by frame; here none.
 
-    One is made for each run: it may remember the frame before.
+    Each run makes its own: it may hold the last frame's state.
     """
 
     columns: tuple[str, ...] = ()

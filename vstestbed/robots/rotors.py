@@ -1,4 +1,4 @@
-"""Four rotors in a plus: the craft's figures, what thrust and torque ask of each rotor, what is given up at their limits.
+"""Four rotors in a plus: mixer with priorities at the rotors' limits, speed controllers, the craft's parameters.
 
 With squared speeds W = w^2 of front, right, back and left, arm d, thrust b W and drag torque k W:
 
@@ -8,7 +8,7 @@ With squared speeds W = w^2 of front, right, back and left, arm d, thrust b W an
 Solved with a mean t, halves p (pitch) and r (roll) of the pairs' differences and a share y of yaw:
 W_f, W_b = t -+ p - y,  W_r, W_l = t -+ r + y.
 
-Figures: Pounds 2007 (models/quadrotor.xml has the sources; a test holds the two files together).
+Parameters: Pounds 2007 (models/quadrotor.xml has the sources; a test compares the two files).
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ MASS, INERTIA = 4.0, (0.082, 0.082, 0.149)
 ARM, THRUST, DRAG = 0.315, 1.3234e-5, 1.0697e-7
 """Centre to rotor [m]; b [N s^2]; k [Nm s^2]."""
 LAG_S = 0.117
-"""Of w^2 behind its order [s]."""
+"""Time constant of w^2 behind its command, without a speed controller [s]."""
 LIMIT = 1000.0**2
 """Largest w^2 [(rad/s)^2]."""
 HOVER = MASS * GRAVITY / (4 * THRUST)
-"""w^2 that carries the weight: 861 rad/s."""
+"""w^2 at hover, of 861 rad/s [(rad/s)^2]."""
 YAW_SHARE = 0.6
-"""The part of the rotors' room at hover that yaw may ask for: the rest is for attitude and thrust."""
+"""Share of the rotors' margin at hover that yaw may use: the rest is for attitude and thrust."""
 MAX_YAW_TORQUE = YAW_SHARE * 4 * DRAG * (LIMIT - HOVER)
-"""[Nm]: .066, .45 rad/s^2. Yaw is weak: drag torques are all it has."""
+"""[Nm]: .066, which is .45 rad/s^2. Yaw is weak, since only the rotors' drag torques turn the craft about z."""
 
 Four = tuple[float, float, float, float]
 
 
 class Mixed(NamedTuple):
-    """What the rotors are asked for: W (4,) within limits, and whether attitude, thrust or yaw had to be cut for it."""
+    """Commanded W (4,) within limits, and whether attitude, thrust or yaw had to be cut for it."""
 
     W: Four
     cut: bool
@@ -45,10 +45,11 @@ class Mixed(NamedTuple):
 def mix(thrust: float, torque: Vector) -> Mixed:
     """Squared rotor speeds (front, right, back, left) for a thrust [N] and a torque (3,) [Nm].
 
-    At the limits roll and pitch come first, then thrust, then yaw: the mean is moved until the pairs' differences fit (a craft
-    that is level can climb later; one that is not level falls sideways), and yaw gets the room that is left. Differences beyond
-    the whole range are cut to it.
+    At the limits roll and pitch come first, then thrust, then yaw: the mean is moved until the pairs' differences fit, and yaw gets
+    the margin that is left. Differences beyond the whole range are cut to it.
     """
+    # Attitude before thrust: a craft that is level can climb later; one that is not level accelerates sideways. Clipping each rotor
+    # by itself would lose roll and pitch torque whenever the thrust is high.
     half = 0.5 * LIMIT
     r0, p0, t0 = torque[0] / (2 * ARM * THRUST), torque[1] / (2 * ARM * THRUST), thrust / (4 * THRUST)
     y0 = torque[2] / (4 * DRAG)
@@ -63,18 +64,18 @@ def mix(thrust: float, torque: Vector) -> Mixed:
 
 
 def speed_control(turning: Four, wanted: Four, response_s: float, dt: float) -> tuple[Four, Four]:
-    """The speed controllers' orders that make rotors reach `wanted` with a time constant of `response_s`, not of LAG_S.
+    """Speed controllers: commands that make the rotors reach `wanted` with the time constant `response_s` instead of LAG_S.
 
-    u = W + (LAG_S / response_s) (W_wanted - W), within 0 and LIMIT: a lead, which full voltage bounds. A controller knows its
-    rotor's speed from the commutation; here it carries W with the lag's own equation.
+    u = W + (LAG_S / response_s) (W_wanted - W), within 0 and LIMIT: lead compensation, bounded by full voltage. A real controller
+    measures its rotor's speed by commutation; this one predicts W by the lag's own equation.
 
     Args:
-        turning, wanted: W of the rotors now and as ordered, (4,).
+        turning, wanted: W of the rotors now and as commanded, (4,).
         response_s: [s], up to LAG_S.
-        dt: [s] until the next order.
+        dt: [s] until the next command.
 
     Returns:
-        W after dt, and the orders u (4,).
+        W after dt, and the commands u (4,).
     """
     lead, ahead = LAG_S / response_s, dt / (LAG_S + 0.5 * dt)  # (1, 1) Pade of 1 - exp(-dt / LAG_S): 1e-7 at 1 ms
     a, b, c, d = turning

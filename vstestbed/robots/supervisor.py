@@ -1,4 +1,4 @@
-"""Supervisor: what may override the law for the robot's safety, by what the robot measures of itself."""
+"""Supervisor: may override the law's setpoint for the robot's safety, from proprioception alone."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from vstestbed.robots.reading import Reading
 
 
 class Supervisor:
-    """Lets the law's setpoint through: the supervisor of every robot that is safe when it stands still.
+    """Passes the law's setpoint on: the supervisor of every robot that is safe when it stands still.
 
     Attributes:
         sets_down: a lost target makes the robot set down first, so that the run ends when it is down and not before.
-        mode: what it does now, as the log has it; 0: the law's setpoint is followed.
-        aborted: why the task was given up, if it was.
+        mode: its state, as numbered in the log; 0: the law's setpoint is followed.
+        aborted: why the task was aborted; None while it goes on.
     """
 
     sets_down: ClassVar[bool] = False
@@ -27,15 +27,15 @@ class Supervisor:
 
         Args:
             t: time of exposure [s].
-            rest_reason: why the law orders rest ("" while it has something to go by).
-            reading: what the robot measures of itself.
-            setpoint: what the law asks for.
+            rest_reason: why the law commands rest ("" while it has measurements to work with).
+            reading: the robot's sensor reading.
+            setpoint: the law's, after allocation.
         """
         return setpoint
 
     @property
     def may_touch(self) -> bool:
-        """Whether the robot's feet may be on something now."""
+        """Whether ground contact of the robot's feet is allowed now."""
         return True
 
     def down(self, t: float) -> bool:

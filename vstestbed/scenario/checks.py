@@ -1,4 +1,4 @@
-"""Checks between two parts of a scenario, neither of which knows the other."""
+"""Checks between two parts of a scenario that do not know one another."""
 
 from __future__ import annotations
 
@@ -18,20 +18,17 @@ from vstestbed.targets import Target
 from vstestbed.vision import DETECTORS, Detector
 
 ON_ONE_LINE = 1e-6
-"""Markers whose second singular value is under this share of the first lie on one line."""
+"""Ratio of the second to the first singular value of marker positions under which they count as collinear."""
 
 
 def check_robot(robot: Robot, target: Target, world: World, derotation: str, level_trim_s: float) -> None:
-    """Refuse what only some robots feel, do or hold.
+    """Refuse derotation, wind, friction and a target in the gripper for robots to which they do not apply.
 
     Raises:
         ParameterError: it names the field, and what would work.
     """
-    flies = robot.base == "floating"
-    if not flies and derotation != "none":
-        raise ParameterError("derotation", "is for a craft that leans (robot quadrotor); here it must be none", derotation)
-    if not flies and not world.wind.still:
-        raise ParameterError("world.wind", f"is for a craft that flies (robot quadrotor), and robot {robot.kind} does not feel it")
+    if robot.base != "floating":
+        _check_without_flight(robot, world, derotation)
     if level_trim_s and (derotation == "none" or target.moves):
         words = "corrects the tilt for a derotation by a target that stands still; here it must be 0"
         raise ParameterError("level_trim_s", words, level_trim_s)
@@ -42,8 +39,16 @@ def check_robot(robot: Robot, target: Target, world: World, derotation: str, lev
         raise ParameterError("target.motion", f"held is for an arm's hand; robot {robot.kind} has none, use puma560")
 
 
+def _check_without_flight(robot: Robot, world: World, derotation: str) -> None:
+    """Refuse derotation and wind for a robot that does not fly."""
+    if derotation != "none":
+        raise ParameterError("derotation", "is for a craft that tilts (robot quadrotor); here it must be none", derotation)
+    if not world.wind.still:
+        raise ParameterError("world.wind", f"acts only on a craft that flies (robot quadrotor), not on robot {robot.kind}")
+
+
 def check_floor_depth(robot: Robot, law: Law[Any]) -> None:
-    """Refuse depth from the place on the floor for a robot that has none.
+    """Refuse depth from the place on the floor for a robot that is no vehicle.
 
     Raises:
         ParameterError: it names the field, and what would work.
@@ -57,7 +62,7 @@ def check_carrier(target: Target) -> None:
     """Refuse a route that the vehicle which carries the target cannot drive.
 
     Raises:
-        ParameterError: a bend is tighter than its turning circle, or it is to be faster than it can.
+        ParameterError: a bend is tighter than its turning circle, or the speed higher than its top speed.
     """
     if target.carrier is None:
         return
@@ -72,20 +77,33 @@ def check_carrier(target: Target) -> None:
 
 
 def check_markers(robot: Robot, camera: Camera, target: Target, detector: Detector[Any], law: Law[Any], needs_pose: bool) -> None:
-    """Refuse markers that the detector cannot see, too few of them for the law, or places that leave the pose open.
+    """Refuse markers that the detector cannot detect, too few markers, and arrangements that do not determine the pose.
 
     Args:
-        needs_pose: the task works with the target's pose, so that depths without one will not do.
+        needs_pose: the task needs the target's pose, which not every depth source estimates.
 
     Raises:
         ParameterError: it names the field, and what would work.
     """
-    marker, seen = target.marker.kind, detector.markers
+    _check_marker_kind(target.marker.kind, detector)
+    _check_marker_count(robot, camera, target, law)
+    if law.depth.needs_pose and not law.depth.on_floor and _leaves_pose_open(target.points):
+        raise _open_pose(robot, target.points, law, needs_pose)
+
+
+def _check_marker_kind(marker: str, detector: Detector[Any]) -> None:
+    """Refuse a kind of marker that the detector cannot detect; a detector that names none detects all."""
+    seen = detector.markers
     if seen and marker not in seen:
         words = f"may not be {marker}: detector {detector.kind} sees {', '.join(seen)}; with {marker} use"
         able = [kind for kind, member in DETECTORS.members.items() if not member.markers or marker in member.markers]
         raise ParameterError("target.marker", f"{words} detector {' or '.join(able)}")
+
+
+def _check_marker_count(robot: Robot, camera: Camera, target: Target, law: Law[Any]) -> None:
+    """Refuse fewer markers than the law needs for the motions that the robot can make."""
     points, basis = target.points, robot.motion_basis(Mount.of(camera.mount.T), robot.start_joints())
+    # One at least: a robot whose motions need none would still have nothing to look at.
     needed = max(law.markers_needed(basis), 1)
     if len(points) < needed:
         markers = f"{len(points)} marker{'s' * (len(points) != 1)}"
@@ -93,21 +111,21 @@ def check_markers(robot: Robot, camera: Camera, target: Target, detector: Detect
         less = _needed_on_floor(robot, law, basis)
         enough = less is not None and len(points) >= less
         raise ParameterError("target", words + (f"; with law.depth floor {less} will do" if enough else ""))
-    if law.depth.needs_pose and not law.depth.on_floor and _leaves_pose_open(points):
-        raise _open_pose(robot, points, law, needs_pose)
 
 
 def _leaves_pose_open(points: Array) -> bool:
-    """Whether points (N, 3) are too few for a pose, or on one line."""
+    """Whether points (N, 3) do not determine a pose: fewer than three, or collinear."""
+    # Rotation about their common line is not observable: the scatter round the centroid has rank one.
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     return len(points) < 3 or bool(spread[1] < ON_ONE_LINE * spread[0])
 
 
 def _open_pose(robot: Robot, points: Array, law: Law[Any], needs_pose: bool) -> ParameterError:
-    """The sentence for markers that leave the pose open."""
+    """The error for markers that do not determine the pose."""
     if not _has_depth(law):
         words = f"has all markers on one line, which leaves the pose open that law {law.kind} works with; use other places"
         return ParameterError("target", words)
+    # Only what this robot and task would accept: `floor` needs a vehicle, a task with a pose needs a source that estimates one.
     depths = "floor" if needs_pose else "floor, goal or estimate" if robot.base == "planar" else "goal or estimate"
     which = "all markers lie on one line" if len(points) > 1 else "there is a single marker"
     return ParameterError("law.depth", f"may not be pnp: {which}, which leaves the pose open; use {depths}")
@@ -119,7 +137,7 @@ def _has_depth(law: Law[Any]) -> bool:
 
 
 def _needed_on_floor(robot: Robot, law: Law[Any], basis: Array) -> int | None:
-    """How many markers the law would need with depth `floor`; None where it has another than `pnp`, or may have none of the two."""
+    """Markers that the law would need with depth `floor`, as a remedy in a message; None where `floor` is no alternative to `pnp`."""
     if robot.base != "planar" or not isinstance(law.depth, PnP) or not _has_depth(law):
         return None
     return replace(law, depth=OnFloor()).markers_needed(basis)  # pyright: ignore[reportCallIssue] - it has the field

@@ -1,4 +1,4 @@
-"""Scenario files: reading, with all mistakes reported at once (file, line, column, field), and writing, with all defaults."""
+"""Scenario files: read with all mistakes reported at once (file, line, column, field), written with all defaults."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def load(name: str | Path, overrides: Mapping[str, object] | None = None, seed: 
         seed: draw the start from the robot's random block, and all noise, from this seed.
 
     Raises:
-        ScenarioError: everything that is wrong, at once.
+        ScenarioError: all mistakes at once.
     """
     path = find(name)
     scenario = parse(text_of(path), str(path), overrides, seed)
@@ -107,6 +107,7 @@ def seeded(scenario: Scenario, seed: int) -> Scenario:
         ParameterError: nothing is random, or no start was found with the target in view.
     """
     noise = scenario.noise
+    # A fixed start with noise is a fair experiment for many seeds; without noise either, every seed would give the same run.
     if scenario.robot.start.random is None and (noise.image_sigma > 0 or noise.pixel_sigma_px > 0):
         return dataclasses.replace(scenario, seed=seed)
     return scenario.randomised(seed)

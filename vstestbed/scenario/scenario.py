@@ -1,4 +1,4 @@
-"""Scenario: one experiment as a frozen object. Its YAML is read in `load`."""
+"""Scenario: one experiment as a frozen object; `load` reads its YAML."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ class Noise:
     """Sensor noise.
 
     Args:
-        image_sigma: standard deviation of Gaussian noise on each channel of the picture, in grey levels (of 255). What it
-            does to a measured coordinate is up to the detector: with `blobs` and its `grey` moments, scatter in proportion,
-            about .0025 px a grey level for discs of 8 px radius. Under 1 it has hardly any effect, above 20 markers get lost.
-        pixel_sigma_px: standard deviation of Gaussian noise on each measured coordinate, whatever the detector [px].
-        dropout: probability of each marker in each picture not to be reported, whatever the detector.
+        image_sigma: standard deviation of Gaussian noise on each channel of the picture, in grey levels (of 255). Its effect on a
+            measured coordinate depends on the detector: with `blobs` and its `grey` moments, a standard deviation of about .0025 px
+            per grey level for discs of 8 px radius. Under 1 it has hardly any effect, above 20 markers get lost.
+        pixel_sigma_px: standard deviation of Gaussian noise added to each measured coordinate, for every detector [px].
+        dropout: probability that a detected marker is not reported, for every detector.
         drift: of the picture's brightness and colour.
     """
 
@@ -49,20 +49,20 @@ class Noise:
 
 
 START_STREAM, NOISE_STREAM, IMAGE_STREAM, SENSOR_STREAM, TIMING_STREAM, DEPTH_STREAM, MOTION_STREAM = range(7)
-"""Independent random streams of one seed: the start, the noise of measured pixels, of pictures, of the robot's own sensors,
-of times, of depths, and the target's random walk."""
+"""Independent random streams of one seed: the start, the noise of measured pixels, of pictures, of the robot's own sensors, of timing,
+of depths, and the target's random walk. Their numbers enter the seed: a new stream comes last, or all recorded runs change."""
 TRIES = 1000
-"""How many random starts are drawn at most until the target is in view."""
+"""Largest number of random starts drawn until the target is in view."""
 VIEW_MARGIN_PX = 10.0
-"""A random start has every marker at least this far inside the picture, beside the marker's own size [px]."""
+"""Margin round each whole marker in the picture of a random start [px]."""
 
 
 @spec
 class Scenario:
-    """One experiment: who moves, what it sees, what it wants, how it ends. `name` is its file's name by default.
+    """One experiment: robot, camera, target, detector, law, goal, nuisances, end. `name` is its file's name by default.
 
-    `derotation` says how the law of a craft that leans is given what it would see if it did not; `level_trim_s` with what time
-    constant the picture corrects the roll and pitch of its IMU for that [s] (0: not at all; `vision.derotate.trimmed`).
+    `derotation`: how image features of a tilted craft are rotated into its level frame; `level_trim_s`: time constant with which the
+    picture corrects the IMU's roll and pitch for it [s] (0: not at all; `vision.derotate.trimmed`).
 
     Raises (from the constructor): ParameterError where two parts contradict each other.
     """
@@ -90,7 +90,7 @@ class Scenario:
         if self.law.depth.true and not self.detector.needs_truth:
             words = "may be oracle only with detector: {kind: oracle}; with pixels use pnp, constant, goal or estimate"
             raise ParameterError("law.depth", words)
-        self.timing.check(self.camera, self.clock[0])  # a clock refuses steps that do not fit
+        self.timing.check(self.camera, self.clock[0])  # first: the clock refuses a step that does not divide the camera's period
         self.believed_camera  # noqa: B018 - refuses errors that the lens cannot have
         self.goal.check(self.setup)
         check_robot(self.robot, self.target, self.world, self.derotation, self.level_trim_s)
@@ -110,7 +110,7 @@ class Scenario:
 
     @cached_property
     def setup(self) -> Setup:
-        """The parts that the task has to do with."""
+        """The parts that the task uses."""
         wrong = self.calibration
         shown = wrong.goal == "shown" and not (wrong.camera_exact and wrong.depth_exact)
         parts = (self.robot, self.camera, self.believed_camera, self.target, self.law, self.detector, self.stop)
@@ -118,38 +118,38 @@ class Scenario:
 
     @cached_property
     def goal_views(self) -> tuple[Goal, ...]:
-        """What the law is asked to see: one view, or several in turn."""
+        """The goals for the law: one view, or several in turn."""
         return self.goal.goal_views(self.setup)
 
     @property
     def goal_view(self) -> Goal:
-        """What the law is asked to see in the end."""
+        """The last goal for the law."""
         return self.goal_views[-1]
 
     @cached_property
     def believed_camera(self) -> Camera:
-        """The camera as robot, detector, observer and law know it; `camera` is what it is."""
+        """The camera as calibrated, known to robot, detector, observer and law; `camera` is the true one."""
         return self.calibration.believed(self.camera)
 
     @cached_property
     def depth_scale(self) -> Array | None:
-        """By how much each marker's depth is told wrong in this run, shape (N,); None where it is not."""
+        """Ratio of each marker's assumed depth to the true one in this run, shape (N,); None for exact depths."""
         return self.calibration.depth_scale(len(self.target.points), self.rng(DEPTH_STREAM))
 
     @cached_property
     def goal_poses(self) -> tuple[Array, ...]:
-        """T_camera_target (4, 4) of the true camera at the goal, of one view or of several in turn: for the log, not for the law."""
+        """T_camera_target (4, 4) of the true camera at each goal view in turn: for the log, not for the law."""
         return self.goal.goal_poses(self.target, self.camera.mount.T)
 
     @cached_property
     def own_columns(self) -> tuple[str, ...]:
-        """Columns of the log that only this robot and this task have."""
+        """The robot's and the task's own columns of the log."""
         supervisor = self.robot.supervisor(self.goal.lands, self.stop.lost_after_s)
         return self.robot.log(supervisor).columns + self.goal.monitor(self.setup, supervisor).columns
 
     @property
     def sights(self) -> tuple[tuple[float, float, float], ...]:
-        """Places that the view from outside is to show besides the start and the target: goals, and routes."""
+        """Points that the outside view must show besides the start and the target: goals, and routes every 50 cm [m]."""
         low = [(p[0], p[1], 0.0) for p in (*(g.place for g in self.goal_views if g.place is not None), *self.target.floor_path[::50])]
         if self.robot.base != "floating":
             return tuple((float(x), float(y), z) for x, y, z in low)
@@ -158,17 +158,17 @@ class Scenario:
 
     @property
     def T_world_goal(self) -> Array:
-        """The camera's goal pose in the world (4, 4), of the target where it starts."""
+        """The camera's goal pose in the world (4, 4), for the target at its start."""
         return self.target.T_world_start @ inverse(self.goal_poses[-1])
 
     def rng(self, stream: int) -> np.random.Generator:
-        """The scenario's random numbers: one independent stream each for the start and the noises."""
+        """The generator of one of the independent streams (START_STREAM, ...)."""
         return np.random.default_rng([self.seed, stream])
 
     def randomised(self, seed: int) -> Scenario:
-        """The same experiment with this seed and the start that it draws, redrawn until the target is in view.
+        """The same experiment with this seed and a start drawn from it, drawn again until the target is in view.
 
-        The start is written into `robot.start.nominal`, so that the scenario as run says where it started.
+        The start is written into `robot.start.nominal`, so that the scenario of a run contains its start.
 
         Raises:
             ParameterError: the robot has no random block, or no start in it sees the target.
@@ -182,9 +182,10 @@ class Scenario:
         raise ParameterError("robot.start.random", f"gave no start in {TRIES} draws that has the whole target in view; make it smaller")
 
     def _in_view(self, robot: Robot) -> bool:
+        """Whether the robot's start has the whole target in the picture, seen from its front."""
         T = inverse(camera_start(robot, self.camera, self.target)) @ target_start(robot, self.target)
         p = self.target.seen_from(inverse(T))
-        facing = float(T[:3, 2] @ T[:3, 3]) / max(float(np.linalg.norm(T[:3, 3])), 1e-9)  # of the plane, for who looks at it
+        facing = float(T[:3, 2] @ T[:3, 3]) / max(float(np.linalg.norm(T[:3, 3])), 1e-9)  # cosine of the view on the plane
         turned = T[2, 2] if isinstance(self.camera, Perspective) else facing
-        faces = turned > 0.17 or not self.target.one_sided  # within 80 degrees of square to the target
+        faces = turned > 0.17 or not self.target.one_sided  # within 80 degrees of the target's normal: beyond, discs are slivers
         return bool(faces and self.camera.whole(p, self.target.marker.radius, VIEW_MARGIN_PX).all())

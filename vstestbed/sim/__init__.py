@@ -1,4 +1,4 @@
-"""The only room with mujoco and dm_control: scenes, pictures, physics, the ideal camera, timing."""
+"""Simulation, the only folder that imports mujoco and dm_control: scenes, rendering, physics, the ideal camera, timing."""
 
 from vstestbed.sim.render import gl_probe as _gl
 

@@ -1,4 +1,4 @@
-"""The plant: the seam between the loop and what moves (MuJoCo, or the ideal camera). Truth, behind its fence."""
+"""The contract of a plant, between the loop and the simulation (MuJoCo, or the ideal camera), and the simulator's truth."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from vstestbed.robots.reading import Reading
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """What the simulator knows at one instant; for the recorder, the judge and the oracle, and for nothing else.
+    """Ground truth at one instant, for the log, the judge and the oracle detector, and for nothing else.
 
     Attributes:
         T_world_camera, T_world_target: poses (4, 4), camera in computer-vision axes.
         twist: true camera twist (6,) in the camera frame [m/s, rad/s].
         q, qd, ctrl: joints [rad, rad/s] and actuator controls.
         p_camera: marker centres in the camera frame (N, 3) [m].
-        hidden: markers behind something, (N,) bool; all False where nobody asked.
-        contact: the robot touches something, with anything but its feet. feet: one of its feet touches something.
-        act: activations of its actuators (nu,), of those that have such. wind: velocity of the air in the world (3,) [m/s].
+        hidden: occluded markers, (N,) bool; all False where no detector needs it.
+        contact: a part of the robot other than its feet touches something. feet: one of its feet does.
+        act: activations of those of its actuators that have one. wind: velocity of the air in the world (3,) [m/s].
     """
 
     T_world_camera: Array
@@ -44,7 +44,7 @@ class Renderer(Protocol):
     """Renders the servo camera's images.
 
     Attributes:
-        name: what draws, such as OpenGL's GL_RENDERER string.
+        name: of the renderer, such as OpenGL's GL_RENDERER string.
         spent_s: wall time spent on images so far [s].
         whole: the last images are complete; no part was left blank.
     """
@@ -72,7 +72,7 @@ class Renderer(Protocol):
 
 
 class Plant(Protocol):
-    """What moves and what takes pictures. The clock counts whole physics steps."""
+    """The simulated robot, camera and target. The clock counts whole physics steps."""
 
     step_s: float
     steps_per_frame: int
@@ -83,18 +83,18 @@ class Plant(Protocol):
         ...
 
     def capture(self, look: Look | None = None) -> tuple[Picture | None, Truth]:
-        """The picture (None where no detector asks for one; it holds until the next capture) and the truth, now.
+        """The picture (None where no detector needs one; valid until the next capture) and the truth, now.
 
-        look: where the detector is going to look; None for everywhere.
+        look: the detector's regions of interest; None for everything.
         """
         ...
 
     def expose(self, weight: float, look: Look | None = None) -> None:
-        """Let in the light of now, for a share `weight` of a picture's exposure; nothing where no detector asks for pictures."""
+        """Add an image, as a share `weight` of one exposure; nothing where no detector needs pictures."""
         ...
 
     def developed(self, t: float) -> Picture | None:
-        """The picture of what was let in since the last one, stamped t [s]."""
+        """The picture of all images added since the last one, stamped t [s]."""
         ...
 
     def truth(self) -> Truth:
@@ -102,15 +102,15 @@ class Plant(Protocol):
         ...
 
     def reading(self) -> Reading:
-        """What the robot measures of itself, now."""
+        """The robot's sensor reading, now."""
         ...
 
     def apply(self, setpoint: Array) -> None:
-        """Give the actuators a setpoint; it holds until the next one."""
+        """Set the setpoint, which stays in force until the next one."""
         ...
 
     def advance(self, steps: int) -> bool:
-        """Let physics steps pass; False when the simulation became unstable."""
+        """Advance by physics steps; False when the simulation became unstable."""
         ...
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""From a scenario's parts to the plant that they ask for."""
+"""Builds the plant of a scenario, and the files of its scene."""
 
 from __future__ import annotations
 
@@ -30,19 +30,20 @@ def build_plant(
     motion_rng: np.random.Generator | None = None,
     drift: Drift = NO_DRIFT,
 ) -> tuple[Plant, str]:
-    """Make the plant; with it the name of what renders its pictures ("none" where nothing does).
+    """The plant, and the name of its renderer ("none" without pictures).
 
-    An arm or a vehicle is simulated by MuJoCo. The ideal camera needs MuJoCo only for pictures, or to tell what plates hide.
+    Robots with a body are simulated by MuJoCo. The ideal camera needs MuJoCo only for pictures, or for occlusion by plates.
 
     Args:
-        needs_image, needs_truth: what the detector looks at.
-        image_sigma, rng: noise of the pictures [grey levels] and where it comes from.
-        sensor_rng: where the noise of the robot's own sensors comes from. motion_rng: what draws a target's random walk.
+        needs_image, needs_truth: whether the detector works on pictures, on truth.
+        image_sigma, rng: noise of the pictures [grey levels] and its generator.
+        sensor_rng: generator of the robot's sensor noise. motion_rng: generator of a target's random walk.
         drift: of the camera's gains.
 
     Raises:
         EnvironmentLackError: a picture is needed that only OpenGL can draw, and it does not work here.
     """
+    # Imports within functions: a run with the ideal camera and the oracle then starts without loading any renderer.
     from vstestbed.sim.scene.compose import Parts
 
     step, steps_per_frame = clock.resolve(camera, robot.largest_step_s)
@@ -70,7 +71,7 @@ def build_plant(
 
 @dataclass(frozen=True, slots=True)
 class SceneFiles:
-    """A scene as MJCF, and the files beside it that it names, by their paths from there; together they load alone."""
+    """A self-contained scene: its MJCF, and the asset files that it names, by their paths relative to it."""
 
     xml: str
     assets: dict[str, bytes]
@@ -79,7 +80,7 @@ class SceneFiles:
 def scene_files(
     robot: Robot, camera: Camera, target: Target, world: World, clock: Clock, sights: tuple[tuple[float, float, float], ...] = ()
 ) -> SceneFiles:
-    """The compiled scene; its keyframe `start` is the nominal start. `sights` are what the outside view shall show."""
+    """The compiled scene; its keyframe `start` is the nominal start. sights: points that the outside view must show [m]."""
     from vstestbed.core.geometry import quaternion_wxyz
     from vstestbed.sim.scene.compose import Parts
     from vstestbed.sim.scene.stage import Stage

@@ -17,7 +17,7 @@ LARGEST_STEP_S = 0.002
 
 @spec
 class Clock:
-    """The physics clock, in whole steps between pictures.
+    """The physics clock, with a whole number of steps between pictures.
 
     Args:
         step_s: fixed step [s]; without it the largest step that divides the camera's period and is no longer than 2 ms.

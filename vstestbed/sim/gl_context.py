@@ -31,6 +31,7 @@ class Physics(dm.Physics):
     def contexts(self) -> Contexts | None:
         """The contexts, with this scene's made current; None where dm_control has switched rendering off."""
         contexts = super().contexts
+        # Several rendering contexts share one OpenGL context, whose current buffer is global state: switched only where it is another's.
         if contexts is not None and _target[0] is not contexts.mujoco:
             with contexts.gl.make_current() as thread:
                 thread.call(mujoco.mjr_setBuffer, mujoco.mjtFramebuffer.mjFB_OFFSCREEN, contexts.mujoco.ptr)

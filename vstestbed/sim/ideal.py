@@ -1,4 +1,4 @@
-"""The ideal plant: a camera that moves exactly as told. It needs MuJoCo only where somebody wants a picture of it."""
+"""The ideal plant: a camera that follows its twist exactly. It needs MuJoCo only for pictures and occlusion."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ NONE, STILL_AIR = np.zeros(0), np.zeros(3)
 
 
 class IdealPlant:
-    """T_world_camera <- T_world_camera exp([v] dt), v the twist of the camera when its flange has the setpoint's, which is held.
+    """T_world_camera <- T_world_camera exp([v] dt), v the camera's twist for the flange twist in force, the setpoint.
 
     Args:
-        parts: what is in the world. steps_per_frame: physics steps between pictures.
-        eye: makes the pictures; None where no detector needs them. stage: tells what is hidden; None where nothing is.
-        path: where the target is at a time; None for one that stands still. drift: of the camera's gains.
+        parts: of the scene. steps_per_frame: physics steps between pictures.
+        eye: renderer of the pictures; None where no detector needs them. stage: for pictures and occlusion; None without both.
+        path: the target's pose as a function of time; None for one that stands still. drift: of the camera's gains.
     """
 
     def __init__(
@@ -54,7 +54,7 @@ class IdealPlant:
         return self._eye.spent_s if self._eye else 0.0
 
     def capture(self, look: Look | None = None) -> tuple[Picture | None, Truth]:
-        """The picture, where one is wanted, and the truth."""
+        """The picture, where a detector needs one, and the truth."""
         truth = self.truth()
         frame = self._drift.of(Picture(self._t, self._eye.images(look), self._eye.whole)) if self._eye else None
         return frame, truth
@@ -69,12 +69,13 @@ class IdealPlant:
             self._T_target_world = inverse(self._T_world_target)
 
     def truth(self) -> Truth:
-        """The truth, now; the stage is brought up to it."""
+        """The truth, now; it also updates the stage, from which pictures are taken."""
         T = self._T.copy()
         self._move_target()
         p_camera = self._target.seen_from(self._T_target_world @ T)
         hidden = self._hidden
         if self._stage is not None:
+            # Before the cast of rays, and before the picture that `capture` takes next.
             self._stage.place(self._t, self._T_world_target, NONE, T)
             hidden = self._stage.hidden(T, p_camera)
         return Truth(
@@ -82,7 +83,7 @@ class IdealPlant:
         )
 
     def expose(self, weight: float, look: Look | None = None) -> None:
-        """Let in the light of now, where a detector asks for pictures."""
+        """Add an image of the exposure, where a detector needs pictures."""
         self._move_target()
         if self._stage is not None:
             self._stage.place(self._t, self._T_world_target, NONE, self._T)
@@ -90,7 +91,7 @@ class IdealPlant:
             self._exposure.add(weight, look)
 
     def developed(self, t: float) -> Picture | None:
-        """The picture of what was let in since the last one."""
+        """The picture of all images added since the last one."""
         return self._drift.of(self._exposure.developed(t)) if self._exposure else None
 
     def reading(self) -> Reading:
@@ -98,11 +99,11 @@ class IdealPlant:
         return Reading(NONE, NONE)
 
     def apply(self, setpoint: Array) -> None:
-        """Move the flange with this twist (6,) from now on."""
+        """Set the twist (6,) of the flange."""
         self._twist = self._to_camera @ setpoint
 
     def advance(self, steps: int) -> bool:
-        """Let time pass, in one exact exponential."""
+        """Advance by one exact exponential: no integration error, however many steps it stands for."""
         self._T = self._T @ exp(self._twist * (steps * self.step_s))
         self._steps += steps
         return True

@@ -1,4 +1,4 @@
-"""The physical plant: a robot with masses, gears and friction in MuJoCo, its camera rendered."""
+"""The physical plant: a robot with inertia, gears and friction in MuJoCo, and its rendered camera."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from vstestbed.camera import Look, Picture
 from vstestbed.core.geometry import Array, adjoint, inverse
 from vstestbed.robots.reading import Reading
 from vstestbed.sim.base import Renderer, Truth
+from vstestbed.sim.contacts import RobotContacts
 from vstestbed.sim.render.motion_blur import MotionBlur
 from vstestbed.sim.render.noise import NO_DRIFT, Drift
 from vstestbed.sim.scene.lead_vehicle import LeadVehicle
@@ -22,24 +23,23 @@ from vstestbed.targets.motion import Path
 
 AWAY = np.eye(4)
 AWAY[2, 3] = 1000.0
-"""Where a craft is while a vehicle settles: high up [m]."""
+"""Displacement of a craft while a vehicle settles: 1 km up [m]."""
 SILENCE_S, SILENCE_PICTURES = 0.5, 3
-"""An order to a craft that flies lasts so long [s], or so many of the camera's periods where they are longer: then it holds."""
+"""Command timeout of a flying craft, after which it holds: SILENCE_S [s], or SILENCE_PICTURES camera periods if these are longer."""
 SETTLE_S = 1.0
-"""A vehicle stands this long on its springs before the start [s]."""
+"""How long vehicles settle on their springs before the start [s]; a car's body comes to rest in half of it."""
 
 
 class MujocoPlant:
     """Steps a dm_control physics; setpoints go to the actuators, through the robot's onboard controller where it has one.
 
-    dm_control's step ends with `mj_step1`, so that poses, the camera and velocities are those of the present time, not
-    one step old. The robot starts at rest and in equilibrium: integrating servos carry the gravity load from the start,
-    as they do when brakes are released; vehicles have sunk into their springs.
+    The robot starts at rest and in equilibrium: integrating servos carry the gravity load from the start, as they do when brakes are
+    released; vehicles have settled on their springs.
 
     Args:
         stage: the scene. steps_per_frame: physics steps between pictures.
-        eye: makes the pictures; None where no detector needs them. see_hidden: cast rays for the truth's `hidden`.
-        rng: noise of the robot's own sensors. path: where a target that moves by itself is at a time, None for any other.
+        eye: renderer of the pictures; None where no detector needs them. see_hidden: compute the truth's `hidden` by casting rays.
+        rng: generator of the robot's sensor noise. path: the pose of a target that moves by itself as a function of time, else None.
         drift: of the camera's gains.
     """
 
@@ -53,42 +53,37 @@ class MujocoPlant:
         path: Path | None = None,
         drift: Drift = NO_DRIFT,
     ):
-        self._path, self._drift = path, drift
-        self._scenery = bool(stage.parts.world.plates or stage.parts.world.decoys or path)
-        self._stage, self._eye, self._see_hidden = stage, eye, see_hidden
+        robot, world = stage.parts.robot, stage.parts.world
+        self._stage, self._robot, self._target = stage, robot, stage.parts.target
+        self.step_s, self.steps_per_frame, self._steps = stage.parts.step, steps_per_frame, 0
+        self._path, self._scenery = path, bool(world.plates or world.decoys or path)
+        self._eye, self._drift = eye, drift
         self._exposure = MotionBlur(eye) if eye else None
-        robot, model = stage.parts.robot, stage.model
-        self.step_s, self.steps_per_frame = stage.parts.step, steps_per_frame
-        self._target = stage.parts.target
-        self._robot = robot
-        self._ctrl = np.array([model.actuator_ctrladr[model.actuator(f"robot/{name}").id] for name in robot.actuators], dtype=int)
-        bodies = [model.body(i).name.startswith("robot/") for i in range(model.nbody)]
-        self._robot_geoms = np.array(bodies)[model.geom_bodyid]
-        self._floor = model.geom("floor").id
-        feet = np.zeros(model.ngeom, dtype=bool)
-        feet[[model.geom(f"robot/{name}").id for name in robot.feet]] = True
-        self._feet, self._base = feet, robot.base
-        wind = stage.parts.world.wind
-        self._wind_field = WindField(wind, model, rng.spawn(1)[0]) if robot.base == "floating" else None
-        self._windy = not wind.still
+        self._see_hidden, self._visible = see_hidden, np.zeros(len(self._target.points), dtype=bool)
+        self._contacts = RobotContacts(stage.model, robot)
+        # A stream of its own: turbulence, drawn at the control rate, must not shift the noise that the sensors draw.
+        self._wind_field = WindField(world.wind, stage.model, rng.spawn(1)[0]) if robot.base == "floating" else None
         self._sensors = SensorReader(stage, rng)
         self._leader = LeadVehicle(stage) if stage.leader else None
         self._velocity = np.zeros(6)
-        self._visible = np.zeros(len(self._target.points), dtype=bool)
-        self._steps = 0
         self._memory: Any = robot.begin()
         self._hold = robot.hold_setpoint()
         self._setpoint: Array | None = self._hold
         self._heard, self._patience = 0, max(round(SILENCE_S / self.step_s), SILENCE_PICTURES * steps_per_frame)
-        self._control_steps = max(1, round((robot.control_period_s or 0.0) / self.step_s)) if robot.control_period_s else 0
-        q, T = stage.parts.start
-        stage.place(0.0, stage.parts.T_world_target if path is None else path(0.0), q, T)
+        self._control_steps = _whole_steps(robot.control_period_s, self.step_s)
+        self._start()
+
+    def _start(self) -> None:
+        """Place everything at its start, in equilibrium."""
+        q, T = self._stage.parts.start
+        self._stage.place(0.0, self._stage.parts.T_world_target if self._path is None else self._path(0.0), q, T)
         self._settle()
-        if robot.base == "planar" or self._leader:
+        if self._robot.base == "planar" or self._leader:
             self._stand()
 
     def _settle(self) -> None:
-        """Integrating servos start at q + (gravity torque) / kp, rotors at the speed that carries the craft."""
+        """Equilibrium of the actuators: integrating servos start at q + (gravity torque) / kp, rotors at hover."""
+        # At q itself an industrial arm would sag until its servos carry it: joint 2 by 2 mrad.
         model, data = self._stage.model, self._stage.data
         self._stage.rest()
         mujoco.mj_forward(model, data)
@@ -101,14 +96,17 @@ class MujocoPlant:
         mujoco.mj_forward(model, data)
 
     def _stand(self) -> None:
-        """Let vehicles sink into their springs, then bring them back to where they start, at rest; the clock begins there."""
+        """Let vehicles settle on their springs, then move them back to their start, at rest, at time 0."""
         stage, data = self._stage, self._stage.data
         T_robot, T_leader = stage.parts.start[1] @ stage.mount_inverse, self._target.T_world_start @ stage.target_inverse
-        if self._base == "floating" and stage.root is not None:  # it would fall on the vehicle that settles
+        if (
+            self._robot.base == "floating" and stage.root is not None
+        ):  # out of the way: it is not controlled yet, and would fall on the vehicle
             stage.root.put(data.qpos, AWAY @ T_robot)
         stage.physics.step(round(SETTLE_S / self.step_s))
-        for root, T_start, stands in ((stage.root, T_robot, self._base == "planar"), (stage.leader, T_leader, True)):
+        for root, T_start, stands in ((stage.root, T_robot, self._robot.base == "planar"), (stage.leader, T_leader, True)):
             if root is not None:
+                # What settled is the height; x, y and heading are the scenario's, whatever the settling did to them.
                 T = T_start.copy()
                 T[2, 3] = root.pose(data)[2, 3] if stands else T[2, 3]
                 root.put(data.qpos, T)
@@ -124,13 +122,13 @@ class MujocoPlant:
         return self._eye.spent_s if self._eye else 0.0
 
     def capture(self, look: Look | None = None) -> tuple[Picture | None, Truth]:
-        """The picture, where one is wanted, and the truth, now."""
+        """The picture, where a detector needs one, and the truth, now."""
         truth = self.truth()
         frame = self._drift.of(Picture(self._steps * self.step_s, self._eye.images(look), self._eye.whole)) if self._eye else None
         return frame, truth
 
     def _move_scenery(self) -> None:
-        """Put what moves by itself where it is now."""
+        """Move plates, decoys and a target with a path of its own to their present poses."""
         stage, t = self._stage, self._steps * self.step_s
         if self._scenery:
             stage.place_plates(t)
@@ -140,57 +138,48 @@ class MujocoPlant:
 
     def truth(self) -> Truth:
         """The truth, now."""
+        # dm_control's step ends with `mj_step1`: poses and velocities are those of the present time. After MuJoCo's own `mj_step` they
+        # would be one step old, .5 mm for a fast arm.
         stage = self._stage
         self._move_scenery()
         T, T_target = stage.camera_pose(), stage.target_pose()
         p_camera = self._target.seen_from(inverse(T_target) @ T)
         twist = self._twist(stage.eye)
-        if stage.parts.target.on_gripper:  # the camera against the target that the hand holds
+        if stage.parts.target.on_gripper:  # relative to the target in the gripper; the camera itself is at rest
             twist = -adjoint(inverse(T) @ T_target) @ self._twist(stage.held_site)
         hidden = stage.hidden(T, p_camera) if self._see_hidden else self._visible
-        q, qd, ctrl = *self._sensors.joints(), stage.data.ctrl[self._ctrl]
-        contact, feet = self._contacts()
-        act = stage.data.act[stage.activations]
+        q, qd, ctrl = *self._sensors.joints(), stage.data.ctrl[stage.at.ctrl]
+        contact, feet = self._contacts.touching(stage.data)
+        act = stage.data.act[stage.at.act]
         return Truth(T, T_target, twist, q, qd, ctrl, p_camera, hidden, contact, feet, act, stage.model.opt.wind.copy())
 
     def expose(self, weight: float, look: Look | None = None) -> None:
-        """Let in the light of now, where a detector asks for pictures."""
+        """Add an image of the exposure, where a detector needs pictures."""
         self._move_scenery()
         if self._exposure is not None:
             self._exposure.add(weight, look)
 
     def developed(self, t: float) -> Picture | None:
-        """The picture of what was let in since the last one."""
+        """The picture of all images added since the last one."""
         return self._drift.of(self._exposure.developed(t)) if self._exposure else None
 
     def _twist(self, site: int) -> Array:
-        """True twist (6,) of a site in its own frame."""
+        """True twist (v, w) (6,) of a site in its own frame; MuJoCo has the angular part first."""
         mujoco.mj_objectVelocity(self._stage.model, self._stage.data, mujoco.mjtObj.mjOBJ_SITE, site, self._velocity, 1)
         return np.concatenate([self._velocity[3:], self._velocity[:3]])
 
-    def _contacts(self) -> tuple[bool, bool]:
-        """Whether the robot touches something with anything but its feet, and whether a foot touches something."""
-        data = self._stage.data
-        if not data.ncon:
-            return False, False
-        pairs = data.contact.geom
-        feet = bool(self._feet[pairs].any())
-        if self._base == "planar":  # wheels and casters are on the floor, that is what they are for
-            pairs = pairs[(pairs != self._floor).all(axis=1)]
-        return bool((self._robot_geoms & ~self._feet)[pairs].any()), feet
-
     def reading(self) -> Reading:
-        """What the robot's own sensors, and its onboard controller, tell now: the same until time passes."""
+        """The reading of the robot's sensors with the onboard estimates; the same until time passes."""
         return self._robot.reported(self._memory, self._sensors.read(self._steps))
 
     def apply(self, setpoint: Array) -> None:
-        """A setpoint from now on; without an onboard controller it is the actuators' controls (n,)."""
+        """Set the setpoint; without an onboard controller these are the actuators' controls (n,)."""
         self._setpoint, self._heard = setpoint, self._steps
         if not self._control_steps:
-            self._stage.data.ctrl[self._ctrl] = setpoint
+            self._stage.data.ctrl[self._stage.at.ctrl] = setpoint
 
     def advance(self, steps: int) -> bool:
-        """Let physics steps pass; False when MuJoCo reports an instability."""
+        """Advance by physics steps; False when MuJoCo reports an instability."""
         try:
             if self._control_steps or self._leader:
                 self._advance_onboard(steps)
@@ -202,7 +191,7 @@ class MujocoPlant:
         return True
 
     def _advance_onboard(self, steps: int) -> None:
-        """Onboard controllers act every `_control_steps` steps of the physics clock, however the steps are asked for."""
+        """Advance with onboard controllers, which act at fixed multiples of the physics step, however the call divides the time."""
         mine, theirs = self._control_steps, self._leader.steps if self._leader else 0
         end = self._steps + steps
         while self._steps < end:
@@ -220,16 +209,23 @@ class MujocoPlant:
             self._leader.drive(dt)
 
     def _control(self, dt: float) -> None:
+        """One period of the robot's onboard controller, and of the wind that acts on it."""
         data = self._stage.data
-        if self._wind_field is not None and self._windy:
+        if self._wind_field is not None and not self._stage.parts.world.wind.still:
             self._wind_field.blow(self._steps * self.step_s, dt)
         setpoint = self._setpoint
         if setpoint is not None:
+            # Pictures may be dropped or late: a craft must not fly on with the last velocity for ever.
             if self._hold is not None and self._steps - self._heard > self._patience:
                 setpoint = self._hold
             reading = self._sensors.read(self._steps)
-            self._memory, data.ctrl[self._ctrl] = self._robot.actuate(self._memory, setpoint, reading, dt)
+            self._memory, data.ctrl[self._stage.at.ctrl] = self._robot.actuate(self._memory, setpoint, reading, dt)
 
     def close(self) -> None:
         """Free pictures and physics."""
         self._stage.close()
+
+
+def _whole_steps(period_s: float | None, step_s: float) -> int:
+    """A controller's period as whole physics steps, one at least; 0 for a robot without an onboard controller."""
+    return max(1, round(period_s / step_s)) if period_s else 0

@@ -1,4 +1,4 @@
-"""Images of moments of a run from any camera, without simulating: the log holds where everything was."""
+"""Images of a recorded run from any camera, without physics: the log has all poses."""
 
 from __future__ import annotations
 

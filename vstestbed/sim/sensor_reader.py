@@ -1,4 +1,4 @@
-"""What a robot measures of itself: its joints and MJCF sensors, through its own instruments' noise."""
+"""Sensor readings of a robot: joints and MJCF sensors, with the noise of its sensor model."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from vstestbed.sim.scene.stage import Stage
 
 
 class SensorReader:
-    """Reads a robot's joints and MJCF sensors; the same reading until time passes, so that noise is drawn once an instant.
+    """Reads a robot's joints and MJCF sensors, once for each physics step.
 
     Args:
-        stage: the scene. rng: where noise comes from.
+        stage: the scene. rng: generator of the noise.
     """
 
     def __init__(self, stage: Stage, rng: np.random.Generator):
@@ -29,14 +29,15 @@ class SensorReader:
     def joints(self) -> tuple[Array, Array]:
         """True joint positions and speeds (n,) each."""
         data = self._stage.data
-        return data.qpos[self._stage.qpos], data.qvel[self._stage.qvel]
+        return data.qpos[self._stage.at.qpos], data.qvel[self._stage.at.qvel]
 
     def restart(self) -> None:
         """Forget the last reading."""
         self._read_at = -1
 
     def read(self, step: int) -> Reading:
-        """What the robot's instruments tell at a physics step."""
+        """The sensor reading at a physics step."""
+        # Cached: a second reading of the same instant must not draw other noise, which could be averaged out.
         if step != self._read_at or self._reading is None:
             q, qd = self.joints()
             data = self._stage.data.sensordata

@@ -27,7 +27,7 @@ class BaselineCost:
 
 
 def measure_baseline(parts: Parts, steps_per_frame: int, ctrl: Array, q: Array, T_world_camera: Array, pictures: bool) -> BaselineCost:
-    """Replay a recorded run's controls with bare `mj_step`, and its views with bare renders.
+    """Replay a recorded run's controls with plain `mj_step`, and its views with plain renders.
 
     Ray casting renders whole images here, so that a run, which renders windows, may cost less.
 
@@ -40,7 +40,6 @@ def measure_baseline(parts: Parts, steps_per_frame: int, ctrl: Array, q: Array, 
     stage = Stage(parts, samples=parts.camera.multisampling)
     picture = bare_renderer(stage, parts.camera) if pictures else None
     target = parts.target.T_world_start
-    where = [stage.model.actuator_ctrladr[stage.model.actuator(f"robot/{name}").id] for name in parts.robot.actuators]
     stage.place(0.0, target, q[0], T_world_camera[0])
     stage.rest()
     mujoco.mj_forward(stage.model, stage.data)
@@ -54,7 +53,7 @@ def measure_baseline(parts: Parts, steps_per_frame: int, ctrl: Array, q: Array, 
             picture(p_camera)
         rendered = time.perf_counter()
         if parts.robot.model is not None:
-            stage.data.ctrl[where] = ctrl[frame]
+            stage.data.ctrl[stage.at.ctrl] = ctrl[frame]
             for _ in range(steps_per_frame):
                 mujoco.mj_step(stage.model, stage.data)
             physics += time.perf_counter() - rendered

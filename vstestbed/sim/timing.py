@@ -26,7 +26,7 @@ class Timing:
     exposure's end, never before an earlier one.
 
     Args:
-        exposure_s: time that the shutter is open [s]; the picture is the mean of images rendered meanwhile (motion blur).
+        exposure_s: exposure time [s]; the picture is the mean of images rendered during it (motion blur).
         exposure_pictures: number of these images, at most one a physics step.
         jitter: distribution of the jitters: `uniform` within +- the number given, or `normal` with it as standard deviation.
         exposure_jitter_s: jitter of the time of exposure [s].
@@ -45,7 +45,7 @@ class Timing:
 
     @property
     def draws(self) -> bool:
-        """Whether random numbers are drawn, so that the seed matters."""
+        """Whether the timing is random, so that it depends on the seed."""
         return self.exposure_jitter_s > 0 or self.latency_jitter_s > 0 or self.drop_probability > 0
 
     def check(self, camera: Camera, step_s: float) -> None:
@@ -95,6 +95,7 @@ class Shutter:
         self._latency = camera.latency_s
         self._half = round(timing.exposure_s / step_s / 2)
         self._offsets, self._weights = _opening(self._half, timing.exposure_pictures)
+        # Jitter is clipped to it: the exposures of two frames must not overlap.
         self._room = (steps_per_frame - 2 * self._half) // 2
         self._frame = -1
 
@@ -116,6 +117,7 @@ def _opening(half: int, most: int) -> tuple[NDArray[np.int_], tuple[float, ...]]
     if half == 0:
         return np.zeros(1, dtype=int), (1.0,)
     n = min(2 * half + 1, most - 1 + most % 2)  # odd: the middle is one of them
+    # Rounded to whole steps they are unevenly spaced: the weights are those of the trapezoidal rule, so that the mean stays unbiased.
     offsets = np.round(np.linspace(-half, half, n)).astype(int)
     weights: Array = np.gradient(offsets.astype(float))
     weights[[0, -1]] /= 2

@@ -1,4 +1,4 @@
-"""Targets: what a camera looks at, what its markers look like, how it moves."""
+"""Targets of the camera: their markers, their shape, their motion."""
 
 from vstestbed.core.contract import Contract
 from vstestbed.core.spec import OneOf

@@ -1,4 +1,4 @@
-"""Targets that something else moves: a vehicle that drives along a route, or the robot's gripper (eye to hand)."""
+"""Targets attached to something that moves: a vehicle on a route, or the robot's gripper (eye to hand)."""
 
 from __future__ import annotations
 
@@ -17,35 +17,36 @@ from vstestbed.targets.route import AnyRoute
 class Carried(MotionBase):
     """The target rides on a vehicle that drives along a route; `target.pose` is then where it sits in the vehicle's frame.
 
-    The vehicle has the masses, wheels and servos of its model. Its driver knows where it is (he is no part of the experiment).
+    The vehicle is simulated with its masses, wheels and servos. Its driver steers by the true place, and is no part of the experiment.
 
     Args:
         by: the vehicle's kind. It starts on the route.
-        route: where it drives.
-        speed_mps: how fast [m/s].
-        from_m: how far along the route it starts [m].
+        route: its path on the floor.
+        speed_mps: its speed [m/s].
+        from_m: arc length on the route at which it starts [m].
     """
 
     kind: Literal["carried"] = "carried"
     by: Literal["car", "omni"] = "car"
     route: AnyRoute
+    # 3 m/s is the largest speed limit that a car may have (`CarLimits`).
     speed_mps: Annotated[float, Gt(0), Le(3)] = 0.5
     from_m: float = 0.0
     by_itself: ClassVar[bool] = False
 
     @property
     def carrier(self) -> Carried:
-        """The vehicle, its route and its speed."""
+        """Itself: the vehicle, its route and its speed."""
         return self
 
     def start(self, pose: Array) -> Array:
-        """On the vehicle, where the route says that it starts."""
+        """On the vehicle, at its start on the route."""
         return pose_on_ground(self.route.at(self.from_m)[:3]) @ pose
 
 
 @spec
 class Held(MotionBase):
-    """The robot's hand holds the target, and the camera stands in the room (eye to hand).
+    """The robot's gripper holds the target, and the camera stands in the room (eye to hand).
 
     `target.pose` is then where the target sits in the flange's frame, `camera.mount` where the camera stands in the world.
     """
@@ -55,7 +56,7 @@ class Held(MotionBase):
     on_gripper: ClassVar[bool] = True
 
     def start(self, pose: Array) -> Array:
-        """The pose in the flange's frame: where that is depends on the robot (`sim.scene.start_pose`)."""
+        """The pose in the flange's frame; its place in the world depends on the robot (`sim.scene.start_pose`)."""
         return pose
 
 

@@ -1,7 +1,7 @@
-"""What all targets share: pose in the world, marker, motion, a pad to land on.
+"""The contract of a target and its defaults: pose in the world, marker, motion, landing pad.
 
-Target frame: for planar targets the markers lie in z = 0, and z points away from a camera that looks at them
-squarely, so that the goal view "1 m in front" is T_camera_target = (0, 0, 1) without rotation.
+Target frame: the markers of a planar target lie in z = 0, and z points away from a camera that faces them, so that the goal view
+"1 m in front" is T_camera_target = (0, 0, 1) without rotation.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from vstestbed.targets.route import Route
 
 @spec
 class Pad:
-    """A plate to land on: its middle is the target's origin, its upper side the target's plane z = 0 (z down).
+    """A square plate to land on: centred at the target's origin, its upper side in the target's plane z = 0 (z down).
 
     Args:
-        side: of the square [m].
-        mass: where a vehicle carries it [kg]; by default an aluminium honeycomb of 4 kg/m^2.
+        side: edge of the square [m].
+        mass: what a vehicle that carries it has to bear [kg]; by default that of an aluminium honeycomb, 4 kg/m^2.
     """
 
     side: Annotated[float, Gt(0)] = 0.9
@@ -35,12 +35,12 @@ class Pad:
 
     @property
     def weight(self) -> float:
-        """[kg]."""
+        """Its mass, given or by area [kg]."""
         return self.mass or 4.0 * self.side**2
 
 
 class TargetContract(Protocol):
-    """All that is read of a target; `Target` has everything but `kind` and `points`."""
+    """All that other rooms read of a target; `Target` has everything but `kind` and `points`."""
 
     kind: str
     pose: Pose
@@ -72,10 +72,7 @@ class TargetContract(Protocol):
 
 @spec
 class Target:
-    """What all targets share: pose in the world, marker, motion, a pad to land on.
-
-    Subclasses give the `points`, and say which markers they may have.
-    """
+    """Defaults of a target: pose in the world, marker, motion, landing pad. Subclasses define `points`."""
 
     pose: Pose
     marker: Annotated[Marker, MARKERS] = Disc()
@@ -83,7 +80,7 @@ class Target:
     pad: Pad | None = None
 
     one_sided: ClassVar[bool] = False
-    """Whether it is a board with a front: from behind its plane it counts as lost."""
+    """Whether only its front has markers: seen from behind its plane it counts as lost."""
 
     if TYPE_CHECKING:  # each target has its own; not at run time, where the contract misses it
 
@@ -94,12 +91,12 @@ class Target:
 
     @property
     def places(self) -> Array:
-        """The markers that have a fixed place in the target frame, shape (K, 3) [m]: all, but of lines on the floor none."""
+        """The markers with a fixed place in the target frame, shape (K, 3) [m]: all, except for lines on the floor."""
         return self.points
 
     @property
     def stripes(self) -> tuple[tuple[Array, Array], ...]:
-        """Left and right edge of each line painted on the floor, (K, 2) each in the target frame [m]; none but of lines."""
+        """Left and right edge of each line painted on the floor, (K, 2) each in the target frame [m]; empty for other targets."""
         return ()
 
     @property
@@ -109,7 +106,7 @@ class Target:
 
     @property
     def floor_path(self) -> Array:
-        """Where on the floor it leads: along the route of what carries it, or along its lines, every centimetre, (K, 2) [m]."""
+        """Points on the floor along the carrier's route, or along painted lines, every centimetre, (K, 2) [m]; else empty."""
         return np.empty((0, 2)) if self.motion.carrier is None else self.motion.carrier.route.samples.xy
 
     @property
@@ -119,7 +116,7 @@ class Target:
 
     @property
     def moves(self) -> bool:
-        """Whether it does anything but stand in the world."""
+        """Whether it does not stand still in the world."""
         return self.motion.moves
 
     @property
@@ -129,17 +126,18 @@ class Target:
 
     @property
     def carrier(self) -> Carried | None:
-        """The vehicle that carries it, with its route and speed; None where none does."""
+        """The vehicle that carries it, with its route and speed; None without one."""
         return self.motion.carrier
 
     def path(self, rng: np.random.Generator) -> Path:
         """Its pose in the world (4, 4) as a function of time, for a target that moves by itself or stands still."""
+        # Displacements are in the target's own axes at rest: a motion turns with `pose`.
         rest, displacement = self.pose.T, self.motion.path(rng)
         return lambda t: rest @ displacement(t)
 
     @property
     def T_world_start(self) -> Array:
-        """Where it is at the start (4, 4); of a target in the gripper its pose there (`sim.scene.start_pose`)."""
+        """Its pose in the world at the start (4, 4); in the gripper, the pose relative to the flange (`sim.scene.start_pose`)."""
         return self.motion.start(self.pose.T)
 
     def seen_from(self, T_target_camera: Array) -> Array:
@@ -148,7 +146,7 @@ class Target:
 
     @cached_property
     def hues_deg(self) -> tuple[float, ...]:
-        """One hue for each marker, spread evenly from red on [deg]: what tells the markers apart."""
+        """One hue for each marker, spread evenly from red on [deg], by which detectors identify the markers."""
         n = len(self.points)
         return tuple(360 * i / n for i in range(n))
 
@@ -159,5 +157,6 @@ class Target:
 
     def _check_markers(self) -> None:
         p = self.points
+        # 1e9 on the diagonal: a marker's distance to itself is no gap, and a single marker has none.
         gaps = np.linalg.norm(p[:, None] - p[None], axis=-1) + np.eye(len(p)) * 1e9
         self.marker.check_spacing(float(gaps.min()), len(p))

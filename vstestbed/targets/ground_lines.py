@@ -1,4 +1,4 @@
-"""Lines painted on the floor: what of them is measured is where they cross two look distances before the camera."""
+"""Lines painted on the floor, measured at two look-ahead distances from the camera."""
 
 from __future__ import annotations
 
@@ -22,9 +22,10 @@ from vstestbed.targets.route import AnyRoute, Route, Straight
 def foot_of(T: Array) -> Array:
     """(x, y, heading) of the ground frame under a camera at a pose T (4, 4) over the floor z = 0, shape (3,).
 
-    Its x axis is the horizontal part of (camera z - camera y): ahead for a camera that looks ahead, for one that looks
-    straight down with the top of its picture ahead, and for all between the two.
+    Its x axis is the horizontal part of (camera z - camera y).
     """
+    # Camera z alone has no horizontal part in a camera that looks straight down, and -y none in one that looks straight ahead: the
+    # sum points ahead for both (the top of the picture ahead), and for every tilt between them.
     ahead = T[:2, 2] - T[:2, 1]
     return np.array([T[0, 3], T[1, 3], np.arctan2(ahead[1], ahead[0])])
 
@@ -40,15 +41,15 @@ def on_foot(T: Array, xy: Array) -> Array:
 class GroundLines(Target):
     """One or two lines painted on the floor along a route, parallel to it.
 
-    They have no markers fixed in space. Of each line two points are measured: where it crosses the look distances
-    `look_m` before the camera's foot. Points are in the order line 0 near, line 0 far, line 1 near, line 1 far.
+    They have no markers fixed in space. Two points are measured of each line, where it crosses the look-ahead distances `look_m` from
+    the camera's foot, in the order line 0 near, line 0 far, line 1 near, line 1 far.
 
     Args:
         pose: where the route's frame lies on the floor (flat, z = 0).
         marker: the stripe; each line has a hue of its own.
-        route: the way.
-        offsets_m: how far to the left of the way each line is painted [m].
-        look_m: (near, far), ahead of the point on the floor under the camera [m]; negative: behind it.
+        route: the route that the lines follow.
+        offsets_m: offset of each line to the left of the route [m].
+        look_m: look-ahead distances (near, far) from the point on the floor under the camera [m]; negative: behind it.
     """
 
     kind: Literal["lines"] = "lines"
@@ -59,7 +60,7 @@ class GroundLines(Target):
     look_m: Annotated[tuple[float, ...], Len(2, 2)] = (0.1, 0.3)
 
     def __post_init__(self) -> None:
-        """Refuse what is not painted on the floor, and lines that touch or fold over themselves."""
+        """Refuse lines off the floor, lines that touch, and lines that fold over themselves."""
         if self.moves:
             raise ParameterError("motion", "must be still: lines are painted on the floor")
         if abs(self.pose.T[2, 2] - 1) > 1e-9 or abs(self.pose.T[2, 3]) > 1e-9:
@@ -69,6 +70,7 @@ class GroundLines(Target):
         width = self.marker.width_m
         if len(self.offsets_m) == 2 and abs(self.offsets_m[0] - self.offsets_m[1]) < 2 * width:
             raise ParameterError("offsets_m", f"must be 2 stripe widths or more apart, {2 * width:g} m", self.offsets_m)
+        # Beyond the centre of curvature a parallel line runs backwards and crosses itself.
         tightest = 1 / max(float(np.abs(self.route.samples.curvature).max()), 1e-9)
         if max(map(abs, self.offsets_m)) + width >= tightest:
             raise ParameterError("offsets_m", f"must be smaller than the way's tightest radius, {tightest:.4g} m", self.offsets_m)
@@ -81,7 +83,7 @@ class GroundLines(Target):
 
     @property
     def places(self) -> Array:
-        """None: where the lines are measured depends on where the camera is."""
+        """None: the measured points depend on the place of the camera."""
         return np.empty((0, 3))
 
     @property
@@ -109,39 +111,39 @@ class GroundLines(Target):
         return self._beside(self.offsets_m[i] + half), self._beside(self.offsets_m[i] - half)
 
     def _beside(self, offset: float) -> Array:
+        """The parallel of the route at an offset to the left [m], every centimetre of the route, shape (K, 2) [m]."""
         way = self.route.samples
         return way.xy + offset * np.stack([-np.sin(way.heading), np.cos(way.heading)], axis=-1)
 
+    # Cached: `seen_from` runs for every frame, and a route has hundreds of samples.
     @cached_property
     def _lines(self) -> tuple[Array, ...]:
         return tuple(self.line(i) for i in range(len(self.offsets_m)))
 
     @cached_property
     def points(self) -> Array:
-        """The points measured from a camera over the start of the way, ahead along it, in the target frame, shape (N, 3) [m]."""
+        """The points measured by a camera over the start of the route, facing along it, in the target frame, shape (N, 3) [m]."""
         places = self.route.at(np.array(self.look_m))
         sides = np.stack([-np.sin(places[:, 2]), np.cos(places[:, 2])], axis=-1)
         xy = np.concatenate([places[:, :2] + offset * sides for offset in self.offsets_m])
         return np.concatenate([xy, np.zeros((len(xy), 1))], axis=1)
 
     def seen_from(self, T_target_camera: Array) -> Array:
-        """Where the lines cross the look distances of a camera at a pose (4, 4): (N, 3) in its frame [m], NaN where one does not.
-
-        Of several crossings it is the one nearest to straight ahead.
-        """
+        """Where the lines cross the look-ahead distances of a camera at a pose (4, 4): (N, 3) in its frame [m], NaN where one does not."""
         foot = foot_of(T_target_camera)
         xy = np.concatenate([_crossings(line, foot, self.look_m) for line in self._lines])
         return on_foot(T_target_camera, xy)
 
     def straight_ahead(self, T_base_camera: Array, offset: float) -> Array:
-        """What a vehicle's camera at a mount (4, 4) sees on a straight way, `offset` [m] to the left of it: (N, 3) in its frame [m]."""
+        """The points (N, 3) [m] that a vehicle's camera at a mount (4, 4) measures in its frame, `offset` [m] left of a straight route."""
+        # In the middle of a route that reaches beyond what the camera looks at, ahead or behind, wherever it is mounted.
         reach = 10.0 + abs(self.look_m[0]) + abs(self.look_m[1]) + float(np.abs(T_base_camera[:2, 3]).max())
         T = pose_on_ground(np.array([reach, offset, 0.0])) @ T_base_camera
         return replace(self, pose=Pose(), route=Straight(length_m=2 * reach)).seen_from(T)
 
     @cached_property
     def hues_deg(self) -> tuple[float, ...]:
-        """Each point has its line's hue; the lines' are spread evenly from red on [deg]."""
+        """The hue of each point's line; the lines' hues are spread evenly from red on [deg]."""
         n = len(self.offsets_m)
         return tuple(360 * i / n for i in range(n) for _ in self.look_m)
 
@@ -152,9 +154,11 @@ def _crossings(line: Array, foot: Array, aheads: tuple[float, ...]) -> Array:
     x, y = c * d[:, 0] + s * d[:, 1], c * d[:, 1] - s * d[:, 0]
     out = np.full((len(aheads), 2), np.nan)
     for point, ahead in zip(out, aheads, strict=True):
+        # A crossing is where neighbouring samples lie on different sides; between them the line is straight.
         before = x < ahead
         at = np.flatnonzero(before[:-1] != before[1:])
         if len(at):
+            # Where a line bends back into view there are several crossings: the one nearest to straight ahead counts.
             left = y[at] + (ahead - x[at]) * (y[at + 1] - y[at]) / (x[at + 1] - x[at])
             point[:] = ahead, left[np.argmin(np.abs(left))]
     return out

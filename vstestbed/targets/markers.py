@@ -1,4 +1,4 @@
-"""Markers: what is seen at each of a target's points, and how it is drawn."""
+"""Markers at a target's points: their shape, size and appearance."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Solid = tuple[Literal["cylinder", "sphere", "box"], tuple[float, float, float]]
 
 
 class Marker(Protocol):
-    """What is seen at each of a target's points."""
+    """The marker at each of a target's points."""
 
     @property
     def kind(self) -> str:
@@ -29,17 +29,17 @@ class Marker(Protocol):
 
     @property
     def radius(self) -> float:
-        """Of the circle round it [m]."""
+        """Radius of its circumscribed circle [m]."""
         ...
 
     @property
     def lit(self) -> bool:
-        """Whether the scene's lights shade it; else its brightness is constant."""
+        """Whether the scene's lights shade it; otherwise its brightness is constant."""
         ...
 
     @property
     def solid(self) -> Solid:
-        """Shape and half sizes of the geom that stands for it."""
+        """Shape and half sizes of its geom."""
         ...
 
     @property
@@ -49,14 +49,14 @@ class Marker(Protocol):
 
     @property
     def textured(self) -> bool:
-        """Whether a picture is printed on it (`vision.detect.tag_print`), instead of its colour."""
+        """Whether it has a printed texture (`vision.detect.tag_print`) instead of one colour."""
         ...
 
     def check_spacing(self, gap: float, count: int) -> None:
         """Refuse a marker too large for the smallest `gap` between the centres of `count` markers [m].
 
         Raises:
-            ParameterError: markers would overlap, or there are not so many of the kind.
+            ParameterError: markers would overlap, or the kind has fewer.
         """
         ...
 
@@ -66,12 +66,12 @@ class Flat:
 
     @property
     def height_m(self) -> float:
-        """Nothing."""
+        """None: it lies in the plane."""
         return 0.0
 
     @property
     def textured(self) -> bool:
-        """Its colour alone."""
+        """One colour."""
         return False
 
 
@@ -117,7 +117,7 @@ class Sphere(Flat):
 
     @property
     def height_m(self) -> float:
-        """Its centre lies in the plane: it rises by its radius."""
+        """Its radius: its centre lies in the plane."""
         return self.radius
 
 
@@ -152,7 +152,7 @@ APRILTAGS = {"16h5": (4, 30), "25h9": (5, 35), "36h10": (6, 2320), "36h11": (6, 
 class Tag(Flat):
     """A square black-and-white tag in the target's plane; marker i carries the number first_id + i.
 
-    A white quiet zone of one module surrounds the black square. Its rows run along the target's x, the first at the least y.
+    A white quiet zone of one module surrounds the black square. Its rows run along the target's x, from the smallest y on.
 
     Args:
         family: which set of tags.
@@ -182,11 +182,12 @@ class Tag(Flat):
 
     @property
     def tile(self) -> float:
-        """Edge with the quiet zone [m]."""
+        """Edge of the tag with its quiet zone [m]."""
         return self.size * (self.modules + 2) / self.modules
 
     @property
     def _family(self) -> tuple[int, int]:
+        # `apriltag_36h11`: bits and distance name the set. `aruco_4x4_50`: bits along a side, and the number of tags.
         kind, bits, *count = self.family.split("_")
         return APRILTAGS[bits] if kind == "apriltag" else (int(bits[0]), int(count[0]))
 
@@ -197,11 +198,11 @@ class Tag(Flat):
 
     @property
     def textured(self) -> bool:
-        """Its bits."""
+        """A texture with its bits."""
         return True
 
     def check_spacing(self, gap: float, count: int) -> None:
-        """Also refuse numbers beyond the family's last."""
+        """Refuse tags that overlap, and numbers beyond the family's last."""
         if gap <= 2 * self.radius:
             most = gap / 2 / self.radius * self.size
             words = f"must be under {most:.4g} m: with its quiet zone a tag takes the room of a circle round it, and markers"
@@ -212,12 +213,13 @@ class Tag(Flat):
 
     @property
     def radius(self) -> float:
-        """Of the circle round the tag with its quiet zone [m]: what the tag needs, however it is turned."""
+        """Half the diagonal of the tag with its quiet zone [m]: the room that the tag needs, however it is rotated."""
+        # The quiet zone belongs to it: a neighbour that covers it would hide the black square's edge.
         return self.tile / math.sqrt(2)
 
     @property
     def corners(self) -> Array:
-        """The black square's corners from its centre, shape (4, 3) [m], in the order in which detectors give them."""
+        """The black square's corners relative to its centre, shape (4, 3) [m], in the order in which detectors report them."""
         h = self.size / 2
         return np.array([[-h, -h, 0], [h, -h, 0], [h, h, 0], [-h, h, 0]])
 
@@ -232,15 +234,15 @@ class Stripe(Flat):
 
     @property
     def solid(self) -> Solid:
-        """None of its own: paint follows the line (`sim.scene.paint`)."""
+        """None: paint follows the line (`sim.scene.paint`), and no other target has stripes."""
         raise ParameterError("target.marker", "may be stripe only with target: {kind: lines}")
 
     def check_spacing(self, gap: float, count: int) -> None:
-        """Lines check their own spacing."""
+        """Nothing: `GroundLines` checks the spacing of its lines."""
 
     @property
     def radius(self) -> float:
-        """Half of its width [m]."""
+        """Half its width [m]."""
         return self.width_m / 2
 
 

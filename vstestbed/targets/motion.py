@@ -1,6 +1,6 @@
-"""How a thing moves of itself, as a displacement D(t) (4, 4) in its own frame at rest: T_world(t) = T_world_rest D(t).
+"""Prescribed motions of targets and plates: a displacement D(t) (4, 4) in the frame at rest, T_world(t) = T_world_rest D(t).
 
-All but the random walk are closed forms; that one is drawn from the run's seed, so that every controller meets the same.
+All but the random walk are closed forms; that one is drawn from the run's seed, so that every law meets the same path.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ def _shift(x: float, y: float, z: float) -> Array:
 
 
 class MotionBase:
-    """Defaults of a motion: the target moves by itself, along a path of its own.
+    """Defaults of a motion: the target moves along a prescribed path.
 
     Attributes:
-        moves: it does anything but stand in the world. by_itself: along a path of its own (`path`), whatever robots and vehicles do.
+        moves: it does not stand still. by_itself: it follows `path`, whatever robots and vehicles do.
         on_gripper: the robot's gripper holds the target, and the camera stands in the room (eye to hand).
     """
 
@@ -45,7 +45,7 @@ class MotionBase:
 
     @property
     def carrier(self) -> Carried | None:
-        """The vehicle that carries the target, where one does."""
+        """The vehicle that carries the target; None without one."""
         return None
 
     def path(self, rng: np.random.Generator) -> Path:
@@ -54,10 +54,11 @@ class MotionBase:
         Raises:
             ParameterError: something else moves the target.
         """
-        raise ParameterError("target.motion", "has no path of its own: it goes where it is carried")
+        raise ParameterError("target.motion", "has no path of its own: the target goes where it is carried")
 
     def start(self, pose: Array) -> Array:
-        """Where a target of this pose (4, 4) at rest is at the start, T_world_target (4, 4)."""
+        """T_world_target (4, 4) at the start, of a target whose pose at rest is `pose` (4, 4)."""
+        # Any generator will do: the random walk, the only motion that draws, starts in its place.
         return pose @ self.path(np.random.default_rng(0))(0.0)
 
 
@@ -71,17 +72,17 @@ class Still(MotionBase):
 
     def path(self, rng: np.random.Generator) -> Path:
         """No displacement."""
-        D = np.eye(4)
+        D = np.eye(4)  # one array for all times: nobody writes to a displacement
         return lambda t: D
 
 
 @spec
 class Line(MotionBase):
-    """D = velocity (t - from_s) between two times; before and after, it stands.
+    """D = velocity (t - from_s) between two times; it stands before and after.
 
     Args:
         velocity_mps: along its own axes [m/s].
-        from_s, until_s: when it moves [s].
+        from_s, until_s: start and end of the motion [s].
     """
 
     kind: Literal["line"] = "line"
@@ -100,7 +101,7 @@ class Circle(MotionBase):
     """D = radius (cos 2 pi f t, sin 2 pi f t, 0): about its place at rest, in its own plane x, y, at a constant speed 2 pi f radius.
 
     Args:
-        radius_m: [m]. frequency_hz: turns a second. phase_deg: where it starts, from x towards y [deg].
+        radius_m: [m]. frequency_hz: revolutions per second. phase_deg: starting angle, from x towards y [deg].
     """
 
     kind: Literal["circle"] = "circle"
@@ -116,7 +117,7 @@ class Circle(MotionBase):
 
 @spec
 class Sinusoid(MotionBase):
-    """D = sin(2 pi f t) times a translation, and a turn by as much of the roll-pitch-yaw angles.
+    """D = sin(2 pi f t) times a translation and times roll-pitch-yaw angles.
 
     Args:
         amplitude: translation [m] and angles [deg] at the peak. frequency_hz: f.
@@ -144,7 +145,7 @@ class Sinusoid(MotionBase):
 
 @spec
 class Lissajous(MotionBase):
-    """D_i = amplitude_i sin(2 pi f_i t + phase_i) along each of its own axes; frequencies without a common measure never repeat.
+    """D_i = amplitude_i sin(2 pi f_i t + phase_i) along each of its own axes; incommensurable frequencies never repeat.
 
     Args:
         amplitude_m: [m]. frequency_hz, phase_deg: of each axis.
@@ -162,20 +163,20 @@ class Lissajous(MotionBase):
 
 
 DRAW_S = 0.01
-"""Times at which a random walk is drawn; between them it is the cubic that has both ends' places and speeds [s]."""
+"""Sampling period of a random walk, which is interpolated by cubic Hermite polynomials of position and speed [s]."""
 DAMPING = 1.0 / math.sqrt(2.0)
-"""Of the random walk's spring: flat up to its corner frequency (Butterworth)."""
+"""Damping ratio of the random walk's oscillator: a spectrum that is flat up to the corner frequency (Butterworth)."""
 
 
 @spec
 class RandomWalk(MotionBase):
-    """A random walk that a spring keeps near: x'' = -W^2 x - sqrt(2) W x' + noise on each axis, W = 2 pi corner_hz.
+    """A random walk bound by a spring: x'' = -W^2 x - sqrt(2) W x' + white noise on each axis, W = 2 pi corner_hz.
 
-    It never repeats; its place and speed are continuous, its acceleration is not. In the long run each axis is normal with
-    standard deviation rms_m, and its speed with W rms_m. It starts at rest in its place. The seed of the run draws it.
+    Position and speed are continuous, acceleration is not. The stationary distribution of each axis is normal with standard deviation
+    rms_m, that of its speed with W rms_m. It starts at rest with D = 1 and is drawn from the seed of the run.
 
     Args:
-        rms_m: of each of its own axes [m]. corner_hz: above it the spectrum falls with the fourth power of frequency.
+        rms_m: of each axis [m]. corner_hz: above it the power spectrum falls with the fourth power of frequency.
 
     Reference: Papoulis & Pillai 2002, Probability, Random Variables and Stochastic Processes, section 10.2 (the harmonically
     bound particle of Uhlenbeck & Ornstein 1930, doi:10.1103/PhysRev.36.823); exact steps by Van Loan 1978,
@@ -187,12 +188,13 @@ class RandomWalk(MotionBase):
     corner_hz: Frequency = 0.2
 
     def path(self, rng: np.random.Generator) -> Path:
-        """The displacement as a function of time; further steps are drawn as they are asked for, always the same ones."""
+        """The displacement as a function of time."""
         F, chol = self.exact_step(DRAW_S)
         states, rms = [np.zeros((2, 3))], np.array(self.rms_m)
 
         def at(t: float) -> Array:
             k = int(t / DRAW_S + 1e-9)
+            # Drawn in order of time whenever they are first needed, and kept: `at` is a function of t, whoever asks first and how often.
             while len(states) < k + 2:
                 states.append(F @ states[-1] + chol @ rng.standard_normal((2, 3)))
             (x0, v0), (x1, v1) = states[k], states[k + 1]
@@ -204,11 +206,14 @@ class RandomWalk(MotionBase):
         return at
 
     def exact_step(self, dt: float) -> tuple[Array, Array]:
-        """Of (place, speed) with unit variance of the place: the transition (2, 2) over dt, and the root (2, 2) of its noise."""
+        """Exact discretisation of (position, speed) at unit variance of position: transition (2, 2) over dt, and Cholesky factor (2, 2)
+        of the noise's covariance.
+        """
         from scipy.linalg import expm
 
         W = 2 * math.pi * self.corner_hz
         F = np.asarray(expm(np.array([[0.0, 1.0], [-W * W, -2 * DAMPING * W]]) * dt), dtype=float)
+        # The noise that keeps the stationary covariance P where it is: P = F P F^T + Q.
         stationary = np.diag([1.0, W * W])
         return F, np.asarray(np.linalg.cholesky(stationary - F @ stationary @ F.T), dtype=float)
 

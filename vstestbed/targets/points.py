@@ -1,4 +1,4 @@
-"""Targets made of markers: a square, or points anywhere."""
+"""Targets of markers: a square, or any points."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Square(Target):
 
 @spec
 class Points(Target):
-    """Markers anywhere: `at`, a list of [x, y, z] in the target frame [m]."""
+    """Markers at any places: `at`, a list of [x, y, z] in the target frame [m]."""
 
     kind: Literal["points"] = "points"
     at: Annotated[tuple[Triple, ...], Len(1, 24)]

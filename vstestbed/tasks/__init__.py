@@ -1,4 +1,4 @@
-"""Tasks: one file a kind of goal. What it asks for, frame by frame, and when it is reached, kept or missed."""
+"""Tasks, one file for each kind of goal: the reference frame by frame, and when the task is completed or failed."""
 
 from vstestbed.core.contract import Contract
 from vstestbed.core.spec import OneOf
@@ -22,7 +22,7 @@ FIELDS = {
     "way": "path",
     "above": "landing",
 }
-"""The kind of a goal block that names none, by a field that it has."""
+"""The kind of a goal block without `kind`, recognised by one of its fields."""
 KINDS = GoalView, GoalViewFrom, GoalViews, GoalPlace, GoalGap, GoalLine, GoalPath, GoalLanding, GoalTrack
 GOALS = OneOf("goal", *KINDS, fields=FIELDS, contract=Contract(Task, base=TaskBase))
 

@@ -1,7 +1,6 @@
-"""The contract of a task: what a goal asks for, what the law is told of it frame by frame, and when it is reached.
+"""The contract of a task: checks, goal views, reference generation, monitor and metrics.
 
-A goal block of a scenario is a `Task`: parameters and behaviour in one frozen object. Nothing outside this room asks of what
-kind it is.
+A goal block of a scenario is a `Task`: parameters and behaviour in one frozen object. No code outside this folder tests its kind.
 """
 
 from __future__ import annotations
@@ -32,14 +31,15 @@ Log = Mapping[str, Array]
 """The columns of a log by name, shape (frames,) each."""
 
 
+# eq=False: compared by identity, since the comparison of its arrays has no single truth value.
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """The parts of an experiment that a task has to do with.
+    """The parts of an experiment that a task uses.
 
     Attributes:
         robot, camera, target, law, detector, stop: as the scenario has them. believed_camera: the camera as the robot knows it.
-        depth_scale: by how much each marker's depth is told wrong, (N,); None where it is not.
-        goal_shown: the goal's picture was taken with the true camera there; else it is computed with the believed one.
+        depth_scale: ratio of each marker's assumed depth to the true one, (N,); None for exact depths.
+        goal_shown: the goal image was taken by the true camera (teaching by showing); else it is computed with the believed one.
     """
 
     robot: Robot
@@ -54,27 +54,27 @@ class Setup:
 
 
 class Reference(NamedTuple):
-    """The memory of a reference: the goal views in turn, and which one counts now."""
+    """State of the reference: the goal views in turn, and the number of the current one."""
 
     views: tuple[Goal, ...]
     view: int = 0
 
 
 class Task(Protocol):
-    """What a scenario's goal asks for. `TaskBase` has defaults for all but `kind` and `goal_poses`."""
+    """The task of a scenario, its `goal` block. `TaskBase` has defaults for all but `kind` and `goal_poses`."""
 
     asks: ClassVar[str]
-    """The word by which a law says that it can do such tasks (`Law.tasks`)."""
+    """The word by which a law declares that it supports such tasks (`Law.tasks`)."""
     bases: ClassVar[frozenset[Base]]
-    """The robots' bases that can do it."""
+    """The bases of robots that can execute it."""
     continuing: ClassVar[bool]
-    """Whether it has no end: it is kept within a tolerance for the whole duration."""
+    """Whether it has no goal to reach, but an error to keep within a tolerance for the whole duration."""
     lands: ClassVar[bool]
     """Whether it ends on the ground."""
     by_clock: ClassVar[bool]
-    """Whether the reference moves with time, so that goal poses are those of single moments."""
+    """Whether the reference moves with time, so that `goal_poses` are points on a trajectory."""
     needs_pose: ClassVar[bool]
-    """Whether the law works with the target's pose itself, so that its depths must come with one."""
+    """Whether the law needs the target's pose itself, so that its depth source must be one that estimates it."""
 
     @property
     def kind(self) -> str:
@@ -83,16 +83,16 @@ class Task(Protocol):
 
     @property
     def tolerance_m(self) -> float | None:
-        """Of a continuing task, the largest error once settled [m]; None of others."""
+        """Of a continuing task, the largest permitted error once settled [m]; None for others."""
         ...
 
     @property
     def settle_s(self) -> float:
-        """How long it may take until the tolerance counts [s]."""
+        """Settling time, after which the tolerance counts [s]."""
         ...
 
     def check(self, setup: Setup) -> None:
-        """Refuse robots, laws and targets that cannot do it. ParameterError names the field and what would work."""
+        """Refuse unsuitable robots, laws and targets. ParameterError names the field and what would work."""
         ...
 
     def check_views(self, setup: Setup, views: tuple[Goal, ...]) -> None:
@@ -104,36 +104,36 @@ class Task(Protocol):
         ...
 
     def goal_views(self, setup: Setup) -> tuple[Goal, ...]:
-        """What the law is told: one view, or several in turn."""
+        """The goals for the law: one view, or several in turn."""
         ...
 
     def begin(self, setup: Setup, views: tuple[Goal, ...]) -> Any:
-        """The memory of the reference before the first frame."""
+        """The initial state of the reference."""
         ...
 
     def reference(self, memory: Any, seen: Observation) -> tuple[Any, Goal]:
-        """The goal for the law at one frame, and the next memory."""
+        """The next state, and the goal for the law at this frame."""
         ...
 
     def passed(self, memory: Any, error: ImageError) -> tuple[Any, Goal | None]:
-        """After a frame: the next memory, and the goal for which the law begins anew, if the frame led to one."""
+        """After a frame: the next state, and the new goal for which the law must be initialised again, if there is one."""
         ...
 
     def monitor(self, setup: Setup, supervisor: Supervisor) -> TaskMonitor:
-        """What measures the task's own error and says when it is reached or missed."""
+        """The monitor, which measures the task's error and decides when it is completed or failed."""
         ...
 
     def metrics(self, log: Log) -> dict[str, float | None]:
-        """Figures that only this task has in a summary."""
+        """Summary figures of this task alone."""
         ...
 
     def distance_to_go_m(self, log: Log, goal_poses: tuple[Array, ...]) -> float:
-        """From where a run began to its goal, straight [m]."""
+        """Straight distance from the start of a run to its goal [m]."""
         ...
 
 
 class TaskBase:
-    """Defaults: one view, for a robot on any base, reached when the error is small."""
+    """Defaults: one view, for robots on any base, reached when the error is small."""
 
     asks: ClassVar[str] = "view"
     bases: ClassVar[frozenset[Base]] = frozenset({"fixed", "planar", "floating"})
@@ -149,7 +149,7 @@ class TaskBase:
 
     @property
     def tolerance_m(self) -> float | None:
-        """None: the task has an end."""
+        """None: the task has a goal to reach."""
         return None
 
     if TYPE_CHECKING:  # each task has its own; not at run time, where the contract misses it
@@ -158,14 +158,14 @@ class TaskBase:
             ...
 
     def check(self, setup: Setup) -> None:
-        """The law takes such tasks, the robot's base can do them, the target has markers."""
+        """The law supports the task, the robot's base can execute it, and the target has markers."""
         self._check_law(setup.law)
         self._check_base(setup.robot)
         if setup.target.painted_route is not None:
-            words = "cannot be had of lines on the floor, which have no markers; use goal: {kind: line} and law: {kind: line_following}"
+            words = "needs markers, and lines on the floor have none; use goal: {kind: line} and law: {kind: line_following}"
             raise ParameterError("goal", f"of kind {self.kind} {words}")
         if self.needs_still and setup.target.moves:
-            words = "needs a target that stands still; one that moves is followed by a gap or a view"
+            words = "needs a target that stands still; for one that moves use goal: {gap_m: ...} or {T_camera_target: ...}"
             raise ParameterError("goal", f"of kind {self.kind} {words}")
 
     def _check_law(self, law: Law[Any]) -> None:
@@ -189,7 +189,7 @@ class TaskBase:
         return ("goal.T_camera_target",)
 
     def check_views(self, setup: Setup, views: tuple[Goal, ...]) -> None:
-        """Every goal view must show its markers, to a robot that stands level."""
+        """Every goal view must show its markers, and a flying robot must be level there."""
         poses = self.goal_poses(setup.target, setup.camera.mount.T)
         for field, pose, view in zip(self.view_fields, poses, views, strict=True):
             check_visible(setup.camera, setup.target, setup.law, setup.detector, field, pose, view.counted)
@@ -198,6 +198,7 @@ class TaskBase:
     def goal_views(self, setup: Setup) -> tuple[Goal, ...]:
         """The views from the goal poses."""
         n = len(self.goal_poses(setup.target, setup.camera.mount.T))
+        # i=i binds the number now: a plain closure would give every view the last pose.
         return tuple(view_from(setup, lambda mount, i=i: self.goal_poses(setup.target, mount)[i], i) for i in range(n))
 
     def begin(self, setup: Setup, views: tuple[Goal, ...]) -> Any:
@@ -205,21 +206,22 @@ class TaskBase:
         return Reference(views)
 
     def reference(self, memory: Any, seen: Observation) -> tuple[Any, Goal]:
-        """The view that counts."""
+        """The current view."""
         return memory, memory.views[memory.view]
 
     def passed(self, memory: Any, error: ImageError) -> tuple[Any, Goal | None]:
-        """The same view goes on."""
+        """The same view."""
         return memory, None
 
     def monitor(self, setup: Setup, supervisor: Supervisor) -> TaskMonitor:
-        """Reached when the scenario's conditions hold."""
+        """Reached when `stop.converged` holds."""
+        # Imported here: `reached` imports the monitors, which import this module.
         from vstestbed.tasks.reached import GoalMonitor
 
         return GoalMonitor(setup, len(self.goal_poses(setup.target, setup.camera.mount.T)), supervisor)
 
     def metrics(self, log: Log) -> dict[str, float | None]:
-        """None of its own."""
+        """None."""
         return {}
 
     def distance_to_go_m(self, log: Log, goal_poses: tuple[Array, ...]) -> float:
@@ -232,8 +234,8 @@ def view_from(setup: Setup, pose_with: Callable[[Array], Array], number: int = 0
 
     Args:
         setup: the experiment's parts.
-        pose_with: gives T_camera_target (4, 4) at the goal for a mount T_base_camera (4, 4). The goal is where the robot's base
-            is, so that a mount known wrongly moves the camera that the law believes in.
+        pose_with: maps a mount T_base_camera (4, 4) to T_camera_target (4, 4) at the goal. Where the goal is a place of the base, a
+            wrong calibration of the mount displaces the believed goal view.
         number: of the view, among several in turn.
     """
     points, scale = setup.target.points, setup.depth_scale
@@ -242,6 +244,7 @@ def view_from(setup: Setup, pose_with: Callable[[Array], Array], number: int = 0
     else:
         made = Goal.from_view(setup.believed_camera, points, pose_with(setup.believed_camera.mount.T))
     if scale is not None:
+        # A shown goal is known by its picture alone, so that its pose is estimated with the wrong depths, too.
         pose = pose_by_depth(made.T_camera_target, points, scale) if setup.goal_shown else made.T_camera_target
         made = replace(made.deepened(scale), T_camera_target=pose)
     return replace(made, view=number) if number else made

@@ -1,4 +1,4 @@
-"""Tasks without an end: the true error stays within a tolerance once settled, until the time is out."""
+"""Continuing tasks: the true error must stay within a tolerance from `settle_s` until the run's duration is over."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Settle = Annotated[float, Ge(0)]
 
 
 class Odometer(Protocol):
-    """True distances travelled by those who must keep going."""
+    """True distances travelled by the vehicles under a minimum speed."""
 
     def update(self, T_world_base: Array, T_world_target: Array) -> tuple[float, ...]:
         """Distances so far [m] with vehicle and target at these poses (4, 4), in the order of the task's minimum speeds."""
@@ -28,7 +28,7 @@ class Odometer(Protocol):
 
 
 class Continuing(TaskBase):
-    """What tasks without an end share: `band_m` and `settle_s`, fields of each."""
+    """Defaults of continuing tasks; `band_m` and `settle_s` are fields of each."""
 
     continuing: ClassVar[bool] = True
     band_m: Any  # a field of each task, with its own default
@@ -39,36 +39,36 @@ class Continuing(TaskBase):
         return self.band_m
 
     def error_m(self, setup: Setup, T_world_base: Array, T_world_target: Array, t: float) -> float:
-        """True error of the task at a time t [s], [m]."""
+        """True task error at a time t [s], [m]."""
         raise NotImplementedError
 
     def least_speeds(self, setup: Setup) -> tuple[MinSpeed, ...]:
-        """Who must keep going; nobody by default."""
+        """Minimum speeds; none by default."""
         return ()
 
     def odometer(self, setup: Setup) -> Odometer | None:
-        """What measures their distances; None where nobody must."""
+        """The odometer for `least_speeds`; None without any."""
         return None
 
     @property
     def end_s(self) -> float:
-        """The earliest time at which the task may count as done [s]."""
+        """Earliest time at which the task can be completed [s]."""
         return 0.0
 
     def monitor(self, setup: Setup, supervisor: Supervisor) -> TaskMonitor:
-        """Its error must stay within the tolerance."""
+        """Monitor of the tolerance."""
         return ToleranceMonitor(self, setup, len(self.goal_poses(setup.target, setup.camera.mount.T)), supervisor)
 
     def metrics(self, log: Log) -> dict[str, float | None]:
-        """`worst_task_error_m`: the largest true error from the time to settle on [m]."""
+        """`worst_task_error_m`: the largest true error after `settle_s` [m]."""
         settled = np.abs(log["task_error_m"][log["t"] >= self.settle_s])
         return {"worst_task_error_m": float(settled.max()) if len(settled) else None}
 
 
 class ToleranceMonitor(TaskMonitor):
-    """Completed at the end of the time, unless the task left its tolerance once settled, or somebody went too slowly.
+    """Completed at the end of the duration, unless the error left its tolerance once settled, or a vehicle was too slow.
 
-    Column `task_error_m`: the true error of the task [m].
+    Column `task_error_m`: the true task error [m].
     """
 
     error_columns = ("task_error_m",)
@@ -89,18 +89,20 @@ class ToleranceMonitor(TaskMonitor):
         return (self._error_m,)
 
     def missed(self, frame: Frame) -> Verdict | None:
-        """At the end of the time, how it went."""
+        """At the end of the duration: completed, or the first violation."""
         t, duration, settled = frame.t, self.setup.stop.duration_s, frame.t >= self.task.settle_s
         self._judged = self._judged or settled
+        # `not <=`: an error of NaN is a violation, too.
         if settled and self._left_at is None and not abs(self._error_m) <= self.task.tolerance_m:
             self._left_at = t, self._error_m
-        over = t >= duration - 1e-9
+        over = t >= duration - 1e-9  # times are sums of steps, and may miss the end by a rounding
         if self._speeds and self._odometer:
             travelled = self._odometer.update(frame.T_world_base(self.mount_inverse), frame.truth.T_world_target)
             self._speeds.update(t, travelled, over)
         return self._at_the_end(duration) if over else None
 
     def _at_the_end(self, duration: float) -> Verdict:
+        """The verdict at the end of the duration; of several violations, the earliest."""
         tolerance, settle = self.task.tolerance_m, self.task.settle_s
         if not self._judged:
             return Outcome.timed_out, f"{duration:g} s ended before the {settle:g} s in which it may settle"

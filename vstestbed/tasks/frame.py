@@ -1,4 +1,4 @@
-"""Frame: what one turn of the loop leaves, for the log, the task's monitor and whoever looks on."""
+"""Frame: the record of one cycle of the loop, for the log, the task's monitor and watchers."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from vstestbed.sim.base import Truth
 
 @dataclass(frozen=True, slots=True)
 class FrameTiming:
-    """When things happened.
+    """Times of one frame.
 
     Attributes:
-        number: counts frames from 0. t: time of exposure [s]. t_cmd: when the command made of it reaches the robot [s].
+        number: counts frames from 0. t: time of exposure [s]. t_cmd: when its command reaches the robot [s].
     """
 
     number: int
@@ -30,11 +30,11 @@ class FrameTiming:
 
 @dataclass(frozen=True, slots=True)
 class ImageError:
-    """The error in the image.
+    """The image error of one frame.
 
     Attributes:
-        lost: the law had nothing to go by. all_seen: every marker that counts is seen.
-        rms_px: RMS over the coordinates seen of goal minus measured [px], NaN when lost.
+        lost: the law had no measurement to work with. all_seen: every marker that counts is seen.
+        rms_px: RMS of goal minus measured over the coordinates seen [px], NaN when lost.
     """
 
     lost: bool
@@ -43,26 +43,26 @@ class ImageError:
 
     @classmethod
     def of(cls, seen: Observation, goal: Goal, rest_reason: str) -> ImageError:
-        """The error of an observation against the goal; rest_reason: why the law orders rest ("" while it works)."""
+        """The error of an observation against the goal; rest_reason: why the law commands rest ("" while it works)."""
         error = seen.uv - goal.uv
         all_seen = all_finite(error)
-        if not all_seen:
+        if not all_seen:  # the costlier masks only where something is missing: this runs for every frame
             error = error[seen.seen]
             all_seen = goal.counted is not None and bool(seen.seen[goal.counted].all())
-        lost = bool(rest_reason) or not error.size  # a law may order motion although it sees nothing
+        lost = bool(rest_reason) or not error.size  # a law may command motion although it sees nothing (coasting)
         return cls(lost, all_seen, math.nan if lost else math.sqrt(float(np.vdot(error, error)) / error.size))
 
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """One frame: what was seen and measured, what was ordered, what was true at the time of exposure.
+    """One frame: measurement, reference, command, and the truth at the time of exposure.
 
     Attributes:
-        timing: number and times. observation: what the law was given. goal: what it was asked for (the reference).
-        error: in the image. command: of the law. allocation: what the robot made of it.
+        timing: number and times. observation: the law's measurement. goal: its reference.
+        error: in the image. command: of the law. allocation: the command within the robot's limits.
         truth: for the log, the judge and the oracle, and for nothing else.
-        image: the servo camera's own picture, (H, W, 3) uint8 RGB (it holds until the next frame); None where none was taken,
-            or not the whole of it.
+        image: the servo camera's own picture, (H, W, 3) uint8 RGB, valid until the next frame; None where none was taken, or only
+            part of it drawn.
         row: values of the columns that only this robot and this task have (`Scenario.own_columns`).
     """
 
@@ -82,5 +82,5 @@ class Frame:
         return self.timing.t
 
     def T_world_base(self, mount_inverse: Array) -> Array:
-        """True pose of what carries the camera (4, 4), by the inverse of the camera's mount on it."""
+        """True pose (4, 4) of the base that carries the camera; mount_inverse: T_camera_base (4, 4)."""
         return self.truth.T_world_camera @ mount_inverse

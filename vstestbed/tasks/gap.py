@@ -1,4 +1,4 @@
-"""A gap: keep a distance to the vehicle ahead."""
+"""Car following: keep a distance to the vehicle ahead."""
 
 from __future__ import annotations
 
@@ -29,16 +29,15 @@ ONE_PLACE_M = 1e-6
 
 @spec
 class GoalGap(Continuing):
-    """A task without an end: keep a distance, on the floor, from the vehicle's origin to the target's.
+    """Continuing task: keep a distance, on the floor, from the vehicle's origin to the target's.
 
-    Behind a vehicle that drives both must keep going: behind one that stands although it is ordered to drive nothing has been
-    shown, nor by one that stands while the other drives round it. Behind a target that stands by scenario (`motion: still`) the gap
-    is a place to wait at.
+    Behind a vehicle that drives, both vehicles must keep a minimum speed. Behind a target that stands by scenario (`motion: still`)
+    the vehicle waits at the distance.
 
     Args:
         gap_m: the distance [m].
-        band_m: how far off it may be once settled; a tenth of it by default [m].
-        settle_s: how long it may take to settle [s].
+        band_m: tolerance of the distance once settled; a tenth of it by default [m].
+        settle_s: settling time [s].
     """
 
     kind: Literal["gap"] = "gap"
@@ -51,18 +50,18 @@ class GoalGap(Continuing):
 
     @property
     def tolerance_m(self) -> float:
-        """[m]."""
+        """`band_m`, or a tenth of the gap [m]."""
         return self.band_m or 0.1 * self.gap_m
 
     def check(self, setup: Setup) -> None:
-        """Vehicles must not touch at the gap, and the target's place must be known."""
+        """The vehicles must not touch at the gap, and the target's origin must be observable."""
         super().check(setup)
         self._check_room(setup.robot, setup.target)
         if setup.law.depth.on_floor:
             self._check_known(setup.camera, setup.target)
 
     def _check_room(self, robot: Robot, target: Target) -> None:
-        """The vehicle's front must stay behind the rear of the one that carries the target."""
+        """The vehicle's front must stay clear of the rear of the vehicle ahead."""
         if target.carrier is None:
             return
         rear, front = VEHICLES[target.carrier.by].ends_m[0], robot.ends_m[1]
@@ -72,10 +71,11 @@ class GoalGap(Continuing):
             raise ParameterError("goal.gap_m", f"{words} {target.carrier.by} that carries the target", self.gap_m)
 
     def _check_known(self, camera: Camera, target: Target) -> None:
-        """Points at one place of the floor plan do not tell the target's heading: they must be where the gap is measured to."""
+        """Points above one another do not determine the target's heading: they must lie over the origin to which the gap is measured."""
         p: Array = target.points @ target.pose.T[:3, :3].T  # from the target's origin, in the axes of what carries it
         if np.ptp(p[:, :2], axis=0).max() > ONE_PLACE_M:
             return
+        # One place gives one direction and, by the known height, one distance: enough for a point, not for the carrier's heading.
         if np.abs(p[0, :2]).max() > ONE_PLACE_M:
             words = (
                 "has its points at one place of the floor plan, which does not tell its heading, so that its origin, to which the gap is"
@@ -84,14 +84,15 @@ class GoalGap(Continuing):
             raise ParameterError("target", f"{words} {remedy}")
         height = p[:, 2] + target.pose.xyz[2] - camera.mount.xyz[2]
         if np.abs(height).max() <= LEVEL * (self.gap_m + abs(camera.mount.xyz[0])):
-            words = "has its points at the camera's own height, where their pictures do not tell how far they are"
+            words = "has its points at the camera's own height, where their images do not determine their distance"
             raise ParameterError("target", f"{words}; mount the camera higher or lower, or add a point beside it")
 
     def check_views(self, setup: Setup, views: tuple[Goal, ...]) -> None:
-        """What is seen at the gap is not what is asked for: it may be anything."""
+        """Nothing: the goal is a distance, not a view, and markers may be out of the picture there."""
 
     def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]:
-        """The target straight ahead at the gap, its carrier turned as the vehicle is."""
+        """The target straight ahead at the gap, its carrier at the vehicle's heading."""
+        # The gap counts from the target's origin: its place on the carrier is dropped, its height and orientation stay.
         carrier = target.pose.T.copy()
         carrier[:2, 3] = 0.0
         return (inverse(mount) @ pose_on_ground(np.array([self.gap_m, 0.0, 0.0])) @ carrier,)
@@ -101,18 +102,19 @@ class GoalGap(Continuing):
         return tuple(replace(view, gap_m=self.gap_m) for view in super().goal_views(setup))
 
     def error_m(self, setup: Setup, T_world_base: Array, T_world_target: Array, t: float) -> float:
-        """Distance minus gap."""
+        """Distance minus gap: positive when too far."""
         return math.dist(T_world_base[:2, 3], T_world_target[:2, 3]) - self.gap_m
 
     def least_speeds(self, setup: Setup) -> tuple[MinSpeed, ...]:
-        """Of the leader and of the follower, where a vehicle leads."""
+        """Of leader and follower, where the target is carried."""
+        # Without them a run could be completed behind a leader that is stuck, or by a follower that stands while the leader circles it.
         if setup.target.carrier is None:
             return ()
         v = setup.target.carrier.speed_mps
         return MinSpeed("the vehicle ahead", v, STEADY * v), MinSpeed("the vehicle that follows", v, FOLLOWS * v)
 
     def odometer(self, setup: Setup) -> LeaderAndFollower | None:
-        """Of both."""
+        """Of both vehicles."""
         return LeaderAndFollower(setup.target) if setup.target.carrier else None
 
 

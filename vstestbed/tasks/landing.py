@@ -1,4 +1,4 @@
-"""A landing: come down on the target's pad. Its end, the touch-down, is decided here."""
+"""Landing on the target's pad: a reference that descends, and the verdict on the touch-down."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.reached import GoalMonitor
 
 DEEPEST = -0.25
-"""The reference comes down to this share of its first height: the order to sink lasts until the craft stands."""
+"""The reference descends to this share of its initial height, below the pad: the craft is commanded to sink until it stands."""
 
 
 class Descent(NamedTuple):
-    """The memory of the reference: how much of the height is left, as a share, and the time of the last frame [s]."""
+    """State of the reference: the remaining share of the initial height, and the time of the last frame [s]."""
 
     setup: Setup
     share: float = 1.0
@@ -34,15 +34,14 @@ class Descent(NamedTuple):
 
 @spec
 class GoalLanding(TaskBase):
-    """Land on the target's pad, its origin: from the view `above` it the reference comes down as long as the craft is over it.
+    """Land on the target's origin: from the view `above` the reference descends while the craft is over the pad.
 
     Args:
-        above: T_camera_target of the view from which it comes down; it shrinks along its translation.
-        descend_mps: how fast it comes down [m/s].
-        within_m, within_deg: while the camera is by its own estimate farther off the reference, sideways, or turned by more,
-            the reference waits [m, deg].
-        commit_m: nearer than this to the pad it waits no more [m].
-        pad_m, touch_mps: how far from the pad's centre, and with what speed against it, a touch-down is a landing [m, m/s].
+        above: T_camera_target of the view from which the descent starts; its translation shrinks.
+        descend_mps: descent rate [m/s].
+        within_m, within_deg: the reference waits while the estimated lateral error or rotation error is larger [m, deg].
+        commit_m: nearer than this to the pad the reference no longer waits [m].
+        pad_m, touch_mps: largest distance from the pad's centre, and largest relative speed, of a successful touch-down [m, m/s].
     """
 
     kind: Literal["landing"] = "landing"
@@ -58,28 +57,29 @@ class GoalLanding(TaskBase):
     lands: ClassVar[bool] = True
 
     def check(self, setup: Setup) -> None:
-        """There must be a pad."""
+        """The target must have a pad."""
         super().check(setup)
         if setup.target.pad is None:
             raise ParameterError("target.pad", "is missing: goal of kind landing needs one, e.g. {side: 0.9}")
 
     def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]:
-        """The view from which it comes down."""
+        """The view from which the descent starts."""
         return (self.above.T,)
 
     @property
     def view_fields(self) -> tuple[str, ...]:
-        """The view from which it comes down."""
+        """Field of that view."""
         return ("goal.above",)
 
     def begin(self, setup: Setup, views: tuple[Goal, ...]) -> Descent:
-        """At its full height."""
+        """At full height."""
         return Descent(setup)
 
     def reference(self, memory: Descent, seen: Observation) -> tuple[Descent, Goal]:
-        """The view comes down while the craft is over its pad, by its own estimate."""
+        """The view, which descends while the craft is over its pad by its own estimate."""
         share, T = memory.share, self.above.T.copy()
         height = float(np.linalg.norm(T[:3, 3]))
+        # The first frame has no duration yet. Without an estimate the reference waits, too: `_over` is False.
         if not math.isnan(memory.t) and self._over(share, seen):
             share = max(DEEPEST, share - self.descend_mps * (seen.t - memory.t) / height)
         T[:3, 3] *= share
@@ -87,53 +87,56 @@ class GoalLanding(TaskBase):
         return Descent(memory.setup, share, seen.t), goal
 
     def _over(self, share: float, seen: Observation) -> bool:
-        """Whether the craft is over its pad, turned as asked and as high as asked; or so near that it goes on."""
+        """Whether the craft tracks the reference closely enough for it to descend, or is nearer than `commit_m`."""
         T = seen.T_camera_target
         if T is None:
             return False
         whole = self.above.T
         down = whole[:3, 3] / np.linalg.norm(whole[:3, 3])
+        # Both in the camera's frame: `away` is the tracking error of position, `down` the direction of the descent.
         away = T[:3, 3] - share * whole[:3, 3]
         if float(T[:3, 3] @ down) < self.commit_m:
             return True
+        # Along the descent twice as much: the craft lags behind a reference that sinks.
         sideways = away - (away @ down) * down
         turned = rotation_angle(T[:3, :3].T @ whole[:3, :3])
         ready = np.linalg.norm(sideways) < self.within_m and abs(away @ down) < 2 * self.within_m
         return bool(ready and np.degrees(turned) < self.within_deg)
 
     def monitor(self, setup: Setup, supervisor: Supervisor) -> LandingMonitor:
-        """The touch-down decides."""
+        """Monitor of the touch-down."""
         return LandingMonitor(self, setup, supervisor)
 
 
 class LandingMonitor(GoalMonitor):
-    """Ends when the craft has set down: landed, or collided with its pad, by the first touch."""
+    """Ends when the craft has set down: landed or collided, by the place and speed of the first contact."""
 
     def __init__(self, goal: GoalLanding, setup: Setup, supervisor: Supervisor):
         super().__init__(setup, 1, supervisor)
         self.touchdown = Touchdown(goal)
 
     def task_error(self, frame: Frame) -> tuple[float, ...]:
-        """No columns; the touch-down is watched."""
+        """No columns; updates the touch-down."""
         self.touchdown.update(frame.t, frame.T_world_base(self.mount_inverse), frame.truth.T_world_target, frame.truth.feet)
         return ()
 
     def near(self, frame: Frame) -> bool:
-        """No error in the image makes a landing."""
+        """Never: an image error does not decide a landing."""
         return False
 
     def reached(self, frame: Frame) -> Verdict | None:
-        """How the first touch went, once the craft has set down."""
+        """The verdict on the first contact, once the craft has set down."""
+        # The base class keeps its timers; its own verdict never comes, since `near` is always False.
         super().reached(frame)
         return self.touchdown.verdict if self.supervisor.down(frame.t) else None
 
 
 class Touchdown:
-    """Where the craft first touched its pad, and how fast, in truth.
+    """True place and speed of the first contact with the pad.
 
     Attributes:
-        offset_m: from the pad's centre, sideways, at the first touch [m]; speed_mps: against the pad in the frame before it [m/s];
-            both NaN before.
+        offset_m: horizontal distance from the pad's centre at the first contact [m]; speed_mps: relative to the pad in the frame before
+            it [m/s]; both NaN before.
     """
 
     def __init__(self, goal: GoalLanding):
@@ -145,6 +148,7 @@ class Touchdown:
     def update(self, t: float, T_world_craft: Array, T_world_target: Array, feet: bool) -> None:
         """One frame: true poses (4, 4), and whether a foot touches something."""
         away = T_world_craft[:3, 3] - T_world_target[:3, 3]
+        # The speed of the frame before: in the frame of the contact the ground has already slowed the craft.
         if feet and math.isnan(self.offset_m):
             self.offset_m, self.speed_mps = float(np.hypot(*away[:2])), self._speed
         if self._away is not None and t > self._t:
@@ -153,7 +157,7 @@ class Touchdown:
 
     @property
     def verdict(self) -> Verdict | None:
-        """The outcome of the first touch; None before it."""
+        """The verdict on the first contact; None before it."""
         if math.isnan(self.offset_m):
             return None
         goal, where = self._goal, f"{100 * self.offset_m:.0f} cm from the pad's centre at {self.speed_mps:.2f} m/s"

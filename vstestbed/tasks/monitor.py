@@ -1,4 +1,4 @@
-"""What watches a task while a run goes: its error for the log, and whether it is reached or missed."""
+"""The monitor of a task: its error for the log, and the verdict, reached or missed."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class HoldTimer:
         self._since: float | None = None
 
     def lasting(self, holds: bool, t: float) -> float:
-        """For how long [s] at time t [s]; -inf when it does not hold."""
+        """Duration so far [s] at time t [s]; -inf when the condition does not hold."""
         if not holds:
             self._since = None
             return -math.inf
@@ -34,10 +34,9 @@ class HoldTimer:
 class TaskMonitor:
     """Measures once a frame; asked then, once each, whether the task is reached and whether it is missed.
 
-    Columns of the log: `view`, of several goal views the number of the one that counts; the task's own (`error_columns`);
-    `est_position_m`, `est_rotation_rad`, how far the robot thinks it is from its goal, where the goal counts as reached by that
-    estimate; `level_error_px` of a craft that leans: as `error_px`, of what the law is given, the picture turned level as the
-    scenario derotates.
+    Columns of the log: `view`, the number of the current goal view, where there are several; the task's own (`error_columns`);
+    `est_position_m`, `est_rotation_rad`, the robot's estimated distance from its goal, where `stop.converged` uses it;
+    `level_error_px` of a craft that tilts: as `error_px`, after derotation.
 
     Args:
         setup: the experiment's parts. views: how many goal views there are. supervisor: the robot's.
@@ -63,7 +62,7 @@ class TaskMonitor:
         )
 
     def measure(self, frame: Frame) -> tuple[float, ...]:
-        """The columns' values; also what `reached` and `missed` judge by."""
+        """The columns' values, by which `reached` and `missed` also decide."""
         seen, goal = frame.observation, frame.goal
         self.error_px = level_error(seen, goal) if self._leans else frame.error.rms_px
         if self._by_estimate:
@@ -80,7 +79,7 @@ class TaskMonitor:
         return ()
 
     def reached(self, frame: Frame) -> Verdict | None:
-        """The outcome where this frame completes the task."""
+        """The verdict where this frame completes the task."""
         return None
 
     def missed(self, frame: Frame) -> Verdict | None:
@@ -89,10 +88,7 @@ class TaskMonitor:
 
 
 def estimated_error(seen: Observation, goal: Goal) -> tuple[float, float]:
-    """How far from the goal the robot thinks it is: (distance [m], angle [rad]), NaN where it cannot tell.
-
-    A vehicle whose goal is a place goes by its place; else it is the camera, by the target's pose.
-    """
+    """Estimated distance from the goal [m, rad]: of a vehicle by its place, else of the camera by the target's pose; NaN if unknown."""
     if goal.place is not None and seen.place is not None:
         ahead, left, turn = relative(goal.place, seen.place)
         return math.hypot(ahead, left), abs(float(turn))
@@ -102,7 +98,8 @@ def estimated_error(seen: Observation, goal: Goal) -> tuple[float, float]:
 
 
 def level_error(seen: Observation, goal: Goal) -> float:
-    """RMS over the coordinates of goal minus what the law is given, as pixels of the camera [px]; NaN where nothing is seen."""
+    """RMS of goal minus measured after derotation, in pixels of the camera [px]; NaN where nothing is seen."""
+    # The raw error would not do: a craft that tilts to hold against wind never brings it to zero over its goal.
     p = np.column_stack([seen.xy, np.ones(len(seen.xy))]) if seen.ray is None else seen.ray
     error = goal.camera.project(p) - goal.uv
     error = error[np.isfinite(error[:, 0])]

@@ -1,4 +1,4 @@
-"""A path: fly along views, by the clock, and keep at the last one."""
+"""Path following: a reference that moves along views by the clock, and stays at the last one."""
 
 from __future__ import annotations
 
@@ -22,29 +22,29 @@ from vstestbed.tasks.view import GoalView
 
 _TURN = ThetaU()
 JERK_PEAK = 15 / 8
-"""Greatest over mean speed of a minimum-jerk motion from rest to rest."""
+"""Ratio of peak to mean speed of a minimum-jerk motion: s'(p) = 30 p^2 (1 - p)^2 at p = 1/2."""
 DIFFERENCE_S = 1e-3
-"""Half of the time over which the reference's velocity is taken [s]."""
+"""Step of the central difference for the reference's velocity [s]."""
 LEAST_LEG_S = 0.5
-"""A leg takes this long at least [s]."""
+"""Shortest duration of a leg [s]; two equal views would have a leg of none."""
 LATE_S = 2.0
-"""Who flies a path may be ahead of the reference, or behind it, by so much [s]."""
+"""The error is taken from the part of the path that the reference passes within this time [s]: a lag along the path is no error."""
 
 
 @spec
 class GoalPath(Continuing):
-    """A task without an end: fly along a path, given by views on it, and keep at its last one.
+    """Continuing task: fly along a path through given views, and stay at the last one.
 
-    The reference moves from each of the given views to the next, its camera along a straight line and turning evenly,
-    with the smoothest timing from rest to rest (minimum jerk), s(p) = 10 p^3 - 15 p^4 + 6 p^5.
+    Between two views the reference camera moves along a straight line, rotating about a fixed axis, with minimum-jerk timing from
+    rest to rest, s(p) = 10 p^3 - 15 p^4 + 6 p^5.
 
     Args:
         way: the views; the first is held for `settle_s`.
-        speed_mps: greatest speed of the reference along a leg [m/s].
-        turn_degps: greatest rate at which it turns [deg/s].
+        speed_mps: peak speed of the reference along a leg [m/s].
+        turn_degps: its peak angular rate [deg/s].
         lead_s: the reference's velocity is fed forward this much ahead, since a craft's velocity lags its setpoint [s].
-        band_m: how far off the path the camera may be from `settle_s` on [m]: off the part where the reference is within 2 s of then.
-        settle_s: how long it may take to the first view [s].
+        band_m: tolerance of the camera's distance from the path, from `settle_s` on, within 2 s of the reference [m].
+        settle_s: time to reach the first view [s].
 
     Reference: Flash & Hogan 1985, doi:10.1523/JNEUROSCI.05-07-01688.1985 (minimum jerk).
     """
@@ -62,7 +62,7 @@ class GoalPath(Continuing):
 
     @cached_property
     def trajectory(self) -> Trajectory:
-        """The poses by time."""
+        """The reference as a function of time."""
         return Trajectory(self)
 
     @property
@@ -71,7 +71,7 @@ class GoalPath(Continuing):
         return self.trajectory.end_s
 
     def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]:
-        """Of the views on the path."""
+        """Those of the views on the path."""
         return tuple(view.T_camera_target.T for view in self.way)
 
     def goal_views(self, setup: Setup) -> tuple[Goal, ...]:
@@ -90,11 +90,11 @@ class GoalPath(Continuing):
         super().check_views(setup, views)
 
     def begin(self, setup: Setup, views: tuple[Goal, ...]) -> Setup:
-        """What the views are made from."""
+        """The parts from which views are computed."""
         return setup
 
     def reference(self, memory: Setup, seen: Observation) -> tuple[Setup, Goal]:
-        """The view of this time, with its camera's velocity."""
+        """The view at this time, with the velocity of the reference camera."""
         T, view = self.trajectory.at(seen.t)
         goal = Goal.from_view(memory.believed_camera, memory.target.points, T)
         return memory, replace(goal, twist=self.trajectory.twist(seen.t), view=view)
@@ -105,12 +105,12 @@ class GoalPath(Continuing):
 
 
 def _smooth(p: float) -> float:
-    """The share of a leg that is behind at a share p of its time: minimum jerk."""
+    """Minimum-jerk profile: the travelled share of a leg at the share p of its duration."""
     return p**3 * (10 - 15 * p + 6 * p * p)
 
 
 class Trajectory:
-    """The poses along a `GoalPath`, by time."""
+    """The reference poses along a `GoalPath`, as a function of time."""
 
     def __init__(self, goal: GoalPath):
         self._ways = [inverse(view.T_camera_target.T) for view in goal.way]
@@ -128,7 +128,7 @@ class Trajectory:
         return float(self._until[-1])
 
     def at(self, t: float) -> tuple[Array, int]:
-        """T_camera_target (4, 4) at a time [s], and the number of the view that the leg leads to."""
+        """T_camera_target (4, 4) at a time [s], and the number of the view at the end of the present leg."""
         leg = int(np.searchsorted(self._until, t, side="right")) - 1
         if leg < 0:
             return inverse(self._ways[0]), 0
@@ -136,6 +136,7 @@ class Trajectory:
             return inverse(self._ways[-1]), len(self._ways) - 1
         a, b = self._ways[leg], self._ways[leg + 1]
         share = _smooth((t - self._until[leg]) / (self._until[leg + 1] - self._until[leg]))
+        # The camera's pose in the target's frame is interpolated, not T_camera_target: that would bend the line while the camera turns.
         T = np.eye(4)
         T[:3, 3] = (1 - share) * a[:3, 3] + share * b[:3, 3]
         turn = share * _TURN.measure(a[:3, :3].T @ b[:3, :3])
@@ -143,15 +144,16 @@ class Trajectory:
         return inverse(T), leg + 1
 
     def twist(self, t: float) -> Array:
-        """Velocity of the reference camera, `lead_s` ahead of a time, in its frame at that time (6,) [m/s, rad/s]."""
+        """Velocity of the reference camera at t + lead_s, in its frame at time t (6,) [m/s, rad/s]."""
         before, after = (inverse(self.at(t + self._lead + h)[0]) for h in (-DIFFERENCE_S, DIFFERENCE_S))
+        # Ahead in time, since the craft lags, but in the axes of the camera now, in which the law commands.
         back = inverse(self.at(t)[0])[:3, :3].T
         v = (after[:3, 3] - before[:3, 3]) / (2 * DIFFERENCE_S)
         w = before[:3, :3] @ _TURN.measure(before[:3, :3].T @ after[:3, :3]) / (2 * DIFFERENCE_S)
         return np.concatenate([back @ v, back @ w])
 
     def off(self, T_target_camera: Array, t: float) -> float:
-        """How far [m] a camera (4, 4) is at a time [s] from the part of the path where the reference is within LATE_S of then."""
+        """Distance [m] of a camera (4, 4) from the part of the path that the reference passes within LATE_S of a time [s]."""
         until = self._until
         first, last = np.clip([t - LATE_S, t + LATE_S], until[0], until[-1])
         x, nearest = T_target_camera[:3, 3], np.inf
@@ -159,6 +161,7 @@ class Trajectory:
             began, ended = until[leg], until[leg + 1]
             if began > last or ended < first:
                 continue
+            # The part of this leg within the window, by travelled shares; a leg of pure rotation has no length to divide by.
             a, along = self._ways[leg][:3, 3], self._ways[leg + 1][:3, 3] - self._ways[leg][:3, 3]
             low, high = (_smooth(np.clip((when - began) / (ended - began), 0, 1)) for when in (first, last))
             share = np.clip((x - a) @ along / max(along @ along, 1e-12), low, high)

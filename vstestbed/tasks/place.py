@@ -1,4 +1,4 @@
-"""A place: a vehicle stands where it is told, by its landmarks."""
+"""Docking at a place: a vehicle drives to a pose on the floor, by landmarks."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from vstestbed.tasks.base import Setup, TaskBase
 
 @spec
 class GoalPlace(TaskBase):
-    """The goal as a place for a vehicle: `pose` is where it is to stand in the world, by its landmarks."""
+    """The goal as a place of a vehicle: `pose` in the world, reached by landmarks."""
 
     kind: Literal["pose"] = "pose"
     pose: GroundPose
@@ -27,7 +27,7 @@ class GoalPlace(TaskBase):
     needs_still: ClassVar[bool] = True
 
     def check(self, setup: Setup) -> None:
-        """A place counts as reached by estimate, and by one that the law does not rest before."""
+        """The goal must be judged by the estimate, with a threshold beyond the distance at which the law rests."""
         super().check(setup)
         near, law = setup.stop.converged.position_m, setup.law
         if not setup.stop.converged.by_estimate:
@@ -38,12 +38,12 @@ class GoalPlace(TaskBase):
             raise ParameterError("law.rest_m", words, law.rest_m)
 
     def check_views(self, setup: Setup, views: tuple[Goal, ...]) -> None:
-        """What is seen from the place is not what is asked for: it may be anything."""
+        """Nothing: the goal is a place, and markers may be out of the picture there."""
 
     def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]:
-        """From the place, through the mount."""
+        """The target seen from the place, through the mount."""
         return (inverse(self.pose.T @ mount) @ target.pose.T,)
 
     def goal_views(self, setup: Setup) -> tuple[Goal, ...]:
-        """With the place."""
+        """The view with the place, which the law uses."""
         return tuple(replace(view, place=self.pose.place) for view in super().goal_views(setup))

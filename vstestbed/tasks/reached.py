@@ -1,4 +1,4 @@
-"""Tasks with an end: the goal is reached when the scenario's conditions hold."""
+"""Tasks with a goal to reach: completed when `stop.converged` holds."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.monitor import HoldTimer, TaskMonitor
 
 REST = 1e-6
-"""A commanded twist under this (m/s and rad/s) is rest: pixels with any noise never order so little."""
+"""A commanded twist under this (m/s and rad/s) is rest; with any pixel noise, commands never are so small."""
 REST_S = 2.0
-"""How long the law must order rest away from the goal to be in a local minimum [s]."""
+"""How long a commanded rest away from the goal must last to count as a local minimum [s]."""
 
 
 class GoalMonitor(TaskMonitor):
-    """Reached when `stop.converged` holds at the last view; missed in a local minimum, or when time is out."""
+    """Reached when `stop.converged` holds at the last view; missed in a local minimum, or when the duration is over."""
 
     def __init__(self, setup: Setup, views: int, supervisor: Supervisor):
         super().__init__(setup, views, supervisor)
@@ -37,15 +37,17 @@ class GoalMonitor(TaskMonitor):
         return None
 
     def missed(self, frame: Frame) -> Verdict | None:
-        """A local minimum, or the end of the time."""
+        """A local minimum, or the end of the duration."""
+        # Rest of a law that sees nothing is no minimum: `TargetLost` ends such a run.
         at_rest = not frame.error.lost and not self._near and max(map(abs, frame.command.twist.tolist())) < REST
         if self._rest.lasting(at_rest, frame.t) >= REST_S:
             return Outcome.local_minimum, f"the commanded twist is zero {self._distance()}"
+        # After the local minimum: of a law that rests in the last frame, the more telling reason counts.
         duration = self.setup.stop.duration_s
         return (Outcome.timed_out, f"{duration:g} s were not enough") if frame.t >= duration - 1e-9 else None
 
     def _distance(self) -> str:
-        """How far from the goal it rests, by what counts: the error in the image, the robot's own estimate."""
+        """How far from the goal it rests, by the quantities that `stop.converged` tests."""
         goal, said = self.setup.stop.converged, []
         if goal.error_px is not None:
             said.append(f"at an RMS error of {self.error_px:.3g} px")

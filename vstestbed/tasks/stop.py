@@ -1,4 +1,4 @@
-"""The stop block of a scenario: when a goal counts as reached, and when a run ends in any case."""
+"""The stop block of a scenario: convergence conditions and time limits."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ class Converged:
 
     Args:
         error_px: all markers are seen, and their RMS error is under this [px].
-        position_m, rotation_deg: by the law's own estimate (the pose from the markers; a vehicle's place) the robot is this near
-            to its goal [m, deg].
-        hold_s: for how long [s].
+        position_m, rotation_deg: largest distance from the goal by the law's own estimate (the pose from the markers; a vehicle's
+            place) [m, deg].
+        hold_s: how long all conditions must hold [s].
     """
 
     error_px: Annotated[float, Gt(0)] | None = None
@@ -29,6 +29,7 @@ class Converged:
     def __post_init__(self) -> None:
         """Without a condition, 0.2 px."""
         if self.error_px is None and self.position_m is None and self.rotation_deg is None:
+            # Past the frozen dataclass: whether there is a default depends on the other fields.
             object.__setattr__(self, "error_px", 0.2)
 
     @property
@@ -37,7 +38,7 @@ class Converged:
         return self.position_m is not None or self.rotation_deg is not None
 
     def near(self, all_seen: bool, error_px: float, position_m: float, rotation_rad: float) -> bool:
-        """Whether the conditions hold; NaN, of what is not known, does not."""
+        """Whether the conditions hold; an unknown quantity (NaN) does not satisfy its condition."""
         if self.error_px is not None and not (all_seen and error_px < self.error_px):
             return False
         if self.position_m is not None and not position_m < self.position_m:
@@ -54,12 +55,12 @@ class Converged:
 
 @spec
 class Stop:
-    """When a run ends.
+    """End of a run.
 
     Args:
-        duration_s: simulated time after which the run has timed out [s].
+        duration_s: simulated time after which the run times out [s].
         converged: when the goal counts as reached.
-        lost_after_s: how long the target may be out of sight [s].
+        lost_after_s: longest time without sight of the target [s].
     """
 
     duration_s: Annotated[float, Gt(0)] = 30.0

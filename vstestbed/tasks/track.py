@@ -1,4 +1,4 @@
-"""Tracking: keep the view of a target that moves."""
+"""Tracking: keep a view of a moving target."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from vstestbed.tasks.continuing import Continuing, Settle, Tolerance
 
 @spec
 class GoalTrack(Continuing):
-    """A task without an end: keep the view of a target that moves.
+    """Continuing task: keep a view of a moving target.
 
     Args:
         T_camera_target: the pose from which the target is to be seen at all times.
-        band_m: how far the camera may be from there once settled [m].
-        settle_s: how long it may take to settle [s].
+        band_m: tolerance of the camera's distance from that pose once settled [m].
+        settle_s: settling time [s].
     """
 
     kind: Literal["track"] = "track"

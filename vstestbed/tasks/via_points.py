@@ -21,11 +21,11 @@ from vstestbed.tasks.view import VIEWS, GoalView, GoalViewFrom
 
 @spec
 class GoalViews(TaskBase):
-    """Views in turn (via points): each is left for the next when its error falls under `threshold_px`; the last is the goal.
+    """Via points: views in turn, each passed when its error falls under `threshold_px`; the last is the goal.
 
     Args:
         views: the views.
-        threshold_px: RMS error under which a view that is not the last counts as passed, all markers that count in sight [px].
+        threshold_px: RMS error under which a view that is not the last counts as passed, with all its markers in sight [px].
     """
 
     kind: Literal["views"] = "views"
@@ -43,13 +43,13 @@ class GoalViews(TaskBase):
             raise ParameterError("goal", f"of kind {self.kind} is for a vehicle; robot {robot.kind} takes T_camera_target")
 
     def check(self, setup: Setup) -> None:
-        """What each view asks for, too."""
+        """Also the checks of each view."""
         super().check(setup)
         for view in self.views:
             view.check(setup)
 
     def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]:
-        """Of each view."""
+        """Those of each view."""
         return tuple(pose for view in self.views for pose in view.goal_poses(target, mount))
 
     def goal_views(self, setup: Setup) -> tuple[Goal, ...]:
@@ -68,14 +68,16 @@ class GoalViews(TaskBase):
         super().check_views(setup, views)
 
     def passed(self, memory: Reference, error: ImageError) -> tuple[Reference, Goal | None]:
-        """On to the next view when all that counts is seen, and its error small."""
+        """The next view, when all markers that count are seen with a small error."""
         if not (error.all_seen and error.rms_px < self.threshold_px and memory.view + 1 < len(self.views)):
             return memory, None
+        # Returned as a new goal, the view makes the loop initialise the law again: its memory belongs to the view that is passed.
         memory = memory._replace(view=memory.view + 1)
         return memory, memory.views[memory.view]
 
     def distance_to_go_m(self, log: Log, goal_poses: tuple[Array, ...]) -> float:
-        """To the last of the views: the log's position error is that of the view that counts."""
+        """To the last view."""
+        # Not the log's position error, which is that of the current view: the first one, at the start.
         target = np.array([log[f"tgt_{a}"][0] for a in "xyz"]), np.array([log[f"tgt_q{a}"][0] for a in "wxyz"])
         T_goal = pose_from(*target) @ inverse(goal_poses[-1])
         return float(np.linalg.norm(T_goal[:3, 3] - np.array([log[f"cam_{a}"][0] for a in "xyz"])))

@@ -25,8 +25,8 @@ class GoalView(TaskBase):
 
     Args:
         T_camera_target: the pose.
-        markers: numbers of the markers that count, from 0; None: all. The others need not be in the picture there: nearby an
-            inner set, far away an outer one.
+        markers: numbers of the markers that count, from 0; None: all. The others may be out of the picture: near the target an
+            inner set can count, far away an outer one.
     """
 
     kind: Literal["view"] = "view"
@@ -38,7 +38,7 @@ class GoalView(TaskBase):
         return (self.T_camera_target.T,)
 
     def goal_views(self, setup: Setup) -> tuple[Goal, ...]:
-        """With the markers that count."""
+        """The view with the markers that count."""
         views = super().goal_views(setup)
         if self.markers is None:
             return views
@@ -50,7 +50,7 @@ class GoalView(TaskBase):
         super().check_views(setup, views)
 
     def check_counted(self, setup: Setup, field: str) -> None:
-        """Refuse a view in which markers count that do not exist, or too few for the law."""
+        """Refuse numbers of markers that do not exist, and fewer markers than the law needs."""
         if self.markers is None:
             return
         robot, n = setup.robot, len(setup.target.points)
@@ -71,20 +71,20 @@ class GoalViewFrom(TaskBase):
     needs_still: ClassVar[bool] = True
 
     def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]:
-        """From the place, through the mount."""
+        """The target seen from the place, through the mount."""
         return (inverse(self.view_from.T @ mount) @ target.pose.T,)
 
     def goal_views(self, setup: Setup) -> tuple[Goal, ...]:
-        """With the place where the vehicle stands there."""
+        """The view with the vehicle's place."""
         return tuple(replace(view, place=self.view_from.place) for view in super().goal_views(setup))
 
     @property
     def view_fields(self) -> tuple[str, ...]:
-        """The place."""
+        """Field of the place."""
         return ("goal.view_from",)
 
     def check_counted(self, setup: Setup, field: str) -> None:
-        """All markers count."""
+        """Nothing: all markers count."""
 
 
 VIEWS = OneOf("view", GoalView, GoalViewFrom, fields={"T_camera_target": "view", "view_from": "view_from"})

@@ -1,4 +1,4 @@
-"""Can the camera see what a goal view asks for, and does the robot stand as its camera must?"""
+"""Checks of goal views: markers within the picture, a flying robot level."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from vstestbed.targets import Target
 from vstestbed.vision import Detector
 
 PLANE_INPUTS = {"xy", "depth", "relative"}
-"""Fields of an observation that exist only for what is in front of the camera."""
+"""Fields of an observation that exist only for points in front of the camera."""
 LEVEL_DEG = 1.0
-"""The craft of a goal view may lean by so much [deg]."""
+"""Largest tilt of the craft at a goal view [deg]."""
 
 
 def check_visible(
@@ -38,34 +38,53 @@ def check_visible(
     """
     p = target.seen_from(inverse(T_camera_target))
     counted = np.ones(len(p), dtype=bool) if counted is None else counted
-    uv, flat = camera.project(p), isinstance(camera, Perspective)
-    behind = p[:, 2] <= 0 if flat or PLANE_INPUTS & set(law.inputs) else np.zeros(len(p), dtype=bool)
-    has_borders = len(camera.panels) == 1 and getattr(detector, "field_of_view", "limited") == "limited"  # an oracle may see all round
-    outside = ~(camera.inside(uv) if has_borders else np.isfinite(uv[:, 0]))
-    bad = [str(i) for i in np.flatnonzero(behind if behind.any() else outside & counted)]
-    if not bad:
-        return
-    where, remedy = f"outside the {camera.width} x {camera.height} picture", "a wider camera"
-    if behind.any():
-        where = "behind the camera"
-        if not flat:
-            where += f", where law {law.kind} has no image plane to work in"
-            remedy = "a law of rays (feature spherical) or poses"
-    markers = f"marker {bad[0]} is" if len(bad) == 1 else f"markers {', '.join(bad)} are"
+    if (behind := _behind_image_plane(camera, law, p)).any():
+        raise _not_visible(field, np.flatnonzero(behind), *_behind_words(camera, law))
+    if (outside := _outside_picture(camera, detector, p) & counted).any():
+        where = f"outside the {camera.width} x {camera.height} picture"
+        raise _not_visible(field, np.flatnonzero(outside), where, "a wider camera")
+
+
+def _behind_image_plane(camera: Camera, law: Law[Any], p: Array) -> NDArray[np.bool_]:
+    """Which markers (N, 3) lie behind a plane that the lens or the law projects them onto; none for a law of rays or poses."""
+    if isinstance(camera, Perspective) or PLANE_INPUTS & set(law.inputs):
+        return p[:, 2] <= 0
+    return np.zeros(len(p), dtype=bool)
+
+
+def _outside_picture(camera: Camera, detector: Detector[Any], p: Array) -> NDArray[np.bool_]:
+    """Which markers (N, 3) project outside of the picture, or nowhere."""
+    uv = camera.project(p)
+    # An oracle may be told to report markers all round, and six panels have no border between them.
+    has_borders = len(camera.panels) == 1 and getattr(detector, "field_of_view", "limited") == "limited"
+    return ~(camera.inside(uv) if has_borders else np.isfinite(uv[:, 0]))
+
+
+def _behind_words(camera: Camera, law: Law[Any]) -> tuple[str, str]:
+    """Where a marker behind the camera is, and the remedy."""
+    if isinstance(camera, Perspective):
+        return "behind the camera", "a wider camera"
+    return f"behind the camera, where law {law.kind} has no image plane to work in", "a law of rays (feature spherical) or poses"
+
+
+def _not_visible(field: str, bad: NDArray[np.intp], where: str, remedy: str) -> ParameterError:
+    """The error for a goal view whose markers `bad` are not visible."""
+    markers = f"marker {bad[0]} is" if len(bad) == 1 else f"markers {', '.join(map(str, bad))} are"
     words = f"is a view in which {markers} {where}; move the goal back, or use {remedy} or a smaller target"
-    raise ParameterError(field, words)
+    return ParameterError(field, words)
 
 
 def check_level(robot: Robot, camera: Camera, target: Target, T_camera_target: Array, field: str) -> None:
-    """Refuse a goal view in which a craft would lean: it hovers level, and what it sees there is compared with a level craft's.
+    """Refuse a goal view from a tilted craft: a craft hovers level, and would never see that view at rest.
 
     Raises:
         ParameterError: it names the field, and what would work.
     """
     if robot.base != "floating":
         return
+    # z of the base, in the world's axes: its last component is the cosine of the tilt.
     up = (target.T_world_start @ inverse(T_camera_target) @ inverse(camera.mount.T))[2, 2]
     lean = math.degrees(math.acos(max(-1.0, min(1.0, float(up)))))
     if lean > LEVEL_DEG:
-        words = f"is the view from a craft that leans by {lean:.3g} deg, and it hovers level; turn the view, or camera.mount, by as much"
+        words = f"is the view from a craft tilted by {lean:.3g} deg, and it hovers level; turn the view, or camera.mount, by as much"
         raise ParameterError(field, words)

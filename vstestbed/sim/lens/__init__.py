@@ -1,1 +1,1 @@
-"""How MuJoCo pictures become those of a lens: pinhole faces of a cube, remapped."""
+"""Images of any lens, remapped from pinhole images of MuJoCo on the faces of a cube."""

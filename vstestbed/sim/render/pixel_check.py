@@ -25,7 +25,7 @@ BALLS = tuple((x, y, z) for z, y in ((0.0, -0.35), (0.3, 0.0), (-0.2, 0.35)) for
 
 @dataclass(frozen=True)
 class PixelCheck:
-    """Measured minus predicted pixels (N, 2), and the renderer's name."""
+    """Measured minus predicted pixels (N, 2) [px], and the renderer's name."""
 
     errors: Array
     renderer: str
@@ -38,6 +38,7 @@ def pixel_convention(renderer: Literal["auto", "gl", "rays"] = "auto", camera: C
         EnvironmentLackError: renderer is gl, and OpenGL does not work here.
     """
     camera = replace(camera or Perspective(multisampling=4), renderer=renderer)
+    # Unlit: shading would shift a ball's centroid towards the light.
     target = Points(at=BALLS, pose=Pose(xyz=(0, 0, 1.2)), marker=Sphere(radius=0.035, lit=False))
     robot = Free(start=FreeStart(nominal=Pose()))
     parts = Parts(robot, camera, target, World(floor_z=-20.0), step=0.002)

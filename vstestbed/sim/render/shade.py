@@ -1,4 +1,4 @@
-"""What colour a ray sees: MuJoCo's materials under its directional lights, the floor's texture, the sky."""
+"""Shading of ray hits: MuJoCo's materials under its directional lights, the floor's texture, the sky."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Paint:
     """Colours of a scene as OpenGL's fixed pipeline makes them, without shadows, reflections and highlights.
 
     colour = min(1, rgb (emission + sum over lights of (ambient + diffuse max(0, n . l)))) texture, l towards the light.
-    A plane may have a flat texture (the floor's checker); any other textured thing has its texture's mean colour.
+    A plane may have a flat texture (the floor's checker); any other textured geom has its texture's mean colour.
 
     Args:
         model, data: the scene; lights are where `data` has them.
@@ -62,11 +62,12 @@ class Paint:
         return np.ascontiguousarray(colour.T.astype(np.uint8))
 
     def _light(self, normal: Array) -> NDArray[np.float32]:
-        """What the lights bring to surfaces with outward normals (N, 3): (3, N), 1 for all of it."""
+        """Irradiance of surfaces with outward normals (N, 3) by the lights: (3, N), 1 for full brightness."""
         model = self._model
         light = np.empty((3, len(normal)), np.float32)
         on = np.flatnonzero(model.light_active)
         light[:] = model.light_ambient[on].sum(axis=0)[:, None]
+        # Channels first and single floats: three long contiguous rows, which numpy adds up quickest.
         x, y, z = np.ascontiguousarray(normal.T, dtype=np.float32)
         for i in on:
             a, b, c = -self._data.light_xdir[i].astype(np.float32)

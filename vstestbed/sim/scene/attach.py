@@ -1,4 +1,4 @@
-"""Robots into a scene: their MJCF under a prefix, with the servos that the scenario chose and the floor's friction."""
+"""Attaches robots to a scene: their MJCF under a prefix, with the chosen servos and the floor's friction."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ def add_robot(scene: mujoco.MjSpec, robot: Robot, prefix: str, friction: float |
     """The body that carries the camera, and the pose (4, 4) of the flange in it.
 
     Args:
-        scene: gets the robot, and the solver's options that its model asks for.
-        robot: what is attached; the ideal camera is a body without mass that is put where it is told.
+        scene: receives the robot, and the solver options of its model.
+        robot: to be attached; the ideal camera is a mocap body, which has no mass and is placed by the plant.
         prefix: of all its names (`robot/`, `leader/`).
-        friction: the floor's, where the scenario tells it.
+        friction: of the floor, where the scenario sets it.
 
     Raises:
         ParameterError: the robot's model has no site `flange`.
@@ -32,6 +32,8 @@ def add_robot(scene: mujoco.MjSpec, robot: Robot, prefix: str, friction: float |
     T_body_flange = _flange_pose(robot.model)  # first: it refuses a model that has no flange
     model = mujoco.MjSpec.from_file(str(model_path(robot.model)))
     _choose_servos(model, robot)
+    # `attach` leaves the child's options behind: what its contacts and air were tuned with must be copied. Of two robots the larger
+    # value serves both.
     model.option.timestep = scene.option.timestep
     scene.option.cone = max(scene.option.cone, model.option.cone)
     scene.option.impratio = max(scene.option.impratio, model.option.impratio)
@@ -39,6 +41,8 @@ def add_robot(scene: mujoco.MjSpec, robot: Robot, prefix: str, friction: float |
         scene.option.jacobian = model.option.jacobian
     scene.option.density = max(scene.option.density, model.option.density)
     scene.option.viscosity = max(scene.option.viscosity, model.option.viscosity)
+    # Both geoms of a contact: MuJoCo takes the larger friction of the two, or that of the geom with priority (a car's wheel), so
+    # a slippery floor alone would change nothing.
     if friction is not None:
         for geom in [*model.geoms, scene.geom("floor")]:
             geom.friction[0] = min(geom.friction[0], friction)
@@ -73,7 +77,7 @@ def _flange_pose(model: str) -> Array:
 
 
 def _choose_servos(model: mujoco.MjSpec, robot: Robot) -> None:
-    """Of the actuators in an arm's file keep the chosen profile's; a vehicle has only one."""
+    """Keep the actuators of the chosen profile, and apply its gravity compensation and friction; a vehicle has one profile only."""
     chosen = robot.actuator_set
     if chosen is None:
         return

@@ -1,11 +1,11 @@
-"""Scene: world + robot + camera + target in one MuJoCo model, composed with MjSpec under prefixes, compiled once.
+"""Composes world, robot, camera and target into one MuJoCo model with MjSpec, under prefixes.
 
 Names: joints and actuators `robot/joint_1`, ..., the servo camera `eye` (site `eye` has its computer-vision axes; a lens that
 sees more than one pinhole picture holds has `eye_right`, `eye_left`, `eye_up`, `eye_down`, `eye_back` at the same place), the
 outside view `overview`, the target's body `target/frame` (mocap), its markers sites `target/marker_0`, `target/marker_1`, ...
 (of lines on the floor, which have no places of their own, only geoms `target/line_0`, ...), plates `plate_0`, ..., a vehicle
-that carries the target `leader/...`. Geom groups: 0 the room, 1 what encloses the lens (left out of the servo camera's own
-picture, since the textbook's camera sits at the wrist's centre, inside the hand), 2 the robot, 3 the target.
+that carries the target `leader/...`. Geom groups: 0 the room, 1 geoms that enclose the lens (not rendered by the servo camera,
+which in the textbook's scene sits at the wrist's centre, inside the hand), 2 the robot, 3 the target.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ from vstestbed.vision.detect.tag_print import printed
 
 LENS_GROUP, ROBOT_GROUP, TARGET_GROUP, SITE_GROUP = 1, 2, 3, 4
 ASSETS = "assets"
-"""The folder beside model.xml with the files that it names."""
+"""Folder beside model.xml for its asset files."""
 FACE_VIEWER = (0, 1, 0, 0)
 """A half turn about x (wxyz): the face that MuJoCo draws a texture on upright, +z with y up, looks at the viewer, y down."""
 HOUSING_M = 0.03
-"""The middle of a camera's housing is this far behind its lens [m]."""
+"""Distance of the camera housing's centre behind the lens [m]."""
 POST_RADIUS_M, POST_GREY = 0.012, [0.5, 0.51, 0.53, 1.0]
 """A tube of 24 mm, anodised."""
 FREE_HOUSING = 6.0
@@ -54,7 +54,7 @@ PITCH_M = 1e-5
 
 @dataclass(frozen=True)
 class Parts:
-    """What a scene is made of. `sights` are places that the outside view shall show, beside the robot's start and the target."""
+    """The parts of a scene. `sights` are points that the outside view must show, besides the robot's start and the target [m]."""
 
     robot: Robot
     camera: Camera
@@ -65,12 +65,12 @@ class Parts:
 
     @property
     def leader(self) -> Robot | None:
-        """The vehicle that carries the target, where one does."""
+        """The vehicle that carries the target; None without one."""
         return None if self.target.carrier is None else VEHICLES[self.target.carrier.by]()
 
     @property
     def T_world_target(self) -> Array:
-        """Where the target is at the start (4, 4)."""
+        """Pose of the target at the start (4, 4)."""
         return target_start(self.robot, self.target)
 
     @property
@@ -100,6 +100,7 @@ def compose(parts: Parts) -> mujoco.MjSpec:
         _add_target(scene, parts.target, carrier, parts.target.pose.T)
     _frame_overview(scene, parts)
     for i, plate in enumerate(parts.world.plates):
+        # Mocap bodies are moved by writing their pose: no joint, no dynamics. Until it is present, a plate is out of sight.
         holder = scene.worldbody.add_body(name=f"plate_{i}", mocap=True, pos=AWAY, quat=quaternion_wxyz(plate.pose.T[:3, :3]))
         size = [plate.width / 2, plate.height / 2, 0.002]
         _visual(holder, f"plate_{i}", mujoco.mjtGeom.mjGEOM_BOX, size, [0.45, 0.45, 0.47, 1], 0)
@@ -110,10 +111,11 @@ def compose(parts: Parts) -> mujoco.MjSpec:
 
 
 def _show_hand(scene: mujoco.MjSpec) -> None:
-    """A camera in the room sees what a camera at the wrist leaves out of its picture; the drawn camera there is none."""
+    """Eye to hand: render the geoms round the wrist, and remove the camera that is drawn there."""
     for geom in list(scene.geoms):
         if geom.group == LENS_GROUP and geom.name.startswith("robot/"):
             if "camera" in geom.name:
+                # Its contact pairs first: a pair with a missing geom does not compile.
                 for pair in [p for p in scene.pairs if geom.name in (p.geomname1, p.geomname2)]:
                     scene.delete(pair)
                 scene.delete(geom)
@@ -122,7 +124,7 @@ def _show_hand(scene: mujoco.MjSpec) -> None:
 
 
 def _frame_overview(scene: mujoco.MjSpec, parts: Parts) -> None:
-    """Arms stand where world.xml's view looks; for all that moves about the view is fitted to its way."""
+    """Fit the outside view to the path of a moving base; world.xml's own view shows an arm at the origin."""
     robot, target = parts.robot, parts.target
     if robot.model is None:
         frame_flight(scene, robot, target)
@@ -133,7 +135,7 @@ def _frame_overview(scene: mujoco.MjSpec, parts: Parts) -> None:
 
 
 def _add_camera(body: mujoco.MjsBody, T_body_camera: Array, camera: Camera, housing: float) -> None:
-    """The servo camera `eye` (MuJoCo axes), the site `eye` (computer-vision axes), and a housing to look at, 5 cm times `housing`.
+    """The servo camera `eye` (MuJoCo axes), the site `eye` (computer-vision axes), and a visible housing of 5 cm times `housing`.
 
     A lens that sees beyond a plane has a camera for each face of the cube that it sees: `eye` ahead, `eye_right`, ...
     """
@@ -162,7 +164,7 @@ def _add_camera(body: mujoco.MjsBody, T_body_camera: Array, camera: Camera, hous
 
 
 def _add_post(body: mujoco.MjsBody, deck: mujoco.MjsGeom, T_body_camera: Array) -> None:
-    """What a vehicle's camera stands or hangs on: a post from the nearest point of the deck, in the group that the camera leaves out."""
+    """The post of a vehicle's camera, from the nearest point of the deck; in LENS_GROUP, which the camera does not render."""
     middle, half = np.asarray(deck.pos, dtype=float), np.asarray(deck.size, dtype=float)
     head = T_body_camera[:3, 3] - HOUSING_M * T_body_camera[:3, 2]
     foot = np.clip(head, middle - half, middle + half)
@@ -174,11 +176,11 @@ def _add_post(body: mujoco.MjsBody, deck: mujoco.MjsGeom, T_body_camera: Array) 
 def _add_target(scene: mujoco.MjSpec, target: Target, carrier: mujoco.MjsBody | None, T: Array) -> None:
     """A body with one site and one geom for each marker, its board or pad; of lines on the floor, their paint.
 
-    It is put where it is told (mocap), or fixed to what carries it, at the pose T (4, 4) there.
+    It is a mocap body in the world, or fixed to its carrier, at the pose T (4, 4) there.
     """
     parent = carrier or scene.worldbody
     body = parent.add_body(name="target/frame", mocap=carrier is None, pos=T[:3, 3], quat=quaternion_wxyz(T[:3, :3]))
-    if target.on_gripper:
+    if target.on_gripper:  # MuJoCo gives the velocity of a site in its own axes, which the truth needs of a target in motion
         body.add_site(name="target/frame", group=SITE_GROUP, size=[0.005] * 3)
     points_a_line = len(target.points) // max(len(target.stripes), 1)
     for i, edges in enumerate(target.stripes):
@@ -203,13 +205,13 @@ def _add_marker(scene: mujoco.MjSpec, body: mujoco.MjsBody, target: Target, i: i
         paint.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = _marker_texture(scene, marker, i)
     body.add_site(name=f"target/marker_{i}", pos=p, group=SITE_GROUP, size=[0.005] * 3)
     shape, half_sizes = marker.solid
-    centre = p + np.array([0, 0, 0.0 if marker.height_m else HALF_THICKNESS_M])  # a flat one lies behind the target's plane
+    centre = p + np.array([0, 0, 0.0 if marker.height_m else HALF_THICKNESS_M])  # the front face of a flat one lies in z = 0
     geom = _visual(body, f"target/marker_{i}", GEOMS[shape], list(half_sizes), rgba, TARGET_GROUP, centre, FACE_VIEWER)
     geom.material = paint.name
 
 
 def _add_pad(body: mujoco.MjsBody, pad: Pad) -> None:
-    """A plate to land on, which can be touched."""
+    """The landing pad, the only part of a target that collides."""
     body.add_geom(
         name="target/pad",
         type=mujoco.mjtGeom.mjGEOM_BOX,
@@ -230,7 +232,7 @@ def _paint(scene: mujoco.MjSpec, i: int, rgb: Array, lit: bool) -> tuple[list[fl
 
 
 def _marker_texture(scene: mujoco.MjSpec, marker: Marker, i: int) -> str:
-    """Name of the texture printed on marker i, which is made in memory as the file that it becomes beside model.xml."""
+    """Name of the texture printed on marker i, a PNG in memory; `scene_files` writes it beside model.xml."""
     name, png = printed(marker, i)
     scene.texturedir = ASSETS
     scene.assets = {**scene.assets, f"{ASSETS}/{name}.png": png}
@@ -248,5 +250,5 @@ def _visual(
     pos: object = (0, 0, 0),
     quat: object = (1, 0, 0, 0),
 ) -> mujoco.MjsGeom:
-    """A geom that is seen and touches nothing."""
+    """A geom without mass and collisions."""
     return body.add_geom(name=name, type=kind, size=size, pos=pos, quat=quat, rgba=rgba, group=group, contype=0, conaffinity=0, mass=0)

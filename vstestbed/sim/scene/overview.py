@@ -1,4 +1,4 @@
-"""The outside view: framed so that the whole way is in the picture."""
+"""Framing of the outside view, so that the whole path is in the picture."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ SEE_FACES = 0.35
 WIDE_PICTURE = 16 / 9
 """Width over height of the film that the overview is framed for."""
 FROM_ABOVE = np.radians(38.0)
-"""How steeply the overview of a vehicle looks down [rad]: its way shows, and its wheels too."""
+"""Elevation from which the overview of a vehicle looks down [rad]: both its path and its wheels are visible."""
 ROOM = 1.12
-"""The picture is this much wider than what must be in it."""
+"""Margin in width: the picture is this much wider than its contents."""
 HEADROOM = 1.25
-"""And this much higher: a film has a strip of figures along its lower edge."""
+"""Margin in height, larger, since a film has a strip of plots along its lower edge."""
 ROAM, ROAM_M = 0.12, 0.8
-"""A vehicle may leave the hull of the places told by this share of their extent, and no more than this [m]."""
+"""Margin for a vehicle that leaves the hull of the given places: a share of their extent, up to a limit [m]."""
 AZIMUTHS = np.radians(np.arange(0, 360, 10))
 LIGHT_HEIGHT = 6.0
-"""Of the light that casts shadows, over the middle of the view [m]: above whatever stands there."""
+"""Height of the light that casts shadows over the middle of the view [m], above all objects."""
 LEAST_REACH = 7.0
-"""The depth map of shadows covers this much to each side at least [m]: a tighter one speckles what is lit."""
+"""Least half width of the shadows' depth map [m]; a tighter one speckles lit surfaces."""
 
 
 def frame_flight(scene: mujoco.MjSpec, robot: Robot, target: Target) -> None:
-    """Look at the free camera's way from the side: start left, target right, room for a retreat by half of the way.
+    """View of the free camera's path from the side: start left, target right, room for a retreat by half of the path.
 
-    The way runs across the picture whatever its direction, since up means nothing to a camera that flies.
+    The path runs across the picture whatever its direction: a free camera has no upright.
     """
     start, goal = robot.flange_pose(robot.configuration())[:3, 3], target.T_world_start[:3, 3]
     length = max(float(np.linalg.norm(goal - start)), 1e-9)
@@ -50,9 +50,9 @@ def frame_flight(scene: mujoco.MjSpec, robot: Robot, target: Target) -> None:
 
 
 def frame_drive(scene: mujoco.MjSpec, places: Array, sights: Array, size: float) -> None:
-    """Look at a vehicle's way slantingly from above, from the side from which it is seen largest.
+    """View of a vehicle's path from above at an angle, from the azimuth at which it appears largest.
 
-    The light that casts shadows is put over the way, since its depth map has a place and a size.
+    The light that casts shadows is moved over the path, since its depth map has a limited extent.
 
     Args:
         places: where it will be, shape (K, 3) [m]; with room round each.
@@ -73,7 +73,8 @@ def frame_drive(scene: mujoco.MjSpec, places: Array, sights: Array, size: float)
 
 
 def _drawback(eye: Array, forward: Array, places: Array, sights: Array) -> float:
-    """How far off the farthest place is [m], and twice what sights stand before the nearest place: they shall not fill the picture."""
+    """Cost of a view [m]: depth of the farthest place, plus twice the depth by which sights are nearer than the nearest place."""
+    # Sights before the vehicle would fill the picture. Rounded, so that equal views compare equal and the first azimuth wins.
     depths, before = (places - eye) @ forward, (sights - eye) @ forward
     return round(float(depths.max() + 2 * max(depths.min() - before.min(initial=np.inf), 0.0)), 6)
 

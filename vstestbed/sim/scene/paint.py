@@ -8,13 +8,13 @@ import numpy as np
 from vstestbed.core.geometry import Array
 
 LIFT_M = 2e-4
-"""How far the paint lies over the floor [m]: seen from .3 m up at 60 degrees it is .35 mm too far out."""
+"""Height of the paint over the floor, against z-fighting [m]: seen from .3 m up at 60 degrees, it appears .35 mm too far out."""
 SEGMENT = 4
-"""Samples of the way, a centimetre apart, that make a segment: its chord leaves a bend of 2 m by .1 mm."""
+"""Samples of the route, a centimetre apart, in a segment: its chord deviates from a bend of 2 m radius by .1 mm."""
 
 
 def add_stripe(scene: mujoco.MjSpec, body: mujoco.MjsBody, edges: tuple[Array, Array], i: int, group: int) -> mujoco.MjsGeom:
-    """Line i between its edges (K, 2) as a geom of `body`, a strip of triangles whose upper side shows: it is seen and touches nothing."""
+    """Line i between its edges (K, 2) as a geom of `body`: a strip of triangles, visible from above, without collisions."""
     left, right = edges
     kept = np.unique(np.append(np.arange(0, len(left), SEGMENT), len(left) - 1))
     n = len(kept)

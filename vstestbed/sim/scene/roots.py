@@ -1,4 +1,4 @@
-"""Where the pose of a base that is free to go anywhere stands in MuJoCo's state: a free joint, or x, y and yaw."""
+"""The pose of a movable base in MuJoCo's state: a free joint, or planar joints x, y and yaw."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ PLANAR = ("root_x", "root_y", "root_yaw")
 
 
 class Root:
-    """The free base under a prefix.
+    """The movable base of the robot under a prefix.
 
     Args:
         model: the compiled scene. prefix: the robot's (`robot/`).
@@ -28,13 +28,13 @@ class Root:
         self._qvel = np.concatenate([np.arange(j.dofadr[0], j.dofadr[0] + (6 if self.free else 1)) for j in joints])
 
     def put(self, qpos: NDArray[np.float64], T_world_base: Array) -> None:
-        """Write a pose (4, 4) into the state `qpos`; of a planar base what the floor leaves of it."""
+        """Write a pose (4, 4) into the state `qpos`; of a planar base x, y and yaw alone."""
         qpos[self._qpos] = (
             np.concatenate([T_world_base[:3, 3], quaternion_wxyz(T_world_base[:3, :3])]) if self.free else place_of(T_world_base)
         )
 
     def rest(self, qvel: NDArray[np.float64]) -> None:
-        """Let the base stand still in the state `qvel`."""
+        """Set the base's velocity in the state `qvel` to zero."""
         qvel[self._qvel] = 0.0
 
     def pose(self, data: mujoco.MjData) -> Array:

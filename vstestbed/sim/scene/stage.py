@@ -1,4 +1,4 @@
-"""Stage: a compiled scene in which things are put where they are told; Views of it (`sim/render`) take pictures."""
+"""Stage: a compiled scene and its state, for the plant, for replays and for the renderers in `sim/render`."""
 
 from __future__ import annotations
 
@@ -10,16 +10,22 @@ from numpy.typing import NDArray
 from vstestbed.core.geometry import Array, inverse, quaternion_wxyz
 from vstestbed.sim.gl_context import Physics
 from vstestbed.sim.scene.compose import LENS_GROUP, Parts, compose
+from vstestbed.sim.scene.indices import StateIndices
 from vstestbed.sim.scene.roots import Root
 from vstestbed.sim.scene.world import decoy_path, plate_path
 
 
 class Stage:
-    """A scene in MuJoCo with a dm_control physics on it; `place` puts it into a state, a `View` takes pictures.
+    """A compiled scene with a dm_control physics on it; `place` puts it into a state, the renderers of `sim/render` draw it.
 
     Args:
         parts: what the scene is made of.
         samples: multisampling of this stage's pictures.
+
+    Attributes:
+        at: where the robot's joints and actuators are in `data`. eye: number of the servo camera's site, in computer-vision axes.
+        root, leader: the free bases of the robot and of the vehicle that carries the target; None where there is none.
+        held_site: number of the target's site in the gripper (eye to hand), else -1.
     """
 
     def __init__(self, parts: Parts, samples: int = 0):
@@ -39,22 +45,16 @@ class Stage:
         self._plates = [self.model.body(name).mocapid[0] for name in names]
         self._free = self.model.body("robot/camera").mocapid[0] if parts.robot.model is None else None
         self.eye = self.model.site("eye").id
-        actuators = [self.model.actuator(f"robot/{name}").id for name in parts.robot.actuators]
         self._rest = parts.robot.rest_ctrl()
-        self._ctrl = self.model.actuator_ctrladr[actuators]
-        addresses = self.model.actuator_actadr[actuators]
-        self.activations = addresses[addresses >= 0]
+        self.at = StateIndices.of(self.model, parts.robot, "robot/")
         self.held_site = self.model.site("target/frame").id if parts.target.on_gripper else -1
-        joints = [self.model.joint(f"robot/{name}") for name in parts.robot.joints]
-        self.qpos = np.array([j.qposadr[0] for j in joints], dtype=int)
-        self.qvel = np.array([j.dofadr[0] for j in joints], dtype=int)
 
     def place(self, t: float, T_world_target: Array, q: Array, T_world_camera: Array | None = None) -> None:
-        """Put the scene into a state: joints q (n,); T_world_camera for what is free to go anywhere. Kinematics are brought up to date."""
+        """Put the scene into a state and update its kinematics: joints q (n,); T_world_camera (4, 4) for a movable base."""
         self.data.time = t
         self.place_target(T_world_target)
         self.place_plates(t)
-        self.data.qpos[self.qpos] = q
+        self.data.qpos[self.at.qpos] = q
         if self._free is not None and T_world_camera is not None:
             T = T_world_camera @ self.mount_inverse
             self.data.mocap_pos[self._free] = T[:3, 3]
@@ -65,9 +65,9 @@ class Stage:
         mujoco.mj_camlight(self.model, self.data)
 
     def rest(self) -> None:
-        """Controls and activations of a craft that hovers at its start; nothing for other robots."""
+        """Set the controls and activations of a craft that hovers at its start; nothing for other robots."""
         if self._rest is not None:
-            self.data.ctrl[self._ctrl] = self.data.act[self.activations] = self._rest
+            self.data.ctrl[self.at.ctrl] = self.data.act[self.at.act] = self._rest
 
     @property
     def mount_inverse(self) -> Array:
@@ -80,7 +80,7 @@ class Stage:
         return self._T_target_leader
 
     def place_target(self, T: Array) -> None:
-        """Put the target at a pose (4, 4), with the vehicle that carries it; what the hand holds is where the joints put it."""
+        """Put the target at a pose (4, 4), with the vehicle that carries it; nothing for one in the gripper, which the joints place."""
         if self.parts.target.on_gripper:
             return
         if self.leader is not None:
@@ -91,7 +91,7 @@ class Stage:
         self.data.mocap_quat[mocap] = quaternion_wxyz(T[:3, :3])
 
     def place_plates(self, t: float) -> None:
-        """Put the plates and decoys where they are at a time [s]."""
+        """Put plates and decoys at their poses at a time [s]."""
         for path, mocap in zip(self._plate_paths, self._plates, strict=True):
             T = path(t)
             self.data.mocap_pos[mocap] = T[:3, 3]
@@ -112,14 +112,12 @@ class Stage:
         return T
 
     def hidden(self, T_world_camera: Array, p_camera: Array) -> NDArray[np.bool_]:
-        """Which marker centres (N, 3) stand behind something: a ray from the lens meets another thing well before them.
-
-        A point that does not exist (NaN) does not. What encloses the lens is left out of the cast (as in the picture).
-        """
+        """Which marker centres (N, 3) are occluded: a ray from the lens hits something before them. Not those that do not exist (NaN)."""
         marker = self.parts.target.marker
+        # The ray hits the marker itself before its centre, by its height; 2 mm of slack for a flat one.
         slack = marker.height_m + 0.002
         groups = np.ones(6, dtype=np.uint8)
-        groups[LENS_GROUP] = 0
+        groups[LENS_GROUP] = 0  # the lens lies inside these; they are not in the picture either
         p_world = p_camera @ T_world_camera[:3, :3].T
         reach = np.linalg.norm(p_world, axis=1)
         geom = np.zeros(1, dtype=np.int32)

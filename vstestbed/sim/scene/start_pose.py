@@ -1,4 +1,4 @@
-"""Where camera and target are at the start: the robot carries the one or, eye to hand, the other."""
+"""Poses of camera and target at the start: the robot carries the camera or, eye to hand, the target."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from vstestbed.targets.base import Target
 
 
 def camera_start(robot: Robot, camera: Camera, target: Target) -> Array:
-    """Where the servo camera is at the start (4, 4): on the robot, or in the room where the hand holds the target."""
+    """Pose of the servo camera at the start (4, 4): on the robot, or in the room (eye to hand)."""
     if target.on_gripper:
         return camera.mount.T
     return robot.flange_pose(robot.configuration()) @ camera.mount.T
 
 
 def target_start(robot: Robot, target: Target) -> Array:
-    """Where the target is at the start (4, 4)."""
+    """Pose of the target at the start (4, 4)."""
     if target.on_gripper:
         return robot.flange_pose(robot.configuration()) @ target.pose.T
     return target.T_world_start

@@ -1,4 +1,4 @@
-"""What else is in the world: plates that hide things, and wind."""
+"""The surroundings: floor, occluding plates, decoys, wind."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ class Plate:
     Args:
         pose: its centre in the world; the plate spans its x and y axes.
         width, height: size along x and y [m].
-        from_s, until_s: when it is there [s].
-        motion: how it moves about its pose, in its own axes; a random walk of a plate is always the same one.
+        from_s, until_s: when it is present [s].
+        motion: displacement from its pose, in its own axes; a random walk is the same in all runs.
     """
 
     pose: Pose
@@ -34,7 +34,7 @@ class Plate:
     until_s: Annotated[float, Gt(0)] = 1e9
 
     def __post_init__(self) -> None:
-        """Refuse a plate that leaves before it comes."""
+        """Refuse an empty interval of time."""
         if self.until_s <= self.from_s:
             raise ParameterError("until_s", f"must be after from_s = {self.from_s:g} s", self.until_s)
 
@@ -66,7 +66,7 @@ class Wind:
 
     Args:
         mean_mps: along world axes [m/s].
-        gusts: what comes and goes.
+        gusts: added to the mean while they last.
         turbulence_mps: standard deviation of the turbulence [m/s].
         turbulence_s: its correlation time [s]: L/V of Dryden's longitudinal spectrum.
 
@@ -90,10 +90,10 @@ class Wind:
 
 @spec
 class Decoy:
-    """A ball of a marker's colour that is no marker; it touches nothing.
+    """A distractor: a ball of a marker's colour, without collisions.
 
     Args:
-        xyz: where it is [m]. radius: [m]. hue_deg: its hue; markers have 0, 360/n, ... [deg]. motion: how it moves about there.
+        xyz: position [m]. radius: [m]. hue_deg: hue; markers have 0, 360/n, ... [deg]. motion: displacement from there.
     """
 
     xyz: Triple
@@ -109,15 +109,14 @@ class Decoy:
 
 @spec
 class World:
-    """The room round the robot and the target.
+    """The surroundings of robot and target.
 
     Args:
         floor_z: height of the floor [m]; scenes in a textbook's coordinates need it out of the way.
-        floor_friction: Coulomb friction between the floor and what stands on it, where that is less than the wheels' own;
-            .05 is ice.
-        plates: what can hide markers, or cast a shadow on them (`camera.shadows`).
-        decoys: what can be taken for markers.
-        wind: what blows at craft that fly.
+        floor_friction: Coulomb friction between the floor and wheels or feet, an upper bound of their own; .05 is ice.
+        plates: can occlude markers, or cast a shadow on them (`camera.shadows`).
+        decoys: can be taken for markers.
+        wind: acts on flying craft.
     """
 
     floor_z: float = 0.0
@@ -128,18 +127,19 @@ class World:
 
 
 AWAY = np.array([0.0, 0.0, -50.0])
-"""Where plates are while they are not there: under the floor [m]."""
+"""Place of plates outside of their time: under the floor [m]. MuJoCo cannot remove a geom from a compiled model."""
 
 
 def decoy_path(decoy: Decoy) -> Path:
-    """Where a decoy is at a time [s], as a function that gives its pose (4, 4)."""
+    """Pose (4, 4) of a decoy as a function of time [s]."""
     rest, displacement = Pose(xyz=decoy.xyz).T, decoy.motion.path(np.random.default_rng(0))
     return lambda t: rest @ displacement(t)
 
 
 def plate_path(plate: Plate) -> Path:
-    """Where a plate is at a time [s], as a function that gives its pose (4, 4)."""
+    """Pose (4, 4) of a plate as a function of time [s]."""
     rest, displacement = plate.pose.T, plate.motion.path(np.random.default_rng(0))
+    # 1e-9: times are sums of steps, and a plate must come in the very frame of from_s.
     away = rest.copy()
     away[:3, 3] = AWAY
     return lambda t: rest @ displacement(t) if plate.from_s - 1e-9 <= t < plate.until_s - 1e-9 else away

@@ -1,0 +1,42 @@
+"""Where a robot's joints and actuators stand in MuJoCo's arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from vstestbed.robots import Robot
+
+
+@dataclass(frozen=True)
+class StateIndices:
+    """Indices of one robot's quantities in the state of a scene that may hold two robots.
+
+    Attributes:
+        qpos, qvel: of its measured joints, in the order of `Robot.joints`, in `data.qpos` and `data.qvel`.
+        ctrl: of its actuators, in the order of `Robot.actuators`, in `data.ctrl`.
+        act: of those actuators that have an activation (an integrating servo, a rotor), in `data.act`.
+    """
+
+    qpos: NDArray[np.int_]
+    qvel: NDArray[np.int_]
+    ctrl: NDArray[np.int_]
+    act: NDArray[np.int_]
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel, robot: Robot, prefix: str) -> StateIndices:
+        """The indices of the robot under a prefix (`robot/`, `leader/`)."""
+        # By name, not by number: attached models are renumbered, and a joint's number is not its place in qpos once a free joint,
+        # which takes seven places, comes before it.
+        joints = [model.joint(prefix + name) for name in robot.joints]
+        actuators = np.array([model.actuator(prefix + name).id for name in robot.actuators], dtype=int)
+        activations = model.actuator_actadr[actuators]
+        return cls(
+            qpos=np.array([j.qposadr[0] for j in joints], dtype=int),
+            qvel=np.array([j.dofadr[0] for j in joints], dtype=int),
+            ctrl=model.actuator_ctrladr[actuators],
+            act=activations[activations >= 0],  # MuJoCo's -1: an actuator without one
+        )
