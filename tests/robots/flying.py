@@ -12,7 +12,8 @@ import numpy as np
 from vstestbed.core.geometry import Array
 from vstestbed.robots.flight_reading import FlightReading
 from vstestbed.robots.groundspeed import Flow
-from vstestbed.robots.quadrotor import Flight, FlightPose, FlightStart, Imu, Quadrotor
+from vstestbed.robots.imu import Imu
+from vstestbed.robots.quadrotor import Flight, FlightPose, FlightStart, Quadrotor
 
 MODELS = Path(__file__).parents[2] / "models"
 AIR = 1.184

@@ -23,7 +23,11 @@ def refused(name, settings, words):
     ("name", "settings", "words"),
     [
         ("arm_ibvs", {"derotation": "exact"}, "derotation: is for a craft that tilts (robot quadrotor); here it must be none"),
-        ("arm_ibvs", {"world.wind.mean_mps": [1, 0, 0]}, "world.wind: acts only on a craft that flies .robot quadrotor., not on robot puma560"),
+        (
+            "arm_ibvs",
+            {"world.wind.mean_mps": [1, 0, 0]},
+            "world.wind: acts only on a craft that flies (robot quadrotor), not on robot p",
+        ),
         ("quadrotor_land", {"level_trim_s": 5}, "level_trim_s: corrects the tilt for a derotation by a target that stands still"),
         ("quadrotor_hover", {"target.motion": {"kind": "line", "velocity_mps": [0.1, 0, 0]}}, "level_trim_s: corrects the tilt"),
         ("omni_ibvs", {"robot.wheels": "planar", "world.floor_friction": 0.5}, "world.floor_friction: is not felt by wheels: planar"),

@@ -131,10 +131,8 @@ LIMIT_MARGIN = np.radians(1.0)
 """Distance from its hard stop at which a joint comes to rest [rad]."""
 LIMIT_HORIZON_S = 0.25
 """Velocity damper: near its limit a joint may approach no faster than to reach the margin in this time [s]."""
-
 INNER = 0.8
 """Central share of a joint's range in which limit avoidance leaves it alone."""
-
 ACTUATIONS = {
     "ideal": Actuation("ideal", friction=False, gravity_compensated=True),
     "industrial": Actuation("industrial", friction=True, gravity_compensated=False),

@@ -31,6 +31,7 @@ from vstestbed.robots.flight import RECOVER_RAD, Gains, Loops, fly
 from vstestbed.robots.flight_log import FlightLog
 from vstestbed.robots.flight_reading import HOLD, FlightEstimate, FlightReading
 from vstestbed.robots.groundspeed import READING_S, Flow, Groundspeed, VelocitySource
+from vstestbed.robots.imu import Imu
 from vstestbed.robots.reading import Reading
 from vstestbed.robots.robot_log import RobotLog
 from vstestbed.robots.rotors import HOVER, Four, mix, speed_control
@@ -76,24 +77,6 @@ class FlightStart:
 
     nominal: FlightPose = FlightPose()
     random: FlightBox | None = None
-
-
-@spec
-class Imu:
-    """Noise of each reading (at the control rate) and constant bias, in body axes.
-
-    The defaults are an MPU-6000's by its data sheet (InvenSense 2013: .005 deg/s and 400 ug per root hertz, here over 500 Hz), with
-    the bias that calibration leaves.
-
-    Args:
-        gyro_sigma_radps, gyro_bias_radps: [rad/s].
-        accel_sigma_mps2, accel_bias_mps2: [m/s^2].
-    """
-
-    gyro_sigma_radps: Sigma = 0.002
-    gyro_bias_radps: Triple = (0.003, -0.002, 0.001)
-    accel_sigma_mps2: Sigma = 0.09
-    accel_bias_mps2: Triple = (0.05, -0.03, 0.08)
 
 
 class Flight(NamedTuple):

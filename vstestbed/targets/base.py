@@ -15,9 +15,9 @@ from annotated_types import Gt
 
 from vstestbed.core.geometry import Array, Pose, inverse, transform
 from vstestbed.core.spec import spec
-from vstestbed.targets.attached import MOTIONS, Carried
+from vstestbed.targets.attached import MOTIONS
 from vstestbed.targets.markers import MARKERS, Disc, Marker
-from vstestbed.targets.motion import MotionBase, Path, Still
+from vstestbed.targets.motion import Carrier, MotionBase, Path, Still
 from vstestbed.targets.route import Route
 
 
@@ -56,7 +56,7 @@ class TargetContract(Protocol):
     board_half_m: float | None
     moves: bool
     on_gripper: bool
-    carrier: Carried | None
+    carrier: Carrier | None
     T_world_start: Array
     hues_deg: tuple[float, ...]
     colors: Array
@@ -125,7 +125,7 @@ class Target:
         return self.motion.on_gripper
 
     @property
-    def carrier(self) -> Carried | None:
+    def carrier(self) -> Carrier | None:
         """The vehicle that carries it, with its route and speed; None without one."""
         return self.motion.carrier
 

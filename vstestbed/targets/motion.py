@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, Protocol
 
 import numpy as np
 from annotated_types import Ge, Gt
@@ -15,9 +15,7 @@ from annotated_types import Ge, Gt
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, Triple, rotation_from_rpy
 from vstestbed.core.spec import OneOf, spec
-
-if TYPE_CHECKING:
-    from vstestbed.targets.attached import Carried
+from vstestbed.targets.route import Route
 
 Path = Callable[[float], Array]
 """Displacement (4, 4) at a time [s]."""
@@ -28,6 +26,30 @@ def _shift(x: float, y: float, z: float) -> Array:
     D = np.eye(4)
     D[:3, 3] = x, y, z
     return D
+
+
+class Carrier(Protocol):
+    """A vehicle that carries the target along a route (`targets.attached.Carried`)."""
+
+    @property
+    def by(self) -> str:
+        """The vehicle's kind."""
+        ...
+
+    @property
+    def route(self) -> Route:
+        """Where it drives."""
+        ...
+
+    @property
+    def speed_mps(self) -> float:
+        """How fast [m/s]."""
+        ...
+
+    @property
+    def from_m(self) -> float:
+        """How far along the route it starts [m]."""
+        ...
 
 
 class MotionBase:
@@ -44,7 +66,7 @@ class MotionBase:
     on_gripper: ClassVar[bool] = False
 
     @property
-    def carrier(self) -> Carried | None:
+    def carrier(self) -> Carrier | None:
         """The vehicle that carries the target; None without one."""
         return None
 

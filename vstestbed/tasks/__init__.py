@@ -2,12 +2,13 @@
 
 from vstestbed.core.contract import Contract
 from vstestbed.core.spec import OneOf
-from vstestbed.tasks.base import Setup, Task, TaskBase
+from vstestbed.tasks.base import Task, TaskBase
 from vstestbed.tasks.gap import GoalGap
 from vstestbed.tasks.landing import GoalLanding
 from vstestbed.tasks.line import GoalLine
 from vstestbed.tasks.path import GoalPath
 from vstestbed.tasks.place import GoalPlace
+from vstestbed.tasks.setup import Setup
 from vstestbed.tasks.track import GoalTrack
 from vstestbed.tasks.via_points import GoalViews
 from vstestbed.tasks.view import VIEWS, GoalView, GoalViewFrom

@@ -6,10 +6,9 @@ A goal block of a scenario is a `Task`: parameters and behaviour in one frozen o
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
 
-from vstestbed.camera import Camera
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.features.observation import Goal, Observation
@@ -19,40 +18,17 @@ from vstestbed.robots.base import Base
 from vstestbed.robots.supervisor import Supervisor
 from vstestbed.targets import Target
 from vstestbed.tasks.frame import ImageError
-from vstestbed.tasks.stop import Stop
+from vstestbed.tasks.monitor import TaskMonitor
+from vstestbed.tasks.reached import GoalMonitor
+from vstestbed.tasks.setup import Setup
 from vstestbed.tasks.visible import check_level, check_visible
-from vstestbed.vision import Detector
 from vstestbed.vision.pose.calibration_error import pose_by_depth, shown_goal
-
-if TYPE_CHECKING:
-    from vstestbed.tasks.monitor import TaskMonitor
 
 Log = Mapping[str, Array]
 """The columns of a log by name, shape (frames,) each."""
 
 
 # eq=False: compared by identity, since the comparison of its arrays has no single truth value.
-@dataclass(frozen=True, eq=False)
-class Setup:
-    """The parts of an experiment that a task uses.
-
-    Attributes:
-        robot, camera, target, law, detector, stop: as the scenario has them. believed_camera: the camera as the robot knows it.
-        depth_scale: ratio of each marker's assumed depth to the true one, (N,); None for exact depths.
-        goal_shown: the goal image was taken by the true camera (teaching by showing); else it is computed with the believed one.
-    """
-
-    robot: Robot
-    camera: Camera
-    believed_camera: Camera
-    target: Target
-    law: Law[Any]
-    detector: Detector[Any]
-    stop: Stop
-    depth_scale: Array | None = None
-    goal_shown: bool = False
-
-
 class Reference(NamedTuple):
     """State of the reference: the goal views in turn, and the number of the current one."""
 
@@ -216,8 +192,6 @@ class TaskBase:
     def monitor(self, setup: Setup, supervisor: Supervisor) -> TaskMonitor:
         """Reached when `stop.converged` holds."""
         # Imported here: `reached` imports the monitors, which import this module.
-        from vstestbed.tasks.reached import GoalMonitor
-
         return GoalMonitor(setup, len(self.goal_poses(setup.target, setup.camera.mount.T)), supervisor)
 
     def metrics(self, log: Log) -> dict[str, float | None]:

@@ -10,9 +10,10 @@ from annotated_types import Ge, Gt
 from vstestbed.core.geometry import Array
 from vstestbed.core.outcome import Outcome, Verdict
 from vstestbed.robots.supervisor import Supervisor
-from vstestbed.tasks.base import Log, Setup, TaskBase
+from vstestbed.tasks.base import Log, TaskBase
 from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.monitor import TaskMonitor
+from vstestbed.tasks.setup import Setup
 from vstestbed.tasks.speed_monitor import MinSpeed, SpeedMonitor
 
 Tolerance = Annotated[float, Gt(0)]

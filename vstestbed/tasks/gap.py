@@ -18,8 +18,8 @@ from vstestbed.features.observation import Goal
 from vstestbed.robots import VEHICLES, Robot
 from vstestbed.robots.base import Base
 from vstestbed.targets import Target
-from vstestbed.tasks.base import Setup
 from vstestbed.tasks.continuing import Continuing, Settle, Tolerance
+from vstestbed.tasks.setup import Setup
 from vstestbed.tasks.speed_monitor import FOLLOWS, STEADY, MinSpeed
 from vstestbed.vision.pose.floor_pose import LEVEL
 

@@ -16,9 +16,10 @@ from vstestbed.features.observation import Goal, Observation
 from vstestbed.robots.base import Base
 from vstestbed.robots.supervisor import Supervisor
 from vstestbed.targets import Target
-from vstestbed.tasks.base import Setup, TaskBase
+from vstestbed.tasks.base import TaskBase
 from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.reached import GoalMonitor
+from vstestbed.tasks.setup import Setup
 
 DEEPEST = -0.25
 """The reference descends to this share of its initial height, below the pad: the craft is commanded to sink until it stands."""

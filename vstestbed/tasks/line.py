@@ -17,8 +17,8 @@ from vstestbed.robots import Robot
 from vstestbed.robots.base import Base
 from vstestbed.targets import GroundLines, Target
 from vstestbed.targets.route import Route
-from vstestbed.tasks.base import Setup
 from vstestbed.tasks.continuing import Continuing, Settle, Tolerance
+from vstestbed.tasks.setup import Setup
 from vstestbed.tasks.speed_monitor import STEADY, MinSpeed
 
 ALONG_M = 0.5

@@ -11,8 +11,8 @@ from vstestbed.core.outcome import Verdict
 from vstestbed.core.planar import relative
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.robots.supervisor import Supervisor
-from vstestbed.tasks.base import Setup
 from vstestbed.tasks.frame import Frame
+from vstestbed.tasks.setup import Setup
 
 
 class HoldTimer:

@@ -16,8 +16,8 @@ from vstestbed.features import ThetaU
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.robots.base import Base
 from vstestbed.targets import Target
-from vstestbed.tasks.base import Setup
 from vstestbed.tasks.continuing import Continuing, Settle, Tolerance
+from vstestbed.tasks.setup import Setup
 from vstestbed.tasks.view import GoalView
 
 _TURN = ThetaU()

@@ -6,9 +6,9 @@ import math
 
 from vstestbed.core.outcome import Outcome, Verdict
 from vstestbed.robots.supervisor import Supervisor
-from vstestbed.tasks.base import Setup
 from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.monitor import HoldTimer, TaskMonitor
+from vstestbed.tasks.setup import Setup
 
 REST = 1e-6
 """A commanded twist under this (m/s and rad/s) is rest; with any pixel noise, commands never are so small."""

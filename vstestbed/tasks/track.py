@@ -7,8 +7,8 @@ from typing import Literal
 from vstestbed.core.geometry import Array, Pose, inverse, rigid_error
 from vstestbed.core.spec import spec
 from vstestbed.targets import Target
-from vstestbed.tasks.base import Setup
 from vstestbed.tasks.continuing import Continuing, Settle, Tolerance
+from vstestbed.tasks.setup import Setup
 
 
 @spec

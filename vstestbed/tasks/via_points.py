@@ -14,8 +14,9 @@ from vstestbed.core.spec import spec
 from vstestbed.features.observation import Goal
 from vstestbed.robots import Robot
 from vstestbed.targets import Target
-from vstestbed.tasks.base import Log, Reference, Setup, TaskBase
+from vstestbed.tasks.base import Log, Reference, TaskBase
 from vstestbed.tasks.frame import ImageError
+from vstestbed.tasks.setup import Setup
 from vstestbed.tasks.view import VIEWS, GoalView, GoalViewFrom
 
 

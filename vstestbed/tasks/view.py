@@ -16,7 +16,8 @@ from vstestbed.features.observation import Goal
 from vstestbed.robots import Mount
 from vstestbed.robots.base import Base
 from vstestbed.targets import Target
-from vstestbed.tasks.base import Setup, TaskBase
+from vstestbed.tasks.base import TaskBase
+from vstestbed.tasks.setup import Setup
 
 
 @spec

@@ -15,6 +15,7 @@ from vstestbed.camera import Camera, Image, Look, Panel, Perspective, Window
 from vstestbed.core.errors import EnvironmentLackError, ParameterError
 from vstestbed.core.geometry import FLIP, Array
 from vstestbed.sim.render import gl_probe as gl
+from vstestbed.sim.render.cones import cone_of, meets
 from vstestbed.sim.render.noise import noisy
 from vstestbed.sim.render.shade import Paint
 from vstestbed.sim.scene.compose import LENS_GROUP
@@ -85,30 +86,13 @@ class Caster:
     def _hits(self, origin: Array, rays: Array, geoms: NDArray[np.int32], distance: Array, normal: Array) -> None:
         """Fill in the geoms, distances and normals that one bundle of rays (n, 3) hits."""
         model, n = self._model, len(rays)
-        model.geom_group[:] = np.where(self._shown & self._within_reach(origin, _cone(rays)), 0, 1)
+        model.geom_group[:] = np.where(self._shown & self._within_reach(origin, cone_of(rays)), 0, 1)
         flat, normals = rays.reshape(-1), normal.reshape(-1)
         mujoco.mj_multiRay(model, self._data, origin, flat, self._groups, True, -1, geoms, distance, normals, n, FAR)
 
     def _within_reach(self, origin: Array, cone: tuple[Array, float]) -> NDArray[np.bool_]:
         """Which geoms have a bounding sphere that intersects a cone from `origin`; planes have none and always count."""
-        return self._endless | _meets(self._data.geom_xpos - origin, self._model.geom_rbound, *cone)
-
-
-def _cone(rays: Array) -> tuple[Array, float]:
-    """Axis (3,) and half angle [rad] of a cone that holds unit rays (n, 3): their mean, and the largest angle from it."""
-    axis = rays.sum(axis=0)
-    size = math.sqrt(float(axis @ axis))
-    if size < 1e-6 * len(rays):
-        return np.array([0, 0, 1.0]), math.pi
-    axis /= size
-    return axis, math.acos(max(-1.0, min(1.0, float((rays @ axis).min()))))
-
-
-def _meets(centres: Array, radii: Array, axis: Array, half_angle: float) -> NDArray[np.bool_]:
-    """Which spheres, of centres (N, 3) relative to a cone's apex and radii (N,) [m], intersect the cone."""
-    far = np.maximum(np.sqrt((centres * centres).sum(axis=1)), 1e-12)
-    angle = np.arccos(np.clip(centres @ axis / far, -1, 1))
-    return (far <= radii) | (angle <= half_angle + np.arcsin(np.minimum(radii / far, 1)) + 1e-6)
+        return self._endless | meets(self._data.geom_xpos - origin, self._model.geom_rbound, *cone)
 
 
 class Raster:
@@ -276,7 +260,7 @@ class RaySceneCamera:
         self._stage, self._camera, self._caster = stage, camera, Caster(stage, outside=True)
         lens = Perspective(width=width, height=height, fovy_deg=float(stage.model.camera(camera).fovy[0]))
         self._raster = Raster(lens, np.eye(3), samples)
-        self._tiles = [(tile, _cone(self._raster.rays(tile).reshape(-1, 3))) for tile in _tiles((0, 0, width, height))]
+        self._tiles = [(tile, cone_of(self._raster.rays(tile).reshape(-1, 3))) for tile in _tiles((0, 0, width, height))]
         self._pixel = 2 / lens.f if samples else 0.0
         """Angle by which antialiasing looks beyond a tile [rad]."""
         self._image = np.empty((height, width, 3), np.uint8)
@@ -302,4 +286,4 @@ class RaySceneCamera:
         # Where it was and where it is now: both tiles change.
         spheres = np.concatenate([position[moved], data.geom_xpos[moved]]) - T[:3, 3]
         radii = np.tile(np.where(bound > 0, bound, np.inf)[moved], 2)
-        return bool(_meets(spheres, radii, T[:3, :3] @ cone[0], cone[1] + self._pixel).any())
+        return bool(meets(spheres, radii, T[:3, :3] @ cone[0], cone[1] + self._pixel).any())

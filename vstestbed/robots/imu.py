@@ -1,0 +1,30 @@
+"""The inertial measurement unit of the quadrotor."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from annotated_types import Ge
+
+from vstestbed.core.geometry import Triple
+from vstestbed.core.spec import spec
+
+Sigma = Annotated[float, Ge(0)]
+
+
+@spec
+class Imu:
+    """Noise of each reading (at the control rate) and constant bias, in body axes.
+
+    The defaults are an MPU-6000's by its data sheet (InvenSense 2013: .005 deg/s and 400 ug per root hertz, here over 500 Hz), with
+    the bias that calibration leaves.
+
+    Args:
+        gyro_sigma_radps, gyro_bias_radps: [rad/s].
+        accel_sigma_mps2, accel_bias_mps2: [m/s^2].
+    """
+
+    gyro_sigma_radps: Sigma = 0.002
+    gyro_bias_radps: Triple = (0.003, -0.002, 0.001)
+    accel_sigma_mps2: Sigma = 0.09
+    accel_bias_mps2: Triple = (0.05, -0.03, 0.08)

@@ -1,0 +1,27 @@
+"""Cones round bundles of rays: which spheres they meet, so that only those geoms are cast at."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vstestbed.core.geometry import Array
+
+
+def cone_of(rays: Array) -> tuple[Array, float]:
+    """Axis (3,) and half angle [rad] of a cone that holds unit rays (n, 3): their mean, and the largest angle from it."""
+    axis = rays.sum(axis=0)
+    size = math.sqrt(float(axis @ axis))
+    if size < 1e-6 * len(rays):
+        return np.array([0, 0, 1.0]), math.pi
+    axis /= size
+    return axis, math.acos(max(-1.0, min(1.0, float((rays @ axis).min()))))
+
+
+def meets(centres: Array, radii: Array, axis: Array, half_angle: float) -> NDArray[np.bool_]:
+    """Which spheres, of centres (N, 3) relative to a cone's apex and radii (N,) [m], intersect the cone."""
+    far = np.maximum(np.sqrt((centres * centres).sum(axis=1)), 1e-12)
+    angle = np.arccos(np.clip(centres @ axis / far, -1, 1))
+    return (far <= radii) | (angle <= half_angle + np.arcsin(np.minimum(radii / far, 1)) + 1e-6)
