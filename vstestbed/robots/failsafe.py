@@ -74,9 +74,8 @@ class Failsafe(Supervisor):
         return t - self.off_at >= DOWN_S
 
     def _next_mode(self, t: float, rest_reason: str, estimate: FlightEstimate) -> int:
-        """The mode of this frame; entering OFF notes the time, and nothing leads out of it again."""
-        if math.isnan(self.off_at) and estimate.stands and (self.lands or self.aborted):
-            self.off_at = t
+        """The mode of this frame; nothing leads out of OFF."""
+        self._note_touchdown(t, estimate)
         if not math.isnan(self.off_at):
             return OFF
         if not self.aborted:
@@ -84,6 +83,11 @@ class Failsafe(Supervisor):
         # A lost target has already had its `lost_after_s` of holding before the task was given up.
         holds = t - self._since < HOLD_S and self.aborted[0] is not Outcome.target_lost
         return HOLDS if holds else SINKS
+
+    def _note_touchdown(self, t: float, estimate: FlightEstimate) -> None:
+        """Note when rotors go off: once the craft stands, if it was to land or to set down."""
+        if math.isnan(self.off_at) and estimate.stands and (self.lands or self.aborted):
+            self.off_at = t
 
     def _update_abort(self, t: float, rest_reason: str, height: float, estimate: FlightEstimate) -> None:
         """Give the task up where there is cause; take up again a task whose target was lost and is seen again."""
