@@ -271,7 +271,7 @@ class TestListAndSchema:
 
     def test_help_and_version(self, command) -> None:
         assert "Commands:" in command("--help").out
-        for name in ("run", "list", "schema", "render", "report", "doctor", "bench", "flow"):
+        for name in ("run", "list", "schema", "render", "report", "doctor", "bench", "optical-flow"):
             ended = command(name, "--help")
             assert ended.code == 0
             assert ended.out.startswith(f"Usage: vstestbed {name}")
@@ -337,6 +337,15 @@ def test_bench_tells_of_the_loop_and_its_floor(command, quick: Path) -> None:
 
 
 def test_flow_into_a_folder_that_is_not_there_says_so(command) -> None:
-    ended = command("flow", "--out", "nodir/x.png")
+    ended = command("optical-flow", "--out", "nodir/x.png")
     assert ended.code == 2
     assert ended.err.strip() == "nodir/x.png: the folder nodir does not exist; make it, or give another with --out"
+
+
+@pytest.mark.parametrize(("old", "new"), [("delay", "gain-limit"), ("convergence", "sweep"), ("flow", "optical-flow")])
+def test_an_old_word_of_a_command_still_works_and_names_the_new_one(command, old: str, new: str) -> None:
+    ended = command(old, *({"flow": ["--out", "nodir/x.png"]}.get(old, ["no_such_scenario"])))
+    assert ended.code == 2
+    assert f"vstestbed {old} is now called {new}" in ended.err
+    shown = command("--help").out
+    assert f"\n  {new} " in shown and f"\n  {old} " not in shown

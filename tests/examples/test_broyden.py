@@ -59,7 +59,9 @@ def test_its_basin_ends_as_in_the_time_loop(command, quick: Path):
 
 
 def test_it_has_a_gain_limit(command, quick: Path):
-    ended = command("delay", "quick.yaml", "--plugin", "broyden", "--set", "law={kind: broyden, update: 1e-6}", "--frames", "1", *QUIET)
+    ended = command(
+        "gain-limit", "quick.yaml", "--plugin", "broyden", "--set", "law={kind: broyden, update: 1e-6}", "--frames", "1", *QUIET
+    )
     assert ended.code == 0, ended.err
     limit = json.loads(ended.out)[0]
     assert limit["measured_to_theory"] == pytest.approx(1.0, abs=0.005)  # a Jacobian that stays: the classic's closed form

@@ -51,7 +51,7 @@ def test_a_cell_counts_its_own_runs():
 
 def test_command_leaves_its_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     out = tmp_path / "map"
-    words = ["convergence", "ibvs_book", "pbvs_book", "--seeds", "1", "--jobs", "1", "--out", str(out), "--json"]
+    words = ["sweep", "ibvs_book", "pbvs_book", "--seeds", "1", "--jobs", "1", "--out", str(out), "--json"]
     words += ["--set", "detector={kind: oracle, field_of_view: unlimited}", "--set", "law.gain=1"]
     # A goal told in metres and depths seen double: a picture is reached all the same, a pose is not.
     words += ["--vary", "calibration.depth_factor=1,2", "--vary", "camera.rate_hz=10,20"]

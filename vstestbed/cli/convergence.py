@@ -1,4 +1,4 @@
-"""The command `convergence`: share of converged runs over two varied fields. Heavy imports are inside the function."""
+"""The command `sweep`: share of converged runs over two varied fields. Heavy imports are inside the function."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from typing import Annotated
 
 import typer
 
-from vstestbed.cli.tools import Json, Plugins, settings_of
+from vstestbed.cli.tools import Json, Plugins, renamed, settings_of
 
 convergences = typer.Typer()
 
 
-@convergences.command()
-def convergence(
+@convergences.command("sweep")
+def sweep(
     scenarios: Annotated[list[str], typer.Argument(metavar="SCENARIO...", help="Scenarios, or one comparison: names or files.")],
     vary: Annotated[list[str] | None, typer.Option("--vary", metavar="a.b=v1,v2", help="A map's axis: first x, then y.")] = None,
     set_: Annotated[list[str] | None, typer.Option("--set", metavar="a.b=value", help="Change a field of all scenarios.")] = None,
     seeds: Annotated[int | None, typer.Option(min=1, help="How many random starts in each cell.")] = None,
     jobs: Annotated[int | None, typer.Option(min=1, help="Worker processes. [default: one a core]")] = None,
-    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of the results. [default: runs/convergence/NUMBER]")] = None,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of the results. [default: runs/sweep/NUMBER]")] = None,
     as_json: Json = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No words.")] = False,
     plugin: Plugins = None,
@@ -34,7 +34,7 @@ def convergence(
     from vstestbed.scenario.load import load_plugins
 
     load_plugins(plugin or [])
-    study, folder = Study(chosen(scenarios, settings_of(set_), vary_of(vary), seeds)), new_study_folder("convergence", out)
+    study, folder = Study(chosen(scenarios, settings_of(set_), vary_of(vary), seeds)), new_study_folder("sweep", out)
     shown = not (quiet or as_json)
 
     def progress(done: int, of: int) -> None:
@@ -50,3 +50,6 @@ def convergence(
         for one in summaries(study.maps(results)):
             typer.echo(f"{one['label']}: {100 * float(str(one['converged'])):.1f} % of all runs converged", err=True)
         typer.echo(f"  results   {page.parent} (open report.html)", err=True)
+
+
+renamed(convergences, "convergence", "sweep", sweep)

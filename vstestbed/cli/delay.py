@@ -1,4 +1,4 @@
-"""The command `delay`: the gain limit of the loop for each delay. Heavy imports are inside the function."""
+"""The command `gain-limit`: the gain limit of the loop for each delay. Heavy imports are inside the function."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from vstestbed.cli.tools import Json, Plugins, load_scenario
+from vstestbed.cli.tools import Json, Plugins, load_scenario, renamed
 from vstestbed.core.errors import ParameterError
 
 if TYPE_CHECKING:
@@ -19,12 +19,12 @@ if TYPE_CHECKING:
 delays = typer.Typer()
 
 
-@delays.command()
-def delay(
+@delays.command("gain-limit")
+def gain_limit(
     scenario: Annotated[str, typer.Argument(help="A bundled scenario's name, or a YAML file; robot free or puma560.")],
     frames: Annotated[str, typer.Option(metavar="D1,D2,...", help="Delays, in frames of the camera.")] = "0,1,2,3,4,5",
     set_: Annotated[list[str] | None, typer.Option("--set", metavar="a.b=value", help="Change a field before it is checked.")] = None,
-    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of the results. [default: runs/delay/NUMBER]")] = None,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of the results. [default: runs/gain-limit/NUMBER]")] = None,
     as_json: Json = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No words.")] = False,
     plugin: Plugins = None,
@@ -36,7 +36,7 @@ def delay(
     from vstestbed.core.files import new_study_folder
     from vstestbed.experiments.delay import find_limits, write
 
-    chosen, folder = load_scenario(scenario, set_, plugin), new_study_folder("delay", out)
+    chosen, folder = load_scenario(scenario, set_, plugin), new_study_folder("gain-limit", out)
     shown = not (quiet or as_json)
     limits = find_limits(chosen, _numbers(frames), lambda one: typer.echo(_summary_line(one), err=True) if shown else None)
     page = write(folder, limits, chosen.name, shlex.join(["vstestbed", *sys.argv[1:]]) if len(sys.argv) > 1 else "")
@@ -59,3 +59,6 @@ def _summary_line(limit: Limit) -> str:
     if row["measured_to_lag"] is None:
         return line
     return f"{line}, {row['measured_to_lag']:.3f} with the servos' lag ({row['joint']} first, {1e3 * limit.lag_of_first:.1f} ms)"
+
+
+renamed(delays, "delay", "gain-limit", gain_limit)

@@ -1,14 +1,16 @@
-"""The commands `list`, `schema`, `doctor`, `bench` and `flow`, and the options that several commands share.
+"""The commands `list`, `schema`, `doctor`, `bench` and `optical-flow`, and the options that several commands share.
 
 Heavy imports are inside the functions: `--help` must answer within 0.4 s.
 """
 
 from __future__ import annotations
 
+import functools
 import json
+from collections.abc import Callable
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -56,6 +58,17 @@ def settings_of(settings: list[str] | None) -> dict[str, object]:
             raise ParameterError("--set", "needs the form a.b=value", setting)
         overrides[key.strip()] = read_value(value)
     return overrides
+
+
+def renamed(app: typer.Typer, old: str, new: str, command: Callable[..., None]) -> None:
+    """Keep the old word of a command, hidden, with a warning that names the new one."""
+
+    @functools.wraps(command)
+    def warn(*given: Any, **named: Any) -> None:
+        typer.echo(f"vstestbed {old} is now called {new}; the old word works for one more version", err=True)
+        command(*given, **named)
+
+    app.command(old, hidden=True)(warn)
 
 
 @tools.command("list")
@@ -129,8 +142,8 @@ def bench(
     typer.echo(json.dumps(result.as_dict(), indent=1) if as_json else result.as_text())
 
 
-@tools.command()
-def flow(
+@tools.command("optical-flow")
+def optical_flow(
     feature: Annotated[str, typer.Option(metavar="NAME", help="point, polar or spherical.")] = "point",
     depth: Annotated[float, typer.Option(metavar="METRES", help="Depth (spherical: distance) of every point.")] = 1.0,
     out: Annotated[Path | None, typer.Option(metavar="FILE", help="A .png, .svg or .pdf. [default: flow_NAME.png]")] = None,
@@ -142,3 +155,6 @@ def flow(
         raise OutputError(out, f"the folder {out.parent} does not exist", "make it, or give another with --out")
     for path in write_flow(feature, depth, out):
         typer.echo(str(path))
+
+
+renamed(tools, "flow", "optical-flow", optical_flow)

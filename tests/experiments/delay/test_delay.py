@@ -96,7 +96,7 @@ def command(words: list[str]) -> int:
 
 def test_command_leaves_its_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     out = tmp_path / "study"
-    words = ["delay", "ibvs_book", "--frames", "1", "--set", "camera.rate_hz=20", "--set", "law.gain=0.8", "--out", str(out), "--json"]
+    words = ["gain-limit", "ibvs_book", "--frames", "1", "--set", "camera.rate_hz=20", "--set", "law.gain=0.8", "--out", str(out), "--json"]
     assert command(words) == 0
     rows = json.loads(capsys.readouterr().out)
     assert [row["delay_frames"] for row in rows] == [1]
@@ -106,7 +106,7 @@ def test_command_leaves_its_folder(tmp_path: Path, capsys: pytest.CaptureFixture
     page = (out / "report.html").read_text()
     assert "gain limit [1/s]" in page and "data:image/png" in page
     assert command(words) == 2  # never over an older study
-    assert command(["delay", "ibvs_book", "--frames", "one"]) == 2
+    assert command(["gain-limit", "ibvs_book", "--frames", "one"]) == 2
 
 
 @pytest.mark.study
