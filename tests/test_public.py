@@ -63,3 +63,13 @@ def test_the_readme_has_no_blank_left_to_fill() -> None:
     """What was to be measured has been measured."""
     text = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
     assert re.findall(r"\b(?:TODO|TBD|FIXME|BENCH[A-Z]+)\b", text) == []
+
+
+@pytest.mark.usefixtures("own_kinds")
+def test_the_law_of_the_readme_is_a_law() -> None:
+    """The example by which the README shows how to add a kind."""
+    text = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+    code = next(block for block in re.findall(r"```python\n(.*?)```", text, re.DOTALL) if "LAWS.add" in block)
+    made: dict[str, object] = {}
+    exec(code, made)
+    vs.testing.check_law(made["Mine"](gain=1.0))  # pyright: ignore[reportCallIssue]
