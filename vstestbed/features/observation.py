@@ -98,7 +98,7 @@ class FittedPlane(NamedTuple):
 
 @dataclass(frozen=True)
 class Goal:
-    """The goal of a law: a view through a calibrated camera, and what tasks that are not told by a view have besides.
+    """The goal of a law: a view through a calibrated camera, and the other quantities of tasks that are not defined by a view.
 
     Attributes:
         uv: markers in the picture (N, 2) [px]; `xy` (N, 2) the same, normalised. depth (N,), range (N,) [m], ray (N, 3).

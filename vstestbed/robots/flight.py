@@ -78,7 +78,7 @@ class Loops(NamedTuple):
         yaw_rate: the yaw-rate command, its slope limited [rad/s].
         levelling: whether the craft ignores its setpoint until it is level.
         force: reference of the attitude loop: the thrust's direction (3,) in the level frame, unit.
-        wanted: reference of the rate loop: body rates (3,) [rad/s].
+        ref_rates: reference of the rate loop: body rates (3,) [rad/s].
     """
 
     trim: Vector = STILL
@@ -87,7 +87,7 @@ class Loops(NamedTuple):
     yaw_rate: float = 0.0
     levelling: bool = False
     force: Vector = (0.0, 0.0, 1.0)
-    wanted: Vector = STILL
+    ref_rates: Vector = STILL
 
     @property
     def tilt(self) -> tuple[float, float]:
@@ -130,9 +130,9 @@ def fly(
         acceleration = velocity_loop(trim, order, velocity, yaw_rate, gains)
     force, thrust = aim(acceleration, R, gains.tilt_deg)
     wx, wy = attitude_loop(R.to_body(force), gains)
-    wanted = (wx + yaw_rate * R.zx, wy + yaw_rate * R.zy, yaw_rate * R.zz)
-    rate_trim, torque = rate_loop(memory.rate_trim, wanted, rates, gains, dt)
-    return Loops(trim, model, rate_trim, yaw_rate, levelling, force, wanted), Push(thrust, torque)
+    ref_rates = (wx + yaw_rate * R.zx, wy + yaw_rate * R.zy, yaw_rate * R.zz)
+    rate_trim, torque = rate_loop(memory.rate_trim, ref_rates, rates, gains, dt)
+    return Loops(trim, model, rate_trim, yaw_rate, levelling, force, ref_rates), Push(thrust, torque)
 
 
 def respond(model: Model, order: Vector, gains: Gains, dt: float) -> Model:
@@ -194,9 +194,9 @@ def attitude_loop(force: Vector, gains: Gains) -> tuple[float, float]:
     return -rate * y, rate * x
 
 
-def rate_loop(trim: tuple[float, float], wanted: Vector, rates: Vector, gains: Gains, dt: float) -> tuple[tuple[float, float], Vector]:
+def rate_loop(trim: tuple[float, float], ref_rates: Vector, rates: Vector, gains: Gains, dt: float) -> tuple[tuple[float, float], Vector]:
     """Integrals [rad/s^2] and torque (3,) [Nm], for body rates (3,) [rad/s]; the yaw torque stays within its share."""
-    ex, ey, ez = wanted[0] - rates[0], wanted[1] - rates[1], wanted[2] - rates[2]
+    ex, ey, ez = ref_rates[0] - rates[0], ref_rates[1] - rates[1], ref_rates[2] - rates[2]
     k, i = gains.rate, gains.rate_integral * dt
     tx = max(-MAX_RATE_TRIM, min(MAX_RATE_TRIM, trim[0] + i * ex))
     ty = max(-MAX_RATE_TRIM, min(MAX_RATE_TRIM, trim[1] + i * ey))

@@ -278,7 +278,7 @@ class Quadrotor(RobotBase):
             velocity=np.array(level(attitude.up).to_body(memory.ground.velocity)),
             rates=np.array(memory.rates),
             ref_tilt=np.array(memory.loops.tilt),
-            ref_rates=np.array(memory.loops.wanted),
+            ref_rates=np.array(memory.loops.ref_rates),
             rotor_limit_s=memory.limited_s,
             overturned=memory.overturned,
             stands=self.stands(memory, reading),

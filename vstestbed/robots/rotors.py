@@ -63,14 +63,14 @@ def mix(thrust: float, torque: Vector) -> Mixed:
     return Mixed((t - p - y, t - r + y, t + p - y, t + r + y), cut)
 
 
-def speed_control(turning: Four, wanted: Four, response_s: float, dt: float) -> tuple[Four, Four]:
-    """Speed controllers: commands that make the rotors reach `wanted` with the time constant `response_s` instead of LAG_S.
+def speed_control(turning: Four, reference: Four, response_s: float, dt: float) -> tuple[Four, Four]:
+    """Speed controllers: commands that make the rotors reach `reference` with the time constant `response_s` instead of LAG_S.
 
     u = W + (LAG_S / response_s) (W_wanted - W), within 0 and LIMIT: lead compensation, bounded by full voltage. A real controller
     measures its rotor's speed by commutation; this one predicts W by the lag's own equation.
 
     Args:
-        turning, wanted: W of the rotors now and as commanded, (4,).
+        turning, reference: W of the rotors now and as commanded, (4,).
         response_s: [s], up to LAG_S.
         dt: [s] until the next command.
 
@@ -79,7 +79,7 @@ def speed_control(turning: Four, wanted: Four, response_s: float, dt: float) -> 
     """
     lead, ahead = LAG_S / response_s, dt / (LAG_S + 0.5 * dt)  # (1, 1) Pade of 1 - exp(-dt / LAG_S): 1e-7 at 1 ms
     a, b, c, d = turning
-    A, B, C, D = wanted
+    A, B, C, D = reference
     u = (
         max(0.0, min(LIMIT, a + lead * (A - a))),
         max(0.0, min(LIMIT, b + lead * (B - b))),

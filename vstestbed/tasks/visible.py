@@ -55,7 +55,7 @@ def _behind_image_plane(camera: Camera, law: Law[Any], p: Array) -> NDArray[np.b
 def _outside_picture(camera: Camera, detector: Detector[Any], p: Array) -> NDArray[np.bool_]:
     """Which markers (N, 3) project outside of the picture, or nowhere."""
     uv = camera.project(p)
-    # An oracle may be told to report markers all round, and six panels have no border between them.
+    # An oracle may report markers all round, and six panels have no border between them.
     has_borders = len(camera.panels) == 1 and getattr(detector, "field_of_view", "limited") == "limited"
     return ~(camera.inside(uv) if has_borders else np.isfinite(uv[:, 0]))
 

@@ -234,14 +234,14 @@ def gone(pid: int) -> None:
 
 class TestResume:
     def test_what_is_there_is_not_run_again(self, quick: Path, tmp_path: Path):
-        out, told = tmp_path / "c", []
+        out, done = tmp_path / "c", []
         whole = compare([quick], GAINS, seeds=2, jobs=1, out=out, film=False, report=False)
         (out / "runs/quick/law.gain=3.0/1").rename(tmp_path / "taken")
         (out / "runs/quick/law.gain=6.0/1").rename(out / "runs/quick/law.gain=6.0/1.part")  # as a power cut leaves it
         kept = (out / "runs/quick/law.gain=3.0/0/summary.json").stat().st_mtime_ns
         (out / "runs/quick/law.gain=6.0/0/summary.json").write_text("{", encoding="utf-8")  # as a broken disk leaves it
-        again = compare([], out=out, resume=True, jobs=1, film=False, report=False, told=lambda job, summary: told.append(job.folder))
-        assert sorted(told) == ["runs/quick/law.gain=3.0/1", "runs/quick/law.gain=6.0/0", "runs/quick/law.gain=6.0/1"]
+        again = compare([], out=out, resume=True, jobs=1, film=False, report=False, on_done=lambda job, summary: done.append(job.folder))
+        assert sorted(done) == ["runs/quick/law.gain=3.0/1", "runs/quick/law.gain=6.0/0", "runs/quick/law.gain=6.0/1"]
         assert (out / "runs/quick/law.gain=3.0/0/summary.json").stat().st_mtime_ns == kept
         assert timeless(again).equals(timeless(whole))
         assert not list(out.glob("**/*.part"))

@@ -35,7 +35,7 @@ def compare(
     plugins: Sequence[str] = (),
     film: bool = True,
     report: bool = True,
-    told: OnDone = lambda job, summary: None,
+    on_done: OnDone = lambda job, summary: None,
 ) -> polars.DataFrame:
     """Run a comparison and write its folder; returns the table with one row per run.
 
@@ -48,7 +48,7 @@ def compare(
         out: the folder; None: `runs/compare/<number>`. resume: do only the runs that are missing in `out`.
         set: values by dotted path for all scenarios. plugins: modules that add kinds.
         film: whether to film the first seed. report: whether to write the page and the figures.
-        told: called after every run with the job and its summary.
+        on_done: called after every run with the job and its summary.
 
     Raises:
         ScenarioError, ParameterError: bad input, found before anything runs. OutputError: `out` is taken.
@@ -59,7 +59,7 @@ def compare(
         raise ParameterError("compare", "must stand under `if __name__ == '__main__':` in a script, which worker processes import")
     must_be_known(executor)
     campaign, comparison = prepare(scenarios, vary or {}, seeds, out, resume, set or {}, plugins, film)
-    return carry_out(campaign, comparison, jobs, executor, told, report=report)
+    return carry_out(campaign, comparison, jobs, executor, on_done, report=report)
 
 
 def carry_out(

@@ -48,11 +48,11 @@ def solve_place(rays: Array, points: Array, T_base_camera: Array, previous: Arra
 def _by_height(d: Array, points: Array, origin: Array) -> Array | None:
     """Initial guess: the points where rays reach their landmark's height, registered to the map by a planar rigid motion."""
     height = points[:, 2] - origin[2]
-    told = (np.abs(d[:, 2]) > LEVEL) & (height * d[:, 2] > 0)
-    if not told.any():
+    usable = (np.abs(d[:, 2]) > LEVEL) & (height * d[:, 2] > 0)
+    if not usable.any():
         return None
-    here = origin[:2] + d[told, :2] / d[told, 2:] * height[told, None]
-    there = points[told, :2]
+    here = origin[:2] + d[usable, :2] / d[usable, 2:] * height[usable, None]
+    there = points[usable, :2]
     a, b = here - here.mean(axis=0), there - there.mean(axis=0)
     heading = math.atan2(float(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])), float(np.sum(a * b)))
     c, s = math.cos(heading), math.sin(heading)
