@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 import vstestbed as vs
 import vstestbed.testing as suites
-from tests.examples.two_link import TwoLink
 from tests.examples.wrong import Crooked, Displaced, Shifted, Stateful
 from vstestbed.core.geometry import Pose
 from vstestbed.laws import LAWS
-from vstestbed.robots import ROBOTS, Free, Mount
+from vstestbed.robots import ROBOTS, Free
 from vstestbed.robots.free import FreeStart
 from vstestbed.targets import TARGETS, GroundLines, Points, Square
 from vstestbed.targets.route import Straight
@@ -101,16 +99,6 @@ class TestTheSuitesFindWhatIsWrong:
         easy = replace(easy, stop=replace(easy.stop, converged=Converged(error_px=1e4, hold_s=0.0)))
         with pytest.raises(AssertionError, match="3 frames must not be enough, converged"):
             suites.check_task(easy)
-
-
-def test_a_two_link_arm_is_a_robot():
-    """Fewer than six joints, and a basis that changes with the configuration."""
-    arm = TwoLink()
-    suites.check_robot(arm)
-    mount = Mount.of(np.eye(4))
-    bent, straight = arm.motion_basis(mount, np.array([0.3, 1.2])), arm.motion_basis(mount, np.array([0.3, 0.1]))
-    assert bent.shape == (6, 2)
-    assert np.abs(bent - straight).max() > 0.1
 
 
 def test_tags_see_only_tags():

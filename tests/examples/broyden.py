@@ -1,4 +1,6 @@
-"""Uncalibrated visual servoing by Broyden's update, as a plugin: `vstestbed run arm_ibvs --plugin broyden --set law=broyden`.
+"""Image-based servoing with an estimated Jacobian (Broyden), as a plugin.
+
+From this folder: `vstestbed run arm_ibvs --plugin broyden --set law=broyden`.
 
 Reference: Jagersand, Fuentes & Nelson 1997, doi:10.1109/ROBOT.1997.606723; Broyden 1965, doi:10.1090/S0025-5718-1965-0198670-6.
 """
@@ -28,17 +30,18 @@ class Broyden(vs.LawBase):
     kind: Literal["broyden"] = "broyden"
     gain: Annotated[float, Gt(0)] = 1.0
     update: Annotated[float, Gt(0), Le(1)] = 0.1
+    inputs = ("xy",)
 
-    def step(self, memory, seen, goal, basis):
+    def step(self, memory, observation, goal, basis):
         """One frame; the first Jacobian is that of points at the depth of the goal view."""
-        if not seen.seen.all():
+        if not observation.seen.all():
             return None, vs.Command.rest(basis, "a marker is out of sight")
-        s, s_goal = seen.xy.ravel(), goal.xy.ravel()
+        s, s_goal = observation.xy.ravel(), goal.xy.ravel()
         J = vs.features.Point().interaction(goal.xy, goal.depth) @ basis if memory is None else memory.J
         if memory is not None:
-            dx = memory.u * (seen.t - memory.t)
+            dx = memory.u * (observation.t - memory.t)
             if dx @ dx > 1e-12:  # at rest there is nothing to learn
                 J = J + self.update * np.outer(s - memory.s - J @ dx, dx) / (dx @ dx)
         u = -self.gain * np.linalg.lstsq(J, s - s_goal, rcond=None)[0]
         command = self.limits.command(u, basis)
-        return Memory(seen.t, J, s, command.u), command
+        return Memory(observation.t, J, s, command.u), command

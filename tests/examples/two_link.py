@@ -1,9 +1,10 @@
-"""A planar arm of two links as a robot: two joints, a basis that depends on the configuration."""
+"""A planar arm of two links as a robot plugin: two joints, a basis that depends on the configuration; its body is in two_link.xml."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Literal
+from pathlib import Path
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -30,6 +31,12 @@ class TwoLink(RobotBase):
 
     kind: Literal["two_link"] = "two_link"
     start: TwoLinkStart = TwoLinkStart()
+    actuators: ClassVar[tuple[str, ...]] = ("shoulder", "elbow")
+
+    @property
+    def model(self) -> str:
+        """The file beside this one; bundled robots have theirs in models/."""
+        return str(Path(__file__).with_suffix(".xml"))
 
     @property
     def joints(self) -> tuple[str, ...]:

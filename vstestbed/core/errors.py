@@ -8,7 +8,7 @@
     └── EnvironmentLackError   this machine lacks OpenGL, a codec, disk space                exit 4
 
 Each class takes data and composes its own message, which includes a remedy.
-The end of a *run* (target lost, joint limit, ...) is no exception: see `scenario.stop.Outcome`.
+The end of a *run* (target lost, joint limit, ...) is no exception: see `core.outcome.Outcome`.
 """
 
 from __future__ import annotations

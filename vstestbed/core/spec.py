@@ -52,8 +52,7 @@ def _with_our_errors(cls: Any) -> None:
     checked_init = cls.__init__
 
     def init(self: Any, **values: Any) -> None:
-        if _GROWN:
-            rebuild_specs()
+        if refresh_specs():
             type(self).__init__(self, **values)
             return
         try:
@@ -68,6 +67,14 @@ def _with_our_errors(cls: Any) -> None:
             raise ParameterError(field, first["msg"], first["input"]) from None
 
     cls.__init__ = init
+
+
+def refresh_specs() -> bool:
+    """Rebuild the validators where a room has grown since the last time; whether that was so."""
+    if not _GROWN:
+        return False
+    rebuild_specs()
+    return True
 
 
 def rebuild_specs() -> None:

@@ -55,7 +55,7 @@ class Layout:
 
     Measurements and truth (act_, q_, ctrl_, ...) are those of the exposure at t. The command cmd_ was computed from that picture and
     is in force from t_cmd on, when it reaches the robot. applied_ is the twist after the robot's joint limits
-    and singularity damping; scale is the ratio of applied_ to the law's unsaturated command.
+    and singularity damping; scale is the product of the law's own scale factor and the robot's.
     For a camera without an image plane, theta and phi [rad] are the measured ray's angles from the axis and about it.
     The robot's and the task's own columns follow (`Robot.log`, `Task.monitor`).
     """

@@ -104,7 +104,7 @@ class FrameController:
     def _frame(self, shot: Exposed, now: Arrival, seen: Observation, goal: Goal, command: Command, allocation: Allocation) -> Frame:
         """The frame, with the robot's and the task's own columns."""
         error = ImageError.of(seen, goal, command.rest_reason)
-        image = shot.picture.image if shot.picture and shot.picture.whole else None
+        image = shot.picture.image if shot.picture else None
         timing = FrameTiming(shot.number, shot.t, now.t_cmd)
         frame = Frame(timing, seen, goal, error, command, allocation, shot.truth, image, _NO_ROW)
         values = self.monitor.measure(frame)
@@ -153,7 +153,7 @@ class FrameController:
         if command.null_space is not None:
             twist = twist + robot.secondary_task(command.null_space, reading, mount)
         allocation = robot.allocate(twist, reading, mount, self.scenario.camera.period)
-        # Before the supervisor: the law's memory of what it commanded, within limits.
+        # The command within limits, before the supervisor: a law with feedforward predicts by it (`OwnMotion.ordered`).
         self.last_twist = allocation.twist
         setpoint = self.supervisor.filter(t, command.rest_reason, reading, allocation.setpoint)
         return allocation if setpoint is allocation.setpoint else replace(allocation, setpoint=setpoint)

@@ -14,8 +14,8 @@ from vstestbed.tasks.stop import Stop
 class Judge:
     """Decides by truth, measurements and commands; nothing of it comes back to the law.
 
-    Precedence of several outcomes in one frame: a task aborted by the supervisor, a task that is reached, the safety monitors in
-    their order, a task that is missed.
+    Precedence of several outcomes in one frame: a task aborted by the supervisor (unless the robot touches something), a task
+    that is reached, the safety monitors in their order, a task that is missed.
 
     Args:
         task: the task's monitor, which has already measured the frame. stop: time limits.
@@ -29,17 +29,18 @@ class Judge:
 
     def verdict(self, frame: Frame) -> Verdict | None:
         """The outcome after this frame with its reason, or None to go on."""
-        # Each sees every frame, whoever decides: they keep times, and a task that was left while it had been given up was left.
+        # All monitors see every frame, whichever decides: they measure durations, and a tolerance that was violated while the task
+        # was aborted stays violated when the supervisor resumes it.
         reached, missed = self._task.reached(frame), self._task.missed(frame)
         found = [monitor.update(frame) for monitor in self._monitors]
         if self._supervisor.aborted and not self._collision.touches(frame):
-            return self._after_abort(frame.t)
+            return self._after_abort(frame.t, self._supervisor.aborted)
         return reached or next(filter(None, found), None) or missed
 
-    def _after_abort(self, t: float) -> Verdict | None:
+    def _after_abort(self, t: float, aborted: Verdict) -> Verdict | None:
         """The abort's verdict, once the robot is down or the duration is over."""
         down = self._supervisor.down(t)
-        if self._supervisor.aborted is None or not (down or t >= self._duration_s - 1e-9):
+        if not (down or t >= self._duration_s - 1e-9):
             return None
-        outcome, reason = self._supervisor.aborted
+        outcome, reason = aborted
         return outcome, f"{reason}; the craft {'set down' if down else 'was still on its way down when the time ran out'}"

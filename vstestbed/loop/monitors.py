@@ -16,6 +16,8 @@ FAR_M = 200.0
 """Distance from the target beyond which the camera has diverged [m]."""
 BLOCKED_S = 1.0
 """How long a limit must block the robot before the run ends [s]."""
+NONE_SEEN = "no marker was in sight"
+"""Why a target is lost to a law that gives no reason of its own."""
 BLOCKED_SCALE = 0.02
 """A command scaled to less than this is blocked by the limit."""
 
@@ -87,7 +89,7 @@ class TargetLost:
         if self._timer.lasting(True, frame.t) < self._patience:
             return None
         never = "" if self._seen_once else ", from the start on"
-        return Outcome.target_lost, f"{frame.command.rest_reason or Outcome.target_lost.value} for {self._patience:g} s{never}"
+        return Outcome.target_lost, f"{frame.command.rest_reason or NONE_SEEN} for {self._patience:g} s{never}"
 
 
 class LimitReached:

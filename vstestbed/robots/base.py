@@ -50,7 +50,7 @@ class Robot(Protocol):
 
     @property
     def model(self) -> str | None:
-        """Name of its MJCF file in models/, None for the ideal camera."""
+        """Its MJCF file: a name in models/, or a whole path. None for the ideal camera, which has no joints."""
         ...
 
     @property
@@ -75,12 +75,12 @@ class Robot(Protocol):
 
     @property
     def top_speed_mps(self) -> float:
-        """Straight ahead [m/s]."""
+        """Largest forward speed [m/s]; infinite where it has none of its own."""
         ...
 
     @property
     def slips(self) -> bool:
-        """Whether the floor's friction matters to it."""
+        """Whether it may be given a floor of another friction (`world.floor_friction`)."""
         ...
 
     def configuration(self) -> Array:
@@ -190,7 +190,7 @@ class RobotBase:
 
     @property
     def turning_radius_m(self) -> float:
-        """It turns on the spot [m]."""
+        """0: it is not limited [m]."""
         return 0.0
 
     @property
@@ -200,7 +200,7 @@ class RobotBase:
 
     @property
     def slips(self) -> bool:
-        """The floor's friction does not matter, or is that of contacts."""
+        """Yes, for whatever of it touches the floor."""
         return True
 
     def start_joints(self) -> Array:

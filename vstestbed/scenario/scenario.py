@@ -62,7 +62,7 @@ class Scenario:
     """One experiment: robot, camera, target, detector, law, goal, nuisances, end. `name` is its file's name by default.
 
     `derotation`: how image features of a tilted craft are rotated into its level frame; `level_trim_s`: time constant with which the
-    picture corrects the IMU's roll and pitch for it [s] (0: not at all; `vision.derotate.trimmed`).
+    picture corrects the IMU's roll and pitch for it [s] (0: not at all; `vision.pose.derotate.trimmed`).
 
     Raises (from the constructor): ParameterError where two parts contradict each other.
     """

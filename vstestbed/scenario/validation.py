@@ -11,7 +11,7 @@ import pydantic
 
 from vstestbed.camera import CAMERAS
 from vstestbed.core.errors import Mistake, ParameterError, ScenarioError, nearest
-from vstestbed.core.spec import OneOf, to_mapping
+from vstestbed.core.spec import OneOf, refresh_specs, to_mapping
 from vstestbed.features import FEATURES
 from vstestbed.features.depth import DEPTHS
 from vstestbed.laws import LAWS
@@ -55,6 +55,7 @@ def build(cls: type[T], plain: dict[str, Any], marks: Marks, file: str) -> T:
     Raises:
         ScenarioError: all mistakes at once, each with its position in the file.
     """
+    refresh_specs()  # kinds may have been registered since the last scenario was built
     try:
         made = pydantic.TypeAdapter(cls).validate_python(plain)
         found = list(_coerced(plain, to_mapping(made), ()))

@@ -28,7 +28,6 @@ Log = Mapping[str, Array]
 """The columns of a log by name, shape (frames,) each."""
 
 
-# eq=False: compared by identity, since the comparison of its arrays has no single truth value.
 class Reference(NamedTuple):
     """State of the reference: the goal views in turn, and the number of the current one."""
 
@@ -161,13 +160,14 @@ class TaskBase:
 
     @property
     def view_fields(self) -> tuple[str, ...]:
-        """The scenario's field of each goal view, for error messages."""
-        return ("goal.T_camera_target",)
+        """The scenario's field of each goal view, for error messages; `goal` where there is none."""
+        return ()
 
     def check_views(self, setup: Setup, views: tuple[Goal, ...]) -> None:
         """Every goal view must show its markers, and a flying robot must be level there."""
         poses = self.goal_poses(setup.target, setup.camera.mount.T)
-        for field, pose, view in zip(self.view_fields, poses, views, strict=True):
+        fields = self.view_fields or ("goal",) * len(poses)
+        for field, pose, view in zip(fields, poses, views, strict=True):
             check_visible(setup.camera, setup.target, setup.law, setup.detector, field, pose, view.counted)
             check_level(setup.robot, setup.camera, setup.target, pose, field)
 
@@ -191,7 +191,6 @@ class TaskBase:
 
     def monitor(self, setup: Setup, supervisor: Supervisor) -> TaskMonitor:
         """Reached when `stop.converged` holds."""
-        # Imported here: `reached` imports the monitors, which import this module.
         return GoalMonitor(setup, len(self.goal_poses(setup.target, setup.camera.mount.T)), supervisor)
 
     def metrics(self, log: Log) -> dict[str, float | None]:

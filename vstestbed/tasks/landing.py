@@ -121,19 +121,13 @@ class LandingMonitor(GoalMonitor):
         self.touchdown.update(frame.t, frame.T_world_base(self.mount_inverse), frame.truth.T_world_target, frame.truth.feet)
         return ()
 
-    def near(self, frame: Frame) -> bool:
-        """Never: an image error does not decide a landing."""
-        return False
-
     def reached(self, frame: Frame) -> Verdict | None:
-        """The verdict on the first contact, once the craft has set down."""
-        # The base class keeps its timers; its own verdict never comes, since `near` is always False.
-        super().reached(frame)
+        """The verdict on the first contact, once the craft has set down; an error in the image does not decide a landing."""
         return self.touchdown.verdict if self.supervisor.down(frame.t) else None
 
 
 class Touchdown:
-    """True place and speed of the first contact with the pad.
+    """True place and speed of the first contact of a foot, which should be with the pad.
 
     Attributes:
         offset_m: horizontal distance from the pad's centre at the first contact [m]; speed_mps: relative to the pad in the frame before

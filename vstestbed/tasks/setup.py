@@ -14,6 +14,7 @@ from vstestbed.tasks.stop import Stop
 from vstestbed.vision import Detector
 
 
+# eq=False: compared by identity, since the comparison of its arrays has no single truth value.
 @dataclass(frozen=True, eq=False)
 class Setup:
     """The parts of an experiment that a task uses.

@@ -30,6 +30,11 @@ class GoalTrack(Continuing):
         """The pose, whatever the mount."""
         return (self.T_camera_target.T,)
 
+    @property
+    def view_fields(self) -> tuple[str, ...]:
+        """The pose."""
+        return ("goal.T_camera_target",)
+
     def error_m(self, setup: Setup, T_world_base: Array, T_world_target: Array, t: float) -> float:
         """Distance of the camera from its goal pose."""
         T_camera = T_world_base @ setup.camera.mount.T

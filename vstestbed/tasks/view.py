@@ -38,6 +38,11 @@ class GoalView(TaskBase):
         """The pose, whatever the mount."""
         return (self.T_camera_target.T,)
 
+    @property
+    def view_fields(self) -> tuple[str, ...]:
+        """The pose."""
+        return ("goal.T_camera_target",)
+
     def goal_views(self, setup: Setup) -> tuple[Goal, ...]:
         """The view with the markers that count."""
         views = super().goal_views(setup)
