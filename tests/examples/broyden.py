@@ -14,7 +14,7 @@ import vstestbed as vs
 
 
 class Memory(NamedTuple):
-    """The last frame: time [s], Jacobian (2N, n) of the features, features (2N,), velocities ordered (n,)."""
+    """The last frame: time [s], Jacobian (2N, n) of the features, features (2N,), velocities commanded (n,)."""
 
     t: float
     J: vs.Array

@@ -80,7 +80,7 @@ class TwoLink(RobotBase):
         """Camera twists of the two joints, shape (6, 2): u is the joints' speeds."""
         return mount.to_camera @ self.jacobian(q)
 
-    def measured_twist(self, before: Reading, now: Reading, duration: float, ordered: Array, mount: Mount) -> Array:
+    def measured_twist(self, before: Reading, now: Reading, duration: float, commanded: Array, mount: Mount) -> Array:
         """Mean camera twist (6,)."""
         return self.motion_basis(mount, (before.q + now.q) / 2) @ (now.q - before.q) / duration if duration > 0 else np.zeros(6)
 

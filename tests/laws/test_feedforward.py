@@ -87,7 +87,7 @@ def test_looking_ahead_adds_the_targets_way_and_the_cameras():
     trend = followed(KalmanCA(), 0.1 * DT * np.arange(100))
     motion = OwnMotion(np.zeros(6), DT, np.array([0.01, 0, 0, 0, 0, 0]), 0.05, np.array([0.2, 0, 0, 0, 0, 0]))
     ahead, rate = look_ahead(KalmanCA(predict_s=0.08), trend, B, motion)
-    assert ahead[0] == pytest.approx(0.1 * 0.08 + 0.01 + 0.2 * 0.03, rel=1e-6)  # moved until now, ordered from there on
+    assert ahead[0] == pytest.approx(0.1 * 0.08 + 0.01 + 0.2 * 0.03, rel=1e-6)  # moved until now, commanded from there on
     assert rate[0] == pytest.approx(0.1, rel=1e-6)
 
 

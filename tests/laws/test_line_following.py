@@ -41,12 +41,12 @@ def drive(law, plane, lines, goal, start, seconds, steering_radps=2.0):
     for k in range(round(seconds / DT)):
         off.append(lines.route.beside(place))
         memory, command = law.step(memory, observe(lines, goal, place, k * DT), goal, basis)
-        ordered = motion = plane[[0, 1, 5]] @ command.u
+        commanded = motion = plane[[0, 1, 5]] @ command.u
         for _ in range(SUB):
             if plane is CAR:
-                wanted = np.clip(np.arctan(ordered[2] / ordered[0]), -1, 1)
+                wanted = np.clip(np.arctan(commanded[2] / commanded[0]), -1, 1)
                 steering += np.clip(wanted - steering, -steering_radps * DT / SUB, steering_radps * DT / SUB)
-                motion = np.array([ordered[0], 0, ordered[0] * np.tan(steering)])
+                motion = np.array([commanded[0], 0, commanded[0] * np.tan(steering)])
             place = moved(place, motion, DT / SUB)
     return np.array(off)
 

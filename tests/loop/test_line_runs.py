@@ -46,7 +46,7 @@ def test_over_the_line_but_not_along_it_is_no_success():
     stuck = run("car_line", detector="oracle", world__floor_friction=0.004, robot__start=start, stop__duration_s=5)
     assert np.abs(stuck["task_error_m"]).max() < 0.05
     assert stuck.outcome is Outcome.timed_out
-    assert "the vehicle, along its line, made 0.0" in stuck.reason and "0.8 m/s were ordered" in stuck.reason
+    assert "the vehicle, along its line, made 0.0" in stuck.reason and "0.8 m/s were commanded" in stuck.reason
 
 
 def test_against_the_routes_direction_it_is_the_same_line():

@@ -66,10 +66,10 @@ class TestArm:
         assert np.all(np.abs(depth - 1) > 1e-9)
 
     def test_what_is_ordered_is_made(self, arrived: vs.Recording):
-        ordered, made = (columns(arrived, *(f"{kind}_{n}" for n in TWIST)) for kind in ("cmd", "act"))
-        # Servos rise in 40 ms, one frame: what was ordered a frame before, once the first rush is over (1 s).
-        lag = np.linalg.norm(made[26:] - ordered[25:-1], axis=1) / np.linalg.norm(ordered[25:-1], axis=1)
-        moving = np.linalg.norm(ordered[25:-1], axis=1) > 0.02
+        commanded, made = (columns(arrived, *(f"{kind}_{n}" for n in TWIST)) for kind in ("cmd", "act"))
+        # Servos rise in 40 ms, one frame: what was commanded a frame before, once the first rush is over (1 s).
+        lag = np.linalg.norm(made[26:] - commanded[25:-1], axis=1) / np.linalg.norm(commanded[25:-1], axis=1)
+        moving = np.linalg.norm(commanded[25:-1], axis=1) > 0.02
         assert np.median(lag[moving]) < 0.1
 
     def test_clock(self, arrived: vs.Recording):

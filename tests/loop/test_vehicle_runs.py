@@ -162,7 +162,7 @@ class TestPursuit:
         stuck = run("car_pursuit", detector="oracle", **settings)
         assert np.abs(stuck["task_error_m"]).max() < 0.25
         assert stuck.outcome is Outcome.timed_out
-        assert "the vehicle ahead made 0.0" in stuck.reason and "0.5 m/s were ordered" in stuck.reason
+        assert "the vehicle ahead made 0.0" in stuck.reason and "0.5 m/s were commanded" in stuck.reason
 
     def test_a_target_that_stands_by_scenario_may_be_waited_at(self):
         still = {"target__motion": "still", "target__pose__xyz": [3, 0, 0.6]}

@@ -283,7 +283,7 @@ class TestOdometry:
         assert np.linalg.norm(told - true) > 1.0  # it spins and slides straight on
 
     def test_a_wrong_radius_scales_it(self, rubber):
-        """2 % too large: wheels turn 2 % slower, odometry says what was ordered."""
+        """2 % too large: wheels turn 2 % slower, odometry says what was commanded."""
         driver = Driver(rubber, Car(wheel_radius_error=0.02))
         driver.drive(2.0, 1.0, 0.0)
         before, start = driver.reading, driver.place

@@ -315,7 +315,7 @@ class TestSlip:
     @pytest.mark.parametrize(("motion", "axis", "share"), [((0.9, 0.0, 0.0), 0, (1.0, 1.3)), ((0.0, 0.8, 0.0), 1, (0.7, 1.0))])
     def test_on_ice_the_wheels_spin_and_the_encoders_do_not_know(self, motion, axis, share):
         true, told = self.dash(ICE, motion)
-        assert told[axis] == pytest.approx(0.96 * motion[axis], rel=0.01)  # 40 ms late, as ordered
+        assert told[axis] == pytest.approx(0.96 * motion[axis], rel=0.01)  # 40 ms late, as commanded
         # A spinning wheel's rollers take all friction along their axles, of which cos 45 degrees is forward or sideways. What spins
         # rollers up, and their bearings, take a part f = .15 to .18 of it across: with the other half forward, against it sideways.
         ideal = ICE * G / np.sqrt(2) * 0.96**2 / 2

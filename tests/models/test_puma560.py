@@ -54,7 +54,7 @@ def at(model: mujoco.MjModel, q: np.ndarray) -> mujoco.MjData:
 
 
 def speeds_after_step(model: mujoco.MjModel, joint: int, speed: float, duration: float = 0.8) -> np.ndarray:
-    """Speed of one joint, as a part of the ordered one, at each step from Q0 at rest."""
+    """Speed of one joint, as a part of the commanded one, at each step from Q0 at rest."""
     data = at(model, Q0)
     data.ctrl[joint] = speed
     out = np.empty(round(duration / model.opt.timestep))

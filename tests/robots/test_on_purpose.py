@@ -41,7 +41,7 @@ def test_the_right_outcome_and_no_joint_too_fast(name, outcome):
 def test_from_an_aligned_wrist_no_joint_jumps():
     r = vs.run(vs.load("arm_wrist", {"detector": UNLIMITED, "robot.actuation": "ideal", "stop.duration_s": 2}))
     assert abs(r["q_joint_5"][0]) < 1e-9
-    # The damping bounds what is ordered near it: |dq| <= |twist| / threshold; without, the first order would be infinite.
+    # The damping bounds what is commanded near it: |dq| <= |twist| / threshold; without, the first order would be infinite.
     assert (np.abs(joints(r, "ctrl")) / SPEED_LIMITS).max() < 0.6
 
 

@@ -51,8 +51,8 @@ def test_before_it_has_settled_it_may_be_anywhere():
 def test_within_the_band_and_too_slow_or_backwards_it_is_not(speed):
     (outcome, reason), _ = ended(speed, lambda t: 0.05)
     assert outcome is Outcome.timed_out
-    ordered = CAR.law.cruise_mps
-    assert f"the vehicle, along its line, made {speed:.2f} m/s in the 2 s before 4 s; {ordered:g} m/s were ordered" in reason
+    commanded = CAR.law.cruise_mps
+    assert f"the vehicle, along its line, made {speed:.2f} m/s in the 2 s before 4 s; {commanded:g} m/s were commanded" in reason
 
 
 def test_the_reason_is_what_came_first():

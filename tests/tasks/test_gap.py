@@ -25,7 +25,7 @@ def test_only_a_vehicle_that_is_told_to_drive_has_a_least_speed():
     scenario = vs.load("car_pursuit")
     speeds = scenario.goal.least_speeds(scenario.setup)
     assert [s.who for s in speeds] == ["the vehicle ahead", "the vehicle that follows"]
-    assert [(s.ordered_mps, s.least_mps) for s in speeds] == [(0.5, 0.4), (0.5, 0.25)]
+    assert [(s.commanded_mps, s.least_mps) for s in speeds] == [(0.5, 0.4), (0.5, 0.25)]
     assert isinstance(scenario.goal.odometer(scenario.setup), LeaderAndFollower)
     still = vs.load("car_pursuit", STILL)
     assert still.goal.least_speeds(still.setup) == () and still.goal.odometer(still.setup) is None

@@ -68,7 +68,7 @@ def test_its_error_is_the_offset_to_the_left_minus_the_one_asked_for(radius, err
 def test_the_vehicle_must_make_most_of_the_speed_that_the_law_orders():
     s = vs.load("car_line", {"law.cruise_mps": 0.6})
     (speed,) = s.goal.least_speeds(s.setup)
-    assert (speed.who, speed.ordered_mps, speed.least_mps) == ("the vehicle, along its line,", 0.6, pytest.approx(0.48))
+    assert (speed.who, speed.commanded_mps, speed.least_mps) == ("the vehicle, along its line,", 0.6, pytest.approx(0.48))
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ import pytest
 
 from vstestbed.tasks.speed_monitor import MinSpeed, SpeedMonitor
 
-CRUISE = MinSpeed("the vehicle", ordered_mps=0.8, least_mps=0.64)
+CRUISE = MinSpeed("the vehicle", commanded_mps=0.8, least_mps=0.64)
 
 
 def watched(speed, until_s=10.0, from_s=4.0, dt=0.04):
@@ -32,7 +32,7 @@ def test_a_steady_drive_is_fine_and_so_is_a_start_from_standstill():
 def test_who_is_slow_is_told_when_and_how_much(speed, when, made):
     t, reason = watched(speed)
     assert t == pytest.approx(when, abs=0.05)
-    assert made in reason and "0.8 m/s were ordered" in reason
+    assert made in reason and "0.8 m/s were commanded" in reason
 
 
 def test_what_happens_before_the_time_to_settle_does_not_count():

@@ -23,19 +23,19 @@ class Relative:
 
 @dataclass(frozen=True, slots=True)
 class OwnMotion:
-    """The camera's own motion, by what the robot measures of itself (joints) and what it ordered.
+    """The camera's own motion, as measured by the robot (joints) and as commanded.
 
     Attributes:
         twist: mean twist (6,) since the last picture, and since_s for how long that was [s]; 0 at the first.
-        moved: way (6,) since the exposure until now, [m, rad]; age_s: how long ago the exposure was [s].
-        ordered: the twist (6,) that was ordered last.
+        moved: displacement (6,) from the exposure until now [m, rad]; age_s: how long ago the exposure was [s].
+        commanded: the last commanded twist (6,).
     """
 
     twist: Array
     since_s: float
     moved: Array
     age_s: float
-    ordered: Array
+    commanded: Array
 
 
 @dataclass(frozen=True, slots=True)

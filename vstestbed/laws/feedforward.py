@@ -219,5 +219,5 @@ def look_ahead(kind: Estimator, trend: Trend, basis: Array, motion: OwnMotion) -
     p, age = kind.predict_s, motion.age_s
     shift, rate = trend.ahead(p)
     own = motion.moved * min(p / age, 1.0) if age > 0 else motion.moved  # a horizon before now takes its share of the way
-    own = own + motion.ordered * max(p - age, 0.0)
+    own = own + motion.commanded * max(p - age, 0.0)
     return shift + least_squares(basis, own), rate

@@ -31,7 +31,7 @@ class Arrival:
 
     t: float
     t_cmd: float
-    way: Array
+    displacement: Array
 
 
 def _observer(scenario: Scenario) -> Observer:
@@ -124,7 +124,7 @@ class FrameController:
     def _own_motion(self, last: Exposed, shot: Exposed, now: Arrival, twist: Array) -> OwnMotion:
         """The camera's motion since the last picture, and since this one's exposure, by the robot's own sensors."""
         # Integrated commands stand in for a robot without sensors of its motion.
-        moved, age, reading = now.way - shot.way, now.t - shot.t, self.plant.reading()
+        moved, age, reading = now.displacement - shot.displacement, now.t - shot.t, self.plant.reading()
         if age > 0:
             moved = self.scenario.robot.measured_twist(shot.reading, reading, age, moved / age, self._mount_at(reading.q)) * age
         return OwnMotion(twist, shot.t - last.t, moved, age, self.last_twist)
@@ -136,10 +136,10 @@ class FrameController:
         view = TruthView(shot.truth.p_camera, shot.truth.hidden) if s.detector.needs_truth else None
         detected = self.detector.detect(self.detector_memory, shot.picture, view, self.seen_through, s.target, self.rng)
         self.detector_memory, detection = detected
-        twist, own = shot.ordered, None
+        twist, own = shot.commanded, None
         if self.observer.uses_motion(detection):
             mount = self._mount_at(shot.reading.q)
-            twist = s.robot.measured_twist(last.reading, shot.reading, shot.t - last.t, shot.ordered, mount)
+            twist = s.robot.measured_twist(last.reading, shot.reading, shot.t - last.t, shot.commanded, mount)
         if "motion" in s.law.inputs:
             own = self._own_motion(last, shot, now, twist)
         heading, tilt = shot.reading.heading, shot.reading.tilt
@@ -153,7 +153,7 @@ class FrameController:
         if command.null_space is not None:
             twist = twist + robot.secondary_task(command.null_space, reading, mount)
         allocation = robot.allocate(twist, reading, mount, self.scenario.camera.period)
-        # The command within limits, before the supervisor: a law with feedforward predicts by it (`OwnMotion.ordered`).
+        # The command within limits, before the supervisor: a law with feedforward predicts by it (`OwnMotion.commanded`).
         self.last_twist = allocation.twist
         setpoint = self.supervisor.filter(t, command.rest_reason, reading, allocation.setpoint)
         return allocation if setpoint is allocation.setpoint else replace(allocation, setpoint=setpoint)

@@ -35,7 +35,7 @@ def _until_the_end(scenario: Scenario, plant: Plant, note: Callable[[Frame], Non
     while True:
         camera.act(step, controller.look)
         for shot in camera.line.pop_due(step):
-            arrival = Arrival(step * plant.step_s, (step + commands.delay_steps) * plant.step_s, camera.way)
+            arrival = Arrival(step * plant.step_s, (step + commands.delay_steps) * plant.step_s, camera.displacement)
             frame = controller.arrive(shot, arrival)
             commands.push(step, frame.allocation)
             note(frame)
@@ -53,7 +53,7 @@ def _until_the_end(scenario: Scenario, plant: Plant, note: Callable[[Frame], Non
             return Outcome.crashed, f"{Outcome.crashed.value} at {step * plant.step_s:.3f} s"
         spent["physics"] += time.perf_counter() - start
         step += ahead
-        camera.way = camera.way + twist * (ahead * plant.step_s)
+        camera.displacement = camera.displacement + twist * (ahead * plant.step_s)
 
 
 def run(scenario: Scenario, watch: Iterable[Watcher] = ()) -> Recording:

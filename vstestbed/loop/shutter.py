@@ -21,8 +21,8 @@ class Exposed:
 
     Attributes:
         number: counts frames. picture: None where no detector asks for one. t: time of exposure [s].
-        truth, reading: truth and sensor reading at that time. ordered: mean commanded twist (6,) since the last exposure.
-        way: integral of all commands until then, (6,) [m, rad].
+        truth, reading: truth and sensor reading at that time. commanded: mean of the twists commanded since the last exposure (6,).
+        displacement: integral of all commands until then, (6,) [m, rad].
     """
 
     number: int
@@ -30,15 +30,15 @@ class Exposed:
     t: float
     truth: Truth
     reading: Reading
-    ordered: Array
-    way: Array
+    commanded: Array
+    displacement: Array
 
 
 class CameraClock:
     """The camera on the clock: takes the pictures that its shutter plans, and sends them with their latency.
 
     Attributes:
-        line: pictures in transit. way: integral of all commands so far, (6,) [m, rad]; the loop adds to it.
+        line: pictures in transit. displacement: integral of all commands so far, (6,) [m, rad]; the loop adds to it.
     """
 
     def __init__(self, scenario: Scenario, plant: Plant):
@@ -46,7 +46,7 @@ class CameraClock:
         rng = scenario.rng(TIMING_STREAM)
         self.shutter = Shutter(scenario.timing, scenario.camera, plant.step_s, plant.steps_per_frame, rng)
         self.line: DelayLine[Exposed] = DelayLine()
-        self.way, self._way_before, self._step_before = np.zeros(6), np.zeros(6), 0
+        self.displacement, self._displacement_before, self._step_before = np.zeros(6), np.zeros(6), 0
         self._plan()
 
     def _plan(self) -> None:
@@ -82,9 +82,9 @@ class CameraClock:
 
     def _shot(self, step: int, truth: Truth) -> Exposed:
         """Truth and reading at an exposure, still without the picture."""
-        ordered = (self.way - self._way_before) / (max(1, step - self._step_before) * self.plant.step_s)
-        self._way_before, self._step_before = self.way, step
-        return Exposed(self.planned.frame, None, step * self.plant.step_s, truth, self.plant.reading(), ordered, self.way)
+        commanded = (self.displacement - self._displacement_before) / (max(1, step - self._step_before) * self.plant.step_s)
+        self._displacement_before, self._step_before = self.displacement, step
+        return Exposed(self.planned.frame, None, step * self.plant.step_s, truth, self.plant.reading(), commanded, self.displacement)
 
     def _send(self, planned: Planned, picture: Picture | None, shot: Exposed) -> None:
         self.line.push(planned.arrives, replace(shot, picture=picture))

@@ -119,8 +119,8 @@ class Robot(Protocol):
         """Its sensor reading: true joints and MuJoCo's perfect sensors, by name, with noise and bias added."""
         ...
 
-    def measured_twist(self, before: Reading, now: Reading, duration: float, ordered: Array, mount: Mount) -> Array:
-        """Mean camera twist (6,) between two readings; the commanded one, `ordered`, where the robot cannot measure it."""
+    def measured_twist(self, before: Reading, now: Reading, duration: float, commanded: Array, mount: Mount) -> Array:
+        """Mean camera twist (6,) between two readings; the commanded one, `commanded`, where the robot cannot measure it."""
         ...
 
     def allocate(self, twist: Array, reading: Reading, mount: Mount, period: float) -> Allocation:

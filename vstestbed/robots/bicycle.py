@@ -127,9 +127,9 @@ def drive(
     place[0] = start
     now_v, now_steering = v[0], steering[0]
     for k in range(steps):
-        ordered = within_limits(*law(place[k]), now_steering, wheelbase, limits)
-        now_v = toward(now_v, ordered[0], limits.acceleration_mps2 * period)
-        now_steering = toward(now_steering, ordered[1], limits.steering_rate_radps * period)
+        commanded = within_limits(*law(place[k]), now_steering, wheelbase, limits)
+        now_v = toward(now_v, commanded[0], limits.acceleration_mps2 * period)
+        now_steering = toward(now_steering, commanded[1], limits.steering_rate_radps * period)
         v[k], steering[k] = now_v, now_steering
         place[k + 1] = rolled(place[k], now_v, now_steering, wheelbase, period)
     v[-1], steering[-1] = now_v, now_steering

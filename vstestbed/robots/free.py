@@ -73,9 +73,9 @@ class Free(RobotBase):
         """All six degrees of freedom."""
         return np.eye(6)
 
-    def measured_twist(self, before: Reading, now: Reading, duration: float, ordered: Array, mount: Mount) -> Array:
+    def measured_twist(self, before: Reading, now: Reading, duration: float, commanded: Array, mount: Mount) -> Array:
         """The commanded twist, which it follows exactly."""
-        return ordered
+        return commanded
 
     def allocate(self, twist: Array, reading: Reading, mount: Mount, period: float) -> Allocation:
         """The twist of the flange that gives the camera this twist; no limits."""

@@ -128,7 +128,7 @@ class Omni(Vehicle):
             return belief * motion_between(before.q, now.q, duration)
         return belief * (W_INVERSE @ (now.q - before.q)) / duration
 
-    def measured_twist(self, before: Reading, now: Reading, duration: float, ordered: Array, mount: Mount) -> Array:
+    def measured_twist(self, before: Reading, now: Reading, duration: float, commanded: Array, mount: Mount) -> Array:
         """Mean camera twist (6,) between two readings, from the encoders alone; zero where no time has passed."""
         return mount.to_camera @ PLANE @ self.odometry(before, now, duration)
 

@@ -242,7 +242,7 @@ class Puma560(RobotBase):
         """All six degrees of freedom, also near singularities: `allocate` damps there."""
         return np.eye(6)
 
-    def measured_twist(self, before: Reading, now: Reading, duration: float, ordered: Array, mount: Mount) -> Array:
+    def measured_twist(self, before: Reading, now: Reading, duration: float, commanded: Array, mount: Mount) -> Array:
         """Mean camera twist (6,) between two readings: J at the mean joint angles times dq / duration."""
         if duration <= 0:
             return np.zeros(6)

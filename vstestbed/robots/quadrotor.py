@@ -211,7 +211,7 @@ class Quadrotor(RobotBase):
         sigma = np.repeat([imu.gyro_sigma_radps, imu.accel_sigma_mps2, flow, self.range_sigma_m], [3, 3, 3, 1])
         return sigma, np.array([*imu.gyro_bias_radps, *imu.accel_bias_mps2, 0.0, 0.0, 0.0, 0.0])
 
-    def measured_twist(self, before: Reading, now: Reading, duration: float, ordered: Array, mount: Mount) -> Array:
+    def measured_twist(self, before: Reading, now: Reading, duration: float, commanded: Array, mount: Mount) -> Array:
         """Mean camera twist (6,) between two readings: the mean of velocity and body rates at both, through the mount."""
         assert isinstance(before, FlightReading) and isinstance(now, FlightReading)
         return mount.to_camera @ (0.5 * (before.body_twist + now.body_twist))

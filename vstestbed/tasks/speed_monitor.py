@@ -16,10 +16,10 @@ FOLLOWS = 0.5
 
 @dataclass(frozen=True, slots=True)
 class MinSpeed:
-    """A minimum speed: `who`, in words, must reach `least_mps` where `ordered_mps` are commanded [m/s]."""
+    """A minimum speed: `who`, in words, must reach `least_mps` where `commanded_mps` are commanded [m/s]."""
 
     who: str
-    ordered_mps: float
+    commanded_mps: float
     least_mps: float
 
 
@@ -52,6 +52,6 @@ class SpeedMonitor:
         for speed, now, then in zip(self._speeds, travelled, before, strict=True):
             mean = (now - then) / (t - began)
             if not mean >= speed.least_mps:  # `not >=`: a mean of NaN is a violation, too
-                ordered = f"{speed.ordered_mps:g} m/s were ordered, {speed.least_mps:.2g} are the least that counts"
-                self.slow = t, f"{speed.who} made {mean:.2f} m/s in the {t - began:.2g} s before {t:.3g} s; {ordered}"
+                commanded = f"{speed.commanded_mps:g} m/s were commanded, {speed.least_mps:.2g} are the least that counts"
+                self.slow = t, f"{speed.who} made {mean:.2f} m/s in the {t - began:.2g} s before {t:.3g} s; {commanded}"
                 return

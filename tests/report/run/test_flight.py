@@ -32,10 +32,10 @@ def lines(axes) -> list[np.ndarray]:
 def test_velocity_follows_what_is_ordered(tracks: Tracks):
     figure = flight.velocity(tracks)
     assert figure is not None and len(figure.axes) == 3
-    flown, ordered = max((lines(axes) for axes in figure.axes[:2]), key=lambda pair: np.abs(pair[1]).max())
-    assert np.abs(ordered).max() > 1.0 and abs(flown[0]) < 0.1  # a step from rest
-    assert abs(flown[12]) < 0.7 * abs(ordered[12])  # .5 s later it is on its way
-    assert flown[-1] == pytest.approx(ordered[-1], rel=0.25)
+    flown, commanded = max((lines(axes) for axes in figure.axes[:2]), key=lambda pair: np.abs(pair[1]).max())
+    assert np.abs(commanded).max() > 1.0 and abs(flown[0]) < 0.1  # a step from rest
+    assert abs(flown[12]) < 0.7 * abs(commanded[12])  # .5 s later it is on its way
+    assert flown[-1] == pytest.approx(commanded[-1], rel=0.25)
 
 
 def test_attitude_follows_what_the_velocity_loop_asks(tracks: Tracks, step: Recording):

@@ -198,20 +198,20 @@ def _unit(here: Sequence[Cell]) -> str:
 
 def _draw_panel(axes: Axes, here: Sequence[Cell], laws: Sequence[str], metric: Metric) -> None:
     """One metric of one task: a curve over the amounts; where they are bare numbers, random starts, a strip of points per law."""
-    ordered = bool(_unit(here))
+    commanded = bool(_unit(here))
     for cell in here:
         i = laws.index(cell.law)
         colour, dash = LINE_COLORS[i % len(LINE_COLORS)], DASHES[i // len(LINE_COLORS)]
         value, good = cell.controller.values(metric), cell.controller.success
         amount = np.array([float(a.partition(" ")[0]) for a in cell.amounts])
-        if ordered:
+        if commanded:
             axes.plot(amount, np.where(good, value, np.nan), dash, marker=".", markersize=4, color=colour, label=cell.law)
             _crosses(axes, amount[~good], i, len(laws))
         else:
             place = i + 0.6 * (amount / max(amount.max(), 1.0) - 0.5)  # strips of width 0.6, one unit apart
             axes.plot(place[good], value[good], ".", markersize=3, color=colour, label=cell.law)
             _crosses(axes, place[~good], i, len(laws))
-    if not ordered:
+    if not commanded:
         axes.set_xticks([])
 
 

@@ -129,7 +129,7 @@ class Lines:
         for k, strip in enumerate(strips):
             floor = _from_above(picture, strip)
             colour, hue = chroma(floor), np.asarray(cv2.cvtColor(floor, cv2.COLOR_RGB2HSV)[..., 0], np.uint8)
-            # Points are ordered line by line, each at all look-ahead distances: every len(strips)-th is in this strip.
+            # Points are commanded line by line, each at all look-ahead distances: every len(strips)-th is in this strip.
             for i in range(k, n, len(strips)):
                 mask = self._mask(colour, hue, hues[i], n // len(strips))
                 lefts[i] = self._cross(strip, colour, mask, target.marker.width_m, last[i])
