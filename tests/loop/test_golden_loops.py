@@ -98,7 +98,7 @@ def name(row: dict[str, str]) -> str:
 
 
 TOLD = [row for row in ROWS if not decided_by_rounding(row)]
-"""The batched loop holds all of them (tests/experiments/basin/test_batch.py); of the time loop every fourth is quick enough to be run each time."""
+"""The batched loop holds all of them (tests/experiments/basin); of the time loop every fourth is quick enough to be run each time."""
 
 
 @pytest.mark.parametrize("row", [pytest.param(row, id=name(row), marks=[pytest.mark.study] if i % 4 else []) for i, row in enumerate(TOLD)])
