@@ -35,7 +35,7 @@ def asked(tree: ast.AST, names: set[str], kinds: set[str]) -> Iterator[ast.AST]:
     """Nodes that ask of what kind something is: isinstance, a class pattern, a comparison of `.kind` with one of the words."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in ("isinstance", "issubclass"):
-            if names & {n.id for n in ast.walk(node.args[1]) if isinstance(n, ast.Name)}:
+            if names & {getattr(n, "id", getattr(n, "attr", "")) for n in ast.walk(node.args[1])}:
                 yield node
         elif isinstance(node, ast.MatchClass) and isinstance(node.cls, ast.Name) and node.cls.id in names:
             yield node

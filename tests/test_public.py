@@ -13,7 +13,10 @@ import pytest
 import vstestbed as vs
 from vstestbed.core.errors import ParameterError
 
-NAMES = {"Outcome", "Recording", "Scenario", "features", "load", "run", "run_into"}
+NAMES = {"Outcome", "Recording", "Scenario", "features", "load", "run", "run_into"} | {
+    *("Law", "LawBase", "Command", "Observation", "Goal", "Robot", "Allocation", "Feature", "Detector", "spec", "errors", "testing"),
+}
+"""To run experiments, and to extend what there is."""
 
 
 def test_the_public_names_are_these_and_all_of_them_are_there() -> None:
@@ -21,6 +24,7 @@ def test_the_public_names_are_these_and_all_of_them_are_there() -> None:
     assert set(dir(vs)) == set(vs.__all__)
     for name in vs.__all__:
         assert getattr(vs, name) is not None
+    assert (Path(vs.__file__).parent / "py.typed").exists()
 
 
 def test_an_unknown_name_is_refused_with_the_list() -> None:

@@ -8,7 +8,8 @@ import pytest
 
 import vstestbed as vs
 import vstestbed.testing as suites
-from tests.examples.wrong import Crooked, Displaced, Shifted, Stateful
+from tests.examples.wrong import Crooked, Displaced, Ghost, Numb, Shifted, Silent, Stateful, Wild
+from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose
 from vstestbed.laws import LAWS
 from vstestbed.robots import ROBOTS, Free
@@ -103,3 +104,21 @@ class TestTheSuitesFindWhatIsWrong:
 
 def test_tags_see_only_tags():
     assert Tags.markers == ("tag",)
+
+
+class TestWhatASuiteAsksForIsSaid:
+    def test_an_arm_whose_measured_twist_is_not_its_own(self):
+        with pytest.raises(AssertionError, match="measured_twist differs"):
+            suites.check_robot(Numb())
+
+    def test_a_law_whose_step_returns_no_command(self, own_kinds):
+        with pytest.raises(ParameterError, match=r"silent: step must return \(memory, Command\), got NoneType"):
+            vs.run(replace(quick("view"), law=LAWS.add(Silent)()))
+
+    def test_a_law_whose_twist_is_not_finite(self, own_kinds):
+        with pytest.raises(ParameterError, match="wild: the twist of a Command must be six finite numbers"):
+            vs.run(replace(quick("view"), law=LAWS.add(Wild)()))
+
+    def test_an_arm_without_a_body(self, own_kinds):
+        with pytest.raises(ParameterError, match="ghost has joints and no body; let its `model` name an MJCF file"):
+            replace(quick("view"), robot=ROBOTS.add(Ghost)())

@@ -7,8 +7,9 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
+from tests.examples.two_link import TwoLink
 from vstestbed.core.spec import spec
-from vstestbed.laws import IBVS
+from vstestbed.laws import IBVS, Command, LawBase
 from vstestbed.robots import Omni
 from vstestbed.targets import Square
 from vstestbed.vision import Blobs
@@ -63,3 +64,43 @@ class Displaced(Square):
     def seen_from(self, T_target_camera: Any) -> Any:
         """Off."""
         return super().seen_from(T_target_camera) + 1e-3
+
+
+@spec
+class Numb(TwoLink):
+    """It measures no motion."""
+
+    kind: Literal["numb"] = "numb"
+
+    def measured_twist(self, *given: Any) -> Any:
+        """Always at rest."""
+        return np.zeros(6)
+
+
+@spec
+class Ghost(TwoLink):
+    """Joints without a body."""
+
+    kind: Literal["ghost"] = "ghost"
+    model: ClassVar[None] = None
+
+
+@spec
+class Silent(LawBase):
+    """It forgets to return."""
+
+    kind: Literal["silent"] = "silent"
+
+    def step(self, memory: Any, observation: Any, goal: Any, basis: Any) -> Any:
+        """Nothing."""
+
+
+@spec
+class Wild(LawBase):
+    """It divides by zero."""
+
+    kind: Literal["wild"] = "wild"
+
+    def step(self, memory: Any, observation: Any, goal: Any, basis: Any) -> Any:
+        """NaN."""
+        return memory, Command(np.full(6, np.nan), np.full(6, np.nan))

@@ -82,7 +82,7 @@ def test_raw_stops_inside_its_dead_band(seed: int | None, capsys: pytest.Capture
     told = np.abs(ctrl.mean(axis=0))
     rows.append("      told / dead band: " + " ".join(f"{x:.2f}" for x in told / dead))
     assert np.all(told <= 1.05 * dead) and told.max() > 0
-    # So it stands still: under 1 % of an commanded speed gets through MuJoCo's friction (a stiff damper), as much again in swings.
+    # So it stands still: under 1 % of a commanded speed gets through MuJoCo's friction (a stiff damper), as much again in swings.
     assert np.all(np.ptp(q, axis=0) < 0.02 * told)
     # What is left, from those orders: dq = J^-1 gain x at rest x away from the goal, hence x = J dq / gain.
     x = jacobian(q[-1]) @ ctrl.mean(axis=0) / scenario.law.gain.at(np.zeros(1))

@@ -1,4 +1,4 @@
-"""What a law may see (Observation) and what it is asked to see (Goal)."""
+"""Inputs of a law: the Observation of one frame, and the Goal."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Observation:
         T_camera_target: estimated pose (4, 4), or None where it is not estimated.
         ray, range: unit rays (N, 3) to the markers and distances (N,) [m] along them, for laws that ask for them.
         relative: this view against the goal's, for laws that ask for it.
-        odometry: a ground vehicle's way since the start by its encoders alone, (x, y, heading) [m, rad] from where it stood.
+        odometry: a ground vehicle's dead reckoning by its encoders alone, (x, y, heading) [m, rad] from its start.
         place: a ground vehicle's (x, y, heading) [m, rad] in the world, from its landmarks, compass and encoders; None
             where it is not known yet, or the target is no landmark.
         motion: the camera's own motion, for laws that ask for it.
@@ -104,7 +104,7 @@ class Goal:
         uv: markers in the picture (N, 2) [px]; `xy` (N, 2) the same, normalised. depth (N,), range (N,) [m], ray (N, 3).
         T_camera_target: pose at the goal (4, 4). camera: the calibrated lens, with its mount `T_base_camera`.
         plane: of the markers in the camera's frame [m].
-        place: (x, y, heading) where a vehicle is to stand [m, m, rad]. gap_m: what it is to keep from the target [m].
+        place: (x, y, heading) where a vehicle is to stand [m, m, rad]. gap_m: distance to keep from the target [m].
         twist: of the camera of a view that moves (6,) [m/s, rad/s], in its own frame.
         counted: which markers count, (N,) bool; None: all. view: number of the view, among several in turn.
     """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import dataclass, replace
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from vstestbed.camera import Look
+from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, inverse
 from vstestbed.features.observation import Goal, Observation, OwnMotion
 from vstestbed.laws import Command, Law
@@ -48,6 +50,20 @@ def _observer(scenario: Scenario) -> Observer:
         trim_s=scenario.level_trim_s,
         depth_scale=scenario.depth_scale,
     )
+
+
+def _checked(law: Law[Any], stepped: Any) -> tuple[Any, Command]:
+    """What `step` returned, if it is a memory and a command.
+
+    Raises:
+        ParameterError: it is something else, or the twist is no six finite numbers: no outcome of a run would be true then.
+    """
+    if not (isinstance(stepped, tuple) and len(stepped) == 2 and isinstance(stepped[1], Command)):
+        raise ParameterError("law.kind", f"{law.kind}: step must return (memory, Command), got {type(stepped).__name__}")
+    twist = stepped[1].twist
+    if np.shape(twist) != (6,) or not math.isfinite(twist.sum()):
+        raise ParameterError("law.kind", f"{law.kind}: the twist of a Command must be six finite numbers, got {twist}")
+    return stepped
 
 
 class FrameController:
@@ -90,7 +106,8 @@ class FrameController:
         # The robot as it is now, not as it was at the exposure: the command acts from here on.
         reading = self.plant.reading()
         mount = self._mount_at(reading.q)
-        self.law_memory, command = self.law.step(self.law_memory, seen, goal, s.robot.motion_basis(mount, reading.q))
+        stepped = self.law.step(self.law_memory, seen, goal, s.robot.motion_basis(mount, reading.q))
+        self.law_memory, command = _checked(self.law, stepped)
         allocation = self._allocate(shot.t, command, mount)
         self.spent["detect"] += detected - began
         self.spent["law"] += time.perf_counter() - detected

@@ -112,7 +112,10 @@ class Robot(Protocol):
         ...
 
     def motion_basis(self, mount: Mount, q: Array) -> Array:
-        """Camera twists that the robot can make with its joints at q (len(joints),), shape (6, n): twist = basis @ u."""
+        """Camera twists that the robot can make with its joints at q (len(joints),), shape (6, n): twist = basis @ u.
+
+        The columns are independent: n is at most six, also for an arm of seven joints, whose `allocate` resolves the redundancy.
+        """
         ...
 
     def measured(self, q: Array, qd: Array, sensors: Mapping[str, Array], rng: np.random.Generator) -> Reading:

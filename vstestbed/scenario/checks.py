@@ -27,6 +27,9 @@ def check_robot(robot: Robot, target: Target, world: World, derotation: str, lev
     Raises:
         ParameterError: it names the field, and what would work.
     """
+    if robot.model is None and robot.joints:
+        words = f"{robot.kind} has joints and no body; let its `model` name an MJCF file"
+        raise ParameterError("robot.kind", words)
     if robot.base != "floating":
         _check_without_flight(robot, world, derotation)
     if level_trim_s and (derotation == "none" or target.moves):

@@ -36,8 +36,9 @@ def check_detector(detector: Detector[Any], scenario: Scenario | None = None, wi
     Raises:
         AssertionError: it says what was expected and what was found.
     """
-    name, changes = SCENES[detector.markers[0] if detector.markers else "disc"]
-    s = replace(scenario or load(name, changes), detector=detector)
+    marker = detector.markers[0] if detector.markers else "disc"
+    assert scenario or marker in SCENES, f"{detector.kind}: give a scenario whose start shows markers of kind {marker}"
+    s = replace(scenario or load(*SCENES[marker]), detector=detector)
     plant, _ = build_plant(
         s.robot, s.camera, s.target, s.world, s.physics, needs_image=detector.needs_image, needs_truth=detector.needs_truth
     )

@@ -15,6 +15,7 @@ from vstestbed.laws.base import LAW_CONTRACT
 from vstestbed.loop.run import run
 from vstestbed.robots import Mount
 from vstestbed.scenario.scenario import Scenario
+from vstestbed.sim.timing import Timing
 from vstestbed.targets import Points
 from vstestbed.tasks.frame import Frame
 from vstestbed.testing.scenarios import QUICK, quick
@@ -42,7 +43,9 @@ def check_law(law: Law[Any], scenario: Scenario | None = None) -> None:
         AssertionError: it says what was expected and what was found.
     """
     LAW_CONTRACT.check(type(law))
-    loop = replace(scenario or quick(law.tasks[0]), law=law)
+    loop = scenario or quick(law.tasks[0])
+    # without latency the motions are those at the exposure, which the replay needs
+    loop = replace(loop, law=law, camera=replace(loop.camera, latency_s=0.0), timing=Timing())
     frames = _Frames()
     recording = run(loop, watch=[frames])
     assert recording.outcome.success, f"{law.kind} must reach its goal in {loop.name}: {recording.outcome.name}, {recording.reason}"

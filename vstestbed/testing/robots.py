@@ -34,6 +34,8 @@ def check_robot(robot: Robot, T_flange_camera: Array | None = None, seed: int = 
     _check_start(robot, rng)
     _check_motions(robot, mount)
     _check_allocation(robot, mount, rng)
+    if len(robot.joints) == robot.configuration().size:
+        _check_joints(robot, mount, rng)
 
 
 def _general_mount() -> Array:
@@ -65,8 +67,10 @@ def _check_motions(robot: Robot, mount: Mount) -> None:
     basis = robot.motion_basis(mount, q)
     assert basis.shape[0] == 6, f"{robot.kind}: motion_basis must have shape (6, n), got {basis.shape}"
     rank = np.linalg.matrix_rank(basis)
-    assert rank == basis.shape[1], f"{robot.kind}: motion_basis must have independent columns, {basis.shape[1]} have rank {rank}"
-    possible = mount.to_camera @ _twists(robot)
+    assert rank == basis.shape[1], (
+        f"{robot.kind}: motion_basis must have independent columns, {basis.shape[1]} have rank {rank}; six of a redundant arm are np.eye(6)"
+    )
+    possible = mount.to_camera @ _twists(robot, robot.configuration())
     outside = basis - possible @ np.linalg.lstsq(possible, basis, rcond=1e-9)[0]
     worst = float(np.abs(outside).max())
     assert worst < 1e-4, f"{robot.kind}: motion_basis has a motion that its flange_pose does not make (by {worst:.2g})"
@@ -75,9 +79,8 @@ def _check_motions(robot: Robot, mount: Mount) -> None:
         assert rank >= reach, f"{robot.kind}: its joints make {reach} independent twists, motion_basis has {rank}"
 
 
-def _twists(robot: Robot) -> Array:
+def _twists(robot: Robot, q: Array) -> Array:
     """Flange twists (6, m), (v, w) in the flange's frame, of each coordinate of the configuration, by central differences."""
-    q = robot.configuration()
     if q.size == 16:  # a flat pose: what moves anywhere
         return np.eye(6)
     T, columns = robot.flange_pose(q), []
@@ -88,6 +91,25 @@ def _twists(robot: Robot) -> Array:
         v = T[:3, :3].T @ (after[:3, 3] - before[:3, 3])
         columns.append(np.concatenate([v, T[:3, :3].T @ before[:3, :3] @ turn]) / (2 * STEP))
     return np.array(columns).T
+
+
+def _check_joints(robot: Robot, mount: Mount, rng: np.random.Generator) -> None:
+    """Of an arm, whose configuration is its joint angles: away from the start too, twists measured and made are those of its joints."""
+    for _ in range(5):
+        q = robot.configuration() + rng.uniform(-0.2, 0.2, len(robot.joints))
+        J = mount.to_camera @ _twists(robot, q)
+        dq, dt = rng.normal(0, 0.1, len(q)), 1e-4
+        before, now = (Reading(q + sign * dq * dt / 2, dq) for sign in (-1, 1))
+        measured = robot.measured_twist(before, now, dt, np.zeros(6), mount)
+        error = float(np.abs(measured - J @ dq).max())
+        assert error < 1e-4, f"{robot.kind}: measured_twist differs by {error:.2g} from what its joints do by flange_pose"
+        basis = robot.motion_basis(mount, q)
+        outside = float(np.abs(J - basis @ np.linalg.lstsq(basis, J, rcond=1e-9)[0]).max())
+        assert outside < 1e-4, f"{robot.kind}: at another configuration its joints make a twist (by {outside:.2g}) that motion_basis lacks"
+        made = robot.allocate(J @ dq, Reading(q, np.zeros_like(q)), mount, 0.04)
+        if made.setpoint.shape == q.shape:
+            error = float(np.abs(made.twist - J @ made.setpoint).max())
+            assert error < 1e-4, f"{robot.kind}: allocate says a twist that its setpoint does not make (by {error:.2g})"
 
 
 def _check_allocation(robot: Robot, mount: Mount, rng: np.random.Generator) -> None:

@@ -27,6 +27,9 @@ def check_target(target: Target) -> None:
     assert np.isfinite(points).all(), "points must be finite"
     assert len(places) in (0, len(points)), f"places must be all {len(points)} points or none, got {len(places)}"
     assert len(target.hues_deg) == len(points), f"each of {len(points)} markers needs a hue, got {len(target.hues_deg)}"
+    if len(places) > 1:  # a kind may forget to refuse markers that overlap
+        gaps = np.linalg.norm(places[:, None] - places[None], axis=-1) + np.eye(len(places)) * 1e9
+        target.marker.check_spacing(float(gaps.min()), len(places))
     T_target_camera = inverse(Pose(xyz=(0.1, -0.2, 2.0), rpy_deg=(5, -10, 20)).T)
     if len(places):
         error = np.abs(target.seen_from(T_target_camera) - transform(inverse(T_target_camera), points)).max()

@@ -44,6 +44,8 @@ def _check_ends(scenario: Scenario) -> None:
     own = [name for name in scenario.own_columns if name not in whole.columns]
     assert not own, f"{task.kind}: its log lacks the columns {', '.join(own)}"
     if task.continuing:
+        assert "task_error_m" in whole.columns, f"{task.kind}: a continuing task must log its error as task_error_m [m]"
+        assert task.tolerance_m is not None, f"{task.kind}: a continuing task must have a tolerance_m"
         settled = whole["t"] >= task.settle_s
         worst = float(np.abs(whole["task_error_m"][settled]).max())
-        assert worst <= (task.tolerance_m or 0.0), f"{task.kind}: completed with an error of {worst:.3g} m, over its tolerance"
+        assert worst <= task.tolerance_m, f"{task.kind}: completed with an error of {worst:.3g} m, over its tolerance"

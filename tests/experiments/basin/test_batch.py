@@ -179,7 +179,7 @@ def test_what_a_batch_cannot_fly_is_refused_with_what_it_can():
     omni = next(name for name in bundled_scenarios() if name.startswith("omni"))
     with pytest.raises(ParameterError, match=r"robot.kind moves its camera in 3 directions.*use free or puma560"):
         ideal(vs.load(omni))
-    with pytest.raises(ParameterError, match=r"`batch.ideal` makes it so"):
+    with pytest.raises(ParameterError, match=r"`basin.setup.ideal` makes it so"):
         fly(replace(scenario(IBVS()), noise=Noise(pixel_sigma_px=0.1)), start)
 
 

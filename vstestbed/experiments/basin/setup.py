@@ -84,7 +84,7 @@ class BatchSetup:
 
     def _check_task(self) -> None:
         s = self.scenario
-        if len(s.goal_views) > 1 or s.target.moves:
+        if len(s.goal_views) > 1 or s.target.moves or s.goal.continuing or s.goal.lands:
             raise ParameterError("goal", "must be one view of a target that stands still, in a batch")
         if s.stop.converged.error_px is None or s.stop.converged.by_estimate:
             raise ParameterError("stop.converged", "must be judged by error_px alone in a batch")
@@ -95,7 +95,9 @@ class BatchSetup:
         if not (s.calibration.camera_exact and s.calibration.depth_exact):
             raise ParameterError("calibration", "must be exact in a batch, whose poses and depths are true")
         if not (s.robot.model is None and isinstance(s.detector, Oracle)) or s.camera.latency_s or noisy or s.world.plates:
-            words = "must have a free camera, detector oracle, no latency, no noise and no plates for a batch; `batch.ideal` makes it so"
+            words = (
+                "must have a free camera, detector oracle, no latency, no noise and no plates for a batch; `basin.setup.ideal` makes it so"
+            )
             raise ParameterError("scenario", words)
 
     @cached_property

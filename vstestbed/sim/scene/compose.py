@@ -163,8 +163,10 @@ def _add_camera(body: mujoco.MjsBody, T_body_camera: Array, camera: Camera, hous
         _visual(body, name, kind, [x * housing for x in size], [grey, grey, grey, 1], LENS_GROUP, centre, quat_cv)
 
 
-def _add_post(body: mujoco.MjsBody, deck: mujoco.MjsGeom, T_body_camera: Array) -> None:
+def _add_post(body: mujoco.MjsBody, deck: mujoco.MjsGeom | None, T_body_camera: Array) -> None:
     """The post of a vehicle's camera, from the nearest point of the deck; in LENS_GROUP, which the camera does not render."""
+    if deck is None:  # a vehicle of one's own need not have one
+        return
     middle, half = np.asarray(deck.pos, dtype=float), np.asarray(deck.size, dtype=float)
     head = T_body_camera[:3, 3] - HOUSING_M * T_body_camera[:3, 2]
     foot = np.clip(head, middle - half, middle + half)
