@@ -1,0 +1,60 @@
+"""The fence, for every bundled scenario: whatever judge and log are told to be true, the same is seen, asked for and commanded."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import vstestbed as vs
+from vstestbed.core.assets import bundled_scenarios
+from vstestbed.core.geometry import exp
+from vstestbed.core.outcome import Outcome
+from vstestbed.loop.controller import FrameController
+from vstestbed.loop.judge import Judge
+from vstestbed.sim.base import Truth
+
+DURATION_S = 1.2
+
+
+def corrupted(truth: Truth, rng: np.random.Generator) -> Truth:
+    """The same with garbage in every field: poses moved at random, flags turned, numbers drawn anew."""
+    garbage: dict[str, object] = {}
+    for field in dataclasses.fields(truth):
+        value = getattr(truth, field.name)
+        if field.name.startswith("T_world"):
+            garbage[field.name] = value @ exp(rng.normal(size=6))
+        elif isinstance(value, np.ndarray):
+            garbage[field.name] = ~value if value.dtype == bool else rng.normal(size=value.shape)
+        else:
+            garbage[field.name] = not value
+    return dataclasses.replace(truth, **garbage)
+
+
+class Commands:
+    """Keeps what a frame gave to the robot, and what the law was given."""
+
+    def __init__(self) -> None:
+        self.kept: list[tuple[np.ndarray, ...]] = []
+
+    def frame(self, frame: vs.Frame) -> None:
+        o = frame.observation
+        self.kept.append((frame.command.u.copy(), frame.allocation.setpoint.copy(), o.uv.copy(), o.depth.copy(), frame.goal.uv.copy()))
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("name", bundled_scenarios())
+def test_a_corrupted_truth_changes_no_command(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    honest, lied_to, rng = Commands(), Commands(), np.random.default_rng(0)
+    make, scenario = FrameController._frame, vs.load(name, {"detector": {"kind": "oracle"}})
+    # a judge that believes the lies would end the run at once: here the clock does
+    monkeypatch.setattr(Judge, "verdict", lambda judge, frame: (Outcome.timed_out, "") if frame.t >= DURATION_S else None)
+    vs.run(scenario, watch=[honest])
+    monkeypatch.setattr(
+        FrameController, "_frame", lambda self, shot, *rest: make(self, dataclasses.replace(shot, truth=corrupted(shot.truth, rng)), *rest)
+    )
+    vs.run(scenario, watch=[lied_to])
+    assert len(honest.kept) == len(lied_to.kept) > 5
+    for told, lied in zip(honest.kept, lied_to.kept, strict=True):
+        assert all(np.array_equal(a, b, equal_nan=True) for a, b in zip(told, lied, strict=True))
