@@ -15,7 +15,7 @@ from vstestbed.core.geometry import Array, inverse
 from vstestbed.features.observation import Goal, Observation, OwnMotion
 from vstestbed.laws import Command, Law
 from vstestbed.loop.shutter import Exposed
-from vstestbed.robots import Allocation, Mount
+from vstestbed.robots import Allocation, Mount, Reading
 from vstestbed.robots.robot_log import RobotState
 from vstestbed.scenario.scenario import NOISE_STREAM, Scenario
 from vstestbed.sim.base import Plant
@@ -108,7 +108,7 @@ class FrameController:
         mount = self._mount_at(reading.q)
         stepped = self.law.step(self.law_memory, seen, goal, s.robot.motion_basis(mount, reading.q))
         self.law_memory, command = _checked(self.law, stepped)
-        allocation = self._allocate(shot.t, command, mount)
+        allocation = self._allocate(shot.t, command, reading, mount)
         self.spent["detect"] += detected - began
         self.spent["law"] += time.perf_counter() - detected
         frame = self._frame(shot, now, seen, goal, command, allocation)
@@ -164,9 +164,9 @@ class FrameController:
         self.observer_memory, seen = observed
         return seen
 
-    def _allocate(self, t: float, command: Command, mount: Mount) -> Allocation:
+    def _allocate(self, t: float, command: Command, reading: Reading, mount: Mount) -> Allocation:
         """The setpoint for a command, within the robot's limits, unless its supervisor overrides it."""
-        robot, reading, twist = self.scenario.robot, self.plant.reading(), command.twist
+        robot, twist = self.scenario.robot, command.twist
         if command.null_space is not None:
             twist = twist + robot.secondary_task(command.null_space, reading, mount)
         allocation = robot.allocate(twist, reading, mount, self.scenario.camera.period)
