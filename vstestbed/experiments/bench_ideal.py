@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import statistics
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 
@@ -120,20 +120,18 @@ def _starts(runs: int) -> Array:
 
 
 def _one_run(scenario: Scenario) -> tuple[int, float]:
+    """Steps of a single run, and its steps a second."""
     recording = run(scenario)
     steps = len(recording.table) - 1  # no motion follows the last frame
     return steps, steps / recording.loop_s
 
 
 def _batch(scenario: Scenario, start: Array) -> tuple[int, float]:
+    """Steps of all runs of a batch together, and its run-steps a second."""
     stop = Stop(duration_s=BATCH_STEPS * scenario.camera.period, converged=scenario.stop.converged)
-    return _timed(lambda: fly(replace(scenario, stop=stop), start).run_steps)
-
-
-def _timed(work: Callable[[], int]) -> tuple[int, float]:
     began = time.perf_counter()
-    done = work()
-    return done, time.perf_counter() - began
+    run_steps = fly(replace(scenario, stop=stop), start).run_steps
+    return run_steps, run_steps / (time.perf_counter() - began)
 
 
 @contextmanager

@@ -36,6 +36,7 @@ FIGURES = (
     "tracking_max_px",
     "tracking_rms_m",
     "tracking_max_m",
+    "judged_error",
 )
 """The names of a run's figures."""
 SATURATED = 0.999
@@ -53,6 +54,9 @@ def summarise(scenario: Scenario, outcome: Outcome, log: Columns) -> dict[str, o
         the image error e and its start e0, 0 where they never did.
     min_border_margin_px: smallest distance of a true marker image to the picture's border, negative outside.
     worst_task_error_m: largest true error of a continuing task after its settling time; only for such tasks.
+    judged_error, judged_unit, judged_limit, judged_by: the error that decides the task at the end of the run (of a continuing task the
+        largest one once settled, of a landing the one at the first contact), its unit, its limit, and who measured it: `pixels`
+        (the detector), `level pixels` (after derotation, of a craft that tilts), `estimate` (the robot's own) or `truth`.
     saturated_fraction: share of frames in which the law's limits, the robot's limits or its damping near a
         singularity reduced the command.
     tracking_*: for a moving target (in the gripper, only in continuing tasks), the true error once settled
@@ -74,6 +78,7 @@ def summarise(scenario: Scenario, outcome: Outcome, log: Columns) -> dict[str, o
         "peak_speed_mps": _peak(log, ("vx", "vy", "vz")),
         "peak_rate_radps": _peak(log, ("wx", "wy", "wz")),
         **scenario.goal.metrics(log),
+        **scenario.goal.judged(log, scenario.stop).summary(),
         "saturated_fraction": float(np.mean(log["scale"] < SATURATED)) if frames else None,
         **_tracking(scenario, log),
     }

@@ -18,9 +18,11 @@ from vstestbed.robots.base import Base
 from vstestbed.robots.supervisor import Supervisor
 from vstestbed.targets import Target
 from vstestbed.tasks.frame import ImageError
+from vstestbed.tasks.judged import JudgedError, by_convergence
 from vstestbed.tasks.monitor import TaskMonitor
 from vstestbed.tasks.reached import GoalMonitor
 from vstestbed.tasks.setup import Setup
+from vstestbed.tasks.stop import Stop
 from vstestbed.tasks.visible import check_level, check_visible
 from vstestbed.vision.pose.calibration_error import pose_by_depth, shown_goal
 
@@ -100,6 +102,10 @@ class Task(Protocol):
 
     def metrics(self, log: Log) -> dict[str, float | None]:
         """Summary figures of this task alone."""
+        ...
+
+    def judged(self, log: Log, stop: Stop) -> JudgedError:
+        """The error by which the task was judged, from the log of a run."""
         ...
 
     def distance_to_go_m(self, log: Log, goal_poses: tuple[Array, ...]) -> float:
@@ -196,6 +202,10 @@ class TaskBase:
     def metrics(self, log: Log) -> dict[str, float | None]:
         """None."""
         return {}
+
+    def judged(self, log: Log, stop: Stop) -> JudgedError:
+        """The error that `stop.converged` tests."""
+        return by_convergence(log, stop.converged)
 
     def distance_to_go_m(self, log: Log, goal_poses: tuple[Array, ...]) -> float:
         """The first frame's position error."""

@@ -12,9 +12,11 @@ from vstestbed.core.outcome import Outcome, Verdict
 from vstestbed.robots.supervisor import Supervisor
 from vstestbed.tasks.base import Log, TaskBase
 from vstestbed.tasks.frame import Frame
+from vstestbed.tasks.judged import JudgedError, at_worst
 from vstestbed.tasks.monitor import TaskMonitor
 from vstestbed.tasks.setup import Setup
 from vstestbed.tasks.speed_monitor import MinSpeed, SpeedMonitor
+from vstestbed.tasks.stop import Stop
 
 Tolerance = Annotated[float, Gt(0)]
 Settle = Annotated[float, Ge(0)]
@@ -62,8 +64,12 @@ class Continuing(TaskBase):
 
     def metrics(self, log: Log) -> dict[str, float | None]:
         """`worst_task_error_m`: the largest true error after `settle_s` [m]."""
-        settled = np.abs(log["task_error_m"][log["t"] >= self.settle_s])
-        return {"worst_task_error_m": float(settled.max()) if len(settled) else None}
+        worst = at_worst(log, "task_error_m", self.tolerance_m, self.settle_s).value
+        return {"worst_task_error_m": None if np.isnan(worst) else worst}
+
+    def judged(self, log: Log, stop: Stop) -> JudgedError:
+        """The largest true error after `settle_s`."""
+        return at_worst(log, "task_error_m", self.tolerance_m, self.settle_s)
 
 
 class ToleranceMonitor(TaskMonitor):

@@ -16,10 +16,12 @@ from vstestbed.features.observation import Goal, Observation
 from vstestbed.robots.base import Base
 from vstestbed.robots.supervisor import Supervisor
 from vstestbed.targets import Target
-from vstestbed.tasks.base import TaskBase
+from vstestbed.tasks.base import Log, TaskBase
 from vstestbed.tasks.frame import Frame
+from vstestbed.tasks.judged import JudgedError, at_the_end
 from vstestbed.tasks.reached import GoalMonitor
 from vstestbed.tasks.setup import Setup
+from vstestbed.tasks.stop import Stop
 
 DEEPEST = -0.25
 """The reference descends to this share of its initial height, below the pad: the craft is commanded to sink until it stands."""
@@ -108,18 +110,27 @@ class GoalLanding(TaskBase):
         """Monitor of the touch-down."""
         return LandingMonitor(self, setup, supervisor)
 
+    def judged(self, log: Log, stop: Stop) -> JudgedError:
+        """True distance from the pad's centre, at the first contact."""
+        return at_the_end(log, "task_error_m", self.pad_m)
+
 
 class LandingMonitor(GoalMonitor):
-    """Ends when the craft has set down: landed or collided, by the place and speed of the first contact."""
+    """Ends when the craft has set down: landed or collided, by the place and speed of the first contact.
+
+    Column `task_error_m`: true horizontal distance of the craft from the pad's centre, from the first contact on the distance there [m].
+    """
+
+    error_columns = ("task_error_m",)
 
     def __init__(self, goal: GoalLanding, setup: Setup, supervisor: Supervisor):
         super().__init__(setup, 1, supervisor)
         self.touchdown = Touchdown(goal)
 
     def task_error(self, frame: Frame) -> tuple[float, ...]:
-        """No columns; updates the touch-down."""
+        """The distance from the pad's centre; updates the touch-down."""
         self.touchdown.update(frame.t, frame.T_world_base(self.mount_inverse), frame.truth.T_world_target, frame.truth.feet)
-        return ()
+        return (self.touchdown.away_m,)
 
     def reached(self, frame: Frame) -> Verdict | None:
         """The verdict on the first contact, once the craft has set down; an error in the image does not decide a landing."""
@@ -149,6 +160,13 @@ class Touchdown:
         if self._away is not None and t > self._t:
             self._speed = float(np.linalg.norm(away - self._away)) / (t - self._t)
         self._t, self._away = t, away
+
+    @property
+    def away_m(self) -> float:
+        """Horizontal distance from the pad's centre [m]: of the last frame, and once a foot has touched something that of the contact."""
+        if self._away is None or not math.isnan(self.offset_m):
+            return self.offset_m
+        return float(np.hypot(*self._away[:2]))
 
     @property
     def verdict(self) -> Verdict | None:

@@ -1,0 +1,68 @@
+"""The error by which a task is judged: its value at the end of a run, its limit, and who measured it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from vstestbed.core.geometry import Array
+from vstestbed.tasks.stop import Converged
+
+By = Literal["pixels", "level pixels", "estimate", "truth"]
+"""Who measured: the detector, the detector after derotation (a craft that tilts), the robot's own estimate, the simulator."""
+
+
+class JudgedError(NamedTuple):
+    """The error that decides a task.
+
+    Attributes:
+        value: at the end of the run, in `unit`; NaN where it is unknown.
+        unit: px, m or rad. limit: the task is reached under it.
+        by: who measured it.
+    """
+
+    value: float
+    unit: Literal["px", "m", "rad"]
+    limit: float
+    by: By
+
+    def summary(self) -> dict[str, object]:
+        """Its entries in `summary.json`."""
+        value = self.value if math.isfinite(self.value) else None
+        return {"judged_error": value, "judged_unit": self.unit, "judged_limit": self.limit, "judged_by": self.by}
+
+
+def by_convergence(log: Mapping[str, Array], converged: Converged) -> JudgedError:
+    """The error that `stop.converged` tests at the end of a run; of several, the one that is largest compared with its limit."""
+    found: list[JudgedError] = []
+    if converged.error_px is not None:
+        level = "level_error_px" in log
+        found.append(
+            JudgedError(
+                _last(log, "level_error_px" if level else "error_px"), "px", converged.error_px, "level pixels" if level else "pixels"
+            )
+        )
+    if converged.position_m is not None:
+        found.append(JudgedError(_last(log, "est_position_m"), "m", converged.position_m, "estimate"))
+    if converged.rotation_deg is not None:
+        found.append(JudgedError(_last(log, "est_rotation_rad"), "rad", math.radians(converged.rotation_deg), "estimate"))
+    # An unknown error decides before any other: the run cannot have converged with it.
+    return max(found, key=lambda error: math.inf if math.isnan(error.value) else error.value / error.limit)
+
+
+def at_worst(log: Mapping[str, Array], column: str, limit: float, settle_s: float) -> JudgedError:
+    """The largest magnitude of a true error [m] from settle_s [s] on."""
+    settled = np.abs(log[column][log["t"] >= settle_s])
+    return JudgedError(float(settled.max()) if len(settled) else math.nan, "m", limit, "truth")
+
+
+def at_the_end(log: Mapping[str, Array], column: str, limit: float) -> JudgedError:
+    """A true error [m] in the last frame."""
+    return JudgedError(_last(log, column), "m", limit, "truth")
+
+
+def _last(log: Mapping[str, Array], column: str) -> float:
+    return float(log[column][-1]) if len(log["t"]) else math.nan
