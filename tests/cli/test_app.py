@@ -156,8 +156,9 @@ class TestRun:
     def test_the_closing_words(self, command, quick: Path) -> None:
         ended = command("run", "quick.yaml", *NO_FILM)
         assert ended.out == ""
-        head, error, time, results = ended.err.splitlines()
+        head, judged, error, time, results = ended.err.splitlines()
         assert head == "converged: RMS error under 0.2 px for 0.5 s"
+        assert judged.startswith("  judged    by measured pixels: 0.00") and judged.endswith("limit 0.2 px")
         assert error.startswith("  error     0.00")
         assert "simulated in" in time
         assert results == "  results   runs/quick/001 (open report.html)"
@@ -180,7 +181,7 @@ class TestRun:
         ended = command("run", "quick.yaml", *NO_FILM, "--set", "robot.start.nominal.xyz=[3, 0, 0]", "--set", "stop.lost_after_s=0.1")
         assert ended.code == 3
         assert ended.err.startswith("target_lost: ")
-        assert "error     target not in sight, camera 3" in ended.err
+        assert "error     target not in sight; true pose of the camera: 3" in ended.err
 
     def test_a_seed_draws_the_start_and_is_written_down(self, command, quick: Path) -> None:
         starts = []

@@ -43,7 +43,7 @@ def test_a_goal_with_a_marker_out_of_sight_is_not_reached():
 @pytest.mark.parametrize(
     ("given", "outcome", "words"),
     [
-        ({"contact": True}, Outcome.collided, "touched"),
+        ({"contact": "hub and floor"}, Outcome.collided, "contact of hub and floor"),
         ({"T_world_camera": back_from_target(201.0)}, Outcome.diverged, "200 m"),
         ({"T_world_camera": back_from_target(-0.1)}, Outcome.target_lost, "crossed the plane"),
         (
@@ -78,8 +78,8 @@ class TestOrder:
     @pytest.mark.parametrize(
         ("stop", "given", "outcome"),
         [
-            (AT_ONCE, {"rms_px": 0.1, "contact": True, "T_world_camera": back_from_target(201.0)}, Outcome.converged),
-            (AT_ONCE, {"contact": True, "T_world_camera": back_from_target(201.0), "lost": True}, Outcome.collided),
+            (AT_ONCE, {"rms_px": 0.1, "contact": "hub and floor", "T_world_camera": back_from_target(201.0)}, Outcome.converged),
+            (AT_ONCE, {"contact": "hub and floor", "T_world_camera": back_from_target(201.0), "lost": True}, Outcome.collided),
             (AT_ONCE, {"T_world_camera": back_from_target(-201.0), "lost": True}, Outcome.diverged),
             (AT_ONCE, {"T_world_camera": back_from_target(-0.1), "lost": True, "rest_reason": "blind"}, Outcome.target_lost),
             (LAST, {"lost": True, "rest_reason": "blind"}, Outcome.target_lost),
@@ -112,13 +112,13 @@ class TestACraftThatGaveUp:
         assert t == pytest.approx(10.0)
 
     def test_a_touch_ends_it_at_once_with_both_reasons(self):
-        outcome, reason, t = judged(1.0, supervisor=self.craft(), contact=True)
-        assert outcome is Outcome.collided and reason == "the robot touched something, after tilted"
+        outcome, reason, t = judged(1.0, supervisor=self.craft(), contact="hub and floor")
+        assert outcome is Outcome.collided and reason == "contact of hub and floor, after tilted"
         assert t == 0.0
 
     def test_its_feet_may_touch_while_it_sinks_and_not_before(self):
-        assert judged(1.0, supervisor=self.craft(), feet=True)[0] is Outcome.collided
-        assert judged(1.0, supervisor=self.craft(mode=SINKS), feet=True) is None
+        assert judged(1.0, supervisor=self.craft(), feet="left and floor")[0] is Outcome.collided
+        assert judged(1.0, supervisor=self.craft(mode=SINKS), feet="left and floor") is None
 
     def test_a_target_out_of_sight_is_its_supervisors_matter(self):
         """It sets down first; a judge that ended the run would leave it in the air."""

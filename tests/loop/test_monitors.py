@@ -30,18 +30,18 @@ class TestCollision:
     def test_a_touch_is_one(self):
         monitor = Collision(Supervisor())
         assert monitor.update(frame()) is None
-        assert monitor.update(frame(contact=True)) == (Outcome.collided, "the robot touched something")
+        assert monitor.update(frame(contact="forearm and floor")) == (Outcome.collided, "contact of forearm and floor")
 
     @pytest.mark.parametrize(("lands", "collides"), [(True, False), (False, True)])
     def test_feet_may_touch_in_a_landing(self, lands, collides):
         monitor = Collision(Failsafe(lands=lands, lost_after_s=1.0))
-        assert monitor.touches(frame(feet=True)) is collides
-        assert (monitor.update(frame(feet=True)) is not None) is collides
-        assert monitor.touches(frame(feet=True, contact=True))
+        assert monitor.touches(frame(feet="left and floor")) == ("left and floor" if collides else "")
+        assert (monitor.update(frame(feet="left and floor")) is not None) is collides
+        assert monitor.touches(frame(feet="left and floor", contact="hub and floor")) == "hub and floor"
 
     def test_it_says_why_the_task_had_been_given_up(self):
         failsafe = Failsafe(lands=True, lost_after_s=1.0, aborted=(Outcome.overturned, "tilted at 3.0 s"))
-        assert Collision(failsafe).update(frame(contact=True))[1] == "the robot touched something, after tilted at 3.0 s"
+        assert Collision(failsafe).update(frame(contact="forearm and floor"))[1] == "contact of forearm and floor, after tilted at 3.0 s"
 
 
 class TestDivergence:

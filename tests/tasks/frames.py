@@ -49,8 +49,8 @@ def frame(
     limit: Limit = "",
     T_world_camera: Array | None = None,
     T_world_target: Array = I4,
-    contact: bool = False,
-    feet: bool = False,
+    contact: str = "",
+    feet: str = "",
     goal: Goal = GOAL,
     seen: Observation | None = None,
 ) -> Frame:

@@ -83,7 +83,7 @@ class TestMonitor:
         mount, pad = SCENARIO.camera.mount.T, np.eye(4)
         for k in range(frames):
             T_camera = craft(min(k, 20), 0.1, 0.3) @ mount
-            seen = frame(0.04 * k, rms_px=0.0, T_world_camera=T_camera, T_world_target=pad, feet=k >= 20)
+            seen = frame(0.04 * k, rms_px=0.0, T_world_camera=T_camera, T_world_target=pad, feet="left and floor" if k >= 20 else "")
             monitor.measure(seen)
             verdict = monitor.reached(seen)
         return verdict

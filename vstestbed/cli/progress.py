@@ -118,28 +118,31 @@ def summary_text(recording: Recording, folder: Path, filmed: bool) -> str:
     lines = [f"{s['outcome']}: {s['reason']}"]
     if not s["frames"]:
         lines.append("  error     not a single frame was seen")
-    elif s["outcome"] != "landed":  # the reason of a landing says where it touched down
-        lines.append(f"  error     {_error_text(recording)}")
+    else:
+        lines.append(f"  judged    {_judged(s)}")
+        if s["judged_by"] != "truth":  # where the truth decided, the pose at the end is that of no goal
+            lines.append(f"  error     {_error_text(recording)}")
     speed = _number(s, "real_time_factor", "times real time", digits=1) + (" with films and log" if filmed else " with its log")
     lines.append(f"  time      {_number(s, 'sim_time_s', 's')} simulated in {_number(s, 'wall_time_s', 's')}: {speed}")
     lines.append(f"  results   {folder} (open report.html)")
     return "\n".join(lines)
 
 
+def _judged(summary: Mapping[str, Any]) -> str:
+    """The error that decided, who measured it, and its limit."""
+    from vstestbed.tasks.judged import MEASURED_BY
+
+    limit = f"limit {summary['judged_limit']:.3g} {summary['judged_unit']}"
+    error = "unknown at the end" if summary["judged_error"] is None else f"{summary['judged_error']:.4f} {summary['judged_unit']}"
+    return f"by {MEASURED_BY[summary['judged_by']]}: {error}, {limit}"
+
+
 def _error_text(recording: Recording) -> str:
-    """Final errors in the image and of the pose; for a continuing task the largest error after settling."""
+    """Errors at the end: measured in the image, true of the pose."""
     s = recording.summary()
-    if "worst_task_error_m" in s:
-        return (
-            f"{_number(s, 'worst_task_error_m', 'm', digits=4)} off at most once settled"
-            if s["worst_task_error_m"] is not None
-            else "not settled yet"
-        )
     error = _number(s, "final_error_px", "px in the image", digits=3) if s["final_error_px"] is not None else "target not in sight"
-    if "level_error_px" in recording.columns and len(recording["level_error_px"]):
-        error += f" ({recording['level_error_px'][-1]:.3f} turned level)"
     pose = f"{_number(s, 'final_position_error_m', 'mm', 1000)} and {_number(s, 'final_rotation_error_deg', 'deg', digits=3)} from the goal"
-    return f"{error}, {'vehicle' if recording.scenario.robot.base == 'planar' else 'camera'} {pose}"
+    return f"{error}; true pose of the {'vehicle' if recording.scenario.robot.base == 'planar' else 'camera'}: {pose}"
 
 
 def _number(summary: Mapping[str, Any], name: str, unit: str, factor: float = 1.0, digits: int = 2) -> str:

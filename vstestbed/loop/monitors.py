@@ -36,16 +36,17 @@ class Collision:
     def __init__(self, supervisor: Supervisor):
         self._supervisor = supervisor
 
-    def touches(self, frame: Frame) -> bool:
-        """Whether there is such a contact in this frame."""
-        return frame.truth.contact or (frame.truth.feet and not self._supervisor.may_touch)
+    def touches(self, frame: Frame) -> str:
+        """What touches in this frame, as `forearm and floor`; "" where nothing does that may not."""
+        return frame.truth.contact or ("" if self._supervisor.may_touch else frame.truth.feet)
 
     def update(self, frame: Frame) -> Verdict | None:
         """Collided, with the reason of an earlier abort."""
-        if not self.touches(frame):
+        touching = self.touches(frame)
+        if not touching:
             return None
         aborted = self._supervisor.aborted
-        return Outcome.collided, f"the robot touched something{f', after {aborted[1]}' if aborted else ''}"
+        return Outcome.collided, f"contact of {touching}{f', after {aborted[1]}' if aborted else ''}"
 
 
 class Divergence:

@@ -22,7 +22,8 @@ class Truth:
         q, qd, ctrl: joints [rad, rad/s] and actuator controls.
         p_camera: marker centres in the camera frame (N, 3) [m].
         hidden: occluded markers, (N,) bool; all False where no detector needs it.
-        contact: a part of the robot other than its feet touches something. feet: one of its feet does.
+        contact: what a part of the robot other than its feet touches, as `forearm and floor`; "" where nothing does. feet: the same of
+            its feet.
         act: activations of those of its actuators that have one. wind: velocity of the air in the world (3,) [m/s].
     """
 
@@ -34,8 +35,8 @@ class Truth:
     ctrl: Array
     p_camera: Array
     hidden: NDArray
-    contact: bool
-    feet: bool
+    contact: str
+    feet: str
     act: Array
     wind: Array
 

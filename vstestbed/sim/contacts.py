@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from vstestbed.robots import Robot
 
@@ -16,6 +17,7 @@ class RobotContacts:
     """
 
     def __init__(self, model: mujoco.MjModel, robot: Robot):
+        self._model = model
         bodies = [model.body(i).name.startswith("robot/") for i in range(model.nbody)]
         self._feet = np.zeros(model.ngeom, dtype=bool)
         self._feet[[model.geom(f"robot/{name}").id for name in robot.feet]] = True
@@ -23,13 +25,27 @@ class RobotContacts:
         self._floor = model.geom("floor").id
         self._on_wheels = robot.base == "planar"
 
-    def touching(self, data: mujoco.MjData) -> tuple[bool, bool]:
-        """Whether the robot touches something with anything but its feet, and whether a foot touches something."""
+    def touching(self, data: mujoco.MjData) -> tuple[str, str]:
+        """What the robot touches: with anything but its feet, and with its feet; `forearm and floor`, "" where nothing."""
         if not data.ncon:
-            return False, False
+            return "", ""
         pairs = data.contact.geom
-        feet = bool(self._feet[pairs].any())
+        feet = self._first(pairs, self._feet)
         if self._on_wheels:  # wheels and casters always touch the floor; whatever else of a vehicle does goes unnoticed
             pairs = pairs[(pairs != self._floor).all(axis=1)]
         # A pair within the robot counts, too: the arm's own links are paired in its file to end a run at the first touch.
-        return bool(self._body[pairs].any()), feet
+        return self._first(pairs, self._body), feet
+
+    def _first(self, pairs: NDArray[np.int32], own: NDArray[np.bool_]) -> str:
+        """The first pair of geoms (contacts, 2) one of which is among the robot's `own`, that one first; "" if there is none."""
+        touching = own[pairs]
+        found = np.flatnonzero(touching.any(axis=1))
+        if not len(found):
+            return ""
+        pair = pairs[found[0]].tolist()
+        return " and ".join(self._name(geom) for geom in (pair if touching[found[0], 0] else pair[::-1]))
+
+    def _name(self, geom: int) -> str:
+        """Name of a geom, or of the body it belongs to, without the prefix of its part of the scene."""
+        name = self._model.geom(geom).name or self._model.body(self._model.geom_bodyid[geom]).name
+        return name.removeprefix("robot/").strip("/").replace("/", " ").replace("_", " ") or "something without a name"

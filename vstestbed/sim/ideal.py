@@ -79,7 +79,7 @@ class IdealPlant:
             self._stage.place(self._t, self._T_world_target, NONE, T)
             hidden = self._stage.hidden(T, p_camera)
         return Truth(
-            T, self._T_world_target, self._twist, NONE, NONE, NONE, p_camera, hidden, contact=False, feet=False, act=NONE, wind=STILL_AIR
+            T, self._T_world_target, self._twist, NONE, NONE, NONE, p_camera, hidden, contact="", feet="", act=NONE, wind=STILL_AIR
         )
 
     def expose(self, weight: float, look: Look | None = None) -> None:

@@ -12,7 +12,14 @@ from vstestbed.core.geometry import Array
 from vstestbed.tasks.stop import Converged
 
 By = Literal["pixels", "level pixels", "estimate", "truth"]
-"""Who measured: the detector, the detector after derotation (a craft that tilts), the robot's own estimate, the simulator."""
+"""Who measured the error."""
+MEASURED_BY: dict[By, str] = {
+    "pixels": "measured pixels",
+    "level pixels": "measured pixels after derotation",
+    "estimate": "the robot's own estimate",
+    "truth": "the simulator's truth",
+}
+"""The same in words; level pixels are those of a craft that tilts."""
 
 
 class JudgedError(NamedTuple):

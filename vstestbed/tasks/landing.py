@@ -129,7 +129,7 @@ class LandingMonitor(GoalMonitor):
 
     def task_error(self, frame: Frame) -> tuple[float, ...]:
         """The distance from the pad's centre; updates the touch-down."""
-        self.touchdown.update(frame.t, frame.T_world_base(self.mount_inverse), frame.truth.T_world_target, frame.truth.feet)
+        self.touchdown.update(frame.t, frame.T_world_base(self.mount_inverse), frame.truth.T_world_target, bool(frame.truth.feet))
         return (self.touchdown.away_m,)
 
     def reached(self, frame: Frame) -> Verdict | None:

@@ -105,6 +105,10 @@ def summary(**changes: object) -> dict[str, Any]:
         "frames_lost": 10,
         "time_to_converge_s": 8.76,
         "final_error_px": 0.1234,
+        "judged_error": 0.1234,
+        "judged_unit": "px",
+        "judged_limit": 0.2,
+        "judged_by": "pixels",
         "final_position_error_m": 0.000456,
         "final_rotation_error_deg": 0.0789,
         "path_length_m": 1.2345,
@@ -118,7 +122,7 @@ def summary(**changes: object) -> dict[str, Any]:
         "saturated_fraction": 0.125,
         "wall_time_s": 2.5,
         "real_time_factor": 4.0,
-        "time_ms": {"physics": 4.1, "render": 2.3, "detect": 0.9, "law": 0.3, "record": 0.05, "video": 2.4},
+        "time_ms": {"physics": 4.1, "render": 2.3, "detect": 0.9, "law": 0.3, "record": 0.05, "video": 1384.2},
         "versions": {
             "vstestbed": "0.1.0",
             "mujoco": "3.17.0",
@@ -147,7 +151,7 @@ def test_the_page_stands_alone_and_has_it_all(tmp_path: Path) -> None:
     for words in (
         "arm_ibvs",
         "Converged",
-        "RMS error under 0.2 px for 0.5 s.",
+        "RMS error under 0.2 px for 0.5 s. Task error by measured pixels: 0.123 px, limit 0.200 px.",
         "A camera nears a ring of markers.",
         "What the camera sees",
         "threshold 0.2 px",
@@ -157,14 +161,15 @@ def test_the_page_stands_alone_and_has_it_all(tmp_path: Path) -> None:
         assert words in reader.text
     for name, value in (
         ("Time to converge", "8.76 s"),
-        ("Final error", "0.123 px"),
-        ("Position error", "0.456 mm"),
+        ("Measured image error", "0.123 px"),
+        ("True position error", "0.456 mm"),
         ("Frames with a limited command", "12.5 %"),
         ("Peak speed", "0.610 m/s"),
         ("Frames without target", "10"),
         ("Path over straight line", "1.05 ×"),
         ("numpy", "2.4.6"),
-        ("physics", "4.1 ms"),
+        ("physics", "4.10 ms"),
+        ("video", "1384 ms"),
     ):
         assert f"{name} {value}" in reader.text
     assert "data:video/mp4;base64," + base64.b64encode(b"a film").decode() in text
@@ -174,7 +179,7 @@ def test_the_page_stands_alone_and_has_it_all(tmp_path: Path) -> None:
 def test_failure_is_told_and_coloured_as_such() -> None:
     text = render_page(log(), summary(outcome="target_lost", success=False, reason="gone", time_to_converge_s=None), SCENARIO, {})
     assert "outcome good" not in text
-    assert "Target lost Gone. Time to converge –" in checked(text).text
+    assert "Target lost Gone. Task error by measured pixels: 0.123 px, limit 0.200 px. Time to converge –" in checked(text).text
 
 
 def test_text_is_escaped() -> None:

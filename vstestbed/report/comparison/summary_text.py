@@ -8,7 +8,7 @@ from html import escape
 from vstestbed.report.comparison.columns import ComparisonResults, ControllerResults, Metric
 from vstestbed.report.comparison.pairs import MOST_CONTROLLERS, TIME, Pair, against
 from vstestbed.report.comparison.statistics import success_rate
-from vstestbed.report.run.numbers import number
+from vstestbed.report.run.numbers import number, plain
 
 MOST_OTHERS = 4
 """Other metrics with a significant difference that a sentence names; the table has all of them."""
@@ -16,8 +16,12 @@ MOST_SENTENCES = 3
 """Up to this many pairs have their sentence in the box itself: those of three controllers."""
 
 
-def headline(comparison: ComparisonResults, all_pairs: list[Pair]) -> str:
-    """The result as a box, green where one controller is better than all others, with a sentence for each pair."""
+def headline(comparison: ComparisonResults, all_pairs: list[Pair], caution: str = "") -> str:
+    """The result as a box, green where one controller is better than all others, with a sentence for each pair.
+
+    Args:
+        comparison: the runs. all_pairs: their paired differences. caution: a sentence that comes first, on what the result does not show.
+    """
     if len(comparison.controllers) == 1:
         return _box(_alone(comparison.controllers[0]), [], decided=False)
     labels = [c.label for c in comparison.controllers]
@@ -25,7 +29,7 @@ def headline(comparison: ComparisonResults, all_pairs: list[Pair]) -> str:
     shown = _pairs_in_the_box(labels, all_pairs)
     rest = "".join(f"<li>{escape(pair_text(p, labels))}</li>" for p in all_pairs if p not in shown)
     folded = f"<details><summary>The other pairs in words</summary><ul>{rest}</ul></details>" if rest else ""
-    return _box(verdict, [pair_text(p, labels) for p in shown], decided) + folded
+    return _box(verdict, [*filter(None, [caution]), *(pair_text(p, labels) for p in shown)], decided) + folded
 
 
 def _pairs_in_the_box(labels: list[str], all_pairs: list[Pair]) -> list[Pair]:
@@ -183,8 +187,7 @@ def _share(pair: Pair) -> str:
 
 def signed(value: float) -> str:
     """A difference with its sign and three significant figures."""
-    # `number` writes powers of ten as HTML, but these sentences are escaped as a whole
-    return ("+" if value > 0 else "\N{MINUS SIGN}" if value < 0 else "") + number(abs(value)).replace("<sup>", "^").replace("</sup>", "")
+    return ("+" if value > 0 else "\N{MINUS SIGN}" if value < 0 else "") + plain(abs(value))
 
 
 def runs(n: int) -> str:

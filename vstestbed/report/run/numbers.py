@@ -8,14 +8,16 @@ from html import escape
 from typing import Any, Final
 
 from vstestbed.report.html.canvas import LINE_COLORS
+from vstestbed.tasks.judged import MEASURED_BY
 
 Summary = Mapping[str, Any]
 
+
 TILES: Final = (
     ("time_to_converge_s", "Time to converge", "s"),
-    ("final_error_px", "Final error", "px"),
-    ("final_position_error_m", "Position error", "m"),
-    ("final_rotation_error_deg", "Rotation error", "deg"),
+    ("final_error_px", "Measured image error", "px"),
+    ("final_position_error_m", "True position error", "m"),
+    ("final_rotation_error_deg", "True rotation error", "deg"),
     ("path_length_m", "Path length", "m"),
     ("real_time_factor", "Real-time factor, films included", "×"),
 )
@@ -49,8 +51,17 @@ TRACKING_ROWS: Final = (
 def headline(summary: Summary) -> str:
     """The outcome as a box, coloured by success, with the reason in a sentence."""
     good = " good" if summary.get("success") else ""
-    reason = str(summary.get("reason") or "")
-    return f'<div class="outcome{good}"><strong>{escape(outcome_text(summary))}</strong>{escape(_sentence(reason))}</div>'
+    words = " ".join(filter(None, (_sentence(str(summary.get("reason") or "")), judged_text(summary))))
+    return f'<div class="outcome{good}"><strong>{escape(outcome_text(summary))}</strong>{escape(words)}</div>'
+
+
+def judged_text(summary: Summary) -> str:
+    """Which error decided the task, and who measured it: `Task error by measured pixels: 0.12 px, limit 0.2 px.`; "" in older summaries."""
+    if (by := summary.get("judged_by")) is None:
+        return ""
+    unit = summary["judged_unit"]
+    value, limit = (f"{plain(x)} {unit}" if _is_number(x) else "unknown" for x in (summary["judged_error"], summary["judged_limit"]))
+    return f"Task error by {MEASURED_BY[by]}: {value}, limit {limit}."
 
 
 def outcome_text(summary: Summary) -> str:
@@ -84,9 +95,9 @@ def timing(summary: Summary) -> str:
         return ""
     bar, keys = [], []
     for (name, ms), color in zip(parts.items(), LINE_COLORS * len(parts), strict=False):
-        bar.append(f'<i style="width:{100 * ms / total:.2f}%;background:{color}" title="{escape(name)} {ms:.3g} ms"></i>')
-        keys.append(f'<li><i style="background:{color}"></i>{escape(name)} {ms:.3g} ms</li>')
-    head = f'<h2>Where a frame\'s time went</h2><p class="soft">{total:.3g} ms a frame</p>'
+        bar.append(f'<i style="width:{100 * ms / total:.2f}%;background:{color}" title="{escape(name)} {plain(ms)} ms"></i>')
+        keys.append(f'<li><i style="background:{color}"></i>{escape(name)} {number(ms)} ms</li>')
+    head = f'<h2>Where a frame\'s time went</h2><p class="soft">{number(total)} ms a frame</p>'
     return f'<section>{head}<div class="bar">{"".join(bar)}</div><ul class="key">{"".join(keys)}</ul></section>'
 
 
@@ -114,6 +125,11 @@ def number(value: object) -> str:
         return f"{mantissa}·10<sup>{int(exponent)}</sup>"
     digits = max(0, 2 - math.floor(math.log10(abs(value))))  # three significant figures
     return f"{value:.{digits}f}"
+
+
+def plain(value: object) -> str:
+    """As `number`, without HTML, for text that is escaped as a whole: `1.23·10^-7`."""
+    return number(value).replace("<sup>", "^").replace("</sup>", "")
 
 
 def _with_unit(value: object, unit: str) -> str:

@@ -17,6 +17,7 @@ from vstestbed.report.comparison.tables import STYLE as TABLES
 from vstestbed.report.html.canvas import INK, new_figure, save, style
 from vstestbed.report.html.parts import data_url, figure
 from vstestbed.report.html.template import PAGE, STYLE
+from vstestbed.report.run.numbers import number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -101,7 +102,7 @@ def _table(one: ConvergenceMap, x: AxisLabels, y: AxisLabels) -> str:
     """Distances from the true goal as a table, its rows from top to bottom as in the figure."""
     rows = []
     for i in reversed(range(len(y[1]))):
-        cells = "".join("<td>-</td>" if np.isnan(a) else f"<td>{1e3 * a:.3g}</td>" for a in one.away_m[i])
+        cells = "".join("<td>-</td>" if np.isnan(a) else f"<td>{number(1e3 * float(a))}</td>" for a in one.away_m[i])
         rows.append(f'<tr><th scope="row">{escape(y[1][i])}</th>{cells}</tr>')
     title = f"{escape(one.label)}: median distance from the true goal, of those that converged [mm]"
     return f'<h2>{title}</h2><div class="wide"><table><thead><tr><th></th>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table></div>'

@@ -1,0 +1,49 @@
+"""In what the controllers of a comparison differ, and the sentence where it is a gain alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.report.comparison.comparisons import SCENARIO, build
+from tests.report.html import checked
+from vstestbed.report import write_comparison_report
+from vstestbed.report.comparison.columns import DEFAULT_METRICS, ComparisonResults
+from vstestbed.report.comparison.settings import differing_fields, gain_caution, only_gains
+
+
+def comparison(folder: Path, second: str) -> ComparisonResults:
+    """Two controllers: the scenario of the tests, seed 1 for the seed 1, and another text."""
+    table = build(folder, {"one": 0.8, "two": 1.6}, 2)
+    for seed in (0, 1):
+        (folder / f"runs/two/base/{seed}/scenario.yaml").write_text(f"{second}seed: {seed}\n")
+    return ComparisonResults(table, (), DEFAULT_METRICS, "")
+
+
+@pytest.mark.parametrize(
+    ("change", "fields"),
+    [
+        (("gain: 1", "gain: 2"), ("law.gain",)),
+        (("kind: ibvs", "kind: pbvs"), ("law.kind",)),
+        (("gain: 1", "gain: 2, depth: pnp"), ("law.depth", "law.gain")),
+        (("xyz: [0, 0, 1.2]", "xyz: [0, 0, 1.3]"), ("target.pose.xyz.2",)),
+        (("gain: 1", "gain: 1"), ()),
+        (("robot:", "description: another\nrobot:"), ()),
+        (("law: {", "law: {{"), ()),  # cannot be read
+    ],
+)
+def test_the_fields_that_differ(tmp_path: Path, change: tuple[str, str], fields: tuple[str, ...]) -> None:
+    assert differing_fields(tmp_path, comparison(tmp_path, SCENARIO.replace(*change))) == fields
+
+
+def test_only_gains() -> None:
+    assert only_gains(["law.gain"]) and only_gains(["law.gain.at_zero", "law.gain_z"]) and only_gains(["law.k_rho", "law.k_alpha"])
+    assert not only_gains([]) and not only_gains(["law.gain", "law.kind"]) and not only_gains(["robot.attitude_gain"])
+
+
+def test_a_page_of_two_gains_says_that_a_gain_is_all_that_differs(tmp_path: Path) -> None:
+    two = comparison(tmp_path, SCENARIO.replace("gain: 1", "gain: 2"))
+    text = checked(write_comparison_report(tmp_path, two.table, ()).read_text(encoding="utf-8")).text
+    assert gain_caution(["law.gain"]) in text and "differ only in law.gain:" in text
+    assert gain_caution(["law.kind"]) == ""
