@@ -16,9 +16,8 @@ def arrivals(name: str, position_m: float, rotation_deg: float, **settings: obje
         good = recording.outcome.name == "converged"
         good = good and m["final_position_error_m"] < position_m and m["final_rotation_error_deg"] < rotation_deg
         there += bool(good)
-        print(
-            name, seed, m["outcome"], f"{m['sim_time_s']:.1f} s {m['final_position_error_m']:.4f} m {m['final_rotation_error_deg']:.3f} deg"
-        )
+        where = f"{m['final_position_error_m']:.4f} m {m['final_rotation_error_deg']:.3f} deg"
+        print(name, seed, m["outcome"], f"{m['time_to_converge_s']} s {where}", flush=True)
     return there
 
 

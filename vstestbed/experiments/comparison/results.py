@@ -54,7 +54,9 @@ def _film(folder: Path, table: polars.DataFrame, axes: tuple[str, ...]) -> Path 
         # crashed runs have no films
         run = next((row for row in controller.runs.iter_rows(named=True) if _films(folder / row["folder"])), None)
         if run is not None:
-            ending = f"{run['outcome']} {run['sim_time_s']:.1f} s" if run["sim_time_s"] is not None else run["outcome"]
+            # the time to converge, as everywhere; a run that does not has the time at which it ended
+            time_s = run["sim_time_s"] if run["time_to_converge_s"] is None else run["time_to_converge_s"]
+            ending = run["outcome"] if time_s is None else f"{run['outcome']} {time_s:.1f} s"
             columns.append(Column(controller.label, _films(folder / run["folder"]), ending, bool(run["success"])))
     return side_by_side(columns, folder / FILM) if columns else None
 
