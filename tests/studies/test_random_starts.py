@@ -31,7 +31,8 @@ def line(seed: int, scenario: Scenario, nominal: Array, r: vs.Recording) -> str:
     off = np.degrees(scenario.robot.configuration()) - nominal
     final = f"{r['error_px'][-1]:10.3f} {1e3 * r['position_error_m'][-1]:7.3f} {np.degrees(r['rotation_error_rad'][-1]):7.3f}"
     start = " ".join(f"{x:5.1f}" for x in off)
-    return f"{seed:4d}  {start}  {r.outcome.name:11s} {r.summary()['time_to_converge_s'] or r['t'][-1]:6.2f}  {final}  {detection_error(r):13.3f}"
+    t = r.summary()["time_to_converge_s"] or r["t"][-1]
+    return f"{seed:4d}  {start}  {r.outcome.name:11s} {t:6.2f}  {final}  {detection_error(r):13.3f}"
 
 
 def dead_band(scenario: Scenario) -> Array:
