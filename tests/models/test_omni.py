@@ -247,6 +247,11 @@ class TestMotions:
         # What is not asked for: 2 mm/s and 2 mrad/s, or it would not go straight.
         np.testing.assert_allclose(got[~asked], 0, atol=2e-3)
 
+    def test_a_mix_with_a_larger_slip(self):
+        motion = np.array([0.3, -0.2, -0.3])  # 40 random mixes: median .5 %, nine in ten under 1.1 %
+        got = Drive.at_rest("rollers").mean_motion(motion)
+        assert 0.008 < np.abs(got / motion - 1).max() < 0.016  # 1.3 % in yaw
+
     @pytest.mark.parametrize("motion", [(0.5, 0.0, 0.0), (0.0, 0.5, 0.0), (0.0, 0.0, 1.0), (0.3, 0.2, 0.5)])
     def test_ripple(self, motion):
         drive = Drive.at_rest("rollers")
