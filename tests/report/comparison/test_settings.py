@@ -10,7 +10,7 @@ from tests.report.comparison.comparisons import SCENARIO, build
 from tests.report.html import checked
 from vstestbed.report import write_comparison_report
 from vstestbed.report.comparison.columns import DEFAULT_METRICS, ComparisonResults
-from vstestbed.report.comparison.settings import differing_fields, gain_caution, only_gains
+from vstestbed.report.comparison.settings import differing_fields, gains_alone, only_gains
 
 
 def comparison(folder: Path, second: str) -> ComparisonResults:
@@ -45,5 +45,9 @@ def test_only_gains() -> None:
 def test_a_page_of_two_gains_says_that_a_gain_is_all_that_differs(tmp_path: Path) -> None:
     two = comparison(tmp_path, SCENARIO.replace("gain: 1", "gain: 2"))
     text = checked(write_comparison_report(tmp_path, two.table, ()).read_text(encoding="utf-8")).text
-    assert gain_caution(["law.gain"]) in text and "differ only in law.gain:" in text
-    assert gain_caution(["law.kind"]) == ""
+    assert "Only law.gain differs. two is better than one: it converges" in text and "settings of one law" in text
+
+
+def test_the_gains_in_words() -> None:
+    assert gains_alone(["law.gain.value"]) == "law.gain" and gains_alone(["law.kind"]) == ""
+    assert gains_alone(["law.k_alpha", "law.k_beta", "law.k_rho"]) == "law.k_alpha, law.k_beta and law.k_rho"

@@ -19,7 +19,7 @@ from vstestbed.report.comparison.columns import DEFAULT_METRICS, ComparisonResul
 from vstestbed.report.comparison.figures import Data
 from vstestbed.report.comparison.pairs import pairs
 from vstestbed.report.comparison.series import read_series
-from vstestbed.report.comparison.settings import differing_fields, gain_caution
+from vstestbed.report.comparison.settings import differing_fields, gains_alone
 from vstestbed.report.html.canvas import WIDTH_IN, save, style, to_svg
 from vstestbed.report.html.parts import figure, film
 from vstestbed.report.html.template import PAGE, STYLE
@@ -108,7 +108,7 @@ def write_comparison_report(
     data = Data(comparison, read_series(folder, comparison), pairs(comparison), _threshold(folder, comparison))
     _write_figures(folder / "figures", data)
     body = [
-        summary_text.headline(comparison, data.pairs, gain_caution(differing_fields(folder, comparison))),
+        summary_text.headline(comparison, data.pairs, gains_alone(differing_fields(folder, comparison))),
         comparison_tables.controllers(comparison),
         comparison_tables.differences(comparison, data.pairs),
         f"<section><h2>Figures</h2>{_figures(data)}</section>",

@@ -38,13 +38,12 @@ def only_gains(fields: Sequence[str]) -> bool:
     )
 
 
-def gain_caution(fields: Sequence[str]) -> str:
-    """The sentence for controllers that differ in nothing but a gain; "" for others."""
+def gains_alone(fields: Sequence[str]) -> str:
+    """The gains in which controllers differ that differ in nothing else, in words; "" for other controllers."""
     if not only_gains(fields):
         return ""
-    which = " and ".join(fields) if len(fields) < 3 else f"{', '.join(fields[:-1])} and {fields[-1]}"
-    meaning = "this compares settings of one law, and a larger gain converges sooner by itself, until delay or limits stop it"
-    return f"The controllers differ only in {which}: {meaning}."
+    names = list(dict.fromkeys(name.removesuffix(".value") for name in fields))  # a constant gain may be written as a number
+    return " and ".join(names) if len(names) < 3 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 def _scenario(path: Path) -> Any:

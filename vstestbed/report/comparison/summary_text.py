@@ -16,20 +16,24 @@ MOST_SENTENCES = 3
 """Up to this many pairs have their sentence in the box itself: those of three controllers."""
 
 
-def headline(comparison: ComparisonResults, all_pairs: list[Pair], caution: str = "") -> str:
+def headline(comparison: ComparisonResults, all_pairs: list[Pair], gains: str = "") -> str:
     """The result as a box, green where one controller is better than all others, with a sentence for each pair.
 
     Args:
-        comparison: the runs. all_pairs: their paired differences. caution: a sentence that comes first, on what the result does not show.
+        comparison: the runs. all_pairs: their paired differences. gains: the gains in which the controllers differ, where they differ in nothing else.
     """
     if len(comparison.controllers) == 1:
         return _box(_alone(comparison.controllers[0]), [], decided=False)
     labels = [c.label for c in comparison.controllers]
     verdict, decided = _overall(labels, all_pairs)
+    caution = []
+    if gains:  # no controller is better than another for its gain
+        verdict, decided = f"Only {gains} {'differ' if ' and ' in gains else 'differs'}. {verdict}", False
+        caution = ["This compares settings of one law: a larger gain converges sooner by itself, until delay or limits stop it."]
     shown = _pairs_in_the_box(labels, all_pairs)
     rest = "".join(f"<li>{escape(pair_text(p, labels))}</li>" for p in all_pairs if p not in shown)
     folded = f"<details><summary>The other pairs in words</summary><ul>{rest}</ul></details>" if rest else ""
-    return _box(verdict, [*filter(None, [caution]), *(pair_text(p, labels) for p in shown)], decided) + folded
+    return _box(verdict, [*caution, *(pair_text(p, labels) for p in shown)], decided) + folded
 
 
 def _pairs_in_the_box(labels: list[str], all_pairs: list[Pair]) -> list[Pair]:
