@@ -20,7 +20,8 @@ def headline(comparison: ComparisonResults, all_pairs: list[Pair], gains: str = 
     """The result as a box, green where one controller is better than all others, with a sentence for each pair.
 
     Args:
-        comparison: the runs. all_pairs: their paired differences. gains: the gains in which the controllers differ, where they differ in nothing else.
+        comparison: the runs. all_pairs: their paired differences.
+        gains: the gains in which the controllers differ, where they differ in nothing else.
     """
     if len(comparison.controllers) == 1:
         return _box(_alone(comparison.controllers[0]), [], decided=False)
