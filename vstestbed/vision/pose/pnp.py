@@ -13,6 +13,7 @@ from cv2.typing import MatLike
 
 from vstestbed.core.geometry import Array, exp, inverse, rigid_error
 from vstestbed.vision.all_round import solve_pose_all_round
+from vstestbed.vision.pose.planar import planar_poses
 
 _K, _EYE = np.eye(3), np.eye(4)
 STANDS = 1e-3
@@ -30,25 +31,18 @@ WIDE = 0.2
 
 FITS = 0.5
 """A pose whose reprojection error exceeds this share of the image points' spread is no solution."""
-DOUBTFUL = 0.3
-"""IPPE's poses with an error above this share of the spread may be corrupted near a half turn."""
-NEAR_HALF_TURN = 0.3
-"""IPPE's rotations this near to a half turn [rad] are solved once more; farther off a corrupted one shows in the error."""
 ROUNDING = 1e-12
 """Reprojection errors (normalised) that differ by this are equal."""
 Layout = Literal["line", "line and one", "plane", "space"]
 """Collinear; collinear but for one point; coplanar; in space."""
 _START_VECTOR = np.array([[0.0], [0.0], [1.0]])
 _START = exp(np.array([0, 0, 0, 0, 0, 1.0]))[:3, :3]
-_TURN = exp(np.array([0, 0, 0, 0.5, 0.7, 1.1]))
-"""A rotation by 1.4 rad, which takes a pose away from a half turn."""
 
 
 class _Candidate(NamedTuple):
-    """A pose that a solver found: reprojection error [rms of one coordinate], rotation angle as solved [rad], pose (4, 4)."""
+    """A pose that a solver found: reprojection error [rms of one coordinate], pose (4, 4)."""
 
     error: float
-    angle: float
     T: Array
 
 
@@ -65,8 +59,7 @@ def solve_pose(xy: Array, points: Array, previous: Array | None = None) -> Array
     A pose with a point behind the camera is no solution, nor is one that leaves half of the image's spread unexplained.
     Collinear points have none.
 
-    OpenCV returns IPPE's rotation as a rotation vector, which is corrupted near a half turn; where that may have happened the
-    points are rotated and solved once more. The refinement always works on rotated points and is kept where it fits better.
+    The refinement is kept where it fits better.
 
     Args:
         xy: normalised, undistorted coordinates, shape (N, 2).
@@ -95,7 +88,7 @@ def _of_many(xy: Array, points: Array, shape: Layout, previous: Array | None) ->
         T, error = _refine(xy, points, previous)
         if error < STANDS * spread and _step(T, previous) < CONTINUES:
             return T
-    solutions = [c for c in _candidates(xy, points, shape, spread) if c.error < FITS * spread and _in_front(c.T, points)]
+    solutions = [c for c in _candidates(xy, points, shape) if c.error < FITS * spread]
     if not solutions:
         return None
     best = _preferred(solutions, previous)
@@ -153,37 +146,29 @@ def _virtual(rays: Array) -> Array | None:
     return T if (rays @ T[:3, 2]).min() > WIDE else None
 
 
-def _candidates(xy: Array, points: Array, shape: Layout, spread: float) -> list[_Candidate]:
-    """The poses of the solver for this layout; planar ones that may be corrupted near a half turn also from rotated points."""
+def _candidates(xy: Array, points: Array, shape: Layout) -> list[_Candidate]:
+    """The poses that the solver for this layout finds, with the error of all points."""
     if shape == "line and one":
-        return _from_three(xy, points)
-    if shape == "space":
-        return _solved(xy, points, cv2.SOLVEPNP_SQPNP)
-    found = _solved(xy, points, cv2.SOLVEPNP_IPPE)
-    if any(_doubtful(c.error, c.angle, spread) for c in found):
-        found += [c._replace(T=c.T @ _TURN) for c in _solved(xy, points @ _TURN[:3, :3].T, cv2.SOLVEPNP_IPPE)]
-    return found
+        found = _from_three(xy, points)
+    elif shape == "plane":
+        found = planar_poses(xy, points)
+    else:
+        found = _from_space(xy, points)
+    return [_Candidate(_misfit(T, xy, points), T) for T in found]
 
 
-def _solved(xy: Array, points: Array, flag: int) -> list[_Candidate]:
-    """The poses that one of OpenCV's solvers finds."""
-    found, rotations, translations, errors = cv2.solvePnPGeneric(points, xy, _K, None, flags=flag)
-    if not found:
-        return []
-    return [_Candidate(e, cv2.norm(r), _matrix(r, t)) for r, t, e in zip(rotations, translations, errors.ravel().tolist(), strict=True)]
+def _from_space(xy: Array, points: Array) -> list[Array]:
+    """The poses that SQPnP finds."""
+    found, rotations, translations, _ = cv2.solvePnPGeneric(points, xy, _K, None, flags=cv2.SOLVEPNP_SQPNP)
+    return [_matrix(r, t) for r, t in zip(rotations, translations, strict=True)] if found else []
 
 
-def _from_three(xy: Array, points: Array) -> list[_Candidate]:
-    """The poses of three of the points, those that span the largest triangle, with the error of all."""
+def _from_three(xy: Array, points: Array) -> list[Array]:
+    """The poses of three of the points, those that span the largest triangle."""
     triples = np.array(list(combinations(range(len(points)), 3)))
     a, b, c = np.moveaxis(points[triples], 1, 0)
     chosen = triples[np.linalg.norm(np.cross(b - a, c - a), axis=1).argmax()]
-    return [_Candidate(_misfit(T, xy, points), 0.0, T) for T in _three(xy[chosen], points[chosen])]
-
-
-def _doubtful(error: float, angle: float, spread: float) -> bool:
-    """Whether the rotation is near a half turn, or was corrupted by one (NaN, or a pose that does not fit)."""
-    return not (error < DOUBTFUL * spread and abs(angle - math.pi) > NEAR_HALF_TURN)
+    return _three(xy[chosen], points[chosen])
 
 
 def _refine(xy: Array, points: Array, T: Array) -> tuple[Array, float]:
