@@ -15,11 +15,10 @@ ROUNDING = 1e-12
 
 
 class _Plane(NamedTuple):
-    """Coplanar points as the plane has them: coordinates (N, 2) [m], axes R_target_plane (3, 3), middle (3,) in the target frame."""
+    """Coplanar points as the plane has them: coordinates (N, 2) about their middle [m], and R_target_plane (3, 3)."""
 
     flat: Array
     R: Array
-    middle: Array
 
 
 def planar_poses(xy: Array, points: Array) -> list[Array]:
@@ -52,20 +51,26 @@ def planar_poses(xy: Array, points: Array) -> list[Array]:
     if not s1 > 0:
         return []
     tilt = np.sqrt((1 - s2 / s1) * (1 + s2 / s1)) * Vt[1]
-    return [_placed(R_v @ np.vstack([A / s1, sign * tilt]), plane, xy) for sign in (1.0, -1.0)]
+    R = np.array([_rotation_of(R_v @ np.vstack([A / s1, sign * tilt])) for sign in (1.0, -1.0)]) @ plane.R.T
+    T = np.zeros((2, 4, 4))
+    T[:, :3, :3], T[:, :3, 3], T[:, 3, 3] = R, _translations(R, points, xy), 1.0
+    return list(T)
 
 
-def _placed(columns: Array, plane: _Plane, xy: Array) -> Array:
-    """The pose (4, 4) for the first two columns (3, 2) of R_camera_plane: its translation solves x (r_z p + t_z) = r_x p + t_x."""
-    R = np.column_stack([columns, np.cross(columns[:, 0], columns[:, 1])])
-    p = plane.flat @ columns.T
-    A = np.zeros((2 * len(xy), 3))
-    A[0::2, 0] = A[1::2, 1] = 1.0
-    A[:, 2] = -xy.ravel()
-    T = np.eye(4)
-    T[:3, :3] = R @ plane.R.T
-    T[:3, 3] = np.linalg.lstsq(A, (xy * p[:, 2:] - p[:, :2]).ravel(), rcond=None)[0] - T[:3, :3] @ plane.middle
-    return T
+def _rotation_of(columns: Array) -> Array:
+    """The rotation (3, 3) of given first two columns (3, 2)."""
+    (a, d), (b, e), (c, f) = columns.tolist()
+    return np.array([[a, d, b * f - c * e], [b, e, c * d - a * f], [c, f, a * e - b * d]])
+
+
+def _translations(R: Array, points: Array, xy: Array) -> Array:
+    """The least-squares translations (2, 3) for rotations (2, 3, 3): x (r_z p + t_z) = r_x p + t_x, and alike for y."""
+    p = points @ R.transpose(0, 2, 1)
+    A = np.zeros((len(xy), 2, 3))
+    A[:, 0, 0] = A[:, 1, 1] = 1.0
+    A[:, :, 2] = -xy
+    A = A.reshape(-1, 3)
+    return np.linalg.solve(A.T @ A, A.T @ (xy * p[..., 2:] - p[..., :2]).reshape(2, -1).T).T
 
 
 def _rotation_to(v: Array) -> Array:
@@ -78,7 +83,7 @@ def _rotation_to(v: Array) -> Array:
 def _plane(points: bytes) -> _Plane:
     """The plane of points (N, 3), given as bytes, which can be hashed: the same few subsets of markers recur at every frame."""
     p = np.frombuffer(points).reshape(-1, 3)
-    middle = p.mean(axis=0)
-    axes = np.linalg.svd(p - middle)[2]
+    p = p - p.mean(axis=0)
+    axes = np.linalg.svd(p)[2]
     axes[2] *= np.linalg.det(axes)  # right-handed
-    return _Plane((p - middle) @ axes[:2].T, axes.T, middle)
+    return _Plane(p @ axes[:2].T, axes.T)
