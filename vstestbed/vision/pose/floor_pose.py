@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from vstestbed.core.geometry import Array
+from vstestbed.vision.all_round import AT_THE_LENS
 
 ROUNDS = 12
 """Most Gauss-Newton steps; three or four suffice from the pose a frame ago."""
@@ -84,7 +85,7 @@ def _errors(d: Array, across: Array, points: Array, origin: Array, place: Array)
     c, s = math.cos(place[2]), math.sin(place[2])
     m = points[:, :2] - place[:2]
     p = np.column_stack([c * m[:, 0] + s * m[:, 1], -s * m[:, 0] + c * m[:, 1], points[:, 2]]) - origin
-    reach = np.linalg.norm(p, axis=1, keepdims=True)
+    reach = np.maximum(np.linalg.norm(p, axis=1, keepdims=True), AT_THE_LENS)
     unit = p / reach
     dp = np.zeros((len(points), 3, 3))
     dp[:, 0, 0], dp[:, 0, 1], dp[:, 1, 0], dp[:, 1, 1] = -c, -s, s, -c

@@ -83,7 +83,7 @@ def solve_pose(xy: Array, points: Array, previous: Array | None = None) -> Array
     if shape == "line":
         return None
     if len(points) == 3:
-        return None if previous is None else _continue(_three(xy, points), previous)
+        return None if previous is None else _continue(_three(xy, points), previous, points)
     return _of_many(xy, points, shape, previous)
 
 
@@ -92,23 +92,23 @@ def _of_many(xy: Array, points: Array, shape: Layout, previous: Array | None) ->
     spread = _spread(xy)
     if previous is not None:
         T, error = _refine(xy, points, previous)
-        if error < min(STANDS * spread, MIRRORED * spread**3) and _step(T, previous) < CONTINUES:
+        if error < min(STANDS * spread, MIRRORED * spread**3) and _step(T, previous, points) < CONTINUES:
             return T
     solutions = [c for c in _candidates(xy, points, shape) if c.error < FITS * spread]
     if not solutions:
         return None
-    best = _preferred(solutions, previous)
+    best = _preferred(solutions, previous, points)
     T, error = _refine(xy, points, best.T)
     return T if error <= best.error + ROUNDING else best.T
 
 
-def _preferred(solutions: list[_Candidate], previous: Array | None) -> _Candidate:
+def _preferred(solutions: list[_Candidate], previous: Array | None, points: Array) -> _Candidate:
     """The best fit or, of several that fit about as well, the one nearest to the previous pose."""
     best = min(solutions, key=lambda c: c.error)
     if previous is None:
         return best
     rivals = [c for c in solutions if c.error <= CLEARLY_WORSE * best.error]
-    return rivals[0] if len(rivals) == 1 else min(rivals, key=lambda c: _step(c.T, previous))
+    return rivals[0] if len(rivals) == 1 else min(rivals, key=lambda c: _step(c.T, previous, points))
 
 
 def solve_pose_from_rays(rays: Array, points: Array, previous: Array | None = None) -> Array | None:
@@ -213,18 +213,19 @@ def _three(xy: Array, points: Array) -> list[Array]:
     return [T for T in poses if np.isfinite(T).all() and _in_front(T, points)]
 
 
-def _continue(poses: list[Array], previous: Array) -> Array | None:
+def _continue(poses: list[Array], previous: Array, points: Array) -> Array | None:
     """The pose nearest to the previous one; None if even that is farther than SAME_SCENE."""
-    steps = [_step(T, previous) for T in poses]
+    steps = [_step(T, previous, points) for T in poses]
     if not steps or min(steps) > SAME_SCENE:
         return None
     return poses[int(np.argmin(steps))]
 
 
-def _step(T: Array, previous: Array) -> float:
-    """Distance between two poses: the angle [rad] plus the translation as a share of the distance to the target."""
-    distance, angle = rigid_error(T, previous)
-    return angle + distance / math.hypot(*previous[:3, 3].tolist())
+def _step(T: Array, previous: Array, points: Array) -> float:
+    """Distance between two poses: the angle [rad] plus the way of the points' middle as a share of its distance from the camera."""
+    middle = np.append(points.sum(axis=0), len(points))
+    now, before = (T @ middle)[:3], (previous @ middle)[:3]
+    return rigid_error(T, previous)[1] + math.hypot(*(now - before).tolist()) / math.hypot(*now.tolist())
 
 
 def _matrix(rotation_vector: MatLike, translation: MatLike) -> Array:
