@@ -39,9 +39,7 @@ def basin(
     field_of_view: Annotated[
         FieldOfView | None, typer.Option(help="Whether the picture has a border. [default: as the oracle's, or limited]")
     ] = None,
-    check: Annotated[
-        int, typer.Option(min=0, help="So many random starts, and frontal ones, also fly one by one, in the time loop of `run`.")
-    ] = 0,
+    check: Annotated[int, typer.Option(min=0, help="So many random starts, and 4 frontal ones, also fly in the time loop of `run`.")] = 0,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of the results. [default: runs/basin/NUMBER]")] = None,
     as_json: Json = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No words.")] = False,

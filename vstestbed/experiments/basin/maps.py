@@ -203,7 +203,7 @@ def laws(comparison: Comparison, field_of_view: str | None = None) -> list[tuple
 
 
 def basin(label: str, scenario: Scenario, x: Axis, y: Axis, at: Mapping[str, float] | None = None, check: int = 0, seed: int = 0) -> Basin:
-    """Compute the map of an ideal scenario's law; `check` random starts of it, and frontal, centred ones, are also run singly in `loop.run`.
+    """Compute the map of an ideal scenario's law; `check` random starts of it, and frontal, centred ones, also run in `loop.run`.
 
     Raises:
         ParameterError: invalid axes, or the law cannot run in a batch.
