@@ -239,3 +239,88 @@ def test_a_target_whose_frame_is_at_the_lens() -> None:
             found = solve_pose(_see(np.eye(4), points[:n]), points[:n], previous)
             assert found is not None
             assert rigid_error(found, np.eye(4)) == pytest.approx((0, 0), abs=1e-6)
+
+
+class TestLimits:
+    """Each limit, by views on either side of it."""
+
+    T = Pose(xyz=(0, 0, 1), rpy_deg=(15, -10, 30)).T
+    BEND = np.array([[-1, 1], [1, 1], [1, -1], [-1, -1.0]])
+    """Errors that no motion of the square makes."""
+
+    @pytest.fixture
+    def searches(self, monkeypatch: pytest.MonkeyPatch) -> list[int]:
+        """Grows with every search for a pose from nothing."""
+        count, real = [], pnp.planar_poses
+        monkeypatch.setattr(pnp, "planar_poses", lambda xy, points: count.append(1) or real(xy, points))
+        return count
+
+    @pytest.mark.parametrize(("z", "share", "searched"), [(1, 0.8e-3, 0), (1, 1.3e-3, 1), (20, 4e-5, 0), (20, 9e-5, 1)])
+    def test_a_previous_pose_that_still_fits_is_followed_without_a_search(self, searches, z, share, searched):
+        """Up to .1 % of the image's size and, far away, of .4 of its cube: there a mirror pose fits nearly as well."""
+        T = Pose(xyz=(0, 0, z)).T
+        xy = _see(T, SQUARE)
+        assert solve_pose(xy + share * pnp._spread(xy) * self.BEND, SQUARE, T) is not None
+        assert len(searches) == searched
+
+    @pytest.mark.parametrize(("angle", "searched"), [(0.17, 0), (0.23, 1)])
+    @pytest.mark.parametrize("along", [False, True], ids=["turned", "shifted"])
+    def test_one_too_far_from_it_is_searched_for(self, searches, angle, searched, along):
+        off = np.array([0, 0, 0.0, 0, 0, angle]) if not along else np.array([angle * np.linalg.norm(self.T[:3, 3]), 0, 0, 0, 0, 0])
+        found = solve_pose(_see(self.T, SQUARE), SQUARE, exp(off) @ self.T)
+        assert found is not None and rigid_error(found, self.T) == pytest.approx((0, 0), abs=1e-9)
+        assert len(searches) == searched
+
+    @pytest.mark.parametrize(("turn", "distance"), [(61.0, 20.0), (81.0, 20.0)])
+    def test_far_away_a_mirror_pose_from_the_previous_one_is_not_taken(self, turn, distance):
+        T = Pose(xyz=(0.6, -1.0, distance), rpy_deg=(0, 0, turn)).T
+        assert _frontal_error(FRONTAL["rectangle"], T, T @ _ASKEW) < 1e-9
+
+    @pytest.mark.parametrize(("ratio", "taken"), [(1.0, 1), (5.5, 1), (6.5, 0)])
+    def test_the_nearer_of_two_that_fit_about_as_well(self, ratio, taken):
+        best, near = (pnp._Candidate(e, T) for e, T in ((1e-4, _pose(-0.3, 0, 0, (0, 0, 1))), (ratio * 1e-4, self.T)))
+        for both in ([best, near], [near, best]):
+            assert pnp._preferred(both, self.T, SQUARE) is (best, near)[taken]
+            assert pnp._preferred(both, None, SQUARE).error == pytest.approx(1e-4)
+
+    @pytest.mark.parametrize(("angle", "found"), [(0.45, True), (0.55, False)])
+    def test_three_markers_follow_up_to_half_a_radian(self, angle, found):
+        T = _pose(0.3, 0.2, 0.1, (0.05, 0, 0.7))
+        points = SQUARE[:3]
+        others = [F for F in pnp._three(_see(T, points), points) if sum(rigid_error(F, T)) > 1e-3]
+        turn = exp(np.array([0, 0, 0, 0, 0, angle]))  # about the optical axis, away from the other poses
+        previous = turn @ T
+        previous[:3, 3] = T[:3, 3]
+        middle = points.mean(axis=0)
+        previous[:3, 3] += T[:3, :3] @ middle - previous[:3, :3] @ middle
+        assert all(pnp._step(F, previous, points) > 0.55 for F in others)
+        assert (solve_pose(_see(T, points), points, previous) is not None) is found
+
+    @pytest.mark.parametrize(("share", "found"), [(0.4, True), (0.6, False)])
+    def test_an_error_of_half_of_the_images_size_is_no_pose(self, share, found):
+        T = Pose(xyz=(0, 0, 1)).T
+        xy = _see(T, SQUARE)
+        bent = xy + share / np.sqrt(1 - share**2) * pnp._spread(xy) * np.array([[1, -1], [-1, 1], [1, -1], [-1, 1.0]]) * [1, 0]
+        candidates = [pnp._Candidate(share * pnp._spread(bent), T)]
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(pnp, "_candidates", lambda *_: candidates)
+            assert (pnp._of_many(bent, SQUARE, "plane", None) is not None) is found
+
+    @pytest.mark.parametrize(("off_axis", "all_round"), [(70.0, False), (77.0, False), (80.0, True), (100.0, True)])
+    def test_markers_on_a_cone_go_through_a_picture_up_to_78_degrees(self, off_axis, all_round, monkeypatch):
+        asked = []
+        monkeypatch.setattr(pnp, "solve_pose_all_round", lambda *given: asked.append(given))
+        T = Pose(xyz=(0, 0, 0.25 * np.sqrt(2) / np.tan(np.radians(off_axis)))).T
+        p = transform(T, SQUARE)
+        found = solve_pose_from_rays(p / np.linalg.norm(p, axis=1, keepdims=True), SQUARE)
+        assert bool(asked) is all_round
+        assert all_round or (found is not None and rigid_error(found, T) == pytest.approx((0, 0), abs=1e-9))
+
+    def test_a_point_behind_the_camera_fits_nothing(self):
+        assert pnp._misfit(Pose(xyz=(0, 0, -1)).T, _see(Pose(xyz=(0, 0, 1)).T, SQUARE), SQUARE) == np.inf
+        assert pnp._misfit(self.T, _see(self.T, SQUARE) + 0.1, SQUARE) == pytest.approx(0.1)
+
+    @pytest.mark.parametrize(("height", "flat"), [(0.4e-6, True), (3e-6, False)])
+    def test_flat_is_up_to_a_millionth_of_the_size(self, height, flat):
+        points = SQUARE + [[0, 0, height], [0, 0, 0], [0, 0, height], [0, 0, 0]]
+        assert (pnp._layout(points.tobytes()) == "plane") is flat

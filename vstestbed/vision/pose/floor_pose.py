@@ -17,6 +17,8 @@ UNTOLD = 1e-4
 """Singular values below this share of the largest count as zero: two landmarks on one vertical leave the heading open."""
 LEVEL = 0.03
 """Least |z| of a unit ray (1.7 degrees of elevation) whose landmark's height gives a distance."""
+ALIKE = 1e-9
+"""Errors below this [rad] are rounding."""
 FITS = 0.1
 """A solution whose angular errors have a larger root mean square than this [rad] is rejected."""
 
@@ -42,7 +44,8 @@ def solve_place(rays: Array, points: Array, T_base_camera: Array, previous: Arra
     if not guesses:
         return None
     solved = [_refined(d, points, origin, g) for g in guesses]
-    place, error = min(solved, key=lambda s: s[1])
+    # Of two that fit alike the first, which continues the previous pose: of two landmarks on one vertical every heading fits.
+    place, error = min(solved, key=lambda s: max(s[1], ALIKE))
     return place if error < FITS else None
 
 
