@@ -11,7 +11,7 @@ from vstestbed.core.geometry import Array, Pose, exp, inverse, rigid_error, tran
 from vstestbed.features.depth import AtGoal, Constant, Depth, Estimate, OracleDepth, PnP
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.targets.points import Square
-from vstestbed.vision import Detection, Observer
+from vstestbed.vision import Detection, Observer, observe
 
 CAMERA = Perspective(distortion=(-0.1, 0.02, 0.001, -0.001, 0.0))
 TARGET = Square(pose=Pose(), side=0.4)

@@ -69,10 +69,7 @@ def unit_of(coordinate: str) -> str:
 
 @dataclass(frozen=True)
 class Disagreement:
-    """A start whose single run in `loop.run` (`full`) ended otherwise than in the batch.
-
-    x, y: its coordinates on the map; on_axis_deg: the turn of a frontal, centred start, which is not on the map.
-    """
+    """A start whose run in `loop.run` (`full`) ended otherwise than in the batch: on the map at x, y, or frontal and turned by on_axis_deg."""
 
     x: float | None
     y: float | None
@@ -81,7 +78,7 @@ class Disagreement:
     on_axis_deg: float | None = None
 
     def words(self, x: str, y: str) -> str:
-        """The sentence for it on a map with axes of these names."""
+        """In words, on a map with axes of these names."""
         place = f"{x} {self.x:g}, {y} {self.y:g}" if self.on_axis_deg is None else f"frontal, centred, turned by {self.on_axis_deg:g} deg"
         return f"{place}: {self.batch} here, {self.full} there"
 
