@@ -69,7 +69,7 @@ def unit_of(coordinate: str) -> str:
 
 @dataclass(frozen=True)
 class Disagreement:
-    """A start whose run in `loop.run` (`full`) ended otherwise than in the batch: on the map at x, y, or frontal and turned by on_axis_deg."""
+    """A start that `loop.run` (`full`) ended otherwise than the batch: at x, y on the map, or frontal and turned by on_axis_deg."""
 
     x: float | None
     y: float | None
@@ -191,10 +191,8 @@ def laws(comparison: Comparison, field_of_view: str | None = None) -> list[tuple
         scenario = ideal(c.scenario, field_of_view)
         BatchSetup(scenario)  # raises if the law cannot run in a batch
         if same := [other for other, s in found if s == scenario]:
-            problem = (
-                f"`{label}` would make the same map as `{same[0]}`: its cameras are ideal, without the arm's dynamics, latency and noise"
-            )
-            raise ParameterError("scenario", f"{problem}; leave one of the two out")
+            problem = f"`{label}` would make the same map as `{same[0]}`: its cameras are ideal, without the arm's dynamics, latency"
+            raise ParameterError("scenario", f"{problem} and noise; leave one of the two out")
         found.append((label, scenario))
     return found
 
