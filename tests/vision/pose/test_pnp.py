@@ -221,7 +221,8 @@ def test_a_view_in_which_sqpnp_takes_the_camera_for_behind() -> None:
 
 @pytest.mark.parametrize("axis", [(0, 1, 0), (1, 0, 0), (0.6, 0.8, 0)])
 @pytest.mark.parametrize("degrees", [0, 60, 100, 180])
-def test_rays_to_a_target_straight_ahead_of_a_turned_lens(degrees: float, axis: tuple[float, ...]) -> None:
+def test_rays_to_a_target_straight_ahead_of_a_turned_lens(degrees: float, axis: tuple[float, ...], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pnp, "solve_pose_all_round", lambda *_: None)  # a virtual camera sees them all
     V = exp(np.array([0, 0, 0, *np.radians(degrees) * np.array(axis)]))
     for turn in np.arange(0, 180, 7.5):
         T = V @ Pose(xyz=(0, 0, 0.5), rpy_deg=(0, 0, turn)).T
