@@ -70,7 +70,7 @@ def _translations(R: Array, points: Array, xy: Array) -> Array:
     A[:, 0, 0] = A[:, 1, 1] = 1.0
     A[:, :, 2] = -xy
     A = A.reshape(-1, 3)
-    return np.linalg.solve(A.T @ A, A.T @ (xy * p[..., 2:] - p[..., :2]).reshape(2, -1).T).T
+    return np.asarray(np.linalg.solve(A.T @ A, A.T @ (xy * p[..., 2:] - p[..., :2]).reshape(2, -1).T).T, dtype=float)
 
 
 def _rotation_to(v: Array) -> Array:
