@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 import vstestbed as vs
+from vstestbed.experiments.basin.maps import ON_AXIS_DEG
 
 HERE = Path(__file__).parent
 BROYDEN = ("--plugin", "broyden", "--set", "law=broyden")
@@ -54,7 +55,7 @@ def test_its_basin_ends_as_in_the_time_loop(command, quick: Path):
     ended = command("basin", "quick.yaml", "--plugin", "broyden", "--set", "law=broyden", *grid, *QUIET)
     assert ended.code == 0, ended.err
     basin = json.loads(ended.out)[0]
-    assert basin["checked"] == basin["agreeing"] == 8
+    assert basin["checked"] == basin["agreeing"] == 8 + len(ON_AXIS_DEG)
     assert basin["shares"]["converged"] > 0.4
 
 

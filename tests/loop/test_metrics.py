@@ -99,6 +99,11 @@ def test_peaks_and_limits(scenario: Scenario):
     assert (s["peak_rate_radps"], s["saturated_fraction"]) == (2.0, 0.25)
 
 
+def test_a_command_scaled_by_rounding_alone_is_not_saturated(scenario: Scenario):
+    s = recording(scenario, 4, scale=[1 - 1e-12, 0.9995, 0.9985, 0.99]).summary()
+    assert s["saturated_fraction"] == 0.5  # under .999
+
+
 def test_a_run_without_frames_has_a_summary(scenario: Scenario):
     s = recording(scenario, 0, vs.Outcome.interrupted).summary()
     assert (s["frames"], s["sim_time_s"], s["success"]) == (0, 0.0, False)

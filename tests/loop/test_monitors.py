@@ -122,3 +122,10 @@ def test_each_run_has_the_monitors_that_apply(name, supervisor, left_out):
     monitors = safety_monitors(vs.load(name).target, supervisor, 1.0, collision)
     assert monitors[0] is collision
     assert [type(m) for m in monitors] == [c for c in (Collision, Divergence, PlaneCrossed, TargetLost, LimitReached) if c not in left_out]
+
+    def test_it_lasts_a_second_and_leaves_less_than_a_fiftieth(self):
+        """In numbers, not by the constants' names."""
+        for scale, ends in ((0.019, True), (0.021, False)):
+            assert bool(verdicts(LimitReached(), 1.5, limit="singular", scale=scale)) is ends
+        assert not verdicts(LimitReached(), 0.96, limit="singular", scale=0.0)
+        assert verdicts(LimitReached(), 1.04, limit="singular", scale=0.0)

@@ -83,6 +83,15 @@ class TestOffTheLimits:
         middle = JOINT_LIMITS.mean(axis=1)
         assert np.allclose(Puma560(avoid_limits=2.0).secondary_task(np.eye(6)[:, :2], Reading(middle, np.zeros(6)), Mount.of(np.eye(4))), 0)
 
+    @pytest.mark.parametrize(("share", "moves"), [(0.79, False), (0.81, True)])
+    @pytest.mark.parametrize("side", [-1, 1])
+    def test_the_middle_is_four_fifths_of_the_range(self, share, moves, side):
+        q = JOINT_LIMITS.mean(axis=1)
+        q[2] += side * share * np.ptp(JOINT_LIMITS[2]) / 2
+        twist = Puma560(avoid_limits=2.0).secondary_task(np.eye(6), Reading(q, np.zeros(6)), Mount.of(np.eye(4)))
+        assert bool(np.abs(twist).max() > 1e-6) is moves
+        assert not moves or side * np.linalg.lstsq(jacobian(q), twist, rcond=None)[0][2] < 0
+
     def test_it_arrives_where_it_would_have_met_a_limit(self):
         runs = [vs.run(vs.load("arm_avoid_limits", {"detector": "oracle", "robot.avoid_limits": k})) for k in (0.0, 5.0)]
         assert [r.outcome.name for r in runs] == ["joint_limit", "converged"]

@@ -11,7 +11,7 @@ from vstestbed.core.geometry import Array, Pose, exp, inverse, rigid_error, tran
 from vstestbed.features.depth import AtGoal, Constant, Depth, Estimate, OracleDepth, PnP
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.targets.points import Square
-from vstestbed.vision import Detection, Observer
+from vstestbed.vision import Detection, Observer, observe
 
 CAMERA = Perspective(distortion=(-0.1, 0.02, 0.001, -0.001, 0.0))
 TARGET = Square(pose=Pose(), side=0.4)
@@ -197,3 +197,19 @@ def test_a_pixel_that_noise_puts_off_the_map_costs_no_more_than_itself() -> None
     seen = observer.observe(memory, DT, Detection(uv=now), REST, rng)[1]
     assert seen.T_camera_target is not None
     assert rigid_error(seen.T_camera_target, moved) == pytest.approx((0, 0), abs=1e-4)  # by the other three
+
+
+@pytest.mark.parametrize("failed", [0, 2])
+def test_a_picture_without_a_pose_costs_no_later_one(failed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first picture or a later one: the next is solved as if there had been no failure."""
+    observer, rng = _observer(PnP()), np.random.default_rng(0)
+    memory, solver, poses = observer.init(), observe.solve_pose_from_rays, []
+    for k in range(4):
+        monkeypatch.setattr(observe, "solve_pose_from_rays", (lambda *_: None) if k == failed else solver)
+        memory, seen = observer.observe(memory, k * DT, _detection(START), REST, rng)
+        poses.append(seen.T_camera_target)
+    for k, T in enumerate(poses):
+        if k == failed == 0:
+            assert T is None
+        else:  # a later failure is bridged by the camera's own motion
+            assert T is not None and rigid_error(T, START) == pytest.approx((0, 0), abs=1e-6)

@@ -39,7 +39,7 @@ def basin(
     field_of_view: Annotated[
         FieldOfView | None, typer.Option(help="Whether the picture has a border. [default: as the oracle's, or limited]")
     ] = None,
-    check: Annotated[int, typer.Option(min=0, help="So many random starts also fly one by one, in the time loop of `run`.")] = 0,
+    check: Annotated[int, typer.Option(min=0, help="So many random starts, and 4 frontal ones, also fly in the time loop of `run`.")] = 0,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of the results. [default: runs/basin/NUMBER]")] = None,
     as_json: Json = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No words.")] = False,
@@ -103,5 +103,5 @@ def _summary_text(mapped: Basin) -> str:
     lines = [f"{mapped.label}: {shares}; {summary['starts']} starts in {mapped.processor_s:.1f} s of one core"]
     if mapped.checked:
         lines.append(f"  the time loop agrees on {summary['agreeing']} of {mapped.checked}")
-    lines += [f"    not at {mapped.x.name} {d.x:g}, {mapped.y.name} {d.y:g}: {d.batch} here, {d.full} there" for d in mapped.disagreements]
+    lines += [f"    not at {d.words(mapped.x.name, mapped.y.name)}" for d in mapped.disagreements]
     return "\n".join(lines)

@@ -13,6 +13,8 @@ ROUNDS = 20
 """Most Gauss-Newton steps; five suffice from the pose a frame ago."""
 SETTLED = 1e-11
 """Converged when a step is smaller than this [m, rad]."""
+AT_THE_LENS = 1e-9
+"""Least distance of a marker from the camera [m]: a guess may put one at the camera's centre, where it has no direction."""
 FITS = 0.05
 """A pose whose angular errors have a larger root mean square than this [rad] is no solution."""
 
@@ -69,7 +71,7 @@ def _refined(rays: Array, points: Array, T: Array) -> tuple[Array, float]:
     error = math.inf
     for _ in range(ROUNDS):
         p = points @ T[:3, :3].T + T[:3, 3]
-        reach = np.linalg.norm(p, axis=1)
+        reach = np.maximum(np.linalg.norm(p, axis=1), AT_THE_LENS)
         unit = p / reach[:, None]
         cosine = np.sum(unit * rays, axis=1)
         e = (across @ unit[:, :, None])[..., 0]

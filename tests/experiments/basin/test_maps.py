@@ -52,7 +52,7 @@ def test_points_retreat_to_infinity_only_near_the_half_turn():
     ends = made.endings.reshape(3, 19)
     assert (ends[:, :14] == "converged").all()  # up to 130 degrees
     assert (ends[:, -1] == "diverged").all()
-    assert made.checked == 8 and made.disagreements == ()
+    assert made.checked == 8 + len(basin.ON_AXIS_DEG) and made.disagreements == ()
     times = made.time_to_converge_s.reshape(3, 19)
     assert np.isfinite(times[:, :14]).all() and np.isnan(times[:, -1]).all()
 
@@ -93,7 +93,7 @@ def test_the_command_leaves_a_folder(tmp_path: Path, capsys: pytest.CaptureFixtu
     told = json.loads(capsys.readouterr().out)
     assert told == json.loads((out / "basin.json").read_text())
     assert [t["label"] for t in told] == ["interaction=current", "interaction=desired"]
-    assert all(t["starts"] == 144 and t["checked"] == 5 and t["agreeing"] == 5 for t in told)
+    assert all(t["starts"] == 144 and t["checked"] == t["agreeing"] == 5 + len(basin.ON_AXIS_DEG) for t in told)
     assert sum(told[0]["shares"].values()) == pytest.approx(1)
     assert told[0]["x"] == {"name": "x", "low": -1.0, "high": 1.0, "n": 12, "unit": "m"} and told[0]["y"]["unit"] == "deg"
     assert {name: one["value"] for name, one in told[0]["fixed"].items()} == pytest.approx(
@@ -134,8 +134,26 @@ def test_a_start_that_the_simulation_ends_otherwise_is_listed(monkeypatch: pytes
     flown = basin.run
     monkeypatch.setattr(basin, "run", lambda one: flown(started_at(one, inverse(Pose(xyz=(0, 0, 2), rpy_deg=(0, 0, 180)).T))))
     made = basin.basin("points", s, Axis("x", -0.1, 0.1, 2), Axis("y", -0.1, 0.1, 2), {"z": -0.1, "yaw": 0}, check=4)
-    assert made.checked == len(made.disagreements) == 4
+    assert made.checked == len(made.disagreements) == 4 + len(basin.ON_AXIS_DEG)
     assert {d.batch for d in made.disagreements} == {"converged"} and {d.full for d in made.disagreements} <= {"diverged", "target_lost"}
+    assert [d.on_axis_deg for d in made.disagreements] == [None] * 4 + list(basin.ON_AXIS_DEG)
+    assert {(d.x, d.y) for d in made.disagreements[:4]} == {(x, y) for x in (-0.1, 0.1) for y in (-0.1, 0.1)}
+    words = [d["words"] for d in made.summary()["disagreements"]]
+    assert words[0].startswith("x ") and words[-1].startswith("frontal, centred, turned by 113 deg: converged here, ")
+
+
+@pytest.mark.parametrize("law", [{"kind": "pbvs"}, {"kind": "ibvs"}, {"kind": "hybrid", "source": "model"}], ids=lambda law: law["kind"])
+def test_frontal_centred_starts_end_as_in_the_time_loop(law: dict[str, str], monkeypatch: pytest.MonkeyPatch):
+    """There the batch, which has the true pose, once said `converged` of runs that rested for want of one."""
+    s = ideal(vs.load("ibvs_book", {"law": {**law, "gain": 1.0}, "detector": FAST["detector"]}))
+    flown, views = basin.run, []
+    monkeypatch.setattr(basin, "run", lambda one: views.append(start_of(one)) or flown(one))
+    assert list(basin._on_axis(s)) == []  # pyright: ignore[reportPrivateUsage]
+    assert len(views) == len(basin.ON_AXIS_DEG) and all(T[:2, 3] == pytest.approx(0, abs=1e-12) for T in views)
+    assert all(T[2, :3] == pytest.approx([0, 0, 1], abs=1e-12) and T[2, 3] == pytest.approx(1) for T in views)
+    # No pose is solved in those views: the check tells.
+    monkeypatch.setattr("vstestbed.vision.pose.pnp.planar_poses", lambda xy, points: [])
+    assert [d.full for d in basin._on_axis(s)] == ["target_lost"] * len(basin.ON_AXIS_DEG)  # pyright: ignore[reportPrivateUsage]
 
 
 @pytest.mark.study

@@ -97,3 +97,34 @@ def test_a_level_camera_moves_with_the_craft_and_turns_with_its_heading_alone(mo
 
     # Differences of second order: h^2.
     np.testing.assert_allclose(level_twist(twist(0), start[:2], M[:3, :3]), twist(1), atol=1e-8)
+
+
+def test_near_a_pitch_of_90_degrees_the_heading_turns_ten_times_as_fast_at_most():
+    level = DOWN.T[:3, :3]
+    for pitch in np.radians([80.0, 84.0, 86.0, 90.0]):
+        rate = level @ level_twist(np.array([0, 0, 0, 1.0, 0, 0]), np.array([0.0, pitch]), level)[3:]
+        wx, _, wz = level @ level_from_tilt(np.array([0.0, pitch]), level) @ [1.0, 0, 0]
+        assert rate[:2] == pytest.approx(0, abs=1e-12)
+        assert rate[2] == pytest.approx(wz + wx * np.sin(pitch) / max(np.cos(pitch), 0.1))
+
+
+@pytest.mark.parametrize("how", ["none", "exact", "first_order", "as_printed"])
+@pytest.mark.parametrize("camera", [ROUND, FLAT], ids=["angles", "plane"])
+def test_a_marker_straight_ahead_keeps_a_direction(how, camera):
+    rays = np.array([[0, 0, 1.0], [0.6, 0, 0.8], [-0.6, 0, 0.8], [0, 0.6, 0.8]])
+    for tilt in ((0, 0), (0.1, 0), (0, 0.1), (np.pi / 2, 0), (0, np.pi / 2)):
+        out = level_rays(rays, np.array(tilt, dtype=float), camera, how)
+        assert np.linalg.norm(out, axis=1) == pytest.approx(1)
+        assert tilt != (0, 0) or how == "as_printed" or out == pytest.approx(rays, abs=1e-12)
+
+
+def test_the_first_pictures_are_averaged_and_later_ones_weighed_by_the_gain():
+    tilt, R = np.radians([2.0, -1.0]), DOWN.T[:3, :3]
+    goal, T = Pose(xyz=(0, 0, 3)).T, np.eye(4)
+    T[:3, :3] = level_from_tilt(tilt, R).T @ goal[:3, :3]
+    first = trimmed(NO_TRIM, np.zeros(2), T, goal, R, 0.3)
+    assert first.count == 1 and first.angles == pytest.approx(tilt, abs=1e-12)
+    second = trimmed(first, np.zeros(2), goal, goal, R, 0.3)  # level: half of the first is left
+    assert second.count == 2 and second.angles == pytest.approx(tilt / 2, abs=1e-12)
+    fifth = trimmed(type(first)(tilt, 4), np.zeros(2), goal, goal, R, 0.3)
+    assert fifth.angles == pytest.approx(0.7 * tilt, abs=1e-12)

@@ -7,7 +7,7 @@ import pytest
 
 from vstestbed.core.geometry import Array, Pose, exp, rotation_angle, transform
 from vstestbed.targets.points import Square
-from vstestbed.vision.pose.homography import relative_view
+from vstestbed.vision.pose.homography import homography, left_open, relative_view
 
 POINTS = Square(side=0.5, pose=Pose()).points
 GOAL = Pose(xyz=(0.05, 0.02, 1), rpy_deg=(5, -10, 3)).T
@@ -72,3 +72,48 @@ def test_all_points_but_one_on_a_line_make_no_homography(noise: float):
     views = [transform(T, points) for T in (GOAL, *(some_pose() for _ in range(50)))]
     goal, *others = (p[:, :2] / p[:, 2:] for p in views)
     assert all(relative_view(goal, xy + RNG.normal(0, noise, (4, 2)), GOAL[:3, 2]) is None for xy in others)
+
+
+@pytest.mark.parametrize("distance", [0.3, 1.0, 5.0])
+def test_frontal_views_the_goal_itself_and_shifts_alone(distance: float):
+    """No tilt, no parallax or no motion at all: all of the decomposition's square roots are of zero."""
+    worst = 0.0
+    for goal in (Pose(xyz=(0, 0, distance)).T, Pose(xyz=(0.1 * distance, -0.05 * distance, distance)).T):
+        views = [goal, *(exp(np.array([*shift, 0, 0, 0.0])) @ goal for shift in 0.05 * distance * np.eye(3))]
+        views += [Pose(xyz=(0, 0, z), rpy_deg=(0, 0, turn)).T for z in (0.3, 2.0, 20.0) for turn in np.arange(0, 180.5, 2.5)]
+        for T in views:
+            found = relative_view(project(goal), project(T), goal[:3, 2])
+            assert found is not None
+            worst = max(worst, float(rotation_angle(found.R_camera_goal @ (T[:3, :3] @ goal[:3, :3].T).T)))
+    assert worst < 5e-7  # the root of rounding
+
+
+@pytest.mark.parametrize(("off_line", "open_"), [(0.002, True), (0.06, False)])
+def test_how_far_off_the_line_the_middle_point_must_be(off_line: float, open_: bool):
+    points = np.array([[-0.25, 0, 0], [0, off_line, 0], [0.25, 0, 0], [0, 0.25, 0]])
+    a, b = (transform(T, points) for T in (GOAL, some_pose()))
+    assert (relative_view(a[:, :2] / a[:, 2:], b[:, :2] / b[:, 2:], GOAL[:3, 2]) is None) is open_
+    assert left_open(a[:, :2] / a[:, 2:], np.stack([b[:, :2] / b[:, 2:]] * 2)).tolist() == [open_, open_]
+
+
+def test_the_homography_of_many_points_is_exact_and_averages_noise():
+    points = np.column_stack([RNG.uniform(-0.25, 0.25, (30, 2)), np.zeros(30)])
+    T = some_pose()
+    p, q = transform(GOAL, points), transform(T, points)
+    a, b = p[:, :2] / p[:, 2:], q[:, :2] / q[:, 2:]
+
+    def misfit(b_seen: Array) -> float:
+        H = homography(a, b_seen, 1e-12)
+        assert H is not None
+        m = np.column_stack([a, np.ones(30)]) @ H.T
+        return float(np.sqrt(np.mean((m[:, :2] / m[:, 2:] - b) ** 2)))
+
+    assert misfit(b) < 1e-12
+    # Eight unknowns of sixty equations: sqrt(8/60) of the noise is left.
+    assert misfit(b + RNG.normal(0, 1e-4, b.shape)) < 0.6e-4
+    assert homography(a[:4], np.full((4, 2), 0.1), 1e-12) is None
+
+
+def test_points_on_both_sides_of_the_camera_have_no_view():
+    xy = np.array([[-0.2, -0.2], [0.2, 0.2], [0.2, -0.2], [-0.2, 0.2]])
+    assert relative_view(project(GOAL), xy, GOAL[:3, 2]) is None

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.files import write_whole, writing
-from vstestbed.core.geometry import Array, Pose, inverse, rotation_from_rpy
+from vstestbed.core.geometry import Array, Pose, inverse, rotation_from_rpy, transform
 from vstestbed.core.outcome import Outcome
 from vstestbed.experiments.basin.batch import Batch, fly
 from vstestbed.experiments.basin.setup import BatchSetup, ideal, start_of, started_at
@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 COORDINATES = ("x", "y", "z", "roll", "pitch", "yaw")
 """Start pose of the camera in the frame of the goal camera: x right, y down, z ahead [m] (z = -1 is a metre back), and rotations
 about these axes [deg], R = Rz(yaw) Ry(pitch) Rx(roll)."""
+ON_AXIS_DEG = (12.0, 30.0, 72.0, 113.0)
+"""Turns about the optical axis of the frontal, centred starts that every check includes: no random start is in that degenerate view."""
 
 
 @dataclass(frozen=True)
@@ -67,12 +69,18 @@ def unit_of(coordinate: str) -> str:
 
 @dataclass(frozen=True)
 class Disagreement:
-    """A start whose single run in `loop.run` (`full`) ended otherwise than in the batch; x, y: its coordinates on the map."""
+    """A start that `loop.run` (`full`) ended otherwise than the batch: at x, y on the map, or frontal and turned by on_axis_deg."""
 
-    x: float
-    y: float
+    x: float | None
+    y: float | None
     batch: str
     full: str
+    on_axis_deg: float | None = None
+
+    def words(self, x: str, y: str) -> str:
+        """In words, on a map with axes of these names."""
+        place = f"{x} {self.x:g}, {y} {self.y:g}" if self.on_axis_deg is None else f"frontal, centred, turned by {self.on_axis_deg:g} deg"
+        return f"{place}: {self.batch} here, {self.full} there"
 
 
 @dataclass(frozen=True)
@@ -125,7 +133,7 @@ class Basin:
             "gain_step": _gain_step(self.scenario),
             "checked": self.checked,
             "agreeing": self.checked - len(self.disagreements),
-            "disagreements": [vars(d) for d in self.disagreements],
+            "disagreements": [vars(d) | {"words": d.words(self.x.name, self.y.name)} for d in self.disagreements],
         }
 
 
@@ -183,16 +191,14 @@ def laws(comparison: Comparison, field_of_view: str | None = None) -> list[tuple
         scenario = ideal(c.scenario, field_of_view)
         BatchSetup(scenario)  # raises if the law cannot run in a batch
         if same := [other for other, s in found if s == scenario]:
-            problem = (
-                f"`{label}` would make the same map as `{same[0]}`: its cameras are ideal, without the arm's dynamics, latency and noise"
-            )
-            raise ParameterError("scenario", f"{problem}; leave one of the two out")
+            problem = f"`{label}` would make the same map as `{same[0]}`: its cameras are ideal, without the arm's dynamics, latency"
+            raise ParameterError("scenario", f"{problem} and noise; leave one of the two out")
         found.append((label, scenario))
     return found
 
 
 def basin(label: str, scenario: Scenario, x: Axis, y: Axis, at: Mapping[str, float] | None = None, check: int = 0, seed: int = 0) -> Basin:
-    """Compute the map of an ideal scenario's law; `check` random starts of it are also run singly in `loop.run`.
+    """Compute the map of an ideal scenario's law; `check` random starts of it, and frontal, centred ones, also run in `loop.run`.
 
     Raises:
         ParameterError: invalid axes, or the law cannot run in a batch.
@@ -203,19 +209,36 @@ def basin(label: str, scenario: Scenario, x: Axis, y: Axis, at: Mapping[str, flo
     mapped = Basin(label, scenario, x, y, fixed(scenario, x, y, at or {}), batch, time.process_time() - began)
     if not check:
         return mapped
-    spots = np.random.default_rng(seed).choice(
-        len(poses), min(check, len(poses)), replace=False
-    )  # a seed of its own: the same starts are checked every time
-    return replace(mapped, checked=len(spots), disagreements=tuple(_disagreements(mapped, poses, spots)))
+    # a seed of its own: the same starts are checked every time
+    spots = np.random.default_rng(seed).choice(len(poses), min(check, len(poses)), replace=False)
+    different = (*_on_map(mapped, poses, spots), *_on_axis(scenario))
+    return replace(mapped, checked=len(spots) + len(ON_AXIS_DEG), disagreements=different)
 
 
-def _disagreements(mapped: Basin, poses: Array, spots: NDArray[np.int_]) -> Iterator[Disagreement]:
-    outcomes: list[Outcome] = mapped.batch.outcome.tolist()
-    for i in spots.tolist():
-        found, expected = run(started_at(mapped.scenario, poses[i])).outcome, outcomes[i]
-        if found is not expected:
-            j, k = divmod(i, mapped.x.n)  # x fastest
-            yield Disagreement(float(mapped.x.values[k]), float(mapped.y.values[j]), expected.name, found.name)
+def _on_map(mapped: Basin, poses: Array, spots: NDArray[np.int_]) -> Iterator[Disagreement]:
+    """Those of the starts (M, 4, 4) at `spots` whose single runs end otherwise."""
+    for i, batch, full in _different(mapped.scenario, poses[spots], mapped.batch.outcome[spots].tolist()):
+        j, k = divmod(int(spots[i]), mapped.x.n)  # x fastest
+        yield Disagreement(float(mapped.x.values[k]), float(mapped.y.values[j]), batch, full)
+
+
+def _on_axis(scenario: Scenario) -> Iterator[Disagreement]:
+    """The frontal, centred starts at the goal's distance whose single runs end otherwise."""
+    middle = scenario.target.points.mean(axis=0)
+    distance = float(np.linalg.norm(transform(scenario.goal_view.T_camera_target, middle[None])))
+    turns = rotation_from_rpy(np.radians([[0.0, 0.0, turn] for turn in ON_AXIS_DEG]))
+    poses = np.tile(np.eye(4), (len(turns), 1, 1))
+    poses[:, :3, :3], poses[:, :3, 3] = turns, [0.0, 0.0, distance] - turns @ middle
+    for i, batch, full in _different(scenario, poses, fly(scenario, poses).outcome.tolist()):
+        yield Disagreement(None, None, batch, full, ON_AXIS_DEG[i])
+
+
+def _different(scenario: Scenario, poses: Array, expected: list[Outcome]) -> Iterator[tuple[int, str, str]]:
+    """Indices of the starts (M, 4, 4) whose single runs end otherwise than expected, and both outcomes."""
+    for i, outcome in enumerate(expected):
+        found = run(started_at(scenario, poses[i])).outcome
+        if found is not outcome:
+            yield i, outcome.name, found.name
 
 
 def table(basins: Sequence[Basin]) -> polars.DataFrame:

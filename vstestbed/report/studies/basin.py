@@ -165,8 +165,8 @@ def _table(summaries: Sequence[Mapping[str, Any]]) -> str:
 
 def _checks(summaries: Sequence[Mapping[str, Any]]) -> str:
     """The checked starts whose single run ended otherwise than in the batch."""
-    found = [(s["label"], d) for s in summaries for d in s["disagreements"]]
+    found = [(s["label"], d["words"]) for s in summaries for d in s["disagreements"]]
     if not found:
         return ""
-    lines = "".join(f"<li>{escape(label)} at ({d['x']:g}, {d['y']:g}): {d['batch']} here, {d['full']} there</li>" for label, d in found)
+    lines = "".join(f"<li>{escape(label)} at {escape(words)}</li>" for label, words in found)
     return f'<h2>Where the time loop ends otherwise</h2><ul class="runs">{lines}</ul>'

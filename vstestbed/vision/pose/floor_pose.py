@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from vstestbed.core.geometry import Array
+from vstestbed.vision.all_round import AT_THE_LENS
 
 ROUNDS = 12
 """Most Gauss-Newton steps; three or four suffice from the pose a frame ago."""
@@ -16,6 +17,8 @@ UNTOLD = 1e-4
 """Singular values below this share of the largest count as zero: two landmarks on one vertical leave the heading open."""
 LEVEL = 0.03
 """Least |z| of a unit ray (1.7 degrees of elevation) whose landmark's height gives a distance."""
+ALIKE = 1e-9
+"""Errors below this [rad] are rounding."""
 FITS = 0.1
 """A solution whose angular errors have a larger root mean square than this [rad] is rejected."""
 
@@ -41,7 +44,8 @@ def solve_place(rays: Array, points: Array, T_base_camera: Array, previous: Arra
     if not guesses:
         return None
     solved = [_refined(d, points, origin, g) for g in guesses]
-    place, error = min(solved, key=lambda s: s[1])
+    # Of two that fit alike the first, which continues the previous pose: of two landmarks on one vertical every heading fits.
+    place, error = min(solved, key=lambda s: max(s[1], ALIKE))
     return place if error < FITS else None
 
 
@@ -84,7 +88,7 @@ def _errors(d: Array, across: Array, points: Array, origin: Array, place: Array)
     c, s = math.cos(place[2]), math.sin(place[2])
     m = points[:, :2] - place[:2]
     p = np.column_stack([c * m[:, 0] + s * m[:, 1], -s * m[:, 0] + c * m[:, 1], points[:, 2]]) - origin
-    reach = np.linalg.norm(p, axis=1, keepdims=True)
+    reach = np.maximum(np.linalg.norm(p, axis=1, keepdims=True), AT_THE_LENS)
     unit = p / reach
     dp = np.zeros((len(points), 3, 3))
     dp[:, 0, 0], dp[:, 0, 1], dp[:, 1, 0], dp[:, 1, 1] = -c, -s, s, -c

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -32,10 +31,8 @@ def relative_view(goal_xy: Array, xy: Array, goal_normal: Array) -> Relative | N
     if np.count_nonzero(seen) < 4:
         return None
     goal_xy, xy = goal_xy[seen], xy[seen]
-    if left_open(goal_xy, xy):
-        return None
-    H = cv2.findHomography(goal_xy, xy, 0)[0]
-    if H is None or not np.isfinite(H).all():
+    H = homography(goal_xy, xy, OPEN)
+    if H is None:
         return None
     H = H / np.linalg.svd(H, compute_uv=False)[1]
     ratios = goal_xy @ H[2, :2] + H[2, 2]
@@ -45,26 +42,50 @@ def relative_view(goal_xy: Array, xy: Array, goal_normal: Array) -> Relative | N
     return Relative(H=H, R_camera_goal=_rotation(H, goal_xy, goal_normal))
 
 
-def left_open(a: Array, b: Array) -> NDArray[np.bool_]:
-    """Whether the equations b_i x H a_i = 0 of points a, b (..., N, 2) leave H open: two of nine singular values are (nearly) zero.
+def homography(a: Array, b: Array, least: float) -> Array | None:
+    """The homography (3, 3) from points a to points b (N, 2), N >= 4, up to its factor; None where they leave it open.
 
-    Reference: Hartley & Zisserman 2004, Multiple View Geometry, section 4.1 (the equations, and the scaling before them).
+    The normalised direct linear transformation: the right singular vector of the smallest singular value of b_i x H a_i = 0. (OpenCV
+    takes the points in single precision, which costs half of the digits.)
+
+    Args:
+        a, b: the points in either view.
+        least: H is open if two of the nine singular values are below this share of the largest.
+
+    Reference: Hartley & Zisserman 2004, Multiple View Geometry, algorithm 4.2.
     """
-    a, b = np.broadcast_arrays(_scaled(a), _scaled(b))
+    (a_mean, a_size), (b_mean, b_size) = _scaling(a), _scaling(b)
+    s, Vt = np.linalg.svd(_equations((a - a_mean) / a_size, (b - b_mean) / b_size))[1:]
+    if not s[7] > least * s[0]:
+        return None
+    to_a, from_b = np.eye(3), np.eye(3)
+    to_a[:2, :2], to_a[:2, 2:] = np.eye(2) / a_size, -a_mean.T / a_size
+    from_b[:2, :2], from_b[:2, 2:] = np.eye(2) * b_size, b_mean.T
+    return from_b @ Vt[8].reshape(3, 3) @ to_a
+
+
+def left_open(a: Array, b: Array) -> NDArray[np.bool_]:
+    """Whether points a, b (..., N, 2) of two views leave their homography open: two of nine singular values are (nearly) zero."""
+    (a_mean, a_size), (b_mean, b_size) = _scaling(a), _scaling(b)
+    s = np.linalg.svd(_equations(*np.broadcast_arrays((a - a_mean) / a_size, (b - b_mean) / b_size)), compute_uv=False)
+    return np.asarray(s[..., 7] <= OPEN * s[..., 0])
+
+
+def _equations(a: Array, b: Array) -> Array:
+    """The matrix (..., 2 N, 9) of b_i x H a_i = 0 for the nine elements of H."""
     A = np.zeros((*a.shape[:-1], 2, 9))
     A[..., 0, :2] = A[..., 1, 3:5] = a
     A[..., 0, 2] = A[..., 1, 5] = 1
     A[..., 6:8] = -b[..., None] * a[..., None, :]
     A[..., 8] = -b
-    s = np.linalg.svd(A.reshape(*a.shape[:-2], -1, 9), compute_uv=False)
-    return np.asarray(s[..., 7] <= OPEN * s[..., 0])
+    return A.reshape(*a.shape[:-2], -1, 9)
 
 
-def _scaled(xy: Array) -> Array:
-    """Points (..., N, 2) relative to their mean, scaled to a mean square distance of 1 (Hartley's normalisation)."""
-    d = xy - xy.mean(axis=-2, keepdims=True)
-    size2 = np.sum(d * d, axis=(-2, -1), keepdims=True) / d.shape[-2]
-    return d / np.maximum(np.sqrt(size2), 1e-12)
+def _scaling(xy: Array) -> tuple[Array, Array]:
+    """Mean (..., 1, 2) and root mean square distance from it (..., 1, 1) of points (..., N, 2): Hartley's normalisation."""
+    mean = xy.mean(axis=-2, keepdims=True)
+    size2 = np.sum((xy - mean) ** 2, axis=(-2, -1), keepdims=True) / xy.shape[-2]
+    return mean, np.maximum(np.sqrt(size2), 1e-12)
 
 
 def _rotation(H: Array, goal_xy: Array, goal_normal: Array) -> Array:

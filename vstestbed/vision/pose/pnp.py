@@ -13,11 +13,15 @@ from cv2.typing import MatLike
 
 from vstestbed.core.geometry import Array, exp, inverse, rigid_error
 from vstestbed.vision.all_round import solve_pose_all_round
+from vstestbed.vision.pose.planar import planar_poses
 
 _K, _EYE = np.eye(3), np.eye(4)
 STANDS = 1e-3
 """A refined previous pose is accepted if its reprojection error is below this share of the image points' spread: a
 mirror pose that fits as well is indistinguishable from the right one."""
+MIRRORED = 0.4
+"""... and below this times the cube of the spread. A mirror pose is a local minimum only if the plane's tilt is larger than about the
+spread, and its error is some spread^2 x tilt: 1.5 spread^3 was the least of 3000 views nearly frontal."""
 CONTINUES = 0.2
 """... and if it is nearer to the previous pose than this (radians plus share of the distance); from nearer the refinement's few
 iterations converge to rounding."""
@@ -30,25 +34,21 @@ WIDE = 0.2
 
 FITS = 0.5
 """A pose whose reprojection error exceeds this share of the image points' spread is no solution."""
-DOUBTFUL = 0.3
-"""IPPE's poses with an error above this share of the spread may be corrupted near a half turn."""
-NEAR_HALF_TURN = 0.3
-"""IPPE's rotations this near to a half turn [rad] are solved once more; farther off a corrupted one shows in the error."""
 ROUNDING = 1e-12
 """Reprojection errors (normalised) that differ by this are equal."""
+_SETTLED = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 30, 1e-14)
+"""The refinement ends after as many steps or with one this small. OpenCV's default, single precision, would stop on the way from a
+tilted previous pose to a far frontal view, where each step only halves the tilt."""
 Layout = Literal["line", "line and one", "plane", "space"]
 """Collinear; collinear but for one point; coplanar; in space."""
 _START_VECTOR = np.array([[0.0], [0.0], [1.0]])
 _START = exp(np.array([0, 0, 0, 0, 0, 1.0]))[:3, :3]
-_TURN = exp(np.array([0, 0, 0, 0.5, 0.7, 1.1]))
-"""A rotation by 1.4 rad, which takes a pose away from a half turn."""
 
 
 class _Candidate(NamedTuple):
-    """A pose that a solver found: reprojection error [rms of one coordinate], rotation angle as solved [rad], pose (4, 4)."""
+    """A pose that a solver found: reprojection error [rms of one coordinate], pose (4, 4)."""
 
     error: float
-    angle: float
     T: Array
 
 
@@ -58,15 +58,14 @@ def solve_pose(xy: Array, points: Array, previous: Array | None = None) -> Array
     Minimises sum |xy_i - project(T p_i)|^2, starting from the previous pose and, where that leads to no good fit, from
     - IPPE for coplanar points (N >= 4), with both of its poses: the better fit where it is clearly better, else the one nearer
       to `previous`;
-    - SQPnP for points in space (N >= 4);
+    - SQPnP for points in space (N >= 4), and P3P where its pose is behind the camera, as in one near view of a hundred;
     - P3P for points of which all but one are collinear: they determine no homography, which IPPE starts from, and SQPnP finds a
       local minimum in one view of fourteen. Of the poses of three of the points, the one that all fit best;
     - P3P for three points: the pose nearest to `previous`, None without one.
     A pose with a point behind the camera is no solution, nor is one that leaves half of the image's spread unexplained.
     Collinear points have none.
 
-    OpenCV returns IPPE's rotation as a rotation vector, which is corrupted near a half turn; where that may have happened the
-    points are rotated and solved once more. The refinement always works on rotated points and is kept where it fits better.
+    The refinement is kept where it fits better.
 
     Args:
         xy: normalised, undistorted coordinates, shape (N, 2).
@@ -84,7 +83,7 @@ def solve_pose(xy: Array, points: Array, previous: Array | None = None) -> Array
     if shape == "line":
         return None
     if len(points) == 3:
-        return None if previous is None else _continue(_three(xy, points), previous)
+        return None if previous is None else _continue(_three(xy, points), previous, points)
     return _of_many(xy, points, shape, previous)
 
 
@@ -93,23 +92,23 @@ def _of_many(xy: Array, points: Array, shape: Layout, previous: Array | None) ->
     spread = _spread(xy)
     if previous is not None:
         T, error = _refine(xy, points, previous)
-        if error < STANDS * spread and _step(T, previous) < CONTINUES:
+        if error < min(STANDS * spread, MIRRORED * spread**3) and _step(T, previous, points) < CONTINUES:
             return T
-    solutions = [c for c in _candidates(xy, points, shape, spread) if c.error < FITS * spread and _in_front(c.T, points)]
+    solutions = [c for c in _candidates(xy, points, shape) if c.error < FITS * spread]
     if not solutions:
         return None
-    best = _preferred(solutions, previous)
+    best = _preferred(solutions, previous, points)
     T, error = _refine(xy, points, best.T)
     return T if error <= best.error + ROUNDING else best.T
 
 
-def _preferred(solutions: list[_Candidate], previous: Array | None) -> _Candidate:
+def _preferred(solutions: list[_Candidate], previous: Array | None, points: Array) -> _Candidate:
     """The best fit or, of several that fit about as well, the one nearest to the previous pose."""
     best = min(solutions, key=lambda c: c.error)
     if previous is None:
         return best
     rivals = [c for c in solutions if c.error <= CLEARLY_WORSE * best.error]
-    return rivals[0] if len(rivals) == 1 else min(rivals, key=lambda c: _step(c.T, previous))
+    return rivals[0] if len(rivals) == 1 else min(rivals, key=lambda c: _step(c.T, previous, points))
 
 
 def solve_pose_from_rays(rays: Array, points: Array, previous: Array | None = None) -> Array | None:
@@ -153,37 +152,28 @@ def _virtual(rays: Array) -> Array | None:
     return T if (rays @ T[:3, 2]).min() > WIDE else None
 
 
-def _candidates(xy: Array, points: Array, shape: Layout, spread: float) -> list[_Candidate]:
-    """The poses of the solver for this layout; planar ones that may be corrupted near a half turn also from rotated points."""
-    if shape == "line and one":
-        return _from_three(xy, points)
-    if shape == "space":
-        return _solved(xy, points, cv2.SOLVEPNP_SQPNP)
-    found = _solved(xy, points, cv2.SOLVEPNP_IPPE)
-    if any(_doubtful(c.error, c.angle, spread) for c in found):
-        found += [c._replace(T=c.T @ _TURN) for c in _solved(xy, points @ _TURN[:3, :3].T, cv2.SOLVEPNP_IPPE)]
-    return found
+def _candidates(xy: Array, points: Array, shape: Layout) -> list[_Candidate]:
+    """The poses that the solver for this layout finds, with the error of all points."""
+    solvers = {"line and one": (_from_three,), "plane": (planar_poses,), "space": (_from_space, _from_three)}[shape]
+    for solver in solvers:
+        found = [_Candidate(_misfit(T, xy, points), T) for T in solver(xy, points)]
+        if any(math.isfinite(c.error) for c in found):
+            return found
+    return []
 
 
-def _solved(xy: Array, points: Array, flag: int) -> list[_Candidate]:
-    """The poses that one of OpenCV's solvers finds."""
-    found, rotations, translations, errors = cv2.solvePnPGeneric(points, xy, _K, None, flags=flag)
-    if not found:
-        return []
-    return [_Candidate(e, cv2.norm(r), _matrix(r, t)) for r, t, e in zip(rotations, translations, errors.ravel().tolist(), strict=True)]
+def _from_space(xy: Array, points: Array) -> list[Array]:
+    """The poses that SQPnP finds."""
+    found, rotations, translations, _ = cv2.solvePnPGeneric(points, xy, _K, None, flags=cv2.SOLVEPNP_SQPNP)
+    return [_matrix(r, t) for r, t in zip(rotations, translations, strict=True)] if found else []
 
 
-def _from_three(xy: Array, points: Array) -> list[_Candidate]:
-    """The poses of three of the points, those that span the largest triangle, with the error of all."""
+def _from_three(xy: Array, points: Array) -> list[Array]:
+    """The poses of three of the points, those that span the largest triangle."""
     triples = np.array(list(combinations(range(len(points)), 3)))
     a, b, c = np.moveaxis(points[triples], 1, 0)
     chosen = triples[np.linalg.norm(np.cross(b - a, c - a), axis=1).argmax()]
-    return [_Candidate(_misfit(T, xy, points), 0.0, T) for T in _three(xy[chosen], points[chosen])]
-
-
-def _doubtful(error: float, angle: float, spread: float) -> bool:
-    """Whether the rotation is near a half turn, or was corrupted by one (NaN, or a pose that does not fit)."""
-    return not (error < DOUBTFUL * spread and abs(angle - math.pi) > NEAR_HALF_TURN)
+    return _three(xy[chosen], points[chosen])
 
 
 def _refine(xy: Array, points: Array, T: Array) -> tuple[Array, float]:
@@ -194,7 +184,7 @@ def _refine(xy: Array, points: Array, T: Array) -> tuple[Array, float]:
     """
     turn = _START.T @ T[:3, :3]
     turned = points @ turn.T
-    refined = _matrix(*cv2.solvePnPRefineVVS(turned, xy, _K, None, _START_VECTOR.copy(), T[:3, 3:].copy()))
+    refined = _matrix(*cv2.solvePnPRefineVVS(turned, xy, _K, None, _START_VECTOR.copy(), T[:3, 3:].copy(), _SETTLED))
     error = _misfit(refined, xy, turned)
     refined[:3, :3] = refined[:3, :3] @ turn
     return refined, error
@@ -223,18 +213,19 @@ def _three(xy: Array, points: Array) -> list[Array]:
     return [T for T in poses if np.isfinite(T).all() and _in_front(T, points)]
 
 
-def _continue(poses: list[Array], previous: Array) -> Array | None:
+def _continue(poses: list[Array], previous: Array, points: Array) -> Array | None:
     """The pose nearest to the previous one; None if even that is farther than SAME_SCENE."""
-    steps = [_step(T, previous) for T in poses]
+    steps = [_step(T, previous, points) for T in poses]
     if not steps or min(steps) > SAME_SCENE:
         return None
     return poses[int(np.argmin(steps))]
 
 
-def _step(T: Array, previous: Array) -> float:
-    """Distance between two poses: the angle [rad] plus the translation as a share of the distance to the target."""
-    distance, angle = rigid_error(T, previous)
-    return angle + distance / math.hypot(*previous[:3, 3].tolist())
+def _step(T: Array, previous: Array, points: Array) -> float:
+    """Distance between two poses: the angle [rad] plus the way of the points' middle as a share of its distance from the camera."""
+    middle = np.append(points.sum(axis=0), len(points))
+    now, before = (T @ middle)[:3], (previous @ middle)[:3]
+    return rigid_error(T, previous)[1] + math.hypot(*(now - before).tolist()) / math.hypot(*now.tolist())
 
 
 def _matrix(rotation_vector: MatLike, translation: MatLike) -> Array:
