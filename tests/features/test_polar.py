@@ -74,3 +74,39 @@ def test_batches_are_single_ones_stacked():
 def test_depth_behind_the_camera():
     with pytest.raises(ParameterError, match="no image"):
         Polar().interaction(np.zeros((2, 2)), np.array([1.0, -1]))
+
+
+class TestAsPrinted:
+    """Without the weight at the centre the law is that of print up to the centre, where the angle ends."""
+
+    PRINTED, WEIGHTED = Polar(centre_weight=False), Polar()
+    NEAR = np.array([[0.003, 0.004], [-0.004, 0.003], [0.2, 0.1]])
+
+    def test_the_row_of_the_angle_grows_as_one_over_the_radius(self):
+        # phi_dot of eq. 16.9 at r = .005, c = .6, s = .8, Z = .5.
+        L = self.PRINTED.interaction(self.NEAR, np.full(3, 0.5)).reshape(3, 2, 6)
+        np.testing.assert_allclose(L[0, 1], [0.8 / 0.0025, -0.6 / 0.0025, 0, 0.6 / 0.005, 0.8 / 0.005, -1], rtol=1e-12)
+        # The weight of r = .005 is a half, and its square multiplies that row alone.
+        weighted = self.WEIGHTED.interaction(self.NEAR, np.full(3, 0.5)).reshape(3, 2, 6)
+        np.testing.assert_allclose(weighted[:, 1], L[:, 1] * [[0.25], [0.25], [1]], rtol=1e-12)
+        np.testing.assert_array_equal(weighted[:, 0], L[:, 0])
+
+    def test_it_is_the_derivative_there(self):
+        def polar(x: float, y: float) -> np.ndarray:
+            return self.PRINTED.measure(np.array([[x, y]]))
+
+        # Along vx at Z = 1 the point moves by x_dot = -1.
+        x, y, h = 0.001, -0.002, 1e-8
+        difference = (polar(x - h, y) - polar(x + h, y)) / (2 * h)
+        np.testing.assert_allclose(self.PRINTED.interaction(np.array([[x, y]]), np.ones(1))[:, 0], difference, rtol=1e-8)
+
+    def test_its_error_is_the_whole_angle(self):
+        s, s_star = self.PRINTED.measure(self.NEAR), self.PRINTED.measure(self.NEAR * [[1], [-1], [1]])
+        assert abs(self.PRINTED.error(s, s_star)[3]) == pytest.approx(np.pi)
+        assert abs(self.WEIGHTED.error(s, s_star)[3]) == pytest.approx(np.pi / 4)
+
+    def test_at_the_centre_itself_there_is_no_angle(self):
+        at = np.array([[0.0, 0.0], [0.1, 0.2]])
+        assert not self.PRINTED.interaction(at, np.ones(2))[1].any()
+        s = self.PRINTED.measure(at)
+        assert self.PRINTED.error(s + [0, 0.5, 0, 0], s)[1] == 0

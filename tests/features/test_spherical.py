@@ -76,3 +76,19 @@ def test_shapes_that_do_not_belong_together(ray, range_):
 def test_range_must_be_positive():
     with pytest.raises(ParameterError, match="> 0 m"):
         Spherical().interaction(np.ones((2, 3)), np.array([1.0, 0]))
+
+
+@pytest.mark.parametrize("z", [1.0, -1.0])
+def test_without_the_weight_the_angle_is_that_of_print_next_to_the_axis(z: float):
+    printed, weighted = Spherical(centre_weight=False), Spherical()
+    sine = 0.004
+    ray = np.array([[0, sine, z * np.sqrt(1 - sine**2)], [0, 0, z]])
+    L = printed.interaction(ray, np.full(2, 2.0)).reshape(2, 2, 6)
+    # phi_dot of eq. 16.15 with c = 0, s = 1, R = 2.
+    np.testing.assert_allclose(L[0, 1], [1 / (2 * sine), 0, 0, 0, z * np.sqrt(1 - sine**2) / sine, -1], atol=1e-9)
+    np.testing.assert_allclose(weighted.interaction(ray, np.full(2, 2.0))[1], L[0, 1] * 0.4**2, atol=1e-9)
+    np.testing.assert_array_equal(L[1, 1], np.zeros(6))  # on the axis there is no angle, though pi has a sine of 1.2e-16
+    s = printed.measure(ray)
+    turned = s + [0, 0.5, 0, 0.5]
+    np.testing.assert_allclose(printed.error(turned, s)[1::2], [0.5, 0], atol=1e-15)
+    np.testing.assert_allclose(weighted.error(turned, s)[1::2], [0.5 * 0.4**2, 0], atol=1e-12)

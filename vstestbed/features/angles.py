@@ -10,6 +10,8 @@ from vstestbed.core.geometry import Array
 FLOOR = 1e-3
 """Radius, in normalised coordinates or as the sine of a colatitude, under which a bearing is noise: about one pixel of a usual
 camera."""
+ROUNDING = 1e-12
+"""Radius, or sine of a colatitude, below which a bearing is undefined: pi has a sine of 1.2e-16."""
 CENTRE = 1e-2
 """Radius, or sine of a colatitude, within which the weight of a marker's bearing decreases to zero: some 4 to 8 pixels."""
 
@@ -43,21 +45,23 @@ def wrap_together(angle: Array, votes: NDArray[np.bool_] | None = None) -> Array
     return np.where(half_turn & ((e > 0) != positive), e + np.where(positive, 2, -2) * np.pi, e)
 
 
-def bearing_weight(radius: Array) -> Array:
-    """Weight of a bearing at a radius (or sine of a colatitude), any shape: 1 from 1e-2 on, r/1e-2 below, 0 at the centre.
+def bearing_weight(radius: Array, less_at_centre: bool) -> Array:
+    """Weight of a bearing at a radius (or sine of a colatitude), any shape: 1, and 0 at the centre itself, where it is undefined.
 
-    At the centre the bearing is undefined, and close to it any error of position may turn it by up to half a turn.
+    With `less_at_centre` it is r/1e-2 up to r = 1e-2: close to the centre any error of position may turn a bearing by up to half a
+    turn.
     """
-    return np.minimum(np.asarray(radius, dtype=float) / CENTRE, 1.0)
+    radius = np.asarray(radius, dtype=float)
+    return np.minimum(radius / CENTRE, 1.0) if less_at_centre else np.where(radius > ROUNDING, 1.0, 0.0)
 
 
-def bearing_error(s: Array, s_star: Array, radius: Array, radius_star: Array, together: bool) -> Array:
-    """Error of bearings w(r) w(r*) wrap(phi - phi*), of s and s* (..., N) [rad] at radii (..., N), w being `bearing_weight`.
+def bearing_error(s: Array, s_star: Array, weight: Array, weight_star: Array, together: bool) -> Array:
+    """Error of bearings w w* wrap(phi - phi*), of s and s* (..., N) [rad], with their weights w and w* (..., N) (`bearing_weight`).
 
-    With `together`, all have one sign near a half turn (`wrap_together`), that of the markers which are far from the centre in
-    both views. At s* = s its derivative is w(r)^2 phi_dot.
+    With `together`, all have one sign near a half turn (`wrap_together`), that of the markers of full weight in both views. At
+    s* = s its derivative is w^2 phi_dot.
     """
-    weight = bearing_weight(radius) * bearing_weight(radius_star)
+    weight = weight * weight_star
     e = np.subtract(s, s_star, dtype=float)
     return weight * (wrap_together(e, weight >= 1) if together else wrap(e))
 

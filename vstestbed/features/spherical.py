@@ -20,18 +20,20 @@ class Spherical:
     phi_dot   = (s vx - c vy)/(R sin theta) + (c wx + s wy) cos theta/sin theta - wz,   c = cos phi, s = sin phi
 
     R is the range, not the depth. theta lies in [0, pi]; an arc sine would map points behind the equator to the front.
-    On the axis, ahead and behind, phi is undefined: its row has the factor w(sin theta)^2 in L and w(sin theta) w(sin theta*)
-    in e, with w(r) = min(1, r/0.01) (`bearing_weight`), which is 1 beyond 0.6 degrees; on the axis the row is zero.
+    On the axis, ahead and behind, phi is undefined, and its row zero.
 
     Args:
         together: near a half turn, all angles get the same sign (`wrap_together`); else each is wrapped by itself, as in the
             reference, and rounding decides the direction of each.
+        centre_weight: the row of phi has the factor w(sin theta)^2 in L and w(sin theta) w(sin theta*) in e, with
+            w(r) = min(1, r/0.01) (`bearing_weight`), which is 1 beyond 0.6 degrees. Else w = 1, as in the reference.
 
     Reference: Corke 2017, Robotics, Vision & Control, eq. 16.15, doi:10.1007/978-3-319-54413-7.
     """
 
     kind: Literal["spherical"] = "spherical"
     together: bool = True
+    centre_weight: bool = True
     inputs: ClassVar[tuple[str, ...]] = ("ray", "range")
     rows_per_marker: ClassVar[int] = 2
     least_markers: ClassVar[int] = 1
@@ -52,7 +54,7 @@ class Spherical:
         ray, range_ = checked(ray, range_, self.inputs)
         s = self.measure(ray).reshape(*ray.shape[:-1], 2)
         (cos_t, cos), (sin_t, sin) = np.moveaxis(np.cos(s), -1, 0), np.moveaxis(np.sin(s), -1, 0)
-        inv_r, weight = 1 / range_, bearing_weight(sin_t) ** 2
+        inv_r, weight = 1 / range_, bearing_weight(sin_t, self.centre_weight) ** 2
         inv_sin = weight / np.where(sin_t > 0, sin_t, 1)  # on the axis the weight is 0, and so is the row
         L = np.zeros((*s.shape, 6))
         L[..., 0, 0], L[..., 0, 1], L[..., 0, 2] = -cos_t * cos * inv_r, -cos_t * sin * inv_r, sin_t * inv_r
@@ -62,9 +64,9 @@ class Spherical:
         return L.reshape(*ray.shape[:-2], 2 * ray.shape[-2], 6)
 
     def error(self, s: Array, s_star: Array) -> Array:
-        """Error s - s* (..., 2N); theta unchanged, phi wrapped, and weighted near the axis (`bearing_error`)."""
+        """Error s - s* (..., 2N); theta unchanged, phi wrapped and weighted (`bearing_error`)."""
         s, s_star = np.asarray(s, dtype=float), np.asarray(s_star, dtype=float)
         e = s - s_star
-        sine, sine_star = np.sin(s[..., 0::2]), np.sin(s_star[..., 0::2])
-        e[..., 1::2] = bearing_error(s[..., 1::2], s_star[..., 1::2], sine, sine_star, self.together)
+        w, w_star = (bearing_weight(np.sin(theta), self.centre_weight) for theta in (s[..., 0::2], s_star[..., 0::2]))
+        e[..., 1::2] = bearing_error(s[..., 1::2], s_star[..., 1::2], w, w_star, self.together)
         return e

@@ -27,7 +27,7 @@ from annotated_types import Ge, Gt, Le
 from vstestbed.core.geometry import Array
 from vstestbed.core.spec import OneOf, spec
 from vstestbed.features.observation import OwnMotion
-from vstestbed.laws.solve import least_squares
+from vstestbed.laws.solve import Solve, least_squares
 
 Ahead = Annotated[float, Ge(0), Le(2)]
 LEARNS = 1e3
@@ -192,10 +192,11 @@ Estimator = AlphaBeta | KalmanCV | KalmanCA
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """Change of the features since the last frame, e (m,), and the mean of both interaction matrices, L (m, 6)."""
+    """Change of the features since the last frame, e (m,), the mean of both interaction matrices, L (m, 6), and how L B is inverted."""
 
     e: Array
     L: Array
+    solve: Solve = Solve()
 
 
 def follow(kind: Estimator, trend: Trend | None, change: Change | None, basis: Array, motion: OwnMotion) -> Trend:
@@ -207,7 +208,7 @@ def follow(kind: Estimator, trend: Trend | None, change: Change | None, basis: A
     """
     step = None
     if trend is not None and change is not None:
-        step = least_squares(change.L @ basis, change.e - change.L @ (motion.twist * motion.since_s))
+        step = change.solve.least_squares(change.L @ basis, change.e - change.L @ (motion.twist * motion.since_s))
     return kind.update(trend, step, motion.since_s, basis.shape[1])
 
 

@@ -13,7 +13,7 @@ from vstestbed.features import LogDepth, Point, ThetaU
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.base import Command, ConstantGain, Gain, LawBase, TwistLimits
 from vstestbed.laws.select import NO_POSE, TOO_FEW
-from vstestbed.laws.solve import least_squares
+from vstestbed.laws.solve import Solve
 from vstestbed.laws.views import Views
 from vstestbed.laws.visibility import Visibility
 
@@ -38,6 +38,7 @@ class Hybrid(LawBase):
         gain: lambda [1/s].
         source: `homography` (default; needs four or more visible markers in one plane, of which not all but one lie on a line)
             or `model`.
+        solve: inversion of L B (`Solve`).
         limits: largest speed and rate of the commanded twist.
         visibility: repulsive field at the border of the image.
 
@@ -47,6 +48,7 @@ class Hybrid(LawBase):
     kind: Literal["hybrid"] = "hybrid"
     gain: Gain = ConstantGain()
     source: Literal["homography", "model"] = "homography"
+    solve: Solve = Solve()
     limits: TwistLimits = TwistLimits()
     visibility: Visibility = Visibility()
 
@@ -82,7 +84,7 @@ class Hybrid(LawBase):
         if compared is None:
             return None, Command.rest(basis, NO_POSE)
         e, L = self.equations(*compared, goal.middle)
-        solved = least_squares(L @ basis, e)
+        solved = self.solve.least_squares(L @ basis, e)
         u = -self.gain.at(solved) * solved
         if self.visibility.margin_px > 0:
             u = u + self.visibility.push(observation, goal, basis)
@@ -105,7 +107,7 @@ class Hybrid(LawBase):
     def step_batch(self, memory: Array, views: Views, goal: Goal) -> tuple[Array, Array]:
         """One frame of many runs (see `BatchLaw`), by the pose: with exact pixels the homography gives the same."""
         e, L = self.equations(*_compared(views.T_camera_target, goal), goal.middle)
-        solved = least_squares(L, e)
+        solved = self.solve.least_squares(L, e)
         return memory, self.limits.within(-self.gain.at(solved) * solved)
 
     def equations(self, m: Array, R_goal_camera: Array, goal_middle: Array) -> tuple[Array, Array]:

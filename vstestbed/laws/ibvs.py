@@ -18,7 +18,7 @@ from vstestbed.laws.base import Command, ConstantGain, Gain, LawBase, TwistLimit
 from vstestbed.laws.feedforward import Change, Feedforward, NoFeedforward
 from vstestbed.laws.following import NOTHING, Followed, anti_windup, coast, feedforward_term, inputs_of
 from vstestbed.laws.select import ALL, Rows, require_area, usable_rows
-from vstestbed.laws.solve import least_squares, null_space
+from vstestbed.laws.solve import Solve, least_squares
 from vstestbed.laws.views import Views
 from vstestbed.laws.visibility import Visibility
 
@@ -53,6 +53,7 @@ class IBVS(LawBase):
         gain: lambda [1/s], a number or an adaptive gain of the remaining motion pinv(L B) e.
         feature: the feature s.
         interaction: L at the current view, at the desired one, or the mean of both matrices.
+        solve: inversion of L B (`Solve`), in the estimate of the feedforward, too.
         depth: source of Z (for `spherical`, of the range) in L.
         smooth_start_s: tau [s]; 0 starts with the full command.
         limits: largest speed and rate of the commanded twist.
@@ -71,6 +72,7 @@ class IBVS(LawBase):
     gain: Gain = ConstantGain()
     feature: Annotated[Point | Polar | Spherical | Polygon | LineFeature, FEATURES] = Point()
     interaction: Literal["current", "desired", "mean"] = "current"
+    solve: Solve = Solve()
     depth: Depth = PnP()
     smooth_start_s: Annotated[float, Ge(0)] = 0.0
     limits: TwistLimits = TwistLimits()
@@ -105,7 +107,7 @@ class IBVS(LawBase):
         if isinstance(rows, str):
             return self._without(memory, observation, basis, rows)
         e, L = self.equations(*self._taken(observation, rows), *self._taken(goal, rows))
-        solved = least_squares(L @ basis, e)  # the remaining motion x = pinv(L B) e
+        solved = self.solve.least_squares(L @ basis, e)  # the remaining motion x = pinv(L B) e
         change = self._change(before.seen, observation, self.markers_needed(basis)) if before.seen and before.trend else None
         followed, solved, tau = feedforward_term(self.feedforward, before, observation, solved, change, basis)
         u = -self.gain.at(solved) * solved - tau
@@ -120,7 +122,7 @@ class IBVS(LawBase):
         command = self.limits.command(u, basis)
         if self.redundant:
             # Of L B, in the robot's motions, and from there as camera twists.
-            command = replace(command, null_space=basis @ null_space(L @ basis))
+            command = replace(command, null_space=basis @ self.solve.null_space(L @ basis))
         return replace(memory, followed=anti_windup(before, followed, command)), command
 
     def _change(self, before: Observation, now: Observation, needed: int) -> Change | None:
@@ -133,7 +135,7 @@ class IBVS(LawBase):
         (x0, d0), (x1, d1) = ((getattr(o, what)[both], getattr(o, distance)[both]) for o in (before, now))
         # The mean of both matrices: with one of them, the change is explained to first order in the motion only.
         L = (self.feature.interaction(x0, d0) + self.feature.interaction(x1, d1)) / 2
-        return Change(self.feature.error(self.feature.measure(x1), self.feature.measure(x0)), L)
+        return Change(self.feature.error(self.feature.measure(x1), self.feature.measure(x0)), L, self.solve)
 
     def _without(self, memory: IBVSMemory, seen: Observation, basis: Array, why: str) -> tuple[IBVSMemory, Command]:
         """A frame without enough markers: coast with the estimated motion of the target, else rest."""
@@ -151,7 +153,7 @@ class IBVS(LawBase):
     def step_batch(self, memory: Array, views: Views, goal: Goal) -> tuple[Array, Array]:
         """One frame of many runs (see `BatchLaw`)."""
         e, L = self.equations(*self._taken(views, ALL), *self._taken(goal, ALL))
-        solved = least_squares(L, e)
+        solved = self.solve.least_squares(L, e)
         u = -self.gain.at(solved) * solved
         if self.smooth_start_s > 0:
             memory = np.where(np.isnan(memory), u, memory)

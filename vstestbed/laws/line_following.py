@@ -18,7 +18,7 @@ from vstestbed.features.line import LineFeature, line_interaction
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.base import Command, LawBase, TwistLimits
 from vstestbed.laws.select import TOO_FEW
-from vstestbed.laws.solve import least_squares
+from vstestbed.laws.solve import Solve
 
 LEAST_AHEAD_M = 0.05
 """Least distance of the mean look distance from the vehicle's origin [m]: the turn rate is a speed divided by it."""
@@ -67,6 +67,7 @@ class LineFollowing(LawBase):
         cruise_mps: v, the forward speed of the vehicle's origin [m/s].
         approach_deg: the steepest angle of approach to the line [deg].
         coast_s: how long the last command is repeated without a visible line [s].
+        solve: inversion of the matrix of the motions other than the forward one (`Solve`).
         limits: largest speed and rate of the commanded twist.
 
     References: L of a line: Espiau, Chaumette & Rives 1992, doi:10.1109/70.143350. Following a curve on the ground by its
@@ -83,6 +84,7 @@ class LineFollowing(LawBase):
     cruise_mps: Annotated[float, Gt(0)] = 0.8
     approach_deg: Annotated[float, Gt(0), Lt(80)] = 25.0
     coast_s: Annotated[float, Ge(0)] = 0.2
+    solve: Solve = Solve()
     limits: TwistLimits = TwistLimits()
 
     def markers_needed(self, basis: Array) -> int:
@@ -127,7 +129,7 @@ class LineFollowing(LawBase):
         A, b = rows[:, 0], -np.clip(self.gain * (e - aim), -steepest, steepest)
         if basis.shape[1] > 2:  # a car's two motions are determined by the speed and by e
             A, b = np.concatenate([A, rows[:, 1]]), np.concatenate([b, -v * slope / (middle + aim * slope)])
-        return np.concatenate([[v], least_squares(A[:, 1:], b - v * A[:, 0])])  # the given speed, moved to the right side
+        return np.concatenate([[v], self.solve.least_squares(A[:, 1:], b - v * A[:, 0])])  # the given speed, moved to the right side
 
 
 def _on_floor(xy: Array, goal: Goal) -> Array:

@@ -18,7 +18,7 @@ from vstestbed.features.observation import Goal, Observation
 from vstestbed.features.polygon import angle_error, segments, size, size_error, spans_area
 from vstestbed.laws.base import Command, ConstantGain, Gain, LawBase, TwistLimits
 from vstestbed.laws.select import NO_AREA, require_area, usable_rows
-from vstestbed.laws.solve import least_squares
+from vstestbed.laws.solve import Solve, least_squares
 from vstestbed.laws.views import Views
 from vstestbed.laws.visibility import Visibility
 
@@ -57,6 +57,8 @@ class Partitioned(LawBase):
         sigma: form of the size error.
         turn_limits_deg: bounds (low, high) [deg] of the camera's rotation about its axis, from its start: the shortest rotation
             within them is chosen, which may be the longer way round. Without bounds, the shortest.
+        solve: inversion of L_xy (`Solve`). Far from the target its smallest singular value, of lateral motion together with a tilt,
+            is a hundredth of the largest or less, and the default keeps it: errors there grow, and the camera flies metres sideways.
         depth: source of Z in L.
         limits: largest speed and rate of the commanded twist.
         visibility: repulsive field at the border of the image.
@@ -70,6 +72,7 @@ class Partitioned(LawBase):
     gain_turn: Annotated[float, Gt(0)] = 0.5
     sigma: Literal["difference", "ratio", "log"] = "ratio"
     turn_limits_deg: Annotated[tuple[float, ...], Len(2, 2)] | None = None
+    solve: Solve = Solve()
     depth: Depth = PnP()
     limits: TwistLimits = TwistLimits()
     visibility: Visibility = Visibility()
@@ -144,12 +147,12 @@ class Partitioned(LawBase):
     def _twist(self, xy: Array, depth: Array, goal_xy: Array, along: Array, about: Array) -> Array:
         """Camera twists (..., 6) at xy (..., N, 2) and depth (..., N) [m], for given v_z and w_z (...)."""
         L = _POINT.interaction(xy, depth)
-        across = least_squares(L[..., XY], _POINT.error(_POINT.measure(xy), _POINT.measure(goal_xy)))
+        across = self.solve.least_squares(L[..., XY], _POINT.error(_POINT.measure(xy), _POINT.measure(goal_xy)))
         twist = np.empty(across.shape[:-1] + (6,))
         twist[..., 2], twist[..., 5] = along, about
         # The motion along and about the axis moves the points, too; the gain must not multiply this part (see the errata).
         carried = (L[..., Z] @ twist[..., Z, None])[..., 0]
-        twist[..., XY] = -self.gain.at(across) * across - least_squares(L[..., XY], carried)
+        twist[..., XY] = -self.gain.at(across) * across - self.solve.least_squares(L[..., XY], carried)
         return twist
 
     def _turn(self, last: Array | None, angle: Array) -> Array:

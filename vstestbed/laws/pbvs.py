@@ -15,7 +15,7 @@ from vstestbed.laws.base import Command, ConstantGain, Gain, LawBase, TwistLimit
 from vstestbed.laws.feedforward import Change, Feedforward, NoFeedforward
 from vstestbed.laws.following import NOTHING, Followed, anti_windup, coast, feedforward_term, inputs_of
 from vstestbed.laws.select import NO_POSE, TOO_FEW
-from vstestbed.laws.solve import least_squares
+from vstestbed.laws.solve import Solve
 from vstestbed.laws.views import Views
 
 _THETA_U = ThetaU()
@@ -42,6 +42,7 @@ class PBVS(LawBase):
     Args:
         gain: lambda [1/s].
         translation: `cdMc`, `cMcd` or `cMo`.
+        solve: inversion of L B (`Solve`).
         limits: largest speed and rate of the commanded twist.
         feedforward: the feedforward term for a moving target.
 
@@ -51,6 +52,7 @@ class PBVS(LawBase):
     kind: Literal["pbvs"] = "pbvs"
     gain: Gain = ConstantGain()
     translation: Literal["cdMc", "cMcd", "cMo"] = "cdMc"
+    solve: Solve = Solve()
     limits: TwistLimits = TwistLimits()
     feedforward: Feedforward = NoFeedforward()
 
@@ -73,7 +75,7 @@ class PBVS(LawBase):
         if T is None or np.count_nonzero(observation.seen) < self.markers_needed(basis):
             return self._without(memory, observation, basis, NO_POSE if T is None else TOO_FEW)
         e, L = self.equations(T, goal.T_camera_target)
-        solved = least_squares(L @ basis, e)
+        solved = self.solve.least_squares(L @ basis, e)
         followed, solved, tau = feedforward_term(self.feedforward, memory, observation, solved, _change(memory.seen, T), basis)
         command = self.limits.command(-self.gain.at(solved) * solved - tau, basis)
         return anti_windup(memory, followed, command), command
@@ -94,7 +96,7 @@ class PBVS(LawBase):
     def step_batch(self, memory: Array, views: Views, goal: Goal) -> tuple[Array, Array]:
         """One frame of many runs (see `BatchLaw`)."""
         e, L = self.equations(views.T_camera_target, goal.T_camera_target)
-        solved = least_squares(L, e)
+        solved = self.solve.least_squares(L, e)
         return memory, self.limits.within(-self.gain.at(solved) * solved)
 
     def equations(self, T_camera_target: Array, T_goal_target: Array) -> tuple[Array, Array]:

@@ -19,6 +19,7 @@ from vstestbed.features import FEATURES, LineFeature, Polar, Polygon
 from vstestbed.features.depth import AtGoal, Constant, Estimate, OracleDepth
 from vstestbed.laws import IBVS, LAWS, PBVS, Hybrid, Law, Partitioned
 from vstestbed.laws.base import AdaptiveGain, ConstantGain, TwistLimits
+from vstestbed.laws.solve import Solve
 from vstestbed.laws.visibility import Visibility
 from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart
@@ -98,6 +99,11 @@ EVERY = {
     "partitioned": Partitioned(gain=FAST, gain_z=2.5, gain_turn=2.5),
     "partitioned_limits": Partitioned(gain=FAST, gain_z=2.5, gain_turn=2.5, sigma="log", turn_limits_deg=(-200, 20)),
     **{f"pbvs_{t}": PBVS(gain=FAST, translation=t) for t in ("cdMc", "cMcd", "cMo")},  # pyright: ignore[reportArgumentType]
+    **{
+        f"{law.kind}_{word}": replace(law, solve=solve)
+        for law in (IBVS(gain=FAST), Partitioned(gain=FAST, gain_z=2.5, gain_turn=2.5), PBVS(gain=FAST), Hybrid(gain=FAST))
+        for word, solve in (("cutoff", Solve(cutoff=0.04)), ("damped", Solve(damping=0.1)))
+    },
     "hybrid": Hybrid(gain=FAST),
     "hybrid_model": Hybrid(gain=FAST, source="model"),
 }

@@ -183,6 +183,17 @@ def test_canonical_cells_are_the_golden_ones(law: str):
             assert r.summary()["path_length_m"] == pytest.approx(float(row["path_len_m"]), abs=1e-3 + rest_m)
 
 
+PEER_PATHS = {10: 1.705, 16: 2.128}
+"""Paths of an independent library [m] from two of the random starts, in which markers pass within 8 px of the principal point."""
+
+
+def test_canonical_polar_paths_near_the_centre_are_the_peers():
+    (found,) = (c for name, c in tasks_of("canonical", "polar", "random").items() if name == "random")
+    made = jobs([found], None)
+    for seed, path_m in PEER_PATHS.items():
+        assert vs.run(made[seed].scenario()).summary()["path_length_m"] == pytest.approx(path_m, abs=1e-3)
+
+
 def amounts_of(controller: Controller) -> list[tuple[float, np.ndarray]]:
     """Each amount with T_goal_camera of its start."""
     made = []
