@@ -105,7 +105,7 @@ class TestVisibility:
     """Close by, tilted and nearly upside down: the law swings two markers out of the picture; the field holds them in."""
 
     def run(self, margin_px: float) -> vs.Recording:
-        law = Partitioned(depth=TRUE, gain_z=0.5, visibility=Visibility(margin_px=margin_px, strength_pxps=100))
+        law = Partitioned(depth=TRUE, gain_z=0.5, visibility=Visibility(margin_px=margin_px))
         return fly(law, (0.16, -0.03, -0.84), rpy_deg=(5, 13, -171), unlimited=False, norm_px=1.0)
 
     def test_markers_leave_without_it(self):

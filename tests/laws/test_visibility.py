@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+import vstestbed as vs
 from tests.laws.flight import book_camera
 from vstestbed.camera import Catadioptric, Fisheye, SphericalCamera
-from vstestbed.core.errors import ParameterError
+from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.core.geometry import Array, Pose, transform
-from vstestbed.features import Point, Spherical
+from vstestbed.features import Point
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import IBVS, Hybrid, Law, Partitioned
 from vstestbed.laws.base import ConstantGain
@@ -112,7 +115,8 @@ class TestOtherLenses:
     def test_a_camera_without_a_border_is_refused(self):
         goal = Goal.from_view(SphericalCamera(), POINTS, Pose(xyz=(0, 0, 1)).T)
         with pytest.raises(ParameterError, match=r"^law.visibility.margin_px must be 0 with a camera that sees all round"):
-            IBVS(feature=Spherical(), visibility=FIELD).check(POINTS, goal)
+            FIELD.check(goal, 0.02)
+        Visibility(margin_px=0).check(goal, 0.02)
 
 
 def test_pixel_interaction_of_a_pinhole_is_that_of_points():
@@ -121,9 +125,50 @@ def test_pixel_interaction_of_a_pinhole_is_that_of_points():
     assert pixel_interaction(CAMERA, p).reshape(8, 6) == pytest.approx(800 * Point().interaction(o.xy, o.depth), abs=1e-5)
 
 
-@pytest.mark.parametrize("law", [IBVS, Partitioned, Hybrid], ids=lambda law: law.__name__)
-def test_a_goal_within_the_margin_is_refused(law: type[IBVS | Partitioned | Hybrid]):
-    """The markers' goal is 300 px from the border of 1000."""
-    law(visibility=Visibility(margin_px=299)).check(POINTS, GOAL)
-    with pytest.raises(ParameterError, match=r"^law.visibility.margin_px reaches marker 0 of the goal view, 300 px from the border"):
-        law(visibility=Visibility(margin_px=301)).check(POINTS, GOAL)
+class TestGoal:
+    """The markers' goal is 300 px from the border of 1000, their radius of .02 m there 16 px: their edges are at 284 px."""
+
+    def test_a_goal_within_the_margin_is_refused(self):
+        Visibility(margin_px=283.9).check(GOAL, 0.02)
+        words = r"^law.visibility.margin_px reaches marker 0 of the goal view, whose edge is 284 px from the border"
+        with pytest.raises(ParameterError, match=words):
+            Visibility(margin_px=284).check(GOAL, 0.02)
+        Visibility(margin_px=299).check(GOAL, 1e-6)
+
+    def test_only_markers_that_count_are_asked(self):
+        aside = Goal.from_view(CAMERA, POINTS, Pose(xyz=(0.3, 0, 1)).T)  # markers 1 and 2 at 60 px
+        with pytest.raises(ParameterError, match="reaches marker 1"):
+            Visibility(margin_px=100).check(aside, 0.02)
+        Visibility(margin_px=100).check(replace(aside, counted=np.array([True, False, False, True])), 0.02)
+
+    @pytest.mark.parametrize("law", ["ibvs", "partitioned", "hybrid"])
+    def test_a_scenario_is_refused(self, law: str):
+        with pytest.raises(ScenarioError, match=r"law.visibility.margin_px: reaches marker 0 .* 276 px"):  # radius .03 m
+            vs.load("ibvs_book", {"law": {"kind": law, "visibility": {"margin_px": 280}}})
+
+    def test_every_view_of_several_is_asked(self):
+        """f = 384 px: the edges of the first view's outer square are 240 - 186 - 12 px from the border, in the last it does not count."""
+        vs.load("arm_docking", {"law.visibility": {"margin_px": 41}})
+        with pytest.raises(ScenarioError, match=r"reaches marker . of the goal view, whose edge is 4\d"):
+            vs.load("arm_docking", {"law.visibility": {"margin_px": 44}})
+
+
+class TestEdge:
+    """A disc is lost when its edge passes the border: the field counts from there."""
+
+    def test_the_radius_takes_from_the_distance(self):
+        o = view(MARKER_0_NEAR_LEFT)
+        radius = np.array([12.0, 0.0, 0.0, 0.0])
+        flow = flow_px(MARKER_0_NEAR_LEFT, FIELD.push(replace(o, radius_px=radius), GOAL, np.eye(6)))
+        for i, off in ((0, (36 - 12) / 100), (3, 36 / 100)):
+            assert flow[i, 0] == pytest.approx(20 * (1 / off - 1) / off**2, rel=1e-6)
+
+    def test_a_radius_alone_brings_a_marker_into_the_margin(self):
+        o = view(Pose(xyz=(-0.24, 0, 1)).T)  # the left markers' centres at 108 px
+        assert not FIELD.push(o, GOAL, np.eye(6)).any()
+        assert FIELD.push(replace(o, radius_px=np.full(4, 16.0)), GOAL, np.eye(6)).any()
+
+    @pytest.mark.parametrize("law", [IBVS, Partitioned, Hybrid], ids=lambda law: law.__name__)
+    def test_laws_ask_for_the_radius_only_with_a_margin(self, law: type[IBVS | Partitioned | Hybrid]):
+        assert law(visibility=FIELD).inputs == (*law().inputs, "radius_px")
+        assert "radius_px" not in law().inputs

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from vstestbed.camera import Perspective, SphericalCamera
+from vstestbed.camera import Fisheye, Perspective, SphericalCamera
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, exp, inverse, rigid_error, transform
 from vstestbed.features.depth import AtGoal, Constant, Depth, Estimate, OracleDepth, PnP
@@ -18,6 +20,7 @@ TARGET = Square(pose=Pose(), side=0.4)
 GOAL = Goal.from_view(CAMERA, TARGET.points, Pose(xyz=(0, 0, 1.3)).T)
 START = Pose(xyz=(0.1, -0.05, 1.6), rpy_deg=(10, -15, 20)).T
 REST = np.zeros(6)
+P_START, RNG = transform(START, TARGET.points), np.random.default_rng(0)
 DT = 0.04
 
 
@@ -51,6 +54,33 @@ def test_each_source_of_depth() -> None:
     assert _once(AtGoal(), _detection(START)).depth == pytest.approx([1.3] * 4)
     assert _once(Estimate(initial_m=0.7), _detection(START)).depth == pytest.approx([0.7] * 4)
     assert _once(OracleDepth(), _detection(START, oracle=True)).depth == pytest.approx(true, abs=0)
+
+
+class TestRadius:
+    """Apparent radii from the target's model and the depth that the law knows."""
+
+    def seen(self, depth: Depth, **changes: object) -> Observation:
+        observer = replace(_observer(depth), **({"required_fields": ("xy", "depth", "radius_px")} | changes))  # pyright: ignore[reportArgumentType]
+        return observer.observe(observer.init(), 0.0, Detection(uv=observer.camera.project(P_START)), REST, RNG)[1]
+
+    def test_of_a_pinhole_it_is_f_r_over_z(self) -> None:
+        flat = Perspective()
+        found = self.seen(PnP(), camera=flat, goal=Goal.from_view(flat, TARGET.points, Pose(xyz=(0, 0, 1.3)).T)).radius_px
+        assert found == pytest.approx(flat.f * TARGET.marker.radius / P_START[:, 2], rel=1e-6)
+
+    def test_it_is_what_cuts_a_marker_at_the_border(self) -> None:
+        lens = Fisheye(width=640, height=640, fov_deg=180)
+        goal = Goal.from_view(lens, TARGET.points, Pose(xyz=(0, 0, 1.3)).T)
+        found = self.seen(AtGoal(), camera=lens, goal=goal, required_fields=("ray", "range", "radius_px")).radius_px
+        # At the goal's ranges, whatever the true ones.
+        p = P_START / np.linalg.norm(P_START, axis=1, keepdims=True) * goal.range[:, None]
+        assert found == pytest.approx(lens.half_size(p, TARGET.marker.radius).max(axis=1), rel=1e-9)
+
+    def test_unseen_markers_have_none_and_laws_without_a_field_do_not_pay_for_it(self) -> None:
+        observer = replace(_observer(AtGoal()), required_fields=("xy", "depth", "radius_px"))
+        found = observer.observe(observer.init(), 0.0, _detection(START, lost=(2,)), REST, RNG)[1].radius_px
+        assert found is not None and np.isfinite(found).tolist() == [True, True, False, True]
+        assert _once(AtGoal(), _detection(START)).radius_px is None
 
 
 def test_oracle_depth_without_the_oracle_says_what_would_work() -> None:

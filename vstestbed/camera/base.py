@@ -159,9 +159,7 @@ class Camera(ABC):
     def whole(self, p_camera: Array, radius: float, margin: float = 0.0) -> NDArray[np.bool_]:
         """Whether markers of a radius [m] at p_camera (N, 3) lie wholly in the image, `margin` px from its border, shape (N,).
 
-        A marker's apparent half width is the root of the summed squared displacements in u by one radius along the two directions
-        of `across`, its half height the same in v; the lens must also see the opposite ends. In a camera with panels a marker
-        is whole if it is so in one of them.
+        The lens must see both ends of its extent (`half_size`). In a camera with panels a marker is whole if it is so in one of them.
         """
         if len(self.panels) > 1:
             return np.any([p.lens.whole(p_camera @ p.R_camera_panel, radius, margin) for p in self.panels], axis=0)
@@ -170,9 +168,18 @@ class Camera(ABC):
         opposite = self.project(p_camera - a) + self.project(p_camera - b)
         size = np.array([self.width, self.height])
         with np.errstate(invalid="ignore"):
-            half = np.hypot(self.project(p_camera + a) - uv, self.project(p_camera + b) - uv)
-            clear = np.minimum(uv + 0.5, size - 0.5 - uv) - margin >= half
+            clear = np.minimum(uv + 0.5, size - 0.5 - uv) - margin >= self.half_size(p_camera, radius)
             return np.all(clear & np.isfinite(opposite), axis=-1)
+
+    def half_size(self, p_camera: Array, radius: float) -> Array:
+        """Apparent half width and half height (N, 2) [px] of markers of a radius [m] at p_camera (N, 3); NaN where it cannot be seen.
+
+        The half width is the root of the summed squared displacements in u by one radius along the two directions of `across`, the
+        half height the same in v.
+        """
+        uv = self.project(p_camera)
+        a, b = (radius * direction for direction in self.across(p_camera))
+        return np.hypot(self.project(p_camera + a) - uv, self.project(p_camera + b) - uv)
 
     def across(self, p_camera: Array) -> tuple[Array, Array]:
         """For each point (N, 3) two orthonormal vectors, each (N, 3) or (3,), orthogonal to its ray: a marker's extent.

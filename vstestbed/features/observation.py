@@ -54,6 +54,7 @@ class Observation:
         place: a ground vehicle's (x, y, heading) [m, rad] in the world, from its landmarks, compass and encoders; None
             where it is not known yet, or the target is no landmark.
         motion: the camera's own motion, for laws that ask for it.
+        radius_px: apparent radius of each marker (N,) [px], from the target's model and its depth, for laws that ask for it.
 
     Where the scenario derotates, xy, depth, T_camera_target, ray, relative and motion are those of the level camera, which
     shares the craft's place and heading; uv is what the picture shows.
@@ -70,6 +71,7 @@ class Observation:
     odometry: Array | None = None
     place: Array | None = None
     motion: OwnMotion | None = None
+    radius_px: Array | None = None
 
     @property
     def seen(self) -> NDArray[np.bool_]:
@@ -81,7 +83,7 @@ class Observation:
         if counted is None:
             return self
         out = ~counted
-        gone = {name: _without(getattr(self, name), out) for name in ("uv", "xy", "depth", "ray", "range")}
+        gone = {name: _without(getattr(self, name), out) for name in ("uv", "xy", "depth", "ray", "range", "radius_px")}
         return replace(self, **gone)
 
 

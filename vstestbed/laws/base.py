@@ -114,7 +114,7 @@ class Law(Protocol[M]):
         """Refuse markers (N, 3) in the target frame [m], or a goal view of them, with which the law cannot work.
 
         Raises:
-            ParameterError: it names a field of the scenario (`target`, `law.visibility`, ...).
+            ParameterError: it names a field of the scenario (`target`, ...).
         """
         ...
 

@@ -27,7 +27,7 @@ from annotated_types import Ge, Gt, Le
 from vstestbed.core.geometry import Array
 from vstestbed.core.spec import OneOf, spec
 from vstestbed.features.observation import OwnMotion
-from vstestbed.laws.solve import Solve, least_squares
+from vstestbed.laws.solve import PSEUDO_INVERSE, Solve, least_squares
 
 Ahead = Annotated[float, Ge(0), Le(2)]
 LEARNS = 1e3
@@ -196,7 +196,7 @@ class Change:
 
     e: Array
     L: Array
-    solve: Solve = Solve()
+    solve: Solve = PSEUDO_INVERSE
 
 
 def follow(kind: Estimator, trend: Trend | None, change: Change | None, basis: Array, motion: OwnMotion) -> Trend:

@@ -54,12 +54,11 @@ class Hybrid(LawBase):
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """The homography or the pose."""
-        return ("relative",) if self.source == "homography" else ("T_camera_target",)
+        """The homography or the pose, and the markers' radii for `visibility`."""
+        return (("relative",) if self.source == "homography" else ("T_camera_target",)) + self.visibility.inputs
 
     def check(self, points: Array, goal: Goal) -> None:
-        """Refuse what `visibility` refuses; for a homography, markers not in one plane, or all but one of them on a line."""
-        self.visibility.check(goal)
+        """Refuse, for a homography, markers not in one plane, or all but one of them on a line."""
         if self.source == "model":
             return
         *_, thickness = reaches = _reaches(points)

@@ -82,12 +82,11 @@ class IBVS(LawBase):
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """The inputs of the feature, and the camera's own motion for feedforward."""
-        return self.feature.inputs + inputs_of(self.feedforward)
+        """The inputs of the feature, the camera's own motion for feedforward, and the markers' radii for `visibility`."""
+        return self.feature.inputs + inputs_of(self.feedforward) + self.visibility.inputs
 
     def check(self, points: Array, goal: Goal) -> None:
-        """Refuse what `visibility` refuses; for the feature `polygon`, a goal view in which three or more markers span no area."""
-        self.visibility.check(goal)
+        """Refuse, for the feature `polygon`, a goal view in which three or more markers span no area."""
         if isinstance(self.feature, Polygon) and len(points) > 2:
             require_area(goal)
 

@@ -82,8 +82,13 @@ class Partitioned(LawBase):
         if self.turn_limits_deg is not None and not self.turn_limits_deg[0] <= 0 <= self.turn_limits_deg[1]:
             raise ParameterError("turn_limits_deg", "must be [low, high] with low <= 0 <= high", self.turn_limits_deg)
 
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Those of the points, and the markers' radii for `visibility`."""
+        return (*_POINT.inputs, *self.visibility.inputs)
+
     def check(self, points: Array, goal: Goal) -> None:
-        """Refuse fewer than four markers, a goal view without an area (`require_area`), and what `visibility` refuses.
+        """Refuse fewer than four markers, and a goal view without an area (`require_area`).
 
         Three have the same image from up to four poses: there the points' error vanishes, and with it those of size and angle.
         """
@@ -91,7 +96,6 @@ class Partitioned(LawBase):
             words = f"has {len(points)} markers, and law partitioned needs 4 or more: three look as at the goal from up to four poses"
             raise ParameterError("target", words)
         require_area(goal)
-        self.visibility.check(goal)
 
     def init(self, goal: Goal) -> PartitionedMemory:
         """No rotation chosen so far."""
@@ -110,7 +114,7 @@ class Partitioned(LawBase):
 
     def step(self, memory: PartitionedMemory, observation: Observation, goal: Goal, basis: Array) -> tuple[PartitionedMemory, Command]:
         """One frame with the visible markers; rest when they are too few or span no area."""
-        rows = usable_rows(observation, self.inputs, self.markers_needed(basis))
+        rows = usable_rows(observation, _POINT.inputs, self.markers_needed(basis))
         if isinstance(rows, str):
             return memory, Command.rest(basis, rows)
         xy, goal_xy = observation.xy[rows], goal.xy[rows]

@@ -141,3 +141,7 @@ class Solve:
         _, s, Vt = np.linalg.svd(A)
         rank = int(np.count_nonzero(s > self.cutoff * s[0])) if len(s) else 0
         return np.asarray(Vt[rank:].T, dtype=float)
+
+
+PSEUDO_INVERSE = Solve()
+"""The default: no damping, a cutoff far below what features at a usual distance have."""

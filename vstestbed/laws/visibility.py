@@ -25,9 +25,10 @@ STEP = 1e-6
 class Visibility:
     """Markers within a margin of the border of the image are pushed inwards.
 
-    The border is that of the image; for fisheye and catadioptric lenses also the image circle (and the blind spot of a mirror).
+    The border is that of the image; for fisheye and catadioptric lenses also the image circle (and the blind spot of a mirror). A
+    marker is lost when its edge passes the border, not its centre.
 
-    With d the distance of a marker to a border, d0 the margin and x = d/d0, the field is the negative gradient of the
+    With d the distance of a marker's edge to a border, d0 the margin and x = d/d0, the field is the negative gradient of the
     potential (1/x - 1)^2 / 2: the desired image velocity inwards is  f = strength (1/x - 1)/x^2  [px/s], zero beyond the margin. The
     camera follows it in the least-squares sense, u = pinv(L B) f with the rows of the pixels in the margin. One marker at the border
     pans the camera; all of them, as in a large rotation, make it retreat.
@@ -43,7 +44,12 @@ class Visibility:
     margin_px: Annotated[float, Ge(0)] = 0.0
     strength_pxps: Annotated[float, Gt(0)] = 20.0
 
-    def check(self, goal: Goal) -> None:
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """The fields of an Observation that the field needs besides those of its law: none where it is off."""
+        return ("radius_px",) if self.margin_px > 0 else ()
+
+    def check(self, goal: Goal, marker_radius_m: float) -> None:
         """Refuse a goal with a marker inside the margin: the field would keep the camera away from it.
 
         Raises:
@@ -54,10 +60,11 @@ class Visibility:
         if len(goal.camera.panels) > 1:
             words = "must be 0 with a camera that sees all round: its image has no border"
             raise ParameterError("law.visibility.margin_px", words, self.margin_px)
-        nearest = goal.camera.borders(goal.uv)[0].min(axis=1)
+        radius = goal.camera.half_size(goal.ray * goal.range[:, None], marker_radius_m).max(axis=1)
+        nearest = np.where(goal.counted is None or goal.counted, goal.camera.borders(goal.uv)[0].min(axis=1) - radius, np.inf)
         marker = int(nearest.argmin())
         if nearest[marker] <= self.margin_px:
-            words = f"reaches marker {marker} of the goal view, {nearest[marker]:.4g} px from the border of the image, and would keep it"
+            words = f"reaches marker {marker} of the goal view, whose edge is {nearest[marker]:.4g} px from the border, and would keep it"
             raise ParameterError("law.visibility.margin_px", f"{words} off its goal; use less, or a goal farther back", self.margin_px)
 
     def push(self, observation: Observation, goal: Goal, basis: Array) -> Array:
@@ -68,17 +75,18 @@ class Visibility:
         rows = usable_rows(observation, ("ray", "range") if around else ("xy", "depth"), 1)
         if isinstance(rows, str):
             return nothing
-        speed = self._inwards(goal.camera, observation.uv[rows])
+        radius = 0.0 if observation.radius_px is None else observation.radius_px[rows]
+        speed = self._inwards(goal.camera, observation.uv[rows], radius)
         near = speed.any(axis=1)
         if not near.any():
             return nothing
         L = pixel_interaction(goal.camera, _points(observation)[rows][near])
         return least_squares(L.reshape(-1, 6) @ basis, speed[near].ravel())
 
-    def _inwards(self, camera: Camera, uv: Array) -> Array:
-        """Desired image velocity of pixels uv (N, 2), shape (N, 2) [px/s]."""
+    def _inwards(self, camera: Camera, uv: Array, radius: Array | float) -> Array:
+        """Desired image velocity (N, 2) [px/s] of markers at pixels uv (N, 2), of apparent radii (N,) [px]."""
         distance, inwards = camera.borders(uv)
-        x = np.clip(distance / self.margin_px, NEAREST, 1.0)
+        x = np.clip((distance - np.reshape(radius, (-1, 1))) / self.margin_px, NEAREST, 1.0)
         return np.einsum("nb,nbk->nk", self.strength_pxps * (1 / x - 1) / x**2, inwards)
 
 

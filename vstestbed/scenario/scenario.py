@@ -102,6 +102,8 @@ class Scenario:
         check_markers(self.robot, self.camera, self.target, self.detector, self.law, self.goal.needs_pose)
         self.goal.check_views(self.setup, self.goal_views)
         self.law.check(self.target.points, self.goal_view)
+        for goal in self.goal_views:
+            self.law.visibility.check(goal, self.target.marker.radius)
 
     @property
     def clock(self) -> tuple[float, int]:

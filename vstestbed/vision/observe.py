@@ -277,7 +277,14 @@ class Observer:
         rays = (view.ray, reach) if "ray" in required else (None, None)
         relative = relative_view(self.goal.xy, view.xy, self.goal.normal) if "relative" in required else None
         motion = view.motion if "motion" in required else None
-        return Observation(t, uv, view.xy, depth, pose, *rays, relative, odometry, place, motion)
+        radius = self._radii(uv, depth, reach) if "radius_px" in required else None
+        return Observation(t, uv, view.xy, depth, pose, *rays, relative, odometry, place, motion, radius)
+
+    def _radii(self, uv: Array, depth: Array, reach: Array | None) -> Array:
+        """Apparent radii (N,) [px] of markers at uv (N, 2), the larger of half width and half height; without ranges by their depths."""
+        ray = self.camera.ray(uv)
+        p = ray * (depth / ray[:, 2] if reach is None else reach)[:, None]
+        return self.camera.half_size(p, self.target.marker.radius).max(axis=1)
 
     def _scaled(self, depth: Array, reach: Array | None, pose: Array | None) -> tuple[Array, Array | None, Array | None]:
         """Depths, ranges and pose with the calibration's error of depth."""
