@@ -13,9 +13,10 @@ from vstestbed.features import Point, Polygon
 from vstestbed.features.depth import OracleDepth
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import IBVS, Law, Partitioned
-from vstestbed.laws.base import ConstantGain
+from vstestbed.laws.base import ConstantGain, TwistLimits
 from vstestbed.laws.partitioned import XY, Z
 from vstestbed.laws.select import NO_AREA
+from vstestbed.laws.views import Views
 from vstestbed.laws.visibility import Visibility
 from vstestbed.targets.points import Square
 
@@ -155,3 +156,57 @@ def test_three_markers_are_refused_though_three_of_four_carry_on():
     p = POINTS + [0, 0, 1.5]
     xy = np.where([[False], [False], [False], [True]], np.nan, p[:, :2] / p[:, 2:])
     assert not Partitioned().step(Partitioned().init(goal), Observation(0, xy, xy, p[:, 2]), goal, np.eye(6))[1].rest_reason
+
+
+class TestChoiceOfTurn:
+    """The remaining rotation, not wrapped, of one frame and of a batch."""
+
+    @pytest.mark.parametrize(
+        ("limits", "angle", "expected"),
+        [
+            (None, 3.0, 3.0),
+            ((-180, 180), 3.0, 3.0),
+            ((-360, 100), 3.0, 3.0 - 2 * np.pi),
+            ((-100, 360), -3.0, 2 * np.pi - 3.0),
+            ((-90, 90), 1.58, 1.58),  # none is within: the one that exceeds them least
+            ((-150, 90), 1.58, 1.58),
+            ((-10, 10), -2.0, -2.0),
+        ],
+    )
+    def test_the_first_frame(self, limits: tuple[float, float] | None, angle: float, expected: float):
+        law = Partitioned(turn_limits_deg=limits)
+        assert law._turn(None, np.array(angle)) == pytest.approx(expected, abs=1e-12)
+        np.testing.assert_allclose(law._turn(None, np.array([angle, 0.1])), [expected, 0.1], atol=1e-12)
+
+    def test_later_the_way_round_is_kept(self):
+        law = Partitioned()
+        last = np.array([3.1, -3.1, 0.2, 3.5])
+        np.testing.assert_allclose(
+            law._turn(last, np.array([-3.1, 3.1, 0.1, -2.9])), [2 * np.pi - 3.1, 3.1 - 2 * np.pi, 0.1, 2 * np.pi - 2.9]
+        )
+
+
+def test_the_signs_and_gains_along_and_about_the_axis():
+    goal = Goal.from_view(book_camera(), POINTS, Pose(xyz=(0, 0, 1)).T)
+    p = transform(Pose(xyz=(0, 0, 2), rpy_deg=(0, 0, 20)).T, POINTS)
+    seen = Observation(0, p[:, :2], p[:, :2] / p[:, 2:], p[:, 2])
+    law = Partitioned(gain_z=0.4, gain_turn=0.3)
+    memory, command = law.step(law.init(goal), seen, goal, np.eye(6))
+    # Half as large as at the goal: forward; turned by 20 degrees: the camera turns after it.
+    np.testing.assert_allclose(command.twist, [0, 0, 0.4 * 0.5, 0, 0, 0.3 * np.radians(20)], atol=1e-9)
+    assert memory.turn == pytest.approx(np.radians(20))
+    assert law.state_size == 1
+
+
+def test_a_batch_rests_only_where_the_markers_span_no_area():
+    goal = Goal.from_view(book_camera(), POINTS, Pose(xyz=(0, 0, 1)).T)
+    T = np.stack([Pose(xyz=(0.1, 0, 2), rpy_deg=(0, 0, 20)).T, Pose(xyz=(0, 0, 2), rpy_deg=(90, 0, 0)).T, Pose(xyz=(0, 0.1, 1)).T])
+    p = transform(T, POINTS)
+    law = Partitioned(limits=TwistLimits(speed_mps=0.1))
+    memory, twist = law.step_batch(np.full((3, 1), np.nan), Views(0.0, p, T, goal, TRUE), goal)
+    assert np.isnan(twist[1]).all() and np.isfinite(twist[[0, 2]]).all()
+    for i in (0, 2):
+        seen = Observation(0, p[i, :, :2], p[i, :, :2] / p[i, :, 2:], p[i, :, 2])
+        one, command = law.step(law.init(goal), seen, goal, np.eye(6))
+        np.testing.assert_allclose(twist[i], command.twist, rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(memory[i, 0], one.turn)

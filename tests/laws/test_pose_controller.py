@@ -6,6 +6,7 @@ import pytest
 from tests.laws.vehicles import BASIS, goal, move, observe
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.planar import relative
+from vstestbed.features.depth import OnFloor
 from vstestbed.laws import PoseController
 
 DT = 0.04
@@ -72,3 +73,52 @@ def test_without_a_place_it_rests_and_says_so():
 def test_gains_that_are_unstable_are_refused(gains, field):
     with pytest.raises(ParameterError, match=field):
         PoseController(**gains)
+
+
+class TestArrival:
+    """Nearer than rest_m it stands for good; within pass_m only where the goal is not ahead."""
+
+    def after(self, place, law=None, direction="auto"):
+        law, want = law or PoseController(rest_m=0.03, pass_m=0.2, direction=direction), goal(place=np.zeros(3))
+        start = observe(0, np.array([-1.0, 0, 0]), np.zeros(3))
+        memory, _ = law.step(law.init(want), start, want, BASIS)
+        return law.step(memory, observe(1, np.asarray(place, dtype=float), np.zeros(3)), want, BASIS)
+
+    @pytest.mark.parametrize(
+        ("place", "arrived"),
+        [
+            ((-0.029, 0, 0), True),  # ahead, nearer than rest_m
+            ((-0.031, 0, 0), False),
+            ((-0.19, 0, 0), False),  # within pass_m, but ahead
+            ((0.19, 0, 0), True),  # behind
+            ((0.21, 0, 0), False),  # behind, too far off to count
+            ((-0.001, 0.1, 0), False),  # just not abeam: the goal is at 89 degrees
+            ((0.001, 0.1, 0), True),  # at 91 degrees
+        ],
+    )
+    def test_where(self, place, arrived):
+        memory, command = self.after(place)
+        assert memory.arrived is arrived
+        assert command.u.any() != arrived
+
+    def test_for_good(self):
+        law, want = PoseController(), goal(place=np.zeros(3))
+        memory, _ = law.step(law.init(want), observe(0, np.array([-0.01, 0, 0]), np.zeros(3)), want, BASIS)
+        memory, command = law.step(memory, observe(1, np.array([-0.5, 0.3, 0]), np.zeros(3)), want, BASIS)
+        assert memory.arrived and not command.u.any()
+
+    def test_directions(self):
+        for direction, sign in (("forward", 1), ("reverse", -1)):
+            law, want = PoseController(direction=direction), goal(place=np.array([3.0, 0, 0]))
+            memory, command = law.step(law.init(want), observe(0, np.zeros(3), np.zeros(3)), want, BASIS)
+            assert memory.direction == sign and np.sign(command.u[0]) == sign
+
+    def test_the_command_is_the_polar_laws(self):
+        law, want = PoseController(k_rho=0.4, k_alpha=3, k_beta=-1, speed_mps=0.7), goal(place=np.array([1.0, 0.5, 0.3]))
+        _, command = law.step(law.init(want), observe(0, np.zeros(3), np.zeros(3)), want, BASIS)
+        rho, alpha = np.hypot(1, 0.5), np.arctan2(0.5, 1)
+        np.testing.assert_allclose(command.u, [0.4 * rho, 3 * alpha - (0.3 - alpha)], rtol=1e-12)
+
+    def test_three_landmarks_or_two_on_the_floor(self):
+        assert PoseController().markers_needed(BASIS) == 3
+        assert PoseController(depth=OnFloor()).markers_needed(BASIS) == 2

@@ -197,7 +197,7 @@ class TwistLimits:
         for limit, part in ((self.speed_mps, twist[:, :3]), (self.rate_radps, twist[:, 3:])):
             if limit is not None:
                 size = np.linalg.norm(part, axis=1, keepdims=True)
-                factor = np.minimum(factor, limit / np.maximum(size, np.finfo(float).tiny))  # at rest no 0/0
+                factor = np.minimum(factor, limit / np.maximum(size, limit))
         return twist * factor
 
     def command(self, u: Array, basis: Array) -> Command:
