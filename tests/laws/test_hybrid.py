@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
+
 import numpy as np
 import pytest
 
@@ -12,7 +14,7 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, exp, inverse, transform
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import Hybrid
-from vstestbed.laws.select import NO_POSE
+from vstestbed.laws.select import NO_POSE, TOO_FEW
 from vstestbed.targets.points import Square
 from vstestbed.vision.pose.homography import relative_view
 
@@ -88,3 +90,34 @@ def test_markers_that_make_no_homography_are_refused(fourth: tuple[float, float,
     with pytest.raises(ParameterError, match=f"^target has {words}"):
         fly(Hybrid(), at=at)
     assert fly(Hybrid(source="model"), (0.1, 0, -1.2), at=at).outcome is vs.Outcome.converged
+
+
+class TestFlat:
+    """Markers count as lying in a plane (on a line) up to a thousandth of their extent."""
+
+    @pytest.mark.parametrize(("height", "flat"), [(0.9e-3, True), (1.1e-3, False)])
+    def test_a_plane(self, height: float, flat: bool):
+        corners = np.array([[-1.0, -1, 1], [1, -1, -1], [1, 1, 1], [-1, 1, -1]]) * [0.5, 0.5, 0.5 * height]  # extents 1, 1, height
+        law, goal = Hybrid(), Goal.from_view(CAMERA, POINTS, TILTED)
+        with nullcontext() if flat else pytest.raises(ParameterError, match="not in one plane"):
+            law.check(corners, goal)
+
+    def test_only_a_homography_asks(self):
+        Hybrid(source="model").check(np.random.default_rng(0).normal(size=(4, 3)), Goal.from_view(CAMERA, POINTS, TILTED))
+
+    def test_five_with_four_on_a_line_are_refused_and_with_three_are_not(self):
+        line = np.array([[-0.2, 0, 0], [-0.1, 0, 0], [0.1, 0, 0], [0.2, 0, 0], [0, 0.2, 0]])
+        goal = Goal.from_view(CAMERA, POINTS, TILTED)
+        with pytest.raises(ParameterError, match="all markers but one on a line"):
+            Hybrid().check(line, goal)
+        line[0, 1] = 0.1
+        Hybrid().check(line, goal)
+
+    @pytest.mark.parametrize(("source", "needed"), [("homography", 4), ("model", 3)])
+    def test_markers_needed(self, source: str, needed: int):
+        law, goal = Hybrid(source=source), Goal.from_view(CAMERA, POINTS, TILTED)  # pyright: ignore[reportArgumentType]
+        assert law.markers_needed(np.eye(6)) == needed and law.state_size == 0
+        o = view(AWAY, goal)
+        for visible, reason in ((needed, ""), (needed - 1, TOO_FEW)):
+            o.uv[:, 0] = np.where(np.arange(4) < visible, 1.0, np.nan)
+            assert law.step(None, o, goal, np.eye(6))[1].rest_reason == reason

@@ -1,5 +1,7 @@
 """Line following without masses and pictures: exact in bends, poles as told, corners cut as told, recovery, refusals."""
 
+from contextlib import nullcontext
+
 import numpy as np
 import pytest
 
@@ -144,3 +146,41 @@ def test_refuses_to_look_beside_itself():
     lines, goal = world(Straight(length_m=9), look=(-0.8, -0.4))
     with pytest.raises(ParameterError, match="before the vehicle's origin"):
         LineFollowing().check(lines.points, goal)
+
+
+@pytest.mark.parametrize(("near", "right"), [(-0.44, False), (-0.44 + 0.02, True)])
+def test_the_least_distance_to_look_ahead_is_5_cm(near, right):
+    # The camera is .5 m before the axle: the middle of near and near - .02 at .05 m or just under.
+    lines, goal = world(Straight(length_m=9), look=(near - 0.02, near))
+    ahead = 0.5 + near - 0.01
+    assert (ahead >= 0.05) is right
+    with nullcontext() if right else pytest.raises(ParameterError, match=r"0\.05 m or more"):
+        LineFollowing().check(lines.points, goal)
+
+
+def test_one_frame_of_a_car_by_hand():
+    """On a straight line, y to the left: w m = -gain (y - y*) - v tan(phi), the first bounded by v tan(approach)."""
+    lines, goal = world(Straight(length_m=9))
+    basis = Mount.of(goal.T_base_camera).to_camera @ CAR
+    for off, turn, gain in ((0.02, 0.0, 3.0), (0.02, 0.05, 2.0), (0.15, 0.0, 3.0), (-0.15, 0.0, 3.0)):
+        law = LineFollowing(gain=gain, cruise_mps=0.6)
+        u = law.step(law.init(goal), observe(lines, goal, (3, off, turn)), goal, basis)[1].u
+        assert u[0] == pytest.approx(0.6)
+        x_e, m = 0.25 * 0.55 / 0.8, 0.4
+        e = -(off / np.cos(turn) + x_e * np.tan(turn))
+        bound = 0.6 * np.tan(np.radians(25))
+        slope = -np.tan(turn)
+        # y(m) of the line changes by v tan(phi) as the car drives, and by -(m + y* tan(phi)) w as it turns, y* = 0.
+        assert u[1] == pytest.approx((np.clip(gain * e, -bound, bound) + 0.6 * slope) / m, rel=1e-3)
+
+
+def test_two_points_and_nothing_else():
+    assert LineFollowing().markers_needed(CAR) == 2
+    assert LineFollowing().tasks == ("line",) and LineFollowing().inputs == ("xy",)
+
+
+def test_it_never_coasts_before_it_has_seen_a_line():
+    lines, goal = world(Straight(length_m=9))
+    law, basis = LineFollowing(coast_s=5), Mount.of(goal.T_base_camera).to_camera @ CAR
+    memory, command = law.step(law.init(goal), observe(lines, goal, (30, 0, 0)), goal, basis)
+    assert command.rest_reason and not command.u.any() and memory.u is None
