@@ -21,8 +21,8 @@ FRAMES = 2
 """Largest difference of the times to converge [camera periods]."""
 MOVES_M = (1e-6, -1e-6, 2e-6, -2e-6, 4e-6, -4e-6)
 """Moves of the target that no detector can measure: thousandths of a pixel."""
-TOLERANCES = (0.95, 1.05)
-"""Factors on the stop tolerance: .01 to .02 px, less than one picture's noise."""
+TOLERANCES = (0.9, 1.1)
+"""Factors on the stop tolerance: of .2 to .4 px that is less than the noise of one picture."""
 
 
 def moved(scenario: vs.Scenario, dx: float) -> vs.Scenario:
@@ -35,10 +35,9 @@ def moved(scenario: vs.Scenario, dx: float) -> vs.Scenario:
 
 def tolerant(scenario: vs.Scenario, factor: float) -> vs.Scenario:
     """The same with another stop tolerance."""
+    names = ("error_px", "position_m", "rotation_deg")
     converged = scenario.stop.converged
-    limits = {
-        name: value * factor for name in ("error_px", "position_m", "rotation_deg") if (value := getattr(converged, name)) is not None
-    }
+    limits = {name: value * factor for name in names if (value := getattr(converged, name)) is not None}
     return dataclasses.replace(scenario, stop=dataclasses.replace(scenario.stop, converged=dataclasses.replace(converged, **limits)))
 
 
@@ -71,7 +70,7 @@ def test_the_renderer_does_not_change_the_experiment(name: str) -> None:
         others = [moved(scenario, dx) for dx in MOVES_M], [tolerant(scenario, factor) for factor in TOLERANCES]
         by_moves, by_tolerance = ([converged_after(vs.run(other)) for other in some] for some in others)
         low, high = np.nanmin([low, *by_moves, *by_tolerance]), np.nanmax([high, *by_moves, *by_tolerance])
-        words += f" | gl with the target moved by micrometres: {by_moves}, with 5 % other tolerance: {by_tolerance}"
+        words += f" | gl with the target moved by micrometres: {by_moves}, with 10 % other tolerance: {by_tolerance}"
     print(words, flush=True)
     assert by_gl.outcome is by_rays.outcome
     lost = [r["t"][r["lost"].astype(bool)] for r in (by_gl, by_rays)]

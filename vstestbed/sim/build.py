@@ -59,9 +59,10 @@ def build_plant(
     from vstestbed.sim.scene.stage import Stage
 
     stage = Stage(parts, samples=camera.multisampling)
-    drawn_by = servo_renderer(stage, camera, image_sigma > 0) if needs_image else None
-    eye = ImageSensor(stage, drawn_by, ImageNoise(image_sigma, rng), drift) if drawn_by else None
-    renderer = drawn_by.name if drawn_by else "none"
+    eye, renderer = None, "none"
+    if needs_image:
+        drawn_by = servo_renderer(stage, camera, image_sigma > 0)
+        eye, renderer = ImageSensor(stage, drawn_by, ImageNoise(image_sigma, rng), drift), drawn_by.name
     if ideal:
         from vstestbed.sim.ideal import IdealPlant
 

@@ -84,10 +84,15 @@ def moves_of(memory: BlobsMemory, blobs: list[Blob | None], panels: list[int], c
     last = zip(memory.blobs or none, memory.moves or none, memory.panels or none, strict=True)
     for (a, move, before), b, panel in zip(last, blobs, panels, strict=True):
         if before is not None and before != panel:
-            seen = seen_from(a, (0.0, 0.0), before, panel, camera) if a else None
-            a, move = seen[0] if seen else None, None
+            a, move = _blob_there(a, before, panel, camera), None
         out.append((b.u - a.u, b.v - a.v) if a and b else move or (0.0, 0.0))
     return tuple(out)
+
+
+def _blob_there(blob: Blob | None, panel: int, other: int, camera: Camera) -> Blob | None:
+    """A blob in another panel's pixels; None where it lies outside of that panel."""
+    seen = seen_from(blob, (0.0, 0.0), panel, other, camera) if blob else None
+    return seen[0] if seen else None
 
 
 def hand_over(memory: BlobsMemory, camera: Camera, margin: int) -> BlobsMemory:
