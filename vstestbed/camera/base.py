@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Annotated, Literal
 
@@ -34,11 +35,13 @@ class Picture:
         t: time of the exposure [s].
         images: one image for each panel, (H, W, 3) uint8 RGB; None for a panel that was not asked for.
         whole: the images are complete; otherwise they may be blank outside of the regions of interest.
+        draw_whole: draws the whole picture of the same exposure; None where nobody can.
     """
 
     t: float
     images: tuple[Image | None, ...]
     whole: bool = True
+    draw_whole: Callable[[], Picture] | None = field(default=None, compare=False, repr=False)
 
     @property
     def image(self) -> Image | None:
@@ -49,6 +52,13 @@ class Picture:
     def empty(self) -> bool:
         """Whether no panel has an image."""
         return all(image is None for image in self.images)
+
+    def completed(self) -> Picture:
+        """The whole picture of the same exposure, with the same noise; the same object if it is whole. Valid as long as this one.
+
+        A detector whose regions of interest failed searches this one, so that what it finds does not depend on what was drawn.
+        """
+        return self if self.whole or self.draw_whole is None else self.draw_whole()
 
     def copy(self) -> Picture:
         """The same with copies of the images, which the renderer does not overwrite."""

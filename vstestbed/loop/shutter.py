@@ -47,11 +47,12 @@ class CameraClock:
         self.shutter = Shutter(scenario.timing, scenario.camera, plant.step_s, plant.steps_per_frame, rng)
         self.line: DelayLine[Exposed] = DelayLine()
         self.displacement, self._displacement_before, self._step_before = np.zeros(6), np.zeros(6), 0
+        self.look: Look | None
         self._plan()
 
     def _plan(self) -> None:
         self.planned: Planned = self.shutter.following()
-        self.opening, self.middle = 0, None
+        self.opening, self.middle, self.look = 0, None, None
 
     def next_event(self) -> int:
         """The step at which the shutter opens next, or a picture arrives."""
@@ -61,21 +62,23 @@ class CameraClock:
     def act(self, step: int, look_next: Callable[[], Look | None]) -> None:
         """Open the shutter when it is due, and send complete pictures. `look_next` gives the detector's region of interest."""
         while (planned := self.planned).opens[self.opening] == step:
-            # with pictures in transit the region of interest is not known yet: the detector has not seen them
-            look = look_next() if self.line.next_due() is None else None
+            # With pictures in transit the region of interest is not known yet: the detector has not seen them.
+            # It is decided once: all images of an exposure show the same part.
+            if self.opening == 0:
+                self.look = look_next() if self.line.next_due() is None else None
             if len(planned.opens) == 1:
-                picture, truth = self.plant.capture(look)
+                picture, truth = self.plant.capture(self.look)
                 if picture is not None and planned.arrives > step:
                     picture = picture.copy()  # the next picture overwrites the renderer's buffer before this one arrives
                 self._send(planned, picture, self._shot(step, truth))
             else:
-                self._expose(planned, step, look)
+                self._expose(planned, step)
 
-    def _expose(self, planned: Planned, step: int, look: Look | None) -> None:
+    def _expose(self, planned: Planned, step: int) -> None:
         # Truth, time stamp and reading are those of the exposure's middle: a symmetric smear leaves a marker's centre there.
         if step >= planned.middle and self.middle is None:
             self.middle = self._shot(step, self.plant.truth())
-        self.plant.expose(planned.weights[self.opening], look)
+        self.plant.expose(planned.weights[self.opening], self.look)
         self.opening += 1
         if self.opening == len(planned.opens) and self.middle is not None:
             self._send(planned, self.plant.developed(self.middle.t), self.middle)

@@ -58,17 +58,11 @@ class Renderer(Protocol):
         """The camera's own image now, shape (H, W, 3) uint8 RGB, as a copy that the caller may keep."""
         ...
 
-    def images(self, look: Look | None = None, clean: bool = False) -> tuple[Image | None, ...]:
-        """The images now, one for each panel, valid until the next call.
+    def images(self, look: Look | None = None) -> tuple[Image | None, ...]:
+        """The images now without noise, one for each panel, valid until the next call.
 
-        Args:
-            look: regions of interest, None for everything; the rest may be blank.
-            clean: leave out the sensor's noise.
+        look: regions of interest, None for everything; the rest may be blank.
         """
-        ...
-
-    def with_noise(self, image: Image) -> Image:
-        """A clean image with the sensor's noise added."""
         ...
 
 
@@ -86,12 +80,16 @@ class Plant(Protocol):
     def capture(self, look: Look | None = None) -> tuple[Picture | None, Truth]:
         """The picture (None where no detector needs one; valid until the next capture) and the truth, now.
 
-        look: the detector's regions of interest; None for everything.
+        look: the detector's regions of interest; None for everything. A copy of a picture of which only they were drawn can be
+        completed until the next such picture is taken.
         """
         ...
 
     def expose(self, weight: float, look: Look | None = None) -> None:
-        """Add an image, as a share `weight` of one exposure; nothing where no detector needs pictures."""
+        """Add an image, as a share `weight` of one exposure; nothing where no detector needs pictures.
+
+        look: as `capture`'s, and the same for all images of an exposure.
+        """
         ...
 
     def developed(self, t: float) -> Picture | None:

@@ -10,7 +10,7 @@ from vstestbed.camera import Camera
 from vstestbed.robots import Robot
 from vstestbed.sim.base import Plant
 from vstestbed.sim.clock import Clock
-from vstestbed.sim.render.noise import NO_DRIFT, Drift
+from vstestbed.sim.render.noise import NO_DRIFT, Drift, ImageNoise
 from vstestbed.sim.scene.world import World
 from vstestbed.targets.base import Target
 
@@ -54,19 +54,22 @@ def build_plant(
         from vstestbed.sim.ideal import IdealPlant
 
         return IdealPlant(parts, steps_per_frame, path=path), "none"
+    from vstestbed.sim.render.image_sensor import ImageSensor
     from vstestbed.sim.render.pictures import servo_renderer
     from vstestbed.sim.scene.stage import Stage
 
     stage = Stage(parts, samples=camera.multisampling)
-    eye = servo_renderer(stage, camera, image_sigma, rng) if needs_image else None
-    renderer = eye.name if eye else "none"
+    eye, renderer = None, "none"
+    if needs_image:
+        drawn_by = servo_renderer(stage, camera, image_sigma > 0)
+        eye, renderer = ImageSensor(stage, drawn_by, ImageNoise(image_sigma, rng), drift), drawn_by.name
     if ideal:
         from vstestbed.sim.ideal import IdealPlant
 
-        return IdealPlant(parts, steps_per_frame, stage, eye, path, drift), renderer
+        return IdealPlant(parts, steps_per_frame, stage, eye, path), renderer
     from vstestbed.sim.plant import MujocoPlant
 
-    return MujocoPlant(stage, steps_per_frame, eye, needs_truth, sensor_rng or np.random.default_rng(0), path, drift), renderer
+    return MujocoPlant(stage, steps_per_frame, eye, needs_truth, sensor_rng or np.random.default_rng(0), path), renderer
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,9 +7,8 @@ import numpy as np
 from vstestbed.camera import Look, Picture
 from vstestbed.core.geometry import Array, adjoint, exp, inverse
 from vstestbed.robots.reading import Reading
-from vstestbed.sim.base import Renderer, Truth
-from vstestbed.sim.render.motion_blur import MotionBlur
-from vstestbed.sim.render.noise import NO_DRIFT, Drift
+from vstestbed.sim.base import Truth
+from vstestbed.sim.render.image_sensor import ImageSensor
 from vstestbed.sim.scene.compose import Parts
 from vstestbed.sim.scene.stage import Stage
 from vstestbed.targets.motion import Path
@@ -22,8 +21,8 @@ class IdealPlant:
 
     Args:
         parts: of the scene. steps_per_frame: physics steps between pictures.
-        eye: renderer of the pictures; None where no detector needs them. stage: for pictures and occlusion; None without both.
-        path: the target's pose as a function of time; None for one that stands still. drift: of the camera's gains.
+        stage: for pictures and occlusion; None without both. eye: takes the pictures; None where no detector needs them.
+        path: the target's pose as a function of time; None for one that stands still.
     """
 
     def __init__(
@@ -31,11 +30,10 @@ class IdealPlant:
         parts: Parts,
         steps_per_frame: int,
         stage: Stage | None = None,
-        eye: Renderer | None = None,
+        eye: ImageSensor | None = None,
         path: Path | None = None,
-        drift: Drift = NO_DRIFT,
     ):
-        self._path, self._drift = path, drift
+        self._path = path
         self.step_s, self.steps_per_frame = parts.step, steps_per_frame
         self._T = parts.start[1]
         self._to_camera = adjoint(inverse(parts.camera.mount.T))
@@ -43,7 +41,6 @@ class IdealPlant:
         self._T_target_world = inverse(self._T_world_target)
         self._target = parts.target
         self._stage, self._eye = stage, eye
-        self._exposure = MotionBlur(eye) if eye else None
         self._twist = np.zeros(6)
         self._steps = 0
         self._hidden = np.zeros(len(self._target.points), dtype=bool)
@@ -56,8 +53,7 @@ class IdealPlant:
     def capture(self, look: Look | None = None) -> tuple[Picture | None, Truth]:
         """The picture, where a detector needs one, and the truth."""
         truth = self.truth()
-        frame = self._drift.of(Picture(self._t, self._eye.images(look), self._eye.whole)) if self._eye else None
-        return frame, truth
+        return self._eye.capture(self._t, look) if self._eye else None, truth
 
     @property
     def _t(self) -> float:
@@ -87,12 +83,12 @@ class IdealPlant:
         self._move_target()
         if self._stage is not None:
             self._stage.place(self._t, self._T_world_target, NONE, self._T)
-        if self._exposure is not None:
-            self._exposure.add(weight, look)
+        if self._eye is not None:
+            self._eye.expose(weight, look)
 
     def developed(self, t: float) -> Picture | None:
         """The picture of all images added since the last one."""
-        return self._drift.of(self._exposure.developed(t)) if self._exposure else None
+        return self._eye.developed(t) if self._eye else None
 
     def reading(self) -> Reading:
         """No joints."""

@@ -11,10 +11,9 @@ from dm_control.rl.control import PhysicsError
 from vstestbed.camera import Look, Picture
 from vstestbed.core.geometry import Array, adjoint, inverse
 from vstestbed.robots.reading import Reading
-from vstestbed.sim.base import Renderer, Truth
+from vstestbed.sim.base import Truth
 from vstestbed.sim.contacts import RobotContacts
-from vstestbed.sim.render.motion_blur import MotionBlur
-from vstestbed.sim.render.noise import NO_DRIFT, Drift
+from vstestbed.sim.render.image_sensor import ImageSensor
 from vstestbed.sim.scene.lead_vehicle import LeadVehicle
 from vstestbed.sim.scene.stage import Stage
 from vstestbed.sim.scene.wind import WindField
@@ -38,27 +37,24 @@ class MujocoPlant:
 
     Args:
         stage: the scene. steps_per_frame: physics steps between pictures.
-        eye: renderer of the pictures; None where no detector needs them. see_hidden: compute the truth's `hidden` by casting rays.
+        eye: takes the pictures; None where no detector needs them. see_hidden: compute the truth's `hidden` by casting rays.
         rng: generator of the robot's sensor noise. path: the pose of a target that moves by itself as a function of time, else None.
-        drift: of the camera's gains.
     """
 
     def __init__(
         self,
         stage: Stage,
         steps_per_frame: int,
-        eye: Renderer | None,
+        eye: ImageSensor | None,
         see_hidden: bool,
         rng: np.random.Generator,
         path: Path | None = None,
-        drift: Drift = NO_DRIFT,
     ):
         robot, world = stage.parts.robot, stage.parts.world
         self._stage, self._robot, self._target = stage, robot, stage.parts.target
         self.step_s, self.steps_per_frame, self._steps = stage.parts.step, steps_per_frame, 0
         self._path, self._scenery = path, bool(world.plates or world.decoys or path)
-        self._eye, self._drift = eye, drift
-        self._exposure = MotionBlur(eye) if eye else None
+        self._eye = eye
         self._see_hidden, self._visible = see_hidden, np.zeros(len(self._target.points), dtype=bool)
         self._contacts = RobotContacts(stage.model, robot)
         # A stream of its own: turbulence, drawn at the control rate, must not shift the noise that the sensors draw.
@@ -124,8 +120,7 @@ class MujocoPlant:
     def capture(self, look: Look | None = None) -> tuple[Picture | None, Truth]:
         """The picture, where a detector needs one, and the truth, now."""
         truth = self.truth()
-        frame = self._drift.of(Picture(self._steps * self.step_s, self._eye.images(look), self._eye.whole)) if self._eye else None
-        return frame, truth
+        return self._eye.capture(self._steps * self.step_s, look) if self._eye else None, truth
 
     def _move_scenery(self) -> None:
         """Move plates, decoys and a target with a path of its own to their present poses."""
@@ -156,12 +151,12 @@ class MujocoPlant:
     def expose(self, weight: float, look: Look | None = None) -> None:
         """Add an image of the exposure, where a detector needs pictures."""
         self._move_scenery()
-        if self._exposure is not None:
-            self._exposure.add(weight, look)
+        if self._eye is not None:
+            self._eye.expose(weight, look)
 
     def developed(self, t: float) -> Picture | None:
         """The picture of all images added since the last one."""
-        return self._drift.of(self._exposure.developed(t)) if self._exposure else None
+        return self._eye.developed(t) if self._eye else None
 
     def _twist(self, site: int) -> Array:
         """True twist (v, w) (6,) of a site in its own frame; MuJoCo has the angular part first."""

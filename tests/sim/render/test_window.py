@@ -59,13 +59,13 @@ def test_the_next_part_has_nothing_of_the_last():
 
 
 @pytest.mark.parametrize(
-    ("camera", "sigma"),
-    [(Perspective(distortion=(-0.2, 0.05, 0.0, 0.0, 0.0)), 0.0), (Perspective(), 2.0)],
+    ("camera", "noisy"),
+    [(Perspective(distortion=(-0.2, 0.05, 0.0, 0.0, 0.0)), False), (Perspective(), True)],
     ids=["bent by its lens", "noise told from the whole"],
 )
-def test_where_a_part_is_not_enough_the_picture_is_whole(camera: Perspective, sigma: float):
+def test_where_a_part_is_not_enough_the_picture_is_whole(camera: Perspective, noisy: bool):
     stage = stage_of(replace(vs.load("arm_ibvs"), camera=camera))
-    eye = OpenGLRenderer(stage, camera, sigma, np.random.default_rng(0))
+    eye = OpenGLRenderer(stage, camera, noisy)
     (image,) = eye.images((WINDOWS,))
     assert eye.whole and image is not None and image[10, 10].any()
 

@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.vision.conftest import TakePicture
+from tests.vision.parts import in_windows
 from vstestbed.camera import Perspective, Picture
 from vstestbed.core.geometry import Array, Pose, exp, inverse, rigid_error, transform
 from vstestbed.targets.base import Target
@@ -230,6 +231,37 @@ def test_windows_give_the_same_bytes_as_the_whole_picture(
         memory, found = blobs.detect(memory, frame, None, camera, target, RNG)
         assert found.seen.all()
         assert found.uv.tobytes() == expected.uv.tobytes()
+
+
+@pytest.mark.parametrize("camera", [CAMERA, Perspective(multisampling=4)], ids=["sharp", "smooth"])
+def test_what_was_drawn_of_a_picture_does_not_change_what_is_found(picture: TakePicture, camera: Perspective) -> None:
+    target, blobs = _square(Sphere(radius=0.02)), Blobs()
+    jump = inverse(exp(np.array([0, 0, 0, 0.15, -0.1, 0.3])))  # 60 px and more, without warning
+    views = _path(6) + [jump @ T for T in _path(12)[6:]]
+    memory, asked, needed = blobs.init(), [], []
+    for k, T in enumerate(views):
+        whole = picture(target, T, camera)
+        look = blobs.look(memory, camera, target)
+        asked.clear()
+        part = whole if look is None else in_windows(whole, look, asked)
+        (memory, found), (_, expected) = (blobs.detect(memory, p, None, camera, target, RNG) for p in (part, whole))
+        assert found.seen.all() and found.uv.tobytes() == expected.uv.tobytes()
+        needed += [k] if asked else []
+    assert needed == [6, 7]  # the jump; and after it, since it was no steady motion
+
+
+def test_motion_of_a_marker_is_remembered_while_it_is_lost(picture: TakePicture, monkeypatch: pytest.MonkeyPatch) -> None:
+    target, blobs = _square(Disc(radius=0.02)), Blobs()
+    steps = [Pose(xyz=(-0.3 + 0.06 * k, 0, 1)).T for k in range(7)]  # 23 px a frame: more than the windows' margin
+    memory = blobs.init()
+    for k, T in enumerate(steps[:5]):
+        frame = picture(target, T, CAMERA, PLATE.format(w=0.8, x=0, y=0, z=0.5, rgba=".5 .5 .5 1") if k == 3 else "")
+        memory, found = blobs.detect(memory, frame, None, CAMERA, target, RNG)
+        assert found.seen.all() == (k != 3)
+    monkeypatch.setattr(Blobs, "_search", lambda *_: pytest.fail("not in its window"))
+    for T in steps[5:]:
+        memory, found = blobs.detect(memory, picture(target, T, CAMERA), None, CAMERA, target, RNG)
+        assert found.seen.all()
 
 
 def test_lost_and_found_again(picture: TakePicture) -> None:

@@ -10,6 +10,8 @@ from vstestbed.core.geometry import Pose, inverse
 from vstestbed.core.planar import GroundPose
 from vstestbed.robots import Omni
 from vstestbed.robots.ground import GroundStart
+from vstestbed.sim.render.image_sensor import ImageSensor
+from vstestbed.sim.render.noise import ImageNoise
 from vstestbed.sim.render.pictures import servo_renderer
 from vstestbed.sim.scene.compose import Parts
 from vstestbed.sim.scene.stage import Stage
@@ -31,13 +33,14 @@ class Bench:
         robot = Omni(wheels="planar", start=GroundStart(nominal=GroundPose()))
         self.lines, self.camera = lines, camera
         self.stage = Stage(Parts(robot, camera, lines, world or World(), 0.002), samples=camera.multisampling)
-        self.eye = servo_renderer(self.stage, camera, sigma, np.random.default_rng(1))
+        noise = ImageNoise(sigma, np.random.default_rng(1))
+        self.eye = ImageSensor(self.stage, servo_renderer(self.stage, camera, sigma > 0), noise)
 
     def frame(self, x, y, heading_deg, look=None):
         T = GroundPose(x=x, y=y, heading_deg=heading_deg).T @ self.camera.mount.T
         self.stage.place(0.0, self.lines.pose.T, np.zeros(3), T)
         mujoco.mj_forward(self.stage.model, self.stage.data)
-        return Picture(0.0, self.eye.images(look), self.eye.whole), T
+        return self.eye.capture(0.0, look), T
 
     def errors(self, places):
         """Measured less true pixels of all points at each place, (places, N, 2); each picture on its own."""

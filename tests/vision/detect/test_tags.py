@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.vision.parts import in_windows
 from vstestbed.camera import Perspective, Picture
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, exp, rigid_error, transform
@@ -239,6 +240,21 @@ def test_windows_say_what_the_whole_picture_says(picture: TakePicture, monkeypat
         assert len(looked) == (4 if k else 1)
         assert look == ((tuple(looked),) if k else None)
         assert np.abs(found.uv - _detect(frame, target).uv).max() < 0.02
+
+
+def test_a_jump_out_of_the_windows_is_found_in_the_whole_picture_and_its_motion_is_kept(picture: TakePicture) -> None:
+    target, tags, asked, needed = _square(), Tags(), [], []
+    memory, gone = tags.init(), np.array([3.0, 0.0, 1.2])
+    places = [np.array([x, 0.0, 1.2]) for x in (-0.3, -0.2, -0.1)] + [gone] + [np.array([x, 0.0, 1.2]) for x in (0.1, 0.2, 0.3)]
+    for k, t in enumerate(places):  # 32 px a frame: more than the windows' margin
+        whole, look = picture(target, _view(0.1, 0.0, 0.0, t)), tags.look(memory, CAMERA, target)
+        asked.clear()
+        part = whole if look is None else in_windows(whole, look, asked)
+        memory, found = tags.detect(memory, part, None, CAMERA, target, RNG)
+        assert found.seen.all() == (t is not gone)
+        needed += [k] if asked else []
+    # The first move; out of view. Found again in a whole picture, they are where their last known motion takes them.
+    assert needed == [1, 3]
 
 
 def test_lost_and_found_again(picture: TakePicture) -> None:

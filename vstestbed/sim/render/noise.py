@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
@@ -54,12 +54,39 @@ class Drift:
 NO_DRIFT = Drift()
 
 
-def noisy(image: Image, sigma: float, rng: np.random.Generator | None) -> Image:
-    """An image (H, W, 3) with Gaussian noise of standard deviation `sigma` [grey levels] on each channel, rounded and clipped.
+class ImageNoise:
+    """Gaussian noise of an image sensor, drawn anew for each picture.
 
-    The same object where sigma is 0 or no generator is given.
+    Args:
+        sigma: standard deviation on each channel [grey levels of 255].
+        rng: source of the noise; None for none.
     """
-    if sigma <= 0 or rng is None:
-        return image
-    noise = rng.standard_normal(image.shape, dtype=np.float32) * np.float32(sigma)
-    return np.clip(image + noise + 0.5, 0, 255).astype(np.uint8)
+
+    def __init__(self, sigma: float = 0.0, rng: np.random.Generator | None = None):
+        self._sigma, self._rng = sigma, rng if sigma > 0 else None
+
+    def next(self) -> PictureNoise:
+        """The noise of the next picture."""
+        return PictureNoise(self._sigma, None if self._rng is None else int(self._rng.integers(2**63)))
+
+
+@dataclass(frozen=True, slots=True)
+class PictureNoise:
+    """The noise of one picture: a function of pixel and panel alone, whichever of them are drawn, and however often.
+
+    Attributes:
+        sigma: standard deviation [grey levels]. seed: of this picture; None for no noise.
+    """
+
+    sigma: float
+    seed: int | None
+
+    def added(self, images: tuple[Image | None, ...]) -> tuple[Image | None, ...]:
+        """The panels' images (H, W, 3) with the noise, rounded and clipped; the same objects where there is none."""
+        if self.seed is None:
+            return images
+        return tuple(None if image is None else self._added(image, np.random.default_rng((self.seed, i))) for i, image in enumerate(images))
+
+    def _added(self, image: Image, rng: np.random.Generator) -> Image:
+        noise = rng.standard_normal(image.shape, dtype=np.float32) * np.float32(self.sigma)
+        return np.clip(image + noise + 0.5, 0, 255).astype(np.uint8)

@@ -7,8 +7,6 @@ import logging
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
-import numpy as np
-
 from vstestbed.camera import Camera, Image
 from vstestbed.core.errors import EnvironmentLackError
 from vstestbed.core.geometry import Array
@@ -34,8 +32,8 @@ class OutsideView(Protocol):
 # The functions import OpenGL's and the rays' modules only when called: importing the first fails on a machine without OpenGL.
 
 
-def servo_renderer(stage: Stage, camera: Camera, image_sigma: float = 0.0, rng: np.random.Generator | None = None) -> Renderer:
-    """The renderer of the servo camera, as `camera.renderer` asks.
+def servo_renderer(stage: Stage, camera: Camera, noisy: bool = False) -> Renderer:
+    """The renderer of the servo camera, as `camera.renderer` asks; `noisy`: noise will be added to its images.
 
     Raises:
         EnvironmentLackError: OpenGL is asked for, or the image needs it, and it does not work here.
@@ -45,12 +43,12 @@ def servo_renderer(stage: Stage, camera: Camera, image_sigma: float = 0.0, rng: 
     def by_gl() -> Renderer:
         from vstestbed.sim.render.opengl import OpenGLRenderer
 
-        return OpenGLRenderer(stage, camera, image_sigma, rng)
+        return OpenGLRenderer(stage, camera, noisy)
 
     def by_rays() -> Renderer:
         from vstestbed.sim.render.rays import RayRenderer
 
-        return RayRenderer(stage, camera, image_sigma, rng)
+        return RayRenderer(stage, camera, noisy)
 
     return _chosen(camera, by_gl, by_rays)
 

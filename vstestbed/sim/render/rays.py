@@ -16,10 +16,10 @@ from vstestbed.core.errors import EnvironmentLackError, ParameterError
 from vstestbed.core.geometry import FLIP, Array
 from vstestbed.sim.render import gl_probe as gl
 from vstestbed.sim.render.cones import cone_of, meets
-from vstestbed.sim.render.noise import noisy
 from vstestbed.sim.render.shade import Paint
 from vstestbed.sim.scene.compose import LENS_GROUP
 from vstestbed.sim.scene.stage import Stage
+from vstestbed.vision.detect.colour_blobs import noise_rows
 
 RENDERER = "rays (mj_multiRay)"
 BLANK = 128
@@ -182,17 +182,16 @@ class RayRenderer:
     Args:
         stage: the scene.
         camera: the lens.
-        image_sigma: standard deviation of the noise on each channel [grey levels of 255].
-        rng: source of the noise.
+        noisy: noise will be added to the images: the rows from which detectors estimate its level are always cast.
 
     Raises:
         ParameterError, EnvironmentLackError: rays cannot draw what the scene or the camera asks for.
     """
 
-    def __init__(self, stage: Stage, camera: Camera, image_sigma: float = 0.0, rng: np.random.Generator | None = None):
+    def __init__(self, stage: Stage, camera: Camera, noisy: bool = False):
         self._stage, self._camera, self._caster = stage, camera, Caster(stage)
         refuse(camera, self._caster.paint.textured_target)
-        self._sigma, self._rng = image_sigma, rng
+        self._noisy = noisy
         self._rasters: dict[int, Raster] = {}
         self.name = RENDERER
         self.spent_s = 0.0
@@ -203,34 +202,31 @@ class RayRenderer:
         # A lens with panels is cast through its own projection here; number -1 keeps that raster beside those of the panels.
         return self._draw(Panel(self._camera, np.eye(3)), -1 if self._camera.panels[0].lens is not self._camera else 0, None)
 
-    def with_noise(self, image: Image) -> Image:
-        """A clean image with the sensor's noise added."""
-        return noisy(image, self._sigma, self._rng)
-
-    def images(self, look: Look | None = None, clean: bool = False) -> tuple[Image | None, ...]:
+    def images(self, look: Look | None = None) -> tuple[Image | None, ...]:
         """The images now, one for each panel, as copies.
 
-        Args:
-            look: regions of interest, None for everything; a panel without a window is None, others are blank outside of theirs.
-            clean: leave out the sensor's noise.
+        look: regions of interest, None for everything; a panel without a window is None, others are blank outside of theirs.
         """
         start = time.perf_counter()
         images = []
         for i, panel in enumerate(self._camera.panels):
             windows = None if look is None else look[i]
-            images.append(None if windows == () else self._draw(panel, i, windows, clean))
+            images.append(None if windows == () else self._draw(panel, i, windows))
         self.whole = look is None
         self.spent_s += time.perf_counter() - start
         return tuple(images)
 
-    def _draw(self, panel: Panel, name: int, windows: tuple[Window, ...] | None, clean: bool = False) -> Image:
+    def _draw(self, panel: Panel, name: int, windows: tuple[Window, ...] | None) -> Image:
         if name not in self._rasters:
             self._rasters[name] = Raster(panel.lens, panel.R_camera_panel, self._camera.multisampling)
         raster = self._rasters[name]
         image = np.full((raster.height, raster.width, 3), BLANK, np.uint8)
-        whole = ((0, 0, raster.width, raster.height),)
-        raster.draw(image, whole if windows is None else windows, self._caster, self._stage.camera_pose())
-        return image if clean else self.with_noise(image)
+        if windows is None:
+            windows = ((0, 0, raster.width, raster.height),)
+        elif self._noisy:
+            windows += tuple((0, v, raster.width, v + 1) for v in noise_rows(raster.height))
+        raster.draw(image, windows, self._caster, self._stage.camera_pose())
+        return image
 
 
 def refuse(camera: Camera, textured_target: bool) -> None:

@@ -29,9 +29,10 @@ Found = tuple[int, Blob] | None
 class Blobs:
     """Markers by colour: chroma mask, contours, moments; identified by the hue at the centroid.
 
-    Tracking: a marker is searched in a window around its predicted position (constant velocity); when one is lost, the whole
-    image is searched. In a camera with panels it is handed over to the next panel before it reaches a border; where panels
-    overlap it counts once. Of several blobs of one hue, those are taken that one pose of the target explains (`assign_blobs`).
+    Tracking: a marker is searched in a window around its predicted position (constant velocity); when one is not found there, the
+    whole image of the same exposure is searched. In a camera with panels it is handed over to the next panel before it reaches a
+    border; where panels overlap it counts once. Of several blobs of one hue, those are taken that one pose of the target explains
+    (`assign_blobs`).
 
     Measurement: the image of the marker's centre is the centroid less the perspective bias under the pose that the markers
     themselves give. A blob is rejected if it touches the image's border, if its shape is no ellipse, if its area differs from
@@ -89,9 +90,15 @@ class Blobs:
         """
         if picture is None or picture.empty:
             raise ParameterError("picture", "is missing: detector blobs needs one; use detector oracle where there is none")
-        noise = max(noise_level(image) for image in picture.images if image is not None)
-        blobs, panels = _split(self._track(picture, noise, memory, camera, target) or self._search(picture, noise, memory, camera, target))
-        markers = MarkerFit(camera, target, panels, self.area_tolerance, _edge_px(noise, camera.panels[0].lens))
+        noise = _noise_levels(picture)
+        found = self._track(picture, noise, memory, camera, target)
+        if found is None:
+            picture = picture.completed()
+            noise = _noise_levels(picture)
+            found = self._search(picture, noise, memory, camera, target)
+        blobs, panels = _split(found, memory)
+        level = max((noise[f[0]] for f in found if f), default=0.0)
+        markers = MarkerFit(camera, target, panels, self.area_tolerance, _edge_px(level, camera.panels[0].lens))
         uv, T, bias = markers.centres(blobs, memory, self.correct_centre)
         for i in np.flatnonzero(markers.outliers):
             blobs[i] = None  # not tracked: its window would follow the wrong object
@@ -106,7 +113,7 @@ class Blobs:
         rim: Rim = self.moments if _smooth(lens) or (noise > 0 and self.moments == "binary") else "sharp"
         return find_blobs(image, window, self.chroma, self.least_area_px, rim, noise)
 
-    def _track(self, picture: Picture, noise: float, memory: BlobsMemory, camera: Camera, target: Target) -> list[Found] | None:
+    def _track(self, picture: Picture, noise: list[float], memory: BlobsMemory, camera: Camera, target: Target) -> list[Found] | None:
         """Each marker's blob from a window of its own; None where one is lost and the whole image must be searched."""
         own = windows(memory, camera, self.window_margin_px)
         if own is None:
@@ -116,7 +123,7 @@ class Blobs:
             image, lens = picture.images[panel], camera.panels[panel].lens
             if image is None or last is None:
                 return None
-            blobs = self._blobs_in(image, window, noise, lens)
+            blobs = self._blobs_in(image, window, noise[panel], lens)
             blob = _nearest(self._of_hue(blobs, hue, len(own)), last.u + move[0], last.v + move[1])
             if blob is None or blob.cut_by(window, lens.width, lens.height):
                 return None
@@ -125,7 +132,7 @@ class Blobs:
             found.append((panel, blob))
         return found
 
-    def _search(self, picture: Picture, noise: float, memory: BlobsMemory, camera: Camera, target: Target) -> list[Found]:
+    def _search(self, picture: Picture, noise: list[float], memory: BlobsMemory, camera: Camera, target: Target) -> list[Found]:
         """Each marker's blob in the whole image: of those with its hue the one that the target's geometry explains.
 
         In a camera with panels instead the largest, blobs that are not cut first.
@@ -136,13 +143,13 @@ class Blobs:
             return list(assign_blobs(by_marker, camera, target, memory.T_camera_target))
         return [largest(some, camera) for some in by_marker]
 
-    def _all_blobs(self, picture: Picture, noise: float, camera: Camera) -> list[tuple[int, Blob]]:
+    def _all_blobs(self, picture: Picture, noise: list[float], camera: Camera) -> list[tuple[int, Blob]]:
         """All blobs of all panels, each with the index of its panel."""
         found: list[tuple[int, Blob]] = []
         for i, (image, panel) in enumerate(zip(picture.images, camera.panels, strict=True)):
             if image is not None:
                 window = (0, 0, panel.lens.width, panel.lens.height)
-                found += [(i, b) for b in self._blobs_in(image, window, noise, panel.lens)]
+                found += [(i, b) for b in self._blobs_in(image, window, noise[i], panel.lens)]
         return found
 
     def _of_hue(self, blobs: list[Blob], hue_deg: float, n_hues: int) -> list[Blob]:
@@ -154,9 +161,15 @@ class Blobs:
         return abs((blob.hue_deg - hue_deg + 180) % 360 - 180) <= tolerance
 
 
-def _split(found: list[Found]) -> tuple[list[Blob | None], list[int]]:
-    """The blobs and their panels, which are 0 for those not found."""
-    return [f[1] if f else None for f in found], [f[0] if f else 0 for f in found]
+def _noise_levels(picture: Picture) -> list[float]:
+    """The noise of each panel's image [grey levels]; 0 for one that was not drawn."""
+    return [0.0 if image is None else noise_level(image) for image in picture.images]
+
+
+def _split(found: list[Found], memory: BlobsMemory) -> tuple[list[Blob | None], list[int]]:
+    """The blobs and their panels; for a marker not found the panel in which it was seen last, at first 0."""
+    panels = memory.panels or (0,) * len(found)
+    return [f[1] if f else None for f in found], [f[0] if f else last for f, last in zip(found, panels, strict=True)]
 
 
 def _nearest(blobs: list[Blob], u: float, v: float) -> Blob | None:

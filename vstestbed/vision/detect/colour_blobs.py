@@ -74,14 +74,19 @@ def chroma(image: Image) -> Image:
     return np.asarray(cv2.subtract(high, cv2.min(cv2.min(r, g), b)), np.uint8)
 
 
+def noise_rows(height: int) -> range:
+    """The rows, of an image of that height [px], from which the level of its noise is estimated."""
+    return range(min(NOISE_ROWS, height) // 2, height, NOISE_ROWS)
+
+
 def noise_level(image: Image) -> float:
     """Standard deviation of an image's noise [grey levels], estimated from the image alone: 0 for a clean one.
 
     From the median step between neighbours in a row: most pixels of a rendered surface equal their neighbours, so that it is
     exactly 0 without noise. Noise below about .7 is lost in the rounding to grey levels. A textured background counts as noise.
     """
-    first = min(NOISE_ROWS, len(image)) // 2
-    rows = np.ascontiguousarray(image[first::NOISE_ROWS, :, 1])
+    of = noise_rows(len(image))
+    rows = np.ascontiguousarray(image[of.start :: of.step, :, 1])
     steps = cv2.absdiff(rows[:, 1:], rows[:, :-1])
     if 2 * cv2.countNonZero(steps) <= steps.size:  # the median is 0: no need to sort
         return 0.0

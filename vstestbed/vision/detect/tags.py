@@ -34,7 +34,7 @@ QUIET = 0.25
 
 @dataclass(frozen=True, slots=True)
 class TagsMemory:
-    """Each tag's corners (4, 2) in the last picture [px] (None for a lost one), their moves since the one before [px], the last pose."""
+    """Each tag's corners (4, 2) in the last picture [px] (None for a lost one), their last known moves [px], the last known pose."""
 
     corners: tuple[Array | None, ...] = ()
     moves: tuple[tuple[float, float], ...] = ()
@@ -51,9 +51,9 @@ class Tags:
     (+.43, +.43).) The diagonals of the corners' rays intersect in the centre's ray, whatever the perspective and the lens.
     The pose is solved from all corners; one tag suffices.
 
-    A tracked tag is searched in a window around its predicted position (constant velocity); when one is lost, the whole image
-    is searched. A tag is rejected if it touches the image's border, if it is misread, or if a point of its edges is off its
-    line or without contrast (occlusion). Tags need about 2 px a module.
+    A tracked tag is searched in a window around its predicted position (constant velocity); when one is not found there, the whole
+    image of the same exposure is searched. A tag is rejected if it touches the image's border, if it is misread, or if a point of
+    its edges is off its line or without contrast (occlusion). Tags need about 2 px a module.
 
     Args:
         astray_px: largest distance of an edge's point from the edge's line [px].
@@ -97,8 +97,7 @@ class Tags:
         # a scenario refuses other markers; called directly, without a family there is no dictionary
         if not isinstance(tag, Tag):
             raise ParameterError("target.marker", "must be tag for detector tags", tag.kind)
-        greys = [None if image is None else np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.uint8) for image in picture.images]
-        found = self._track(greys, memory, camera, tag, n) or self._search(greys, camera, tag, n)
+        found = self._track(_greys(picture), memory, camera, tag, n) or self._search(_greys(picture.completed()), camera, tag, n)
         uv, T = _measure(found, memory.T_camera_target, camera, target, tag)
         corners = tuple(found[i][1] if i in found else None for i in range(n))
         kept = T if T is not None else memory.T_camera_target
@@ -141,6 +140,10 @@ class Tags:
         edges = measure_edges(grey, np.stack(list(rough.values())), tag.modules)
         good = (edges.astray <= self.astray_px) & (edges.contrast >= self.contrast) & (edges.border >= 0)
         return {i: corners for i, corners, whole in zip(rough, edges.corners, good.tolist(), strict=True) if whole}
+
+
+def _greys(picture: Picture) -> list[Image | None]:
+    return [None if image is None else np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.uint8) for image in picture.images]
 
 
 def _read(grey: Image, window: Window, tag: Tag, n: int, misread: int) -> dict[int, Array]:
@@ -195,7 +198,7 @@ def _box(corners: Array) -> Window:
 
 
 def _moves(memory: TagsMemory, corners: tuple[Array | None, ...]) -> tuple[tuple[float, float], ...]:
-    """Displacement of each tag since the last picture [px]; zero where it was not seen then or is not now."""
-    before = memory.corners or (None,) * len(corners)
-    moves = [np.zeros(2) if a is None or b is None else (b - a).mean(axis=0) for a, b in zip(before, corners, strict=True)]
+    """Displacement of each tag since the last picture [px]; the last known one where it was not seen then or is not now."""
+    before, kept = memory.corners or (None,) * len(corners), memory.moves or ((0.0, 0.0),) * len(corners)
+    moves = [last if a is None or b is None else (b - a).mean(axis=0) for a, b, last in zip(before, corners, kept, strict=True)]
     return tuple((float(du), float(dv)) for du, dv in moves)

@@ -16,6 +16,8 @@ from vstestbed.vision.detect.windows import Move, window_round, windows_round
 REACH = 0.1
 """In a camera with panels, windows are enlarged by this share of a panel on each side, and continue on the next panel where they
 leave the first, so that a marker a little outside of its predicted window is still rendered."""
+MEASURED_PX = 2
+"""Blobs are measured so far beyond their mask's box [px] (`colour_blobs`), which may touch the window in which they were searched."""
 TWIN_COSINE = math.cos(math.radians(3))
 """Two blobs of one hue less than 3 degrees apart, in two overlapping panels, are one marker seen twice."""
 
@@ -26,7 +28,7 @@ class BlobsMemory:
 
     Attributes:
         blobs: each marker's blob in the last picture; None for a lost one.
-        moves: displacement of each blob since the picture before [px].
+        moves: last known displacement of each blob from one picture to the next [px]; zero at first.
         T_camera_target: last known pose of the target, shape (4, 4).
         bias: perspective bias in the last picture, shape (N, 2) [px].
         panels: index of the panel in which each marker will be searched; blob and move are in that panel's pixels.
@@ -46,7 +48,7 @@ def windows(memory: BlobsMemory, camera: Camera, margin: int) -> list[Window] | 
 
 def look_of(memory: BlobsMemory, camera: Camera, margin: int) -> Look | None:
     """Regions of interest, in each panel, of the next detection; None for everything."""
-    own = windows(memory, camera, margin)
+    own = windows(memory, camera, margin + MEASURED_PX)
     if own is None:
         return None
     if len(camera.panels) == 1:
@@ -73,15 +75,24 @@ def _enlarged_windows(blob: Blob, move: Move, home: int, camera: Camera, margin:
 
 
 def moves_of(memory: BlobsMemory, blobs: list[Blob | None], panels: list[int], camera: Camera) -> tuple[Move, ...]:
-    """Displacement of each blob since the last picture [px]; zero where it was not seen then or is not now."""
+    """Displacement of each blob since the last picture [px]; of one that was not seen then, or is not now, the last known one.
+
+    It is zero where none is known in the panel in which the blob is now.
+    """
     none = (None,) * len(blobs)
     out: list[Move] = []
-    for a, b, before, panel in zip(memory.blobs or none, blobs, memory.panels or none, panels, strict=True):
-        if a is not None and before is not None and before != panel:
-            seen = seen_from(a, (0.0, 0.0), before, panel, camera)
-            a = seen[0] if seen else None
-        out.append((b.u - a.u, b.v - a.v) if a and b else (0.0, 0.0))
+    last = zip(memory.blobs or none, memory.moves or none, memory.panels or none, strict=True)
+    for (a, move, before), b, panel in zip(last, blobs, panels, strict=True):
+        if before is not None and before != panel:
+            a, move = _blob_there(a, before, panel, camera), None
+        out.append((b.u - a.u, b.v - a.v) if a and b else move or (0.0, 0.0))
     return tuple(out)
+
+
+def _blob_there(blob: Blob | None, panel: int, other: int, camera: Camera) -> Blob | None:
+    """A blob in another panel's pixels; None where it lies outside of that panel."""
+    seen = seen_from(blob, (0.0, 0.0), panel, other, camera) if blob else None
+    return seen[0] if seen else None
 
 
 def hand_over(memory: BlobsMemory, camera: Camera, margin: int) -> BlobsMemory:

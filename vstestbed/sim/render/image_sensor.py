@@ -1,0 +1,125 @@
+"""The image sensor: exposures of one or several images (motion blur), noise and drift; an exposure can be drawn again, whole."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from vstestbed.camera import Image, Look, Picture
+from vstestbed.core.geometry import Array
+from vstestbed.sim.base import Renderer
+from vstestbed.sim.render.noise import NO_DRIFT, Drift, ImageNoise, PictureNoise
+from vstestbed.sim.scene.stage import Stage
+
+Images = tuple[Image | None, ...]
+
+
+class ImageSensor:
+    """Takes the servo camera's pictures of a stage.
+
+    A picture of which only regions of interest were drawn keeps the scene's state at each of its images, so that the whole
+    picture can be drawn afterwards, of the same exposure and with the same noise.
+
+    Args:
+        stage: the scene, in its state at the time of each call.
+        renderer: renders the images.
+        noise: of the sensor; None for none. drift: of its gains.
+    """
+
+    def __init__(self, stage: Stage, renderer: Renderer, noise: ImageNoise | None = None, drift: Drift = NO_DRIFT):
+        self._model, self._data = stage.model, stage.data
+        self._renderer, self._noise, self._drift = renderer, noise or ImageNoise(), drift
+        self._states: list[mujoco.MjData] = []
+        self._present: mujoco.MjData | None = None
+        self._blur = MotionBlur()
+
+    @property
+    def spent_s(self) -> float:
+        """Wall time spent on images so far [s]."""
+        return self._renderer.spent_s
+
+    def capture(self, t: float, look: Look | None = None) -> Picture:
+        """A picture of an instant, with time stamp t [s]; valid until the next one.
+
+        look: regions of interest; None for everything. A copy of a picture of which only they were drawn can be completed until
+        the next such picture is taken.
+        """
+        images = self._renderer.images(look)
+        self._keep_state(0, look)
+        return self._picture(t, images, self._renderer.whole, (1.0,))
+
+    def expose(self, weight: float, look: Look | None = None) -> None:
+        """Add an image of the present scene to the running exposure, with a share `weight`; `look` is the same for all its images."""
+        self._blur.add(self._renderer.images(look), weight, self._renderer.whole)
+        self._keep_state(len(self._blur.weights) - 1, look)
+
+    def developed(self, t: float) -> Picture:
+        """The picture of all images added since the last one, with time stamp t [s]; valid as `capture`'s."""
+        blur, self._blur = self._blur, MotionBlur()
+        return self._picture(t, blur.mean(), blur.whole, tuple(blur.weights))
+
+    def _keep_state(self, number: int, look: Look | None) -> None:
+        """Keep the scene's state at an exposure's image of that number, if a part of it may have been left out."""
+        if look is None:
+            return
+        if number == len(self._states):
+            self._states.append(mujoco.MjData(self._model))
+        mujoco.mj_copyData(self._states[number], self._model, self._data)
+
+    def _picture(self, t: float, clean: Images, whole: bool, weights: tuple[float, ...]) -> Picture:
+        noise = self._noise.next()
+
+        def draw_whole() -> Picture:
+            return self._developed(t, self._drawn_again(weights), noise)
+
+        made = self._developed(t, clean, noise)
+        return made if whole else Picture(t, made.images, whole, draw_whole)
+
+    def _developed(self, t: float, clean: Images, noise: PictureNoise) -> Picture:
+        return self._drift.of(Picture(t, noise.added(clean)))
+
+    def _drawn_again(self, weights: tuple[float, ...]) -> Images:
+        """The whole images of the exposure whose states are kept. The scene's own state is put back as it was, bit by bit."""
+        model, data, blur, images = self._model, self._data, MotionBlur(), ()
+        self._present = self._present or mujoco.MjData(model)
+        mujoco.mj_copyData(self._present, model, data)
+        try:
+            for weight, state in zip(weights, self._states, strict=False):
+                mujoco.mj_copyData(data, model, state)
+                images = self._renderer.images()
+                if len(weights) > 1:
+                    blur.add(images, weight, whole=True)
+        finally:
+            mujoco.mj_copyData(data, model, self._present)
+        return images if len(weights) == 1 else blur.mean()
+
+
+class MotionBlur:
+    """Weighted mean of the images rendered while the shutter is open.
+
+    Grey levels are averaged as they are, that is, they are taken to be linear in the light.
+
+    Attributes:
+        weights: of the images added so far. whole: all of them are complete.
+    """
+
+    def __init__(self) -> None:
+        self.weights: list[float] = []
+        self.whole = True
+        self._sums: list[Array | None] = []
+
+    def add(self, images: Images, weight: float, whole: bool) -> None:
+        """Add the images of all panels."""
+        if not self._sums:
+            self._sums = [None] * len(images)
+        for i, image in enumerate(images):
+            if image is not None:
+                part, before = image * np.float64(weight), self._sums[i]
+                self._sums[i] = part if before is None else before + part
+        self.weights.append(weight)
+        self.whole = self.whole and whole
+
+    def mean(self) -> Images:
+        """The mean of each panel's images; None for a panel without any."""
+        total = sum(self.weights)
+        return tuple(None if s is None else np.clip(s / total + 0.5, 0, 255).astype(np.uint8) for s in self._sums)
