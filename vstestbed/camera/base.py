@@ -8,11 +8,12 @@ from functools import cached_property
 from typing import Annotated, Literal
 
 import numpy as np
-from annotated_types import Ge, Gt, Le, Len
+from annotated_types import Ge, Le
 from numpy.typing import NDArray
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose
+from vstestbed.core.quantity import Frequency, Narrower, Pixel, Time
 from vstestbed.core.spec import spec
 
 Image = NDArray[np.uint8]
@@ -81,13 +82,13 @@ class Camera(ABC):
 
     width: Annotated[int, Ge(8), Le(8192)] = 640
     height: Annotated[int, Ge(8), Le(8192)] = 480
-    rate_hz: Annotated[float, Gt(0), Le(1000)] = 25.0
-    latency_s: Annotated[float, Ge(0), Le(60)] = 0.0
+    rate_hz: Frequency = 25.0
+    latency_s: Annotated[Time, Narrower(le=60)] = 0.0
     mount: Pose = Pose()
     multisampling: Literal[0, 2, 4, 8, 16] = 0
     shadows: bool = False
     renderer: Literal["auto", "gl", "rays"] = "auto"
-    principal_px: Annotated[tuple[float, ...], Len(2, 2)] | None = None
+    principal_px: Pixel | None = None
 
     def __post_init__(self) -> None:
         """Refuse a principal point outside the picture."""

@@ -8,12 +8,13 @@ from functools import cached_property
 from typing import Annotated, Literal
 
 import numpy as np
-from annotated_types import Gt, Len, Lt
+from annotated_types import Len
 from numpy.typing import NDArray
 
 from vstestbed.camera.base import Camera
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
+from vstestbed.core.quantity import Coefficient, Narrower, PositiveAngle, PositiveLength
 from vstestbed.core.spec import spec
 
 DEFAULT_FOVY_DEG = 64.0
@@ -38,10 +39,10 @@ class Perspective(Camera):
     """
 
     kind: Literal["perspective"] = "perspective"
-    fovy_deg: Annotated[float, Gt(0), Lt(175)] | None = None
-    focal_length_m: Annotated[float, Gt(0)] | None = None
-    pixel_size_m: Annotated[float, Gt(0)] | None = None
-    distortion: Annotated[tuple[float, ...], Len(5, 5)] | None = None
+    fovy_deg: Annotated[PositiveAngle, Narrower(lt=175)] | None = None
+    focal_length_m: PositiveLength | None = None
+    pixel_size_m: PositiveLength | None = None
+    distortion: Annotated[tuple[Coefficient, ...], Len(5, 5)] | None = None
 
     def __post_init__(self) -> None:
         """Refuse contradictory intrinsics and a distortion that folds the picture over itself."""

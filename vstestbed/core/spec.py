@@ -196,7 +196,9 @@ class OneOf:
         if words:
             choices.append({"enum": words})
         if self.number:
-            choices.append({"type": "number"})
+            kind, field = self.number
+            block = handler.resolve_ref_schema(blocks[list(self.members).index(kind)])
+            choices.append({key: value for key, value in block["properties"][field].items() if key not in ("default", "title")})
         return {"anyOf": choices}
 
 

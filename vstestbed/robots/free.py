@@ -7,7 +7,8 @@ from typing import Literal
 import numpy as np
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.geometry import Array, Pose, Triple
+from vstestbed.core.geometry import Array, Pose
+from vstestbed.core.quantity import Angles, Position
 from vstestbed.core.spec import spec
 from vstestbed.robots.allocation import Allocation, Mount
 from vstestbed.robots.base import RobotBase
@@ -19,8 +20,8 @@ from vstestbed.robots.reading import Reading
 class Box:
     """Half widths of a box of start poses round the nominal one: along world axes [m], in roll-pitch-yaw [deg]."""
 
-    xyz: Triple = (0.0, 0.0, 0.0)
-    rpy_deg: Triple = (0.0, 0.0, 0.0)
+    xyz: Position = (0.0, 0.0, 0.0)
+    rpy_deg: Angles = (0.0, 0.0, 0.0)
 
 
 @spec

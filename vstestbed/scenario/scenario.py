@@ -12,6 +12,7 @@ from annotated_types import Ge, Lt
 from vstestbed.camera import CAMERAS, Calibration, Camera, Perspective
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, inverse
+from vstestbed.core.quantity import Narrower, Pixels, Seed, Sigma, Time
 from vstestbed.core.spec import spec
 from vstestbed.features.observation import Goal
 from vstestbed.laws import LAWS, Law
@@ -42,8 +43,8 @@ class Noise:
         drift: of the picture's brightness and colour.
     """
 
-    image_sigma: Annotated[float, Ge(0)] = 0.0
-    pixel_sigma_px: Annotated[float, Ge(0)] = 0.0
+    image_sigma: Annotated[Sigma, Narrower(le=255)] = 0.0
+    pixel_sigma_px: Pixels = 0.0
     dropout: Annotated[float, Ge(0), Lt(1)] = 0.0
     drift: Drift = Drift()
 
@@ -69,7 +70,7 @@ class Scenario:
 
     name: str = ""
     description: str = ""
-    seed: Annotated[int, Ge(0)] = 0
+    seed: Seed = 0
     robot: Annotated[Robot, ROBOTS]
     camera: Annotated[Camera, CAMERAS] = Perspective()
     target: Annotated[Target, TARGETS]
@@ -77,7 +78,7 @@ class Scenario:
     law: Annotated[Law[Any], LAWS]
     goal: Annotated[Task, GOALS]
     derotation: Derotation = "none"
-    level_trim_s: Annotated[float, Ge(0)] = 0.0
+    level_trim_s: Time = 0.0
     stop: Stop = Stop()
     noise: Noise = Noise()
     calibration: Calibration = Calibration()

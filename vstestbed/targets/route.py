@@ -8,11 +8,12 @@ from functools import cached_property
 from typing import Annotated, Literal
 
 import numpy as np
-from annotated_types import Ge, Gt, Le, Len
+from annotated_types import Len
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.planar import GroundPose
+from vstestbed.core.quantity import Angle, Length, Narrower, PositiveLength
 from vstestbed.core.spec import OneOf, spec
 
 SPACING_M = 0.01
@@ -129,7 +130,7 @@ class Straight(Route):
     """An endless straight route; `length_m` is the part of it that is painted, drawn and framed."""
 
     kind: Literal["straight"] = "straight"
-    length_m: Annotated[float, Gt(0), Le(1000)] = 10.0
+    length_m: PositiveLength = 10.0
 
     @property
     def closed(self) -> bool:
@@ -145,7 +146,7 @@ class CircularRoute(Route):
     """A circle to the left (`radius_m` negative: to the right)."""
 
     kind: Literal["circle"] = "circle"
-    radius_m: float = 3.0
+    radius_m: Length = 3.0
 
     def __post_init__(self) -> None:
         """Refuse a radius near 0."""
@@ -170,8 +171,8 @@ class FigureEight(Route):
     """
 
     kind: Literal["figure_eight"] = "figure_eight"
-    length_m: Annotated[float, Gt(0), Le(1000)] = 10.0
-    width_m: Annotated[float, Gt(0), Le(1000)] = 5.0
+    length_m: PositiveLength = 10.0
+    width_m: PositiveLength = 5.0
 
     @property
     def closed(self) -> bool:
@@ -199,9 +200,9 @@ class FigureEight(Route):
 class Piece:
     """A piece of a track: straight for `length_m`, or a bend by `turn_deg` (positive: to the left) of `radius_m`."""
 
-    length_m: Annotated[float, Gt(0), Le(1000)] | None = None
-    turn_deg: Annotated[float, Ge(-720), Le(720)] | None = None
-    radius_m: Annotated[float, Gt(0), Le(1000)] | None = None
+    length_m: PositiveLength | None = None
+    turn_deg: Annotated[Angle, Narrower(ge=-720, le=720)] | None = None
+    radius_m: PositiveLength | None = None
 
     def __post_init__(self) -> None:
         """Refuse a piece that is neither, or both."""

@@ -10,6 +10,7 @@ from annotated_types import Ge, Gt, Le, Lt
 
 from vstestbed.camera import Camera, Look, Picture, Window
 from vstestbed.core.errors import ParameterError
+from vstestbed.core.quantity import Narrower, Pixels, PositiveAngle
 from vstestbed.core.spec import spec
 from vstestbed.targets.base import Target
 from vstestbed.vision.base import Detection, TruthView
@@ -61,12 +62,12 @@ class Blobs:
 
     kind: Literal["blobs"] = "blobs"
     chroma: Annotated[int, Ge(1), Lt(255)] = 60
-    hue_tolerance_deg: Annotated[float, Gt(0), Le(180)] = 15.0
-    least_area_px: Annotated[float, Ge(1)] = 9.0
+    hue_tolerance_deg: Annotated[PositiveAngle, Narrower(le=180)] = 15.0
+    least_area_px: Annotated[Pixels, Narrower(ge=1)] = 9.0
     moments: Literal["binary", "grey"] = "grey"
     correct_centre: bool = True
     area_tolerance: Annotated[float, Gt(0), Lt(1)] = 0.06
-    window_margin_px: Annotated[int, Ge(2)] = 8
+    window_margin_px: Annotated[int, Ge(2), Le(8192)] = 8
     needs_image: ClassVar[bool] = True
     needs_truth: ClassVar[bool] = False
     markers: ClassVar[tuple[str, ...]] = ("disc", "sphere")
