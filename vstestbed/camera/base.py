@@ -21,6 +21,8 @@ Window = tuple[int, int, int, int]
 """Left, top, right, bottom [px]; right and bottom are exclusive."""
 Look = tuple[tuple[Window, ...], ...]
 """Regions of interest: for each panel of a camera its windows; empty for a panel that is not needed."""
+LARGEST_PX, MOST_SAMPLES = 8192, 1 << 27
+"""Largest side of a picture [px], and most samples of a rendered one, of colour and depth in a GB: what graphics cards draw."""
 SIDES = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
 """Inward unit normals of an image's left, top, right and bottom side."""
 FORWARD_COSINE = 1e-6
@@ -80,8 +82,8 @@ class Camera(ABC):
         principal_px: (cx, cy) [px], where the optical axis meets the picture; default its middle ((W-1)/2, (H-1)/2).
     """
 
-    width: Annotated[int, Ge(8), Le(8192)] = 640
-    height: Annotated[int, Ge(8), Le(8192)] = 480
+    width: Annotated[int, Ge(8), Le(LARGEST_PX)] = 640
+    height: Annotated[int, Ge(8), Le(LARGEST_PX)] = 480
     rate_hz: Frequency = 25.0
     latency_s: Annotated[Time, Narrower(le=60)] = 0.0
     mount: Pose = Pose()
@@ -91,7 +93,11 @@ class Camera(ABC):
     principal_px: Pixel | None = None
 
     def __post_init__(self) -> None:
-        """Refuse a principal point outside the picture."""
+        """Refuse more samples than fit into memory, and a principal point outside the picture."""
+        if self.width * self.height * self.multisampling > MOST_SAMPLES:
+            most = MOST_SAMPLES // (self.width * self.height)
+            words = f"must be at most {most} for a {self.width} x {self.height} picture, whose samples would not fit into the memory"
+            raise ParameterError("multisampling", words, self.multisampling)
         if self.principal_px is not None and not self.inside(np.array(self.principal_px)):
             raise ParameterError("principal_px", f"must lie in the {self.width} x {self.height} picture", self.principal_px)
 

@@ -11,7 +11,7 @@ import numpy as np
 from annotated_types import Len
 from numpy.typing import NDArray
 
-from vstestbed.camera.base import Camera
+from vstestbed.camera.base import LARGEST_PX, Camera
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import Coefficient, Narrower, PositiveAngle, PositiveLength
@@ -66,6 +66,11 @@ class Perspective(Camera):
         back = self._distort(xy) * self.f + self.centre
         if not np.allclose(back, border, atol=1e-3):
             words = "folds the picture over itself before its corners; use smaller coefficients"
+            raise ParameterError("distortion", words, self.distortion)
+        # The pinhole picture from which the distorted one is resampled covers the undistorted border.
+        side, most = float(np.ptp(xy, axis=0).max()) * self.f, 2 * LARGEST_PX
+        if side > most:
+            words = f"needs a rendered picture of {side:.4g} px, and {most} are the most; use smaller coefficients or a smaller picture"
             raise ParameterError("distortion", words, self.distortion)
 
     @property

@@ -17,7 +17,7 @@ from vstestbed.core.spec import spec
 from vstestbed.features.observation import Goal
 from vstestbed.laws import LAWS, Law
 from vstestbed.robots import ROBOTS, Robot
-from vstestbed.scenario.checks import check_carrier, check_floor_depth, check_markers, check_robot
+from vstestbed.scenario.checks import check_carrier, check_floor_depth, check_markers, check_memory, check_robot
 from vstestbed.sim.clock import Clock
 from vstestbed.sim.render.noise import Drift
 from vstestbed.sim.scene.start_pose import camera_start, target_start
@@ -92,6 +92,7 @@ class Scenario:
             words = "may be oracle only with detector: {kind: oracle}; with pixels use pnp, constant, goal or estimate"
             raise ParameterError("law.depth", words)
         self.timing.check(self.camera, self.clock[0])  # first: the clock refuses a step that does not divide the camera's period
+        check_memory(self.camera, self.detector, self.timing, self.stop)
         self.believed_camera  # noqa: B018 - refuses errors that the lens cannot have
         self.goal.check(self.setup)
         check_robot(self.robot, self.target, self.world, self.derotation, self.level_trim_s)

@@ -18,7 +18,8 @@ from vstestbed.tasks.setup import Setup
 from vstestbed.tasks.speed_monitor import MinSpeed, SpeedMonitor
 from vstestbed.tasks.stop import Stop
 
-Tolerance, Settle = PositiveLength, Time
+Tolerance = PositiveLength
+Settle = Time
 
 
 class Odometer(Protocol):

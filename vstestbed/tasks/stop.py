@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from typing import Annotated
 
-from vstestbed.core.quantity import PositiveAngle, PositiveLength, PositivePixels, PositiveTime, Time
+from vstestbed.core.quantity import Narrower, PositiveAngle, PositiveLength, PositivePixels, PositiveTime, Time
 from vstestbed.core.spec import spec
 
 
@@ -56,11 +57,11 @@ class Stop:
     """End of a run.
 
     Args:
-        duration_s: simulated time after which the run times out [s].
+        duration_s: simulated time after which the run times out [s]; at most a day.
         converged: when the goal counts as reached.
         lost_after_s: longest time without sight of the target [s].
     """
 
-    duration_s: PositiveTime = 30.0
+    duration_s: Annotated[PositiveTime, Narrower(le=86_400)] = 30.0
     converged: Converged = Converged()
     lost_after_s: Time = 1.0
