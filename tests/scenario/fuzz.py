@@ -9,21 +9,28 @@ import copy
 import dataclasses
 import io
 import re
+import time
+import traceback
 import types
 import typing
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Annotated, Any, Literal, Union
 
+import numpy as np
 from hypothesis import strategies as st
 from ruamel.yaml import YAML
 
+import vstestbed as vs
 from vstestbed.core.assets import bundled_scenarios
+from vstestbed.core.errors import ScenarioError, VstestbedError
 from vstestbed.core.spec import OneOf
-from vstestbed.scenario.load import text_of
+from vstestbed.scenario import load as loader
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.scenario.validation import KINDS
 from vstestbed.scenario.yaml_marks import plain_mapping
 
-TEXTS = {name: text_of(path) for name, path in bundled_scenarios().items()}
+TEXTS = {name: loader.text_of(path) for name, path in bundled_scenarios().items()}
 PLAIN = {name: plain_mapping(text, name, "")[0] for name, text in TEXTS.items()}
 TYPES = list(KINDS["robots"].members) + list(KINDS["laws"].members) + list(KINDS["goals"].members)
 
@@ -185,12 +192,13 @@ def specs(draw: st.DrawFn) -> bytes:
 
 
 SNIPPETS = [
-    "\t", "\x00", "\x07", "\x1b[31m", "\x85", "\ufeff", "\u2028", "&a ", "*a", "&a [*a]", "!!python/object:os.system ", "!!binary ", "!!set ", "!!omap ",
-    "!!int ", "!!float ", "!!timestamp ", "!tag ", "<<: *a\n", "? ", ": ", "- ", "| ", "> ", "{", "}", "[", "]", "{{", "'", '"', "#", "%YAML 3.0\n",
-    "%TAG ! x\n", "---\n", "...\n", "? [1, 2]\n: 3\n", "? {a: b}\n: 3\n", "~: 1\n", "1: 2\n", "true: 1\n", "2001-01-01: 1\n", "2001-12-14t21:59:43.10-05:00",
-    "0x7fffffffffffffffff", "0b1", "0o17", "1_000", "1e999", "-.inf", ".nan", "12:30:45", "=", "@", "`", "9" * 5000, "\\", "\r", "\r\n", "é", "\U0001f600",
-    "[" * 40 + "]" * 40, "[" * 3000, "{a: " * 500, "- " * 2000, "&" + "a" * 2000 + " x", "x" * 100_000, "# " + "x" * 100_000 + "\n", "\n" * 10_000,
-    "!!merge x", "<<: [1]\n", "<<: x\n", "!<tag:yaml.org,2002:int> x", "2001-99-99", "!!timestamp 2001-99-99", "!!int 0x", "!!float x", "!!bool 3", "0x", "1e", "0b2",
+    "\t", "\x00", "\x07", "\x1b[31m", "\x85", "\ufeff", "\u2028", "&a ", "*a", "&a [*a]", "!!python/object:os.system ", "!!binary ",
+    "!!set ", "!!omap ", "!!int ", "!!float ", "!!timestamp ", "!tag ", "<<: *a\n", "? ", ": ", "- ", "| ", "> ", "{", "}", "[", "]", "{{",
+    "'", '"', "#", "%YAML 3.0\n", "%TAG ! x\n", "---\n", "...\n", "? [1, 2]\n: 3\n", "? {a: b}\n: 3\n", "~: 1\n", "1: 2\n", "true: 1\n",
+    "2001-01-01: 1\n", "2001-12-14t21:59:43.10-05:00", "0x7fffffffffffffffff", "0b1", "0o17", "1_000", "1e999", "-.inf", ".nan",
+    "12:30:45", "=", "@", "`", "9" * 5000, "\\", "\r", "\r\n", "é", "\U0001f600", "[" * 40 + "]" * 40, "[" * 3000, "{a: " * 500,
+    "- " * 2000, "&" + "a" * 2000 + " x", "x" * 100_000, "# " + "x" * 100_000 + "\n", "\n" * 10_000, "!!merge x", "<<: [1]\n", "<<: x\n",
+    "!<tag:yaml.org,2002:int> x", "2001-99-99", "!!timestamp 2001-99-99", "!!int 0x", "!!float x", "!!bool 3", "0x", "1e", "0b2",
 ]  # fmt: skip
 BOMB = "\n".join(["a0: &a0 [1, 1, 1, 1, 1, 1, 1, 1, 1]"] + [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]" for i in range(1, 9)])
 MERGES = "\n".join(["m0: &m0 {a: 1}"] + [f"m{i}: &m{i} {{<<: [{', '.join([f'*m{i - 1}'] * 9)}]}}" for i in range(1, 9)])
@@ -270,3 +278,74 @@ def texts(draw: st.DrawFn) -> bytes:
 
 
 cases = st.one_of(specs(), specs(), texts())
+"""Contents of files, two in three from the spec classes."""
+
+FAULT = "fault: "
+"""How a finding begins that has to be mended; others are normal."""
+CPU_S = 5.0
+"""Longest time that the loading of a scenario may take [s]."""
+PLACED = re.compile(r".*:\d+:\d+: \S.*")
+
+
+def loading(raw: bytes, path: Path) -> str:
+    """What comes of a file with this content: `loads`, `refused`, or a fault."""
+    path.write_bytes(raw)
+    began = time.process_time()
+    try:
+        loader.load(path)
+        found = "loads"
+    except ScenarioError as error:
+        lost = [line for line in str(error).split("\n") if not PLACED.fullmatch(line)]
+        found = f"{FAULT}no place: {lost[0].replace(str(path), path.name)}" if lost else "refused"
+    except Exception as error:
+        found = _bug(error)
+    return found if time.process_time() - began < CPU_S else f"{FAULT}slow"
+
+
+def running(raw: bytes, path: Path) -> str:
+    """What comes of some frames of a file's scenario: `dear` where they would take too long, its outcome, or a fault."""
+    path.write_bytes(raw)
+    scenario = loader.load(path)
+    period = scenario.camera.period
+    shown = min(scenario.stop.duration_s, max(3 * period, min(1.0, 12 * period)))
+    scenario = dataclasses.replace(scenario, stop=dataclasses.replace(scenario.stop, duration_s=shown))
+    pixels = sum(panel.lens.width * panel.lens.height for panel in scenario.camera.panels) * max(scenario.camera.multisampling, 1)
+    exposed = scenario.timing.exposure_pictures if scenario.timing.exposure_s else 1
+    if shown / scenario.clock[0] > 20_000 or pixels * exposed > 2e6:
+        return "dear"
+    try:
+        recording = vs.run(scenario)
+        faults = [*_not_numbers(recording), *_lies(recording)]
+    except VstestbedError as error:
+        return f"refused: {error}"
+    except Exception as error:
+        return _bug(error)
+    return FAULT + ", ".join(faults) if faults else recording.outcome.name
+
+
+def _bug(error: Exception) -> str:
+    where = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{FAULT}{type(error).__name__} in {Path(where.filename).name}:{where.name}: {error}"[:300]
+
+
+UNKNOWN = re.compile(r"(u|v|u_true|v_true|u_goal|v_goal|depth|theta|phi)_\d+|error_px|level_error_px|est_(position_m|rotation_rad)")
+"""Columns that may be unknown: what is measured when nothing is seen, and pixels of what lies outside the lens's field of view."""
+
+
+def _not_numbers(recording: vs.Recording) -> Iterator[str]:
+    """Columns that hold no number where one is promised."""
+    on_line = recording.scenario.target.painted_route is not None  # a line has no goal pose
+    for name, column in zip(recording.columns, recording.table.T, strict=True):
+        may = UNKNOWN.fullmatch(name) or (on_line and name in ("position_error_m", "rotation_error_rad"))
+        if np.isinf(column).any() or (np.isnan(column).any() and not may):
+            yield f"no number in {re.sub('[0-9]+', 'N', name)}"
+
+
+def _lies(recording: vs.Recording) -> Iterator[str]:
+    """A simulation that broke, and a success whose error is over its limit."""
+    if recording.outcome is vs.Outcome.crashed:
+        yield "crashed"
+    summary = recording.summary()
+    error, limit = summary["judged_error"], summary["judged_limit"]
+    if recording.outcome is vs.Outcome.converged and not (isinstance(error, float) and isinstance(limit, float) and error < limit):
+        yield f"success with an error of {error}, limit {limit}"
