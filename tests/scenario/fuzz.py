@@ -58,12 +58,12 @@ def numbers(meta: list[Any], whole: bool) -> st.SearchStrategy[Any]:
     ordinary = st.floats(max(low, -10.0), max(min(high, 10.0), max(low, -10.0))).map(lambda x: float(f"{x:.4g}"))
     if whole:
         return st.one_of(st.integers(int(low), max(int(low), int(min(high, 1000)))), INTS, st.sampled_from([int(low), int(high)]), FLOATS)
-    return st.one_of(ordinary, ordinary, st.floats(low, high), st.sampled_from([low, high]), FLOATS, INTS)
+    return st.one_of(ordinary, ordinary, ordinary, ordinary, st.floats(low, high), st.sampled_from([low, high]), FLOATS, INTS)
 
 
 def values(hint: Any, depth: int = 0) -> st.SearchStrategy[Any]:
     """Plain values for a field's type: mostly of the right kind, from the edges of its domain and beyond."""
-    return st.one_of(right(hint, [], depth), right(hint, [], depth), right(hint, [], depth), ODD)
+    return st.integers(0, 7).flatmap(lambda n: right(hint, [], depth) if n else ODD)
 
 
 def right(hint: Any, meta: list[Any], depth: int) -> st.SearchStrategy[Any]:
@@ -184,9 +184,9 @@ def as_yaml(plain: Any) -> bytes:
 
 @st.composite
 def specs(draw: st.DrawFn) -> bytes:
-    """A bundled scenario with one to four values replaced."""
+    """A bundled scenario with one to three values replaced."""
     plain = copy.deepcopy(PLAIN[draw(st.sampled_from(sorted(PLAIN)))])
-    for _ in range(draw(st.integers(1, 4))):
+    for _ in range(draw(st.integers(1, 3))):
         _change(draw, plain, Scenario)
     return as_yaml(plain)
 
@@ -197,7 +197,7 @@ SNIPPETS = [
     "'", '"', "#", "%YAML 3.0\n", "%TAG ! x\n", "---\n", "...\n", "? [1, 2]\n: 3\n", "? {a: b}\n: 3\n", "~: 1\n", "1: 2\n", "true: 1\n",
     "2001-01-01: 1\n", "2001-12-14t21:59:43.10-05:00", "0x7fffffffffffffffff", "0b1", "0o17", "1_000", "1e999", "-.inf", ".nan",
     "12:30:45", "=", "@", "`", "9" * 5000, "\\", "\r", "\r\n", "é", "\U0001f600", "[" * 40 + "]" * 40, "[" * 3000, "{a: " * 500,
-    "- " * 2000, "&" + "a" * 2000 + " x", "x" * 100_000, "# " + "x" * 100_000 + "\n", "\n" * 10_000, "!!merge x", "<<: [1]\n", "<<: x\n",
+    "- " * 2000, "&" + "a" * 2000 + " x", "x" * 50_000, "# " + "x" * 50_000 + "\n", "\n" * 10_000, "!!merge x", "<<: [1]\n", "<<: x\n",
     "!<tag:yaml.org,2002:int> x", "2001-99-99", "!!timestamp 2001-99-99", "!!int 0x", "!!float x", "!!bool 3", "0x", "1e", "0b2",
 ]  # fmt: skip
 BOMB = "\n".join(["a0: &a0 [1, 1, 1, 1, 1, 1, 1, 1, 1]"] + [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]" for i in range(1, 9)])
@@ -328,8 +328,10 @@ def _bug(error: Exception) -> str:
     return f"{FAULT}{type(error).__name__} in {Path(where.filename).name}:{where.name}: {error}"[:300]
 
 
-UNKNOWN = re.compile(r"(u|v|u_true|v_true|u_goal|v_goal|depth|theta|phi)_\d+|error_px|level_error_px|est_(position_m|rotation_rad)")
-"""Columns that may be unknown: what is measured when nothing is seen, and pixels of what lies outside the lens's field of view."""
+UNKNOWN = re.compile(
+    r"(u|v|u_true|v_true|u_goal|v_goal|depth|theta|phi)_\d+|error_px|level_error_px|est_(position_m|rotation_rad|x|y|heading)"
+)
+"""Columns that may be unknown: measured or estimated while nothing is seen, and pixels outside the lens's field of view."""
 
 
 def _not_numbers(recording: vs.Recording) -> Iterator[str]:
