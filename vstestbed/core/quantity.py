@@ -105,6 +105,8 @@ Time = Annotated[float, Ge(0), Within(0.0, 1e9, "s", _AGES)]
 """A time or a duration that may be 0 [s]."""
 PositiveTime = Annotated[float, Gt(0), Within(1e-6, 1e9, "s", f"a microsecond to {_AGES}")]
 """A duration or a time constant [s]."""
+Duration = Annotated[float, Gt(0), Within(1e-6, 86_400.0, "s", "a microsecond to a day, which a run is simulated at most")]
+"""The simulated time of a run [s]."""
 _PERIOD = "a period of three hours to one of a millisecond, a physics step"
 Frequency = Annotated[float, Gt(0), Within(1e-4, 1e3, "Hz", _PERIOD)]
 """A frequency [Hz]."""
@@ -128,7 +130,7 @@ Bias = Annotated[tuple[Annotated[float, Within(-1e3, 1e3, "", _NOISE)], ...], Le
 _WIDE = "ten times the largest picture"
 Pixels = Annotated[float, Ge(0), Within(0.0, 1e5, "px", _WIDE)]
 """A length in a picture that may be 0 [px], an area [px^2], or a speed in it [px/s]."""
-PositivePixels = Annotated[float, Gt(0), Within(1e-6, 1e5, "px", f"a millionth of a pixel to {_WIDE}")]
+PositivePixels = Annotated[float, Gt(0), Within(1e-12, 1e5, "px", f"far under what can be measured to {_WIDE}")]
 """A tolerance or a length in a picture [px], or a speed in it [px/s]."""
 Pixel = Annotated[tuple[Annotated[float, Within(-1e5, 1e5, "px", _WIDE)], ...], Len(2, 2)]
 """A place in a picture (u, v), or the distance of two [px]."""

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated
 
-from vstestbed.core.quantity import Narrower, PositiveAngle, PositiveLength, PositivePixels, PositiveTime, Time
+from vstestbed.core.quantity import Duration, PositiveAngle, PositiveLength, PositivePixels, Time
 from vstestbed.core.spec import spec
 
 
@@ -62,6 +61,6 @@ class Stop:
         lost_after_s: longest time without sight of the target [s].
     """
 
-    duration_s: Annotated[PositiveTime, Narrower(le=86_400)] = 30.0
+    duration_s: Duration = 30.0
     converged: Converged = Converged()
     lost_after_s: Time = 1.0

@@ -103,9 +103,14 @@ class Blobs:
         return after, Detection(uv=uv, T_camera_target=T)
 
     def _blobs_in(self, image: Image, window: Window, noise: float, lens: Camera) -> list[Blob]:
-        """All blobs in a window of one panel's image."""
+        """All blobs in a window of one panel's image, in directions that its lens sees."""
         rim: Rim = self.moments if _smooth(lens) or (noise > 0 and self.moments == "binary") else "sharp"
-        return find_blobs(image, window, self.chroma, self.least_area_px, rim, noise)
+        found = find_blobs(image, window, self.chroma, self.least_area_px, rim, noise)
+        if not found:
+            return found
+        # Noise makes blobs outside of a wide lens's image circle, too, where a pixel has no ray.
+        seen = np.isfinite(lens.ray(np.array([(blob.u, blob.v) for blob in found]))[:, 0])
+        return [blob for blob, is_seen in zip(found, seen.tolist(), strict=True) if is_seen]
 
     def _track(self, picture: Picture, noise: float, memory: BlobsMemory, camera: Camera, target: Target) -> list[Found] | None:
         """Each marker's blob from a window of its own; None where one is lost and the whole image must be searched."""
