@@ -144,6 +144,20 @@ class TestOneMistake:
         assert told[0].startswith(line)
         assert "\n" not in told[0]
 
+    @pytest.mark.parametrize(
+        ("random", "line"),
+        [
+            ("{xyz: [0, 0, 1e9]}", "robot.start.random.xyz.2: must be -1000 to 1000 m"),
+            ("{random: {q_deg: -1}}", "s.yaml:3:29: robot.start.random.random.q_deg: must be >= 0, got -1"),
+            ("{nominal: {qdeg: 1}}", "s.yaml:3:30: robot.start.random.nominal.qdeg: unknown field; did you mean 'q_deg'?"),
+            ("3", "s.yaml:3:11: robot.start.random: must be a block (a mapping), got 3"),
+        ],
+    )
+    def test_of_two_blocks_the_one_that_is_meant(self, random: str, line: str) -> None:
+        robot = f"robot:\n  kind: free\n  start: {{random: {random}, nominal: {{}}}}\n"
+        (told,) = mistakes(robot + GOOD[GOOD.index("camera:") :])
+        assert told.startswith("s.yaml:3:") and line in told
+
     def test_nesting_too_deep_for_the_parser(self) -> None:
         """Where the parser gives up depends on Python's stack."""
         (told,) = mistakes("seed: 1\nlaw: " + "[" * 600 + "]" * 600)

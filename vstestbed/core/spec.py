@@ -88,6 +88,11 @@ def rebuild_specs() -> None:
         _with_our_errors(cls)  # pydantic has put its own constructor back
 
 
+def spec_named(word: object) -> type | None:
+    """The spec class of a name: pydantic has it in the location of an error where a field may be one of two blocks; None for others."""
+    return next((cls for cls in _SPECS if cls.__name__ == word), None)
+
+
 class OneOf:
     """The registered kinds of one block, discriminated by `kind`; the only list of a room's members.
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
+from pydantic import Discriminator, Tag
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose
@@ -24,6 +25,15 @@ class Box:
     rpy_deg: Angles = (0.0, 0.0, 0.0)
 
 
+def _which(value: object) -> str:
+    """Which of the two blocks of random starts is meant, so that its mistakes alone are named."""
+    arm = isinstance(value, PumaStart) or (isinstance(value, dict) and not value.keys().isdisjoint(("nominal", "random")))
+    return "PumaStart" if arm else "Box"
+
+
+RandomStart = Annotated[Annotated[Box, Tag("Box")] | Annotated[PumaStart, Tag("PumaStart")], Discriminator(_which)]
+
+
 @spec
 class FreeStart:
     """Where the camera starts: `nominal`, and what `random` starts are drawn from.
@@ -33,7 +43,7 @@ class FreeStart:
     """
 
     nominal: Pose
-    random: Box | PumaStart | None = None
+    random: RandomStart | None = None
 
 
 @spec

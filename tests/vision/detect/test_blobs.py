@@ -383,4 +383,4 @@ def test_what_a_mirror_camera_cannot_see_is_no_marker() -> None:
     assert np.isfinite(lens.ray(uv)).all() and np.isnan(lens.ray(corners)).all()
     both = _drawn(np.vstack([uv, corners]), np.vstack([target.colors, target.colors]), 6.0, lens)
     found = _detect(Picture(t=0.0, images=(both,)), target, Blobs(correct_centre=False), lens)
-    assert np.linalg.norm(found.uv - uv, axis=1).max() < 0.5
+    assert np.isfinite(found.uv).any() and np.nanmax(np.abs(found.uv - uv)) < 0.5  # a corner would be 150 px off
