@@ -6,7 +6,7 @@ that runs, and the JSON Schema. Pydantic validates; this file turns its errors i
     @spec
     class Disc:
         kind: Literal["disc"] = "disc"
-        radius: Annotated[float, Gt(0)]
+        radius: PositiveLength
 
     MARKERS = OneOf("marker", Disc, Sphere)      # in YAML: {kind: disc, radius: 0.02}, or the bare word where all has defaults
     marker: Annotated[Marker, MARKERS]
