@@ -139,4 +139,4 @@ def test_the_schema_offers_blocks_words_that_need_no_more_and_numbers() -> None:
     choices = room(number=("disc", "radius"))[1].json_schema()["anyOf"]
     assert [c["$ref"] for c in choices if "$ref" in c] == ["#/$defs/Disc", "#/$defs/Ring"]
     assert {"enum": ["disc"]} in choices  # a bare `ring` would lack its inner radius
-    assert {"type": "number"} in choices
+    assert {"type": "number", "exclusiveMinimum": 0} in choices  # the radius, with its bounds

@@ -129,13 +129,12 @@ class TestOneMistake:
             ("robot: [1, 2\nlaw: }\n", "s.yaml:2:4: is not YAML: expected ',' or ']', but got ':'"),
             ("\tlaw: 1\n", "s.yaml:1:1: is not YAML: found character '\\t' that cannot start any token"),
             ("a: 1\n---\nb: 2\n", "s.yaml:2:1: is not YAML: but found another document"),
-            ("law: \x01\n", "s.yaml: is not YAML: unacceptable character #x0001"),
-            ("seed: " + "9" * 5000 + "\n", "s.yaml: is not YAML: Exceeds the limit"),
-            ("law: {{a: [1]}: 2}\n", "s.yaml: holds YAML beyond plain mappings, lists and values"),
-            ("law: !!omap x\n", "s.yaml: holds YAML beyond plain mappings, lists and values"),
+            ("law: \x01\n", "s.yaml:1:6: is not YAML: unacceptable character #x0001; delete it"),
+            ("seed: " + "9" * 5000 + "\n", "s.yaml:1:7: is not YAML: Exceeds the limit"),
+            ("law: {{a: [1]}: 2}\n", "s.yaml:1:17: holds YAML beyond plain mappings, lists and values"),
+            ("law: !!omap x\n", "s.yaml:1:6: holds YAML beyond plain mappings, lists and values"),
             (GOOD + "law: ibvs\n", "s.yaml:11:1: law: stands here for the second time in its block; keep one of the two"),
             ("law: !!python/object:os.system x\n", "s.yaml:1:1: law: has the tag tag:yaml.org,2002:python/object:os.system"),
-            ("law: " + "[" * 600 + "]" * 600, "s.yaml: is nested too deeply for a scenario"),
             ("law: " + "[" * 40 + "]" * 40, "s.yaml:1:38: law.0.0: is nested more than 32 deep; a scenario needs far less"),
         ],
     )
@@ -144,6 +143,25 @@ class TestOneMistake:
         assert len(told) == 1
         assert told[0].startswith(line)
         assert "\n" not in told[0]
+
+    @pytest.mark.parametrize(
+        ("random", "line"),
+        [
+            ("{xyz: [0, 0, 1e9]}", "robot.start.random.xyz.2: must be -1000 to 1000 m"),
+            ("{random: {q_deg: -1}}", "s.yaml:3:29: robot.start.random.random.q_deg: must be >= 0, got -1"),
+            ("{nominal: {qdeg: 1}}", "s.yaml:3:30: robot.start.random.nominal.qdeg: unknown field; did you mean 'q_deg'?"),
+            ("3", "s.yaml:3:11: robot.start.random: must be a block (a mapping), got 3"),
+        ],
+    )
+    def test_of_two_blocks_the_one_that_is_meant(self, random: str, line: str) -> None:
+        robot = f"robot:\n  kind: free\n  start: {{random: {random}, nominal: {{}}}}\n"
+        (told,) = mistakes(robot + GOOD[GOOD.index("camera:") :])
+        assert told.startswith("s.yaml:3:") and line in told
+
+    def test_nesting_too_deep_for_the_parser(self) -> None:
+        """Where the parser gives up depends on Python's stack."""
+        (told,) = mistakes("seed: 1\nlaw: " + "[" * 600 + "]" * 600)
+        assert re.fullmatch(r"s\.yaml:2:[1-9]\d+: is nested too deeply for a scenario", told)
 
     def test_aliases_of_aliases_do_not_fill_the_memory(self) -> None:
         """Nine lists of nine of the one before would be 9^9 = 387 million values."""
@@ -462,7 +480,7 @@ class TestContradictions:
     @pytest.mark.parametrize(
         ("settings", "words"),
         [
-            ({"stop.duration_s": 1e-9}, "stop.duration_s: must be at least one camera period, 0.04 s"),
+            ({"stop.duration_s": 1e-3}, "stop.duration_s: must be at least one camera period, 0.04 s"),
             (
                 {"target": {"kind": "points", "at": [[-0.2, 0, 0], [0, 0, 0], [0.2, 0, 0]], "pose": {"xyz": [1.5, 0, 0.7]}}},
                 "law.depth: may not be pnp: all markers lie on one line",

@@ -9,11 +9,12 @@ from functools import cached_property
 from typing import Annotated, Literal
 
 import numpy as np
-from annotated_types import Ge, Gt, Le, Len
+from annotated_types import Ge, Le
 from numpy.typing import NDArray
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose
+from vstestbed.core.quantity import Frequency, Narrower, Pixel, Time
 from vstestbed.core.spec import spec
 
 Image = NDArray[np.uint8]
@@ -21,6 +22,8 @@ Window = tuple[int, int, int, int]
 """Left, top, right, bottom [px]; right and bottom are exclusive."""
 Look = tuple[tuple[Window, ...], ...]
 """Regions of interest: for each panel of a camera its windows; empty for a panel that is not needed."""
+LARGEST_PX, MOST_SAMPLES = 8192, 1 << 27
+"""Largest side of a picture [px], and most samples of a rendered one, of colour and depth in a GB: what graphics cards draw."""
 SIDES = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
 """Inward unit normals of an image's left, top, right and bottom side."""
 FORWARD_COSINE = 1e-6
@@ -89,18 +92,22 @@ class Camera(ABC):
         principal_px: (cx, cy) [px], where the optical axis meets the picture; default its middle ((W-1)/2, (H-1)/2).
     """
 
-    width: Annotated[int, Ge(8), Le(8192)] = 640
-    height: Annotated[int, Ge(8), Le(8192)] = 480
-    rate_hz: Annotated[float, Gt(0), Le(1000)] = 25.0
-    latency_s: Annotated[float, Ge(0), Le(60)] = 0.0
+    width: Annotated[int, Ge(8), Le(LARGEST_PX)] = 640
+    height: Annotated[int, Ge(8), Le(LARGEST_PX)] = 480
+    rate_hz: Frequency = 25.0
+    latency_s: Annotated[Time, Narrower(le=60)] = 0.0
     mount: Pose = Pose()
     multisampling: Literal[0, 2, 4, 8, 16] = 0
     shadows: bool = False
     renderer: Literal["auto", "gl", "rays"] = "auto"
-    principal_px: Annotated[tuple[float, ...], Len(2, 2)] | None = None
+    principal_px: Pixel | None = None
 
     def __post_init__(self) -> None:
-        """Refuse a principal point outside the picture."""
+        """Refuse more samples than fit into memory, and a principal point outside the picture."""
+        if self.width * self.height * self.multisampling > MOST_SAMPLES:
+            most = MOST_SAMPLES // (self.width * self.height)
+            words = f"must be at most {most} for a {self.width} x {self.height} picture, whose samples would not fit into the memory"
+            raise ParameterError("multisampling", words, self.multisampling)
         if self.principal_px is not None and not self.inside(np.array(self.principal_px)):
             raise ParameterError("principal_px", f"must lie in the {self.width} x {self.height} picture", self.principal_px)
 

@@ -6,10 +6,11 @@ from functools import cached_property
 from typing import Annotated, Literal
 
 import numpy as np
-from annotated_types import Ge, Gt, Le, Len, Lt
+from annotated_types import Ge, Gt, Le, Lt
 
 from vstestbed.camera.base import Camera
 from vstestbed.core.geometry import Array, Pose
+from vstestbed.core.quantity import Narrower, Pixel, PositiveGain
 from vstestbed.core.spec import spec
 
 
@@ -38,9 +39,9 @@ class Calibration:
 
     mount_error: Pose = Pose()
     focal_error: Annotated[float, Gt(-0.9), Lt(9)] = 0.0
-    principal_error_px: Annotated[tuple[float, ...], Len(2, 2)] = (0.0, 0.0)
+    principal_error_px: Pixel = (0.0, 0.0)
     ignores_distortion: bool = False
-    depth_factor: Annotated[float, Gt(0), Le(100)] = 1.0
+    depth_factor: Annotated[PositiveGain, Narrower(le=100)] = 1.0
     depth_spread: Annotated[float, Ge(0), Le(3)] = 0.0
     goal: Literal["told", "shown"] = "told"
 

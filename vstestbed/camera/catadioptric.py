@@ -6,11 +6,12 @@ import math
 from typing import Annotated, Literal
 
 import numpy as np
-from annotated_types import Ge, Gt, Le, Lt
+from annotated_types import Ge, Le, Lt
 
 from vstestbed.camera.radial import Radial
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
+from vstestbed.core.quantity import Narrower, PositiveAngle
 from vstestbed.core.spec import spec
 
 
@@ -36,7 +37,7 @@ class Catadioptric(Radial):
 
     kind: Literal["catadioptric"] = "catadioptric"
     xi: Annotated[float, Ge(0), Le(100)] = 1.0
-    fov_deg: Annotated[float, Gt(0), Lt(360)] = 200.0
+    fov_deg: Annotated[PositiveAngle, Narrower(lt=360)] = 200.0
     blind_deg: Annotated[float, Ge(0), Lt(180)] = 0.0
 
     def __post_init__(self) -> None:

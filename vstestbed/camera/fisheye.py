@@ -8,11 +8,12 @@ from functools import cached_property
 from typing import Annotated, Literal
 
 import numpy as np
-from annotated_types import Gt, Le, Len
+from annotated_types import Len
 
 from vstestbed.camera.radial import Radial
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
+from vstestbed.core.quantity import Coefficient, Narrower, PositiveAngle
 from vstestbed.core.spec import spec
 
 KNOTS, ROUNDS = 257, 8
@@ -36,8 +37,8 @@ class Fisheye(Radial):
     """
 
     kind: Literal["fisheye"] = "fisheye"
-    fov_deg: Annotated[float, Gt(0), Le(360)] = 185.0
-    coefficients: Annotated[tuple[float, ...], Len(4, 4)] = (0.0, 0.0, 0.0, 0.0)
+    fov_deg: Annotated[PositiveAngle, Narrower(le=360)] = 185.0
+    coefficients: Annotated[tuple[Coefficient, ...], Len(4, 4)] = (0.0, 0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
         """Refuse a polynomial that turns back within the field of view."""

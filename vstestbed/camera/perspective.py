@@ -8,12 +8,13 @@ from functools import cached_property
 from typing import Annotated, Literal
 
 import numpy as np
-from annotated_types import Gt, Len, Lt
+from annotated_types import Len
 from numpy.typing import NDArray
 
-from vstestbed.camera.base import Camera
+from vstestbed.camera.base import LARGEST_PX, Camera
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
+from vstestbed.core.quantity import Coefficient, Narrower, PositiveAngle, PositiveLength
 from vstestbed.core.spec import spec
 
 DEFAULT_FOVY_DEG = 64.0
@@ -38,10 +39,10 @@ class Perspective(Camera):
     """
 
     kind: Literal["perspective"] = "perspective"
-    fovy_deg: Annotated[float, Gt(0), Lt(175)] | None = None
-    focal_length_m: Annotated[float, Gt(0)] | None = None
-    pixel_size_m: Annotated[float, Gt(0)] | None = None
-    distortion: Annotated[tuple[float, ...], Len(5, 5)] | None = None
+    fovy_deg: Annotated[PositiveAngle, Narrower(lt=175)] | None = None
+    focal_length_m: PositiveLength | None = None
+    pixel_size_m: PositiveLength | None = None
+    distortion: Annotated[tuple[Coefficient, ...], Len(5, 5)] | None = None
 
     def __post_init__(self) -> None:
         """Refuse contradictory intrinsics and a distortion that folds the picture over itself."""
@@ -65,6 +66,11 @@ class Perspective(Camera):
         back = self._distort(xy) * self.f + self.centre
         if not np.allclose(back, border, atol=1e-3):
             words = "folds the picture over itself before its corners; use smaller coefficients"
+            raise ParameterError("distortion", words, self.distortion)
+        # The pinhole picture from which the distorted one is resampled covers the undistorted border.
+        side, most = float(np.ptp(xy, axis=0).max()) * self.f, 2 * LARGEST_PX
+        if side > most:
+            words = f"needs a rendered picture of {side:.4g} px, and {most} are the most; use smaller coefficients or a smaller picture"
             raise ParameterError("distortion", words, self.distortion)
 
     @property

@@ -5,14 +5,13 @@ from __future__ import annotations
 from abc import abstractmethod
 from dataclasses import replace
 from functools import cached_property
-from typing import Annotated
 
 import numpy as np
-from annotated_types import Gt
 
 from vstestbed.camera.base import Camera
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, angles, direction
+from vstestbed.core.quantity import PositivePixels
 from vstestbed.core.spec import spec
 
 RIM = 1e-9
@@ -31,7 +30,7 @@ class Radial(Camera):
             picture's shorter side, as seen from its middle: f = min(W, H) / 2 / m(theta_max).
     """
 
-    focal_length_px: Annotated[float, Gt(0)] | None = None
+    focal_length_px: PositivePixels | None = None
 
     @property
     @abstractmethod

@@ -9,19 +9,18 @@ from __future__ import annotations
 
 import math
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from annotated_types import Len
 from numpy.typing import NDArray
 
+from vstestbed.core.quantity import Angles, Position
 from vstestbed.core.spec import spec
 
 if TYPE_CHECKING:
     from spatialmath import SE3
 
 Array = NDArray[np.float64]
-Triple = Annotated[tuple[float, ...], Len(3, 3)]
 
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 """From OpenGL's camera axes (z backward, y up) to those of computer vision (z forward, y down), and back: its own inverse."""
@@ -31,8 +30,8 @@ FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 class Pose:
     """A pose in YAML: a translation [m] and roll-pitch-yaw angles [deg], R = Rz(yaw) Ry(pitch) Rx(roll)."""
 
-    xyz: Triple = (0.0, 0.0, 0.0)
-    rpy_deg: Triple = (0.0, 0.0, 0.0)
+    xyz: Position = (0.0, 0.0, 0.0)
+    rpy_deg: Angles = (0.0, 0.0, 0.0)
 
     @cached_property
     def T(self) -> Array:

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from vstestbed.core.geometry import Array
+from vstestbed.core.quantity import Angle, Length
 from vstestbed.core.spec import spec
 
 
@@ -15,9 +16,9 @@ from vstestbed.core.spec import spec
 class GroundPose:
     """A place on the floor in YAML: x, y [m] and the heading from the x axis, counter-clockwise [deg]."""
 
-    x: float = 0.0
-    y: float = 0.0
-    heading_deg: float = 0.0
+    x: Length = 0.0
+    y: Length = 0.0
+    heading_deg: Angle = 0.0
 
     @property
     def heading(self) -> float:

@@ -6,7 +6,7 @@ that runs, and the JSON Schema. Pydantic validates; this file turns its errors i
     @spec
     class Disc:
         kind: Literal["disc"] = "disc"
-        radius: Annotated[float, Gt(0)]
+        radius: PositiveLength
 
     MARKERS = OneOf("marker", Disc, Sphere)      # in YAML: {kind: disc, radius: 0.02}, or the bare word where all has defaults
     marker: Annotated[Marker, MARKERS]
@@ -86,6 +86,11 @@ def rebuild_specs() -> None:
     for cls in _SPECS:
         rebuild_dataclass(cls, force=True)
         _with_our_errors(cls)  # pydantic has put its own constructor back
+
+
+def spec_named(word: object) -> type | None:
+    """The spec class of a name: pydantic has it in the location of an error where a field may be one of two blocks; None for others."""
+    return next((cls for cls in _SPECS if cls.__name__ == word), None)
 
 
 class OneOf:
@@ -196,7 +201,9 @@ class OneOf:
         if words:
             choices.append({"enum": words})
         if self.number:
-            choices.append({"type": "number"})
+            kind, field = self.number
+            block = handler.resolve_ref_schema(blocks[list(self.members).index(kind)])
+            choices.append({key: value for key, value in block["properties"][field].items() if key not in ("default", "title")})
         return {"anyOf": choices}
 
 

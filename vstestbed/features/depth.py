@@ -6,10 +6,10 @@ from abc import ABC, abstractmethod
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
-from annotated_types import Gt
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
+from vstestbed.core.quantity import PositiveLength, PositiveTime
 from vstestbed.core.spec import OneOf, spec
 from vstestbed.features.observation import Goal
 
@@ -91,7 +91,7 @@ class Constant(DepthSource):
     """One fixed depth for all markers [m]."""
 
     kind: Literal["constant"] = "constant"
-    depth_m: Annotated[float, Gt(0)] = 1.0
+    depth_m: PositiveLength = 1.0
     preset: ClassVar[bool] = True
 
     def depths(self, cues: DepthCues) -> Array:
@@ -132,8 +132,8 @@ class Estimate(DepthSource):
     """
 
     kind: Literal["estimate"] = "estimate"
-    initial_m: Annotated[float, Gt(0)] = 1.0
-    forget_s: Annotated[float, Gt(0)] = 0.5
+    initial_m: PositiveLength = 1.0
+    forget_s: PositiveTime = 0.5
 
     @property
     def estimator(self) -> Estimate | None:

@@ -7,11 +7,11 @@ from dataclasses import dataclass, fields
 from typing import Annotated, Any, ClassVar, Literal, Protocol, TypeVar
 
 import numpy as np
-from annotated_types import Gt
 
 from vstestbed.core.contract import Contract
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
+from vstestbed.core.quantity import PositiveGain, PositiveRate, PositiveSpeed
 from vstestbed.core.spec import OneOf, spec
 from vstestbed.features.base import Feature
 from vstestbed.features.depth import Depth, PnP
@@ -132,7 +132,7 @@ class ConstantGain:
     """lambda = value [1/s], whatever the error."""
 
     kind: Literal["constant"] = "constant"
-    value: Annotated[float, Gt(0)] = 0.5
+    value: PositiveGain = 0.5
 
     def at(self, error: Array) -> float:
         """The gain [1/s] at error vectors (..., n)."""
@@ -154,9 +154,9 @@ class AdaptiveGain:
     """
 
     kind: Literal["adaptive"] = "adaptive"
-    at_zero: Annotated[float, Gt(0)] = 4.0
-    at_infinity: Annotated[float, Gt(0)] = 0.4
-    slope_at_zero: Annotated[float, Gt(0)] = 30.0
+    at_zero: PositiveGain = 4.0
+    at_infinity: PositiveGain = 0.4
+    slope_at_zero: PositiveGain = 30.0
 
     def __post_init__(self) -> None:
         """Refuse a gain that would increase with the error."""
@@ -177,8 +177,8 @@ Gain = Annotated[ConstantGain | AdaptiveGain, GAINS]
 class TwistLimits:
     """Largest commanded camera speed [m/s] and rate [rad/s]; the twist is scaled as a whole, which keeps its direction."""
 
-    speed_mps: Annotated[float, Gt(0)] | None = None
-    rate_radps: Annotated[float, Gt(0)] | None = None
+    speed_mps: PositiveSpeed | None = None
+    rate_radps: PositiveRate | None = None
 
     def scale(self, twist: Array) -> float:
         """Factor in (0, 1] that brings a twist (6,) within the limits."""

@@ -22,9 +22,10 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
-from annotated_types import Ge, Gt, Le
+from annotated_types import Ge, Le
 
 from vstestbed.core.geometry import Array
+from vstestbed.core.quantity import Frequency, Narrower, PositiveGain
 from vstestbed.core.spec import OneOf, spec
 from vstestbed.features.observation import OwnMotion
 from vstestbed.laws.solve import PSEUDO_INVERSE, Solve, least_squares
@@ -96,7 +97,7 @@ class Integral:
     """
 
     kind: Literal["integral"] = "integral"
-    rate_per_s2: Annotated[float, Gt(0)] = 0.25
+    rate_per_s2: PositiveGain = 0.25
 
 
 @spec
@@ -111,7 +112,7 @@ class AlphaBeta:
     """
 
     kind: Literal["alpha_beta"] = "alpha_beta"
-    alpha: Annotated[float, Gt(0), Le(1)] = 0.8
+    alpha: Annotated[PositiveGain, Narrower(le=1)] = 0.8
     predict_s: Ahead = 0.0
 
     def update(self, trend: Trend | None, step: Array | None, dt: float, size: int) -> Trend:
@@ -149,7 +150,7 @@ class _Kalman:
         return Trend(state + np.outer(K, way - state[0]), way, P - np.outer(K, P[0]))
 
 
-Bandwidth = Annotated[float, Gt(0), Le(100)]
+Bandwidth = Annotated[Frequency, Narrower(le=100)]
 
 
 @spec

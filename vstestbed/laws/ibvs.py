@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
 import numpy as np
-from annotated_types import Ge
 
 from vstestbed.core.geometry import Array
+from vstestbed.core.quantity import Time
 from vstestbed.core.spec import spec
 from vstestbed.features import FEATURES, LineFeature, Point, Polar, Polygon, Spherical
 from vstestbed.features.depth import Depth, PnP
@@ -74,7 +74,7 @@ class IBVS(LawBase):
     interaction: Literal["current", "desired", "mean"] = "current"
     solve: Solve = Solve()
     depth: Depth = PnP()
-    smooth_start_s: Annotated[float, Ge(0)] = 0.0
+    smooth_start_s: Time = 0.0
     limits: TwistLimits = TwistLimits()
     visibility: Visibility = Visibility()
     feedforward: Feedforward = NoFeedforward()

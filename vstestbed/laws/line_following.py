@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
 import numpy as np
-from annotated_types import Ge, Gt, Lt
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
+from vstestbed.core.quantity import Narrower, PositiveAngle, PositiveGain, PositiveSpeed, Time
 from vstestbed.core.spec import spec
 from vstestbed.features.depth import AtGoal
 from vstestbed.features.ground_line import floor_plane, floor_point, line_on_floor
@@ -80,10 +80,10 @@ class LineFollowing(LawBase):
     tasks = ("line",)
     inputs = ("xy",)
     depth = AtGoal()  # points at one look distance on the floor have one depth, for a camera without roll
-    gain: Annotated[float, Gt(0)] = 3.0
-    cruise_mps: Annotated[float, Gt(0)] = 0.8
-    approach_deg: Annotated[float, Gt(0), Lt(80)] = 25.0
-    coast_s: Annotated[float, Ge(0)] = 0.2
+    gain: PositiveGain = 3.0
+    cruise_mps: PositiveSpeed = 0.8
+    approach_deg: Annotated[PositiveAngle, Narrower(lt=80)] = 25.0
+    coast_s: Time = 0.2
     solve: Solve = Solve()
     limits: TwistLimits = TwistLimits()
 

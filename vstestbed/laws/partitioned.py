@@ -7,10 +7,11 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
-from annotated_types import Gt, Len
+from annotated_types import Len
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
+from vstestbed.core.quantity import Angle, PositiveGain
 from vstestbed.core.spec import spec
 from vstestbed.features import Point
 from vstestbed.features.depth import Depth, PnP
@@ -68,10 +69,10 @@ class Partitioned(LawBase):
 
     kind: Literal["partitioned"] = "partitioned"
     gain: Gain = ConstantGain()
-    gain_z: Annotated[float, Gt(0)] = 1.0
-    gain_turn: Annotated[float, Gt(0)] = 0.5
+    gain_z: PositiveGain = 1.0
+    gain_turn: PositiveGain = 0.5
     sigma: Literal["difference", "ratio", "log"] = "ratio"
-    turn_limits_deg: Annotated[tuple[float, ...], Len(2, 2)] | None = None
+    turn_limits_deg: Annotated[tuple[Angle, ...], Len(2, 2)] | None = None
     solve: Solve = Solve()
     depth: Depth = PnP()
     limits: TwistLimits = TwistLimits()

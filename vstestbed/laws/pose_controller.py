@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
-from annotated_types import Ge, Gt
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
+from vstestbed.core.quantity import Distance, PositiveLength, PositiveSpeed, SignedGain
 from vstestbed.core.spec import spec
 from vstestbed.features.depth import Depth, PnP
 from vstestbed.features.observation import Goal, Observation
@@ -50,13 +50,13 @@ class PoseController(LawBase):
     kind: Literal["pose_controller"] = "pose_controller"
     tasks = ("pose",)
     inputs = ("place",)
-    k_rho: float = 1.0
-    k_alpha: float = 5.0
-    k_beta: float = -2.0
+    k_rho: SignedGain = 1.0
+    k_alpha: SignedGain = 5.0
+    k_beta: SignedGain = -2.0
     direction: Literal["auto", "forward", "reverse"] = "auto"
-    rest_m: Annotated[float, Gt(0)] = 0.02
-    pass_m: Annotated[float, Ge(0)] = 0.1
-    speed_mps: Annotated[float, Gt(0)] = 1.0
+    rest_m: PositiveLength = 0.02
+    pass_m: Distance = 0.1
+    speed_mps: PositiveSpeed = 1.0
     depth: Depth = PnP()
     limits: TwistLimits = TwistLimits()
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
-from annotated_types import Ge, Gt
 
 from vstestbed.core.geometry import Array
 from vstestbed.core.planar import relative
+from vstestbed.core.quantity import PositiveGain, PositiveTime, Time
 from vstestbed.core.spec import spec
 from vstestbed.features.depth import Depth, OnFloor, PnP
 from vstestbed.features.observation import Goal, Observation
@@ -58,9 +58,9 @@ class Pursuit(LawBase):
     kind: Literal["pursuit"] = "pursuit"
     tasks = ("gap",)
     inputs = ("T_camera_target", "odometry")
-    gain: Annotated[float, Gt(0)] = 1.0
-    filter_s: Annotated[float, Gt(0)] = 0.5
-    coast_s: Annotated[float, Ge(0)] = 0.5
+    gain: PositiveGain = 1.0
+    filter_s: PositiveTime = 0.5
+    coast_s: Time = 0.5
     depth: Depth = OnFloor()
     limits: TwistLimits = TwistLimits()
 

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
 import numpy as np
-from annotated_types import Ge, Gt
 
 from vstestbed.camera import Camera
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
+from vstestbed.core.quantity import Pixels, PositivePixels
 from vstestbed.core.spec import spec
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.select import usable_rows
@@ -41,8 +39,8 @@ class Visibility:
     optical axis only).
     """
 
-    margin_px: Annotated[float, Ge(0)] = 0.0
-    strength_pxps: Annotated[float, Gt(0)] = 20.0
+    margin_px: Pixels = 0.0
+    strength_pxps: PositivePixels = 20.0
 
     @property
     def inputs(self) -> tuple[str, ...]:

@@ -18,10 +18,9 @@ Hua 2010, doi:10.1016/j.conengprac.2010.01.016, on the use of a velocity.
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
-from annotated_types import Ge, Gt
-
+from vstestbed.core.quantity import GainOrZero, PositiveGain
 from vstestbed.core.spec import spec
 
 GRAVITY = 9.81
@@ -40,8 +39,8 @@ class Filter:
         acceleration: `imu` uses the accelerometer as it is, `velocity` subtracts the rate of the measured velocity from it.
     """
 
-    gain: Annotated[float, Gt(0)] = 0.5
-    bias_gain: Annotated[float, Ge(0)] = 0.05
+    gain: PositiveGain = 0.5
+    bias_gain: GainOrZero = 0.05
     acceleration: Literal["imu", "velocity"] = "velocity"
 
 

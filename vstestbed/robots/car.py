@@ -17,6 +17,7 @@ import numpy as np
 from annotated_types import Ge, Gt, Le, Lt
 
 from vstestbed.core.geometry import Array
+from vstestbed.core.quantity import Narrower, PositiveRate, PositiveSpeed
 from vstestbed.core.spec import spec
 from vstestbed.robots.allocation import Allocation, Limit, Mount
 from vstestbed.robots.bicycle import STANDSTILL, BicycleLimits, within_limits, yaw_rate
@@ -54,10 +55,10 @@ class CarLimits:
         steering_rate_radps: how fast the steering setpoint is followed [rad/s].
     """
 
-    speed_mps: Annotated[float, Gt(0), Le(3)] = 1.0
-    steering_rad: Annotated[float, Gt(0), Le(1)] = 1.0
-    acceleration_mps2: Annotated[float, Gt(0), Le(2.5)] = 1.5
-    steering_rate_radps: Annotated[float, Gt(0), Le(4)] = 2.0
+    speed_mps: Annotated[PositiveSpeed, Narrower(le=3)] = 1.0
+    steering_rad: Annotated[float, Ge(1e-6), Le(1)] = 1.0
+    acceleration_mps2: Annotated[float, Ge(1e-6), Le(2.5)] = 1.5
+    steering_rate_radps: Annotated[PositiveRate, Narrower(le=4)] = 2.0
 
     def bicycle(self) -> BicycleLimits:
         """The same for the ideal bicycle: `vstestbed.robots.bicycle.drive`."""

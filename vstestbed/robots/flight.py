@@ -19,14 +19,10 @@ from __future__ import annotations
 import math
 from typing import Annotated, NamedTuple
 
-from annotated_types import Ge, Gt, Le
-
+from vstestbed.core.quantity import GainOrZero, Narrower, PositiveAngle, PositiveGain, PositiveTime
 from vstestbed.core.spec import spec
 from vstestbed.robots.attitude import GRAVITY, Level, Vector
 from vstestbed.robots.rotors import INERTIA, LAG_S, MASS, MAX_YAW_TORQUE
-
-Positive = Annotated[float, Gt(0)]
-NotNegative = Annotated[float, Ge(0)]
 
 RECOVER_RAD, RECOVERED_RAD = math.radians(60), math.radians(15)
 """Tilted by more than the first, the craft ignores its setpoint and levels; under the second it takes setpoints again."""
@@ -56,16 +52,16 @@ class Gains:
         rotor_s: time constant that the speed controllers give the rotors [s]; without them it is .117.
     """
 
-    rate: Positive = 14.0
-    rate_integral: NotNegative = 3.0
-    yaw: Positive = 5.0
-    attitude: Positive = 5.0
-    velocity: Positive = 2.0
-    velocity_integral: NotNegative = 1.2
-    climb: Positive = 2.5
-    climb_integral: NotNegative = 1.0
-    tilt_deg: Annotated[float, Gt(0), Le(50)] = 30.0
-    rotor_s: Annotated[float, Gt(0), Le(LAG_S)] = 0.03
+    rate: PositiveGain = 14.0
+    rate_integral: GainOrZero = 3.0
+    yaw: PositiveGain = 5.0
+    attitude: PositiveGain = 5.0
+    velocity: PositiveGain = 2.0
+    velocity_integral: GainOrZero = 1.2
+    climb: PositiveGain = 2.5
+    climb_integral: GainOrZero = 1.0
+    tilt_deg: Annotated[PositiveAngle, Narrower(le=50)] = 30.0
+    rotor_s: Annotated[PositiveTime, Narrower(le=LAG_S)] = 0.03
 
 
 class Loops(NamedTuple):

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
+from pydantic import Discriminator, Tag
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.geometry import Array, Pose, Triple
+from vstestbed.core.geometry import Array, Pose
+from vstestbed.core.quantity import Angles, Position
 from vstestbed.core.spec import spec
 from vstestbed.robots.allocation import Allocation, Mount
 from vstestbed.robots.base import RobotBase
@@ -19,8 +21,17 @@ from vstestbed.robots.reading import Reading
 class Box:
     """Half widths of a box of start poses round the nominal one: along world axes [m], in roll-pitch-yaw [deg]."""
 
-    xyz: Triple = (0.0, 0.0, 0.0)
-    rpy_deg: Triple = (0.0, 0.0, 0.0)
+    xyz: Position = (0.0, 0.0, 0.0)
+    rpy_deg: Angles = (0.0, 0.0, 0.0)
+
+
+def _which(value: object) -> str:
+    """Which of the two blocks of random starts is meant, so that its mistakes alone are named."""
+    arm = isinstance(value, PumaStart) or (isinstance(value, dict) and not value.keys().isdisjoint(("nominal", "random")))
+    return "PumaStart" if arm else "Box"
+
+
+RandomStart = Annotated[Annotated[Box, Tag("Box")] | Annotated[PumaStart, Tag("PumaStart")], Discriminator(_which)]
 
 
 @spec
@@ -32,7 +43,7 @@ class FreeStart:
     """
 
     nominal: Pose
-    random: Box | PumaStart | None = None
+    random: RandomStart | None = None
 
 
 @spec

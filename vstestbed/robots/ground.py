@@ -10,11 +10,11 @@ import math
 from typing import Annotated, ClassVar
 
 import numpy as np
-from annotated_types import Ge, Le
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.planar import GroundPose, place_of, pose_on_ground, relative, wrapped
+from vstestbed.core.quantity import AngleWidth, Distance, Narrower
 from vstestbed.core.spec import spec
 from vstestbed.robots.base import Base, RobotBase
 from vstestbed.robots.robot_log import RobotLog, RobotState
@@ -29,9 +29,9 @@ PLANE[[0, 1, 5], [0, 1, 2]] = 1.0
 class GroundBox:
     """Half widths of the box from which random starts are drawn: x, y [m], heading_deg [deg]."""
 
-    x: Annotated[float, Ge(0)] = 0.0
-    y: Annotated[float, Ge(0)] = 0.0
-    heading_deg: Annotated[float, Ge(0), Le(180)] = 0.0
+    x: Distance = 0.0
+    y: Distance = 0.0
+    heading_deg: Annotated[AngleWidth, Narrower(le=180)] = 0.0
 
 
 @spec

@@ -15,16 +15,15 @@ from __future__ import annotations
 
 from typing import Annotated, Literal, NamedTuple
 
-from annotated_types import Ge, Gt
+from annotated_types import Gt, Le
 
+from vstestbed.core.quantity import PositiveGain, PositiveTime, Sigma
 from vstestbed.core.spec import OneOf, spec
 from vstestbed.robots.attitude import GRAVITY, Level, Vector
 
 READING_S = 0.02
 """A flow sensor's exposure and period [s], 50 Hz, to which `sigma_mps` refers. The controller reads faster, with noise of the same
 power spectrum."""
-
-Sigma = Annotated[float, Ge(0)]
 
 
 @spec
@@ -39,8 +38,8 @@ class Flow:
 
     kind: Literal["flow"] = "flow"
     sigma_mps: Sigma = 0.03
-    scale_error: Annotated[float, Gt(-1)] = 0.0
-    bandwidth: Annotated[float, Gt(0)] = 2.0
+    scale_error: Annotated[float, Gt(-1), Le(10)] = 0.0
+    bandwidth: PositiveGain = 2.0
 
 
 @spec
@@ -54,8 +53,8 @@ class Filtered:
 
     kind: Literal["filtered"] = "filtered"
     sigma_mps: Sigma = 0.03
-    scale_error: Annotated[float, Gt(-1)] = 0.0
-    tau_s: Annotated[float, Gt(0)] = 0.1
+    scale_error: Annotated[float, Gt(-1), Le(10)] = 0.0
+    tau_s: PositiveTime = 0.1
 
 
 VELOCITIES = OneOf("velocity", Flow, Filtered)

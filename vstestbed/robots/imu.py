@@ -2,14 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
-from annotated_types import Ge
-
-from vstestbed.core.geometry import Triple
+from vstestbed.core.quantity import Bias, Sigma
 from vstestbed.core.spec import spec
-
-Sigma = Annotated[float, Ge(0)]
 
 
 @spec
@@ -25,6 +19,6 @@ class Imu:
     """
 
     gyro_sigma_radps: Sigma = 0.002
-    gyro_bias_radps: Triple = (0.003, -0.002, 0.001)
+    gyro_bias_radps: Bias = (0.003, -0.002, 0.001)
     accel_sigma_mps2: Sigma = 0.09
-    accel_bias_mps2: Triple = (0.05, -0.03, 0.08)
+    accel_bias_mps2: Bias = (0.05, -0.03, 0.08)

@@ -16,6 +16,7 @@ from annotated_types import Ge, Le, Len
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
+from vstestbed.core.quantity import Angle
 from vstestbed.core.spec import spec
 from vstestbed.robots.allocation import Actuation, Allocation, Limit, Mount
 from vstestbed.robots.base import RobotBase
@@ -141,7 +142,7 @@ ACTUATIONS = {
 """`ideal`: stiff and frictionless; `industrial`: velocity loop with integral action; `raw`: proportional velocity loop, in which friction
 leaves a steady-state error."""
 
-Six = Annotated[tuple[float, ...], Len(6, 6)]
+Six = Annotated[tuple[Angle, ...], Len(6, 6)]
 
 
 @spec

@@ -13,13 +13,13 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cached_property
-from typing import Annotated, ClassVar, Literal, NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
-from annotated_types import Ge, Gt
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.geometry import Array, Triple
+from vstestbed.core.geometry import Array
+from vstestbed.core.quantity import Angle, AngleWidth, Position, PositiveRate, PositiveSpeed, Sigma
 from vstestbed.core.spec import spec
 from vstestbed.robots import groundspeed
 from vstestbed.robots.allocation import Allocation, Mount
@@ -50,24 +50,21 @@ STANDING_COSINE = math.cos(math.radians(30))
 LEVEL_AXES = [0, 1, 2, 5]
 """Indices of vx, vy, vz and wz in a twist: the four velocities that a level craft can track."""
 
-Sigma = Annotated[float, Ge(0)]
-Positive = Annotated[float, Gt(0)]
-
 
 @spec
 class FlightPose:
     """Where the craft hovers at the start: its centre in the world [m], its heading [deg]."""
 
-    xyz: Triple = (0.0, 0.0, 2.0)
-    yaw_deg: float = 0.0
+    xyz: Position = (0.0, 0.0, 2.0)
+    yaw_deg: Angle = 0.0
 
 
 @spec
 class FlightBox:
     """Half widths of a box of starts: along world axes [m], in heading [deg]; `about` is its middle, else the nominal start."""
 
-    xyz: Triple = (0.0, 0.0, 0.0)
-    yaw_deg: Annotated[float, Ge(0)] = 0.0
+    xyz: Position = (0.0, 0.0, 0.0)
+    yaw_deg: AngleWidth = 0.0
     about: FlightPose | None = None
 
 
@@ -117,9 +114,9 @@ class Quadrotor(RobotBase):
     range_sigma_m: Sigma = 0.01
     attitude: Filter = Filter()
     gains: Gains = Gains()
-    max_speed_mps: Positive = 2.0
-    max_climb_mps: Positive = 1.0
-    max_yaw_rate_radps: Positive = 0.8
+    max_speed_mps: PositiveSpeed = 2.0
+    max_climb_mps: PositiveSpeed = 1.0
+    max_yaw_rate_radps: PositiveRate = 0.8
 
     actuators: ClassVar[tuple[str, ...]] = ("rotor_front", "rotor_right", "rotor_back", "rotor_left")
     sensors: ClassVar[tuple[str, ...]] = ("gyro", "accelerometer", "velocity", "range")

@@ -14,11 +14,34 @@ from vstestbed.features.depth import OnFloor, PnP
 from vstestbed.laws import Law
 from vstestbed.robots import VEHICLES, Mount, Robot
 from vstestbed.sim.scene.world import World
+from vstestbed.sim.timing import Timing
 from vstestbed.targets import Target
+from vstestbed.tasks.stop import Stop
 from vstestbed.vision import DETECTORS, Detector
 
 ON_ONE_LINE = 1e-6
 """Ratio of the second to the first singular value of marker positions under which they count as collinear."""
+MOST_FRAMES, MOST_BYTES = 1_000_000, 4 << 30
+"""Most frames of a run: 11 hours at 25 Hz, whose log takes one to three GB of memory. Most bytes of pictures in transit."""
+
+
+def check_memory(camera: Camera, detector: Detector[Any], timing: Timing, stop: Stop) -> None:
+    """Refuse runs whose log, or pictures in transit to the law, would not fit into memory.
+
+    Raises:
+        ParameterError: with the limit.
+    """
+    if stop.duration_s * camera.rate_hz > MOST_FRAMES:
+        most = f"{MOST_FRAMES / camera.rate_hz:g} s, {MOST_FRAMES} pictures at {camera.rate_hz:g} Hz"
+        words = f"must be at most {most}: a longer log does not fit into memory"
+        raise ParameterError("stop.duration_s", words, stop.duration_s)
+    if not detector.needs_image:
+        return
+    size = sum(3 * panel.lens.width * panel.lens.height for panel in camera.panels)
+    transit_s = MOST_BYTES / size / camera.rate_hz
+    if camera.latency_s + timing.latency_jitter_s > transit_s:
+        words = f"may be at most {transit_s:.4g} s with its jitter: more of these pictures in transit do not fit into memory"
+        raise ParameterError("camera.latency_s", words, camera.latency_s)
 
 
 def check_robot(robot: Robot, target: Target, world: World, derotation: str, level_trim_s: float) -> None:

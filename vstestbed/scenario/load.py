@@ -21,6 +21,9 @@ from vstestbed.scenario.scenario import Scenario
 from vstestbed.scenario.validation import KINDS, build
 from vstestbed.scenario.yaml_marks import override, place_of, plain_mapping, short
 
+MOST_BYTES = 100_000
+"""Largest file that is read: fifty times the largest bundled one, and parsed in 2 s; one of 10 MB would take minutes."""
+
 
 def find(name: str | Path) -> Path:
     """The file of a scenario given by path or by the name of a bundled one.
@@ -62,9 +65,13 @@ def text_of(path: Path) -> str:
     """The text of a UTF-8 file; ScenarioError where it cannot be read."""
     try:
         # Bytes first: the position of a bad byte is its line and column only while nothing is decoded.
-        raw = path.read_bytes()
+        with path.open("rb") as stream:
+            raw = stream.read(MOST_BYTES + 1)
     except OSError as error:
         raise ScenarioError([Mistake(str(path), "", f"cannot be read ({error.strerror})")]) from None
+    if len(raw) > MOST_BYTES:
+        words = f"has more than {MOST_BYTES // 1000} kB; a scenario needs far less"
+        raise ScenarioError([Mistake(f"{path}:1:1", "", words)])
     try:
         return raw.decode("utf-8-sig")  # editors on Windows begin a file with a byte order mark
     except UnicodeDecodeError as error:

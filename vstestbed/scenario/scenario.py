@@ -12,11 +12,12 @@ from annotated_types import Ge, Lt
 from vstestbed.camera import CAMERAS, Calibration, Camera, Perspective
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, inverse
+from vstestbed.core.quantity import Narrower, Pixels, Seed, Sigma, Time
 from vstestbed.core.spec import spec
 from vstestbed.features.observation import Goal
 from vstestbed.laws import LAWS, Law
 from vstestbed.robots import ROBOTS, Robot
-from vstestbed.scenario.checks import check_carrier, check_floor_depth, check_markers, check_robot
+from vstestbed.scenario.checks import check_carrier, check_floor_depth, check_markers, check_memory, check_robot
 from vstestbed.sim.clock import Clock
 from vstestbed.sim.render.noise import Drift
 from vstestbed.sim.scene.start_pose import camera_start, target_start
@@ -42,8 +43,8 @@ class Noise:
         drift: of the picture's brightness and colour.
     """
 
-    image_sigma: Annotated[float, Ge(0)] = 0.0
-    pixel_sigma_px: Annotated[float, Ge(0)] = 0.0
+    image_sigma: Annotated[Sigma, Narrower(le=255)] = 0.0
+    pixel_sigma_px: Pixels = 0.0
     dropout: Annotated[float, Ge(0), Lt(1)] = 0.0
     drift: Drift = Drift()
 
@@ -69,7 +70,7 @@ class Scenario:
 
     name: str = ""
     description: str = ""
-    seed: Annotated[int, Ge(0)] = 0
+    seed: Seed = 0
     robot: Annotated[Robot, ROBOTS]
     camera: Annotated[Camera, CAMERAS] = Perspective()
     target: Annotated[Target, TARGETS]
@@ -77,7 +78,7 @@ class Scenario:
     law: Annotated[Law[Any], LAWS]
     goal: Annotated[Task, GOALS]
     derotation: Derotation = "none"
-    level_trim_s: Annotated[float, Ge(0)] = 0.0
+    level_trim_s: Time = 0.0
     stop: Stop = Stop()
     noise: Noise = Noise()
     calibration: Calibration = Calibration()
@@ -91,6 +92,7 @@ class Scenario:
             words = "may be oracle only with detector: {kind: oracle}; with pixels use pnp, constant, goal or estimate"
             raise ParameterError("law.depth", words)
         self.timing.check(self.camera, self.clock[0])  # first: the clock refuses a step that does not divide the camera's period
+        check_memory(self.camera, self.detector, self.timing, self.stop)
         self.believed_camera  # noqa: B018 - refuses errors that the lens cannot have
         self.goal.check(self.setup)
         check_robot(self.robot, self.target, self.world, self.derotation, self.level_trim_s)

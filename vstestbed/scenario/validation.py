@@ -11,7 +11,7 @@ import pydantic
 
 from vstestbed.camera import CAMERAS
 from vstestbed.core.errors import Mistake, ParameterError, ScenarioError, nearest
-from vstestbed.core.spec import OneOf, refresh_specs, to_mapping
+from vstestbed.core.spec import OneOf, refresh_specs, spec_named, to_mapping
 from vstestbed.features import FEATURES
 from vstestbed.features.depth import DEPTHS
 from vstestbed.laws import LAWS
@@ -121,7 +121,7 @@ def _key_of(loc: Sequence[int | str], plain: Any) -> Key:
     key: list[int | str] = []
     here, tagged = plain, False
     for part in loc:
-        if _is_tag(part, here, tagged):
+        if spec_named(part) or _is_tag(part, here, tagged):
             tagged = True
             continue
         tagged = False
@@ -215,7 +215,7 @@ def _block_at(loc: Sequence[int | str], cls: type) -> tuple[type, OneOf | None]:
     for part in loc:
         if isinstance(part, int):  # an index: all items of a list are of one class
             continue
-        if (field := _spec_of_field(cls, part)) is not None:
+        if (field := spec_named(part) or _spec_of_field(cls, part)) is not None:
             cls, room = field, None
         # The room of the last field first: a kind such as `spherical` is a word in more than one room.
         rooms = [one for one in (asked, *KINDS.values()) if one is not None and part in one.members]

@@ -9,8 +9,10 @@ from typing import Any
 
 from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap, CommentedSeq, TaggedScalar
-from ruamel.yaml.constructor import DuplicateKeyError
-from ruamel.yaml.error import MarkedYAMLError, YAMLError
+from ruamel.yaml.composer import Composer
+from ruamel.yaml.constructor import DuplicateKeyError, RoundTripConstructor
+from ruamel.yaml.error import MarkedYAMLError, StreamMark, YAMLError
+from ruamel.yaml.reader import ReaderError
 
 from vstestbed.core.errors import Mistake, ParameterError, ScenarioError
 
@@ -40,13 +42,38 @@ def plain_mapping(text: str, file: str, needs: str) -> tuple[dict[str, Any], Mar
     return _plain(tree, (), marks, file), marks
 
 
+class _Composer(Composer):
+    """Ruamel's, which also remembers where the node stands that it reads: text that is nested too deeply ends it without a position."""
+
+    at: StreamMark | None = None
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        """Ruamel's hook for each node."""
+        self.at = self.parser.peek_event().start_mark
+        return super().compose_node(parent, index)
+
+
+class _Constructor(RoundTripConstructor):
+    """Ruamel's, which also remembers where the node stands that it constructs: its errors of Python's own kinds have no position."""
+
+    at: StreamMark | None = None
+
+    def construct_object(self, node: Any, deep: bool = False) -> Any:
+        """Ruamel's hook for each node."""
+        self.at = node.start_mark
+        return super().construct_object(node, deep)
+
+
 def _tree(text: str, file: str) -> Any:
     """Ruamel's tree of YAML text; its errors as ScenarioError."""
+    # Round-trip mode keeps lines and columns, and leaves tagged values as they are, which `_plain` refuses.
+    yaml = YAML(typ="rt")
+    yaml.Composer, yaml.Constructor = _Composer, _Constructor
+    yaml.composer.warn_double_anchors = False  # a name that is given again is plain YAML
     try:
-        # Round-trip mode keeps lines and columns, and leaves tagged values as they are, which `_plain` refuses.
-        return YAML(typ="rt").load(text)
+        return yaml.load(text)
     except RecursionError:  # raised inside ruamel, before `_check_size` can see the tree
-        raise ScenarioError([Mistake(file, "", "is nested too deeply for a scenario")]) from None
+        raise ScenarioError([Mistake(_place(yaml, file), "", "is nested too deeply for a scenario")]) from None
     except DuplicateKeyError as error:
         key = re.search(r'duplicate key "(.*?)"', error.problem or "")
         words = "stands here for the second time in its block; keep one of the two"
@@ -54,17 +81,32 @@ def _tree(text: str, file: str) -> Any:
     except MarkedYAMLError as error:
         words = " ".join((error.problem or error.context or "").split())
         raise ScenarioError([Mistake(_position(error, file), "", f"is not YAML: {words}")]) from None
-    except (YAMLError, ValueError) as error:
-        words = " ".join(str(error).split())
-        raise ScenarioError([Mistake(file, "", f"is not YAML: {words}")]) from None
-    except (TypeError, AttributeError, LookupError) as error:  # a list as a key, a tag on the wrong kind of node
-        words = f"holds YAML beyond plain mappings, lists and values ({error})"
-        raise ScenarioError([Mistake(file, "", words)]) from None
+    except ReaderError as error:
+        before = text[: error.position]
+        where = f"{file}:{before.count(chr(10)) + 1}:{len(before) - before.rfind(chr(10))}"
+        words = f"is not YAML: unacceptable character #x{error.character:04x}; delete it"
+        raise ScenarioError([Mistake(where, "", words)]) from None
+    except (YAMLError, ValueError, TypeError, AttributeError, LookupError) as error:
+        raise ScenarioError([Mistake(_place(yaml, file), "", _without_mark(error))]) from None
+
+
+def _without_mark(error: Exception) -> str:
+    """The sentence for an error of ruamel that has no position of its own."""
+    words = " ".join(str(error).split())
+    if isinstance(error, YAMLError | ValueError):
+        return f"is not YAML: {words}"
+    return f"holds YAML beyond plain mappings, lists and values ({words})"  # a list as a key, a tag on the wrong kind of node
+
+
+def _place(yaml: YAML, file: str) -> str:
+    """The position of the node that is being constructed; before the first one, of the one that is being read."""
+    at = yaml.constructor.at or yaml.composer.at
+    return f"{file}:{at.line + 1}:{at.column + 1}" if at else f"{file}:1:1"
 
 
 def _position(error: MarkedYAMLError, file: str) -> str:
     mark = error.problem_mark
-    return f"{file}:{mark.line + 1}:{mark.column + 1}" if mark else file
+    return f"{file}:{mark.line + 1}:{mark.column + 1}" if mark else f"{file}:1:1"
 
 
 def _plain(node: Any, key: Key, marks: Marks, file: str) -> Any:

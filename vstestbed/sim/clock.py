@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated
-
-from annotated_types import Gt
 
 from vstestbed.camera import Camera
 from vstestbed.core.errors import ParameterError
+from vstestbed.core.quantity import PositiveTime
 from vstestbed.core.spec import spec
 
 LARGEST_STEP_S = 0.002
@@ -23,7 +21,7 @@ class Clock:
         step_s: fixed step [s]; without it the largest step that divides the camera's period and is no longer than 2 ms.
     """
 
-    step_s: Annotated[float, Gt(0)] | None = None
+    step_s: PositiveTime | None = None
 
     def resolve(self, camera: Camera, largest: float = LARGEST_STEP_S) -> tuple[float, int]:
         """(step [s], steps per camera frame).

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from vstestbed.camera import Camera
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
+from vstestbed.core.quantity import Narrower, Time
 from vstestbed.core.spec import spec
 
 T = TypeVar("T")
@@ -35,13 +36,13 @@ class Timing:
         command_latency_s: time from a law's command to the robot's new setpoint [s].
     """
 
-    exposure_s: Annotated[float, Ge(0)] = 0.0
+    exposure_s: Time = 0.0
     exposure_pictures: Annotated[int, Ge(3), Le(999)] = 9
     jitter: Literal["uniform", "normal"] = "uniform"
-    exposure_jitter_s: Annotated[float, Ge(0)] = 0.0
-    latency_jitter_s: Annotated[float, Ge(0), Le(60)] = 0.0
+    exposure_jitter_s: Time = 0.0
+    latency_jitter_s: Annotated[Time, Narrower(le=60)] = 0.0
     drop_probability: Annotated[float, Ge(0), Lt(1)] = 0.0
-    command_latency_s: Annotated[float, Ge(0), Le(60)] = 0.0
+    command_latency_s: Annotated[Time, Narrower(le=60)] = 0.0
 
     @property
     def draws(self) -> bool:

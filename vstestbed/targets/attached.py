@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated, ClassVar, Literal
 
-from annotated_types import Gt, Le
-
 from vstestbed.core.geometry import Array
 from vstestbed.core.planar import pose_on_ground
+from vstestbed.core.quantity import Length, Narrower, PositiveSpeed
 from vstestbed.core.spec import OneOf, spec
 from vstestbed.targets.motion import OWN_MOTIONS, MotionBase
 from vstestbed.targets.route import AnyRoute
@@ -30,8 +29,8 @@ class Carried(MotionBase):
     by: Literal["car", "omni"] = "car"
     route: AnyRoute
     # 3 m/s is the largest speed limit that a car may have (`CarLimits`).
-    speed_mps: Annotated[float, Gt(0), Le(3)] = 0.5
-    from_m: float = 0.0
+    speed_mps: Annotated[PositiveSpeed, Narrower(le=3)] = 0.5
+    from_m: Length = 0.0
     by_itself: ClassVar[bool] = False
 
     @property

@@ -11,9 +11,9 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, ClassVar, Protocol
 
 import numpy as np
-from annotated_types import Gt
 
 from vstestbed.core.geometry import Array, Pose, inverse, transform
+from vstestbed.core.quantity import Mass, PositiveLength
 from vstestbed.core.spec import spec
 from vstestbed.targets.attached import MOTIONS
 from vstestbed.targets.markers import MARKERS, Disc, Marker
@@ -30,8 +30,8 @@ class Pad:
         mass: what a vehicle that carries it has to bear [kg]; by default that of an aluminium honeycomb, 4 kg/m^2.
     """
 
-    side: Annotated[float, Gt(0)] = 0.9
-    mass: Annotated[float, Gt(0)] | None = None
+    side: PositiveLength = 0.9
+    mass: Mass | None = None
 
     @property
     def weight(self) -> float:

@@ -13,6 +13,7 @@ from annotated_types import Len
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, inverse, transform
 from vstestbed.core.planar import pose_on_ground
+from vstestbed.core.quantity import Length
 from vstestbed.core.spec import spec
 from vstestbed.targets.base import Target
 from vstestbed.targets.markers import Stripe
@@ -56,8 +57,8 @@ class GroundLines(Target):
     pose: Pose = Pose()
     marker: Stripe = Stripe()
     route: AnyRoute
-    offsets_m: Annotated[tuple[float, ...], Len(1, 2)] = (0.0,)
-    look_m: Annotated[tuple[float, ...], Len(2, 2)] = (0.1, 0.3)
+    offsets_m: Annotated[tuple[Length, ...], Len(1, 2)] = (0.0,)
+    look_m: Annotated[tuple[Length, ...], Len(2, 2)] = (0.1, 0.3)
 
     def __post_init__(self) -> None:
         """Refuse lines off the floor, lines that touch, and lines that fold over themselves."""

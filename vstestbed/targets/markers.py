@@ -6,13 +6,13 @@ import math
 from typing import Annotated, Literal, Protocol
 
 import numpy as np
-from annotated_types import Ge, Gt, Le
+from annotated_types import Ge, Lt
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
+from vstestbed.core.quantity import Narrower, PositiveLength
 from vstestbed.core.spec import OneOf, spec
 
-Radius = Annotated[float, Gt(0)]
 HALF_THICKNESS_M = 1e-4
 """Half height of a flat marker [m]: its front face lies at z = 0 of the target frame, its rim adds under 0.02 px at 1 m."""
 Solid = tuple[Literal["cylinder", "sphere", "box"], tuple[float, float, float]]
@@ -85,7 +85,7 @@ class Disc(Flat):
     """A flat disc in the target's plane; radius [m]. Lit: shaded by the scene's lights, else of constant colour."""
 
     kind: Literal["disc"] = "disc"
-    radius: Radius = 0.02
+    radius: PositiveLength = 0.02
     lit: bool = True
 
     @property
@@ -103,7 +103,7 @@ class Sphere(Flat):
     """A ball round the marker point; radius [m]."""
 
     kind: Literal["sphere"] = "sphere"
-    radius: Radius = 0.02
+    radius: PositiveLength = 0.02
     lit: bool = True
 
     @property
@@ -166,8 +166,8 @@ class Tag(Flat):
 
     kind: Literal["tag"] = "tag"
     family: Family = "apriltag_36h11"
-    size: Annotated[float, Gt(0)] = 0.1
-    first_id: Annotated[int, Ge(0)] = 0
+    size: PositiveLength = 0.1
+    first_id: Annotated[int, Ge(0), Lt(2320)] = 0
     lit: bool = True
 
     @property
@@ -229,7 +229,7 @@ class Stripe(Flat):
     """Paint along a line on the floor, `width_m` wide [m]. Lit: shaded by the scene's lights, else of constant colour."""
 
     kind: Literal["stripe"] = "stripe"
-    width_m: Annotated[float, Gt(0), Le(1)] = 0.03
+    width_m: Annotated[PositiveLength, Narrower(le=1)] = 0.03
     lit: bool = True
 
     @property

@@ -7,19 +7,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Annotated, Any, ClassVar, Literal, Protocol
+from typing import Any, ClassVar, Literal, Protocol
 
 import numpy as np
-from annotated_types import Ge, Gt
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.geometry import Array, Pose, Triple, rotation_from_rpy
+from vstestbed.core.geometry import Array, Pose, rotation_from_rpy
+from vstestbed.core.quantity import Angle, Angles, Frequencies, Frequency, Position, PositiveLength, PositiveTime, Time, Velocity
 from vstestbed.core.spec import OneOf, spec
 from vstestbed.targets.route import Route
 
 Path = Callable[[float], Array]
 """Displacement (4, 4) at a time [s]."""
-Frequency = Annotated[float, Gt(0)]
 
 
 def _shift(x: float, y: float, z: float) -> Array:
@@ -108,9 +107,9 @@ class Line(MotionBase):
     """
 
     kind: Literal["line"] = "line"
-    velocity_mps: Triple
-    from_s: Annotated[float, Ge(0)] = 0.0
-    until_s: Annotated[float, Gt(0)] = 1e9
+    velocity_mps: Velocity
+    from_s: Time = 0.0
+    until_s: PositiveTime = 1e9
 
     def path(self, rng: np.random.Generator) -> Path:
         """The displacement as a function of time."""
@@ -127,9 +126,9 @@ class Circle(MotionBase):
     """
 
     kind: Literal["circle"] = "circle"
-    radius_m: Annotated[float, Gt(0)]
+    radius_m: PositiveLength
     frequency_hz: Frequency
-    phase_deg: float = 0.0
+    phase_deg: Angle = 0.0
 
     def path(self, rng: np.random.Generator) -> Path:
         """The displacement as a function of time."""
@@ -174,9 +173,9 @@ class Lissajous(MotionBase):
     """
 
     kind: Literal["lissajous"] = "lissajous"
-    amplitude_m: Triple
-    frequency_hz: Triple
-    phase_deg: Triple = (0.0, 0.0, 0.0)
+    amplitude_m: Position
+    frequency_hz: Frequencies
+    phase_deg: Angles = (0.0, 0.0, 0.0)
 
     def path(self, rng: np.random.Generator) -> Path:
         """The displacement as a function of time."""
@@ -206,7 +205,7 @@ class RandomWalk(MotionBase):
     """
 
     kind: Literal["random_walk"] = "random_walk"
-    rms_m: Triple
+    rms_m: Position
     corner_hz: Frequency = 0.2
 
     def path(self, rng: np.random.Generator) -> Path:

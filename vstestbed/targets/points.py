@@ -6,9 +6,10 @@ from functools import cached_property
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from annotated_types import Gt, Len
+from annotated_types import Len
 
-from vstestbed.core.geometry import Array, Triple
+from vstestbed.core.geometry import Array
+from vstestbed.core.quantity import Position, PositiveLength
 from vstestbed.core.spec import spec
 from vstestbed.targets.base import Target
 
@@ -21,7 +22,7 @@ class Square(Target):
     """Four markers at the corners of a square in z = 0: (-,-), (+,-), (+,+), (-,+) times side/2."""
 
     kind: Literal["square"] = "square"
-    side: Annotated[float, Gt(0)]
+    side: PositiveLength
     one_sided: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
@@ -45,7 +46,7 @@ class Points(Target):
     """Markers at any places: `at`, a list of [x, y, z] in the target frame [m]."""
 
     kind: Literal["points"] = "points"
-    at: Annotated[tuple[Triple, ...], Len(1, 24)]
+    at: Annotated[tuple[Position, ...], Len(1, 24)]
 
     def __post_init__(self) -> None:
         """Refuse markers that overlap, and numbers that no tag has."""

@@ -8,15 +8,19 @@ from functools import cached_property
 from typing import Annotated, Literal
 
 import numpy as np
-from annotated_types import Ge, Gt, Le, Len
+from annotated_types import Len
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.planar import GroundPose
+from vstestbed.core.quantity import Angle, Length, Narrower, PositiveLength
 from vstestbed.core.spec import OneOf, spec
 
 SPACING_M = 0.01
 """Distance between the samples of a route [m]. Linear interpolation between them misses a bend of 1 m radius by 12.5 um."""
+
+LONGEST_M = 10_000.0
+"""Longest track [m]: its table has a million samples."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +133,7 @@ class Straight(Route):
     """An endless straight route; `length_m` is the part of it that is painted, drawn and framed."""
 
     kind: Literal["straight"] = "straight"
-    length_m: Annotated[float, Gt(0), Le(1000)] = 10.0
+    length_m: PositiveLength = 10.0
 
     @property
     def closed(self) -> bool:
@@ -145,7 +149,7 @@ class CircularRoute(Route):
     """A circle to the left (`radius_m` negative: to the right)."""
 
     kind: Literal["circle"] = "circle"
-    radius_m: float = 3.0
+    radius_m: Length = 3.0
 
     def __post_init__(self) -> None:
         """Refuse a radius near 0."""
@@ -170,8 +174,8 @@ class FigureEight(Route):
     """
 
     kind: Literal["figure_eight"] = "figure_eight"
-    length_m: Annotated[float, Gt(0), Le(1000)] = 10.0
-    width_m: Annotated[float, Gt(0), Le(1000)] = 5.0
+    length_m: PositiveLength = 10.0
+    width_m: PositiveLength = 5.0
 
     @property
     def closed(self) -> bool:
@@ -199,9 +203,9 @@ class FigureEight(Route):
 class Piece:
     """A piece of a track: straight for `length_m`, or a bend by `turn_deg` (positive: to the left) of `radius_m`."""
 
-    length_m: Annotated[float, Gt(0), Le(1000)] | None = None
-    turn_deg: Annotated[float, Ge(-720), Le(720)] | None = None
-    radius_m: Annotated[float, Gt(0), Le(1000)] | None = None
+    length_m: PositiveLength | None = None
+    turn_deg: Annotated[Angle, Narrower(ge=-720, le=720)] | None = None
+    radius_m: PositiveLength | None = None
 
     def __post_init__(self) -> None:
         """Refuse a piece that is neither, or both."""
@@ -225,6 +229,12 @@ class Track(Route):
     kind: Literal["track"] = "track"
     pieces: Annotated[tuple[Piece, ...], Len(1, 100)]
 
+    def __post_init__(self) -> None:
+        """Refuse a track whose table would be too large."""
+        length = sum(piece.length_and_curvature[0] for piece in self.pieces)
+        if length > LONGEST_M:
+            raise ParameterError("pieces", f"are {length:.5g} m long together; {LONGEST_M:g} m are the most")
+
     @property
     def closed(self) -> bool:
         """Whether place and heading at its end are those at its start, within 1 mm and 1/1000 of a turn."""
@@ -242,18 +252,18 @@ class Track(Route):
 
 def _joined(pieces: list[tuple[float, float]]) -> Samples:
     """The table of arcs (length, curvature) one after another, from the origin along x; exact at each sample."""
-    s, xy, heading, curvature = [0.0], [np.zeros(2)], [0.0], [pieces[0][1]]
+    s, xy, heading, curvature = [np.zeros(1)], [np.zeros((1, 2))], [np.zeros(1)], [np.full(1, pieces[0][1])]
     for length, k in pieces:
         u = np.linspace(0.0, length, max(1, round(length / SPACING_M)) + 1)[1:]
         # Chord u sinc(k u / 2) at half the turned angle: exact for an arc, and for a straight piece, k = 0, without a division by it.
         half = k * u / 2
         chord = u * np.sinc(half / np.pi)
-        h0 = heading[-1]
-        xy.extend(xy[-1] + np.stack([chord * np.cos(h0 + half), chord * np.sin(h0 + half)], axis=1))
-        heading.extend(h0 + k * u)
-        s.extend(s[-1] + u)
-        curvature.extend([k] * len(u))
-    return Samples(np.array(s), np.array(xy), np.array(heading), np.array(curvature))
+        h0 = heading[-1][-1]
+        xy.append(xy[-1][-1] + np.stack([chord * np.cos(h0 + half), chord * np.sin(h0 + half)], axis=1))
+        heading.append(h0 + k * u)
+        s.append(s[-1][-1] + u)
+        curvature.append(np.full(len(u), k))
+    return Samples(np.concatenate(s), np.concatenate(xy), np.concatenate(heading), np.concatenate(curvature))
 
 
 ROUTES = OneOf("route", Straight, CircularRoute, FigureEight, Track)

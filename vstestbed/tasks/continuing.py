@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
-from annotated_types import Ge, Gt
 
 from vstestbed.core.geometry import Array
 from vstestbed.core.outcome import Outcome, Verdict
+from vstestbed.core.quantity import PositiveLength, Time
 from vstestbed.robots.supervisor import Supervisor
 from vstestbed.tasks.base import Log, TaskBase
 from vstestbed.tasks.frame import Frame
@@ -18,8 +18,8 @@ from vstestbed.tasks.setup import Setup
 from vstestbed.tasks.speed_monitor import MinSpeed, SpeedMonitor
 from vstestbed.tasks.stop import Stop
 
-Tolerance = Annotated[float, Gt(0)]
-Settle = Annotated[float, Ge(0)]
+Tolerance = PositiveLength
+Settle = Time
 
 
 class Odometer(Protocol):

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Annotated, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
-from annotated_types import Gt
 
 from vstestbed.camera import Camera
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, inverse
 from vstestbed.core.planar import pose_on_ground
+from vstestbed.core.quantity import PositiveLength
 from vstestbed.core.spec import spec
 from vstestbed.features.observation import Goal
 from vstestbed.robots import VEHICLES, Robot
@@ -41,7 +41,7 @@ class GoalGap(Continuing):
     """
 
     kind: Literal["gap"] = "gap"
-    gap_m: Annotated[float, Gt(0)]
+    gap_m: PositiveLength
     band_m: Tolerance | None = None
     settle_s: Settle = 8.0
     asks: ClassVar[str] = "gap"

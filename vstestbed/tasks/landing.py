@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, ClassVar, Literal, NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
-from annotated_types import Gt
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, rotation_angle
 from vstestbed.core.outcome import Outcome, Verdict
+from vstestbed.core.quantity import PositiveAngle, PositiveLength, PositiveSpeed
 from vstestbed.core.spec import spec
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.robots.base import Base
@@ -49,12 +49,12 @@ class GoalLanding(TaskBase):
 
     kind: Literal["landing"] = "landing"
     above: Pose
-    descend_mps: Annotated[float, Gt(0)] = 0.3
-    within_m: Annotated[float, Gt(0)] = 0.15
-    within_deg: Annotated[float, Gt(0)] = 15.0
-    commit_m: Annotated[float, Gt(0)] = 0.4
-    pad_m: Annotated[float, Gt(0)] = 0.2
-    touch_mps: Annotated[float, Gt(0)] = 0.5
+    descend_mps: PositiveSpeed = 0.3
+    within_m: PositiveLength = 0.15
+    within_deg: PositiveAngle = 15.0
+    commit_m: PositiveLength = 0.4
+    pad_m: PositiveLength = 0.2
+    touch_mps: PositiveSpeed = 0.5
     asks: ClassVar[str] = "landing"
     bases: ClassVar[frozenset[Base]] = frozenset({"floating"})
     lands: ClassVar[bool] = True

@@ -10,6 +10,7 @@ import numpy as np
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, inverse
 from vstestbed.core.planar import place_of
+from vstestbed.core.quantity import Length
 from vstestbed.core.spec import spec
 from vstestbed.features.observation import Goal
 from vstestbed.laws import Law
@@ -36,7 +37,7 @@ class GoalLine(Continuing):
     """
 
     kind: Literal["line"] = "line"
-    offset_m: float = 0.0
+    offset_m: Length = 0.0
     band_m: Tolerance = 0.05
     settle_s: Settle = 5.0
     asks: ClassVar[str] = "line"

@@ -8,9 +8,10 @@ from itertools import pairwise
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from annotated_types import Ge, Gt, Len
+from annotated_types import Len
 
 from vstestbed.core.geometry import Array, exp, inverse, rotation_angle
+from vstestbed.core.quantity import PositiveRateDeg, PositiveSpeed, Time
 from vstestbed.core.spec import spec
 from vstestbed.features import ThetaU
 from vstestbed.features.observation import Goal, Observation
@@ -51,9 +52,9 @@ class GoalPath(Continuing):
 
     kind: Literal["path"] = "path"
     way: Annotated[tuple[GoalView, ...], Len(2, 100)]
-    speed_mps: Annotated[float, Gt(0)] = 0.5
-    turn_degps: Annotated[float, Gt(0)] = 20.0
-    lead_s: Annotated[float, Ge(0)] = 0.5
+    speed_mps: PositiveSpeed = 0.5
+    turn_degps: PositiveRateDeg = 20.0
+    lead_s: Time = 0.5
     band_m: Tolerance = 0.15
     settle_s: Settle = 10.0
     asks: ClassVar[str] = "path"

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated
 
-from annotated_types import Ge, Gt
-
+from vstestbed.core.quantity import Duration, PositiveAngle, PositiveLength, PositivePixels, Time
 from vstestbed.core.spec import spec
 
 
@@ -21,10 +19,10 @@ class Converged:
         hold_s: how long all conditions must hold [s].
     """
 
-    error_px: Annotated[float, Gt(0)] | None = None
-    position_m: Annotated[float, Gt(0)] | None = None
-    rotation_deg: Annotated[float, Gt(0)] | None = None
-    hold_s: Annotated[float, Ge(0)] = 0.5
+    error_px: PositivePixels | None = None
+    position_m: PositiveLength | None = None
+    rotation_deg: PositiveAngle | None = None
+    hold_s: Time = 0.5
 
     def __post_init__(self) -> None:
         """Without a condition, 0.2 px."""
@@ -58,11 +56,11 @@ class Stop:
     """End of a run.
 
     Args:
-        duration_s: simulated time after which the run times out [s].
+        duration_s: simulated time after which the run times out [s]; at most a day.
         converged: when the goal counts as reached.
         lost_after_s: longest time without sight of the target [s].
     """
 
-    duration_s: Annotated[float, Gt(0)] = 30.0
+    duration_s: Duration = 30.0
     converged: Converged = Converged()
-    lost_after_s: Annotated[float, Ge(0)] = 1.0
+    lost_after_s: Time = 1.0

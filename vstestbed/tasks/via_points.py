@@ -6,10 +6,11 @@ from dataclasses import replace
 from typing import Annotated, Literal
 
 import numpy as np
-from annotated_types import Gt, Len
+from annotated_types import Len
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, inverse, pose_from
+from vstestbed.core.quantity import PositivePixels
 from vstestbed.core.spec import spec
 from vstestbed.features.observation import Goal
 from vstestbed.robots import Robot
@@ -31,7 +32,7 @@ class GoalViews(TaskBase):
 
     kind: Literal["views"] = "views"
     views: Annotated[tuple[Annotated[GoalView | GoalViewFrom, VIEWS], ...], Len(1, 100)]
-    threshold_px: Annotated[float, Gt(0)] = 10.0
+    threshold_px: PositivePixels = 10.0
 
     def __post_init__(self) -> None:
         """Refuse a single view."""

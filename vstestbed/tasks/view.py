@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from annotated_types import Ge, Len
+from annotated_types import Ge, Len, Lt
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, inverse
@@ -32,7 +32,7 @@ class GoalView(TaskBase):
 
     kind: Literal["view"] = "view"
     T_camera_target: Pose
-    markers: Annotated[tuple[Annotated[int, Ge(0)], ...], Len(1, 24)] | None = None
+    markers: Annotated[tuple[Annotated[int, Ge(0), Lt(24)], ...], Len(1, 24)] | None = None
 
     def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]:
         """The pose, whatever the mount."""

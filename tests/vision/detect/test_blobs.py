@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from tests.vision.conftest import TakePicture
 from tests.vision.parts import in_windows
-from vstestbed.camera import Perspective, Picture
+from vstestbed.camera import Camera, Catadioptric, Perspective, Picture
 from vstestbed.core.geometry import Array, Pose, exp, inverse, rigid_error, transform
 from vstestbed.targets.base import Target
 from vstestbed.targets.markers import Disc, Marker, Sphere
@@ -42,7 +42,7 @@ def _poses(n: int) -> list[Array]:
     return [_tilted(d[0], d[1], d[2], (d[3], d[4], d[5])) for d in draws]
 
 
-def _detect(frame: Picture, target: Target, blobs: Blobs | None = None, camera: Perspective = CAMERA) -> Detection:
+def _detect(frame: Picture, target: Target, blobs: Blobs | None = None, camera: Camera = CAMERA) -> Detection:
     blobs = blobs or Blobs()
     return blobs.detect(blobs.init(), frame, None, camera, target, RNG)[1]
 
@@ -291,10 +291,10 @@ def test_marker_that_leaves_the_picture_and_comes_back(picture: TakePicture) -> 
 # Drawn pictures
 
 
-def _drawn(centres: Array, colors: Array, radius: float) -> NDArray[np.uint8]:
+def _drawn(centres: Array, colors: Array, radius: float, camera: Camera = CAMERA) -> NDArray[np.uint8]:
     """Discs whose pixels are those with their centres inside, on grey."""
-    image = np.full((CAMERA.height, CAMERA.width, 3), 110, np.uint8)
-    v, u = np.mgrid[: CAMERA.height, : CAMERA.width]
+    image = np.full((camera.height, camera.width, 3), 110, np.uint8)
+    v, u = np.mgrid[: camera.height, : camera.width]
     for (cu, cv), color in zip(centres, colors, strict=True):
         image[(u - cu) ** 2 + (v - cv) ** 2 <= radius**2] = np.round(255 * color)
     return image
@@ -405,3 +405,14 @@ def test_grey_pictures_hold_no_markers() -> None:
     assert not found.seen.any()
     assert memory.blobs == (None,) * 4
     assert memory.T_camera_target is None
+
+
+def test_what_a_mirror_camera_cannot_see_is_no_marker() -> None:
+    """Noise made blobs outside of the image circle, whose rays are unknown: with two of a hue, the search for a pose failed."""
+    lens, target = Catadioptric(width=400, height=400, fov_deg=200), _square(Sphere(), 1.0)
+    uv = lens.project(target.points + [0, 0, 1.0])
+    corners = np.array([[15.0, 15], [385, 15], [385, 385], [15, 385]])
+    assert np.isfinite(lens.ray(uv)).all() and np.isnan(lens.ray(corners)).all()
+    both = _drawn(np.vstack([uv, corners]), np.vstack([target.colors, target.colors]), 6.0, lens)
+    found = _detect(Picture(t=0.0, images=(both,)), target, Blobs(correct_centre=False), lens)
+    assert np.isfinite(found.uv).any() and np.nanmax(np.abs(found.uv - uv)) < 0.5  # a corner would be 150 px off

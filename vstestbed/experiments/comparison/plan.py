@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
-from annotated_types import Ge, Len
+from annotated_types import Ge, Le, Len
 
 from vstestbed.core.assets import bundled_comparisons
 from vstestbed.core.errors import ParameterError, ScenarioError
@@ -52,7 +52,7 @@ class Comparison:
     cases: dict[str, dict[str, dict[str, Any]]] = field(default_factory=dict)
     axes: dict[str, tuple[Any, ...]] = field(default_factory=dict)
     tasks: dict[str, StartTable] = field(default_factory=dict)
-    seeds: Annotated[int, Ge(1)] | None = None
+    seeds: Annotated[int, Ge(1), Le(1_000_000)] | None = None
     metrics: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import field
 from typing import Annotated, Any
 
-from annotated_types import Ge
+from annotated_types import Ge, Le
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.spec import spec
@@ -26,7 +26,7 @@ class StartTable:
 
     set: dict[str, Any] = field(default_factory=dict)
     each: dict[str, tuple[Any, ...]] = field(default_factory=dict)
-    seeds: Annotated[int, Ge(1)] | None = None
+    seeds: Annotated[int, Ge(1), Le(1_000_000)] | None = None
     amounts: tuple[float, ...] = ()
     unit: str = ""
 

@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
-from annotated_types import Ge, Gt, Lt
+from annotated_types import Ge, Lt
 
 from vstestbed.camera import Image, Picture
+from vstestbed.core.quantity import PositiveTime
 from vstestbed.core.spec import spec
 
 
@@ -31,7 +32,7 @@ class Drift:
 
     brightness: Annotated[float, Ge(0), Lt(1)] = 0.0
     color: Annotated[float, Ge(0), Lt(1)] = 0.0
-    period_s: Annotated[float, Gt(0)] = 10.0
+    period_s: PositiveTime = 10.0
 
     def gains(self, t: float) -> tuple[float, float, float]:
         """Gains of red, green and blue at time t [s]."""

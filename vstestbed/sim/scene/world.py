@@ -7,10 +7,11 @@ import math
 from typing import Annotated
 
 import numpy as np
-from annotated_types import Ge, Gt, Le, Len, Lt
+from annotated_types import Ge, Len, Lt
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.geometry import Array, Pose, Triple
+from vstestbed.core.geometry import Array, Pose
+from vstestbed.core.quantity import Length, Narrower, Position, PositiveGain, PositiveLength, PositiveTime, Speed, Time, Velocity
 from vstestbed.core.spec import spec
 from vstestbed.targets.motion import PLATE_MOTIONS, MotionBase, Path, Still
 
@@ -28,10 +29,10 @@ class Plate:
 
     pose: Pose
     motion: Annotated[MotionBase, PLATE_MOTIONS] = Still()
-    width: Annotated[float, Gt(0)] = 0.5
-    height: Annotated[float, Gt(0)] = 0.5
-    from_s: Annotated[float, Ge(0)] = 0.0
-    until_s: Annotated[float, Gt(0)] = 1e9
+    width: PositiveLength = 0.5
+    height: PositiveLength = 0.5
+    from_s: Time = 0.0
+    until_s: PositiveTime = 1e9
 
     def __post_init__(self) -> None:
         """Refuse an empty interval of time."""
@@ -50,9 +51,9 @@ class Gust:
     Reference: MIL-F-8785C 1980, section 3.7.1.3 (a whole period of it).
     """
 
-    from_s: Annotated[float, Ge(0)]
-    duration_s: Annotated[float, Gt(0)] = 3.0
-    velocity_mps: Triple = (5.0, 0.0, 0.0)
+    from_s: Time
+    duration_s: PositiveTime = 3.0
+    velocity_mps: Velocity = (5.0, 0.0, 0.0)
 
     def at(self, t: float) -> Array:
         """Its velocity (3,) at a time [s]."""
@@ -73,10 +74,10 @@ class Wind:
     Reference: Dryden's spectra as in MIL-F-8785C 1980; a hovering craft meets the longitudinal one at V = 0 only by the mean wind.
     """
 
-    mean_mps: Triple = (0.0, 0.0, 0.0)
+    mean_mps: Velocity = (0.0, 0.0, 0.0)
     gusts: Annotated[tuple[Gust, ...], Len(0, 100)] = ()
-    turbulence_mps: Annotated[float, Ge(0)] = 0.0
-    turbulence_s: Annotated[float, Gt(0)] = 1.0
+    turbulence_mps: Speed = 0.0
+    turbulence_s: PositiveTime = 1.0
 
     @property
     def still(self) -> bool:
@@ -96,8 +97,8 @@ class Decoy:
         xyz: position [m]. radius: [m]. hue_deg: hue; markers have 0, 360/n, ... [deg]. motion: displacement from there.
     """
 
-    xyz: Triple
-    radius: Annotated[float, Gt(0)] = 0.02
+    xyz: Position
+    radius: PositiveLength = 0.02
     hue_deg: Annotated[float, Ge(0), Lt(360)] = 0.0
     motion: Annotated[MotionBase, PLATE_MOTIONS] = Still()
 
@@ -119,10 +120,10 @@ class World:
         wind: acts on flying craft.
     """
 
-    floor_z: float = 0.0
-    floor_friction: Annotated[float, Gt(0), Le(10)] | None = None
-    plates: tuple[Plate, ...] = ()
-    decoys: tuple[Decoy, ...] = ()
+    floor_z: Length = 0.0
+    floor_friction: Annotated[PositiveGain, Narrower(le=10)] | None = None
+    plates: Annotated[tuple[Plate, ...], Len(0, 100)] = ()
+    decoys: Annotated[tuple[Decoy, ...], Len(0, 100)] = ()
     wind: Wind = Wind()
 
 

@@ -10,6 +10,7 @@ from annotated_types import Ge, Gt, Le, Lt
 
 from vstestbed.camera import Camera, Look, Picture, Window
 from vstestbed.core.errors import ParameterError
+from vstestbed.core.quantity import Narrower, Pixels, PositiveAngle
 from vstestbed.core.spec import spec
 from vstestbed.targets.base import Target
 from vstestbed.vision.base import Detection, TruthView
@@ -62,12 +63,12 @@ class Blobs:
 
     kind: Literal["blobs"] = "blobs"
     chroma: Annotated[int, Ge(1), Lt(255)] = 60
-    hue_tolerance_deg: Annotated[float, Gt(0), Le(180)] = 15.0
-    least_area_px: Annotated[float, Ge(1)] = 9.0
+    hue_tolerance_deg: Annotated[PositiveAngle, Narrower(le=180)] = 15.0
+    least_area_px: Annotated[Pixels, Narrower(ge=1)] = 9.0
     moments: Literal["binary", "grey"] = "grey"
     correct_centre: bool = True
     area_tolerance: Annotated[float, Gt(0), Lt(1)] = 0.06
-    window_margin_px: Annotated[int, Ge(2)] = 8
+    window_margin_px: Annotated[int, Ge(2), Le(8192)] = 8
     needs_image: ClassVar[bool] = True
     needs_truth: ClassVar[bool] = False
     markers: ClassVar[tuple[str, ...]] = ("disc", "sphere")
@@ -109,9 +110,14 @@ class Blobs:
         return after, Detection(uv=uv, T_camera_target=T)
 
     def _blobs_in(self, image: Image, window: Window, noise: float, lens: Camera) -> list[Blob]:
-        """All blobs in a window of one panel's image."""
+        """All blobs in a window of one panel's image, in directions that its lens sees."""
         rim: Rim = self.moments if _smooth(lens) or (noise > 0 and self.moments == "binary") else "sharp"
-        return find_blobs(image, window, self.chroma, self.least_area_px, rim, noise)
+        found = find_blobs(image, window, self.chroma, self.least_area_px, rim, noise)
+        if not found:
+            return found
+        # Noise makes blobs outside of a wide lens's image circle, too, where a pixel has no ray.
+        seen = np.isfinite(lens.ray(np.array([(blob.u, blob.v) for blob in found]))[:, 0])
+        return [blob for blob, is_seen in zip(found, seen.tolist(), strict=True) if is_seen]
 
     def _track(self, picture: Picture, noise: list[float], memory: BlobsMemory, camera: Camera, target: Target) -> list[Found] | None:
         """Each marker's blob from a window of its own; None where one is lost and the whole image must be searched."""

@@ -8,12 +8,13 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import cv2
 import numpy as np
-from annotated_types import Ge, Gt, Le, Lt
+from annotated_types import Ge, Gt, Lt
 from numpy.typing import NDArray
 
 from vstestbed.camera import Camera, Image, Look, Picture, Window
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
+from vstestbed.core.quantity import Narrower, PositiveAngle, PositiveLength
 from vstestbed.core.spec import spec
 from vstestbed.targets.base import Target
 from vstestbed.targets.ground_lines import GroundLines, on_foot
@@ -91,8 +92,8 @@ class Lines:
 
     kind: Literal["lines"] = "lines"
     chroma: Annotated[int, Ge(1), Lt(255)] = 60
-    hue_tolerance_deg: Annotated[float, Gt(0), Le(180)] = 30.0
-    reach_m: Annotated[float, Gt(0), Le(10)] = 0.7
+    hue_tolerance_deg: Annotated[PositiveAngle, Narrower(le=180)] = 30.0
+    reach_m: Annotated[PositiveLength, Narrower(le=10)] = 0.7
     width_tolerance: Annotated[float, Gt(0), Lt(1)] = 0.4
     needs_image: ClassVar[bool] = True
     needs_truth: ClassVar[bool] = False

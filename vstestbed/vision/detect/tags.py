@@ -14,6 +14,7 @@ from annotated_types import Ge, Gt, Le, Lt
 from vstestbed.camera import Camera, Look, Picture, Window
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
+from vstestbed.core.quantity import PositivePixels
 from vstestbed.core.spec import spec
 from vstestbed.targets.base import Target
 from vstestbed.targets.markers import Tag
@@ -66,10 +67,10 @@ class Tags:
     """
 
     kind: Literal["tags"] = "tags"
-    astray_px: Annotated[float, Gt(0)] = 1.0
+    astray_px: PositivePixels = 1.0
     misread: Annotated[int, Ge(0), Le(3)] = 0
     contrast: Annotated[float, Gt(0), Lt(1)] = 0.4
-    window_margin_px: Annotated[int, Ge(2)] = 8
+    window_margin_px: Annotated[int, Ge(2), Le(8192)] = 8
     needs_image: ClassVar[bool] = True
     needs_truth: ClassVar[bool] = False
     markers: ClassVar[tuple[str, ...]] = ("tag",)
