@@ -6,7 +6,7 @@ from functools import cache
 from typing import Annotated, Any
 
 import numpy as np
-from annotated_types import Ge, Lt
+from annotated_types import Ge, Le, Lt
 from numpy.typing import NDArray
 
 from vstestbed.core.geometry import Array
@@ -125,7 +125,7 @@ class Solve:
     """
 
     cutoff: Annotated[float, Ge(0), Lt(1)] = PINV_RCOND
-    damping: Annotated[float, Ge(0)] = 0.0
+    damping: Annotated[float, Ge(0), Le(1e3)] = 0.0
 
     def least_squares(self, A: Array, b: Array) -> Array:
         """The x (..., n) for A (..., m, n) and b (..., m); with the default parameters that of the function `least_squares`."""
