@@ -19,6 +19,7 @@ from vstestbed.core.outcome import Outcome
 from vstestbed.experiments.basin.batch import Batch, fly
 from vstestbed.experiments.basin.setup import BatchSetup, ideal, start_of, started_at
 from vstestbed.experiments.comparison import Comparison, controllers
+from vstestbed.experiments.comparison.plan import changed
 from vstestbed.loop.run import run
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.vision import Oracle
@@ -31,6 +32,9 @@ COORDINATES = ("x", "y", "z", "roll", "pitch", "yaw")
 about these axes [deg], R = Rz(yaw) Ry(pitch) Rx(roll)."""
 ON_AXIS_DEG = (12.0, 30.0, 72.0, 113.0)
 """Turns about the optical axis of the frontal, centred starts that every check includes: no random start is in that degenerate view."""
+
+MOST_STARTS = 4_000_000
+"""Starts that need no `--force`: one map of the largest `--n` (2000 x 2000), which takes some GB of memory."""
 
 
 @dataclass(frozen=True)
@@ -178,14 +182,26 @@ def starts(scenario: Scenario, x: Axis, y: Axis, at: Mapping[str, float]) -> Arr
     return inverse(T_goal_camera) @ T_goal_target
 
 
-def laws(comparison: Comparison, field_of_view: str | None = None) -> list[tuple[str, Scenario]]:
+def must_be_few_starts(comparison: Comparison, x: Axis, y: Axis, force: bool = False) -> None:
+    """Refuse maps of more than MOST_STARTS starts in all, unless by force.
+
+    Raises:
+        ParameterError: with the product of which the starts come.
+    """
+    maps = len(comparison.base) * math.prod(map(len, (comparison.cases | comparison.axes).values()))
+    if maps * x.n * y.n > MOST_STARTS and not force:
+        words = f"would make {maps:,} maps of {x.n} x {y.n} starts; more than {MOST_STARTS:,} starts in all need --force"
+        raise ParameterError("basin", words)
+
+
+def laws(comparison: Comparison, field_of_view: str | None = None, force: bool = False) -> list[tuple[str, Scenario]]:
     """The laws to be mapped: label and ideal scenario of every scenario with every case and varied value.
 
     Raises:
         ParameterError, ScenarioError: a batch cannot simulate one of them; or two differ only in what an ideal camera does not have.
     """
     found: list[tuple[str, Scenario]] = []
-    for c in controllers(replace(comparison, tasks={}, seeds=None)):
+    for c in controllers(changed(comparison, tasks={}, seeds=None), force):
         parts = [str(v) if name in comparison.cases else f"{name.split('.')[-1]}={v}" for name, v in c.values.items()]
         label = ", ".join(([c.scenario.name] if len(comparison.base) > 1 or not parts else []) + parts)
         scenario = ideal(c.scenario, field_of_view)
