@@ -73,7 +73,7 @@ def _holder(inode: int) -> str:
             _, kind, _, _, pid, place, *_ = line.split()
             if kind == "FLOCK" and place.endswith(f":{inode}") and int(pid) > 0:
                 words = Path(f"/proc/{pid}/cmdline").read_bytes().decode(errors="replace").split("\0")
-                return f"process {pid} ({shlex.join(words[:-1])[:120]})"
+                return f"process {pid} ({' '.join(shlex.join(words[:-1]).split())[:120]})"  # one line
     return "another process"
 
 
