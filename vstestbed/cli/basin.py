@@ -49,7 +49,8 @@ def basin(
     """From where each law reaches its goal, and why not from elsewhere: a map of ideal runs over two coordinates of the start."""
     from vstestbed.cli.compare import vary_of
     from vstestbed.core.folders import study_folder
-    from vstestbed.experiments.basin.maps import basins_of, laws, must_be_few_starts, write
+    from vstestbed.experiments.basin.maps import basins_of, laws, write
+    from vstestbed.experiments.basin.setup import must_be_few_starts
     from vstestbed.experiments.comparison import chosen
     from vstestbed.scenario.load import load_plugins
 
@@ -57,7 +58,7 @@ def basin(
     # mistakes on the command line are reported before the scenarios are loaded
     across, up, rest = _axis("--x", x, n), _axis("--y", y, n), _coordinates("--at", at or [])
     comparison = chosen(scenarios, settings_of(set_), vary_of(vary), None)
-    must_be_few_starts(comparison, across, up, force)
+    must_be_few_starts(comparison, n, force)
     found = laws(comparison, None if field_of_view is None else field_of_view.value, force)
     shown = not (quiet or as_json)
     with study_folder("basin", out) as folder:

@@ -33,9 +33,6 @@ about these axes [deg], R = Rz(yaw) Ry(pitch) Rx(roll)."""
 ON_AXIS_DEG = (12.0, 30.0, 72.0, 113.0)
 """Turns about the optical axis of the frontal, centred starts that every check includes: no random start is in that degenerate view."""
 
-MOST_STARTS = 4_000_000
-"""Starts that need no `--force`: one map of the largest `--n` (2000 x 2000), which takes some GB of memory."""
-
 
 @dataclass(frozen=True)
 class Axis:
@@ -180,18 +177,6 @@ def starts(scenario: Scenario, x: Axis, y: Axis, at: Mapping[str, float]) -> Arr
     T_goal_camera = np.zeros((len(place), 4, 4))
     T_goal_camera[:, :3, :3], T_goal_camera[:, :3, 3], T_goal_camera[:, 3, 3] = rotation_from_rpy(np.radians(place[:, 3:])), place[:, :3], 1
     return inverse(T_goal_camera) @ T_goal_target
-
-
-def must_be_few_starts(comparison: Comparison, x: Axis, y: Axis, force: bool = False) -> None:
-    """Refuse maps of more than MOST_STARTS starts in all, unless by force.
-
-    Raises:
-        ParameterError: with the product of which the starts come.
-    """
-    maps = len(comparison.base) * math.prod(map(len, (comparison.cases | comparison.axes).values()))
-    if maps * x.n * y.n > MOST_STARTS and not force:
-        words = f"would make {maps:,} maps of {x.n} x {y.n} starts; more than {MOST_STARTS:,} starts in all need --force"
-        raise ParameterError("basin", words)
 
 
 def laws(comparison: Comparison, field_of_view: str | None = None, force: bool = False) -> list[tuple[str, Scenario]]:

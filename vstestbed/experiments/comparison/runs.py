@@ -29,7 +29,7 @@ MOST_KEPT = 10_000
 """Controllers that are kept in memory (some 15 kB each); of more, each is loaded again when its turn comes."""
 
 
-class Setting(NamedTuple):
+class Placed(NamedTuple):
     """A value for a dotted path, and the positions of it and of what is inside it, by key relative to the path."""
 
     value: object
@@ -118,7 +118,7 @@ class Controllers(Lazy[Controller]):
         task = list(c.tasks)[varied[-1]] if c.tasks else None
         cases = {name: list(those)[place] for (name, those), place in zip(c.cases.items(), of_cases, strict=True)}
         axes = {
-            path: Setting(those[place], marks_under(("axes", path, place), c.places))
+            path: Placed(those[place], marks_under(("axes", path, place), c.places))
             for (path, those), place in zip(c.axes.items(), of_axes, strict=True)
         }
         blocks = [_settings(c, c.set, ("set",))]
@@ -137,8 +137,8 @@ class Controllers(Lazy[Controller]):
         return places[::-1]
 
 
-def _settings(c: Comparison, block: Mapping[str, object], key: Key) -> dict[str, Setting]:
-    return {path: Setting(value, marks_under((*key, path), c.places)) for path, value in block.items()}
+def _settings(c: Comparison, block: Mapping[str, object], key: Key) -> dict[str, Placed]:
+    return {path: Placed(value, marks_under((*key, path), c.places)) for path, value in block.items()}
 
 
 def controllers(comparison: Comparison, force: bool = False) -> Controllers:
@@ -180,7 +180,7 @@ def must_be_few(comparison: Comparison, force: bool = False) -> None:
 
 
 def _controller(
-    c: Comparison, base: int, settings: Mapping[str, Setting], values: Mapping[str, object], folder: str, task_name: str | None
+    c: Comparison, base: int, settings: Mapping[str, Placed], values: Mapping[str, object], folder: str, task_name: str | None
 ) -> Controller:
     name = c.base[base]
     if task_name is None:
@@ -195,13 +195,13 @@ def _controller(
     return Controller(starts[0], values, folder, _draws(starts[0]), starts, task.labels(), task.runs)
 
 
-def _starts(c: Comparison, name: str, task: StartTable) -> Iterator[dict[str, Setting]]:
+def _starts(c: Comparison, name: str, task: StartTable) -> Iterator[dict[str, Placed]]:
     """The settings of each run of a task with lists."""
     for i, one in enumerate(task.settings()):
-        yield {path: Setting(value, marks_under(("tasks", name, "each", path, i), c.places)) for path, value in one.items()}
+        yield {path: Placed(value, marks_under(("tasks", name, "each", path, i), c.places)) for path, value in one.items()}
 
 
-def _load(name: str, settings: Mapping[str, Setting]) -> Scenario:
+def _load(name: str, settings: Mapping[str, Placed]) -> Scenario:
     values = {path: setting.value for path, setting in settings.items()}
     return load(name, values, places={path: setting.marks for path, setting in settings.items()})
 
