@@ -1,14 +1,13 @@
-"""The command line: `run`, `render`, `report`, and the exit codes of all commands.
+"""The command line: `run`, `render`, `report`, and what starts all commands.
 
 Heavy imports are inside the functions: `--help` must answer within 0.4 s.
 """
 
 from __future__ import annotations
 
-import os
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NoReturn
@@ -19,8 +18,9 @@ from vstestbed.cli.basin import basins
 from vstestbed.cli.compare import comparing
 from vstestbed.cli.convergence import convergences
 from vstestbed.cli.delay import delays
+from vstestbed.cli.ending import GOAL_REACHED, INTERRUPTED, NOT_REACHED, STOPS, exit_code
 from vstestbed.cli.tools import Json, Plugins, load_scenario, tools
-from vstestbed.core.errors import ParameterError, RunFolderError, VstestbedError
+from vstestbed.core.errors import ParameterError, RunFolderError
 
 if TYPE_CHECKING:
     from vstestbed.loop.recording import Recording, Watcher
@@ -33,8 +33,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-GOAL_REACHED, BUG, BAD_INPUT, NOT_REACHED, INTERRUPTED = 0, 1, 2, 3, 130
-UsageMistake: type[Exception] = typer.BadParameter.__mro__[2]  # click.ClickException, also where typer brings a copy of click
 
 
 class FilmChoice(str, Enum):
@@ -93,7 +91,7 @@ def run(
 
 @contextmanager
 def _interrupts() -> Iterator[Watcher]:
-    """The first Ctrl-C (or SIGTERM) ends the run at the next frame, with a complete folder; the second one ends it at once."""
+    """The first Ctrl-C (SIGTERM, SIGHUP) ends the run at the next frame, with a complete folder; the second one ends it at once."""
     import signal
 
     class _Stop:
@@ -101,20 +99,23 @@ def _interrupts() -> Iterator[Watcher]:
 
         def ask(self, *_: object) -> None:
             self.asked = True
-            for number in numbers:  # the next signal has its usual effect
-                signal.signal(number, before[number])
+            for number, handler in before.items():  # the next signal has its usual effect
+                signal.signal(number, handler)
 
         def frame(self, frame: Frame) -> None:
             if self.asked:
                 raise KeyboardInterrupt  # inside the loop, which turns it into the outcome `interrupted`
 
-    stop, numbers = _Stop(), (signal.SIGINT, signal.SIGTERM)
-    before = {number: signal.signal(number, stop.ask) for number in numbers}
+    stop = _Stop()
+    # one that is ignored (`nohup`, `&` in a script) stays so
+    before = {number: handler for number in STOPS if (handler := signal.getsignal(number)) != signal.SIG_IGN}
+    for number in before:
+        signal.signal(number, stop.ask)
     try:
         yield stop
     finally:
-        for number in numbers:
-            signal.signal(number, before[number])
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _print_result(recording: Recording, folder: Path, films: str, as_json: bool, quiet: bool) -> None:
@@ -137,6 +138,7 @@ def render(
 ) -> None:
     """Film a recorded run again, from any camera, without simulating."""
     from vstestbed.cli.progress import show_notes
+    from vstestbed.core.folders import only_writer
     from vstestbed.loop.log_file import read_log
     from vstestbed.report.video.film import film_log
     from vstestbed.scenario.load import load, load_plugins
@@ -147,7 +149,9 @@ def render(
     scenario = load(run_dir / "scenario.yaml")
     log = read_log(run_dir, scenario)
     show_notes(not quiet)
-    film = film_log(scenario, log, camera, out or run_dir / f"{camera}.mp4", size_px)
+    path = out or run_dir / f"{camera}.mp4"
+    with only_writer(run_dir) if path.parent == run_dir else nullcontext():  # a film elsewhere changes nothing in the run's folder
+        film = film_log(scenario, log, camera, path, size_px)
     if film is None:
         raise ParameterError("RUN_DIR", "has a log without frames; there is nothing to film", str(run_dir))
     if not quiet:
@@ -175,16 +179,16 @@ def report(
     plugin: Plugins = None,
 ) -> None:
     """Write report.html again."""
+    from vstestbed.core.folders import only_writer
     from vstestbed.experiments.comparison import is_comparison, report_again
     from vstestbed.report import write_report
     from vstestbed.scenario.load import load_plugins
 
     load_plugins(plugin or [])
-    if is_comparison(folder):
-        page = report_again(folder)
-    else:
+    if not is_comparison(folder):
         _must_be_run(folder)
-        page = write_report(folder)
+    with only_writer(folder):
+        page = report_again(folder) if is_comparison(folder) else write_report(folder)
     if not quiet:
         typer.echo(str(page), err=True)
 
@@ -200,39 +204,4 @@ def main(argv: list[str] | None = None) -> NoReturn:
     """Run the command line and exit: 0 goal reached, 1 a bug, 2 bad input, 3 not reached, 4 environment, 130 interrupted."""
     arguments = sys.argv[1:] if argv is None else argv
     given = [argument for argument in arguments if argument != "--debug"]  # --debug may stand anywhere
-    sys.exit(_guarded(lambda: app(given, prog_name="vstestbed", standalone_mode=False), debug=len(given) < len(arguments)))
-
-
-def _guarded(command: Callable[[], object], debug: bool = False) -> int:
-    """Exit code of a command; errors of this package and of the usage become one message on standard error."""
-    try:
-        code = command()
-        sys.stdout.flush()
-        return code if isinstance(code, int) else GOAL_REACHED
-    except VstestbedError as error:
-        return _failed(error, debug)
-    except ImportError as error:  # the OpenGL bindings look for their driver when they are imported
-        from vstestbed.sim.render import gl_probe as gl
-
-        if (lack := gl.explain(error)) is None:
-            raise
-        return _failed(lack, debug)
-    except UsageMistake as error:
-        error.show()  # type: ignore[attr-defined] - a ClickException, which typer hands on untyped
-        return BAD_INPUT
-    except (typer.Abort, KeyboardInterrupt):
-        typer.echo("interrupted", err=True)
-        return INTERRUPTED
-    except (BrokenPipeError, SystemExit):  # the reader of the pipe has ended (`| head`); typer then exits by itself
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # discards the rest of the buffer
-        return GOAL_REACHED
-
-
-def _failed(error: VstestbedError, debug: bool) -> int:
-    if debug:
-        import traceback
-
-        traceback.print_exception(error)
-    else:
-        typer.echo(str(error), err=True)
-    return error.exit_code
+    sys.exit(exit_code(lambda: app(given, prog_name="vstestbed", standalone_mode=False), debug=len(given) < len(arguments)))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from vstestbed.cli.tools import Json, Plugins, settings_of
+from vstestbed.cli.tools import Force, Json, Plugins, settings_of
 from vstestbed.core.errors import ParameterError
 
 if TYPE_CHECKING:
@@ -41,25 +41,29 @@ def basin(
     ] = None,
     check: Annotated[int, typer.Option(min=0, help="So many random starts, and 4 frontal ones, also fly in the time loop of `run`.")] = 0,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of the results. [default: runs/basin/NUMBER]")] = None,
+    force: Force = False,
     as_json: Json = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No words.")] = False,
     plugin: Plugins = None,
 ) -> None:
     """From where each law reaches its goal, and why not from elsewhere: a map of ideal runs over two coordinates of the start."""
     from vstestbed.cli.compare import vary_of
-    from vstestbed.core.files import new_study_folder
+    from vstestbed.core.folders import study_folder
     from vstestbed.experiments.basin.maps import basins_of, laws, write
+    from vstestbed.experiments.basin.setup import must_be_few_starts
     from vstestbed.experiments.comparison import chosen
     from vstestbed.scenario.load import load_plugins
 
     load_plugins(plugin or [])
     # mistakes on the command line are reported before the scenarios are loaded
     across, up, rest = _axis("--x", x, n), _axis("--y", y, n), _coordinates("--at", at or [])
-    found = laws(chosen(scenarios, settings_of(set_), vary_of(vary), None), None if field_of_view is None else field_of_view.value)
-    folder = new_study_folder("basin", out)
+    comparison = chosen(scenarios, settings_of(set_), vary_of(vary), None)
+    must_be_few_starts(comparison, n, force)
+    found = laws(comparison, None if field_of_view is None else field_of_view.value, force)
     shown = not (quiet or as_json)
-    mapped = basins_of(found, across, up, rest, check, lambda one: typer.echo(_summary_text(one), err=True) if shown else None)
-    page = write(folder, mapped, shlex.join(["vstestbed", *sys.argv[1:]]) if len(sys.argv) > 1 else "")
+    with study_folder("basin", out) as folder:
+        mapped = basins_of(found, across, up, rest, check, lambda one: typer.echo(_summary_text(one), err=True) if shown else None)
+        page = write(folder, mapped, shlex.join(["vstestbed", *sys.argv[1:]]) if len(sys.argv) > 1 else "")
     if as_json:
         sys.stdout.write(json.dumps([b.summary() for b in mapped], indent=1) + "\n")
     elif not quiet:

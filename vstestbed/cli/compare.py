@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from vstestbed.cli.tools import Json, Plugins, settings_of
+from vstestbed.cli.tools import Force, Json, Plugins, settings_of
 from vstestbed.core.errors import ParameterError
+
+if TYPE_CHECKING:
+    from polars import DataFrame
+
+    from vstestbed.experiments.comparison import Campaign, Comparison
 
 comparing = typer.Typer()
 
@@ -25,6 +30,7 @@ def compare(
     jobs: Annotated[int | None, typer.Option(min=1, help="Worker processes. [default: one a core]")] = None,
     executor: Annotated[str, typer.Option(metavar="WHERE", help="local, or dask://HOST:PORT.")] = "local",
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of the results. [default: runs/compare/NUMBER]")] = None,
+    force: Force = False,
     resume: Annotated[bool, typer.Option("--resume", help="Do what is missing in --out DIR.")] = False,
     film: Annotated[bool, typer.Option("--film/--no-film", help="Film the first seed, side by side.")] = True,
     as_json: Json = False,
@@ -32,27 +38,33 @@ def compare(
     plugin: Plugins = None,
 ) -> None:
     """Every scenario, with every value that is varied, from every seed: one table, one report, one film."""
-    from vstestbed.cli.progress import Counter, show_notes
-    from vstestbed.experiments.comparison import carry_out, must_be_known, prepare
+    from vstestbed.cli.progress import show_notes
+    from vstestbed.experiments.comparison import must_be_known, prepared
 
     must_be_known(executor)
-    campaign, comparison = prepare(scenarios or [], vary_of(vary), seeds, out, resume, settings_of(set_), plugin or [], film)
-    show_notes(not quiet)
-    total, missing = len(campaign.jobs), len(campaign.missing)
-    try:
-        with Counter(total, total - missing, shown=not quiet and not as_json) as counter:
-            table = carry_out(campaign, comparison, jobs, executor, counter.run_done, counter.say)
-    except KeyboardInterrupt:
-        # `missing` looks at the folder: finished runs are there in full, others not at all
-        done = total - len(campaign.missing)
-        typer.echo(
-            f"interrupted: {done} of {total} runs are done; go on with: vstestbed compare --resume --out {campaign.folder}", err=True
-        )
-        raise typer.Exit(130) from None  # 128 + SIGINT, as shells have it
+    with prepared(scenarios or [], vary_of(vary), seeds, out, resume, settings_of(set_), plugin or [], film, force) as (campaign, plan):
+        show_notes(not quiet)
+        table = _carried_out(campaign, plan, jobs, executor, shown=not quiet and not as_json)
     if as_json:
         sys.stdout.write(table.write_json() + "\n")
     elif not quiet:
         typer.echo(_summary_text(table, campaign.folder), err=True)
+
+
+def _carried_out(campaign: Campaign, plan: Comparison, jobs: int | None, executor: str, shown: bool) -> DataFrame:
+    """Do the missing runs; an interrupt leaves with the command that goes on."""
+    from vstestbed.cli.progress import Counter
+    from vstestbed.experiments.comparison import carry_out
+
+    total = len(campaign.jobs)
+    try:
+        with Counter(total, campaign.done, shown) as counter:
+            return carry_out(campaign, plan, jobs, executor, counter.run_done, counter.say)
+    except KeyboardInterrupt:
+        # counted in the folder: finished runs are there in full, others not at all
+        words = f"interrupted: {campaign.done} of {total} runs are done; go on with: vstestbed compare --resume --out {campaign.folder}"
+        typer.echo(words, err=True)
+        raise typer.Exit(130) from None  # 128 + SIGINT, as shells have it
 
 
 def vary_of(options: list[str] | None) -> dict[str, tuple[object, ...]]:
@@ -81,7 +93,7 @@ def _values(text: str) -> list[object]:
     return found if isinstance(found, list) else [found]
 
 
-def _summary_text(table: Any, folder: Path) -> str:
+def _summary_text(table: DataFrame, folder: Path) -> str:
     done, good = len(table), int(table["success"].sum())
     failed = f"; {done - good} did not reach the goal" if good < done else ""
     return f"{good} of {done} runs reached the goal{failed}\n  results   {folder} (open report.html)"

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from vstestbed.cli.tools import Json, Plugins, renamed, settings_of
+from vstestbed.cli.tools import Force, Json, Plugins, renamed, settings_of
 
 convergences = typer.Typer()
 
@@ -22,19 +22,20 @@ def sweep(
     seeds: Annotated[int | None, typer.Option(min=1, help="How many random starts in each cell.")] = None,
     jobs: Annotated[int | None, typer.Option(min=1, help="Worker processes. [default: one a core]")] = None,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of the results. [default: runs/sweep/NUMBER]")] = None,
+    force: Force = False,
     as_json: Json = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No words.")] = False,
     plugin: Plugins = None,
 ) -> None:
     """How many seeds reach the goal over two varied fields, one map a law; runs leave no folders of their own."""
     from vstestbed.cli.compare import vary_of
-    from vstestbed.core.files import new_study_folder
+    from vstestbed.core.folders import study_folder
     from vstestbed.experiments.comparison import chosen
     from vstestbed.experiments.convergence import Study, summaries, write
     from vstestbed.scenario.load import load_plugins
 
     load_plugins(plugin or [])
-    study, folder = Study(chosen(scenarios, settings_of(set_), vary_of(vary), seeds)), new_study_folder("sweep", out)
+    study = Study(chosen(scenarios, settings_of(set_), vary_of(vary), seeds), force)
     shown = not (quiet or as_json)
 
     def progress(done: int, of: int) -> None:
@@ -42,8 +43,9 @@ def sweep(
         if shown and (done == of or done % 100 == 0):
             typer.echo(f"{done} of {of} runs", err=True)
 
-    results = study.run_all(jobs, progress)
-    page = write(folder, study, results, shlex.join(["vstestbed", *sys.argv[1:]]) if len(sys.argv) > 1 else "")
+    with study_folder("sweep", out) as folder:
+        results = study.run_all(jobs, progress)
+        page = write(folder, study, results, shlex.join(["vstestbed", *sys.argv[1:]]) if len(sys.argv) > 1 else "")
     if as_json:
         sys.stdout.write(study.table(results).write_json() + "\n")
     elif not quiet:

@@ -33,13 +33,14 @@ def gain_limit(
 
     The oracle detects, so that nothing but dynamics and delay counts. An arm's servos are measured, too.
     """
-    from vstestbed.core.files import new_study_folder
+    from vstestbed.core.folders import study_folder
     from vstestbed.experiments.delay import find_limits, write
 
-    chosen, folder = load_scenario(scenario, set_, plugin), new_study_folder("gain-limit", out)
+    chosen, delays = load_scenario(scenario, set_, plugin), _numbers(frames)
     shown = not (quiet or as_json)
-    limits = find_limits(chosen, _numbers(frames), lambda one: typer.echo(_summary_line(one), err=True) if shown else None)
-    page = write(folder, limits, chosen.name, shlex.join(["vstestbed", *sys.argv[1:]]) if len(sys.argv) > 1 else "")
+    with study_folder("gain-limit", out) as folder:
+        limits = find_limits(chosen, delays, lambda one: typer.echo(_summary_line(one), err=True) if shown else None)
+        page = write(folder, limits, chosen.name, shlex.join(["vstestbed", *sys.argv[1:]]) if len(sys.argv) > 1 else "")
     if as_json:
         sys.stdout.write(json.dumps([limit.row() for limit in limits], indent=1) + "\n")
     elif not quiet:

@@ -37,6 +37,8 @@ class Room(str, Enum):
 Plugins = Annotated[list[str] | None, typer.Option("--plugin", metavar="MODULE", help="Import a module that adds kinds.")]
 Json = Annotated[bool, typer.Option("--json", help="Print summary.json and nothing else on standard output.")]
 
+Force = Annotated[bool, typer.Option("--force", help="Also more than 100 000 runs (basin: 4 000 000 starts).")]
+
 
 def load_scenario(name: str, settings: list[str] | None, plugins: list[str] | None, seed: int | None = None) -> Scenario:
     """Load the scenario of a command line, with `--set`, `--seed` and `--plugin` applied."""

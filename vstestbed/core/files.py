@@ -46,19 +46,3 @@ def write_whole(path: Path, content: str | bytes) -> Path:
         part.unlink(missing_ok=True)
         raise
     return path
-
-
-def new_study_folder(kind: str, out: Path | None, remedy: str = "give a new one") -> Path:
-    """The folder for a study (basin, compare, ...), which is not created here: `out`, or the next free number in runs/KIND.
-
-    Raises:
-        OutputError: the folder is not empty, or cannot be read.
-    """
-    if out is None:
-        parent = Path("runs") / kind
-        taken = [int(p.name) for p in parent.iterdir() if p.name.isdecimal()] if parent.is_dir() else []
-        return parent / f"{max(taken, default=0) + 1:03d}"
-    with writing(out):
-        if out.exists() and (not out.is_dir() or any(out.iterdir())):
-            raise OutputError(out, "exists and is not an empty folder", remedy)
-    return out

@@ -5,9 +5,9 @@ from __future__ import annotations
 import io
 import itertools
 import math
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
@@ -19,6 +19,8 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.files import write_whole, writing
 from vstestbed.experiments.comparison import Comparison, Job, controllers, jobs
 from vstestbed.experiments.comparison import workers as workers_of
+from vstestbed.experiments.comparison.runs import must_be_few
+from vstestbed.experiments.comparison.worker import begin
 from vstestbed.loop.run import run
 from vstestbed.report.studies.convergence import ConvergenceMap, write_page
 from vstestbed.scenario.scenario import Scenario
@@ -45,14 +47,23 @@ def run_one(scenario: Scenario) -> RunEnding:
     return RunEnding(recording.outcome.name, recording.outcome.success, time_s, away_m)
 
 
+def run_all_of(scenarios: Sequence[Scenario]) -> list[RunEnding]:
+    """`run_one` of each."""
+    return [run_one(scenario) for scenario in scenarios]
+
+
 @dataclass(frozen=True)
 class Study:
     """A comparison over two axes, and its runs.
 
-    Raises (from the constructor): ParameterError if it has not exactly two axes, has no seeds, or has tasks.
+    Args:
+        comparison: the plan. force: allow more than 100,000 runs.
+
+    Raises (from the constructor): ParameterError if it has not exactly two axes, has no seeds, or has tasks; or too many runs.
     """
 
     comparison: Comparison
+    force: bool = False
 
     def __post_init__(self) -> None:
         """Refuse a comparison that makes no map."""
@@ -61,22 +72,32 @@ class Study:
             raise ParameterError("axes", "must be two in a convergence map", list(c.axes))
         if c.tasks or c.seeds is None:
             raise ParameterError("seeds", "must be given in a convergence map, which has no tasks")
+        must_be_few(c, self.force)
 
     @property
-    def runs(self) -> list[Job]:
+    def runs(self) -> Sequence[Job]:
         """Every run."""
-        return jobs(controllers(self.comparison), self.comparison.seeds)
+        return jobs(controllers(self.comparison, self.force), self.comparison.seeds)
 
     def run_all(self, processes: int | None, progress: Callable[[int, int], None] = lambda done, of: None) -> list[tuple[Job, RunEnding]]:
         """Do all runs in worker processes; `progress(done, total)` is called after each."""
         runs = self.runs
+        ended: list[tuple[Job, RunEnding]] = []
+        processes = workers_of(processes, len(runs))
         # spawn: to fork a process that has threads (OpenGL, BLAS) is unsafe
-        with ProcessPoolExecutor(workers_of(processes, len(runs)), mp_context=get_context("spawn")) as pool:
-            ended = []
-            for one in pool.map(run_one, (job.scenario() for job in runs), chunksize=CHUNK):
-                ended.append(one)
-                progress(len(ended), len(runs))
-        return list(zip(runs, ended, strict=True))
+        with ProcessPoolExecutor(processes, mp_context=get_context("spawn"), initializer=begin, initargs=(True,)) as pool:
+            going: deque[tuple[list[Job], Future[list[RunEnding]]]] = deque()
+            waiting = iter(runs)
+            while (chunk := list(itertools.islice(waiting, CHUNK))) or going:
+                if chunk:
+                    going.append((chunk, pool.submit(run_all_of, [job.scenario() for job in chunk])))
+                # a chunk more for each worker than it can do: scenarios are drawn only when they are needed
+                if not chunk or len(going) >= 2 * processes:
+                    done, future = going.popleft()
+                    for one in zip(done, future.result(), strict=True):
+                        ended.append(one)
+                        progress(len(ended), len(runs))
+        return ended
 
     def maps(self, ended: Sequence[tuple[Job, RunEnding]]) -> list[ConvergenceMap]:
         """One map for each scenario and combination of cases, in their order."""

@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from vstestbed.core import folders
 from vstestbed.core.errors import OutputError, RunFolderError
 from vstestbed.core.files import write_whole, writing
 from vstestbed.loop.columns import Layout, kept
@@ -36,6 +37,7 @@ FILM_CAMERAS: dict[str, dict[str, str]] = {
 OWN_FILES = ("scenario.yaml", "model.xml", "log.part")
 ASSETS = "assets"
 """Folder of the files that model.xml refers to."""
+REMEDY = "give a new folder; an older run is never written over"
 
 
 def new_folder(scenario: Scenario, out: Path | None) -> Path:
@@ -44,30 +46,9 @@ def new_folder(scenario: Scenario, out: Path | None) -> Path:
     Raises:
         OutputError: `out` holds something already, or cannot be made.
     """
-    if out is None:
-        # a name may hold anything, but a folder name no separators, and it must not be `..`
-        name = re.sub(r"[^\w.-]+", "_", scenario.name).strip(".") or "scenario"
-        return _numbered_folder(Path("runs") / name)
-    with writing(out):
-        if out.exists() and (not out.is_dir() or any(out.iterdir())):
-            raise OutputError(out, "exists and is not an empty folder", "give a new folder; an older run is never written over")
-        out.mkdir(parents=True, exist_ok=True)
-    return out
-
-
-def _numbered_folder(parent: Path) -> Path:
-    """Make the folder with the next free number in `parent`."""
-    with writing(parent):
-        parent.mkdir(parents=True, exist_ok=True)
-        number = max((int(p.name) for p in parent.iterdir() if p.name.isdecimal()), default=0) + 1
-        while True:
-            folder = parent / f"{number:03d}"
-            try:
-                folder.mkdir(parents=True)
-            except FileExistsError:  # taken meanwhile by a run that started at the same time
-                number += 1
-            else:
-                return folder
+    # a name may hold anything, but a folder name no separators, and it must not be `..`
+    name = re.sub(r"[^\w.-]+", "_", scenario.name).strip(".") or "scenario"
+    return folders.new_folder(Path("runs") / name, out, REMEDY)
 
 
 class _LogOnDisk:
@@ -109,8 +90,23 @@ def run_into(
         tile_px: (width, height) of a film from outside that is quick to render, without shadows; None for full size.
 
     Raises:
-        EnvironmentLackError: no OpenGL, no codec, no space. OutputError: the folder cannot be written.
+        EnvironmentLackError: no OpenGL, no codec, no space.
+        OutputError: the folder cannot be written, holds a run already, or another process writes into it.
     """
+    with folders.only_writer(folder):
+        if (folder / "scenario.yaml").exists():  # of a process that ended between the check of `new_folder` and this one
+            raise OutputError(folder, "holds a run", REMEDY)
+        recording = _run_into(folder, scenario, films, watch, tile_px)
+        if report:
+            from vstestbed.report import Setting, write_report  # matplotlib is imported only if a report is written
+
+            stage("writing the report")
+            write_report(folder, log=recording.frame(), setting=Setting.of(recording.scenario))
+    return recording
+
+
+def _run_into(folder: Path, scenario: Scenario, films: Films, watch: Iterable[Watcher], tile_px: tuple[int, int] | None) -> Recording:
+    """`run_into` without the report."""
     with _all_or_nothing(folder):
         write_whole(folder / "scenario.yaml", dump(scenario))
         _write_scene(
@@ -124,11 +120,6 @@ def run_into(
                 log.close()
             recording.time_ms["video"] = 1e3 * sum(film.spent_s for film in cameras)
     finish(folder, recording)
-    if report:
-        from vstestbed.report import Setting, write_report  # matplotlib is imported only if a report is written
-
-        stage("writing the report")
-        write_report(folder, log=recording.frame(), setting=Setting.of(recording.scenario))
     return recording
 
 
@@ -152,10 +143,7 @@ def _all_or_nothing(folder: Path) -> Iterator[None]:
         for name in OWN_FILES:  # by name: a folder that the user gave may hold other files by now
             (folder / name).unlink(missing_ok=True)
         shutil.rmtree(folder / ASSETS, ignore_errors=True)
-        with contextlib.suppress(OSError):  # a folder that is not empty stays
-            folder.rmdir()
-            for parent in folder.parents[:2] if folder.parts[0] == "runs" else ():  # also `runs/<scenario>` and `runs`, if they are empty
-                parent.rmdir()
+        folders.remove_empty(folder)
         raise
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import importlib
 import io
+import itertools
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -19,7 +20,7 @@ from vstestbed.core.errors import Mistake, ParameterError, ScenarioError, Vstest
 from vstestbed.core.spec import rebuild_specs, to_mapping
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.scenario.validation import KINDS, build
-from vstestbed.scenario.yaml_marks import override, place_of, plain_mapping, short
+from vstestbed.scenario.yaml_marks import FROM_OPTION, Marks, override, place_of, plain_mapping, short
 
 MOST_BYTES = 100_000
 """Largest file that is read: fifty times the largest bundled one, and parsed in 2 s; one of 10 MB would take minutes."""
@@ -45,19 +46,22 @@ def find(name: str | Path) -> Path:
     raise ScenarioError([Mistake(str(name) or "SCENARIO", "", words)])
 
 
-def load(name: str | Path, overrides: Mapping[str, object] | None = None, seed: int | None = None) -> Scenario:
+def load(
+    name: str | Path, overrides: Mapping[str, object] | None = None, seed: int | None = None, places: Mapping[str, Marks] | None = None
+) -> Scenario:
     """Read a scenario from a file or a bundled name.
 
     Args:
         name: path of a YAML file, or the name of a bundled scenario.
         overrides: values by dotted path, such as {"law.gain": 1.0}; they replace what the file says before it is checked.
         seed: draw the start from the robot's random block, and all noise, from this seed.
+        places: for messages, where each override stands: of its value and of the keys in it, relative to it; by default `--set`.
 
     Raises:
         ScenarioError: all mistakes at once.
     """
     path = find(name)
-    scenario = parse(text_of(path), str(path), overrides, seed)
+    scenario = parse(text_of(path), str(path), overrides, seed, places)
     return scenario if scenario.name else dataclasses.replace(scenario, name=path.stem)
 
 
@@ -81,15 +85,22 @@ def text_of(path: Path) -> str:
         raise ScenarioError([Mistake(f"{path}:{line}:{col}", "", words)]) from None
 
 
-def parse(text: str, file: str, overrides: Mapping[str, object] | None = None, seed: int | None = None) -> Scenario:
+def parse(
+    text: str,
+    file: str,
+    overrides: Mapping[str, object] | None = None,
+    seed: int | None = None,
+    places: Mapping[str, Marks] | None = None,
+) -> Scenario:
     """Build a scenario from YAML text; `file` is its name in messages. See `load`."""
     plain, marks = plain_mapping(text, file, f"a scenario needs {_required()}")
-    for dotted, value in (overrides or {}).items():
-        override(plain, dotted, value, marks, _is_kind)
+    overrides, places = overrides or {}, places or {}
+    for dotted, value in overrides.items():
+        override(plain, dotted, value, marks, _is_kind, places.get(dotted, FROM_OPTION))
     try:
         scenario = build(Scenario, plain, marks, file)
     except ScenarioError as error:
-        raise (_blame_settings(error, text, file) if overrides else error) from None
+        raise (_blame_settings(error, text, file, overrides, places) if overrides else error) from None
     try:
         return scenario if seed is None else seeded(scenario, seed)
     except ParameterError as error:
@@ -97,14 +108,41 @@ def parse(text: str, file: str, overrides: Mapping[str, object] | None = None, s
         raise ScenarioError([Mistake(where, error.field, error.problem)]) from None
 
 
-def _blame_settings(error: ScenarioError, text: str, file: str) -> ScenarioError:
-    """The same mistakes; those that the file alone does not have are attributed to --set."""
+def _blame_settings(
+    error: ScenarioError, text: str, file: str, overrides: Mapping[str, object], places: Mapping[str, Marks]
+) -> ScenarioError:
+    """The same mistakes, each with the position of the override that brings it; those that the file has by itself are left alone.
+
+    A contradiction between two fields names one of them, which may be the file's: so the file is read again with one more override
+    at a time.
+    """
+    known = {place for dotted in overrides for place in places.get(dotted, FROM_OPTION).values()}
+    if all(m.where in known for m in error.mistakes):
+        return error
+    origins = _origins(text, file, overrides, places)
+    places_found = [m.where if m.where in known else origins[m.field, m.sentence] or m.where for m in error.mistakes]
+    return ScenarioError([dataclasses.replace(m, where=where) for m, where in zip(error.mistakes, places_found, strict=True)])
+
+
+def _origins(text: str, file: str, overrides: Mapping[str, object], places: Mapping[str, Marks]) -> dict[tuple[str, str], str]:
+    """For each mistake, by field and sentence, the position of the first override with which it is there; "" for the file's own."""
+    origins = dict.fromkeys(_mistakes(text, file, {}), "")
+    for number, dotted in enumerate(overrides, start=1):
+        found = _mistakes(text, file, dict(itertools.islice(overrides.items(), number)))
+        origins = dict.fromkeys(found, places.get(dotted, FROM_OPTION)[()]) | origins
+    return origins
+
+
+def _mistakes(text: str, file: str, overrides: Mapping[str, object]) -> list[tuple[str, str]]:
+    """Field and sentence of each mistake in a scenario."""
+    plain, marks = plain_mapping(text, file, "")
+    for dotted, value in overrides.items():
+        override(plain, dotted, value, marks, _is_kind)
     try:
-        parse(text, file)  # a contradiction between two fields names one of them, which may be the file's: so ask the file alone
-        own: set[tuple[str, str]] = set()
-    except ScenarioError as without:
-        own = {(m.field, m.sentence) for m in without.mistakes}
-    return ScenarioError([m if (m.field, m.sentence) in own else dataclasses.replace(m, where="--set") for m in error.mistakes])
+        build(Scenario, plain, marks, file)
+    except ScenarioError as error:
+        return [(m.field, m.sentence) for m in error.mistakes]
+    return []
 
 
 def seeded(scenario: Scenario, seed: int) -> Scenario:
@@ -179,5 +217,5 @@ def _loading(field: str, problem: str, name: str | None) -> Iterator[None]:
         yield
     except VstestbedError:
         raise
-    except Exception as error:
+    except (Exception, SystemExit) as error:  # a module that calls sys.exit does not end the program
         raise ParameterError(field, f"{problem} ({type(error).__name__}: {error})", name) from error

@@ -19,6 +19,8 @@ from vstestbed.core.errors import Mistake, ParameterError, ScenarioError
 Key = tuple[str | int, ...]
 Marks = dict[Key, str]
 """The position of each key, `FILE:LINE:COL`, or `--set` for a value from the command line."""
+FROM_OPTION: Mapping[Key, str] = {(): "--set"}
+"""Position of a value that comes from the command line."""
 DEEPEST, MOST_VALUES = 32, 20_000
 """Limits on nesting and on the number of values: far above any scenario, and low enough that a file of aliases of aliases (a
 "billion laughs") cannot fill the memory."""
@@ -160,38 +162,41 @@ def read_value(text: str) -> object:
         raise ParameterError("--set", f"value {error.mistakes[0].sentence}", text) from None
 
 
-def override(plain: dict[str, Any], dotted: str, value: object, marks: Marks, is_kind: Callable[[str], bool]) -> None:
+def override(
+    plain: dict[str, Any], dotted: str, value: object, marks: Marks, is_kind: Callable[[str], bool], own: Mapping[Key, str] = FROM_OPTION
+) -> None:
     """Set the value at a dotted path; missing blocks on the path are created, a bare kind becomes a block.
 
     Args:
         plain: the mapping, which is changed. dotted: the path, such as `law.gain`. value: the new value.
         marks: positions of the keys, which are changed, too. is_kind: whether a word is a kind of some block.
+        own: position of the value, and of the keys in it relative to it.
 
     Raises:
         ScenarioError: the path goes through a value, or to an item that a list does not have.
     """
-    parts = dotted.split(".")
+    parts, where = dotted.split("."), own[()]
     if not all(parts):
-        raise ScenarioError([Mistake("--set", dotted, "is no path to a field, such as law.gain")])
+        raise ScenarioError([Mistake(where, dotted, "is no path to a field, such as law.gain")])
     here: Any = plain
     key: Key = ()
     for part in parts[:-1]:
-        step = _step(here, part, dotted)
+        step = _step(here, part, dotted, where)
         key += (step,)
         child = here.get(step) if isinstance(here, dict) else here[step]
         if child is None:
-            marks[key] = "--set"
+            marks[key] = where
         block = _as_block(child, is_kind)
         if block is None:
-            raise ScenarioError([Mistake("--set", dotted, f"{'.'.join(map(str, key))} is a value, not a block, got {short(child)}")])
+            raise ScenarioError([Mistake(where, dotted, f"{'.'.join(map(str, key))} is a value, not a block, got {short(child)}")])
         here[step] = block
         here = block
-    last = _step(here, parts[-1], dotted)
+    last = _step(here, parts[-1], dotted, where)
     here[last] = copy.deepcopy(value)  # a later override may go inside it, and must not change the caller's
-    # The positions under the old value are gone with it: a mistake in the new value is one of --set.
+    # The positions under the old value are gone with it.
     for old in [k for k in marks if k[: len(key) + 1] == (*key, last)]:
         del marks[old]
-    marks[*key, last] = "--set"
+    marks.update({(*key, last, *inner): place for inner, place in own.items()})
 
 
 def _as_block(child: Any, is_kind: Callable[[str], bool]) -> dict[str, Any] | list[Any] | None:
@@ -203,22 +208,29 @@ def _as_block(child: Any, is_kind: Callable[[str], bool]) -> dict[str, Any] | li
     return child if isinstance(child, dict | list) else None
 
 
-def _step(here: Any, part: str, dotted: str) -> str | int:
+def _step(here: Any, part: str, dotted: str, where: str) -> str | int:
     """One part of a dotted path: a key of a block, or the index of an existing item of a list."""
     if not isinstance(here, list):
         return part
     if not (part.isdecimal() and int(part) < len(here)):
         words = f"there is no item {part} in a list of {len(here)} (the first is item 0)"
-        raise ScenarioError([Mistake("--set", dotted, words)])
+        raise ScenarioError([Mistake(where, dotted, words)])
     return int(part)
 
 
 def place_of(key: Key, marks: Mapping[Key, str], file: str) -> str:
     """The position of a key, or of the nearest block above it."""
-    for n in range(len(key), -1, -1):
-        if key[:n] in marks:
-            return marks[key[:n]]
-    return f"{file}:1:1"
+    return _nearest(key, marks, f"{file}:1:1")
+
+
+def _nearest(key: Key, marks: Mapping[Key, str], otherwise: str) -> str:
+    return next((marks[key[:n]] for n in range(len(key), -1, -1) if key[:n] in marks), otherwise)
+
+
+def marks_under(key: Key, marks: Mapping[Key, str]) -> Marks:
+    """The positions of a value and of the keys in it, relative to it; `--set` where no file has it."""
+    inner = {k[len(key) :]: place for k, place in marks.items() if k[: len(key)] == key}
+    return {(): _nearest(key, marks, FROM_OPTION[()])} | inner
 
 
 def short(found: object) -> str:

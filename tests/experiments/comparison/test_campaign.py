@@ -170,7 +170,7 @@ def test_laws_that_raise_diverge_lose_and_kill(quick: Path, tmp_path: Path, plug
 
 def test_a_worker_killed_in_the_middle_is_replaced(quick: Path, tmp_path: Path):
     request = request_of("runs/a", vs.load(quick), False, ())
-    with closing(LocalPool(1)) as pool:
+    with closing(LocalPool(1, tmp_path)) as pool:
         slot = pool._free[0]
         before = slot.pid.result()
         future = pool.submit(request)
@@ -186,7 +186,7 @@ def test_a_worker_killed_in_the_middle_is_replaced(quick: Path, tmp_path: Path):
 @pytest.mark.parametrize("later_s", [0.0, pytest.param(1.0, marks=pytest.mark.study)])  # before its pool hears of it, and after
 def test_a_worker_that_dies_while_it_has_nothing_to_do_is_no_loss(quick: Path, tmp_path: Path, later_s: float):
     campaign = Campaign(tmp_path, jobs(controllers(Comparison(base=(str(quick),), seeds=2)), 2))
-    with closing(LocalPool(1)) as pool:
+    with closing(LocalPool(1, tmp_path)) as pool:
         pid = pool._slots[0].pid.result()
         os.kill(pid, signal.SIGKILL)
         gone(pid)
@@ -211,8 +211,8 @@ def test_a_script_without_a_main_guard_is_told_so(quick: Path, tmp_path: Path, v
     assert not list(tmp_path.glob("runs/compare/*/runs/*/*/*"))
 
 
-def test_workers_end_with_the_pool(quick: Path):
-    pool = LocalPool(2)
+def test_workers_end_with_the_pool(quick: Path, tmp_path: Path):
+    pool = LocalPool(2, tmp_path)
     pool.submit(request_of("runs/a", vs.load(quick, {"stop.duration_s": 1e5, "law.gain": 1e-4}), False, ()))
     pids = [slot.pid.result() for slot in pool._free]
     pool.close()
@@ -330,7 +330,7 @@ def test_a_start_that_cannot_be_drawn_is_a_run_that_crashed(quick: Path, tmp_pat
     away = {"robot.start.random": {"xyz": [0, 0, 0], "rpy_deg": [0, 0, 0]}, "robot.start.nominal.xyz": [3, 0, 0]}
     comparison = Comparison(base=(str(quick),), set=away, seeds=2)
     campaign = Campaign(tmp_path, jobs(controllers(comparison), 2))
-    with closing(LocalPool(1)) as pool:
+    with closing(LocalPool(1, tmp_path)) as pool:
         campaign.run(pool)
     table = table_of(tmp_path, campaign.jobs)
     assert table["outcome"].to_list() == ["crashed", "crashed"]

@@ -14,8 +14,8 @@ import vstestbed as vs
 from tests.loop.test_golden_loops import ROWS
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import inverse, rotation_angle
-from vstestbed.experiments.comparison import Comparison, chosen, compare, controllers, jobs
-from vstestbed.experiments.comparison.plan import Controller, merged
+from vstestbed.experiments.comparison import Comparison, Controller, chosen, compare, controllers, jobs
+from vstestbed.experiments.comparison.plan import merged
 from vstestbed.experiments.comparison.starts import StartTable
 
 YAML = """

@@ -19,6 +19,7 @@ from vstestbed.core.outcome import Outcome
 from vstestbed.experiments.basin.batch import Batch, fly
 from vstestbed.experiments.basin.setup import BatchSetup, ideal, start_of, started_at
 from vstestbed.experiments.comparison import Comparison, controllers
+from vstestbed.experiments.comparison.plan import changed
 from vstestbed.loop.run import run
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.vision import Oracle
@@ -178,14 +179,14 @@ def starts(scenario: Scenario, x: Axis, y: Axis, at: Mapping[str, float]) -> Arr
     return inverse(T_goal_camera) @ T_goal_target
 
 
-def laws(comparison: Comparison, field_of_view: str | None = None) -> list[tuple[str, Scenario]]:
+def laws(comparison: Comparison, field_of_view: str | None = None, force: bool = False) -> list[tuple[str, Scenario]]:
     """The laws to be mapped: label and ideal scenario of every scenario with every case and varied value.
 
     Raises:
         ParameterError, ScenarioError: a batch cannot simulate one of them; or two differ only in what an ideal camera does not have.
     """
     found: list[tuple[str, Scenario]] = []
-    for c in controllers(replace(comparison, tasks={}, seeds=None)):
+    for c in controllers(changed(comparison, tasks={}, seeds=None), force):
         parts = [str(v) if name in comparison.cases else f"{name.split('.')[-1]}={v}" for name, v in c.values.items()]
         label = ", ".join(([c.scenario.name] if len(comparison.base) > 1 or not parts else []) + parts)
         scenario = ideal(c.scenario, field_of_view)

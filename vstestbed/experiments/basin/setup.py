@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, inverse
 from vstestbed.experiments.basin.one_by_one import OneByOne
+from vstestbed.experiments.comparison import Comparison
 from vstestbed.features.depth import Estimate, PnP
 from vstestbed.features.observation import Goal
 from vstestbed.laws.views import BatchLaw
@@ -24,6 +25,9 @@ from vstestbed.vision import Oracle
 
 SLACK_S = 1e-9
 """The judge of one run allows this much when it compares times [s]."""
+
+MOST_STARTS = 4_000_000
+"""Starts that need no `--force`: one map of the largest `--n` (2000 x 2000), which takes some GB of memory."""
 
 
 def ideal(scenario: Scenario, field_of_view: str | None = None) -> Scenario:
@@ -142,3 +146,15 @@ def started_at(scenario: Scenario, T_camera_target: Array) -> Scenario:
     """The scenario of an ideal camera, started at a pose T_camera_target (4, 4)."""
     T_world_flange = scenario.target.pose.T @ inverse(T_camera_target) @ inverse(scenario.camera.mount.T)
     return replace(scenario, robot=Free(start=FreeStart(nominal=Pose.of(T_world_flange))))
+
+
+def must_be_few_starts(comparison: Comparison, n: int, force: bool = False) -> None:
+    """Refuse maps of more than MOST_STARTS starts in all (each n x n), unless by force.
+
+    Raises:
+        ParameterError: with the product of which the starts come.
+    """
+    maps = len(comparison.base) * math.prod(map(len, (comparison.cases | comparison.axes).values()))
+    if maps * n * n > MOST_STARTS and not force:
+        words = f"would make {maps:,} maps of {n} x {n} starts; more than {MOST_STARTS:,} starts in all need --force"
+        raise ParameterError("basin", words)

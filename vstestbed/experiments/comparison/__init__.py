@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import closing
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vstestbed.core.errors import ParameterError
+from vstestbed.core.folders import only_writer, study_folder
 from vstestbed.experiments.comparison.campaign import Campaign, OnDone
-from vstestbed.experiments.comparison.folder import PLAN, new_folder, read_plan, resumable, table_of, write_plan, write_table
-from vstestbed.experiments.comparison.plan import Comparison, Controller, Job, chosen, controllers, jobs
+from vstestbed.experiments.comparison.folder import PLAN, read_plan, resumable, table_of, write_plan, write_table
+from vstestbed.experiments.comparison.plan import Comparison, chosen
 from vstestbed.experiments.comparison.pools import must_be_known, pool_of
 from vstestbed.experiments.comparison.results import finish
+from vstestbed.experiments.comparison.runs import Controller, Controllers, Job, controllers, jobs
 from vstestbed.scenario.load import dump, load_plugins
 
 if TYPE_CHECKING:
@@ -36,6 +38,7 @@ def compare(
     film: bool = True,
     report: bool = True,
     on_done: OnDone = lambda job, summary: None,
+    force: bool = False,
 ) -> polars.DataFrame:
     """Run a comparison and write its folder; returns the table with one row per run.
 
@@ -48,18 +51,19 @@ def compare(
         out: the folder; None: `runs/compare/<number>`. resume: do only the runs that are missing in `out`.
         set: values by dotted path for all scenarios. plugins: modules that add kinds.
         film: whether to film the first seed. report: whether to write the page and the figures.
-        on_done: called after every run with the job and its summary.
+        on_done: called after every run with the job and its summary. force: allow more than 100,000 runs.
 
     Raises:
-        ScenarioError, ParameterError: bad input, found before anything runs. OutputError: `out` is taken.
+        ScenarioError, ParameterError: bad input, found before anything runs.
+        OutputError: `out` is taken, or another process writes into it.
         EnvironmentLackError: no OpenGL where a run needs it, no space, no cluster.
     """
     # without this check every worker would start workers of its own
     if getattr(multiprocessing.current_process(), "_inheriting", False):  # a worker that imports the script
         raise ParameterError("compare", "must stand under `if __name__ == '__main__':` in a script, which worker processes import")
     must_be_known(executor)
-    campaign, comparison = prepare(scenarios, vary or {}, seeds, out, resume, set or {}, plugins, film)
-    return carry_out(campaign, comparison, jobs, executor, on_done, report=report)
+    with prepared(scenarios, vary or {}, seeds, out, resume, set or {}, plugins, film, force) as (campaign, comparison):
+        return carry_out(campaign, comparison, jobs, executor, on_done, report=report)
 
 
 def carry_out(
@@ -73,8 +77,8 @@ def carry_out(
 ) -> polars.DataFrame:
     """Do the missing runs of a comparison, then table, film and report; `stage` is called with what is being done after the runs."""
     try:
-        if campaign.missing:
-            with closing(pool_of(executor, workers(jobs, len(campaign.missing)))) as pool:
+        if left := len(campaign.jobs) - campaign.done:
+            with closing(pool_of(executor, workers(jobs, left), campaign.folder)) as pool:
                 campaign.run(pool, on_done)
     finally:  # also an interrupted comparison has its table
         table = table_of(campaign.folder, campaign.jobs)
@@ -84,7 +88,8 @@ def carry_out(
     return table
 
 
-def prepare(
+@contextmanager
+def prepared(
     scenarios: Sequence[str | Path],
     vary: Mapping[str, Sequence[object]],
     seeds: int | None,
@@ -93,43 +98,52 @@ def prepare(
     settings: Mapping[str, object],
     plugins: Sequence[str],
     film: bool,
-) -> tuple[Campaign, Comparison]:
-    """Check everything, make or open the folder, write the plan."""
+    force: bool = False,
+) -> Iterator[tuple[Campaign, Comparison]]:
+    """Check everything, make or open the folder, write the plan; the folder is held until the block ends."""
     load_plugins(plugins)
     requested = None
     if scenarios:
         requested = chosen([str(s) for s in scenarios], settings, {path: tuple(values) for path, values in vary.items()}, seeds)
-    if resume:
-        folder = resumable(out)
-        comparison, found = _resumed(folder, requested)
-    elif requested is None:
-        raise ParameterError("SCENARIO", "is missing: name scenarios to compare, or a comparison")
-    else:
-        comparison, found = requested, controllers(requested)  # before the folder is made: bad input leaves no folder
-        folder = new_folder(out)
-        write_plan(folder, comparison)
-    first = 0 if comparison.seeds is not None else None
-    filmed = (first,) if film and not comparison.tasks else ()  # a film of a few starts would not show a task
-    return Campaign(folder, jobs(found, comparison.seeds), tuple(plugins), filmed), comparison
+    with ExitStack() as stack:
+        if resume:
+            folder = resumable(out)
+            stack.enter_context(only_writer(folder))
+            comparison, found = _resumed(folder, requested, force)
+        elif requested is None:
+            raise ParameterError("SCENARIO", "is missing: name scenarios to compare, or a comparison")
+        else:
+            comparison, found = requested, controllers(requested, force)  # before the folder is made: bad input leaves no folder
+            folder = stack.enter_context(study_folder("compare", out, "give a new one, or --resume to go on with what is there"))
+            write_plan(folder, comparison)
+        first = 0 if comparison.seeds is not None else None
+        filmed = (first,) if film and not comparison.tasks else ()  # a film of a few starts would not show a task
+        yield Campaign(folder, jobs(found, comparison.seeds), tuple(plugins), filmed), comparison
 
 
-def _resumed(folder: Path, requested: Comparison | None) -> tuple[Comparison, list[Controller]]:
+def _resumed(folder: Path, requested: Comparison | None, force: bool) -> tuple[Comparison, Controllers]:
     """The comparison of a folder with its controllers.
 
     Raises:
         ParameterError: the command line requests another comparison than the folder's.
     """
     comparison = read_plan(folder)
-    found = controllers(comparison)
-    if requested is not None and _essence(requested, controllers(requested)) != _essence(comparison, found):
+    found = controllers(comparison, force)
+    if requested is not None and not _same(requested, controllers(requested, force), comparison, found):
         problem = "goes on with what the folder compares, which is something else (its `scenarios` are copies); leave the rest out"
         raise ParameterError("--resume", problem, str(folder))
     return comparison, found
 
 
-def _essence(comparison: Comparison, found: list[Controller]) -> tuple[object, ...]:
-    """What two equal comparisons have in common, wherever their files are: seeds, scenarios as loaded, folders of the runs."""
-    return comparison.seeds, [(tuple(map(dump, c.starts or (c.scenario,))), c.folder, c.runs) for c in found]
+def _same(a: Comparison, of_a: Controllers, b: Comparison, of_b: Controllers) -> bool:
+    """Whether two comparisons are equal, wherever their files are: in seeds, scenarios as loaded, folders of the runs."""
+    if a.seeds != b.seeds or len(of_a) != len(of_b):
+        return False
+    return all(_essence(x) == _essence(y) for x, y in zip(of_a, of_b, strict=True))
+
+
+def _essence(c: Controller) -> tuple[object, ...]:
+    return tuple(map(dump, c.starts or (c.scenario,))), c.folder, c.runs
 
 
 def workers(requested: int | None, runs: int) -> int:
@@ -149,7 +163,7 @@ def is_comparison(folder: Path) -> bool:
 def report_again(folder: Path) -> Path:
     """Make table, film and report of a comparison's folder again from its runs."""
     comparison = read_plan(folder)
-    table = table_of(folder, jobs(controllers(comparison), comparison.seeds))
+    table = table_of(folder, jobs(controllers(comparison, force=True), comparison.seeds))
     write_table(folder, table)
     finish(folder, comparison, table, lambda words: None)
     return folder / "report.html"

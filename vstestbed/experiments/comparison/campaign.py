@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from vstestbed.core.errors import VstestbedError
-from vstestbed.experiments.comparison.folder import is_done, store
-from vstestbed.experiments.comparison.plan import Job
+from vstestbed.experiments.comparison.folder import finished, store
 from vstestbed.experiments.comparison.pools import Pool, WorkerLostError
+from vstestbed.experiments.comparison.runs import Job
 from vstestbed.experiments.comparison.worker import Files, RunRequest, crashed, request_of
 
 MOST_TRIES = 2
@@ -35,9 +35,15 @@ class Campaign:
     filmed: tuple[int | None, ...] = ()
 
     @property
-    def missing(self) -> list[Job]:
+    def done(self) -> int:
+        """Number of jobs with a stored result."""
+        return sum(1 for _ in finished(self.folder, self.jobs))
+
+    @property
+    def missing(self) -> Iterator[Job]:
         """The jobs without a stored result."""
-        return [job for job in self.jobs if not is_done(self.folder, job)]
+        done = {job.folder for job in finished(self.folder, self.jobs)}
+        return (job for job in self.jobs if job.folder not in done)
 
     def run(self, pool: Pool, on_done: OnDone = lambda job, summary: None) -> None:
         """Do the missing runs.

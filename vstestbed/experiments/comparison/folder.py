@@ -5,14 +5,15 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from vstestbed.core.errors import ParameterError, RunFolderError
-from vstestbed.core.files import new_study_folder, write_whole, writing
-from vstestbed.experiments.comparison.plan import AMOUNT, Comparison, Job, read_comparison
+from vstestbed.core.files import write_whole, writing
+from vstestbed.experiments.comparison.plan import AMOUNT, Comparison, read_comparison
+from vstestbed.experiments.comparison.runs import Job
 from vstestbed.experiments.comparison.worker import Files
 from vstestbed.scenario.load import dump_mapping, text_of
 
@@ -22,18 +23,6 @@ if TYPE_CHECKING:
 PLAN = "comparison.yaml"
 PART = ".part"
 """Suffix of the name of a folder that is being written."""
-
-
-def new_folder(out: Path | None) -> Path:
-    """Make the folder of a new comparison: `out`, or the next free number in runs/compare.
-
-    Raises:
-        OutputError: it holds something already, or cannot be made.
-    """
-    folder = new_study_folder("compare", out, "give a new one, or --resume to go on with what is there")
-    with writing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-    return folder
 
 
 def resumable(out: Path | None) -> Path:
@@ -111,11 +100,23 @@ def _sync(folder: Path) -> None:
             os.close(handle)
 
 
+def finished(folder: Path, jobs: Sequence[Job]) -> Iterator[Job]:
+    """The jobs that are done, in the order of the plan; the time that it takes depends on how many are done, not on how many there are."""
+    there = {p.parent.relative_to(folder).as_posix() for p in folder.glob("runs/*/*/*/summary.json") if p.parent.suffix != PART}
+    for job in jobs:
+        if not there:
+            return
+        if job.folder in there:
+            there.remove(job.folder)
+            if is_done(folder, job):
+                yield job
+
+
 def table_of(folder: Path, jobs: Sequence[Job]) -> polars.DataFrame:
     """One row per finished run, in the order of the plan: scenario, varied values, seed, folder, the summary's names, attempts."""
     import polars as pl
 
-    rows = [_row(folder, job) for job in jobs if is_done(folder, job)]
+    rows = [_row(folder, job) for job in finished(folder, jobs)]
     # columns in the order of the longest row: a crashed run has only a few of the summary's names
     names = list(dict.fromkeys(name for row in sorted(rows, key=len, reverse=True) for name in row))
     names = [name for name in names if name != "attempts"] + ["attempts"]

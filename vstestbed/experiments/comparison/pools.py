@@ -15,14 +15,18 @@ from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing import get_context
+from pathlib import Path
 from typing import Any, Protocol
 
 from vstestbed.core.errors import EnvironmentLackError, ParameterError
+from vstestbed.core.files import writing
 from vstestbed.experiments.comparison.worker import Files, RunRequest, begin, execute, process_id
 
 ONE_CORE = {"LP_NUM_THREADS": "0", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 """Environment of a worker, which has one core: no extra threads of Mesa's software renderer (LP) or of BLAS."""
 DASK = "dask://"
+RUNNING = ".running"
+"""Folder of the workers' temporary files in a comparison's folder."""
 
 
 class Pool(Protocol):
@@ -78,7 +82,7 @@ class _Slot:
         self.start()
 
     def start(self) -> None:
-        """Start the process; its temporary files go to the pool's folder, which is removed even if the process is killed."""
+        """Start the process; its temporary files go to the pool's folder, which is removed also if the process is killed."""
         self.executor = ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=begin, initargs=(True,))
         self.broken = False
         # the process starts with the first submission, so that it inherits these variables
@@ -108,11 +112,17 @@ class LocalPool:
 
     Args:
         jobs: number of processes.
+        folder: the comparison's folder, held by this process. Temporary files stand in `.running` in it, where the next process that
+            holds the folder removes what a killed one has left.
     """
 
-    def __init__(self, jobs: int):
+    def __init__(self, jobs: int, folder: Path):
         self.room = jobs
-        self._place = tempfile.mkdtemp(prefix="vstestbed_")
+        place = folder.absolute() / RUNNING
+        with writing(folder):
+            shutil.rmtree(place, ignore_errors=True)
+            place.mkdir(exist_ok=True)
+            self._place = tempfile.mkdtemp(dir=place)  # another one each time: a worker of a killed process may live a moment longer
         self._slots = [_Slot(self._place) for _ in range(jobs)]
         self._free = list(self._slots)
         self._tries: dict[str, int] = {}
@@ -146,7 +156,7 @@ class LocalPool:
         """Kill all workers and remove their temporary files."""
         for slot in self._slots:
             slot.end()
-        shutil.rmtree(self._place, ignore_errors=True)
+        shutil.rmtree(Path(self._place).parent, ignore_errors=True)
 
 
 NO_WORKERS, UNDER_MAIN = "worker processes cannot start", "in a script, call compare under `if __name__ == '__main__':`"
@@ -212,11 +222,12 @@ class DaskPool:
 
 
 def _execute_on_dask(request: RunRequest, key: str) -> Files:
-    """`execute`, with an event that counts the attempt."""
+    """`execute`, with an event that counts the attempt; dask itself removes the folder of a worker that was killed."""
     from distributed import get_worker
 
-    get_worker().log_event(key, "begun")
-    return execute(request)
+    worker = get_worker()
+    worker.log_event(key, "begun")
+    return execute(request, worker.local_directory)
 
 
 def _hand_over_from_dask(inner: Any, outer: Future[Files]) -> None:
@@ -233,14 +244,14 @@ def _hand_over_from_dask(inner: Any, outer: Future[Files]) -> None:
         outer.set_exception(error)
 
 
-def pool_of(executor: str, workers: int) -> Pool:
-    """The pool of `--executor`: `local`, or `dask://HOST:PORT`.
+def pool_of(executor: str, workers: int, folder: Path) -> Pool:
+    """The pool of `--executor`: `local`, or `dask://HOST:PORT`; `folder` is the comparison's.
 
     Raises:
         ParameterError: another value. EnvironmentLackError: see DaskPool.
     """
     must_be_known(executor)
-    return LocalPool(workers) if executor == "local" else DaskPool(executor.removeprefix(DASK))
+    return LocalPool(workers, folder) if executor == "local" else DaskPool(executor.removeprefix(DASK))
 
 
 def must_be_known(executor: str) -> None:

@@ -37,8 +37,11 @@ class RunRequest:
     plugins: tuple[str, ...]
 
 
-def execute(request: RunRequest) -> Files:
+def execute(request: RunRequest, place: str | None = None) -> Files:
     """Run a scenario and return its folder. An exception in a law, a detector or a plugin gives the outcome `crashed` and a traceback.
+
+    Args:
+        request: the run. place: where its folder is made; None: where TMPDIR says.
 
     Raises:
         EnvironmentLackError: this machine has no OpenGL or no space, so that every other run would fail as well.
@@ -48,8 +51,8 @@ def execute(request: RunRequest) -> Files:
         _loaded.add(module)
     scenario = parse(request.text, "scenario.yaml")
     # the run's folder is local: the worker may be on a machine without access to the comparison's folder
-    with tempfile.TemporaryDirectory(prefix="vstestbed_") as place:
-        folder = Path(place) / "run"
+    with tempfile.TemporaryDirectory(prefix="vstestbed_", dir=place) as made:
+        folder = Path(made) / "run"
         folder.mkdir()
         try:
             recording = run_into(folder, scenario, "both" if request.filmed else "none", report=False, tile_px=TILE_PX)
@@ -58,7 +61,7 @@ def execute(request: RunRequest) -> Files:
                 _picture_of_the_end(scenario, folder)
         except EnvironmentLackError:  # no fault of the run: the comparison stops
             raise
-        except Exception as error:
+        except (Exception, SystemExit) as error:  # a plugin that calls sys.exit ends its run, not the worker
             return crashed(request.text, f"{type(error).__name__}: {error}", traceback.format_exc(), _files(folder))
         return _files(folder)
 
@@ -89,10 +92,12 @@ def request_of(folder: str, scenario: Scenario, filmed: bool, plugins: tuple[str
 
 
 def begin(parent_must_live: bool) -> None:
-    """Initialise a worker process: leave Ctrl-C to its parent, and exit when the parent is gone."""
+    """Initialise a worker process: leave signals for the whole group to its parent, and exit when the parent is gone."""
     import signal
 
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+        if hasattr(signal, name):  # Windows has no SIGHUP
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
     if parent_must_live:
         import multiprocessing
         import threading

@@ -1,0 +1,105 @@
+"""The exit code is that of the outcome, whatever happens to the streams; and a plugin that ends the program is named."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from vstestbed.cli.streams import Stream
+
+RUN = ("run", "quick.yaml", "--video", "none", "--json")
+LATE = ("--set", "stop.duration_s=0.2")
+LAW = '''
+import sys
+from typing import Literal
+import vstestbed as vs
+
+@vs.LAWS.add
+@vs.spec
+class {name}(vs.LawBase):
+    """Ends badly."""
+    kind: Literal["{kind}"] = "{kind}"
+    def step(self, memory, observation, goal, basis):
+        {body}
+'''
+
+
+def shell(
+    process: tuple[list[str], dict[str, str]], folder: Path, words: tuple[str, ...], streams: str
+) -> subprocess.CompletedProcess[str]:
+    """A command line with redirections; what `head` or another reader gives back does not count."""
+    line = " ".join(f"'{word}'" for word in (*process[0], *words))
+    script = f"set -o pipefail; {line} {streams}"
+    return subprocess.run(["bash", "-c", script], cwd=folder, env=process[1], capture_output=True, text=True, check=False)
+
+
+@pytest.mark.parametrize(
+    ("words", "streams", "code"),
+    [
+        ((*RUN, *LATE), "| true", 3),
+        pytest.param(RUN, ">/dev/full", 4, marks=pytest.mark.study),
+        pytest.param((*RUN, *LATE), ">&-", 3, marks=pytest.mark.study),
+        pytest.param((*RUN, *LATE), ">/dev/null 2>&-", 3, marks=pytest.mark.study),
+        pytest.param((*RUN[:-1], *LATE), "2>/dev/full", 3, marks=pytest.mark.study),
+        (("list", "laws"), "| true", 0),
+        (("list", "laws"), ">/dev/full", 4),
+        (("--version",), ">&-", 4),
+        pytest.param(("schema",), ">/dev/full", 4, marks=pytest.mark.study),
+        pytest.param(("doctor",), ">&-", 4, marks=pytest.mark.study),
+    ],
+)
+def test_streams_do_not_change_the_outcome(
+    quick: Path, tmp_path: Path, vstestbed_process: Any, words: tuple[str, ...], streams: str, code: int
+):
+    ended = shell(vstestbed_process, tmp_path, words, streams)
+    assert ended.returncode == code, ended.stderr
+    assert "Traceback" not in ended.stderr
+    if ">/dev/full" in streams.split() or streams == ">&-":
+        assert ended.stderr.splitlines()[-1].startswith("standard output: ")
+    if words[0] == "run":
+        summary = json.loads((tmp_path / "runs/quick/001/summary.json").read_text(encoding="utf-8"))
+        assert summary["outcome"] == ("timed_out" if "stop.duration_s=0.2" in words else "converged")
+        assert (tmp_path / "runs/quick/001/report.html").is_file()
+
+
+def test_a_stream_drops_its_text_from_the_first_error_on(tmp_path: Path):
+    reading, writing = os.pipe()
+    os.close(reading)
+    with open(writing, "w", encoding="utf-8") as pipe:  # noqa: PTH123 - a descriptor
+        gone = Stream(pipe)
+        gone.write("words")
+        assert gone.failed == "" and gone.lack is not None  # its reader chose to go
+        gone.write("more")
+        gone.flush()
+    with Path("/dev/full").open("w", encoding="utf-8") as full:
+        lost = Stream(full)
+        lost.write("words")
+        assert lost.failed == "No space left on device"
+
+
+@pytest.mark.parametrize(
+    ("name", "body", "words"),
+    [
+        ("leaves", "sys.exit(0)", "leaves_law.py:12: Leaves.step of plugin leaves_law called sys.exit(0); mend it"),
+        ("raises", "return 1 / 0", "raises_law.py:12: Raises.step of plugin raises_law raised ZeroDivisionError: division by zero; mend"),
+    ],
+)
+def test_a_plugin_that_ends_a_run_is_named(command, quick: Path, own_kinds: None, name: str, body: str, words: str):
+    Path(f"{name}_law.py").write_text(LAW.format(name=name.title(), kind=name, body=body), encoding="utf-8")
+    ended = command(*RUN, "--plugin", f"{name}_law", "--set", f"law={name}")
+    assert (ended.code, ended.out) == (1, "")
+    assert words in ended.err
+    assert ended.err.count("\n") == 1
+    assert not Path("runs").exists()
+
+
+def test_a_plugin_that_leaves_while_it_is_imported_is_bad_input(command, quick: Path):
+    Path("leaves_at_once.py").write_text("import sys\nsys.exit(0)\n", encoding="utf-8")
+    ended = command("list", "laws", "--plugin", "leaves_at_once")
+    assert (ended.code, ended.out) == (2, "")
+    assert ended.err == "--plugin cannot be imported (SystemExit: 0), got 'leaves_at_once'\n"

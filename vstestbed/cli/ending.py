@@ -1,0 +1,107 @@
+"""How a command ends: its exit code, and one sentence for every error that is foreseen or that a plugin brings."""
+
+from __future__ import annotations
+
+import signal
+import threading
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import typer
+
+from vstestbed.cli.streams import standard_streams
+from vstestbed.core.errors import EnvironmentLackError, VstestbedError
+
+GOAL_REACHED, BUG, BAD_INPUT, NOT_REACHED, INTERRUPTED = 0, 1, 2, 3, 130
+LACK = EnvironmentLackError.exit_code
+UsageMistake: type[Exception] = typer.BadParameter.__mro__[2]  # click.ClickException, also where typer brings a copy of click
+STOPS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+"""Signals that end a command as Ctrl-C does; Windows has no SIGHUP."""
+
+
+def exit_code(command: Callable[[], object], debug: bool = False) -> int:
+    """Do a command; its exit code.
+
+    The code is that of the command's outcome, also where the reader of its output goes away. Only where standard output is full or
+    closed, so that text was lost which nobody chose to lose, is it LACK in place of GOAL_REACHED.
+    """
+    with standard_streams() as out, _stopped_by_signals():
+        code = _guarded(command, debug)
+        if out.failed:
+            typer.echo(f"standard output: {out.failed}, so that text was lost; give it another place", err=True)
+            return code or LACK
+    return code
+
+
+@contextmanager
+def _stopped_by_signals() -> Iterator[None]:
+    """SIGTERM and SIGHUP interrupt as Ctrl-C does; a signal that is ignored (`nohup`, `&` in a script) stays so."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    before = {number: signal.getsignal(number) for number in STOPS}
+    for number, handler in before.items():
+        if handler == signal.SIG_DFL:
+            signal.signal(number, interrupt)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _guarded(command: Callable[[], object], debug: bool) -> int:
+    try:
+        code = command()
+        return code if isinstance(code, int) else GOAL_REACHED
+    except VstestbedError as error:
+        return _failed(error, str(error), error.exit_code, debug)
+    except UsageMistake as error:
+        error.show()  # type: ignore[attr-defined] - a ClickException, which typer hands on untyped
+        return BAD_INPUT
+    except (typer.Abort, KeyboardInterrupt):
+        typer.echo("interrupted", err=True)
+        return INTERRUPTED
+    except (Exception, SystemExit) as error:
+        return _unforeseen(error, debug)
+
+
+def _unforeseen(error: BaseException, debug: bool) -> int:
+    """An error that no part of vstestbed foresees: in the OpenGL bindings, in a plugin, or a bug."""
+    if isinstance(error, ImportError):  # the OpenGL bindings look for their driver when they are imported
+        from vstestbed.sim.render import gl_probe as gl
+
+        if (lack := gl.explain(error)) is not None:
+            return _failed(error, str(lack), lack.exit_code, debug)
+    what = f"called sys.exit({error.code!r})" if isinstance(error, SystemExit) else f"raised {type(error).__name__}: {error}"
+    place = _place_in_plugin(error)
+    if place is None and not isinstance(error, SystemExit):
+        return _failed(error, "this is a bug of vstestbed", BUG, debug=True)
+    return _failed(error, f"{place or 'a plugin'} {what}; mend it (--debug shows the traceback)", BUG, debug)
+
+
+def _place_in_plugin(error: BaseException) -> str | None:
+    """The innermost line of a plugin in a traceback, with the plugin's module: of a package that has registered a kind."""
+    from vstestbed.scenario.validation import KINDS
+
+    packages = {member.__module__.partition(".")[0] for kinds in KINDS.values() for member in kinds.members.values()} - {"vstestbed"}
+    place = None
+    for frame, line in traceback.walk_tb(error.__traceback__):
+        module = str(frame.f_globals.get("__name__"))
+        if module.partition(".")[0] in packages:
+            code = frame.f_code
+            place = f"{code.co_filename}:{line}: {code.co_qualname} of plugin {module}"
+    return place
+
+
+def _failed(error: BaseException, words: str, code: int, debug: bool) -> int:
+    if debug:
+        traceback.print_exception(error)  # it ends with the words of an error of this package
+    if not debug or words != str(error):
+        typer.echo(words, err=True)
+    return code

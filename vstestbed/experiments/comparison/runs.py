@@ -1,0 +1,271 @@
+"""The controllers and runs of a comparison: counted before any is made, and made when their turn comes."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import math
+import re
+import sys
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import NamedTuple, TypeVar, overload
+
+from vstestbed.core.errors import Mistake, ParameterError, ScenarioError
+from vstestbed.experiments.comparison.plan import TASK, Comparison, merged
+from vstestbed.experiments.comparison.starts import StartTable
+from vstestbed.scenario.load import find, load, seeded
+from vstestbed.scenario.scenario import Scenario
+from vstestbed.scenario.yaml_marks import Key, Marks, marks_under
+
+T = TypeVar("T")
+AS_IT_IS = "as_it_is"
+"""Name of the variant of a scenario where nothing is varied."""
+MOST_RUNS = 100_000
+"""Runs that need no `--force`: over an hour of the quickest scenario (50 ms a run) on one core, and tens of GB of run folders."""
+MOST_KEPT = 10_000
+"""Controllers that are kept in memory (some 15 kB each); of more, each is loaded again when its turn comes."""
+
+
+class Placed(NamedTuple):
+    """A value for a dotted path, and the positions of it and of what is inside it, by key relative to the path."""
+
+    value: object
+    marks: Marks
+
+
+@dataclass(frozen=True)
+class Controller:
+    """One scenario with one combination of cases and values, from its nominal start or, in a task, from each of its starts."""
+
+    scenario: Scenario
+    values: Mapping[str, object]
+    folder: str
+    """Folder of its runs, below the comparison's folder."""
+    draws: bool
+    """Whether a seed draws anything."""
+    starts: tuple[Scenario, ...] | None = None
+    """The scenario of each run of a task; None if a seed draws it."""
+    amounts: tuple[str, ...] = ()
+    """Labels of the runs of a task: `20 deg`."""
+    runs: int | None = None
+    """Number of runs of a task; None without a task: the comparison's seeds."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """One run of a comparison."""
+
+    controller: Controller
+    seed: int | None
+
+    @property
+    def folder(self) -> str:
+        """Folder of the run, below the comparison's folder."""
+        return f"{self.controller.folder}/{'nominal' if self.seed is None else self.seed}"
+
+    def scenario(self) -> Scenario:
+        """The scenario with its start and its noise drawn from the seed."""
+        found = self.controller
+        if found.starts is not None and self.seed is not None:
+            return replace(found.starts[self.seed], seed=self.seed)
+        return found.scenario if self.seed is None or not found.draws else seeded(found.scenario, self.seed)
+
+
+class Lazy(Sequence[T]):
+    """A sequence whose items are made when they are asked for."""
+
+    def item(self, i: int) -> T:
+        """Item i, 0 <= i < len."""
+        raise NotImplementedError
+
+    @overload
+    def __getitem__(self, i: int) -> T: ...
+    @overload
+    def __getitem__(self, i: slice) -> list[T]: ...
+    def __getitem__(self, i: int | slice) -> T | list[T]:
+        """Item i, or a list of the items of a slice."""
+        places = range(len(self))[i]
+        return self.item(places) if isinstance(places, int) else [self.item(place) for place in places]
+
+
+class Controllers(Lazy[Controller]):
+    """All controllers of a comparison: scenarios, cases, axes and tasks, the last varying fastest."""
+
+    def __init__(self, comparison: Comparison):
+        c = self._comparison = comparison
+        axes = [list(cases) for cases in c.cases.values()] + [list(values) for values in c.axes.values()]
+        self._words = [_distinct([_word(str(value)) for value in values]) for values in (*axes, *([list(c.tasks)] if c.tasks else []))]
+        self._bases = _distinct([_word(Path(name).stem) for name in c.base])
+        self._sizes = [len(c.base), *map(len, axes), max(len(c.tasks), 1)]
+        self.task_runs: tuple[int | None, ...] = tuple(task.runs for task in c.tasks.values()) or (None,)
+        """Number of runs of the controllers of each task; controller i is of task i modulo their number."""
+        self._made = functools.lru_cache(maxsize=MOST_KEPT)(self._make)
+
+    def __len__(self) -> int:
+        return min(math.prod(self._sizes), sys.maxsize)
+
+    def item(self, i: int) -> Controller:
+        """Controller i."""
+        return self._made(i)
+
+    def _make(self, i: int) -> Controller:
+        c = self._comparison
+        base, *varied = self._places(i)
+        of_cases, of_axes = varied[: len(c.cases)], varied[len(c.cases) : -1]
+        task = list(c.tasks)[varied[-1]] if c.tasks else None
+        cases = {name: list(those)[place] for (name, those), place in zip(c.cases.items(), of_cases, strict=True)}
+        axes = {
+            path: Placed(those[place], marks_under(("axes", path, place), c.places))
+            for (path, those), place in zip(c.axes.items(), of_axes, strict=True)
+        }
+        blocks = [_settings(c, c.set, ("set",))]
+        blocks += [_settings(c, c.cases[name][case], ("cases", name, case)) for name, case in cases.items()]
+        values = cases | {path: setting.value for path, setting in axes.items()} | ({TASK: task} if task else {})
+        words = [words[place] for words, place in zip(self._words, varied, strict=False)]  # without tasks the last place has no word
+        variant = ",".join(f"{path}={word}" for path, word in zip(values, words, strict=True)) or AS_IT_IS
+        return _controller(c, base, merged(*blocks, axes), values, f"runs/{self._bases[base]}/{variant}", task)
+
+    def _places(self, i: int) -> list[int]:
+        """The place of controller i on each axis."""
+        places = []
+        for size in reversed(self._sizes):
+            i, place = divmod(i, size)
+            places.append(place)
+        return places[::-1]
+
+
+def _settings(c: Comparison, block: Mapping[str, object], key: Key) -> dict[str, Placed]:
+    return {path: Placed(value, marks_under((*key, path), c.places)) for path, value in block.items()}
+
+
+def controllers(comparison: Comparison, force: bool = False) -> Controllers:
+    """All controllers, the first MOST_RUNS of them loaded and checked: bad input is found before anything runs.
+
+    Args:
+        comparison: the plan. force: allow more than MOST_RUNS runs.
+
+    Raises:
+        ScenarioError: a scenario is invalid, or becomes so with a value of an axis.
+        ParameterError: too many runs, or more than one seed for a scenario in which a seed draws nothing.
+    """
+    must_be_few(comparison, force)
+    for i, name in enumerate(comparison.base):
+        try:
+            find(name)
+        except ScenarioError as error:
+            where = comparison.places.get(("base", i))
+            raise (error if where is None else ScenarioError([Mistake(where, f"base.{i}", str(error))])) from None
+    found = Controllers(comparison)
+    for _ in itertools.islice(found, MOST_RUNS):  # loads them
+        pass
+    return found
+
+
+def must_be_few(comparison: Comparison, force: bool = False) -> None:
+    """Refuse more than MOST_RUNS runs, unless by force.
+
+    Raises:
+        ParameterError: with the product of which the runs come.
+    """
+    c = comparison
+    counts = [(len(c.base), "scenarios"), *((len(those), f"of {name}") for name, those in (c.cases | c.axes).items())]
+    counts.append((sum(task.runs for task in c.tasks.values()), "starts of the tasks") if c.tasks else (c.seeds or 1, "seeds"))
+    total = math.prod(n for n, _ in counts)
+    if total > MOST_RUNS and not force:
+        product = " x ".join(f"{n:,} {what}" for n, what in counts if n > 1)
+        raise ParameterError("comparison", f"would make {total:,} runs ({product}); more than {MOST_RUNS:,} need --force")
+
+
+def _controller(
+    c: Comparison, base: int, settings: Mapping[str, Placed], values: Mapping[str, object], folder: str, task_name: str | None
+) -> Controller:
+    name = c.base[base]
+    if task_name is None:
+        scenario = _load(name, settings)
+        return Controller(scenario, values, folder, _seeds_draw(scenario, c.seeds or 1))
+    task = c.tasks[task_name]
+    settings = merged(settings, _settings(c, task.set, ("tasks", task_name, "set")))
+    if not task.each:
+        scenario = _load(name, settings)
+        return Controller(scenario, values, folder, _seeds_draw(scenario, task.runs), None, task.labels(), task.runs)
+    starts = tuple(_load(name, merged(settings, one)) for one in _starts(c, task_name, task))
+    return Controller(starts[0], values, folder, _draws(starts[0]), starts, task.labels(), task.runs)
+
+
+def _starts(c: Comparison, name: str, task: StartTable) -> Iterator[dict[str, Placed]]:
+    """The settings of each run of a task with lists."""
+    for i, one in enumerate(task.settings()):
+        yield {path: Placed(value, marks_under(("tasks", name, "each", path, i), c.places)) for path, value in one.items()}
+
+
+def _load(name: str, settings: Mapping[str, Placed]) -> Scenario:
+    values = {path: setting.value for path, setting in settings.items()}
+    return load(name, values, places={path: setting.marks for path, setting in settings.items()})
+
+
+def _draws(scenario: Scenario) -> bool:
+    """Whether anything of a scenario is random: its start, pixel or image noise, delays, or the calibration of depth."""
+    noise = scenario.noise.pixel_sigma_px > 0 or (scenario.noise.image_sigma > 0 and scenario.detector.needs_image)
+    return scenario.robot.start.random is not None or noise or scenario.timing.draws or scenario.calibration.depth_spread > 0
+
+
+def _seeds_draw(scenario: Scenario, runs: int) -> bool:
+    """As `_draws`, but an error where several runs would all be the same."""
+    draws = _draws(scenario)
+    if runs > 1 and not draws:
+        problem = "is missing, and there is no noise: every seed would give the same run; add one of them, or leave --seeds out"
+        raise ParameterError(f"{scenario.name}: robot.start.random", problem)
+    return draws
+
+
+def _word(text: str) -> str:
+    """A text as part of a file name, short enough for file systems (a checksum keeps shortened ones distinct)."""
+    word = re.sub(r"[^\w.+-]+", "_", text).strip("._") or "value"
+    return word if len(word) <= 60 else f"{word[:48]}_{zlib.crc32(text.encode()):08x}"
+
+
+def _distinct(words: list[str]) -> list[str]:
+    """The words, with `_` at the end of those that stand there before: values may differ in what a file name cannot hold alone."""
+    seen: dict[str, None] = {}
+    for word in words:
+        while word in seen:
+            word += "_"
+        seen[word] = None
+    return list(seen)
+
+
+class Jobs(Lazy[Job]):
+    """All runs, seed by seed, so that the controllers can be compared at any time; a task has as many runs as its table."""
+
+    def __init__(self, found: Sequence[Controller], seeds: int | None):
+        self._found = found
+        # the controllers of a comparison tell without being loaded
+        task_runs = found.task_runs if isinstance(found, Controllers) else tuple(c.runs for c in found)
+        self._runs = tuple(seeds if n is None else n for n in task_runs)
+
+    def __len__(self) -> int:
+        if not self._runs:
+            return 0
+        return min(sum(1 if n is None else n for n in self._runs) * (len(self._found) // len(self._runs)), sys.maxsize)
+
+    def __iter__(self) -> Iterator[Job]:
+        every = range(len(self._found))
+        if None in self._runs:
+            yield from (Job(self._found[i], None) for i in every if self._runs_of(i) is None)
+        for seed in range(max((n for n in self._runs if n is not None), default=0)):
+            yield from (Job(self._found[i], seed) for i in every if seed < (self._runs_of(i) or 0))
+
+    def _runs_of(self, i: int) -> int | None:
+        return self._runs[i % len(self._runs)]
+
+    def item(self, i: int) -> Job:
+        """Run i."""
+        return next(itertools.islice(self, i, None))
+
+
+def jobs(found: Sequence[Controller], seeds: int | None) -> Jobs:
+    """All runs of controllers; `seeds` for those without a task, None for the nominal start."""
+    return Jobs(found, seeds)
