@@ -328,7 +328,12 @@ class TestEnds:
 
     def test_an_unstable_simulation_crashes_as_an_outcome(self, monkeypatch: pytest.MonkeyPatch):
         apply = MujocoPlant.apply
-        monkeypatch.setattr(MujocoPlant, "apply", lambda plant, setpoint: apply(plant, np.full(6, np.nan)))
+
+        def blow(plant: MujocoPlant, setpoint: Array) -> None:
+            apply(plant, setpoint)
+            plant._stage.data.qvel[:] = np.nan
+
+        monkeypatch.setattr(MujocoPlant, "apply", blow)
         r = vs.run(vs.load("arm_ibvs", {"detector": "oracle"}))
         assert r.outcome is vs.Outcome.crashed and "unstable" in r.reason
         assert len(r.table) == 1
