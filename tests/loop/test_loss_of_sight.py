@@ -245,5 +245,3 @@ class TestLawThatFails:
         longest_s, farthest_m = bound(scenario, speed_before(r, BLACK_FRAME), 0.0)
         walked, took = way.since((BLACK_FRAME - 1) * scenario.camera.period)
         assert walked <= farthest_m and took <= longest_s
-
-
