@@ -73,7 +73,7 @@ class TestLimitReached:
     def test_after_a_second_of_nearly_nothing(self, limit):
         t, verdict = verdicts(LimitReached(), 1.5, limit=limit, scale=BLOCKED_SCALE / 2)[0]
         assert t == pytest.approx(1.0)
-        assert verdict == (Outcome[limit], f"{Outcome[limit].value} for 1 s")
+        assert verdict == (Outcome[limit], f"for 1 s {Outcome[limit].value}")
 
     @pytest.mark.parametrize(("limit", "scale"), [("joint_limit", 2 * BLOCKED_SCALE), ("speed", 0.0), ("", 1.0)])
     def test_what_goes_on_slowly_or_meets_its_speed_limit_is_not_stopped(self, limit, scale):

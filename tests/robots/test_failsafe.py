@@ -1,6 +1,5 @@
 """What is done when the law cannot: held, sunk, rotors off, and why."""
 
-import math
 
 import numpy as np
 

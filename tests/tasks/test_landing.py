@@ -45,6 +45,23 @@ class TestReference:
         assert memory.share == DEEPEST
 
 
+    @pytest.mark.parametrize("goal", ["told", "shown"])
+    def test_it_comes_down_with_the_errors_of_the_calibration(self, goal):
+        """At every height the view is the one that the robot would be given there, as the first one is."""
+        scenario = vs.load("quadrotor_land", {"calibration": {"goal": goal, "depth_factor": 1.2}})
+        memory = scenario.goal.begin(scenario.setup, scenario.goal_views)
+        memory, first = scenario.goal.reference(memory, self.seen(0.0, (0, 0, 1.5)))
+        np.testing.assert_allclose(first.uv, scenario.goal_views[0].uv)
+        np.testing.assert_allclose(first.depth, scenario.goal_views[0].depth)
+        np.testing.assert_allclose(first.T_camera_target, scenario.goal_views[0].T_camera_target)
+        # The estimate has the same error as the reference: it is over its pad, and comes down.
+        at = Observation(0.04, np.zeros((4, 2)), np.zeros((4, 2)), np.ones(4), T_camera_target=first.T_camera_target)
+        memory, lower = scenario.goal.reference(memory, at)
+        assert memory.share == pytest.approx(1 - 0.25 * 0.04 / 1.5)
+        exact = TASK.reference(memory._replace(setup=SCENARIO.setup), self.seen(0.08, (9, 0, 2)))[1]
+        np.testing.assert_allclose(lower.depth, 1.2 * exact.depth)
+
+
 def craft(k: int, offset_m: float, sink_mps: float) -> np.ndarray:
     """T_world_craft (4, 4) at frame k of a descent at a speed that ends on the pad at frame 20."""
     return Pose(xyz=(offset_m, 0, 0.172 + sink_mps * 0.04 * (20 - k))).T

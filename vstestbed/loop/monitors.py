@@ -86,7 +86,7 @@ class LimitReached:
         blocked = limit in ("joint_limit", "singular") and frame.allocation.scale < BLOCKED_SCALE
         if self._timer.lasting(blocked, frame.t) < BLOCKED_S:
             return None
-        return Outcome[limit], f"{Outcome[limit].value} for {BLOCKED_S:g} s"
+        return Outcome[limit], f"for {BLOCKED_S:g} s {Outcome[limit].value}"
 
 
 def _from_target(frame: Frame) -> list[float]:

@@ -163,7 +163,7 @@ class Scenario:
     @property
     def T_world_goal(self) -> Array:
         """The camera's goal pose in the world (4, 4), for the target at its start."""
-        return self.target.T_world_start @ inverse(self.goal_poses[-1])
+        return target_start(self.robot, self.target) @ inverse(self.goal_poses[-1])
 
     def rng(self, stream: int) -> np.random.Generator:
         """The generator of one of the independent streams (START_STREAM, ...)."""
