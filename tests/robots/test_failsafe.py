@@ -1,6 +1,5 @@
 """What is done when the law cannot: held, sunk, rotors off, and why."""
 
-
 import numpy as np
 
 from vstestbed.core.outcome import Outcome

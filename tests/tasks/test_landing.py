@@ -44,7 +44,6 @@ class TestReference:
             memory, _ = TASK.reference(memory, self.seen(0.04 * k, (0.3, 0, 0.2)))  # off its pad, but too near to wait
         assert memory.share == DEEPEST
 
-
     @pytest.mark.parametrize("goal", ["told", "shown"])
     def test_it_comes_down_with_the_errors_of_the_calibration(self, goal):
         """At every height the view is the one that the robot would be given there, as the first one is."""
