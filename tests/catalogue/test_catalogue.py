@@ -116,8 +116,8 @@ class TestWhatASuiteAsksForIsSaid:
             vs.run(replace(quick("view"), law=LAWS.add(Silent)()))
 
     def test_a_law_whose_twist_is_not_finite(self, own_kinds):
-        with pytest.raises(ParameterError, match="wild: the twist of a Command must be six finite numbers"):
-            vs.run(replace(quick("view"), law=LAWS.add(Wild)()))
+        r = vs.run(replace(quick("view"), law=LAWS.add(Wild)()))
+        assert r.outcome is vs.Outcome.law_failed and r.reason.startswith("law wild gave a twist that is not finite, [nan")
 
     def test_an_arm_without_a_body(self, own_kinds):
         with pytest.raises(ParameterError, match="ghost has joints and no body; let its `model` name an MJCF file"):

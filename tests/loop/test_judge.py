@@ -46,12 +46,6 @@ def test_a_goal_with_a_marker_out_of_sight_is_not_reached():
         ({"contact": "hub and floor"}, Outcome.collided, "contact of hub and floor"),
         ({"T_world_camera": back_from_target(201.0)}, Outcome.diverged, "200 m"),
         ({"T_world_camera": back_from_target(-0.1)}, Outcome.target_lost, "crossed the plane"),
-        (
-            {"lost": True, "rest_reason": "too few markers in sight"},
-            Outcome.target_lost,
-            "too few markers in sight for 1 s, from the start on",
-        ),
-        ({"lost": True, "rest_reason": "the depth of the markers in sight cannot be told"}, Outcome.target_lost, "depth of the markers"),
         ({"limit": "joint_limit", "scale": 0.0}, Outcome.joint_limit, "joint"),
         ({"limit": "singular", "scale": 0.01}, Outcome.singular, "singular"),
         ({"speed_mps": 0.0}, Outcome.local_minimum, "5 px"),
@@ -72,8 +66,7 @@ class TestOrder:
     """Of several outcomes in one frame: given up by the supervisor, reached, the safety monitors in their order, missed."""
 
     AT_ONCE = Stop(duration_s=10, converged=Converged(error_px=0.2, hold_s=0.0), lost_after_s=0.0)
-    LAST = Stop(duration_s=0.04, lost_after_s=0.04)
-    """Out of sight for too long in the very frame in which the time is out."""
+    LAST = Stop(duration_s=0.04)
 
     @pytest.mark.parametrize(
         ("stop", "given", "outcome"),
@@ -81,17 +74,37 @@ class TestOrder:
             (AT_ONCE, {"rms_px": 0.1, "contact": "hub and floor", "T_world_camera": back_from_target(201.0)}, Outcome.converged),
             (AT_ONCE, {"contact": "hub and floor", "T_world_camera": back_from_target(201.0), "lost": True}, Outcome.collided),
             (AT_ONCE, {"T_world_camera": back_from_target(-201.0), "lost": True}, Outcome.diverged),
-            (AT_ONCE, {"T_world_camera": back_from_target(-0.1), "lost": True, "rest_reason": "blind"}, Outcome.target_lost),
-            (LAST, {"lost": True, "rest_reason": "blind"}, Outcome.target_lost),
+            (AT_ONCE, {"T_world_camera": back_from_target(-0.1), "limit": "singular", "scale": 0.0}, Outcome.target_lost),
             (LAST, {}, Outcome.timed_out),
         ],
     )
     def test_the_first_of_them_counts(self, stop, given, outcome):
         assert judged(0.04, stop=stop, **given)[0] is outcome
 
-    def test_behind_the_target_is_said_before_out_of_sight(self):
-        _, reason, _ = judged(0.04, stop=self.AT_ONCE, T_world_camera=back_from_target(-0.1), lost=True, rest_reason="blind")
-        assert "crossed the plane" in reason
+
+class TestARobotThatGaveUp:
+    WHY = (Outcome.target_lost, "too few markers in sight for 1 s")
+
+    def test_the_judge_waits_until_it_stands(self):
+        moving, standing = Supervisor(aborted=self.WHY), Supervisor(aborted=self.WHY, _stands=True)
+        assert judged(9.9, supervisor=moving) is None
+        assert judged(1.0, supervisor=standing) == (Outcome.target_lost, f"{self.WHY[1]}; the robot stands", 0.0)
+
+    def test_out_of_sight_is_said_before_out_of_time(self):
+        outcome, reason, t = judged(10.1, supervisor=Supervisor(aborted=self.WHY))
+        assert outcome is Outcome.target_lost and t == pytest.approx(10.0)
+        assert reason == f"{self.WHY[1]}; the robot was still moving when the time ran out"
+
+    def test_without_pictures_it_decides_by_the_clock(self):
+        supervisor = Supervisor()
+        judge, truth = Judge(GoalMonitor(replace(SETUP, stop=STOP), 1, supervisor), STOP, SETUP.target, supervisor), frame().truth
+        assert judge.without_picture(9.9, truth) is None
+        assert judge.without_picture(10.0, truth) == (Outcome.timed_out, "10 s were not enough")
+        assert judge.without_picture(1.0, frame(contact="forearm and floor").truth)[0] is Outcome.collided
+        supervisor.aborted = self.WHY
+        assert judge.without_picture(9.9, truth) is None
+        supervisor._stands = True
+        assert judge.without_picture(9.9, truth) == (Outcome.target_lost, f"{self.WHY[1]}; the robot stands")
 
 
 class TestACraftThatGaveUp:

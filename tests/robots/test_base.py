@@ -109,21 +109,45 @@ class TestMount:
 class TestSupervisorAndLog:
     def test_only_a_craft_that_flies_has_a_failsafe_and_a_setpoint_that_holds(self, name):
         robot = ROBOTS[name]
-        supervisor, hold = robot.supervisor(True, 0.7), robot.hold_setpoint()
+        supervisor, hold = robot.supervisor(True, 0.7, 3.0), robot.hold_setpoint()
+        assert (supervisor.lost_after_s, supervisor.lost_after_m) == (0.7, 3.0)
         if robot.base == "floating":
-            assert isinstance(supervisor, Failsafe) and (supervisor.lands, supervisor.lost_after_s) == (True, 0.7)
+            assert isinstance(supervisor, Failsafe) and supervisor.lands
             np.testing.assert_array_equal(hold, HOLD)
         else:
             assert type(supervisor) is Supervisor and hold is None
 
-    def test_a_robot_on_a_fixed_base_has_no_columns_of_its_own(self, name):
-        robot = ROBOTS[name]
-        assert bool(robot.log(Supervisor()).columns) is (robot.base != "fixed")
+    def test_each_robot_logs_what_its_supervisor_does(self, name):
+        assert ROBOTS[name].log(Supervisor()).columns[-1] == "supervisor"
 
-    def test_no_columns_no_values(self):
+    def test_the_mode_is_a_column(self, name):
         still = np.zeros(3)
         state = RobotState(0.0, np.eye(4), still, still, Reading(still, still), np.zeros(0), still)
-        assert RobotLog().columns == () and RobotLog().row(state).shape == (0,)
+        log = RobotLog(Supervisor(mode=2))
+        assert log.columns == ("supervisor",) and log.row(state).tolist() == [2]
+
+
+class TestStopping:
+    """From any setpoint to rest, in the robot's own way."""
+
+    def test_what_it_ends_at_is_rest(self, name):
+        robot = ROBOTS[name]
+        setpoint = robot.allocate(np.full(6, 0.1), Reading(robot.start_joints(), np.zeros(6)), Mount.of(np.eye(4)), 0.04).setpoint
+        end = robot.stopping(setpoint, 10.0)
+        assert end.shape == setpoint.shape
+        assert not end[:1].any() if name == "car" else not end.any()  # a car keeps its wheels in the bend
+
+    def test_velocities_fall_together_and_steadily(self, name):
+        robot = ROBOTS[name]
+        if robot.control_period_s is not None:
+            return  # its onboard controller limits its deceleration
+        u = np.array([0.4, -0.2, 0.0])
+        if robot.stop_s == 0:
+            assert not robot.stopping(u, 1e-9).any()
+            return
+        np.testing.assert_allclose(robot.stopping(u, 0.0), u)
+        np.testing.assert_allclose(robot.stopping(u, 0.25 * robot.stop_s), 0.75 * u)
+        assert not robot.stopping(u, robot.stop_s).any() and not robot.stopping(u, 2 * robot.stop_s).any()
 
 
 def test_of_vehicles_only_one_on_planar_wheels_cannot_slip(name):

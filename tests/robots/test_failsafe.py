@@ -1,13 +1,11 @@
 """What is done when the law cannot: held, sunk, rotors off, and why."""
 
-import math
-
 import numpy as np
 
 from vstestbed.core.outcome import Outcome
-from vstestbed.robots.failsafe import DOWN_S, FOLLOWS, HOLD_S, HOLDS, OFF, SINKS, Failsafe
+from vstestbed.robots.failsafe import DOWN_S, HOLD_S, OFF, SINKS, Failsafe
 from vstestbed.robots.flight_reading import HOLD, ROTORS_OFF, FlightEstimate, FlightReading, descend
-from vstestbed.robots.supervisor import Supervisor
+from vstestbed.robots.supervisor import FOLLOWS, HOLDS
 
 SETPOINT = np.array([0.5, 0.1, -0.2, 0.3])
 
@@ -96,9 +94,17 @@ def test_the_reason_says_what_and_when():
     assert failsafe.aborted == (Outcome.rotor_limit, "a rotor stood at its limit for 1 s at 0.0 s")
 
 
-def test_other_robots_follow_their_law_whatever_happens():
-    """They are safe when they stand still."""
-    supervisor = Supervisor()
-    assert supervisor.filter(5.0, "nothing in sight", reading(overturned=True), SETPOINT) is SETPOINT
-    assert supervisor.mode == FOLLOWS and supervisor.aborted is None and supervisor.may_touch
-    assert not supervisor.sets_down and not supervisor.down(math.inf)
+def test_a_law_that_failed_ends_the_task_for_good():
+    failsafe = Failsafe(lands=False, lost_after_s=1.0)
+    failsafe.abort(0.0, Outcome.law_failed, "law mine raised ValueError")
+    np.testing.assert_array_equal(flown(failsafe, HOLD_S - 0.1), HOLD)
+    np.testing.assert_array_equal(flown(failsafe, HOLD_S + 1.0, HOLD_S), descend(0.4))  # although the target is in sight
+    assert failsafe.aborted == (Outcome.law_failed, "law mine raised ValueError at 0.0 s")
+
+
+def test_too_far_without_sight_is_too_long():
+    failsafe = Failsafe(lands=False, lost_after_s=100.0, lost_after_m=1.0)
+    for k in range(5):
+        setpoint = failsafe.filter(0.04 * k, "coasting", reading(), SETPOINT, moved_m=0.3)
+        assert np.array_equal(setpoint, SETPOINT) is (k < 3)
+    assert failsafe.aborted is not None and failsafe.aborted[1] == "coasting for 1 m of the way at 0.1 s"

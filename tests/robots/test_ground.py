@@ -7,6 +7,7 @@ from vstestbed.core.planar import moved, pose_on_ground
 from vstestbed.robots.ground import VehicleLog
 from vstestbed.robots.reading import Reading
 from vstestbed.robots.robot_log import RobotState
+from vstestbed.robots.supervisor import Supervisor
 
 ORIGIN = np.zeros(3)
 NO_READING = Reading(np.zeros(0), np.zeros(0))
@@ -19,9 +20,9 @@ def state(t, true, odometry, known=ORIGIN):
 
 def slip(true, odometry, duration):
     """Slip [m/s, rad/s] between two frames with true places and places by odometry, a pair each."""
-    log = VehicleLog(ORIGIN)
+    log = VehicleLog(Supervisor(), ORIGIN)
     log.row(state(0.0, true[0], odometry[0]))
-    return tuple(log.row(state(duration, true[1], odometry[1]))[-2:])
+    return tuple(log.row(state(duration, true[1], odometry[1]))[-3:-1])
 
 
 class TestSlip:
@@ -42,13 +43,13 @@ class TestSlip:
         assert slip((start, moved(start, step, 1.0)), (ORIGIN, moved(ORIGIN, step, 1.0)), 0.04) == pytest.approx((0, 0), abs=1e-9)
 
     def test_none_in_the_first_frame_nor_without_time(self):
-        assert VehicleLog(ORIGIN).row(state(0.0, [1, 2, 3], ORIGIN))[-2:].tolist() == [0.0, 0.0]
+        assert VehicleLog(Supervisor(), ORIGIN).row(state(0.0, [1, 2, 3], ORIGIN))[-3:-1].tolist() == [0.0, 0.0]
         assert slip((ORIGIN, [1.0, 0, 0]), (ORIGIN, ORIGIN), 0.0) == (0.0, 0.0)
 
 
 def test_true_known_and_reckoned_places_stand_under_their_names():
     start = np.array([4.0, -1.0, np.pi / 2])
-    log = VehicleLog(start)
+    log = VehicleLog(Supervisor(), start)
     found = dict(zip(log.columns, log.row(state(0.0, [4.1, 1.0, 1.6], [2.0, 0.0, 0.03], known=[4.2, 1.1, 1.7])), strict=True))
     assert [found[f"base_{part}"] for part in ("x", "y", "heading")] == pytest.approx([4.1, 1.0, 1.6])
     assert [found[f"est_{part}"] for part in ("x", "y", "heading")] == [4.2, 1.1, 1.7]

@@ -19,16 +19,18 @@ DURATION_S = 1.2
 
 
 def corrupted(truth: Truth, rng: np.random.Generator) -> Truth:
-    """The same with garbage in every field: poses moved at random, flags turned, numbers drawn anew."""
+    """The same with garbage in every field but the oracle's: poses moved at random, flags turned, numbers drawn anew."""
     garbage: dict[str, object] = {}
     for field in dataclasses.fields(truth):
         value = getattr(truth, field.name)
+        if field.name in ("p_camera", "hidden"):  # what the oracle is given
+            continue
         if field.name.startswith("T_world"):
             garbage[field.name] = value @ exp(rng.normal(size=6))
         elif isinstance(value, np.ndarray):
             garbage[field.name] = ~value if value.dtype == bool else rng.normal(size=value.shape)
         else:
-            garbage[field.name] = not value
+            garbage[field.name] = "" if value else "hub and floor"
     return dataclasses.replace(truth, **garbage)
 
 
@@ -47,12 +49,12 @@ class Commands:
 @pytest.mark.parametrize("name", bundled_scenarios())
 def test_a_corrupted_truth_changes_no_command(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     honest, lied_to, rng = Commands(), Commands(), np.random.default_rng(0)
-    make, scenario = FrameController._frame, vs.load(name, {"detector": {"kind": "oracle"}})
+    arrive, scenario = FrameController.arrive, vs.load(name, {"detector": {"kind": "oracle"}})
     # a judge that believes the lies would end the run at once: here the clock does
     monkeypatch.setattr(Judge, "verdict", lambda judge, frame: (Outcome.timed_out, "") if frame.t >= DURATION_S else None)
     vs.run(scenario, watch=[honest])
     monkeypatch.setattr(
-        FrameController, "_frame", lambda self, shot, *rest: make(self, dataclasses.replace(shot, truth=corrupted(shot.truth, rng)), *rest)
+        FrameController, "arrive", lambda self, shot, now: arrive(self, dataclasses.replace(shot, truth=corrupted(shot.truth, rng)), now)
     )
     vs.run(scenario, watch=[lied_to])
     assert len(honest.kept) == len(lied_to.kept) > 5

@@ -1,5 +1,7 @@
 """Landing: when the reference comes down, and how a touch-down is judged."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -44,6 +46,44 @@ class TestReference:
             memory, _ = TASK.reference(memory, self.seen(0.04 * k, (0.3, 0, 0.2)))  # off its pad, but too near to wait
         assert memory.share == DEEPEST
 
+    @pytest.mark.parametrize(
+        ("xyz", "turn", "descends"),
+        [
+            *(((0.14, 0, 1.5), 0, True), ((0.16, 0, 1.5), 0, False), ((0, -0.16, 1.5), 0, False)),
+            *(((0, 0, 1.75), 0, True), ((0, 0, 1.25), 0, True), ((0, 0, 1.85), 0, False), ((0, 0, 1.15), 0, False)),
+            *(((0, 0, 1.5), 14, True), ((0, 0, 1.5), 16, False)),
+            *(((0.3, 0, 0.39), 0, True), ((0.3, 0, 0.4), 0, False)),  # nearer than `commit_m` it waits for nothing
+        ],
+    )
+    def test_how_near_is_over_its_pad(self, xyz, turn, descends):
+        memory = TASK.begin(SCENARIO.setup, SCENARIO.goal_views)
+        for t in (0.0, 0.04):
+            memory, goal = TASK.reference(memory, self.seen(t, xyz, turn))
+        assert (memory.share < 1.0) is descends
+        assert goal.T_camera_target[2, 3] == pytest.approx(1.49 if descends else 1.5)
+
+    def test_the_first_frame_has_no_duration(self):
+        memory = TASK.begin(SCENARIO.setup, SCENARIO.goal_views)
+        assert memory.share == 1.0 and np.isnan(memory.t)
+        memory, _ = TASK.reference(memory, self.seen(7.0, (0, 0, 1.5)))
+        assert memory.share == 1.0 and memory.t == 7.0
+
+    @pytest.mark.parametrize("goal", ["told", "shown"])
+    def test_it_comes_down_with_the_errors_of_the_calibration(self, goal):
+        """At every height the view is the one that the robot would be given there, as the first one is."""
+        scenario = vs.load("quadrotor_land", {"calibration": {"goal": goal, "depth_factor": 1.2}})
+        memory = scenario.goal.begin(scenario.setup, scenario.goal_views)
+        memory, first = scenario.goal.reference(memory, self.seen(0.0, (0, 0, 1.5)))
+        np.testing.assert_allclose(first.uv, scenario.goal_views[0].uv)
+        np.testing.assert_allclose(first.depth, scenario.goal_views[0].depth)
+        np.testing.assert_allclose(first.T_camera_target, scenario.goal_views[0].T_camera_target)
+        # The estimate has the same error as the reference: it is over its pad, and comes down.
+        at = Observation(0.04, np.zeros((4, 2)), np.zeros((4, 2)), np.ones(4), T_camera_target=first.T_camera_target)
+        memory, lower = scenario.goal.reference(memory, at)
+        assert memory.share == pytest.approx(1 - 0.25 * 0.04 / 1.5)
+        exact = TASK.reference(memory._replace(setup=SCENARIO.setup), self.seen(0.08, (9, 0, 2)))[1]
+        np.testing.assert_allclose(lower.depth, 1.2 * exact.depth)
+
 
 def craft(k: int, offset_m: float, sink_mps: float) -> np.ndarray:
     """T_world_craft (4, 4) at frame k of a descent at a speed that ends on the pad at frame 20."""
@@ -73,6 +113,31 @@ class TestTouchdown:
             deck = Pose(xyz=(0.02 * k, 0, 0)).T  # half a metre a second
             down.update(0.04 * k, deck @ craft(k, 0.1, 0.3), deck, feet=k >= 20)
         assert down.speed_mps == pytest.approx(0.3) and down.offset_m == pytest.approx(0.1)
+
+    def test_its_bounds_are_within(self):
+        """At the very distance and speed, from the frame before: exact in binary."""
+        task = replace(TASK, pad_m=0.25, touch_mps=0.5)
+        for offset, speed, outcome in ((0.25, 0.5, Outcome.landed), (0.25, 0.625, Outcome.collided), (0.3125, 0.5, Outcome.collided)):
+            down = Touchdown(task)
+            for t, height in ((0.0, 1.0), (0.5, 1.0 - 0.5 * speed)):
+                down.update(t, Pose(xyz=(offset, 0, height)).T, np.eye(4), feet=False)
+            down.update(1.0, Pose(xyz=(offset, 0, 0.5)).T, np.eye(4), feet=True)
+            assert down.verdict is not None and down.verdict[0] is outcome
+
+    def test_the_first_contact_counts(self):
+        down = Touchdown(TASK)
+        for k in range(21):
+            down.update(0.04 * k, craft(k, 0.1, 0.3), np.eye(4), feet=k >= 20)
+        down.update(1.0, craft(20, 0.9, 0.3), np.eye(4), feet=True)  # it slides
+        assert down.offset_m == pytest.approx(0.1) and down.verdict is not None and down.verdict[0] is Outcome.landed
+
+    def test_two_frames_of_one_time_give_no_speed(self):
+        down = Touchdown(TASK)
+        down.update(0.0, craft(0, 0.1, 0.3), np.eye(4), feet=False)
+        down.update(0.04, craft(1, 0.1, 0.3), np.eye(4), feet=False)
+        down.update(0.04, craft(9, 0.1, 0.3), np.eye(4), feet=False)
+        down.update(0.08, craft(9, 0.1, 0.3), np.eye(4), feet=True)
+        assert down.speed_mps == pytest.approx(0.3)
 
 
 class TestMonitor:

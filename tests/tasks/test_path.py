@@ -72,6 +72,14 @@ class TestReference:
             assert goal.view == view
         assert view == len(task.way) - 1
 
+    def test_it_has_the_errors_of_the_calibration_that_the_views_have(self):
+        scenario = vs.load("quadrotor_path", {"calibration": {"depth_factor": 1.2}})
+        nothing = np.zeros((4, 2))
+        memory = scenario.goal.begin(scenario.setup, scenario.goal_views)
+        goal = scenario.goal.reference(memory, Observation(0.0, nothing, nothing, np.ones(4)))[1]
+        np.testing.assert_allclose(goal.depth, scenario.goal_views[0].depth)
+        np.testing.assert_allclose(goal.range, scenario.goal_views[0].range)
+
     def test_its_error_is_the_cameras_distance_from_the_path(self):
         scenario = vs.load("quadrotor_path")
         task, setup, T_target = scenario.goal, scenario.setup, scenario.target.T_world_start

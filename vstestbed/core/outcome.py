@@ -20,6 +20,7 @@ class Outcome(Enum):
     collided = "the robot touched something"
     overturned = "the craft tilted by more than 60 degrees"
     rotor_limit = "a rotor stood at its limit for too long"
+    law_failed = "the law failed, and the robot was stopped"
     crashed = "the simulation became unstable"
     interrupted = "the run was interrupted"
 

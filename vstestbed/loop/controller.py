@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from dataclasses import dataclass, replace
 from typing import Any
@@ -10,12 +9,14 @@ from typing import Any
 import numpy as np
 
 from vstestbed.camera import Look
-from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, inverse
+from vstestbed.core.outcome import Outcome
 from vstestbed.features.observation import Goal, Observation, OwnMotion
 from vstestbed.laws import Command, Law
+from vstestbed.loop.guarded_law import GuardedLaw
 from vstestbed.loop.shutter import Exposed
 from vstestbed.robots import Allocation, Mount, Reading
+from vstestbed.robots.orders import stop_order
 from vstestbed.robots.robot_log import RobotState
 from vstestbed.scenario.scenario import NOISE_STREAM, Scenario
 from vstestbed.sim.base import Plant
@@ -25,6 +26,8 @@ from vstestbed.vision import Detector, Observer, TruthView
 _NO_ROW = np.zeros(0)
 _NOWHERE = np.full(3, np.nan)
 """Place and odometry of a robot that has none."""
+NONE_SEEN, FEW_SEEN, NO_PICTURE = "no marker was in sight", "too few markers were in sight", "no picture arrived"
+"""Why there is no measurement, where the law itself gives no reason."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,20 +55,6 @@ def _observer(scenario: Scenario) -> Observer:
     )
 
 
-def _checked(law: Law[Any], stepped: Any) -> tuple[Any, Command]:
-    """What `step` returned, if it is a memory and a command.
-
-    Raises:
-        ParameterError: it is something else, or the twist is no six finite numbers: no outcome of a run would be true then.
-    """
-    if not (isinstance(stepped, tuple) and len(stepped) == 2 and isinstance(stepped[1], Command)):
-        raise ParameterError("law.kind", f"{law.kind}: step must return (memory, Command), got {type(stepped).__name__}")
-    twist = stepped[1].twist
-    if np.shape(twist) != (6,) or not math.isfinite(twist.sum()):
-        raise ParameterError("law.kind", f"{law.kind}: the twist of a Command must be six finite numbers, got {twist}")
-    return stepped
-
-
 class FrameController:
     """The control step when a picture arrives. Holds the state of detector, observer, reference and law between frames.
 
@@ -78,19 +67,25 @@ class FrameController:
         # The calibrated mount: what the robot does with a command follows from what it believes, errors included.
         self.mount = Mount.of(scenario.believed_camera.mount.T)
         self.last_twist = np.zeros(6)
+        self._setpoint, self._way_from = np.zeros(1), (0.0, plant.reading())
+        at_start = scenario.robot.start_joints()
         # an oracle looks with the true lens; a real detector knows only the calibrated one
         self.seen_through = scenario.camera if scenario.detector.needs_truth else scenario.believed_camera
         self.rng = scenario.rng(NOISE_STREAM)
         self.observer = _observer(scenario)
         self.detector: Detector[Any] = scenario.detector
         self.law: Law[Any] = scenario.law
+        self.guarded = GuardedLaw(scenario.law)
+        self._needed = scenario.law.markers_needed(scenario.robot.motion_basis(self._mount_at(at_start), at_start))
         self.detector_memory, self.observer_memory = scenario.detector.init(), self.observer.init()
         self.reference_memory = scenario.goal.begin(scenario.setup, scenario.goal_views)
         self.law_memory = scenario.law.init(scenario.goal_views[0])
-        self.supervisor = scenario.robot.supervisor(scenario.goal.lands, scenario.stop.lost_after_s)
+        self.supervisor = scenario.robot.supervisor(scenario.goal.lands, scenario.stop.lost_after_s, scenario.stop.lost_after_m)
         self.monitor = scenario.goal.monitor(scenario.setup, self.supervisor)
         self.robot_log = scenario.robot.log(self.supervisor)
         self.before: Exposed | None = None
+        self.failed = False
+        self._latest_s = scenario.timing.latest_s(scenario.camera)
 
     def look(self) -> Look | None:
         """The detector's region of interest for the next picture; None for all of it."""
@@ -107,9 +102,12 @@ class FrameController:
         # The robot as it is now, not as it was at the exposure: the command acts from here on.
         reading = self.plant.reading()
         mount = self._mount_at(reading.q)
-        stepped = self.law.step(self.law_memory, seen, goal, s.robot.motion_basis(mount, reading.q))
-        self.law_memory, command = _checked(self.law, stepped)
-        allocation = self._allocate(shot.t, command, reading, mount)
+        basis = s.robot.motion_basis(mount, reading.q)
+        self.law_memory, command = self.guarded.step(self.law_memory, seen, goal, basis)
+        late = now.t - shot.t > self._latest_s
+        blind = command.rest_reason or self._unseen(seen) or (f"pictures arrived {now.t - shot.t:.2g} s late" if late else "")
+        moved = self._moved(now.t, reading, blind, mount)
+        allocation = self._supervised(shot.t, blind, self._allocate(command, reading, mount, rests=late), reading, moved)
         # A detector may have had a picture drawn whole: that time is the renderer's.
         self.spent["detect"] += detected - began - (self.plant.render_s - rendered)
         self.spent["law"] += time.perf_counter() - detected
@@ -166,13 +164,42 @@ class FrameController:
         self.observer_memory, seen = observed
         return seen
 
-    def _allocate(self, t: float, command: Command, reading: Reading, mount: Mount) -> Allocation:
-        """The setpoint for a command, within the robot's limits, unless its supervisor overrides it."""
+    def _unseen(self, seen: Observation) -> str:
+        """Why a law that gives no reason has no measurement; "" where it has one."""
+        n = np.count_nonzero(seen.seen)
+        return "" if n >= self._needed else FEW_SEEN if n else NONE_SEEN
+
+    def _moved(self, t: float, reading: Reading, blind: str, mount: Mount) -> float:
+        """Way of the camera since the last call, by the robot's own sensors [m]; 0 where it is not needed, with sight."""
+        (before_t, before), self._way_from = self._way_from, (t, reading)
+        if not blind or t <= before_t:
+            return 0.0
+        v = self.scenario.robot.measured_twist(before, reading, t - before_t, self.last_twist, mount)[:3]
+        return float(np.linalg.norm(v)) * (t - before_t)
+
+    def _allocate(self, command: Command, reading: Reading, mount: Mount, rests: bool) -> Allocation:
+        """The setpoint for a command, within the robot's limits; the order to stop where the law has no measurement and no motion."""
         robot, twist = self.scenario.robot, command.twist
         if command.null_space is not None:
             twist = twist + robot.secondary_task(command.null_space, reading, mount)
         allocation = robot.allocate(twist, reading, mount, self.scenario.camera.period)
         # The command within limits, before the supervisor: a law with feedforward predicts by it (`OwnMotion.commanded`).
         self.last_twist = allocation.twist
-        setpoint = self.supervisor.filter(t, command.rest_reason, reading, allocation.setpoint)
+        if rests or (command.rest_reason and not twist.any()):
+            return replace(allocation, setpoint=stop_order(allocation.setpoint), twist=np.zeros(6))
+        return allocation
+
+    def _supervised(self, t: float, blind: str, allocation: Allocation, reading: Reading, moved: float) -> Allocation:
+        """The allocation, unless the robot's supervisor overrides it."""
+        if self.guarded.failure and not self.failed:
+            self.failed = True
+            self.supervisor.abort(t, Outcome.law_failed, self.guarded.failure)
+        self._setpoint = setpoint = self.supervisor.filter(t, blind, reading, allocation.setpoint, moved)
         return allocation if setpoint is allocation.setpoint else replace(allocation, setpoint=setpoint)
+
+    def without_picture(self, t: float) -> Array:
+        """The setpoint at a time [s] at which the last picture is older than a command lasts."""
+        reading = self.plant.reading()
+        moved = self._moved(t, reading, NO_PICTURE, self._mount_at(reading.q))
+        self._setpoint = self.supervisor.filter(t, NO_PICTURE, reading, stop_order(self._setpoint), moved)
+        return self._setpoint

@@ -1,4 +1,4 @@
-"""Safety monitors, which end a run whatever its task: collision, divergence, lost target, joint limit, singularity."""
+"""Safety monitors, which end a run whatever its task: collision, divergence, a crossed target plane, joint limit, singularity."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Protocol
 
 from vstestbed.core.outcome import Outcome, Verdict
 from vstestbed.robots.supervisor import Supervisor
+from vstestbed.sim.base import Truth
 from vstestbed.targets import Target
 from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.monitor import HoldTimer
@@ -16,8 +17,6 @@ FAR_M = 200.0
 """Distance from the target beyond which the camera has diverged [m]."""
 BLOCKED_S = 1.0
 """How long a limit must block the robot before the run ends [s]."""
-NONE_SEEN = "no marker was in sight"
-"""Why a target is lost to a law that gives no reason of its own."""
 BLOCKED_SCALE = 0.02
 """A command scaled to less than this is blocked by the limit."""
 
@@ -36,13 +35,17 @@ class Collision:
     def __init__(self, supervisor: Supervisor):
         self._supervisor = supervisor
 
-    def touches(self, frame: Frame) -> str:
-        """What touches in this frame, as `forearm and floor`; "" where nothing does that may not."""
-        return frame.truth.contact or ("" if self._supervisor.may_touch else frame.truth.feet)
+    def touches(self, truth: Truth) -> str:
+        """What touches now, as `forearm and floor`; "" where nothing does that may not."""
+        return truth.contact or ("" if self._supervisor.may_touch else truth.feet)
 
     def update(self, frame: Frame) -> Verdict | None:
         """Collided, with the reason of an earlier abort."""
-        touching = self.touches(frame)
+        return self.verdict(frame.truth)
+
+    def verdict(self, truth: Truth) -> Verdict | None:
+        """The same, of the truth alone."""
+        touching = self.touches(truth)
         if not touching:
             return None
         aborted = self._supervisor.aborted
@@ -70,29 +73,6 @@ class PlaneCrossed:
         return None
 
 
-class TargetLost:
-    """The law has had no measurement for too long.
-
-    Args:
-        lost_after_s: longest time without sight of the target [s].
-    """
-
-    def __init__(self, lost_after_s: float):
-        self._patience, self._timer, self._seen_once = lost_after_s, HoldTimer(), False
-
-    def update(self, frame: Frame) -> Verdict | None:
-        """Lost, with the law's own reason."""
-        lost = frame.error.lost
-        self._seen_once = self._seen_once or not lost
-        if not lost:
-            self._timer.lasting(False, frame.t)
-            return None
-        if self._timer.lasting(True, frame.t) < self._patience:
-            return None
-        never = "" if self._seen_once else ", from the start on"
-        return Outcome.target_lost, f"{frame.command.rest_reason or NONE_SEEN} for {self._patience:g} s{never}"
-
-
 class LimitReached:
     """A joint limit or a singular configuration leaves nearly nothing of the command."""
 
@@ -106,7 +86,7 @@ class LimitReached:
         blocked = limit in ("joint_limit", "singular") and frame.allocation.scale < BLOCKED_SCALE
         if self._timer.lasting(blocked, frame.t) < BLOCKED_S:
             return None
-        return Outcome[limit], f"{Outcome[limit].value} for {BLOCKED_S:g} s"
+        return Outcome[limit], f"for {BLOCKED_S:g} s {Outcome[limit].value}"
 
 
 def _from_target(frame: Frame) -> list[float]:
@@ -114,14 +94,6 @@ def _from_target(frame: Frame) -> list[float]:
     return (frame.truth.T_world_camera[:3, 3] - frame.truth.T_world_target[:3, 3]).tolist()
 
 
-def safety_monitors(target: Target, supervisor: Supervisor, lost_after_s: float, collision: Collision) -> tuple[Monitor, ...]:
-    """The monitors of a run in the order of their precedence."""
-    return (
-        collision,
-        Divergence(),
-        *((PlaneCrossed(),) if target.one_sided else ()),
-        *(
-            () if supervisor.sets_down else (TargetLost(lost_after_s),)
-        ),  # such a supervisor sets the craft down first; ending the run here would leave it in the air
-        LimitReached(),
-    )
+def safety_monitors(target: Target, collision: Collision) -> tuple[Monitor, ...]:
+    """The monitors of a run in the order of their precedence; a target out of sight is the supervisor's matter."""
+    return collision, Divergence(), *((PlaneCrossed(),) if target.one_sided else ()), LimitReached()

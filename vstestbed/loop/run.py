@@ -32,22 +32,30 @@ def _until_the_end(scenario: Scenario, plant: Plant, note: Callable[[Frame], Non
     judge = Judge(controller.monitor, scenario.stop, scenario.target, controller.supervisor)
     commands: DelayLine[Allocation] = DelayLine(round(scenario.timing.command_latency_s / plant.step_s))
     step, twist = 0, np.zeros(6)
+    order_steps = round(scenario.timing.order_s(scenario.camera) / plant.step_s)
+    silent_at = order_steps + round(scenario.camera.latency_s / plant.step_s)
     while True:
         camera.act(step, controller.look)
         for shot in camera.line.pop_due(step):
+            silent_at = step + order_steps
             arrival = Arrival(step * plant.step_s, (step + commands.delay_steps) * plant.step_s, camera.displacement)
             frame = controller.arrive(shot, arrival)
             commands.push(step, frame.allocation)
             note(frame)
             if verdict := judge.verdict(frame):
                 return verdict
+        if step >= silent_at:  # a camera that is dead must not leave the robot without a supervisor, nor the run without an end
+            plant.apply(controller.without_picture(step * plant.step_s))
+            if verdict := judge.without_picture(step * plant.step_s, plant.truth()):
+                return verdict
+            silent_at = step + plant.steps_per_frame
         # After the pictures: without latency, a command takes effect in the step in which its picture arrived.
         for allocation in commands.pop_due(step):
             plant.apply(allocation.setpoint)
             twist = allocation.twist
         # The physics runs to the next event in one call.
         due = commands.next_due()
-        ahead = (camera.next_event() if due is None else min(camera.next_event(), due)) - step
+        ahead = min(camera.next_event(), silent_at, silent_at if due is None else due) - step
         start = time.perf_counter()
         if not plant.advance(ahead):
             return Outcome.crashed, f"{Outcome.crashed.value} at {step * plant.step_s:.3f} s"
@@ -86,6 +94,7 @@ def run(scenario: Scenario, watch: Iterable[Watcher] = ()) -> Recording:
         sensor_rng=scenario.rng(SENSOR_STREAM),
         motion_rng=scenario.rng(MOTION_STREAM),
         drift=scenario.noise.drift,
+        order_s=scenario.timing.order_s(scenario.camera),
     )
 
     def note(frame: Frame) -> None:

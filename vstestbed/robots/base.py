@@ -134,8 +134,11 @@ class Robot(Protocol):
         """Secondary task: a camera twist (6,) in the span of `null_space` (6, k), added to the law's."""
         ...
 
-    def supervisor(self, lands: bool, lost_after_s: float) -> Supervisor:
-        """What may override the law. lands: the task ends on the ground; lost_after_s: how long to hold without a target [s]."""
+    def supervisor(self, lands: bool, lost_after_s: float, lost_after_m: float) -> Supervisor:
+        """What may override the law.
+
+        lands: the task ends on the ground; lost_after_s, lost_after_m: for how long and how far to go on without a measurement [s, m].
+        """
         ...
 
     def log(self, supervisor: Supervisor) -> RobotLog:
@@ -159,7 +162,11 @@ class Robot(Protocol):
         ...
 
     def hold_setpoint(self) -> Array | None:
-        """The setpoint that takes over when commands stop coming; None where the last one stays in force."""
+        """The setpoint before the first command; None where `rest_ctrl` does."""
+        ...
+
+    def stopping(self, setpoint: Array, elapsed_s: float) -> Array:
+        """Its own way to stop: the setpoint `elapsed_s` [s] after the last one, `setpoint`, has lost its force."""
         ...
 
 
@@ -174,6 +181,8 @@ class RobotBase:
     control_period_s: ClassVar[float | None] = None
     # The servo gains in puma560.xml and the contacts of the vehicles' wheels were measured at 2 ms.
     largest_step_s: ClassVar[float] = 0.002
+    stop_s: ClassVar[float] = 0.25
+    """How long it takes to stop [s], from any speed: at most a speed limit over it is the deceleration."""
     ends_m: ClassVar[tuple[float, float]] = (0.0, 0.0)
 
     @property
@@ -225,13 +234,13 @@ class RobotBase:
         """None."""
         return np.zeros(6)
 
-    def supervisor(self, lands: bool, lost_after_s: float) -> Supervisor:
-        """The law is followed."""
-        return Supervisor()
+    def supervisor(self, lands: bool, lost_after_s: float, lost_after_m: float) -> Supervisor:
+        """One that stops it."""
+        return Supervisor(lost_after_s, lost_after_m)
 
     def log(self, supervisor: Supervisor) -> RobotLog:
-        """No columns of its own."""
-        return RobotLog()
+        """The supervisor's mode."""
+        return RobotLog(supervisor)
 
     def begin(self) -> Any:
         """No memory."""
@@ -250,5 +259,9 @@ class RobotBase:
         return None
 
     def hold_setpoint(self) -> Array | None:
-        """The last setpoint stays."""
+        """None."""
         return None
+
+    def stopping(self, setpoint: Array, elapsed_s: float) -> Array:
+        """Velocities that fall to zero within `stop_s`, all by the same factor: the motion keeps its direction."""
+        return setpoint * max(0.0, 1.0 - elapsed_s / self.stop_s) if self.stop_s > 0 else np.zeros_like(setpoint)

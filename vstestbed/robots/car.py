@@ -180,6 +180,10 @@ class Car(Vehicle):
         made = mount.to_camera @ (PLANE @ np.array([speed, 0.0, turn]))
         return Allocation(setpoint=np.array([speed, steering]), twist=made, scale=scale, limit=limit)
 
+    def stopping(self, setpoint: Array, elapsed_s: float) -> Array:
+        """No speed, on the same arc: its speed servo slows it down within `limits.acceleration_mps2`."""
+        return np.array([0.0, setpoint[1]])
+
     def begin(self) -> CarServos:
         """At rest, wheels straight."""
         return CarServos()

@@ -30,7 +30,7 @@ class FlightLog(RobotLog):
     """
 
     def __init__(self, supervisor: Supervisor, rotors: tuple[str, ...]):
-        self._supervisor = supervisor
+        super().__init__(supervisor)
         self.columns = (*ESTIMATE, *REFERENCE, *WIND, *(f"speed_{name}" for name in rotors), "supervisor")
 
     def row(self, state: RobotState) -> Array:
@@ -44,4 +44,4 @@ class FlightLog(RobotLog):
         velocity = level(up).to_level(tuple(estimate.velocity.tolist()))
         loops = np.concatenate([estimate.rates, estimate.ref_tilt, estimate.ref_rates])
         speeds = np.sqrt(np.maximum(state.act, 0.0))  # activations are squared speeds
-        return np.array([roll, pitch, *velocity, *loops, *state.wind, *speeds, self._supervisor.mode])
+        return np.array([roll, pitch, *velocity, *loops, *state.wind, *speeds, self.supervisor.mode])

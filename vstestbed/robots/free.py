@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import Discriminator, Tag
@@ -52,6 +52,8 @@ class Free(RobotBase):
 
     kind: Literal["free"] = "free"
     start: FreeStart
+    stop_s: ClassVar[float] = 0.0
+    """It has no mass, and stops at once."""
 
     def configuration(self) -> Array:
         """The nominal start as a flat pose, shape (16,)."""

@@ -84,8 +84,8 @@ class Vehicle(RobotBase):
             raise ParameterError("camera.mount.xyz", words, xyz)
 
     def log(self, supervisor: Supervisor) -> RobotLog:
-        """True place, estimated place, dead reckoning, slip."""
-        return VehicleLog(self.configuration())
+        """True place, estimated place, dead reckoning, slip, the supervisor's mode."""
+        return VehicleLog(supervisor, self.configuration())
 
 
 class VehicleLog(RobotLog):
@@ -96,12 +96,17 @@ class VehicleLog(RobotLog):
     slide or turn on the spot, a wrong wheel radius).
 
     Args:
-        start: the true start (x, y, heading), shape (3,) [m, m, rad].
+        supervisor: the vehicle's. start: the true start (x, y, heading), shape (3,) [m, m, rad].
     """
 
-    columns = (*(f"{name}_{part}" for name in ("base", "est", "odo") for part in ("x", "y", "heading")), "slip_mps", "slip_radps")
+    columns = (
+        *(f"{name}_{part}" for name in ("base", "est", "odo") for part in ("x", "y", "heading")),
+        *("slip_mps", "slip_radps"),
+        *RobotLog.columns,
+    )
 
-    def __init__(self, start: Array):
+    def __init__(self, supervisor: Supervisor, start: Array):
+        super().__init__(supervisor)
         self._start, self._turn = start, (np.cos(start[2]), np.sin(start[2]))
         self._before: RobotState | None = None
 
@@ -114,7 +119,7 @@ class VehicleLog(RobotLog):
         # Of the first frame there is no step.
         slip = (0.0, 0.0) if self._before is None else _slip(self._before, state)
         self._before = state
-        return np.concatenate([place_of(state.T_world_base), state.place, dead_reckoning, slip])
+        return np.concatenate([place_of(state.T_world_base), state.place, dead_reckoning, slip, super().row(state)])
 
 
 def _slip(before: RobotState, now: RobotState) -> tuple[float, float]:

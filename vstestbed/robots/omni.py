@@ -79,6 +79,8 @@ class Omni(Vehicle):
     start: GroundStart = GroundStart()
     wheel_radius_error: Annotated[float, Gt(-0.5), Lt(1)] = 0.0
     actuators: ClassVar[tuple[str, ...]] = WHEELS
+    stop_s: ClassVar[float] = 0.5
+    """From its top speed, 1 m/s, at 2 m/s^2: rollers hold on a dry floor."""
     ends_m: ClassVar[tuple[float, float]] = (-0.208, 0.208)
     """x of the rear and the front edge of its wheels [m]."""
 

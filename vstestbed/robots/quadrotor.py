@@ -158,9 +158,9 @@ class Quadrotor(RobotBase):
         x, y, z, yaw = configuration.tolist()
         return replace(self, start=FlightStart(nominal=FlightPose(xyz=(x, y, z), yaw_deg=math.degrees(yaw)), random=self.start.random))
 
-    def supervisor(self, lands: bool, lost_after_s: float) -> Failsafe:
+    def supervisor(self, lands: bool, lost_after_s: float, lost_after_m: float) -> Failsafe:
         """The failsafe."""
-        return Failsafe(lands, lost_after_s)
+        return Failsafe(lost_after_s, lost_after_m, lands=lands)
 
     def log(self, supervisor: Supervisor) -> RobotLog:
         """Estimates, references of the loops, wind, rotors, mode of the failsafe."""
@@ -168,6 +168,10 @@ class Quadrotor(RobotBase):
 
     def hold_setpoint(self) -> Array:
         """Level, where it is."""
+        return HOLD
+
+    def stopping(self, setpoint: Array, elapsed_s: float) -> Array:
+        """Level, where it is: its flight loops slow it down within the limits of its tilt."""
         return HOLD
 
     def rest_ctrl(self) -> Array:

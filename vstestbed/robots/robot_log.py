@@ -8,6 +8,7 @@ import numpy as np
 
 from vstestbed.core.geometry import Array
 from vstestbed.robots.reading import Reading
+from vstestbed.robots.supervisor import Supervisor
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,16 +32,20 @@ class RobotState:
 
 
 class RobotLog:
-    """The columns that only this robot has in a log, and their values frame by frame; here none.
+    """The columns that only this robot has in a log, and their values frame by frame.
 
-    Each run makes its own: it may hold the last frame's state.
+    Here `supervisor` alone: 0 follows the law, 1 holds (the law has no measurement: it rests, or goes on by what it knew), 2 stops
+    for good. Each run makes its own: it may hold the last frame's state.
+
+    Args:
+        supervisor: the robot's.
     """
 
-    columns: tuple[str, ...] = ()
+    columns: tuple[str, ...] = ("supervisor",)
+
+    def __init__(self, supervisor: Supervisor):
+        self.supervisor = supervisor
 
     def row(self, state: RobotState) -> Array:
         """Values of the columns at one exposure, shape (len(columns),)."""
-        return _NO_COLUMNS
-
-
-_NO_COLUMNS = np.zeros(0)
+        return np.array([self.supervisor.mode])

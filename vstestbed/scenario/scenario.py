@@ -148,7 +148,7 @@ class Scenario:
     @cached_property
     def own_columns(self) -> tuple[str, ...]:
         """The robot's and the task's own columns of the log."""
-        supervisor = self.robot.supervisor(self.goal.lands, self.stop.lost_after_s)
+        supervisor = self.robot.supervisor(self.goal.lands, self.stop.lost_after_s, self.stop.lost_after_m)
         return self.robot.log(supervisor).columns + self.goal.monitor(self.setup, supervisor).columns
 
     @property
@@ -163,7 +163,7 @@ class Scenario:
     @property
     def T_world_goal(self) -> Array:
         """The camera's goal pose in the world (4, 4), for the target at its start."""
-        return self.target.T_world_start @ inverse(self.goal_poses[-1])
+        return target_start(self.robot, self.target) @ inverse(self.goal_poses[-1])
 
     def rng(self, stream: int) -> np.random.Generator:
         """The generator of one of the independent streams (START_STREAM, ...)."""

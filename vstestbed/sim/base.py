@@ -105,7 +105,7 @@ class Plant(Protocol):
         ...
 
     def apply(self, setpoint: Array) -> None:
-        """Set the setpoint, which stays in force until the next one."""
+        """Set the setpoint, which stays in force until the next one, or until it has lasted its time; NaN: stop."""
         ...
 
     def advance(self, steps: int) -> bool:

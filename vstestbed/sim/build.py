@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,6 +30,7 @@ def build_plant(
     sensor_rng: np.random.Generator | None = None,
     motion_rng: np.random.Generator | None = None,
     drift: Drift = NO_DRIFT,
+    order_s: float = math.inf,
 ) -> tuple[Plant, str]:
     """The plant, and the name of its renderer ("none" without pictures).
 
@@ -38,7 +40,7 @@ def build_plant(
         needs_image, needs_truth: whether the detector works on pictures, on truth.
         image_sigma, rng: noise of the pictures [grey levels] and its generator.
         sensor_rng: generator of the robot's sensor noise. motion_rng: generator of a target's random walk.
-        drift: of the camera's gains.
+        drift: of the camera's gains. order_s: how long a command lasts before the robot stops [s].
 
     Raises:
         EnvironmentLackError: a picture is needed that only OpenGL can draw, and it does not work here.
@@ -53,7 +55,7 @@ def build_plant(
     if ideal and not needs_image and not world.plates:
         from vstestbed.sim.ideal import IdealPlant
 
-        return IdealPlant(parts, steps_per_frame, path=path), "none"
+        return IdealPlant(parts, steps_per_frame, path=path, order_s=order_s), "none"
     from vstestbed.sim.render.image_sensor import ImageSensor
     from vstestbed.sim.render.pictures import servo_renderer
     from vstestbed.sim.scene.stage import Stage
@@ -66,10 +68,11 @@ def build_plant(
     if ideal:
         from vstestbed.sim.ideal import IdealPlant
 
-        return IdealPlant(parts, steps_per_frame, stage, eye, path), renderer
+        return IdealPlant(parts, steps_per_frame, stage, eye, path, order_s), renderer
     from vstestbed.sim.plant import MujocoPlant
 
-    return MujocoPlant(stage, steps_per_frame, eye, needs_truth, sensor_rng or np.random.default_rng(0), path), renderer
+    noise = sensor_rng or np.random.default_rng(0)
+    return MujocoPlant(stage, steps_per_frame, eye, needs_truth, noise, path, order_s), renderer
 
 
 @dataclass(frozen=True, slots=True)

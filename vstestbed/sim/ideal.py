@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from vstestbed.camera import Look, Picture
 from vstestbed.core.geometry import Array, adjoint, exp, inverse
+from vstestbed.robots.orders import Orders
 from vstestbed.robots.reading import Reading
 from vstestbed.sim.base import Truth
 from vstestbed.sim.render.image_sensor import ImageSensor
@@ -23,6 +26,7 @@ class IdealPlant:
         parts: of the scene. steps_per_frame: physics steps between pictures.
         stage: for pictures and occlusion; None without both. eye: takes the pictures; None where no detector needs them.
         path: the target's pose as a function of time; None for one that stands still.
+        order_s: how long a setpoint lasts before the camera stops [s].
     """
 
     def __init__(
@@ -32,6 +36,7 @@ class IdealPlant:
         stage: Stage | None = None,
         eye: ImageSensor | None = None,
         path: Path | None = None,
+        order_s: float = math.inf,
     ):
         self._path = path
         self.step_s, self.steps_per_frame = parts.step, steps_per_frame
@@ -43,6 +48,7 @@ class IdealPlant:
         self._stage, self._eye = stage, eye
         self._twist = np.zeros(6)
         self._steps = 0
+        self._orders = Orders(parts.robot.stopping, None, order_s / parts.step, parts.step)
         self._hidden = np.zeros(len(self._target.points), dtype=bool)
 
     @property
@@ -95,13 +101,24 @@ class IdealPlant:
         return Reading(NONE, NONE)
 
     def apply(self, setpoint: Array) -> None:
-        """Set the twist (6,) of the flange."""
-        self._twist = self._to_camera @ setpoint
+        """Set the twist (6,) of the flange. NaN: stop."""
+        self._orders.give(self._steps, setpoint)
+        self._actuate()
+
+    def _actuate(self) -> None:
+        """The setpoint in force becomes the camera's twist."""
+        setpoint = self._orders.at(self._steps)
+        if setpoint is not None:
+            self._twist = self._to_camera @ setpoint
 
     def advance(self, steps: int) -> bool:
-        """Advance by one exact exponential: no integration error, however many steps it stands for."""
-        self._T = self._T @ exp(self._twist * (steps * self.step_s))
-        self._steps += steps
+        """Advance by exact exponentials: no integration error, however many steps each stands for."""
+        end = self._steps + steps
+        while self._steps < end:
+            ahead = self._orders.unchanged(self._steps, end - self._steps)
+            self._T = self._T @ exp(self._twist * (ahead * self.step_s))
+            self._steps += ahead
+            self._actuate()
         return True
 
     def close(self) -> None:

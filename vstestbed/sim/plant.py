@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import mujoco
@@ -10,6 +11,7 @@ from dm_control.rl.control import PhysicsError
 
 from vstestbed.camera import Look, Picture
 from vstestbed.core.geometry import Array, adjoint, inverse
+from vstestbed.robots.orders import Orders
 from vstestbed.robots.reading import Reading
 from vstestbed.sim.base import Truth
 from vstestbed.sim.contacts import RobotContacts
@@ -23,8 +25,6 @@ from vstestbed.targets.motion import Path
 AWAY = np.eye(4)
 AWAY[2, 3] = 1000.0
 """Displacement of a craft while a vehicle settles: 1 km up [m]."""
-SILENCE_S, SILENCE_PICTURES = 0.5, 3
-"""Command timeout of a flying craft, after which it holds: SILENCE_S [s], or SILENCE_PICTURES camera periods if these are longer."""
 SETTLE_S = 1.0
 """How long vehicles settle on their springs before the start [s]; a car's body comes to rest in half of it."""
 
@@ -39,6 +39,7 @@ class MujocoPlant:
         stage: the scene. steps_per_frame: physics steps between pictures.
         eye: takes the pictures; None where no detector needs them. see_hidden: compute the truth's `hidden` by casting rays.
         rng: generator of the robot's sensor noise. path: the pose of a target that moves by itself as a function of time, else None.
+        order_s: how long a setpoint lasts before the robot stops [s].
     """
 
     def __init__(
@@ -49,6 +50,7 @@ class MujocoPlant:
         see_hidden: bool,
         rng: np.random.Generator,
         path: Path | None = None,
+        order_s: float = math.inf,
     ):
         robot, world = stage.parts.robot, stage.parts.world
         self._stage, self._robot, self._target = stage, robot, stage.parts.target
@@ -63,9 +65,7 @@ class MujocoPlant:
         self._leader = LeadVehicle(stage) if stage.leader else None
         self._velocity = np.zeros(6)
         self._memory: Any = robot.begin()
-        self._hold = robot.hold_setpoint()
-        self._setpoint: Array | None = self._hold
-        self._heard, self._patience = 0, max(round(SILENCE_S / self.step_s), SILENCE_PICTURES * steps_per_frame)
+        self._orders = Orders(robot.stopping, robot.hold_setpoint(), order_s / self.step_s, self.step_s)
         self._control_steps = _whole_steps(robot.control_period_s, self.step_s)
         self._start()
 
@@ -168,36 +168,39 @@ class MujocoPlant:
         return self._robot.reported(self._memory, self._sensors.read(self._steps))
 
     def apply(self, setpoint: Array) -> None:
-        """Set the setpoint; without an onboard controller these are the actuators' controls (n,)."""
-        self._setpoint, self._heard = setpoint, self._steps
-        if not self._control_steps:
+        """Set the setpoint; without an onboard controller these are the actuators' controls (n,). NaN: stop."""
+        self._orders.give(self._steps, setpoint)
+        self._actuate()
+
+    def _actuate(self) -> None:
+        """The setpoint in force becomes the controls of a robot without an onboard controller."""
+        setpoint = None if self._control_steps else self._orders.at(self._steps)
+        if setpoint is not None:
             self._stage.data.ctrl[self._stage.at.ctrl] = setpoint
 
     def advance(self, steps: int) -> bool:
-        """Advance by physics steps; False when MuJoCo reports an instability."""
+        """Advance by physics steps; False when MuJoCo reports an instability.
+
+        Onboard controllers act at fixed multiples of the physics step, however the calls divide the time.
+        """
+        mine, theirs = self._control_steps, self._leader.steps if self._leader else 0
+        end = self._steps + steps
         try:
-            if self._control_steps or self._leader:
-                self._advance_onboard(steps)
-            else:
-                self._stage.physics.step(steps)
-                self._steps += steps
+            while self._steps < end:
+                ahead = end - self._steps
+                for every, act in ((theirs, self._lead), (mine, self._control)):
+                    if every:
+                        if self._steps % every == 0:
+                            act(every * self.step_s)
+                        ahead = min(ahead, every - self._steps % every)
+                if not mine:
+                    self._actuate()
+                    ahead = self._orders.unchanged(self._steps, ahead)
+                self._stage.physics.step(ahead)
+                self._steps += ahead
         except PhysicsError:
             return False
         return True
-
-    def _advance_onboard(self, steps: int) -> None:
-        """Advance with onboard controllers, which act at fixed multiples of the physics step, however the call divides the time."""
-        mine, theirs = self._control_steps, self._leader.steps if self._leader else 0
-        end = self._steps + steps
-        while self._steps < end:
-            ahead = end - self._steps
-            for every, act in ((theirs, self._lead), (mine, self._control)):
-                if every:
-                    if self._steps % every == 0:
-                        act(every * self.step_s)
-                    ahead = min(ahead, every - self._steps % every)
-            self._stage.physics.step(ahead)
-            self._steps += ahead
 
     def _lead(self, dt: float) -> None:
         if self._leader:
@@ -208,11 +211,8 @@ class MujocoPlant:
         data = self._stage.data
         if self._wind_field is not None and not self._stage.parts.world.wind.still:
             self._wind_field.blow(self._steps * self.step_s, dt)
-        setpoint = self._setpoint
+        setpoint = self._orders.at(self._steps)
         if setpoint is not None:
-            # Pictures may be dropped or late: a craft must not fly on with the last velocity for ever.
-            if self._hold is not None and self._steps - self._heard > self._patience:
-                setpoint = self._hold
             reading = self._sensors.read(self._steps)
             self._memory, data.ctrl[self._stage.at.ctrl] = self._robot.actuate(self._memory, setpoint, reading, dt)
 

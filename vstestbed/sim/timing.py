@@ -13,10 +13,12 @@ from numpy.typing import NDArray
 from vstestbed.camera import Camera
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
-from vstestbed.core.quantity import Narrower, Time
+from vstestbed.core.quantity import Narrower, PositiveTime, Time
 from vstestbed.core.spec import spec
 
 T = TypeVar("T")
+LEAST_PERIODS = 3
+"""A command lasts this many camera periods at least."""
 
 
 @spec
@@ -34,6 +36,8 @@ class Timing:
         latency_jitter_s: jitter of the latency [s].
         drop_probability: probability that a picture never arrives.
         command_latency_s: time from a law's command to the robot's new setpoint [s].
+        command_timeout_s: how long a command lasts [s], three camera periods at least. Then, without a new one, the robot stops
+            within its limits; a picture that arrives so much later than `camera.latency_s` is none.
     """
 
     exposure_s: Time = 0.0
@@ -43,11 +47,20 @@ class Timing:
     latency_jitter_s: Annotated[Time, Narrower(le=60)] = 0.0
     drop_probability: Annotated[float, Ge(0), Lt(1)] = 0.0
     command_latency_s: Annotated[Time, Narrower(le=60)] = 0.0
+    command_timeout_s: PositiveTime = 0.5
 
     @property
     def draws(self) -> bool:
         """Whether the timing is random, so that it depends on the seed."""
         return self.exposure_jitter_s > 0 or self.latency_jitter_s > 0 or self.drop_probability > 0
+
+    def order_s(self, camera: Camera) -> float:
+        """How long a command lasts [s]: single pictures may be dropped, whatever the timeout."""
+        return max(self.command_timeout_s, LEAST_PERIODS * camera.period)
+
+    def latest_s(self, camera: Camera) -> float:
+        """The age at which a picture arrives too late to be one, from the middle of its exposure [s]."""
+        return self.exposure_s / 2 + camera.latency_s + self.order_s(camera)
 
     def check(self, camera: Camera, step_s: float) -> None:
         """Refuse exposures that are too short for the physics clock, and those that would overlap.

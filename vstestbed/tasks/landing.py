@@ -16,7 +16,7 @@ from vstestbed.features.observation import Goal, Observation
 from vstestbed.robots.base import Base
 from vstestbed.robots.supervisor import Supervisor
 from vstestbed.targets import Target
-from vstestbed.tasks.base import Log, TaskBase
+from vstestbed.tasks.base import Log, TaskBase, view_from
 from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.judged import JudgedError, at_the_end
 from vstestbed.tasks.reached import GoalMonitor
@@ -80,29 +80,35 @@ class GoalLanding(TaskBase):
 
     def reference(self, memory: Descent, seen: Observation) -> tuple[Descent, Goal]:
         """The view, which descends while the craft is over its pad by its own estimate."""
-        share, T = memory.share, self.above.T.copy()
-        height = float(np.linalg.norm(T[:3, 3]))
+        setup, share = memory.setup, memory.share
+        goal = self._view_at(setup, share)
         # The first frame has no duration yet. Without an estimate the reference waits, too: `_over` is False.
-        if not math.isnan(memory.t) and self._over(share, seen):
+        if not math.isnan(memory.t) and self._over(goal.T_camera_target, seen):
+            height = float(np.linalg.norm(self.above.T[:3, 3]))
             share = max(DEEPEST, share - self.descend_mps * (seen.t - memory.t) / height)
-        T[:3, 3] *= share
-        goal = Goal.from_view(memory.setup.believed_camera, memory.setup.target.points, T)
-        return Descent(memory.setup, share, seen.t), goal
+            goal = self._view_at(setup, share)
+        return Descent(setup, share, seen.t), goal
 
-    def _over(self, share: float, seen: Observation) -> bool:
-        """Whether the craft tracks the reference closely enough for it to descend, or is nearer than `commit_m`."""
+    def _view_at(self, setup: Setup, share: float) -> Goal:
+        """The view at a share of the initial height, with the errors of the calibration that the first view has."""
+        T = self.above.T.copy()
+        T[:3, 3] *= share
+        return view_from(setup, lambda _: T)
+
+    def _over(self, reference: Array, seen: Observation) -> bool:
+        """Whether the craft tracks the reference (4, 4) closely enough for it to descend, or is nearer than `commit_m`."""
         T = seen.T_camera_target
         if T is None:
             return False
         whole = self.above.T
         down = whole[:3, 3] / np.linalg.norm(whole[:3, 3])
         # Both in the camera's frame: `away` is the tracking error of position, `down` the direction of the descent.
-        away = T[:3, 3] - share * whole[:3, 3]
+        away = T[:3, 3] - reference[:3, 3]
         if float(T[:3, 3] @ down) < self.commit_m:
             return True
         # Along the descent twice as much: the craft lags behind a reference that sinks.
         sideways = away - (away @ down) * down
-        turned = rotation_angle(T[:3, :3].T @ whole[:3, :3])
+        turned = rotation_angle(T[:3, :3].T @ reference[:3, :3])
         ready = np.linalg.norm(sideways) < self.within_m and abs(away @ down) < 2 * self.within_m
         return bool(ready and np.degrees(turned) < self.within_deg)
 

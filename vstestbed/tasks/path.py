@@ -17,6 +17,7 @@ from vstestbed.features import ThetaU
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.robots.base import Base
 from vstestbed.targets import Target
+from vstestbed.tasks.base import view_from
 from vstestbed.tasks.continuing import Continuing, Settle, Tolerance
 from vstestbed.tasks.setup import Setup
 from vstestbed.tasks.view import GoalView
@@ -97,8 +98,7 @@ class GoalPath(Continuing):
     def reference(self, memory: Setup, seen: Observation) -> tuple[Setup, Goal]:
         """The view at this time, with the velocity of the reference camera."""
         T, view = self.trajectory.at(seen.t)
-        goal = Goal.from_view(memory.believed_camera, memory.target.points, T)
-        return memory, replace(goal, twist=self.trajectory.twist(seen.t), view=view)
+        return memory, replace(view_from(memory, lambda _: T, view), twist=self.trajectory.twist(seen.t))
 
     def error_m(self, setup: Setup, T_world_base: Array, T_world_target: Array, t: float) -> float:
         """Distance of the camera from the path."""

@@ -38,7 +38,7 @@ class GoalMonitor(TaskMonitor):
 
     def missed(self, frame: Frame) -> Verdict | None:
         """A local minimum, or the end of the duration."""
-        # Rest of a law that sees nothing is no minimum: `TargetLost` ends such a run.
+        # Rest of a law that sees nothing is no minimum: the supervisor ends such a run.
         at_rest = not frame.error.lost and not self._near and max(map(abs, frame.command.twist.tolist())) < REST
         if self._rest.lasting(at_rest, frame.t) >= REST_S:
             return Outcome.local_minimum, f"the commanded twist is zero {self._distance()}"

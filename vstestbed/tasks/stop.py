@@ -58,9 +58,12 @@ class Stop:
     Args:
         duration_s: simulated time after which the run times out [s]; at most a day.
         converged: when the goal counts as reached.
-        lost_after_s: longest time without sight of the target [s].
+        lost_after_s: longest time without sight of the target [s]; then the robot stops.
+        lost_after_m: longest way of the camera without sight of the target, by the robot's own sensors (dead reckoning, or a law that
+            coasts) [m]; then the robot stops.
     """
 
     duration_s: Duration = 30.0
     converged: Converged = Converged()
     lost_after_s: Time = 1.0
+    lost_after_m: PositiveLength = 2.0

@@ -16,7 +16,7 @@ from vstestbed.sim.lens.cube import cube_of, drawn_for
 from vstestbed.sim.lens.pinhole import resampling_maps
 from vstestbed.sim.render import gl_probe as gl
 from vstestbed.sim.render.window import PartCamera, part_round
-from vstestbed.sim.scene.compose import LENS_GROUP
+from vstestbed.sim.scene.compose import LENS_GROUP, RANGE_GROUP
 from vstestbed.sim.scene.stage import Stage
 
 ROUNDED = {int(kind) for kind in (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_ELLIPSOID)}
@@ -55,6 +55,7 @@ class SceneCamera:
             self._option = wrapper.MjvOption()
             self._option.geomgroup[:] = 1
             self._option.geomgroup[LENS_GROUP] = style == "outside"
+            self._option.geomgroup[RANGE_GROUP] = 0
             self._option.sitegroup[:] = 0
             self._flags = {"shadow": shadows, "reflection": False}
             self.renderer = ""

@@ -17,7 +17,7 @@ from vstestbed.core.geometry import FLIP, Array
 from vstestbed.sim.render import gl_probe as gl
 from vstestbed.sim.render.cones import cone_of, meets
 from vstestbed.sim.render.shade import Paint
-from vstestbed.sim.scene.compose import LENS_GROUP
+from vstestbed.sim.scene.compose import LENS_GROUP, RANGE_GROUP
 from vstestbed.sim.scene.stage import Stage
 from vstestbed.vision.detect.colour_blobs import noise_rows
 
@@ -51,7 +51,7 @@ class Caster:
         self._model = copy.copy(stage.model)
         self._model.body_bvhadr[:] = -1
         self.paint = Paint(stage.model, stage.data)
-        self._shown = np.ones(stage.model.ngeom, dtype=bool) if outside else stage.model.geom_group != LENS_GROUP
+        self._shown = ~np.isin(stage.model.geom_group, [RANGE_GROUP] if outside else [RANGE_GROUP, LENS_GROUP])
         self._endless = stage.model.geom_rbound <= 0
         self._groups = np.array([1, 0, 0, 0, 0, 0], dtype=np.uint8)
 

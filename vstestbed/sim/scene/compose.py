@@ -5,7 +5,7 @@ sees more than one pinhole picture holds has `eye_right`, `eye_left`, `eye_up`, 
 outside view `overview`, the target's body `target/frame` (mocap), its markers sites `target/marker_0`, `target/marker_1`, ...
 (of lines on the floor, which have no places of their own, only geoms `target/line_0`, ...), plates `plate_0`, ..., a vehicle
 that carries the target `leader/...`. Geom groups: 0 the room, 1 geoms that enclose the lens (not rendered by the servo camera,
-which in the textbook's scene sits at the wrist's centre, inside the hand), 2 the robot, 3 the target.
+which in the textbook's scene sits at the wrist's centre, inside the hand), 2 the robot, 3 the target, 5 what range finders alone meet.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from vstestbed.targets import Pad, Target
 from vstestbed.targets.markers import HALF_THICKNESS_M, Marker
 from vstestbed.vision.detect.tag_print import printed
 
-LENS_GROUP, ROBOT_GROUP, TARGET_GROUP, SITE_GROUP = 1, 2, 3, 4
+LENS_GROUP, ROBOT_GROUP, TARGET_GROUP, SITE_GROUP, RANGE_GROUP = 1, 2, 3, 4, 5
 ASSETS = "assets"
 """Folder beside model.xml for its asset files."""
 FACE_VIEWER = (0, 1, 0, 0)
@@ -85,7 +85,8 @@ def compose(parts: Parts) -> mujoco.MjSpec:
     scene.modelname = "scene"
     scene.option.timestep = parts.step
     scene.compiler.degree = False
-    scene.geom("floor").pos = [0, 0, parts.world.floor_z]
+    for plane in ("floor", "ground"):
+        scene.geom(plane).pos = [0, 0, parts.world.floor_z]
     body, T_body_flange = add_robot(scene, parts.robot, "robot/", parts.world.floor_friction)
     housing = 1.0 if parts.robot.model else FREE_HOUSING
     if parts.target.on_gripper:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from vstestbed.core.geometry import Array, inverse, quaternion_wxyz
 from vstestbed.sim.gl_context import Physics
-from vstestbed.sim.scene.compose import LENS_GROUP, Parts, compose
+from vstestbed.sim.scene.compose import LENS_GROUP, RANGE_GROUP, Parts, compose
 from vstestbed.sim.scene.indices import StateIndices
 from vstestbed.sim.scene.roots import Root
 from vstestbed.sim.scene.world import decoy_path, plate_path
@@ -117,7 +117,7 @@ class Stage:
         # The ray hits the marker itself before its centre, by its height; 2 mm of slack for a flat one.
         slack = marker.height_m + 0.002
         groups = np.ones(6, dtype=np.uint8)
-        groups[LENS_GROUP] = 0  # the lens lies inside these; they are not in the picture either
+        groups[[LENS_GROUP, RANGE_GROUP]] = 0  # the lens lies inside the former; both are not in the picture either
         p_world = p_camera @ T_world_camera[:3, :3].T
         reach = np.linalg.norm(p_world, axis=1)
         geom = np.zeros(1, dtype=np.int32)

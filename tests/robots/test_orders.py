@@ -1,0 +1,79 @@
+"""Orders: how long a setpoint is in force, and what is in force after it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from vstestbed.core.geometry import Array
+from vstestbed.robots.orders import REFRESH_S, Orders, stop_order
+
+STEP_S, LASTS = 0.002, 10
+U = np.array([1.0, -2.0])
+
+
+def ramp(setpoint: Array, elapsed_s: float) -> Array:
+    return setpoint * max(0.0, 1.0 - elapsed_s / 0.1)
+
+
+def orders(first: Array | None = None, lasts: float = LASTS) -> Orders:
+    return Orders(ramp, first, lasts, STEP_S)
+
+
+def test_an_order_lasts_its_time_and_then_the_robot_stops():
+    given = orders()
+    assert given.at(0) is None
+    given.give(5, U)
+    assert given.at(5) is U and given.at(15) is U
+    np.testing.assert_allclose(given.at(16), U * (1 - STEP_S / 0.1))
+    assert not given.at(15 + 50).any()
+    given.give(70, U)
+    assert given.at(80) is U
+
+
+def test_without_a_limit_it_lasts_for_ever():
+    given = orders(lasts=math.inf)
+    given.give(0, U)
+    assert given.at(10**9) is U and given.unchanged(3, 10**9) == 10**9
+
+
+def test_a_stop_order_acts_at_once_and_only_once():
+    given = orders()
+    given.give(0, U)
+    given.give(4, stop_order(U))
+    np.testing.assert_allclose(given.at(4), U * (1 - STEP_S / 0.1))
+    given.give(8, stop_order(U))  # the ramp goes on
+    np.testing.assert_allclose(given.at(8), U * (1 - 5 * STEP_S / 0.1))
+    given.give(9, np.array([np.nan, 0.0]))  # nothing of a setpoint that is partly NaN is followed
+    np.testing.assert_allclose(given.at(9), U * (1 - 6 * STEP_S / 0.1))
+
+
+def test_a_stop_order_after_the_order_has_lapsed_does_not_begin_again():
+    given = orders()
+    given.give(0, U)
+    given.give(20, stop_order(U))
+    np.testing.assert_allclose(given.at(20), U * (1 - 10 * STEP_S / 0.1))
+
+
+def test_before_the_first_order_there_is_the_first_setpoint_or_none():
+    given = orders(first=U)
+    assert given.at(LASTS) is U and not given.at(1000).any()
+    nothing = orders()
+    nothing.give(0, stop_order(U))
+    assert nothing.at(1) is None and nothing.unchanged(0, 7) == 7
+
+
+def test_infinite_setpoints_are_orders():
+    """A craft's rotors are switched off by one."""
+    given, off = orders(), np.array([0.0, -math.inf])
+    given.give(0, off)
+    assert given.at(1) is off
+
+
+def test_it_says_for_how_long_the_setpoint_stays():
+    given = orders()
+    given.give(0, U)
+    assert given.unchanged(0, 11) == 11 and given.unchanged(0, 12) == 11 and given.unchanged(8, 100) == 3
+    refresh = round(REFRESH_S / STEP_S)
+    assert given.unchanged(11, 100) == refresh and given.unchanged(11, 2) == 2

@@ -1,0 +1,145 @@
+"""Parameters of tasks and of the stop block: their defaults, which scenarios leave out, and the ranges that are accepted."""
+
+from __future__ import annotations
+
+from dataclasses import MISSING, fields
+from typing import Any
+
+import pytest
+
+import vstestbed as vs
+from vstestbed.core.errors import ParameterError, ScenarioError
+from vstestbed.core.geometry import Pose
+from vstestbed.tasks import GoalGap, GoalLanding, GoalLine, GoalPath, GoalTrack, GoalView, GoalViews
+from vstestbed.tasks.stop import Converged, Stop
+
+DEFAULTS: dict[type, dict[str, Any]] = {
+    GoalGap: {"band_m": None, "settle_s": 8.0},
+    GoalLanding: {"descend_mps": 0.3, "within_m": 0.15, "within_deg": 15.0, "commit_m": 0.4, "pad_m": 0.2, "touch_mps": 0.5},
+    GoalLine: {"offset_m": 0.0, "band_m": 0.05, "settle_s": 5.0},
+    GoalPath: {"speed_mps": 0.5, "turn_degps": 20.0, "lead_s": 0.5, "band_m": 0.15, "settle_s": 10.0},
+    GoalTrack: {"band_m": 0.05, "settle_s": 5.0},
+    GoalViews: {"threshold_px": 10.0},
+    GoalView: {"markers": None},
+    Converged: {"error_px": None, "position_m": None, "rotation_deg": None, "hold_s": 0.5},
+    Stop: {"duration_s": 30.0, "converged": Converged(error_px=0.2, hold_s=0.5), "lost_after_s": 1.0, "lost_after_m": 2.0},
+}
+VIEWS = (GoalView(T_camera_target=Pose(xyz=(0, 0, 1))), GoalView(T_camera_target=Pose(xyz=(0, 0, 2))))
+GIVEN: dict[type, dict[str, Any]] = {
+    GoalGap: {"gap_m": 3.0},
+    GoalLanding: {"above": Pose(xyz=(0, 0, 1))},
+    GoalLine: {},
+    GoalPath: {"way": VIEWS},
+    GoalTrack: {"T_camera_target": Pose(xyz=(0, 0, 1))},
+    GoalViews: {"views": VIEWS},
+    Converged: {"error_px": 1.0},
+    Stop: {},
+}
+ABOVE_ZERO = [
+    *((GoalLanding, name) for name in DEFAULTS[GoalLanding]),
+    *((GoalPath, name) for name in ("speed_mps", "turn_degps", "band_m")),
+    *((kind, "band_m") for kind in (GoalGap, GoalLine, GoalTrack)),
+    *((GoalGap, "gap_m"), (GoalViews, "threshold_px")),
+    *((Converged, name) for name in ("error_px", "position_m", "rotation_deg")),
+    *((Stop, name) for name in ("duration_s", "lost_after_m")),
+]
+FROM_ZERO = [(GoalPath, "lead_s"), *((kind, "settle_s") for kind in (GoalPath, GoalGap, GoalLine, GoalTrack))]
+FROM_ZERO += [(Converged, "hold_s"), (Stop, "lost_after_s")]
+
+
+@pytest.mark.parametrize("kind", DEFAULTS, ids=lambda kind: kind.__name__)
+def test_what_a_scenario_leaves_out(kind: type):
+    found = {f.name: f.default for f in fields(kind) if f.default is not MISSING and f.name != "kind"}
+    assert found == DEFAULTS[kind]
+
+
+@pytest.mark.parametrize(("kind", "name"), ABOVE_ZERO)
+def test_more_than_zero(kind: type, name: str):
+    assert getattr(kind(**GIVEN[kind] | {name: 1e-3}), name) == 1e-3
+    with pytest.raises(ParameterError):
+        kind(**GIVEN[kind] | {name: 0.0})
+
+
+@pytest.mark.parametrize(("kind", "name"), FROM_ZERO)
+def test_zero_or_more(kind: type, name: str):
+    assert getattr(kind(**GIVEN[kind] | {name: 0.0}), name) == 0.0
+    with pytest.raises(ParameterError):
+        kind(**GIVEN[kind] | {name: -1e-3})
+
+
+@pytest.mark.parametrize("kind", [GoalPath, GoalViews])
+def test_two_to_a_hundred_views(kind: type):
+    name = "way" if kind is GoalPath else "views"
+    for n, valid in ((1, False), (2, True), (100, True), (101, False)):
+        if valid:
+            assert len(getattr(kind(**{name: VIEWS[:1] * n}), name)) == n
+        else:
+            with pytest.raises(ParameterError):
+                kind(**{name: VIEWS[:1] * n})
+
+
+class TestMarkersThatCount:
+    @pytest.mark.parametrize(
+        ("markers", "words"),
+        [
+            ([0, 1, 4], "must be numbers of markers, 0 to 3"),
+            ([0, 1], "must name 3 markers or more for law ibvs"),
+            ([0, 0, 1], "must name 3 markers or more for law ibvs"),
+            ([-1, 0, 1], "goal.markers"),
+            ([], "goal.markers"),
+        ],
+    )
+    def test_refused(self, markers: list[int], words: str):
+        with pytest.raises(ScenarioError, match=words):
+            vs.load("arm_ibvs", {"goal.markers": markers})
+
+    def test_accepted(self):
+        (view,) = vs.load("arm_ibvs", {"goal.markers": [3, 0, 1]}).goal_views
+        assert view.counted is not None and view.counted.tolist() == [True, True, False, True]
+        assert vs.load("arm_ibvs").goal_view.counted is None
+
+
+class TestConverged:
+    def test_every_condition_given_must_hold(self):
+        both = Converged(error_px=1.0, position_m=0.1, rotation_deg=10.0)
+        assert both.near(True, 0.9, 0.09, 0.1)
+        assert not both.near(False, 0.9, 0.09, 0.1)
+        assert not both.near(True, 1.0, 0.09, 0.1)
+        assert not both.near(True, 0.9, 0.1, 0.1)
+        assert not both.near(True, 0.9, 0.09, 0.2)  # 11.5 degrees
+        assert not both.near(True, float("nan"), 0.09, 0.1) and not both.near(True, 0.9, float("nan"), 0.1)
+
+    def test_by_the_estimate_sight_does_not_matter(self):
+        for given, near in (({"position_m": 0.1}, (0.05, 9.0)), ({"rotation_deg": 10.0}, (9.0, 0.1))):
+            assert Converged(**given).by_estimate and Converged(**given).near(False, 99.0, *near)
+        assert not Converged(rotation_deg=10.0).near(True, 0.0, 0.0, float("nan"))
+        assert not Converged().by_estimate
+
+    def test_in_words(self):
+        assert Converged().summary == "RMS error under 0.2 px"
+        assert Converged(error_px=1, rotation_deg=2).summary == "RMS error under 1 px, under 2 deg"
+        assert Converged(position_m=0.05, rotation_deg=4).summary == "by its own estimate under 0.05 m, under 4 deg off"
+
+
+class TestWhatATaskRefuses:
+    @pytest.mark.parametrize(
+        ("name", "settings", "words"),
+        [
+            (
+                "car_line",
+                {"goal": {"T_camera_target": {"xyz": [0, 0, 2]}}, "law": {"kind": "ibvs"}},
+                "needs markers, and lines on the floor have none",
+            ),
+            ("car_pbvs", {"target.motion": {"kind": "line", "velocity_mps": [0.1, 0, 0]}}, "needs a target that stands still"),
+            ("car_pbvs", {"law": {"kind": "ibvs"}}, "may not be of kind pose with law ibvs"),
+            ("car_pbvs", {"law.depth": "goal"}, "may not be goal with law pose_controller, which needs the pose itself"),
+            ("car_pbvs", {"stop.converged": {"error_px": 1}}, "must have position_m or rotation_deg for a goal of kind pose"),
+            ("car_pbvs", {"stop.converged.position_m": 0.02}, r"must be under stop\.converged\.position_m = 0\.02 m"),
+            ("omni_ibvs", {"goal": {"above": {"xyz": [0, 0, 1]}}, "law": {"kind": "ibvs"}}, "is for a craft that flies"),
+            ("arm_ibvs", {"goal": {"view_from": {"x": 0}}}, "is for a vehicle; robot puma560 takes T_camera_target"),
+            ("arm_ibvs", {"goal": {"views": [{"view_from": {"x": 0}}, {"view_from": {"x": 1}}]}}, "of kind views is for a vehicle"),
+        ],
+    )
+    def test_it_says_what(self, name: str, settings: dict[str, Any], words: str):
+        with pytest.raises(ScenarioError, match=words):
+            vs.load(name, settings)

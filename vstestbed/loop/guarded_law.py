@@ -1,0 +1,60 @@
+"""The law's step with its result checked: a law that fails during a run orders rest from then on, and says why."""
+
+from __future__ import annotations
+
+import math
+import traceback
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array
+from vstestbed.features.observation import Goal, Observation
+from vstestbed.laws import Command, Law
+
+
+class GuardedLaw:
+    """A law that has failed is not asked again: its robot must be stopped, whatever the law does next.
+
+    Attributes:
+        failure: what the law did, in words; "" while it works.
+    """
+
+    def __init__(self, law: Law[Any]):
+        self._law, self.failure = law, ""
+
+    def step(self, memory: Any, seen: Observation, goal: Goal, basis: Array) -> tuple[Any, Command]:
+        """One frame of the law; after a failure rest, with `failure` as its reason.
+
+        Raises:
+            ParameterError: the law returned something other than a memory and a command of six numbers.
+        """
+        if not self.failure:
+            try:
+                memory, command = self._checked(self._law.step(memory, seen, goal, basis))
+            except ParameterError:
+                raise
+            except Exception as error:
+                self.failure = f"law {self._law.kind} raised {type(error).__name__}: {error} ({_where(error)})"
+            else:
+                if math.isfinite(command.twist.sum()):
+                    return memory, command
+                self.failure = f"law {self._law.kind} gave a twist that is not finite, {np.round(command.twist, 3)}"
+        return memory, Command.rest(basis, self.failure)
+
+    def _checked(self, stepped: Any) -> tuple[Any, Command]:
+        """What `step` returned, if it is a memory and a command of six numbers."""
+        kind = self._law.kind
+        if not (isinstance(stepped, tuple) and len(stepped) == 2 and isinstance(stepped[1], Command)):
+            raise ParameterError("law.kind", f"{kind}: step must return (memory, Command), got {type(stepped).__name__}")
+        if np.shape(stepped[1].twist) != (6,):
+            raise ParameterError("law.kind", f"{kind}: the twist of a Command must be six numbers, got {stepped[1].twist}")
+        return stepped
+
+
+def _where(error: Exception) -> str:
+    """File and line that raised the error."""
+    last = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{Path(last.filename).name}, line {last.lineno}"
