@@ -13,7 +13,7 @@ from vstestbed.robots.quadrotor import STANDING_M
 from vstestbed.sim.base import Plant
 from vstestbed.sim.build import build_plant
 
-PLACES = [(3.0, 3.0), (50.0, -120.0), (-5000.0, 3.0)]
+PLACES = [(3.0, 3.0), (50.0, -120.0), (-990.0, 3.0)]
 
 
 def craft(x: float, y: float, height: float, floor_z: float = 0.0) -> Plant:
