@@ -217,7 +217,8 @@ class TestNoOpenGL:
         pictures._warn_once.cache_clear()
         ended = [command("run", "quick.yaml", "--set", "detector=blobs", "--set", "stop.duration_s=0.2", *NO_FILM) for _ in range(2)]
         assert [e.code for e in ended] == [3, 3]
-        note = "no OpenGL: MUJOCO_GL=disable is set; rays draw the pictures instead, films without shadows"
+        instead = "rays draw the pictures instead, without shadows and textures"
+        note = f"no OpenGL: MUJOCO_GL=disable is set; {instead}; unset MUJOCO_GL or set MUJOCO_GL=egl"
         assert [e.err.splitlines().count(note) for e in ended] == [1, 0]
 
     def test_quiet_is_quiet_about_it(self, command, quick: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -229,9 +230,9 @@ class TestNoOpenGL:
     @pytest.mark.parametrize(
         ("hide", "line"),
         [
-            ({"LD_LIBRARY_PATH": "fake"}, "no OpenGL: libEGL.so.1 not found; on Debian or Ubuntu: apt-get install libegl1 libgl1"),
+            ({"LD_LIBRARY_PATH": "fake"}, f"no OpenGL: libEGL.so.1 not found; {gl.remedy()}"),
             pytest.param(
-                {"__EGL_VENDOR_LIBRARY_FILENAMES": "/none"}, "no OpenGL: libEGL starts no display; on Debian or", marks=pytest.mark.study
+                {"__EGL_VENDOR_LIBRARY_FILENAMES": "/none"}, f"no OpenGL: libEGL starts no display; {gl.remedy()}", marks=pytest.mark.study
             ),
             pytest.param(
                 {"MUJOCO_GL": "vulkan"}, "no OpenGL: MUJOCO_GL=vulkan is set, and there is no such backend", marks=pytest.mark.study

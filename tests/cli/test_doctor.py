@@ -67,6 +67,43 @@ def test_no_opengl_is_told_with_its_remedy_and_exit_4(command, monkeypatch: pyte
     assert lines[-1].startswith("ok  video")  # it goes on after what does not work
 
 
+@pytest.mark.parametrize(
+    ("release", "words"),
+    [
+        ({"ID": "debian"}, "as root: apt-get install libegl1 libgl1 libegl-mesa0 libgl1-mesa-dri; then `vstestbed doctor`"),
+        ({"ID": "linuxmint", "ID_LIKE": "ubuntu debian"}, "as root: apt-get install libegl1"),
+        ({"ID": "rocky", "ID_LIKE": "rhel centos fedora"}, "as root: dnf install mesa-libEGL"),
+        ({"ID": "opensuse-leap", "ID_LIKE": "suse opensuse"}, "as root: zypper install libglvnd"),
+        ({"ID": "arch"}, "as root: pacman -S libglvnd mesa"),
+        ({"ID": "void"}, "as root: (on Debian or Ubuntu) apt-get install libegl1"),
+        (None, "as root: (on Debian or Ubuntu) apt-get install libegl1"),
+    ],
+)
+def test_the_command_that_installs_opengl_is_that_of_the_distribution(release, words: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def found() -> dict[str, str]:
+        if release is None:
+            raise OSError
+        return release
+
+    monkeypatch.setattr(gl.platform, "freedesktop_os_release", found)
+    assert gl.remedy().startswith(words)
+
+
+def test_run_doctor_and_an_error_say_the_same(command, quick, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is lacking and the command that installs it, wherever OpenGL is missed."""
+    from vstestbed.sim.render import pictures
+
+    monkeypatch.setenv("MUJOCO_GL", "disable")
+    monkeypatch.setattr(gl, "_lack", [("libEGL.so.1 not found", gl.remedy())])
+    pictures._warn_once.cache_clear()
+    line = ("run", "quick.yaml", "--set", "detector=blobs", "--set", "stop.duration_s=0.1", "--video", "none")
+    warned, refused, examined = command(*line).err, command(*line, "--set", "camera.renderer=gl"), command("doctor").out
+    lack = "no OpenGL: libEGL.so.1 not found"
+    assert warned.splitlines()[0] == f"{lack}; {gl.RAYS_INSTEAD}; {gl.remedy()}"
+    assert (refused.code, refused.err) == (4, f"{lack}; {gl.remedy()}\n")
+    assert f"{lack}; {gl.RAYS_INSTEAD}\n{' ' * 17}{gl.remedy()}\n" in examined
+
+
 def test_the_pair_of_mujoco_and_dm_control_that_does_not_work_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(doctor, "versions", lambda: {"mujoco": "4.0.0", "dm_control": "1.0.50", "python": "3.11"})
     packages = next(f for f in examine() if f.what == "packages")

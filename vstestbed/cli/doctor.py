@@ -74,7 +74,7 @@ def _pictures() -> Iterator[Finding]:
     except (VstestbedError, ImportError) as error:
         lack = gl.explain(error) if isinstance(error, ImportError) else error
         problem, _, remedy = str(lack or error).partition("; ")  # the form of every message of this package
-        yield Finding("OpenGL", False, f"{problem}; rays draw the pictures instead, without shadows and textures", remedy)
+        yield Finding("OpenGL", False, f"{problem}; {gl.RAYS_INSTEAD}", remedy)
         check = pixel_convention("rays")
     else:
         yield Finding("OpenGL", True, check.renderer)

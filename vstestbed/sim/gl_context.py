@@ -1,22 +1,25 @@
-"""One OpenGL context for each process, with a cache of MuJoCo's rendering contexts for scenes that look the same."""
+"""Physics that draw in the process's one OpenGL context, with a cache of MuJoCo's rendering contexts for scenes that look the same."""
 
 from __future__ import annotations
 
+import threading
 from collections import OrderedDict
-from typing import Any
+from collections.abc import Callable
+from typing import Any, TypeVar
 
 import mujoco
 import numpy as np
-from dm_control import _render
 from dm_control import mujoco as dm
 from dm_control.mujoco import wrapper
 from dm_control.mujoco.engine import Contexts
 
+from vstestbed.sim import gl_thread
+
+T = TypeVar("T")
 MOST_KEPT = 4
 """Rendering contexts kept: those of the servo camera and of the outside view, for two scenarios in turn."""
-_contexts: list[Any] = []
 _target: list[object] = [None]
-"""The rendering context whose buffer is current."""
+"""The rendering context whose buffer is current. This and `_kept` are used on the rendering thread alone, and need no lock."""
 _kept: OrderedDict[tuple[object, ...], wrapper.MjrContext] = OrderedDict()
 
 
@@ -29,44 +32,61 @@ class Physics(dm.Physics):
 
     @property
     def contexts(self) -> Contexts | None:
-        """The contexts, with this scene's made current; None where dm_control has switched rendering off."""
-        contexts = super().contexts
-        # Several rendering contexts share one OpenGL context, whose current buffer is global state: switched only where it is another's.
-        if contexts is not None and _target[0] is not contexts.mujoco:
-            with contexts.gl.make_current() as thread:
-                thread.call(mujoco.mjr_setBuffer, mujoco.mjtFramebuffer.mjFB_OFFSCREEN, contexts.mujoco.ptr)
+        """The contexts; on the rendering thread with this scene's made current. None where dm_control has switched rendering off."""
+        contexts: Any = self._contexts
+        if contexts is None and not gl_thread.is_current():
+            contexts = super().contexts  # makes them; it takes a lock, for which the rendering thread must not wait
+        # Several rendering contexts share one OpenGL context, whose current buffer is global state: switched only where it is another's,
+        # and within the job that draws, since another thread's job may come before.
+        if contexts is not None and contexts.gl.thread is threading.current_thread() and _target[0] is not contexts.mujoco:
+            mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, contexts.mujoco.ptr)
             _target[0] = contexts.mujoco
         return contexts
 
-    def fitting_contexts(self) -> Contexts | None:
-        """The contexts with a buffer of the model's offscreen size, which may have grown; other scenes keep the old ones."""
-        contexts = self.contexts
+    def with_context(self, job: Callable[[], T]) -> T:
+        """The result of a function that is executed on the rendering thread, where the OpenGL context is current.
+
+        The buffer has the model's offscreen size, which may have grown since the last call; other scenes keep the old ones.
+        """
+        contexts: Any = self.contexts
         if contexts is None:
-            return None
+            raise RuntimeError("dm_control's rendering is switched off")
         size, buffer = self.model.ptr.vis.global_, contexts.mujoco.ptr
         if (buffer.offWidth, buffer.offHeight) != (size.offwidth, size.offheight):
             self._free_rendering_contexts()
-        return self.contexts
+            contexts = self.contexts
+        with contexts.gl.make_current() as thread:
+            return thread.call(job)
 
     def _make_rendering_contexts(self) -> None:
         """Take the cached rendering context of a model that looks the same, or make one."""
-        if not _contexts or _contexts[0].terminated:
-            _kept.clear()
-            _contexts[:] = [_render.Renderer(max_width=64, max_height=64)]  # its own size does not matter: images are rendered offscreen
-            _contexts[0].increment_refcount()  # so that it lives as long as the process
-        key = _looks(self.model.ptr)
-        if key not in _kept:
-            _kept[key] = wrapper.MjrContext(self.model, _contexts[0])
-            with _contexts[0].make_current() as thread:
-                thread.call(_plain_sky, _kept[key].ptr)
-        _kept.move_to_end(key)
-        self._contexts = Contexts(gl=_contexts[0], mujoco=_kept[key])
+        gl = gl_thread.context()
+        with gl.make_current() as thread:
+            self._contexts = Contexts(gl=gl, mujoco=thread.call(_rendering_context, self.model, gl))
 
     def _free_rendering_contexts(self) -> None:
         """Return the context to the cache; the least recently used one is dropped."""
+        gl: Any = self._contexts and self._contexts.gl
         self._contexts = None
-        while len(_kept) > MOST_KEPT:
-            _kept.popitem(last=False)  # freed when no other scene holds it
+        if not gl.terminated:  # else the process ends, or is a fork
+            with gl.make_current() as thread:
+                thread.call(_drop_surplus)
+
+
+def _rendering_context(model: wrapper.MjModel, gl: object) -> wrapper.MjrContext:
+    """The cached rendering context of a model that looks the same, or a new one. On the rendering thread."""
+    key = _looks(model.ptr)
+    if key not in _kept:
+        _kept[key] = wrapper.MjrContext(model, gl)
+        _target[0] = _kept[key]  # MuJoCo makes the buffer of a new context current
+        _plain_sky(_kept[key].ptr)
+    _kept.move_to_end(key)
+    return _kept[key]
+
+
+def _drop_surplus() -> None:
+    while len(_kept) > MOST_KEPT:
+        _kept.popitem(last=False)  # freed when no other scene holds it
 
 
 def _plain_sky(context: mujoco.MjrContext) -> None:

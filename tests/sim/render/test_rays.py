@@ -17,6 +17,7 @@ from vstestbed.core.errors import EnvironmentLackError, ParameterError
 from vstestbed.core.geometry import FLIP, Array, Pose, inverse, transform
 from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart
+from vstestbed.sim.render import gl_probe as gl
 from vstestbed.sim.render.noise import ImageNoise
 from vstestbed.sim.render.opengl import OpenGLRenderer
 from vstestbed.sim.render.pictures import servo_renderer
@@ -306,7 +307,8 @@ def test_a_machine_without_opengl_runs_films_and_all(tmp_path: Path, vstestbed_p
     done = subprocess.run(words, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     lines = done.stderr.splitlines()
-    assert lines[0] == "no OpenGL: libEGL.so.1 and libGL.so.1 not found; rays draw the pictures instead, films without shadows"
+    lack = "no OpenGL: libEGL.so.1 and libGL.so.1 not found"
+    assert lines[0] == f"{lack}; rays draw the pictures instead, without shadows and textures; {gl.remedy()}"
     assert lines[1].startswith("converged: ")
     summary = json.loads((tmp_path / "done" / "summary.json").read_text())
     assert (summary["outcome"], summary["versions"]["renderer"]) == ("converged", "rays (mj_multiRay)")

@@ -4,20 +4,45 @@ from __future__ import annotations
 
 import ctypes
 import os
+import platform
 import sys
 
 from vstestbed.core.errors import EnvironmentLackError
 
-REMEDY = "on Debian or Ubuntu: apt-get install libegl1 libgl1 (then `vstestbed doctor` tells whether it works)"
+INSTALL = {
+    "debian": "apt-get install libegl1 libgl1 libegl-mesa0 libgl1-mesa-dri",
+    "fedora": "dnf install mesa-libEGL mesa-libGL mesa-dri-drivers",
+    "rhel": "dnf install mesa-libEGL mesa-libGL mesa-dri-drivers",
+    "arch": "pacman -S libglvnd mesa",
+    "suse": "zypper install libglvnd Mesa-libEGL1 Mesa-libGL1 Mesa-dri",
+}
+"""The command that installs EGL, OpenGL and Mesa's drivers, by the word in /etc/os-release (ID or ID_LIKE)."""
+RAYS_INSTEAD = "rays draw the pictures instead, without shadows and textures"
 UNSET_REMEDY = "unset MUJOCO_GL or set MUJOCO_GL=egl"
 LIBRARIES = {"egl": ("libEGL.so.1", "libGL.so.1"), "osmesa": ("libOSMesa.so.8",), "glfw": ("libGL.so.1",)}
 """Shared libraries that each of MuJoCo's backends loads, by its name in MUJOCO_GL."""
-DRIVER_REMEDY = "on Debian or Ubuntu: apt-get install libegl-mesa0 libgl1-mesa-dri"
 DEVICE_PLATFORM = 0x313F
 """EGL_PLATFORM_DEVICE_EXT, from the extension EGL_EXT_platform_device."""
 ON, OFF = ("", "1", "on", "true", "enable", "enabled"), ("0", "off", "false", "disable", "disabled")
 _lack: list[tuple[str, str]] = []
-"""Why `choose_backend` switched OpenGL off, as (lack, remedy); empty where it did not."""
+"""Why OpenGL is switched off, as (lack, remedy); empty where it is not."""
+
+
+def remedy() -> str:
+    """The command that installs OpenGL on this distribution, as root; Debian's on an unknown one."""
+    try:
+        release = platform.freedesktop_os_release()
+    except OSError:  # not Linux, or a bare container
+        release = {}
+    words = f"{release.get('ID', '')} {release.get('ID_LIKE', '')}".replace("opensuse", "suse").replace("ubuntu", "debian").split()
+    known = [word for word in words if word in INSTALL]
+    command = INSTALL[known[0]] if known else f"(on Debian or Ubuntu) {INSTALL['debian']}"
+    return f"as root: {command}; then `vstestbed doctor` tells whether it works"
+
+
+def switch_off(lack: str, remedy: str) -> None:
+    """Refuse OpenGL from now on, in this process."""
+    _lack.insert(0, (lack, remedy))
 
 
 def missing_libraries(backend: str = "egl") -> list[str]:
@@ -77,7 +102,7 @@ def _lack_of(backend: str, requested: bool) -> tuple[str, str] | None:
     if missing := missing_libraries(backend):
         return _missing_words(backend, missing, requested)
     if backend == "egl" and not _egl_starts():
-        return "libEGL starts no display", DRIVER_REMEDY
+        return "libEGL starts no display", remedy()
     if backend == "glfw" and not any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")):
         return "MUJOCO_GL=glfw needs a display, and there is none", UNSET_REMEDY
     return None
@@ -87,20 +112,20 @@ def _missing_words(backend: str, missing: list[str], requested: bool) -> tuple[s
     """The sentence about missing libraries, and the remedy."""
     lack = f"{' and '.join(missing)} not found"
     if not requested:
-        return lack, REMEDY
-    return f"{lack}, which MUJOCO_GL={backend} needs", REMEDY if backend == "egl" else UNSET_REMEDY
+        return lack, remedy()
+    return f"{lack}, which MUJOCO_GL={backend} needs", remedy() if backend == "egl" else UNSET_REMEDY
 
 
 def require() -> None:
     """Raise EnvironmentLackError, with the remedy, where OpenGL is switched off."""
-    if os.environ.get("MUJOCO_GL", "").lower() not in OFF:
+    if not _lack and os.environ.get("MUJOCO_GL", "").lower() not in OFF:
         return
     if not _lack:  # the user switched it off, or a parent process did and MUJOCO_GL was inherited
         missing = missing_libraries()
         set_ = f"MUJOCO_GL={os.environ['MUJOCO_GL']} is set"
-        _lack.append((f"{' and '.join(missing)} not found", REMEDY) if missing else (set_, UNSET_REMEDY))
-    lack, remedy = _lack[0]
-    raise EnvironmentLackError(f"no OpenGL: {lack}", remedy)
+        switch_off(*((f"{' and '.join(missing)} not found", remedy()) if missing else (set_, UNSET_REMEDY)))
+    lack, way = _lack[0]
+    raise EnvironmentLackError(f"no OpenGL: {lack}", way)
 
 
 def explain(error: ImportError) -> EnvironmentLackError | None:
@@ -108,7 +133,7 @@ def explain(error: ImportError) -> EnvironmentLackError | None:
     words = str(error).rstrip(".")
     if "EGL" not in words:
         return None
-    return EnvironmentLackError(f"no OpenGL: {words}", DRIVER_REMEDY)
+    return EnvironmentLackError(f"no OpenGL: {words}", remedy())
 
 
 def renderer_string() -> str:

@@ -51,21 +51,16 @@ class SceneCamera:
         if not shadows:
             stage.model.vis.quality.shadowsize = 0  # the context would reserve its depth map
         try:
-            self._camera = PartCamera(stage.physics, height, width, camera_id=camera)
             self._option = wrapper.MjvOption()
             self._option.geomgroup[:] = 1
             self._option.geomgroup[LENS_GROUP] = style == "outside"
             self._option.geomgroup[RANGE_GROUP] = 0
             self._option.sitegroup[:] = 0
             self._flags = {"shadow": shadows, "reflection": False}
-            self.renderer = ""
-            contexts = stage.physics.fitting_contexts()
-            if contexts is None or contexts.gl is None or contexts.mujoco is None:
-                raise EnvironmentLackError("no OpenGL context", gl.REMEDY)
-            with contexts.gl.make_current() as context:
-                self.renderer = context.call(gl.renderer_string)
+            made = stage.physics.with_context(lambda: (PartCamera(stage.physics, height, width, camera_id=camera), gl.renderer_string()))
+            self._camera, self.renderer = made
         except Exception as error:  # EGL, PyOpenGL and MuJoCo raise half a dozen types when a driver is broken
-            raise EnvironmentLackError(f"OpenGL does not work here: {error}", gl.REMEDY) from error
+            raise EnvironmentLackError(f"OpenGL does not work here: {error}", gl.remedy()) from error
 
     def full_image(self) -> Image:
         """The image now, shape (H, W, 3) uint8 RGB, as a copy that the caller may keep."""

@@ -112,11 +112,11 @@ def _chosen(camera: Camera, by_gl: Callable[[], T], by_rays: Callable[[], T]) ->
         made = by_rays()
     except EnvironmentLackError as refused:  # what rays cannot draw, and why OpenGL could not draw it
         raise EnvironmentLackError(f"{refused.lack} ({lack.lack})", lack.remedy) from None
-    _warn_once(lack.lack)
+    _warn_once(lack.lack, lack.remedy)
     return made
 
 
 @functools.cache
-def _warn_once(lack: str) -> None:
+def _warn_once(lack: str, remedy: str) -> None:
     """Warn once for each reason that rays are used: on standard error, unless the application has configured logging."""
-    logging.getLogger("vstestbed").warning("%s; rays draw the pictures instead, films without shadows", lack)
+    logging.getLogger("vstestbed").warning("%s; %s; %s", lack, gl.RAYS_INSTEAD, remedy)

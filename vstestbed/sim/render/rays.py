@@ -239,7 +239,7 @@ def refuse(camera: Camera, textured_target: bool) -> None:
     if lacks and camera.renderer == "rays":
         raise ParameterError("camera.renderer", f"must be gl or auto: {lacks[0]} OpenGL", camera.renderer)
     if lacks:
-        raise EnvironmentLackError(f"{lacks[0]} OpenGL", gl.REMEDY)
+        raise EnvironmentLackError(f"{lacks[0]} OpenGL", gl.remedy())
 
 
 class RaySceneCamera:

@@ -1,0 +1,93 @@
+"""Pictures by OpenGL in any thread, in any order, several at once: the same bytes, no words, a clean end of the process."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+RUN = """
+import hashlib, os, pathlib, signal, sys, threading, time
+import vstestbed as vs
+
+def scenario(width=160):
+    small = {"camera.width": width, "camera.height": 120, "target.marker.radius": 0.06, "stop.duration_s": 0.12}
+    return vs.load("arm_ibvs", small)
+
+def log(width=160):
+    recording = vs.run(scenario(width))
+    renderer = recording.versions["renderer"]
+    return ("rays" if renderer.startswith("rays") else "gl") + hashlib.sha256(recording.table.tobytes()).hexdigest()
+
+def in_threads(*widths):
+    logs = {}
+    def work(i, width): logs[i] = log(width)
+    threads = [threading.Thread(target=work, args=item) for item in enumerate(widths)]
+    for thread in threads: thread.start()
+    for thread in threads: thread.join()
+    return [logs.get(i) for i in range(len(widths))]
+"""
+ANY_ORDER = """
+first, main, again = *in_threads(160), log(), *in_threads(160)
+wide = log(200)  # of another size: a rendering context of its own
+print(main[:2], {first, main, again} == {main}, in_threads(160, 200) == [main, wide], in_threads(200, 160, 200) == [wide, main, wide])
+"""
+AT_EXIT = """
+class Started:
+    def frame(self, frame): ready.set()
+ready = threading.Event()
+endless = vs.load("arm_ibvs", {"stop.duration_s": 1000, "stop.converged.error_px": 1e-9})
+threading.Thread(target=lambda: vs.run(endless, [Started()]), daemon=True).start()
+assert ready.wait(60)
+print("ready")
+"""
+INTERRUPTED = """
+in_threads(160)
+class Interrupts:
+    def frame(self, frame): threading.Timer(0.01, os.kill, (os.getpid(), signal.SIGINT)).start() if frame.timing.number == 1 else None
+print(vs.run(vs.load("arm_ibvs", {"stop.duration_s": 1000, "stop.converged.error_px": 1e-9}), [Interrupts()]).outcome.name, log() == log())
+"""
+FORKED = """
+import vstestbed.sim.render.opengl
+from vstestbed.core.errors import EnvironmentLackError
+def child(work):
+    if (pid := os.fork()) == 0:
+        work()
+        sys.exit(0)
+    return os.waitpid(pid, 0)[1]
+def drawn(): pathlib.Path(sys.argv[1]).write_text(log())
+def refused():
+    try: vs.run(vs.load("arm_ibvs", {"camera.renderer": "gl"}))
+    except EnvironmentLackError as error: print(error, flush=True)
+before = child(drawn)
+same = log() == pathlib.Path(sys.argv[1]).read_text()
+print(before, same, flush=True)
+print(child(refused), log() == log())
+"""
+REFUSED = "no OpenGL: this process is a fork of one that has drawn with it; start processes with multiprocessing's method spawn"
+
+
+@pytest.mark.parametrize(
+    ("code", "said"),
+    [
+        (ANY_ORDER, "gl True True True\n"),
+        (AT_EXIT, "ready\n"),
+        (INTERRUPTED, "interrupted True\n"),
+        (FORKED, f"0 True\n{REFUSED}\n0 True\n"),
+    ],
+    ids=["thread, main, thread, several at once", "the process ends during a run in a daemon thread", "Ctrl-C", "forks"],
+)
+def test_any_thread_draws(code: str, said: str, tmp_path: Path):
+    """A process for each: how it ends, and what it says then, is a part of the test."""
+    done = subprocess.run(
+        [sys.executable, "-c", RUN + code, str(tmp_path / "log")],
+        env=os.environ | {"LP_NUM_THREADS": "2"},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+    assert (done.stdout, done.stderr, done.returncode) == (said, "", 0)
