@@ -21,7 +21,8 @@ import pytest
 from vstestbed.core.errors import EnvironmentLackError, OutputError, RunFolderError
 from vstestbed.experiments.run_folder import new_folder, run_into, write_whole
 from vstestbed.loop.columns import Layout
-from vstestbed.loop.log_file import PartWriter, read_log
+from vstestbed.loop.log_file import FolderLog, read_log
+from vstestbed.loop.recording import to_frame
 from vstestbed.scenario.load import load
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.tasks.frame import Frame
@@ -226,12 +227,12 @@ class TestLogPart:
     def part(self, scenario: Scenario, tmp_path: Path) -> Path:
         """Five rows of numbers that are hard to write down, among them NaN and infinity."""
         layout = Layout(scenario)
-        writer = PartWriter(tmp_path / "log.part", layout)
+        writer = FolderLog.create(tmp_path, layout.columns)
         rng = np.random.default_rng(0)
         for i in range(5):
             row = rng.standard_normal(len(layout.columns)) * 10.0 ** rng.integers(-300, 300, len(layout.columns))
             row[:6] = i / 25, i, i % 2, np.nan, np.inf, -0.0
-            writer.append(row.tolist())
+            writer.append(row[None])
         writer.close()
         return tmp_path / "log.part"
 
@@ -256,6 +257,35 @@ class TestLogPart:
             part.write_bytes(whole[:length])
             with pytest.raises(RunFolderError, match=r"log\.part ends before its first line does"):
                 read_log(part.parent)
+
+    @pytest.mark.parametrize("n", [0, 1, 70])
+    def test_the_finished_log_is_that_of_one_table(
+        self, tmp_path: Path, scenario: Scenario, monkeypatch: pytest.MonkeyPatch, n: int
+    ) -> None:
+        """In blocks and row groups of 32 rows, the numbers are those that were appended; in one, the bytes are those of a table."""
+        place = tmp_path / "log"
+        place.mkdir()
+        columns = Layout(scenario).columns
+        table = np.random.default_rng(0).standard_normal((n, len(columns)))
+        table[:, columns.index("frame")], table[:, columns.index("lost")] = np.arange(n), np.arange(n) % 2
+        whole = to_frame(dict(zip(columns, table.T, strict=True)))
+        whole.write_parquet(place / "whole", compression="zstd", statistics=False)
+        for block in (32, 32_768):
+            monkeypatch.setattr("vstestbed.loop.log_file.BLOCK", block)
+            log = FolderLog.create(place, columns)
+            for rows in np.array_split(table, 3):
+                log.append(rows)
+            before = read_log(place)
+            assert len(log) == n
+            log.finish()
+            assert len(log) == n
+            assert {p.name for p in place.iterdir()} == {"whole", "log.parquet"}
+            for found in (before, read_log(place), pl.read_parquet(place / "log.parquet")):
+                assert found.equals(whole) and found.schema == whole.schema
+            same = (place / "log.parquet").read_bytes() == (place / "whole").read_bytes()
+            assert same or block < n
+            (place / "log.parquet").unlink()
+        (place / "whole").unlink()
 
     def test_garbage_is_refused(self, part: Path) -> None:
         part.write_bytes(part.read_bytes() + b"1,2,three\n")

@@ -139,7 +139,7 @@ def render(
     """Film a recorded run again, from any camera, without simulating."""
     from vstestbed.cli.progress import show_notes
     from vstestbed.core.folders import only_writer
-    from vstestbed.loop.log_file import read_log
+    from vstestbed.loop.log_file import open_log
     from vstestbed.report.video.film import film_log
     from vstestbed.scenario.load import load, load_plugins
 
@@ -147,7 +147,7 @@ def render(
     size_px = _size(size)
     _must_be_run(run_dir)  # before the scenario is loaded, for a clearer message
     scenario = load(run_dir / "scenario.yaml")
-    log = read_log(run_dir, scenario)
+    log = open_log(run_dir, scenario)
     show_notes(not quiet)
     path = out or run_dir / f"{camera}.mp4"
     with only_writer(run_dir) if path.parent == run_dir else nullcontext():  # a film elsewhere changes nothing in the run's folder

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import io
 import json
 import re
 import shutil
@@ -15,14 +14,13 @@ from typing import TYPE_CHECKING, Literal
 from vstestbed.core import folders
 from vstestbed.core.errors import OutputError, RunFolderError
 from vstestbed.core.files import write_whole, writing
-from vstestbed.loop.columns import Layout, kept
-from vstestbed.loop.log_file import PartWriter, read_log
+from vstestbed.loop.columns import Layout
+from vstestbed.loop.log_file import FolderLog, open_log
 from vstestbed.loop.recording import Recording, Watcher
 from vstestbed.loop.run import run
 from vstestbed.scenario.load import dump
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.build import SceneFiles, scene_files
-from vstestbed.tasks.frame import Frame
 
 if TYPE_CHECKING:
     from vstestbed.report.video.film import Film
@@ -49,25 +47,6 @@ def new_folder(scenario: Scenario, out: Path | None) -> Path:
     # a name may hold anything, but a folder name no separators, and it must not be `..`
     name = re.sub(r"[^\w.-]+", "_", scenario.name).strip(".") or "scenario"
     return folders.new_folder(Path("runs") / name, out, REMEDY)
-
-
-class _LogOnDisk:
-    """Appends each frame to `log.part` (a Watcher), so that a run that is killed keeps what it has logged so far."""
-
-    def __init__(self, folder: Path, scenario: Scenario):
-        self._folder, self._layout = folder, Layout(scenario)
-        with writing(folder):
-            self._writer = PartWriter(folder / "log.part", self._layout)
-
-    def frame(self, frame: Frame) -> None:
-        """Append a frame."""
-        with writing(self._folder):
-            self._writer.append(self._layout.rows([kept(frame)])[0].tolist())
-
-    def close(self) -> None:
-        """Close the file; an error in flushing its last line is ignored, since it has ended the run already."""
-        with contextlib.suppress(OSError):
-            self._writer.close()
 
 
 def run_into(
@@ -101,7 +80,7 @@ def run_into(
             from vstestbed.report import Setting, write_report  # matplotlib is imported only if a report is written
 
             stage("writing the report")
-            write_report(folder, log=recording.frame(), setting=Setting.of(recording.scenario))
+            write_report(folder, log=recording.rows, setting=Setting.of(recording.scenario))
     return recording
 
 
@@ -113,13 +92,15 @@ def _run_into(folder: Path, scenario: Scenario, films: Films, watch: Iterable[Wa
             folder, scene_files(scenario.robot, scenario.camera, scenario.target, scenario.world, scenario.physics, scenario.sights)
         )
         with _filming(folder, scenario, films, tile_px) as cameras:
-            log = _LogOnDisk(folder, scenario)
+            log = FolderLog.create(folder, Layout(scenario).columns)
             try:
-                recording = run(scenario, [log, *cameras, *watch])
+                recording = run(scenario, [*cameras, *watch], log)
             finally:
                 log.close()
             recording.time_ms["video"] = 1e3 * sum(film.spent_s for film in cameras)
-    finish(folder, recording)
+    log.finish()
+    write_whole(folder / "summary.json", json.dumps(recording.summary(), indent=1) + "
+")
     return recording
 
 
@@ -149,7 +130,7 @@ def _all_or_nothing(folder: Path) -> Iterator[None]:
 
 def _has_frames(folder: Path) -> bool:
     with contextlib.suppress(RunFolderError):
-        return read_log(folder).height > 0
+        return len(open_log(folder)) > 0
     return False
 
 
@@ -175,13 +156,3 @@ def _filming(folder: Path, scenario: Scenario, films: Films, tile_px: tuple[int,
         raise
     finally:
         replay.close()
-
-
-def finish(folder: Path, recording: Recording) -> None:
-    """Replace `log.part` by `log.parquet`, and write the summary."""
-    log = recording.frame()
-    parquet = io.BytesIO()
-    log.write_parquet(parquet, compression="zstd", statistics=False)
-    write_whole(folder / "log.parquet", parquet.getvalue())
-    (folder / "log.part").unlink(missing_ok=True)  # only after log.parquet is complete
-    write_whole(folder / "summary.json", json.dumps(recording.summary(), indent=1) + "\n")

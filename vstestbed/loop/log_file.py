@@ -1,43 +1,172 @@
-"""A run's log on disk: `log.part` grows line by line, and becomes `log.parquet` at the end; both read the same.
+"""A run's log on disk: `log.part` grows while the run goes on, and becomes `log.parquet` at its end; both read the same.
 
-`log.part` is CSV whose numbers read back exactly; the log of a run that was killed ends with its last complete line.
+`log.part` is CSV whose numbers read back exactly; the log of a run that was killed ends with its last complete line. Neither file is
+ever read as a whole: a log of a day has some gigabytes.
 """
 
 from __future__ import annotations
 
+import contextlib
+import io
+import os
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 from vstestbed.core.errors import RunFolderError
+from vstestbed.core.files import writing
+from vstestbed.core.geometry import Array
 from vstestbed.loop.columns import Layout
-from vstestbed.loop.recording import to_frame
+from vstestbed.loop.recording import BLOCK, Block, to_frame, whole_table
 from vstestbed.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
     import polars
 
+READ_BYTES = 8_000_000
+"""Bytes of `log.part` that are read at a time."""
 
-class PartWriter:
-    """Writes `log.part` row by row, line-buffered: a killed process loses no finished line."""
 
-    def __init__(self, path: Path, layout: Layout):
-        self._layout = layout
-        self._file = path.open("w", encoding="ascii", newline="\n", buffering=1)
-        self._file.write(",".join(layout.columns) + "\n")
+class FolderLog:
+    """The rows of a run's log in its folder (`Rows`).
 
-    def append(self, row: list[float]) -> None:
-        """Add one row of `Layout.rows`."""
-        # repr: the shortest text that reads back as the same float.
-        self._file.write(",".join(map(repr, row)) + "\n")
+    Attributes:
+        columns: names of the columns.
+
+    Raises:
+        RunFolderError: the folder has no log, or one that cannot be read.
+    """
+
+    def __init__(self, folder: Path):
+        self._folder, self._part, self._file = folder, folder / "log.part", None
+        with self._reading():
+            self.columns = tuple(self._header())
+
+    @classmethod
+    def create(cls, folder: Path, columns: Sequence[str]) -> FolderLog:
+        """A new log without rows."""
+        with writing(folder):
+            file = (folder / "log.part").open("wb")
+            file.write(",".join(columns).encode() + b"\n")
+            file.flush()
+        log = cls(folder)
+        log._file = file
+        return log
+
+    @property
+    def _parquet(self) -> Path | None:
+        """`log.parquet`, if the run is finished."""
+        whole = self._folder / "log.parquet"
+        return whole if whole.is_file() else None
+
+    @contextlib.contextmanager
+    def _reading(self) -> Iterator[None]:
+        """Turn errors of reading into one that names the folder."""
+        import polars as pl
+
+        try:
+            yield
+        except FileNotFoundError:
+            raise RunFolderError(self._folder, "no run here" if self._folder.is_dir() else "no such folder") from None
+        except (OSError, ValueError, pl.exceptions.PolarsError) as error:
+            raise RunFolderError(self._folder, f"its log cannot be read ({error})") from None
+
+    def _header(self) -> list[str]:
+        import polars as pl
+
+        if self._parquet:
+            return list(pl.read_parquet_schema(self._parquet))
+        with self._part.open("rb") as file:
+            line = file.readline()
+        if not line.endswith(b"\n"):
+            raise ValueError("log.part ends before its first line does")
+        return line.decode("ascii").strip().split(",")
+
+    def append(self, rows: Array) -> None:
+        """Add rows (n, columns); they are handed to the system at once, so that a killed process loses no row of an earlier call."""
+        import polars as pl
+
+        text = io.BytesIO()
+        pl.from_numpy(rows, schema=list(self.columns)).write_csv(text, include_header=False)  # the shortest digits that read back exactly
+        assert self._file is not None
+        with writing(self._folder):
+            self._file.write(text.getvalue())
+            self._file.flush()
 
     def close(self) -> None:
-        """Close the file."""
-        self._file.close()
+        """Close the file; an error in writing its last line is ignored, since it has ended the run already."""
+        if self._file is not None:
+            with contextlib.suppress(OSError):
+                self._file.close()
+
+    def __len__(self) -> int:
+        import polars as pl
+
+        with self._reading():
+            if self._parquet:
+                return int(pl.scan_parquet(self._parquet).select(pl.len()).collect().item())
+            with self._part.open("rb") as file:
+                return sum(piece.count(b"\n") for piece in iter(lambda: file.read(READ_BYTES), b"")) - 1
+
+    def blocks(self, names: Sequence[str] | None = None) -> Iterator[Block]:
+        """The rows in their order, some thousands at a time, as columns by name; `names`: only these columns."""
+        for frame in self.frames(names):
+            yield {name: frame[name].cast(float).to_numpy() for name in frame.columns}
+
+    def frames(self, names: Sequence[str] | None = None) -> Iterator[polars.DataFrame]:
+        """The same as polars tables with the types of `log.parquet`."""
+        wanted = self.columns if names is None else tuple(names)
+        with self._reading():
+            yield from self._parquet_frames(self._parquet, wanted) if self._parquet else self._part_frames(wanted)
+
+    def _parquet_frames(self, path: Path, names: Sequence[str]) -> Iterator[polars.DataFrame]:
+        import polars as pl
+
+        for start in range(0, len(self), BLOCK):
+            yield pl.scan_parquet(path).select(names).slice(start, BLOCK).collect()
+
+    def _part_frames(self, names: Sequence[str]) -> Iterator[polars.DataFrame]:
+        with self._part.open("rb") as file:
+            file.readline()
+            rest = b""
+            while piece := file.read(READ_BYTES):
+                text, end, rest = (rest + piece).rpartition(b"\n")  # what follows the last line end is not complete yet, or was cut off
+                if end:
+                    yield self._parsed(text, names)
+
+    def _parsed(self, text: bytes, names: Sequence[str]) -> polars.DataFrame:
+        import polars as pl
+
+        schema: Any = dict.fromkeys(self.columns, pl.Float64)
+        frame = pl.read_csv(text, has_header=False, schema=schema)
+        if sum(frame.null_count().row(0)):
+            raise ValueError("a line of log.part has too few numbers")
+        return to_frame({name: frame[name].to_numpy() for name in names})
+
+    def finish(self) -> None:
+        """Replace `log.part` by `log.parquet`, which appears whole or not at all."""
+        from polars.io.plugins import register_io_source
+
+        self.close()
+        schema = next(self.frames(), to_frame(dict(zip(self.columns, whole_table(self).T, strict=True)))).schema
+
+        def source(columns: Any, predicate: Any, rows: Any, size: Any) -> Iterator[polars.DataFrame]:
+            yield from self.frames()
+
+        target, made = self._folder / "log.parquet", self._folder / "log.parquet.part"
+        try:
+            with writing(self._folder):
+                log = register_io_source(source, schema=schema, is_pure=True)
+                log.sink_parquet(made, compression="zstd", statistics=False, row_group_size=BLOCK)
+                with made.open("rb") as file:
+                    os.fsync(file.fileno())  # else the new name could reach the disk before the content
+                made.replace(target)
+        finally:
+            made.unlink(missing_ok=True)
+        self._part.unlink(missing_ok=True)  # only after log.parquet is complete
 
 
-def read_log(folder: Path, scenario: Scenario | None = None) -> polars.DataFrame:
+def open_log(folder: Path, scenario: Scenario | None = None) -> FolderLog:
     """The log of a run's folder: `log.parquet`, or what there is of `log.part` when the run was cut off.
 
     Args:
@@ -47,31 +176,17 @@ def read_log(folder: Path, scenario: Scenario | None = None) -> polars.DataFrame
     Raises:
         RunFolderError: neither is there, or neither can be read, or it is the log of another experiment.
     """
-    log = _log_of(folder)
+    log = FolderLog(folder)
     lacking = [name for name in Layout(scenario).columns if name not in log.columns] if scenario else []
     if lacking:
         raise RunFolderError(folder, f"its log has no column {lacking[0]}, which a run of its scenario.yaml has")
     return log
 
 
-def _log_of(folder: Path) -> polars.DataFrame:
+def read_log(folder: Path, scenario: Scenario | None = None) -> polars.DataFrame:
+    """The same as one table in memory."""
     import polars as pl
 
-    whole, part = folder / "log.parquet", folder / "log.part"
-    try:
-        if whole.is_file():
-            return pl.read_parquet(whole)
-        if part.is_file():
-            return _read_part(part)
-    except (OSError, ValueError, pl.exceptions.PolarsError) as error:
-        raise RunFolderError(folder, f"its log cannot be read ({error})") from None
-    raise RunFolderError(folder, "no run here" if folder.is_dir() else "no such folder")
-
-
-def _read_part(part: Path) -> polars.DataFrame:
-    lines = part.read_text(encoding="ascii").split("\n")[:-1]  # what follows the last line end was cut off
-    if not lines:
-        raise ValueError("log.part ends before its first line does")
-    columns = tuple(lines[0].split(","))
-    table = np.array([[float(v) for v in line.split(",")] for line in lines[1:]], dtype=float).reshape(-1, len(columns))
-    return to_frame(columns, table)
+    log = open_log(folder, scenario)
+    frames = list(log.frames())
+    return pl.concat(frames) if frames else to_frame(dict(zip(log.columns, whole_table(log).T, strict=True)))

@@ -1,8 +1,10 @@
-"""The record of a run: frames become rows (`columns`), rows a log; `log_file` writes the same numbers to disk."""
+"""The record of a run: frames become rows (`columns`), rows a log, in memory or on disk (`log_file`)."""
 
 from __future__ import annotations
 
 import math
+import time
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ClassVar, Protocol
 
@@ -27,31 +29,82 @@ class Watcher(Protocol):
         ...
 
 
+Block = dict[str, Array]
+"""Columns by name, of rows that follow each other."""
+BLOCK = 32_768
+"""Rows of a block, and of a row group of `log.parquet`: 22 minutes at 25 Hz."""
+
+
+class Rows(Protocol):
+    """The rows of a log, wherever they are kept."""
+
+    columns: tuple[str, ...]
+
+    def append(self, rows: Array) -> None:
+        """Add rows (n, columns)."""
+        ...
+
+    def __len__(self) -> int: ...
+
+    def blocks(self, names: Sequence[str] | None = None) -> Iterator[Block]:
+        """The rows in their order, some thousands at a time; `names`: only these columns."""
+        ...
+
+
+class MemoryRows:
+    """Rows in memory."""
+
+    def __init__(self, columns: tuple[str, ...], table: Array | None = None):
+        self.columns, self._parts = columns, [] if table is None else [table]
+
+    def append(self, rows: Array) -> None:
+        """Add rows (n, columns)."""
+        self._parts.append(rows)
+
+    def __len__(self) -> int:
+        return sum(map(len, self._parts))
+
+    def blocks(self, names: Sequence[str] | None = None) -> Iterator[Block]:
+        """The rows in their order, as views."""
+        self._parts = [np.concatenate(self._parts)] if len(self._parts) > 1 else self._parts
+        at = [self.columns.index(name) for name in names or self.columns]
+        for table in self._parts:
+            for start in range(0, len(table), BLOCK):
+                yield {self.columns[i]: table[start : start + BLOCK, i] for i in at}
+
+
+def whole_table(rows: Rows) -> Array:
+    """All rows as one array, shape (rows, columns)."""
+    blocks = [np.column_stack(list(block.values())) for block in rows.blocks()]
+    return np.concatenate(blocks) if blocks else np.zeros((0, len(rows.columns)))
+
+
 class Log:
-    """Frames in memory; every CHUNK of them become rows at once, which costs 3 us a row instead of 170 one at a time."""
+    """Frames become rows many at once, which costs 3 us a row instead of 170 one at a time.
+
+    A frame waits until CHUNK of them are there or PERIOD_S [s] of wall time have passed: that much a killed process may lose.
+    """
 
     CHUNK: ClassVar[int] = 256
+    PERIOD_S: ClassVar[float] = 1.0
 
-    def __init__(self, layout: Layout):
-        self._layout = layout
-        self._rows: list[Array] = []
+    def __init__(self, layout: Layout, rows: Rows):
+        self._layout, self._rows = layout, rows
         self._waiting: list[Kept] = []
+        self._due = time.monotonic() + self.PERIOD_S
 
     def append(self, frame: Frame) -> None:
         """Keep one more frame, whose arrays must not be written to again: they are not copied."""
         self._waiting.append(kept(frame))
-        if len(self._waiting) == self.CHUNK:
-            self._turn()
+        if len(self._waiting) == self.CHUNK or time.monotonic() > self._due:
+            self.flush()
 
-    def _turn(self) -> None:
-        if self._waiting:
-            self._rows.append(self._layout.rows(self._waiting))
-            self._waiting = []
-
-    def table(self) -> Array:
-        """All rows, shape (rows, columns)."""
-        self._turn()  # what waits for a full chunk
-        return np.concatenate(self._rows) if self._rows else np.zeros((0, len(self._layout.columns)))
+    def flush(self) -> None:
+        """Make rows of the frames that wait."""
+        waiting, self._waiting = self._waiting, []
+        if waiting:
+            self._rows.append(self._layout.rows(waiting))
+        self._due = time.monotonic() + self.PERIOD_S
 
 
 @dataclass(frozen=True)
@@ -59,7 +112,7 @@ class Recording:
     """A finished run: scenario, outcome, log, wall time by part.
 
     Attributes:
-        columns: names of the log's columns; `table` holds them as (frames, columns).
+        rows: the log; of a run with a folder it is on disk alone.
         time_ms: wall time by part, in all [ms]: physics render detect law record video.
         wall_time_s: wall time of the run [s]; loop_s: of its loop alone, without building and closing the scene [s].
         versions: of the packages and the renderer used.
@@ -68,28 +121,37 @@ class Recording:
     scenario: Scenario
     outcome: Outcome
     reason: str
-    columns: tuple[str, ...]
-    table: Array
+    rows: Rows
     wall_time_s: float = math.nan
     loop_s: float = math.nan
     time_ms: dict[str, float] = field(default_factory=dict)
     versions: dict[str, str] = field(default_factory=dict)
 
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the log's columns."""
+        return self.rows.columns
+
+    @property
+    def table(self) -> Array:
+        """The log as one array in memory, shape (frames, columns)."""
+        return whole_table(self.rows)
+
     def __getitem__(self, name: str) -> Array:
         """One column as a numpy array; KeyError names the column."""
         if name not in self.columns:
             raise KeyError(f"no column {name!r} in the log; columns: {', '.join(self.columns)}")
-        return self.table[:, self.columns.index(name)]
+        return np.concatenate([np.zeros(0), *(block[name] for block in self.rows.blocks([name]))])
 
     def frame(self) -> polars.DataFrame:
-        """The log as a polars table, one row a camera frame."""
-        return to_frame(self.columns, self.table)
+        """The log as a polars table in memory, one row a camera frame."""
+        return to_frame(dict(zip(self.columns, self.table.T, strict=True)))
 
     def summary(self) -> dict[str, object]:
         """The metrics of the run, as in `summary.json`; `time_ms` is the mean wall time of a frame by part [ms]."""
-        figures = summarise(self.scenario, self.outcome, {name: self.table[:, i] for i, name in enumerate(self.columns)})
-        sim_time = float(self["t"][-1]) if len(self.table) else 0.0
-        frames = max(len(self.table), 1)
+        figures = summarise(self.scenario, self.outcome, self.rows)
+        sim_time, frames = figures["sim_time_s"], max(int(str(figures["frames"])), 1)
+        assert isinstance(sim_time, float)
         ended = {"outcome": self.outcome.name, "success": self.outcome.success, "reason": self.reason, "seed": self.scenario.seed}
         cost = {
             "wall_time_s": self.wall_time_s,
@@ -100,9 +162,10 @@ class Recording:
         return {"scenario": self.scenario.name} | ended | figures | cost
 
 
-def to_frame(columns: tuple[str, ...], table: Array) -> polars.DataFrame:
-    """A table of doubles as a polars table with its own types: `frame` whole numbers, `lost` true or false."""
+def to_frame(columns: Block) -> polars.DataFrame:
+    """Columns as a polars table with its own types: `frame` whole numbers, `lost` true or false."""
     import polars as pl
 
-    frame = pl.DataFrame({name: np.ascontiguousarray(table[:, i]) for i, name in enumerate(columns)})
-    return frame.with_columns(pl.col("frame").cast(pl.Int64), pl.col("lost").cast(pl.Boolean))
+    frame = pl.DataFrame({name: np.ascontiguousarray(values) for name, values in columns.items()})
+    types = {"frame": pl.Int64, "lost": pl.Boolean}
+    return frame.with_columns(pl.col(name).cast(kind) for name, kind in types.items() if name in columns)

@@ -13,7 +13,7 @@ from vstestbed.core.provenance import versions
 from vstestbed.loop.columns import Layout
 from vstestbed.loop.controller import Arrival, FrameController
 from vstestbed.loop.judge import Judge
-from vstestbed.loop.recording import Log, Recording, Watcher
+from vstestbed.loop.recording import Log, MemoryRows, Recording, Rows, Watcher
 from vstestbed.loop.shutter import CameraClock
 from vstestbed.robots import Allocation
 from vstestbed.scenario.scenario import IMAGE_STREAM, MOTION_STREAM, SENSOR_STREAM, Scenario
@@ -64,12 +64,13 @@ def _until_the_end(scenario: Scenario, plant: Plant, note: Callable[[Frame], Non
         camera.displacement = camera.displacement + twist * (ahead * plant.step_s)
 
 
-def run(scenario: Scenario, watch: Iterable[Watcher] = ()) -> Recording:
+def run(scenario: Scenario, watch: Iterable[Watcher] = (), rows: Rows | None = None) -> Recording:
     """Simulate a scenario from its nominal start until an outcome.
 
     Args:
         scenario: the experiment (`Scenario.randomised` draws another start).
         watch: receive every frame. A KeyboardInterrupt ends the run with the outcome `interrupted`.
+        rows: where the rows of the log go; into memory by default.
 
     Raises:
         ParameterError: `scenario` is not a Scenario.
@@ -79,7 +80,8 @@ def run(scenario: Scenario, watch: Iterable[Watcher] = ()) -> Recording:
         raise ParameterError("scenario", "must be a Scenario: vstestbed.run(vstestbed.load('arm_ibvs'))", scenario)
     began = time.perf_counter()
     layout = Layout(scenario)
-    log, watchers = Log(layout), tuple(watch)
+    rows = MemoryRows(layout.columns) if rows is None else rows
+    log, watchers = Log(layout, rows), tuple(watch)
     spent: dict[str, float] = dict.fromkeys(PARTS, 0.0)
     plant, renderer = build_plant(
         scenario.robot,
@@ -112,8 +114,11 @@ def run(scenario: Scenario, watch: Iterable[Watcher] = ()) -> Recording:
     finally:
         # Also when a watcher raises: the plant holds an OpenGL context, which the next run needs.
         spent["render"] = plant.render_s
-        loop_s = time.perf_counter() - ready
-        plant.close()
+        try:
+            log.flush()
+        finally:
+            loop_s = time.perf_counter() - ready
+            plant.close()
     made_by = versions() | {"renderer": renderer}
     time_ms = {k: 1e3 * v for k, v in spent.items()}
-    return Recording(scenario, outcome, reason, layout.columns, log.table(), time.perf_counter() - began, loop_s, time_ms, made_by)
+    return Recording(scenario, outcome, reason, rows, time.perf_counter() - began, loop_s, time_ms, made_by)

@@ -57,7 +57,7 @@ def execute(request: RunRequest, place: str | None = None) -> Files:
         try:
             recording = run_into(folder, scenario, "both" if request.filmed else "none", report=False, tile_px=TILE_PX)
             # a picture of every failure for the report's gallery; films are made of the first seed only
-            if not recording.outcome.success and len(recording.table):
+            if not recording.outcome.success and len(recording.rows):
                 _picture_of_the_end(scenario, folder)
         except EnvironmentLackError:  # no fault of the run: the comparison stops
             raise
@@ -80,10 +80,10 @@ def crashed(text: str, reason: str, trace: str = "", rest: Files | None = None) 
 
 def _picture_of_the_end(scenario: Scenario, folder: Path) -> None:
     """Write `end.png`: the scene from outside at the end of a failed run."""
-    from vstestbed.loop.log_file import read_log
+    from vstestbed.loop.log_file import open_log
     from vstestbed.report.video.film import picture_of_the_end
 
-    picture_of_the_end(scenario, read_log(folder), folder / "end.png")
+    picture_of_the_end(scenario, open_log(folder), folder / "end.png")
 
 
 def request_of(folder: str, scenario: Scenario, filmed: bool, plugins: tuple[str, ...]) -> RunRequest:

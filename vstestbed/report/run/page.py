@@ -23,6 +23,8 @@ from vstestbed.report.run.tracks import Setting, Tracks
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from vstestbed.loop.recording import Rows
+
 EMBED_BYTES: Final = 30_000_000
 """Films up to this size together are embedded in the page; larger ones are linked, so that a browser can still open it."""
 
@@ -108,12 +110,12 @@ PLOTS: Final[tuple[Plot, ...]] = (
 )
 
 
-def write_report(run_dir: Path, log: pl.DataFrame | None = None, setting: Setting | None = None) -> Path:
+def write_report(run_dir: Path, log: Rows | pl.DataFrame | None = None, setting: Setting | None = None) -> Path:
     """Write `report.html` into a run's folder; returns its path.
 
     Args:
         run_dir: the folder with `scenario.yaml`, `summary.json`, `log.parquet` (or `log.part`) and films, if there are any.
-        log: the run's table, if the caller has it already; else it is read from the folder.
+        log: the run's log, if the caller has it already; else that of the folder, of which little is in memory at a time.
         setting: scenario data for the figures; by default from loading `scenario.yaml`.
 
     Raises:
@@ -130,7 +132,7 @@ def write_report(run_dir: Path, log: pl.DataFrame | None = None, setting: Settin
 
 
 def render_page(
-    log: pl.DataFrame, summary: Mapping[str, Any], scenario_text: str, videos: Mapping[str, Path], setting: Setting | None = None
+    log: Rows | pl.DataFrame, summary: Mapping[str, Any], scenario_text: str, videos: Mapping[str, Path], setting: Setting | None = None
 ) -> str:
     """The report as HTML that refers to nothing outside itself (films of more than 30 MB together excepted).
 
@@ -189,10 +191,10 @@ def _read(path: Path) -> str:
         raise RunFolderError(path.parent, f"cannot read {path.name} ({error})") from error
 
 
-def _log(run_dir: Path) -> pl.DataFrame:
-    from vstestbed.loop.log_file import read_log
+def _log(run_dir: Path) -> Rows:
+    from vstestbed.loop.log_file import open_log
 
-    return read_log(run_dir)
+    return open_log(run_dir)
 
 
 def _summary(run_dir: Path) -> dict[str, Any]:

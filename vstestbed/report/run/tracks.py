@@ -17,6 +17,7 @@ from vstestbed.report.run.expected_path import GroundTask
 if TYPE_CHECKING:
     from vstestbed.camera import Camera
     from vstestbed.features import Feature
+    from vstestbed.loop.recording import Rows
     from vstestbed.scenario.scenario import Scenario
 
 MOST_ROWS = 4000
@@ -71,6 +72,47 @@ class Setting:
         )
 
 
+def thinned(log: Rows, most: int = MOST_ROWS) -> pl.DataFrame:
+    """A log as a table of at most some `most` rows of it: every n-th, the first and the last, and those with an extreme of a column.
+
+    The log is read twice, a block at a time. All columns keep their extremes, and each curve its largest peaks: the log is divided into
+    intervals, as many as half the rows allow, and in each of them the rows with the least and the largest value of each column are kept.
+    """
+    n = len(log)
+    chosen = np.arange(n)
+    if n > most:
+        intervals = max(1, most // (4 * len(log.columns)))
+        even = np.linspace(0, n - 1, most // 2).astype(int)
+        chosen = np.unique(np.concatenate([even, _extreme_rows(log, n, intervals)]))
+    parts, start = [], 0
+    for block in log.blocks():
+        end = start + len(block["t"])
+        at = chosen[(chosen >= start) & (chosen < end)] - start
+        parts.append({name: values[at] for name, values in block.items()})
+        start = end
+    return pl.DataFrame({name: np.concatenate([np.zeros(0), *(part[name] for part in parts)]) for name in log.columns})
+
+
+def _extreme_rows(log: Rows, n: int, intervals: int) -> NDArray[np.int_]:
+    """Numbers of the rows with the least and the largest value of each column, in each of so many intervals of the n rows."""
+    values = np.full((2, intervals, len(log.columns)), -np.inf)  # of -value and of value: two largest ones
+    rows = np.zeros(values.shape, dtype=int)
+    start = 0
+    for block in log.blocks():
+        table = np.stack(list(block.values()), axis=1)
+        interval = (start + np.arange(len(table))) * intervals // n
+        for k in range(int(interval[0]), int(interval[-1]) + 1):
+            inside = np.flatnonzero(interval == k)
+            for sign, best, row in zip((-1, 1), values[:, k], rows[:, k], strict=True):
+                here = np.nan_to_num(sign * table[inside], nan=-np.inf, posinf=-np.inf)  # a peak without end cannot be drawn
+                at = here.argmax(axis=0)
+                peak = here[at, np.arange(here.shape[1])]
+                better = peak > best
+                best[better], row[better] = peak[better], start + inside[at[better]]
+        start += len(table)
+    return rows[np.isfinite(values)]
+
+
 @dataclass(frozen=True)
 class Tracks:
     """A log (one row per frame) as arrays over time; a column that is absent reads as NaN."""
@@ -79,11 +121,9 @@ class Tracks:
     setting: Setting
 
     @classmethod
-    def of(cls, log: pl.DataFrame, setting: Setting) -> Tracks:
-        """The tracks of a log, thinned evenly (first and last row kept) where it has more than 4000 rows."""
-        if len(log) > MOST_ROWS:
-            log = log[np.unique(np.linspace(0, len(log) - 1, MOST_ROWS).astype(int)).tolist()]
-        return cls(log, setting)
+    def of(cls, log: Rows | pl.DataFrame, setting: Setting) -> Tracks:
+        """The tracks of a log, thinned to MOST_ROWS rows where it has more (`thinned`)."""
+        return cls(log if isinstance(log, pl.DataFrame) else thinned(log), setting)
 
     def column(self, name: str) -> Array:
         """One column as floats, shape (T,)."""

@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 import time
+from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
 from vstestbed.core.geometry import Array, pose_from
 from vstestbed.loop.columns import POSE
+from vstestbed.loop.recording import Rows
 from vstestbed.report.video.overlay import Overlay, draw_caption
 from vstestbed.report.video.writer import Image, VideoWriter
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.replay import Replay
 from vstestbed.tasks.frame import Frame
-
-if TYPE_CHECKING:
-    import polars
 
 OVERVIEW_SIZE = (960, 540)
 
@@ -118,7 +117,14 @@ def replay_of(scenario: Scenario, shadows: bool = True) -> Replay:
     return Replay(scenario.robot, scenario.camera, scenario.target, scenario.world, shadows, scenario.sights)
 
 
-def film_log(scenario: Scenario, log: polars.DataFrame, camera: str, path: Path, size: tuple[int, int] | None = None) -> Path | None:
+def rows_of(log: Rows) -> Iterator[dict[str, float]]:
+    """The rows of a log one by one."""
+    for block in log.blocks():
+        for values in zip(*block.values(), strict=True):
+            yield dict(zip(block, map(float, values), strict=True))
+
+
+def film_log(scenario: Scenario, log: Rows, camera: str, path: Path, size: tuple[int, int] | None = None) -> Path | None:
     """Film a recorded run from any camera, without simulating.
 
     Raises:
@@ -127,7 +133,7 @@ def film_log(scenario: Scenario, log: polars.DataFrame, camera: str, path: Path,
     replay = replay_of(scenario)
     film = Film(scenario, camera, path, replay, size)
     try:
-        for row in log.iter_rows(named=True):
+        for row in rows_of(log):
             film.show(FilmFrame.of_row(row, scenario.robot.joints, len(scenario.target.points)))
         return film.close()
     except BaseException:
@@ -137,13 +143,14 @@ def film_log(scenario: Scenario, log: polars.DataFrame, camera: str, path: Path,
         replay.close()
 
 
-def picture_of_the_end(scenario: Scenario, log: polars.DataFrame, path: Path, size: tuple[int, int] = (480, 270)) -> None:
+def picture_of_the_end(scenario: Scenario, log: Rows, path: Path, size: tuple[int, int] = (480, 270)) -> None:
     """Write a PNG of the last frame of a recorded run, from outside.
 
     Raises:
         EnvironmentLackError: no OpenGL.
     """
-    m = FilmFrame.of_row(log.row(-1, named=True), scenario.robot.joints, len(scenario.target.points))
+    (last,) = deque(rows_of(log), maxlen=1)
+    m = FilmFrame.of_row(last, scenario.robot.joints, len(scenario.target.points))
     replay = replay_of(scenario)
     try:
         image = replay.picture("overview", *size, m.t, m.T_world_target, m.q, m.T_world_camera)
