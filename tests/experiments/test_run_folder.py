@@ -270,7 +270,7 @@ class TestLogPart:
         table[:, columns.index("frame")], table[:, columns.index("lost")] = np.arange(n), np.arange(n) % 2
         whole = to_frame(dict(zip(columns, table.T, strict=True)))
         whole.write_parquet(place / "whole", compression="zstd", statistics=False)
-        for block in (32, 32_768):
+        for block in (32, 8_192):
             monkeypatch.setattr("vstestbed.loop.log_file.BLOCK", block)
             log = FolderLog.create(place, columns)
             for rows in np.array_split(table, 3):

@@ -17,13 +17,13 @@ from vstestbed.core.errors import RunFolderError
 from vstestbed.core.files import writing
 from vstestbed.core.geometry import Array
 from vstestbed.loop.columns import Layout
-from vstestbed.loop.recording import BLOCK, Block, to_frame, whole_table
+from vstestbed.loop.recording import BLOCK, Block, to_frame, types_of, whole_table
 from vstestbed.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
     import polars
 
-READ_BYTES = 8_000_000
+READ_BYTES = 1_000_000
 """Bytes of `log.part` that are read at a time."""
 
 
@@ -122,8 +122,9 @@ class FolderLog:
     def _parquet_frames(self, path: Path, names: Sequence[str]) -> Iterator[polars.DataFrame]:
         import polars as pl
 
-        for start in range(0, len(self), BLOCK):
-            yield pl.scan_parquet(path).select(names).slice(start, BLOCK).collect()
+        log, rows = pl.scan_parquet(path).select(names), len(self)  # scanned once: the footer of a long log is large, too
+        for start in range(0, rows, BLOCK):
+            yield log.slice(start, BLOCK).collect()
 
     def _part_frames(self, names: Sequence[str]) -> Iterator[polars.DataFrame]:
         with self._part.open("rb") as file:
@@ -145,18 +146,14 @@ class FolderLog:
 
     def finish(self) -> None:
         """Replace `log.part` by `log.parquet`, which appears whole or not at all."""
-        from polars.io.plugins import register_io_source
+        import polars as pl
 
         self.close()
-        schema = next(self.frames(), to_frame(dict(zip(self.columns, whole_table(self).T, strict=True)))).schema
-
-        def source(columns: Any, predicate: Any, rows: Any, size: Any) -> Iterator[polars.DataFrame]:
-            yield from self.frames()
-
         target, made = self._folder / "log.parquet", self._folder / "log.parquet.part"
         try:
             with writing(self._folder):
-                log = register_io_source(source, schema=schema, is_pure=True)
+                text = pl.scan_csv(self._part, schema=dict.fromkeys(self.columns, pl.Float64))
+                log = text.with_columns(pl.col(name).cast(kind) for name, kind in types_of(self.columns).items())
                 log.sink_parquet(made, compression="zstd", statistics=False, row_group_size=BLOCK)
                 with made.open("rb") as file:
                     os.fsync(file.fileno())  # else the new name could reach the disk before the content

@@ -99,17 +99,16 @@ def _extreme_rows(log: Rows, n: int, intervals: int) -> NDArray[np.int_]:
     rows = np.zeros(values.shape, dtype=int)
     start = 0
     for block in log.blocks():
-        table = np.stack(list(block.values()), axis=1)
-        interval = (start + np.arange(len(table))) * intervals // n
-        for k in range(int(interval[0]), int(interval[-1]) + 1):
-            inside = np.flatnonzero(interval == k)
-            for sign, best, row in zip((-1, 1), values[:, k], rows[:, k], strict=True):
-                here = np.nan_to_num(sign * table[inside], nan=-np.inf, posinf=-np.inf)  # a peak without end cannot be drawn
-                at = here.argmax(axis=0)
-                peak = here[at, np.arange(here.shape[1])]
-                better = peak > best
-                best[better], row[better] = peak[better], start + inside[at[better]]
-        start += len(table)
+        interval = (start + np.arange(len(block["t"]))) * intervals // n
+        pieces = [np.flatnonzero(interval == k)[[0, -1]] for k in range(int(interval[0]), int(interval[-1]) + 1)]
+        for column, numbers in enumerate(block.values()):  # one by one: all at once would need several times the block's memory
+            for k, (first, last) in enumerate(pieces, int(interval[0])):
+                for side, sign in enumerate((-1, 1)):
+                    here = np.nan_to_num(sign * numbers[first : last + 1], nan=-np.inf, posinf=-np.inf)  # an infinity cannot be drawn
+                    at = int(here.argmax())
+                    if here[at] > values[side, k, column]:
+                        values[side, k, column], rows[side, k, column] = here[at], start + first + at
+        start += len(interval)
     return rows[np.isfinite(values)]
 
 
