@@ -99,8 +99,7 @@ def _run_into(folder: Path, scenario: Scenario, films: Films, watch: Iterable[Wa
                 log.close()
             recording.time_ms["video"] = 1e3 * sum(film.spent_s for film in cameras)
     log.finish()
-    write_whole(folder / "summary.json", json.dumps(recording.summary(), indent=1) + "
-")
+    write_whole(folder / "summary.json", json.dumps(recording.summary(), indent=1) + "\n")
     return recording
 
 
