@@ -120,5 +120,4 @@ def run(scenario: Scenario, watch: Iterable[Watcher] = (), rows: Rows | None = N
             loop_s = time.perf_counter() - ready
             plant.close()
     made_by = versions() | {"renderer": renderer}
-    time_ms = {k: 1e3 * v for k, v in spent.items()}
-    return Recording(scenario, outcome, reason, rows, time.perf_counter() - began, loop_s, time_ms, made_by)
+    return Recording(scenario, outcome, reason, rows, time.perf_counter() - began, loop_s, {k: 1e3 * v for k, v in spent.items()}, made_by)
