@@ -82,20 +82,21 @@ def test_a_stream_drops_its_text_from_the_first_error_on(tmp_path: Path):
         assert lost.failed == "No space left on device"
 
 
-@pytest.mark.parametrize(
-    ("name", "body", "words"),
-    [
-        ("leaves", "sys.exit(0)", "leaves_law.py:12: Leaves.step of plugin leaves_law called sys.exit(0); mend it"),
-        ("raises", "return 1 / 0", "raises_law.py:12: Raises.step of plugin raises_law raised ZeroDivisionError: division by zero; mend"),
-    ],
-)
-def test_a_plugin_that_ends_a_run_is_named(command, quick: Path, own_kinds: None, name: str, body: str, words: str):
-    Path(f"{name}_law.py").write_text(LAW.format(name=name.title(), kind=name, body=body), encoding="utf-8")
-    ended = command(*RUN, "--plugin", f"{name}_law", "--set", f"law={name}")
+def test_a_plugin_that_ends_a_run_is_named(command, quick: Path, own_kinds: None):
+    Path("leaves_law.py").write_text(LAW.format(name="Leaves", kind="leaves", body="sys.exit(0)"), encoding="utf-8")
+    ended = command(*RUN, "--plugin", "leaves_law", "--set", "law=leaves")
     assert (ended.code, ended.out) == (1, "")
-    assert words in ended.err
+    assert "leaves_law.py:12: Leaves.step of plugin leaves_law called sys.exit(0); mend it" in ended.err
     assert ended.err.count("\n") == 1
     assert not Path("runs").exists()
+
+
+def test_a_law_that_raises_stops_the_robot_and_is_named(command, quick: Path, own_kinds: None):
+    Path("raises_law.py").write_text(LAW.format(name="Raises", kind="raises", body="return 1 / 0"), encoding="utf-8")
+    ended = command(*RUN, "--plugin", "raises_law", "--set", "law=raises")
+    summary = json.loads(ended.out)
+    assert (ended.code, ended.err, summary["outcome"]) == (3, "", "law_failed")
+    assert "ZeroDivisionError: division by zero (raises_law.py:12)" in summary["reason"]
 
 
 def test_a_plugin_that_leaves_while_it_is_imported_is_bad_input(command, quick: Path):

@@ -53,7 +53,9 @@ class TestCar:
         assert ice["slip_radps"].max() > 5 * np.median(parked["slip_radps"]) and np.median(parked["slip_radps"]) < np.radians(1)
 
     def test_the_closing_words_speak_of_the_vehicle(self, parked, tmp_path):
-        assert re.search(r"vehicle \d+\.\d\d mm and \d\.\d+ deg from the goal", summary_text(parked, tmp_path, filmed=False))
+        assert re.search(
+            r"true pose of the vehicle: \d+\.\d\d mm and \d\.\d+ deg from the goal", summary_text(parked, tmp_path, filmed=False)
+        )
 
     def test_rest_beside_the_goal_is_told_in_metres_and_degrees(self):
         """A compass that is 10 degrees off: the car arrives turned, and knows it."""

@@ -90,7 +90,7 @@ def test_goals_that_a_lens_or_a_law_cannot_have():
     behind = {"goal.T_camera_target.xyz": [0, 0, -2]}
     assert vs.load("spherical_book", behind).goal_view.uv.shape == (4, 2)
     with pytest.raises(VstestbedError, match="behind the camera, where law ibvs has no image plane to work in"):
-        vs.load("spherical_book", {**behind, "law.feature.kind": "point"})
+        vs.load("spherical_book", {**behind, "law.feature": "point"})
     with pytest.raises(VstestbedError, match="outside the 640 x 640 picture"):
         vs.load("spherical_book", {**behind, "camera": {"kind": "fisheye", "width": 640, "height": 640}})
     sideways = {"goal.T_camera_target.xyz": [2, 0, 0.2], "target.side": 0.3}

@@ -372,6 +372,7 @@ class TestBundled:
             "duration_s": 30.0,
             "converged": {"error_px": 0.2, "position_m": None, "rotation_deg": None, "hold_s": 0.5},
             "lost_after_s": 1.0,
+            "lost_after_m": 2.0,
         }
         assert written["camera"]["width"] == 640
         assert written["detector"]["kind"] == "blobs"

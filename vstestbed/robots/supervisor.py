@@ -81,8 +81,9 @@ class Supervisor:
             self._lost_at, self._blind_m, self._seen_once = math.nan, 0.0, True
             return ""
         if math.isnan(self._lost_at):
-            self._lost_at = t
-        self._blind_m += moved_m
+            self._lost_at = t  # the way to here was commanded by a picture that showed the target
+        else:
+            self._blind_m += moved_m
         # Times are sums of steps: without 1e-9 a rounding would cost a frame.
         if t - self._lost_at + 1e-9 >= self.lost_after_s:
             return f"{blind} for {self.lost_after_s:g} s"

@@ -23,7 +23,7 @@ from vstestbed.sim.render.opengl import OpenGLRenderer
 from vstestbed.sim.render.pictures import servo_renderer
 from vstestbed.sim.render.pixel_check import pixel_convention
 from vstestbed.sim.render.rays import BLANK, Caster, RayRenderer, RaySceneCamera
-from vstestbed.sim.scene.compose import LENS_GROUP, Parts
+from vstestbed.sim.scene.compose import LENS_GROUP, RANGE_GROUP, Parts
 from vstestbed.sim.scene.stage import Stage
 from vstestbed.sim.scene.world import World
 from vstestbed.targets.base import Target
@@ -115,6 +115,7 @@ def test_rays_hit_what_single_rays_hit(arm):
     grid = np.stack(np.meshgrid(np.arange(160), np.arange(90)), axis=-1).reshape(-1, 2).astype(float)
     rays = lens.ray(grid)
     groups, geom = np.ones(6, np.uint8), np.zeros(1, np.int32)
+    groups[RANGE_GROUP] = False  # the ground for range finders is in no picture
     for outside in (True, False):
         groups[LENS_GROUP] = outside
         alone = []

@@ -8,10 +8,11 @@ from dataclasses import field, replace
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
-from annotated_types import Ge, Le, Len
+from annotated_types import Len
 
 from vstestbed.core.assets import bundled_comparisons
 from vstestbed.core.errors import Mistake, ParameterError, ScenarioError
+from vstestbed.core.quantity import Narrower, Seed
 from vstestbed.core.spec import spec
 from vstestbed.experiments.comparison.starts import StartTable
 from vstestbed.loop.metrics import FIGURES
@@ -48,7 +49,7 @@ class Comparison:
     cases: dict[str, dict[str, dict[str, Any]]] = field(default_factory=dict)
     axes: dict[str, tuple[Any, ...]] = field(default_factory=dict)
     tasks: dict[str, StartTable] = field(default_factory=dict)
-    seeds: Annotated[int, Ge(1), Le(1_000_000)] | None = None
+    seeds: Annotated[Seed, Narrower(ge=1)] | None = None
     metrics: tuple[str, ...] = ()
     places: Marks = field(default_factory=dict, init=False, repr=False, compare=False)
     """Position of each value in its file, or the option that it comes from; a value without one counts as of `--set`."""
