@@ -96,7 +96,7 @@ def test_a_law_that_raises_stops_the_robot_and_is_named(command, quick: Path, ow
     ended = command(*RUN, "--plugin", "raises_law", "--set", "law=raises")
     summary = json.loads(ended.out)
     assert (ended.code, ended.err, summary["outcome"]) == (3, "", "law_failed")
-    assert "ZeroDivisionError: division by zero (raises_law.py:12)" in summary["reason"]
+    assert "ZeroDivisionError: division by zero (raises_law.py, line 12)" in summary["reason"]
 
 
 def test_a_plugin_that_leaves_while_it_is_imported_is_bad_input(command, quick: Path):

@@ -104,7 +104,7 @@ def test_a_law_that_failed_ends_the_task_for_good():
 
 def test_too_far_without_sight_is_too_long():
     failsafe = Failsafe(lands=False, lost_after_s=100.0, lost_after_m=1.0)
-    for k in range(5):
+    for k in range(6):
         setpoint = failsafe.filter(0.04 * k, "coasting", reading(), SETPOINT, moved_m=0.3)
-        assert np.array_equal(setpoint, SETPOINT) is (k < 3)
-    assert failsafe.aborted is not None and failsafe.aborted[1] == "coasting for 1 m of the way at 0.1 s"
+        assert np.array_equal(setpoint, SETPOINT) is (k < 4)  # .3 m after each but the first
+    assert failsafe.aborted is not None and failsafe.aborted[1] == "coasting for 1 m of the way at 0.2 s"
