@@ -44,7 +44,10 @@ class TestBadInput:
             (["quick.yaml", "--set", "law=nbvs"], f"--set: law: is no law; valid kinds: {LAW_WORDS}, got 'nbvs'"),
             (["quick.yaml", "--set", "law.depth=oracle", "--set", "detector=blobs"], "law.depth: may be oracle only with detector"),
             (["ibvs_retreat", "--seed", "1"], "robot.start.random: is missing: a seed draws the start from it"),
-            (["quick.yaml", "--plugin", "no_such_module"], "--plugin cannot be imported"),
+            (
+                ["quick.yaml", "--plugin", "no_such_module"],
+                "--plugin: there is no module 'no_such_module' on Python's path or in the current folder; ",
+            ),
         ],
     )
     def test_of_a_scenario(self, command, quick: Path, words: list[str], line: str) -> None:

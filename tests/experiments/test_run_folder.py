@@ -147,7 +147,7 @@ class TestRenderAndReport:
         log.drop("q_joint_3").write_parquet(folder / "log.parquet")
         ended = command("render", folder)
         assert ended.code == 2
-        assert ended.err.startswith("run: its log has no column q_joint_3, which a run of its scenario.yaml has; ")
+        assert ended.err.startswith("run/log.parquet: has no column q_joint_3; ")
 
     @pytest.mark.parametrize("damage", [b"", b"PAR1", b"PAR1" + bytes(200)])
     def test_a_damaged_log_is_refused(self, command, folder: Path, damage: bytes) -> None:
@@ -155,7 +155,7 @@ class TestRenderAndReport:
         for name in ("render", "report"):
             ended = command(name, folder)
             assert ended.code == 2
-            assert ended.err.startswith("run: its log cannot be read (")
+            assert ended.err.startswith("run/log.parquet: cannot be read (")
 
 
 class TestNewFolder:
@@ -289,7 +289,7 @@ class TestLogPart:
 
     def test_garbage_is_refused(self, part: Path) -> None:
         part.write_bytes(part.read_bytes() + b"1,2,three\n")
-        with pytest.raises(RunFolderError, match="its log cannot be read"):
+        with pytest.raises(RunFolderError, match=r"log\.part: cannot be read"):
             read_log(part.parent)
 
     def test_the_finished_log_goes_before_it(self, part: Path) -> None:

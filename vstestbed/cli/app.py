@@ -141,12 +141,11 @@ def render(
     from vstestbed.core.folders import only_writer
     from vstestbed.loop.log_file import open_log
     from vstestbed.report.video.film import film_log
-    from vstestbed.scenario.load import load, load_plugins
+    from vstestbed.scenario.load import load
 
-    load_plugins(plugin or [])
     size_px = _size(size)
-    _must_be_run(run_dir)  # before the scenario is loaded, for a clearer message
-    scenario = load(run_dir / "scenario.yaml")
+    _must_hold(run_dir, "scenario.yaml")  # before the scenario is loaded, for a clearer message
+    scenario = load(run_dir / "scenario.yaml", plugins=plugin or [])
     log = open_log(run_dir, scenario)
     show_notes(not quiet)
     path = out or run_dir / f"{camera}.mp4"
@@ -158,9 +157,15 @@ def render(
         typer.echo(str(film), err=True)
 
 
-def _must_be_run(folder: Path) -> None:
-    if not (folder / "scenario.yaml").is_file():
-        raise RunFolderError(folder, "no run here" if folder.is_dir() else "no such folder")
+def _must_hold(folder: Path, *names: str) -> None:
+    """Refuse what is no folder with one of these files."""
+    try:
+        if any((folder / name).is_file() for name in names):
+            return
+        found = "no run here" if folder.is_dir() else "is a file, and no run's folder" if folder.exists() else "no such folder"
+    except OSError as error:
+        found = f"cannot be read ({error.strerror})"
+    raise RunFolderError(folder, found)
 
 
 def _size(text: str | None) -> tuple[int, int] | None:
@@ -180,15 +185,12 @@ def report(
 ) -> None:
     """Write report.html again."""
     from vstestbed.core.folders import only_writer
-    from vstestbed.experiments.comparison import is_comparison, report_again
+    from vstestbed.experiments.comparison import PLAN, is_comparison, report_again
     from vstestbed.report import write_report
-    from vstestbed.scenario.load import load_plugins
 
-    load_plugins(plugin or [])
-    if not is_comparison(folder):
-        _must_be_run(folder)
+    _must_hold(folder, PLAN, "scenario.yaml")
     with only_writer(folder):
-        page = report_again(folder) if is_comparison(folder) else write_report(folder)
+        page = report_again(folder, plugin or []) if is_comparison(folder) else write_report(folder, plugins=plugin or [])
     if not quiet:
         typer.echo(str(page), err=True)
 

@@ -52,12 +52,10 @@ def basin(
     from vstestbed.experiments.basin.maps import basins_of, laws, write
     from vstestbed.experiments.basin.setup import must_be_few_starts
     from vstestbed.experiments.comparison import chosen
-    from vstestbed.scenario.load import load_plugins
 
-    load_plugins(plugin or [])
     # mistakes on the command line are reported before the scenarios are loaded
     across, up, rest = _axis("--x", x, n), _axis("--y", y, n), _coordinates("--at", at or [])
-    comparison = chosen(scenarios, settings_of(set_), vary_of(vary), None)
+    comparison = chosen(scenarios, settings_of(set_), vary_of(vary), None, plugin or [])
     must_be_few_starts(comparison, n, force)
     found = laws(comparison, None if field_of_view is None else field_of_view.value, force)
     shown = not (quiet or as_json)

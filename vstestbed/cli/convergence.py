@@ -32,10 +32,8 @@ def sweep(
     from vstestbed.core.folders import study_folder
     from vstestbed.experiments.comparison import chosen
     from vstestbed.experiments.convergence import Study, summaries, write
-    from vstestbed.scenario.load import load_plugins
 
-    load_plugins(plugin or [])
-    study = Study(chosen(scenarios, settings_of(set_), vary_of(vary), seeds), force)
+    study = Study(chosen(scenarios, settings_of(set_), vary_of(vary), seeds, plugin or []), force)
     shown = not (quiet or as_json)
 
     def progress(done: int, of: int) -> None:

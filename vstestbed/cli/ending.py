@@ -95,7 +95,8 @@ def _place_in_plugin(error: BaseException) -> str | None:
         module = str(frame.f_globals.get("__name__"))
         if module.partition(".")[0] in packages:
             code = frame.f_code
-            place = f"{code.co_filename}:{line}: {code.co_qualname} of plugin {module}"
+            name = module.partition("@")[0]  # what follows tells files of one name apart
+            place = f"{code.co_filename}:{line}: {code.co_qualname} of plugin {name}"
     return place
 
 

@@ -34,7 +34,7 @@ class Room(str, Enum):
     detectors = "detectors"
 
 
-Plugins = Annotated[list[str] | None, typer.Option("--plugin", metavar="MODULE", help="Import a module that adds kinds.")]
+Plugins = Annotated[list[str] | None, typer.Option("--plugin", metavar="FILE.py|MODULE", help="Load a plugin, which adds kinds.")]
 Json = Annotated[bool, typer.Option("--json", help="Print summary.json and nothing else on standard output.")]
 
 Force = Annotated[bool, typer.Option("--force", help="Also more than 100 000 runs (basin: 4 000 000 starts).")]
@@ -42,10 +42,9 @@ Force = Annotated[bool, typer.Option("--force", help="Also more than 100 000 run
 
 def load_scenario(name: str, settings: list[str] | None, plugins: list[str] | None, seed: int | None = None) -> Scenario:
     """Load the scenario of a command line, with `--set`, `--seed` and `--plugin` applied."""
-    from vstestbed.scenario.load import load, load_plugins
+    from vstestbed.scenario.load import load
 
-    load_plugins(plugins or [])
-    return load(name, settings_of(settings), seed)
+    return load(name, settings_of(settings), seed, plugins=plugins or [])
 
 
 def settings_of(settings: list[str] | None) -> dict[str, object]:
@@ -76,7 +75,7 @@ def renamed(app: typer.Typer, old: str, new: str, command: Callable[..., None]) 
 @tools.command("list")
 def list_(room: Annotated[Room | None, typer.Argument(help="What to list. [default: everything]")] = None, plugin: Plugins = None) -> None:
     """What there is, one line each."""
-    from vstestbed.scenario.load import load_plugins
+    from vstestbed.scenario.plugins import load_plugins
 
     load_plugins(plugin or [])
     for name in [room] if room else Room:
@@ -102,8 +101,8 @@ def _entries(room: Room) -> list[tuple[str, str]]:
 @tools.command()
 def schema(plugin: Plugins = None) -> None:
     """JSON Schema of a scenario, for editors."""
-    from vstestbed.scenario.load import load_plugins
     from vstestbed.scenario.load import schema as scenario_schema
+    from vstestbed.scenario.plugins import load_plugins
 
     load_plugins(plugin or [])
     typer.echo(json.dumps(scenario_schema(), indent=1))

@@ -2,6 +2,7 @@
 
     VstestbedError
     ├── ScenarioError          a scenario file that cannot be run: all mistakes at once      exit 2
+    │   └── PluginError        a plugin that is not there or cannot be imported              exit 2
     ├── ParameterError         one parameter out of its range (also a ValueError)            exit 2
     ├── OutputError            a result folder that cannot be written                        exit 2 or 4
     ├── RunFolderError         a folder without a readable run                               exit 2
@@ -22,6 +23,14 @@ class VstestbedError(Exception):
     """Base class of these exceptions; `exit_code` is the exit status of the command line."""
 
     exit_code = 2
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Pickled as they are: the constructors take other arguments than the message, and errors come from worker processes."""
+        return _unpickled, (type(self), self.args), self.__dict__
+
+
+def _unpickled(cls: type[VstestbedError], args: tuple[object, ...]) -> VstestbedError:
+    return cls.__new__(cls, *args)
 
 
 class ParameterError(VstestbedError, ValueError):
@@ -60,6 +69,13 @@ class ScenarioError(VstestbedError):
         super().__init__("\n".join(str(m) for m in self.mistakes))
 
 
+class PluginError(ScenarioError):
+    """A plugin that is not there or cannot be imported: its FILE:LINE, or the place and field that name it; what was found, a remedy."""
+
+    def __init__(self, where: str, found: str, remedy: str = "correct the plugin, or leave it out", field: str = ""):
+        super().__init__([Mistake(where, field, f"{found}; {remedy}")])
+
+
 class OutputError(VstestbedError):
     """A result folder or file that cannot be written: its path, the reason, a remedy."""
 
@@ -69,10 +85,10 @@ class OutputError(VstestbedError):
 
 
 class RunFolderError(VstestbedError):
-    """A folder without a run, or with a damaged one."""
+    """A folder without a run, or a damaged file in one: its path, what was found, what would work."""
 
-    def __init__(self, path: object, reason: str):
-        super().__init__(f"{path}: {reason}; a run's folder holds scenario.yaml and log.parquet (or log.part)")
+    def __init__(self, path: object, reason: str, works: str = "a run's folder holds scenario.yaml and log.parquet (or log.part)"):
+        super().__init__(f"{path}: {reason}; {works}")
 
 
 class EnvironmentLackError(VstestbedError):

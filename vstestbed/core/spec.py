@@ -16,7 +16,9 @@ from __future__ import annotations
 
 import dataclasses
 import importlib.metadata
-from collections.abc import Mapping
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any, TypeVar, dataclass_transform
 
 import pydantic
@@ -32,6 +34,7 @@ T = TypeVar("T")
 # Not strict: YAML has lists where a spec has tuples, and integers where it has floats. `scenario.validation` refuses other conversions.
 _CONFIG = ConfigDict(extra="forbid", allow_inf_nan=False, arbitrary_types_allowed=True, strict=False)
 _GROWN: list[str] = []  # rooms that have got a kind since the validators were built
+_ROOMS: list[OneOf] = []
 _SPECS: list[type] = []  # every spec in the order of definition, so that `rebuild_specs` builds parts before what holds them
 
 
@@ -93,6 +96,21 @@ def spec_named(word: object) -> type | None:
     return next((cls for cls in _SPECS if cls.__name__ == word), None)
 
 
+@contextmanager
+def undone_on_error() -> Iterator[None]:
+    """Take back what was defined and registered within where an error ends it: a plugin is there as a whole, or not at all."""
+    specs, members = len(_SPECS), [(room, dict(room.members)) for room in _ROOMS]
+    try:
+        yield
+    except BaseException:
+        del _SPECS[specs:]
+        for room, before in members:
+            room.members.clear()
+            room.members.update(before)
+        _GROWN.append("undone")
+        raise
+
+
 class OneOf:
     """The registered kinds of one block, discriminated by `kind`; the only list of a room's members.
 
@@ -119,6 +137,7 @@ class OneOf:
         self.members: dict[str, type] = {}
         for member in members:
             self._add(member)
+        _ROOMS.append(self)
 
     def add(self, member: type[T]) -> type[T]:
         """Register one more kind (usable as a decorator by a plugin).
@@ -138,7 +157,9 @@ class OneOf:
             raise ParameterError(name, f"is not a spec; a {self.what} is a class with @spec directly above it, below any `add`")
         kind = kind_of(member)
         if kind in self.members and self.members[kind] is not member:
-            taken = f"{kind!r} is already a {self.what} ({self.members[kind].__module__})"
+            home = self.members[kind].__module__
+            place = home if home.startswith("vstestbed.") else getattr(sys.modules.get(home), "__file__", home)
+            taken = f"{kind!r} is already a {self.what} ({place})"
             raise ParameterError("kind", f"{taken}; give {member.__name__} a `kind` of its own")
         if self.contract is not None:
             self.contract.check(member)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import itertools
 import math
+import pickle
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
@@ -23,6 +24,7 @@ from vstestbed.experiments.comparison.runs import must_be_few
 from vstestbed.experiments.comparison.worker import begin
 from vstestbed.loop.run import run
 from vstestbed.report.studies.convergence import ConvergenceMap, write_page
+from vstestbed.scenario.plugins import load_plugins
 from vstestbed.scenario.scenario import Scenario
 
 CHUNK = 16
@@ -47,9 +49,15 @@ def run_one(scenario: Scenario) -> RunEnding:
     return RunEnding(recording.outcome.name, recording.outcome.success, time_s, away_m)
 
 
-def run_all_of(scenarios: Sequence[Scenario]) -> list[RunEnding]:
-    """`run_one` of each."""
-    return [run_one(scenario) for scenario in scenarios]
+def packed(scenarios: Sequence[Scenario]) -> tuple[tuple[str, ...], bytes]:
+    """Scenarios for a worker, and their plugins, which it loads before it unpacks objects of their classes."""
+    return tuple(dict.fromkeys(name for scenario in scenarios for name in scenario.plugins)), pickle.dumps(scenarios)
+
+
+def run_all_of(plugins: Sequence[str], scenarios: bytes) -> list[RunEnding]:
+    """`run_one` of each of the packed scenarios."""
+    load_plugins(plugins)
+    return [run_one(scenario) for scenario in pickle.loads(scenarios)]
 
 
 @dataclass(frozen=True)
@@ -90,7 +98,7 @@ class Study:
             waiting = iter(runs)
             while (chunk := list(itertools.islice(waiting, CHUNK))) or going:
                 if chunk:
-                    going.append((chunk, pool.submit(run_all_of, [job.scenario() for job in chunk])))
+                    going.append((chunk, pool.submit(run_all_of, *packed([job.scenario() for job in chunk]))))
                 # a chunk more for each worker than it can do: scenarios are drawn only when they are needed
                 if not chunk or len(going) >= 2 * processes:
                     done, future = going.popleft()

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Literal
 
 from vstestbed.core import folders
 from vstestbed.core.errors import OutputError, RunFolderError
-from vstestbed.core.files import write_whole, writing
+from vstestbed.core.files import make_folder, write_whole
 from vstestbed.loop.columns import Layout
 from vstestbed.loop.log_file import FolderLog, open_log
 from vstestbed.loop.recording import Recording, Watcher
@@ -106,8 +106,7 @@ def _run_into(folder: Path, scenario: Scenario, films: Films, watch: Iterable[Wa
 def _write_scene(folder: Path, scene: SceneFiles) -> None:
     """Write `model.xml` and the files that it refers to."""
     for name, content in scene.assets.items():
-        with writing(folder):
-            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        make_folder((folder / name).parent)
         write_whole(folder / name, content)
     write_whole(folder / "model.xml", scene.xml)
 

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import contextlib
 import io
-import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from vstestbed.core.errors import RunFolderError
-from vstestbed.core.files import writing
+from vstestbed.core.files import PartFile, writing
 from vstestbed.core.geometry import Array
 from vstestbed.loop.columns import Layout
 from vstestbed.loop.recording import BLOCK, Block, to_frame, types_of, whole_table
@@ -23,6 +22,7 @@ from vstestbed.scenario.scenario import Scenario
 if TYPE_CHECKING:
     import polars
 
+WORKS = "`vstestbed run` of the scenario.yaml beside it writes it again, into another folder"
 READ_BYTES = 1_000_000
 """Bytes of `log.part` that are read at a time."""
 
@@ -46,7 +46,8 @@ class FolderLog:
     def create(cls, folder: Path, columns: Sequence[str]) -> FolderLog:
         """A new log without rows."""
         with writing(folder):
-            file = (folder / "log.part").open("wb")
+            # `x`: never an older log, nor through a link; its name is fixed, since it is read while it grows.
+            file = (folder / "log.part").open("xb")
             file.write(",".join(columns).encode() + b"\n")
             file.flush()
         log = cls(folder)
@@ -68,14 +69,18 @@ class FolderLog:
             yield
         except FileNotFoundError:
             raise RunFolderError(self._folder, "no run here" if self._folder.is_dir() else "no such folder") from None
-        except (OSError, ValueError, pl.exceptions.PolarsError) as error:
-            raise RunFolderError(self._folder, f"its log cannot be read ({error})") from None
+        # A panic of polars is no Exception, and comes from damaged pages.
+        except (OSError, ValueError, pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
+            words = str(error).strip().partition("\n")[0][:200]
+            raise RunFolderError(self._parquet or self._part, f"cannot be read ({words})", WORKS) from None
 
     def _header(self) -> list[str]:
         import polars as pl
 
         if self._parquet:
             return list(pl.read_parquet_schema(self._parquet))
+        if not self._part.is_file():  # to open a pipe would wait for ever
+            raise FileNotFoundError
         with self._part.open("rb") as file:
             line = file.readline()
         if not line.endswith(b"\n"):
@@ -117,7 +122,9 @@ class FolderLog:
         """The same as polars tables with the types of `log.parquet`."""
         wanted = self.columns if names is None else tuple(names)
         with self._reading():
-            yield from self._parquet_frames(self._parquet, wanted) if self._parquet else self._part_frames(wanted)
+            for frame in self._parquet_frames(self._parquet, wanted) if self._parquet else self._part_frames(wanted):
+                _must_be_sound(frame)
+                yield frame
 
     def _parquet_frames(self, path: Path, names: Sequence[str]) -> Iterator[polars.DataFrame]:
         import polars as pl
@@ -149,18 +156,22 @@ class FolderLog:
         import polars as pl
 
         self.close()
-        target, made = self._folder / "log.parquet", self._folder / "log.parquet.part"
-        try:
-            with writing(self._folder):
-                text = pl.scan_csv(self._part, schema=dict.fromkeys(self.columns, pl.Float64))
-                log = text.with_columns(pl.col(name).cast(kind) for name, kind in types_of(self.columns).items())
-                log.sink_parquet(made, compression="zstd", statistics=False, row_group_size=BLOCK)
-                with made.open("rb") as file:
-                    os.fsync(file.fileno())  # else the new name could reach the disk before the content
-                made.replace(target)
-        finally:
-            made.unlink(missing_ok=True)
+        with writing(self._folder), PartFile(self._folder / "log.parquet") as made:
+            text = pl.scan_csv(self._part, schema=dict.fromkeys(self.columns, pl.Float64))
+            log = text.with_columns(pl.col(name).cast(kind) for name, kind in types_of(self.columns).items())
+            log.sink_parquet(made.file, compression="zstd", statistics=False, row_group_size=BLOCK)
         self._part.unlink(missing_ok=True)  # only after log.parquet is complete
+
+
+def _must_be_sound(frame: polars.DataFrame) -> None:
+    """ValueError for values that no run has logged: anything but numbers, gaps, and times that do not go on."""
+    import polars as pl
+
+    for column in frame:
+        if not (column.dtype.is_numeric() or column.dtype == pl.Boolean) or column.null_count():
+            raise ValueError(f"the column {column.name} holds something else than numbers")
+    if "t" in frame.columns and not (frame["t"].is_finite().all() and frame["t"].is_sorted()):
+        raise ValueError("its times do not go on")
 
 
 def open_log(folder: Path, scenario: Scenario | None = None) -> FolderLog:
@@ -171,12 +182,12 @@ def open_log(folder: Path, scenario: Scenario | None = None) -> FolderLog:
         scenario: where given, the log must have the columns that runs of this scenario have.
 
     Raises:
-        RunFolderError: neither is there, or neither can be read, or it is the log of another experiment.
+        RunFolderError: neither is there, or neither can be read, or it is damaged or the log of another experiment.
     """
     log = FolderLog(folder)
     lacking = [name for name in Layout(scenario).columns if name not in log.columns] if scenario else []
     if lacking:
-        raise RunFolderError(folder, f"its log has no column {lacking[0]}, which a run of its scenario.yaml has")
+        raise RunFolderError(folder / "log.parquet", f"has no column {lacking[0]}", WORKS)
     return log
 
 

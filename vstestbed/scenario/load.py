@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib
 import io
 import itertools
-import sys
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +13,9 @@ import pydantic
 from ruamel.yaml import YAML
 
 from vstestbed.core.assets import bundled_scenarios
-from vstestbed.core.errors import Mistake, ParameterError, ScenarioError, VstestbedError, nearest
-from vstestbed.core.spec import rebuild_specs, to_mapping
+from vstestbed.core.errors import Mistake, ParameterError, ScenarioError, nearest
+from vstestbed.core.spec import refresh_specs, to_mapping
+from vstestbed.scenario.plugins import absolute, load_named
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.scenario.validation import KINDS, build
 from vstestbed.scenario.yaml_marks import FROM_OPTION, Marks, override, place_of, plain_mapping, short
@@ -47,21 +45,26 @@ def find(name: str | Path) -> Path:
 
 
 def load(
-    name: str | Path, overrides: Mapping[str, object] | None = None, seed: int | None = None, places: Mapping[str, Marks] | None = None
+    name: str | Path,
+    overrides: Mapping[str, object] | None = None,
+    seed: int | None = None,
+    places: Mapping[str, Marks] | None = None,
+    plugins: Sequence[str] = (),
 ) -> Scenario:
-    """Read a scenario from a file or a bundled name.
+    """Read a scenario from a file or a bundled name. This runs the code of the plugins that it names.
 
     Args:
         name: path of a YAML file, or the name of a bundled scenario.
         overrides: values by dotted path, such as {"law.gain": 1.0}; they replace what the file says before it is checked.
         seed: draw the start from the robot's random block, and all noise, from this seed.
         places: for messages, where each override stands: of its value and of the keys in it, relative to it; by default `--set`.
+        plugins: files (`mylaw.py`) or modules that add kinds, besides those that the file names under `plugins`.
 
     Raises:
-        ScenarioError: all mistakes at once.
+        ScenarioError: all mistakes at once. PluginError: a plugin is not there or cannot be imported.
     """
     path = find(name)
-    scenario = parse(text_of(path), str(path), overrides, seed, places)
+    scenario = parse(text_of(path), str(path), overrides, seed, places, plugins)
     return scenario if scenario.name else dataclasses.replace(scenario, name=path.stem)
 
 
@@ -91,12 +94,14 @@ def parse(
     overrides: Mapping[str, object] | None = None,
     seed: int | None = None,
     places: Mapping[str, Marks] | None = None,
+    plugins: Sequence[str] = (),
 ) -> Scenario:
     """Build a scenario from YAML text; `file` is its name in messages. See `load`."""
     plain, marks = plain_mapping(text, file, f"a scenario needs {_required()}")
     overrides, places = overrides or {}, places or {}
-    for dotted, value in overrides.items():
-        override(plain, dotted, value, marks, _is_kind, places.get(dotted, FROM_OPTION))
+    _override_all(plain, marks, overrides, places, of_plugins=True)
+    load_named(plain, marks, file, plugins)  # before the other settings, which may use the words that plugins add
+    _override_all(plain, marks, overrides, places, of_plugins=False)
     try:
         scenario = build(Scenario, plain, marks, file)
     except ScenarioError as error:
@@ -106,6 +111,15 @@ def parse(
     except ParameterError as error:
         where = place_of(tuple(error.field.split(".")), marks, file)
         raise ScenarioError([Mistake(where, error.field, error.problem)]) from None
+
+
+def _override_all(
+    plain: dict[str, Any], marks: Marks, overrides: Mapping[str, object], places: Mapping[str, Marks], of_plugins: bool
+) -> None:
+    """Apply the overrides of `plugins`, or all others."""
+    for dotted, value in overrides.items():
+        if (dotted.split(".")[0] == "plugins") == of_plugins:
+            override(plain, dotted, value, marks, _is_kind, places.get(dotted, FROM_OPTION))
 
 
 def _blame_settings(
@@ -167,6 +181,20 @@ def _required() -> str:
     return ", ".join(needed[:-1]) + " and " + needed[-1]
 
 
+def for_another_folder(path: Path) -> str:
+    """The text of a scenario file for a copy elsewhere: its plugins that are files are named absolutely."""
+    text = text_of(path)
+    named = plain_mapping(text, str(path), "")[0].get("plugins")
+    if not isinstance(named, list) or [(n, absolute(str(n), path.parent)) for n in named] == [(n, n) for n in named]:
+        return text
+    yaml, out = YAML(), io.StringIO()  # keeps the comments
+    yaml.width = 120
+    tree = yaml.load(text)
+    tree["plugins"] = [absolute(str(name), path.parent) for name in named]
+    yaml.dump(tree, out)
+    return out.getvalue()
+
+
 def dump(scenario: Scenario) -> str:
     """The scenario as YAML with all defaults; `parse` of it gives the same scenario."""
     return dump_mapping(scenario)
@@ -184,38 +212,6 @@ def dump_mapping(spec: object) -> str:
 
 
 def schema() -> dict[str, Any]:
-    """JSON Schema of a scenario, for editors."""
+    """JSON Schema of a scenario, for editors; with the kinds that plugins have added until now."""
+    refresh_specs()
     return pydantic.TypeAdapter(Scenario).json_schema()
-
-
-def load_plugins(modules: Sequence[str]) -> None:
-    """Import plugin modules, which register their kinds, and installed entry points; then rebuild the validators.
-
-    A module is searched on Python's path, and in the current folder.
-
-    Raises:
-        ParameterError: a module cannot be imported, an entry point cannot be loaded, or a class breaks its room's contract.
-    """
-    # At the end of the path: a file here named like an installed package must not replace it.
-    if modules and (here := str(Path.cwd())) not in sys.path:
-        sys.path.append(here)
-    for name in modules:
-        with _loading("--plugin", "cannot be imported", name):
-            importlib.import_module(name)
-    grown = []
-    for room, kinds in KINDS.items():
-        with _loading(f"vstestbed.{room}", "has an installed plugin that cannot be loaded; mend or uninstall it", None):
-            grown.append(kinds.load_entry_points())
-    if modules or any(grown):  # it takes time, and without plugins nothing has changed
-        rebuild_specs()
-
-
-@contextmanager
-def _loading(field: str, problem: str, name: str | None) -> Iterator[None]:
-    """Turn any error of a plugin's import, which is code of others, into a ParameterError with the same message."""
-    try:
-        yield
-    except VstestbedError:
-        raise
-    except (Exception, SystemExit) as error:  # a module that calls sys.exit does not end the program
-        raise ParameterError(field, f"{problem} ({type(error).__name__}: {error})", name) from error

@@ -62,6 +62,7 @@ VIEW_MARGIN_PX = 10.0
 class Scenario:
     """One experiment: robot, camera, target, detector, law, goal, nuisances, end. `name` is its file's name by default.
 
+    `plugins`: files or modules that add kinds, loaded before the rest is checked (`scenario.plugins`).
     `derotation`: how image features of a tilted craft are rotated into its level frame; `level_trim_s`: time constant with which the
     picture corrects the IMU's roll and pitch for it [s] (0: not at all; `vision.pose.derotate.trimmed`).
 
@@ -70,6 +71,7 @@ class Scenario:
 
     name: str = ""
     description: str = ""
+    plugins: tuple[str, ...] = ()
     seed: Seed = 0
     robot: Annotated[Robot, ROBOTS]
     camera: Annotated[Camera, CAMERAS] = Perspective()

@@ -168,7 +168,7 @@ def test_laws_that_raise_diverge_lose_and_kill(quick: Path, tmp_path: Path, plug
 
 
 def test_a_worker_killed_in_the_middle_is_replaced(quick: Path, tmp_path: Path):
-    request = request_of("runs/a", vs.load(quick), False, ())
+    request = request_of("runs/a", vs.load(quick), False)
     with closing(LocalPool(1, tmp_path)) as pool:
         slot = pool._free[0]
         before = slot.pid.result()
@@ -212,7 +212,7 @@ def test_a_script_without_a_main_guard_is_told_so(quick: Path, tmp_path: Path, v
 
 def test_workers_end_with_the_pool(quick: Path, tmp_path: Path):
     pool = LocalPool(2, tmp_path)
-    pool.submit(request_of("runs/a", vs.load(quick, {"stop.duration_s": 30000, "law.gain": 1e-4}), False, ()))
+    pool.submit(request_of("runs/a", vs.load(quick, {"stop.duration_s": 30000, "law.gain": 1e-4}), False))
     pids = [slot.pid.result() for slot in pool._free]
     pool.close()
     for pid in pids:
@@ -236,7 +236,7 @@ class TestResume:
         out, done = tmp_path / "c", []
         whole = compare([quick], GAINS, seeds=2, jobs=1, out=out, film=False, report=False)
         (out / "runs/quick/law.gain=3.0/1").rename(tmp_path / "taken")
-        (out / "runs/quick/law.gain=6.0/1").rename(out / "runs/quick/law.gain=6.0/1.part")  # as a power cut leaves it
+        (out / "runs/quick/law.gain=6.0/1").rename(out / f"runs/quick/law.gain=6.0/1.{16 * 'f'}.part")  # as a power cut leaves it
         kept = (out / "runs/quick/law.gain=3.0/0/summary.json").stat().st_mtime_ns
         (out / "runs/quick/law.gain=6.0/0/summary.json").write_text("{", encoding="utf-8")  # as a broken disk leaves it
         again = compare([], out=out, resume=True, jobs=1, film=False, report=False, on_done=lambda job, summary: done.append(job.folder))
@@ -312,14 +312,14 @@ def test_ctrl_c_keeps_what_is_done_and_says_how_to_go_on(quick: Path, tmp_path: 
 
 
 def test_what_crashed_has_a_folder_of_its_own(quick: Path):
-    request = request_of("runs/a", vs.load(quick), False, ())
+    request = request_of("runs/a", vs.load(quick), False)
     files = crashed(request.text, "no more")
     assert json.loads(files["summary.json"])["outcome"] == "crashed"
     assert set(files) == {"scenario.yaml", "summary.json"}
 
 
 def test_a_task_needs_no_file_of_who_asks(quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    request = request_of("runs/a", vs.load(quick), False, ())
+    request = request_of("runs/a", vs.load(quick), False)
     quick.unlink()
     assert isinstance(request, RunRequest)
     assert json.loads(execute(request)["summary.json"])["outcome"] == "converged"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import math
 import weakref
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,8 @@ import polars as pl
 import pytest
 
 from tests.report.comparison.comparisons import build, errors, start_px
-from vstestbed.report.comparison import series as comparison_series
+from vstestbed.core.errors import RunFolderError
+from vstestbed.loop.log_file import FolderLog
 from vstestbed.report.comparison.columns import ComparisonResults, Metric, short_names
 from vstestbed.report.comparison.pairs import TIME, against, pairs
 from vstestbed.report.comparison.series import INSTANTS, read_series
@@ -138,40 +140,37 @@ def test_a_run_holds_its_last_value_and_what_sees_nothing_ranks_last(tmp_path: P
 
 def test_logs_are_read_one_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     frame = build(tmp_path, {"a": 1.0}, 12)
-    read, alive = pl.read_parquet, [0]
+    read, alive, most = FolderLog.blocks, [0], []
 
-    class Counted:
-        """A log that counts those like it that are still held."""
+    class Column(np.ndarray):
+        """A column that is counted while it is held."""
 
-        def __init__(self, log: pl.DataFrame):
-            self.log = log
-            alive[0] += 1
-            weakref.finalize(self, lambda: alive.__setitem__(0, alive[0] - 1))
-
-        def __getitem__(self, name: str) -> pl.Series:
-            return self.log[name]
-
-    most = []
-
-    def counting(path: Path, columns: list[str]) -> Counted:
+    def counting(log: FolderLog, names: tuple[str, ...]) -> Iterator[dict[str, np.ndarray]]:
         gc.collect()
         most.append(alive[0])
-        assert columns == ["t", "error_px"]  # and no more of it than that
-        return Counted(read(path, columns=columns))
+        assert names == ("t", "error_px")  # and no more of it than that
+        for block in read(log, names):
+            held = {name: values.view(Column) for name, values in block.items()}
+            alive[0] += 1
+            weakref.finalize(held["t"], lambda: alive.__setitem__(0, alive[0] - 1))
+            yield held
 
-    monkeypatch.setattr(comparison_series.pl, "read_parquet", counting)
+    monkeypatch.setattr(FolderLog, "blocks", counting)
     read_series(tmp_path, ComparisonResults(frame))
     assert len(most) == 12 and max(most) <= 1
 
 
-def test_logs_that_are_damaged_or_empty_are_gaps(tmp_path: Path) -> None:
+def test_logs_that_are_missing_or_empty_are_gaps_and_damaged_ones_are_named(tmp_path: Path) -> None:
     frame = build(tmp_path, {"a": 1.0}, 3)
-    (tmp_path / "runs/a/base/0/log.parquet").write_bytes(b"PAR1 and no more")
+    (tmp_path / "runs/a/base/0/log.parquet").unlink()
     pl.DataFrame({"t": [], "error_px": []}, schema={"t": pl.Float64, "error_px": pl.Float64}).write_parquet(
         tmp_path / "runs/a/base/1/log.parquet"
     )
     error = read_series(tmp_path, ComparisonResults(frame)).errors[0]
     assert np.isnan(error[:2]).all() and np.isfinite(error[2]).all()
+    (tmp_path / "runs/a/base/0/log.parquet").write_bytes(b"PAR1 and no more")
+    with pytest.raises(RunFolderError, match=r"base/0/log\.parquet: cannot be read"):
+        read_series(tmp_path, ComparisonResults(frame))
 
 
 def said(comparison: ComparisonResults) -> str:

@@ -13,7 +13,7 @@ import polars as pl
 import pytest
 
 from tests.report.html import Reader, checked
-from vstestbed.core.errors import RunFolderError
+from vstestbed.core.errors import RunFolderError, ScenarioError
 from vstestbed.core.geometry import Array, Pose, exp, inverse, quaternion_wxyz, rigid_error, transform
 from vstestbed.loop.recording import MemoryRows
 from vstestbed.report import Setting, render_page, write_report
@@ -320,9 +320,9 @@ def test_a_run_that_was_cut_off_has_a_report_too(tmp_path: Path) -> None:
 
 
 def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(RunFolderError, match=r"scenario\.yaml"):
+    with pytest.raises(ScenarioError, match=r"scenario\.yaml: cannot be read"):
         write_report(tmp_path)
     (tmp_path / "scenario.yaml").write_text(SCENARIO)
     (tmp_path / "summary.json").write_text('{"scenario": ')
-    with pytest.raises(RunFolderError, match="damaged"):
+    with pytest.raises(RunFolderError, match=r"summary\.json: is not the summary of a run .*; without this file"):
         write_report(tmp_path, log=log(5), setting=setting(4))

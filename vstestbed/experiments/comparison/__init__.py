@@ -9,7 +9,7 @@ from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from vstestbed.core.errors import ParameterError
+from vstestbed.core.errors import ParameterError, RunFolderError
 from vstestbed.core.folders import only_writer, study_folder
 from vstestbed.experiments.comparison.campaign import Campaign, OnDone
 from vstestbed.experiments.comparison.folder import PLAN, read_plan, resumable, table_of, write_plan, write_table
@@ -17,12 +17,12 @@ from vstestbed.experiments.comparison.plan import Comparison, chosen
 from vstestbed.experiments.comparison.pools import must_be_known, pool_of
 from vstestbed.experiments.comparison.results import finish
 from vstestbed.experiments.comparison.runs import Controller, Controllers, Job, controllers, jobs
-from vstestbed.scenario.load import dump, load_plugins
+from vstestbed.scenario.load import dump
 
 if TYPE_CHECKING:
     import polars
 
-__all__ = ["Campaign", "Comparison", "Controller", "Job", "chosen", "compare", "controllers", "jobs", "must_be_known"]
+__all__ = ["PLAN", "Campaign", "Comparison", "Controller", "Job", "chosen", "compare", "controllers", "jobs", "must_be_known"]
 
 
 def compare(
@@ -49,7 +49,7 @@ def compare(
         vary: lists of values by dotted path; every combination is run. seeds: number of seeds; None: only the nominal start.
         jobs: worker processes; None: one per core. executor: `local` or `dask://HOST:PORT`.
         out: the folder; None: `runs/compare/<number>`. resume: do only the runs that are missing in `out`.
-        set: values by dotted path for all scenarios. plugins: modules that add kinds.
+        set: values by dotted path for all scenarios. plugins: files or modules that add kinds.
         film: whether to film the first seed. report: whether to write the page and the figures.
         on_done: called after every run with the job and its summary. force: allow more than 100,000 runs.
 
@@ -101,15 +101,15 @@ def prepared(
     force: bool = False,
 ) -> Iterator[tuple[Campaign, Comparison]]:
     """Check everything, make or open the folder, write the plan; the folder is held until the block ends."""
-    load_plugins(plugins)
     requested = None
     if scenarios:
-        requested = chosen([str(s) for s in scenarios], settings, {path: tuple(values) for path, values in vary.items()}, seeds)
+        axes = {path: tuple(values) for path, values in vary.items()}
+        requested = chosen([str(s) for s in scenarios], settings, axes, seeds, plugins)
     with ExitStack() as stack:
         if resume:
             folder = resumable(out)
             stack.enter_context(only_writer(folder))
-            comparison, found = _resumed(folder, requested, force)
+            comparison, found = _resumed(folder, requested, force, plugins)
         elif requested is None:
             raise ParameterError("SCENARIO", "is missing: name scenarios to compare, or a comparison")
         else:
@@ -118,16 +118,16 @@ def prepared(
             write_plan(folder, comparison)
         first = 0 if comparison.seeds is not None else None
         filmed = (first,) if film and not comparison.tasks else ()  # a film of a few starts would not show a task
-        yield Campaign(folder, jobs(found, comparison.seeds), tuple(plugins), filmed), comparison
+        yield Campaign(folder, jobs(found, comparison.seeds), filmed), comparison
 
 
-def _resumed(folder: Path, requested: Comparison | None, force: bool) -> tuple[Comparison, Controllers]:
+def _resumed(folder: Path, requested: Comparison | None, force: bool, plugins: Sequence[str]) -> tuple[Comparison, Controllers]:
     """The comparison of a folder with its controllers.
 
     Raises:
         ParameterError: the command line requests another comparison than the folder's.
     """
-    comparison = read_plan(folder)
+    comparison = read_plan(folder, plugins)
     found = controllers(comparison, force)
     if requested is not None and not _same(requested, controllers(requested, force), comparison, found):
         problem = "goes on with what the folder compares, which is something else (its `scenarios` are copies); leave the rest out"
@@ -160,10 +160,17 @@ def is_comparison(folder: Path) -> bool:
     return (folder / PLAN).is_file()
 
 
-def report_again(folder: Path) -> Path:
-    """Make table, film and report of a comparison's folder again from its runs."""
-    comparison = read_plan(folder)
-    table = table_of(folder, jobs(controllers(comparison, force=True), comparison.seeds))
+def report_again(folder: Path, plugins: Sequence[str] = ()) -> Path:
+    """Make table, film and report of a comparison's folder again from its runs; `plugins`: besides those that it remembers.
+
+    Raises:
+        RunFolderError: no run is finished, or a file of one is damaged. ScenarioError, PluginError: see `read_plan`.
+    """
+    comparison = read_plan(folder, plugins)
+    # A damaged run is named, and not left out as if it were still to come.
+    table = table_of(folder, jobs(controllers(comparison, force=True), comparison.seeds), damaged=False)
+    if table.is_empty():
+        raise RunFolderError(folder, "has no finished run", f"`vstestbed compare --resume --out {folder}` does what is missing")
     write_table(folder, table)
     finish(folder, comparison, table, lambda words: None)
     return folder / "report.html"

@@ -25,13 +25,12 @@ class Campaign:
     """The runs of a comparison.
 
     Args:
-        folder: the comparison's folder. jobs: all runs. plugins: modules that workers import first.
+        folder: the comparison's folder. jobs: all runs.
         filmed: the seeds whose runs are filmed; empty for a comparison without films.
     """
 
     folder: Path
     jobs: Sequence[Job]
-    plugins: tuple[str, ...] = ()
     filmed: tuple[int | None, ...] = ()
 
     @property
@@ -72,10 +71,10 @@ class Campaign:
         """Each job with its request, drawn when its turn comes; a job whose start cannot be drawn is stored as crashed."""
         for job in self.missing:
             try:
-                yield job, request_of(job.folder, job.scenario(), job.seed in self.filmed, self.plugins)
+                yield job, request_of(job.folder, job.scenario(), job.seed in self.filmed)
             except VstestbedError as error:
                 # the scenario without the seed's draw: there is no drawn one
-                text = request_of(job.folder, job.controller.scenario, False, ()).text
+                text = request_of(job.folder, job.controller.scenario, False).text
                 store(self.folder, job, crashed(text, str(error)), attempts=1)
 
     def _files(self, future: Future[Files], request: RunRequest, pool: Pool) -> Files | None:

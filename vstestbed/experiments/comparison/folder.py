@@ -11,18 +11,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from vstestbed.core.errors import ParameterError, RunFolderError
-from vstestbed.core.files import write_whole, writing
+from vstestbed.core.files import make_folder, temporary, write_whole, writing
 from vstestbed.experiments.comparison.plan import AMOUNT, Comparison, read_comparison
 from vstestbed.experiments.comparison.runs import Job
 from vstestbed.experiments.comparison.worker import Files
-from vstestbed.scenario.load import dump_mapping, text_of
+from vstestbed.loop.summary_file import read_summary
+from vstestbed.scenario.load import dump_mapping, for_another_folder
 
 if TYPE_CHECKING:
     import polars
 
 PLAN = "comparison.yaml"
-PART = ".part"
-"""Suffix of the name of a folder that is being written."""
 
 
 def resumable(out: Path | None) -> Path:
@@ -43,24 +42,31 @@ def write_plan(folder: Path, comparison: Comparison) -> None:
     base = []
     for name in comparison.base:
         if Path(name).is_file():
-            with writing(folder):
-                (folder / "scenarios").mkdir(exist_ok=True)
-            write_whole(folder / "scenarios" / Path(name).name, text_of(Path(name)))
+            write_whole(make_folder(folder / "scenarios") / Path(name).name, for_another_folder(Path(name)))
             name = f"scenarios/{Path(name).name}"
         base.append(name)
     write_whole(folder / PLAN, dump_mapping(replace(comparison, base=tuple(base))))
 
 
-def read_plan(folder: Path) -> Comparison:
-    """The comparison of a folder."""
-    return read_comparison(folder / PLAN)
+def read_plan(folder: Path, plugins: Sequence[str] = ()) -> Comparison:
+    """The comparison of a folder; `plugins`: see `read_comparison`."""
+    return read_comparison(folder / PLAN, plugins)
+
+
+def summary_of(folder: Path, job: Job) -> dict[str, Any]:
+    """The summary of a stored run.
+
+    Raises:
+        RunFolderError: the run is missing, or its summary is damaged.
+    """
+    return read_summary(folder / job.folder, f"`vstestbed compare --resume --out {folder}` does the run again")
 
 
 def is_done(folder: Path, job: Job) -> bool:
     """Whether a run is stored with a readable summary."""
     try:
-        return bool(json.loads((folder / job.folder / "summary.json").read_text(encoding="utf-8")))
-    except (OSError, ValueError):
+        return bool(summary_of(folder, job))
+    except RunFolderError:
         return False
 
 
@@ -71,19 +77,20 @@ def store(folder: Path, job: Job, files: Files, attempts: int) -> dict[str, Any]
         EnvironmentLackError: no space left. OutputError: cannot be written.
     """
     place = folder / job.folder
-    part = place.with_name(place.name + PART)
     summary = json.loads(files["summary.json"]) | {"attempts": attempts}
     files = {**files, "summary.json": (json.dumps(summary, indent=1) + "\n").encode()}
     with writing(folder):
-        shutil.rmtree(part, ignore_errors=True)  # left over from a comparison that was killed
+        for left in place.parent.glob(f"{place.name}.*.part"):  # over from a comparison that was killed
+            shutil.rmtree(left, ignore_errors=True)
+        part = temporary(place)
+        part.mkdir(parents=True)
         for name, content in files.items():
             (part / name).parent.mkdir(parents=True, exist_ok=True)
-            with (part / name).open("wb") as file:
-                file.write(content)
-                file.flush()
-                os.fsync(file.fileno())  # else a power failure could leave a renamed folder with empty files
+            write_whole(part / name, content)
         _sync(part)
-        if place.exists():  # left incomplete: a complete one is never stored again
+        if place.is_symlink():
+            place.unlink()
+        elif place.exists():  # left incomplete: a complete one is never stored again
             shutil.rmtree(place)
         part.rename(place)
         _sync(place.parent)
@@ -100,23 +107,33 @@ def _sync(folder: Path) -> None:
             os.close(handle)
 
 
-def finished(folder: Path, jobs: Sequence[Job]) -> Iterator[Job]:
-    """The jobs that are done, in the order of the plan; the time that it takes depends on how many are done, not on how many there are."""
-    there = {p.parent.relative_to(folder).as_posix() for p in folder.glob("runs/*/*/*/summary.json") if p.parent.suffix != PART}
+def finished(folder: Path, jobs: Sequence[Job], damaged: bool = True) -> Iterator[Job]:
+    """The jobs that are done, in the order of the plan; the time that it takes depends on how many are done, not on how many there are.
+
+    Args:
+        folder: the comparison's. jobs: all of them. damaged: leave out runs whose summary cannot be read, which are done again.
+
+    Raises:
+        RunFolderError: a summary cannot be read, and `damaged` is False.
+    """
+    there = {p.parent.relative_to(folder).as_posix() for p in folder.glob("runs/*/*/*/summary.json") if p.parent.suffix != ".part"}
     for job in jobs:
         if not there:
             return
         if job.folder in there:
             there.remove(job.folder)
-            if is_done(folder, job):
+            if is_done(folder, job) if damaged else summary_of(folder, job):
                 yield job
 
 
-def table_of(folder: Path, jobs: Sequence[Job]) -> polars.DataFrame:
-    """One row per finished run, in the order of the plan: scenario, varied values, seed, folder, the summary's names, attempts."""
+def table_of(folder: Path, jobs: Sequence[Job], damaged: bool = True) -> polars.DataFrame:
+    """One row per finished run, in the order of the plan: scenario, varied values, seed, folder, the summary's names, attempts.
+
+    `damaged`: see `finished`.
+    """
     import polars as pl
 
-    rows = [_row(folder, job) for job in finished(folder, jobs)]
+    rows = [_row(folder, job) for job in finished(folder, jobs, damaged)]
     # columns in the order of the longest row: a crashed run has only a few of the summary's names
     names = list(dict.fromkeys(name for row in sorted(rows, key=len, reverse=True) for name in row))
     names = [name for name in names if name != "attempts"] + ["attempts"]
@@ -124,10 +141,10 @@ def table_of(folder: Path, jobs: Sequence[Job]) -> polars.DataFrame:
 
 
 def _row(folder: Path, job: Job) -> dict[str, Any]:
-    summary = json.loads((folder / job.folder / "summary.json").read_text(encoding="utf-8"))
+    summary = summary_of(folder, job)
     # a table column holds numbers or text: blocks and lists go in as JSON
     values = {path: value if isinstance(value, int | float | str) else json.dumps(value) for path, value in job.controller.values.items()}
-    first = {"scenario": job.controller.scenario.name} | values | {"seed": summary.pop("seed"), "folder": job.folder}
+    first = {"scenario": job.controller.scenario.name} | values | {"seed": summary.pop("seed", job.seed), "folder": job.folder}
     if job.controller.amounts and job.seed is not None:
         first |= {AMOUNT: job.controller.amounts[job.seed]}
     return first | _flat(summary, "")

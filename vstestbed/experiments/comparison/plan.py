@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import field, replace
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -17,6 +17,7 @@ from vstestbed.core.spec import spec
 from vstestbed.experiments.comparison.starts import StartTable
 from vstestbed.loop.metrics import FIGURES
 from vstestbed.scenario.load import text_of
+from vstestbed.scenario.plugins import load_named, load_plugins
 from vstestbed.scenario.validation import build
 from vstestbed.scenario.yaml_marks import Key, Marks, place_of, plain_mapping
 
@@ -32,6 +33,7 @@ class Comparison:
     """Every scenario with every combination of the cases and of the axes' values, in each task or from each seed.
 
     Args:
+        plugins: files or modules that add kinds, for all scenarios, besides their own.
         base: scenarios, by path or bundled name.
         set: values by dotted path, for all scenarios.
         cases: named settings of several fields at once: `law: {points: {law: {kind: ibvs}}, pose: {law: {kind: pbvs}}}` is an
@@ -44,6 +46,7 @@ class Comparison:
     """
 
     description: str = ""
+    plugins: tuple[str, ...] = ()
     base: Annotated[tuple[str, ...], Len(1)]
     set: dict[str, Any] = field(default_factory=dict)
     cases: dict[str, dict[str, dict[str, Any]]] = field(default_factory=dict)
@@ -100,13 +103,14 @@ def _same(a: object, b: object) -> bool:
     return a == b and isinstance(a, bool) == isinstance(b, bool)
 
 
-def read_comparison(path: Path) -> Comparison:
-    """Read a comparison's YAML file; scenario files in `base` are searched beside it first.
+def read_comparison(path: Path, plugins: Sequence[str] = ()) -> Comparison:
+    """Read a comparison's YAML file; scenario files in `base` are searched beside it first. `plugins`: besides its own.
 
     Raises:
-        ScenarioError: all mistakes in it, at once.
+        ScenarioError: all mistakes in it, at once. PluginError: a plugin is not there or cannot be imported.
     """
     plain, marks = plain_mapping(text_of(path), str(path), "a comparison needs base")
+    load_named(plain, marks, str(path), plugins)
     read = build(Comparison, plain, marks, str(path))
     beside = tuple(str(path.parent / n) if (path.parent / n).is_file() else n for n in read.base)
     return changed(read, marks, base=beside)
@@ -119,18 +123,25 @@ def changed(comparison: Comparison, places: Marks | None = None, **changes: Any)
     return new
 
 
-def chosen(names: list[str], settings: Mapping[str, object], axes: Mapping[str, tuple[object, ...]], seeds: int | None) -> Comparison:
+def chosen(
+    names: list[str],
+    settings: Mapping[str, object],
+    axes: Mapping[str, tuple[object, ...]],
+    seeds: int | None,
+    plugins: Sequence[str] = (),
+) -> Comparison:
     """The comparison that a command line requests: of scenarios, or a comparison by its file or bundled name, with the options applied.
 
     Raises:
-        ScenarioError, ParameterError: invalid input.
+        ScenarioError, ParameterError, PluginError: invalid input.
     """
     path = bundled_comparisons().get(names[0], Path(names[0])) if len(names) == 1 else None
     options: Marks = {}
     options |= {("set", dotted): "--set" for dotted in settings} | {("axes", dotted): "--vary" for dotted in axes}
     if path is None or not _is_comparison(path):
-        return changed(Comparison(base=tuple(names), set=dict(settings), axes=dict(axes), seeds=seeds), options)
-    read = read_comparison(path)
+        own = Comparison(base=tuple(names), set=dict(settings), axes=dict(axes), seeds=seeds, plugins=load_plugins(plugins))
+        return changed(own, options)
+    read = read_comparison(path, plugins)
     for dotted in settings:
         _must_have_effect(read, dotted)
     own = {key: where for key, where in read.places.items() if key[:2] not in options}

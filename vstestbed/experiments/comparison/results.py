@@ -41,7 +41,7 @@ def finish(folder: Path, comparison: Comparison, table: polars.DataFrame, stage:
     film = _film(folder, table, axes)
     stage("writing the report")
     metrics = comparison.metrics or DEFAULT_METRICS
-    write_comparison_report(folder, table, axes, metrics, comparison.description, command_of(comparison), film)
+    write_comparison_report(folder, table, axes, metrics, comparison.description, command_of(comparison), film, comparison.plugins)
 
 
 def _film(folder: Path, table: polars.DataFrame, axes: tuple[str, ...]) -> Path | None:
@@ -69,7 +69,8 @@ def command_of(comparison: Comparison) -> str:
     """The command line that repeats a comparison; cases and tasks have no options, so that they need the plan in its folder."""
     if comparison.cases or comparison.tasks:
         return "vstestbed compare comparison.yaml"
-    words = ["vstestbed", "compare", *(Path(name).stem if Path(name).suffix != ".yaml" else Path(name).name for name in comparison.base)]
+    names = [Path(name).stem if Path(name).suffix != ".yaml" else Path(name).name for name in comparison.base]
+    words = ["vstestbed", "compare", *names, *(f"--plugin={name}" for name in comparison.plugins)]
     words += [word for path, value in comparison.set.items() for word in ("--set", f"{path}={_value(value)}")]
     words += [word for path, values in comparison.axes.items() for word in ("--vary", f"{path}={','.join(map(_value, values))}")]
     return shlex.join(words + ([] if comparison.seeds is None else ["--seeds", str(comparison.seeds)]))

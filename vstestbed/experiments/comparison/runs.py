@@ -184,14 +184,14 @@ def _controller(
 ) -> Controller:
     name = c.base[base]
     if task_name is None:
-        scenario = _load(name, settings)
+        scenario = _load(c, name, settings)
         return Controller(scenario, values, folder, _seeds_draw(scenario, c.seeds or 1))
     task = c.tasks[task_name]
     settings = merged(settings, _settings(c, task.set, ("tasks", task_name, "set")))
     if not task.each:
-        scenario = _load(name, settings)
+        scenario = _load(c, name, settings)
         return Controller(scenario, values, folder, _seeds_draw(scenario, task.runs), None, task.labels(), task.runs)
-    starts = tuple(_load(name, merged(settings, one)) for one in _starts(c, task_name, task))
+    starts = tuple(_load(c, name, merged(settings, one)) for one in _starts(c, task_name, task))
     return Controller(starts[0], values, folder, _draws(starts[0]), starts, task.labels(), task.runs)
 
 
@@ -201,9 +201,9 @@ def _starts(c: Comparison, name: str, task: StartTable) -> Iterator[dict[str, Pl
         yield {path: Placed(value, marks_under(("tasks", name, "each", path, i), c.places)) for path, value in one.items()}
 
 
-def _load(name: str, settings: Mapping[str, Placed]) -> Scenario:
+def _load(c: Comparison, name: str, settings: Mapping[str, Placed]) -> Scenario:
     values = {path: setting.value for path, setting in settings.items()}
-    return load(name, values, places={path: setting.marks for path, setting in settings.items()})
+    return load(name, values, places={path: setting.marks for path, setting in settings.items()}, plugins=c.plugins)
 
 
 def _draws(scenario: Scenario) -> bool:

@@ -12,14 +12,13 @@ from pathlib import Path
 from vstestbed.core.errors import EnvironmentLackError
 from vstestbed.core.outcome import Outcome
 from vstestbed.experiments.run_folder import run_into
-from vstestbed.scenario.load import dump, load_plugins, parse
+from vstestbed.scenario.load import dump, parse
 from vstestbed.scenario.scenario import Scenario
 
 Files = dict[str, bytes]
 """Content of a run's folder by file name."""
 TILE_PX = (480, 270)
 """Size of the films from outside [px]: as wide as their column in the side-by-side film; a sixth of the work of the full size."""
-_loaded: set[str] = set()
 
 
 @dataclass(frozen=True)
@@ -28,13 +27,12 @@ class RunRequest:
 
     Attributes:
         folder: path of the run below the comparison's folder, which identifies it. text: the scenario with start and noise drawn.
-        filmed: whether to make films. plugins: modules to import first.
+        filmed: whether to make films.
     """
 
     folder: str
     text: str
     filmed: bool
-    plugins: tuple[str, ...]
 
 
 def execute(request: RunRequest, place: str | None = None) -> Files:
@@ -45,10 +43,8 @@ def execute(request: RunRequest, place: str | None = None) -> Files:
 
     Raises:
         EnvironmentLackError: this machine has no OpenGL or no space, so that every other run would fail as well.
+        PluginError: a plugin of the scenario is not there on this machine.
     """
-    for module in set(request.plugins) - _loaded:  # once per process
-        load_plugins([module])
-        _loaded.add(module)
     scenario = parse(request.text, "scenario.yaml")
     # the run's folder is local: the worker may be on a machine without access to the comparison's folder
     with tempfile.TemporaryDirectory(prefix="vstestbed_", dir=place) as made:
@@ -86,9 +82,9 @@ def _picture_of_the_end(scenario: Scenario, folder: Path) -> None:
     picture_of_the_end(scenario, open_log(folder), folder / "end.png")
 
 
-def request_of(folder: str, scenario: Scenario, filmed: bool, plugins: tuple[str, ...]) -> RunRequest:
+def request_of(folder: str, scenario: Scenario, filmed: bool) -> RunRequest:
     """The request for a run of a scenario."""
-    return RunRequest(folder, dump(scenario), filmed, plugins)
+    return RunRequest(folder, dump(scenario), filmed)
 
 
 def begin(parent_must_live: bool) -> None:

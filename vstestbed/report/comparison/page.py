@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 import polars as pl
 
-from vstestbed.core.errors import OutputError
-from vstestbed.core.files import write_whole
+from vstestbed.core.files import make_folder, write_whole
 from vstestbed.report.comparison import failures as comparison_failures
 from vstestbed.report.comparison import figures as comparison_figures
 from vstestbed.report.comparison import strip_plots, summary_text
@@ -24,7 +23,8 @@ from vstestbed.report.html.canvas import WIDTH_IN, save, style, to_svg
 from vstestbed.report.html.parts import figure, film
 from vstestbed.report.html.template import PAGE, STYLE
 from vstestbed.report.run import numbers
-from vstestbed.report.run.page import setting_of
+from vstestbed.report.run.tracks import Setting
+from vstestbed.scenario.load import load
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -90,6 +90,7 @@ def write_comparison_report(
     description: str = "",
     command: str = "",
     film: Path | None = None,
+    plugins: Sequence[str] = (),
 ) -> Path:
     """Write `report.html` and `figures/` into a comparison's folder; returns the page's path.
 
@@ -100,12 +101,13 @@ def write_comparison_report(
         metrics: keys of `summary.json` to show; one that no run has shows as dashes.
         description: what is compared, in a few words. command: the command line that repeats the comparison.
         film: the side-by-side film in the folder; embedded up to 8 MB, else linked.
+        plugins: of the comparison, as in `scenario.load.load`.
 
     Raises:
         OutputError: a file cannot be written.
     """
     comparison = ComparisonResults(table, axes, metrics, description)
-    data = Data(comparison, read_series(folder, comparison), pairs(comparison), _threshold(folder, comparison))
+    data = Data(comparison, read_series(folder, comparison), pairs(comparison), _threshold(folder, comparison, plugins))
     _write_figures(folder / "figures", data)
     body = [
         summary_text.headline(comparison, data.pairs, gains_alone(differing_fields(folder, comparison))),
@@ -134,10 +136,7 @@ def write_comparison_report(
 
 def _write_figures(place: Path, data: Data) -> None:
     """Every figure in the size and style of a paper, as PDF with embedded fonts and as PNG."""
-    try:
-        place.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(place, error.strerror or str(error), "give another folder") from error
+    make_folder(place)
     with style(paper=True):
         for key, _, _, columns, draw in PLOTS:
             drawn = draw(data, COLUMN_IN[columns])
@@ -159,11 +158,11 @@ def _figures(data: Data) -> str:
     return f'<div class="plots">{"".join(by_width[1])}</div>{broad}'
 
 
-def _threshold(folder: Path, comparison: ComparisonResults) -> float | None:
+def _threshold(folder: Path, comparison: ComparisonResults, plugins: Sequence[str]) -> float | None:
     """RMS error that counts as converged [px]; None where the controllers differ in it."""
     # one run per controller suffices: seeds do not change the stop block
     firsts = [folder / str(c.runs["folder"][0]) / "scenario.yaml" for c in comparison.controllers]
-    found = {setting_of(path).threshold_px for path in firsts if path.is_file()}
+    found = {Setting.of(load(path, plugins=plugins)).threshold_px for path in firsts if path.is_file()}
     return found.pop() if len(found) == 1 else None
 
 

@@ -13,6 +13,7 @@ import polars as pl
 from numpy.typing import NDArray
 
 from vstestbed.core.geometry import Array
+from vstestbed.loop.log_file import open_log
 from vstestbed.report.comparison.columns import ComparisonResults
 
 INSTANTS = 240
@@ -52,6 +53,9 @@ def read_series(folder: Path, comparison: ComparisonResults) -> Series:
     Args:
         folder: the comparison's folder; the table's column `folder` is relative to it.
         comparison: the comparison.
+
+    Raises:
+        RunFolderError: a log is damaged.
     """
     # the duration of the longest run; 1 s if no run has any, so that the grid is not empty
     longest = comparison.table["sim_time_s"].cast(pl.Float64, strict=False).max() if "sim_time_s" in comparison.table.columns else None
@@ -68,12 +72,11 @@ def read_series(folder: Path, comparison: ComparisonResults) -> Series:
 
 
 def _resampled(path: Path, t: Array) -> Array:
-    """Zero-order hold of a log's error at the times t (G,) [s]; NaN before its first frame, and everywhere if the log cannot be read."""
-    try:
-        log = pl.read_parquet(path, columns=["t", "error_px"])
-    except (OSError, pl.exceptions.PolarsError):
+    """Zero-order hold of a log's error at the times t (G,) [s]; NaN before its first frame, and everywhere where there is no log."""
+    if not path.is_file():  # of a run that crashed
         return np.full(len(t), np.nan)
+    blocks = list(open_log(path.parent).blocks(("t", "error_px")))
     # 1e-9 s: a grid point that rounding has put just before its frame belongs to that frame
-    frame = np.searchsorted(log["t"].to_numpy(), t + 1e-9, side="right") - 1
-    error = log["error_px"].cast(pl.Float64).fill_null(np.nan).to_numpy()
+    times, error = (np.concatenate([np.empty(0), *(block[name] for block in blocks)]) for name in ("t", "error_px"))
+    frame = np.searchsorted(times, t + 1e-9, side="right") - 1
     return np.where(frame >= 0, error[np.maximum(frame, 0)], np.nan) if len(error) else np.full(len(t), np.nan)

@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import polars as pl
 
-from vstestbed.core.errors import OutputError
-from vstestbed.core.files import write_whole
+from vstestbed.core.files import make_folder, write_whole
 from vstestbed.core.geometry import Array
 from vstestbed.report.comparison import failures as comparison_failures
 from vstestbed.report.comparison.columns import ComparisonResults, ControllerResults, Metric
@@ -263,10 +262,7 @@ def write_task_report(
 
 def _write_figures(folder: Path, found: Sequence[Cell], metrics: Sequence[str]) -> str:
     """The figure for a paper, as PDF and PNG, into the folder; returns it as SVG for the page."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(folder, error.strerror or str(error), "give another folder") from error
+    make_folder(folder)
     with style(paper=True):
         drawn = draw(found, metrics, 8.2)
         save(drawn, folder / "tasks.pdf")

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import polars as pl
 
-from vstestbed.core.errors import RunFolderError, VstestbedError
+from vstestbed.core.errors import RunFolderError
 from vstestbed.core.files import write_whole
+from vstestbed.loop.log_file import open_log
+from vstestbed.loop.summary_file import read_summary
 from vstestbed.report.html.canvas import style, to_svg
 from vstestbed.report.html.parts import figure, film, folded
 from vstestbed.report.html.template import PAGE, STYLE
@@ -25,6 +27,8 @@ if TYPE_CHECKING:
 
     from vstestbed.loop.recording import Rows
 
+FARTHEST_M: Final = 1e6
+"""Positions beyond [m] are no run's, which ends (`diverged`) 200 m away from its target."""
 EMBED_BYTES: Final = 30_000_000
 """Films up to this size together are embedded in the page; larger ones are linked, so that a browser can still open it."""
 
@@ -110,25 +114,31 @@ PLOTS: Final[tuple[Plot, ...]] = (
 )
 
 
-def write_report(run_dir: Path, log: Rows | pl.DataFrame | None = None, setting: Setting | None = None) -> Path:
+def write_report(
+    run_dir: Path, log: Rows | pl.DataFrame | None = None, setting: Setting | None = None, plugins: Sequence[str] = ()
+) -> Path:
     """Write `report.html` into a run's folder; returns its path.
 
     Args:
         run_dir: the folder with `scenario.yaml`, `summary.json`, `log.parquet` (or `log.part`) and films, if there are any.
         log: the run's log, if the caller has it already; else that of the folder, of which little is in memory at a time.
         setting: scenario data for the figures; by default from loading `scenario.yaml`.
+        plugins: files or modules, besides those that `scenario.yaml` names.
 
     Raises:
-        RunFolderError: the folder holds no run.
+        RunFolderError: the folder holds no run, or a damaged one. ScenarioError, PluginError: its scenario cannot be loaded.
         OutputError: the page cannot be written.
     """
-    scenario_text = _read(run_dir / "scenario.yaml")
-    summary = _summary(run_dir)
+    from vstestbed.scenario.load import load, text_of  # here: the figures themselves need no scenario
+
+    path = run_dir / "scenario.yaml"
+    scenario_text, summary = text_of(path), _summary(run_dir)
     videos = {path.stem: path for path in (run_dir / f"{name}.mp4" for name in FILMS) if path.is_file()}
-    text = render_page(
-        _log(run_dir) if log is None else log, summary, scenario_text, videos, setting or setting_of(run_dir / "scenario.yaml")
-    )
-    return write_whole(run_dir / "report.html", text)
+    if log is None or setting is None:
+        scenario = load(path, plugins=plugins)
+        setting = setting or Setting.of(scenario)
+        log = _in_reach(run_dir, open_log(run_dir, scenario)) if log is None else log
+    return write_whole(run_dir / "report.html", render_page(log, summary, scenario_text, videos, setting))
 
 
 def render_page(
@@ -184,41 +194,21 @@ def _films(videos: Mapping[str, Path]) -> str:
     return f'<section class="films"><h2>Films</h2><div class="grid">{"".join(films)}</div></section>' if films else ""
 
 
-def _read(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise RunFolderError(path.parent, f"cannot read {path.name} ({error})") from error
-
-
-def _log(run_dir: Path) -> Rows:
-    from vstestbed.loop.log_file import open_log
-
-    return open_log(run_dir)
+def _in_reach(run_dir: Path, log: Rows) -> Rows:
+    """The log, unless a position is so far away that only a damaged file can have it: figures have no scale for it."""
+    for block in log.blocks([f"{who}_{axis}" for who in ("cam", "tgt") for axis in "xyz"]):
+        for name, values in block.items():
+            if not (abs(values) < FARTHEST_M).all():
+                raise RunFolderError(run_dir, f"its log is damaged (a position over {FARTHEST_M:g} m in the column {name})")
+    return log
 
 
 def _summary(run_dir: Path) -> dict[str, Any]:
     """The summary; for a run that was killed, and has none, one that says so."""
-    path = run_dir / "summary.json"
-    if not path.exists():
+    if not (run_dir / "summary.json").exists():
         return {
             "scenario": run_dir.resolve().parent.name,
             "outcome": "interrupted",
             "reason": "the run was cut off before it wrote a summary",
         }
-    try:
-        return dict(json.loads(_read(path)))
-    except ValueError as error:
-        raise RunFolderError(run_dir, f"summary.json is damaged ({error})") from error
-
-
-def setting_of(path: Path) -> Setting:
-    """The setting of a scenario file; an empty one if the scenario uses plugins that are not installed here."""
-    from vstestbed.scenario.load import load  # here: the figures themselves need no scenario
-
-    try:
-        return Setting.of(load(path))
-    except VstestbedError:
-        return Setting(
-            description="The scenario uses kinds that this installation lacks: the figures show no picture border and no goal view."
-        )
+    return read_summary(run_dir, "without this file `report` shows what the log has")

@@ -11,6 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from vstestbed.core.files import write_whole
 from vstestbed.core.geometry import Array, pose_from
 from vstestbed.loop.columns import POSE
 from vstestbed.loop.recording import Rows
@@ -147,7 +148,7 @@ def picture_of_the_end(scenario: Scenario, log: Rows, path: Path, size: tuple[in
     """Write a PNG of the last frame of a recorded run, from outside.
 
     Raises:
-        EnvironmentLackError: no OpenGL.
+        EnvironmentLackError: no OpenGL, no space. OutputError: the picture cannot be written.
     """
     (last,) = deque(rows_of(log), maxlen=1)
     m = FilmFrame.of_row(last, scenario.robot.joints, len(scenario.target.points))
@@ -157,4 +158,4 @@ def picture_of_the_end(scenario: Scenario, log: Rows, path: Path, size: tuple[in
     finally:
         replay.close()
     draw_caption(image, scenario.name or scenario.law.kind, t=m.t, error_px=m.error_px)
-    path.write_bytes(cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))[1].tobytes())
+    write_whole(path, cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))[1].tobytes())

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import contextlib
-import errno
 import math
 import os
 from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, BinaryIO, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vstestbed.core.errors import EnvironmentLackError, OutputError, ParameterError
+from vstestbed.core.files import NO_SPACE, PartFile
 
 if TYPE_CHECKING:
     from av import VideoStream
@@ -23,15 +23,42 @@ if TYPE_CHECKING:
 
 Image = NDArray[np.uint8]
 
-NO_SPACE: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 ENCODER: Final = {"preset": "veryfast", "crf": "20"}
 BT709: Final = 1  # code of BT.709 in ISO/IEC 23091-2, the same for primaries, transfer curve and matrix
+
+
+class _Sink(PartFile):
+    """The file for the encoder. Errors wait for `check`, since PyAV prints those that occur while it closes a film."""
+
+    def __init__(self, path: Path):
+        super().__init__(path, buffering=0)  # nothing waits that only `seek` would write
+        self.seek, self.tell = self.file.seek, self.file.tell
+        self._error: OSError | None = None
+
+    def write(self, content: bytes) -> int:
+        """Append; nothing more is written after an error."""
+        try:
+            left = memoryview(content)
+            while left and self._error is None:  # a full disk takes a part
+                left = left[self.file.write(left) :]
+        except OSError as error:
+            self._error = error
+        return len(content)
+
+    def reopened(self, *_: object) -> BinaryIO:
+        """The film for reading, beside the writing: to move the index to the front, the encoder reads it once more."""
+        return self.part.open("rb")
+
+    def check(self) -> None:
+        """Raise the first error of `write`."""
+        if self._error is not None:
+            raise self._error
 
 
 class VideoWriter:
     """Writes frames as H.264 (yuv420p, index first, so that it plays while it loads).
 
-    The film is written to `<path>.part` and renamed on `close`, so that a file under the film's name is always complete.
+    The film is written under a temporary name and renamed on `close`, so that a file under the film's name is always complete.
     The same frames give the same bytes (one encoder thread). Its size is that of the first frame, made even by
     repeating the last row or column. As a context manager: closes at the end, aborts on an exception.
 
@@ -49,11 +76,11 @@ class VideoWriter:
         if not (math.isfinite(rate_hz) and rate_hz > 0):
             raise ParameterError("rate_hz", "must be > 0", rate_hz)
         self.path = Path(path)
-        self.part = self.path.with_name(self.path.name + ".part")
         self.rate = _fraction(rate_hz)
         self.frames = 0
         self._done = self._aborted = False
         self._shape: tuple[int, ...] = ()
+        self._sink: _Sink | None = None
         self._container: OutputContainer | None = None
         self._stream: VideoStream | None = None
 
@@ -76,14 +103,16 @@ class VideoWriter:
 
     def abort(self) -> None:
         """Discard the film with its partial file. Harmless after `close`."""
-        container, self._container, self._stream = self._container, None, None
-        if container is None:
+        container, sink = self._container, self._sink
+        self._container = self._stream = self._sink = None
+        if sink is None:
             return
         self._done = self._aborted = True
         with contextlib.suppress(OSError, ValueError, RuntimeError):  # the film is discarded: errors of the encoder do not matter
-            container.close()
-        with contextlib.suppress(NotADirectoryError):  # the film's folder turned out to be a file
-            self.part.unlink(missing_ok=True)
+            if container is not None:
+                container.close()
+        with contextlib.suppress(OSError):  # a full disk, or a folder that is gone
+            sink.discard()
 
     def __enter__(self) -> VideoWriter:
         """The writer itself."""
@@ -101,17 +130,19 @@ class VideoWriter:
 
         if self._container is None:
             self._open(image.shape)
-        assert self._container is not None and self._stream is not None
+        assert self._container is not None and self._stream is not None and self._sink is not None
         frame = av.VideoFrame.from_ndarray(_even(image), format="rgb24")
         frame = frame.reformat(format="yuv420p", dst_colorspace="ITU709", threads=1)
         frame.pts, frame.time_base = self.frames, 1 / self.rate  # exact fractions: no drift over a long film
         for packet in self._stream.encode(frame):
             self._container.mux(packet)
+        self._sink.check()
 
     def _open(self, shape: tuple[int, ...]) -> None:
         import av
 
-        self._container = av.open(str(self.part), "w", format="mp4", options={"movflags": "+faststart"})
+        self._sink = sink = _Sink(self.path)  # the encoder gets the open file, and not its name, which may lead elsewhere by then
+        self._container = av.open(sink, "w", format="mp4", options={"movflags": "+faststart"}, io_open=sink.reopened)
         stream = self._container.add_stream("libx264", rate=self.rate, options=ENCODER)
         stream.height, stream.width = shape[0] + shape[0] % 2, shape[1] + shape[1] % 2
         stream.pix_fmt = "yuv420p"
@@ -122,12 +153,14 @@ class VideoWriter:
         self._stream, self._shape = stream, shape
 
     def _finish(self) -> None:
-        assert self._container is not None and self._stream is not None
+        assert self._container is not None and self._stream is not None and self._sink is not None
         for packet in self._stream.encode():
             self._container.mux(packet)
         self._container.close()
-        self._container, self._stream, self._done = None, None, True
-        self.part.replace(self.path)  # atomic on one file system
+        self._sink.check()
+        self._sink.keep()
+        self._container = self._stream = self._sink = None
+        self._done = True
 
     def _guard(self, step: Callable[[], None]) -> None:
         """Run one step of the encoder; on failure discard the film and raise an error that says what is missing."""
