@@ -60,14 +60,17 @@ class WorkerLostError(Exception):
 @contextmanager
 def _environment(defaults: dict[str, str], overrides: dict[str, str]) -> Iterator[None]:
     """Environment variables for a process that is started meanwhile: defaults where the user has set none, and overrides."""
-    before = dict(os.environ)
-    os.environ.update({k: v for k, v in defaults.items() if k not in before} | overrides)
+    changed = {k: v for k, v in defaults.items() if k not in os.environ} | overrides
+    before = {name: os.environ.get(name) for name in changed}
+    os.environ.update(changed)
     try:
         yield
     finally:
-        for name in defaults | overrides:
-            os.environ.pop(name, None)
-        os.environ.update(before)
+        for name, value in before.items():  # these alone: another thread may have changed others meanwhile
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
 
 
 class _Slot:
