@@ -70,7 +70,7 @@ def test_logs(command, run: Path) -> None:
     tables = {
         "has no column": [pl.DataFrame({"a": [1], "b": ["x"]}), pl.DataFrame(), log.drop("cam_x")],
         "something else than numbers": [log.with_columns(pl.lit(v).alias("u_0")) for v in ("x", [1.0], None)],
-        "times that do not go on": [log.reverse(), log.with_columns(t=pl.lit(np.nan)), log.with_columns(t=pl.lit(np.inf))],
+        "times do not go on": [log.reverse(), log.with_columns(t=pl.lit(np.nan)), log.with_columns(t=pl.lit(np.inf))],
     }
     cut = [(text, parquet(table)) for text, some in tables.items() for table in some]
     cut += [("cannot be read", whole[:n]) for n in (0, 1, len(whole) // 2, len(whole) - 1)]

@@ -30,6 +30,9 @@ READ_BYTES = 1_000_000
 class FolderLog:
     """The rows of a run's log in its folder (`Rows`).
 
+    Args:
+        folder: the run's. of_a_run: refuse times that do not go on, which no run logs, when they are read.
+
     Attributes:
         columns: names of the columns.
 
@@ -37,7 +40,8 @@ class FolderLog:
         RunFolderError: the folder has no log, or one that cannot be read.
     """
 
-    def __init__(self, folder: Path):
+    def __init__(self, folder: Path, of_a_run: bool = False):
+        self._of_a_run = of_a_run
         self._folder, self._part, self._file = folder, folder / "log.part", None
         with self._reading():
             self.columns = tuple(self._header())
@@ -123,7 +127,7 @@ class FolderLog:
         wanted = self.columns if names is None else tuple(names)
         with self._reading():
             for frame in self._parquet_frames(self._parquet, wanted) if self._parquet else self._part_frames(wanted):
-                _must_be_sound(frame)
+                _must_be_sound(frame, self._of_a_run)
                 yield frame
 
     def _parquet_frames(self, path: Path, names: Sequence[str]) -> Iterator[polars.DataFrame]:
@@ -163,14 +167,14 @@ class FolderLog:
         self._part.unlink(missing_ok=True)  # only after log.parquet is complete
 
 
-def _must_be_sound(frame: polars.DataFrame) -> None:
-    """ValueError for values that no run has logged: anything but numbers, gaps, and times that do not go on."""
+def _must_be_sound(frame: polars.DataFrame, of_a_run: bool) -> None:
+    """ValueError for anything but numbers, gaps and, in the log of a run, times that do not go on."""
     import polars as pl
 
     for column in frame:
         if not (column.dtype.is_numeric() or column.dtype == pl.Boolean) or column.null_count():
             raise ValueError(f"the column {column.name} holds something else than numbers")
-    if "t" in frame.columns and not (frame["t"].is_finite().all() and frame["t"].is_sorted()):
+    if of_a_run and "t" in frame.columns and not (frame["t"].is_finite().all() and frame["t"].is_sorted()):
         raise ValueError("its times do not go on")
 
 
@@ -184,7 +188,7 @@ def open_log(folder: Path, scenario: Scenario | None = None) -> FolderLog:
     Raises:
         RunFolderError: neither is there, or neither can be read, or it is damaged or the log of another experiment.
     """
-    log = FolderLog(folder)
+    log = FolderLog(folder, of_a_run=scenario is not None)
     lacking = [name for name in Layout(scenario).columns if name not in log.columns] if scenario else []
     if lacking:
         raise RunFolderError(folder / "log.parquet", f"has no column {lacking[0]}", WORKS)
