@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ import vstestbed as vs
 class {name}(vs.LawBase):
     """Ends badly."""
     kind: Literal["{kind}"] = "{kind}"
-    def step(self, memory, observation, goal, basis):
+    def {method}:
         {body}
 '''
 
@@ -83,20 +84,41 @@ def test_a_stream_drops_its_text_from_the_first_error_on(tmp_path: Path):
 
 
 def test_a_plugin_that_ends_a_run_is_named(command, quick: Path, own_kinds: None):
-    Path("leaves_law.py").write_text(LAW.format(name="Leaves", kind="leaves", body="sys.exit(0)"), encoding="utf-8")
+    text = LAW.format(name="Leaves", kind="leaves", method="init(self, goal)", body="sys.exit(0)")
+    Path("leaves_law.py").write_text(text, encoding="utf-8")
     ended = command(*RUN, "--plugin", "leaves_law", "--set", "law=leaves")
     assert (ended.code, ended.out) == (1, "")
-    assert "leaves_law.py:12: Leaves.step of plugin leaves_law called sys.exit(0); mend it" in ended.err
+    assert "leaves_law.py:12: Leaves.init of plugin leaves_law called sys.exit(0); mend it" in ended.err
     assert ended.err.count("\n") == 1
     assert not Path("runs").exists()
 
 
-def test_a_law_that_raises_stops_the_robot_and_is_named(command, quick: Path, own_kinds: None):
-    Path("raises_law.py").write_text(LAW.format(name="Raises", kind="raises", body="return 1 / 0"), encoding="utf-8")
-    ended = command(*RUN, "--plugin", "raises_law", "--set", "law=raises")
+@pytest.mark.parametrize(
+    ("name", "body", "words"),
+    [
+        ("raises", "return 1 / 0", "ZeroDivisionError: division by zero (raises_law.py, line 12)"),
+        ("deep", "import numpy; numpy.linalg.inv(numpy.zeros((2, 2)))", "LinAlgError: Singular matrix (deep_law.py, line 12)"),
+        ("exits", "sys.exit(0)", "SystemExit: 0 (exits_law.py, line 12)"),
+    ],
+)
+def test_a_law_that_fails_stops_the_robot_and_is_named(command, quick: Path, own_kinds: None, name: str, body: str, words: str):
+    step = "step(self, memory, observation, goal, basis)"
+    Path(f"{name}_law.py").write_text(LAW.format(name=name.title(), kind=name, method=step, body=body), encoding="utf-8")
+    ended = command(*RUN, "--plugin", f"{name}_law", "--set", f"law={name}")
     summary = json.loads(ended.out)
     assert (ended.code, ended.err, summary["outcome"]) == (3, "", "law_failed")
-    assert "ZeroDivisionError: division by zero (raises_law.py, line 12)" in summary["reason"]
+    assert words in summary["reason"]
+
+
+def test_an_interrupt_that_a_finaliser_swallows_comes_again(tmp_path: Path):
+    code = (
+        "import signal, time\nfrom vstestbed.cli.ending import exit_code\n"
+        "class Ends:\n    def __del__(self): signal.raise_signal(signal.SIGTERM); sum(range(10))\n"
+        "def work():\n    Ends()\n    time.sleep(5)\n"
+        "raise SystemExit(exit_code(work))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (130, "interrupted\n")
 
 
 def test_a_plugin_that_leaves_while_it_is_imported_is_bad_input(command, quick: Path):

@@ -130,11 +130,12 @@ def summary_text(recording: Recording, folder: Path, filmed: bool) -> str:
 
 def _judged(summary: Mapping[str, Any]) -> str:
     """The error that decided, who measured it, and its limit."""
-    from vstestbed.tasks.judged import MEASURED_BY
+    from vstestbed.tasks.judged import MEASURED_BY, in_words_unit
 
-    limit = f"limit {summary['judged_limit']:.3g} {summary['judged_unit']}"
-    error = "unknown at the end" if summary["judged_error"] is None else f"{summary['judged_error']:.4f} {summary['judged_unit']}"
-    return f"by {MEASURED_BY[summary['judged_by']]}: {error}, {limit}"
+    limit, unit = in_words_unit(summary["judged_limit"], summary["judged_unit"])
+    error = summary["judged_error"]
+    value = "unknown at the end" if error is None else f"{in_words_unit(error, summary['judged_unit'])[0]:.4f} {unit}"
+    return f"by {MEASURED_BY[summary['judged_by']]}: {value}, limit {limit:.3g} {unit}"
 
 
 def _error_text(recording: Recording) -> str:

@@ -34,10 +34,10 @@ class GuardedLaw:
         if not self.failure:
             try:
                 memory, command = self._checked(self._law.step(memory, seen, goal, basis))
-            except ParameterError:
+            except (ParameterError, KeyboardInterrupt):
                 raise
-            except Exception as error:
-                self.failure = f"law {self._law.kind} raised {type(error).__name__}: {error} ({_where(error)})"
+            except BaseException as error:  # also sys.exit: a law must not end the program
+                self.failure = f"law {self._law.kind} raised {type(error).__name__}: {error} ({self._where(error)})"
             else:
                 if math.isfinite(command.twist.sum()):
                     return memory, command
@@ -53,8 +53,9 @@ class GuardedLaw:
             raise ParameterError("law.kind", f"{kind}: the twist of a Command must be six numbers, got {stepped[1].twist}")
         return stepped
 
-
-def _where(error: Exception) -> str:
-    """File and line that raised the error."""
-    last = traceback.extract_tb(error.__traceback__)[-1]
-    return f"{Path(last.filename).name}, line {last.lineno}"
+    def _where(self, error: BaseException) -> str:
+        """File and line of the law's own module where the error came from; the innermost ones where the law has no part in it."""
+        frames = list(traceback.walk_tb(error.__traceback__))
+        own = [(f, line) for f, line in frames if f.f_globals.get("__name__") == type(self._law).__module__]
+        frame, line = (own or frames)[-1]
+        return f"{Path(frame.f_code.co_filename).name}, line {line}"

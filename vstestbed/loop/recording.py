@@ -116,6 +116,7 @@ class Recording:
         time_ms: wall time by part, in all [ms]: physics render detect law record video.
         wall_time_s: wall time of the run [s]; loop_s: of its loop alone, without building and closing the scene [s].
         versions: of the packages and the renderer used.
+        ended_s: simulated time of the verdict [s], which is after the last frame where pictures stayed away.
     """
 
     scenario: Scenario
@@ -126,6 +127,7 @@ class Recording:
     loop_s: float = math.nan
     time_ms: dict[str, float] = field(default_factory=dict)
     versions: dict[str, str] = field(default_factory=dict)
+    ended_s: float = 0.0
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -150,8 +152,9 @@ class Recording:
     def summary(self) -> dict[str, object]:
         """The metrics of the run, as in `summary.json`; `time_ms` is the mean wall time of a frame by part [ms]."""
         figures = summarise(self.scenario, self.outcome, self.rows)
-        sim_time, frames = figures["sim_time_s"], max(int(str(figures["frames"])), 1)
-        assert isinstance(sim_time, float)
+        last, frames = figures["sim_time_s"], max(int(str(figures["frames"])), 1)
+        assert isinstance(last, float)
+        sim_time = figures["sim_time_s"] = max(last, self.ended_s)
         ended = {"outcome": self.outcome.name, "success": self.outcome.success, "reason": self.reason, "seed": self.scenario.seed}
         cost = {
             "wall_time_s": self.wall_time_s,

@@ -26,8 +26,8 @@ PARTS = ("physics", "render", "detect", "law", "record", "video")
 """Parts of a run's wall time."""
 
 
-def _until_the_end(scenario: Scenario, plant: Plant, note: Callable[[Frame], None], spent: dict[str, float]) -> Verdict:
-    """Take pictures, deliver them and their commands, each when it is due, until the judge's verdict."""
+def _until_the_end(scenario: Scenario, plant: Plant, note: Callable[[Frame], None], spent: dict[str, float]) -> tuple[Verdict, float]:
+    """Take pictures, deliver them and their commands, each when it is due, until the judge's verdict; that, and its time [s]."""
     controller, camera = FrameController(scenario, plant, spent), CameraClock(scenario, plant)
     judge = Judge(controller.monitor, scenario.stop, scenario.target, controller.supervisor)
     commands: DelayLine[Allocation] = DelayLine(round(scenario.timing.command_latency_s / plant.step_s))
@@ -43,11 +43,13 @@ def _until_the_end(scenario: Scenario, plant: Plant, note: Callable[[Frame], Non
             commands.push(step, frame.allocation)
             note(frame)
             if verdict := judge.verdict(frame):
-                return verdict
+                return verdict, frame.t
         if step >= silent_at:  # a camera that is dead must not leave the robot without a supervisor, nor the run without an end
             plant.apply(controller.without_picture(step * plant.step_s))
             if verdict := judge.without_picture(step * plant.step_s, plant.truth()):
-                return verdict
+                return verdict, step * plant.step_s
+            if controller.supervisor.aborted:  # orders still on their way must not set a robot that stops in motion again
+                commands.clear()
             silent_at = step + plant.steps_per_frame
         # After the pictures: without latency, a command takes effect in the step in which its picture arrived.
         for allocation in commands.pop_due(step):
@@ -58,7 +60,7 @@ def _until_the_end(scenario: Scenario, plant: Plant, note: Callable[[Frame], Non
         ahead = min(camera.next_event(), silent_at, silent_at if due is None else due) - step
         start = time.perf_counter()
         if not plant.advance(ahead):
-            return Outcome.crashed, f"{Outcome.crashed.value} at {step * plant.step_s:.3f} s"
+            return (Outcome.crashed, f"{Outcome.crashed.value} at {step * plant.step_s:.3f} s"), step * plant.step_s
         spent["physics"] += time.perf_counter() - start
         step += ahead
         camera.displacement = camera.displacement + twist * (ahead * plant.step_s)
@@ -108,9 +110,9 @@ def run(scenario: Scenario, watch: Iterable[Watcher] = (), rows: Rows | None = N
 
     ready = time.perf_counter()
     try:
-        outcome, reason = _until_the_end(scenario, plant, note, spent)
+        (outcome, reason), ended_s = _until_the_end(scenario, plant, note, spent)
     except KeyboardInterrupt:
-        outcome, reason = Outcome.interrupted, Outcome.interrupted.value
+        outcome, reason, ended_s = Outcome.interrupted, Outcome.interrupted.value, 0.0
     finally:
         # Also when a watcher raises: the plant holds an OpenGL context, which the next run needs.
         spent["render"] = plant.render_s
@@ -119,5 +121,5 @@ def run(scenario: Scenario, watch: Iterable[Watcher] = (), rows: Rows | None = N
         finally:
             loop_s = time.perf_counter() - ready
             plant.close()
-    made_by = versions() | {"renderer": renderer}
-    return Recording(scenario, outcome, reason, rows, time.perf_counter() - began, loop_s, {k: 1e3 * v for k, v in spent.items()}, made_by)
+    took_s, made_by = time.perf_counter() - began, versions() | {"renderer": renderer}
+    return Recording(scenario, outcome, reason, rows, took_s, loop_s, {k: 1e3 * v for k, v in spent.items()}, made_by, ended_s)

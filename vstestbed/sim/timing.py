@@ -161,6 +161,10 @@ class DelayLine(Generic[T]):
             due.append(self._waiting.popleft()[1])
         return due
 
+    def clear(self) -> None:
+        """Drop all that is on its way."""
+        self._waiting.clear()
+
     def next_due(self) -> int | None:
         """The step at which the next item is due, None when the queue is empty."""
         return self._waiting[0][0] if self._waiting else None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -22,17 +22,22 @@ MEASURED_BY: dict[By, str] = {
 """The same in words; level pixels are those of a craft that tilts."""
 
 
+def in_words_unit(value: float, unit: str) -> tuple[float, str]:
+    """A value and its unit as people read it: angles in degrees, as in scenarios."""
+    return (math.degrees(value), "deg") if unit == "rad" else (value, unit)
+
+
 class JudgedError(NamedTuple):
     """The error that decides a task.
 
     Attributes:
         value: at the end of the run, in `unit`; NaN where it is unknown.
-        unit: px, m or rad. limit: the task is reached under it.
+        unit: px, m, rad, or m/s (the speed of a touch-down). limit: the task is reached under it.
         by: who measured it.
     """
 
     value: float
-    unit: Literal["px", "m", "rad"]
+    unit: Literal["px", "m", "rad", "m/s"]
     limit: float
     by: By
 
@@ -56,8 +61,12 @@ def by_convergence(log: Mapping[str, Array], converged: Converged) -> JudgedErro
         found.append(JudgedError(_last(log, "est_position_m"), "m", converged.position_m, "estimate"))
     if converged.rotation_deg is not None:
         found.append(JudgedError(_last(log, "est_rotation_rad"), "rad", math.radians(converged.rotation_deg), "estimate"))
-    # An unknown error decides before any other: the run cannot have converged with it.
-    return max(found, key=lambda error: math.inf if math.isnan(error.value) else error.value / error.limit)
+    return largest(found)
+
+
+def largest(errors: Iterable[JudgedError]) -> JudgedError:
+    """The error that is largest compared with its limit; an unknown one comes first: no task is done with it."""
+    return max(errors, key=lambda error: math.inf if math.isnan(error.value) else error.value / error.limit)
 
 
 def at_worst(log: Mapping[str, Array], column: str, limit: float, settle_s: float) -> JudgedError:
@@ -66,9 +75,9 @@ def at_worst(log: Mapping[str, Array], column: str, limit: float, settle_s: floa
     return JudgedError(float(settled.max()) if len(settled) else math.nan, "m", limit, "truth")
 
 
-def at_the_end(log: Mapping[str, Array], column: str, limit: float) -> JudgedError:
-    """A true error [m] in the last frame."""
-    return JudgedError(_last(log, column), "m", limit, "truth")
+def at_the_end(log: Mapping[str, Array], column: str, limit: float, unit: Literal["m", "m/s"] = "m") -> JudgedError:
+    """A true error in the last frame."""
+    return JudgedError(_last(log, column), unit, limit, "truth")
 
 
 def _last(log: Mapping[str, Array], column: str) -> float:

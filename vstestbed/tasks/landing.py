@@ -18,7 +18,7 @@ from vstestbed.robots.supervisor import Supervisor
 from vstestbed.targets import Target
 from vstestbed.tasks.base import Log, TaskBase, view_from
 from vstestbed.tasks.frame import Frame
-from vstestbed.tasks.judged import JudgedError, at_the_end
+from vstestbed.tasks.judged import JudgedError, at_the_end, largest
 from vstestbed.tasks.reached import GoalMonitor
 from vstestbed.tasks.setup import Setup
 from vstestbed.tasks.stop import Stop
@@ -117,17 +117,20 @@ class GoalLanding(TaskBase):
         return LandingMonitor(self, setup, supervisor)
 
     def judged(self, log: Log, stop: Stop) -> JudgedError:
-        """True distance from the pad's centre, at the first contact."""
-        return at_the_end(log, "task_error_m", self.pad_m)
+        """True distance from the pad's centre, or speed, at the first contact: the one that is larger compared with its limit."""
+        away = at_the_end(log, "task_error_m", self.pad_m)
+        speed = at_the_end(log, "touch_mps", self.touch_mps, "m/s")
+        return largest([away] if math.isnan(speed.value) else [away, speed])
 
 
 class LandingMonitor(GoalMonitor):
     """Ends when the craft has set down: landed or collided, by the place and speed of the first contact.
 
-    Column `task_error_m`: true horizontal distance of the craft from the pad's centre, from the first contact on the distance there [m].
+    Columns `task_error_m`: true horizontal distance of the craft from the pad's centre, from the first contact on the distance there [m];
+    `touch_mps`: its true speed relative to the pad at the first contact [m/s], NaN before.
     """
 
-    error_columns = ("task_error_m",)
+    error_columns = ("task_error_m", "touch_mps")
 
     def __init__(self, goal: GoalLanding, setup: Setup, supervisor: Supervisor):
         super().__init__(setup, 1, supervisor)
@@ -136,7 +139,7 @@ class LandingMonitor(GoalMonitor):
     def task_error(self, frame: Frame) -> tuple[float, ...]:
         """The distance from the pad's centre; updates the touch-down."""
         self.touchdown.update(frame.t, frame.T_world_base(self.mount_inverse), frame.truth.T_world_target, bool(frame.truth.feet))
-        return (self.touchdown.away_m,)
+        return self.touchdown.away_m, self.touchdown.speed_mps
 
     def reached(self, frame: Frame) -> Verdict | None:
         """The verdict on the first contact, once the craft has set down; an error in the image does not decide a landing."""
@@ -182,4 +185,6 @@ class Touchdown:
         goal, where = self._goal, f"{100 * self.offset_m:.0f} cm from the pad's centre at {self.speed_mps:.2f} m/s"
         if self.offset_m <= goal.pad_m and self.speed_mps <= goal.touch_mps:
             return Outcome.landed, f"touched down {where}"
-        return Outcome.collided, f"touched down {where}: more than {100 * goal.pad_m:g} cm or {goal.touch_mps:g} m/s"
+        far = [f"{100 * goal.pad_m:g} cm"] if self.offset_m > goal.pad_m else []
+        fast = [f"{goal.touch_mps:g} m/s"] if self.speed_mps > goal.touch_mps else []
+        return Outcome.collided, f"touched down {where}: more than {' and '.join(far + fast)}"

@@ -17,7 +17,9 @@ from vstestbed.robots import Robot
 from vstestbed.targets import Target
 from vstestbed.tasks.base import Log, Reference, TaskBase
 from vstestbed.tasks.frame import ImageError
+from vstestbed.tasks.judged import JudgedError, by_convergence
 from vstestbed.tasks.setup import Setup
+from vstestbed.tasks.stop import Converged, Stop
 from vstestbed.tasks.view import VIEWS, GoalView, GoalViewFrom
 
 
@@ -76,6 +78,12 @@ class GoalViews(TaskBase):
         # Returned as a new goal, the view makes the loop initialise the law again: its memory belongs to the view that is passed.
         memory = memory._replace(view=memory.view + 1)
         return memory, memory.views[memory.view]
+
+    def judged(self, log: Log, stop: Stop) -> JudgedError:
+        """The error at the last view; of a run that did not come so far, that at the view where it ended."""
+        if len(log["view"]) and log["view"][-1] + 1 < len(self.views):
+            return by_convergence(log, Converged(error_px=self.threshold_px))
+        return super().judged(log, stop)
 
     def distance_to_go_m(self, log: Log, goal_poses: tuple[Array, ...]) -> float:
         """To the last view."""

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import os
 import re
 import shutil
-import signal
 import tempfile
 import uuid
 from collections.abc import Iterator
@@ -104,9 +102,9 @@ class _Slot:
         return self.executor.submit(execute, request)
 
     def end(self) -> None:
-        """Kill the process."""
-        with contextlib.suppress(Exception):  # it may be dead already, or never have started
-            os.kill(self.pid.result(timeout=0), signal.SIGKILL)
+        """Kill the process, also one that is still starting: its run would otherwise go on, and hold this process at its end."""
+        for process in list((self.executor._processes or {}).values()):  # public only from Python 3.14 on (kill_workers)
+            process.kill()
         self.executor.shutdown(wait=False, cancel_futures=True)
 
 

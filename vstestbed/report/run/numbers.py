@@ -8,7 +8,7 @@ from html import escape
 from typing import Any, Final
 
 from vstestbed.report.html.canvas import LINE_COLORS
-from vstestbed.tasks.judged import MEASURED_BY
+from vstestbed.tasks.judged import MEASURED_BY, in_words_unit
 
 Summary = Mapping[str, Any]
 
@@ -59,8 +59,9 @@ def judged_text(summary: Summary) -> str:
     """Which error decided the task, and who measured it: `Task error by measured pixels: 0.12 px, limit 0.2 px.`; "" in older summaries."""
     if (by := summary.get("judged_by")) is None:
         return ""
-    unit = summary["judged_unit"]
-    value, limit = (f"{plain(x)} {unit}" if _is_number(x) else "unknown" for x in (summary["judged_error"], summary["judged_limit"]))
+    both = (summary["judged_error"], summary["judged_limit"])
+    shown = [in_words_unit(x, str(summary["judged_unit"])) if _is_number(x) else None for x in both]
+    value, limit = (f"{plain(x[0])} {x[1]}" if x else "unknown" for x in shown)
     return f"Task error by {MEASURED_BY[by]}: {value}, limit {limit}."
 
 

@@ -118,13 +118,15 @@ def _missing_words(backend: str, missing: list[str], requested: bool) -> tuple[s
 
 def require() -> None:
     """Raise EnvironmentLackError, with the remedy, where OpenGL is switched off."""
-    if not _lack and os.environ.get("MUJOCO_GL", "").lower() not in OFF:
+    word = os.environ.get("MUJOCO_GL", "")
+    if _lack:
+        lack, way = _lack[0]
+    elif word.lower() not in OFF:
         return
-    if not _lack:  # the user switched it off, or a parent process did and MUJOCO_GL was inherited
-        missing = missing_libraries()
-        set_ = f"MUJOCO_GL={os.environ['MUJOCO_GL']} is set"
-        switch_off(*((f"{' and '.join(missing)} not found", remedy()) if missing else (set_, UNSET_REMEDY)))
-    lack, way = _lack[0]
+    elif missing := missing_libraries():  # the user switched it off, or a parent process did and MUJOCO_GL was inherited
+        lack, way = f"{' and '.join(missing)} not found", remedy()
+    else:
+        lack, way = f"MUJOCO_GL={word} is set", UNSET_REMEDY
     raise EnvironmentLackError(f"no OpenGL: {lack}", way)
 
 
