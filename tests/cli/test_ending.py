@@ -85,6 +85,7 @@ def test_a_stream_drops_its_text_from_the_first_error_on(tmp_path: Path):
 
 def test_a_plugin_that_ends_a_run_is_named(command, quick: Path, own_kinds: None):
     text = LAW.format(name="Leaves", kind="leaves", method="init(self, goal)", body="sys.exit(0)")
+    text += "    def step(self, memory, observation, goal, basis):\n        return memory\n"
     Path("leaves_law.py").write_text(text, encoding="utf-8")
     ended = command(*RUN, "--plugin", "leaves_law", "--set", "law=leaves")
     assert (ended.code, ended.out) == (1, "")

@@ -47,9 +47,10 @@ def _stopped_by_signals() -> Iterator[None]:
         raise KeyboardInterrupt
 
     def again(unraisable: sys.UnraisableHookArgs) -> None:
-        # Raised in a finaliser or a callback of a weak reference, the interrupt is ignored by Python: it is sent once more.
+        # Raised in a finaliser or a callback of a weak reference, the interrupt is ignored by Python: it is sent once more, from
+        # another thread and a little later, since here it would be ignored again.
         if issubclass(unraisable.exc_type, KeyboardInterrupt):
-            _thread.interrupt_main()
+            threading.Timer(0.05, _thread.interrupt_main).start()
         else:
             hook(unraisable)
 
