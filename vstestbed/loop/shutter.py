@@ -90,5 +90,5 @@ class CameraClock:
         return Exposed(self.planned.frame, None, step * self.plant.step_s, truth, self.plant.reading(), commanded, self.displacement)
 
     def _send(self, planned: Planned, picture: Picture | None, shot: Exposed) -> None:
-        self.line.push(planned.arrives, replace(shot, picture=picture))
+        self.line.push(planned.arrives, shot if picture is None else replace(shot, picture=picture))
         self._plan()

@@ -223,9 +223,11 @@ def _continue(poses: list[Array], previous: Array, points: Array) -> Array | Non
 
 def _step(T: Array, previous: Array, points: Array) -> float:
     """Distance between two poses: the angle [rad] plus the way of the points' middle as a share of its distance from the camera."""
-    middle = np.append(points.sum(axis=0), len(points))
-    now, before = (T @ middle)[:3], (previous @ middle)[:3]
-    return rigid_error(T, previous)[1] + math.hypot(*(now - before).tolist()) / math.hypot(*now.tolist())
+    n = len(points)
+    middle = np.full(4, float(n))
+    middle[:3] = np.ones(n) @ points  # their sum, a third of the time of `sum`: this runs for every picture
+    now, before = (T @ middle).tolist(), (previous @ middle).tolist()
+    return rigid_error(T, previous)[1] + math.dist(now[:3], before[:3]) / math.hypot(*now[:3])
 
 
 def _matrix(rotation_vector: MatLike, translation: MatLike) -> Array:
