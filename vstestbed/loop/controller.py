@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,7 +18,7 @@ from vstestbed.loop.guarded_law import GuardedLaw
 from vstestbed.loop.shutter import Exposed
 from vstestbed.robots import Allocation, Mount, Reading
 from vstestbed.robots.orders import stop_order
-from vstestbed.robots.robot_log import RobotState
+from vstestbed.robots.robot_log import RobotLog, RobotState
 from vstestbed.scenario.scenario import NOISE_STREAM, Scenario
 from vstestbed.sim.base import Plant
 from vstestbed.tasks.frame import Frame, FrameTiming, ImageError
@@ -125,13 +126,18 @@ class FrameController:
         timing = FrameTiming(shot.number, shot.t, now.t_cmd)
         frame = Frame(timing, seen, goal, error, command, allocation, shot.truth, image, _NO_ROW)
         values = self.monitor.measure(frame)
-        place, odometry = (_NOWHERE if known is None else known for known in (seen.place, seen.odometry))
-        T_base = frame.T_world_base(self.monitor.mount_inverse)
-        state = RobotState(shot.t, T_base, place, odometry, shot.reading, shot.truth.act, shot.truth.wind)
-        own = self.robot_log.row(state)
-        row = np.concatenate([own, values]) if values else own
+        row = np.array((*self._robot_row(frame, shot), *values))
         # Not dataclasses.replace, which takes three times as long: this runs for every frame.
         return Frame(timing, seen, goal, error, command, allocation, shot.truth, image, row)
+
+    def _robot_row(self, frame: Frame, shot: Exposed) -> Iterable[float]:
+        """Values of the robot's own columns."""
+        if self.robot_log.columns == RobotLog.columns:
+            return (self.supervisor.mode,)  # the state, which takes a tenth of an ideal frame, is not needed
+        seen = frame.observation
+        place, odometry = (_NOWHERE if known is None else known for known in (seen.place, seen.odometry))
+        T_base = frame.T_world_base(self.monitor.mount_inverse)
+        return self.robot_log.row(RobotState(shot.t, T_base, place, odometry, shot.reading, shot.truth.act, shot.truth.wind))
 
     def _mount_at(self, q: Array) -> Mount:
         """The camera's mount; eye to hand, the camera's pose relative to the flange at the joints q."""

@@ -49,8 +49,9 @@ class GuardedLaw:
         kind = self._law.kind
         if not (isinstance(stepped, tuple) and len(stepped) == 2 and isinstance(stepped[1], Command)):
             raise ParameterError("law.kind", f"{kind}: step must return (memory, Command), got {type(stepped).__name__}")
-        if np.shape(stepped[1].twist) != (6,):
-            raise ParameterError("law.kind", f"{kind}: the twist of a Command must be six numbers, got {stepped[1].twist}")
+        twist = stepped[1].twist
+        if (twist.shape if isinstance(twist, np.ndarray) else np.shape(twist)) != (6,):
+            raise ParameterError("law.kind", f"{kind}: the twist of a Command must be six numbers, got {twist}")
         return stepped
 
     def _where(self, error: BaseException) -> str:

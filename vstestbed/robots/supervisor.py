@@ -58,9 +58,11 @@ class Supervisor:
         """
         if (why := self._look(t, blind, moved_m)) and not self.aborted:
             self.abort(t, Outcome.target_lost, why if self._seen_once else f"{why}, from the start on")
-        self._stands = bool(np.abs(reading.qd).max(initial=0.0) < STANDS_RADPS)
-        self.mode = STOPS if self.aborted else HOLDS if blind else FOLLOWS
-        return stop_order(setpoint) if self.aborted else setpoint
+        if not self.aborted:
+            self.mode = HOLDS if blind else FOLLOWS
+            return setpoint
+        self.mode, self._stands = STOPS, bool(np.abs(reading.qd).max(initial=0.0) < STANDS_RADPS)
+        return stop_order(setpoint)
 
     def abort(self, t: float, outcome: Outcome, reason: str) -> None:
         """Give the task up at a time [s]."""

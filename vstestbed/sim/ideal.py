@@ -47,6 +47,7 @@ class IdealPlant:
         self._target = parts.target
         self._stage, self._eye = stage, eye
         self._twist = np.zeros(6)
+        self._followed: Array | None = None
         self._steps = 0
         self._orders = Orders(parts.robot.stopping, None, order_s / parts.step, parts.step)
         self._hidden = np.zeros(len(self._target.points), dtype=bool)
@@ -108,8 +109,8 @@ class IdealPlant:
     def _actuate(self) -> None:
         """The setpoint in force becomes the camera's twist."""
         setpoint = self._orders.at(self._steps)
-        if setpoint is not None:
-            self._twist = self._to_camera @ setpoint
+        if setpoint is not None and setpoint is not self._followed:
+            self._followed, self._twist = setpoint, self._to_camera @ setpoint
 
     def advance(self, steps: int) -> bool:
         """Advance by exact exponentials: no integration error, however many steps each stands for."""
