@@ -43,7 +43,7 @@ class Way:
                 if not advance(plant, ahead):
                     return False
                 steps -= ahead
-                self.t.append(plant._steps * plant.step_s)  # type: ignore[attr-defined]
+                self.t.append(plant._steps * plant.step_s)  # type: ignore[attr-defined] - both plants have it
                 self.x.append(plant.truth().T_world_camera[:3, 3].copy())
             return True
 

@@ -218,11 +218,11 @@ def leak_into_observation(shot: Exposed, seen: Observation) -> Observation:
 
 
 def leak_object(shot: Exposed, seen: Observation) -> Observation:
-    return dataclasses.replace(seen, motion=[{"pressure": shot.truth}])  # type: ignore[arg-type]
+    return dataclasses.replace(seen, motion=[{"pressure": shot.truth}])  # type: ignore[arg-type] - a planted leak
 
 
 def leak_closure(shot: Exposed, seen: Observation) -> Observation:
-    return dataclasses.replace(seen, motion=lambda: shot.truth.twist)  # type: ignore[arg-type]
+    return dataclasses.replace(seen, motion=lambda: shot.truth.twist)  # type: ignore[arg-type] - a planted leak
 
 
 @pytest.mark.parametrize("leak", [leak_into_observation, leak_object, leak_closure])

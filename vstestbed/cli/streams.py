@@ -46,7 +46,7 @@ class Stream:
             action()
         except OSError as error:  # EPIPE: the reader has gone; ENOSPC: `> /dev/full`; EIO: the terminal has gone
             self.lack = self.lack or error
-            with contextlib.suppress(OSError), open(os.devnull, "w", encoding="utf-8") as nowhere:  # noqa: PTH123
+            with contextlib.suppress(OSError), open(os.devnull, "w", encoding="utf-8") as nowhere:  # noqa: PTH123 - os.devnull is no path on Windows
                 os.dup2(nowhere.fileno(), self._stream.fileno())  # for the rest of the buffer, which Python flushes at its end
 
     @property
