@@ -55,14 +55,19 @@ def check_robot(robot: Robot, target: Target, world: World, derotation: str, lev
         raise ParameterError("robot.kind", words)
     if robot.base != "floating":
         _check_without_flight(robot, world, derotation)
-    if level_trim_s and (derotation == "none" or target.moves):
-        words = "corrects the tilt for a derotation by a target that stands still; here it must be 0"
-        raise ParameterError("level_trim_s", words, level_trim_s)
+    _check_level_trim(target, derotation, level_trim_s)
     if world.floor_friction is not None and not robot.slips:
         words = "is not felt by wheels: planar, which never slip; use wheels: rollers"
         raise ParameterError("world.floor_friction", words, world.floor_friction)
     if target.on_gripper and not robot.gripper:
         raise ParameterError("target.motion", f"held is for an arm's hand; robot {robot.kind} has none, use puma560")
+
+
+def _check_level_trim(target: Target, derotation: str, level_trim_s: float) -> None:
+    """Refuse a correction of the tilt where nothing is derotated, or where the target's own motion would be taken for a tilt."""
+    if level_trim_s and (derotation == "none" or target.moves):
+        words = "corrects the tilt for a derotation by a target that stands still; here it must be 0"
+        raise ParameterError("level_trim_s", words, level_trim_s)
 
 
 def _check_without_flight(robot: Robot, world: World, derotation: str) -> None:

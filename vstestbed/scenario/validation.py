@@ -169,6 +169,7 @@ _WORDS = {
     "too_long": "must be a list of {max_length} items or fewer",
     "literal_error": "must be one of {expected}",
     "dataclass_type": "must be a block (a mapping)",
+    "dict_type": "must be a block (a mapping)",
 }
 
 

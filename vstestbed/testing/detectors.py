@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from dataclasses import replace
 from typing import Any
 
@@ -36,16 +37,12 @@ def check_detector(detector: Detector[Any], scenario: Scenario | None = None, wi
     Raises:
         AssertionError: it says what was expected and what was found.
     """
-    marker = detector.markers[0] if detector.markers else "disc"
-    assert scenario or marker in SCENES, f"{detector.kind}: give a scenario whose start shows markers of kind {marker}"
-    s = replace(scenario or load(*SCENES[marker]), detector=detector)
+    s = replace(scenario or _scene(detector), detector=detector)
     plant, _ = build_plant(
         s.robot, s.camera, s.target, s.world, s.physics, needs_image=detector.needs_image, needs_truth=detector.needs_truth
     )
-    try:
+    with closing(plant):
         picture, truth = plant.capture()
-    finally:
-        plant.close()
     view = TruthView(truth.p_camera, truth.hidden) if detector.needs_truth else None
     true, memory = s.camera.project(truth.p_camera), detector.init()
     shown = s.camera.whole(truth.p_camera, s.target.marker.radius, MARGIN_PX) & ~truth.hidden
@@ -57,6 +54,13 @@ def check_detector(detector: Detector[Any], scenario: Scenario | None = None, wi
         assert (error < within_px).all(), f"{detector.kind} {turn}: every marker must be within {within_px:g} px, off by {error.round(3)}"
     if detector.needs_image and picture is not None:
         _check_nothing(detector, s, picture)
+
+
+def _scene(detector: Detector[Any]) -> Scenario:
+    """The bundled scenario whose start shows markers that the detector sees."""
+    marker = detector.markers[0] if detector.markers else "disc"
+    assert marker in SCENES, f"{detector.kind}: give a scenario whose start shows markers of kind {marker}"
+    return load(*SCENES[marker])
 
 
 def _check_nothing(detector: Detector[Any], s: Scenario, picture: Picture) -> None:

@@ -174,10 +174,10 @@ def _after_set(read: Comparison) -> Iterator[list[tuple[Key, Mapping[str, object
 
 
 def _is_comparison(path: Path) -> bool:
-    """Whether a file is a comparison: it has the key `base` at its top level."""
-    if not path.is_file():
-        return False
-    try:
-        return "base" in plain_mapping(text_of(path), str(path), "")[0]
-    except ScenarioError:
-        return False
+    """Whether a file is a comparison: it has the key `base` at its top level.
+
+    Raises:
+        ScenarioError: it is no mapping, so neither a comparison nor a scenario.
+    """
+    needs = "a comparison needs base, a scenario robot, target, law and goal"
+    return path.is_file() and "base" in plain_mapping(text_of(path), str(path), needs)[0]

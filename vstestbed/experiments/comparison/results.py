@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 from collections.abc import Callable
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -71,9 +72,10 @@ def command_of(comparison: Comparison) -> str:
         return "vstestbed compare comparison.yaml"
     names = [Path(name).stem if Path(name).suffix != ".yaml" else Path(name).name for name in comparison.base]
     words = ["vstestbed", "compare", *names, *(f"--plugin={name}" for name in comparison.plugins)]
-    words += [word for path, value in comparison.set.items() for word in ("--set", f"{path}={_value(value)}")]
-    words += [word for path, values in comparison.axes.items() for word in ("--vary", f"{path}={','.join(map(_value, values))}")]
-    return shlex.join(words + ([] if comparison.seeds is None else ["--seeds", str(comparison.seeds)]))
+    options = [("--set", f"{path}={_value(value)}") for path, value in comparison.set.items()]
+    options += [("--vary", f"{path}={','.join(map(_value, values))}") for path, values in comparison.axes.items()]
+    options += [] if comparison.seeds is None else [("--seeds", str(comparison.seeds))]
+    return shlex.join(chain(words, *options))
 
 
 def _value(value: object) -> str:
