@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 import typer
 
 from vstestbed.cli.basin import basins
+from vstestbed.cli.bench import benchmarks
 from vstestbed.cli.compare import comparing
 from vstestbed.cli.convergence import convergences
 from vstestbed.cli.delay import delays
@@ -200,6 +201,7 @@ app.add_typer(basins)
 app.add_typer(delays)
 app.add_typer(convergences)
 app.add_typer(tools)
+app.add_typer(benchmarks)
 
 
 def main(argv: list[str] | None = None) -> NoReturn:

@@ -1,4 +1,4 @@
-"""The commands `list`, `schema`, `doctor`, `bench` and `optical-flow`, and the options that several commands share.
+"""The commands `list`, `schema`, `doctor` and `optical-flow`, and the options that several commands share.
 
 Heavy imports are inside the functions: `--help` must answer within 0.4 s.
 """
@@ -118,29 +118,6 @@ def doctor() -> None:
         typer.echo(str(finding))
         sound = sound and finding.works
     raise typer.Exit(0 if sound else EnvironmentLackError.exit_code)
-
-
-@tools.command()
-def bench(
-    scenario: Annotated[str | None, typer.Argument(help="A bundled scenario's name, or a YAML file. [default: arm_ibvs]")] = None,
-    set_: Annotated[list[str] | None, typer.Option("--set", metavar="a.b=value", help="Change a field before it is checked.")] = None,
-    repeats: Annotated[int, typer.Option(min=1, help="Runs, each beside its floor.")] = 5,
-    ideal: Annotated[bool, typer.Option("--ideal", help="The ideal camera on one core instead: one run, and 1000 at once.")] = False,
-    as_json: Json = False,
-    plugin: Plugins = None,
-) -> None:
-    """Real-time factor and where the time goes, against the floor: the same physics steps and pictures, nothing else."""
-    if ideal:
-        from vstestbed.experiments.bench_ideal import measure_ideal
-
-        if scenario or set_:
-            raise ParameterError("--ideal", "measures ibvs_book as it is; it takes neither SCENARIO nor --set")
-        result = measure_ideal(repeats)
-    else:
-        from vstestbed.experiments.bench import measure
-
-        result = measure(load_scenario(scenario or "arm_ibvs", set_, plugin), repeats)
-    typer.echo(json.dumps(result.as_dict(), indent=1) if as_json else result.as_text())
 
 
 @tools.command("optical-flow")

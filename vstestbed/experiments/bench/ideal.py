@@ -75,7 +75,7 @@ def measure_ideal(repeats: int = 5, steps: int = 3000, runs: int = 1000) -> Idea
     """
     if min(repeats, steps, runs) < 1:
         raise ParameterError("repeats, steps and runs", "must be 1 or more", (repeats, steps, runs))
-    scenario, start = _scenario(steps), _starts(runs)
+    scenario, start = endless(steps), _starts(runs)
     with _one_core():
         alone, together = _one_run(scenario), _batch(scenario, start)  # warms up
         alone_rates, together_rates = [], []
@@ -99,7 +99,7 @@ def measure_ideal(repeats: int = 5, steps: int = 3000, runs: int = 1000) -> Idea
     )
 
 
-def _scenario(steps: int) -> Scenario:
+def endless(steps: int) -> Scenario:
     """The scenario `ibvs_book` with true pixels and depths, running for `steps` steps also after it has reached its goal."""
     overrides: dict[str, object] = {
         "detector": {"kind": "oracle", "field_of_view": "unlimited"},

@@ -60,12 +60,7 @@ class Bench:
 
 def measure(scenario: Scenario, repeats: int = 5) -> Bench:
     """Measure a scenario and its floor in turn; the first pair warms up and is not counted."""
-    pairs = []
-    for i in range(repeats + 1):
-        recording = run(scenario)
-        floor = _floor(scenario, recording)
-        if i:  # the first pair warms up
-            pairs.append((recording, floor))
+    pairs = [_pair(scenario) for _ in range(repeats + 1)][1:]  # the first pair warms up
     recordings, floors = [r for r, _ in pairs], [f for _, f in pairs]
     # the ratio of each pair, not of the medians: both share the load of the machine at that time
     ratios = [r.loop_s / f.total_s for r, f in pairs]
@@ -82,6 +77,18 @@ def measure(scenario: Scenario, repeats: int = 5) -> Bench:
         setup_s=statistics.median(r.wall_time_s - r.loop_s for r in recordings),
         renderer=recordings[0].versions["renderer"],
     )
+
+
+def _pair(scenario: Scenario) -> tuple[Recording, BaselineCost]:
+    """A run, and at once its floor, so that both meet the same load of the machine."""
+    recording = run(scenario)
+    return recording, _floor(scenario, recording)
+
+
+def loop_and_floor(scenario: Scenario) -> tuple[float, float]:
+    """Wall time [s] of a run's loop, and of its floor."""
+    recording, floor = _pair(scenario)
+    return recording.loop_s, floor.total_s
 
 
 def _ms_per_frame(recordings: list[Recording]) -> dict[str, float]:

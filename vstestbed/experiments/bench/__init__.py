@@ -1,0 +1,1 @@
+"""Speed: of a scenario against its floor, of the ideal loop, and of all that a user waits for."""
