@@ -42,10 +42,15 @@ def start(tmp_path: Path, quick: Path, vstestbed_process: Any) -> Start:
 
     def call(*words: str, **more: Any) -> subprocess.Popen[str]:
         streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-        options = {"cwd": tmp_path, "env": vstestbed_process[1], "text": True} | streams | more
+        options = {"cwd": tmp_path, "env": vstestbed_process[1], "text": True, "preexec_fn": _heed_hang_up} | streams | more
         return subprocess.Popen([*vstestbed_process[0], *words], **options)
 
     return call
+
+
+def _heed_hang_up() -> None:
+    """A study that was started by `nohup` ignores SIGHUP, and so would its children."""
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 def must_be_sound(folder: Path) -> None:
