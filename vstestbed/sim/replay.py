@@ -13,8 +13,6 @@ from vstestbed.sim.scene.stage import Stage
 from vstestbed.sim.scene.world import World
 from vstestbed.targets.base import Target
 
-FILM_SAMPLES = 4
-"""Multisampling of the outside view, for smooth edges in films."""
 FILM_SHADOW_PX = 2048
 """Shadow map of the outside view: half of MuJoCo's default."""
 
@@ -30,6 +28,7 @@ class Replay:
         robot, camera, target, world: the scene.
         shadows: render shadows in the outside views (three times the work).
         sights: points that the outside view must show [m].
+        samples: multisampling of the outside views, for smooth edges.
 
     Raises:
         EnvironmentLackError: OpenGL is asked for, and does not work here.
@@ -43,9 +42,10 @@ class Replay:
         world: World,
         shadows: bool = True,
         sights: tuple[tuple[float, float, float], ...] = (),
+        samples: int = 0,
     ):
         self._parts = Parts(robot, camera, target, world, step=camera.period, sights=sights)
-        self._stage = Stage(self._parts, samples=FILM_SAMPLES)
+        self._stage = Stage(self._parts, samples=samples)
         quality = self._stage.model.vis.quality
         quality.shadowsize = FILM_SHADOW_PX
         quality.numslices, quality.numstacks, quality.numquads = FILM_SLICES, FILM_STACKS, FILM_QUADS

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,15 +14,18 @@ import numpy as np
 
 from vstestbed.core.files import write_whole
 from vstestbed.core.geometry import Array, pose_from
+from vstestbed.core.outcome import Outcome, Verdict
 from vstestbed.loop.columns import POSE
 from vstestbed.loop.recording import Rows
 from vstestbed.report.video.overlay import Overlay, draw_caption
+from vstestbed.report.video.quality import Pace, Quality
 from vstestbed.report.video.writer import Image, VideoWriter
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.replay import Replay
 from vstestbed.tasks.frame import Frame
 
-OVERVIEW_SIZE = (960, 540)
+HOLD_S = 1.0
+"""The last picture stays so long [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,60 +66,104 @@ class FilmFrame:
 
 
 class Film:
-    """A film of a run from one camera, one film frame per camera frame.
+    """A film of a run from one camera, in real time.
 
     Args:
         scenario: the experiment.
         camera: `eye`, `overview`, or another camera of the scene.
         path: the file (`.mp4`).
         replay: renders the images that the run itself did not.
-        size: (width, height) [px]; by default 960 x 540, for the servo camera its image size.
+        quality: the film's rate, and its size by default.
+        size: (width, height) [px].
     """
 
-    def __init__(self, scenario: Scenario, camera: str, path: Path, replay: Replay, size: tuple[int, int] | None = None):
-        self._camera, self._replay, self._size = camera, replay, size
+    def __init__(self, scenario: Scenario, camera: str, path: Path, replay: Replay, quality: Quality, size: tuple[int, int] | None = None):
+        self._camera, self._replay = camera, replay
+        eye = scenario.camera
+        self._size = size or (quality.eye_size(eye.width, eye.height) if camera == "eye" else quality.size)
         self._title = scenario.name or scenario.law.kind
-        self._overlay = Overlay(scenario.camera.width, scenario.camera.height, scenario.target.colors, title=self._title)
-        self._writer = VideoWriter(path, scenario.camera.rate_hz)
+        self._overlay = Overlay(eye.width, eye.height, scenario.target.colors, title=self._title)
+        every = quality.every(eye.rate_hz)
+        self._pace = Pace(eye.rate_hz, every)
+        self._rate_hz = eye.rate_hz / every
+        self._writer = VideoWriter(path, self._rate_hz)
+        self._image: Image | None = None
         self.spent_s = 0.0
 
-    def frame(self, frame: Frame) -> None:
-        """Film a frame of a running loop (a Watcher)."""
-        self.show(FilmFrame.of_frame(frame))
-
     def show(self, frame: FilmFrame) -> None:
-        """Film one frame."""
+        """Film one frame. While the camera gave no pictures, the last one stands."""
         began = time.perf_counter()
-        width, height = self._size or OVERVIEW_SIZE
-        if self._camera == "eye":
-            # a copy: the overlay draws into it, and the detector's image must stay as it is
-            image = np.array(frame.image) if frame.image is not None else self._picture(frame, width, height)
-            self._overlay.draw(image, frame.uv, frame.goal_uv, t=frame.t, error_px=frame.error_px, lost=frame.lost)
-            if self._size is not None:
-                image = np.asarray(
-                    cv2.resize(image, self._size, interpolation=cv2.INTER_AREA), np.uint8
-                )  # drawn at the full size first: the overlay is in its pixels
-        else:
+        self._hold(self._pace.place(frame.t) - self.frames)
+        self._image = self._drawn(frame)
+        self._writer.write(self._image)
+        self.spent_s += time.perf_counter() - began
+
+    @property
+    def frames(self) -> int:
+        """Number of its pictures so far."""
+        return self._writer.frames
+
+    def _drawn(self, frame: FilmFrame) -> Image:
+        """The picture of a frame."""
+        width, height = self._size
+        if self._camera != "eye":
             image = self._picture(frame, width, height)
             draw_caption(image, self._title, t=frame.t, error_px=frame.error_px)
-        self._writer.write(image)
-        self.spent_s += time.perf_counter() - began
+            return image
+        image = frame.image if frame.image is not None else self._picture(frame, width, height)
+        self._overlay.draw(image, frame.uv, frame.goal_uv, t=frame.t, error_px=frame.error_px, lost=frame.lost)
+        if image.shape[:2] == (height, width):
+            return image
+        # drawn at the full size first: the overlay is in its pixels
+        return np.asarray(cv2.resize(image, self._size, interpolation=cv2.INTER_AREA), np.uint8)
 
     def _picture(self, m: FilmFrame, width: int, height: int) -> Image:
         return self._replay.picture(self._camera, width, height, m.t, m.T_world_target, m.q, m.T_world_camera)
+
+    def _hold(self, pictures: int) -> None:
+        """Let the last picture stand for so many more."""
+        if self._image is not None:
+            for _ in range(pictures):
+                self._writer.write(self._image)
+
+    def end(self, outcome: Outcome, reason: str) -> None:
+        """Let the last picture stand for a second: how the run ended, and why."""
+        self._hold(round(HOLD_S * self._rate_hz))
 
     def close(self) -> Path | None:
         """Finish the film; None if it has no frame."""
         return self._writer.close()
 
     def abort(self) -> None:
-        """Discard the film."""
+        """Discard the film, unless it is finished."""
         self._writer.abort()
 
 
-def replay_of(scenario: Scenario, shadows: bool = True) -> Replay:
+def replay_of(scenario: Scenario, quality: Quality) -> Replay:
     """A replay of the scene of a scenario."""
-    return Replay(scenario.robot, scenario.camera, scenario.target, scenario.world, shadows, scenario.sights)
+    parts = scenario.robot, scenario.camera, scenario.target, scenario.world
+    return Replay(*parts, quality.shadows, scenario.sights, quality.samples)
+
+
+@contextmanager
+def open_films(scenario: Scenario, paths: dict[str, Path], quality: Quality, size: tuple[int, int] | None = None) -> Iterator[list[Film]]:
+    """Films of a run from cameras of its scene; they are finished at the end, and discarded on an exception.
+
+    Args:
+        scenario: the experiment.
+        paths: the films by the names of their cameras.
+        quality, size: see `Film`.
+    """
+    replay = replay_of(scenario, quality)
+    films = [Film(scenario, camera, path, replay, quality, size) for camera, path in paths.items()]
+    try:
+        yield films
+        for film in films:
+            film.close()
+    finally:
+        for film in films:
+            film.abort()
+        replay.close()
 
 
 def rows_of(log: Rows) -> Iterator[dict[str, float]]:
@@ -125,26 +173,31 @@ def rows_of(log: Rows) -> Iterator[dict[str, float]]:
             yield dict(zip(block, map(float, values), strict=True))
 
 
-def film_log(scenario: Scenario, log: Rows, camera: str, path: Path, size: tuple[int, int] | None = None) -> Path | None:
-    """Film a recorded run from any camera, without simulating.
+def film_log(
+    scenario: Scenario,
+    log: Rows,
+    camera: str,
+    path: Path,
+    quality: Quality,
+    size: tuple[int, int] | None = None,
+    ending: Verdict | None = None,
+) -> Path | None:
+    """Film a recorded run from any camera, without simulating; ending: its outcome, shown at the end.
 
     Raises:
         ParameterError: no such camera. EnvironmentLackError: no OpenGL, no codec, no space.
     """
-    replay = replay_of(scenario)
-    film = Film(scenario, camera, path, replay, size)
-    try:
-        for row in rows_of(log):
-            film.show(FilmFrame.of_row(row, scenario.robot.joints, len(scenario.target.points)))
-        return film.close()
-    except BaseException:
-        film.abort()
-        raise
-    finally:
-        replay.close()
+    pace = Pace(scenario.camera.rate_hz, quality.every(scenario.camera.rate_hz))
+    with open_films(scenario, {camera: path}, quality, size) as (film,):
+        for number, row in enumerate(rows_of(log), start=1):
+            if pace.due(row["t"]) or number == len(log):
+                film.show(FilmFrame.of_row(row, scenario.robot.joints, len(scenario.target.points)))
+        if ending is not None:
+            film.end(*ending)
+    return path if film.frames else None
 
 
-def picture_of_the_end(scenario: Scenario, log: Rows, path: Path, size: tuple[int, int] = (480, 270)) -> None:
+def picture_of_the_end(scenario: Scenario, log: Rows, path: Path, quality: Quality) -> None:
     """Write a PNG of the last frame of a recorded run, from outside.
 
     Raises:
@@ -152,9 +205,9 @@ def picture_of_the_end(scenario: Scenario, log: Rows, path: Path, size: tuple[in
     """
     (last,) = deque(rows_of(log), maxlen=1)
     m = FilmFrame.of_row(last, scenario.robot.joints, len(scenario.target.points))
-    replay = replay_of(scenario)
+    replay = replay_of(scenario, quality)
     try:
-        image = replay.picture("overview", *size, m.t, m.T_world_target, m.q, m.T_world_camera)
+        image = replay.picture("overview", *quality.size, m.t, m.T_world_target, m.q, m.T_world_camera)
     finally:
         replay.close()
     draw_caption(image, scenario.name or scenario.law.kind, t=m.t, error_px=m.error_px)

@@ -97,6 +97,15 @@ def bare_renderer(stage: Stage, camera: Camera) -> Callable[[Array], object]:
     return _chosen(camera, by_gl, by_rays)
 
 
+def draws_rays(camera: Camera) -> bool:
+    """Whether `camera.renderer` and this machine make it rays that draw."""
+    try:
+        gl.require()
+    except EnvironmentLackError:
+        return camera.renderer != "gl"
+    return camera.renderer == "rays"
+
+
 def _chosen(camera: Camera, by_gl: Callable[[], T], by_rays: Callable[[], T]) -> T:
     """What `camera.renderer` asks for; with `auto`, rays where OpenGL does not work, with a warning."""
     if camera.renderer == "rays":
