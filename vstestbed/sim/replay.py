@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 from vstestbed.camera import Camera, Image
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.robots import Robot
-from vstestbed.sim.base import Renderer
-from vstestbed.sim.render.pictures import OutsideView, outside_view, servo_renderer
+from vstestbed.sim.render.pictures import outside_view, servo_renderer
+from vstestbed.sim.render.still import StillView, pixels_per_radian
 from vstestbed.sim.scene.compose import Parts
 from vstestbed.sim.scene.stage import Stage
 from vstestbed.sim.scene.world import World
@@ -29,6 +31,7 @@ class Replay:
         shadows: render shadows in the outside views (three times the work).
         sights: points that the outside view must show [m].
         samples: multisampling of the outside views, for smooth edges.
+        thin: where rays draw, the servo camera's images are smaller by this factor.
 
     Raises:
         EnvironmentLackError: OpenGL is asked for, and does not work here.
@@ -43,15 +46,16 @@ class Replay:
         shadows: bool = True,
         sights: tuple[tuple[float, float, float], ...] = (),
         samples: int = 0,
+        thin: int = 1,
     ):
         self._parts = Parts(robot, camera, target, world, step=camera.period, sights=sights)
         self._stage = Stage(self._parts, samples=samples)
         quality = self._stage.model.vis.quality
         quality.shadowsize = FILM_SHADOW_PX
         quality.numslices, quality.numstacks, quality.numquads = FILM_SLICES, FILM_STACKS, FILM_QUADS
-        self._shadows = shadows
-        self._own: tuple[Stage, Renderer] | None = None
-        self._views: dict[str, OutsideView] = {}
+        self._shadows, self._thin = shadows, thin
+        self._own: tuple[Stage, StillView] | None = None
+        self._views: dict[str, StillView] = {}
 
     @property
     def cameras(self) -> list[str]:
@@ -67,19 +71,24 @@ class Replay:
         if camera not in self.cameras:
             raise ParameterError("--camera", f"must be one of {', '.join(self.cameras)}", camera)
         if camera == "eye":
-            stage, renderer = self._servo_camera()
+            stage, view = self._servo_camera()
             stage.place(t, T_world_target, q, T_world_camera)
-            return renderer.full_image()
+            return view.full_image()
         if camera not in self._views:
-            self._views[camera] = outside_view(self._stage, camera, width, height, self._parts.camera, self._shadows)
+            view = outside_view(self._stage, camera, width, height, self._parts.camera, self._shadows)
+            model, data = self._stage.model, self._stage.data
+            f = height / (2 * math.tan(math.radians(float(model.camera(camera).fovy[0])) / 2))
+            self._views[camera] = StillView(view, model, data, camera, f)
         self._stage.place(t, T_world_target, q, T_world_camera)
         return self._views[camera].full_image()
 
-    def _servo_camera(self) -> tuple[Stage, Renderer]:
+    def _servo_camera(self) -> tuple[Stage, StillView]:
         """A second stage with the servo camera's own quality, built when first asked for."""
         if self._own is None:
-            stage = Stage(self._parts, samples=self._parts.camera.multisampling)
-            self._own = stage, servo_renderer(stage, self._parts.camera)
+            lens = self._parts.camera
+            stage = Stage(self._parts, samples=lens.multisampling)
+            view = StillView(servo_renderer(stage, lens, thin=self._thin), stage.model, stage.data, "eye", pixels_per_radian(lens))
+            self._own = stage, view
         return self._own
 
     def close(self) -> None:

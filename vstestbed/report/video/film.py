@@ -110,12 +110,9 @@ class Film:
             image = self._picture(frame, width, height)
             draw_caption(image, self._title, t=frame.t, error_px=frame.error_px)
             return image
-        image = frame.image if frame.image is not None else self._picture(frame, width, height)
+        image = frame.image if frame.image is not None else _scaled(self._picture(frame, width, height), self._overlay.size)
         self._overlay.draw(image, frame.uv, frame.goal_uv, t=frame.t, error_px=frame.error_px, lost=frame.lost)
-        if image.shape[:2] == (height, width):
-            return image
-        # drawn at the full size first: the overlay is in its pixels
-        return np.asarray(cv2.resize(image, self._size, interpolation=cv2.INTER_AREA), np.uint8)
+        return _scaled(image, self._size)  # only now: the overlay is in the camera's pixels
 
     def _picture(self, m: FilmFrame, width: int, height: int) -> Image:
         return self._replay.picture(self._camera, width, height, m.t, m.T_world_target, m.q, m.T_world_camera)
@@ -139,10 +136,19 @@ class Film:
         self._writer.abort()
 
 
+def _scaled(image: Image, size: tuple[int, int]) -> Image:
+    """The image at a size (width, height); itself if it has that size."""
+    if image.shape[1::-1] == size:
+        return image
+    # the mean of pixels where they become fewer, as INTER_AREA has it; it would show blocks where they become more
+    way = cv2.INTER_AREA if image.shape[1] > size[0] else cv2.INTER_LINEAR
+    return np.asarray(cv2.resize(image, size, interpolation=way), np.uint8)
+
+
 def replay_of(scenario: Scenario, quality: Quality) -> Replay:
     """A replay of the scene of a scenario."""
     parts = scenario.robot, scenario.camera, scenario.target, scenario.world
-    return Replay(*parts, quality.shadows, scenario.sights, quality.samples)
+    return Replay(*parts, quality.shadows, scenario.sights, quality.samples, quality.thin)
 
 
 @contextmanager
@@ -189,8 +195,9 @@ def film_log(
     """
     pace = Pace(scenario.camera.rate_hz, quality.every(scenario.camera.rate_hz))
     with open_films(scenario, {camera: path}, quality, size) as (film,):
+        last = len(log)
         for number, row in enumerate(rows_of(log), start=1):
-            if pace.due(row["t"]) or number == len(log):
+            if pace.due(row["t"]) or number == last:
                 film.show(FilmFrame.of_row(row, scenario.robot.joints, len(scenario.target.points)))
         if ending is not None:
             film.end(*ending)

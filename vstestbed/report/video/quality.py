@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import logging
 import math
 from dataclasses import dataclass
 
@@ -17,6 +19,7 @@ class Quality:
         size: (width, height) of the film from outside [px]. longest: the servo camera's film is scaled down to this side [px].
         samples: multisampling of the view from outside. shadows: draw them there.
         most_hz: most pictures a second of simulated time [Hz].
+        thin: where rays draw, the servo camera's image has a ray for so many pixels each way.
     """
 
     size: tuple[int, int]
@@ -24,6 +27,7 @@ class Quality:
     samples: int
     shadows: bool
     most_hz: float
+    thin: int = 1
 
     def every(self, rate_hz: float) -> int:
         """Every how many frames of a camera the film has a picture."""
@@ -37,13 +41,25 @@ class Quality:
 
 DRAFT = Quality((640, 360), longest=640, samples=0, shadows=False, most_hz=15.0)
 FINE = Quality((1280, 720), longest=4320, samples=4, shadows=True, most_hz=math.inf)
-RAYS = Quality((320, 180), longest=320, samples=0, shadows=False, most_hz=5.0)
+RAYS = Quality((320, 180), longest=640, samples=0, shadows=False, most_hz=5.0, thin=2)
 """Without OpenGL a picture takes some twenty times as long."""
 
 
 def quality_of(scenario: Scenario, fine: bool = False) -> Quality:
-    """The quality of a scenario's films: a draft, or fine films; small ones where rays draw them."""
-    return FINE if fine else RAYS if draws_rays(scenario.camera) else DRAFT
+    """The quality of a scenario's films: a draft, or fine films; small ones where rays draw them, with a warning that says so."""
+    if fine:
+        return FINE
+    if not draws_rays(scenario.camera):
+        return DRAFT
+    _warn_once()
+    return RAYS
+
+
+@functools.cache
+def _warn_once() -> None:
+    """Say once that films are small."""
+    words = "films by rays are small, %d x %d from outside with %g pictures a second; --fine makes large ones, which takes long"
+    logging.getLogger("vstestbed").warning(words, *RAYS.size, RAYS.most_hz)
 
 
 class Pace:
