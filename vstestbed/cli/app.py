@@ -143,7 +143,7 @@ def render(
     from vstestbed.cli.progress import show_notes
     from vstestbed.core.folders import only_writer
     from vstestbed.loop.log_file import open_log
-    from vstestbed.report.video.film import film_log
+    from vstestbed.report.video.film import ending_of, film_log
     from vstestbed.report.video.quality import quality_of
     from vstestbed.scenario.load import load
 
@@ -154,7 +154,7 @@ def render(
     show_notes(not quiet)
     path = out or run_dir / f"{camera}.mp4"
     with only_writer(run_dir) if path.parent == run_dir else nullcontext():  # a film elsewhere changes nothing in the run's folder
-        film = film_log(scenario, log, camera, path, quality_of(scenario, fine), size_px)
+        film = film_log(scenario, log, camera, path, quality_of(scenario, fine), size_px, ending_of(run_dir))
     if film is None:
         raise ParameterError("RUN_DIR", "has a log without frames; there is nothing to film", str(run_dir))
     if not quiet:

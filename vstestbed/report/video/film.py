@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import deque
 from collections.abc import Iterator
@@ -13,24 +14,27 @@ import cv2
 import numpy as np
 
 from vstestbed.core.files import write_whole
-from vstestbed.core.geometry import Array, pose_from
+from vstestbed.core.geometry import Array, inverse, pose_from
 from vstestbed.core.outcome import Outcome, Verdict
 from vstestbed.loop.columns import POSE
 from vstestbed.loop.recording import Rows
-from vstestbed.report.video.overlay import Overlay, draw_caption
+from vstestbed.loop.summary_file import read_summary
+from vstestbed.report.video.outside import Outside
+from vstestbed.report.video.overlay import ALARM, GOOD, HOLD_S, Overlay, draw_caption, draw_ending
 from vstestbed.report.video.quality import Pace, Quality
 from vstestbed.report.video.writer import Image, VideoWriter
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.replay import Replay
 from vstestbed.tasks.frame import Frame
-
-HOLD_S = 1.0
-"""The last picture stays so long [s]."""
+from vstestbed.tasks.judged import in_words_unit
 
 
 @dataclass(frozen=True, slots=True)
 class FilmFrame:
-    """State of one frame as a film shows it; `image`: the servo camera's image, if it was rendered already."""
+    """State of one frame as a film shows it.
+
+    `own`: values of the robot's and the task's own columns; `image`: the servo camera's image, if it was rendered already.
+    """
 
     t: float
     T_world_target: Array
@@ -40,6 +44,7 @@ class FilmFrame:
     error_px: float
     lost: bool
     goal_uv: Array
+    own: Array
     image: Image | None = None
 
     @classmethod
@@ -47,11 +52,12 @@ class FilmFrame:
         """A frame of a running loop."""
         truth, error = frame.truth, frame.error
         scene = (truth.T_world_target, truth.T_world_camera, truth.q)
-        return cls(frame.t, *scene, frame.observation.uv, error.rms_px, error.lost, frame.goal.uv, frame.image)
+        return cls(frame.t, *scene, frame.observation.uv, error.rms_px, error.lost, frame.goal.uv, frame.row, frame.image)
 
     @classmethod
-    def of_row(cls, row: dict[str, float], joints: tuple[str, ...], markers: int) -> FilmFrame:
+    def of_row(cls, row: dict[str, float], scenario: Scenario) -> FilmFrame:
         """The frame of one row of a log."""
+        joints, markers = scenario.robot.joints, len(scenario.target.points)
         camera, target = (np.array([row[f"{who}_{name}"] for name in POSE]) for who in ("cam", "tgt"))
         return cls(
             t=row["t"],
@@ -62,7 +68,54 @@ class FilmFrame:
             error_px=row["error_px"],
             lost=bool(row["lost"]),
             goal_uv=np.array([[row[f"u_goal_{i}"], row[f"v_goal_{i}"]] for i in range(markers)]),
+            own=np.array([row[name] for name in scenario.own_columns]),
         )
+
+
+class Pictures:
+    """The pictures of a run from one camera, with what explains them; asked for each frame in turn.
+
+    Args:
+        scenario: the experiment. camera: `eye`, `overview`, or another camera of the scene.
+        replay: renders the images that the run itself did not. size: (width, height) [px].
+    """
+
+    def __init__(self, scenario: Scenario, camera: str, replay: Replay, size: tuple[int, int]):
+        self._scenario, self._camera, self._replay, self._size = scenario, camera, replay, size
+        law, name = scenario.law.kind, scenario.name
+        self._title = f"{name} \u00b7 {law}" if name else law
+        self._overlay = Overlay(scenario.camera.width, scenario.camera.height, scenario.target.colors, title=self._title)
+        self._outside = Outside(scenario, replay, camera, size) if camera == "overview" else None
+
+    def picture(self, frame: FilmFrame) -> Image:
+        """The picture of one frame (H, W, 3)."""
+        values = dict(zip(self._scenario.own_columns, frame.own.tolist(), strict=True)) | {"error_px": frame.error_px}
+        error = _in_words(self._scenario, values)
+        if self._camera == "eye":
+            # a copy: the detector and other films use it. Scaled only in the end: the overlay is in the camera's pixels
+            image = np.array(_scaled(self._seen(frame), self._overlay.size))
+            self._overlay.draw(image, frame.uv, frame.goal_uv, t=frame.t, error=error, lost=frame.lost)
+            return _scaled(image, self._size)
+        if self._outside is not None:
+            T = self._scenario.goal.goal_pose_at(self._scenario.goal_poses, frame.t, int(values.get("view", 0)))
+            image = self._outside.picture(frame, None if T is None else frame.T_world_target @ inverse(T))
+            self._outside.put_inset(image, frame, self._seen_already(frame), lambda: self._rendered("eye", frame))
+        else:
+            image = self._rendered(self._camera, frame)
+        draw_caption(image, self._title, t=frame.t, error=error)
+        return image
+
+    def _seen(self, frame: FilmFrame) -> Image:
+        """The servo camera's image."""
+        image = self._seen_already(frame)
+        return self._rendered("eye", frame) if image is None else image
+
+    def _seen_already(self, frame: FilmFrame) -> Image | None:
+        """The same, if it has been rendered for the run or for another film."""
+        return self._replay.seen(frame.t) if frame.image is None else frame.image
+
+    def _rendered(self, camera: str, m: FilmFrame) -> Image:
+        return self._replay.picture(camera, *self._size, m.t, m.T_world_target, m.q, m.T_world_camera)
 
 
 class Film:
@@ -78,11 +131,9 @@ class Film:
     """
 
     def __init__(self, scenario: Scenario, camera: str, path: Path, replay: Replay, quality: Quality, size: tuple[int, int] | None = None):
-        self._camera, self._replay = camera, replay
         eye = scenario.camera
-        self._size = size or (quality.eye_size(eye.width, eye.height) if camera == "eye" else quality.size)
-        self._title = scenario.name or scenario.law.kind
-        self._overlay = Overlay(eye.width, eye.height, scenario.target.colors, title=self._title)
+        size = size or (quality.eye_size(eye.width, eye.height) if camera == "eye" else quality.size)
+        self._pictures = Pictures(scenario, camera, replay, size)
         every = quality.every(eye.rate_hz)
         self._pace = Pace(eye.rate_hz, every)
         self._rate_hz = eye.rate_hz / every
@@ -94,7 +145,7 @@ class Film:
         """Film one frame. While the camera gave no pictures, the last one stands."""
         began = time.perf_counter()
         self._hold(self._pace.place(frame.t) - self.frames)
-        self._image = self._drawn(frame)
+        self._image = self._pictures.picture(frame)
         self._writer.write(self._image)
         self.spent_s += time.perf_counter() - began
 
@@ -102,20 +153,6 @@ class Film:
     def frames(self) -> int:
         """Number of its pictures so far."""
         return self._writer.frames
-
-    def _drawn(self, frame: FilmFrame) -> Image:
-        """The picture of a frame."""
-        width, height = self._size
-        if self._camera != "eye":
-            image = self._picture(frame, width, height)
-            draw_caption(image, self._title, t=frame.t, error_px=frame.error_px)
-            return image
-        image = frame.image if frame.image is not None else _scaled(self._picture(frame, width, height), self._overlay.size)
-        self._overlay.draw(image, frame.uv, frame.goal_uv, t=frame.t, error_px=frame.error_px, lost=frame.lost)
-        return _scaled(image, self._size)  # only now: the overlay is in the camera's pixels
-
-    def _picture(self, m: FilmFrame, width: int, height: int) -> Image:
-        return self._replay.picture(self._camera, width, height, m.t, m.T_world_target, m.q, m.T_world_camera)
 
     def _hold(self, pictures: int) -> None:
         """Let the last picture stand for so many more."""
@@ -125,6 +162,8 @@ class Film:
 
     def end(self, outcome: Outcome, reason: str) -> None:
         """Let the last picture stand for a second: how the run ended, and why."""
+        if self._image is not None:
+            draw_ending(self._image, outcome.value.capitalize(), reason, GOOD if outcome.success else ALARM)
         self._hold(round(HOLD_S * self._rate_hz))
 
     def close(self) -> Path | None:
@@ -143,6 +182,27 @@ def _scaled(image: Image, size: tuple[int, int]) -> Image:
     # the mean of pixels where they become fewer, as INTER_AREA has it; it would show blocks where they become more
     way = cv2.INTER_AREA if image.shape[1] > size[0] else cv2.INTER_LINEAR
     return np.asarray(cv2.resize(image, size, interpolation=way), np.uint8)
+
+
+def _in_words(scenario: Scenario, values: dict[str, float]) -> str:
+    """The error of one frame by which the task is judged, in its own unit."""
+    # A continuing task is judged by its error once settled: at t = inf it is that of this frame.
+    log = {name: np.array([value]) for name, value in values.items()} | {"t": np.array([np.inf])}
+    judged = scenario.goal.judged(log, scenario.stop)
+    value, unit = in_words_unit(judged.value, judged.unit)
+    return f"error {value:.{3 if unit.startswith('m') else 2}f} {unit}" if math.isfinite(value) else "error \u2013"
+
+
+def ending_of(folder: Path) -> Verdict | None:
+    """How the run of a folder ended; None where it has no summary.
+
+    Raises:
+        RunFolderError: the summary is damaged.
+    """
+    if not (folder / "summary.json").is_file():
+        return None
+    summary = read_summary(folder, "run the scenario again")
+    return Outcome[summary["outcome"]], summary.get("reason", "")
 
 
 def replay_of(scenario: Scenario, quality: Quality) -> Replay:
@@ -198,7 +258,7 @@ def film_log(
         last = len(log)
         for number, row in enumerate(rows_of(log), start=1):
             if pace.due(row["t"]) or number == last:
-                film.show(FilmFrame.of_row(row, scenario.robot.joints, len(scenario.target.points)))
+                film.show(FilmFrame.of_row(row, scenario))
         if ending is not None:
             film.end(*ending)
     return path if film.frames else None
@@ -211,11 +271,9 @@ def picture_of_the_end(scenario: Scenario, log: Rows, path: Path, quality: Quali
         EnvironmentLackError: no OpenGL, no space. OutputError: the picture cannot be written.
     """
     (last,) = deque(rows_of(log), maxlen=1)
-    m = FilmFrame.of_row(last, scenario.robot.joints, len(scenario.target.points))
     replay = replay_of(scenario, quality)
     try:
-        image = replay.picture("overview", *quality.size, m.t, m.T_world_target, m.q, m.T_world_camera)
+        image = Pictures(scenario, "overview", replay, quality.size).picture(FilmFrame.of_row(last, scenario))
     finally:
         replay.close()
-    draw_caption(image, scenario.name or scenario.law.kind, t=m.t, error_px=m.error_px)
     write_whole(path, cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))[1].tobytes())
