@@ -30,14 +30,17 @@ from vstestbed.tasks.frame import Frame
 NO_FILM = ("--video", "none")
 PROMISED = {"scenario.yaml", "model.xml", "log.parquet", "summary.json", "report.html"}
 FINISHED = {"log.parquet", "summary.json", "report.html", "camera.mp4", "overview.mp4"}
+HELD_S, PICTURE_S = 1.0, 2.1 / 25
+"""How long a film's last picture stays; the time of one of its pictures, which is that of two of the camera's [s]."""
 ENDLESS = ("--set", "stop.duration_s=1000", "--set", "stop.converged.error_px=1e-9", "--set", "noise.pixel_sigma_px=0.1")
 """Noise of a tenth of a pixel never comes under a billionth: a run that goes on until it is stopped."""
 
 
-def pictures_of(film: Path) -> int:
-    """How many pictures of a film can be decoded."""
+def seconds_of(film: Path) -> float:
+    """How long a film is whose pictures can all be decoded [s]."""
     with av.open(str(film)) as container:
-        return sum(1 for _ in container.decode(video=0))
+        stream = container.streams.video[0]
+        return sum(1 for _ in container.decode(stream)) / float(stream.average_rate or 0)
 
 
 @pytest.fixture
@@ -88,7 +91,7 @@ class TestWhatARunLeaves:
 
     def test_the_films_are_whole(self, filmed: Path) -> None:
         for name in ("camera", "overview"):
-            assert pictures_of(filmed / f"{name}.mp4") == 6
+            assert seconds_of(filmed / f"{name}.mp4") == pytest.approx(0.24 + HELD_S, abs=PICTURE_S)
 
     def test_the_model_loads_alone(self, filmed: Path, tmp_path: Path) -> None:
         import mujoco
@@ -121,7 +124,7 @@ class TestRenderAndReport:
         assert (ended.code, ended.out, ended.err) == (0, "", "again.mp4\n")
         with av.open("again.mp4") as container:
             assert (container.streams.video[0].width, container.streams.video[0].height) == size
-        assert pictures_of(Path("again.mp4")) == 6
+        assert seconds_of(Path("again.mp4")) == pytest.approx(0.24, abs=PICTURE_S)
         assert (folder / "overview.mp4").read_bytes() == before
 
     def test_an_unknown_camera_is_refused_with_the_list_and_leaves_no_film(self, command, folder: Path) -> None:
@@ -341,7 +344,7 @@ class TestCutOff:
         frames = pl.read_parquet(folder / "log.parquet").height
         assert summary["frames"] == frames >= 5
         for film in folder.glob("*.mp4"):
-            assert pictures_of(film) == frames
+            assert seconds_of(film) == pytest.approx(frames / 25 + HELD_S, abs=PICTURE_S)
 
     @pytest.mark.parametrize(("more", "frames"), [pytest.param(("--set", "detector=blobs"), 3, marks=pytest.mark.study), (NO_FILM, 40)])
     def test_a_kill_leaves_what_there_was_and_nothing_that_looks_finished(
@@ -361,7 +364,7 @@ class TestCutOff:
         few = log.head(3)
         (folder / "log.part").write_text(few.cast({"lost": pl.Float64}).write_csv(), encoding="ascii")
         assert command("render", folder, "--size", "64x48").code == 0
-        assert pictures_of(folder / "overview.mp4") == 3
+        assert seconds_of(folder / "overview.mp4") == pytest.approx(log["t"][2], abs=PICTURE_S)
 
 
 class TestFullDisk:

@@ -45,6 +45,7 @@ class FilmChoice(str, Enum):
     none = "none"
 
 
+Fine = Annotated[bool, typer.Option("--fine", help="Films of 1280x720 with shadows and every frame, in place of quick drafts.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no words.")]
 
 
@@ -71,6 +72,7 @@ def run(
     seed: Annotated[int | None, typer.Option(min=0, help="Draw the start and the noise from this seed.")] = None,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of the results. [default: runs/SCENARIO/NUMBER]")] = None,
     video: Annotated[FilmChoice, typer.Option(help="Which films to make.")] = FilmChoice.both,
+    fine: Fine = False,
     as_json: Json = False,
     quiet: Quiet = False,
     plugin: Plugins = None,
@@ -83,7 +85,7 @@ def run(
     folder = new_folder(chosen, out)
     with Progress(chosen, shown=not quiet and not as_json) as progress, _interrupts() as watch:
         show_notes(not quiet)
-        recording = run_into(folder, chosen, video.value, [progress, watch], progress.say)
+        recording = run_into(folder, chosen, video.value, [progress, watch], progress.say, fine=fine)
     _print_result(recording, folder, video.value, as_json, quiet)
     if recording.outcome.name == "interrupted":
         raise typer.Exit(INTERRUPTED)
@@ -133,6 +135,7 @@ def render(
     run_dir: Annotated[Path, typer.Argument(metavar="RUN_DIR", help="A run's folder.")],
     camera: Annotated[str, typer.Option(metavar="NAME", help="eye, overview, or another camera of model.xml.")] = "overview",
     size: Annotated[str | None, typer.Option(metavar="WxH", help="Size of the film in pixels.")] = None,
+    fine: Fine = False,
     out: Annotated[Path | None, typer.Option(metavar="FILE", help="The film. [default: RUN_DIR/NAME.mp4]")] = None,
     quiet: Quiet = False,
     plugin: Plugins = None,
@@ -141,7 +144,8 @@ def render(
     from vstestbed.cli.progress import show_notes
     from vstestbed.core.folders import only_writer
     from vstestbed.loop.log_file import open_log
-    from vstestbed.report.video.film import film_log
+    from vstestbed.report.video.film import ending_of, film_log
+    from vstestbed.report.video.quality import quality_of
     from vstestbed.scenario.load import load
 
     size_px = _size(size)
@@ -151,7 +155,7 @@ def render(
     show_notes(not quiet)
     path = out or run_dir / f"{camera}.mp4"
     with only_writer(run_dir) if path.parent == run_dir else nullcontext():  # a film elsewhere changes nothing in the run's folder
-        film = film_log(scenario, log, camera, path, size_px)
+        film = film_log(scenario, log, camera, path, quality_of(scenario, fine), size_px, ending_of(run_dir))
     if film is None:
         raise ParameterError("RUN_DIR", "has a log without frames; there is nothing to film", str(run_dir))
     if not quiet:

@@ -8,6 +8,7 @@ import re
 import shutil
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -23,7 +24,7 @@ from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.build import SceneFiles, scene_files
 
 if TYPE_CHECKING:
-    from vstestbed.report.video.film import Film
+    from vstestbed.report.video.beside import FilmThread
 
 Films = Literal["camera", "overview", "both", "none"]
 FILM_CAMERAS: dict[str, dict[str, str]] = {
@@ -57,6 +58,7 @@ def run_into(
     stage: Callable[[str], None] = lambda _: None,
     report: bool = True,
     tile_px: tuple[int, int] | None = None,
+    fine: bool = False,
 ) -> Recording:
     """Run a scenario and leave its folder: scenario, model, log, summary, films, report.
 
@@ -66,7 +68,8 @@ def run_into(
         watch: further watchers, such as a progress bar.
         stage: called with a description of what is being done after the run.
         report: whether to write the report, which can also be written later.
-        tile_px: (width, height) of a film from outside that is quick to render, without shadows; None for full size.
+        tile_px: (width, height) of the film from outside; by default that of its quality.
+        fine: films with shadows, smooth edges and a picture of every frame, in place of drafts.
 
     Raises:
         EnvironmentLackError: no OpenGL, no codec, no space.
@@ -75,7 +78,7 @@ def run_into(
     with folders.only_writer(folder):
         if (folder / "scenario.yaml").exists():  # of a process that ended between the check of `new_folder` and this one
             raise OutputError(folder, "holds a run", REMEDY)
-        recording = _run_into(folder, scenario, films, watch, tile_px)
+        recording = _run_into(folder, scenario, films, watch, tile_px, fine)
         if report:
             from vstestbed.report import Setting, write_report  # matplotlib is imported only if a report is written
 
@@ -84,20 +87,24 @@ def run_into(
     return recording
 
 
-def _run_into(folder: Path, scenario: Scenario, films: Films, watch: Iterable[Watcher], tile_px: tuple[int, int] | None) -> Recording:
+def _run_into(
+    folder: Path, scenario: Scenario, films: Films, watch: Iterable[Watcher], tile_px: tuple[int, int] | None, fine: bool
+) -> Recording:
     """`run_into` without the report."""
     with _all_or_nothing(folder):
         write_whole(folder / "scenario.yaml", dump(scenario))
-        _write_scene(
-            folder, scene_files(scenario.robot, scenario.camera, scenario.target, scenario.world, scenario.physics, scenario.sights)
-        )
-        with _filming(folder, scenario, films, tile_px) as cameras:
+        with _filming(folder, scenario, films, tile_px, fine) as filming:
+            _write_scene(
+                folder, scene_files(scenario.robot, scenario.camera, scenario.target, scenario.world, scenario.physics, scenario.sights)
+            )
             log = FolderLog.create(folder, Layout(scenario).columns)
             try:
-                recording = run(scenario, [*cameras, *watch], log)
+                recording = run(scenario, [*filming, *watch], log)
             finally:
                 log.close()
-            recording.time_ms["video"] = 1e3 * sum(film.spent_s for film in cameras)
+            for film in filming:
+                film.close(None if tile_px else (recording.outcome, recording.reason))  # a film of several runs shows it itself
+        recording.time_ms["video"] = 1e3 * sum(film.spent_s for film in filming)
     log.finish()
     write_whole(folder / "summary.json", json.dumps(recording.summary(), indent=1) + "\n")
     return recording
@@ -133,24 +140,21 @@ def _has_frames(folder: Path) -> bool:
 
 
 @contextmanager
-def _filming(folder: Path, scenario: Scenario, films: Films, tile_px: tuple[int, int] | None) -> Iterator[list[Film]]:
-    """The films of a run; finished when it ends or is interrupted, discarded when it fails."""
-    cameras = FILM_CAMERAS[films]
-    if not cameras:
+def _filming(folder: Path, scenario: Scenario, films: Films, tile_px: tuple[int, int] | None, fine: bool) -> Iterator[list[FilmThread]]:
+    """The films of a run, to be closed when it ends or is interrupted; discarded when it fails."""
+    paths = {camera: folder / f"{name}.mp4" for name, camera in FILM_CAMERAS[films].items()}
+    if not paths:
         yield []
         return
-    from vstestbed.report.video.film import Film, replay_of
+    from vstestbed.report.video.beside import FilmThread
+    from vstestbed.report.video.film import open_films
+    from vstestbed.report.video.quality import Pace, quality_of
 
-    replay = replay_of(scenario, shadows=tile_px is None)
-    sizes = {"overview": tile_px}
-    opened = [Film(scenario, camera, folder / f"{name}.mp4", replay, sizes.get(name)) for name, camera in cameras.items()]
+    quality = quality_of(scenario, fine)
+    quality = replace(quality, size=tile_px or quality.size)
+    rate_hz = scenario.camera.rate_hz
+    filming = FilmThread(lambda: open_films(scenario, paths, quality), Pace(rate_hz, quality.every(rate_hz)))
     try:
-        yield opened
-        for film in opened:
-            film.close()
-    except BaseException:
-        for film in opened:
-            film.abort()
-        raise
+        yield [filming]
     finally:
-        replay.close()
+        filming.abort()

@@ -2,25 +2,43 @@
 
 from __future__ import annotations
 
-from vstestbed.camera import Camera, Image
+import math
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from vstestbed.camera import Camera, Image, Perspective
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.geometry import Array
+from vstestbed.core.geometry import FLIP, Array
 from vstestbed.robots import Robot
-from vstestbed.sim.base import Renderer
-from vstestbed.sim.render.pictures import OutsideView, outside_view, servo_renderer
+from vstestbed.sim.render.pictures import outside_view, servo_renderer
+from vstestbed.sim.render.still import StillView, pixels_per_radian
 from vstestbed.sim.scene.compose import Parts
+from vstestbed.sim.scene.follow import FollowCamera, Things
+from vstestbed.sim.scene.overview import LEAST_REACH
 from vstestbed.sim.scene.stage import Stage
 from vstestbed.sim.scene.world import World
 from vstestbed.targets.base import Target
 
-FILM_SAMPLES = 4
-"""Multisampling of the outside view, for smooth edges in films."""
 FILM_SHADOW_PX = 2048
 """Shadow map of the outside view: half of MuJoCo's default."""
 
 FILM_SLICES, FILM_STACKS, FILM_QUADS = 20, 12, 2
 """Facets of round geoms in it: a cylinder of 40 px deviates from its circle by .25 px. MuJoCo's 28, 16 and 4 make twice the work,
 which for a base with 36 rollers was a third of an image's time."""
+
+
+FREE, FOOT = 0.74, 0.065
+"""Shares of the outside view: of its width, from the left, without an inset; of its height, at the bottom, with a caption."""
+FLOOR = (64, 84, 108), (56, 75, 98)
+"""The two colours of the floor in films: light arms, dark cars and lines of any hue stand out from a slate blue."""
+SKY = 0.62, 0.69, 0.78
+"""Factors of the sky's colours in films, before which light lines stand out."""
+FLOOR_M = 80.0
+"""Half of the floor's edge in films [m]: its end is not in the picture."""
+AMBIENT, KEY, FILL = 0.40, 0.72, 0.22
+"""Brightness of the lights in films: more from one side than the servo camera's, so that edges between faces show."""
 
 
 class Replay:
@@ -30,6 +48,8 @@ class Replay:
         robot, camera, target, world: the scene.
         shadows: render shadows in the outside views (three times the work).
         sights: points that the outside view must show [m].
+        samples: multisampling of the outside views, for smooth edges.
+        thin: where rays draw, the servo camera's images are smaller by this factor.
 
     Raises:
         EnvironmentLackError: OpenGL is asked for, and does not work here.
@@ -43,23 +63,42 @@ class Replay:
         world: World,
         shadows: bool = True,
         sights: tuple[tuple[float, float, float], ...] = (),
+        samples: int = 0,
+        thin: int = 1,
     ):
         self._parts = Parts(robot, camera, target, world, step=camera.period, sights=sights)
-        self._stage = Stage(self._parts, samples=FILM_SAMPLES)
+        self._stage = Stage(self._parts, samples=samples)
         quality = self._stage.model.vis.quality
         quality.shadowsize = FILM_SHADOW_PX
         quality.numslices, quality.numstacks, quality.numquads = FILM_SLICES, FILM_STACKS, FILM_QUADS
-        self._shadows = shadows
-        self._own: tuple[Stage, Renderer] | None = None
-        self._views: dict[str, OutsideView] = {}
+        _repaint(self._stage.model)
+        self._shadows, self._thin = shadows, thin
+        self._things = Things(self._stage.model)
+        self._follow: FollowCamera | None = None
+        self._seen: tuple[float, Image] | None = None
+        self._own: tuple[Stage, StillView] | None = None
+        self._views: dict[str, StillView] = {}
 
     @property
     def cameras(self) -> list[str]:
         """Names of the cameras that pictures can be taken from."""
         return [self._stage.model.camera(i).name for i in range(self._stage.model.ncam)]
 
-    def picture(self, camera: str, width: int, height: int, t: float, T_world_target: Array, q: Array, T_world_camera: Array) -> Image:
+    def picture(
+        self,
+        camera: str,
+        width: int,
+        height: int,
+        t: float,
+        T_world_target: Array,
+        q: Array,
+        T_world_camera: Array,
+        T_world_goal: Array | None = None,
+    ) -> Image:
         """One picture (H, W, 3) uint8; the servo camera `eye` has its own size and lens, whatever width and height say.
+
+        `overview` follows the robot from picture to picture, so that it, the target and T_world_goal, the servo camera's goal pose
+        (4, 4), are in sight.
 
         Raises:
             ParameterError: there is no such camera.
@@ -67,19 +106,43 @@ class Replay:
         if camera not in self.cameras:
             raise ParameterError("--camera", f"must be one of {', '.join(self.cameras)}", camera)
         if camera == "eye":
-            stage, renderer = self._servo_camera()
+            stage, view = self._servo_camera()
             stage.place(t, T_world_target, q, T_world_camera)
-            return renderer.full_image()
+            self._seen = t, view.full_image()
+            return self._seen[1]
         if camera not in self._views:
-            self._views[camera] = outside_view(self._stage, camera, width, height, self._parts.camera, self._shadows)
+            view = outside_view(self._stage, camera, width, height, self._parts.camera, self._shadows)
+            model, data = self._stage.model, self._stage.data
+            f = height / (2 * math.tan(math.radians(float(model.camera(camera).fovy[0])) / 2))
+            self._views[camera] = StillView(view, model, data, camera, f)
         self._stage.place(t, T_world_target, q, T_world_camera)
+        if camera == "overview":
+            self._follow = self._follow or FollowCamera(self._stage, self._things, width / height, FREE, FOOT)
+            self._follow.place(t, T_world_goal)
         return self._views[camera].full_image()
 
-    def _servo_camera(self) -> tuple[Stage, Renderer]:
+    def seen(self, t: float) -> Image | None:
+        """The last picture of the servo camera, if it is that of a time [s]; not to be drawn into."""
+        return self._seen[1] if self._seen is not None and self._seen[0] == t else None
+
+    def sight(self, camera: str, width: int, height: int) -> tuple[Camera, Array]:
+        """Lens and pose T_world_camera (4, 4) of the last picture from a camera outside, for what is drawn over it."""
+        model, data, T = self._stage.model, self._stage.data, np.eye(4)
+        T[:3, :3] = data.camera(camera).xmat.reshape(3, 3) @ FLIP[:3, :3]
+        T[:3, 3] = data.camera(camera).xpos
+        return Perspective(width=width, height=height, fovy_deg=float(model.camera(camera).fovy[0])), T
+
+    def body(self) -> Array:
+        """Points (G, 16, 3) in the world whose convex hulls are the robot's geoms in the last picture from outside."""
+        return self._things.points(self._stage.data)[self._things.own]
+
+    def _servo_camera(self) -> tuple[Stage, StillView]:
         """A second stage with the servo camera's own quality, built when first asked for."""
         if self._own is None:
-            stage = Stage(self._parts, samples=self._parts.camera.multisampling)
-            self._own = stage, servo_renderer(stage, self._parts.camera)
+            lens = self._parts.camera
+            stage = Stage(self._parts, samples=lens.multisampling)
+            view = StillView(servo_renderer(stage, lens, thin=self._thin), stage.model, stage.data, "eye", pixels_per_radian(lens))
+            self._own = stage, view
         return self._own
 
     def close(self) -> None:
@@ -87,3 +150,21 @@ class Replay:
         self._stage.close()
         if self._own is not None:
             self._own[0].close()
+
+
+def _repaint(model: mujoco.MjModel) -> None:
+    """Colours and lights of films, which must not be those of the servo camera: they show robots, and to that camera markers."""
+    floor, sky = (_texels(model, name) for name in ("floor", "sky"))
+    floor[:] = np.where((floor == floor[0]).all(axis=1, keepdims=True), *np.array(FLOOR, np.uint8))
+    sky[:] = np.rint(sky * np.array(SKY)).astype(np.uint8)
+    model.geom("floor").size[:2] = FLOOR_M
+    key, fill = model.light("key"), model.light("fill")
+    key.diffuse[:], fill.diffuse[:], fill.ambient[:] = KEY, FILL, AMBIENT
+    model.vis.map.shadowclip = LEAST_REACH / model.stat.extent
+
+
+def _texels(model: mujoco.MjModel, name: str) -> NDArray[np.uint8]:
+    """The pixels (N, 3) of a texture, to be written to."""
+    i = model.texture(name).id
+    count = model.tex_height[i] * model.tex_width[i] * 3
+    return model.tex_data[model.tex_adr[i] : model.tex_adr[i] + count].reshape(-1, 3)

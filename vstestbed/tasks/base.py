@@ -9,6 +9,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
 
+import numpy as np
+
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.features.observation import Goal, Observation
@@ -78,6 +80,10 @@ class Task(Protocol):
 
     def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]:
         """T_camera_target (4, 4) at each goal view in turn, for a camera at this mount T_base_camera (4, 4)."""
+        ...
+
+    def goal_pose_at(self, poses: tuple[Array, ...], t: float, view: int) -> Array | None:
+        """T_camera_target (4, 4) at the goal of a time [s] and a view, of `poses`, the `goal_poses`; None where no single pose is it."""
         ...
 
     def goal_views(self, setup: Setup) -> tuple[Goal, ...]:
@@ -176,6 +182,10 @@ class TaskBase:
         for field, pose, view in zip(fields, poses, views, strict=True):
             check_visible(setup.camera, setup.target, setup.law, setup.detector, field, pose, view.counted)
             check_level(setup.robot, setup.camera, setup.target, pose, field)
+
+    def goal_pose_at(self, poses: tuple[Array, ...], t: float, view: int) -> Array | None:
+        """The pose of the view."""
+        return poses[view] if np.isfinite(poses[view]).all() else None
 
     def goal_views(self, setup: Setup) -> tuple[Goal, ...]:
         """The views from the goal poses."""

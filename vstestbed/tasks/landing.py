@@ -69,6 +69,12 @@ class GoalLanding(TaskBase):
         """The view from which the descent starts."""
         return (self.above.T,)
 
+    def goal_pose_at(self, poses: tuple[Array, ...], t: float, view: int) -> Array:
+        """On the pad, where the descent ends."""
+        T = poses[view].copy()
+        T[:3, 3] = 0.0
+        return T
+
     @property
     def view_fields(self) -> tuple[str, ...]:
         """Field of that view."""

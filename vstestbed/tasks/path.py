@@ -76,6 +76,10 @@ class GoalPath(Continuing):
         """Those of the views on the path."""
         return tuple(view.T_camera_target.T for view in self.way)
 
+    def goal_pose_at(self, poses: tuple[Array, ...], t: float, view: int) -> Array:
+        """The reference at that time."""
+        return self.trajectory.at(t)[0]
+
     def goal_views(self, setup: Setup) -> tuple[Goal, ...]:
         """The views on the path, with their numbers."""
         return tuple(replace(goal, view=i) for i, view in enumerate(self.way) for goal in view.goal_views(setup))

@@ -165,11 +165,11 @@ def test_pictures_must_be_bytes_of_one_size(tmp_path: Path) -> None:
             writer.write(np.zeros((48, 64, 3)))
 
 
-def drawn(uv: list[list[float]], goal: list[list[float]] | None, lost: bool = False, error_px: float = 1.0) -> np.ndarray:
+def drawn(uv: list[list[float]], goal: list[list[float]] | None, lost: bool = False, error: str = "error 1 px") -> np.ndarray:
     """A grey 640 x 480 picture after one overlay of a red and a blue marker."""
     image = np.full((480, 640, 3), 128, np.uint8)
     overlay = Overlay(640, 480, RED_AND_BLUE, "ibvs")
-    overlay.draw(image, np.array(uv), None if goal is None else np.array(goal), t=1.0, error_px=error_px, lost=lost)
+    overlay.draw(image, np.array(uv), None if goal is None else np.array(goal), t=1.0, error=error, lost=lost)
     return image
 
 
@@ -180,8 +180,10 @@ def touched(image: np.ndarray, left: int, top: int, right: int, bottom: int) -> 
 
 def test_crosses_and_diamonds_stand_where_they_should() -> None:
     image = drawn([[100.0, 120.0], [300.0, 200.0]], [[200.0, 150.0], [400.0, 250.0]])
-    red, blue = image[120, 100].astype(int), image[200, 300].astype(int)
-    assert red[0] > 200 > 120 > red[1] and blue[2] > 200 > 120 > blue[0]  # each in its colour, a cross through the very pixel
+    arm = 480 // 40 - 3
+    red, blue = image[120, 100 + arm].astype(int), image[200 - arm, 300].astype(int)
+    assert red[0] > 200 > 120 > red[1] and blue[2] > 200 > 120 > blue[0]  # each in its colour, along the arms of its cross
+    assert (image[118:123, 98:103] == 128).all() and (image[198:203, 298:303] == 128).all()  # which leave the marker free
     assert (image[150, 200] == 128).all() and (image[250, 400] == 128).all()  # a diamond is hollow
     corner = image[150 - 14 : 150 - 10, 199:202].astype(int)  # its tip, 480/36 px above
     assert corner.min() < 60  # dark border
@@ -198,7 +200,7 @@ def test_the_centre_of_a_cross_follows_fractions_of_a_pixel() -> None:
 
 
 def test_markers_not_seen_or_far_outside_are_left_out() -> None:
-    image = drawn([[np.nan, np.nan], [1e12, -1e12]], [[np.nan, 0.0], [-1e9, 3.0]], error_px=float("nan"))
+    image = drawn([[np.nan, np.nan], [1e12, -1e12]], [[np.nan, 0.0], [-1e9, 3.0]])
     assert touched(image, 0, 0, 640, 440) == 0
     assert touched(image, 0, 455, 640, 480) > 1000  # the strip with the numbers
 
@@ -214,18 +216,18 @@ def test_trails_are_kept_broken_where_unseen_and_bounded() -> None:
     for k in range(100):
         image = np.full((480, 640, 3), 128, np.uint8)
         u = 50.0 + 5 * k
-        overlay.draw(image, np.array([[np.nan if 40 <= k < 60 else u, 300.0]]), None, t=k / 25, error_px=1.0)
+        overlay.draw(image, np.array([[np.nan if 40 <= k < 60 else u, 300.0]]), None, t=k / 25, error="")
     assert image[300, 150, 0] > 230 and image[300, 450, 0] > 230  # a red line behind the marker
     assert (image[300, 260:340] == 128).all()  # the unseen stretch
     for k in range(2000):
-        overlay.draw(image, np.array([[320 + 200 * np.cos(k / 9), 240 + 100 * np.sin(k / 9)]]), None, t=0.0, error_px=1.0)
+        overlay.draw(image, np.array([[320 + 200 * np.cos(k / 9), 240 + 100 * np.sin(k / 9)]]), None, t=0.0, error="")
     assert sum(len(piece) for piece in overlay._trails[0].polylines()) <= 512
 
 
 @pytest.mark.parametrize(("width", "height"), [(160, 120), (320, 240), (1280, 960)])
 def test_captions_fit_and_scale(width: int, height: int) -> None:
     image = np.full((height, width, 3), 128, np.uint8)
-    draw_caption(image, "a title much too long for a small picture", t=123.45, error_px=float("nan"))
+    draw_caption(image, "a title much too long for a small picture", t=123.45, error="error 1.23 px")
     strip = round(1.7 * max(11, round(height / 28)))
     assert touched(image, 0, 0, width, height - strip) == 0
     assert image[height - strip :].max() > 200  # light words on it
@@ -235,6 +237,6 @@ def test_captions_fit_and_scale(width: int, height: int) -> None:
 def test_an_overlay_refuses_another_picture_or_number_of_markers() -> None:
     overlay = Overlay(640, 480, RED_AND_BLUE)
     with pytest.raises(ParameterError, match="2 markers"):
-        overlay.draw(np.zeros((480, 640, 3), np.uint8), np.zeros((3, 2)), None, t=0.0, error_px=0.0)
+        overlay.draw(np.zeros((480, 640, 3), np.uint8), np.zeros((3, 2)), None, t=0.0, error="")
     with pytest.raises(ParameterError, match="640"):
-        overlay.draw(np.zeros((240, 320, 3), np.uint8), np.zeros((2, 2)), None, t=0.0, error_px=0.0)
+        overlay.draw(np.zeros((240, 320, 3), np.uint8), np.zeros((2, 2)), None, t=0.0, error="")

@@ -6,7 +6,7 @@ import json
 import os
 import tempfile
 import traceback
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from vstestbed.core.errors import EnvironmentLackError
@@ -78,8 +78,9 @@ def _picture_of_the_end(scenario: Scenario, folder: Path) -> None:
     """Write `end.png`: the scene from outside at the end of a failed run."""
     from vstestbed.loop.log_file import open_log
     from vstestbed.report.video.film import picture_of_the_end
+    from vstestbed.report.video.quality import FINE
 
-    picture_of_the_end(scenario, open_log(folder), folder / "end.png")
+    picture_of_the_end(scenario, open_log(folder), folder / "end.png", replace(FINE, size=TILE_PX))
 
 
 def request_of(folder: str, scenario: Scenario, filmed: bool) -> RunRequest:

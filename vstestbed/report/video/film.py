@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import deque
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,21 +14,27 @@ import cv2
 import numpy as np
 
 from vstestbed.core.files import write_whole
-from vstestbed.core.geometry import Array, pose_from
+from vstestbed.core.geometry import Array, inverse, pose_from
+from vstestbed.core.outcome import Outcome, Verdict
 from vstestbed.loop.columns import POSE
 from vstestbed.loop.recording import Rows
-from vstestbed.report.video.overlay import Overlay, draw_caption
+from vstestbed.loop.summary_file import read_summary
+from vstestbed.report.video.outside import Outside
+from vstestbed.report.video.overlay import ALARM, GOOD, HOLD_S, Overlay, draw_caption, draw_ending
+from vstestbed.report.video.quality import Pace, Quality
 from vstestbed.report.video.writer import Image, VideoWriter
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.replay import Replay
 from vstestbed.tasks.frame import Frame
-
-OVERVIEW_SIZE = (960, 540)
+from vstestbed.tasks.judged import in_words_unit
 
 
 @dataclass(frozen=True, slots=True)
 class FilmFrame:
-    """State of one frame as a film shows it; `image`: the servo camera's image, if it was rendered already."""
+    """State of one frame as a film shows it.
+
+    `own`: values of the robot's and the task's own columns; `image`: the servo camera's image, if it was rendered already.
+    """
 
     t: float
     T_world_target: Array
@@ -36,6 +44,7 @@ class FilmFrame:
     error_px: float
     lost: bool
     goal_uv: Array
+    own: Array
     image: Image | None = None
 
     @classmethod
@@ -43,11 +52,12 @@ class FilmFrame:
         """A frame of a running loop."""
         truth, error = frame.truth, frame.error
         scene = (truth.T_world_target, truth.T_world_camera, truth.q)
-        return cls(frame.t, *scene, frame.observation.uv, error.rms_px, error.lost, frame.goal.uv, frame.image)
+        return cls(frame.t, *scene, frame.observation.uv, error.rms_px, error.lost, frame.goal.uv, frame.row, frame.image)
 
     @classmethod
-    def of_row(cls, row: dict[str, float], joints: tuple[str, ...], markers: int) -> FilmFrame:
+    def of_row(cls, row: dict[str, float], scenario: Scenario) -> FilmFrame:
         """The frame of one row of a log."""
+        joints, markers = scenario.robot.joints, len(scenario.target.points)
         camera, target = (np.array([row[f"{who}_{name}"] for name in POSE]) for who in ("cam", "tgt"))
         return cls(
             t=row["t"],
@@ -58,64 +68,168 @@ class FilmFrame:
             error_px=row["error_px"],
             lost=bool(row["lost"]),
             goal_uv=np.array([[row[f"u_goal_{i}"], row[f"v_goal_{i}"]] for i in range(markers)]),
+            own=np.array([row[name] for name in scenario.own_columns]),
         )
 
 
+class Pictures:
+    """The pictures of a run from one camera, with what explains them; asked for each frame in turn.
+
+    Args:
+        scenario: the experiment. camera: `eye`, `overview`, or another camera of the scene.
+        replay: renders the images that the run itself did not. size: (width, height) [px].
+    """
+
+    def __init__(self, scenario: Scenario, camera: str, replay: Replay, size: tuple[int, int]):
+        self._scenario, self._camera, self._replay, self._size = scenario, camera, replay, size
+        law, name = scenario.law.kind, scenario.name
+        self._title = f"{name} \u00b7 {law}" if name else law
+        self._overlay = Overlay(scenario.camera.width, scenario.camera.height, scenario.target.colors, title=self._title)
+        self._outside = Outside(scenario, replay, camera, size) if camera == "overview" else None
+
+    def picture(self, frame: FilmFrame) -> Image:
+        """The picture of one frame (H, W, 3)."""
+        values = dict(zip(self._scenario.own_columns, frame.own.tolist(), strict=True)) | {"error_px": frame.error_px}
+        error = _in_words(self._scenario, values)
+        if self._camera == "eye":
+            # a copy: the detector and other films use it. Scaled only in the end: the overlay is in the camera's pixels
+            image = np.array(_scaled(self._seen(frame), self._overlay.size))
+            self._overlay.draw(image, frame.uv, frame.goal_uv, t=frame.t, error=error, lost=frame.lost)
+            return _scaled(image, self._size)
+        if self._outside is not None:
+            T = self._scenario.goal.goal_pose_at(self._scenario.goal_poses, frame.t, int(values.get("view", 0)))
+            image = self._outside.picture(frame, None if T is None else frame.T_world_target @ inverse(T))
+            self._outside.put_inset(image, frame, self._seen_already(frame), lambda: self._rendered("eye", frame))
+        else:
+            image = self._rendered(self._camera, frame)
+        draw_caption(image, self._title, t=frame.t, error=error)
+        return image
+
+    def _seen(self, frame: FilmFrame) -> Image:
+        """The servo camera's image."""
+        image = self._seen_already(frame)
+        return self._rendered("eye", frame) if image is None else image
+
+    def _seen_already(self, frame: FilmFrame) -> Image | None:
+        """The same, if it has been rendered for the run or for another film."""
+        return self._replay.seen(frame.t) if frame.image is None else frame.image
+
+    def _rendered(self, camera: str, m: FilmFrame) -> Image:
+        return self._replay.picture(camera, *self._size, m.t, m.T_world_target, m.q, m.T_world_camera)
+
+
 class Film:
-    """A film of a run from one camera, one film frame per camera frame.
+    """A film of a run from one camera, in real time.
 
     Args:
         scenario: the experiment.
         camera: `eye`, `overview`, or another camera of the scene.
         path: the file (`.mp4`).
         replay: renders the images that the run itself did not.
-        size: (width, height) [px]; by default 960 x 540, for the servo camera its image size.
+        quality: the film's rate, and its size by default.
+        size: (width, height) [px].
     """
 
-    def __init__(self, scenario: Scenario, camera: str, path: Path, replay: Replay, size: tuple[int, int] | None = None):
-        self._camera, self._replay, self._size = camera, replay, size
-        self._title = scenario.name or scenario.law.kind
-        self._overlay = Overlay(scenario.camera.width, scenario.camera.height, scenario.target.colors, title=self._title)
-        self._writer = VideoWriter(path, scenario.camera.rate_hz)
+    def __init__(self, scenario: Scenario, camera: str, path: Path, replay: Replay, quality: Quality, size: tuple[int, int] | None = None):
+        eye = scenario.camera
+        size = size or (quality.eye_size(eye.width, eye.height) if camera == "eye" else quality.size)
+        self._pictures = Pictures(scenario, camera, replay, size)
+        every = quality.every(eye.rate_hz)
+        self._pace = Pace(eye.rate_hz, every)
+        self._rate_hz = eye.rate_hz / every
+        self._writer = VideoWriter(path, self._rate_hz)
+        self._image: Image | None = None
         self.spent_s = 0.0
 
-    def frame(self, frame: Frame) -> None:
-        """Film a frame of a running loop (a Watcher)."""
-        self.show(FilmFrame.of_frame(frame))
-
     def show(self, frame: FilmFrame) -> None:
-        """Film one frame."""
+        """Film one frame. While the camera gave no pictures, the last one stands."""
         began = time.perf_counter()
-        width, height = self._size or OVERVIEW_SIZE
-        if self._camera == "eye":
-            # a copy: the overlay draws into it, and the detector's image must stay as it is
-            image = np.array(frame.image) if frame.image is not None else self._picture(frame, width, height)
-            self._overlay.draw(image, frame.uv, frame.goal_uv, t=frame.t, error_px=frame.error_px, lost=frame.lost)
-            if self._size is not None:
-                image = np.asarray(
-                    cv2.resize(image, self._size, interpolation=cv2.INTER_AREA), np.uint8
-                )  # drawn at the full size first: the overlay is in its pixels
-        else:
-            image = self._picture(frame, width, height)
-            draw_caption(image, self._title, t=frame.t, error_px=frame.error_px)
-        self._writer.write(image)
+        self._hold(self._pace.place(frame.t) - self.frames)
+        self._image = self._pictures.picture(frame)
+        self._writer.write(self._image)
         self.spent_s += time.perf_counter() - began
 
-    def _picture(self, m: FilmFrame, width: int, height: int) -> Image:
-        return self._replay.picture(self._camera, width, height, m.t, m.T_world_target, m.q, m.T_world_camera)
+    @property
+    def frames(self) -> int:
+        """Number of its pictures so far."""
+        return self._writer.frames
+
+    def _hold(self, pictures: int) -> None:
+        """Let the last picture stand for so many more."""
+        if self._image is not None:
+            for _ in range(pictures):
+                self._writer.write(self._image)
+
+    def end(self, outcome: Outcome, reason: str) -> None:
+        """Let the last picture stand for a second: how the run ended, and why."""
+        if self._image is not None:
+            draw_ending(self._image, outcome.value.capitalize(), reason, GOOD if outcome.success else ALARM)
+        self._hold(round(HOLD_S * self._rate_hz))
 
     def close(self) -> Path | None:
         """Finish the film; None if it has no frame."""
         return self._writer.close()
 
     def abort(self) -> None:
-        """Discard the film."""
+        """Discard the film, unless it is finished."""
         self._writer.abort()
 
 
-def replay_of(scenario: Scenario, shadows: bool = True) -> Replay:
+def _scaled(image: Image, size: tuple[int, int]) -> Image:
+    """The image at a size (width, height); itself if it has that size."""
+    if image.shape[1::-1] == size:
+        return image
+    # the mean of pixels where they become fewer, as INTER_AREA has it; it would show blocks where they become more
+    way = cv2.INTER_AREA if image.shape[1] > size[0] else cv2.INTER_LINEAR
+    return np.asarray(cv2.resize(image, size, interpolation=way), np.uint8)
+
+
+def _in_words(scenario: Scenario, values: dict[str, float]) -> str:
+    """The error of one frame by which the task is judged, in its own unit."""
+    # A continuing task is judged by its error once settled: at t = inf it is that of this frame.
+    log = {name: np.array([value]) for name, value in values.items()} | {"t": np.array([np.inf])}
+    judged = scenario.goal.judged(log, scenario.stop)
+    value, unit = in_words_unit(judged.value, judged.unit)
+    return f"error {value:.{3 if unit.startswith('m') else 2}f} {unit}" if math.isfinite(value) else "error \u2013"
+
+
+def ending_of(folder: Path) -> Verdict | None:
+    """How the run of a folder ended; None where it has no summary.
+
+    Raises:
+        RunFolderError: the summary is damaged.
+    """
+    if not (folder / "summary.json").is_file():
+        return None
+    summary = read_summary(folder, "run the scenario again")
+    return Outcome[summary["outcome"]], summary.get("reason", "")
+
+
+def replay_of(scenario: Scenario, quality: Quality) -> Replay:
     """A replay of the scene of a scenario."""
-    return Replay(scenario.robot, scenario.camera, scenario.target, scenario.world, shadows, scenario.sights)
+    parts = scenario.robot, scenario.camera, scenario.target, scenario.world
+    return Replay(*parts, quality.shadows, scenario.sights, quality.samples, quality.thin)
+
+
+@contextmanager
+def open_films(scenario: Scenario, paths: dict[str, Path], quality: Quality, size: tuple[int, int] | None = None) -> Iterator[list[Film]]:
+    """Films of a run from cameras of its scene; they are finished at the end, and discarded on an exception.
+
+    Args:
+        scenario: the experiment.
+        paths: the films by the names of their cameras.
+        quality, size: see `Film`.
+    """
+    replay = replay_of(scenario, quality)
+    films = [Film(scenario, camera, path, replay, quality, size) for camera, path in paths.items()]
+    try:
+        yield films
+        for film in films:
+            film.close()
+    finally:
+        for film in films:
+            film.abort()
+        replay.close()
 
 
 def rows_of(log: Rows) -> Iterator[dict[str, float]]:
@@ -125,37 +239,41 @@ def rows_of(log: Rows) -> Iterator[dict[str, float]]:
             yield dict(zip(block, map(float, values), strict=True))
 
 
-def film_log(scenario: Scenario, log: Rows, camera: str, path: Path, size: tuple[int, int] | None = None) -> Path | None:
-    """Film a recorded run from any camera, without simulating.
+def film_log(
+    scenario: Scenario,
+    log: Rows,
+    camera: str,
+    path: Path,
+    quality: Quality,
+    size: tuple[int, int] | None = None,
+    ending: Verdict | None = None,
+) -> Path | None:
+    """Film a recorded run from any camera, without simulating; ending: its outcome, shown at the end.
 
     Raises:
         ParameterError: no such camera. EnvironmentLackError: no OpenGL, no codec, no space.
     """
-    replay = replay_of(scenario)
-    film = Film(scenario, camera, path, replay, size)
-    try:
-        for row in rows_of(log):
-            film.show(FilmFrame.of_row(row, scenario.robot.joints, len(scenario.target.points)))
-        return film.close()
-    except BaseException:
-        film.abort()
-        raise
-    finally:
-        replay.close()
+    pace = Pace(scenario.camera.rate_hz, quality.every(scenario.camera.rate_hz))
+    with open_films(scenario, {camera: path}, quality, size) as (film,):
+        last = len(log)
+        for number, row in enumerate(rows_of(log), start=1):
+            if pace.due(row["t"]) or number == last:
+                film.show(FilmFrame.of_row(row, scenario))
+        if ending is not None:
+            film.end(*ending)
+    return path if film.frames else None
 
 
-def picture_of_the_end(scenario: Scenario, log: Rows, path: Path, size: tuple[int, int] = (480, 270)) -> None:
+def picture_of_the_end(scenario: Scenario, log: Rows, path: Path, quality: Quality) -> None:
     """Write a PNG of the last frame of a recorded run, from outside.
 
     Raises:
         EnvironmentLackError: no OpenGL, no space. OutputError: the picture cannot be written.
     """
     (last,) = deque(rows_of(log), maxlen=1)
-    m = FilmFrame.of_row(last, scenario.robot.joints, len(scenario.target.points))
-    replay = replay_of(scenario)
+    replay = replay_of(scenario, quality)
     try:
-        image = replay.picture("overview", *size, m.t, m.T_world_target, m.q, m.T_world_camera)
+        image = Pictures(scenario, "overview", replay, quality.size).picture(FilmFrame.of_row(last, scenario))
     finally:
         replay.close()
-    draw_caption(image, scenario.name or scenario.law.kind, t=m.t, error_px=m.error_px)
     write_whole(path, cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))[1].tobytes())

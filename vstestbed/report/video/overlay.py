@@ -24,8 +24,15 @@ INK: Final[Color] = (18, 20, 24)
 PAPER: Final[Color] = (245, 246, 248)
 MUTED: Final[Color] = (186, 192, 200)
 ALARM: Final[Color] = (200, 30, 45)
+GOOD: Final[Color] = (24, 122, 62)
+HOLD_S: Final = 1
+"""How long the last picture of a film stays [s]."""
 SHIFT: Final = 4
 UNIT: Final = 1 << SHIFT  # OpenCV draws on a grid of 1/16 px
+SMALL: Final = 240
+"""Height up to which an image, as an inset, has symbols without a dark edge, which would hide their colours [px]."""
+OPEN: Final = 0.5
+"""Share of a cross that is open in its middle, where the marker is."""
 CHUNK: Final = 64
 CHUNKS: Final = 8
 """A trail is a ring of 8 polylines of up to 64 points: the oldest is dropped as a whole, so that no points are moved."""
@@ -78,10 +85,11 @@ class Overlay:
         self._colors = _bytes(colors)
         self._light = _bytes(0.7 * np.asarray(colors) + 0.3)  # lighter, or blue and violet would not stand out from their dark borders
         self._stroke = max(1, round(height / 480))
+        self._edge = self._stroke if height > SMALL else 0
         self._figure_stroke = max(1, round(height / 240))  # yuv420p stores colour for blocks of 2 x 2 pixels: thinner lines turn grey
         self._trails = [Trail(max(2.0, height / 240)) for _ in self._colors]
 
-    def draw(self, image: Image, uv: Array, goal_uv: Array | None, *, t: float, error_px: float, lost: bool = False) -> None:
+    def draw(self, image: Image, uv: Array, goal_uv: Array | None, *, t: float, error: str, lost: bool = False) -> None:
         """Draw one frame's state on `image`, in place.
 
         Args:
@@ -89,7 +97,7 @@ class Overlay:
             uv: measured markers [px], shape (N, 2), NaN where not seen.
             goal_uv: their goals [px], shape (N, 2), or None for tasks without goal pixels.
             t: time of the frame [s].
-            error_px: RMS error [px]; NaN is shown as a dash.
+            error: the error in words.
             lost: whether the target is lost, which a banner shows.
 
         Raises:
@@ -97,16 +105,20 @@ class Overlay:
         """
         if image.shape != (self.size[1], self.size[0], 3) or len(uv) != len(self._colors):
             raise ParameterError("image", f"must be {self.size} with {len(self._colors)} markers", (image.shape, uv.shape))
-        draw_caption(image, self.title, t=t, error_px=error_px)
+        draw_caption(image, self.title, t=t, error=error)
+        self.marks(image, uv, goal_uv)
+        if lost:
+            draw_banner(image, "TARGET LOST")
+
+    def marks(self, image: Image, uv: Array, goal_uv: Array | None) -> None:
+        """Draw trails, goals and measured markers alone."""
         uv = self._drawable(uv)
         for trail, color, point in zip(self._trails, self._colors, uv, strict=True):
             trail.add(point)
             cv2.polylines(image, trail.polylines(), False, color, self._stroke, cv2.LINE_AA, SHIFT)
         if goal_uv is not None:
-            self._strokes(image, self._drawable(goal_uv), _DIAMOND, max(8.0, self.size[1] / 36), closed=True)
-        self._strokes(image, uv, _CROSS, max(5.0, self.size[1] / 56), closed=False)
-        if lost:
-            draw_banner(image, "TARGET LOST")
+            self._strokes(image, self._drawable(goal_uv), _DIAMOND, max(5.0, self.size[1] / 36), closed=True)
+        self._strokes(image, uv, _CROSS, max(5.0, self.size[1] / 40), closed=False)
 
     def _drawable(self, uv: Array) -> Array:
         """The pixels, NaN where they are so far outside that OpenCV's fixed-point integers would overflow."""
@@ -117,9 +129,7 @@ class Overlay:
         """Draw a small symbol at every finite pixel, in the marker's colour with a dark border; shape: polylines (lines, points, 2)."""
         seen: NDArray[np.bool_] = np.isfinite(uv[:, 0]) & np.isfinite(uv[:, 1])
         lines = np.rint((uv[seen, None, None] + shape * size) * UNIT).astype(np.int32)
-        cv2.polylines(
-            image, list(lines.reshape(-1, shape.shape[1], 2)), closed, INK, self._figure_stroke + 2 * self._stroke, cv2.LINE_AA, SHIFT
-        )
+        cv2.polylines(image, list(lines.reshape(-1, shape.shape[1], 2)), closed, INK, self._figure_stroke + self._edge, cv2.LINE_AA, SHIFT)
         for color, figure in zip((c for c, s in zip(self._light, seen, strict=True) if s), lines, strict=True):
             cv2.polylines(image, list(figure), closed, color, self._figure_stroke, cv2.LINE_AA, SHIFT)
 
@@ -128,31 +138,50 @@ def _bytes(colors: Array) -> list[Color]:
     return [(int(r), int(g), int(b)) for r, g, b in np.rint(np.asarray(colors) * 255)]
 
 
-_CROSS: Final = np.array([[[-1.0, 0.0], [1.0, 0.0]], [[0.0, -1.0], [0.0, 1.0]]])
+_CROSS: Final = np.array([[[i, j], [OPEN * i, OPEN * j]] for i, j in ((-1.0, 0.0), (1.0, 0.0), (0.0, -1.0), (0.0, 1.0))])
 _DIAMOND: Final = np.array([[[0.0, -1.0], [1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]]])
 
 
-def draw_caption(image: Image, title: str, *, t: float, error_px: float) -> None:
-    """Write time, RMS error (NaN: a dash) and a title on a darkened strip at the bottom of the image, in place.
+def draw_caption(image: Image, title: str, *, t: float, error: str) -> None:
+    """Write time, error and a title on a darkened strip at the bottom of the image, in place.
 
     Args:
         image: the image, shape (H, W, 3), uint8, RGB.
         title: text at the right; left out if the image is too narrow for it.
-        t: time [s].
-        error_px: RMS error in the image [px].
+        t: time [s]. error: the error in words.
     """
     height, width = image.shape[:2]
-    size = max(11, round(height / 28))
-    strip = image[height - round(1.7 * size) :]
+    size = text_size(height)
+    strip = image[height - strip_height(height) :]
     cv2.convertScaleAbs(strip, strip, 0.35)
     base, pad = height - round(0.55 * size), round(0.7 * size)
-    time_text, error_text = f"{t:.2f} s", f"error {error_px:.2f} px" if math.isfinite(error_px) else "error \u2013"
     error_at = pad + round(5.2 * size)
-    draw_text(image, time_text, (pad, base), PAPER, size)
-    draw_text(image, error_text, (error_at, base), PAPER, size)
+    draw_text(image, f"{t:.2f} s", (pad, base), PAPER, size)
+    draw_text(image, error, (error_at, base), PAPER, size)
     title_at = width - pad - text_width(title, size)
-    if title and title_at > error_at + 8.5 * size:
+    if title and title_at > error_at + 9.5 * size:
         draw_text(image, title, (title_at, base), MUTED, size)
+
+
+def draw_ending(image: Image, words: str, reason: str, color: Color) -> None:
+    """Write how a run ended, in bold, and why, on a coloured band over the caption, in place; shortened to its width."""
+    height, width = image.shape[:2]
+    size, foot = text_size(height), height - strip_height(height)
+    large, pad = round(1.25 * size), round(0.7 * size)
+    top = foot - round(3.6 * size)
+    image[top:foot] = color
+    draw_text(image, shortened(words, large, width - 2 * pad, 600), (pad, top + round(1.5 * size)), PAPER, large, weight=600)
+    draw_text(image, shortened(reason, size, width - 2 * pad), (pad, foot - round(0.75 * size)), PAPER, size)
+
+
+def text_size(height: int) -> int:
+    """Size of a caption's text in an image of that height [px]."""
+    return max(11, round(height / 28))
+
+
+def strip_height(height: int) -> int:
+    """Height of the caption in an image of that height [px]."""
+    return round(1.7 * text_size(height))
 
 
 def draw_banner(image: Image, words: str, color: Color = ALARM) -> None:

@@ -15,19 +15,17 @@ import numpy as np
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.report.video.frame_reader import FrameReader, scaled
-from vstestbed.report.video.overlay import ALARM, INK, PAPER, Color, draw_banner, draw_text, shortened, text_width
+from vstestbed.report.video.overlay import ALARM, GOOD, HOLD_S, INK, PAPER, Color, draw_banner, draw_text, shortened, text_width
 from vstestbed.report.video.writer import Image, VideoWriter
 
 MOST: Final = 6
 WIDEST: Final = 1926  # [px], of all columns
 COLUMN: Final = 480  # [px]: its text still reads well, and its frame takes half the time of 640
 GAP: Final = 2  # [px]
-HOLD_S: Final = 1  # the last picture stays so long [s]
 SHAPE: Final = 3 / 4  # height over width of a cell for which no run has a film
 FASTEST_HZ: Final = Fraction(50)
 DIMMED: Final = 0.6
 GREY: Final[Color] = (96, 100, 108)
-GOOD: Final[Color] = (24, 122, 62)
 NEUTRAL: Final[Color] = (56, 64, 76)
 
 

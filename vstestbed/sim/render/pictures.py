@@ -32,8 +32,12 @@ class OutsideView(Protocol):
 # The functions import OpenGL's and the rays' modules only when called: importing the first fails on a machine without OpenGL.
 
 
-def servo_renderer(stage: Stage, camera: Camera, noisy: bool = False) -> Renderer:
-    """The renderer of the servo camera, as `camera.renderer` asks; `noisy`: noise will be added to its images.
+def servo_renderer(stage: Stage, camera: Camera, noisy: bool = False, thin: int = 1) -> Renderer:
+    """The renderer of the servo camera, as `camera.renderer` asks.
+
+    Args:
+        noisy: noise will be added to its images.
+        thin: where rays draw, images are smaller by this factor: for films.
 
     Raises:
         EnvironmentLackError: OpenGL is asked for, or the image needs it, and it does not work here.
@@ -48,7 +52,7 @@ def servo_renderer(stage: Stage, camera: Camera, noisy: bool = False) -> Rendere
     def by_rays() -> Renderer:
         from vstestbed.sim.render.rays import RayRenderer
 
-        return RayRenderer(stage, camera, noisy)
+        return RayRenderer(stage, camera, noisy, thin)
 
     return _chosen(camera, by_gl, by_rays)
 
@@ -95,6 +99,15 @@ def bare_renderer(stage: Stage, camera: Camera) -> Callable[[Array], object]:
         return lambda p: renderer.images()
 
     return _chosen(camera, by_gl, by_rays)
+
+
+def draws_rays(camera: Camera) -> bool:
+    """Whether `camera.renderer` and this machine make it rays that draw."""
+    try:
+        gl.require()
+    except EnvironmentLackError:
+        return camera.renderer != "gl"
+    return camera.renderer == "rays"
 
 
 def _chosen(camera: Camera, by_gl: Callable[[], T], by_rays: Callable[[], T]) -> T:

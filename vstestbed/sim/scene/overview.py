@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import mujoco
 import numpy as np
 
@@ -64,7 +66,7 @@ def frame_drive(scene: mujoco.MjSpec, places: Array, sights: Array, size: float)
     points = np.concatenate([(places[:, None] + corners).reshape(-1, 3), sights])
     camera = scene.camera("overview")
     half_height = np.tan(np.radians(camera.fovy / 2))
-    views = [_slanting(azimuth) for azimuth in AZIMUTHS]
+    views = [slanting(azimuth) for azimuth in AZIMUTHS]
     eyes = [eye_for(points, right, up, half_height) for right, up in views]
     best = min(range(len(views)), key=lambda i: _drawback(eyes[i], np.cross(views[i][1], views[i][0]), places, sights))
     camera.pos = eyes[best]
@@ -79,11 +81,11 @@ def _drawback(eye: Array, forward: Array, places: Array, sights: Array) -> float
     return round(float(depths.max() + 2 * max(depths.min() - before.min(initial=np.inf), 0.0)), 6)
 
 
-def _slanting(azimuth: float) -> tuple[Array, Array]:
-    """Right and up (3,) of a camera that looks down by FROM_ABOVE, ahead along an azimuth [rad]."""
+def slanting(azimuth: float, elevation: float = FROM_ABOVE) -> tuple[Array, Array]:
+    """Right and up (3,) of a camera that looks down by an elevation, ahead along an azimuth [rad]."""
     ahead = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
     right = np.array([ahead[1], -ahead[0], 0.0])
-    return right, np.cos(FROM_ABOVE) * np.array([0, 0, 1.0]) + np.sin(FROM_ABOVE) * ahead
+    return right, np.cos(elevation) * np.array([0, 0, 1.0]) + np.sin(elevation) * ahead
 
 
 def _light(scene: mujoco.MjSpec, points: Array) -> None:
@@ -96,17 +98,49 @@ def _light(scene: mujoco.MjSpec, points: Array) -> None:
     scene.visual.map.shadowclip = max(float(reach), LEAST_REACH) / scene.stat.extent
 
 
-def eye_for(points: Array, right: Array, up: Array, half_height: float) -> Array:
-    """The nearest place (3,) from which a picture of tangent `half_height`, WIDE_PICTURE wide, holds all points (N, 3).
+class Tangents(NamedTuple):
+    """Tangents of the angles from the optical axis to the edges between which a picture shows its contents."""
 
-    With x along `right`, z ahead and D the eye's distance behind the origin, |x - cx| <= t (D + z) for every point is
-    cx >= x - t z - t D and cx <= x + t z + t D: so 2 t D >= max(x - t z) - min(x + t z), and cx is midway. The same upwards.
+    left: float
+    right: float
+    down: float
+    up: float
+
+    def narrowed(self) -> Tangents:
+        """With a margin."""
+        return Tangents(*(tangent / ROOM for tangent in self))
+
+
+def eye_for(points: Array, right: Array, up: Array, half_height: float) -> Array:
+    """The nearest place (3,) from which a picture of tangent `half_height`, WIDE_PICTURE wide, holds all points (N, 3)."""
+    wide, high = half_height * WIDE_PICTURE / ROOM, half_height / HEADROOM
+    tangents = Tangents(wide, wide, high, high)
+    return eye_of(extremes(points, right, up, tangents), right, up, tangents)
+
+
+def extremes(points: Array, right: Array, up: Array, tangents: Tangents) -> Array:
+    """What points (N, 3) ask of the place of a view, (4,): the larger, the farther they are out of the picture to each side.
+
+    With x along `right`, z ahead, tangents l and r and D the eye's distance behind the origin, x - cx <= r (D + z) for every point is
+    cx + r D >= max(x - r z), and x - cx >= -l (D + z) is l D - cx >= max(-x - l z). The same upwards.
     """
-    forward = np.cross(up, right)
-    z = points @ forward
-    centre, distance = np.zeros(2), 0.0
-    for i, (axis, tangent) in enumerate(((right, half_height * WIDE_PICTURE / ROOM), (up, half_height / HEADROOM))):
-        low, high = (points @ axis - tangent * z).max(), (points @ axis + tangent * z).min()
-        centre[i] = (low + high) / 2
-        distance = max(distance, (low - high) / (2 * tangent))
-    return centre[0] * right + centre[1] * up - distance * forward
+    x, y, z = (points @ axis for axis in (right, up, np.cross(up, right)))
+    left, to_right, down, to_up = tangents
+    return np.array([(-x - left * z).max(), (x - to_right * z).max(), (-y - down * z).max(), (y - to_up * z).max()])
+
+
+def eye_of(most: Array, right: Array, up: Array, tangents: Tangents) -> Array:
+    """The nearest place (3,) that satisfies these extremes (4,), with the contents in the middle of what room is left."""
+    left, to_right, down, to_up = tangents
+    distance = max((most[0] + most[1]) / (left + to_right), (most[2] + most[3]) / (down + to_up))
+    # cx lies between most[1] - r D and l D - most[0].
+    across = (most[1] - to_right * distance + left * distance - most[0]) / 2
+    upwards = (most[3] - to_up * distance + down * distance - most[2]) / 2
+    return across * right + upwards * up - distance * np.cross(up, right)
+
+
+def axes_of(model: mujoco.MjModel, camera: int) -> tuple[Array, Array]:
+    """Right and up (3,) of a camera that stands in the world."""
+    R = np.zeros(9)
+    mujoco.mju_quat2Mat(R, model.cam_quat[camera])
+    return R.reshape(3, 3)[:, 0], R.reshape(3, 3)[:, 1]

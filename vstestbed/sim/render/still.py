@@ -1,0 +1,82 @@
+"""A view of a scene that is drawn again only when something in it has moved by a visible part of a pixel."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import mujoco
+import numpy as np
+
+from vstestbed.camera import Camera, Image
+from vstestbed.core.geometry import Array
+
+UNSEEN_PX = 0.25
+"""Motion in the image below which the last image is shown again [px]."""
+NEAR_M = 0.1
+"""Least distance that is assumed between a view and what it shows [m]."""
+FLOOR_M = 0.5
+"""The same for planes, which have no bounding sphere [m]."""
+
+
+class View(Protocol):
+    """A camera of the scene."""
+
+    def full_image(self) -> Image:
+        """The image now, shape (H, W, 3) uint8 RGB, as a copy that the caller may keep."""
+        ...
+
+
+class StillView:
+    """A view that is drawn again only if something has moved by UNSEEN_PX since it was drawn last.
+
+    A point of a geom at p in the camera's frame, with a bounding sphere of radius r, has moved by at most |dp| + r dphi for a turn by
+    dphi, and its image by f times that over its distance |p| - r.
+
+    Args:
+        view: draws the images.
+        model, data: the scene.
+        camera: the view's camera by its name in the scene.
+        f: pixels per radian.
+    """
+
+    def __init__(self, view: View, model: mujoco.MjModel, data: mujoco.MjData, camera: str, f: float):
+        self._view, self._model, self._data, self._f = view, model, data, f
+        self._camera = model.camera(camera).id
+        self._drawn: tuple[Array, ...] = ()
+        self._image: Image | None = None
+
+    def full_image(self) -> Image:
+        """The image now, shape (H, W, 3) uint8 RGB, as a copy that the caller may keep."""
+        state = self._state()
+        if self._image is None or self._motion(state) > UNSEEN_PX:
+            self._image, self._drawn = self._view.full_image(), state
+        return self._image.copy()
+
+    def _state(self) -> tuple[Array, ...]:
+        """Places (G, 3) and axes (G, 3, 3) of the geoms in the camera's frame; the camera's place (3,) and axes (3, 3)."""
+        data, i = self._data, self._camera
+        place, axes = data.cam_xpos[i].copy(), data.cam_xmat[i].reshape(3, 3).copy()
+        return (data.geom_xpos - place) @ axes, axes.T @ data.geom_xmat.reshape(-1, 3, 3), place, axes
+
+    def _motion(self, state: tuple[Array, ...]) -> float:
+        """Bound of the motion in the image since it was drawn [px]."""
+        (p, Q, c, R), (p_drawn, Q_drawn, c_drawn, R_drawn) = state, self._drawn
+        radius = self._model.geom_rbound
+        moved = np.linalg.norm(p - p_drawn, axis=1) + radius * _turn(Q - Q_drawn)
+        distance = np.linalg.norm(p, axis=1) - radius
+        of_geoms = np.where(radius > 0, moved / np.maximum(distance, NEAR_M), 0.0).max()
+        of_planes = _turn(R - R_drawn) + np.linalg.norm(c - c_drawn) / FLOOR_M
+        return self._f * float(max(of_geoms, of_planes))
+
+
+def _turn(difference: Array) -> Array:
+    """Angle between axes from their difference (..., 3, 3), for small angles: the Frobenius norm is sqrt(2) times it [rad]."""
+    return np.linalg.norm(difference, axis=(-2, -1)) / np.sqrt(2)
+
+
+def pixels_per_radian(lens: Camera) -> float:
+    """The most pixels per radian [px] at the corners of a grid of 9 x 9 in a lens's image, from one pixel to the next."""
+    u, v = np.meshgrid(np.linspace(0, lens.width - 2, 9), np.linspace(0, lens.height - 2, 9))
+    uv = np.stack([u, v], axis=-1)
+    angles = [np.linalg.norm(lens.ray(uv + step) - lens.ray(uv), axis=-1) for step in ([1, 0], [0, 1])]
+    return 1 / float(np.nanmin(angles))

@@ -1,0 +1,187 @@
+"""The camera of films from outside: it follows a robot that moves and shows robot, target and goal in each frame."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from vstestbed.core.geometry import Array, inverse, transform
+from vstestbed.sim.scene.compose import RANGE_GROUP
+from vstestbed.sim.scene.overview import AZIMUTHS, LEAST_REACH, Tangents, axes_of, extremes, eye_of, slanting
+from vstestbed.sim.scene.stage import Stage
+
+ELEVATIONS = np.radians([26.0, 16.0, 36.0])
+"""Elevations from which the view may look down [rad]."""
+SIDES = np.radians([0.0, 10.0, 20.0, -10.0, -20.0])
+"""Turns of the view of a free camera about its vertical, from the composed one [rad]."""
+AROUND = 2.2
+"""Extent shown round a moving robot over its own: it never fills the picture, and the floor beside it shows its motion."""
+LEAST_SHARE = 0.08
+"""Least extent of the robot over the picture's width; where robot, target and goal are too far apart for it, the robot counts."""
+RATE = 2.5
+"""Natural frequency of the filter that smooths the following [rad/s]: the camera starts and stops within about a second."""
+SHOWN = "robot/", "leader/", "target/", "eye"
+"""Beginnings of the names of bodies, or of geoms in the world, that are in the picture, and not of plates, decoys and the floor."""
+STRIPE = "target/line_"
+"""But not these: lines on the floor reach far."""
+HIDDEN_M = 0.12
+"""A ray that ends so near before its point has reached it: the lens lies within a housing [m]."""
+CORNERS = np.array([[i, j, k] for i in (-1.0, 1.0) for j in (-1.0, 1.0) for k in (-1.0, 1.0)])
+ROUND = np.array([[math.cos(a), math.sin(a), k] for k in (-1.0, 1.0) for a in np.arange(8) * math.pi / 4])
+FLAT_SIDED = [int(kind) for kind in (mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_MESH)]
+BISECTIONS = 7
+
+
+class View(NamedTuple):
+    """Directions of a view in the world: to the right and up, (3,) each."""
+
+    right: Array
+    up: Array
+
+    @property
+    def ahead(self) -> Array:
+        """The optical axis (3,)."""
+        return np.cross(self.up, self.right)
+
+
+class Things:
+    """The geoms that an outside view shows: robot, servo camera, target, its carrier.
+
+    Args:
+        model: the scene.
+
+    Attributes:
+        own: which of them (G,) are the robot's.
+    """
+
+    def __init__(self, model: mujoco.MjModel):
+        # A robot may have geoms that are fixed to the world; those of a body may have no name.
+        roots = [model.body(int(model.body_rootid[body])).name for body in model.geom_bodyid]
+        names = [model.geom(i).name if root == "world" else f"{root} {model.geom(i).name}" for i, root in enumerate(roots)]
+        named = np.array([name.startswith(SHOWN) and STRIPE not in name for name in names])
+        shown = np.flatnonzero(named & (model.geom_group != RANGE_GROUP) & (model.geom_rgba[:, 3] > 0))
+        self._geoms = shown
+        self.own = np.array([names[i].startswith("robot/") for i in shown])
+        shape = np.where(np.isin(model.geom_type[shown], FLAT_SIDED)[:, None, None], np.vstack([CORNERS, CORNERS]), ROUND)
+        self._local = model.geom_aabb[shown, None, :3] + model.geom_aabb[shown, None, 3:] * shape
+
+    def points(self, data: mujoco.MjData) -> Array:
+        """Points (G, 16, 3) in the world whose convex hulls are the geoms: corners of boxes, octagons at the ends of what is round."""
+        return data.geom_xpos[self._geoms, None] + self._local @ data.geom_xmat[self._geoms].reshape(-1, 3, 3).transpose(0, 2, 1)
+
+
+class FollowCamera:
+    """Pose of the scene's camera `overview` at each frame, from the frames so far.
+
+    Its direction is chosen at the first frame, as that with the largest robot that is not hidden. A robot on a fixed base, or a free
+    camera, is shown with all the places where something has been; a moving one is followed, smoothed by a g-h filter without
+    lag at constant velocity (critically damped: g = 1 - th^2, h = (1 - th)^2, th = exp(-RATE dt); Brookner 1998, Tracking and
+    Kalman Filtering Made Easy, section 1.2.6).
+
+    Args:
+        stage: the scene. things: in it. aspect: width over height of the picture.
+        free: share of the picture's width, from the left, that nothing is drawn over. foot: share of its height, at the bottom, that is.
+    """
+
+    def __init__(self, stage: Stage, things: Things, aspect: float, free: float, foot: float):
+        self._stage, model = stage, stage.model
+        self._camera, self._light = model.camera("overview").id, model.light("key").id
+        half = math.tan(math.radians(model.cam_fovy[self._camera]) / 2)
+        self._width = 2 * half * aspect
+        self._tangents = Tangents(half * aspect, half * aspect * (2 * free - 1), half * (1 - 2 * foot), half).narrowed()
+        self._things = things
+        self._moving = stage.parts.robot.base != "fixed"
+        self._view: View | None = None
+        self._extremes = np.full(4, -np.inf)
+        self._t, self._eye, self._velocity = 0.0, np.zeros(3), np.zeros(3)
+
+    def place(self, t: float, T_world_goal: Array | None) -> None:
+        """Set the camera for a placed stage at a time [s]; T_world_goal: pose (4, 4) of the servo camera at its goal, if it has one."""
+        around, beside = self._contents(T_world_goal)
+        data = self._stage.data
+        first = self._view is None
+        if self._view is None:
+            self._view = self._chosen(around, beside)
+        eye = self._eye_for(self._view, around, beside)
+        if first:
+            self._eye = eye
+        elif t > self._t:
+            still, dt = math.exp(-RATE * (t - self._t)), t - self._t
+            ahead = self._eye + self._velocity * dt
+            self._eye = ahead + (1 - still**2) * (eye - ahead)
+            self._velocity = self._velocity + (1 - still) ** 2 / dt * (eye - ahead)
+        self._t = t
+        data.cam_xpos[self._camera] = self._eye
+        data.cam_xmat[self._camera] = np.column_stack([self._view.right, self._view.up, -self._view.ahead]).ravel()
+        along = data.light_xdir[self._light]
+        data.light_xpos[self._light] = around.mean(axis=0) - LEAST_REACH * along
+
+    def _contents(self, T_world_goal: Array | None) -> tuple[Array, Array]:
+        """Corners (N, 3) of the robot, and (M, 3) of what else must be in the picture."""
+        points = self._things.points(self._stage.data)
+        robot, beside = points[self._things.own].reshape(-1, 3), points[~self._things.own].reshape(-1, 3)
+        low, high = robot.min(axis=0), robot.max(axis=0)
+        middle = (low + high) / 2
+        box = middle + CORNERS * (high - low) / 2
+        if T_world_goal is not None:
+            shift = T_world_goal @ inverse(self._stage.camera_pose())
+            beside = np.vstack([beside, transform(shift, box) if self._moving else T_world_goal[None, :3, 3]])
+        return (middle + AROUND * (box - middle) if self._moving else np.vstack([robot, self._stage.camera_pose()[None, :3, 3]])), beside
+
+    def _eye_for(self, view: View, around: Array, beside: Array) -> Array:
+        """The nearest eye (3,) that shows everything, or as much of it as leaves the robot its least size."""
+        if not self._moving:
+            now = extremes(np.vstack([around, beside]), *view, self._tangents)
+            self._extremes = np.maximum(self._extremes, now)
+            return eye_of(self._extremes, *view, self._tangents)
+        middle, near, far = around.mean(axis=0), 0.0, 1.0
+        eye = self._showing(view, around, beside)
+        for _ in range(BISECTIONS if self._share(eye, view, around) < LEAST_SHARE else 0):
+            share = (near + far) / 2
+            eye = self._showing(view, around, middle + share * (beside - middle))
+            near, far = (share, far) if self._share(eye, view, around) >= LEAST_SHARE else (near, share)
+        return eye
+
+    def _showing(self, view: View, around: Array, beside: Array) -> Array:
+        return eye_of(extremes(np.vstack([around, beside]), *view, self._tangents), *view, self._tangents)
+
+    def _share(self, eye: Array, view: View, around: Array) -> float:
+        """Extent of the robot over the picture's width."""
+        extent = float(np.ptp(around, axis=0).max()) / (AROUND if self._moving else 1)
+        return extent / (self._width * max(float((around.mean(axis=0) - eye) @ view.ahead), 1e-6))
+
+    def _chosen(self, around: Array, beside: Array) -> View:
+        """The direction of the film's view; near that of the composed scene for a free camera, which has no upright."""
+        if self._stage.parts.robot.model is None:
+            right, up = axes_of(self._stage.model, self._camera)
+            back = np.cross(right, up)
+            views = [View(right * math.cos(a) + back * math.sin(a), up) for a in SIDES]
+        else:
+            views = [View(*slanting(azimuth, elevation)) for elevation in ELEVATIONS for azimuth in AZIMUTHS]
+        return max(views, key=lambda view: self._merit(view, around, beside))
+
+    def _merit(self, view: View, around: Array, beside: Array) -> float:
+        """Extent of the robot, times how much of it all one sees.
+
+        The share of camera and markers that are not hidden; how much the markers' faces are turned to the viewer; for a robot that
+        stays, how much one sees the way from camera to target from the side.
+        """
+        eye = self._showing(view, around, beside)
+        target, T_target, at = self._stage.parts.target, self._stage.target_pose(), self._stage.camera_pose()[:3, 3]
+        seen = [self._sees(eye, at, HIDDEN_M), *(self._sees(eye, p, 2 * target.marker.radius) for p in transform(T_target, target.places))]
+        faces = max(float(T_target[:3, 2] @ view.ahead), 0.0) if target.board_half_m is not None else 1.0
+        way = T_target[:3, 3] - at
+        aside = 1.0 if self._moving else float(np.linalg.norm(np.cross(way, view.ahead)) / max(np.linalg.norm(way), 1e-9))
+        merit = self._share(eye, view, around) * (0.1 + sum(seen) / len(seen)) ** 2 * (0.4 + 0.6 * faces) * (0.4 + 0.6 * aside)
+        return round(merit, 6)  # of views that are equally good the first wins, whatever the last bit of a sum is
+
+    def _sees(self, eye: Array, point: Array, slack: float) -> bool:
+        """Whether nothing hides a point (3,) from the eye."""
+        way = point - eye
+        length, geom, groups = float(np.linalg.norm(way)), np.zeros(1, np.int32), np.ones(6, np.uint8)
+        groups[RANGE_GROUP] = 0
+        hit = mujoco.mj_ray(self._stage.model, self._stage.data, eye, way / max(length, 1e-9), groups, 1, -1, geom)
+        return not 0 <= hit < length - slack
