@@ -26,7 +26,7 @@ def inner(duration: float, rates: tuple[float, float, float] | None = None, lean
         R = level(tuple(craft.R[2].tolist()))
         wanted = rates or (*attitude_loop(R.to_body((math.sin(lean), 0.0, math.cos(lean))), gains), 0.0)
         trim, torque = rate_loop(trim, wanted, tuple(craft.data.sensor("robot/gyro").data.tolist()), gains, DT)
-        W, craft.data.ctrl[:] = speed_control(W, mix(MASS * GRAVITY, torque).W, gains.rotor_s, DT)
+        W, craft.data.ctrl[:] = speed_control(W, mix(MASS * GRAVITY, torque)[0], gains.rotor_s, DT)
         craft.step()
         rows.append([*craft.data.qvel[3:], math.atan2(craft.R[0, 2], craft.R[2, 2])])
     a = np.array(rows)

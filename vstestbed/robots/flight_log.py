@@ -36,7 +36,7 @@ class FlightLog(RobotLog):
     def row(self, state: RobotState) -> Array:
         """Values at one exposure."""
         reading = state.reading
-        assert isinstance(reading, FlightReading) and reading.tilt is not None and reading.estimate is not None
+        assert isinstance(reading, FlightReading) and reading.tilt is not None
         roll, pitch = reading.tilt.tolist()
         # The level frame is the estimate's own: with the true tilt, an error of tilt would show as one of velocity, too.
         up = (-math.sin(pitch), math.cos(pitch) * math.sin(roll), math.cos(pitch) * math.cos(roll))

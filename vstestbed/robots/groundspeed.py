@@ -81,7 +81,9 @@ def step(memory: Groundspeed, R: Level, measured: Vector, force: Vector, yaw_rat
         dt: [s].
     """
     (vx, vy, vz), (dx, dy, dz), _ = memory
-    mx, my, mz = R.to_level(measured)
+    xx, xy, xz, _, yy, yz, zx, zy, zz = R
+    a, b, c = measured
+    mx, my, mz = xx * a + xy * b + xz * c, yy * b + yz * c, zx * a + zy * b + zz * c
     ix, iy, iz = mx - vx, my - vy, mz - vz
     if isinstance(source, Filtered):
         k = 1.0 / source.tau_s
@@ -89,7 +91,8 @@ def step(memory: Groundspeed, R: Level, measured: Vector, force: Vector, yaw_rat
         # v relaxes in the turning frame itself; only the acceleration handed on needs the frame's rotation, r z x v.
         v = vx + ax * dt, vy + ay * dt, vz + az * dt
         return Groundspeed(v, (dx, dy, dz), (ax - yaw_rate * vy, ay + yaw_rate * vx, az))
-    fx, fy, fz = R.to_level(force)
+    a, b, c = force
+    fx, fy, fz = xx * a + xy * b + xz * c, yy * b + yz * c, zx * a + zy * b + zz * c
     w = source.bandwidth
     # Gains 2 w and w^2: the error's characteristic polynomial is (s + w)^2, critically damped.
     k, j = 2.0 * w, w * w * dt
