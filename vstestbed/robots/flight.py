@@ -23,7 +23,7 @@ from typing import Annotated, NamedTuple
 from vstestbed.core.geometry import clip
 from vstestbed.core.quantity import GainOrZero, Narrower, PositiveAngle, PositiveGain, PositiveTime
 from vstestbed.core.spec import spec
-from vstestbed.robots.attitude import GRAVITY, Level, Vector
+from vstestbed.robots.attitude import GRAVITY, Level, Vector, to_body
 from vstestbed.robots.rotors import INERTIA, LAG_S, MASS, MAX_YAW_TORQUE
 
 RECOVER_RAD, RECOVERED_RAD = math.radians(60), math.radians(15)
@@ -33,6 +33,8 @@ MAX_TILT_RATE = 4.0
 """Largest rate that the attitude loop commands [rad/s]. The rotors' torque at hover, 2.2 Nm, stops it in .15 s."""
 MAX_YAW_ACCELERATION = 0.4
 """Slope of the yaw-rate command [rad/s^2], a little under the .45 that the rotors' share of yaw can realise."""
+LEAST_LIFT = 0.3 * GRAVITY
+"""Least upward part of the commanded force, by mass [m/s^2]."""
 MAX_TRIM = 3.0
 """Bound of the velocity loop's integral [m/s^2]; a wind of 10 m/s takes 1.5."""
 MAX_RATE_TRIM = 3.0
@@ -116,7 +118,8 @@ def fly(
     """
     # Two thresholds (hysteresis): with one, a craft that swings about it would alternate between levelling and its setpoint.
     trim, model, rate_trim, yaw_rate, levelling, _, _ = memory
-    levelling = R.zz < (RECOVERED_COSINE if levelling else RECOVER_COSINE)
+    _, _, _, _, _, _, zx, zy, zz = R
+    levelling = zz < (RECOVERED_COSINE if levelling else RECOVER_COSINE)
     most = MAX_YAW_ACCELERATION * dt
     yaw_rate += clip((0.0 if levelling else yaw_order) - yaw_rate, -most, most)
     if levelling:
@@ -125,9 +128,9 @@ def fly(
     else:
         model = respond(model, order, gains, dt)
         trim, acceleration = velocity_loop(trim, model, order, velocity, yaw_rate, gains, dt)
-    force, thrust = aim(acceleration, R, gains)
-    wx, wy = attitude_loop(R.to_body(force), gains)
-    ref_rates = (wx + yaw_rate * R.zx, wy + yaw_rate * R.zy, yaw_rate * R.zz)
+    force, thrust = aim(acceleration, zz, gains)
+    wx, wy = attitude_loop(to_body(R, force), gains)
+    ref_rates = wx + yaw_rate * zx, wy + yaw_rate * zy, yaw_rate * zz
     rate_trim, torque = rate_loop(rate_trim, ref_rates, rates, gains, dt)
     return Loops(trim, model, rate_trim, yaw_rate, levelling, force, ref_rates), thrust, torque
 
@@ -155,20 +158,20 @@ def velocity_loop(
     return (x, y, z), acceleration
 
 
-def aim(acceleration: Vector, R: Level, gains: Gains) -> tuple[Vector, float]:
+def aim(acceleration: Vector, upright: float, gains: Gains) -> tuple[Vector, float]:
     """The force's direction (3,) in the level frame, unit, and the thrust [N], for a commanded acceleration (3,) [m/s^2].
 
-    The vertical part is kept, the horizontal part cut to the tilt limit. The thrust grows with 1 / cos(tilt), to twice at most;
+    upright: cosine of the tilt. The vertical part is kept, the horizontal part cut to the tilt limit. The thrust grows with 1 / cos(tilt), to twice at most;
     upside down it is 0, and the rotors make only the torque that turns the craft over.
     """
     ax, ay, az = acceleration
     # Upward in any dive: a thrust of 0 would have no direction, and its tilt limit would be 0, too.
-    up = max(0.3 * GRAVITY, GRAVITY + az)
+    up = GRAVITY + az if GRAVITY + az > LEAST_LIFT else LEAST_LIFT
     most, size = up * gains.slope, math.hypot(ax, ay)
     if size > most:
         ax, ay = ax * most / size, ay * most / size
     n = 1.0 / math.sqrt(ax * ax + ay * ay + up * up)
-    thrust = MASS * up / max(0.5, R.zz) if R.zz > 0 else 0.0
+    thrust = MASS * up / (upright if upright > 0.5 else 0.5) if upright > 0 else 0.0
     return (ax * n, ay * n, up * n), thrust
 
 
@@ -181,8 +184,9 @@ def attitude_loop(force: Vector, gains: Gains) -> tuple[float, float]:
     sine = math.hypot(x, y)
     if sine < 1e-9:
         return (0.0, 0.0) if z > 0 else (MAX_TILT_RATE, 0.0)  # upside down: any axis is as good
-    rate = min(MAX_TILT_RATE, gains.attitude * math.atan2(sine, z)) / sine
-    return -rate * y, rate * x
+    rate = gains.attitude * math.atan2(sine, z)
+    share = (rate if rate < MAX_TILT_RATE else MAX_TILT_RATE) / sine
+    return -share * y, share * x
 
 
 def rate_loop(trim: tuple[float, float], ref_rates: Vector, rates: Vector, gains: Gains, dt: float) -> tuple[tuple[float, float], Vector]:

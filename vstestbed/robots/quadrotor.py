@@ -22,7 +22,7 @@ from vstestbed.core.quantity import Angle, AngleWidth, Position, PositiveRate, P
 from vstestbed.core.spec import spec
 from vstestbed.robots import groundspeed
 from vstestbed.robots.allocation import Allocation, Mount
-from vstestbed.robots.attitude import Attitude, Filter, level
+from vstestbed.robots.attitude import Attitude, Filter, heading_rate, level, to_body
 from vstestbed.robots.attitude import step as attitude_step
 from vstestbed.robots.base import Base, RobotBase
 from vstestbed.robots.failsafe import Failsafe
@@ -245,12 +245,12 @@ class Quadrotor(RobotBase):
         if not math.isfinite(vx + vy + vz + wz):
             vx = vy = vz = wz = 0.0
         # The filters in turn: the last velocity estimate's rate levels the accelerometer, and the new attitude the new velocity.
-        known = STILL if self.attitude.acceleration == "imu" else level(attitude.up).to_body(ground.acceleration)
+        known = STILL if self.attitude.acceleration == "imu" else to_body(level(attitude.up), ground.acceleration)
         attitude = attitude_step(attitude, gyro, force, known, self.attitude, dt)
         R = level(attitude.up)
         (gx, gy, gz), (bx, by, bz) = gyro, attitude.bias
         rates = gx - bx, gy - by, gz - bz
-        ground = groundspeed.step(ground, R, speed, force, R.heading_rate(rates), self.velocity, dt)
+        ground = groundspeed.step(ground, R, speed, force, heading_rate(R, rates), self.velocity, dt)
         if not armed:  # for good: nothing sets `armed` again
             W, orders = speed_control(W, (0.0, 0.0, 0.0, 0.0), gains.rotor_s, dt)
             return Flight(attitude, ground, Loops(), W, rates, False), np.array(orders)
@@ -276,7 +276,7 @@ class Quadrotor(RobotBase):
         attitude = memory.attitude
         tilt = np.array([attitude.roll, attitude.pitch])
         estimate = FlightEstimate(
-            velocity=np.array(level(attitude.up).to_body(memory.ground.velocity)),
+            velocity=np.array(to_body(level(attitude.up), memory.ground.velocity)),
             rates=np.array(memory.rates),
             ref_tilt=np.array(memory.loops.tilt),
             ref_rates=np.array(memory.loops.ref_rates),

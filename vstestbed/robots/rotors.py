@@ -52,7 +52,7 @@ def mix(thrust: float, torque: Vector) -> tuple[Four, bool]:
     widest = ar if ar > ap else ap
     t = clip(t0, widest, LIMIT - widest)
     above, below = LIMIT - t, t
-    y = clip(y0, -min(above - ap, below - ar), min(above - ar, below - ap))
+    y = clip(y0, max(ap - above, ar - below), min(above - ar, below - ap))
     cut = r != r0 or p != p0 or t != t0 or y != y0
     return (t - p - y, t - r + y, t + p - y, t + r + y), cut
 

@@ -9,6 +9,8 @@ import numpy as np
 from vstestbed.core.geometry import Array
 from vstestbed.sim.scene.stage import Stage
 
+NONE = np.zeros(0)
+
 
 class SensorReader:
     """Reads a robot's joints and MJCF sensors, once for each physics step.
@@ -18,7 +20,8 @@ class SensorReader:
     """
 
     def __init__(self, stage: Stage, rng: np.random.Generator):
-        self._stage, self._robot = stage, stage.parts.robot
+        self._robot, self._data = stage.parts.robot, stage.data
+        self._at = stage.at if self._robot.joints else None
         self._noise = self._robot.noise(rng)
         self._sensors = []
         for name in self._robot.sensors:
@@ -29,8 +32,8 @@ class SensorReader:
 
     def joints(self) -> tuple[Array, Array]:
         """True joint positions and speeds (n,) each."""
-        data = self._stage.data
-        return data.qpos[self._stage.at.qpos], data.qvel[self._stage.at.qvel]
+        at, data = self._at, self._data
+        return (NONE, NONE) if at is None else (data.qpos[at.qpos], data.qvel[at.qvel])
 
     def restart(self) -> None:
         """Forget the last reading."""
@@ -40,7 +43,7 @@ class SensorReader:
         """What the sensors read at a physics step (`Robot.measured`)."""
         # Cached: a second reading of the same instant must not draw other noise, which could be averaged out.
         if step != self._read_at:
-            data = self._stage.data.sensordata.copy()  # a robot may keep what it reads
+            data = self._data.sensordata.copy()  # a robot may keep what it reads
             sensors = {name: data[where] for name, where in self._sensors}
             self._reading, self._read_at = self._robot.measured(*self.joints(), sensors, self._noise), step
         return self._reading
