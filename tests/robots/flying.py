@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from vstestbed.core.geometry import Array
-from vstestbed.robots.flight_reading import FlightReading
+from vstestbed.robots.flight_reading import Instruments
 from vstestbed.robots.groundspeed import Flow
 from vstestbed.robots.imu import Imu
 from vstestbed.robots.quadrotor import Flight, FlightPose, FlightStart, Quadrotor
@@ -51,7 +51,7 @@ class Flown:
     """A craft in flight; `fly` goes on from where it is."""
 
     def __init__(self, robot: Quadrotor, seed: int = 0):
-        self.robot, self.rng, self.memory = robot, np.random.default_rng(seed), robot.begin()
+        self.robot, self.noise, self.memory = robot, robot.noise(np.random.default_rng(seed)), robot.begin()
         world = mujoco.MjSpec.from_file(str(MODELS / "world.xml"))
         world.option.timestep, world.option.density = DT, AIR
         craft = mujoco.MjSpec.from_file(str(MODELS / str(robot.model)))
@@ -69,10 +69,10 @@ class Flown:
         """R_world_base (3, 3), true."""
         return self.data.body("robot/base").xmat.reshape(3, 3)
 
-    def reading(self) -> FlightReading:
+    def reading(self) -> Instruments:
         """What the craft measures now."""
         sensors = {name: self.data.sensor(f"robot/{name}").data.copy() for name in self.robot.sensors}
-        return self.robot.measured(np.zeros(0), np.zeros(0), sensors, self.rng)
+        return self.robot.measured(np.zeros(0), np.zeros(0), sensors, self.noise)
 
     def tilt(self, roll: float, pitch: float = 0.0) -> None:
         """Put the craft at a tilt [rad], which its filter knows."""

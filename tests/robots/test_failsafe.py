@@ -14,9 +14,7 @@ def reading(range_m: float = 3.0, overturned: bool = False, rotor_limit_s: float
     """What the craft measures and estimates: by default it hovers 3 m over the ground."""
     still, no_joints = np.zeros(3), np.zeros(0)
     estimate = FlightEstimate(still, still, np.zeros(2), still, rotor_limit_s, overturned, stands)
-    return FlightReading(
-        no_joints, no_joints, tilt=np.zeros(2), gyro=still, force=still, velocity=still, range_m=range_m, estimate=estimate
-    )
+    return FlightReading(no_joints, no_joints, tilt=np.zeros(2), range_m=range_m, estimate=estimate)
 
 
 def flown(failsafe: Failsafe, until: float, since: float = 0.0, lost: str = "", **given: float) -> np.ndarray:

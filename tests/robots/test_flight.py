@@ -7,12 +7,11 @@ import pytest
 
 from tests.robots.flying import DT, Flown, Log, Response, perfect
 from vstestbed.core.geometry import Array
-from vstestbed.robots.attitude import GRAVITY, Filter, level
+from vstestbed.robots.attitude import GRAVITY, Filter, level, to_body
 from vstestbed.robots.flight import MAX_TILT_RATE, Gains, aim, attitude_loop, rate_loop
 from vstestbed.robots.flight_reading import HOLD
 from vstestbed.robots.rotors import HOVER, MASS, mix, speed_control
 
-FLAT = level((0.0, 0.0, 1.0))
 
 
 def inner(duration: float, rates: tuple[float, float, float] | None = None, lean: float = 0.0) -> tuple[Array, Array, Array]:
@@ -24,9 +23,9 @@ def inner(duration: float, rates: tuple[float, float, float] | None = None, lean
     craft, gains, W, trim, rows = Flown(perfect()), Gains(), (HOVER,) * 4, (0.0, 0.0), []
     for _ in range(round(duration / DT)):
         R = level(tuple(craft.R[2].tolist()))
-        wanted = rates or (*attitude_loop(R.to_body((math.sin(lean), 0.0, math.cos(lean))), gains), 0.0)
+        wanted = rates or (*attitude_loop(to_body(R, (math.sin(lean), 0.0, math.cos(lean))), gains), 0.0)
         trim, torque = rate_loop(trim, wanted, tuple(craft.data.sensor("robot/gyro").data.tolist()), gains, DT)
-        W, craft.data.ctrl[:] = speed_control(W, mix(MASS * GRAVITY, torque).W, gains.rotor_s, DT)
+        W, craft.data.ctrl[:] = speed_control(W, mix(MASS * GRAVITY, torque)[0], gains.rotor_s, DT)
         craft.step()
         rows.append([*craft.data.qvel[3:], math.atan2(craft.R[0, 2], craft.R[2, 2])])
     a = np.array(rows)
@@ -144,13 +143,12 @@ class TestTilt:
         assert not log.memory[-1].loops.levelling
 
     def test_aim(self):
-        force, thrust = aim((0.0, 0.0, 0.0), FLAT, 30)
+        force, thrust = aim((0.0, 0.0, 0.0), 1.0, Gains())
         assert force == (0.0, 0.0, 1.0)
         assert thrust == pytest.approx(MASS * GRAVITY, rel=1e-12)  # the true weight, no round 40 N
-        force, _ = aim((100.0, 0.0, 0.0), FLAT, 30)
+        force, _ = aim((100.0, 0.0, 0.0), 1.0, Gains())
         assert math.degrees(math.atan2(force[0], force[2])) == pytest.approx(30)
-        tilted = level((0.0, math.sin(0.5), math.cos(0.5)))
-        assert aim((0.0, 0.0, 0.0), tilted, 30)[1] * math.cos(0.5) == pytest.approx(MASS * GRAVITY)  # the vertical part is kept
+        assert aim((0.0, 0.0, 0.0), math.cos(0.5), Gains())[1] * math.cos(0.5) == pytest.approx(MASS * GRAVITY)  # the vertical part is kept
 
     def test_attitude_loop_turns_z_to_the_force(self):
         gains = Gains()

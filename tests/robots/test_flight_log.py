@@ -26,7 +26,7 @@ def test_estimates_references_wind_rotors_and_the_failsafe():
     )
     none, still = np.zeros(0), np.zeros(3)
     reading = FlightReading(
-        none, none, tilt=np.array([roll, pitch]), gyro=still, force=still, velocity=still, range_m=2.0, estimate=estimate
+        none, none, tilt=np.array([roll, pitch]), range_m=2.0, estimate=estimate
     )
     act = np.array([100.0, 400.0, 900.0, -1e-9])  # squared speeds; the last a rounding below rest
     log = robot.log(failsafe)
@@ -41,10 +41,8 @@ def test_estimates_references_wind_rotors_and_the_failsafe():
     assert found["supervisor"] == SINKS
 
 
-def test_a_twist_is_by_the_loops_where_they_have_an_estimate():
+def test_a_twist_is_the_loops_estimate():
     none, v, w = np.zeros(0), np.array([1.0, 2, 3]), np.array([4.0, 5, 6])
-    raw = FlightReading(none, none, gyro=w, force=v, velocity=v, range_m=1.0)
-    assert raw.body_twist.tolist() == [1, 2, 3, 4, 5, 6]
     estimate = FlightEstimate(-v, -w, np.zeros(2), np.zeros(3), 0.0, False, False)
-    flown = FlightReading(none, none, gyro=w, force=v, velocity=v, range_m=1.0, estimate=estimate)
+    flown = FlightReading(none, none, range_m=1.0, estimate=estimate)
     assert flown.body_twist.tolist() == [-1, -2, -3, -4, -5, -6]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.robots.attitude import GRAVITY, level
+from vstestbed.robots.attitude import GRAVITY, level, to_body
 from vstestbed.robots.groundspeed import READING_S, VELOCITIES, Filtered, Flow, Groundspeed, step
 
 DT = 0.001
@@ -58,7 +58,7 @@ def test_a_turning_level_frame():
 def test_tilted_readings_are_levelled():
     up = (-0.2, 0.3, np.sqrt(1 - 0.13))
     R = level(up)
-    rows, _ = run(Flow(), lambda t: R.to_body((1.0, 0.5, -0.2)), tuple(GRAVITY * np.array(up)), 8.0, R=R)
+    rows, _ = run(Flow(), lambda t: to_body(R, (1.0, 0.5, -0.2)), tuple(GRAVITY * np.array(up)), 8.0, R=R)
     np.testing.assert_allclose(rows[-1], [1.0, 0.5, -0.2], atol=1e-4)
 
 

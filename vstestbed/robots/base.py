@@ -118,8 +118,12 @@ class Robot(Protocol):
         """
         ...
 
-    def measured(self, q: Array, qd: Array, sensors: Mapping[str, Array], rng: np.random.Generator) -> Reading:
-        """Its sensor reading: true joints and MuJoCo's perfect sensors, by name, with noise and bias added."""
+    def noise(self, rng: np.random.Generator) -> Any:
+        """Where `measured` takes its sensors' noise from: `rng`, or what was drawn from it ahead."""
+        ...
+
+    def measured(self, q: Array, qd: Array, sensors: Mapping[str, Array], noise: Any) -> Any:
+        """What its sensors read: true joints and MuJoCo's perfect sensors, by name, with noise and bias added."""
         ...
 
     def measured_twist(self, before: Reading, now: Reading, duration: float, commanded: Array, mount: Mount) -> Array:
@@ -154,7 +158,7 @@ class Robot(Protocol):
         ...
 
     def reported(self, memory: Any, reading: Any) -> Any:
-        """The reading with the onboard controller's estimates added."""
+        """The reading that the loop sees: what the sensors read, with the onboard controller's estimates."""
         ...
 
     def rest_ctrl(self) -> Array | None:
@@ -226,7 +230,11 @@ class RobotBase:
     def check_mount(self, xyz: tuple[float, ...]) -> None:
         """Any place will do."""
 
-    def measured(self, q: Array, qd: Array, sensors: Mapping[str, Array], rng: np.random.Generator) -> Reading:
+    def noise(self, rng: np.random.Generator) -> Any:
+        """The generator itself."""
+        return rng
+
+    def measured(self, q: Array, qd: Array, sensors: Mapping[str, Array], noise: Any) -> Any:
         """The joints as they are."""
         return Reading(q, qd)
 

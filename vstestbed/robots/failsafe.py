@@ -49,7 +49,7 @@ class Failsafe(Supervisor):
 
     def filter(self, t: float, blind: str, reading: Reading, setpoint: Array, moved_m: float = 0.0) -> Array:
         """The setpoint (4,) that the flight loops get: the law's, or hold, descend, rotors off."""
-        assert isinstance(reading, FlightReading) and reading.estimate is not None
+        assert isinstance(reading, FlightReading)
         self._update_abort(t, blind, self._look(t, blind, moved_m), reading)
         self.mode = self._next_mode(t, blind, reading.estimate)
         if self.mode == OFF:
@@ -90,7 +90,6 @@ class Failsafe(Supervisor):
 
     def _update_abort(self, t: float, blind: str, lost: str, reading: FlightReading) -> None:
         """Give the task up where there is cause; take up again a task whose target was lost and is seen again."""
-        assert reading.estimate is not None
         if not math.isnan(self.off_at) or self._final:
             return
         if self.aborted and not blind and reading.range_m > RESUME_M:

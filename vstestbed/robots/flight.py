@@ -17,19 +17,24 @@ Brescianini & D'Andrea 2020, doi:10.1016/j.automatica.2019.108703 (tilt first, h
 from __future__ import annotations
 
 import math
+from functools import cached_property
 from typing import Annotated, NamedTuple
 
+from vstestbed.core.geometry import clip
 from vstestbed.core.quantity import GainOrZero, Narrower, PositiveAngle, PositiveGain, PositiveTime
 from vstestbed.core.spec import spec
-from vstestbed.robots.attitude import GRAVITY, Level, Vector
+from vstestbed.robots.attitude import GRAVITY, Level, Vector, to_body
 from vstestbed.robots.rotors import INERTIA, LAG_S, MASS, MAX_YAW_TORQUE
 
 RECOVER_RAD, RECOVERED_RAD = math.radians(60), math.radians(15)
 """Tilted by more than the first, the craft ignores its setpoint and levels; under the second it takes setpoints again."""
+RECOVER_COSINE, RECOVERED_COSINE = math.cos(RECOVER_RAD), math.cos(RECOVERED_RAD)
 MAX_TILT_RATE = 4.0
 """Largest rate that the attitude loop commands [rad/s]. The rotors' torque at hover, 2.2 Nm, stops it in .15 s."""
 MAX_YAW_ACCELERATION = 0.4
 """Slope of the yaw-rate command [rad/s^2], a little under the .45 that the rotors' share of yaw can realise."""
+LEAST_LIFT = 0.3 * GRAVITY
+"""Least upward part of the commanded force, by mass [m/s^2]."""
 MAX_TRIM = 3.0
 """Bound of the velocity loop's integral [m/s^2]; a wind of 10 m/s takes 1.5."""
 MAX_RATE_TRIM = 3.0
@@ -63,6 +68,11 @@ class Gains:
     tilt_deg: Annotated[PositiveAngle, Narrower(le=50)] = 30.0
     rotor_s: Annotated[PositiveTime, Narrower(le=LAG_S)] = 0.03
 
+    @cached_property
+    def slope(self) -> float:
+        """Tangent of the largest tilt."""
+        return math.tan(math.radians(self.tilt_deg))
+
 
 class Loops(NamedTuple):
     """State of the loops.
@@ -92,17 +102,10 @@ class Loops(NamedTuple):
         return -math.asin(max(-1.0, min(1.0, y))), math.atan2(x, z)
 
 
-class Push(NamedTuple):
-    """Commanded thrust [N] along the body's z and torque (3,) [Nm] in body axes."""
-
-    thrust: float
-    torque: Vector
-
-
 def fly(
     memory: Loops, order: Vector, yaw_order: float, velocity: Vector, R: Level, rates: Vector, gains: Gains, dt: float
-) -> tuple[Loops, Push]:
-    """One step of all loops.
+) -> tuple[Loops, float, Vector]:
+    """One step of all loops: their state, the commanded thrust [N] along the body's z and torque (3,) [Nm] in body axes.
 
     A craft tilted beyond 60 degrees levels first: it ignores its setpoint until it is within 15 degrees.
 
@@ -114,66 +117,61 @@ def fly(
         dt: [s].
     """
     # Two thresholds (hysteresis): with one, a craft that swings about it would alternate between levelling and its setpoint.
-    levelling = R.zz < math.cos(RECOVERED_RAD if memory.levelling else RECOVER_RAD)
+    trim, model, rate_trim, yaw_rate, levelling, _, _ = memory
+    _, _, _, _, _, _, zx, zy, zz = R
+    levelling = zz < (RECOVERED_COSINE if levelling else RECOVER_COSINE)
     most = MAX_YAW_ACCELERATION * dt
-    yaw_rate = memory.yaw_rate + max(-most, min(most, (0.0 if levelling else yaw_order) - memory.yaw_rate))
+    yaw_rate += clip((0.0 if levelling else yaw_order) - yaw_rate, -most, most)
     if levelling:
         # Trim and model start anew: integrated upside down, or from the fall, they would throw the craft off again.
         trim, model, acceleration = STILL, (*velocity, 0.0, 0.0), STILL
     else:
-        model = respond(memory.model, order, gains, dt)
-        trim = retrim(memory.trim, model, velocity, yaw_rate, gains, dt)
-        acceleration = velocity_loop(trim, order, velocity, yaw_rate, gains)
-    force, thrust = aim(acceleration, R, gains.tilt_deg)
-    wx, wy = attitude_loop(R.to_body(force), gains)
-    ref_rates = (wx + yaw_rate * R.zx, wy + yaw_rate * R.zy, yaw_rate * R.zz)
-    rate_trim, torque = rate_loop(memory.rate_trim, ref_rates, rates, gains, dt)
-    return Loops(trim, model, rate_trim, yaw_rate, levelling, force, ref_rates), Push(thrust, torque)
+        model = respond(model, order, gains, dt)
+        trim, acceleration = velocity_loop(trim, model, order, velocity, yaw_rate, gains, dt)
+    force, thrust = aim(acceleration, zz, gains)
+    wx, wy = attitude_loop(to_body(R, force), gains)
+    ref_rates = wx + yaw_rate * zx, wy + yaw_rate * zy, yaw_rate * zz
+    rate_trim, torque = rate_loop(rate_trim, ref_rates, rates, gains, dt)
+    return Loops(trim, model, rate_trim, yaw_rate, levelling, force, ref_rates), thrust, torque
 
 
 def respond(model: Model, order: Vector, gains: Gains, dt: float) -> Model:
     """The reference model v_m, a_m after one step, for a setpoint (3,) [m/s]; along z, without tilt in between, v_m' = k_c (v* - v_m)."""
     x, y, z, ax, ay = model
+    vx, vy, vz = order
     k, lag = gains.velocity, gains.attitude * dt
-    ax, ay = ax + lag * (k * (order[0] - x) - ax), ay + lag * (k * (order[1] - y) - ay)
-    return x + ax * dt, y + ay * dt, z + gains.climb * (order[2] - z) * dt, ax, ay
+    ax, ay = ax + lag * (k * (vx - x) - ax), ay + lag * (k * (vy - y) - ay)
+    return x + ax * dt, y + ay * dt, z + gains.climb * (vz - z) * dt, ax, ay
 
 
-def retrim(trim: Vector, model: Model, velocity: Vector, yaw_rate: float, gains: Gains, dt: float) -> Vector:
-    """The velocity loop's integral (3,) [m/s^2] after one step, within bounds."""
-    x, y, z = trim
+def velocity_loop(
+    trim: Vector, model: Model, order: Vector, velocity: Vector, yaw_rate: float, gains: Gains, dt: float
+) -> tuple[Vector, Vector]:
+    """The integral (3,) [m/s^2] after one step, within bounds, and the commanded acceleration (3,) in the level frame [m/s^2]."""
+    (x, y, z), (mx, my, mz, _, _), (ox, oy, oz), (vx, vy, vz) = trim, model, order, velocity
     # The level frame turns with the heading, the wind does not: its compensation must turn back by as much.
-    i, j, turn = gains.velocity_integral * dt, gains.climb_integral * dt, yaw_rate * dt
-    x, y = x + turn * y + i * (model[0] - velocity[0]), y - turn * x + i * (model[1] - velocity[1])
-    z += j * (model[2] - velocity[2])
-    return max(-MAX_TRIM, min(MAX_TRIM, x)), max(-MAX_TRIM, min(MAX_TRIM, y)), max(-MAX_TRIM, min(MAX_TRIM, z))
-
-
-def velocity_loop(trim: Vector, order: Vector, velocity: Vector, yaw_rate: float, gains: Gains) -> Vector:
-    """Commanded acceleration (3,) in the level frame [m/s^2], for velocities (3,) [m/s]."""
-    k = gains.velocity
+    i, j, turn, k = gains.velocity_integral * dt, gains.climb_integral * dt, yaw_rate * dt, gains.velocity
+    x, y, z = x + turn * y + i * (mx - vx), y - turn * x + i * (my - vy), z + j * (mz - vz)
+    x, y, z = clip(x, -MAX_TRIM, MAX_TRIM), clip(y, -MAX_TRIM, MAX_TRIM), clip(z, -MAX_TRIM, MAX_TRIM)
     # The last terms are r* z x v*: to keep a velocity in a frame that turns, the craft must accelerate sideways.
-    return (
-        k * (order[0] - velocity[0]) + trim[0] - yaw_rate * order[1],
-        k * (order[1] - velocity[1]) + trim[1] + yaw_rate * order[0],
-        gains.climb * (order[2] - velocity[2]) + trim[2],
-    )
+    acceleration = k * (ox - vx) + x - yaw_rate * oy, k * (oy - vy) + y + yaw_rate * ox, gains.climb * (oz - vz) + z
+    return (x, y, z), acceleration
 
 
-def aim(acceleration: Vector, R: Level, tilt_deg: float) -> tuple[Vector, float]:
+def aim(acceleration: Vector, upright: float, gains: Gains) -> tuple[Vector, float]:
     """The force's direction (3,) in the level frame, unit, and the thrust [N], for a commanded acceleration (3,) [m/s^2].
 
-    The vertical part is kept, the horizontal part cut to the tilt limit. The thrust grows with 1 / cos(tilt), to twice at most;
+    upright: cosine of the tilt. The vertical part is kept, the horizontal part cut to the tilt limit. The thrust grows with 1 / cos(tilt), to twice at most;
     upside down it is 0, and the rotors make only the torque that turns the craft over.
     """
     ax, ay, az = acceleration
     # Upward in any dive: a thrust of 0 would have no direction, and its tilt limit would be 0, too.
-    up = max(0.3 * GRAVITY, GRAVITY + az)
-    most, size = up * math.tan(math.radians(tilt_deg)), math.hypot(ax, ay)
+    up = GRAVITY + az if GRAVITY + az > LEAST_LIFT else LEAST_LIFT
+    most, size = up * gains.slope, math.hypot(ax, ay)
     if size > most:
         ax, ay = ax * most / size, ay * most / size
     n = 1.0 / math.sqrt(ax * ax + ay * ay + up * up)
-    thrust = MASS * up / max(0.5, R.zz) if R.zz > 0 else 0.0
+    thrust = MASS * up / (upright if upright > 0.5 else 0.5) if upright > 0 else 0.0
     return (ax * n, ay * n, up * n), thrust
 
 
@@ -186,15 +184,15 @@ def attitude_loop(force: Vector, gains: Gains) -> tuple[float, float]:
     sine = math.hypot(x, y)
     if sine < 1e-9:
         return (0.0, 0.0) if z > 0 else (MAX_TILT_RATE, 0.0)  # upside down: any axis is as good
-    rate = min(MAX_TILT_RATE, gains.attitude * math.atan2(sine, z)) / sine
-    return -rate * y, rate * x
+    rate = gains.attitude * math.atan2(sine, z)
+    share = (rate if rate < MAX_TILT_RATE else MAX_TILT_RATE) / sine
+    return -share * y, share * x
 
 
 def rate_loop(trim: tuple[float, float], ref_rates: Vector, rates: Vector, gains: Gains, dt: float) -> tuple[tuple[float, float], Vector]:
     """Integrals [rad/s^2] and torque (3,) [Nm], for body rates (3,) [rad/s]; the yaw torque stays within its share."""
-    ex, ey, ez = ref_rates[0] - rates[0], ref_rates[1] - rates[1], ref_rates[2] - rates[2]
+    (tx, ty), (rx, ry, rz), (wx, wy, wz), (Jx, Jy, Jz) = trim, ref_rates, rates, INERTIA
+    ex, ey = rx - wx, ry - wy
     k, i = gains.rate, gains.rate_integral * dt
-    tx = max(-MAX_RATE_TRIM, min(MAX_RATE_TRIM, trim[0] + i * ex))
-    ty = max(-MAX_RATE_TRIM, min(MAX_RATE_TRIM, trim[1] + i * ey))
-    z = max(-MAX_YAW_TORQUE, min(MAX_YAW_TORQUE, INERTIA[2] * gains.yaw * ez))
-    return (tx, ty), (INERTIA[0] * (k * ex + tx), INERTIA[1] * (k * ey + ty), z)
+    tx, ty = clip(tx + i * ex, -MAX_RATE_TRIM, MAX_RATE_TRIM), clip(ty + i * ey, -MAX_RATE_TRIM, MAX_RATE_TRIM)
+    return (tx, ty), (Jx * (k * ex + tx), Jy * (k * ey + ty), clip(Jz * gains.yaw * (rz - wz), -MAX_YAW_TORQUE, MAX_YAW_TORQUE))

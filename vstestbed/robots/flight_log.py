@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from vstestbed.core.geometry import Array
-from vstestbed.robots.attitude import level
+from vstestbed.robots.attitude import level, to_level
 from vstestbed.robots.flight_reading import FlightReading
 from vstestbed.robots.robot_log import RobotLog, RobotState
 from vstestbed.robots.supervisor import Supervisor
@@ -36,12 +36,12 @@ class FlightLog(RobotLog):
     def row(self, state: RobotState) -> Array:
         """Values at one exposure."""
         reading = state.reading
-        assert isinstance(reading, FlightReading) and reading.tilt is not None and reading.estimate is not None
+        assert isinstance(reading, FlightReading) and reading.tilt is not None
         roll, pitch = reading.tilt.tolist()
         # The level frame is the estimate's own: with the true tilt, an error of tilt would show as one of velocity, too.
         up = (-math.sin(pitch), math.cos(pitch) * math.sin(roll), math.cos(pitch) * math.cos(roll))
         estimate = reading.estimate
-        velocity = level(up).to_level(tuple(estimate.velocity.tolist()))
+        velocity = to_level(level(up), tuple(estimate.velocity.tolist()))
         loops = np.concatenate([estimate.rates, estimate.ref_tilt, estimate.ref_rates])
         speeds = np.sqrt(np.maximum(state.act, 0.0))  # activations are squared speeds
         return np.array([roll, pitch, *velocity, *loops, *state.wind, *speeds, self.supervisor.mode])

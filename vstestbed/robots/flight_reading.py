@@ -1,13 +1,15 @@
-"""A quadrotor's sensor reading and onboard estimate, and the setpoints of its failsafe."""
+"""What a quadrotor's instruments read and its flight loops estimate, and the setpoints of its failsafe."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from vstestbed.core.geometry import Array
+from vstestbed.robots.attitude import Vector
 from vstestbed.robots.reading import Reading
 
 HOLD = np.zeros(4)
@@ -19,6 +21,20 @@ ROTORS_OFF = np.array([0.0, 0.0, -math.inf, 0.0])
 def descend(speed_mps: float) -> Array:
     """The setpoint (4,) of a level vertical descent at a speed [m/s]."""
     return np.array([0.0, 0.0, -speed_mps, 0.0])
+
+
+class Instruments(NamedTuple):
+    """What the instruments read at one instant; plain floats, since the flight loops read them at 1 kHz.
+
+    Attributes:
+        gyro: body rates (3,) [rad/s]. force: specific force of the accelerometer, body axes (3,) [m/s^2].
+        velocity: of the optical-flow instrument, body axes (3,) [m/s]. range_m: of the range finder that looks down, inf over nothing [m].
+    """
+
+    gyro: Vector
+    force: Vector
+    velocity: Vector
+    range_m: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,24 +60,16 @@ class FlightEstimate:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FlightReading(Reading):
-    """Sensor readings of a quadrotor at one instant, and the estimate that its flight loops derive from them.
+    """A quadrotor's reading at one instant: its range finder, and what its flight loops estimate from all instruments.
 
     Attributes:
-        gyro: body rates (3,) [rad/s]. force: specific force of the accelerometer, body axes (3,) [m/s^2].
-        velocity: of the optical-flow instrument, body axes (3,) [m/s]. range_m: of the range finder that looks down, inf over nothing [m].
-        estimate: of the flight loops; None in a raw reading, before `Quadrotor.reported`.
+        range_m: of the range finder that looks down, inf over nothing [m]. estimate: of the flight loops.
     """
 
-    gyro: Array
-    force: Array
-    velocity: Array
     range_m: float
-    estimate: FlightEstimate | None = None
+    estimate: FlightEstimate
 
     @property
     def body_twist(self) -> Array:
-        """(v, w) of the base in body axes (6,): from the estimate, or from the raw sensors of a reading without one."""
-        # The estimate first: it has the gyro's bias removed, and less noise than one flow reading of a millisecond.
-        if self.estimate is None:
-            return np.concatenate([self.velocity, self.gyro])
+        """(v, w) of the base in body axes (6,), estimated."""
         return np.concatenate([self.estimate.velocity, self.estimate.rates])

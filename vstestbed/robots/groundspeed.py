@@ -19,7 +19,7 @@ from annotated_types import Gt, Le
 
 from vstestbed.core.quantity import PositiveGain, PositiveTime, Sigma
 from vstestbed.core.spec import OneOf, spec
-from vstestbed.robots.attitude import GRAVITY, Level, Vector
+from vstestbed.robots.attitude import GRAVITY, Level, Vector, to_level
 
 READING_S = 0.02
 """A flow sensor's exposure and period [s], 50 Hz, to which `sigma_mps` refers. The controller reads faster, with noise of the same
@@ -81,7 +81,7 @@ def step(memory: Groundspeed, R: Level, measured: Vector, force: Vector, yaw_rat
         dt: [s].
     """
     (vx, vy, vz), (dx, dy, dz), _ = memory
-    mx, my, mz = R.to_level(measured)
+    mx, my, mz = to_level(R, measured)
     ix, iy, iz = mx - vx, my - vy, mz - vz
     if isinstance(source, Filtered):
         k = 1.0 / source.tau_s
@@ -89,7 +89,7 @@ def step(memory: Groundspeed, R: Level, measured: Vector, force: Vector, yaw_rat
         # v relaxes in the turning frame itself; only the acceleration handed on needs the frame's rotation, r z x v.
         v = vx + ax * dt, vy + ay * dt, vz + az * dt
         return Groundspeed(v, (dx, dy, dz), (ax - yaw_rate * vy, ay + yaw_rate * vx, az))
-    fx, fy, fz = R.to_level(force)
+    fx, fy, fz = to_level(R, force)
     w = source.bandwidth
     # Gains 2 w and w^2: the error's characteristic polynomial is (s + w)^2, critically damped.
     k, j = 2.0 * w, w * w * dt

@@ -2,7 +2,7 @@
 
 A setpoint is (vx, vy, vz, wz) of the level frame: x the heading, z up, wz the heading's rate. On board, at 1 kHz:
 attitude from the IMU (`attitude`), velocity from its sensor (`groundspeed`), the control loops (`flight`), the rotors (`rotors`).
-All of it reads `FlightReading` alone, after `measured` has added noise and bias. The failsafe that may override the law is in
+All of it reads `Instruments` alone, after `measured` has added noise and bias. The failsafe that may override the law is in
 `failsafe`.
 Mass, rotors, drag and sensors are in `models/quadrotor.xml`.
 """
@@ -10,9 +10,8 @@ Mass, rotors, drag and sensors are in `models/quadrotor.xml`.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from functools import cached_property
 from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
@@ -23,13 +22,13 @@ from vstestbed.core.quantity import Angle, AngleWidth, Position, PositiveRate, P
 from vstestbed.core.spec import spec
 from vstestbed.robots import groundspeed
 from vstestbed.robots.allocation import Allocation, Mount
-from vstestbed.robots.attitude import Attitude, Filter, level
+from vstestbed.robots.attitude import Attitude, Filter, heading_rate, level, to_body
 from vstestbed.robots.attitude import step as attitude_step
 from vstestbed.robots.base import Base, RobotBase
 from vstestbed.robots.failsafe import Failsafe
-from vstestbed.robots.flight import RECOVER_RAD, Gains, Loops, fly
+from vstestbed.robots.flight import RECOVER_RAD, STILL, Gains, Loops, fly
 from vstestbed.robots.flight_log import FlightLog
-from vstestbed.robots.flight_reading import HOLD, FlightEstimate, FlightReading
+from vstestbed.robots.flight_reading import HOLD, FlightEstimate, FlightReading, Instruments
 from vstestbed.robots.groundspeed import READING_S, Flow, Groundspeed, VelocitySource
 from vstestbed.robots.imu import Imu
 from vstestbed.robots.reading import Reading
@@ -47,6 +46,9 @@ STOPPED_MPS = 0.12
 """Near the ground, a descent slower than the reference by this much is taken to be stopped by it [m/s]; the estimate's noise is .02."""
 STANDING_COSINE = math.cos(math.radians(30))
 """A craft tilted by more than 30 degrees does not stand."""
+READINGS_AHEAD = 64
+"""For how many readings noise is drawn at once."""
+NO_JOINTS = np.zeros(0)
 LEVEL_AXES = [0, 1, 2, 5]
 """Indices of vx, vy, vz and wz in a twist: the four velocities that a level craft can track."""
 
@@ -189,28 +191,27 @@ class Quadrotor(RobotBase):
         """Camera twists (6, 4) of vx, vy, vz and wz of the level craft."""
         return mount.to_camera[:, LEVEL_AXES]
 
-    def measured(self, q: Array, qd: Array, sensors: Mapping[str, Array], rng: np.random.Generator) -> FlightReading:
-        """Sensor readings: MuJoCo's perfect sensors with this craft's noise, bias and scale error."""
-        sigma, bias = self._errors
-        # One draw for all sensors: this runs at the control rate.
-        e = sigma * rng.standard_normal(10) + bias
-        height = float(sensors["range"][0])
-        return FlightReading(
-            q=q,
-            qd=qd,
-            gyro=sensors["gyro"] + e[0:3],
-            force=sensors["accelerometer"] + e[3:6],
-            velocity=sensors["velocity"] * (1.0 + self.velocity.scale_error) + e[6:9],
-            range_m=math.inf if height < 0 else height + float(e[9]),  # MuJoCo gives -1 where the ray hits nothing
-        )
-
-    @cached_property
-    def _errors(self) -> tuple[Array, Array]:
-        """Standard deviation and bias (10,) of gyro, accelerometer, velocity and range."""
+    def noise(self, rng: np.random.Generator) -> Iterator[list[float]]:
+        """Noise and bias (10,) of gyro, accelerometer, velocity and range, of one reading after the other."""
         # `sigma_mps` is that of a 20 ms reading; one of 1 ms has the same power spectrum with sqrt(20) times as much.
         imu, flow = self.imu, self.velocity.sigma_mps * math.sqrt(READING_S / 0.001)
         sigma = np.repeat([imu.gyro_sigma_radps, imu.accel_sigma_mps2, flow, self.range_sigma_m], [3, 3, 3, 1])
-        return sigma, np.array([*imu.gyro_bias_radps, *imu.accel_bias_mps2, 0.0, 0.0, 0.0, 0.0])
+        bias = np.array([*imu.gyro_bias_radps, *imu.accel_bias_mps2, 0.0, 0.0, 0.0, 0.0])
+        while True:  # drawn one by one, at 1 kHz, they would take as long as the rotors' mixer and its speed controllers
+            yield from (sigma * rng.standard_normal((READINGS_AHEAD, 10)) + bias).tolist()
+
+    def measured(self, q: Array, qd: Array, sensors: Mapping[str, Array], noise: Iterator[list[float]]) -> Instruments:
+        """MuJoCo's perfect sensors with this craft's noise, bias and scale error."""
+        gx, gy, gz, fx, fy, fz, vx, vy, vz, e = next(noise)
+        (wx, wy, wz), (ax, ay, az) = sensors["gyro"].tolist(), sensors["accelerometer"].tolist()
+        x, y, z = sensors["velocity"].tolist()
+        scale, height = 1.0 + self.velocity.scale_error, sensors["range"].item()
+        return Instruments(
+            (wx + gx, wy + gy, wz + gz),
+            (ax + fx, ay + fy, az + fz),
+            (x * scale + vx, y * scale + vy, z * scale + vz),
+            math.inf if height < 0 else height + e,  # MuJoCo gives -1 where the ray hits nothing
+        )
 
     def measured_twist(self, before: Reading, now: Reading, duration: float, commanded: Array, mount: Mount) -> Array:
         """Mean camera twist (6,) between two readings: the mean of velocity and body rates at both, through the mount."""
@@ -232,34 +233,33 @@ class Quadrotor(RobotBase):
         """The state of a craft that hovers, level and at rest."""
         return Flight()
 
-    def actuate(self, memory: Flight, setpoint: Array, reading: FlightReading, dt: float) -> tuple[Flight, Array]:
+    def actuate(self, memory: Flight, setpoint: Array, reading: Instruments, dt: float) -> tuple[Flight, Array]:
         """One control step: commanded squared rotor speeds (4,) for a setpoint (vx, vy, vz, wz).
 
         A setpoint that is not finite means hover; ROTORS_OFF disarms the craft for good, and its rotors run out.
         """
-        gyro, force, speed = tuple(reading.gyro.tolist()), tuple(reading.force.tolist()), tuple(reading.velocity.tolist())
+        attitude, ground, loops, W, _, armed, limited_s = memory
+        (gyro, force, speed, _), gains = reading, self.gains
         vx, vy, vz, wz = setpoint.tolist()
-        armed = memory.armed and vz != -math.inf
+        armed = armed and vz != -math.inf
         if not math.isfinite(vx + vy + vz + wz):
             vx = vy = vz = wz = 0.0
         # The filters in turn: the last velocity estimate's rate levels the accelerometer, and the new attitude the new velocity.
-        R = level(memory.attitude.up)
-        still = self.attitude.acceleration == "imu"
-        known = (0.0, 0.0, 0.0) if still else R.to_body(memory.ground.acceleration)
-        attitude = attitude_step(memory.attitude, gyro, force, known, self.attitude, dt)
+        known = STILL if self.attitude.acceleration == "imu" else to_body(level(attitude.up), ground.acceleration)
+        attitude = attitude_step(attitude, gyro, force, known, self.attitude, dt)
         R = level(attitude.up)
-        bias = attitude.bias
-        rates = gyro[0] - bias[0], gyro[1] - bias[1], gyro[2] - bias[2]
-        ground = groundspeed.step(memory.ground, R, speed, force, R.heading_rate(rates), self.velocity, dt)
+        (gx, gy, gz), (bx, by, bz) = gyro, attitude.bias
+        rates = gx - bx, gy - by, gz - bz
+        ground = groundspeed.step(ground, R, speed, force, heading_rate(R, rates), self.velocity, dt)
         if not armed:  # for good: nothing sets `armed` again
-            W, orders = speed_control(memory.W, (0.0, 0.0, 0.0, 0.0), self.gains.rotor_s, dt)
+            W, orders = speed_control(W, (0.0, 0.0, 0.0, 0.0), gains.rotor_s, dt)
             return Flight(attitude, ground, Loops(), W, rates, False), np.array(orders)
-        loops, push = fly(memory.loops, (vx, vy, vz), wz, ground.velocity, R, rates, self.gains, dt)
-        mixed = mix(push.thrust, push.torque)
-        W, orders = speed_control(memory.W, mixed.W, self.gains.rotor_s, dt)
-        return Flight(attitude, ground, loops, W, rates, True, memory.limited_s + dt if mixed.cut else 0.0), np.array(orders)
+        loops, thrust, torque = fly(loops, (vx, vy, vz), wz, ground.velocity, R, rates, gains, dt)
+        reference, cut = mix(thrust, torque)
+        W, orders = speed_control(W, reference, gains.rotor_s, dt)
+        return Flight(attitude, ground, loops, W, rates, True, limited_s + dt if cut else 0.0), np.array(orders)
 
-    def stands(self, memory: Flight, reading: FlightReading) -> bool:
+    def stands(self, memory: Flight, reading: Instruments) -> bool:
         """Whether the ground carries the craft, by its own sensors: upright, near the ground, and it does not sink as commanded.
 
         Either its climb rate stays above the one that its setpoints should give (`Loops.model`), which shows at once; or, in a slow
@@ -271,12 +271,12 @@ class Quadrotor(RobotBase):
         stopped = memory.armed and memory.ground.velocity[2] - memory.loops.model[2] > STOPPED_MPS
         return upright and near and (stopped or sum(memory.W) < 4 * 0.9 * HOVER)
 
-    def reported(self, memory: Flight, reading: FlightReading) -> FlightReading:
-        """The reading with the onboard estimate added."""
+    def reported(self, memory: Flight, reading: Instruments) -> FlightReading:
+        """The range and the onboard estimate."""
         attitude = memory.attitude
         tilt = np.array([attitude.roll, attitude.pitch])
         estimate = FlightEstimate(
-            velocity=np.array(level(attitude.up).to_body(memory.ground.velocity)),
+            velocity=np.array(to_body(level(attitude.up), memory.ground.velocity)),
             rates=np.array(memory.rates),
             ref_tilt=np.array(memory.loops.tilt),
             ref_rates=np.array(memory.loops.ref_rates),
@@ -284,4 +284,4 @@ class Quadrotor(RobotBase):
             overturned=memory.overturned,
             stands=self.stands(memory, reading),
         )
-        return replace(reading, tilt=tilt, estimate=estimate)
+        return FlightReading(NO_JOINTS, NO_JOINTS, tilt=tilt, range_m=reading.range_m, estimate=estimate)

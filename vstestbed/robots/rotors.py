@@ -13,8 +13,7 @@ Parameters: Pounds 2007 (models/quadrotor.xml has the sources; a test compares t
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
+from vstestbed.core.geometry import clip
 from vstestbed.robots.attitude import GRAVITY, Vector
 
 MASS, INERTIA = 4.0, (0.082, 0.082, 0.149)
@@ -31,19 +30,14 @@ YAW_SHARE = 0.6
 """Share of the rotors' margin at hover that yaw may use: the rest is for attitude and thrust."""
 MAX_YAW_TORQUE = YAW_SHARE * 4 * DRAG * (LIMIT - HOVER)
 """[Nm]: .066, which is .45 rad/s^2. Yaw is weak, since only the rotors' drag torques turn the craft about z."""
+PER_PAIR, PER_FOUR, PER_YAW = 2 * ARM * THRUST, 4 * THRUST, 4 * DRAG
+"""Roll or pitch torque [Nm s^2], thrust [N s^2] and yaw torque [Nm s^2] of a unit of r or p, of t and of y."""
 
 Four = tuple[float, float, float, float]
 
 
-class Mixed(NamedTuple):
-    """Commanded W (4,) within limits, and whether attitude, thrust or yaw had to be cut for it."""
-
-    W: Four
-    cut: bool
-
-
-def mix(thrust: float, torque: Vector) -> Mixed:
-    """Squared rotor speeds (front, right, back, left) for a thrust [N] and a torque (3,) [Nm].
+def mix(thrust: float, torque: Vector) -> tuple[Four, bool]:
+    """W (4,) of front, right, back and left within limits, for a thrust [N] and a torque (3,) [Nm]; and whether any of these was cut.
 
     At the limits roll and pitch come first, then thrust, then yaw: the mean is moved until the pairs' differences fit, and yaw gets
     the margin that is left. Differences beyond the whole range are cut to it.
@@ -51,16 +45,16 @@ def mix(thrust: float, torque: Vector) -> Mixed:
     # Attitude before thrust: a craft that is level can climb later; one that is not level accelerates sideways. Clipping each rotor
     # by itself would lose roll and pitch torque whenever the thrust is high.
     half = 0.5 * LIMIT
-    r0, p0, t0 = torque[0] / (2 * ARM * THRUST), torque[1] / (2 * ARM * THRUST), thrust / (4 * THRUST)
-    y0 = torque[2] / (4 * DRAG)
-    r, p = max(-half, min(half, r0)), max(-half, min(half, p0))
+    x, y, z = torque
+    r0, p0, t0, y0 = x / PER_PAIR, y / PER_PAIR, thrust / PER_FOUR, z / PER_YAW
+    r, p = clip(r0, -half, half), clip(p0, -half, half)
     ar, ap = abs(r), abs(p)
-    widest = max(ar, ap)
-    t = max(widest, min(LIMIT - widest, t0))
+    widest = ar if ar > ap else ap
+    t = clip(t0, widest, LIMIT - widest)
     above, below = LIMIT - t, t
-    y = max(-min(above - ap, below - ar), min(min(above - ar, below - ap), y0))
+    y = clip(y0, max(ap - above, ar - below), min(above - ar, below - ap))
     cut = r != r0 or p != p0 or t != t0 or y != y0
-    return Mixed((t - p - y, t - r + y, t + p - y, t + r + y), cut)
+    return (t - p - y, t - r + y, t + p - y, t + r + y), cut
 
 
 def speed_control(turning: Four, reference: Four, response_s: float, dt: float) -> tuple[Four, Four]:
@@ -81,9 +75,10 @@ def speed_control(turning: Four, reference: Four, response_s: float, dt: float) 
     a, b, c, d = turning
     A, B, C, D = reference
     u = (
-        max(0.0, min(LIMIT, a + lead * (A - a))),
-        max(0.0, min(LIMIT, b + lead * (B - b))),
-        max(0.0, min(LIMIT, c + lead * (C - c))),
-        max(0.0, min(LIMIT, d + lead * (D - d))),
+        clip(a + lead * (A - a), 0.0, LIMIT),
+        clip(b + lead * (B - b), 0.0, LIMIT),
+        clip(c + lead * (C - c), 0.0, LIMIT),
+        clip(d + lead * (D - d), 0.0, LIMIT),
     )
-    return (a + ahead * (u[0] - a), b + ahead * (u[1] - b), c + ahead * (u[2] - c), d + ahead * (u[3] - d)), u
+    ua, ub, uc, ud = u
+    return (a + ahead * (ua - a), b + ahead * (ub - b), c + ahead * (uc - c), d + ahead * (ud - d)), u

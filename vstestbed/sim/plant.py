@@ -7,7 +7,6 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from dm_control.rl.control import PhysicsError
 
 from vstestbed.camera import Look, Picture
 from vstestbed.core.geometry import Array, adjoint, inverse
@@ -30,7 +29,7 @@ SETTLE_S = 1.0
 
 
 class MujocoPlant:
-    """Steps a dm_control physics; setpoints go to the actuators, through the robot's onboard controller where it has one.
+    """Steps a scene; setpoints go to the actuators, through the robot's onboard controller where it has one.
 
     The robot starts at rest and in equilibrium: integrating servos carry the gravity load from the start, as they do when brakes are
     released; vehicles have settled on their springs.
@@ -60,13 +59,16 @@ class MujocoPlant:
         self._see_hidden, self._visible = see_hidden, np.zeros(len(self._target.points), dtype=bool)
         self._contacts = RobotContacts(stage.model, robot)
         # A stream of its own: turbulence, drawn at the control rate, must not shift the noise that the sensors draw.
-        self._wind_field = WindField(world.wind, stage.model, rng.spawn(1)[0]) if robot.base == "floating" else None
+        wind = WindField(world.wind, stage.model, rng.spawn(1)[0]) if robot.base == "floating" else None
+        self._wind_field = None if world.wind.still else wind
         self._sensors = SensorReader(stage, rng)
         self._leader = LeadVehicle(stage) if stage.leader else None
         self._velocity = np.zeros(6)
         self._memory: Any = robot.begin()
         self._orders = Orders(robot.stopping, robot.hold_setpoint(), order_s / self.step_s, self.step_s)
         self._control_steps = _whole_steps(robot.control_period_s, self.step_s)
+        loops = ((self._leader.steps, self._leader.drive) if self._leader else (0, None)), (self._control_steps, self._control)
+        self._loops = [(every, act, every * self.step_s) for every, act in loops if act and every]
         self._start()
 
     def _start(self) -> None:
@@ -99,7 +101,7 @@ class MujocoPlant:
             self._robot.base == "floating" and stage.root is not None
         ):  # out of the way: it is not controlled yet, and would fall on the vehicle
             stage.root.put(data.qpos, AWAY @ T_robot)
-        stage.physics.step(round(SETTLE_S / self.step_s))
+        stage.step(round(SETTLE_S / self.step_s))
         for root, T_start, stands in ((stage.root, T_robot, self._robot.base == "planar"), (stage.leader, T_leader, True)):
             if root is not None:
                 # What settled is the height; x, y and heading are the scenario's, whatever the settling did to them.
@@ -143,7 +145,7 @@ class MujocoPlant:
         if stage.parts.target.on_gripper:  # relative to the target in the gripper; the camera itself is at rest
             twist = -adjoint(inverse(T) @ T_target) @ self._twist(stage.held_site)
         hidden = stage.hidden(T, p_camera) if self._see_hidden else self._visible
-        q, qd, ctrl = *self._sensors.joints(), stage.data.ctrl[stage.at.ctrl]
+        q, qd, ctrl = *self._sensors.joints(), stage.data.ctrl[stage.at.ctrl].copy()
         contact, feet = self._contacts.touching(stage.data)
         act = stage.data.act[stage.at.act]
         return Truth(T, T_target, twist, q, qd, ctrl, p_camera, hidden, contact, feet, act, stage.model.opt.wind.copy())
@@ -183,38 +185,32 @@ class MujocoPlant:
 
         Onboard controllers act at fixed multiples of the physics step, however the calls divide the time.
         """
-        mine, theirs = self._control_steps, self._leader.steps if self._leader else 0
         end = self._steps + steps
-        try:
-            while self._steps < end:
-                ahead = end - self._steps
-                for every, act in ((theirs, self._lead), (mine, self._control)):
-                    if every:
-                        if self._steps % every == 0:
-                            act(every * self.step_s)
-                        ahead = min(ahead, every - self._steps % every)
-                if not mine:
-                    self._actuate()
-                    ahead = self._orders.unchanged(self._steps, ahead)
-                self._stage.physics.step(ahead)
-                self._steps += ahead
-        except PhysicsError:
-            return False
+        while self._steps < end:
+            ahead = end - self._steps
+            for every, act, dt in self._loops:
+                late = self._steps % every
+                if not late:
+                    act(dt)
+                if every - late < ahead:
+                    ahead = every - late
+            if not self._control_steps:
+                self._actuate()
+                ahead = self._orders.unchanged(self._steps, ahead)
+            if not self._stage.step(ahead):
+                return False
+            self._steps += ahead
         return True
-
-    def _lead(self, dt: float) -> None:
-        if self._leader:
-            self._leader.drive(dt)
 
     def _control(self, dt: float) -> None:
         """One period of the robot's onboard controller, and of the wind that acts on it."""
-        data = self._stage.data
-        if self._wind_field is not None and not self._stage.parts.world.wind.still:
-            self._wind_field.blow(self._steps * self.step_s, dt)
-        setpoint = self._orders.at(self._steps)
+        step, stage = self._steps, self._stage
+        if self._wind_field is not None:
+            self._wind_field.blow(step * self.step_s, dt)
+        setpoint = self._orders.at(step)
         if setpoint is not None:
-            reading = self._sensors.read(self._steps)
-            self._memory, data.ctrl[self._stage.at.ctrl] = self._robot.actuate(self._memory, setpoint, reading, dt)
+            reading = self._sensors.read(step)
+            self._memory, stage.data.ctrl[stage.at.ctrl] = self._robot.actuate(self._memory, setpoint, reading, dt)
 
     def close(self) -> None:
         """Free pictures and physics."""

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from vstestbed.core.geometry import Array
-from vstestbed.robots.reading import Reading
 from vstestbed.sim.scene.stage import Stage
+
+NONE = np.zeros(0)
 
 
 class SensorReader:
@@ -17,30 +20,30 @@ class SensorReader:
     """
 
     def __init__(self, stage: Stage, rng: np.random.Generator):
-        self._stage, self._rng = stage, rng
-        self._robot = stage.parts.robot
+        self._robot, self._data = stage.parts.robot, stage.data
+        self._at = stage.at if self._robot.joints else None
+        self._noise = self._robot.noise(rng)
         self._sensors = []
         for name in self._robot.sensors:
             sensor = stage.model.sensor(f"robot/{name}")
             self._sensors.append((name, slice(sensor.adr[0], sensor.adr[0] + sensor.dim[0])))
         self._read_at = -1
-        self._reading: Reading | None = None
+        self._reading: Any = None
 
     def joints(self) -> tuple[Array, Array]:
         """True joint positions and speeds (n,) each."""
-        data = self._stage.data
-        return data.qpos[self._stage.at.qpos], data.qvel[self._stage.at.qvel]
+        at, data = self._at, self._data
+        return (NONE, NONE) if at is None else (data.qpos[at.qpos], data.qvel[at.qvel])
 
     def restart(self) -> None:
         """Forget the last reading."""
         self._read_at = -1
 
-    def read(self, step: int) -> Reading:
-        """The sensor reading at a physics step."""
+    def read(self, step: int) -> Any:
+        """What the sensors read at a physics step (`Robot.measured`)."""
         # Cached: a second reading of the same instant must not draw other noise, which could be averaged out.
-        if step != self._read_at or self._reading is None:
-            q, qd = self.joints()
-            data = self._stage.data.sensordata
-            sensors = {name: data[where].copy() for name, where in self._sensors}
-            self._reading, self._read_at = self._robot.measured(q, qd, sensors, self._rng), step
+        if step != self._read_at:
+            data = self._data.sensordata.copy()  # a robot may keep what it reads
+            sensors = {name: data[where] for name, where in self._sensors}
+            self._reading, self._read_at = self._robot.measured(*self.joints(), sensors, self._noise), step
         return self._reading
