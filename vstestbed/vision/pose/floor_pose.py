@@ -95,5 +95,5 @@ def _errors(d: Array, across: Array, points: Array, origin: Array, place: Array)
     dp[:, 0, 2], dp[:, 1, 2] = p[:, 1] + origin[1], -p[:, 0] - origin[0]
     dunit = (dp - unit[:, :, None] * (unit[:, None] @ dp)) / reach[:, :, None]
     behind = np.sum(unit * d, axis=1, keepdims=True) < 0  # the orthogonal component is small there too
-    e = np.where(behind, np.sign(unit) * 1.0, (across @ unit[:, :, None])[..., 0])
+    e = np.where(behind, np.sign(unit), (across @ unit[:, :, None])[..., 0])
     return e.ravel(), (across @ dunit).reshape(-1, 3)
