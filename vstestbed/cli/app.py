@@ -136,7 +136,8 @@ def render(
     camera: Annotated[str, typer.Option(metavar="NAME", help="eye, overview, or another camera of model.xml.")] = "overview",
     size: Annotated[str | None, typer.Option(metavar="WxH", help="Size of the film in pixels.")] = None,
     fine: Fine = False,
-    out: Annotated[Path | None, typer.Option(metavar="FILE", help="The film. [default: RUN_DIR/NAME.mp4]")] = None,
+    gif: Annotated[bool, typer.Option("--gif", help="Make a GIF under 3 MB that repeats, for a README.")] = False,
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help="The film. [default: RUN_DIR/NAME.mp4 or .gif]")] = None,
     quiet: Quiet = False,
     plugin: Plugins = None,
 ) -> None:
@@ -144,7 +145,7 @@ def render(
     from vstestbed.cli.progress import show_notes
     from vstestbed.core.folders import only_writer
     from vstestbed.loop.log_file import open_log
-    from vstestbed.report.video.film import ending_of, film_log
+    from vstestbed.report.video.film import ending_of, film_log, gif_log
     from vstestbed.report.video.quality import quality_of
     from vstestbed.scenario.load import load
 
@@ -153,9 +154,9 @@ def render(
     scenario = load(run_dir / "scenario.yaml", plugins=plugin or [])
     log = open_log(run_dir, scenario)
     show_notes(not quiet)
-    path = out or run_dir / f"{camera}.mp4"
+    path = out or run_dir / f"{camera}.{'gif' if gif else 'mp4'}"
     with only_writer(run_dir) if path.parent == run_dir else nullcontext():  # a film elsewhere changes nothing in the run's folder
-        film = film_log(scenario, log, camera, path, quality_of(scenario, fine), size_px, ending_of(run_dir))
+        film = (gif_log if gif else film_log)(scenario, log, camera, path, quality_of(scenario, fine), size_px, ending_of(run_dir))
     if film is None:
         raise ParameterError("RUN_DIR", "has a log without frames; there is nothing to film", str(run_dir))
     if not quiet:

@@ -1,0 +1,82 @@
+"""A view is drawn again when something has moved in it, and not otherwise."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+import vstestbed as vs
+from vstestbed.sim.render.still import UNSEEN_PX, StillView, pixels_per_radian
+
+SCENE = """
+<mujoco><worldbody>
+  <camera name="eye" mode="fixed" pos="0 0 2"/>
+  <geom type="plane" size="0 0 1"/>
+  <body name="ball" mocap="true" pos="0.3 0 0.5"><geom type="sphere" size="0.1"/></body>
+  <body name="stick" mocap="true" pos="0 0.3 0.5"><geom type="box" size="0.4 0.01 0.01"/></body>
+</worldbody></mujoco>
+"""
+F = 400.0
+
+
+class Counts:
+    """Draws pictures whose grey level is how often it has drawn."""
+
+    drawn = 0
+
+    def full_image(self) -> np.ndarray:
+        self.drawn += 1
+        return np.full((4, 4, 3), self.drawn, np.uint8)
+
+
+class TestMotion:
+    @pytest.fixture(autouse=True)
+    def scene(self) -> None:
+        self.model = mujoco.MjModel.from_xml_string(SCENE)
+        self.data = mujoco.MjData(self.model)
+        self.counts = Counts()
+        self.view = StillView(self.counts, self.model, self.data, "eye", F)
+
+    def image(self) -> int:
+        mujoco.mj_kinematics(self.model, self.data)
+        mujoco.mj_camlight(self.model, self.data)
+        return int(self.view.full_image()[0, 0, 0])
+
+    def test_a_scene_at_rest_is_drawn_once_and_its_pictures_are_copies(self):
+        assert self.image() == 1
+        self.view.full_image()[:] = 99
+        assert self.image() == 1 and self.counts.drawn == 1
+
+    def test_small_motions_add_up(self):
+        self.image()
+        step = 0.3 * UNSEEN_PX * 1.5 / F  # three tenths of the limit for what is 1.5 m away
+        drawn = []
+        for _ in range(9):
+            self.data.mocap_pos[0, 0] += step
+            drawn.append(self.image())
+        assert drawn[0] == 1 and 2 <= drawn[-1] <= 4
+
+    @pytest.mark.parametrize("what", ["ball", "turn", "camera", "tilt"])
+    def test_what_moves_by_a_pixel_is_drawn(self, what: str):
+        self.image()
+        pixel = 1.0 / F  # [rad]
+        if what == "ball":
+            self.data.mocap_pos[0, 1] += 1.5 * pixel
+        elif what == "turn":  # the ends of a stick of .4 m, 1.5 m away
+            self.data.mocap_quat[1] = [np.cos(2 * pixel), 0, 0, np.sin(2 * pixel)]
+        elif what == "camera":
+            self.model.cam_pos[0, 0] += 2 * pixel
+        else:
+            self.model.cam_quat[0] = [np.cos(pixel), np.sin(pixel), 0, 0]
+        assert self.image() == 2
+
+
+@pytest.mark.parametrize("name", ["arm_ibvs", "spherical_book"])
+def test_pixels_per_radian_are_those_of_the_lens(name: str):
+    camera = vs.load(name).camera
+    f = pixels_per_radian(camera)
+    centre = np.array([camera.width / 2, camera.height / 2])
+    there = np.linalg.norm(camera.ray(centre + [1, 0]) - camera.ray(centre))
+    assert f >= 0.99 / there
+    assert f < 2 / there
