@@ -114,6 +114,7 @@ WRITES = {  # names of calls that write a file, of all libraries that the packag
 WRITERS = {  # beside core/files.py: where, which call, and why it may
     ("loop/log_file.py", "open"): "log.part has a fixed name and grows; opened with x",
     ("report/video/writer.py", "open"): "the encoder writes into the open file of a PartFile",
+    ("report/video/gif.py", "open"): "the encoder writes into memory",
     ("experiments/comparison/folder.py", "os.open"): "opens a folder for reading, to flush it",
     ("cli/streams.py", "open"): "opens the null device in place of a closed pipe",
     ("cli/streams.py", "os.open"): "opens the null device in place of closed standard streams",

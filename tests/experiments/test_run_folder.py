@@ -127,6 +127,23 @@ class TestRenderAndReport:
         assert seconds_of(Path("again.mp4")) == pytest.approx(0.24 + HELD_S, abs=PICTURE_S)
         assert (folder / "overview.mp4").read_bytes() == before
 
+    def test_drafts_are_small_and_fine_films_show_every_frame(self, command, folder: Path) -> None:
+        def read(name: str) -> tuple[tuple[int, int], float]:
+            with av.open(name) as container:
+                stream = container.streams.video[0]
+                return (stream.width, stream.height), float(stream.average_rate or 0)
+
+        assert [read("run/overview.mp4"), read("run/camera.mp4")] == [((640, 360), 12.5), ((160, 120), 12.5)]
+        assert command("render", folder, "--fine", "--out", "fine.mp4").code == 0
+        assert read("fine.mp4") == ((1280, 720), 25.0)
+        assert seconds_of(Path("fine.mp4")) == 0.24
+
+    def test_a_gif(self, command, folder: Path) -> None:
+        ended = command("render", folder, "--gif", "--size", "96x54")
+        assert (ended.code, ended.err[:52]) == (0, "run/overview.gif (96 x 54, 12.5 pictures a second, 0")
+        assert (folder / "overview.gif").read_bytes().startswith(b"GIF89a")
+        assert {p.name for p in folder.iterdir()} == PROMISED | {"camera.mp4", "overview.mp4", "overview.gif"}
+
     def test_an_unknown_camera_is_refused_with_the_list_and_leaves_no_film(self, command, folder: Path) -> None:
         ended = command("render", folder, "--camera", "hand")
         assert ended.code == 2
