@@ -145,7 +145,8 @@ def render(
     from vstestbed.cli.progress import show_notes
     from vstestbed.core.folders import only_writer
     from vstestbed.loop.log_file import open_log
-    from vstestbed.report.video.film import ending_of, film_log, gif_log
+    from vstestbed.report.video.film import ending_of, film_log
+    from vstestbed.report.video.gif import gif_of
     from vstestbed.report.video.quality import quality_of
     from vstestbed.scenario.load import load
 
@@ -155,8 +156,13 @@ def render(
     log = open_log(run_dir, scenario)
     show_notes(not quiet)
     path = out or run_dir / f"{camera}.{'gif' if gif else 'mp4'}"
+    quality, ending = quality_of(scenario, fine), ending_of(run_dir)
+
+    def make(path: Path) -> Path | None:
+        return film_log(scenario, log, camera, path, quality, size_px, ending)
+
     with only_writer(run_dir) if path.parent == run_dir else nullcontext():  # a film elsewhere changes nothing in the run's folder
-        film = (gif_log if gif else film_log)(scenario, log, camera, path, quality_of(scenario, fine), size_px, ending_of(run_dir))
+        film = gif_of(make, path) if gif else make(path)
     if film is None:
         raise ParameterError("RUN_DIR", "has a log without frames; there is nothing to film", str(run_dir))
     if not quiet:

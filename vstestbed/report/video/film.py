@@ -9,8 +9,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -29,9 +27,6 @@ from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.replay import Replay
 from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.judged import in_words_unit
-
-if TYPE_CHECKING:
-    from vstestbed.report.video.gif import Gif
 
 
 @dataclass(frozen=True, slots=True)
@@ -267,27 +262,6 @@ def film_log(
         if ending is not None:
             film.end(*ending)
     return path if film.frames else None
-
-
-def gif_log(
-    scenario: Scenario,
-    log: Rows,
-    camera: str,
-    path: Path,
-    quality: Quality,
-    size: tuple[int, int] | None = None,
-    ending: Verdict | None = None,
-) -> Gif | None:
-    """`film_log`, as a GIF that repeats.
-
-    Raises:
-        ParameterError: the run is too long for a GIF.
-    """
-    from vstestbed.report.video.gif import write_gif
-
-    with TemporaryDirectory(prefix="vstestbed_") as place:
-        film = film_log(scenario, log, camera, Path(place) / "film.mp4", quality, size, ending)
-        return film and write_gif(film, path)
 
 
 def picture_of_the_end(scenario: Scenario, log: Rows, path: Path, quality: Quality) -> None:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import contextlib
 import io
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import chain
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 import av
@@ -46,6 +47,13 @@ class Gif:
     def __str__(self) -> str:
         """In words."""
         return f"{self.path} ({self.width} x {self.height}, {self.rate_hz:.3g} pictures a second, {self.size / 1e6:.2f} MB)"
+
+
+def gif_of(film: Callable[[Path], Path | None], path: Path) -> Gif | None:
+    """The GIF of the film that a function makes under the path that it is given; None if it makes none. Raises as `write_gif` does."""
+    with TemporaryDirectory(prefix="vstestbed_") as place:
+        made = film(Path(place) / "film.mp4")
+        return made and write_gif(made, path)
 
 
 def write_gif(film: Path, path: Path) -> Gif:
