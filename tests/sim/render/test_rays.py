@@ -309,8 +309,9 @@ def test_a_machine_without_opengl_runs_films_and_all(tmp_path: Path, vstestbed_p
     assert done.returncode == 0, done.stderr
     lines = done.stderr.splitlines()
     lack = "no OpenGL: libEGL.so.1 and libGL.so.1 not found"
-    assert lines[0] == f"{lack}; rays draw the pictures instead, without shadows and textures; {gl.remedy()}"
-    assert lines[1].startswith("converged: ")
+    assert lines[0].startswith("films by rays are small, 320 x 180 from outside with 5 pictures a second; --fine")
+    assert lines[1] == f"{lack}; rays draw the pictures instead, without shadows and textures; {gl.remedy()}"
+    assert lines[2].startswith("converged: ")
     summary = json.loads((tmp_path / "done" / "summary.json").read_text())
     assert (summary["outcome"], summary["versions"]["renderer"]) == ("converged", "rays (mj_multiRay)")
     assert all((tmp_path / "done" / name).stat().st_size > 10000 for name in ("camera.mp4", "overview.mp4", "report.html"))
