@@ -124,7 +124,7 @@ class TestRenderAndReport:
         assert (ended.code, ended.out, ended.err) == (0, "", "again.mp4\n")
         with av.open("again.mp4") as container:
             assert (container.streams.video[0].width, container.streams.video[0].height) == size
-        assert seconds_of(Path("again.mp4")) == pytest.approx(0.24, abs=PICTURE_S)
+        assert seconds_of(Path("again.mp4")) == pytest.approx(0.24 + HELD_S, abs=PICTURE_S)
         assert (folder / "overview.mp4").read_bytes() == before
 
     def test_an_unknown_camera_is_refused_with_the_list_and_leaves_no_film(self, command, folder: Path) -> None:

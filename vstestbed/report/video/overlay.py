@@ -167,7 +167,8 @@ def draw_ending(image: Image, words: str, reason: str, color: Color) -> None:
     """Write how a run ended, in bold, and why, on a coloured band over the caption, in place; shortened to its width."""
     height, width = image.shape[:2]
     size, foot = text_size(height), height - strip_height(height)
-    large, pad = round(1.25 * size), round(0.7 * size)
+    pad = round(0.7 * size)
+    large = next((k for k in range(round(1.25 * size), size, -1) if text_width(words, k, 600) <= width - 2 * pad), size)
     top = foot - round(3.6 * size)
     image[top:foot] = color
     draw_text(image, shortened(words, large, width - 2 * pad, 600), (pad, top + round(1.5 * size)), PAPER, large, weight=600)

@@ -35,8 +35,8 @@ FLAT_SIDED = [int(kind) for kind in (mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.m
 BISECTIONS = 7
 
 
-class View(NamedTuple):
-    """Directions of a view in the world: to the right and up, (3,) each."""
+class Axes(NamedTuple):
+    """Axes of a view in the world: to the right and up, (3,) each."""
 
     right: Array
     up: Array
@@ -94,7 +94,7 @@ class FollowCamera:
         self._tangents = Tangents(half * aspect, half * aspect * (2 * free - 1), half * (1 - 2 * foot), half).narrowed()
         self._things = things
         self._moving = stage.parts.robot.base != "fixed"
-        self._view: View | None = None
+        self._view: Axes | None = None
         self._extremes = np.full(4, -np.inf)
         self._t, self._eye, self._velocity = 0.0, np.zeros(3), np.zeros(3)
 
@@ -131,7 +131,7 @@ class FollowCamera:
             beside = np.vstack([beside, transform(shift, box) if self._moving else T_world_goal[None, :3, 3]])
         return (middle + AROUND * (box - middle) if self._moving else np.vstack([robot, self._stage.camera_pose()[None, :3, 3]])), beside
 
-    def _eye_for(self, view: View, around: Array, beside: Array) -> Array:
+    def _eye_for(self, view: Axes, around: Array, beside: Array) -> Array:
         """The nearest eye (3,) that shows everything, or as much of it as leaves the robot its least size."""
         if not self._moving:
             now = extremes(np.vstack([around, beside]), *view, self._tangents)
@@ -145,25 +145,25 @@ class FollowCamera:
             near, far = (share, far) if self._share(eye, view, around) >= LEAST_SHARE else (near, share)
         return eye
 
-    def _showing(self, view: View, around: Array, beside: Array) -> Array:
+    def _showing(self, view: Axes, around: Array, beside: Array) -> Array:
         return eye_of(extremes(np.vstack([around, beside]), *view, self._tangents), *view, self._tangents)
 
-    def _share(self, eye: Array, view: View, around: Array) -> float:
+    def _share(self, eye: Array, view: Axes, around: Array) -> float:
         """Extent of the robot over the picture's width."""
         extent = float(np.ptp(around, axis=0).max()) / (AROUND if self._moving else 1)
         return extent / (self._width * max(float((around.mean(axis=0) - eye) @ view.ahead), 1e-6))
 
-    def _chosen(self, around: Array, beside: Array) -> View:
+    def _chosen(self, around: Array, beside: Array) -> Axes:
         """The direction of the film's view; near that of the composed scene for a free camera, which has no upright."""
         if self._stage.parts.robot.model is None:
             right, up = axes_of(self._stage.model, self._camera)
             back = np.cross(right, up)
-            views = [View(right * math.cos(a) + back * math.sin(a), up) for a in SIDES]
+            views = [Axes(right * math.cos(a) + back * math.sin(a), up) for a in SIDES]
         else:
-            views = [View(*slanting(azimuth, elevation)) for elevation in ELEVATIONS for azimuth in AZIMUTHS]
+            views = [Axes(*slanting(azimuth, elevation)) for elevation in ELEVATIONS for azimuth in AZIMUTHS]
         return max(views, key=lambda view: self._merit(view, around, beside))
 
-    def _merit(self, view: View, around: Array, beside: Array) -> float:
+    def _merit(self, view: Axes, around: Array, beside: Array) -> float:
         """Extent of the robot, times how much of it all one sees.
 
         The share of camera and markers that are not hidden; how much the markers' faces are turned to the viewer; for a robot that
