@@ -82,10 +82,10 @@ class Outside:
         """The camera's frustum at its goal, with the body of a robot that moves; eye to hand the target where it has to go."""
         to_goal = T_world_goal @ inverse(T_camera)
         if self._held is not None:
-            pen.area([transform(inverse(to_goal) @ T_target, self._held)], GOAL, GHOST_FILL)
+            pen.area(transform(inverse(to_goal) @ T_target, self._held)[None], GOAL, GHOST_FILL)
             return
         if self._moving:
-            pen.area(list(transform(to_goal, self._replay.body())), GOAL, GHOST_FILL)
+            pen.area(transform(to_goal, self._replay.body()), GOAL, GHOST_FILL)
         pen.lines(self._wire(pen, T_world_goal), GOAL)
 
     def put_inset(self, scene: Image, frame: FilmFrame, image: Image | None, render: Callable[[], Image]) -> None:
@@ -98,6 +98,8 @@ class Outside:
         if image is not None:
             width, height = self._inset_size
             part = np.full((height + EDGE, width + EDGE, 3), PAPER, np.uint8)
+            every = max(1, int(0.5 / self._scale))  # the mean of every pixel of a large image would take longer than the rest
+            image = image[every // 2 :: every, every // 2 :: every]
             small = np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
             self._overlay.marks(small, (frame.uv + 0.5) * self._scale - 0.5, (frame.goal_uv + 0.5) * self._scale - 0.5)
             part[:height, EDGE:] = small
@@ -132,7 +134,7 @@ class Pen:
         self.image, self._lens, self._T, self._stroke = image, lens, inverse(T_world_camera), stroke
 
     def pixels(self, points: Array) -> Array:
-        """Pixels (N, 2) of points (N, 3) in the world; NaN behind the camera, or too far outside for OpenCV's integers."""
+        """Pixels (..., 2) of points (..., 3) in the world; NaN behind the camera, or too far outside for OpenCV's integers."""
         uv = self._lens.project(transform(self._T, points))
         with np.errstate(invalid="ignore"):
             return np.where((np.abs(uv) < 8 * self._lens.width).all(axis=-1, keepdims=True), uv, np.nan)
@@ -155,20 +157,20 @@ class Pen:
         cv2.polylines(self.image, grid, False, INK, stroke + 1, cv2.LINE_AA, SHIFT)
         cv2.polylines(self.image, grid, False, color, stroke, cv2.LINE_AA, SHIFT)
 
-    def area(self, hulls: list[Array], color: Color, fill: float) -> None:
-        """The union of the convex hulls of points (N, 3): a translucent area with an outline."""
-        mask = np.zeros(self.image.shape[:2], np.uint8)
-        for points in hulls:
-            uv = self.pixels(points)
-            if np.isfinite(uv).all():
-                cv2.fillConvexPoly(mask, cv2.convexHull(np.rint(uv * UNIT).astype(np.int32)[:, None]), 255, cv2.LINE_8, SHIFT)
-        left, top, width, height = cv2.boundingRect(mask)
-        if not width:
+    def area(self, hulls: Array, color: Color, fill: float) -> None:
+        """The union of the convex hulls of points (G, P, 3): a translucent area with an outline."""
+        uv = self.pixels(hulls)
+        uv = uv[np.isfinite(uv).all(axis=(1, 2))]
+        size = np.array(self.image.shape[1::-1])
+        low, high = np.clip([uv.min(axis=(0, 1), initial=8e3) - 2, uv.max(axis=(0, 1), initial=-8e3) + 3], 0, size).astype(int)
+        if not (low < high).all():
             return
-        part, inside = self.image[top : top + height, left : left + width], mask[top : top + height, left : left + width]
-        cv2.copyTo(cv2.addWeighted(part, 1 - fill, np.full_like(part, color), fill, 0), inside, part)
-        outlines = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[0]
-        cv2.polylines(self.image, list(outlines), True, color, self._stroke, cv2.LINE_AA)
+        part = self.image[low[1] : high[1], low[0] : high[0]]
+        mask = np.zeros(part.shape[:2], np.uint8)
+        for points in np.rint((uv - low) * UNIT).astype(np.int32)[:, :, None]:
+            cv2.fillConvexPoly(mask, cv2.convexHull(points), 255, cv2.LINE_8, SHIFT)
+        cv2.copyTo(cv2.addWeighted(part, 1 - fill, np.full_like(part, color), fill, 0), mask, part)
+        cv2.polylines(part, list(cv2.findContours(mask, cv2.RETR_LIST, cv2.CHAIN_APPROX_SIMPLE)[0]), True, color, self._stroke, cv2.LINE_AA)
 
 
 def _frustum(camera: Camera) -> Array:

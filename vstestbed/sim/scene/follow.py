@@ -129,7 +129,7 @@ class FollowCamera:
         if T_world_goal is not None:
             shift = T_world_goal @ inverse(self._stage.camera_pose())
             beside = np.vstack([beside, transform(shift, box) if self._moving else T_world_goal[None, :3, 3]])
-        return (middle + AROUND * (box - middle) if self._moving else np.vstack([robot, self._stage.camera_pose()[None, :3, 3]])), beside
+        return (box if self._moving else np.vstack([robot, self._stage.camera_pose()[None, :3, 3]])), beside
 
     def _eye_for(self, view: Axes, around: Array, beside: Array) -> Array:
         """The nearest eye (3,) that shows everything, or as much of it as leaves the robot its least size."""
@@ -146,11 +146,13 @@ class FollowCamera:
         return eye
 
     def _showing(self, view: Axes, around: Array, beside: Array) -> Array:
-        return eye_of(extremes(np.vstack([around, beside]), *view, self._tangents), *view, self._tangents)
+        """The nearest eye (3,) that shows everything, with room beside a robot that moves."""
+        room = (AROUND - 1) * (around - around.mean(axis=0)) @ np.array([*view]).T @ np.array([*view]) if self._moving else 0.0
+        return eye_of(extremes(np.vstack([around + room, beside]), *view, self._tangents), *view, self._tangents)
 
     def _share(self, eye: Array, view: Axes, around: Array) -> float:
         """Extent of the robot over the picture's width."""
-        extent = float(np.ptp(around, axis=0).max()) / (AROUND if self._moving else 1)
+        extent = float(np.ptp(around, axis=0).max())
         return extent / (self._width * max(float((around.mean(axis=0) - eye) @ view.ahead), 1e-6))
 
     def _chosen(self, around: Array, beside: Array) -> Axes:
@@ -172,7 +174,7 @@ class FollowCamera:
         eye = self._showing(view, around, beside)
         target, T_target, at = self._stage.parts.target, self._stage.target_pose(), self._stage.camera_pose()[:3, 3]
         seen = [self._sees(eye, at, HIDDEN_M), *(self._sees(eye, p, 2 * target.marker.radius) for p in transform(T_target, target.places))]
-        faces = max(float(T_target[:3, 2] @ view.ahead), 0.0) if target.board_half_m is not None else 1.0
+        faces = max(float(T_target[:3, 2] @ view.ahead), 0.0) if not target.marker.height_m else 1.0
         way = T_target[:3, 3] - at
         aside = 1.0 if self._moving else float(np.linalg.norm(np.cross(way, view.ahead)) / max(np.linalg.norm(way), 1e-9))
         merit = self._share(eye, view, around) * (0.1 + sum(seen) / len(seen)) ** 2 * (0.4 + 0.6 * faces) * (0.4 + 0.6 * aside)
