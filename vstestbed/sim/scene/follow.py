@@ -120,16 +120,15 @@ class FollowCamera:
         data.light_xpos[self._light] = around.mean(axis=0) - LEAST_REACH * along
 
     def _contents(self, T_world_goal: Array | None) -> tuple[Array, Array]:
-        """Corners (N, 3) of the robot, and (M, 3) of what else must be in the picture."""
-        points = self._things.points(self._stage.data)
+        """Points (N, 3) round the robot, and (M, 3) round what else must be in the picture."""
+        points, camera = self._things.points(self._stage.data), self._stage.camera_pose()
         robot, beside = points[self._things.own].reshape(-1, 3), points[~self._things.own].reshape(-1, 3)
-        low, high = robot.min(axis=0), robot.max(axis=0)
-        middle = (low + high) / 2
-        box = middle + CORNERS * (high - low) / 2
+        if not self._moving:
+            robot = np.vstack([robot, camera[None, :3, 3]])
         if T_world_goal is not None:
-            shift = T_world_goal @ inverse(self._stage.camera_pose())
-            beside = np.vstack([beside, transform(shift, box) if self._moving else T_world_goal[None, :3, 3]])
-        return (box if self._moving else np.vstack([robot, self._stage.camera_pose()[None, :3, 3]])), beside
+            at_goal = transform(T_world_goal @ inverse(camera), robot) if self._moving else T_world_goal[None, :3, 3]
+            beside = np.vstack([beside, at_goal])
+        return robot, beside
 
     def _eye_for(self, view: Axes, around: Array, beside: Array) -> Array:
         """The nearest eye (3,) that shows everything, or as much of it as leaves the robot its least size."""
@@ -151,8 +150,8 @@ class FollowCamera:
         return eye_of(extremes(np.vstack([around + room, beside]), *view, self._tangents), *view, self._tangents)
 
     def _share(self, eye: Array, view: Axes, around: Array) -> float:
-        """Extent of the robot over the picture's width."""
-        extent = float(np.ptp(around, axis=0).max())
+        """Extent of the robot, as it is seen, over the picture's width."""
+        extent = max(float(np.ptp(around @ axis)) for axis in view)
         return extent / (self._width * max(float((around.mean(axis=0) - eye) @ view.ahead), 1e-6))
 
     def _chosen(self, around: Array, beside: Array) -> Axes:
