@@ -8,7 +8,6 @@ from typing import Annotated, Generic, Literal, TypeVar
 
 import numpy as np
 from annotated_types import Ge, Le, Lt
-from numpy.typing import NDArray
 
 from vstestbed.camera import Camera
 from vstestbed.core.errors import ParameterError
