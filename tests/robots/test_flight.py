@@ -13,7 +13,6 @@ from vstestbed.robots.flight_reading import HOLD
 from vstestbed.robots.rotors import HOVER, MASS, mix, speed_control
 
 
-
 def inner(duration: float, rates: tuple[float, float, float] | None = None, lean: float = 0.0) -> tuple[Array, Array, Array]:
     """Rate loop, mixer and rotors alone under an order of rates, or with the attitude loop under a lean [rad]; true attitude and rates.
 

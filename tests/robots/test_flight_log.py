@@ -25,9 +25,7 @@ def test_estimates_references_wind_rotors_and_the_failsafe():
         stands=False,
     )
     none, still = np.zeros(0), np.zeros(3)
-    reading = FlightReading(
-        none, none, tilt=np.array([roll, pitch]), range_m=2.0, estimate=estimate
-    )
+    reading = FlightReading(none, none, tilt=np.array([roll, pitch]), range_m=2.0, estimate=estimate)
     act = np.array([100.0, 400.0, 900.0, -1e-9])  # squared speeds; the last a rounding below rest
     log = robot.log(failsafe)
     row = log.row(RobotState(0.0, np.eye(4), still, still, reading, act, np.array([5.0, 0.0, -1.0])))

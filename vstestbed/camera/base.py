@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from annotated_types import Ge, Le
@@ -101,6 +101,8 @@ class Camera(ABC):
     shadows: bool = False
     renderer: Literal["auto", "gl", "rays"] = "auto"
     principal_px: Pixel | None = None
+    sees_all: ClassVar[bool] = False
+    """Whether each pixel of its picture has a ray: a wide lens has an image circle."""
 
     def __post_init__(self) -> None:
         """Refuse more samples than fit into memory, and a principal point outside the picture."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from functools import cached_property
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from annotated_types import Len
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from vstestbed.camera.base import LARGEST_PX, Camera
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.geometry import Array
+from vstestbed.core.geometry import Array, lengths
 from vstestbed.core.quantity import Coefficient, Narrower, PositiveAngle, PositiveLength
 from vstestbed.core.spec import spec
 
@@ -43,6 +43,7 @@ class Perspective(Camera):
     focal_length_m: PositiveLength | None = None
     pixel_size_m: PositiveLength | None = None
     distortion: Annotated[tuple[Coefficient, ...], Len(5, 5)] | None = None
+    sees_all: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         """Refuse contradictory intrinsics and a distortion that folds the picture over itself."""
@@ -147,9 +148,10 @@ class Perspective(Camera):
 
     def ray(self, uv: Array) -> Array:
         """Unit rays (..., N, 3) of pixels uv (..., N, 2)."""
-        xy = self.normalise(uv)
-        p = np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1)
-        return p / np.linalg.norm(p, axis=-1, keepdims=True)
+        p = np.empty((*uv.shape[:-1], 3))
+        p[..., :2], p[..., 2] = self.normalise(uv), 1.0
+        p /= lengths(p)
+        return p
 
     def _distort(self, xy: Array) -> Array:
         k1, k2, p1, p2, k3 = self.distortion or (0.0,) * 5

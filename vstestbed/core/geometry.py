@@ -58,6 +58,11 @@ def all_finite(a: Array) -> bool:
     return math.isfinite(np.add.reduce(a, axis=None))
 
 
+def lengths(p: Array) -> Array:
+    """Lengths (..., 1) of vectors p (..., n): as `np.linalg.norm`, whose checks take twice as long as the rest for a few vectors."""
+    return np.sqrt(np.add.reduce(p * p, axis=-1, keepdims=True))
+
+
 def clip(x: float, lowest: float, highest: float) -> float:
     """A number within its bounds; NaN becomes the highest. A third of the time of `max(lowest, min(highest, x))`."""
     return x if lowest <= x <= highest else lowest if x < lowest else highest

@@ -204,6 +204,8 @@ class TwistLimits:
         """The command for velocities u (n,) along the robot's motions, basis (6, n), scaled to within the limits."""
         twist = basis @ u
         factor = self.scale(twist)
+        if factor == 1.0:
+            return Command(u, twist)
         return Command(u=u * factor, twist=twist * factor, scale=factor)
 
 

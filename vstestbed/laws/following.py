@@ -59,7 +59,7 @@ def feedforward_term(
         total = solved * since + (0 if memory.integral is None else memory.integral)
         return replace(memory, seen=seen, integral=total), solved, kind.rate_per_s2 * total
     if isinstance(kind, NoFeedforward) or seen.motion is None:
-        return memory, solved, np.zeros_like(solved)
+        return memory, solved, np.zeros(solved.shape)
     trend = follow(kind, memory.trend, change, basis, seen.motion)
     shift, rate = look_ahead(kind, trend, basis, seen.motion)
     return replace(memory, seen=seen, t=seen.t, trend=trend), solved + shift, rate

@@ -24,7 +24,6 @@ from vstestbed.sim.base import Plant
 from vstestbed.tasks.frame import Frame, FrameTiming, ImageError
 from vstestbed.vision import Detector, Observer, TruthView
 
-_NO_ROW = np.zeros(0)
 _NOWHERE = np.full(3, np.nan)
 """Place and odometry of a robot that has none."""
 NONE_SEEN, FEW_SEEN, NO_PICTURE = "no marker was in sight", "too few markers were in sight", "no picture arrived"
@@ -86,6 +85,7 @@ class FrameController:
         self.robot_log = scenario.robot.log(self.supervisor)
         self.before: Exposed | None = None
         self.failed = False
+        self._needs_motion, self._own = "motion" in scenario.law.inputs, len(self.robot_log.columns) + len(self.monitor.columns)
         self._latest_s = scenario.timing.latest_s(scenario.camera)
 
     def look(self) -> Look | None:
@@ -106,29 +106,30 @@ class FrameController:
         basis = s.robot.motion_basis(mount, reading.q)
         self.law_memory, command = self.guarded.step(self.law_memory, seen, goal, basis)
         late = now.t - shot.t > self._latest_s
-        blind = command.rest_reason or self._unseen(seen) or (f"pictures arrived {now.t - shot.t:.2g} s late" if late else "")
+        error = ImageError.of(seen, goal, command.rest_reason)
+        blind = command.rest_reason or self._unseen(seen, goal, error) or (f"pictures arrived {now.t - shot.t:.2g} s late" if late else "")
         moved = self._moved(now.t, reading, blind, mount)
         allocation = self._supervised(shot.t, blind, self._allocate(command, reading, mount, rests=late), reading, moved)
         # A detector may have had a picture drawn whole: that time is the renderer's.
         self.spent["detect"] += detected - began - (self.plant.render_s - rendered)
         self.spent["law"] += time.perf_counter() - detected
-        frame = self._frame(shot, now, seen, goal, command, allocation)
+        frame = self._frame(shot, now, seen, goal, error, command, allocation)
         self.before = shot
         self.reference_memory, next_goal = s.goal.passed(self.reference_memory, frame.error)
         if next_goal is not None:  # a law's memory belongs to one goal
             self.law_memory = self.law.init(next_goal)
         return frame
 
-    def _frame(self, shot: Exposed, now: Arrival, seen: Observation, goal: Goal, command: Command, allocation: Allocation) -> Frame:
+    def _frame(
+        self, shot: Exposed, now: Arrival, seen: Observation, goal: Goal, error: ImageError, command: Command, allocation: Allocation
+    ) -> Frame:
         """The frame, with the robot's and the task's own columns."""
-        error = ImageError.of(seen, goal, command.rest_reason)
         image = shot.picture.image if shot.picture else None
-        timing = FrameTiming(shot.number, shot.t, now.t_cmd)
-        frame = Frame(timing, seen, goal, error, command, allocation, shot.truth, image, _NO_ROW)
+        row = np.empty(self._own)
+        frame = Frame(FrameTiming(shot.number, shot.t, now.t_cmd), seen, goal, error, command, allocation, shot.truth, image, row)
         values = self.monitor.measure(frame)
-        row = np.array((*self._robot_row(frame, shot), *values))
-        # Not dataclasses.replace, which takes three times as long: this runs for every frame.
-        return Frame(timing, seen, goal, error, command, allocation, shot.truth, image, row)
+        row[:] = (*self._robot_row(frame, shot), *values)
+        return frame
 
     def _robot_row(self, frame: Frame, shot: Exposed) -> Iterable[float]:
         """Values of the robot's own columns."""
@@ -164,16 +165,16 @@ class FrameController:
         if self.observer.uses_motion(detection):
             mount = self._mount_at(shot.reading.q)
             twist = s.robot.measured_twist(last.reading, shot.reading, shot.t - last.t, shot.commanded, mount)
-        if "motion" in s.law.inputs:
+        if self._needs_motion:
             own = self._own_motion(last, shot, now, twist)
         heading, tilt = shot.reading.heading, shot.reading.tilt
         observed = self.observer.observe(self.observer_memory, shot.t, detection, twist, self.rng, heading, tilt, own)
         self.observer_memory, seen = observed
         return seen
 
-    def _unseen(self, seen: Observation) -> str:
+    def _unseen(self, seen: Observation, goal: Goal, error: ImageError) -> str:
         """Why a law that gives no reason has no measurement; "" where it has one."""
-        n = np.count_nonzero(seen.seen)
+        n = len(seen.uv) if error.all_seen and goal.counted is None else np.count_nonzero(seen.seen)
         return "" if n >= self._needed else FEW_SEEN if n else NONE_SEEN
 
     def _moved(self, t: float, reading: Reading, blind: str, mount: Mount) -> float:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import traceback
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.geometry import Array
+from vstestbed.core.geometry import Array, all_finite
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import Command, Law
 
@@ -39,7 +38,7 @@ class GuardedLaw:
             except BaseException as error:  # also sys.exit: a law must not end the program
                 self.failure = f"law {self._law.kind} raised {type(error).__name__}: {error} ({self._where(error)})"
             else:
-                if math.isfinite(command.twist.sum()):
+                if all_finite(command.twist):
                     return memory, command
                 self.failure = f"law {self._law.kind} gave a twist that is not finite, {np.round(command.twist, 3)}"
         return memory, Command.rest(basis, self.failure)

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any, ClassVar, Literal, Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from vstestbed.core.geometry import Array
 from vstestbed.robots.allocation import Actuation, Allocation, Mount
@@ -153,7 +154,7 @@ class Robot(Protocol):
         """The initial state of its onboard controller."""
         ...
 
-    def actuate(self, memory: Any, setpoint: Array, reading: Any, dt: float) -> tuple[Any, Array]:
+    def actuate(self, memory: Any, setpoint: Array, reading: Any, dt: float) -> tuple[Any, ArrayLike]:
         """One step of its onboard controller: the next state and the actuators' controls (nu,)."""
         ...
 
@@ -254,7 +255,7 @@ class RobotBase:
         """No memory."""
         return None
 
-    def actuate(self, memory: Any, setpoint: Array, reading: Any, dt: float) -> tuple[Any, Array]:
+    def actuate(self, memory: Any, setpoint: Array, reading: Any, dt: float) -> tuple[Any, ArrayLike]:
         """The setpoint itself."""
         return memory, setpoint
 

@@ -161,8 +161,8 @@ def velocity_loop(
 def aim(acceleration: Vector, upright: float, gains: Gains) -> tuple[Vector, float]:
     """The force's direction (3,) in the level frame, unit, and the thrust [N], for a commanded acceleration (3,) [m/s^2].
 
-    upright: cosine of the tilt. The vertical part is kept, the horizontal part cut to the tilt limit. The thrust grows with 1 / cos(tilt), to twice at most;
-    upside down it is 0, and the rotors make only the torque that turns the craft over.
+    The vertical part is kept, the horizontal part cut to the tilt limit. The thrust grows with 1 / cos(tilt), to twice at most;
+    upside down it is 0, and the rotors make only the torque that turns the craft over. upright: cos(tilt).
     """
     ax, ay, az = acceleration
     # Upward in any dive: a thrust of 0 would have no direction, and its tilt limit would be 0, too.

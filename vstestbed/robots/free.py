@@ -16,6 +16,9 @@ from vstestbed.robots.base import RobotBase
 from vstestbed.robots.puma560 import Puma560, PumaStart
 from vstestbed.robots.reading import Reading
 
+ALL_SIX = np.eye(6)
+ALL_SIX.flags.writeable = False
+
 
 @spec
 class Box:
@@ -84,7 +87,7 @@ class Free(RobotBase):
 
     def motion_basis(self, mount: Mount, q: Array) -> Array:
         """All six degrees of freedom."""
-        return np.eye(6)
+        return ALL_SIX
 
     def measured_twist(self, before: Reading, now: Reading, duration: float, commanded: Array, mount: Mount) -> Array:
         """The commanded twist, which it follows exactly."""

@@ -34,7 +34,7 @@ class Orders:
 
     def give(self, step: int, setpoint: Array) -> None:
         """A new order at this step. A stop order while the robot already stops changes nothing."""
-        if math.isnan(setpoint.sum()):
+        if math.isnan(np.add.reduce(setpoint)):
             self._until = min(self._until, step - 1)
         else:
             self._order, self._until = setpoint, step + self._lasts

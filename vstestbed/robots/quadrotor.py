@@ -233,7 +233,7 @@ class Quadrotor(RobotBase):
         """The state of a craft that hovers, level and at rest."""
         return Flight()
 
-    def actuate(self, memory: Flight, setpoint: Array, reading: Instruments, dt: float) -> tuple[Flight, Array]:
+    def actuate(self, memory: Flight, setpoint: Array, reading: Instruments, dt: float) -> tuple[Flight, Four]:
         """One control step: commanded squared rotor speeds (4,) for a setpoint (vx, vy, vz, wz).
 
         A setpoint that is not finite means hover; ROTORS_OFF disarms the craft for good, and its rotors run out.
@@ -253,11 +253,11 @@ class Quadrotor(RobotBase):
         ground = groundspeed.step(ground, R, speed, force, heading_rate(R, rates), self.velocity, dt)
         if not armed:  # for good: nothing sets `armed` again
             W, orders = speed_control(W, (0.0, 0.0, 0.0, 0.0), gains.rotor_s, dt)
-            return Flight(attitude, ground, Loops(), W, rates, False), np.array(orders)
+            return Flight(attitude, ground, Loops(), W, rates, False), orders
         loops, thrust, torque = fly(loops, (vx, vy, vz), wz, ground.velocity, R, rates, gains, dt)
         reference, cut = mix(thrust, torque)
         W, orders = speed_control(W, reference, gains.rotor_s, dt)
-        return Flight(attitude, ground, loops, W, rates, True, limited_s + dt if cut else 0.0), np.array(orders)
+        return Flight(attitude, ground, loops, W, rates, True, limited_s + dt if cut else 0.0), orders
 
     def stands(self, memory: Flight, reading: Instruments) -> bool:
         """Whether the ground carries the craft, by its own sensors: upright, near the ground, and it does not sink as commanded.

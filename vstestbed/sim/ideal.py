@@ -17,6 +17,7 @@ from vstestbed.sim.scene.stage import Stage
 from vstestbed.targets.motion import Path
 
 NONE, STILL_AIR = np.zeros(0), np.zeros(3)
+NO_JOINTS = Reading(NONE, NONE)
 
 
 class IdealPlant:
@@ -73,7 +74,7 @@ class IdealPlant:
 
     def truth(self) -> Truth:
         """The truth, now; it also updates the stage, from which pictures are taken."""
-        T = self._T.copy()
+        T = self._T  # never written to: `advance` makes a new one
         self._move_target()
         p_camera = self._target.seen_from(self._T_target_world @ T)
         hidden = self._hidden
@@ -99,7 +100,7 @@ class IdealPlant:
 
     def reading(self) -> Reading:
         """No joints."""
-        return Reading(NONE, NONE)
+        return NO_JOINTS
 
     def apply(self, setpoint: Array) -> None:
         """Set the twist (6,) of the flange. NaN: stop."""

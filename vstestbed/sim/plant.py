@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from vstestbed.camera import Look, Picture
+from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, adjoint, inverse
 from vstestbed.robots.orders import Orders
 from vstestbed.robots.reading import Reading
@@ -67,8 +68,9 @@ class MujocoPlant:
         self._memory: Any = robot.begin()
         self._orders = Orders(robot.stopping, robot.hold_setpoint(), order_s / self.step_s, self.step_s)
         self._control_steps = _whole_steps(robot.control_period_s, self.step_s)
-        loops = ((self._leader.steps, self._leader.drive) if self._leader else (0, None)), (self._control_steps, self._control)
-        self._loops = [(every, act, every * self.step_s) for every, act in loops if act and every]
+        loops = [(self._leader.steps, self._leader.drive)] if self._leader else []
+        loops += [(self._control_steps, self._control)] if self._control_steps else []
+        self._loops = [(every, act, every * self.step_s) for every, act in loops]
         self._start()
 
     def _start(self) -> None:
@@ -101,7 +103,8 @@ class MujocoPlant:
             self._robot.base == "floating" and stage.root is not None
         ):  # out of the way: it is not controlled yet, and would fall on the vehicle
             stage.root.put(data.qpos, AWAY @ T_robot)
-        stage.step(round(SETTLE_S / self.step_s))
+        if not stage.step(round(SETTLE_S / self.step_s)):
+            raise ParameterError("physics.step_s", "is too long for the vehicle's springs and contacts", self.step_s)
         for root, T_start, stands in ((stage.root, T_robot, self._robot.base == "planar"), (stage.leader, T_leader, True)):
             if root is not None:
                 # What settled is the height; x, y and heading are the scenario's, whatever the settling did to them.

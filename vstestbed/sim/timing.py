@@ -8,7 +8,6 @@ from typing import Annotated, Generic, Literal, TypeVar
 
 import numpy as np
 from annotated_types import Ge, Le, Lt
-from numpy.typing import NDArray
 
 from vstestbed.camera import Camera
 from vstestbed.core.errors import ParameterError
@@ -112,30 +111,37 @@ class Shutter:
         # Jitter is clipped to it: the exposures of two frames must not overlap.
         self._room = (steps_per_frame - 2 * self._half) // 2
         self._frame = -1
+        self._draws, self._late_steps = timing.draws, round(max(0.0, self._latency) / step_s)
 
     def following(self) -> Planned:
         """The next picture that will not be dropped."""
         timing, rng = self._timing, self._rng
         while True:
             self._frame += 1
+            if not self._draws:
+                return self._planned(self._frame * self._per_frame, self._late_steps)
             shift = round(timing.jittered(timing.exposure_jitter_s, rng) / self._step_s)
             middle = max(0, self._frame * self._per_frame + max(-self._room, min(self._room, shift)))
             late = max(0.0, self._latency + timing.jittered(timing.latency_jitter_s, rng))
             if timing.drop_probability == 0 or rng.random() >= timing.drop_probability:
-                opens = tuple(max(0, middle + int(offset)) for offset in self._offsets)
-                return Planned(self._frame, middle, opens, self._weights, middle + self._half + round(late / self._step_s))
+                return self._planned(middle, round(late / self._step_s))
+
+    def _planned(self, middle: int, late_steps: int) -> Planned:
+        """The frame with the middle of its exposure at this step, `late_steps` under way."""
+        opens = (middle,) if self._half == 0 else tuple(max(0, middle + offset) for offset in self._offsets)
+        return Planned(self._frame, middle, opens, self._weights, middle + self._half + late_steps)
 
 
-def _opening(half: int, most: int) -> tuple[NDArray[np.int_], tuple[float, ...]]:
+def _opening(half: int, most: int) -> tuple[tuple[int, ...], tuple[float, ...]]:
     """Steps from the middle at which an exposure of 2 half steps is sampled, symmetric, and their weights (trapezoids, sum 1)."""
     if half == 0:
-        return np.zeros(1, dtype=int), (1.0,)
+        return (0,), (1.0,)
     n = min(2 * half + 1, most - 1 + most % 2)  # odd: the middle is one of them
     # Rounded to whole steps they are unevenly spaced: the weights are those of the trapezoidal rule, so that the mean stays unbiased.
     offsets = np.round(np.linspace(-half, half, n)).astype(int)
     weights: Array = np.gradient(offsets.astype(float))
     weights[[0, -1]] /= 2
-    return offsets, tuple((weights / weights.sum()).tolist())
+    return tuple(offsets.tolist()), tuple((weights / weights.sum()).tolist())
 
 
 class DelayLine(Generic[T]):

@@ -17,7 +17,7 @@ class StateIndices:
 
     Attributes:
         qpos, qvel: of its measured joints, in the order of `Robot.joints`, in `data.qpos` and `data.qvel`.
-        ctrl: of its actuators, in the order of `Robot.actuators`, in `data.ctrl`; a slice, in a sixth of the time, where they are neighbours.
+        ctrl: of its actuators, in the order of `Robot.actuators`, in `data.ctrl`; a slice, which is quicker, where they adjoin.
         act: of those actuators that have an activation (an integrating servo, a rotor), in `data.act`.
     """
 

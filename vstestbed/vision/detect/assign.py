@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from itertools import combinations, product
 
@@ -36,8 +37,8 @@ LIKE_AREA = 0.3
 
 def allowed_px(uv: Array) -> float:
     """Largest distance of a blob from its predicted marker, in an image of markers at uv (N, 2) [px]."""
-    seen = uv[np.isfinite(uv[:, 0])]
-    return max(OFF_PX, OFF_SHARE * float(np.ptp(seen, axis=0).max())) if len(seen) else OFF_PX
+    seen = [(u, v) for u, v in uv.tolist() if math.isfinite(u)]
+    return max([OFF_PX, *(OFF_SHARE * (max(side) - min(side)) for side in zip(*seen, strict=True))])
 
 
 def assign_blobs(candidates: Candidates, camera: Camera, target: Target, previous: Array | None) -> list[Placed | None]:

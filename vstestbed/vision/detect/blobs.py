@@ -113,7 +113,7 @@ class Blobs:
         """All blobs in a window of one panel's image, in directions that its lens sees."""
         rim: Rim = self.moments if _smooth(lens) or (noise > 0 and self.moments == "binary") else "sharp"
         found = find_blobs(image, window, self.chroma, self.least_area_px, rim, noise)
-        if not found:
+        if not found or lens.sees_all:
             return found
         # Noise makes blobs outside of a wide lens's image circle, too, where a pixel has no ray.
         seen = np.isfinite(lens.ray(np.array([(blob.u, blob.v) for blob in found]))[:, 0])

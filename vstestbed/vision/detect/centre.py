@@ -47,11 +47,12 @@ def centre_bias(camera: Camera, target: Target, T_camera_target: Array) -> tuple
     Reference: Heikkila & Silven 1997, doi:10.1109/CVPR.1997.609468 (the bias in closed form for a pinhole and a disc).
     """
     points, radius = target.points, target.marker.radius
-    if not target.marker.height_m:  # flat
-        p = transform(T_camera_target, _disc_rims(points.tobytes(), radius)).reshape(len(points), -1, 3)
-    else:
-        p = _sphere_rims(transform(T_camera_target, points), radius)
-    return _of_rims(camera, p)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        if not target.marker.height_m:  # flat
+            p = transform(T_camera_target, _disc_rims(points.tobytes(), radius)).reshape(len(points), -1, 3)
+        else:
+            p = _sphere_rims(transform(T_camera_target, points), radius)
+        return _of_rims(camera, p)
 
 
 def _of_rims(camera: Camera, p: Array) -> tuple[Array, Array]:
@@ -60,9 +61,8 @@ def _of_rims(camera: Camera, p: Array) -> tuple[Array, Array]:
     q = uv[:, 1:] - uv[:, :1]
     here, there = q[:, :-1], q[:, 1:]
     a = here[..., 0] * there[..., 1] - here[..., 1] * there[..., 0]
-    twice_area = a.sum(axis=1)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        bias = np.einsum("nik,ni->nk", here + there, a) / (3 * twice_area[:, None])
+    twice_area = np.add.reduce(a, axis=1)
+    bias = np.einsum("nik,ni->nk", here + there, a) / (3 * twice_area[:, None])
     return bias, 0.5 * np.abs(twice_area)
 
 
@@ -72,10 +72,10 @@ def ball_bias(camera: Camera, radius: float, centroid: Array, area: Array) -> Ar
     The area gives a ball's distance; an error of 5 % in the area makes one of 5 % in the bias. NaN stays NaN.
     """
     bias, reach = np.zeros_like(centroid), np.full(len(area), 10 * radius)
-    for _ in range(BALL_ROUNDS):
-        p = camera.ray(centroid - bias) * reach[:, None]
-        bias, expected = _of_rims(camera, _sphere_rims(p, radius))
-        with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore", divide="ignore"):
+        for _ in range(BALL_ROUNDS):
+            p = camera.ray(centroid - bias) * reach[:, None]
+            bias, expected = _of_rims(camera, _sphere_rims(p, radius))
             # The area falls with the square of the distance; never closer than the ball's own surface.
             reach = np.maximum(reach * np.sqrt(expected / area), 1.01 * radius)
     return bias
@@ -95,14 +95,16 @@ def _sphere_rims(p: Array, radius: float) -> Array:
     Reference for the basis across a ray: Duff et al. 2017, Building an orthonormal basis, revisited, JCGT 6(1).
     """
     d2 = np.einsum("ni,ni->n", p, p)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        shrink = 1 - radius**2 / d2
-        rho = radius * np.sqrt(shrink)
-        x, y, z = (p / np.sqrt(d2)[:, None]).T
+    shrink = 1 - radius**2 / d2
+    rho = radius * np.sqrt(shrink)
+    x, y, z = (p / np.sqrt(d2)[:, None]).T
     sign = np.copysign(1.0, z)  # the branch without a singularity at z = -1
     a = -1 / (sign + z)
     b = x * y * a
-    e1 = np.stack([1 + sign * x * x * a, sign * b, -sign * x], axis=-1)
-    e2 = np.stack([b, sign + y * y * a, -y], axis=-1)
-    circle = _COS[:, None] * e1[:, None] + _SIN[:, None] * e2[:, None]
-    return np.concatenate([p[:, None], p[:, None] * shrink[:, None, None] + rho[:, None, None] * circle], axis=1)
+    across = np.empty((2, len(p), 1, 3))  # two unit vectors across each ray
+    across[0, :, 0, 0], across[0, :, 0, 1], across[0, :, 0, 2] = 1 + sign * x * x * a, sign * b, -sign * x
+    across[1, :, 0, 0], across[1, :, 0, 1], across[1, :, 0, 2] = b, sign + y * y * a, -y
+    out = np.empty((len(p), CORNERS + 2, 3))
+    out[:, 0] = p
+    out[:, 1:] = (p * shrink[:, None])[:, None] + rho[:, None, None] * (_COS[:, None] * across[0] + _SIN[:, None] * across[1])
+    return out

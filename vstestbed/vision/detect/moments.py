@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from vstestbed.camera import Camera
-from vstestbed.core.geometry import Array, transform
+from vstestbed.core.geometry import Array, lengths, transform
 from vstestbed.targets.base import Target
 from vstestbed.vision.detect.assign import allowed_px
 from vstestbed.vision.detect.centre import ball_bias, centre_bias
@@ -135,7 +135,7 @@ class MarkerFit:
     def _off(self, T: Array, centroid: Array, bias: Array) -> Array:
         """Distance of each centroid (N, 2) from its prediction under a pose, shape (N,) [px]."""
         uv = self._camera.project(transform(T, self._target.points)) + bias
-        return np.linalg.norm(centroid - uv, axis=1)
+        return lengths(centroid - uv)[:, 0]
 
     def _expected(self, T_camera_target: Array) -> tuple[Array, Array]:
         """Predicted perspective bias (N, 2) [px] and area (N,) [px^2] of each marker in its panel."""

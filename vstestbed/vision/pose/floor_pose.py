@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from vstestbed.core.geometry import Array
+from vstestbed.core.geometry import Array, lengths
 from vstestbed.vision.all_round import AT_THE_LENS
 
 ROUNDS = 12
@@ -86,14 +86,18 @@ def _refined(d: Array, points: Array, origin: Array, place: Array) -> tuple[Arra
 def _errors(d: Array, across: Array, points: Array, origin: Array, place: Array) -> tuple[Array, Array]:
     """Errors (3 N,) [1] and their Jacobian (3 N, 3) by (x, y, heading)."""
     c, s = math.cos(place[2]), math.sin(place[2])
-    m = points[:, :2] - place[:2]
-    p = np.column_stack([c * m[:, 0] + s * m[:, 1], -s * m[:, 0] + c * m[:, 1], points[:, 2]]) - origin
-    reach = np.maximum(np.linalg.norm(p, axis=1, keepdims=True), AT_THE_LENS)
+    x, y = (points[:, :2] - place[:2]).T
+    p = np.empty((len(points), 3))
+    p[:, 0], p[:, 1], p[:, 2] = c * x + s * y, -s * x + c * y, points[:, 2]
+    p -= origin
+    reach = np.maximum(lengths(p), AT_THE_LENS)
     unit = p / reach
     dp = np.zeros((len(points), 3, 3))
     dp[:, 0, 0], dp[:, 0, 1], dp[:, 1, 0], dp[:, 1, 1] = -c, -s, s, -c
     dp[:, 0, 2], dp[:, 1, 2] = p[:, 1] + origin[1], -p[:, 0] - origin[0]
     dunit = (dp - unit[:, :, None] * (unit[:, None] @ dp)) / reach[:, :, None]
-    behind = np.sum(unit * d, axis=1, keepdims=True) < 0  # the orthogonal component is small there too
-    e = np.where(behind, np.sign(unit), (across @ unit[:, :, None])[..., 0])
+    e = (across @ unit[:, :, None])[..., 0]
+    behind = np.add.reduce(unit * d, axis=1) < 0
+    if behind.any():  # the orthogonal component is small there too
+        e[behind] = np.sign(unit[behind])
     return e.ravel(), (across @ dunit).reshape(-1, 3)
