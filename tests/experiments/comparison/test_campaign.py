@@ -176,8 +176,8 @@ def test_a_worker_killed_in_the_middle_is_replaced(quick: Path, tmp_path: Path):
         os.kill(before, signal.SIGKILL)
         with pytest.raises(WorkerLostError):
             future.result(timeout=60)
-        again = pool.submit(request).result(timeout=60)
-        assert json.loads(again["summary.json"])["outcome"] == "converged"
+        (again,) = pool.submit(request).result(timeout=60)
+        assert again and json.loads(again["summary.json"])["outcome"] == "converged"
         assert pool.tries(request) == 2
         assert slot.pid.result() != before
 
