@@ -8,8 +8,8 @@ import re
 import shutil
 import tempfile
 import uuid
-from collections.abc import Iterator
-from concurrent.futures import Future, ProcessPoolExecutor
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing import get_context
@@ -18,6 +18,7 @@ from typing import Any, Protocol
 
 from vstestbed.core.errors import EnvironmentLackError, ParameterError
 from vstestbed.core.files import writing
+from vstestbed.core.shares import at_once
 from vstestbed.experiments.comparison.worker import Files, Request, begin, perform, process_id
 
 ONE_CORE = {"LP_NUM_THREADS": "0", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
@@ -46,6 +47,10 @@ class Pool(Protocol):
 
     def tries(self, request: Request) -> int:
         """How often a run has been started."""
+        ...
+
+    def call(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
+        """Call a function on this machine when all runs are done, at the same time as others where there are several workers."""
         ...
 
     def close(self) -> None:
@@ -129,6 +134,7 @@ class LocalPool:
         self._slots = [_Slot(self._place) for _ in range(jobs)]
         self._free = list(self._slots)
         self._tries: dict[str, int] = {}
+        self._callers = ThreadPoolExecutor(jobs)
 
     def submit(self, request: Request) -> Future[Done]:
         """Start a run in a free worker."""
@@ -155,8 +161,23 @@ class LocalPool:
         """How often a run has been started."""
         return self._tries.get(request.folder, 0)
 
+    def call(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
+        """Call it in a worker as soon as one is free; a single worker leaves it to this process, which has loaded more of the package."""
+        return at_once(function, *arguments) if self.room == 1 else self._callers.submit(self._called, function, arguments)
+
+    def _called(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
+        slot = self._free.pop()  # there is one: as many threads as slots call
+        try:
+            return slot.executor.submit(function, *arguments).result()
+        except BrokenProcessPool:  # killed, after its last run or now
+            slot.broken = True
+            return function(*arguments)
+        finally:
+            self._free.append(slot)
+
     def close(self) -> None:
         """Kill all workers and remove their temporary files."""
+        self._callers.shutdown(wait=False, cancel_futures=True)
         for slot in self._slots:
             slot.end()
         shutil.rmtree(Path(self._place).parent, ignore_errors=True)
@@ -218,6 +239,10 @@ class DaskPool:
         """How often a run has been started: every worker that starts it logs an event under the run's key."""
         # get_events is typed for asynchronous clients as well, where it is a coroutine
         return sum(len(self._client.get_events(key)) for key in self._begun.get(request.folder, []))  # type: ignore[arg-type]
+
+    def call(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
+        """Call it in this process: the cluster's workers need not see its files."""
+        return at_once(function, *arguments)
 
     def close(self) -> None:
         """Disconnect from the cluster; the scheduler cancels runs that no client waits for."""
