@@ -29,7 +29,7 @@ KILLS = int(os.environ.get("VSTESTBED_KILLS", "100"))
 LAST_S = 4.0
 """Moments of kills are drawn from 0 to this [s]: start-up, run, log, report."""
 RUN = ("run", "quick.yaml", "--video", "none")
-COMPARE = ("compare", "quick.yaml", "--vary", "law.gain=3.0,6.0", "--seeds", "6", "--no-film", "--jobs", "2", "--quiet")
+COMPARE = ("compare", "quick.yaml", "--vary", "law.gain=3.0,6.0", "--seeds", "12", "--no-film", "--jobs", "2", "--quiet")
 ENDLESS = ("--set", "stop.duration_s=1000", "--set", "stop.converged.error_px=1e-9", "--set", "noise.pixel_sigma_px=0.1")
 MOODS = ("time_ms.", "wall_time_s", "real_time_factor", "attempts")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import platform
 from importlib.metadata import PackageNotFoundError, version
 
@@ -18,6 +19,12 @@ def vstestbed_version() -> str:
 
 def versions() -> dict[str, str]:
     """Versions of vstestbed, mujoco, dm_control, opencv, numpy and python."""
+    return dict(_versions())
+
+
+@functools.cache
+def _versions() -> dict[str, str]:
+    # read once: it takes 5 ms, and a process may do thousands of runs
     found = {"vstestbed": vstestbed_version()}
     for name, package in PACKAGES.items():
         try:

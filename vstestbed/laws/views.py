@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, TypeGuard, runtime_checkable
 
 import numpy as np
 
@@ -80,3 +80,10 @@ class BatchLaw(Protocol):
             views: the current views. goal: the goal view of the same markers.
         """
         ...
+
+
+def has_batch(law: Any) -> TypeGuard[BatchLaw]:
+    """Whether a law controls a batch by the equations of its own `step`: a class that overrides `step` alone inherits another law's."""
+    classes = type(law).__mro__
+    made = [min((i for i, c in enumerate(classes) if name in vars(c)), default=len(classes)) for name in ("step_batch", "step")]
+    return isinstance(law, BatchLaw) and made[0] <= made[1]

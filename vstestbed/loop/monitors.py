@@ -15,6 +15,8 @@ from vstestbed.tasks.monitor import HoldTimer
 
 FAR_M = 200.0
 """Distance from the target beyond which the camera has diverged [m]."""
+FAR_WORDS = f"the camera is more than {FAR_M:g} m away from the target"
+CROSSED_WORDS = "the camera crossed the plane of the target"
 BLOCKED_S = 1.0
 """How long a limit must block the robot before the run ends [s]."""
 BLOCKED_SCALE = 0.02
@@ -58,7 +60,7 @@ class Divergence:
     def update(self, frame: Frame) -> Verdict | None:
         """Diverged, beyond FAR_M."""
         if math.hypot(*_from_target(frame)) > FAR_M:
-            return Outcome.diverged, f"the camera is more than {FAR_M:g} m away from the target"
+            return Outcome.diverged, FAR_WORDS
         return None
 
 
@@ -69,7 +71,7 @@ class PlaneCrossed:
         """Lost: from there no marker can be seen."""
         normal = frame.truth.T_world_target[:3, 2].tolist()  # z points away from a camera in front of it
         if sum(map(mul, _from_target(frame), normal)) >= 0:
-            return Outcome.target_lost, "the camera crossed the plane of the target"
+            return Outcome.target_lost, CROSSED_WORDS
         return None
 
 

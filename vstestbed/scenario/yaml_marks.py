@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import re
 from collections.abc import Callable, Mapping
+from functools import lru_cache
 from typing import Any
 
 from ruamel.yaml import YAML
@@ -35,6 +36,13 @@ def plain_mapping(text: str, file: str, needs: str) -> tuple[dict[str, Any], Mar
     Raises:
         ScenarioError: it is not YAML, empty, no mapping, or larger than any scenario.
     """
+    plain, marks = _mapping(text, file, needs)
+    return copy.deepcopy(plain), dict(marks)  # the caller changes them
+
+
+@lru_cache(maxsize=16)
+def _mapping(text: str, file: str, needs: str) -> tuple[dict[str, Any], Marks]:
+    # kept: a comparison reads one file for each of its controllers
     tree = _tree(text, file)
     if tree is None:
         raise ScenarioError([Mistake(f"{file}:1:1", "", f"is empty; {needs}")])

@@ -88,18 +88,18 @@ def scene_files(
 ) -> SceneFiles:
     """The compiled scene; its keyframe `start` is the nominal start. sights: points that the outside view must show [m]."""
     from vstestbed.core.geometry import quaternion_wxyz
-    from vstestbed.sim.scene.compose import Parts
+    from vstestbed.sim.scene.compose import Parts, compose
     from vstestbed.sim.scene.stage import Stage
 
     parts = Parts(robot, camera, target, world, clock.resolve(camera, robot.largest_step_s)[0], sights)
-    stage = Stage(parts)
-    spec = stage.spec
     if robot.model is None:
-        T = robot.flange_pose(robot.configuration())
+        spec, T = compose(parts), robot.flange_pose(robot.configuration())
         body = spec.body("robot/camera")
         body.pos, body.quat = T[:3, 3], quaternion_wxyz(T[:3, :3])
     else:
+        stage = Stage(parts)
+        spec = stage.spec
         spec.add_key(name="start", qpos=stage.start_qpos(), act=stage.data.act.copy(), ctrl=stage.data.ctrl.copy())
-    stage.close()
+        stage.close()
     spec.compile()
     return SceneFiles(spec.to_xml(), dict(spec.assets))

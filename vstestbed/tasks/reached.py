@@ -9,11 +9,33 @@ from vstestbed.robots.supervisor import Supervisor
 from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.monitor import HoldTimer, TaskMonitor
 from vstestbed.tasks.setup import Setup
+from vstestbed.tasks.stop import Converged
 
 REST = 1e-6
 """A commanded twist under this (m/s and rad/s) is rest; with any pixel noise, commands never are so small."""
 REST_S = 2.0
 """How long a commanded rest away from the goal must last to count as a local minimum [s]."""
+
+
+def converged_words(goal: Converged) -> str:
+    """Why a run has converged."""
+    return f"{goal.summary} for {goal.hold_s:g} s"
+
+
+def at_rest_words(goal: Converged, error_px: float, estimate: tuple[float, float] = (math.nan, math.nan)) -> str:
+    """Why a run is in a local minimum: it rests so far from the goal, by the quantities that `stop.converged` tests."""
+    said = []
+    if goal.error_px is not None:
+        said.append(f"at an RMS error of {error_px:.3g} px")
+    if goal.by_estimate:
+        distance, angle = estimate
+        said.append(f"{distance:.3g} m and {math.degrees(angle):.3g} deg from the goal by the robot's own estimate")
+    return f"the commanded twist is zero {', '.join(said)}"
+
+
+def timed_out_words(duration_s: float) -> str:
+    """Why a run has timed out."""
+    return f"{duration_s:g} s were not enough"
 
 
 class GoalMonitor(TaskMonitor):
@@ -33,7 +55,7 @@ class GoalMonitor(TaskMonitor):
         goal = self.setup.stop.converged
         self._near = self.near(frame)
         if self._held.lasting(self._near, frame.t) >= goal.hold_s:
-            return Outcome.converged, f"{goal.summary} for {goal.hold_s:g} s"
+            return Outcome.converged, converged_words(goal)
         return None
 
     def missed(self, frame: Frame) -> Verdict | None:
@@ -41,17 +63,7 @@ class GoalMonitor(TaskMonitor):
         # Rest of a law that sees nothing is no minimum: the supervisor ends such a run.
         at_rest = not frame.error.lost and not self._near and max(map(abs, frame.command.twist.tolist())) < REST
         if self._rest.lasting(at_rest, frame.t) >= REST_S:
-            return Outcome.local_minimum, f"the commanded twist is zero {self._distance()}"
+            return Outcome.local_minimum, at_rest_words(self.setup.stop.converged, self.error_px, self.estimate)
         # After the local minimum: of a law that rests in the last frame, the more telling reason counts.
         duration = self.setup.stop.duration_s
-        return (Outcome.timed_out, f"{duration:g} s were not enough") if frame.t >= duration - 1e-9 else None
-
-    def _distance(self) -> str:
-        """How far from the goal it rests, by the quantities that `stop.converged` tests."""
-        goal, said = self.setup.stop.converged, []
-        if goal.error_px is not None:
-            said.append(f"at an RMS error of {self.error_px:.3g} px")
-        if goal.by_estimate:
-            distance, angle = self.estimate
-            said.append(f"{distance:.3g} m and {math.degrees(angle):.3g} deg from the goal by the robot's own estimate")
-        return ", ".join(said)
+        return (Outcome.timed_out, timed_out_words(duration)) if frame.t >= duration - 1e-9 else None

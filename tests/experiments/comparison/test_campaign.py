@@ -176,8 +176,8 @@ def test_a_worker_killed_in_the_middle_is_replaced(quick: Path, tmp_path: Path):
         os.kill(before, signal.SIGKILL)
         with pytest.raises(WorkerLostError):
             future.result(timeout=60)
-        again = pool.submit(request).result(timeout=60)
-        assert json.loads(again["summary.json"])["outcome"] == "converged"
+        (again,) = pool.submit(request).result(timeout=60)
+        assert again and json.loads(again["summary.json"])["outcome"] == "converged"
         assert pool.tries(request) == 2
         assert slot.pid.result() != before
 
@@ -192,6 +192,17 @@ def test_a_worker_that_dies_while_it_has_nothing_to_do_is_no_loss(quick: Path, t
         time.sleep(later_s)
         campaign.run(pool)
     assert table_of(tmp_path, campaign.jobs)["outcome"].to_list() == ["converged", "converged"]
+
+
+def test_shares_of_the_report_are_done_by_the_workers(tmp_path: Path):
+    with closing(LocalPool(2, tmp_path)) as pool:
+        own = {slot.pid.result() for slot in pool._slots}
+        assert {future.result() for future in [pool.call(os.getpid) for _ in range(8)]} <= own
+        os.kill(pool._slots[0].pid.result(), signal.SIGKILL)
+        gone(pool._slots[0].pid.result())
+        assert {future.result() for future in [pool.call(os.getpid) for _ in range(8)]} <= {*own, os.getpid()}
+    with closing(LocalPool(1, tmp_path)) as pool:
+        assert pool.call(os.getpid).result() == os.getpid()
 
 
 def test_dask_counts_the_tries_of_one_comparison_alone(quick: Path, tmp_path: Path, cluster: str):

@@ -6,7 +6,7 @@ and `basin --check` compare the outcomes of the two.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -62,7 +62,32 @@ class Batch:
     run_steps: int
 
 
-def fly(scenario: Scenario, start: Array) -> Batch:
+@dataclass(frozen=True)
+class Instant:
+    """One frame of the m runs that go on.
+
+    Attributes:
+        step: number of the frame. index: of the runs in the batch (m,). T: poses T_camera_target (m, 4, 4).
+        twist: commanded twists (m, 6). error: RMS errors (m,) [px]. code: outcomes, positions in CODES (m,). ended: frames at which the
+            runs end, where they do (m,).
+        whole: runs whose law has measured all markers and has given a command (m,).
+    """
+
+    step: int
+    index: NDArray[np.int_]
+    T: Array
+    twist: Array
+    error: Array
+    code: NDArray[np.int_]
+    ended: NDArray[np.int_]
+    whole: NDArray[np.bool_]
+
+
+Watch = Callable[[Instant], None]
+"""Called with every frame of a batch."""
+
+
+def fly(scenario: Scenario, start: Array, watch: Watch = lambda _: None) -> Batch:
     """Simulate ideal cameras from their own starts, each until it ends as a single run would (`loop.run`, `loop.judge.Judge`).
 
     T_camera_target <- exp(-v period) T_camera_target, with the twist v of the law. A run that has ended leaves the batch. Markers
@@ -72,6 +97,7 @@ def fly(scenario: Scenario, start: Array) -> Batch:
     Args:
         scenario: an ideal scenario, as from `ideal`; its own start is ignored.
         start: start poses T_camera_target, shape (M, 4, 4).
+        watch: called with every frame, of up to AT_ONCE runs.
 
     Raises:
         ParameterError: the law cannot run in a batch, or the scenario is not ideal.
@@ -79,7 +105,7 @@ def fly(scenario: Scenario, start: Array) -> Batch:
     setup = BatchSetup(scenario)
     # a batch without starts still gives arrays of the right shapes
     start = np.asarray(start, dtype=float).reshape(-1, 4, 4)
-    parts = [_fly(setup, start[i : i + AT_ONCE]) for i in range(0, max(len(start), 1), AT_ONCE)]
+    parts = [_fly(setup, start[i : i + AT_ONCE], watch) for i in range(0, max(len(start), 1), AT_ONCE)]
     joined = {f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Batch) if f.name != "run_steps"}
     return Batch(**joined, run_steps=sum(part.run_steps for part in parts))
 
@@ -99,7 +125,7 @@ class _Runs:
         return _Runs(*(getattr(self, f.name)[which] for f in fields(self)))
 
 
-def _fly(setup: BatchSetup, start: Array) -> Batch:
+def _fly(setup: BatchSetup, start: Array, watch: Watch) -> Batch:
     m, stop = len(start), setup.scenario.stop
     last = setup.frames(stop.duration_s)
     runs = _Runs(np.arange(m), start, np.full((m, setup.law.state_size), np.nan), np.zeros(m, int), np.zeros(m, int), np.zeros(m))
@@ -107,12 +133,14 @@ def _fly(setup: BatchSetup, start: Array) -> Batch:
     final, farthest, errors, crossed, done = start.copy(), np.zeros(m), np.full(m, np.nan), np.zeros(m, dtype=bool), 0
     for step in range(last + 1):
         p = transform(runs.T, setup.scenario.target.points)
-        twist, error, code, ended = _frame(setup, runs, p, step, last)
+        now = _frame(setup, runs, p, step, last)
+        watch(now)
+        twist, code = now.twist, now.code
         over = code != GOING
         if over.any():
             at = runs.index[over]
             outcome[at] = [CODES[c] for c in code[over]]
-            steps[at], final[at], farthest[at], errors[at] = ended[over], runs.T[over], runs.farthest[over], error[over]
+            steps[at], final[at], farthest[at], errors[at] = now.ended[over], runs.T[over], runs.farthest[over], now.error[over]
             reached = code[over] == _CODE[Outcome.converged]
             # the two ways to lose the target are one outcome, but different failures of a law
             crossed[at] = (code[over] == _CODE[Outcome.target_lost]) & _behind(setup.scenario, runs.T[over])
@@ -125,8 +153,8 @@ def _fly(setup: BatchSetup, start: Array) -> Batch:
     return Batch(outcome, steps, near, final, farthest, errors, crossed, done)
 
 
-def _frame(setup: BatchSetup, runs: _Runs, p: Array, step: int, last: int) -> tuple[Array, Array, NDArray[np.int_], NDArray[np.int_]]:
-    """Of each run: twist (m, 6), RMS error (m,) [px], code of its outcome (m,) or GOING, and the frame at which it ends (m,).
+def _frame(setup: BatchSetup, runs: _Runs, p: Array, step: int, last: int) -> Instant:
+    """One frame of all runs with their commands and outcomes.
 
     The precedence of outcomes is that of `Judge.verdict`. Without a target the law commands rest, and in a static world the target
     stays lost: such a run ends at once, with the frame at which the `Judge` would end it.
@@ -155,7 +183,7 @@ def _frame(setup: BatchSetup, runs: _Runs, p: Array, step: int, last: int) -> tu
         if which.any():  # later entries overwrite earlier ones: they take precedence
             code[which] = _CODE[how]
             ended[which] = min(gone, last) if which is lost else step
-    return np.where(works[:, None], twist, 0.0), error, code, ended
+    return Instant(step, runs.index, runs.T, np.where(works[:, None], twist, 0.0), error, code, ended, ~lost & all_seen)
 
 
 def _behind(s: Scenario, T: Array) -> NDArray[np.bool_]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,16 +13,21 @@ from numpy.typing import NDArray
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, inverse
 from vstestbed.experiments.basin.one_by_one import OneByOne
-from vstestbed.experiments.comparison import Comparison
 from vstestbed.features.depth import Estimate, PnP
 from vstestbed.features.observation import Goal
-from vstestbed.laws.views import BatchLaw
+from vstestbed.laws.base import TwistLimits
+from vstestbed.laws.views import BatchLaw, has_batch
+from vstestbed.loop.recording import BLOCK
 from vstestbed.robots import Free, Mount
 from vstestbed.robots.free import FreeStart
+from vstestbed.robots.robot_log import RobotLog
 from vstestbed.scenario.scenario import Noise, Scenario
 from vstestbed.sim.scene.world import World
 from vstestbed.sim.timing import Timing
 from vstestbed.vision import Oracle
+
+if TYPE_CHECKING:
+    from vstestbed.experiments.comparison import Comparison
 
 SLACK_S = 1e-9
 """The judge of one run allows this much when it compares times [s]."""
@@ -95,7 +101,7 @@ class BatchSetup:
 
     def _check_ideal(self) -> None:
         s = self.scenario
-        noisy = s.noise.pixel_sigma_px > 0 or s.noise.image_sigma > 0 or s.timing != Timing()
+        noisy = s.noise != Noise() or s.timing != Timing()
         if not (s.calibration.camera_exact and s.calibration.depth_exact):
             raise ParameterError("calibration", "must be exact in a batch, whose poses and depths are true")
         if not (s.robot.model is None and isinstance(s.detector, Oracle)) or s.camera.latency_s or noisy or s.world.plates:
@@ -108,7 +114,18 @@ class BatchSetup:
     def law(self) -> BatchLaw | OneByOne:
         """The law, by its equations for many runs where it has such."""
         law = self.scenario.law
-        return law if isinstance(law, BatchLaw) else OneByOne(law, self.scenario.camera)
+        return law if has_batch(law) else OneByOne(law, self.scenario.camera)
+
+    @cached_property
+    def complete(self) -> bool:
+        """Whether a run in which the law sees all markers in all frames has the log that a single run would have, but for rounding.
+
+        The law has equations for many runs and does not shorten its commands, all markers count, robot and task add no columns, and the
+        log fits a block.
+        """
+        s = self.scenario
+        plain = s.law.limits == TwistLimits() and s.goal_view.counted is None and s.own_columns == RobotLog.columns
+        return plain and has_batch(s.law) and self.frames(s.stop.duration_s) < BLOCK
 
     @cached_property
     def error_px(self) -> float:

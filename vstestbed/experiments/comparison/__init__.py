@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from vstestbed.core.errors import ParameterError, RunFolderError
 from vstestbed.core.folders import only_writer, study_folder
+from vstestbed.core.shares import at_once
 from vstestbed.experiments.comparison.campaign import Campaign, OnDone
 from vstestbed.experiments.comparison.folder import PLAN, read_plan, resumable, table_of, write_plan, write_table
 from vstestbed.experiments.comparison.plan import Comparison, chosen
@@ -76,15 +77,17 @@ def carry_out(
     report: bool = True,
 ) -> polars.DataFrame:
     """Do the missing runs of a comparison, then table, film and report; `stage` is called with what is being done after the runs."""
-    try:
-        if left := len(campaign.jobs) - campaign.done:
-            with closing(pool_of(executor, workers(jobs, left), campaign.folder)) as pool:
+    with ExitStack() as stack:
+        pool = None
+        try:
+            if left := len(campaign.jobs) - campaign.done:
+                pool = stack.enter_context(closing(pool_of(executor, workers(jobs, left), campaign.folder)))
                 campaign.run(pool, on_done)
-    finally:  # also an interrupted comparison has its table
-        table = table_of(campaign.folder, campaign.jobs)
-        write_table(campaign.folder, table)
-    if report:
-        finish(campaign.folder, comparison, table, stage)
+        finally:  # also an interrupted comparison has its table
+            table = table_of(campaign.folder, campaign.jobs)
+            write_table(campaign.folder, table)
+        if report:
+            finish(campaign.folder, comparison, table, stage, at_once if pool is None else pool.call)
     return table
 
 

@@ -2,20 +2,31 @@
 
 from __future__ import annotations
 
+import contextlib
+import itertools
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, wait
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from vstestbed.core.errors import VstestbedError
+from vstestbed.experiments.comparison.flights import BatchRequest, batches, flies_in_batch
 from vstestbed.experiments.comparison.folder import finished, store
-from vstestbed.experiments.comparison.pools import Pool, WorkerLostError
+from vstestbed.experiments.comparison.pools import Done, Pool, WorkerLostError
 from vstestbed.experiments.comparison.runs import Job
-from vstestbed.experiments.comparison.worker import Files, RunRequest, crashed, request_of
+from vstestbed.experiments.comparison.worker import Files, Request, RunRequest, crashed, request_of
+from vstestbed.scenario.scenario import Scenario
 
 MOST_TRIES = 2
 """Attempts at a run: one that kills its worker (out of memory, a crash in a library) would do so for ever."""
+WINDOW = 1024
+"""Runs among which those that fly together are found; their scenarios are in memory, some kB each."""
+WRITERS = 8
+"""Threads that write folders: the disk serves what several of them flush at once, in the time of one."""
+Work = tuple[Sequence[Job | None], Request]
+"""A request with its jobs, None for those that are done."""
 OnDone = Callable[[Job, dict[str, Any]], None]
 """Called after every finished run with the job and its summary."""
 
@@ -50,38 +61,88 @@ class Campaign:
         Raises:
             EnvironmentLackError, OutputError: no OpenGL, or nothing can be written; finished runs are kept.
         """
-        waiting = self._requests()
-        going: dict[Future[Files], tuple[Job, RunRequest]] = {}
-        again: list[tuple[Job, RunRequest]] = []
+        with ThreadPoolExecutor(WRITERS) as writers:
+            self._run(pool, on_done, writers)
+
+    def _run(self, pool: Pool, on_done: OnDone, writers: ThreadPoolExecutor) -> None:
+        waiting, again, going = self._requests(), list[Work](), dict[Future[Done], Work]()
+        ended: list[tuple[Work, Future[Done]]] = []
         while True:
             # lost runs first; the pool is kept full, but never gets more than it has room for: scenarios are drawn only when needed
             while len(going) < pool.room and (next_ := again.pop() if again else next(waiting, None)):
                 going[pool.submit(next_[1])] = next_
-            if not going:
+            for work, future in ended:  # after the pool has been filled, which goes on while folders are written
+                again += self._keep(work, future, pool, on_done, writers)
+            if not (going or again):
                 return
-            for future in wait(going, return_when=FIRST_COMPLETED).done:
-                job, request = going.pop(future)
-                files = self._files(future, request, pool)
-                if files is None:
-                    again.append((job, request))
-                else:
-                    on_done(job, store(self.folder, job, files, max(1, pool.tries(request))))
+            ended = [(going.pop(future), future) for future in wait(going, return_when=FIRST_COMPLETED).done]
 
-    def _requests(self) -> Iterator[tuple[Job, RunRequest]]:
-        """Each job with its request, drawn when its turn comes; a job whose start cannot be drawn is stored as crashed."""
-        for job in self.missing:
-            try:
-                yield job, request_of(job.folder, job.scenario(), job.seed in self.filmed)
-            except VstestbedError as error:
-                # the scenario without the seed's draw: there is no drawn one
-                text = request_of(job.folder, job.controller.scenario, False).text
-                store(self.folder, job, crashed(text, str(error)), attempts=1)
+    def _keep(self, work: Work, future: Future[Done], pool: Pool, on_done: OnDone, writers: ThreadPoolExecutor) -> list[Work]:
+        """Store the folders of a request's runs; returns those that are to be done by themselves, or again."""
+        jobs, request = work
+        found = [(job, files) for job, files in zip(jobs, self._files(future, request, len(jobs), pool), strict=True) if job]
+        store_one = partial(self._store, attempts=max(1, pool.tries(request)))
+        for job, summary in writers.map(store_one, [(job, files) for job, files in found if files is not None]):
+            on_done(job, summary)
+        return [self._alone(job) for job, files in found if files is None]
 
-    def _files(self, future: Future[Files], request: RunRequest, pool: Pool) -> Files | None:
-        """Content of a run's folder; None if the run is to be repeated."""
+    def _store(self, found: tuple[Job, Files], attempts: int) -> tuple[Job, dict[str, Any]]:
+        job, files = found
+        return job, store(self.folder, job, files, attempts)
+
+    def _requests(self) -> Iterator[Work]:
+        """All missing jobs with their requests, drawn when their turn comes; a job whose start cannot be drawn is stored as crashed."""
+        done = {job.folder for job in finished(self.folder, self.jobs)}
+        every = iter(self.jobs)
+        # Batches are drawn from all jobs, done or not: what flies together, and with it the last digits of the logs, depends on the
+        # plan alone, not on when a comparison was cut off.
+        while window := list(itertools.islice(every, WINDOW)):
+            if any(job.folder not in done for job in window):
+                yield from self._window(window, done)
+
+    def _window(self, window: list[Job], done: set[str]) -> Iterator[Work]:
+        """The missing jobs of a window, batches first."""
+        scenarios = [_drawn(job) for job in window]
+        alone = set(range(len(window)))
+        for places in batches(scenarios):
+            alone.difference_update(places)
+            jobs = [None if window[i].folder in done else window[i] for i in places]
+            if any(jobs):
+                yield jobs, BatchRequest.of(window[places[0]].folder, [s for i in places if (s := scenarios[i])])
+        for i in sorted(alone):
+            if window[i].folder not in done:
+                with contextlib.suppress(VstestbedError):
+                    yield self._alone(window[i])
+
+    def _alone(self, job: Job) -> Work:
+        """A job by itself.
+
+        Raises:
+            VstestbedError: its start cannot be drawn; it is stored as crashed.
+        """
+        try:
+            return [job], request_of(job.folder, job.scenario(), job.seed in self.filmed)
+        except VstestbedError as error:
+            # the scenario without the seed's draw: there is no drawn one
+            text = request_of(job.folder, job.controller.scenario, False).text
+            store(self.folder, job, crashed(text, str(error)), attempts=1)
+            raise
+
+    def _files(self, future: Future[Done], request: Request, runs: int, pool: Pool) -> Done:
+        """Content of the runs' folders; None for a run that is to be done by itself, or again."""
         try:
             return future.result()
         except WorkerLostError as error:
-            if pool.tries(request) < MOST_TRIES:
-                return None
-            return crashed(request.text, f"{error}, and the one that tried again, too")
+            if isinstance(request, RunRequest) and pool.tries(request) >= MOST_TRIES:
+                return [crashed(request.text, f"{error}, and the one that tried again, too")]
+            return [None] * runs
+
+
+def _drawn(job: Job) -> Scenario | None:
+    """The scenario of a job that may fly in a batch; None for one that flies by itself in any case."""
+    # The first start of a comparison without tasks, which may be filmed: with and without films, batches are the same.
+    if job.seed is None or (job.seed == 0 and job.controller.runs is None) or not flies_in_batch(job.controller.scenario):
+        return None
+    with contextlib.suppress(VstestbedError):
+        return job.scenario()
+    return None

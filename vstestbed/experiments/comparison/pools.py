@@ -8,8 +8,8 @@ import re
 import shutil
 import tempfile
 import uuid
-from collections.abc import Iterator
-from concurrent.futures import Future, ProcessPoolExecutor
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing import get_context
@@ -18,17 +18,20 @@ from typing import Any, Protocol
 
 from vstestbed.core.errors import EnvironmentLackError, ParameterError
 from vstestbed.core.files import writing
-from vstestbed.experiments.comparison.worker import Files, RunRequest, begin, execute, process_id
+from vstestbed.core.shares import at_once
+from vstestbed.experiments.comparison.worker import Files, Request, begin, perform, process_id
 
 ONE_CORE = {"LP_NUM_THREADS": "0", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 """Environment of a worker, which has one core: no extra threads of Mesa's software renderer (LP) or of BLAS."""
 DASK = "dask://"
+Done = list[Files | None]
+"""What a worker returns (`Request.perform`)."""
 RUNNING = ".running"
 """Folder of the workers' temporary files in a comparison's folder."""
 
 
 class Pool(Protocol):
-    """Takes requests, at most `room` at a time, and returns futures of their folders.
+    """Takes requests, at most `room` at a time, and returns futures of their results.
 
     A future whose worker died raises WorkerLostError; by then the pool has replaced the worker.
     """
@@ -38,12 +41,16 @@ class Pool(Protocol):
         """How many runs may be in progress now."""
         ...
 
-    def submit(self, request: RunRequest) -> Future[Files]:
+    def submit(self, request: Request) -> Future[Done]:
         """Start a run."""
         ...
 
-    def tries(self, request: RunRequest) -> int:
+    def tries(self, request: Request) -> int:
         """How often a run has been started."""
+        ...
+
+    def call(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
+        """Call a function on this machine when all runs are done, at the same time as others where there are several workers."""
         ...
 
     def close(self) -> None:
@@ -90,16 +97,16 @@ class _Slot:
         with _environment(ONE_CORE, {"TMPDIR": self._place}):
             self.pid = self.executor.submit(process_id)
 
-    def run(self, request: RunRequest) -> Future[Files]:
+    def run(self, request: Request) -> Future[Done]:
         """Start a run, in a new process if the last one has died."""
         try:
             if not self.broken:
-                return self.executor.submit(execute, request)
+                return self.executor.submit(perform, request)
         except BrokenProcessPool:  # killed while it was idle
             pass
         self.end()
         self.start()
-        return self.executor.submit(execute, request)
+        return self.executor.submit(perform, request)
 
     def end(self) -> None:
         """Kill the process, also one that is still starting: its run would otherwise go on, and hold this process at its end."""
@@ -127,17 +134,18 @@ class LocalPool:
         self._slots = [_Slot(self._place) for _ in range(jobs)]
         self._free = list(self._slots)
         self._tries: dict[str, int] = {}
+        self._callers = ThreadPoolExecutor(jobs)
 
-    def submit(self, request: RunRequest) -> Future[Files]:
+    def submit(self, request: Request) -> Future[Done]:
         """Start a run in a free worker."""
         slot = self._free.pop()
         self._tries[request.folder] = self._tries.get(request.folder, 0) + 1
-        outer: Future[Files] = Future()  # not the executor's own: the slot must be free before the future is done
+        outer: Future[Done] = Future()  # not the executor's own: the slot must be free before the future is done
         outer.set_running_or_notify_cancel()
         slot.run(request).add_done_callback(lambda inner: self._hand_over(inner, slot, outer))
         return outer
 
-    def _hand_over(self, inner: Future[Files], slot: _Slot, outer: Future[Files]) -> None:
+    def _hand_over(self, inner: Future[Done], slot: _Slot, outer: Future[Done]) -> None:
         """Free the slot, then complete the future with the result of the run or its error."""
         error = WorkerLostError("the pool is closed") if inner.cancelled() else inner.exception()
         if isinstance(error, BrokenProcessPool):
@@ -149,12 +157,27 @@ class LocalPool:
         else:
             outer.set_result(inner.result())
 
-    def tries(self, request: RunRequest) -> int:
+    def tries(self, request: Request) -> int:
         """How often a run has been started."""
         return self._tries.get(request.folder, 0)
 
+    def call(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
+        """Call it in a worker as soon as one is free; a single worker leaves it to this process, which has loaded more of the package."""
+        return at_once(function, *arguments) if self.room == 1 else self._callers.submit(self._called, function, arguments)
+
+    def _called(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
+        slot = self._free.pop()  # there is one: as many threads as slots call
+        try:
+            return slot.executor.submit(function, *arguments).result()
+        except BrokenProcessPool:  # killed, after its last run or now
+            slot.broken = True
+            return function(*arguments)
+        finally:
+            self._free.append(slot)
+
     def close(self) -> None:
         """Kill all workers and remove their temporary files."""
+        self._callers.shutdown(wait=False, cancel_futures=True)
         for slot in self._slots:
             slot.end()
         shutil.rmtree(Path(self._place).parent, ignore_errors=True)
@@ -202,36 +225,40 @@ class DaskPool:
         """Two runs per worker of the cluster as it is now, so that a worker that becomes free has its next run at hand."""
         return 2 * max(1, self._threads())
 
-    def submit(self, request: RunRequest) -> Future[Files]:
+    def submit(self, request: Request) -> Future[Done]:
         """Start a run on some worker; if that dies, the scheduler passes the run on to another one."""
         keys = self._begun.setdefault(request.folder, [])
         keys.append(f"{self._name}-{request.folder}-{len(keys)}")
         future = self._client.submit(_execute_on_dask, request, keys[-1], key=keys[-1], retries=0, pure=False)
-        outer: Future[Files] = Future()
+        outer: Future[Done] = Future()
         outer.set_running_or_notify_cancel()
         future.add_done_callback(lambda inner: _hand_over_from_dask(inner, outer))
         return outer
 
-    def tries(self, request: RunRequest) -> int:
+    def tries(self, request: Request) -> int:
         """How often a run has been started: every worker that starts it logs an event under the run's key."""
         # get_events is typed for asynchronous clients as well, where it is a coroutine
         return sum(len(self._client.get_events(key)) for key in self._begun.get(request.folder, []))  # type: ignore[arg-type]
+
+    def call(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
+        """Call it in this process: the cluster's workers need not see its files."""
+        return at_once(function, *arguments)
 
     def close(self) -> None:
         """Disconnect from the cluster; the scheduler cancels runs that no client waits for."""
         self._client.close()
 
 
-def _execute_on_dask(request: RunRequest, key: str) -> Files:
-    """`execute`, with an event that counts the attempt; dask itself removes the folder of a worker that was killed."""
+def _execute_on_dask(request: Request, key: str) -> Done:
+    """`perform`, with an event that counts the attempt; dask itself removes the folder of a worker that was killed."""
     from distributed import get_worker
 
     worker = get_worker()
     worker.log_event(key, "begun")
-    return execute(request, worker.local_directory)
+    return perform(request, worker.local_directory)
 
 
-def _hand_over_from_dask(inner: Any, outer: Future[Files]) -> None:
+def _hand_over_from_dask(inner: Any, outer: Future[Done]) -> None:
     """Complete `outer` with the result or the error of `inner`, in every case: the campaign waits for it."""
     from distributed.scheduler import KilledWorker
 

@@ -9,6 +9,7 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from vstestbed.core.shares import Call, at_once
 from vstestbed.experiments.comparison.plan import Comparison
 from vstestbed.scenario.yaml_marks import read_value
 
@@ -20,8 +21,12 @@ FILMS = ("overview.mp4", "camera.mp4")
 """Films of a run, from top to bottom of its column."""
 
 
-def finish(folder: Path, comparison: Comparison, table: polars.DataFrame, stage: Callable[[str], None]) -> None:
+def finish(folder: Path, comparison: Comparison, table: polars.DataFrame, stage: Callable[[str], None], call: Call | None = None) -> None:
     """Make film and report of the finished runs; nothing if there is none.
+
+    Args:
+        folder: the comparison's. comparison: its plan. table: of its runs. stage: called with what is being done.
+        call: does shares of the work at the same time, in other processes.
 
     Raises:
         OutputError, EnvironmentLackError: a file cannot be written.
@@ -29,6 +34,7 @@ def finish(folder: Path, comparison: Comparison, table: polars.DataFrame, stage:
     from vstestbed.report.comparison.columns import DEFAULT_METRICS
     from vstestbed.report.comparison.page import write_comparison_report
 
+    call = call or at_once
     if table.is_empty():
         return
     axes = comparison.varied
@@ -36,13 +42,13 @@ def finish(folder: Path, comparison: Comparison, table: polars.DataFrame, stage:
         from vstestbed.report.comparison.tasks import write_task_report
 
         stage("writing the report")
-        write_task_report(folder, table, axes, comparison.metrics, comparison.description, command_of(comparison))
+        write_task_report(folder, table, axes, comparison.metrics, comparison.description, command_of(comparison), call)
         return
     stage("joining the films")
-    film = _film(folder, table, axes)
+    film = call(_film, folder, table, axes)  # first: it takes longest
     stage("writing the report")
-    metrics = comparison.metrics or DEFAULT_METRICS
-    write_comparison_report(folder, table, axes, metrics, comparison.description, command_of(comparison), film, comparison.plugins)
+    metrics, command = comparison.metrics or DEFAULT_METRICS, command_of(comparison)
+    write_comparison_report(folder, table, axes, metrics, comparison.description, command, film, comparison.plugins, call)
 
 
 def _film(folder: Path, table: polars.DataFrame, axes: tuple[str, ...]) -> Path | None:

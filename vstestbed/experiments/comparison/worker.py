@@ -8,10 +8,12 @@ import tempfile
 import traceback
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Protocol
 
 from vstestbed.core.errors import EnvironmentLackError
 from vstestbed.core.outcome import Outcome
 from vstestbed.experiments.run_folder import run_into
+from vstestbed.loop.recording import Rows
 from vstestbed.scenario.load import dump, parse
 from vstestbed.scenario.scenario import Scenario
 
@@ -34,6 +36,28 @@ class RunRequest:
     text: str
     filmed: bool
 
+    def perform(self, place: str | None = None) -> list[Files | None]:
+        """The folder of the run (`execute`)."""
+        return [execute(self, place)]
+
+
+class Request(Protocol):
+    """One run or several, as they are sent to a worker."""
+
+    @property
+    def folder(self) -> str:
+        """Identifies it: of a single run its path below the comparison's folder."""
+        ...
+
+    def perform(self, place: str | None = None) -> list[Files | None]:
+        """The folder of each run; None for one that must be requested by itself. Arguments and errors as of `execute`."""
+        ...
+
+
+def perform(request: Request, place: str | None = None) -> list[Files | None]:
+    """Do what a request asks for: a function, as pools need it."""
+    return request.perform(place)
+
 
 def execute(request: RunRequest, place: str | None = None) -> Files:
     """Run a scenario and return its folder. An exception in a law, a detector or a plugin gives the outcome `crashed` and a traceback.
@@ -54,7 +78,7 @@ def execute(request: RunRequest, place: str | None = None) -> Files:
             recording = run_into(folder, scenario, "both" if request.filmed else "none", report=False, tile_px=TILE_PX)
             # a picture of every failure for the report's gallery; films are made of the first seed only
             if not recording.outcome.success and len(recording.rows):
-                _picture_of_the_end(scenario, folder)
+                picture_of_the_end(scenario, recording.rows, folder)
         except EnvironmentLackError:  # no fault of the run: the comparison stops
             raise
         except (Exception, SystemExit) as error:  # a plugin that calls sys.exit ends its run, not the worker
@@ -74,13 +98,12 @@ def crashed(text: str, reason: str, trace: str = "", rest: Files | None = None) 
     return (rest or {}) | own | ({"error.txt": trace.encode()} if trace else {})
 
 
-def _picture_of_the_end(scenario: Scenario, folder: Path) -> None:
+def picture_of_the_end(scenario: Scenario, rows: Rows, folder: Path) -> None:
     """Write `end.png`: the scene from outside at the end of a failed run."""
-    from vstestbed.loop.log_file import open_log
-    from vstestbed.report.video.film import picture_of_the_end
+    from vstestbed.report.video import film
     from vstestbed.report.video.quality import FINE
 
-    picture_of_the_end(scenario, open_log(folder), folder / "end.png", replace(FINE, size=TILE_PX))
+    film.picture_of_the_end(scenario, rows, folder / "end.png", replace(FINE, size=TILE_PX))
 
 
 def request_of(folder: str, scenario: Scenario, filmed: bool) -> RunRequest:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING, Final
 import polars as pl
 
 from vstestbed.core.files import make_folder, write_whole
+from vstestbed.core.shares import Call, at_once
 from vstestbed.report.comparison import failures as comparison_failures
 from vstestbed.report.comparison import figures as comparison_figures
 from vstestbed.report.comparison import strip_plots, summary_text
@@ -89,8 +91,9 @@ def write_comparison_report(
     metrics: tuple[str, ...] = DEFAULT_METRICS,
     description: str = "",
     command: str = "",
-    film: Path | None = None,
+    film: Path | Future[Path | None] | None = None,
     plugins: Sequence[str] = (),
+    call: Call = at_once,
 ) -> Path:
     """Write `report.html` and `figures/` into a comparison's folder; returns the page's path.
 
@@ -100,21 +103,21 @@ def write_comparison_report(
         axes: paths of the varied fields, each a column of the table.
         metrics: keys of `summary.json` to show; one that no run has shows as dashes.
         description: what is compared, in a few words. command: the command line that repeats the comparison.
-        film: the side-by-side film in the folder; embedded up to 8 MB, else linked.
-        plugins: of the comparison, as in `scenario.load.load`.
+        film: the side-by-side film in the folder, which may still be in the making; embedded up to 8 MB, else linked.
+        plugins: of the comparison, as in `scenario.load.load`. call: draws the figures.
 
     Raises:
         OutputError: a file cannot be written.
     """
     comparison = ComparisonResults(table, axes, metrics, description)
     data = Data(comparison, read_series(folder, comparison), pairs(comparison), _threshold(folder, comparison, plugins))
-    _write_figures(folder / "figures", data)
+    figures = _figures(data, make_folder(folder / "figures"), call)
     body = [
         summary_text.headline(comparison, data.pairs, gains_alone(differing_fields(folder, comparison))),
         comparison_tables.controllers(comparison),
         comparison_tables.differences(comparison, data.pairs),
-        f"<section><h2>Figures</h2>{_figures(data)}</section>",
-        _film(film),
+        f"<section><h2>Figures</h2>{figures}</section>",
+        _film(film.result() if isinstance(film, Future) else film),
         comparison_failures.section(folder, comparison),
         _provenance(comparison, command),
         comparison_tables.SCRIPT,
@@ -134,28 +137,33 @@ def write_comparison_report(
     return write_whole(folder / "report.html", page)
 
 
-def _write_figures(place: Path, data: Data) -> None:
-    """Every figure in the size and style of a paper, as PDF with embedded fonts and as PNG."""
-    make_folder(place)
+def _paper(data: Data, plot: int, place: Path) -> None:
+    """A figure in the size and style of a paper, as PDF with embedded fonts and as PNG."""
+    key, _, _, columns, draw = PLOTS[plot]
     with style(paper=True):
-        for key, _, _, columns, draw in PLOTS:
-            drawn = draw(data, COLUMN_IN[columns])
-            if drawn is not None:
-                save(drawn, place / f"{key}.pdf")
-                drawn.set_layout_engine("none")  # keep the layout of the PDF: to compute it again would take as long
-                save(drawn, place / f"{key}.png", DPI)
+        drawn = draw(data, COLUMN_IN[columns])
+        if drawn is not None:
+            save(drawn, place / f"{key}.pdf")
+            drawn.set_layout_engine("none")  # keep the layout of the PDF: to compute it again would take as long
+            save(drawn, place / f"{key}.png", DPI)
 
 
-def _figures(data: Data) -> str:
-    """All figures as inline SVG: the narrow ones side by side, the broad ones below."""
-    by_width: dict[int, list[str]] = {1: [], 2: []}
+def _on_page(data: Data, plot: int) -> str:
+    """A figure as inline SVG with its title and caption; empty where it has nothing to show."""
+    key, title, caption, columns, draw = PLOTS[plot]
     with style():
-        for key, title, caption, columns, draw in PLOTS:
-            drawn = draw(data, {1: WIDTH_IN, 2: BROAD_IN}[columns])
-            if drawn is not None:
-                by_width[columns].append(figure(title, to_svg(drawn, key, title), caption))
-    broad = "".join(f'<div class="broad">{f}</div>' for f in by_width[2])
-    return f'<div class="plots">{"".join(by_width[1])}</div>{broad}'
+        drawn = draw(data, {1: WIDTH_IN, 2: BROAD_IN}[columns])
+        return "" if drawn is None else figure(title, to_svg(drawn, key, title), caption)
+
+
+def _figures(data: Data, place: Path, call: Call) -> str:
+    """All figures for the page, the narrow ones side by side, the broad ones below; and for papers in the folder `place`."""
+    numbers = range(len(PLOTS))
+    on_page, papers = [call(_on_page, data, i) for i in numbers], [call(_paper, data, i, place) for i in numbers]
+    narrow, broad = ([f for i in numbers if PLOTS[i][3] == columns and (f := on_page[i].result())] for columns in (1, 2))
+    for paper in papers:
+        paper.result()
+    return f'<div class="plots">{"".join(narrow)}</div>' + "".join(f'<div class="broad">{f}</div>' for f in broad)
 
 
 def _threshold(folder: Path, comparison: ComparisonResults, plugins: Sequence[str]) -> float | None:

@@ -17,6 +17,7 @@ import polars as pl
 
 from vstestbed.core.files import make_folder, write_whole
 from vstestbed.core.geometry import Array
+from vstestbed.core.shares import Call, at_once
 from vstestbed.report.comparison import failures as comparison_failures
 from vstestbed.report.comparison.columns import ComparisonResults, ControllerResults, Metric
 from vstestbed.report.comparison.statistics import success_rate
@@ -223,20 +224,20 @@ def _crosses(axes: Axes, at: Array, place: int, of: int) -> None:
 
 
 def write_task_report(
-    folder: Path, table: pl.DataFrame, axes: tuple[str, ...], metrics: tuple[str, ...], description: str, command: str
+    folder: Path, table: pl.DataFrame, axes: tuple[str, ...], metrics: tuple[str, ...], description: str, command: str, call: Call = at_once
 ) -> Path:
     """Write `report.html`, `tasks.md` and `figures/tasks.pdf` and `.png` into a comparison's folder; returns the page's path.
 
     Args:
         folder: the comparison's folder. table: one row per run, with the columns `task` and `amount`.
         axes: columns that distinguish the controllers, `task` among them. metrics: the first three are drawn.
-        description: what is compared. command: the command line that repeats the comparison.
+        description: what is compared. command: the command line that repeats the comparison. call: draws the figures.
 
     Raises:
         OutputError: a file cannot be written.
     """
     found = cells(table, axes)
-    svg = _write_figures(folder / "figures", found, metrics)
+    drawn = call(_on_page, found, metrics), call(_paper, make_folder(folder / "figures"), found, metrics)
     write_whole(folder / "tasks.md", markdown(found, metrics))
     n, good = len(table), int(table["success"].cast(pl.Boolean, strict=False).fill_null(False).sum())
     caption = "Numbers of the runs that reached the goal; red crosses at the top: runs that did not, each law at its own height."
@@ -244,7 +245,7 @@ def write_task_report(
         f"<p>{good} of {n} runs reached the goal. Each cell: how many, the median time to converge, the 95 % interval of the rate, "
         "and each failure by its outcome.</p>",
         _html(found, _td),
-        f'<section><h2>Figure</h2><div class="broad">{figure("Over the amounts", svg, caption)}</div></section>',
+        f'<section><h2>Figure</h2><div class="broad">{figure("Over the amounts", drawn[0].result(), caption)}</div></section>',
         _spreads(found, metrics),
         comparison_failures.section(folder, ComparisonResults(table, axes, metrics)),
         f"<section><h2>How it was made</h2><p>Made again by<br><code>{escape(command)}</code></p></section>",
@@ -257,15 +258,19 @@ def write_task_report(
         description=f"<p>{escape(description)}</p>",
         body="\n".join(body),
     )
+    drawn[1].result()
     return write_whole(folder / "report.html", page)
 
 
-def _write_figures(folder: Path, found: Sequence[Cell], metrics: Sequence[str]) -> str:
-    """The figure for a paper, as PDF and PNG, into the folder; returns it as SVG for the page."""
-    make_folder(folder)
+def _paper(folder: Path, found: Sequence[Cell], metrics: Sequence[str]) -> None:
+    """Write the figure for a paper, as PDF and PNG, into the folder."""
     with style(paper=True):
         drawn = draw(found, metrics, 8.2)
         save(drawn, folder / "tasks.pdf")
         save(drawn, folder / "tasks.png", DPI)
+
+
+def _on_page(found: Sequence[Cell], metrics: Sequence[str]) -> str:
+    """The figure as SVG, for the page."""
     with style():
         return to_svg(draw(found, metrics, 13.0), "tasks", "Each law over the amounts of each task")

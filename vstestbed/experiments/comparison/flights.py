@@ -1,0 +1,252 @@
+"""Runs of ideal cameras that fly in one batch, each with the folder that it would have by itself."""
+
+from __future__ import annotations
+
+import io
+import itertools
+import json
+import pickle
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+
+import numpy as np
+
+from vstestbed.core.errors import EnvironmentLackError, ParameterError
+from vstestbed.core.geometry import Array, exp, inverse, transform
+from vstestbed.core.outcome import Outcome
+from vstestbed.core.provenance import versions
+from vstestbed.experiments.basin.batch import Batch, Instant, fly
+from vstestbed.experiments.basin.setup import BatchSetup, start_of
+from vstestbed.experiments.comparison.worker import Files, picture_of_the_end
+from vstestbed.laws.views import Views
+from vstestbed.loop.columns import Layout
+from vstestbed.loop.monitors import CROSSED_WORDS, FAR_WORDS
+from vstestbed.loop.recording import BLOCK, MemoryRows, Recording, to_frame
+from vstestbed.loop.run import PARTS
+from vstestbed.robots import Robot
+from vstestbed.robots.supervisor import FOLLOWS
+from vstestbed.scenario.load import dump, dump_mapping, parse
+from vstestbed.scenario.scenario import Scenario
+from vstestbed.sim.build import scene_files
+from vstestbed.tasks.reached import at_rest_words, converged_words, timed_out_words
+
+LEAST, MOST = 10, 50
+"""Runs of a batch: with fewer a batch saves little, with more two workers could not share a comparison of some hundred runs."""
+OWN = ("seed", "robot")
+"""The fields in which runs of one batch may differ, and there in the start alone."""
+
+
+@dataclass(frozen=True)
+class BatchRequest:
+    """Runs that fly in one batch, as they are sent to a worker.
+
+    Attributes:
+        folder: identifies the request. text: the scenario of the first run.
+        own: seed and robot of each run, pickled: the text may name the plugins with which they can be read.
+    """
+
+    folder: str
+    text: str
+    own: bytes
+
+    @classmethod
+    def of(cls, folder: str, scenarios: Sequence[Scenario]) -> BatchRequest:
+        """The request for scenarios that differ in their starts alone; folder: of the first run."""
+        return cls(f"{folder} and {len(scenarios) - 1} more", dump(scenarios[0]), pickle.dumps([(s.seed, s.robot) for s in scenarios]))
+
+    def perform(self, place: str | None = None) -> list[Files | None]:
+        """The folder of each run; None for one that must fly by itself, and for all where the batch fails.
+
+        A run flies by itself where the law does not measure all markers in all frames (what a robot without sight does is the loop's),
+        and where rounding decides its way, as after an exact half turn: each has two twins that start beside it, and must stay near.
+
+        Raises:
+            EnvironmentLackError: as in `execute`.
+        """
+        first = parse(self.text, "scenario.yaml")
+        own: list[tuple[int, Robot]] = pickle.loads(self.own)
+        try:
+            return _flown([replace(first, seed=seed, robot=robot) for seed, robot in own], self.text, place)
+        except EnvironmentLackError:
+            raise
+        except Exception:  # of a law of one's own: the loop says of each run what is wrong
+            return [None] * len(own)
+
+
+def batches(scenarios: Sequence[Scenario | None]) -> list[list[int]]:
+    """Which scenarios fly in one batch: places in the list, LEAST to MOST of them; the others fly by themselves.
+
+    Args:
+        scenarios: None for those that fly by themselves in any case.
+    """
+    groups: list[tuple[Scenario, list[int]]] = []
+    for i, s in enumerate(scenarios):
+        if s is None:
+            continue
+        group = next((places for head, places in groups if _differ_in_start(head, s)), None)
+        if group is None:
+            groups.append((s, [i]))
+        else:
+            group.append(i)
+    return [part for head, places in groups if len(places) >= LEAST and flies_in_batch(head) for part in _parts(places)]
+
+
+def flies_in_batch(scenario: Scenario) -> bool:
+    """Whether a batch gives the log and the summary of a run of this scenario."""
+    try:
+        return BatchSetup(scenario).complete
+    except ParameterError:
+        return False
+
+
+def _differ_in_start(a: Scenario, b: Scenario) -> bool:
+    """Whether two scenarios are equal but for the seed and the robot's start."""
+    names = (f.name for f in fields(a) if f.name not in OWN)
+    return all(getattr(a, n) is getattr(b, n) or getattr(a, n) == getattr(b, n) for n in names) and (
+        type(a.robot) is type(b.robot) and replace(a.robot, start=b.robot.start) == b.robot
+    )
+
+
+def _parts(places: list[int]) -> list[list[int]]:
+    """The places in as few parts of up to MOST as possible, of about equal length."""
+    return [list(part) for part in np.array_split(places, -(-len(places) // MOST))]
+
+
+TWIN = np.array([1.0, -0.7, 0.4, 0.6, -0.3, 0.8]) * 1e-10
+"""Displacement of a run's twins [m, rad], here and there: far more than rounding does in a step."""
+APART = 1e-6
+"""Distance of a run from a twin at which rounding decides where it goes [m, rad]: a growth by 10^4."""
+
+
+class _Record:
+    """The frames of a batch, for its logs.
+
+    Attributes:
+        T, twist, error: poses T_camera_target (frames, M, 4, 4), twists (frames, M, 6), errors (frames, M) [px].
+        whole: runs in which the law measured all markers in all frames (M,).
+    """
+
+    def __init__(self, runs: int):
+        self._frames: list[Instant] = []
+        self.whole = np.ones(runs, dtype=bool)
+
+    def add(self, now: Instant) -> None:
+        """Keep a frame."""
+        self._frames.append(now)
+        self.whole[now.index] &= now.whole & np.isfinite(now.twist).all(axis=1)
+
+    def of(self, name: str) -> Array:
+        """`T`, `twist` or `error` of all frames (frames, M, ...); 0 where a run has ended."""
+        values = [getattr(now, name) for now in self._frames]
+        out = np.zeros((len(values), len(self.whole), *values[0].shape[1:]))
+        for frame, (now, value) in enumerate(zip(self._frames, values, strict=True)):
+            out[frame, now.index] = value
+        return out
+
+
+def _flown(scenarios: list[Scenario], text: str, place: str | None) -> list[Files | None]:
+    began = time.perf_counter()
+    m, start = len(scenarios), np.array([start_of(s) for s in scenarios])
+    record, setup = _Record(3 * m), BatchSetup(scenarios[0])
+    flight = fly(scenarios[0], np.concatenate([start, exp(TWIN) @ start, exp(-TWIN) @ start]), record.add)
+    T, twist, error = map(record.of, ("T", "twist", "error"))
+    good = record.whole[:m].copy()
+    for twins in (slice(m, 2 * m), slice(2 * m, 3 * m)):
+        good &= record.whole[twins] & (flight.outcome[:m] == flight.outcome[twins]) & (flight.steps[:m] == flight.steps[twins])
+        good &= np.abs(T[:, :m] - T[:, twins]).max(axis=(0, 2, 3)) < APART
+    law_s, layout = time.perf_counter() - began, Layout(scenarios[0])
+    flown: list[Files | None] = []
+    for i, scenario in enumerate(scenarios):
+        if not good[i]:
+            flown.append(None)
+            continue
+        began, frames = time.perf_counter(), int(flight.steps[i]) + 1
+        table = layout.stacked_rows(_stacked(setup, T[:frames, i], twist[:frames, i], error[:frames, i]))
+        record_s, law_part_s = time.perf_counter() - began, law_s * frames / (flight.run_steps + 3 * m) * 3
+        spent = dict.fromkeys(PARTS, 0.0) | {"law": 1e3 * law_part_s, "record": 1e3 * record_s}
+        took_s, rows = law_part_s + record_s, MemoryRows(layout.columns, table)
+        outcome, made_by = flight.outcome[i], versions() | {"renderer": "none"}
+        reason = _reason(scenario, flight, i)
+        recording = Recording(scenario, outcome, reason, rows, took_s, took_s, spent, made_by, float(table[-1, 0]))
+        flown.append(_folder(recording, text, place))
+    return flown
+
+
+def _stacked(setup: BatchSetup, T: Array, twist: Array, error: Array) -> dict[str, Array]:
+    """The numbers of all frames of a run (`loop.columns.kept`), from its poses (n, 4, 4), twists (n, 6) and errors (n,)."""
+    s, n = setup.scenario, len(T)
+    step_s, steps = s.clock
+    t, p, goal = np.arange(n) * steps * step_s, transform(T, s.target.points), s.goal_view
+    views = Views(0.0, p, T, goal, s.law.depth)
+    return {
+        "t": t,
+        "frame": np.arange(n),
+        "lost": np.zeros(n, dtype=bool),
+        "error_px": error,
+        "t_cmd": t,
+        "scale": np.ones(n),
+        "uv": s.camera.project(p),
+        "depth": views.depth,
+        "p_camera": p,
+        "T_camera": s.target.pose.T @ inverse(T),
+        "T_target": np.broadcast_to(s.target.pose.T, T.shape),
+        "cmd": twist,
+        "act": np.vstack([np.zeros((1, 6)), twist[:-1]]),  # what was commanded a frame earlier has moved the camera until now
+        "applied": twist,
+        "goal_uv": np.broadcast_to(goal.uv, (n, *goal.uv.shape)),
+        "T_goal": np.broadcast_to(goal.T_camera_target, T.shape),
+        "view": np.zeros(n),
+        "own": np.full((n, 1), FOLLOWS),
+    } | dict.fromkeys(("q", "qd", "ctrl"), np.zeros((n, 0)))
+
+
+def _reason(scenario: Scenario, flight: Batch, i: int) -> str:
+    """Why run i ended, in the words of the monitors."""
+    stop = scenario.stop
+    match flight.outcome[i]:
+        case Outcome.converged:
+            return converged_words(stop.converged)
+        case Outcome.local_minimum:
+            return at_rest_words(stop.converged, float(flight.error_px[i]))
+        case Outcome.diverged:
+            return FAR_WORDS
+        case Outcome.target_lost:  # of a law that measures all markers
+            return CROSSED_WORDS
+        case _:
+            return timed_out_words(stop.duration_s)
+
+
+def _folder(recording: Recording, text: str, place: str | None) -> Files:
+    """The folder of a run."""
+    scenario, log, columns = recording.scenario, io.BytesIO(), recording.table
+    frame = to_frame(dict(zip(recording.columns, columns.T, strict=True)))
+    frame.write_parquet(log, compression="zstd", statistics=False, row_group_size=BLOCK)
+    scene = scene_files(scenario.robot, scenario.camera, scenario.target, scenario.world, scenario.physics, scenario.sights)
+    files = dict(scene.assets) | {
+        "scenario.yaml": spliced(text, scenario).encode(),
+        "model.xml": scene.xml.encode(),
+        "log.parquet": log.getvalue(),
+        "summary.json": (json.dumps(recording.summary() | {"batch": True}, indent=1) + "\n").encode(),
+    }
+    if not recording.outcome.success:
+        with tempfile.TemporaryDirectory(prefix="vstestbed_", dir=place) as made:
+            picture_of_the_end(scenario, recording.rows, Path(made))
+            files["end.png"] = (Path(made) / "end.png").read_bytes()
+    return files
+
+
+def spliced(text: str, scenario: Scenario) -> str:
+    """`dump` of a scenario, given that of another one that differs in OWN alone: a tenth of the time."""
+    own = dict(_blocks(dump_mapping({name: getattr(scenario, name) for name in OWN})))
+    return "".join(own.get(name, block) for name, block in _blocks(text))
+
+
+def _blocks(text: str) -> Iterator[tuple[str, str]]:
+    """The top-level keys of a YAML text, each with its lines."""
+    lines = text.splitlines(keepends=True)
+    starts = [i for i, line in enumerate(lines) if line[0] not in " #-\n"]
+    for start, end in itertools.pairwise([*starts, len(lines)]):
+        yield lines[start].partition(":")[0], "".join(lines[start:end])
