@@ -98,8 +98,9 @@ def _run_into(folder: Path, scenario: Scenario, films: Films, watch: Iterable[Wa
             finally:
                 log.close()
             recording.time_ms["video"] = 1e3 * sum(film.spent_s for film in cameras)
+    summary = json.dumps(recording.summary(), indent=1) + "\n"  # before `log.finish`: log.part is read without decompressing it
     log.finish()
-    write_whole(folder / "summary.json", json.dumps(recording.summary(), indent=1) + "\n")
+    write_whole(folder / "summary.json", summary)  # after it: a summary says that the run is finished
     return recording
 
 
