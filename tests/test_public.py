@@ -41,6 +41,21 @@ def test_importing_costs_no_heavy_package(module: str, vstestbed_process: tuple[
     assert done.stdout.strip() == "[]"
 
 
+def test_a_run_imports_nothing_before_it_needs_it(tmp_path: Path, vstestbed_process: tuple[list[str], dict[str, str]]) -> None:
+    """Until its first frame; each of these takes .1 to .5 s to import."""
+    late = ["polars", "matplotlib", "spatialmath", "scipy.interpolate", "scipy.stats", "OpenGL.GL", "av"]
+    code = f"""if True:
+        import sys, vstestbed as vs
+        class Watch:
+            def frame(self, frame):
+                if frame.timing.number == 0:
+                    print([m for m in {late} if m in sys.modules])
+        from pathlib import Path
+        vs.run_into(Path({str(tmp_path)!r}), vs.load("arm_ibvs", {{"stop.duration_s": 0.1}}), "none", [Watch()], report=False)"""
+    done = subprocess.run([sys.executable, "-c", code], env=vstestbed_process[1], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
 def test_the_example_of_the_docstring_works() -> None:
     fast = {"detector": "oracle", "law.gain": 1.0, "stop.duration_s": 0.3}
     recording = vs.run(vs.load("ibvs_book", fast))

@@ -159,3 +159,16 @@ def test_a_pose_is_found_again_from_its_matrix_and_many_rotations_are_as_one():
         pose = Pose(xyz=(1, 2, 3), rpy_deg=tuple(turned))
         assert one == pytest.approx(pose.T[:3, :3], abs=1e-12)
         assert pytest.approx(pose.T, abs=1e-12) == Pose.of(pose.T).T  # at a pitch of 90 degrees, too, other angles
+
+
+def test_poses_have_the_same_bits_as_those_of_spatialmath():
+    """Logs of earlier versions, which used it, are made again byte for byte."""
+    from spatialmath import SE3, SO3
+    from spatialmath.base import tr2rpy
+
+    rng = np.random.default_rng(0)
+    for rpy in np.concatenate([rng.uniform(-180, 180, (300, 3)), rng.choice([-180, -90, 0, 30, 45, 90, 180.0], (300, 3))]):
+        expected = SE3.Rt(SO3.RPY(*rpy, order="zyx", unit="deg"), [1.0, 2.0, 3.0]).A
+        assert Pose(xyz=(1.0, 2.0, 3.0), rpy_deg=tuple(rpy.tolist())).T.tobytes() == expected.tobytes()
+        angles = tr2rpy(expected[:3, :3], order="zyx", unit="deg", check=False)
+        assert np.array(Pose.of(expected).rpy_deg).tobytes() == np.asarray(angles, float).tobytes()

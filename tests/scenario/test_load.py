@@ -445,7 +445,8 @@ class TestPlugins:
             def load(self) -> type:
                 return Eager
 
-        monkeypatch.setattr("importlib.metadata.entry_points", lambda *, group: [Entry()] if group == "vstestbed.laws" else [])
+        offered = type("Offered", (), {"select": lambda _, group: [Entry()] if group == "vstestbed.laws" else []})()
+        monkeypatch.setattr("importlib.metadata.entry_points", lambda: offered)
         load_plugins([])
         assert isinstance(parse(changed("kind: ibvs", "kind: eager"), "s.yaml").law, Eager)
 
@@ -454,7 +455,8 @@ class TestPlugins:
             def load(self) -> type:
                 raise ModuleNotFoundError("No module named 'torch'")
 
-        monkeypatch.setattr("importlib.metadata.entry_points", lambda *, group: [Entry()] if group == "vstestbed.laws" else [])
+        offered = type("Offered", (), {"select": lambda _, group: [Entry()] if group == "vstestbed.laws" else []})()
+        monkeypatch.setattr("importlib.metadata.entry_points", lambda: offered)
         with pytest.raises(PluginError, match=r"installed plugin of vstestbed.laws: cannot be imported .*torch"):
             load_plugins([])
 

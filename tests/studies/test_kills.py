@@ -105,6 +105,42 @@ def test_runs_killed_at_any_moment(start: Start, tmp_path: Path):
     assert ended < KILLS
 
 
+PACED = """
+import sys, time, vstestbed as vs
+from pathlib import Path
+class Paced:
+    def frame(self, frame):
+        print(frame.timing.number, time.time(), flush=True)
+        time.sleep(float(sys.argv[1]))
+Path("out").mkdir()
+settings = {a.split("=")[0]: float(a.split("=")[1]) for a in sys.argv[2:]}
+vs.run_into(Path("out"), vs.load("quick.yaml", settings), "none", [Paced()], report=False)
+"""
+LEAST_LOSS_S, CONGESTION_S = 0.1, 0.1
+"""What a kill may lose of a run's log; how late a process on a busy machine may be beside it."""
+
+
+@pytest.mark.parametrize("pause_s", [0.0, 0.02, 0.04, 0.15])
+def test_a_killed_run_loses_a_tenth_of_a_second_at_most(tmp_path: Path, quick: Path, vstestbed_process: Any, pause_s: float):
+    words = [vstestbed_process[0][0], "-c", PACED, str(pause_s), *(w for w in ENDLESS if w != "--set")]
+    lost, printed = [], tmp_path / "printed"
+    for i in range(5):
+        shutil.rmtree(tmp_path / "out", ignore_errors=True)
+        with printed.open("w") as sink:
+            process = subprocess.Popen(words, cwd=tmp_path, env=vstestbed_process[1], stdout=sink)
+            wait_for(lambda: printed.read_text().count("\n") > 10)
+            time.sleep(0.3 + 0.03 * i)
+            process.kill()
+            killed = time.time()
+            process.wait()
+        came = [float(line.split()[1]) for line in printed.read_text().splitlines() if line.count(".") == 1]
+        kept = read_log(tmp_path / "out")
+        assert kept["frame"].to_list() == list(range(kept.height))
+        lost.append(killed - came[kept.height] if kept.height < len(came) else 0.0)
+    print(f"a frame each {pause_s} s: lost {max(lost):.3f} s")
+    assert max(lost) < LEAST_LOSS_S + CONGESTION_S
+
+
 def test_comparisons_killed_and_resumed_equal_one_that_was_not(start: Start, tmp_path: Path):
     rng, kills, number = np.random.default_rng(2), 0, 0
     assert start(*COMPARE, "--out", "whole").wait() == 0

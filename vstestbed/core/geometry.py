@@ -1,7 +1,6 @@
 """Frames, twists and adjoints.
 
 Poses are 4x4 arrays `T_a_b` that map b-coordinates to a (inner names cancel: `T_world_camera @ T_camera_target`).
-Spatialmath's SE3 is used where people enter poses (`Pose.SE3`); the time loop uses plain arrays, in a fourth of the time.
 A twist is (vx, vy, vz, wx, wy, wz) of a frame, expressed in that frame unless the name says otherwise.
 """
 
@@ -9,16 +8,13 @@ from __future__ import annotations
 
 import math
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vstestbed.core.quantity import Angles, Position
 from vstestbed.core.spec import spec
-
-if TYPE_CHECKING:
-    from spatialmath import SE3
 
 Array = NDArray[np.float64]
 
@@ -36,21 +32,32 @@ class Pose:
     @cached_property
     def T(self) -> Array:
         """The homogeneous matrix, shape (4, 4)."""
-        return np.array(self.SE3().A, dtype=float)
-
-    def SE3(self) -> SE3:
-        """The same pose as a spatialmath object."""
-        from spatialmath import SE3, SO3
-
-        return SE3.Rt(SO3.RPY(*self.rpy_deg, order="zyx", unit="deg"), list(self.xyz))
+        T = np.eye(4)
+        for axis, angle in ((2, self.rpy_deg[2]), (1, self.rpy_deg[1]), (0, self.rpy_deg[0])):
+            turn, c, s = np.eye(3), math.cos(math.radians(angle)), math.sin(math.radians(angle))
+            i, j = (axis + 1) % 3, (axis + 2) % 3
+            turn[i, i], turn[j, j], turn[i, j], turn[j, i] = c, c, -s, s
+            T[:3, :3] = T[:3, :3] @ turn  # not `rotation_from_rpy`, whose last bits are others: a log is made again byte for byte
+        T[:3, 3] = self.xyz
+        return T
 
     @classmethod
     def of(cls, T: Array) -> Pose:
         """The pose with the homogeneous matrix T (4, 4); at a pitch of 90 degrees roll is 0."""
-        from spatialmath.base import tr2rpy
+        return cls(xyz=tuple(T[:3, 3].tolist()), rpy_deg=rpy_of(T[:3, :3].tolist()))
 
-        rpy = tr2rpy(T[:3, :3], order="zyx", unit="deg", check=False)
-        return cls(xyz=tuple(T[:3, 3].tolist()), rpy_deg=tuple(np.asarray(rpy, dtype=float).tolist()))
+
+def rpy_of(R: list[list[float]]) -> Angles:
+    """Roll, pitch, yaw [deg] of a rotation matrix R = Rz(yaw) Ry(pitch) Rx(roll) of rows; roll is 0 at a pitch of 90 degrees."""
+    (xx, xy, xz), (yx, _, _), (zx, zy, zz) = R
+    if abs(abs(zx) - 1) < 20 * np.finfo(float).eps:
+        yaw = -math.atan2(xy, xz) if zx < 0 else math.atan2(-xy, -xz)
+        return 0.0, -math.asin(min(max(zx, -1.0), 1.0)) * (180 / math.pi), yaw * (180 / math.pi)
+    roll, yaw = math.atan2(zy, zz), math.atan2(yx, xx)
+    # the largest of the four that are the pitch's cosine times a sine or cosine of another angle
+    largest, of_angle = max(((xx, math.cos(yaw)), (yx, math.sin(yaw)), (zy, math.sin(roll)), (zz, math.cos(roll))), key=lambda p: abs(p[0]))
+    rad = roll, -math.atan(zx * of_angle / largest), yaw
+    return tuple(a * (180 / math.pi) for a in rad)  # pyright: ignore[reportReturnType]
 
 
 def all_finite(a: Array) -> bool:

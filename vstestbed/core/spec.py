@@ -15,10 +15,10 @@ that runs, and the JSON Schema. Pydantic validates; this file turns its errors i
 from __future__ import annotations
 
 import dataclasses
-import importlib.metadata
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from importlib.metadata import EntryPoints
 from typing import Any, TypeVar, dataclass_transform
 
 import pydantic
@@ -167,10 +167,10 @@ class OneOf:
         self.members[kind] = member
         return new
 
-    def load_entry_points(self) -> bool:
+    def load_entry_points(self, installed: EntryPoints) -> bool:
         """Register the classes that installed packages offer under `vstestbed.<what>s`; True if any was new."""
         before = len(self.members)
-        for entry in importlib.metadata.entry_points(group=f"vstestbed.{self.what}s"):
+        for entry in installed.select(group=f"vstestbed.{self.what}s"):
             self.add(entry.load())
         return len(self.members) > before
 

@@ -105,8 +105,9 @@ def _run_into(
             for film in filming:
                 film.close(None if tile_px else (recording.outcome, recording.reason))  # a film of several runs shows it itself
         recording.time_ms["video"] = 1e3 * sum(film.spent_s for film in filming)
+    summary = json.dumps(recording.summary(), indent=1) + "\n"  # before `log.finish`: log.part is read without decompressing it
     log.finish()
-    write_whole(folder / "summary.json", json.dumps(recording.summary(), indent=1) + "\n")
+    write_whole(folder / "summary.json", summary)  # after it: a summary says that the run is finished
     return recording
 
 

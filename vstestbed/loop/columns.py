@@ -80,8 +80,7 @@ class Layout:
             (("t", "frame", "lost"), lambda k: np.column_stack([k["t"], k["frame"], k["lost"]])),
             (markers, self._markers_and_rays if rays else self._markers),
             (("error_px",), lambda k: k["error_px"][:, None]),
-            (_named("cam", POSE), lambda k: _poses(k["T_camera"])),
-            (_named("tgt", POSE), lambda k: _poses(k["T_target"])),
+            (_named("cam", POSE) + _named("tgt", POSE), lambda k: _poses(k["T_camera"], k["T_target"])),
             (("position_error_m", "rotation_error_rad"), self._pose_errors),
             (("t_cmd",), lambda k: k["t_cmd"][:, None]),
             (_named("cmd", TWIST), lambda k: k["cmd"]),
@@ -95,7 +94,7 @@ class Layout:
         )
 
     def rows(self, frames: Sequence[Kept]) -> Array:
-        """Frames as numbers, shape (len(frames), columns): one at a time on disk, many at once in memory, the same numbers."""
+        """Frames as numbers, shape (len(frames), columns); the same numbers for one at a time and for many at once."""
         return self.stacked_rows({name: np.array([frame[name] for frame in frames]) for name in frames[0]})
 
     def stacked_rows(self, stacked: Stacked) -> Array:
@@ -125,5 +124,8 @@ def _named(prefix: str, names: Sequence[str]) -> tuple[str, ...]:
     return tuple(f"{prefix}_{name}" for name in names)
 
 
-def _poses(T: Array) -> Array:
-    return np.concatenate([T[:, :3, 3], quaternion_wxyz(T[:, :3, :3])], axis=1)
+def _poses(*T: Array) -> Array:
+    """Position and quaternion of poses (n, 4, 4) side by side, from one call for all: of few frames it is the call that takes the time."""
+    together = np.concatenate(T)
+    rows = np.concatenate([together[:, :3, 3], quaternion_wxyz(together[:, :3, :3])], axis=1)
+    return np.concatenate(np.split(rows, len(T)), axis=1)

@@ -1,30 +1,31 @@
 """A run's log on disk: `log.part` grows while the run goes on, and becomes `log.parquet` at its end; both read the same.
 
-`log.part` is CSV whose numbers read back exactly; the log of a run that was killed ends with its last complete line. Neither file is
-ever read as a whole: a log of a day has some gigabytes.
+`log.part` is a line of column names, then rows of float64 numbers, little-endian; the log of a run that was killed ends with its last
+complete row. Neither file is ever read as a whole: a log of a day has a gigabyte.
 """
 
 from __future__ import annotations
 
 import contextlib
-import io
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from vstestbed.core.errors import RunFolderError
 from vstestbed.core.files import PartFile, writing
 from vstestbed.core.geometry import Array
 from vstestbed.loop.columns import Layout
-from vstestbed.loop.recording import BLOCK, Block, to_frame, types_of, whole_table
+from vstestbed.loop.recording import BLOCK, Block, to_frame, types_of
 from vstestbed.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
     import polars
 
 WORKS = "`vstestbed run` of the scenario.yaml beside it writes it again, into another folder"
-READ_BYTES = 1_000_000
-"""Bytes of `log.part` that are read at a time."""
+HEAD = "float64: "
+"""How `log.part` begins; the names of its columns follow, with commas between them, to the end of the line."""
 
 
 class FolderLog:
@@ -52,7 +53,7 @@ class FolderLog:
         with writing(folder):
             # `x`: never an older log, nor through a link; its name is fixed, since it is read while it grows.
             file = (folder / "log.part").open("xb")
-            file.write(",".join(columns).encode() + b"\n")
+            file.write(f"{HEAD}{','.join(columns)}\n".encode())
             file.flush()
         log = cls(folder)
         log._file = file
@@ -67,21 +68,23 @@ class FolderLog:
     @contextlib.contextmanager
     def _reading(self) -> Iterator[None]:
         """Turn errors of reading into one that names the folder."""
-        import polars as pl
-
         try:
             yield
         except FileNotFoundError:
             raise RunFolderError(self._folder, "no run here" if self._folder.is_dir() else "no such folder") from None
-        # A panic of polars is no Exception, and comes from damaged pages.
-        except (OSError, ValueError, pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
+        except BaseException as error:
+            import polars as pl  # here: a run needs it only at its end
+
+            # A panic of polars is no Exception, and comes from damaged pages.
+            if not isinstance(error, OSError | ValueError | pl.exceptions.PolarsError | pl.exceptions.PanicException):
+                raise
             words = str(error).strip().partition("\n")[0][:200]
             raise RunFolderError(self._parquet or self._part, f"cannot be read ({words})", WORKS) from None
 
     def _header(self) -> list[str]:
-        import polars as pl
-
         if self._parquet:
+            import polars as pl
+
             return list(pl.read_parquet_schema(self._parquet))
         if not self._part.is_file():  # to open a pipe would wait for ever
             raise FileNotFoundError
@@ -89,17 +92,15 @@ class FolderLog:
             line = file.readline()
         if not line.endswith(b"\n"):
             raise ValueError("log.part ends before its first line does")
-        return line.decode("ascii").strip().split(",")
+        if not (text := line.decode("ascii").strip()).startswith(HEAD):
+            raise ValueError(f"log.part does not begin with {HEAD!r}")
+        return text.removeprefix(HEAD).split(",")
 
     def append(self, rows: Array) -> None:
         """Add rows (n, columns); they are handed to the system at once, so that a killed process loses no row of an earlier call."""
-        import polars as pl
-
-        text = io.BytesIO()
-        pl.from_numpy(rows, schema=list(self.columns)).write_csv(text, include_header=False)  # the shortest digits that read back exactly
         assert self._file is not None
         with writing(self._folder):
-            self._file.write(text.getvalue())
+            self._file.write(rows.astype("<f8", copy=False).tobytes())
             self._file.flush()
 
     def close(self) -> None:
@@ -115,67 +116,67 @@ class FolderLog:
             if self._parquet:
                 return int(pl.scan_parquet(self._parquet).select(pl.len()).collect().item())
             with self._part.open("rb") as file:
-                return sum(piece.count(b"\n") for piece in iter(lambda: file.read(READ_BYTES), b"")) - 1
+                return (self._part.stat().st_size - len(file.readline())) // (8 * len(self.columns))
 
     def blocks(self, names: Sequence[str] | None = None) -> Iterator[Block]:
         """The rows in their order, some thousands at a time, as columns by name; `names`: only these columns."""
-        for frame in self.frames(names):
-            yield {name: frame[name].cast(float).to_numpy() for name in frame.columns}
+        wanted = self.columns if names is None else tuple(names)
+        with self._reading():
+            for block in self._parquet_blocks(self._parquet, wanted) if self._parquet else self._part_blocks(wanted):
+                if self._of_a_run:
+                    _must_be_of_a_run(block)
+                yield block
 
     def frames(self, names: Sequence[str] | None = None) -> Iterator[polars.DataFrame]:
         """The same as polars tables with the types of `log.parquet`."""
-        wanted = self.columns if names is None else tuple(names)
         with self._reading():
-            for frame in self._parquet_frames(self._parquet, wanted) if self._parquet else self._part_frames(wanted):
-                _must_be_sound(frame, self._of_a_run)
-                yield frame
+            yield from map(to_frame, self.blocks(names))
 
-    def _parquet_frames(self, path: Path, names: Sequence[str]) -> Iterator[polars.DataFrame]:
+    def _parquet_blocks(self, path: Path, names: Sequence[str]) -> Iterator[Block]:
         import polars as pl
 
         log, rows = pl.scan_parquet(path).select(names), len(self)  # scanned once: the footer of a long log is large, too
         for start in range(0, rows, BLOCK):
-            yield log.slice(start, BLOCK).collect()
+            frame = log.slice(start, BLOCK).collect()
+            for column in frame:
+                if not (column.dtype.is_numeric() or column.dtype == pl.Boolean) or column.null_count():
+                    raise ValueError(f"the column {column.name} holds something else than numbers")
+            yield {name: frame[name].cast(float).to_numpy() for name in names}
 
-    def _part_frames(self, names: Sequence[str]) -> Iterator[polars.DataFrame]:
+    def _part_blocks(self, names: Sequence[str]) -> Iterator[Block]:
+        at, row = [self.columns.index(name) for name in names], 8 * len(self.columns)
         with self._part.open("rb") as file:
             file.readline()
-            rest = b""
-            while piece := file.read(READ_BYTES):
-                text, end, rest = (rest + piece).rpartition(b"\n")  # what follows the last line end is not complete yet, or was cut off
-                if end:
-                    yield self._parsed(text, names)
+            while len(piece := file.read(row * BLOCK)) >= row:
+                # what follows the last whole row is not complete yet, or was cut off
+                table = np.frombuffer(piece[: len(piece) // row * row], "<f8").reshape(-1, len(self.columns))
+                yield {self.columns[i]: table[:, i].astype(float) for i in at}
 
-    def _parsed(self, text: bytes, names: Sequence[str]) -> polars.DataFrame:
-        import polars as pl
-
-        schema: Any = dict.fromkeys(self.columns, pl.Float64)
-        frame = pl.read_csv(text, has_header=False, schema=schema)
-        if sum(frame.null_count().row(0)):
-            raise ValueError("a line of log.part has too few numbers")
-        return to_frame({name: frame[name].to_numpy() for name in names})
+    def table(self) -> Array:
+        """All rows as one array in memory, shape (rows, columns)."""
+        blocks = [np.column_stack(list(block.values())) for block in self.blocks()]
+        return np.concatenate([np.zeros((0, len(self.columns))), *blocks])
 
     def finish(self) -> None:
         """Replace `log.part` by `log.parquet`, which appears whole or not at all."""
         import polars as pl
+        from polars.io.plugins import register_io_source
 
         self.close()
+        schema = dict.fromkeys(self.columns, pl.Float64()) | types_of(self.columns)
         with writing(self._folder), PartFile(self._folder / "log.parquet") as made:
-            text = pl.scan_csv(self._part, schema=dict.fromkeys(self.columns, pl.Float64))
-            log = text.with_columns(pl.col(name).cast(kind) for name, kind in types_of(self.columns).items())
+            # a block in memory at a time, and one on its way: polars asks for all columns and all rows
+            log = register_io_source(lambda *_: self.frames(), schema=schema)
             log.sink_parquet(made.file, compression="zstd", statistics=False, row_group_size=BLOCK)
         self._part.unlink(missing_ok=True)  # only after log.parquet is complete
 
 
-def _must_be_sound(frame: polars.DataFrame, of_a_run: bool) -> None:
-    """ValueError for anything but numbers, gaps and, in the log of a run, times that do not go on."""
-    import polars as pl
-
-    for column in frame:
-        if not (column.dtype.is_numeric() or column.dtype == pl.Boolean) or column.null_count():
-            raise ValueError(f"the column {column.name} holds something else than numbers")
-    if of_a_run and "t" in frame.columns and not (frame["t"].is_finite().all() and frame["t"].is_sorted()):
+def _must_be_of_a_run(block: Block) -> None:
+    """ValueError for what no run logs."""
+    if "t" in block and not (np.isfinite(block["t"]).all() and (np.diff(block["t"]) >= 0).all()):
         raise ValueError("its times do not go on")
+    if "lost" in block and not np.isin(block["lost"], (0, 1)).all():
+        raise ValueError("the column lost holds something else than 0 and 1")
 
 
 def open_log(folder: Path, scenario: Scenario | None = None) -> FolderLog:
@@ -200,5 +201,4 @@ def read_log(folder: Path, scenario: Scenario | None = None) -> polars.DataFrame
     import polars as pl
 
     log = open_log(folder, scenario)
-    frames = list(log.frames())
-    return pl.concat(frames) if frames else to_frame(dict(zip(log.columns, whole_table(log).T, strict=True)))
+    return pl.concat([to_frame({name: np.zeros(0) for name in log.columns}), *log.frames()])

@@ -51,15 +51,18 @@ class Blocks(Protocol):
 
 
 class WholeColumns(Mapping[str, Array]):
-    """The columns of a log by name, each read as a whole when it is asked for."""
+    """The columns of a log by name, each read as a whole when it is first asked for."""
 
     def __init__(self, log: Blocks):
         self._log = log
+        self._read: dict[str, Array] = {}
 
     def __getitem__(self, name: str) -> Array:
         if name not in self._log.columns:
             raise KeyError(name)
-        return np.concatenate([np.zeros(0), *(block[name] for block in self._log.blocks([name]))])
+        if name not in self._read:
+            self._read[name] = np.concatenate([np.zeros(0), *(block[name] for block in self._log.blocks([name]))])
+        return self._read[name]
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._log.columns)

@@ -202,12 +202,20 @@ def dump(scenario: Scenario) -> str:
 
 def dump_mapping(spec: object) -> str:
     """A spec as YAML with all defaults."""
-    yaml = YAML()
-    yaml.default_flow_style = None  # nested blocks on lines of their own, the innermost mappings and lists on one line
-    yaml.width = 120
+    import yaml  # here: only runs with a folder write YAML, which libyaml does in a twentieth of ruamel's time
+
+    libyaml: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+
+    class Dumper(libyaml):
+        """PyYAML writes YAML 1.1, where `1e3` is text; it is read as YAML 1.2, where it is a number."""
+
+    def plain_or_quoted(dumper: Any, text: str) -> Any:
+        return dumper.represent_scalar("tag:yaml.org,2002:str", text, "'" if text[:1] in "+-.0123456789" else None)
+
+    Dumper.add_representer(str, plain_or_quoted)
+    # nested blocks on lines of their own, the innermost mappings and lists on one line
     out = io.StringIO()
-    yaml.representer.add_representer(type(None), lambda r, _: r.represent_scalar("tag:yaml.org,2002:null", "null"))
-    yaml.dump(to_mapping(spec), out)
+    yaml.dump(to_mapping(spec), out, Dumper=Dumper, default_flow_style=None, width=120, sort_keys=False, allow_unicode=True)
     return out.getvalue()
 
 

@@ -7,7 +7,7 @@ path, so that files of one name in different folders are different plugins, and 
 from __future__ import annotations
 
 import hashlib
-import importlib
+import importlib.metadata
 import importlib.util
 import sys
 import traceback
@@ -169,9 +169,10 @@ def _load_file(path: Path) -> ModuleType:
 
 def _load_installed() -> None:
     """Register the kinds of installed packages' entry points."""
+    offered: Any = importlib.metadata.entry_points()  # once: every call reads the metadata of all packages
     for room, kinds in KINDS.items():
         with _loading(f"an installed plugin of vstestbed.{room}", None), undone_on_error():
-            kinds.load_entry_points()
+            kinds.load_entry_points(offered)
             refresh_specs()
     _installed[:] = KINDS
 

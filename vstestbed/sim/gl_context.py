@@ -94,12 +94,12 @@ def _plain_sky(context: mujoco.MjrContext) -> None:
 
     The image has the same bytes, and software OpenGL, which computes the level of each pixel, saves a third of its time.
     """
-    from OpenGL import GL
+    from OpenGL.raw.GL.VERSION import GL_1_0, GL_1_1, GL_1_3  # not OpenGL.GL, which imports all extensions in .06 s
 
     for kind, texture in zip(context.textureType, context.texture, strict=True):
         if kind == mujoco.mjtTexture.mjTEXTURE_SKYBOX:
-            GL.glBindTexture(GL.GL_TEXTURE_CUBE_MAP, texture)
-            GL.glTexParameteri(GL.GL_TEXTURE_CUBE_MAP, GL.GL_TEXTURE_MIN_FILTER, GL.GL_LINEAR)
+            GL_1_1.glBindTexture(GL_1_3.GL_TEXTURE_CUBE_MAP, texture)
+            GL_1_0.glTexParameteri(GL_1_3.GL_TEXTURE_CUBE_MAP, GL_1_0.GL_TEXTURE_MIN_FILTER, GL_1_0.GL_LINEAR)
 
 
 def _looks(model: mujoco.MjModel) -> tuple[object, ...]:

@@ -30,9 +30,10 @@ GOAL = "#0a8f6a"
 AXIS_COLORS = ("#d55e00", "#009e73", "#0080d0")  # x, y, z; distinct to colour-blind readers (Okabe & Ito 2008, blue lightened)
 LINE_COLORS = ("#0080d0", "#d55e00", "#009e73", "#b5559a", "#a88700", "#3fa7c4", "#8a6fd1", "#7a7f86")
 WIDTH_IN = 5.2
+RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 _STYLE: Any = {
-    "font.family": "sans-serif",
+    "font.family": "DejaVu Sans",  # comes with matplotlib; the names behind `sans-serif` would be looked up for every word
     "font.size": 9.5,
     "axes.labelsize": 9.5,
     "axes.edgecolor": RULE,
@@ -93,6 +94,39 @@ def new_figure(height_in: float, width_in: float = WIDTH_IN) -> Figure:
     return figure
 
 
+def arrange(figure: Figure) -> None:
+    """Place one column of axes and the legend below them by fixed margins: `constrained` draws all text three times to measure it.
+
+    Axes in space are left as `fill` has placed them.
+    """
+    if any(axes.name == "3d" for axes in figure.axes):
+        return
+    width, height = figure.get_size_inches()
+    rows = sum(-(-len(legend.get_texts()) // legend._ncols) for legend in figure.legends)  # pyright: ignore[reportAttributeAccessIssue]
+    titled = any(axes.get_title(loc="left") for axes in figure.axes)
+    left, right, bottom, top, gap = 0.82, 0.14, 0.5 + 0.2 * rows, 0.32 if titled else 0.2, 0.2
+    figure.set_layout_engine("none")
+    each = (height - bottom - top + gap) / len(figure.axes)
+    for i, axes in enumerate(reversed(figure.axes)):
+        low = bottom + i * each
+        axes.set_position((left / width, low / height, 1 - (left + right) / width, (each - gap) / height))
+
+
+def log_scale(axes: Axes) -> None:
+    """A logarithmic vertical axis whose numbers are plain text, `2×10⁻³`: matplotlib's parser of formulas takes longer than the figure."""
+    from matplotlib.ticker import LogFormatterSciNotation
+
+    class Plain(LogFormatterSciNotation):
+        def __call__(self, x: float, pos: int | None = None) -> str:
+            text = super().__call__(x, pos).replace("\\times", "\N{MULTIPLICATION SIGN}")
+            text = re.sub(r"\^\{([-\d]+)\}", lambda power: power[1].translate(RAISED), text)
+            return re.sub(r"\\mathdefault|[${} ]", "", text)
+
+    axes.set_yscale("log")
+    axes.yaxis.set_major_formatter(Plain())
+    axes.yaxis.set_minor_formatter(Plain(labelOnlyBase=False))
+
+
 def new_space(figure: Figure, **options: Any) -> Axes3D:
     """3-D axes for a figure that holds nothing else but a legend at the bottom; `fill` places them."""
     figure.set_layout_engine("none")
@@ -145,8 +179,11 @@ def _extent(axes: Any, box: bool) -> NDArray[np.float64]:
 
 def to_svg(figure: Figure, key: str, label: str) -> str:
     """The figure as an `<svg>` element for HTML; `key`: prefix of its identifiers, `label`: text for screen readers."""
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+
     sink = io.StringIO()
-    figure.savefig(sink, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+    # not `savefig`, which draws everything once before, to find a renderer
+    FigureCanvasSVG(figure).print_svg(sink, metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
     text = sink.getvalue()
     text = re.sub(r"<metadata>.*?</metadata>", "", text[text.index("<svg") :], flags=re.DOTALL)
     # several figures share a page, and with one hash salt matplotlib would give their clip paths the same identifiers

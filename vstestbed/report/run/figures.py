@@ -11,7 +11,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vstestbed.core.geometry import Array
-from vstestbed.report.html.canvas import AXIS_COLORS, GOAL, INK, LINE_COLORS, LOST, RULE, WIDTH_IN, marker_colors, new_figure, note
+from vstestbed.report.html.canvas import (
+    AXIS_COLORS,
+    GOAL,
+    INK,
+    LINE_COLORS,
+    LOST,
+    RULE,
+    WIDTH_IN,
+    log_scale,
+    marker_colors,
+    new_figure,
+    note,
+)
 from vstestbed.report.run.tracks import Tracks
 
 if TYPE_CHECKING:
@@ -91,16 +103,17 @@ def error(tracks: Tracks) -> Figure:
     """
     figure = new_figure(3.1)
     axes = figure.add_subplot()
+    log_scale(axes)
     value = _positive(tracks.column("error_px"))
     if np.isfinite(value).any():
-        axes.semilogy(tracks.t, value, color=LINE_COLORS[0], **_dot(value))
+        axes.plot(tracks.t, value, color=LINE_COLORS[0], **_dot(value))
     else:
         note(axes, "no frame with a measured error")
     level = _positive(tracks.column("level_error_px"))
     if np.isfinite(level).any():
         for line in axes.lines:
             line.set(label="in the picture", alpha=0.4)
-        axes.semilogy(tracks.t, level, color=LINE_COLORS[0], label="turned level, which counts")
+        axes.plot(tracks.t, level, color=LINE_COLORS[0], label="turned level, which counts")
     threshold = tracks.setting.threshold_px
     if threshold:
         axes.axhline(threshold, color=GOAL, linestyle="--", linewidth=1.2, label=f"threshold {threshold:g} px")
@@ -131,7 +144,8 @@ def pose_error(tracks: Tracks) -> Figure | None:
     figure = new_figure(3.9)
     upper, lower = figure.subplots(2, 1, sharex=True)
     for axes, value, color, label in ((upper, position, LINE_COLORS[0], "position [m]"), (lower, angle, LINE_COLORS[1], "rotation [deg]")):
-        axes.semilogy(tracks.t, _positive(value), color=color, **_dot(value))
+        log_scale(axes)
+        axes.plot(tracks.t, _positive(value), color=color, **_dot(value))
         shade_lost(axes, tracks)
         axes.set_ylabel(label)
     time_axis(lower, tracks)
@@ -148,7 +162,7 @@ def twist(tracks: Tracks) -> Figure:
         for axis, color in zip("xyz", AXIS_COLORS, strict=True):
             true, command = tracks.column(f"act_{part}{axis}"), tracks.column(f"cmd_{part}{axis}")
             axes.plot(tracks.t, true, color=color, **BAND)
-            axes.plot(t_command, command, color=color, linewidth=1.1, label=f"{part}$_{axis}$", **_dot(command))
+            axes.plot(t_command, command, color=color, linewidth=1.1, label=f"{part}{axis}", **_dot(command))
         least_span(axes, LEAST_TWIST)
         shade_lost(axes, tracks)
         axes.set_ylabel(label)
@@ -176,11 +190,14 @@ def depth(tracks: Tracks) -> Figure | None:
     return figure
 
 
+JOINT_PANELS = (("q", "position [rad, m]"), ("qd", "velocity [rad/s, m/s]"), ("ctrl", "input [own unit]"))
+
+
 def joints(tracks: Tracks) -> Figure | None:
     """Joint positions, velocities and actuator inputs, as far as the log has them; None for a ground vehicle (see `vehicle.wheels`)."""
     if tracks.setting.ground_task is not None:
         return None
-    panels = [(s, label) for s, label in (("q", "position"), ("qd", "velocity"), ("ctrl", "input")) if _moving(tracks, s)]
+    panels = [(s, label) for s, label in JOINT_PANELS if _moving(tracks, s)]
     if not panels:
         return None
     names = list(dict.fromkeys(n for stem, _ in panels for n in _moving(tracks, stem)))

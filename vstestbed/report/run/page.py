@@ -14,7 +14,7 @@ from vstestbed.core.errors import RunFolderError
 from vstestbed.core.files import write_whole
 from vstestbed.loop.log_file import open_log
 from vstestbed.loop.summary_file import read_summary
-from vstestbed.report.html.canvas import style, to_svg
+from vstestbed.report.html.canvas import arrange, style, to_svg
 from vstestbed.report.html.parts import figure, film, folded
 from vstestbed.report.html.template import PAGE, STYLE
 from vstestbed.report.run import figures, flight, numbers, path3d, vehicle
@@ -178,6 +178,7 @@ def _figures(tracks: Tracks) -> str:
         for key, title, caption, draw in PLOTS:
             drawn = draw(tracks)
             if drawn is not None:
+                arrange(drawn)
                 svgs.append(figure(title, to_svg(drawn, key, title), caption))
     return "".join(svgs)
 

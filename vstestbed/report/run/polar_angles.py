@@ -31,13 +31,13 @@ RINGS_DEG = {30: 10, 60: 15, 100: 20, 180: 30}
 def polar(tracks: Tracks) -> Figure | None:
     """Marker trajectories in (phi, r), for a run with the feature `polar`."""
     feature = tracks.setting.feature
-    return _plane(tracks, feature, "r") if isinstance(feature, Polar) else None
+    return _plane(tracks, feature, "r [1]") if isinstance(feature, Polar) else None
 
 
 def spherical(tracks: Tracks) -> Figure | None:
     """Marker trajectories in (phi, theta), for a run with the feature `spherical`."""
     feature = tracks.setting.feature
-    return _plane(tracks, feature, r"$\theta$ [rad]") if isinstance(feature, Spherical) else None
+    return _plane(tracks, feature, "θ [rad]") if isinstance(feature, Spherical) else None
 
 
 def _plane(tracks: Tracks, feature: Polar | Spherical, label: str) -> Figure | None:
@@ -51,7 +51,7 @@ def _plane(tracks: Tracks, feature: Polar | Spherical, label: str) -> Figure | N
     axes = figure.add_subplot()
     draw_trails(axes, *(way * in_pi for way in ways))
     axes.set_ylim(0, 1.08 * axes.dataLim.y1 or 1.0)  # from zero, so that what hardly varies does not fill the height
-    axes.set_xlabel(r"$\phi$ [rad]")
+    axes.set_xlabel("φ [rad]")
     axes.set_ylabel(label)
     _count_in_pi(axes.xaxis, 9)
     if isinstance(feature, Spherical):
