@@ -1,4 +1,4 @@
-"""How long frames wait before they are rows of the log."""
+"""How long frames wait before they are rows of the log; what a recording gives."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+import vstestbed as vs
+from vstestbed.core.geometry import Pose
 from vstestbed.loop import recording
 from vstestbed.loop.recording import Log, MemoryRows
 
@@ -44,3 +46,14 @@ def test_columns_and_tables_are_read_once() -> None:
     assert rows.table() is rows.table()
     assert [block["b"].tolist() for block in rows.blocks(["b"])] == [[0.0, 10.0, 20.0, 30.0, 40.0]]
     assert MemoryRows(("a", "b")).table().shape == (0, 2)
+
+
+def test_poses_are_those_of_spatialmath() -> None:
+    run = vs.run(vs.load("ibvs_book", {"detector": "oracle", "law.depth": "oracle"}))
+    camera, goal = run.poses("camera"), run.scenario.goal_poses[0]
+    assert len(camera) == len(run.rows)
+    start = run.scenario.robot.start.nominal.SE3()
+    assert np.allclose(camera[0].A, start.A, atol=1e-12)
+    # the relative pose of the last frame is the goal's, by spatialmath's own inverse and product
+    assert np.allclose((camera[-1].inv() * run.poses("target")[-1]).A, goal, atol=1e-2)
+    assert np.allclose(Pose.of(start).T, start.A)

@@ -1,6 +1,7 @@
 """Frames, twists and adjoints.
 
 Poses are 4x4 arrays `T_a_b` that map b-coordinates to a (inner names cancel: `T_world_camera @ T_camera_target`).
+Spatialmath's SE3 is what scripts get and give (`Pose.SE3`, `Recording.poses`); it takes .8 s to import, so the loop goes without.
 A twist is (vx, vy, vz, wx, wy, wz) of a frame, expressed in that frame unless the name says otherwise.
 """
 
@@ -8,13 +9,16 @@ from __future__ import annotations
 
 import math
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vstestbed.core.quantity import Angles, Position
 from vstestbed.core.spec import spec
+
+if TYPE_CHECKING:
+    from spatialmath import SE3
 
 Array = NDArray[np.float64]
 
@@ -41,9 +45,16 @@ class Pose:
         T[:3, 3] = self.xyz
         return T
 
+    def SE3(self) -> SE3:
+        """The same pose as a spatialmath object, for scripts that compute starts and goals."""
+        from spatialmath import SE3
+
+        return SE3(self.T, check=False)
+
     @classmethod
-    def of(cls, T: Array) -> Pose:
-        """The pose with the homogeneous matrix T (4, 4); at a pitch of 90 degrees roll is 0."""
+    def of(cls, T: Array | SE3) -> Pose:
+        """The pose with the homogeneous matrix T (4, 4), or of a spatialmath object; at a pitch of 90 degrees roll is 0."""
+        T = T if isinstance(T, np.ndarray) else T.A
         return cls(xyz=tuple(T[:3, 3].tolist()), rpy_deg=rpy_of(T[:3, :3].tolist()))
 
 

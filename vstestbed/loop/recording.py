@@ -6,19 +6,20 @@ import math
 import time
 from collections.abc import Container, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol
 
 import numpy as np
 
-from vstestbed.core.geometry import Array
+from vstestbed.core.geometry import Array, rotation_from_quaternion
 from vstestbed.core.outcome import Outcome
-from vstestbed.loop.columns import Kept, Layout, kept
+from vstestbed.loop.columns import POSE, Kept, Layout, kept
 from vstestbed.loop.metrics import WholeColumns, summarise
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.tasks.frame import Frame
 
 if TYPE_CHECKING:
     import polars
+    from spatialmath import SE3
 
 
 class Watcher(Protocol):
@@ -31,6 +32,8 @@ class Watcher(Protocol):
 
 Block = dict[str, Array]
 """Columns by name, of rows that follow each other."""
+PLACED = {"camera": "cam", "target": "tgt"}
+"""Prefix of the columns that hold a true pose."""
 BLOCK = 8_192
 """Rows of a block, and of a row group of `log.parquet`: five minutes at 25 Hz, and 4 MB of 66 columns."""
 
@@ -149,6 +152,16 @@ class Recording:
         if name not in self.columns:
             raise KeyError(f"no column {name!r} in the log; columns: {', '.join(self.columns)}")
         return WholeColumns(self.rows)[name]
+
+    def poses(self, of: Literal["camera", "target"] = "camera") -> SE3:
+        """The true poses in the world, frame by frame, as one spatialmath object: it multiplies, interpolates, prints and plots them."""
+        from spatialmath import SE3
+
+        columns = [self[f"{PLACED[of]}_{name}"] for name in POSE]
+        T = np.tile(np.eye(4), (len(self.rows), 1, 1))
+        T[:, :3, 3] = np.column_stack(columns[:3])
+        T[:, :3, :3] = rotation_from_quaternion(np.column_stack(columns[3:]))
+        return SE3(list(T), check=False)
 
     def frame(self) -> polars.DataFrame:
         """The log as a polars table in memory, one row a camera frame."""

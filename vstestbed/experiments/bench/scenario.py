@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from vstestbed.core.geometry import Array, rotation_from_quaternion
+from vstestbed.core.geometry import Array
 from vstestbed.loop.recording import Recording
 from vstestbed.loop.run import run
 from vstestbed.scenario.scenario import Scenario
@@ -115,10 +115,7 @@ def _floor(scenario: Scenario, recording: Recording) -> BaselineCost:
         columns = [recording[f"{kind}_{name}"] for name in names]
         return np.column_stack(columns) if columns else np.zeros((len(recording.table), 0))
 
-    # true camera poses of the log: the floor renders the same views
-    T = np.tile(np.eye(4), (len(recording.table), 1, 1))
-    T[:, :3, 3] = np.column_stack([recording[f"cam_{a}"] for a in "xyz"])
-    T[:, :3, :3] = rotation_from_quaternion(np.column_stack([recording[f"cam_q{a}"] for a in "wxyz"]))
+    T = np.array(recording.poses("camera").A)  # the floor renders the same views
     return measure_baseline(
         parts, steps_per_frame, joined("ctrl", robot.actuators), joined("q", robot.joints), T, scenario.detector.needs_image
     )
