@@ -49,7 +49,7 @@ class Replay:
         shadows: render shadows in the outside views (three times the work).
         sights: points that the outside view must show [m].
         samples: multisampling of the outside views, for smooth edges.
-        thin: where rays draw, the servo camera's images are smaller by this factor.
+        share: size of the servo camera's images as a share of its own (see `servo_renderer`).
 
     Raises:
         EnvironmentLackError: OpenGL is asked for, and does not work here.
@@ -64,7 +64,7 @@ class Replay:
         shadows: bool = True,
         sights: tuple[tuple[float, float, float], ...] = (),
         samples: int = 0,
-        thin: int = 1,
+        share: float = 1.0,
     ):
         self._parts = Parts(robot, camera, target, world, step=camera.period, sights=sights)
         self._stage = Stage(self._parts, samples=samples)
@@ -72,7 +72,7 @@ class Replay:
         quality.shadowsize = FILM_SHADOW_PX
         quality.numslices, quality.numstacks, quality.numquads = FILM_SLICES, FILM_STACKS, FILM_QUADS
         _repaint(self._stage.model)
-        self._shadows, self._thin = shadows, thin
+        self._shadows, self._share = shadows, share
         self._things = Things(self._stage.model)
         self._follow: FollowCamera | None = None
         self._seen: tuple[float, Image] | None = None
@@ -95,7 +95,7 @@ class Replay:
         T_world_camera: Array,
         T_world_goal: Array | None = None,
     ) -> Image:
-        """One picture (H, W, 3) uint8; the servo camera `eye` has its own size and lens, whatever width and height say.
+        """One picture (H, W, 3) uint8; the servo camera `eye` has its own lens and about `share` of its size, whatever width and height say.
 
         `overview` follows the robot from picture to picture, so that it, the target and T_world_goal, the servo camera's goal pose
         (4, 4), are in sight.
@@ -141,8 +141,8 @@ class Replay:
         if self._own is None:
             lens = self._parts.camera
             stage = Stage(self._parts, samples=lens.multisampling)
-            view = StillView(servo_renderer(stage, lens, thin=self._thin), stage.model, stage.data, "eye", pixels_per_radian(lens))
-            self._own = stage, view
+            drawn_by, f = servo_renderer(stage, lens, share=self._share), self._share * pixels_per_radian(lens)
+            self._own = stage, StillView(drawn_by, stage.model, stage.data, "eye", f)
         return self._own
 
     def close(self) -> None:

@@ -19,12 +19,9 @@ def test_drafts_have_at_most_15_pictures_a_second_and_fine_films_every_frame(rat
     assert 7.5 < rate_hz / every <= 15 or every == 1
 
 
-@pytest.mark.parametrize(
-    ("size", "small"), [((640, 480), (640, 480)), ((320, 240), (320, 240)), ((1000, 1000), (640, 640)), ((1280, 720), (640, 360))]
-)
-def test_the_servo_film_has_the_size_of_its_camera_up_to_a_limit(size: tuple[int, int], small: tuple[int, int]):
-    assert DRAFT.eye_size(*size) == small
-    assert FINE.eye_size(*size) == size
+def test_the_servo_film_is_scaled_down_to_a_limit():
+    assert [DRAFT.share(*size) for size in ((640, 480), (320, 240), (480, 960))] == [0.75, 1.0, 0.5]
+    assert FINE.share(1000, 1000) == 1.0
 
 
 def test_frames_are_due_by_their_time_whatever_is_missing():

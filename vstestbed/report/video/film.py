@@ -84,7 +84,8 @@ class Pictures:
         self._scenario, self._camera, self._replay, self._size = scenario, camera, replay, size
         law, name = scenario.law.kind, scenario.name
         self._title = f"{name} \u00b7 {law}" if name else law
-        self._overlay = Overlay(scenario.camera.width, scenario.camera.height, scenario.target.colors, title=self._title)
+        self._overlay = Overlay(*size, scenario.target.colors, title=self._title)
+        self._scale = np.array(size) / (scenario.camera.width, scenario.camera.height)
         self._outside = Outside(scenario, replay, camera, size) if camera == "overview" else None
 
     def picture(self, frame: FilmFrame) -> Image:
@@ -92,10 +93,10 @@ class Pictures:
         values = dict(zip(self._scenario.own_columns, frame.own.tolist(), strict=True)) | {"error_px": frame.error_px}
         error = _in_words(self._scenario, values)
         if self._camera == "eye":
-            # a copy: the detector and other films use it. Scaled only in the end: the overlay is in the camera's pixels
-            image = np.array(_scaled(self._seen(frame), self._overlay.size))
-            self._overlay.draw(image, frame.uv, frame.goal_uv, t=frame.t, error=error, lost=frame.lost)
-            return _scaled(image, self._size)
+            image = np.array(_scaled(self._seen(frame), self._size))  # a copy: the detector and other films use it
+            uv, goal_uv = ((uv + 0.5) * self._scale - 0.5 for uv in (frame.uv, frame.goal_uv))
+            self._overlay.draw(image, uv, goal_uv, t=frame.t, error=error, lost=frame.lost)
+            return image
         if self._outside is not None:
             T = self._scenario.goal.goal_pose_at(self._scenario.goal_poses, frame.t, int(values.get("view", 0)))
             image = self._outside.picture(frame, None if T is None else frame.T_world_target @ inverse(T))
@@ -132,7 +133,8 @@ class Film:
 
     def __init__(self, scenario: Scenario, camera: str, path: Path, replay: Replay, quality: Quality, size: tuple[int, int] | None = None):
         eye = scenario.camera
-        size = size or (quality.eye_size(eye.width, eye.height) if camera == "eye" else quality.size)
+        share = quality.share(eye.width, eye.height)
+        size = size or ((round(share * eye.width), round(share * eye.height)) if camera == "eye" else quality.size)
         self._pictures = Pictures(scenario, camera, replay, size)
         every = quality.every(eye.rate_hz)
         self._pace = Pace(eye.rate_hz, every)
@@ -208,7 +210,7 @@ def ending_of(folder: Path) -> Verdict | None:
 def replay_of(scenario: Scenario, quality: Quality) -> Replay:
     """A replay of the scene of a scenario."""
     parts = scenario.robot, scenario.camera, scenario.target, scenario.world
-    return Replay(*parts, quality.shadows, scenario.sights, quality.samples, quality.thin)
+    return Replay(*parts, quality.shadows, scenario.sights, quality.samples, quality.share(scenario.camera.width, scenario.camera.height))
 
 
 @contextmanager

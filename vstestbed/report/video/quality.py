@@ -19,7 +19,6 @@ class Quality:
         size: (width, height) of the film from outside [px]. longest: the servo camera's film is scaled down to this side [px].
         samples: multisampling of the view from outside. shadows: draw them there.
         most_hz: most pictures a second of simulated time [Hz].
-        thin: where rays draw, the servo camera's image has a ray for so many pixels each way.
     """
 
     size: tuple[int, int]
@@ -27,21 +26,19 @@ class Quality:
     samples: int
     shadows: bool
     most_hz: float
-    thin: int = 1
 
     def every(self, rate_hz: float) -> int:
         """Every how many frames of a camera the film has a picture."""
         return max(1, math.ceil(rate_hz / self.most_hz - 1e-9))
 
-    def eye_size(self, width: int, height: int) -> tuple[int, int]:
-        """Size of the servo camera's film [px] for an image size [px]."""
-        share = min(1.0, self.longest / max(width, height))
-        return round(share * width), round(share * height)
+    def share(self, width: int, height: int) -> float:
+        """Size of the servo camera's film as a share of its image's [px]."""
+        return min(1.0, self.longest / max(width, height))
 
 
-DRAFT = Quality((640, 360), longest=640, samples=0, shadows=False, most_hz=15.0)
+DRAFT = Quality((640, 360), longest=480, samples=0, shadows=False, most_hz=15.0)
 FINE = Quality((1280, 720), longest=4320, samples=4, shadows=True, most_hz=math.inf)
-RAYS = Quality((320, 180), longest=640, samples=0, shadows=False, most_hz=5.0, thin=2)
+RAYS = Quality((320, 180), longest=320, samples=0, shadows=False, most_hz=5.0)
 """Without OpenGL a picture takes some twenty times as long."""
 
 

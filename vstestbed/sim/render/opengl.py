@@ -86,6 +86,7 @@ class OpenGLRenderer:
         stage: the scene.
         camera: the lens.
         noisy: noise will be added to the images. Its level is estimated from whole images, which are then always drawn.
+        share: size of the images as a share of the camera's; 1 for wide and distorted lenses, whose images are composed.
 
     Attributes:
         name: the OpenGL renderer's name.
@@ -93,7 +94,7 @@ class OpenGLRenderer:
         whole: the last images are complete; no part was left blank.
     """
 
-    def __init__(self, stage: Stage, camera: Camera, noisy: bool = False):
+    def __init__(self, stage: Stage, camera: Camera, noisy: bool = False, share: float = 1.0):
         drawn = drawn_for(camera)
         self._maps = resampling_maps(camera, drawn[0]) if isinstance(camera, Perspective) else None
         self._cube = None if isinstance(camera, Perspective) else cube_of(camera)
@@ -101,7 +102,9 @@ class OpenGLRenderer:
         self._size = camera.width, camera.height
         # Resampling needs pixels from beyond a window.
         self._parts = self._maps is None and not noisy
-        self._views = [SceneCamera(stage, p.name, p.width, p.height, camera.shadows, "own") for p in drawn]
+        share = share if self._maps is None and self._cube is None else 1.0
+        sizes = [(p.name, round(share * p.width), round(share * p.height)) for p in drawn]
+        self._views = [SceneCamera(stage, *size, camera.shadows, "own") for size in sizes]
         self.name = self._views[0].renderer
         self.spent_s = 0.0
         self.whole = True

@@ -32,12 +32,12 @@ class OutsideView(Protocol):
 # The functions import OpenGL's and the rays' modules only when called: importing the first fails on a machine without OpenGL.
 
 
-def servo_renderer(stage: Stage, camera: Camera, noisy: bool = False, thin: int = 1) -> Renderer:
+def servo_renderer(stage: Stage, camera: Camera, noisy: bool = False, share: float = 1.0) -> Renderer:
     """The renderer of the servo camera, as `camera.renderer` asks.
 
     Args:
         noisy: noise will be added to its images.
-        thin: where rays draw, images are smaller by this factor: for films.
+        share: size of the images as a share of the camera's, for films. OpenGL draws those of wide and distorted lenses in full.
 
     Raises:
         EnvironmentLackError: OpenGL is asked for, or the image needs it, and it does not work here.
@@ -47,12 +47,12 @@ def servo_renderer(stage: Stage, camera: Camera, noisy: bool = False, thin: int 
     def by_gl() -> Renderer:
         from vstestbed.sim.render.opengl import OpenGLRenderer
 
-        return OpenGLRenderer(stage, camera, noisy)
+        return OpenGLRenderer(stage, camera, noisy, share)
 
     def by_rays() -> Renderer:
         from vstestbed.sim.render.rays import RayRenderer
 
-        return RayRenderer(stage, camera, noisy, thin)
+        return RayRenderer(stage, camera, noisy, share)
 
     return _chosen(camera, by_gl, by_rays)
 

@@ -103,16 +103,17 @@ class Raster:
         R_camera_lens: its orientation in the camera's frame, shape (3, 3).
         samples: antialiasing: n x n rays, n = ceil(sqrt(samples)), in pixels with a neighbour that shows another geom; 0: one
             ray through the centre of each pixel, as everywhere else.
-        thin: the image has a pixel for so many of the lens's each way, with the ray through their middle.
+        share: size of the image as a share of the lens's.
     """
 
-    def __init__(self, lens: Camera, R_camera_lens: Array, samples: int, thin: int = 1):
-        self.width, self.height = lens.width // thin, lens.height // thin
+    def __init__(self, lens: Camera, R_camera_lens: Array, samples: int, share: float = 1.0):
+        self.width, self.height = round(share * lens.width), round(share * lens.height)
         self._lens, self._R = lens, R_camera_lens
         n = math.ceil(math.sqrt(samples))
         steps = (np.arange(n) + 0.5) / n - 0.5 if n > 1 else np.zeros(0)
         self._within = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
-        grid = np.stack(np.meshgrid(np.arange(self.width), np.arange(self.height)), axis=-1).astype(float) * thin + (thin - 1) / 2
+        grid = np.stack(np.meshgrid(np.arange(self.width), np.arange(self.height)), axis=-1).astype(float)
+        grid = (grid + 0.5) / share - 0.5 if share < 1 else grid
         self._rays = np.concatenate([self._of(rows) for rows in np.array_split(grid, max(1, self.height // 64))])
 
     def _of(self, uv: Array) -> Array:
@@ -184,14 +185,14 @@ class RayRenderer:
         stage: the scene.
         camera: the lens.
         noisy: noise will be added to the images: the rows from which detectors estimate its level are always cast.
-        thin: images for films, smaller by this factor (see `Raster`), without antialiasing.
+        share: images for films are smaller (see `Raster`), without antialiasing.
 
     Raises:
         ParameterError, EnvironmentLackError: rays cannot draw what the scene or the camera asks for.
     """
 
-    def __init__(self, stage: Stage, camera: Camera, noisy: bool = False, thin: int = 1):
-        self._stage, self._camera, self._caster, self._thin = stage, camera, Caster(stage), thin
+    def __init__(self, stage: Stage, camera: Camera, noisy: bool = False, share: float = 1.0):
+        self._stage, self._camera, self._caster, self._share = stage, camera, Caster(stage), share
         refuse(camera, self._caster.paint.textured_target)
         self._noisy = noisy
         self._rasters: dict[int, Raster] = {}
@@ -220,8 +221,8 @@ class RayRenderer:
 
     def _draw(self, panel: Panel, name: int, windows: tuple[Window, ...] | None) -> Image:
         if name not in self._rasters:
-            samples = self._camera.multisampling if self._thin == 1 else 0
-            self._rasters[name] = Raster(panel.lens, panel.R_camera_panel, samples, self._thin)
+            samples = self._camera.multisampling if self._share == 1 else 0
+            self._rasters[name] = Raster(panel.lens, panel.R_camera_panel, samples, self._share)
         raster = self._rasters[name]
         image = np.full((raster.height, raster.width, 3), BLANK, np.uint8)
         if windows is None:
