@@ -95,7 +95,7 @@ class Replay:
         T_world_camera: Array,
         T_world_goal: Array | None = None,
     ) -> Image:
-        """One picture (H, W, 3) uint8; the servo camera `eye` has its own lens and about `share` of its size, whatever width and height say.
+        """One picture (H, W, 3) uint8; the servo camera `eye` has its own lens, and `share` of its size whatever width and height say.
 
         `overview` follows the robot from picture to picture, so that it, the target and T_world_goal, the servo camera's goal pose
         (4, 4), are in sight.

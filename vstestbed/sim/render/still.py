@@ -10,7 +10,7 @@ import numpy as np
 from vstestbed.camera import Camera, Image
 from vstestbed.core.geometry import Array
 
-UNSEEN_PX = 0.25
+UNSEEN_PX = 0.5
 """Motion in the image below which the last image is shown again [px]."""
 NEAR_M = 0.1
 """Least distance that is assumed between a view and what it shows [m]."""

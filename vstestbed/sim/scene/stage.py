@@ -36,6 +36,7 @@ class Stage:
         self.physics = Physics.from_model(wrapper.MjModel(model))
         self.model, self.data = self.physics.model.ptr, self.physics.data.ptr
         self._target = self.model.body("target/frame")
+        self._turned = np.zeros((4, 4)), np.zeros(4)
         self.root = Root(self.model, "robot/") if parts.robot.base != "fixed" else None
         self.leader = Root(self.model, "leader/") if parts.leader else None
         self._T_target_leader = inverse(parts.target.pose.T)
@@ -99,8 +100,10 @@ class Stage:
             self.leader.put(self.data.qpos, T @ self._T_target_leader)
             return
         mocap = self._target.mocapid[0]
+        if not np.array_equal(T, self._turned[0]):  # most targets are at rest, and the quaternion takes .2 ms
+            self._turned = T.copy(), quaternion_wxyz(T[:3, :3])
         self.data.mocap_pos[mocap] = T[:3, 3]
-        self.data.mocap_quat[mocap] = quaternion_wxyz(T[:3, :3])
+        self.data.mocap_quat[mocap] = self._turned[1]
 
     def place_plates(self, t: float) -> None:
         """Put plates and decoys at their poses at a time [s]."""
