@@ -27,7 +27,7 @@ from vstestbed.report.video.quality import FINE
 from vstestbed.report.video.writer import Image
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-WIDTH = 1280
+WIDTH, WIDE = 1280, 1080
 EVERY = 8
 """Frames between two pictures that are drawn, so that the view follows and trails grow."""
 FILMS: dict[str, tuple[str, tuple[tuple[str, float], ...]]] = {
@@ -38,7 +38,7 @@ FILMS: dict[str, tuple[str, tuple[tuple[str, float], ...]]] = {
 """Scenario, and from left to right the camera and the share of the run at which it is shown."""
 STUDIES: dict[str, tuple[str, str]] = {
     "compare_differences": ("compare arm_laws", "figures/differences.png"),
-    "compare_arm_laws": ("compare arm_laws", "comparison.mp4"),
+    "compare_arm_laws": ("compare arm_laws --seeds 1", "comparison.mp4"),
     "canonical_arm_tasks": ("compare canonical_arm", "figures/tasks.png"),
     "basin_canonical": (
         "basin canonical --set camera.rate_hz=5 --x x=-2:2 --y yaw=-180:180 --at y=1 --at z=-1",
@@ -81,8 +81,8 @@ def study(name: str, folder: Path) -> Path | Image:
     """The figure of a study, or a picture of its film."""
     command, file = STUDIES[name]
     words = shlex.split(command)
-    place = folder / "-".join(words[:2])
-    if not place.exists():  # two pictures come from one command
+    place = folder / "-".join(words).replace("/", "-")
+    if not place.exists():
         out = place / "flow_spherical.png" if words[0] == "optical-flow" else place
         make_folder(out.parent)
         subprocess.run([sys.executable, "-m", "vstestbed", *words, "--out", str(out)], check=True)
@@ -91,7 +91,7 @@ def study(name: str, folder: Path) -> Path | Image:
     with contextlib.closing(FrameReader(place / file)) as reader:
         shown = reader.newest(SHOWN_S)
         assert shown is not None
-        return scaled(shown, reader.width, reader.height)
+        return scaled(shown, WIDE, reader.height * WIDE // reader.width)
 
 
 def main() -> None:
