@@ -62,11 +62,9 @@ def test_the_points_round_a_robot_are_on_its_geoms(name: str) -> None:
     film.stage.place(0.0, film.T_target, film.q, film.start)
     model, data, kinds = film.stage.model, film.stage.data, mujoco.mjtGeom
     for geom, points in zip(film.things.geoms, film.things.points(data), strict=True):
-        x = (
-            np.abs((points - data.geom_xpos[geom]) @ data.geom_xmat[geom].reshape(3, 3) - model.geom_aabb[geom, :3])
-            / model.geom_aabb[geom, 3:]
-        )
-        kind = model.geom_type[geom]
+        local = (points - data.geom_xpos[geom]) @ data.geom_xmat[geom].reshape(3, 3)
+        x = np.abs(local - model.geom_aabb[geom, :3]) / model.geom_aabb[geom, 3:]
+        kind = kinds(model.geom_type[geom])
         if kind in (kinds.mjGEOM_SPHERE, kinds.mjGEOM_ELLIPSOID):
             np.testing.assert_allclose(np.linalg.norm(x, axis=1), 1, atol=1e-6)
         elif kind in (kinds.mjGEOM_CYLINDER, kinds.mjGEOM_CAPSULE):
