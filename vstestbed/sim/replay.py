@@ -29,8 +29,9 @@ FILM_SLICES, FILM_STACKS, FILM_QUADS = 20, 12, 2
 which for a base with 36 rollers was a third of an image's time."""
 
 
-FREE, FOOT = 0.74, 0.065
-"""Shares of the outside view: of its width, from the left, without an inset; of its height, at the bottom, with a caption."""
+FREE, FOOT, FOOT_PX = 0.74, 0.065, 19
+"""Shares of the outside view: of its width, from the left, without an inset; of its height, at the bottom, with a caption, and at least
+so many pixels."""
 FLOOR = (64, 84, 108), (56, 75, 98)
 """The two colours of the floor in films: light arms, dark cars and lines of any hue stand out from a slate blue."""
 SKY = 0.62, 0.69, 0.78
@@ -117,7 +118,7 @@ class Replay:
             self._views[camera] = StillView(view, model, data, camera, f)
         self._stage.place(t, T_world_target, q, T_world_camera)
         if camera == "overview":
-            self._follow = self._follow or FollowCamera(self._stage, self._things, width / height, FREE, FOOT)
+            self._follow = self._follow or FollowCamera(self._stage, self._things, width / height, FREE, max(FOOT, FOOT_PX / height))
             self._follow.place(t, T_world_goal)
         return self._views[camera].full_image()
 

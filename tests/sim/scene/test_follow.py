@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -53,6 +54,23 @@ class Filmed:
     def robot(self) -> Array:
         """Points (N, 3) round the robot."""
         return self.things.points(self.stage.data)[self.things.own].reshape(-1, 3)
+
+
+@pytest.mark.parametrize("name", ["quadrotor_hover", "car_line"])
+def test_the_points_round_a_robot_are_on_its_geoms(name: str) -> None:
+    film = Filmed(vs.load(name))
+    film.stage.place(0.0, film.T_target, film.q, film.start)
+    model, data, kinds = film.stage.model, film.stage.data, mujoco.mjtGeom
+    for geom, points in zip(film.things.geoms, film.things.points(data), strict=True):
+        local = (points - data.geom_xpos[geom]) @ data.geom_xmat[geom].reshape(3, 3)
+        x = np.abs(local - model.geom_aabb[geom, :3]) / model.geom_aabb[geom, 3:]
+        kind = kinds(model.geom_type[geom])
+        if kind in (kinds.mjGEOM_SPHERE, kinds.mjGEOM_ELLIPSOID):
+            np.testing.assert_allclose(np.linalg.norm(x, axis=1), 1, atol=1e-6)
+        elif kind in (kinds.mjGEOM_CYLINDER, kinds.mjGEOM_CAPSULE):
+            np.testing.assert_allclose(np.c_[np.hypot(x[:, 0], x[:, 1]), x[:, 2]], 1, atol=1e-6)
+        else:
+            np.testing.assert_allclose(x, 1, atol=1e-6)
 
 
 def shows(uv: Array) -> bool:
@@ -168,8 +186,6 @@ def test_the_view_depends_on_the_frames_so_far_alone() -> None:
 
 
 def test_the_wrist_of_an_arm_and_all_markers_are_seen() -> None:
-    import mujoco
-
     film = Filmed(vs.load("arm_ibvs"))
     film.show(0.0, film.start, None)
     eye, model, data = film.pose[:3, 3].copy(), film.stage.model, film.stage.data

@@ -13,8 +13,10 @@ from vstestbed.sim.scene.compose import RANGE_GROUP
 from vstestbed.sim.scene.overview import AZIMUTHS, LEAST_REACH, Tangents, axes_of, extremes, eye_of, slanting
 from vstestbed.sim.scene.stage import Stage
 
-ELEVATIONS = np.radians([26.0, 16.0, 36.0])
-"""Elevations from which the view may look down [rad]."""
+ELEVATIONS = np.radians([26.0, 36.0, 16.0, 10.0, 5.0])
+"""Elevations from which the view may look down [rad]; of equally good ones the first is taken."""
+ENOUGH = 0.12
+"""Extent of a moving robot over the picture's width beyond which a larger one is hardly better: from low the floor is not seen well."""
 SIDES = np.radians([0.0, 10.0, 20.0, -10.0, -20.0])
 """Turns of the view of a free camera about its vertical, from the composed one [rad]."""
 AROUND = 2.2
@@ -30,8 +32,17 @@ STRIPE = "target/line_"
 HIDDEN_M = 0.12
 """A ray that ends so near before its point has reached it: the lens lies within a housing [m]."""
 CORNERS = np.array([[i, j, k] for i in (-1.0, 1.0) for j in (-1.0, 1.0) for k in (-1.0, 1.0)])
-ROUND = np.array([[math.cos(a), math.sin(a), k] for k in (-1.0, 1.0) for a in np.arange(8) * math.pi / 4])
-FLAT_SIDED = [int(kind) for kind in (mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_MESH)]
+RING = np.array([[math.cos(a), math.sin(a), 0.0] for a in np.arange(8) * math.pi / 4])
+UP = np.array([0.0, 0.0, 1.0])
+BOXES, CYLINDERS = np.vstack([CORNERS, CORNERS]), np.vstack([RING - UP, RING + UP])
+BALLS = np.vstack([RING, *(math.sqrt(0.5) * (RING[::2] + side * UP) for side in (-1, 1))])
+"""Points (16, 3) on shapes of half sizes 1, of which they are the corners or come near to it."""
+ROUND: dict[int, Array] = {
+    int(mujoco.mjtGeom.mjGEOM_SPHERE): BALLS,
+    int(mujoco.mjtGeom.mjGEOM_ELLIPSOID): BALLS,
+    int(mujoco.mjtGeom.mjGEOM_CYLINDER): CYLINDERS,
+    int(mujoco.mjtGeom.mjGEOM_CAPSULE): CYLINDERS,
+}
 BISECTIONS = 7
 
 
@@ -54,7 +65,7 @@ class Things:
         model: the scene.
 
     Attributes:
-        own: which of them (G,) are the robot's.
+        geoms: their numbers (G,). own: which of them (G,) are the robot's.
     """
 
     def __init__(self, model: mujoco.MjModel):
@@ -63,14 +74,14 @@ class Things:
         names = [model.geom(i).name if root == "world" else f"{root} {model.geom(i).name}" for i, root in enumerate(roots)]
         named = np.array([name.startswith(SHOWN) and STRIPE not in name for name in names])
         shown = np.flatnonzero(named & (model.geom_group != RANGE_GROUP) & (model.geom_rgba[:, 3] > 0))
-        self._geoms = shown
+        self.geoms = shown
         self.own = np.array([names[i].startswith("robot/") for i in shown])
-        shape = np.where(np.isin(model.geom_type[shown], FLAT_SIDED)[:, None, None], np.vstack([CORNERS, CORNERS]), ROUND)
+        shape = np.array([ROUND.get(kind, BOXES) for kind in model.geom_type[shown].tolist()])
         self._local = model.geom_aabb[shown, None, :3] + model.geom_aabb[shown, None, 3:] * shape
 
     def points(self, data: mujoco.MjData) -> Array:
-        """Points (G, 16, 3) in the world whose convex hulls are the geoms: corners of boxes, octagons at the ends of what is round."""
-        return data.geom_xpos[self._geoms, None] + self._local @ data.geom_xmat[self._geoms].reshape(-1, 3, 3).transpose(0, 2, 1)
+        """Points (G, 16, 3) in the world whose convex hulls are nearly the geoms (of a mesh, the box round it)."""
+        return data.geom_xpos[self.geoms, None] + self._local @ data.geom_xmat[self.geoms].reshape(-1, 3, 3).transpose(0, 2, 1)
 
 
 class FollowCamera:
@@ -161,22 +172,30 @@ class FollowCamera:
             back = np.cross(right, up)
             views = [Axes(right * math.cos(a) + back * math.sin(a), up) for a in SIDES]
         else:
-            views = [Axes(*slanting(azimuth, elevation)) for elevation in ELEVATIONS for azimuth in AZIMUTHS]
+            views = [Axes(*slanting(azimuth, elevation)) for elevation in ELEVATIONS for azimuth in AZIMUTHS[::2]]
         return max(views, key=lambda view: self._merit(view, around, beside))
 
     def _merit(self, view: Axes, around: Array, beside: Array) -> float:
         """Extent of the robot, times how much of it all one sees.
 
-        The share of camera and markers that are not hidden; how much the markers' faces are turned to the viewer; for a robot that
-        stays, how much one sees the way from camera to target from the side.
+        The share of the markers that are not hidden, and of the camera on a robot that stays; how much the markers' faces, or the
+        floor with its lines, are turned to the viewer; for a robot that stays, how much one sees the way from camera to target from
+        the side, for one that moves, of the floor.
         """
-        eye = self._showing(view, around, beside)
-        target, T_target, at = self._stage.parts.target, self._stage.target_pose(), self._stage.camera_pose()[:3, 3]
-        seen = [self._sees(eye, at, HIDDEN_M), *(self._sees(eye, p, 2 * target.marker.radius) for p in transform(T_target, target.places))]
-        faces = max(float(T_target[:3, 2] @ view.ahead), 0.0) if not target.marker.height_m else 1.0
-        way = T_target[:3, 3] - at
-        aside = 1.0 if self._moving else float(np.linalg.norm(np.cross(way, view.ahead)) / max(np.linalg.norm(way), 1e-9))
-        merit = self._share(eye, view, around) * (0.1 + sum(seen) / len(seen)) ** 2 * (0.4 + 0.6 * faces) * (0.4 + 0.6 * aside)
+        eye, target, T_target = self._showing(view, around, beside), self._stage.parts.target, self._stage.target_pose()
+        size, at = self._share(eye, view, around), self._stage.camera_pose()[:3, 3]
+        seen = [self._sees(eye, p, 2 * target.marker.radius) for p in transform(T_target, target.places)]
+        faces = float((T_target[:3, 2] if len(target.places) else -UP) @ view.ahead) if not target.marker.height_m else 1.0
+        if self._moving:
+            size, aside = min(size, ENOUGH) + 0.05 * size, 1.0
+            size *= 0.8 + 0.2 * min(-float(UP @ view.ahead) / math.sin(ELEVATIONS[0]), 1.0)
+        else:
+            way = T_target[:3, 3] - at
+            seen, aside = (
+                [*seen, self._sees(eye, at, HIDDEN_M)],
+                float(np.linalg.norm(np.cross(way, view.ahead)) / max(np.linalg.norm(way), 1e-9)),
+            )
+        merit = size * (0.1 + sum(seen) / max(len(seen), 1)) ** 2 * (0.4 + 0.6 * max(faces, 0.0)) * (0.4 + 0.6 * aside)
         return round(merit, 6)  # of views that are equally good the first wins, whatever the last bit of a sum is
 
     def _sees(self, eye: Array, point: Array, slack: float) -> bool:

@@ -1,0 +1,116 @@
+"""Makes the README's pictures again: `python tests/studies/readme_pictures.py [NAME ...] [--studies] [--out DIR]`.
+
+Without names: all that show films (a minute each); `--studies`: the figures of studies, too, some of which take half an hour. Each picture
+goes into `.media/`, or into DIR.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import shlex
+import shutil
+import subprocess
+import sys
+import tempfile
+from fractions import Fraction
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+import vstestbed as vs
+from vstestbed.core.files import make_folder, write_whole
+from vstestbed.report.video.film import FilmFrame, Pictures, replay_of, rows_of
+from vstestbed.report.video.frame_reader import FrameReader, scaled
+from vstestbed.report.video.quality import FINE
+from vstestbed.report.video.writer import Image
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+WIDTH, WIDE = 1280, 1080
+EVERY = 8
+"""Frames between two pictures that are drawn, so that the view follows and trails grow."""
+FILMS: dict[str, tuple[str, tuple[tuple[str, float], ...]]] = {
+    "arm_ibvs": ("arm_ibvs", (("overview", 0.03), ("eye", 1.0))),
+    "car_pbvs": ("car_pbvs", (("overview", 0.25), ("overview", 1.0))),
+    "quadrotor_land": ("quadrotor_land", (("overview", 0.0), ("overview", 0.5), ("overview", 1.0))),
+}
+"""Scenario, and from left to right the camera and the share of the run at which it is shown."""
+STUDIES: dict[str, tuple[str, str]] = {
+    "compare_differences": ("compare arm_laws", "figures/differences.png"),
+    "compare_arm_laws": ("compare arm_laws --seeds 1", "comparison.mp4"),
+    "canonical_arm_tasks": ("compare canonical_arm", "figures/tasks.png"),
+    "basin_canonical": (
+        "basin canonical --set camera.rate_hz=5 --x x=-2:2 --y yaw=-180:180 --at y=1 --at z=-1",
+        "basin.png",
+    ),
+    "depth_error": ("sweep depth_error", "convergence.png"),
+    "calibration_error": ("sweep calibration_error", "convergence.png"),
+    "delay_arm": ("gain-limit arm_ibvs", "delay.png"),
+    "flow_spherical_sphere": ("optical-flow --feature spherical", "flow_spherical_sphere.png"),
+}
+"""The command, and the file in its folder; of a film the picture at SHOWN_S."""
+SHOWN_S = Fraction(18, 5)
+
+
+def strip(name: str) -> Image:
+    """Pictures of one run side by side, at one height."""
+    scenario_name, wanted = FILMS[name]
+    scenario = vs.load(scenario_name)
+    rows = list(rows_of(vs.run(scenario).rows))
+    found: dict[tuple[str, float], Image] = {}
+    replay = replay_of(scenario, FINE)
+    try:
+        for camera in {camera for camera, _ in wanted}:
+            size = FINE.eye_size(scenario.camera.width, scenario.camera.height) if camera == "eye" else FINE.size
+            pictures = Pictures(scenario, camera, replay, size)
+            shares = {round(share * (len(rows) - 1)): share for found_by, share in wanted if found_by == camera}
+            for i in sorted({*range(0, max(shares), EVERY), *shares}):
+                image = pictures.picture(FilmFrame.of_row(rows[i], scenario))
+                if i in shares:
+                    found[camera, shares[i]] = image
+    finally:
+        replay.close()
+    images = [found[key] for key in wanted]
+    height = round(WIDTH / sum(image.shape[1] / image.shape[0] for image in images))
+    sized = [cv2.resize(x, (round(x.shape[1] * height / x.shape[0]), height), interpolation=cv2.INTER_AREA) for x in images]
+    return np.asarray(np.concatenate(sized, axis=1), np.uint8)
+
+
+def study(name: str, folder: Path) -> Path | Image:
+    """The figure of a study, or a picture of its film."""
+    command, file = STUDIES[name]
+    words = shlex.split(command)
+    place = folder / "-".join(words).replace("/", "-")
+    if not place.exists():
+        out = place / "flow_spherical.png" if words[0] == "optical-flow" else place
+        make_folder(out.parent)
+        subprocess.run([sys.executable, "-m", "vstestbed", *words, "--out", str(out)], check=True)
+    if not file.endswith(".mp4"):
+        return place / file
+    with contextlib.closing(FrameReader(place / file)) as reader:
+        shown = reader.newest(SHOWN_S)
+        assert shown is not None
+        return scaled(shown, WIDE, reader.height * WIDE // reader.width)
+
+
+def main() -> None:
+    """Make them."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"{', '.join([*FILMS, *STUDIES])}")
+    parser.add_argument("--studies", action="store_true")
+    parser.add_argument("--out", type=Path, default=REPOSITORY / ".media")
+    given = parser.parse_args()
+    names = given.names or [*FILMS, *(STUDIES if given.studies else ())]
+    with tempfile.TemporaryDirectory() as folder:
+        for name in names:
+            made, path = strip(name) if name in FILMS else study(name, Path(folder)), given.out / f"{name}.png"
+            if isinstance(made, Path):
+                shutil.copy(made, path)
+            else:
+                write_whole(path, cv2.imencode(".png", cv2.cvtColor(made, cv2.COLOR_RGB2BGR))[1].tobytes())
+            print(path)
+
+
+if __name__ == "__main__":
+    main()
