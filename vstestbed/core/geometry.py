@@ -54,8 +54,8 @@ class Pose:
     @classmethod
     def of(cls, T: Array | SE3) -> Pose:
         """The pose with the homogeneous matrix T (4, 4), or of a spatialmath object; at a pitch of 90 degrees roll is 0."""
-        T = T if isinstance(T, np.ndarray) else T.A
-        return cls(xyz=tuple(T[:3, 3].tolist()), rpy_deg=rpy_of(T[:3, :3].tolist()))
+        matrix: Any = T if isinstance(T, np.ndarray) else T.A
+        return cls(xyz=tuple(matrix[:3, 3].tolist()), rpy_deg=rpy_of(matrix[:3, :3].tolist()))
 
 
 def rpy_of(R: list[list[float]]) -> Angles:

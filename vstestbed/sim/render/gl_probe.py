@@ -6,6 +6,7 @@ import ctypes
 import os
 import platform
 import sys
+from typing import Any
 
 from vstestbed.core.errors import EnvironmentLackError
 
@@ -142,5 +143,6 @@ def renderer_string() -> str:
     """GL_RENDERER of the current context, such as `llvmpipe (LLVM 15.0.6, 256 bits)`."""
     from OpenGL.raw.GL.VERSION import GL_1_0  # comes with dm_control; not OpenGL.GL, which imports all extensions in .06 s
 
-    value = ctypes.cast(GL_1_0.glGetString(GL_1_0.GL_RENDERER), ctypes.c_char_p).value
+    bytes_at: Any = GL_1_0.glGetString(GL_1_0.GL_RENDERER)  # PyOpenGL declares no result
+    value = ctypes.cast(bytes_at, ctypes.c_char_p).value
     return value.decode() if value else "unknown"
