@@ -111,6 +111,15 @@ def test_a_law_that_fails_stops_the_robot_and_is_named(command, quick: Path, own
     assert words in summary["reason"]
 
 
+def test_an_interrupt_before_the_first_frame_is_said(command, quick: Path, monkeypatch: pytest.MonkeyPatch):
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("vstestbed.scenario.load.load", interrupted)
+    ended = command(*RUN)
+    assert (ended.code, ended.err) == (130, "interrupted\n")
+
+
 def test_an_interrupt_that_a_finaliser_swallows_comes_again(tmp_path: Path):
     code = (
         "import signal, time\nfrom vstestbed.cli.ending import exit_code\n"

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from vstestbed.cli.ending import INTERRUPTED
 from vstestbed.cli.tools import Force, Json, Plugins, settings_of
 from vstestbed.core.errors import ParameterError
 
@@ -64,7 +65,7 @@ def _carried_out(campaign: Campaign, plan: Comparison, jobs: int | None, executo
         # counted in the folder: finished runs are there in full, others not at all
         words = f"interrupted: {campaign.done} of {total} runs are done; go on with: vstestbed compare --resume --out {campaign.folder}"
         typer.echo(words, err=True)
-        raise typer.Exit(130) from None  # 128 + SIGINT, as shells have it
+        raise typer.Exit(INTERRUPTED) from None
 
 
 def vary_of(options: list[str] | None) -> dict[str, tuple[object, ...]]:

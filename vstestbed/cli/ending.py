@@ -15,7 +15,12 @@ import typer
 from vstestbed.cli.streams import standard_streams
 from vstestbed.core.errors import EnvironmentLackError, VstestbedError
 
-GOAL_REACHED, BUG, BAD_INPUT, NOT_REACHED, INTERRUPTED = 0, 1, 2, 3, 130
+
+class Said(int):
+    """An exit code of a command that has said why it ends; an equal number need not come from one."""
+
+
+GOAL_REACHED, BUG, BAD_INPUT, NOT_REACHED, INTERRUPTED = 0, 1, 2, 3, Said(130)  # 128 + SIGINT, as shells have it
 LACK = EnvironmentLackError.exit_code
 UsageMistake: type[Exception] = typer.BadParameter.__mro__[2]  # click.ClickException, also where typer brings a copy of click
 STOPS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
@@ -70,6 +75,8 @@ def _stopped_by_signals() -> Iterator[None]:
 def _guarded(command: Callable[[], object], debug: bool) -> int:
     try:
         code = command()
+        if code == INTERRUPTED and not isinstance(code, Said):
+            raise KeyboardInterrupt  # which typer turned into its 130, without a word: while modules are imported, for example
         return code if isinstance(code, int) else GOAL_REACHED
     except VstestbedError as error:
         return _failed(error, str(error), error.exit_code, debug)

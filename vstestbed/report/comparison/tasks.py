@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import polars as pl
@@ -38,7 +38,8 @@ MOST_ROWS: Final = 3
 """Metrics that are drawn: the first ones; all have tables."""
 ROUNDING: Final = 1e-6
 """Values below this are rounding errors in the unit of any metric."""
-DASHES: Final = ("-", "--", ":")
+MARKERS: Final = "os^DvX*P<h>pd"
+"""One marker a law, which tells them apart where colours do not: in grey, and with more laws than colours."""
 DPI: Final = 200
 
 
@@ -201,15 +202,15 @@ def _draw_panel(axes: Axes, here: Sequence[Cell], laws: Sequence[str], metric: M
     commanded = bool(_unit(here))
     for cell in here:
         i = laws.index(cell.law)
-        colour, dash = LINE_COLORS[i % len(LINE_COLORS)], DASHES[i // len(LINE_COLORS)]
+        look: dict[str, Any] = {"color": LINE_COLORS[i % len(LINE_COLORS)], "marker": MARKERS[i % len(MARKERS)], "label": cell.law}
         value, good = cell.controller.values(metric), cell.controller.success
         amount = np.array([float(a.partition(" ")[0]) for a in cell.amounts])
         if commanded:
-            axes.plot(amount, np.where(good, value, np.nan), dash, marker=".", markersize=4, color=colour, label=cell.law)
+            axes.plot(amount, np.where(good, value, np.nan), linewidth=0.7, markersize=4.5, fillstyle="none", **look)
             _crosses(axes, amount[~good], i, len(laws))
         else:
             place = i + 0.6 * (amount / max(amount.max(), 1.0) - 0.5)  # strips of width 0.6, one unit apart
-            axes.plot(place[good], value[good], ".", markersize=3, color=colour, label=cell.law)
+            axes.plot(place[good], value[good], linestyle="none", markersize=3, fillstyle="none", markeredgewidth=0.7, **look)
             _crosses(axes, place[~good], i, len(laws))
     if not commanded:
         axes.set_xticks([])

@@ -113,8 +113,11 @@ def arrange(figure: Figure) -> None:
 
 
 def log_scale(axes: Axes) -> None:
-    """A logarithmic vertical axis whose numbers are plain text, `2×10⁻³`: matplotlib's parser of formulas takes longer than the figure."""
-    from matplotlib.ticker import LogFormatterSciNotation
+    """Make the vertical axis of drawn curves logarithmic, with few ticks.
+
+    Its numbers are plain text, `2×10⁻³`: matplotlib's parser of formulas takes longer than the figure.
+    """
+    from matplotlib.ticker import LogFormatterSciNotation, NullLocator
 
     class Plain(LogFormatterSciNotation):
         def __call__(self, x: float, pos: int | None = None) -> str:
@@ -125,6 +128,9 @@ def log_scale(axes: Axes) -> None:
     axes.set_yscale("log")
     axes.yaxis.set_major_formatter(Plain())
     axes.yaxis.set_minor_formatter(Plain(labelOnlyBase=False))
+    low, high = axes.get_ylim()
+    if high > 30 * low:  # of fewer decades, the lines between them have numbers
+        axes.yaxis.set_minor_locator(NullLocator())
 
 
 def new_space(figure: Figure, **options: Any) -> Axes3D:

@@ -103,7 +103,6 @@ def error(tracks: Tracks) -> Figure:
     """
     figure = new_figure(3.1)
     axes = figure.add_subplot()
-    log_scale(axes)
     value = _positive(tracks.column("error_px"))
     if np.isfinite(value).any():
         axes.plot(tracks.t, value, color=LINE_COLORS[0], **_dot(value))
@@ -120,6 +119,7 @@ def error(tracks: Tracks) -> Figure:
     _mark_views(axes, tracks)
     shade_lost(axes, tracks)
     time_axis(axes, tracks)
+    log_scale(axes)
     axes.set_ylabel("RMS error [px]")
     _legend(axes)
     return figure
@@ -144,8 +144,8 @@ def pose_error(tracks: Tracks) -> Figure | None:
     figure = new_figure(3.9)
     upper, lower = figure.subplots(2, 1, sharex=True)
     for axes, value, color, label in ((upper, position, LINE_COLORS[0], "position [m]"), (lower, angle, LINE_COLORS[1], "rotation [deg]")):
-        log_scale(axes)
         axes.plot(tracks.t, _positive(value), color=color, **_dot(value))
+        log_scale(axes)
         shade_lost(axes, tracks)
         axes.set_ylabel(label)
     time_axis(lower, tracks)
