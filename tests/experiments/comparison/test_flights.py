@@ -143,9 +143,9 @@ def test_batches_are_of_runs_that_differ_in_their_starts_alone(started: Callable
 class OtherStep(IBVS):
     """Overrides its step, and inherits the batch's."""
 
-    def step(self, *args: Any) -> Any:
+    def step(self, memory: Any, observation: Any, goal: Any, basis: Any) -> Any:
         """As IBVS."""
-        return IBVS.step(self, *args)
+        return IBVS.step(self, memory, observation, goal, basis)
 
 
 def test_a_law_that_overrides_its_step_alone_has_no_batch():
