@@ -51,21 +51,23 @@ def read_summary(folder: Path, works: str) -> dict[str, Any]:
     """
     path = folder / "summary.json"
     content = read_file(path, works)
-    if (fault := _fault(content)) is not None:
+    fault, summary = _checked(content)
+    if fault is not None:
         raise RunFolderError(path, f"is not the summary of a run ({fault})", works)
-    return json.loads(content)  # numbers as they are written: a whole one stays whole
+    return summary
 
 
-def _fault(content: bytes) -> str | None:
-    """What is wrong with a summary; None for a sound one."""
+def _checked(content: bytes) -> tuple[str | None, dict[str, Any]]:
+    """What is wrong with a summary, None for a sound one; and its content, where it can be read."""
     try:
         summary = _Summary.model_validate_json(content)
     except ValidationError as error:
         first = error.errors()[0]
-        return ": ".join([*(str(part) for part in first["loc"][:1]), first["msg"]])
+        return ": ".join([*(str(part) for part in first["loc"][:1]), first["msg"]]), {}
     outcome = getattr(summary, "outcome", "")
     if outcome not in Outcome.__members__:
-        return f"outcome: {outcome[:40]!r} is none"
-    found = json.loads(content)
+        return f"outcome: {outcome[:40]!r} is none", {}
+    found = json.loads(content)  # numbers as they are written: a whole one stays whole
     values = [item for block in (found, *found.values()) if isinstance(block, dict) for item in block.items()]
-    return next((f"{name}: too large a number" for name, v in values if isinstance(v, int) and abs(v) >= LARGEST), None)
+    large = (f"{name}: too large a number" for name, v in values if isinstance(v, int) and abs(v) >= LARGEST)
+    return next(large, None), found

@@ -16,8 +16,9 @@ import pytest
 
 import vstestbed as vs
 from tests.experiments.comparison.test_campaign import logs, timeless
-from vstestbed.experiments.comparison import chosen, compare, controllers, jobs
+from vstestbed.experiments.comparison import Comparison, chosen, compare, controllers, jobs
 from vstestbed.experiments.comparison.flights import LEAST, MOST, BatchRequest, batches, flies_in_batch
+from vstestbed.experiments.comparison.folder import table_of
 from vstestbed.experiments.comparison.worker import execute, request_of
 from vstestbed.laws import IBVS
 from vstestbed.laws.views import has_batch
@@ -142,24 +143,29 @@ def test_batches_are_of_runs_that_differ_in_their_starts_alone(started: Callable
 class OtherStep(IBVS):
     """Overrides its step, and inherits the batch's."""
 
-    def step(self, *args: Any) -> Any:
+    def step(self, memory: Any, observation: Any, goal: Any, basis: Any) -> Any:
         """As IBVS."""
-        return IBVS.step(self, *args)
+        return IBVS.step(self, memory, observation, goal, basis)
 
 
 def test_a_law_that_overrides_its_step_alone_has_no_batch():
     assert has_batch(IBVS()) and not has_batch(OtherStep())
 
 
-def test_a_resumed_comparison_flies_the_same_batches(quick: Path, tmp_path: Path):
+def test_a_resumed_comparison_flies_the_same_batches(quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Whatever is missing, with any number of jobs, the bytes are those of a comparison that was never cut off."""
+    monkeypatch.setattr("vstestbed.experiments.comparison.runs.SIDE_BY_SIDE", 8)
+    monkeypatch.setattr("vstestbed.experiments.comparison.folder.GROUP", 6)
     whole, cut = tmp_path / "whole", tmp_path / "cut"
     seeds = 2 * LEAST
     table = compare([quick], seeds=seeds, jobs=1, out=whole, film=False, report=False)
     assert table["batch"].to_list() == [None] + [True] * (seeds - 1)  # the first may be filmed
     shutil.copytree(whole, cut)
-    for seed in (0, 3, 11):
-        (cut / f"runs/quick/as_it_is/{seed}/summary.json").unlink()
+    every = jobs(controllers(Comparison(base=(str(quick),), seeds=seeds)), seeds)
+    monkeypatch.setattr("vstestbed.experiments.comparison.folder.GROUP", 10_000)
+    assert table.equals(table_of(whole, every)) and table.equals(pl.read_parquet(whole / "comparison.parquet"))
+    for place in ("0/0", "0/3", "8/11"):
+        (cut / f"runs/quick/as_it_is/{place}/summary.json").unlink()
     again = compare([], jobs=2, out=cut, resume=True, film=False, report=False)
     assert timeless(again).equals(timeless(table))
     assert logs(cut) == logs(whole)

@@ -43,10 +43,11 @@ def test_beyond_the_limit_runs_are_made_one_by_one(quick: Path):
     made = jobs(controllers(comparison, force=True), comparison.seeds)
     assert len(made) == 2 * 10**9
     assert [job.folder for job in itertools.islice(made, 3)] == [
-        "runs/quick/law.gain=3/0",
-        "runs/quick/law.gain=6/0",
-        "runs/quick/law.gain=3/1",
+        "runs/quick/law.gain=3/0/0",  # a thousand in each folder
+        "runs/quick/law.gain=6/0/0",
+        "runs/quick/law.gain=3/0/1",
     ]
+    assert made[2 * 1234].folder == "runs/quick/law.gain=3/1000/1234"
 
 
 def test_tasks_of_different_lengths_come_seed_by_seed(quick: Path):

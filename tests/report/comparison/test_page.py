@@ -18,8 +18,9 @@ from vstestbed.core.errors import OutputError
 from vstestbed.report import write_comparison_report
 from vstestbed.report.comparison import failures as comparison_failures
 from vstestbed.report.comparison import page as comparison_page
-from vstestbed.report.comparison.columns import DEFAULT_METRICS
-from vstestbed.report.comparison.statistics import success_rate
+from vstestbed.report.comparison.columns import DEFAULT_METRICS, ComparisonResults
+from vstestbed.report.comparison.series import read_series
+from vstestbed.report.comparison.statistics import MOST, paired_difference, success_rate
 from vstestbed.report.run.numbers import number
 
 FAILING = {("slow", 0): "timed_out", ("slow", 5): "timed_out", ("fast", 3): "target_lost", ("fast", 7): "crashed"}
@@ -222,3 +223,25 @@ def test_a_thousand_runs_fit_in_a_page(tmp_path: Path) -> None:
     checked(text)
     assert len(re.sub(r"base64,[\w+/=]*", "", text)) < 4e6  # what is not film or picture, so that it opens at once
     assert len(re.findall("<(?:use|path)", text)) < 25_000
+
+
+def test_of_very_many_runs_the_page_shows_some_and_says_so(
+    built: tuple[Path, pl.DataFrame], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, frame = built
+    monkeypatch.setattr("vstestbed.report.comparison.series.SAMPLED", 0)
+    monkeypatch.setattr("vstestbed.report.comparison.series.LEAST_SAMPLED", 5)
+    comparison = ComparisonResults(frame)
+    series = read_series(folder, comparison)
+    assert [e.shape[0] for e in series.errors] == [5, 5] and series.sampled == 5
+    monkeypatch.setattr(comparison_failures, "LISTED", 3)
+    monkeypatch.setattr(comparison_failures, "SEEDS", 1)
+    text = checked(comparison_failures.section(folder, comparison)).text
+    assert "the commands that run 3 of them, every kind in turn, again" in text and text.count("vstestbed run") == 3
+    assert "slow: seeds 0 and 1 more" in text
+
+
+def test_intervals_of_very_many_pairs_are_those_of_student() -> None:
+    d = np.random.default_rng(0).exponential(size=MOST)
+    few, many = (paired_difference(x, np.zeros(len(x))) for x in (d, np.append(d, d.mean())))
+    assert (many.high - many.low) == pytest.approx(few.high - few.low, rel=0.02)

@@ -7,7 +7,7 @@ import itertools
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -47,13 +47,12 @@ class Campaign:
     @property
     def done(self) -> int:
         """Number of jobs with a stored result."""
-        return sum(1 for _ in finished(self.folder, self.jobs))
+        return len(self._done)
 
-    @property
-    def missing(self) -> Iterator[Job]:
-        """The jobs without a stored result."""
-        done = {job.folder for job in finished(self.folder, self.jobs)}
-        return (job for job in self.jobs if job.folder not in done)
+    @cached_property
+    def _done(self) -> set[str]:
+        """The folders of the jobs with a stored result: read once, then kept up to date."""
+        return {job.folder for job in finished(self.folder, self.jobs)}
 
     def run(self, pool: Pool, on_done: OnDone = lambda job, summary: None) -> None:
         """Do the missing runs.
@@ -88,12 +87,13 @@ class Campaign:
 
     def _store(self, found: tuple[Job, Files], attempts: int) -> tuple[Job, dict[str, Any]]:
         job, files = found
-        return job, store(self.folder, job, files, attempts)
+        summary = store(self.folder, job, files, attempts)
+        self._done.add(job.folder)
+        return job, summary
 
     def _requests(self) -> Iterator[Work]:
         """All missing jobs with their requests, drawn when their turn comes; a job whose start cannot be drawn is stored as crashed."""
-        done = {job.folder for job in finished(self.folder, self.jobs)}
-        every = iter(self.jobs)
+        done, every = set(self._done), iter(self.jobs)
         # Batches are drawn from all jobs, done or not: what flies together, and with it the last digits of the logs, depends on the
         # plan alone, not on when a comparison was cut off.
         while window := list(itertools.islice(every, WINDOW)):
@@ -126,6 +126,7 @@ class Campaign:
             # the scenario without the seed's draw: there is no drawn one
             text = request_of(job.folder, job.controller.scenario, False).text
             store(self.folder, job, crashed(text, str(error)), attempts=1)
+            self._done.add(job.folder)
             raise
 
     def _files(self, future: Future[Done], request: Request, runs: int, pool: Pool) -> Done:

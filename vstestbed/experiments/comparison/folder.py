@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
+import itertools
 import json
 import os
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,6 +24,10 @@ if TYPE_CHECKING:
     import polars
 
 PLAN = "comparison.yaml"
+GROUP = 10_000
+"""Runs of a row group of the table, and rows that are in memory as dictionaries."""
+DEEPEST = 5
+"""Folders below `runs`: scenario, variant and seed, each of the last two in one of a thousand where there are more (`runs.among`)."""
 
 
 def resumable(out: Path | None) -> Path:
@@ -62,14 +68,6 @@ def summary_of(folder: Path, job: Job) -> dict[str, Any]:
     return read_summary(folder / job.folder, f"`vstestbed compare --resume --out {folder}` does the run again")
 
 
-def is_done(folder: Path, job: Job) -> bool:
-    """Whether a run is stored with a readable summary."""
-    try:
-        return bool(summary_of(folder, job))
-    except RunFolderError:
-        return False
-
-
 def store(folder: Path, job: Job, files: Files, attempts: int) -> dict[str, Any]:
     """Write a run's folder under a temporary name, flush it to the disk, and only then rename it. Returns the summary.
 
@@ -107,7 +105,7 @@ def _sync(folder: Path) -> None:
             os.close(handle)
 
 
-def finished(folder: Path, jobs: Sequence[Job], damaged: bool = True) -> Iterator[Job]:
+def finished(folder: Path, jobs: Iterable[Job], damaged: bool = True) -> Iterator[Job]:
     """The jobs that are done, in the order of the plan; the time that it takes depends on how many are done, not on how many there are.
 
     Args:
@@ -116,32 +114,52 @@ def finished(folder: Path, jobs: Sequence[Job], damaged: bool = True) -> Iterato
     Raises:
         RunFolderError: a summary cannot be read, and `damaged` is False.
     """
-    there = {p.parent.relative_to(folder).as_posix() for p in folder.glob("runs/*/*/*/summary.json") if p.parent.suffix != ".part"}
+    yield from (job for job, _ in _summaries(folder, jobs, damaged))
+
+
+def _summaries(folder: Path, jobs: Iterable[Job], damaged: bool) -> Iterator[tuple[Job, dict[str, Any]]]:
+    """As `finished`, with the summaries."""
+    there = set(_with_summary(str(folder), "runs", DEEPEST)) if (folder / "runs").is_dir() else set[str]()
     for job in jobs:
         if not there:
             return
         if job.folder in there:
             there.remove(job.folder)
-            if is_done(folder, job) if damaged else summary_of(folder, job):
-                yield job
+            with contextlib.suppress(*([RunFolderError] if damaged else [])):
+                yield job, summary_of(folder, job)
 
 
-def table_of(folder: Path, jobs: Sequence[Job], damaged: bool = True) -> polars.DataFrame:
+def _with_summary(folder: str, place: str, depth: int) -> Iterator[str]:
+    """The folders of runs with a summary below `place` in a comparison's folder, down to a depth."""
+    with os.scandir(f"{folder}/{place}") as found:
+        for entry in found:
+            if Path(f"{entry.path}/summary.json").exists():  # faster than to list a run's folder
+                if not entry.name.endswith(".part"):
+                    yield f"{place}/{entry.name}"
+            elif depth > 1 and entry.is_dir():
+                yield from _with_summary(folder, f"{place}/{entry.name}", depth - 1)
+
+
+def table_of(folder: Path, jobs: Iterable[Job], damaged: bool = True) -> polars.DataFrame:
     """One row per finished run, in the order of the plan: scenario, varied values, seed, folder, the summary's names, attempts.
 
     `damaged`: see `finished`.
     """
     import polars as pl
 
-    rows = [_row(folder, job) for job in finished(folder, jobs, damaged)]
-    # columns in the order of the longest row: a crashed run has only a few of the summary's names
-    names = list(dict.fromkeys(name for row in sorted(rows, key=len, reverse=True) for name in row))
-    names = [name for name in names if name != "attempts"] + ["attempts"]
-    return pl.DataFrame([{name: row.get(name) for name in names} for row in rows], infer_schema_length=None, strict=False)
+    # Some thousands of rows at a time: as dictionaries they take twenty times the memory of a table.
+    found, parts, longest = _summaries(folder, jobs, damaged), list[pl.DataFrame](), list[str]()
+    while rows := [_row(job, summary) for job, summary in itertools.islice(found, GROUP)]:
+        # columns in the order of the longest row: a crashed run has only a few of the summary's names
+        names = list(dict.fromkeys(name for row in sorted(rows, key=len, reverse=True) for name in row))
+        longest = max(longest, names, key=len)
+        parts.append(pl.DataFrame([{name: row.get(name) for name in names} for row in rows], infer_schema_length=None, strict=False))
+    table = pl.concat(parts, how="diagonal_relaxed") if parts else pl.DataFrame()
+    names = [name for name in dict.fromkeys([*longest, *table.columns]) if name != "attempts"]
+    return table.select(*names, "attempts") if parts else table
 
 
-def _row(folder: Path, job: Job) -> dict[str, Any]:
-    summary = summary_of(folder, job)
+def _row(job: Job, summary: dict[str, Any]) -> dict[str, Any]:
     # a table column holds numbers or text: blocks and lists go in as JSON
     values = {path: value if isinstance(value, int | float | str) else json.dumps(value) for path, value in job.controller.values.items()}
     first = {"scenario": job.controller.scenario.name} | values | {"seed": summary.pop("seed", job.seed), "folder": job.folder}
@@ -159,10 +177,10 @@ def _flat(block: Mapping[str, Any], before: str) -> dict[str, Any]:
 
 
 def write_table(folder: Path, table: polars.DataFrame) -> None:
-    """Write `comparison.csv` and `comparison.parquet`."""
+    """Write `comparison.csv` and `comparison.parquet`, the latter in row groups of GROUP runs."""
     import io
 
     parquet = io.BytesIO()
-    table.write_parquet(parquet)
+    table.write_parquet(parquet, row_group_size=GROUP)
     write_whole(folder / "comparison.parquet", parquet.getvalue())
     write_whole(folder / "comparison.csv", table.write_csv())

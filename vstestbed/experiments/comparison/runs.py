@@ -25,6 +25,8 @@ AS_IT_IS = "as_it_is"
 """Name of the variant of a scenario where nothing is varied."""
 MOST_RUNS = 100_000
 """Runs that need no `--force`: over an hour of the quickest scenario (50 ms a run) on one core, and tens of GB of run folders."""
+SIDE_BY_SIDE = 1000
+"""Most folders in one: file browsers, and some file systems, are slow with more."""
 MOST_KEPT = 10_000
 """Controllers that are kept in memory (some 15 kB each); of more, each is loaded again when its turn comes."""
 
@@ -60,11 +62,13 @@ class Job:
 
     controller: Controller
     seed: int | None
+    of: int = 1
+    """Number of runs of the controller."""
 
     @property
     def folder(self) -> str:
         """Folder of the run, below the comparison's folder."""
-        return f"{self.controller.folder}/{'nominal' if self.seed is None else self.seed}"
+        return f"{self.controller.folder}/{'nominal' if self.seed is None else among(self.seed, self.of)}"
 
     def scenario(self) -> Scenario:
         """The scenario with its start and its noise drawn from the seed."""
@@ -72,6 +76,12 @@ class Job:
         if found.starts is not None and self.seed is not None:
             return replace(found.starts[self.seed], seed=self.seed)
         return found.scenario if self.seed is None or not found.draws else seeded(found.scenario, self.seed)
+
+
+def among(number: int, of: int, name: str = "") -> str:
+    """The name of a folder with a number; of more than SIDE_BY_SIDE, in one that holds as many: `12000/12345`."""
+    name = name or str(number)
+    return name if of <= SIDE_BY_SIDE else f"{number // SIDE_BY_SIDE * SIDE_BY_SIDE}/{name}"
 
 
 class Lazy(Sequence[T]):
@@ -126,7 +136,9 @@ class Controllers(Lazy[Controller]):
         values = cases | {path: setting.value for path, setting in axes.items()} | ({TASK: task} if task else {})
         words = [words[place] for words, place in zip(self._words, varied, strict=False)]  # without tasks the last place has no word
         variant = ",".join(f"{path}={word}" for path, word in zip(values, words, strict=True)) or AS_IT_IS
-        return _controller(c, base, merged(*blocks, axes), values, f"runs/{self._bases[base]}/{variant}", task)
+        variants = math.prod(self._sizes[1:])
+        place = f"runs/{self._bases[base]}/{among(i % variants, variants, variant)}"
+        return _controller(c, base, merged(*blocks, axes), values, place, task)
 
     def _places(self, i: int) -> list[int]:
         """The place of controller i on each axis."""
@@ -256,7 +268,7 @@ class Jobs(Lazy[Job]):
         if None in self._runs:
             yield from (Job(self._found[i], None) for i in every if self._runs_of(i) is None)
         for seed in range(max((n for n in self._runs if n is not None), default=0)):
-            yield from (Job(self._found[i], seed) for i in every if seed < (self._runs_of(i) or 0))
+            yield from (Job(self._found[i], seed, n) for i in every if seed < (n := self._runs_of(i) or 0))
 
     def _runs_of(self, i: int) -> int | None:
         return self._runs[i % len(self._runs)]

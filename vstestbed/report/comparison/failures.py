@@ -18,6 +18,10 @@ from vstestbed.report.html.parts import data_url
 PICTURES: Final = 24
 PICTURE_BYTES: Final = 4_000_000
 """Most pictures in the gallery, and most bytes of all of them: they are embedded in the page."""
+LISTED: Final = 300
+"""Most failed runs whose commands are listed."""
+SEEDS: Final = 20
+"""Most seeds of a controller that are named with one kind of failure."""
 ERRORS: Final = 24
 ERROR_CHARACTERS: Final = 4000
 """Most crashed runs whose `error.txt` is shown, and the length of its end that is shown."""
@@ -63,14 +67,17 @@ def section(folder: Path, comparison: ComparisonResults) -> str:
     groups = sorted(kinds.values(), key=len, reverse=True)
     # tracebacks of every kind of crash in turn, since there is room for only a few
     with_error = {id(f) for f in _in_turn([g for g in groups if g[0].outcome == "crashed"], ERRORS)}
-    listed = "".join(_group(group, with_error) for group in groups)
-    words = f"{runs(len(failed))} of {len(comparison.table)} did not reach the goal; each line opens to the commands that run them again."
+    with_command = {id(f) for f in _in_turn(groups, LISTED)}
+    listed = "".join(_group(group, with_command, with_error) for group in groups)
+    those = "them" if len(failed) <= LISTED else f"{LISTED} of them, every kind in turn,"
+    words = f"{runs(len(failed))} of {len(comparison.table)} did not reach the goal; "
+    words += f"each line opens to the commands that run {those} again."
     if not failed:
         words = f"All {runs(len(comparison.table))} reached the goal."
     return f'<section><h2>Failures</h2><p class="soft">{words}</p>{listed}{_gallery(groups)}{_repeated(comparison)}</section>'
 
 
-def _group(group: list[Failure], with_error: set[int]) -> str:
+def _group(group: list[Failure], with_command: set[int], with_error: set[int]) -> str:
     """One kind of failure: number of runs, seeds of each controller, and, folded, each run's command."""
     outcome, first = group[0].outcome.replace("_", " ").capitalize(), group[0].reason
     same = all(f.reason == first for f in group)
@@ -78,9 +85,16 @@ def _group(group: list[Failure], with_error: set[int]) -> str:
     seeds: dict[str, list[str]] = defaultdict(list)
     for failure in group:
         seeds[failure.controller].append(str(failure.seed))
-    who = "; ".join(f"{name}: seed{'s' * (len(s) > 1)} {', '.join(s)}" for name, s in seeds.items())
+    who = "; ".join(f"{name}: seed{'s' * (len(s) > 1)} {_some(s)}" for name, s in seeds.items())
     head = f'<b>{escape(outcome)}</b> {runs(len(group))}: {escape(reason)}<br><span class="soft">{escape(who)}</span>'
-    return f'<details class="failure"><summary>{head}</summary>{"".join(_run(f, same, id(f) in with_error) for f in group)}</details>'
+    shown = "".join(_run(f, same, id(f) in with_error) for f in group if id(f) in with_command)
+    return f'<details class="failure"><summary>{head}</summary>{shown}</details>'
+
+
+def _some(seeds: list[str]) -> str:
+    """The seeds, of many the first ones and the number of the others."""
+    more = len(seeds) - SEEDS
+    return ", ".join(seeds[:SEEDS]) + (f" and {more:,} more" if more > 0 else "")
 
 
 def _run(failure: Failure, same: bool, with_error: bool) -> str:

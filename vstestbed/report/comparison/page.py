@@ -163,7 +163,10 @@ def _figures(data: Data, place: Path, call: Call) -> str:
     narrow, broad = ([f for i in numbers if PLOTS[i][3] == columns and (f := on_page[i].result())] for columns in (1, 2))
     for paper in papers:
         paper.result()
-    return f'<div class="plots">{"".join(narrow)}</div>' + "".join(f'<div class="broad">{f}</div>' for f in broad)
+    sampled = data.series.sampled
+    words = f"Errors over time are of the first {sampled:,} runs of each controller, all else of all runs." if sampled else ""
+    note = f'<p class="soft">{words}</p>' if words else ""
+    return f'{note}<div class="plots">{"".join(narrow)}</div>' + "".join(f'<div class="broad">{f}</div>' for f in broad)
 
 
 def _threshold(folder: Path, comparison: ComparisonResults, plugins: Sequence[str]) -> float | None:

@@ -18,6 +18,8 @@ from vstestbed.report.comparison.columns import ComparisonResults
 
 INSTANTS = 240
 """Points of the time grid: more than can be resolved in one panel of a figure."""
+SAMPLED, LEAST_SAMPLED = 2000, 20
+"""Logs that are read in all, shared among the controllers, and fewest of each: to read one takes a millisecond."""
 _FAR = 1e30
 """Error [px] that stands for a lost target: larger than any real one, but finite, since quantiles interpolate (inf - inf is NaN)."""
 
@@ -29,10 +31,12 @@ class Series:
     Attributes:
         t: the common time grid, shape (G,) [s].
         errors: of each controller, shape (runs, G) [px]; NaN while the target is lost and for runs without a log.
+        sampled: of so many first runs of each controller; None: of all.
     """
 
     t: Array
     errors: tuple[NDArray[np.float32], ...]
+    sampled: int | None = None
 
     def quartiles(self, controller: int) -> Array:
         """First quartile, median and third quartile over the runs, shape (3, G); inf where so many runs have lost the target.
@@ -48,7 +52,7 @@ class Series:
 
 
 def read_series(folder: Path, comparison: ComparisonResults) -> Series:
-    """Read the errors of all runs of a comparison; after its end a run holds its last value.
+    """Read the errors of the runs of a comparison, of very many the first of each controller; after its end a run holds its last value.
 
     Args:
         folder: the comparison's folder; the table's column `folder` is relative to it.
@@ -60,15 +64,15 @@ def read_series(folder: Path, comparison: ComparisonResults) -> Series:
     # the duration of the longest run; 1 s if no run has any, so that the grid is not empty
     longest = comparison.table["sim_time_s"].cast(pl.Float64, strict=False).max() if "sim_time_s" in comparison.table.columns else None
     t = np.linspace(0, longest if isinstance(longest, float) and longest > 0 else 1.0, INSTANTS)
+    most = max(SAMPLED // max(len(comparison.controllers), 1), LEAST_SAMPLED)
     of_controllers = []
     for controller in comparison.controllers:
-        errors = np.full(
-            (len(controller.runs), len(t)), np.nan, dtype=np.float32
-        )  # single precision halves the memory of large comparisons
-        for i, place in enumerate(controller.runs["folder"].to_list()):
+        places = controller.runs["folder"].head(most).to_list()  # the first, not a random choice: the same page from the same table
+        errors = np.full((len(places), len(t)), np.nan, dtype=np.float32)  # single precision halves the memory of large comparisons
+        for i, place in enumerate(places):
             errors[i] = _resampled(folder / str(place) / "log.parquet", t)
         of_controllers.append(errors)
-    return Series(t, tuple(of_controllers))
+    return Series(t, tuple(of_controllers), most if any(len(c.runs) > most for c in comparison.controllers) else None)
 
 
 def _resampled(path: Path, t: Array) -> Array:

@@ -36,6 +36,8 @@ DRAWN: Final = (TIME, "max_retreat_m")
 """Metrics that are drawn where a comparison names none."""
 MOST_ROWS: Final = 3
 """Metrics that are drawn: the first ones; all have tables."""
+MOST_AMOUNTS: Final = 20
+"""Most failed runs of a cell that are named."""
 ROUNDING: Final = 1e-6
 """Values below this are rounding errors in the unit of any metric."""
 MARKERS: Final = "os^DvX*P<h>pd"
@@ -93,6 +95,8 @@ def _digits(value: float) -> str:
 def _numbers(amounts: Sequence[str]) -> str:
     """A list of amounts with their unit once: `160, 180 deg`; `no. 3, 7` for bare numbers."""
     numbers, units = zip(*(a.partition(" ")[::2] for a in amounts), strict=True)
+    if (more := len(numbers) - MOST_AMOUNTS) > 0:
+        numbers = (*numbers[:MOST_AMOUNTS], f"and {more:,} more")
     return f"{', '.join(numbers)} {units[0]}" if units[0] else f"no. {', '.join(numbers)}"
 
 
