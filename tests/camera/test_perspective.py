@@ -35,6 +35,14 @@ def test_rays_invert_projection(distortion):
     np.testing.assert_allclose(camera.ray(camera.project(p)), unit, atol=1e-12)
 
 
+@pytest.mark.parametrize("distortion", [None, BARREL])
+def test_every_pixel_has_a_ray(distortion):
+    """A detector relies on it: only blobs of wide lenses are tested for one (`sees_all`)."""
+    camera = Perspective(width=64, height=48, distortion=distortion)
+    assert camera.sees_all
+    assert np.isfinite(camera.ray(np.argwhere(np.ones((64, 48))) + 0.0)).all()
+
+
 def test_nothing_is_seen_behind_the_lens_or_in_its_plane():
     assert np.isnan(Perspective().project(np.array([[0.1, 0.1, -1.0], [0.1, 0.1, 0.0]]))).all()
 

@@ -13,9 +13,12 @@ from vstestbed.core.geometry import (
     Pose,
     adjoint,
     angles,
+    clip,
     direction,
     exp,
     inverse,
+    joined,
+    lengths,
     log,
     pose_from,
     quaternion_wxyz,
@@ -172,3 +175,13 @@ def test_poses_have_the_same_bits_as_those_of_spatialmath():
         assert Pose(xyz=(1.0, 2.0, 3.0), rpy_deg=tuple(rpy.tolist())).T.tobytes() == expected.tobytes()
         angles = tr2rpy(expected[:3, :3], order="zyx", unit="deg", check=False)
         assert np.array(Pose.of(expected).rpy_deg).tobytes() == np.asarray(angles, float).tobytes()
+
+
+def test_shortcuts_are_what_they_replace():
+    """To the last bit: logs must not depend on which of them is used."""
+    rng = np.random.default_rng(5)
+    p = rng.normal(size=(3, 5, 2))
+    np.testing.assert_array_equal(lengths(p), np.linalg.norm(p, axis=-1, keepdims=True))
+    np.testing.assert_array_equal(joined(p[..., 1], p[..., 0], 1.0), np.stack([p[..., 1], p[..., 0], np.ones((3, 5))], axis=-1))
+    for x in (-3.0, -1.0, 0.2, 2.0, 5.0, float("nan")):
+        assert clip(x, -1.0, 2.0) == max(-1.0, min(2.0, x))

@@ -172,3 +172,22 @@ def test_the_ideal_camera_moves_by_the_exact_exponential():
     p = (inverse(truth.T_world_camera) @ s.target.pose.T @ np.column_stack([s.target.points, np.ones(4)]).T).T[:, :3]
     np.testing.assert_allclose(truth.p_camera, p, atol=1e-13)
     assert renderer == "none"
+
+
+class TestSteps:
+    @pytest.mark.parametrize("steps", [1, 2, 7])
+    def test_a_stage_steps_as_dm_control_does(self, arm: Build, steps: int):
+        ours, theirs = (arm("industrial")._stage for _ in range(2))  # pyright: ignore[reportAttributeAccessIssue]
+        for stage in (ours, theirs):
+            stage.data.ctrl[:] = 0.3
+        for _ in range(20):
+            assert ours.step(steps)
+            theirs.physics.step(steps)
+        for name in ("qpos", "qvel", "act", "sensordata", "site_xpos"):
+            np.testing.assert_array_equal(getattr(ours.data, name), getattr(theirs.data, name))
+
+    def test_an_unstable_simulation_is_told(self, arm: Build):
+        plant = arm("industrial")
+        assert plant.advance(1)
+        plant._stage.data.qvel[:] = 1e12  # pyright: ignore[reportAttributeAccessIssue]
+        assert not plant.advance(1)

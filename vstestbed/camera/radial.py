@@ -10,7 +10,7 @@ import numpy as np
 
 from vstestbed.camera.base import Camera
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.geometry import Array, angles, direction
+from vstestbed.core.geometry import Array, angles, direction, joined
 from vstestbed.core.quantity import PositivePixels
 from vstestbed.core.spec import spec
 
@@ -67,13 +67,13 @@ class Radial(Camera):
         theta_phi = angles(p_camera)
         r = self.f * self.radius(_within(theta_phi[..., 0], self.reach))
         phi = theta_phi[..., 1]
-        return np.stack([r * np.cos(phi), r * np.sin(phi)], axis=-1) + self.centre
+        return joined(r * np.cos(phi), r * np.sin(phi)) + self.centre
 
     def ray(self, uv: Array) -> Array:
         """Unit rays (..., N, 3) of pixels uv (..., N, 2); NaN outside the image circle and in its blind middle."""
         m = (uv - self.centre) / self.f
         theta = self.angle(_within(np.hypot(m[..., 0], m[..., 1]), self.ring))
-        return direction(np.stack([theta, np.arctan2(m[..., 1], m[..., 0])], axis=-1))
+        return direction(joined(theta, np.arctan2(m[..., 1], m[..., 0])))
 
     def borders(self, uv: Array) -> tuple[Array, Array]:
         """As of any camera, and of the image circle; of the blind middle too, where the lens has one."""
@@ -89,4 +89,4 @@ def _within(value: Array, limits: tuple[float, float]) -> Array:
     """`value` clipped to limits that it exceeds by rounding, NaN where it exceeds them by more."""
     low, high = limits
     slack = RIM * high
-    return np.where((value >= low - slack) & (value <= high + slack), np.clip(value, low, high), np.nan)
+    return np.where((value >= low - slack) & (value <= high + slack), np.minimum(np.maximum(value, low), high), np.nan)

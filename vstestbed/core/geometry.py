@@ -76,6 +76,14 @@ def all_finite(a: Array) -> bool:
     return math.isfinite(np.add.reduce(a, axis=None))
 
 
+def joined(*parts: Any) -> Array:
+    """Numbers, or arrays (...), side by side (..., n): as `np.stack(parts, axis=-1)`, in a third of the time for a few numbers."""
+    out = np.empty((*np.shape(parts[0]), len(parts)))
+    for i, part in enumerate(parts):
+        out[..., i] = part
+    return out
+
+
 def lengths(p: Array) -> Array:
     """Lengths (..., 1) of vectors p (..., n): as `np.linalg.norm`, whose checks take twice as long as the rest for a few vectors."""
     return np.sqrt(np.add.reduce(p * p, axis=-1, keepdims=True))
@@ -213,14 +221,14 @@ def angles(p: Array) -> Array:
     x, y, z = p[..., 0], p[..., 1], p[..., 2]
     across = np.hypot(x, y)
     theta = np.where((across > 0) | (z != 0), np.arctan2(across, z), np.nan)
-    return np.stack([theta, np.where(across > 0, np.arctan2(y, x), 0.0 * theta)], axis=-1)
+    return joined(theta, np.where(across > 0, np.arctan2(y, x), 0.0 * theta))
 
 
 def direction(theta_phi: Array) -> Array:
     """Unit vectors (..., 3) of angles (theta, phi) (..., 2) [rad]: the inverse of `angles`."""
     theta, phi = theta_phi[..., 0], theta_phi[..., 1]
     across = np.sin(theta)
-    return np.stack([across * np.cos(phi), across * np.sin(phi), np.cos(theta)], axis=-1)
+    return joined(across * np.cos(phi), across * np.sin(phi), np.cos(theta))
 
 
 def rotation_from_rpy(rpy: Array) -> Array:

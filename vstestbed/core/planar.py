@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from vstestbed.core.geometry import Array
+from vstestbed.core.geometry import Array, joined
 from vstestbed.core.quantity import Angle, Length
 from vstestbed.core.spec import spec
 
@@ -50,7 +50,7 @@ def pose_on_ground(place: Array) -> Array:
 
 def place_of(T: Array) -> Array:
     """Places (x, y, heading) (..., 3) of poses T (..., 4, 4): the heading is that of the x axis, projected on the floor."""
-    return np.stack([T[..., 0, 3], T[..., 1, 3], np.arctan2(T[..., 1, 0], T[..., 0, 0])], axis=-1)
+    return joined(T[..., 0, 3], T[..., 1, 3], np.arctan2(T[..., 1, 0], T[..., 0, 0]))
 
 
 def wrapped(angle: Array | float) -> Array:
@@ -62,7 +62,7 @@ def relative(here: Array, there: Array) -> Array:
     """The place `there` (..., 3) relative to `here` (..., 3): (ahead, left, turn), shape (..., 3) [m, m, rad]."""
     d = there - here  # in world axes; the rotation by -heading turns it into the axes of `here`
     c, s = np.cos(here[..., 2]), np.sin(here[..., 2])
-    return np.stack([c * d[..., 0] + s * d[..., 1], -s * d[..., 0] + c * d[..., 1], wrapped(d[..., 2])], axis=-1)
+    return joined(c * d[..., 0] + s * d[..., 1], -s * d[..., 0] + c * d[..., 1], wrapped(d[..., 2]))
 
 
 def composed(place: Array, step: Array) -> Array:
@@ -70,7 +70,7 @@ def composed(place: Array, step: Array) -> Array:
     place, step = np.asarray(place, dtype=float), np.asarray(step, dtype=float)
     c, s = np.cos(place[..., 2]), np.sin(place[..., 2])
     ahead, left = step[..., 0], step[..., 1]
-    return place + np.stack([c * ahead - s * left, s * ahead + c * left, step[..., 2]], axis=-1)
+    return place + joined(c * ahead - s * left, s * ahead + c * left, step[..., 2])
 
 
 def arc(motion: Array, duration: float) -> Array:
@@ -81,9 +81,10 @@ def arc(motion: Array, duration: float) -> Array:
 
     Reference: Lynch & Park 2017, Modern Robotics, section 13.4 (odometry).
     """
-    dx, dy, theta = np.moveaxis(np.asarray(motion, dtype=float) * duration, -1, 0)
+    step = np.asarray(motion, dtype=float) * duration
+    dx, dy, theta = step[..., 0], step[..., 1], step[..., 2]
     a, b = _chord(theta)
-    return np.stack([a * dx - b * dy, b * dx + a * dy, theta], axis=-1)
+    return joined(a * dx - b * dy, b * dx + a * dy, theta)
 
 
 def moved(place: Array, motion: Array, duration: float) -> Array:
@@ -102,7 +103,7 @@ def motion_between(before: Array, now: Array, duration: float) -> Array:
     a, b = _chord(theta)
     # The inverse of the matrix [[a, -b], [b, a]] of `arc`; its determinant is 0 only for a full turn.
     size = a * a + b * b
-    return np.stack([(a * dx + b * dy) / size, (a * dy - b * dx) / size, theta], axis=-1) / duration
+    return joined((a * dx + b * dy) / size, (a * dy - b * dx) / size, theta) / duration
 
 
 def _chord(theta: Array) -> tuple[Array, Array]:

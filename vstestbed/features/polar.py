@@ -6,7 +6,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from vstestbed.core.geometry import Array
+from vstestbed.core.geometry import Array, joined
 from vstestbed.core.spec import spec
 from vstestbed.features.angles import bearing_error, bearing_weight
 from vstestbed.features.base import checked
@@ -42,7 +42,7 @@ class Polar:
     def measure(self, xy: Array) -> Array:
         """The vector s (..., 2N) [1, rad] of xy (..., N, 2)."""
         xy = np.asarray(xy, dtype=float)
-        s = np.stack([np.hypot(xy[..., 0], xy[..., 1]), np.arctan2(xy[..., 1], xy[..., 0])], axis=-1)
+        s = joined(np.hypot(xy[..., 0], xy[..., 1]), np.arctan2(xy[..., 1], xy[..., 0]))
         return s.reshape(*xy.shape[:-2], 2 * xy.shape[-2])
 
     def interaction(self, xy: Array, depth: Array) -> Array:

@@ -6,7 +6,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from vstestbed.core.geometry import Array
+from vstestbed.core.geometry import Array, joined
 from vstestbed.core.spec import spec
 from vstestbed.features.angles import bearing_error, bearing_weight
 from vstestbed.features.base import checked
@@ -42,7 +42,7 @@ class Spherical:
         """The vector s (..., 2N) [rad] of rays (..., N, 3), of any length."""
         ray = np.asarray(ray, dtype=float)
         X, Y, Z = ray[..., 0], ray[..., 1], ray[..., 2]
-        s = np.stack([np.arctan2(np.hypot(X, Y), Z), np.arctan2(Y, X)], axis=-1)
+        s = joined(np.arctan2(np.hypot(X, Y), Z), np.arctan2(Y, X))
         return s.reshape(*ray.shape[:-2], 2 * ray.shape[-2])
 
     def interaction(self, ray: Array, range_: Array) -> Array:
@@ -53,7 +53,8 @@ class Spherical:
         """
         ray, range_ = checked(ray, range_, self.inputs)
         s = self.measure(ray).reshape(*ray.shape[:-1], 2)
-        (cos_t, cos), (sin_t, sin) = np.moveaxis(np.cos(s), -1, 0), np.moveaxis(np.sin(s), -1, 0)
+        cosines, sines = np.cos(s), np.sin(s)
+        cos_t, cos, sin_t, sin = cosines[..., 0], cosines[..., 1], sines[..., 0], sines[..., 1]
         inv_r, weight = 1 / range_, bearing_weight(sin_t, self.centre_weight) ** 2
         inv_sin = weight / np.where(sin_t > 0, sin_t, 1)  # on the axis the weight is 0, and so is the row
         L = np.zeros((*s.shape, 6))

@@ -5,9 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
 from vstestbed.core.geometry import Array, adjoint, inverse
 
 Limit = Literal["", "speed", "joint_limit", "singular"]
+ALL_SIX = np.eye(6)
+"""The motion basis of a robot that can make any camera twist; read-only, since all frames share it."""
+ALL_SIX.flags.writeable = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,13 +11,10 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose
 from vstestbed.core.quantity import Angles, Position
 from vstestbed.core.spec import spec
-from vstestbed.robots.allocation import Allocation, Mount
+from vstestbed.robots.allocation import ALL_SIX, Allocation, Mount
 from vstestbed.robots.base import RobotBase
 from vstestbed.robots.puma560 import Puma560, PumaStart
 from vstestbed.robots.reading import Reading
-
-ALL_SIX = np.eye(6)
-ALL_SIX.flags.writeable = False
 
 
 @spec

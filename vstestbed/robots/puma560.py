@@ -18,7 +18,7 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import Angle
 from vstestbed.core.spec import spec
-from vstestbed.robots.allocation import Actuation, Allocation, Limit, Mount
+from vstestbed.robots.allocation import ALL_SIX, Actuation, Allocation, Limit, Mount
 from vstestbed.robots.base import RobotBase
 from vstestbed.robots.reading import Reading
 
@@ -241,7 +241,7 @@ class Puma560(RobotBase):
 
     def motion_basis(self, mount: Mount, q: Array) -> Array:
         """All six degrees of freedom, also near singularities: `allocate` damps there."""
-        return np.eye(6)
+        return ALL_SIX
 
     def measured_twist(self, before: Reading, now: Reading, duration: float, commanded: Array, mount: Mount) -> Array:
         """Mean camera twist (6,) between two readings: J at the mean joint angles times dq / duration."""

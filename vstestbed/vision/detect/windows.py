@@ -20,13 +20,9 @@ def window_round(box: Window, move: Move, lens: Camera, margin: float) -> Window
     """
     (left, top, right, bottom), (du, dv) = box, move
     grow_u, grow_v = margin + abs(du) / 2, margin + abs(dv) / 2
-    window = (
-        max(0, int(left + du - grow_u)),
-        max(0, int(top + dv - grow_v)),
-        min(lens.width, math.ceil(right + du + grow_u)),
-        min(lens.height, math.ceil(bottom + dv + grow_v)),
-    )
-    return window if window[0] < window[2] and window[1] < window[3] else None
+    left, top = max(0, int(left + du - grow_u)), max(0, int(top + dv - grow_v))
+    right, bottom = min(lens.width, math.ceil(right + du + grow_u)), min(lens.height, math.ceil(bottom + dv + grow_v))
+    return (left, top, right, bottom) if left < right and top < bottom else None
 
 
 def windows_round(

@@ -17,6 +17,8 @@ UNTOLD = 1e-4
 """Singular values below this share of the largest count as zero: two landmarks on one vertical leave the heading open."""
 LEVEL = 0.03
 """Least |z| of a unit ray (1.7 degrees of elevation) whose landmark's height gives a distance."""
+SAME_BASIN = 0.05
+"""A guess no farther than this from a solution leads to it [m, rad]."""
 ALIKE = 1e-9
 """Errors below this [rad] are rounding."""
 FITS = 0.1
@@ -39,11 +41,13 @@ def solve_place(rays: Array, points: Array, T_base_camera: Array, previous: Arra
     doi:10.1109/TVCG.2015.2513408; with three unknowns instead of six.
     """
     d, origin = rays @ T_base_camera[:3, :3].T, T_base_camera[:3, 3]
-    # The previous pose may be a local minimum: the closed form always competes with it.
-    guesses = [g for g in (previous, _by_height(d, points, origin)) if g is not None]
-    if not guesses:
+    # The previous pose may be a local minimum: the closed form competes with it, unless it leads to the same one.
+    solved = [] if previous is None else [_refined(d, points, origin, previous)]
+    guess = _by_height(d, points, origin)
+    if guess is not None and not (solved and np.abs(guess - solved[0][0]).max() < SAME_BASIN):
+        solved.append(_refined(d, points, origin, guess))
+    if not solved:
         return None
-    solved = [_refined(d, points, origin, g) for g in guesses]
     # Of two that fit alike the first, which continues the previous pose: of two landmarks on one vertical every heading fits.
     place, error = min(solved, key=lambda s: max(s[1], ALIKE))
     return place if error < FITS else None
