@@ -43,10 +43,10 @@ class NoReplay:
 
 def test_a_film_keeps_real_time_where_pictures_stayed_away(tmp_path: Path):
     scenario = vs.load("arm_ibvs")
-    film = Film(scenario, "overview", tmp_path / "a.mp4", NoReplay(), DRAFT, (64, 36))  # type: ignore[arg-type]
-    pose, uv = np.eye(4), np.full((4, 2), 20.0)
+    film = Film(scenario, "eye", tmp_path / "a.mp4", NoReplay(), DRAFT, (64, 36))  # type: ignore[arg-type]
+    pose, uv, image = np.eye(4), np.full((4, 2), 20.0), np.zeros((480, 640, 3), np.uint8)
     for k in (0, 2, 4, 80, 82):  # three seconds without a picture
-        film.show(FilmFrame(k / 25, pose, pose, np.zeros(6), uv, 1.0, False, uv))
+        film.show(FilmFrame(k / 25, pose, pose, np.zeros(6), uv, 1.0, False, uv, np.zeros(len(scenario.own_columns)), image))
     film.close()
     with av.open(str(tmp_path / "a.mp4")) as container:
         assert float(container.streams.video[0].average_rate or 0) == 12.5
