@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import io
-import itertools
 import json
 import pickle
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
@@ -28,7 +27,7 @@ from vstestbed.loop.recording import BLOCK, MemoryRows, Recording, to_frame
 from vstestbed.loop.run import PARTS
 from vstestbed.robots import Robot
 from vstestbed.robots.supervisor import FOLLOWS
-from vstestbed.scenario.load import dump, dump_mapping, parse
+from vstestbed.scenario.load import dump, parse
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.build import scene_files
 from vstestbed.tasks.reached import at_rest_words, converged_words, timed_out_words
@@ -69,7 +68,7 @@ class BatchRequest:
         first = parse(self.text, "scenario.yaml")
         own: list[tuple[int, Robot]] = pickle.loads(self.own)
         try:
-            return _flown([replace(first, seed=seed, robot=robot) for seed, robot in own], self.text, place)
+            return _flown([replace(first, seed=seed, robot=robot) for seed, robot in own], place)
         except EnvironmentLackError:
             raise
         except Exception:  # of a law of one's own: the loop says of each run what is wrong
@@ -147,7 +146,7 @@ class _Record:
         return out
 
 
-def _flown(scenarios: list[Scenario], text: str, place: str | None) -> list[Files | None]:
+def _flown(scenarios: list[Scenario], place: str | None) -> list[Files | None]:
     began = time.perf_counter()
     m, start = len(scenarios), np.array([start_of(s) for s in scenarios])
     record, setup = _Record(3 * m), BatchSetup(scenarios[0])
@@ -171,7 +170,7 @@ def _flown(scenarios: list[Scenario], text: str, place: str | None) -> list[File
         outcome, made_by = flight.outcome[i], versions() | {"renderer": "none"}
         reason = _reason(scenario, flight, i)
         recording = Recording(scenario, outcome, reason, rows, took_s, took_s, spent, made_by, float(table[-1, 0]))
-        flown.append(_folder(recording, text, place))
+        flown.append(_folder(recording, place))
     return flown
 
 
@@ -219,14 +218,14 @@ def _reason(scenario: Scenario, flight: Batch, i: int) -> str:
             return timed_out_words(stop.duration_s)
 
 
-def _folder(recording: Recording, text: str, place: str | None) -> Files:
+def _folder(recording: Recording, place: str | None) -> Files:
     """The folder of a run."""
     scenario, log, columns = recording.scenario, io.BytesIO(), recording.table
     frame = to_frame(dict(zip(recording.columns, columns.T, strict=True)))
     frame.write_parquet(log, compression="zstd", statistics=False, row_group_size=BLOCK)
     scene = scene_files(scenario.robot, scenario.camera, scenario.target, scenario.world, scenario.physics, scenario.sights)
     files = dict(scene.assets) | {
-        "scenario.yaml": spliced(text, scenario).encode(),
+        "scenario.yaml": dump(scenario).encode(),
         "model.xml": scene.xml.encode(),
         "log.parquet": log.getvalue(),
         "summary.json": (json.dumps(recording.summary() | {"batch": True}, indent=1) + "\n").encode(),
@@ -236,17 +235,3 @@ def _folder(recording: Recording, text: str, place: str | None) -> Files:
             picture_of_the_end(scenario, recording.rows, Path(made))
             files["end.png"] = (Path(made) / "end.png").read_bytes()
     return files
-
-
-def spliced(text: str, scenario: Scenario) -> str:
-    """`dump` of a scenario, given that of another one that differs in OWN alone: a tenth of the time."""
-    own = dict(_blocks(dump_mapping({name: getattr(scenario, name) for name in OWN})))
-    return "".join(own.get(name, block) for name, block in _blocks(text))
-
-
-def _blocks(text: str) -> Iterator[tuple[str, str]]:
-    """The top-level keys of a YAML text, each with its lines."""
-    lines = text.splitlines(keepends=True)
-    starts = [i for i, line in enumerate(lines) if line[0] not in " #-\n"]
-    for start, end in itertools.pairwise([*starts, len(lines)]):
-        yield lines[start].partition(":")[0], "".join(lines[start:end])

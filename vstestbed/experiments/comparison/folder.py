@@ -148,15 +148,21 @@ def table_of(folder: Path, jobs: Iterable[Job], damaged: bool = True) -> polars.
     import polars as pl
 
     # Some thousands of rows at a time: as dictionaries they take twenty times the memory of a table.
-    found, parts, longest = _summaries(folder, jobs, damaged), list[pl.DataFrame](), list[str]()
+    found, parts = _summaries(folder, jobs, damaged), list[pl.DataFrame]()
     while rows := [_row(job, summary) for job, summary in itertools.islice(found, GROUP)]:
-        # columns in the order of the longest row: a crashed run has only a few of the summary's names
-        names = list(dict.fromkeys(name for row in sorted(rows, key=len, reverse=True) for name in row))
-        longest = max(longest, names, key=len)
-        parts.append(pl.DataFrame([{name: row.get(name) for name in names} for row in rows], infer_schema_length=None, strict=False))
-    table = pl.concat(parts, how="diagonal_relaxed") if parts else pl.DataFrame()
-    names = [name for name in dict.fromkeys([*longest, *table.columns]) if name != "attempts"]
-    return table.select(*names, "attempts") if parts else table
+        names = _names(rows)
+        filled = [dict(zip(names, map(row.get, names), strict=True)) for row in rows]
+        parts.append(pl.DataFrame(filled, infer_schema_length=None, strict=False))
+    if not parts:
+        return pl.DataFrame()
+    table = pl.concat(parts, how="diagonal_relaxed")
+    longest = max(parts, key=lambda part: part.width).columns
+    return table.select(*(name for name in dict.fromkeys([*longest, *table.columns]) if name != "attempts"), "attempts")
+
+
+def _names(rows: list[dict[str, Any]]) -> list[str]:
+    """Columns in the order of the longest row: a crashed run has only a few of the summary's names."""
+    return list(dict.fromkeys(name for row in sorted(rows, key=len, reverse=True) for name in row))
 
 
 def _row(job: Job, summary: dict[str, Any]) -> dict[str, Any]:

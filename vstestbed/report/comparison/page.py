@@ -163,10 +163,14 @@ def _figures(data: Data, place: Path, call: Call) -> str:
     narrow, broad = ([f for i in numbers if PLOTS[i][3] == columns and (f := on_page[i].result())] for columns in (1, 2))
     for paper in papers:
         paper.result()
-    sampled = data.series.sampled
-    words = f"Errors over time are of the first {sampled:,} runs of each controller, all else of all runs." if sampled else ""
-    note = f'<p class="soft">{words}</p>' if words else ""
-    return f'{note}<div class="plots">{"".join(narrow)}</div>' + "".join(f'<div class="broad">{f}</div>' for f in broad)
+    above = _sampled(data.series.sampled)
+    return f'{above}<div class="plots">{"".join(narrow)}</div>' + "".join(f'<div class="broad">{f}</div>' for f in broad)
+
+
+def _sampled(most: int | None) -> str:
+    """Which runs the curves are of, where it is not all."""
+    words = f"Errors over time are of the first {most or 0:,} runs of each controller, all else of all runs."
+    return f'<p class="soft">{words}</p>' if most else ""
 
 
 def _threshold(folder: Path, comparison: ComparisonResults, plugins: Sequence[str]) -> float | None:
