@@ -19,6 +19,7 @@ from tests.experiments.comparison.test_campaign import logs, timeless
 from vstestbed.experiments.comparison import Comparison, chosen, compare, controllers, jobs
 from vstestbed.experiments.comparison.flights import LEAST, MOST, BatchRequest, batches, flies_in_batch
 from vstestbed.experiments.comparison.folder import table_of
+from vstestbed.experiments.comparison.pools import RUNNING
 from vstestbed.experiments.comparison.worker import execute, request_of
 from vstestbed.laws import IBVS
 from vstestbed.laws.views import has_batch
@@ -167,6 +168,9 @@ def test_a_resumed_comparison_flies_the_same_batches(quick: Path, tmp_path: Path
     for place in ("0/0", "0/3", "8/11"):
         (cut / f"runs/quick/as_it_is/{place}/summary.json").unlink()
     again = compare([], jobs=2, out=cut, resume=True, film=False, report=False)
+    (cut / RUNNING).mkdir()  # of a process that was killed while it wrote the report
+    assert timeless(compare([], out=cut, resume=True, film=False, report=False)).equals(timeless(again))
+    assert not (cut / RUNNING).exists()
     assert timeless(again).equals(timeless(table))
     assert logs(cut) == logs(whole)
     assert len(logs(whole)) == seeds

@@ -15,7 +15,7 @@ from vstestbed.core.shares import at_once
 from vstestbed.experiments.comparison.campaign import Campaign, OnDone
 from vstestbed.experiments.comparison.folder import PLAN, read_plan, resumable, table_of, write_plan, write_table
 from vstestbed.experiments.comparison.plan import Comparison, chosen
-from vstestbed.experiments.comparison.pools import must_be_known, pool_of
+from vstestbed.experiments.comparison.pools import clear, must_be_known, pool_of
 from vstestbed.experiments.comparison.results import finish
 from vstestbed.experiments.comparison.runs import Controller, Controllers, Job, controllers, jobs
 from vstestbed.scenario.load import dump
@@ -83,6 +83,8 @@ def carry_out(
             if left := len(campaign.jobs) - campaign.done:
                 pool = stack.enter_context(closing(pool_of(executor, workers(jobs, left), campaign.folder)))
                 campaign.run(pool, on_done)
+            else:
+                clear(campaign.folder)  # of a process that was killed while it wrote the report
         finally:  # also an interrupted comparison has its table
             table = table_of(campaign.folder, campaign.jobs)
             write_table(campaign.folder, table)

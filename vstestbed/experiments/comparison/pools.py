@@ -115,6 +115,13 @@ class _Slot:
         self.executor.shutdown(wait=False, cancel_futures=True)
 
 
+def clear(folder: Path) -> Path:
+    """Remove what a killed process has left of its temporary files in a comparison's folder; returns their place."""
+    place = folder.absolute() / RUNNING
+    shutil.rmtree(place, ignore_errors=True)
+    return place
+
+
 class LocalPool:
     """Processes of this machine, each with one OpenGL context and one core.
 
@@ -126,9 +133,8 @@ class LocalPool:
 
     def __init__(self, jobs: int, folder: Path):
         self.room = jobs
-        place = folder.absolute() / RUNNING
+        place = clear(folder)
         with writing(folder):
-            shutil.rmtree(place, ignore_errors=True)
             place.mkdir(exist_ok=True)
             self._place = tempfile.mkdtemp(dir=place)  # another one each time: a worker of a killed process may live a moment longer
         self._slots = [_Slot(self._place) for _ in range(jobs)]
