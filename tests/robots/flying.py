@@ -71,7 +71,7 @@ class Flown:
 
     def reading(self) -> Instruments:
         """What the craft measures now."""
-        sensors = {name: self.data.sensor(f"robot/{name}").data.copy() for name in self.robot.sensors}
+        sensors = {name: self.data.sensor(f"robot/{name}").data.tolist() for name in self.robot.sensors}
         return self.robot.measured(np.zeros(0), np.zeros(0), sensors, self.noise)
 
     def tilt(self, roll: float, pitch: float = 0.0) -> None:

@@ -1,5 +1,7 @@
 """The car as a robot: kinematics both ways, limits, what its instruments tell, its onboard servos. Its body has its own tests."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -99,7 +101,7 @@ class TestLimits:
 
 class TestCompass:
     def readings(self, car: Car, heading: float, n: int) -> np.ndarray:
-        sensors = {"heading": np.array([np.cos(heading), np.sin(heading), 0.01])}
+        sensors = {"heading": [math.cos(heading), math.sin(heading), 0.01]}
         rng = np.random.default_rng(1)
         return np.array([car.measured(np.zeros(7), np.zeros(7), sensors, rng).heading for _ in range(n)])
 
@@ -115,7 +117,7 @@ class TestCompass:
         assert np.all((told >= -np.pi) & (told < np.pi)) and told.min() < -3 and told.max() > 3
 
     def test_the_truth_does_not_pass(self):
-        q, sensors = np.arange(7.0), {"heading": np.array([1.0, 0, 0])}
+        q, sensors = np.arange(7.0), {"heading": [1.0, 0.0, 0.0]}
         measured = CAR.measured(q, np.zeros(7), sensors, np.random.default_rng(0))
         assert type(measured) is Reading and measured.tilt is None and measured.heading != 0.0  # nothing but encoders and compass
         np.testing.assert_array_equal(measured.q, q)

@@ -16,11 +16,11 @@ from vstestbed.robots.quadrotor import LOWEST_M, STANDING_M, FlightBox, FlightPo
 from vstestbed.robots.rotors import HOVER
 
 DOWN = Mount.of(Pose(xyz=(0.1, 0.0, -0.05), rpy_deg=(180, 0, 90)).T)
-SENSORS = {"gyro": np.zeros(3), "accelerometer": np.array([0, 0, 9.81]), "velocity": np.zeros(3), "range": np.array([2.0])}
+SENSORS = {"gyro": [0.0] * 3, "accelerometer": [0.0, 0.0, 9.81], "velocity": [0.0] * 3, "range": [2.0]}
 NO_JOINTS = np.zeros(0)
 
 
-def read(robot: Quadrotor, sensors: dict[str, np.ndarray] = SENSORS) -> Instruments:
+def read(robot: Quadrotor, sensors: dict[str, list[float]] = SENSORS) -> Instruments:
     """What a craft's instruments read, with the first noise of a seed."""
     return robot.measured(NO_JOINTS, NO_JOINTS, sensors, robot.noise(np.random.default_rng(0)))
 
@@ -65,7 +65,7 @@ class TestInstruments:
             velocity=Flow(sigma_mps=0.1, scale_error=0.5),
             range_sigma_m=0.2,
         )
-        noise, sensors = robot.noise(np.random.default_rng(0)), SENSORS | {"velocity": np.array([1.0, 2.0, 0.0])}
+        noise, sensors = robot.noise(np.random.default_rng(0)), SENSORS | {"velocity": [1.0, 2.0, 0.0]}
         rows = [robot.measured(NO_JOINTS, NO_JOINTS, sensors, noise) for _ in range(4000)]
         expected = {
             "gyro": ([0.1, 0.2, 0.3], 0.01),
@@ -87,7 +87,7 @@ class TestInstruments:
 
     def test_a_range_finder_that_meets_nothing_reads_infinity(self):
         """MuJoCo's own value for that is -1."""
-        sensors = SENSORS | {"range": np.array([-1.0])}
+        sensors = SENSORS | {"range": [-1.0]}
         assert read(Quadrotor(), sensors).range_m == math.inf
 
     def test_noise_is_drawn_ahead_as_one_reading_at_a_time_would(self):

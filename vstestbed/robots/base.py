@@ -123,7 +123,7 @@ class Robot(Protocol):
         """Where `measured` takes its sensors' noise from: `rng`, or what was drawn from it ahead."""
         ...
 
-    def measured(self, q: Array, qd: Array, sensors: Mapping[str, Array], noise: Any) -> Any:
+    def measured(self, q: Array, qd: Array, sensors: Mapping[str, list[float]], noise: Any) -> Any:
         """What its sensors read: true joints and MuJoCo's perfect sensors, by name, with noise and bias added."""
         ...
 
@@ -235,7 +235,7 @@ class RobotBase:
         """The generator itself."""
         return rng
 
-    def measured(self, q: Array, qd: Array, sensors: Mapping[str, Array], noise: Any) -> Any:
+    def measured(self, q: Array, qd: Array, sensors: Mapping[str, list[float]], noise: Any) -> Any:
         """The joints as they are."""
         return Reading(q, qd)
 

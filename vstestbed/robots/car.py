@@ -137,7 +137,7 @@ class Car(Vehicle):
         """Camera twists of (v, w) of the base, shape (6, 2), for any mount."""
         return mount.to_camera @ PLANE[:, [0, 2]]
 
-    def measured(self, q: Array, qd: Array, sensors: Mapping[str, Array], noise: np.random.Generator) -> Reading:
+    def measured(self, q: Array, qd: Array, sensors: Mapping[str, list[float]], noise: np.random.Generator) -> Reading:
         """Exact encoders, and the compass: the direction of the base's true x axis with bias and noise, in [-pi, pi)."""
         x, y = sensors["heading"][:2]
         error = math.radians(self.compass.bias_deg + self.compass.sigma_deg * noise.standard_normal())

@@ -19,7 +19,7 @@ from annotated_types import Gt, Le
 
 from vstestbed.core.quantity import PositiveGain, PositiveTime, Sigma
 from vstestbed.core.spec import OneOf, spec
-from vstestbed.robots.attitude import GRAVITY, Level, Vector, to_level
+from vstestbed.robots.attitude import GRAVITY, Level, Vector, to_body, to_level
 
 READING_S = 0.02
 """A flow sensor's exposure and period [s], 50 Hz, to which `sigma_mps` refers. The controller reads faster, with noise of the same
@@ -63,7 +63,7 @@ VelocitySource = Annotated[Source, VELOCITIES]
 
 
 class Groundspeed(NamedTuple):
-    """Estimated `velocity` (3,) [m/s], `offset` d (3,) and `acceleration` (3,) [m/s^2], all in the level frame."""
+    """Estimated `velocity` (3,) [m/s] and `offset` d (3,) [m/s^2] in the level frame, and `acceleration` (3,) [m/s^2] in body axes."""
 
     velocity: Vector = (0.0, 0.0, 0.0)
     offset: Vector = (0.0, 0.0, 0.0)
@@ -88,11 +88,11 @@ def step(memory: Groundspeed, R: Level, measured: Vector, force: Vector, yaw_rat
         ax, ay, az = k * ix, k * iy, k * iz
         # v relaxes in the turning frame itself; only the acceleration handed on needs the frame's rotation, r z x v.
         v = vx + ax * dt, vy + ay * dt, vz + az * dt
-        return Groundspeed(v, (dx, dy, dz), (ax - yaw_rate * vy, ay + yaw_rate * vx, az))
+        return Groundspeed(v, (dx, dy, dz), to_body(R, (ax - yaw_rate * vy, ay + yaw_rate * vx, az)))
     fx, fy, fz = to_level(R, force)
     w = source.bandwidth
     # Gains 2 w and w^2: the error's characteristic polynomial is (s + w)^2, critically damped.
     k, j = 2.0 * w, w * w * dt
     ax, ay, az = fx + k * ix + dx, fy + k * iy + dy, fz - GRAVITY + k * iz + dz
     v = vx + (ax + yaw_rate * vy) * dt, vy + (ay - yaw_rate * vx) * dt, vz + az * dt
-    return Groundspeed(v, (dx + j * ix, dy + j * iy, dz + j * iz), (ax, ay, az))
+    return Groundspeed(v, (dx + j * ix, dy + j * iy, dz + j * iz), to_body(R, (ax, ay, az)))

@@ -200,12 +200,11 @@ class Quadrotor(RobotBase):
         while True:  # drawn one by one, at 1 kHz, they would take as long as the rotors' mixer and its speed controllers
             yield from (sigma * rng.standard_normal((READINGS_AHEAD, 10)) + bias).tolist()
 
-    def measured(self, q: Array, qd: Array, sensors: Mapping[str, Array], noise: Iterator[list[float]]) -> Instruments:
+    def measured(self, q: Array, qd: Array, sensors: Mapping[str, list[float]], noise: Iterator[list[float]]) -> Instruments:
         """MuJoCo's perfect sensors with this craft's noise, bias and scale error."""
         gx, gy, gz, fx, fy, fz, vx, vy, vz, e = next(noise)
-        (wx, wy, wz), (ax, ay, az) = sensors["gyro"].tolist(), sensors["accelerometer"].tolist()
-        x, y, z = sensors["velocity"].tolist()
-        scale, height = 1.0 + self.velocity.scale_error, sensors["range"].item()
+        (wx, wy, wz), (ax, ay, az), (x, y, z) = sensors["gyro"], sensors["accelerometer"], sensors["velocity"]
+        scale, height = 1.0 + self.velocity.scale_error, sensors["range"][0]
         return Instruments(
             (wx + gx, wy + gy, wz + gz),
             (ax + fx, ay + fy, az + fz),
@@ -245,7 +244,7 @@ class Quadrotor(RobotBase):
         if not math.isfinite(vx + vy + vz + wz):
             vx = vy = vz = wz = 0.0
         # The filters in turn: the last velocity estimate's rate levels the accelerometer, and the new attitude the new velocity.
-        known = STILL if self.attitude.acceleration == "imu" else to_body(level(attitude.up), ground.acceleration)
+        known = STILL if self.attitude.acceleration == "imu" else ground.acceleration
         attitude = attitude_step(attitude, gyro, force, known, self.attitude, dt)
         R = level(attitude.up)
         (gx, gy, gz), (bx, by, bz) = gyro, attitude.bias

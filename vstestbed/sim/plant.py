@@ -62,7 +62,7 @@ class MujocoPlant:
         # A stream of its own: turbulence, drawn at the control rate, must not shift the noise that the sensors draw.
         wind = WindField(world.wind, stage.model, rng.spawn(1)[0]) if robot.base == "floating" else None
         self._wind_field = None if world.wind.still else wind
-        self._sensors = SensorReader(stage, rng)
+        self._sensors, self._ctrl = SensorReader(stage, rng), stage.data.ctrl
         self._leader = LeadVehicle(stage) if stage.leader else None
         self._velocity = np.zeros(6)
         self._memory: Any = robot.begin()
@@ -148,7 +148,7 @@ class MujocoPlant:
         if stage.parts.target.on_gripper:  # relative to the target in the gripper; the camera itself is at rest
             twist = -adjoint(inverse(T) @ T_target) @ self._twist(stage.held_site)
         hidden = stage.hidden(T, p_camera) if self._see_hidden else self._visible
-        q, qd, ctrl = *self._sensors.joints(), stage.data.ctrl[stage.at.ctrl].copy()
+        q, qd, ctrl = *self._sensors.joints(), self._ctrl[stage.at.ctrl].copy()
         contact, feet = self._contacts.touching(stage.data)
         act = stage.data.act[stage.at.act]
         return Truth(T, T_target, twist, q, qd, ctrl, p_camera, hidden, contact, feet, act, stage.model.opt.wind.copy())
@@ -181,7 +181,7 @@ class MujocoPlant:
         """The setpoint in force becomes the controls of a robot without an onboard controller."""
         setpoint = None if self._control_steps else self._orders.at(self._steps)
         if setpoint is not None:
-            self._stage.data.ctrl[self._stage.at.ctrl] = setpoint
+            self._ctrl[self._stage.at.ctrl] = setpoint
 
     def advance(self, steps: int) -> bool:
         """Advance by physics steps; False when MuJoCo reports an instability.
@@ -213,7 +213,7 @@ class MujocoPlant:
         setpoint = self._orders.at(step)
         if setpoint is not None:
             reading = self._sensors.read(step)
-            self._memory, stage.data.ctrl[stage.at.ctrl] = self._robot.actuate(self._memory, setpoint, reading, dt)
+            self._memory, self._ctrl[stage.at.ctrl] = self._robot.actuate(self._memory, setpoint, reading, dt)
 
     def close(self) -> None:
         """Free pictures and physics."""

@@ -20,7 +20,7 @@ class SensorReader:
     """
 
     def __init__(self, stage: Stage, rng: np.random.Generator):
-        self._robot, self._data = stage.parts.robot, stage.data
+        self._robot, self._data, self._values = stage.parts.robot, stage.data, stage.data.sensordata
         self._at = stage.at if self._robot.joints else None
         self._noise = self._robot.noise(rng)
         self._sensors = []
@@ -43,7 +43,7 @@ class SensorReader:
         """What the sensors read at a physics step (`Robot.measured`)."""
         # Cached: a second reading of the same instant must not draw other noise, which could be averaged out.
         if step != self._read_at:
-            data = self._data.sensordata.copy()  # a robot may keep what it reads
-            sensors = {name: data[where] for name, where in self._sensors}
+            values = self._values.tolist()
+            sensors = {name: values[where] for name, where in self._sensors}
             self._reading, self._read_at = self._robot.measured(*self.joints(), sensors, self._noise), step
         return self._reading

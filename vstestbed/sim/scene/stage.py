@@ -50,17 +50,18 @@ class Stage:
         self.at = StateIndices.of(self.model, parts.robot, "robot/")
         self.held_site = self.model.site("target/frame").id if parts.target.on_gripper else -1
         self._warnings = self.physics.data.warning.number
+        self._warned = self._warnings.tobytes()
 
     def step(self, steps: int) -> bool:
         """Advance by physics steps and update what depends on positions and velocities; False where MuJoCo warns of an instability."""
         # The order of dm_control's `Physics.step` (`mj_step1` has been called for this state), whose Python takes longer than MuJoCo's
         # own step of a small craft.
-        before = self._warnings.tobytes()
         mujoco.mj_step2(self.model, self.data)
         if steps > 1:
             mujoco.mj_step(self.model, self.data, steps - 1)
         mujoco.mj_step1(self.model, self.data)
-        return self._warnings.tobytes() == before
+        before, self._warned = self._warned, self._warnings.tobytes()
+        return self._warned == before
 
     def place(self, t: float, T_world_target: Array, q: Array, T_world_camera: Array | None = None) -> None:
         """Put the scene into a state and update its kinematics: joints q (n,); T_world_camera (4, 4) for a movable base."""
