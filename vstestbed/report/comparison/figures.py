@@ -17,8 +17,7 @@ from vstestbed.report.comparison.columns import ComparisonResults
 from vstestbed.report.comparison.pairs import TIME, Pair
 from vstestbed.report.comparison.series import Series
 from vstestbed.report.comparison.statistics import Difference
-from vstestbed.report.html.canvas import INK, LINE_COLORS, LOST, RULE, new_figure, note
-from vstestbed.report.run.figures import plain
+from vstestbed.report.html.canvas import INK, LINE_COLORS, LOST, RULE, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -48,7 +47,12 @@ class Data:
     @property
     def labels(self) -> list[str]:
         """The controllers' labels, escaped for matplotlib."""
-        return [plain(c.label) for c in self.comparison.controllers]
+        return [_plain(c.label) for c in self.comparison.controllers]
+
+
+def _plain(name: str) -> str:
+    """A name escaped for matplotlib: no mathtext, and no leading underscore, which would hide it from the legend."""
+    return name.replace("$", r"\$").lstrip("_") or "(unnamed)"
 
 
 def look(i: int) -> dict[str, Any]:
@@ -137,7 +141,7 @@ def _error_axes(axes: Axes, data: Data, quartiles: Sequence[Array]) -> None:
     everywhere: Any = axes.figure.axes
     if not len(values):
         axes.set_yticks([])
-        note(axes, "no run with a log")
+        axes.text(0.5, 0.5, "no run with a log", transform=axes.transAxes, ha="center", va="center", alpha=0.7)
         return
     axes.set_yscale("log")
     low, high = np.quantile(values, [0.001, 0.999])  # a single outlier may not squeeze all other curves

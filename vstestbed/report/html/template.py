@@ -3,7 +3,7 @@
 The page loads nothing from outside: no font, script or image, so that it opens the same without network and years later.
 """
 
-# --ink and --rule are also the colours of the SVG figures (see `canvas.to_svg`).
+# --ink and --rule are also the colours of the SVG figures (see `canvas.to_svg` and `chart.paint`).
 STYLE = """
 :root { color-scheme: light dark; --ink: #1b1f24; --soft: #5b6470; --rule: #c3c9d1; --ground: #f4f5f7; --card: #ffffff; --good: #0a7f5a;
   --bad: #b3261e; --accent: #0068b3; }
@@ -36,13 +36,14 @@ p { margin: 4px 0; }
 .plots figure { margin-bottom: 14px; }
 figure { margin: 0; padding: 12px 14px; break-inside: avoid; }
 figure h3 { font-size: 1rem; margin: 0 0 6px; }
-figure svg, figure video { display: block; width: 100%; height: auto; }
+figure > svg, figure video { display: block; width: 100%; height: auto; }
 figure svg text { font-family: inherit !important; }
 figure video { border-radius: 6px; background: #000; }
 figcaption { font-size: .85rem; line-height: 1.4; margin-top: 6px; }
 .bar { display: flex; height: 22px; border-radius: 6px; overflow: hidden; background: var(--rule); }
 .bar i { display: block; min-width: 1px; }
 .key { display: flex; flex-wrap: wrap; gap: 4px 18px; margin: 8px 0 0; padding: 0; list-style: none; font-size: .9rem; }
+.key svg { width: 20px; height: 9px; margin-right: .4em; }
 .key i { display: inline-block; width: .75em; height: .75em; border-radius: 2px; margin-right: .45em; }
 details { padding: 8px 14px; margin-top: 10px; }
 summary { cursor: pointer; font-weight: 600; }

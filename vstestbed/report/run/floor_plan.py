@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from vstestbed.core.geometry import Array, transform
-from vstestbed.report.html.canvas import GOAL, INK, LINE_COLORS, WIDTH_IN, marker_colors, new_figure
+from vstestbed.report.html.canvas import GOAL, INK, LINE_COLORS, marker_colors
+from vstestbed.report.html.chart import Chart, Panel
 from vstestbed.report.run.expected_path import GroundTask, largest_deviation, visible_region
 from vstestbed.report.run.tracks import Tracks
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 DART = np.array([[1.0, 0.0], [-0.7, 0.55], [-0.35, 0.0], [-0.7, -0.55]])
 """Corners of an arrow head of length about 1 that points along x: the vehicle."""
@@ -22,7 +19,7 @@ HEADING_EVERY = 0.09
 TRUE, ESTIMATED, ODOMETRY = LINE_COLORS[0], LINE_COLORS[1], LINE_COLORS[3]
 
 
-def plane(tracks: Tracks) -> Figure | None:
+def plane(tracks: Tracks) -> Chart | None:
     """Paths in the plane: true, estimated and by odometry; start, end, goals; landmarks; visible region at both ends."""
     ground_task, places = tracks.setting.ground_task, tracks.planar_poses("base")
     known = np.isfinite(places).all(axis=1)
@@ -34,16 +31,16 @@ def plane(tracks: Tracks) -> Figure | None:
     low, high = points.min(axis=0), points.max(axis=0)
     span = float(max((high - low).max(), 0.5))  # [m]; a vehicle that hardly moves is not magnified further
     low, high = low - 0.09 * span, high + 0.09 * span
-    wide, tall = high - low
-    figure = new_figure(float(np.clip(WIDTH_IN * tall / wide, 2.2, 6.0)) + 0.75)
-    axes = figure.add_subplot()
-    _draw_views(axes, tracks, ground_task, landmarks, span)
-    _draw_task(axes, tracks, ground_task, span)
-    _draw_paths(axes, tracks, ground_task, span)
-    _draw_landmarks(axes, landmarks)
-    axes.set(aspect="equal", xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x [m]", ylabel="y [m]")
-    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3)
-    return figure
+    chart = Chart()
+    (panel,) = chart.panels
+    _draw_views(panel, tracks, ground_task, landmarks, span)
+    _draw_task(panel, tracks, ground_task, span)
+    _draw_paths(panel, tracks, ground_task, span)
+    _draw_landmarks(panel, landmarks)
+    panel.equal, panel.labels = True, ("x [m]", "y [m]")
+    panel.xlim, panel.ylim = (low[0], high[0]), (low[1], high[1])
+    chart.fit(1.9, 5.0)
+    return chart
 
 
 def _landmarks(tracks: Tracks) -> Array:
@@ -60,49 +57,55 @@ def _moving_target(tracks: Tracks) -> Array:
     return path if len(path) and np.ptp(path, axis=0).max() > 1e-3 else np.empty((0, 2))
 
 
-def _draw_views(axes: Axes, tracks: Tracks, ground_task: GroundTask, landmarks: Array, span: float) -> None:
+def _draw_views(panel: Panel, tracks: Tracks, ground_task: GroundTask, landmarks: Array, span: float) -> None:
     """The region in the image at the start and at the end, in the plane at the mean height of the landmarks."""
+    from contourpy import contour_generator
+
     cameras = tracks.poses("cam")
     cameras = cameras[np.isfinite(cameras).all(axis=(1, 2))]
     height = float(landmarks[:, 2].mean()) if len(landmarks) else 0.0
     for T, color in ((cameras[0], INK), (cameras[-1], TRUE)) if len(cameras) else ():
         x, y, seen = visible_region(ground_task.camera, T, height, 0.45 * span)
         if seen.any():
-            axes.contourf(x, y, seen, levels=[0.5, 1.5], colors=[color], alpha=0.07)
-            if seen.min() < 1:  # otherwise everything within reach is visible and there is no border
-                axes.contour(x, y, seen, levels=[0.5], colors=[color], alpha=0.35, linewidths=0.7)
+            regions, starts = contour_generator(x, y, seen, fill_type="OuterOffset").filled(0.5, 1.5)
+            for region, start in zip(regions, starts, strict=True):
+                # NaN between the outline and its holes: within one path, what is in a hole is outside
+                outlines = np.insert(region, start[1:-1].astype(int), np.nan, axis=0).T
+                panel.plot(*outlines, color=color, fill=color, linewidth=0, alpha=0.07, zorder=1)
+            for line in contour_generator(x, y, seen).lines(0.5) if seen.min() < 1 else ():  # else all within reach is visible
+                panel.plot(*line.T, color=color, alpha=0.35, linewidth=0.7, zorder=1)
 
 
-def _draw_task(axes: Axes, tracks: Tracks, ground_task: GroundTask, span: float) -> None:
+def _draw_task(panel: Panel, tracks: Tracks, ground_task: GroundTask, span: float) -> None:
     """Reference path, path of the target, goals."""
     if len(ground_task.reference_path):
-        axes.plot(*ground_task.reference_path.T, color=INK, linewidth=0.9, linestyle=":", label="route")
+        panel.plot(*ground_task.reference_path.T, color=INK, linewidth=0.9, linestyle=":", label="route")
     target = _moving_target(tracks)
     if len(target):
-        axes.plot(*target.T, color=GOAL, linewidth=1.2, label="target")
+        panel.plot(*target.T, color=GOAL, linewidth=1.2, label="target")
     for i, goal in enumerate(ground_task.goals):
         last = i == len(ground_task.goals) - 1
-        label = "goal" if last else "goals on the way" if i == 0 else None
-        _dart(axes, goal, (0.075 if last else 0.045) * span, label, GOAL, filled=False)
+        label = "goal" if last else "goals on the way" if i == 0 else ""
+        _dart(panel, goal, (0.075 if last else 0.045) * span, label, GOAL, filled=False)
 
 
-def _draw_paths(axes: Axes, tracks: Tracks, ground_task: GroundTask, span: float) -> None:
+def _draw_paths(panel: Panel, tracks: Tracks, ground_task: GroundTask, span: float) -> None:
     """The true path as a pale band with headings, the other paths over it; the vehicle at start and end."""
     true = tracks.planar_poses("base")
     for stem, color, label in (("odo", ODOMETRY, "by odometry alone"), ("est", ESTIMATED, "as estimated")):
         path = tracks.planar_poses(stem)
         if np.isfinite(path).any():
-            axes.plot(path[:, 0], path[:, 1], color=color, linewidth=0.9, label=label, zorder=3)
-    axes.plot(true[:, 0], true[:, 1], color=TRUE, linewidth=4.0, alpha=0.35, label="true way", zorder=2.5)
+            panel.plot(path[:, 0], path[:, 1], color=color, linewidth=0.9, label=label, zorder=3)
+    panel.plot(true[:, 0], true[:, 1], color=TRUE, linewidth=4.0, alpha=0.35, label="true way", zorder=2.5)
     if ground_task.expected_path is not None and len(ground_task.expected_path) > 1:
         known = true[np.isfinite(true).all(axis=1), :2]
         label = f"{ground_task.expected_path_name}: at most {_length(largest_deviation(known, ground_task.expected_path))} off"
-        axes.plot(*ground_task.expected_path.T, color=INK, linewidth=1.0, linestyle=(0, (5, 2)), label=label, zorder=3)
+        panel.plot(*ground_task.expected_path.T, color=INK, linewidth=1.0, linestyle=(0, (5, 2)), label=label, zorder=3)
     known = true[np.isfinite(true).all(axis=1)]
     for place in known[_evenly(known[:, :2], HEADING_EVERY * span)]:
-        _dart(axes, place, 0.022 * span, None, TRUE, filled=True)
-    _dart(axes, known[0], 0.05 * span, "start", INK, filled=False)
-    _dart(axes, known[-1], 0.05 * span, "end", TRUE, filled=True)
+        _dart(panel, place, 0.022 * span, "", TRUE, filled=True)
+    _dart(panel, known[0], 0.05 * span, "start", INK, filled=False)
+    _dart(panel, known[-1], 0.05 * span, "end", TRUE, filled=True)
 
 
 def _evenly(xy: Array, distance: float) -> Any:
@@ -113,23 +116,20 @@ def _evenly(xy: Array, distance: float) -> Any:
     return np.unique(np.searchsorted(along, np.linspace(0, along[-1], count + 2)[1:-1]))
 
 
-def _draw_landmarks(axes: Axes, landmarks: Array) -> None:
-    if len(landmarks):
-        axes.scatter(landmarks[:, 0], landmarks[:, 1], c=marker_colors(len(landmarks)), s=34, label="landmarks", zorder=4)
+def _draw_landmarks(panel: Panel, landmarks: Array) -> None:
+    for (x, y, _), color in zip(landmarks, marker_colors(len(landmarks)), strict=True):
+        panel.plot([x], [y], color=color, fill=color, marker="o", markersize=5.8, linewidth=0, label="landmarks", zorder=4)
 
 
-def _dart(axes: Axes, place: Array, size: float, label: str | None, color: str, filled: bool) -> None:
+def _dart(panel: Panel, place: Array, size: float, label: str, color: str, filled: bool) -> None:
     """An arrow head of the given size [m] at a planar pose (x, y, heading), and its entry in the legend."""
-    from matplotlib.patches import Polygon
-
     # rows are points, hence the transposed rotation
     c, s = np.cos(place[2]), np.sin(place[2])
-    corners = size * DART @ np.array([[c, s], [-s, c]]) + place[:2]
+    x, y = (size * DART @ np.array([[c, s], [-s, c]]) + place[:2]).T
     face = color if filled else "none"
-    axes.add_patch(Polygon(corners, closed=True, edgecolor=color, facecolor=face, linewidth=0.5 if filled else 1.3, zorder=5))
-    if label is not None:
-        mark: dict[str, Any] = {"marker": ">", "markersize": 7, "linestyle": "none"}
-        axes.plot([], [], color=color, markerfacecolor=face, label=label, **mark)
+    panel.plot([*x, x[0]], [*y, y[0]], color=color, fill=face, linewidth=0.5 if filled else 1.3, zorder=5)
+    if label:
+        panel.plot([], [], color=color, fill=face, label=label, marker=">", markersize=7)
 
 
 def _length(metres: float) -> str:

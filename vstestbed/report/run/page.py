@@ -14,7 +14,7 @@ from vstestbed.core.errors import RunFolderError
 from vstestbed.core.files import write_whole
 from vstestbed.loop.log_file import open_log
 from vstestbed.loop.summary_file import read_summary
-from vstestbed.report.html.canvas import arrange, style, to_svg
+from vstestbed.report.html.chart import Chart
 from vstestbed.report.html.parts import figure, film, folded
 from vstestbed.report.html.template import PAGE, STYLE
 from vstestbed.report.run import figures, flight, numbers, path3d, vehicle
@@ -23,8 +23,6 @@ from vstestbed.report.run import polar_angles as angles
 from vstestbed.report.run.tracks import Setting, Tracks
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from vstestbed.loop.recording import Rows
 
 FARTHEST_M: Final = 1e6
@@ -34,8 +32,8 @@ EMBED_BYTES: Final = 30_000_000
 
 FILMS: Final = {"camera": "What the camera sees", "overview": "From outside"}
 
-# Of each figure: key (prefix of its SVG identifiers), title, caption, function that draws it or gives None.
-Plot = tuple[str, str, str, Callable[[Tracks], "Figure | None"]]
+# Of each figure: key, title, caption, function that draws it or gives None.
+Plot = tuple[str, str, str, Callable[[Tracks], Chart | None]]
 PLOTS: Final[tuple[Plot, ...]] = (
     (
         "features",
@@ -173,14 +171,8 @@ def render_page(
 
 def _figures(tracks: Tracks) -> str:
     """All figures that apply to this run, as inline SVG."""
-    svgs = []
-    with style():
-        for key, title, caption, draw in PLOTS:
-            drawn = draw(tracks)
-            if drawn is not None:
-                arrange(drawn)
-                svgs.append(figure(title, to_svg(drawn, key, title), caption))
-    return "".join(svgs)
+    charts = ((title, draw(tracks), caption) for _, title, caption, draw in PLOTS)
+    return "".join(figure(title, chart.svg(title), caption) for title, chart, caption in charts if chart is not None)
 
 
 def _films(videos: Mapping[str, Path]) -> str:

@@ -6,21 +6,17 @@ Lines and marks are those of the figure in the image.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from vstestbed.core.geometry import Array
 from vstestbed.features import Polar, Spherical
-from vstestbed.report.html.canvas import fill, marker_colors, new_figure, new_space
+from vstestbed.report.html.canvas import marker_colors
+from vstestbed.report.html.chart import Chart, Panel
+from vstestbed.report.html.space import Space
 from vstestbed.report.run import sphere
-from vstestbed.report.run.figures import AIM, BAND, END, START, draw_trails, edge, trail_keys
+from vstestbed.report.run.figures import BAND, draw_trails, trail_keys, trail_marks
 from vstestbed.report.run.tracks import Tracks
-
-if TYPE_CHECKING:
-    from matplotlib.axis import Axis
-    from matplotlib.figure import Figure
-    from mpl_toolkits.mplot3d import Axes3D
 
 PI = math.pi
 SUFFIXES = ("", "_true", "_goal")
@@ -28,36 +24,31 @@ RINGS_DEG = {30: 10, 60: 15, 100: 20, 180: 30}
 """Colatitude up to which the sphere is drawn, the smallest that holds all markers, and the spacing of its circles [deg]."""
 
 
-def polar(tracks: Tracks) -> Figure | None:
+def polar(tracks: Tracks) -> Chart | None:
     """Marker trajectories in (phi, r), for a run with the feature `polar`."""
     feature = tracks.setting.feature
     return _plane(tracks, feature, "r [1]") if isinstance(feature, Polar) else None
 
 
-def spherical(tracks: Tracks) -> Figure | None:
+def spherical(tracks: Tracks) -> Chart | None:
     """Marker trajectories in (phi, theta), for a run with the feature `spherical`."""
     feature = tracks.setting.feature
     return _plane(tracks, feature, "θ [rad]") if isinstance(feature, Spherical) else None
 
 
-def _plane(tracks: Tracks, feature: Polar | Spherical, label: str) -> Figure | None:
+def _plane(tracks: Tracks, feature: Polar | Spherical, label: str) -> Chart | None:
     ways = [coordinates(tracks, feature, suffix) for suffix in SUFFIXES]
     if not np.isfinite(ways[0]).any():
         return None
     turns_joined(*(way[..., 0] for way in ways))
     # angles are drawn in multiples of pi, a radius as it is
     in_pi = np.array([1 / PI, 1 / PI if isinstance(feature, Spherical) else 1.0])
-    figure = new_figure(3.6)
-    axes = figure.add_subplot()
-    draw_trails(axes, *(way * in_pi for way in ways))
-    axes.set_ylim(0, 1.08 * axes.dataLim.y1 or 1.0)  # from zero, so that what hardly varies does not fill the height
-    axes.set_xlabel("φ [rad]")
-    axes.set_ylabel(label)
-    _count_in_pi(axes.xaxis, 9)
-    if isinstance(feature, Spherical):
-        _count_in_pi(axes.yaxis, 7)
-    figure.legend(handles=trail_keys(), loc="outside lower center", ncols=5)
-    return figure
+    chart = Chart(3.3)
+    (panel,) = chart.panels
+    draw_trails(panel, *(way * in_pi for way in ways))
+    panel.labels, panel.lowest = ("φ [rad]", label), 0  # from zero, so that what hardly varies does not fill the height
+    panel.in_words = _in_pi, _in_pi if isinstance(feature, Spherical) else None
+    return chart
 
 
 def coordinates(tracks: Tracks, feature: Polar | Spherical, suffix: str) -> Array:
@@ -102,20 +93,13 @@ def _whole_turns(difference: Array) -> float:
     return float(2 * PI * np.round(np.median(known) / (2 * PI))) if len(known) else 0.0
 
 
-def _count_in_pi(axis: Axis, most: int) -> None:
-    """Up to `most` ticks on an axis whose data are in multiples of pi."""
-    from matplotlib.ticker import MaxNLocator
-
-    axis.set_major_locator(MaxNLocator(most, steps=[1, 2.5, 5, 10]))
-    axis.set_major_formatter(lambda value, _: _in_pi(value))
-
-
 def _in_pi(value: float) -> str:
+    """A multiple of pi as text."""
     text = f"{value:.4g}".replace("-", "\N{MINUS SIGN}")
     return text if float(value) == 0 else {"1": "π", "\N{MINUS SIGN}1": "\N{MINUS SIGN}π"}.get(text, f"{text}π")
 
 
-def on_sphere(tracks: Tracks) -> Figure | None:
+def on_sphere(tracks: Tracks) -> Chart | None:
     """Marker trajectories on the unit sphere around the camera, for a run with the feature `spherical`."""
     camera = tracks.setting.camera
     if camera is None or not isinstance(tracks.setting.feature, Spherical):
@@ -125,28 +109,27 @@ def on_sphere(tracks: Tracks) -> Figure | None:
     shown = shown[np.isfinite(shown).all(axis=1)]
     if len(shown) == 0:
         return None
-    figure = new_figure(4.4)
-    axes = new_space(figure, computed_zorder=False)  # artists drawn later lie on top: matplotlib's own order is by mean depth
-    _draw_ball(axes, shown)
+    chart = Chart()
+    space = _ball(chart.panels[0], shown)
     for i, color in enumerate(marker_colors(tracks.markers)):
-        sphere.draw_curve(axes, true[:, i], color=color, **BAND)
-        sphere.draw_curve(axes, measured[:, i], color=color, linewidth=1.0)
-        for at, look in ((edge(measured[:, i], 0), START), (edge(measured[:, i], -1), END), (edge(goal[:, i], -1), AIM)):
-            sphere.draw_curve(axes, at.T, color=color, **look)
-    fill(axes, box=False)
-    figure.legend(handles=trail_keys(), loc="lower center", ncols=5)
-    return figure
+        sphere.draw_curve(space, true[:, i], color=color, **BAND)
+        sphere.draw_curve(space, measured[:, i], color=color, linewidth=1.0)
+        for at, look in trail_marks(measured[:, i], goal[:, i], color):
+            sphere.draw_curve(space, at.T, **look)
+    trail_keys(space.panel)
+    chart.fit(1.9, 3.6)
+    return chart
 
 
-def _draw_ball(axes: Axes3D, shown: Array) -> None:
+def _ball(panel: Panel, shown: Array) -> Space:
     """The part of the sphere that the rays shown (M, 3) need, seen from ahead and from the side on which they lie."""
     farthest = math.degrees(math.acos(np.clip(shown[:, 2].min(), -1, 1)))
     reach_deg = next(reach for reach in RINGS_DEG if reach >= farthest or reach == 180)
     reach, side = math.radians(reach_deg), math.sin(math.radians(min(reach_deg, 90)))
     elev, azim = (24, 52) if reach > PI / 2 else (16, 68)
-    azim = azim if shown[:, 0].mean() >= 0 else 180 - azim
-    sphere.frame(axes, np.array([-side, -side, math.cos(reach)]), np.array([side, side, 1.0]), elev=elev, azim=azim, zoom=1)
-    sphere.draw_net(axes, reach, math.radians(RINGS_DEG[reach_deg]))
-    sphere.draw_axes(axes, 0.4 * side, start=1.0)
-    sphere.draw_cross_axes(axes, np.array([0, 0, 1.0]), 0.25 * side)
-    axes.figure.text(0.015, 0.98, f"circles every {RINGS_DEG[reach_deg]} deg\nfrom the axis", va="top", fontsize=8.5)
+    space = Space(panel, elev, azim if shown[:, 0].mean() >= 0 else 180 - azim)
+    sphere.draw_net(space, reach, math.radians(RINGS_DEG[reach_deg]))
+    sphere.draw_axes(space, 0.4 * side, start=1.0)
+    sphere.draw_cross_axes(space, np.array([0, 0, 1.0]), 0.25 * side)
+    panel.title = f"circles every {RINGS_DEG[reach_deg]} deg from the axis"
+    return space

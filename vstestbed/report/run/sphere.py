@@ -16,6 +16,8 @@ from vstestbed.report.html.canvas import AXIS_COLORS, INK, RULE
 if TYPE_CHECKING:
     from mpl_toolkits.mplot3d import Axes3D
 
+    from vstestbed.report.html.space import Space
+
 FAR = 0.4
 """Factor of the opacity of lines on the far side."""
 
@@ -32,13 +34,13 @@ def ray_at(theta: ArrayLike, phi: ArrayLike) -> Array:
     return np.stack([np.sin(a) * np.cos(b), np.sin(a) * np.sin(b), np.cos(a)], axis=-1)
 
 
-def towards_viewer(axes: Axes3D) -> Array:
+def towards_viewer(axes: Axes3D | Space) -> Array:
     """Unit vector (3,) in camera coordinates from the centre towards the viewer."""
     elevation, azimuth = np.radians(axes.elev), np.radians(axes.azim)
     return np.array([np.cos(elevation) * np.cos(azimuth), -np.sin(elevation), np.cos(elevation) * np.sin(azimuth)])
 
 
-def draw_curve(axes: Axes3D, p: Array, alpha: float = 1.0, hide_back: bool = False, **look: Any) -> None:
+def draw_curve(axes: Axes3D | Space, p: Array, alpha: float = 1.0, hide_back: bool = False, **look: Any) -> None:
     """A line through points of the sphere (T, 3); the far side is paler, or hidden."""
     near = np.where((p @ towards_viewer(axes) >= 0)[:, None], p, np.nan)
     if not hide_back:
@@ -46,7 +48,7 @@ def draw_curve(axes: Axes3D, p: Array, alpha: float = 1.0, hide_back: bool = Fal
     axes.plot(*drawn(near), alpha=alpha, **look)
 
 
-def draw_net(axes: Axes3D, reach: float, step: float, hide_back: bool = False) -> None:
+def draw_net(axes: Axes3D | Space, reach: float, step: float, hide_back: bool = False) -> None:
     """Circles of equal theta every `step` [rad] up to `reach`, and meridians every 30 degrees; the far side paler or hidden."""
     line = np.linspace(0, 2 * np.pi, 121)
     lines = [ray_at(theta, line) for theta in np.arange(step, min(reach, np.pi - 1e-6) + 1e-6, step)]
@@ -55,14 +57,14 @@ def draw_net(axes: Axes3D, reach: float, step: float, hide_back: bool = False) -
         draw_curve(axes, p, hide_back=hide_back, color=RULE, linewidth=0.6)
 
 
-def draw_axes(axes: Axes3D, length: float, start: float = 0.0) -> None:
+def draw_axes(axes: Axes3D | Space, length: float, start: float = 0.0) -> None:
     """The optical axis as a dashed line of this length from z = `start`, labelled."""
     tip = np.array([0, 0, start + length])
     axes.plot(*drawn(np.stack([[0, 0, start], tip])), color=INK, linewidth=1.3, linestyle=(0, (4, 2)))
     _letter(axes, tip * 1.06, "z", INK)
 
 
-def draw_cross_axes(axes: Axes3D, at: Array, length: float, start: float = 0.0) -> None:
+def draw_cross_axes(axes: Axes3D | Space, at: Array, length: float, start: float = 0.0) -> None:
     """Lines of this length along x and y from `start` away from the point `at` (3,), in the axes' colours, labelled."""
     for direction, name, color in zip(np.eye(3), "xy", AXIS_COLORS, strict=False):
         axes.plot(*drawn(at + np.outer([start, start + length], direction)), color=color, linewidth=1.3)
