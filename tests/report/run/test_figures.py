@@ -26,18 +26,18 @@ def tracks(depth: Array, twist: Array) -> Tracks:
 def test_noise_does_not_fill_the_height(depth: float) -> None:
     noise = np.random.default_rng(0).normal(0, 1e-5, T)
     run = tracks(depth + noise, noise)
-    low, high = figures.depth(run).axes[0].get_ylim()
+    low, high = figures.depth(run).panels[0].limits()[1]
     assert high - low == pytest.approx(0.02 * abs(depth), rel=1e-3)
     assert low < depth < high
-    for axes in figures.twist(run).axes:
-        low, high = axes.get_ylim()
+    for panel in figures.twist(run).panels:
+        low, high = panel.limits()[1]
         assert high - low == pytest.approx(2e-3) and low < 0 < high
 
 
 def test_real_changes_have_the_axis_that_fits_them() -> None:
     s = np.linspace(0, 1, T)
     run = tracks(1 + s, 0.1 * s)
-    low, high = figures.depth(run).axes[0].get_ylim()
+    low, high = figures.depth(run).panels[0].limits()[1]
     assert 0.9 < low < 1 and 2 < high < 2.1
-    low, high = figures.twist(run).axes[0].get_ylim()
+    low, high = figures.twist(run).panels[0].limits()[1]
     assert -0.01 < low < 0 and 0.1 < high < 0.11

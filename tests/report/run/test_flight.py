@@ -9,6 +9,7 @@ import pytest
 import vstestbed as vs
 from vstestbed.loop.recording import Recording
 from vstestbed.report import Setting
+from vstestbed.report.html.chart import ChartPanel
 from vstestbed.report.run import figures, flight
 from vstestbed.report.run.tracks import Tracks
 
@@ -24,24 +25,24 @@ def tracks(step: Recording) -> Tracks:
     return Tracks(pl.DataFrame({name: step[name] for name in step.columns}), Setting(camera=step.scenario.camera))
 
 
-def lines(axes) -> list[np.ndarray]:
+def lines(panel: ChartPanel) -> list[np.ndarray]:
     """Plotted curves, without the rule at zero."""
-    return [np.asarray(line.get_ydata()) for line in axes.get_lines() if len(line.get_ydata()) > 2]
+    return [curve.y for curve in panel.curves if len(curve.y) > 2]
 
 
 def test_velocity_follows_what_is_ordered(tracks: Tracks):
-    figure = flight.velocity(tracks)
-    assert figure is not None and len(figure.axes) == 3
-    flown, commanded = max((lines(axes) for axes in figure.axes[:2]), key=lambda pair: np.abs(pair[1]).max())
+    chart = flight.velocity(tracks)
+    assert chart is not None and len(chart.panels) == 3
+    flown, commanded = max((lines(panel) for panel in chart.panels[:2]), key=lambda pair: np.abs(pair[1]).max())
     assert np.abs(commanded).max() > 1.0 and abs(flown[0]) < 0.1  # a step from rest
     assert abs(flown[12]) < 0.7 * abs(commanded[12])  # .5 s later it is on its way
     assert flown[-1] == pytest.approx(commanded[-1], rel=0.25)
 
 
 def test_attitude_follows_what_the_velocity_loop_asks(tracks: Tracks, step: Recording):
-    figure = flight.tilt(tracks)
-    assert figure is not None
-    true, told, asked = lines(figure.axes[0])[:3]  # roll
+    chart = flight.tilt(tracks)
+    assert chart is not None
+    true, told, asked = lines(chart.panels[0])[:3]  # roll
     assert np.abs(true - told).max() < 1.5  # degrees; the estimate under noise and bias
     assert np.abs(asked).max() > 10
     delayed = [np.abs(true[k:] - asked[: len(asked) - k]).mean() for k in range(12)]
@@ -50,29 +51,29 @@ def test_attitude_follows_what_the_velocity_loop_asks(tracks: Tracks, step: Reco
 
 
 def test_rates_follow_what_the_attitude_loop_asks(tracks: Tracks):
-    figure = flight.rates(tracks)
-    assert figure is not None and [a.get_ylabel() for a in figure.axes] == ["roll [deg/s]", "pitch [deg/s]", "yaw [deg/s]"]
-    flown, asked = lines(figure.axes[0])
+    chart = flight.rates(tracks)
+    assert chart is not None and [panel.labels[1] for panel in chart.panels] == ["roll [deg/s]", "pitch [deg/s]", "yaw [deg/s]"]
+    flown, asked = lines(chart.panels[0])
     delayed = [np.abs(flown[k:] - asked[: len(asked) - k]).mean() for k in range(12)]
     assert 1 <= int(np.argmin(delayed)) <= 5  # .11 s
     assert np.abs(asked).max() > 20
 
 
 def test_rotors_with_their_limit_and_the_wind(tracks: Tracks):
-    figure = flight.rotors(tracks)
-    assert figure is not None
-    speeds, wind = figure.axes
+    chart = flight.rotors(tracks)
+    assert chart is not None
+    speeds, wind = chart.panels
     assert len(lines(speeds)) == 4
-    assert max(line.get_ydata()[0] for line in speeds.get_lines()) == 1000
+    assert max(curve.y[0] for curve in speeds.curves) == 1000
     assert lines(wind)[0] == pytest.approx(2.0)
 
 
 def test_the_error_that_counts_is_that_of_the_level_picture(tracks: Tracks, step: Recording):
-    figure = figures.error(tracks)
-    seen, level = (line.get_ydata() for line in figure.axes[0].get_lines()[:2])
+    chart = figures.error(tracks)
+    seen, level = (curve.y for curve in chart.panels[0].curves[:2])
     assert level == pytest.approx(step["level_error_px"])
     assert np.abs(seen - level).max() > 5  # it leans by 20 degrees
-    assert "turned level, which counts" in figure.axes[0].get_legend_handles_labels()[1]
+    assert "turned level, which counts" in chart.legend()
 
 
 def test_what_does_not_fly_has_none(tracks: Tracks):

@@ -7,13 +7,11 @@ from dataclasses import replace
 import numpy as np
 import polars as pl
 import pytest
-from matplotlib.patches import Polygon
 
 from vstestbed.camera import Perspective
 from vstestbed.core.geometry import Array, quaternion_wxyz
 from vstestbed.core.planar import pose_on_ground
 from vstestbed.report import Setting
-from vstestbed.report.html.canvas import style, to_svg
 from vstestbed.report.run import floor_plan as plane
 from vstestbed.report.run import path3d
 from vstestbed.report.run.expected_path import GroundTask
@@ -44,24 +42,21 @@ def tracks(ground_task: GroundTask | None, places: Array = PLACES, moving: bool 
 
 
 def test_a_metre_is_as_long_both_ways_and_everything_is_inside():
-    with style():
-        figure = plane.plane(tracks(GROUND_TASK))
-        assert figure is not None
-        figure.draw_without_rendering()
-        (axes,) = figure.axes
-        origin, right, up = axes.transData.transform([[0, 0], [1, 0], [0, 1]])
-        assert right[0] - origin[0] == pytest.approx(up[1] - origin[1])
-        points = np.concatenate([PLACES[:, :2], POINTS[:, :2]])
-        assert (points > [axes.get_xlim()[0], axes.get_ylim()[0]]).all() and (points < [axes.get_xlim()[1], axes.get_ylim()[1]]).all()
-        words = [text.get_text() for text in figure.legends[0].get_texts()]
-        assert {"start", "end", "goal", "landmarks", "true way", "as estimated", "by odometry alone"} == set(words)
+    chart = plane.plane(tracks(GROUND_TASK))
+    assert chart is not None
+    (panel,) = chart.panels
+    assert panel.equal
+    (x0, x1), (y0, y1) = panel.limits()
+    points = np.concatenate([PLACES[:, :2], POINTS[:, :2]])
+    assert (points > [x0, y0]).all() and (points < [x1, y1]).all()
+    words = list(chart.legend())
+    assert {"start", "end", "goal", "landmarks", "true way", "as estimated", "by odometry alone"} == set(words)
 
 
 def test_headings_point_where_the_vehicle_did():
-    with style():
-        figure = plane.plane(tracks(GROUND_TASK))
-    assert figure is not None
-    darts = [p.get_xy() for p in figure.axes[0].patches if isinstance(p, Polygon)]
+    chart = plane.plane(tracks(GROUND_TASK))
+    assert chart is not None
+    darts = [np.stack([c.x, c.y], axis=1) for c in chart.panels[0].curves if len(c.x) == len(plane.DART) + 1]
     assert len(darts) > 8
     for xy in darts:
         tip, notch = xy[0], xy[2]
@@ -73,32 +68,28 @@ def test_headings_point_where_the_vehicle_did():
 
 def test_the_difference_from_the_ideal_is_told_in_words():
     ideal = np.stack([3.05 * np.sin(ARC), 3 - 3.05 * np.cos(ARC)], axis=1)  # 5 cm outside all along
-    with style():
-        figure = plane.plane(tracks(replace(GROUND_TASK, expected_path=ideal)))
-    assert figure is not None
-    words = [text.get_text() for text in figure.legends[0].get_texts()]
+    chart = plane.plane(tracks(replace(GROUND_TASK, expected_path=ideal)))
+    assert chart is not None
+    words = list(chart.legend())
     assert "ideal bicycle: at most 5.0 cm off" in words
 
 
 def test_a_route_and_a_target_that_moves_are_drawn():
-    with style():
-        figure = plane.plane(tracks(replace(GROUND_TASK, goals=np.empty((0, 3)), reference_path=PLACES[:, :2] + 1), moving=True))
-    assert figure is not None
-    words = [text.get_text() for text in figure.legends[0].get_texts()]
+    chart = plane.plane(tracks(replace(GROUND_TASK, goals=np.empty((0, 3)), reference_path=PLACES[:, :2] + 1), moving=True))
+    assert chart is not None
+    words = list(chart.legend())
     assert {"route", "target"} <= set(words) and "goal" not in words
 
 
 def test_a_vehicle_that_stands_and_one_that_is_lost_are_drawn_too():
-    with style():
-        still = plane.plane(tracks(GROUND_TASK, np.tile(PLACES[:1], (5, 1))))
-        assert still is not None and to_svg(still, "plane", "Way").startswith("<svg")
-        gone = PLACES.copy()
-        gone[20:30] = np.nan
-        broken = plane.plane(tracks(GROUND_TASK, gone))
-        assert broken is not None and to_svg(broken, "plane", "Way").startswith("<svg")
+    still = plane.plane(tracks(GROUND_TASK, np.tile(PLACES[:1], (5, 1))))
+    assert still is not None and still.svg("Way").startswith("<svg")
+    gone = PLACES.copy()
+    gone[20:30] = np.nan
+    broken = plane.plane(tracks(GROUND_TASK, gone))
+    assert broken is not None and broken.svg("Way").startswith("<svg")
 
 
 def test_vehicles_have_the_plane_and_others_the_space():
-    with style():
-        assert plane.plane(tracks(None)) is None and path3d.camera_path(tracks(None)) is not None
-        assert path3d.camera_path(tracks(GROUND_TASK)) is None
+    assert plane.plane(tracks(None)) is None and path3d.camera_path(tracks(None)) is not None
+    assert path3d.camera_path(tracks(GROUND_TASK)) is None

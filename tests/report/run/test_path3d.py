@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import polars as pl
 import pytest
 
 from vstestbed.core.geometry import Array, quaternion_wxyz
 from vstestbed.report import Setting
-from vstestbed.report.html.canvas import style
+from vstestbed.report.html.chart import ChartPanel
+from vstestbed.report.html.space import Space
 from vstestbed.report.run import path3d
 from vstestbed.report.run.tracks import Tracks
 
@@ -25,17 +28,21 @@ def tracks(span: Array) -> Tracks:
 
 
 @pytest.mark.parametrize("span", [(0, 0, 5), (3, 0.2, 0.1), (0.2, 3, 0.1), (1, 1, 1), (0, 0, 1e-4)])
-def test_words_stand_clear_of_the_legend_and_inside_the_figure(span: tuple[float, float, float]) -> None:
-    with style():
-        figure = path3d.camera_path(tracks(np.array(span, dtype=float)))
-        assert figure is not None
-        figure.draw_without_rendering()
-        renderer = figure.canvas.get_renderer()
-        legend, axes = figure.legends[0].get_window_extent(renderer), figure.axes[0]
-        boxes = [axis.get_tightbbox(renderer) for axis in (axes.xaxis, axes.yaxis, axes.zaxis)]
-    low = np.min([box.min for box in boxes], axis=0)
-    high = np.max([box.max for box in boxes], axis=0)
-    width, height = figure.bbox.size
-    assert low[1] > legend.y1
-    assert low[0] > 0 and high[0] < width and high[1] < height
-    assert high[1] - low[1] > 0.75 * height or high[0] - low[0] > 0.75 * width
+def test_words_stand_inside_the_figure_and_the_drawing_fills_it(span: tuple[float, float, float]) -> None:
+    chart = path3d.camera_path(tracks(np.array(span, dtype=float)))
+    assert chart is not None
+    drawing = chart.svg("Camera path")
+    width, height = (float(n) for n in re.findall(r'viewBox="0 0 ([\d.]+) ([\d.]+)" font-size', drawing)[0])
+    words = re.findall(r'<text x="([\d.-]+)" y="([\d.-]+)" dy=".35em" text-anchor="(\w+)">([^<]*)<', drawing)
+    assert {"x [m]", "y [m]", "z [m]"} <= {text for *_, text in words} and len(words) >= 9  # and two numbers on each axis
+    for x, y, anchor, text in words:
+        left = float(x) - {"start": 0, "middle": 0.5, "end": 1}[anchor] * 6 * len(text)  # letters of 9.5 pt are about 6 pt wide
+        assert left > 0 and left + 6 * len(text) < width and 5 < float(y) < height - 5
+    box = re.findall(r'<svg x="[\d.]+" y="[\d.]+" width="([\d.]+)" height="([\d.]+)"', drawing)[0]
+    assert float(box[0]) > 0.75 * width or float(box[1]) > 0.75 * height
+
+
+def test_the_view_is_as_long_in_all_directions_of_the_picture() -> None:
+    space = Space(ChartPanel(), 22, -62)
+    np.testing.assert_allclose(space.across @ space.across.T, np.eye(2), atol=1e-12)
+    np.testing.assert_allclose(space.across @ [0, 0, 1], [0, np.cos(np.radians(22))], atol=1e-12)  # z is up

@@ -13,6 +13,8 @@ from vstestbed.core.geometry import Array, direction
 from vstestbed.features import Feature, Point, Polar, Spherical
 from vstestbed.report import Setting, render_page
 from vstestbed.report.html.canvas import marker_colors
+from vstestbed.report.html.chart import Chart
+from vstestbed.report.html.space import Space
 from vstestbed.report.run import polar_angles as angles
 from vstestbed.report.run.sphere import drawn, towards_viewer
 from vstestbed.report.run.tracks import Tracks
@@ -41,10 +43,10 @@ def tracks(camera: Camera, feature: Feature | None, angle: Array, lost: slice = 
     return Tracks.of(pl.DataFrame(columns), Setting(feature=feature, camera=camera))
 
 
-def lines(figure: object, marker: int) -> list[Array]:
+def lines(figure: Chart, marker: int) -> list[Array]:
     """What is drawn of one marker in the plane: true, measured, start, end, goal, each (T, 2), phi first in units of pi."""
     first = LINES_PER_MARKER * marker
-    return [line.get_xydata() for line in figure.axes[0].lines[first : first + LINES_PER_MARKER]]
+    return [np.stack([curve.x, curve.y], axis=1) for curve in figure.panels[0].curves[first : first + LINES_PER_MARKER]]
 
 
 def whole_turns(phi: Array) -> None:
@@ -102,14 +104,14 @@ def test_no_line_jumps_and_the_true_way_runs_beside_the_measured_one(offset: flo
 
 
 @pytest.mark.parametrize(("camera", "theta"), [(LENS, (0.1, 0.5)), (SKY, (3.0, 0.3)), (SKY, (0.3, 1.2))])
-def test_ways_on_the_sphere_are_unit_rays(camera: Camera, theta: tuple[float, float]) -> None:
+def test_ways_on_the_sphere_are_unit_rays(camera: Camera, theta: tuple[float, float], monkeypatch: pytest.MonkeyPatch) -> None:
     angle = way(theta=theta)
-    figure = angles.on_sphere(tracks(camera, Spherical(), angle))
-    assert figure is not None
-    axes = figure.axes[0]
-    viewer = drawn(towards_viewer(axes))
+    drawn_ways: list[tuple[Space, str, Array]] = []
+    monkeypatch.setattr(Space, "plot", lambda space, *xyz, **look: drawn_ways.append((space, look.get("color", ""), np.array(xyz))))
+    assert angles.on_sphere(tracks(camera, Spherical(), angle)) is not None
+    viewer = drawn(towards_viewer(drawn_ways[0][0]))
     for i, color in enumerate(marker_colors(MARKERS)):
-        ways = [np.array(line.get_data_3d()) for line in axes.lines if line.get_color() == color]
+        ways = [p for _, of, p in drawn_ways if of == color]
         assert len(ways) == 2 * LINES_PER_MARKER  # each pale and whole, and its near part over it
         np.testing.assert_allclose(ways[2], drawn(direction(angle[:, i])), atol=1e-9)
         for whole, near in zip(ways[::2], ways[1::2], strict=True):
@@ -151,5 +153,5 @@ def test_short_runs(frames: int) -> None:
 def test_marker_on_the_axis_only() -> None:
     figure = angles.polar(tracks(LENS, Polar(), np.zeros((4, 1, 2))))
     assert figure is not None
-    low, high = figure.axes[0].get_ylim()
+    low, high = figure.panels[0].limits()[1]
     assert low == 0 < high

@@ -117,9 +117,10 @@ def save(figure: Figure, path: Path, dpi: int = 150) -> Path:
     return write_whole(path, sink.getvalue())
 
 
-def marker_colors(n: int) -> list[tuple[float, float, float]]:
+def marker_colors(n: int) -> list[str]:
     """One colour per marker, with the hue of its paint and a luminance that contrasts with white and with black."""
-    return [_at_luminance(colorsys.hsv_to_rgb(i / n, 1.0, 1.0), 0.23) for i in range(n)]
+    colors = (_at_luminance(colorsys.hsv_to_rgb(i / n, 1.0, 1.0), 0.23) for i in range(n))
+    return ["#" + "".join(f"{round(255 * part):02x}" for part in color) for color in colors]
 
 
 def _at_luminance(rgb: tuple[float, float, float], target: float) -> tuple[float, float, float]:

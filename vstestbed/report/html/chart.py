@@ -60,7 +60,7 @@ class Curve:
     def drawn(self, x: Array, y: Array) -> str:
         """The SVG of the curve through points [pt]."""
         known = ~np.isnan(x + y)
-        whole = np.rint(np.stack([x, y], axis=-1)[known].clip(-1e4, 1e4) * POINT).astype(int)
+        whole = np.rint(np.stack([x, y], axis=-1)[known].clip(-1e6, 1e6) * POINT).astype(int)
         if self.marker or len(whole) == 1:
             return self._element("".join(f"M{u} {v}{self._mark()}" for u, v in whole.tolist()), ())
         if self.linestyle == "none" and self.fill == "none":
@@ -75,11 +75,8 @@ class Curve:
         return MARKS[self.marker or "o"].format(-half, half, 2 * half, -2 * half)
 
     def _element(self, d: str, dashes: tuple[float, ...]) -> str:
-        more = (
-            f' stroke-dasharray="{" ".join(f"{POINT * self.linewidth * length:.3g}" for length in dashes)}" stroke-linecap="butt"'
-            if dashes
-            else ""
-        )
+        lengths = " ".join(f"{POINT * self.linewidth * length:.3g}" for length in dashes)
+        more = f' stroke-dasharray="{lengths}" stroke-linecap="butt"' if dashes else ""
         more += f' opacity="{self.alpha:g}"' if self.alpha < 1 else ""
         stroke = f' stroke="{paint(self.color)}" stroke-width="{POINT * self.linewidth:.3g}"' if self.linewidth else ""
         return f'<path d="{d}" fill="{paint(self.fill)}"{stroke}{more}/>' if d else ""
@@ -93,10 +90,8 @@ class Curve:
         return f'<svg viewBox="0 0 {20 * POINT} {9 * POINT}" aria-hidden="true"><g stroke-linecap="round">{body}</g></svg>'
 
 
-def paint(color: Any) -> str:
-    """A colour for SVG: ink and rules in the page's own, which follow light and dark; (r, g, b) in hexadecimal."""
-    if not isinstance(color, str):
-        return "#" + "".join(f"{round(255 * part):02x}" for part in color)
+def paint(color: str) -> str:
+    """A colour for SVG: ink and rules in the page's own, which follow light and dark."""
     return {INK: "var(--ink)", RULE: "var(--rule)"}.get(color, color)
 
 
@@ -120,7 +115,7 @@ def text(x: float, y: float, words: str, anchor: str = "middle", color: str = IN
 
 
 @dataclass
-class Panel:
+class ChartPanel:
     """A pair of axes: curves, words, limits and labels; limits that are not given follow from the curves.
 
     Attributes:
@@ -201,16 +196,19 @@ class Panel:
         grid = "".join(f"M{x:.1f} {top:.1f}v{height:.1f}" for x in u) + "".join(f"M{left:.1f} {y:.1f}h{width:.1f}" for y in v)
         yield f'<path d="{grid}" stroke="{paint(RULE)}" stroke-width=".6" opacity=".45"/>'
         yield f'<path d="M{left:.1f} {top:.1f}v{height:.1f}h{width:.1f}" fill="none" stroke="{paint(RULE)}" stroke-width=".8"/>'
-        in_x, in_y = self.in_words
-        powers = self.log and len(at_y) > 1 and at_y[-1] >= 2 * at_y[0]
-        for y, words in zip(v, [in_y(n) for n in at_y] if in_y else numerals(at_y, powers), strict=True):
-            yield text(left - 5, y, words, "end")
         middle = top + height / 2
         yield text(left - 44, middle, self.labels[1], more=f' transform="rotate(-90 {left - 44:.1f} {middle:.1f})"')
+        yield from (text(left - 5, y, words, "end") for y, words in zip(v, self._numbers(1, at_y), strict=True))
         if last:
-            for x, words in zip(u, [in_x(n) for n in at_x] if in_x else numerals(at_x), strict=True):
-                yield text(x, top + height + 9, words)
+            yield from (text(x, top + height + 9, words) for x, words in zip(u, self._numbers(0, at_x), strict=True))
             yield text(left + width / 2, top + height + 23, self.labels[0])
+
+    def _numbers(self, axis: int, at: Array) -> list[str]:
+        """The ticks of x (0) or y (1) as text."""
+        in_words = self.in_words[axis]
+        # a logarithmic axis of less than a factor of two has the numbers of a linear one
+        powers = self.log and axis == 1 and len(at) > 1 and at[-1] >= 2 * at[0]
+        return [in_words(n) for n in at] if in_words else numerals(at, powers)
 
 
 def _bordered(values: Array, limits: Pair) -> Array:
@@ -238,7 +236,7 @@ class Chart:
     def __init__(self, height_in: float = 4.0, panels: int = 1):
         """`height_in`: height of the drawing without its legend [in]."""
         self.height = 72 * height_in
-        self.panels = [Panel() for _ in range(panels)]
+        self.panels = [ChartPanel() for _ in range(panels)]
 
     def fit(self, least_in: float, most_in: float) -> None:
         """Make a single panel of equal scale as high as it is when it fills the width, within limits [in]."""
@@ -265,8 +263,11 @@ class Chart:
 
     def legend(self) -> dict[str, Curve]:
         """The entries of the legend in their order: the first curve with each label."""
-        return {c.label: c for panel in reversed(self.panels) for c in reversed(panel.curves) if c.label}
+        found: dict[str, Curve] = {}
+        for curve in (curve for panel in self.panels for curve in panel.curves if curve.label):
+            found.setdefault(curve.label, curve)
+        return found
 
     def _key(self) -> str:
-        entries = [f"<li>{c.sample()}{escape(name)}</li>" for name, c in reversed(self.legend().items())]
+        entries = [f"<li>{curve.sample()}{escape(name)}</li>" for name, curve in self.legend().items()]
         return f'<ul class="key">{"".join(entries)}</ul>' if entries else ""

@@ -8,14 +8,14 @@ import numpy as np
 
 from vstestbed.core.geometry import Array
 from vstestbed.report.html.canvas import INK, RULE
-from vstestbed.report.html.chart import Panel
+from vstestbed.report.html.chart import ChartPanel
 from vstestbed.report.html.ticks import numerals, ticks
 
 
 class Space:
     """A panel that shows space from a direction, z up and equal scale. Its methods have the names of matplotlib's 3-D axes."""
 
-    def __init__(self, panel: Panel, elev: float, azim: float):
+    def __init__(self, panel: ChartPanel, elev: float, azim: float):
         """`elev`, `azim`: elevation and azimuth of the viewer from the origin [deg]."""
         panel.equal = panel.bare = True
         self.panel, self.elev, self.azim = panel, elev, azim
@@ -62,4 +62,5 @@ class Space:
         """Words beside a point of an edge."""
         at = corner + shift
         at[axis] += value - corner[axis]
-        self.text(*at.tolist(), words, ha=side)
+        x, y, z = at.tolist()
+        self.text(x, y, z, words, ha=side)

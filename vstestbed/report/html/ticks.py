@@ -15,7 +15,7 @@ def ticks(low: float, high: float, most: int) -> Array:
     """At most so many intervals of 1, 2, 2.5 or 5 times a power of ten: their ends from `low` to `high`."""
     raw = (high - low) / max(most, 1)
     step = next(s for s in (f * 10.0 ** floor(log10(raw)) for f in (1, 2, 2.5, 5, 10)) if s >= raw * (1 - 1e-9))
-    return np.arange(ceil(low / step - 1e-9), floor(high / step + 1e-9) + 1) * step
+    return step * np.arange(ceil(low / step - 1e-9), floor(high / step + 1e-9) + 1, dtype=float)
 
 
 def log_ticks(low: float, high: float, most: int) -> Array:
@@ -31,12 +31,17 @@ def log_ticks(low: float, high: float, most: int) -> Array:
 
 def numerals(at: Array, powers: bool = False) -> list[str]:
     """The numbers of ticks, with the same number of decimals, or with powers of ten where these are shorter (or asked for)."""
-    largest = max((abs(float(v)) for v in at), default=0.0)
-    step = float(np.diff(at).min()) if len(at) > 1 else largest or 1.0
-    decimals = next((d for d in range(6) if np.allclose(at * 10**d, np.rint(at * 10**d), rtol=0, atol=1e-3 * step * 10**d)), 6)
-    if powers or decimals > 4 or largest >= 1e5:
+    if powers or (decimals := _decimals(at)) is None:
         return [_power(float(v)) for v in at]
     return [f"{v + 0.0:.{decimals}f}".replace("-", "\N{MINUS SIGN}") for v in at]
+
+
+def _decimals(at: Array) -> int | None:
+    """Decimals of the number that needs most of them, to a thousandth of the distance of two; None for more than four or huge numbers."""
+    step = float(np.ptp(at)) / (len(at) - 1) if len(at) > 1 else float(np.abs(at).sum()) or 1.0
+    if np.abs(at).max(initial=0) >= 1e5:
+        return None
+    return next((d for d in range(5) if (np.abs(at - np.round(at, d)) < 1e-3 * step).all()), None)
 
 
 def _power(value: float) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 
 from vstestbed.core.geometry import Array
 from vstestbed.report.html.canvas import AXIS_COLORS, GOAL, INK, LINE_COLORS, LOST, marker_colors
-from vstestbed.report.html.chart import Chart, Panel
+from vstestbed.report.html.chart import Chart, ChartPanel
 from vstestbed.report.run.tracks import Tracks
 
 BAND: dict[str, Any] = {"linewidth": 4.0, "alpha": 0.28}
@@ -37,7 +37,7 @@ def features(tracks: Tracks) -> Chart | None:
     return chart
 
 
-def draw_trails(panel: Panel, measured: Array, true: Array, goal: Array) -> None:
+def draw_trails(panel: ChartPanel, measured: Array, true: Array, goal: Array) -> None:
     """Marker trajectories in a plane, each (T, N, 2), first coordinate horizontal, with start, end and goal, and the legend."""
     for i, color in enumerate(marker_colors(measured.shape[1])):
         panel.plot(*true[:, i].T, color=color, **BAND)
@@ -53,14 +53,14 @@ def trail_marks(measured: Array, goal: Array, color: str) -> list[tuple[Array, d
     return [(start, {"color": color, "fill": color} | START), (end, {"color": color} | END), (aim, {"color": color} | AIM)]
 
 
-def trail_keys(panel: Panel) -> None:
+def trail_keys(panel: ChartPanel) -> None:
     """Legend entries for the marks and lines of `draw_trails`."""
     looks = [look for _, look in trail_marks(np.empty((0, 2)), np.empty((0, 2)), INK)]
     for look, label in zip((*looks, {"linewidth": 1.0}, BAND), ("start", "end", "goal", "measured", "true"), strict=True):
         panel.plot([], [], label=label, **look)
 
 
-def _frame_picture(panel: Panel, width: int | None, height: int | None) -> None:
+def _frame_picture(panel: ChartPanel, width: int | None, height: int | None) -> None:
     """Pixel axes as in the image (v down), with the image border if the size is known."""
     panel.equal, panel.labels = True, ("u [px]", "v [px]")
     (x0, x1), (y0, y1) = panel.limits()
@@ -101,7 +101,7 @@ def error(tracks: Tracks) -> Chart:
     return chart
 
 
-def _mark_views(panel: Panel, tracks: Tracks) -> None:
+def _mark_views(panel: ChartPanel, tracks: Tracks) -> None:
     """Mark the times at which the goal view changed to the next, with its number from 1 on."""
     view = tracks.column("view")
     for i in np.flatnonzero(np.diff(view) > 0) + 1:

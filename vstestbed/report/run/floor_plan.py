@@ -8,7 +8,7 @@ import numpy as np
 
 from vstestbed.core.geometry import Array, transform
 from vstestbed.report.html.canvas import GOAL, INK, LINE_COLORS, marker_colors
-from vstestbed.report.html.chart import Chart, Panel
+from vstestbed.report.html.chart import Chart, ChartPanel
 from vstestbed.report.run.expected_path import GroundTask, largest_deviation, visible_region
 from vstestbed.report.run.tracks import Tracks
 
@@ -57,7 +57,7 @@ def _moving_target(tracks: Tracks) -> Array:
     return path if len(path) and np.ptp(path, axis=0).max() > 1e-3 else np.empty((0, 2))
 
 
-def _draw_views(panel: Panel, tracks: Tracks, ground_task: GroundTask, landmarks: Array, span: float) -> None:
+def _draw_views(panel: ChartPanel, tracks: Tracks, ground_task: GroundTask, landmarks: Array, span: float) -> None:
     """The region in the image at the start and at the end, in the plane at the mean height of the landmarks."""
     from contourpy import contour_generator
 
@@ -67,16 +67,16 @@ def _draw_views(panel: Panel, tracks: Tracks, ground_task: GroundTask, landmarks
     for T, color in ((cameras[0], INK), (cameras[-1], TRUE)) if len(cameras) else ():
         x, y, seen = visible_region(ground_task.camera, T, height, 0.45 * span)
         if seen.any():
-            regions, starts = contour_generator(x, y, seen, fill_type="OuterOffset").filled(0.5, 1.5)
-            for region, start in zip(regions, starts, strict=True):
-                # NaN between the outline and its holes: within one path, what is in a hole is outside
+            generator: Any = contour_generator(x, y, seen, fill_type="OuterOffset")  # Any: its types are unions over all fill types
+            for region, start in zip(*generator.filled(0.5, 1.5), strict=True):
+                # NaN between the outline and its holes, which turn the other way round: in one path they are not filled
                 outlines = np.insert(region, start[1:-1].astype(int), np.nan, axis=0).T
                 panel.plot(*outlines, color=color, fill=color, linewidth=0, alpha=0.07, zorder=1)
-            for line in contour_generator(x, y, seen).lines(0.5) if seen.min() < 1 else ():  # else all within reach is visible
+            for line in generator.lines(0.5) if seen.min() < 1 else ():  # else all within reach is visible
                 panel.plot(*line.T, color=color, alpha=0.35, linewidth=0.7, zorder=1)
 
 
-def _draw_task(panel: Panel, tracks: Tracks, ground_task: GroundTask, span: float) -> None:
+def _draw_task(panel: ChartPanel, tracks: Tracks, ground_task: GroundTask, span: float) -> None:
     """Reference path, path of the target, goals."""
     if len(ground_task.reference_path):
         panel.plot(*ground_task.reference_path.T, color=INK, linewidth=0.9, linestyle=":", label="route")
@@ -89,7 +89,7 @@ def _draw_task(panel: Panel, tracks: Tracks, ground_task: GroundTask, span: floa
         _dart(panel, goal, (0.075 if last else 0.045) * span, label, GOAL, filled=False)
 
 
-def _draw_paths(panel: Panel, tracks: Tracks, ground_task: GroundTask, span: float) -> None:
+def _draw_paths(panel: ChartPanel, tracks: Tracks, ground_task: GroundTask, span: float) -> None:
     """The true path as a pale band with headings, the other paths over it; the vehicle at start and end."""
     true = tracks.planar_poses("base")
     for stem, color, label in (("odo", ODOMETRY, "by odometry alone"), ("est", ESTIMATED, "as estimated")):
@@ -116,12 +116,12 @@ def _evenly(xy: Array, distance: float) -> Any:
     return np.unique(np.searchsorted(along, np.linspace(0, along[-1], count + 2)[1:-1]))
 
 
-def _draw_landmarks(panel: Panel, landmarks: Array) -> None:
+def _draw_landmarks(panel: ChartPanel, landmarks: Array) -> None:
     for (x, y, _), color in zip(landmarks, marker_colors(len(landmarks)), strict=True):
         panel.plot([x], [y], color=color, fill=color, marker="o", markersize=5.8, linewidth=0, label="landmarks", zorder=4)
 
 
-def _dart(panel: Panel, place: Array, size: float, label: str, color: str, filled: bool) -> None:
+def _dart(panel: ChartPanel, place: Array, size: float, label: str, color: str, filled: bool) -> None:
     """An arrow head of the given size [m] at a planar pose (x, y, heading), and its entry in the legend."""
     # rows are points, hence the transposed rotation
     c, s = np.cos(place[2]), np.sin(place[2])

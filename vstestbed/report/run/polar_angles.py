@@ -12,7 +12,7 @@ import numpy as np
 from vstestbed.core.geometry import Array
 from vstestbed.features import Polar, Spherical
 from vstestbed.report.html.canvas import marker_colors
-from vstestbed.report.html.chart import Chart, Panel
+from vstestbed.report.html.chart import Chart, ChartPanel
 from vstestbed.report.html.space import Space
 from vstestbed.report.run import sphere
 from vstestbed.report.run.figures import BAND, draw_trails, trail_keys, trail_marks
@@ -121,7 +121,7 @@ def on_sphere(tracks: Tracks) -> Chart | None:
     return chart
 
 
-def _ball(panel: Panel, shown: Array) -> Space:
+def _ball(panel: ChartPanel, shown: Array) -> Space:
     """The part of the sphere that the rays shown (M, 3) need, seen from ahead and from the side on which they lie."""
     farthest = math.degrees(math.acos(np.clip(shown[:, 2].min(), -1, 1)))
     reach_deg = next(reach for reach in RINGS_DEG if reach >= farthest or reach == 180)
