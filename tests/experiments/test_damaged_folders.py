@@ -14,7 +14,7 @@ import polars as pl
 import pytest
 
 from vstestbed.core.errors import VstestbedError
-from vstestbed.experiments.comparison import compare, is_comparison, report_again
+from vstestbed.experiments.comparison import PLAN, compare, report_again
 from vstestbed.experiments.run_folder import run_into
 from vstestbed.loop.log_file import read_log
 from vstestbed.loop.summary_file import read_summary
@@ -139,6 +139,6 @@ def test_a_comparison(command, quick: Path, tmp_path: Path) -> None:
     (place / "log.parquet").write_bytes(b"PAR1")
     assert refused(command, "report", out).startswith(f"{place}/log.parquet: cannot be read")
     shutil.rmtree(out / "runs")
-    assert is_comparison(out)
+    assert (out / PLAN).is_file()
     with pytest.raises(VstestbedError, match="has no finished run; `vstestbed compare --resume"):
         report_again(out)

@@ -197,12 +197,18 @@ def report(
 ) -> None:
     """Write report.html again."""
     from vstestbed.core.folders import only_writer
-    from vstestbed.experiments.comparison import PLAN, is_comparison, report_again
-    from vstestbed.report import write_report
 
-    _must_hold(folder, PLAN, "scenario.yaml")
+    _must_hold(folder, "comparison.yaml", "scenario.yaml")
     with only_writer(folder):
-        page = report_again(folder, plugin or []) if is_comparison(folder) else write_report(folder, plugins=plugin or [])
+        # each with its own imports: those of a comparison take as long as the report of a run
+        if (folder / "comparison.yaml").is_file():
+            from vstestbed.experiments.comparison import report_again
+
+            page = report_again(folder, plugin or [])
+        else:
+            from vstestbed.report import write_report
+
+            page = write_report(folder, plugins=plugin or [])
     if not quiet:
         typer.echo(str(page), err=True)
 

@@ -80,7 +80,7 @@ def run_into(
             raise OutputError(folder, "holds a run", REMEDY)
         recording = _run_into(folder, scenario, films, watch, tile_px, fine)
         if report:
-            from vstestbed.report import Setting, write_report  # matplotlib is imported only if a report is written
+            from vstestbed.report import Setting, write_report  # imported only if a report is written
 
             stage("writing the report")
             write_report(folder, log=recording.rows, setting=Setting.of(recording.scenario))

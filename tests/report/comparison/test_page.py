@@ -15,10 +15,10 @@ import pytest
 from tests.report.comparison.comparisons import build
 from tests.report.html import Reader, checked
 from vstestbed.core.errors import OutputError
-from vstestbed.report import write_comparison_report
 from vstestbed.report.comparison import failures as comparison_failures
 from vstestbed.report.comparison import page as comparison_page
 from vstestbed.report.comparison.columns import DEFAULT_METRICS, ComparisonResults
+from vstestbed.report.comparison.page import write_comparison_report
 from vstestbed.report.comparison.series import read_series
 from vstestbed.report.comparison.statistics import MOST, paired_difference, success_rate
 from vstestbed.report.run.numbers import number

@@ -8,8 +8,8 @@ import pytest
 
 from tests.report.comparison.comparisons import SCENARIO, build
 from tests.report.html import checked
-from vstestbed.report import write_comparison_report
 from vstestbed.report.comparison.columns import DEFAULT_METRICS, ComparisonResults
+from vstestbed.report.comparison.page import write_comparison_report
 from vstestbed.report.comparison.settings import differing_fields, gains_alone, only_gains
 
 

@@ -147,7 +147,7 @@ def _filmed(scenario: Scenario, films: Films) -> tuple[float, float]:
 
 def _report(scenario: Scenario) -> tuple[float, float]:
     """The report of a run, and the run."""
-    from vstestbed.report import write_report  # matplotlib is imported for this benchmark alone
+    from vstestbed.report import write_report  # imported for this benchmark alone
 
     with _folder_of_its_own() as folder:
         with _timed() as alone:

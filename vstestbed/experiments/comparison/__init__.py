@@ -160,11 +160,6 @@ def workers(requested: int | None, runs: int) -> int:
     return max(1, min(requested or cores, runs))
 
 
-def is_comparison(folder: Path) -> bool:
-    """Whether a folder is a comparison's."""
-    return (folder / PLAN).is_file()
-
-
 def report_again(folder: Path, plugins: Sequence[str] = ()) -> Path:
     """Make table, film and report of a comparison's folder again from its runs; `plugins`: besides those that it remembers.
 

@@ -98,11 +98,12 @@ def visible_region(camera: Camera, T_world_camera: Array, height: float, reach: 
     Returns:
         x, y [m] of the grid's points and 1 where a point is in the image, else 0; shape (RINGS, DIRECTIONS) each.
     """
-    r, a = np.meshgrid(np.linspace(1e-3, reach, RINGS), np.linspace(0, 2 * np.pi, DIRECTIONS), indexing="ij")
+    r, a = np.linspace(1e-3, reach, RINGS)[:, None], np.linspace(0, 2 * np.pi, DIRECTIONS)
     foot = T_world_camera[:3, 3]
-    x, y = foot[0] + r * np.cos(a), foot[1] + r * np.sin(a)
-    step = np.stack([x - foot[0], y - foot[1], np.full_like(x, height - foot[2])], axis=-1).reshape(-1, 3)
-    uv = camera.project(step @ T_world_camera[:3, :3])
+    across, along = r * np.cos(a), r * np.sin(a)
+    step = np.stack([across, along, np.full_like(across, height - foot[2])], axis=-1).reshape(-1, 3)
+    # not `@`: over so many rows BLAS starts threads, which wait for each other longer than the product takes
+    uv = camera.project(np.einsum("ni,ij->nj", step, T_world_camera[:3, :3]))
     # a camera with several panels has no image border, only directions that it cannot project
     seen = camera.inside(uv) if len(camera.panels) == 1 else np.isfinite(uv[:, 0])
-    return x, y, seen.reshape(x.shape).astype(float)
+    return foot[0] + across, foot[1] + along, seen.reshape(across.shape).astype(float)
