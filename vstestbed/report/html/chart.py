@@ -143,8 +143,8 @@ class ChartPanel:
         self.curves.append(Curve(np.asarray(x, dtype=float), np.asarray(y, dtype=float), **look))
 
     def rule(self, y: float, **look: Any) -> None:
-        """A line across the panel, grey unless another look is given."""
-        self.plot([-np.inf, np.inf], [y, y], **{"color": RULE, "linewidth": 0.8} | look)
+        """A line across the panel below the curves, grey unless another look is given."""
+        self.plot([-np.inf, np.inf], [y, y], **{"color": RULE, "linewidth": 0.8, "zorder": 1.5} | look)
 
     def area(self, x: Pair, y: Pair, color: str, alpha: float, label: str = "") -> None:
         """A filled rectangle below all lines."""
