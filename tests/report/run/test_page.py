@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import base64
 import json
+import subprocess
+import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -210,6 +212,13 @@ def test_any_length_and_number_of_markers(frames: int, markers: int) -> None:
     reader = checked(render_page(log(frames, markers, joints=()), summary(), SCENARIO, {}, setting(markers)))
     assert "Joints and actuators" not in reader.figures
     assert "Features in the image" in reader.figures
+
+
+def test_the_page_of_a_run_needs_no_matplotlib() -> None:
+    """In a process of its own (a second), since other tests import it: its import alone would take longer than the page."""
+    code = "import sys; sys.modules['matplotlib'] = None; import polars as pl; from vstestbed.report import render_page"
+    code += "; print(render_page(pl.DataFrame({'t': [0.0, 0.04]}), {}, '', {}).count('<figure>'))"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "2\n"
 
 
 @pytest.mark.filterwarnings("error")
