@@ -449,7 +449,7 @@ class TestFullDisk:
 
     def test_a_disk_without_room_for_the_report(self, command, quick: Path, small_disk: Callable[[int], Path]) -> None:
         """What is there is whole: the run had ended."""
-        folder = small_disk(120) / "run"
+        folder = small_disk(62) / "run"
         ended = command("run", "quick.yaml", "--out", folder, *NO_FILM)
         assert ended.code == 4
         assert ended.err.count("\n") == 1
