@@ -227,7 +227,7 @@ def disk(tmp_path: Path) -> Iterator[Callable[[int], Path]]:
 
 
 @pytest.mark.parametrize("words", [RUN, ("run", "quick.yaml"), COMPARE])
-@pytest.mark.parametrize("kilobytes", [8, 64, 400])
+@pytest.mark.parametrize("kilobytes", [8, 48, 52, 64, 400])
 def test_a_full_disk(start: Start, disk: Callable[[int], Path], words: tuple[str, ...], kilobytes: int):
     out = disk(kilobytes) / "out"
     process = start(*words, *ENDLESS, "--out", str(out))

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     import polars
 
 WORKS = "`vstestbed run` of the scenario.yaml beside it writes it again, into another folder"
+PROBE_BYTES = 1_000_000
+"""More than polars writes at once: a disk without room for that has none for this."""
 HEAD = "float64: "
 """How `log.part` begins; the names of its columns follow, with commas between them, to the end of the line."""
 
@@ -167,7 +169,13 @@ class FolderLog:
         with writing(self._folder), PartFile(self._folder / "log.parquet") as made:
             # a block in memory at a time, and one on its way: polars asks for all columns and all rows
             log = register_io_source(lambda *_: self.frames(), schema=schema)
-            log.sink_parquet(made.file, compression="zstd", statistics=False, row_group_size=BLOCK)
+            try:
+                log.sink_parquet(made.file, compression="zstd", statistics=False, row_group_size=BLOCK)
+            except pl.exceptions.ComputeError:
+                # polars drops the reason why a file could not be written: the next write has it
+                made.file.write(bytes(PROBE_BYTES))
+                made.file.flush()
+                raise
         self._part.unlink(missing_ok=True)  # only after log.parquet is complete
 
 
