@@ -14,7 +14,7 @@ from vstestbed.camera import Perspective
 from vstestbed.core.geometry import Array, inverse, transform
 from vstestbed.core.outcome import Outcome
 from vstestbed.report.video.film import Film, FilmFrame, Pictures, _in_words, replay_of
-from vstestbed.report.video.outside import GOAL, MOST_PLACES, Outside, Pen
+from vstestbed.report.video.outside import GOAL, MOST_PLACES, Outside, Pen, Stroke
 from vstestbed.report.video.quality import DRAFT
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.scene.compose import Parts
@@ -44,7 +44,7 @@ def test_a_pen_draws_where_the_camera_projects_and_fills_convex_hulls() -> None:
     assert pen.metres(0.1, np.array([0, 0, 2.0])) == pytest.approx(0.1 * 320 * 2.0 / lens.f)
     before = image.copy()
     pen.area(-square[None], (255, 255, 255), 1.0)  # behind the camera
-    pen.lines([-square], (255, 255, 255))
+    pen.lines([Stroke([-square], (255, 255, 255))])
     np.testing.assert_array_equal(image, before)
 
 
@@ -56,7 +56,7 @@ def test_the_ghost_stands_at_the_goal_pose(name: str) -> None:
         frame, other = at_the_start(s), replay_of(s, DRAFT)
         goal = frame.T_world_target @ inverse(s.goal_poses[0])
         picture = Outside(s, replay, "overview", SIZE).picture(frame, goal)
-        lens, T = replay.sight("overview", *SIZE)
+        lens, T = replay.sight("overview")
         body = transform(goal @ inverse(frame.T_world_camera), replay.body()).reshape(-1, 3)
         uv = lens.project(transform(inverse(T), body))
         green = np.abs(picture.astype(int) - GOAL).max(axis=2) < 40
@@ -77,7 +77,7 @@ def test_a_trail_has_a_bounded_number_of_points_from_the_first_to_the_last() -> 
     try:
         outside, frame = Outside(s, replay, "overview", SIZE), at_the_start(s)
         outside.picture(frame, None)
-        pen = Pen(np.zeros((180, 320, 3), np.uint8), *replay.sight("overview", *SIZE), 1)
+        pen = Pen(np.zeros((180, 320, 3), np.uint8), *replay.sight("overview"), 1)
         spacing = outside._spacing
         for k in range(3 * MOST_PLACES):
             outside._extend(pen, frame.T_world_camera[:3, 3] + [1.1 * spacing * (k + 1), 0, 0])

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from vstestbed.camera import Camera, Image
-from vstestbed.core.geometry import Array
+from vstestbed.core.geometry import Array, lengths
 
 UNSEEN_PX = 0.5
 """Motion in the image below which the last image is shown again [px]."""
@@ -62,16 +62,16 @@ class StillView:
         """Bound of the motion in the image since it was drawn [px]."""
         (p, Q, c, R), (p_drawn, Q_drawn, c_drawn, R_drawn) = state, self._drawn
         radius = self._model.geom_rbound
-        moved = np.linalg.norm(p - p_drawn, axis=1) + radius * _turn(Q - Q_drawn)
-        distance = np.linalg.norm(p, axis=1) - radius
+        moved = lengths(p - p_drawn)[:, 0] + radius * _turn(Q - Q_drawn)
+        distance = lengths(p)[:, 0] - radius
         of_geoms = np.where(radius > 0, moved / np.maximum(distance, NEAR_M), 0.0).max()
-        of_planes = _turn(R - R_drawn) + np.linalg.norm(c - c_drawn) / FLOOR_M
+        of_planes = _turn(R - R_drawn) + lengths(c - c_drawn)[0] / FLOOR_M
         return self._f * float(max(of_geoms, of_planes))
 
 
 def _turn(difference: Array) -> Array:
     """Angle between axes from their difference (..., 3, 3), for small angles: the Frobenius norm is sqrt(2) times it [rad]."""
-    return np.linalg.norm(difference, axis=(-2, -1)) / np.sqrt(2)
+    return lengths(difference.reshape(*difference.shape[:-2], 9))[..., 0] / np.sqrt(2)
 
 
 def pixels_per_radian(lens: Camera) -> float:
