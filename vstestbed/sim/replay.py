@@ -113,7 +113,7 @@ class Replay:
             view = outside_view(self._stage, camera, width, height, self._parts.camera, self._shadows)
             model, data = self._stage.model, self._stage.data
             lens = Perspective(width=width, height=height, fovy_deg=float(model.camera(camera).fovy[0]))
-            self._views[camera] = StillView(view, model, data, camera, lens.f), lens
+            self._views[camera] = StillView(view, model, data, camera, lens.f, view.part), lens
         self._stage.place(t, T_world_target, q, T_world_camera)
         if camera == "overview":
             self._follow = self._follow or FollowCamera(self._stage, self._things, width / height, FREE, max(FOOT, FOOT_PX / height))
