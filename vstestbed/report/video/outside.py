@@ -7,7 +7,6 @@ pictures.
 from __future__ import annotations
 
 from collections.abc import Callable
-from itertools import islice
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import cv2
@@ -151,13 +150,17 @@ class Pen:
 
     def lines(self, strokes: list[Stroke]) -> None:
         """Polylines, each colour over a dark edge and over those before; points that cannot be drawn are left out."""
-        lines = [line for stroke in strokes for line in stroke.polylines]
-        uv = self.pixels(np.concatenate(lines))  # all at once: a call for each would take longer than the drawing
-        seen, ends = np.isfinite(uv[:, 0]), np.cumsum([len(line) for line in lines])[:-1]
+        # All at once: a call for each polyline would take longer than the drawing.
+        uv = self.pixels(np.concatenate([line for stroke in strokes for line in stroke.polylines]))
+        seen = np.isfinite(uv[:, 0])
         grid = np.rint(np.where(seen[:, None], uv, 0.0) * UNIT).astype(np.int32)[:, None]
-        parts = iter([part[drawn] for part, drawn in zip(np.split(grid, ends), np.split(seen, ends), strict=True)])
+        first = 0
         for polylines, color, width in strokes:
-            own = [part for part in islice(parts, len(polylines)) if len(part) > 1]
+            own = []
+            for line in polylines:
+                part = slice(first, first + len(line))
+                own += [grid[part][seen[part]]] if np.count_nonzero(seen[part]) > 1 else []
+                first += len(line)
             cv2.polylines(self.image, own, False, INK, self._stroke * width + 1, cv2.LINE_AA, SHIFT)
             cv2.polylines(self.image, own, False, color, self._stroke * width, cv2.LINE_AA, SHIFT)
 
