@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
@@ -78,7 +76,7 @@ class Replay:
         self._follow: FollowCamera | None = None
         self._seen: tuple[float, Image] | None = None
         self._own: tuple[Stage, StillView] | None = None
-        self._views: dict[str, StillView] = {}
+        self._views: dict[str, tuple[StillView, Perspective]] = {}
 
     @property
     def cameras(self) -> list[str]:
@@ -114,24 +112,23 @@ class Replay:
         if camera not in self._views:
             view = outside_view(self._stage, camera, width, height, self._parts.camera, self._shadows)
             model, data = self._stage.model, self._stage.data
-            f = height / (2 * math.tan(math.radians(float(model.camera(camera).fovy[0])) / 2))
-            self._views[camera] = StillView(view, model, data, camera, f)
+            lens = Perspective(width=width, height=height, fovy_deg=float(model.camera(camera).fovy[0]))
+            self._views[camera] = StillView(view, model, data, camera, lens.f, view.part), lens
         self._stage.place(t, T_world_target, q, T_world_camera)
         if camera == "overview":
             self._follow = self._follow or FollowCamera(self._stage, self._things, width / height, FREE, max(FOOT, FOOT_PX / height))
             self._follow.place(t, T_world_goal)
-        return self._views[camera].full_image()
+        return self._views[camera][0].full_image()
 
     def seen(self, t: float) -> Image | None:
         """The last picture of the servo camera, if it is that of a time [s]; not to be drawn into."""
         return self._seen[1] if self._seen is not None and self._seen[0] == t else None
 
-    def sight(self, camera: str, width: int, height: int) -> tuple[Camera, Array]:
+    def sight(self, camera: str) -> tuple[Perspective, Array]:
         """Lens and pose T_world_camera (4, 4) of the last picture from a camera outside, for what is drawn over it."""
-        model, data, T = self._stage.model, self._stage.data, np.eye(4)
-        T[:3, :3] = data.camera(camera).xmat.reshape(3, 3) @ FLIP[:3, :3]
-        T[:3, 3] = data.camera(camera).xpos
-        return Perspective(width=width, height=height, fovy_deg=float(model.camera(camera).fovy[0])), T
+        data, T = self._stage.data.camera(camera), np.eye(4)
+        T[:3, :3], T[:3, 3] = data.xmat.reshape(3, 3) @ FLIP[:3, :3], data.xpos
+        return self._views[camera][1], T
 
     def body(self) -> Array:
         """Points (G, 16, 3) in the world whose convex hulls are the robot's geoms in the last picture from outside."""

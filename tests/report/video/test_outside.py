@@ -14,7 +14,8 @@ from vstestbed.camera import Perspective
 from vstestbed.core.geometry import Array, inverse, transform
 from vstestbed.core.outcome import Outcome
 from vstestbed.report.video.film import Film, FilmFrame, Pictures, _in_words, replay_of
-from vstestbed.report.video.outside import GOAL, MOST_PLACES, Outside, Pen
+from vstestbed.report.video.outside import GOAL, MOST_PLACES, Outside, Pen, Stroke
+from vstestbed.report.video.overlay import GOOD, draw_ending
 from vstestbed.report.video.quality import DRAFT
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.scene.compose import Parts
@@ -44,7 +45,7 @@ def test_a_pen_draws_where_the_camera_projects_and_fills_convex_hulls() -> None:
     assert pen.metres(0.1, np.array([0, 0, 2.0])) == pytest.approx(0.1 * 320 * 2.0 / lens.f)
     before = image.copy()
     pen.area(-square[None], (255, 255, 255), 1.0)  # behind the camera
-    pen.lines([-square], (255, 255, 255))
+    pen.lines([Stroke([-square], (255, 255, 255))])
     np.testing.assert_array_equal(image, before)
 
 
@@ -56,7 +57,7 @@ def test_the_ghost_stands_at_the_goal_pose(name: str) -> None:
         frame, other = at_the_start(s), replay_of(s, DRAFT)
         goal = frame.T_world_target @ inverse(s.goal_poses[0])
         picture = Outside(s, replay, "overview", SIZE).picture(frame, goal)
-        lens, T = replay.sight("overview", *SIZE)
+        lens, T = replay.sight("overview")
         body = transform(goal @ inverse(frame.T_world_camera), replay.body()).reshape(-1, 3)
         uv = lens.project(transform(inverse(T), body))
         green = np.abs(picture.astype(int) - GOAL).max(axis=2) < 40
@@ -71,13 +72,32 @@ def test_the_ghost_stands_at_the_goal_pose(name: str) -> None:
         replay.close()
 
 
+def test_a_part_that_is_drawn_again_fits_into_the_picture() -> None:
+    s = vs.load("arm_ibvs")
+    replay, other = replay_of(s, DRAFT), replay_of(s, DRAFT)
+    try:
+        frame = at_the_start(s)
+        poses = frame.T_world_target, frame.q + 0.02, frame.T_world_camera
+        first = replay.picture("overview", *SIZE, 0.0, frame.T_world_target, frame.q, frame.T_world_camera)
+        replay._views["overview"][0]._view.full_image = lambda: pytest.fail("the whole picture was drawn")
+        second = replay.picture("overview", *SIZE, 0.0, *poses)  # at the same time the camera keeps its place
+        other.picture("overview", *SIZE, 0.0, frame.T_world_target, frame.q, frame.T_world_camera)
+        other._views.clear()
+        whole = other.picture("overview", *SIZE, 0.0, *poses)
+        assert (np.abs(first.astype(int) - whole).max(axis=2) > 12).sum() > 50  # the arm has moved
+        assert (np.abs(second.astype(int) - whole).max(axis=2) > 12).sum() < 5  # half a pixel at most along an edge
+    finally:
+        replay.close()
+        other.close()
+
+
 def test_a_trail_has_a_bounded_number_of_points_from_the_first_to_the_last() -> None:
     s = vs.load("ibvs_book")
     replay = replay_of(s, DRAFT)
     try:
         outside, frame = Outside(s, replay, "overview", SIZE), at_the_start(s)
         outside.picture(frame, None)
-        pen = Pen(np.zeros((180, 320, 3), np.uint8), *replay.sight("overview", *SIZE), 1)
+        pen = Pen(np.zeros((180, 320, 3), np.uint8), *replay.sight("overview"), 1)
         spacing = outside._spacing
         for k in range(3 * MOST_PLACES):
             outside._extend(pen, frame.T_world_camera[:3, 3] + [1.1 * spacing * (k + 1), 0, 0])
@@ -159,3 +179,12 @@ def test_a_film_ends_with_the_outcome_for_a_second(tmp_path: Path, outcome: Outc
     np.testing.assert_allclose(band.reshape(-1, 3).mean(axis=0), colour, atol=12)
     assert np.abs(last[0][200:218, 280:310].astype(int) - colour).max(axis=2).min() > 20  # not before
     assert last[-1][190:215, 10:150].max() > 200  # the words
+
+
+@pytest.mark.parametrize(("width", "height"), [(320, 180), (640, 360), (1280, 720)])
+def test_the_ending_leaves_most_of_the_picture_free(width: int, height: int) -> None:
+    image = np.zeros((height, width, 3), np.uint8)
+    draw_ending(image, "Converged", "RMS error under 0.2 px for 0.5 s", GOOD)
+    rows = np.flatnonzero((image == GOOD).all(axis=2).any(axis=1))
+    assert 0.08 * height < np.ptp(rows) < 0.2 * height
+    assert ((image[rows] > 200).all(axis=2)).sum() > 100  # with words on it

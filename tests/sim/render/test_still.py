@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
+from vstestbed.camera import Window
 from vstestbed.sim.render.still import UNSEEN_PX, StillView, pixels_per_radian
 
 SCENE = """
@@ -70,6 +71,46 @@ class TestMotion:
         else:
             self.model.cam_quat[0] = [np.cos(pixel), np.sin(pixel), 0, 0]
         assert self.image() == 2
+
+
+class TestParts:
+    @pytest.fixture(autouse=True)
+    def scene(self) -> None:
+        self.model = mujoco.MjModel.from_xml_string(SCENE)
+        self.data = mujoco.MjData(self.model)
+        self.drawn: list[Window | None] = []
+        self.view = StillView(self, self.model, self.data, "eye", F, self.part)
+        self.image()
+
+    def full_image(self) -> np.ndarray:
+        return self.part(None)
+
+    def part(self, window: Window | None) -> np.ndarray:
+        self.drawn.append(window)
+        return np.full((400, 640, 3), len(self.drawn), np.uint8)
+
+    def image(self) -> np.ndarray:
+        mujoco.mj_kinematics(self.model, self.data)
+        mujoco.mj_camlight(self.model, self.data)
+        return self.view.full_image()
+
+    def test_from_a_camera_at_rest_only_where_a_geom_is_and_was(self):
+        self.data.mocap_pos[0, 0] += 0.2  # from .3 to .5 m to the right of the axis, 1.5 m away, with a radius of .1 m
+        image = self.image()
+        rows, columns = np.nonzero(image[..., 0] == 2)
+        left, right, half = 320 + F * 0.2 / 1.5, 320 + F * 0.6 / 1.5, F * 0.1 / 1.5
+        assert left - 15 < columns.min() <= left and right <= columns.max() < right + 15
+        assert 200 - half - 5 < rows.min() <= 200 - half and 200 + half - 1 <= rows.max() < 200 + half + 5
+        assert (image[..., 0] == 1).sum() + len(rows) == 400 * 640
+        assert (self.image() == image).all() and len(self.drawn) == 2  # it is known to be drawn there
+
+    @pytest.mark.parametrize("what", ["camera", "near"])
+    def test_all_of_it_where_the_camera_moves_or_a_geom_is_before_the_lens(self, what: str):
+        if what == "camera":
+            self.model.cam_pos[0, 0] += 0.01
+        else:
+            self.data.mocap_pos[0] = 0, 0, 1.85
+        assert (self.image() == 2).all()
 
 
 @pytest.mark.parametrize("name", ["arm_ibvs", "spherical_book"])

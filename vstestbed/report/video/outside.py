@@ -7,12 +7,12 @@ pictures.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import cv2
 import numpy as np
 
-from vstestbed.camera import Camera
+from vstestbed.camera import Camera, Perspective
 from vstestbed.core.geometry import Array, inverse, transform
 from vstestbed.report.video.overlay import INK, PAPER, SHIFT, UNIT, Color, Overlay
 from vstestbed.report.video.writer import Image
@@ -40,6 +40,8 @@ SPACING: Final = 0.006
 GHOST_FILL: Final = 0.25
 FOLDED: Final = np.array([[i, j, 1.0] for i, j in ((-0.6, -0.6), (0.6, -0.6), (0.6, 0.6), (-0.6, 0.6))])
 """Corners of the pyramid that stands for the frustum of a lens that sees sideways."""
+EDGES: Final = [0, 1, 2, 3, 0, 4, 1], [2, 4, 3]
+"""The edges of a pyramid as two polylines through its corners, the last of which is its top."""
 
 
 class Outside:
@@ -55,63 +57,57 @@ class Outside:
         self._held = 1.2 * scenario.target.points if scenario.target.on_gripper else None
         self._line = max(1, round(size[1] / 360))
         self._trail, self._spacing = np.zeros((0, 3)), 0.0
-        self._corners = _frustum(scenario.camera)
+        self._corners = np.vstack([_frustum(scenario.camera), np.zeros(3)])
         self._scale = min((1 - FREE) * size[0] / scenario.camera.width, 0.5 * size[1] / scenario.camera.height)
-        self._inset: tuple[float, Image] | None = None
-        self._inset_size = round(scenario.camera.width * self._scale), round(scenario.camera.height * self._scale)
-        self._overlay = Overlay(*self._inset_size, scenario.target.colors)
+        inset = round(scenario.camera.width * self._scale), round(scenario.camera.height * self._scale)
+        self._inset_t, self._inset = -np.inf, np.full((inset[1] + EDGE, inset[0] + EDGE, 3), PAPER, np.uint8)
+        self._overlay = Overlay(*inset, scenario.target.colors)
 
     def picture(self, frame: FilmFrame, T_world_goal: Array | None) -> Image:
         """One picture (H, W, 3); T_world_goal: the servo camera's pose (4, 4) at its goal, if it has one."""
         width, height = self._size
         T_target, T_camera = frame.T_world_target, frame.T_world_camera
         scene = self._replay.picture(self._name, width, height, frame.t, T_target, frame.q, T_camera, T_world_goal)
-        pen = Pen(scene, *self._replay.sight(self._name, width, height), self._line)
-        if T_world_goal is not None:
-            self._draw_goal(pen, T_world_goal, T_camera, T_target)
+        pen = Pen(scene, *self._replay.sight(self._name), self._line)
+        strokes = [] if T_world_goal is None else self._goal(pen, T_world_goal, T_camera, T_target)
         self._extend(pen, T_camera[:3, 3])
-        pen.lines([self._trail], OWN)
-        pen.lines(self._wire(pen, T_camera), OWN)
+        strokes.append(Stroke([self._trail, *self._wire(pen, T_camera)], OWN))
         if self._has_frame:
             length = pen.metres(AXIS, T_target[:3, 3])
-            for axis, color in zip(T_target[:3, :3].T, AXES, strict=True):
-                pen.lines([T_target[:3, 3] + np.array([[0.0], [length]]) * axis], color, 2)
+            axes = T_target[:3, 3] + np.array([[0.0], [length]]) * T_target[:3, :3].T[:, None]
+            strokes += [Stroke([axis], color, 2) for axis, color in zip(axes, AXES, strict=True)]
+        pen.lines(strokes)
         return scene
 
-    def _draw_goal(self, pen: Pen, T_world_goal: Array, T_camera: Array, T_target: Array) -> None:
-        """The camera's frustum at its goal, with the body of a robot that moves; eye to hand the target where it has to go."""
+    def _goal(self, pen: Pen, T_world_goal: Array, T_camera: Array, T_target: Array) -> list[Stroke]:
+        """The camera's frustum at its goal; the body there of a robot that moves is drawn, eye to hand the target where it has to go."""
         to_goal = T_world_goal @ inverse(T_camera)
         if self._held is not None:
             pen.area(transform(inverse(to_goal) @ T_target, self._held)[None], GOAL, GHOST_FILL)
-            return
+            return []
         if self._moving:
             pen.area(transform(to_goal, self._replay.body()), GOAL, GHOST_FILL)
-        pen.lines(self._wire(pen, T_world_goal), GOAL)
+        return [Stroke(self._wire(pen, T_world_goal), GOAL)]
 
     def put_inset(self, scene: Image, frame: FilmFrame, image: Image | None, render: Callable[[], Image]) -> None:
         """The servo camera's image in the upper right corner of a picture, with its markers, in place.
 
         image: what is there already; without one, `render` is asked every INSET_S alone, since a wide lens takes several views.
         """
-        if image is None and (self._inset is None or frame.t >= self._inset[0] + INSET_S - 1e-9):
+        if image is None and frame.t >= self._inset_t + INSET_S - 1e-9:
             image = render()
         if image is not None:
-            width, height = self._inset_size
-            part = np.full((height + EDGE, width + EDGE, 3), PAPER, np.uint8)
-            every = max(1, int(0.5 / self._scale))  # the mean of every pixel of a large image would take longer than the rest
-            image = image[every // 2 :: every, every // 2 :: every]
-            small = np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
+            small = self._inset[:-EDGE, EDGE:]
+            small[:] = _reduced(image, *small.shape[1::-1])
             self._overlay.marks(small, (frame.uv + 0.5) * self._scale - 0.5, (frame.goal_uv + 0.5) * self._scale - 0.5)
-            part[:height, EDGE:] = small
-            self._inset = frame.t, part
-        assert self._inset is not None  # rendered at the first frame
-        part = self._inset[1]
-        scene[: part.shape[0], scene.shape[1] - part.shape[1] :] = part
+            self._inset_t = frame.t
+        height, width = self._inset.shape[:2]
+        scene[:height, -width:] = self._inset
 
     def _wire(self, pen: Pen, T: Array) -> list[Array]:
         """The edges of the frustum of a camera at a pose (4, 4)."""
         corners = transform(T, pen.metres(FRUSTUM, T[:3, 3]) * self._corners)
-        return [np.vstack([corners, corners[:1]]), *(np.array([T[:3, 3], corner]) for corner in corners)]
+        return [corners[edges] for edges in EDGES]
 
     def _extend(self, pen: Pen, place: Array) -> None:
         trail = self._trail
@@ -123,6 +119,14 @@ class Outside:
         self._trail = trail
 
 
+class Stroke(NamedTuple):
+    """Polylines (N, 3) of points in the world, of one colour; width: in that of a pen."""
+
+    polylines: list[Array]
+    color: Color
+    width: int = 1
+
+
 class Pen:
     """Draws lines and areas of the world on a picture, in place.
 
@@ -130,7 +134,7 @@ class Pen:
         image: the picture. lens, T_world_camera: the camera that took it. stroke: width of a line [px].
     """
 
-    def __init__(self, image: Image, lens: Camera, T_world_camera: Array, stroke: int):
+    def __init__(self, image: Image, lens: Perspective, T_world_camera: Array, stroke: int):
         self.image, self._lens, self._T, self._stroke = image, lens, inverse(T_world_camera), stroke
 
     def pixels(self, points: Array) -> Array:
@@ -141,21 +145,24 @@ class Pen:
 
     def metres(self, share: float, place: Array) -> float:
         """What appears as long as a share of the picture's width, at a place (3,) [m]."""
-        depth = max(float((self._T[:3, :3] @ place + self._T[:3, 3])[2]), 1e-3)
-        a, b = self._lens.project(np.array([[0.0, 0.0, depth], [depth, 0.0, depth]]))
-        return share * self._lens.width * depth / float(b[0] - a[0])
+        depth = max(float(self._T[2, :3] @ place + self._T[2, 3]), 1e-3)
+        return share * self._lens.width * depth / self._lens.f
 
-    def lines(self, polylines: list[Array], color: Color, width: int = 1) -> None:
-        """Polylines (N, 3) of points in the world, with a dark edge; points that cannot be drawn are left out."""
-        grid = []
-        for line in polylines:
-            uv = self.pixels(line)
-            uv = uv[np.isfinite(uv[:, 0])]
-            if len(uv) > 1:
-                grid.append(np.rint(uv * UNIT).astype(np.int32)[:, None])
-        stroke = self._stroke * width
-        cv2.polylines(self.image, grid, False, INK, stroke + 1, cv2.LINE_AA, SHIFT)
-        cv2.polylines(self.image, grid, False, color, stroke, cv2.LINE_AA, SHIFT)
+    def lines(self, strokes: list[Stroke]) -> None:
+        """Polylines, each colour over a dark edge and over those before; points that cannot be drawn are left out."""
+        # All at once: a call for each polyline would take longer than the drawing.
+        uv = self.pixels(np.concatenate([line for stroke in strokes for line in stroke.polylines]))
+        seen = np.isfinite(uv[:, 0])
+        grid = np.rint(np.where(seen[:, None], uv, 0.0) * UNIT).astype(np.int32)[:, None]
+        first = 0
+        for polylines, color, width in strokes:
+            own = []
+            for line in polylines:
+                part = slice(first, first + len(line))
+                own += [grid[part][seen[part]]] if np.count_nonzero(seen[part]) > 1 else []
+                first += len(line)
+            cv2.polylines(self.image, own, False, INK, self._stroke * width + 1, cv2.LINE_AA, SHIFT)
+            cv2.polylines(self.image, own, False, color, self._stroke * width, cv2.LINE_AA, SHIFT)
 
     def area(self, hulls: Array, color: Color, fill: float) -> None:
         """The union of the convex hulls of points (G, P, 3): a translucent area with an outline."""
@@ -182,3 +189,12 @@ def _frustum(camera: Camera) -> Array:
             return FOLDED
     corners = rays / rays[:, 2:]
     return corners * min(1.0, 0.6 / float(np.abs(corners[:, :2]).max()))
+
+
+def _reduced(image: Image, width: int, height: int) -> Image:
+    """A smaller image: of a large one not every pixel counts, since their mean would take longer than the rest."""
+    every = max(1, image.shape[1] // (2 * width))
+    image = image[every // 2 :: every, every // 2 :: every]
+    if image.shape[1] >= 2 * width:  # half the size takes a tenth of the time of any other share
+        image = np.asarray(cv2.resize(image, (image.shape[1] // 2, image.shape[0] // 2), interpolation=cv2.INTER_AREA), np.uint8)
+    return np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_LINEAR), np.uint8)

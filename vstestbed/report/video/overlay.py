@@ -27,6 +27,8 @@ ALARM: Final[Color] = (200, 30, 45)
 GOOD: Final[Color] = (24, 122, 62)
 HOLD_S: Final = 1
 """How long the last picture of a film stays [s]."""
+TALLEST: Final = 0.2
+"""Most of a picture's height that the outcome and its reason may take as two lines."""
 SHIFT: Final = 4
 UNIT: Final = 1 << SHIFT  # OpenCV draws on a grid of 1/16 px
 SMALL: Final = 240
@@ -164,15 +166,22 @@ def draw_caption(image: Image, title: str, *, t: float, error: str) -> None:
 
 
 def draw_ending(image: Image, words: str, reason: str, color: Color) -> None:
-    """Write how a run ended, in bold, and why, on a coloured band over the caption, in place; shortened to its width."""
+    """Write how a run ended, in bold, and why, on a coloured band over the caption, in place; shortened to its width.
+
+    In a small picture both are one line.
+    """
     height, width = image.shape[:2]
     size, foot = text_size(height), height - strip_height(height)
     pad = round(0.7 * size)
-    large = next((k for k in range(round(1.25 * size), size, -1) if text_width(words, k, 600) <= width - 2 * pad), size)
-    top = foot - round(3.6 * size)
+    low = 3.6 * size > TALLEST * height
+    top = foot - round((1.9 if low else 3.6) * size)
     image[top:foot] = color
-    draw_text(image, shortened(words, large, width - 2 * pad, 600), (pad, top + round(1.5 * size)), PAPER, large, weight=600)
-    draw_text(image, shortened(reason, size, width - 2 * pad), (pad, foot - round(0.75 * size)), PAPER, size)
+    if low:
+        reason = f"{words}: {reason}"
+    else:
+        large = next((k for k in range(round(1.25 * size), size, -1) if text_width(words, k, 600) <= width - 2 * pad), size)
+        draw_text(image, shortened(words, large, width - 2 * pad, 600), (pad, top + round(1.5 * size)), PAPER, large, weight=600)
+    draw_text(image, shortened(reason, size, width - 2 * pad), (pad, foot - round((0.6 if low else 0.75) * size)), PAPER, size)
 
 
 def text_size(height: int) -> int:

@@ -66,6 +66,10 @@ class SceneCamera:
         """The image now, shape (H, W, 3) uint8 RGB, as a copy that the caller may keep."""
         return np.ascontiguousarray(self.raw())
 
+    def part(self, window: Window) -> Image | None:
+        """The image now, valid within a window until the next call; None with shadows, which move elsewhere as well."""
+        return None if self._flags["shadow"] else self.raw(window)
+
     def raw(self, window: Window | None = None) -> Image:
         """The image now as a view of dm_control's buffer, which the next call overwrites.
 

@@ -7,7 +7,7 @@ import logging
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
-from vstestbed.camera import Camera, Image
+from vstestbed.camera import Camera, Image, Window
 from vstestbed.core.errors import EnvironmentLackError
 from vstestbed.core.geometry import Array
 from vstestbed.sim.base import Renderer
@@ -26,6 +26,10 @@ class OutsideView(Protocol):
 
     def full_image(self) -> Image:
         """The image now, shape (H, W, 3) uint8 RGB, as a copy that the caller may keep."""
+        ...
+
+    def part(self, window: Window) -> Image | None:
+        """The image now, valid within a window until the next call; None where a part takes as long as the whole, or is not the same."""
         ...
 
 

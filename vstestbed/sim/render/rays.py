@@ -276,6 +276,10 @@ class RaySceneCamera:
         self._before = T, data.geom_xpos.copy(), data.geom_xmat.copy()
         return self._image.copy()
 
+    def part(self, window: Window) -> Image | None:
+        """None: the whole image is drawn where it has changed alone."""
+        return None
+
     def _changed(self, T: Array, cone: tuple[Array, float]) -> bool:
         """Whether a geom within a cone of the camera (axis in its frame) has moved since the last image."""
         if self._before is None or not np.array_equal(self._before[0], T):

@@ -1,17 +1,21 @@
-"""A view of a scene that is drawn again only when something in it has moved by a visible part of a pixel."""
+"""A view of a scene that is drawn again only where something in it has moved by a visible part of a pixel."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Protocol
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
-from vstestbed.camera import Camera, Image
-from vstestbed.core.geometry import Array
+from vstestbed.camera import Camera, Image, Window
+from vstestbed.core.geometry import Array, lengths
 
 UNSEEN_PX = 0.5
 """Motion in the image below which the last image is shown again [px]."""
+SLIGHT_PX = 0.05
+"""Motion of the camera or of a geom below which it counts as at rest when only a part is drawn again [px]."""
 NEAR_M = 0.1
 """Least distance that is assumed between a view and what it shows [m]."""
 FLOOR_M = 0.5
@@ -27,7 +31,7 @@ class View(Protocol):
 
 
 class StillView:
-    """A view that is drawn again only if something has moved by UNSEEN_PX since it was drawn last.
+    """A view that is drawn again only if something has moved by UNSEEN_PX since it was drawn last, and only there if the camera rests.
 
     A point of a geom at p in the camera's frame, with a bounding sphere of radius r, has moved by at most |dp| + r dphi for a turn by
     dphi, and its image by f times that over its distance |p| - r.
@@ -37,10 +41,19 @@ class StillView:
         model, data: the scene.
         camera: the view's camera by its name in the scene.
         f: pixels per radian.
+        part: draws a perspective image within a window alone, or returns None where it cannot.
     """
 
-    def __init__(self, view: View, model: mujoco.MjModel, data: mujoco.MjData, camera: str, f: float):
-        self._view, self._model, self._data, self._f = view, model, data, f
+    def __init__(
+        self,
+        view: View,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        camera: str,
+        f: float,
+        part: Callable[[Window], Image | None] = lambda window: None,
+    ):
+        self._view, self._model, self._data, self._f, self._part = view, model, data, f, part
         self._camera = model.camera(camera).id
         self._drawn: tuple[Array, ...] = ()
         self._image: Image | None = None
@@ -48,9 +61,40 @@ class StillView:
     def full_image(self) -> Image:
         """The image now, shape (H, W, 3) uint8 RGB, as a copy that the caller may keep."""
         state = self._state()
-        if self._image is None or self._motion(state) > UNSEEN_PX:
+        if self._image is None:
+            self._image, self._drawn = self._view.full_image(), state
+            return self._image.copy()
+        of_geoms, of_camera = self._motion(state)
+        seen = max(of_geoms.max(), of_camera) > UNSEEN_PX
+        if seen and (of_camera > SLIGHT_PX or not self._renewed(self._image, state, np.flatnonzero(of_geoms > SLIGHT_PX))):
             self._image, self._drawn = self._view.full_image(), state
         return self._image.copy()
+
+    def _renewed(self, image: Image, state: tuple[Array, ...], moved: NDArray[np.intp]) -> bool:
+        """Draw an image again, in place, where the geoms that have moved are and were; False where that is not possible."""
+        window = self._window(np.concatenate([state[0][moved], self._drawn[0][moved]]), np.tile(self._model.geom_rbound[moved], 2))
+        part = None if window is None else self._part(window)
+        if window is None or part is None:
+            return False
+        left, top, right, bottom = window
+        image[top:bottom, left:right] = part[top:bottom, left:right]
+        for drawn, now in zip(self._drawn[:2], state, strict=False):
+            drawn[moved] = now[moved]
+        return True
+
+    def _window(self, p: Array, radius: Array) -> Window | None:
+        """The part of the image that holds spheres at p (N, 3) in the camera's frame (x right, y up, z backwards)."""
+        assert self._image is not None
+        near, far = -p[:, 2] - radius, radius - p[:, 2]
+        if near.min() < NEAR_M:
+            return None
+        size = np.array(self._image.shape[1::-1])
+        across = p[:, :2] * [1, -1]
+        low, high = (across - radius[:, None]).T, (across + radius[:, None]).T
+        first = size / 2 + self._f * np.minimum(low / near, low / far).min(axis=1) - 1
+        last = size / 2 + self._f * np.maximum(high / near, high / far).max(axis=1) + 2
+        left, top, right, bottom = np.clip([first, last], 0, size).astype(int).ravel().tolist()
+        return (left, top, right, bottom) if left < right and top < bottom else None
 
     def _state(self) -> tuple[Array, ...]:
         """Places (G, 3) and axes (G, 3, 3) of the geoms in the camera's frame; the camera's place (3,) and axes (3, 3)."""
@@ -58,20 +102,20 @@ class StillView:
         place, axes = data.cam_xpos[i].copy(), data.cam_xmat[i].reshape(3, 3).copy()
         return (data.geom_xpos - place) @ axes, axes.T @ data.geom_xmat.reshape(-1, 3, 3), place, axes
 
-    def _motion(self, state: tuple[Array, ...]) -> float:
-        """Bound of the motion in the image since it was drawn [px]."""
+    def _motion(self, state: tuple[Array, ...]) -> tuple[Array, float]:
+        """Bounds of the motion in the image since it was drawn: of each geom (G,), and of planes as the camera moves [px]."""
         (p, Q, c, R), (p_drawn, Q_drawn, c_drawn, R_drawn) = state, self._drawn
         radius = self._model.geom_rbound
-        moved = np.linalg.norm(p - p_drawn, axis=1) + radius * _turn(Q - Q_drawn)
-        distance = np.linalg.norm(p, axis=1) - radius
-        of_geoms = np.where(radius > 0, moved / np.maximum(distance, NEAR_M), 0.0).max()
-        of_planes = _turn(R - R_drawn) + np.linalg.norm(c - c_drawn) / FLOOR_M
-        return self._f * float(max(of_geoms, of_planes))
+        moved = lengths(p - p_drawn)[:, 0] + radius * _turn(Q - Q_drawn)
+        distance = lengths(p)[:, 0] - radius
+        of_geoms = np.where(radius > 0, moved / np.maximum(distance, NEAR_M), 0.0)
+        of_planes = _turn(R - R_drawn) + lengths(c - c_drawn)[0] / FLOOR_M
+        return self._f * of_geoms, self._f * float(of_planes)
 
 
 def _turn(difference: Array) -> Array:
     """Angle between axes from their difference (..., 3, 3), for small angles: the Frobenius norm is sqrt(2) times it [rad]."""
-    return np.linalg.norm(difference, axis=(-2, -1)) / np.sqrt(2)
+    return lengths(difference.reshape(*difference.shape[:-2], 9))[..., 0] / np.sqrt(2)
 
 
 def pixels_per_radian(lens: Camera) -> float:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
 from vstestbed.core.geometry import Array, inverse, transform
 from vstestbed.sim.scene.compose import RANGE_GROUP
-from vstestbed.sim.scene.overview import AZIMUTHS, LEAST_REACH, Tangents, axes_of, extremes, eye_of, slanting
+from vstestbed.sim.scene.overview import AZIMUTHS, LEAST_REACH, Axes, Tangents, axes_of, extremes, eye_of, slanting
 from vstestbed.sim.scene.stage import Stage
 
 ELEVATIONS = np.radians([26.0, 36.0, 16.0, 10.0, 5.0])
@@ -44,18 +43,6 @@ ROUND: dict[int, Array] = {
     int(mujoco.mjtGeom.mjGEOM_CAPSULE): CYLINDERS,
 }
 BISECTIONS = 7
-
-
-class Axes(NamedTuple):
-    """Axes of a view in the world: to the right and up, (3,) each."""
-
-    right: Array
-    up: Array
-
-    @property
-    def ahead(self) -> Array:
-        """The optical axis (3,)."""
-        return np.cross(self.up, self.right)
 
 
 class Things:
@@ -144,9 +131,9 @@ class FollowCamera:
     def _eye_for(self, view: Axes, around: Array, beside: Array) -> Array:
         """The nearest eye (3,) that shows everything, or as much of it as leaves the robot its least size."""
         if not self._moving:
-            now = extremes(np.vstack([around, beside]), *view, self._tangents)
+            now = extremes(np.vstack([around, beside]), view, self._tangents)
             self._extremes = np.maximum(self._extremes, now)
-            return eye_of(self._extremes, *view, self._tangents)
+            return eye_of(self._extremes, view, self._tangents)
         middle, near, far = around.mean(axis=0), 0.0, 1.0
         eye = self._showing(view, around, beside)
         for _ in range(BISECTIONS if self._share(eye, view, around) < LEAST_SHARE else 0):
@@ -157,12 +144,13 @@ class FollowCamera:
 
     def _showing(self, view: Axes, around: Array, beside: Array) -> Array:
         """The nearest eye (3,) that shows everything, with room beside a robot that moves."""
-        room = (AROUND - 1) * (around - around.mean(axis=0)) @ np.array([*view]).T @ np.array([*view]) if self._moving else 0.0
-        return eye_of(extremes(np.vstack([around + room, beside]), *view, self._tangents), *view, self._tangents)
+        across = np.array(view[:2])
+        room = (AROUND - 1) * (around - around.mean(axis=0)) @ across.T @ across if self._moving else 0.0
+        return eye_of(extremes(np.vstack([around + room, beside]), view, self._tangents), view, self._tangents)
 
     def _share(self, eye: Array, view: Axes, around: Array) -> float:
         """Extent of the robot, as it is seen, over the picture's width."""
-        extent = max(float(np.ptp(around @ axis)) for axis in view)
+        extent = max(float(np.ptp(around @ axis)) for axis in view[:2])
         return extent / (self._width * max(float((around.mean(axis=0) - eye) @ view.ahead), 1e-6))
 
     def _chosen(self, around: Array, beside: Array) -> Axes:
@@ -170,9 +158,9 @@ class FollowCamera:
         if self._stage.parts.robot.model is None:
             right, up = axes_of(self._stage.model, self._camera)
             back = np.cross(right, up)
-            views = [Axes(right * math.cos(a) + back * math.sin(a), up) for a in SIDES]
+            views = [Axes.of(right * math.cos(a) + back * math.sin(a), up) for a in SIDES]
         else:
-            views = [Axes(*slanting(azimuth, elevation)) for elevation in ELEVATIONS for azimuth in AZIMUTHS[::2]]
+            views = [Axes.of(*slanting(azimuth, elevation)) for elevation in ELEVATIONS for azimuth in AZIMUTHS[::2]]
         return max(views, key=lambda view: self._merit(view, around, beside))
 
     def _merit(self, view: Axes, around: Array, beside: Array) -> float:

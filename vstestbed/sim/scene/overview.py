@@ -115,28 +115,42 @@ def eye_for(points: Array, right: Array, up: Array, half_height: float) -> Array
     """The nearest place (3,) from which a picture of tangent `half_height`, WIDE_PICTURE wide, holds all points (N, 3)."""
     wide, high = half_height * WIDE_PICTURE / ROOM, half_height / HEADROOM
     tangents = Tangents(wide, wide, high, high)
-    return eye_of(extremes(points, right, up, tangents), right, up, tangents)
+    axes = Axes.of(right, up)
+    return eye_of(extremes(points, axes, tangents), axes, tangents)
 
 
-def extremes(points: Array, right: Array, up: Array, tangents: Tangents) -> Array:
+class Axes(NamedTuple):
+    """Axes of a view in the world: to the right, up, and ahead along the optical axis, (3,) each."""
+
+    right: Array
+    up: Array
+    ahead: Array
+
+    @classmethod
+    def of(cls, right: Array, up: Array) -> Axes:
+        """The axes of which two are given."""
+        return cls(right, up, np.cross(up, right))
+
+
+def extremes(points: Array, axes: Axes, tangents: Tangents) -> Array:
     """What points (N, 3) ask of the place of a view, (4,): the larger, the farther they are out of the picture to each side.
 
-    With x along `right`, z ahead, tangents l and r and D the eye's distance behind the origin, x - cx <= r (D + z) for every point is
+    With x to the right, z ahead, tangents l and r and D the eye's distance behind the origin, x - cx <= r (D + z) for every point is
     cx + r D >= max(x - r z), and x - cx >= -l (D + z) is l D - cx >= max(-x - l z). The same upwards.
     """
-    x, y, z = (points @ axis for axis in (right, up, np.cross(up, right)))
+    x, y, z = (points @ axis for axis in axes)
     left, to_right, down, to_up = tangents
     return np.array([(-x - left * z).max(), (x - to_right * z).max(), (-y - down * z).max(), (y - to_up * z).max()])
 
 
-def eye_of(most: Array, right: Array, up: Array, tangents: Tangents) -> Array:
+def eye_of(most: Array, axes: Axes, tangents: Tangents) -> Array:
     """The nearest place (3,) that satisfies these extremes (4,), with the contents in the middle of what room is left."""
     left, to_right, down, to_up = tangents
     distance = max((most[0] + most[1]) / (left + to_right), (most[2] + most[3]) / (down + to_up))
     # cx lies between most[1] - r D and l D - most[0].
     across = (most[1] - to_right * distance + left * distance - most[0]) / 2
     upwards = (most[3] - to_up * distance + down * distance - most[2]) / 2
-    return across * right + upwards * up - distance * np.cross(up, right)
+    return across * axes.right + upwards * axes.up - distance * axes.ahead
 
 
 def axes_of(model: mujoco.MjModel, camera: int) -> tuple[Array, Array]:
