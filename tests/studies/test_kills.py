@@ -111,7 +111,7 @@ from pathlib import Path
 class Paced:
     def frame(self, frame):
         print(frame.timing.number, time.time(), flush=True)
-        time.sleep(float(sys.argv[1]))
+        time.sleep(float(sys.argv[1]))  # a loop as slow as that
 Path("out").mkdir()
 settings = {a.split("=")[0]: float(a.split("=")[1]) for a in sys.argv[2:]}
 vs.run_into(Path("out"), vs.load("quick.yaml", settings), "none", [Paced()], report=False)
@@ -129,7 +129,7 @@ def test_a_killed_run_loses_a_tenth_of_a_second_at_most(tmp_path: Path, quick: P
         with printed.open("w") as sink:
             process = subprocess.Popen(words, cwd=tmp_path, env=vstestbed_process[1], stdout=sink)
             wait_for(lambda: printed.read_text().count("\n") > 10)
-            time.sleep(0.3 + 0.03 * i)
+            time.sleep(0.3 + 0.03 * i)  # killed at another moment of its flushing each time
             process.kill()
             killed = time.time()
             process.wait()

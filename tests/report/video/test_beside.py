@@ -62,7 +62,7 @@ def filming(film: Takes, every: int = 2) -> FilmThread:
             film.abort()
             raise
 
-    return FilmThread(opened, Pace(25.0, every))  # type: ignore[arg-type]
+    return FilmThread(opened, Pace(25.0, every))  # type: ignore[arg-type] - films that only count
 
 
 def test_every_second_frame_in_order_and_the_last_one():

@@ -40,7 +40,7 @@ class NoReplay:
 
 def test_a_film_keeps_real_time_where_pictures_stayed_away(tmp_path: Path):
     scenario = vs.load("arm_ibvs")
-    film = Film(scenario, "side", tmp_path / "a.mp4", NoReplay(), DRAFT, (64, 36))  # type: ignore[arg-type]
+    film = Film(scenario, "side", tmp_path / "a.mp4", NoReplay(), DRAFT, (64, 36))  # type: ignore[arg-type] - it draws nothing
     pose, uv = np.eye(4), np.full((4, 2), 20.0)
     for k in (0, 2, 4, 80, 82):  # three seconds without a picture
         film.show(FilmFrame(k / 25, pose, pose, np.zeros(6), uv, 1.0, False, uv, np.zeros(len(scenario.own_columns))))

@@ -36,6 +36,10 @@ LEAST, MOST = 10, 50
 """Runs of a batch: with fewer a batch saves little, with more two workers could not share a comparison of some hundred runs."""
 OWN = ("seed", "robot")
 """The fields in which runs of one batch may differ, and there in the start alone."""
+TWIN = np.array([1.0, -0.7, 0.4, 0.6, -0.3, 0.8]) * 1e-10
+"""Displacement of a run's twins [m, rad], here and there: far more than rounding does in a step."""
+APART = 1e-6
+"""Distance of a run from a twin at which rounding decides where it goes [m, rad]: a growth by 10^4."""
 
 
 @dataclass(frozen=True)
@@ -114,12 +118,6 @@ def _parts(places: list[int]) -> list[list[int]]:
     return [list(part) for part in np.array_split(places, -(-len(places) // MOST))]
 
 
-TWIN = np.array([1.0, -0.7, 0.4, 0.6, -0.3, 0.8]) * 1e-10
-"""Displacement of a run's twins [m, rad], here and there: far more than rounding does in a step."""
-APART = 1e-6
-"""Distance of a run from a twin at which rounding decides where it goes [m, rad]: a growth by 10^4."""
-
-
 class _Record:
     """The frames of a batch, for its logs.
 
@@ -147,6 +145,7 @@ class _Record:
 
 
 def _flown(scenarios: list[Scenario], place: str | None) -> list[Files | None]:
+    """The folders of runs that flew in one batch with their twins; None for a run that lost a marker or left a twin."""
     began = time.perf_counter()
     m, start = len(scenarios), np.array([start_of(s) for s in scenarios])
     record, setup = _Record(3 * m), BatchSetup(scenarios[0])
