@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 Image = NDArray[np.uint8]
 
 ENCODER: Final = {"preset": "veryfast", "crf": "20", "x264-params": "subme=1:bframes=0:threads=1"}
-"""One sub-pixel step in the search of motion and no B frames: .65 of `veryfast`'s time for 1.4 times its size; `superfast`, in that time, makes
-2.1 of it.
+"""One sub-pixel step in the search of motion and no B frames: .65 of `veryfast`'s time for 1.4 times its size; `superfast` makes 2.1 times
+its size in that time.
 
 Without `threads=1` here, beside the stream's own thread count, one film in a hundred has other bytes on a machine under load."""
 BT709: Final = 1  # code of BT.709 in ISO/IEC 23091-2, the same for primaries, transfer curve and matrix
