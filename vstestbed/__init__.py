@@ -4,6 +4,8 @@
     recording = vs.run(vs.load("arm_ibvs", {"law.gain": 1.0}))
     recording.outcome, recording.summary(), recording.frame()
 
+`vs.Session` is the same run, stepped by hand; `vs.Controller` is its controller alone, for a real camera and robot.
+
 To extend it, a kind is one class and one registration:
 
     @vs.LAWS.add
@@ -34,14 +36,16 @@ if TYPE_CHECKING:
     from vstestbed.features import FEATURES, Feature
     from vstestbed.features.observation import Goal, Observation
     from vstestbed.laws import LAWS, Command, Law, LawBase
+    from vstestbed.loop.controller import Controller
     from vstestbed.loop.recording import Recording
     from vstestbed.loop.run import run
+    from vstestbed.loop.session import Session
     from vstestbed.robots import ROBOTS, Allocation, Mount, Reading, Robot, RobotBase
     from vstestbed.scenario.load import load
     from vstestbed.scenario.scenario import Scenario
     from vstestbed.targets import TARGETS, Target
     from vstestbed.tasks import GOALS, Task, TaskBase
-    from vstestbed.tasks.frame import Frame
+    from vstestbed.tasks.frame import Cycle, Frame
     from vstestbed.vision import DETECTORS, Detection, Detector
 
 _HOMES = {
@@ -54,14 +58,16 @@ _HOMES = {
     "vstestbed.features": ("FEATURES", "Feature"),
     "vstestbed.features.observation": ("Goal", "Observation"),
     "vstestbed.laws": ("LAWS", "Command", "Law", "LawBase"),
+    "vstestbed.loop.controller": ("Controller",),
     "vstestbed.loop.recording": ("Recording",),
     "vstestbed.loop.run": ("run",),
+    "vstestbed.loop.session": ("Session",),
     "vstestbed.robots": ("ROBOTS", "Allocation", "Mount", "Reading", "Robot", "RobotBase"),
     "vstestbed.scenario.load": ("load",),
     "vstestbed.scenario.scenario": ("Scenario",),
     "vstestbed.targets": ("TARGETS", "Target"),
     "vstestbed.tasks": ("GOALS", "Task", "TaskBase"),
-    "vstestbed.tasks.frame": ("Frame",),
+    "vstestbed.tasks.frame": ("Cycle", "Frame"),
     "vstestbed.vision": ("DETECTORS", "Detection", "Detector"),
 }
 _MODULES = {"errors": "vstestbed.core.errors", "features": "vstestbed.features", "testing": "vstestbed.testing"}
@@ -79,6 +85,8 @@ __all__ = [
     "Array",
     "Camera",
     "Command",
+    "Controller",
+    "Cycle",
     "Detection",
     "Detector",
     "Feature",
@@ -94,6 +102,7 @@ __all__ = [
     "Robot",
     "RobotBase",
     "Scenario",
+    "Session",
     "Target",
     "Task",
     "TaskBase",

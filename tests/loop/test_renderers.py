@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
-from vstestbed.loop.controller import FrameController
+from vstestbed.loop.controller import Controller
 
 NUISANCES: dict[str, dict[str, object]] = {
     "clean": {},
@@ -37,6 +37,6 @@ def test_what_is_found_does_not_depend_on_how_much_was_drawn(nuisance: str, monk
     small = {"camera.width": 500, "camera.height": 500, "camera.pixel_size_m": 2e-5, "camera.renderer": "rays", "stop.duration_s": 0.9}
     s = vs.load("ibvs_book", small | NUISANCES[nuisance])
     in_windows = vs.run(s)
-    monkeypatch.setattr(FrameController, "look", lambda self: None)
+    monkeypatch.setattr(Controller, "look", lambda self: None)
     np.testing.assert_array_equal(in_windows.table, vs.run(s).table)
     assert len(in_windows.table) > 5 and seen(in_windows).any()

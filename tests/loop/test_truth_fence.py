@@ -28,9 +28,10 @@ from vstestbed.core.assets import model_path
 from vstestbed.core.geometry import Array
 from vstestbed.features.observation import Observation
 from vstestbed.laws import Law
-from vstestbed.loop.controller import FrameController
+from vstestbed.loop.controller import Controller
+from vstestbed.loop.exposure import Exposure
 from vstestbed.loop.judge import Judge
-from vstestbed.loop.shutter import Exposed
+from vstestbed.loop.shutter import CameraClock, Exposed
 from vstestbed.robots.robot_log import RobotLog, RobotState
 from vstestbed.sim.base import Truth
 from vstestbed.sim.ideal import IdealPlant
@@ -212,24 +213,39 @@ def test_nothing_that_decides_is_given_the_truth_or_what_derives_from_it(name: s
     assert len(r.table) >= 3 and not found
 
 
-def leak_into_observation(shot: Exposed, seen: Observation) -> Observation:
+def planted(monkeypatch: pytest.MonkeyPatch, leak: Callable[[Truth, Observation], Observation]) -> None:
+    """A leak: the controller, which is given no truth, gets hold of that of its picture's exposure."""
+    shot_of, observe, truths = CameraClock._shot, Controller._observe, {}
+
+    def overheard(self: CameraClock, step: int, truth: Truth) -> Exposed:
+        made = shot_of(self, step, truth)
+        truths[made.shot.number] = truth
+        return made
+
+    def leaky(self: Controller, shot: Exposure, *rest: Any) -> Observation:
+        return leak(truths[shot.number], observe(self, shot, *rest))
+
+    monkeypatch.setattr(CameraClock, "_shot", overheard)
+    monkeypatch.setattr(Controller, "_observe", leaky)
+
+
+def leak_into_observation(truth: Truth, seen: Observation) -> Observation:
     """Numbers computed from the truth, under the name of an honest field."""
-    return dataclasses.replace(seen, place=np.array([2.0, 1.0, 0.5]) * shot.truth.T_world_camera[:3, 3] + 1)
+    return dataclasses.replace(seen, place=np.array([2.0, 1.0, 0.5]) * truth.T_world_camera[:3, 3] + 1)
 
 
-def leak_object(shot: Exposed, seen: Observation) -> Observation:
-    return dataclasses.replace(seen, motion=[{"pressure": shot.truth}])  # type: ignore[arg-type] - a planted leak
+def leak_object(truth: Truth, seen: Observation) -> Observation:
+    return dataclasses.replace(seen, motion=[{"pressure": truth}])  # type: ignore[arg-type] - a planted leak
 
 
-def leak_closure(shot: Exposed, seen: Observation) -> Observation:
-    return dataclasses.replace(seen, motion=lambda: shot.truth.twist)  # type: ignore[arg-type] - a planted leak
+def leak_closure(truth: Truth, seen: Observation) -> Observation:
+    return dataclasses.replace(seen, motion=lambda: truth.twist)  # type: ignore[arg-type] - a planted leak
 
 
 @pytest.mark.parametrize("leak", [leak_into_observation, leak_object, leak_closure])
 @pytest.mark.parametrize("name", ["arm_ibvs", "ibvs_book"])
 def test_a_planted_leak_is_found(name: str, leak: Callable[..., Observation], monkeypatch: pytest.MonkeyPatch):
-    observe = FrameController._observe
-    monkeypatch.setattr(FrameController, "_observe", lambda self, shot, *rest: leak(shot, observe(self, shot, *rest)))
+    planted(monkeypatch, leak)
     scenario = vs.load(name, {"stop.duration_s": 0.1})
     found = watched(monkeypatch, scenario)
     vs.run(scenario)
@@ -275,13 +291,7 @@ class TestCorruptedTruth:
         np.testing.assert_array_equal(self.commands(scenario), honest)
 
     def test_a_planted_number_is_found(self, monkeypatch: pytest.MonkeyPatch):
-        observe = FrameController._observe
-
-        def leaky(self: FrameController, shot: Exposed, *rest: Any) -> Observation:
-            seen = observe(self, shot, *rest)
-            return dataclasses.replace(seen, depth=seen.depth + 1e-3 * float(shot.truth.twist[0]))
-
-        monkeypatch.setattr(FrameController, "_observe", leaky)
+        planted(monkeypatch, lambda truth, seen: dataclasses.replace(seen, depth=seen.depth + 1e-3 * float(truth.twist[0])))
         scenario = vs.load("arm_ibvs", {"stop.duration_s": 0.3})
         honest = self.commands(scenario)
         self.corrupt(monkeypatch)

@@ -11,7 +11,7 @@ import vstestbed as vs
 from vstestbed.core.assets import bundled_scenarios
 from vstestbed.core.geometry import exp
 from vstestbed.core.outcome import Outcome
-from vstestbed.loop.controller import FrameController
+from vstestbed.loop.episode import Episode
 from vstestbed.loop.judge import Judge
 from vstestbed.sim.base import Truth
 
@@ -49,12 +49,12 @@ class Commands:
 @pytest.mark.parametrize("name", bundled_scenarios())
 def test_a_corrupted_truth_changes_no_command(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     honest, lied_to, rng = Commands(), Commands(), np.random.default_rng(0)
-    arrive, scenario = FrameController.arrive, vs.load(name, {"detector": {"kind": "oracle"}})
+    arrive, scenario = Episode._arrive, vs.load(name, {"detector": {"kind": "oracle"}})
     # a judge that believes the lies would end the run at once: here the clock does
     monkeypatch.setattr(Judge, "verdict", lambda judge, frame: (Outcome.timed_out, "") if frame.t >= DURATION_S else None)
     vs.run(scenario, watch=[honest])
     monkeypatch.setattr(
-        FrameController, "arrive", lambda self, shot, now: arrive(self, dataclasses.replace(shot, truth=corrupted(shot.truth, rng)), now)
+        Episode, "_arrive", lambda self, made, step: arrive(self, dataclasses.replace(made, truth=corrupted(made.truth, rng)), step)
     )
     vs.run(scenario, watch=[lied_to])
     assert len(honest.kept) == len(lied_to.kept) > 5

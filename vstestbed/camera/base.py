@@ -39,17 +39,19 @@ class Picture:
         images: one image for each panel, (H, W, 3) uint8 RGB; None for a panel that was not asked for.
         whole: the images are complete; otherwise they may be blank outside of the regions of interest.
         draw_whole: draws the whole picture of the same exposure; None where nobody can.
+        own: of a lens that has panels, the camera's own image, which no detector works on; None unless it was asked for.
     """
 
     t: float
     images: tuple[Image | None, ...]
     whole: bool = True
     draw_whole: Callable[[], Picture] | None = field(default=None, compare=False, repr=False)
+    own: Image | None = None
 
     @property
     def image(self) -> Image | None:
-        """The camera's own image if it is complete; None for a lens that has panels instead of one image."""
-        return self.images[0] if self.whole and len(self.images) == 1 else None
+        """The camera's own image if it is complete; None for a lens that has panels, unless it was asked for."""
+        return self.images[0] if self.whole and len(self.images) == 1 else self.own
 
     @property
     def empty(self) -> bool:

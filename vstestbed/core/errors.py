@@ -91,6 +91,13 @@ class RunFolderError(VstestbedError):
         super().__init__(f"{path}: {reason}; {works}")
 
 
+class SessionError(VstestbedError):
+    """A session that cannot do what it is asked in its present state: the state, a remedy."""
+
+    def __init__(self, state: str, remedy: str):
+        super().__init__(f"{state}; {remedy}")
+
+
 class EnvironmentLackError(VstestbedError):
     """A lack of this machine (OpenGL, a codec, disk space), and its remedy."""
 

@@ -1,42 +1,31 @@
-"""Control step for one camera frame: detect, observe, compute the law, allocate to the actuators."""
+"""The controller of a scenario: one control step for each picture, without the simulator."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from vstestbed.camera import Look
+from vstestbed.camera import Image, Look, Picture
 from vstestbed.core.geometry import Array, inverse
 from vstestbed.core.outcome import Outcome
 from vstestbed.features.observation import Goal, Observation, OwnMotion
 from vstestbed.laws import Command, Law
+from vstestbed.loop.command_history import CommandHistory
+from vstestbed.loop.exposure import Arrival, Exposure
 from vstestbed.loop.guarded_law import GuardedLaw
-from vstestbed.loop.shutter import Exposed
+from vstestbed.loop.inputs import Inputs, Readings
 from vstestbed.robots import Allocation, Mount, Reading
 from vstestbed.robots.orders import stop_order
-from vstestbed.robots.robot_log import RobotLog, RobotState
 from vstestbed.scenario.scenario import NOISE_STREAM, Scenario
-from vstestbed.sim.base import Plant
-from vstestbed.tasks.frame import Frame, FrameTiming, ImageError
-from vstestbed.vision import Detector, Observer, TruthView
+from vstestbed.tasks.frame import Cycle, FrameTiming, ImageError
+from vstestbed.vision import Detector, Observer
 
-_NOWHERE = np.full(3, np.nan)
-"""Place and odometry of a robot that has none."""
 NONE_SEEN, FEW_SEEN, NO_PICTURE = "no marker was in sight", "too few markers were in sight", "no picture arrived"
 """Why there is no measurement, where the law itself gives no reason."""
-
-
-@dataclass(frozen=True, slots=True)
-class Arrival:
-    """Arrival of a picture: its time [s], when its command will reach the robot [s], the integral of all commands so far (6,) [m, rad]."""
-
-    t: float
-    t_cmd: float
-    displacement: Array
 
 
 def _observer(scenario: Scenario) -> Observer:
@@ -55,19 +44,29 @@ def _observer(scenario: Scenario) -> Observer:
     )
 
 
-class FrameController:
-    """The control step when a picture arrives. Holds the state of detector, observer, reference and law between frames.
+class Controller:
+    """The controller of a scenario: detector, observer, reference, law, limits and supervisor, as the time loop has them.
+
+    It needs no simulator: with a real camera and robot, `step` turns each picture into a command.
+
+        controller = vs.Controller(vs.load("arm_ibvs"))
+        cycle = controller.step(image, t, vs.Reading(q, qd))
+        robot.move(cycle.setpoint)
+
+    It holds the state of all its parts between pictures. A law that fails orders rest and sets `failure`; `supervisor.aborted`
+    says why the task was given up.
 
     Args:
-        scenario: the experiment. plant: source of the robot's sensor readings. spent: wall time by part, added to [s].
+        scenario: the experiment.
     """
 
-    def __init__(self, scenario: Scenario, plant: Plant, spent: dict[str, float]):
-        self.scenario, self.plant, self.spent = scenario, plant, spent
+    def __init__(self, scenario: Scenario):
+        self.scenario = scenario
         # The calibrated mount: what the robot does with a command follows from what it believes, errors included.
         self.mount = Mount.of(scenario.believed_camera.mount.T)
-        self.last_twist = np.zeros(6)
-        self._setpoint, self._way_from = np.zeros(1), (0.0, plant.reading())
+        self.last_twist, self.ordered = np.zeros(6), CommandHistory()
+        self._setpoint, self._taken_over = np.zeros(1), False
+        self._at: tuple[float, Reading, Mount] | None = None
         at_start = scenario.robot.start_joints()
         # an oracle looks with the true lens; a real detector knows only the calibrated one
         self.seen_through = scenario.camera if scenario.detector.needs_truth else scenario.believed_camera
@@ -81,27 +80,54 @@ class FrameController:
         self.reference_memory = scenario.goal.begin(scenario.setup, scenario.goal_views)
         self.law_memory = scenario.law.init(scenario.goal_views[0])
         self.supervisor = scenario.robot.supervisor(scenario.goal.lands, scenario.stop.lost_after_s, scenario.stop.lost_after_m)
-        self.monitor = scenario.goal.monitor(scenario.setup, self.supervisor)
-        self.robot_log = scenario.robot.log(self.supervisor)
-        self.before: Exposed | None = None
-        self.failed = False
-        self._needs_motion, self._own = "motion" in scenario.law.inputs, len(self.robot_log.columns) + len(self.monitor.columns)
+        self.before: Exposure | None = None
+        self._failed = False
+        self._needs_motion = "motion" in scenario.law.inputs
         self._latest_s = scenario.timing.latest_s(scenario.camera)
+        self.inputs = Inputs(scenario)
+        self._cycle: Cycle | None = None
+        self.spent = {"detect": 0.0, "law": 0.0}
+
+    def step(self, picture: Image | Sequence[Image], t: float, readings: Reading | Readings, arrived: float | None = None) -> Cycle:
+        """One control step for a picture of a real camera.
+
+        Args:
+            picture: (H, W, 3) uint8 RGB of the camera's size; of a camera with panels (spherical) one for each of them.
+            t: time of the exposure's middle [s], on a clock that starts with the task.
+            readings: of the robot's sensors, at the exposure and now; one where there is no difference.
+            arrived: the time now [s]; by default `camera.latency_s` after the exposure.
+
+        Returns the cycle, with `twist` and `setpoint`, which is due `timing.command_latency_s` later; `notes` tell of pictures that
+        came late or twice, or did not come. A picture that comes twice changes nothing: the last cycle is returned again.
+
+        Raises:
+            ParameterError: a picture of another size or kind, a reading of another robot, a time that goes back, a detector that
+                needs the simulator's truth.
+        """
+        notes = self.inputs.notes(picture, t, readings, arrived)
+        if self._cycle is not None and t == self._cycle.t:
+            return replace(self._cycle, notes=notes)
+        at_exposure, now = readings if isinstance(readings, tuple) else (readings, readings)
+        at = t + self.scenario.camera.latency_s if arrived is None else arrived
+        images = (picture,) if isinstance(picture, np.ndarray) else tuple(picture)
+        shot = Exposure(self.inputs.taken, t, Picture(t, images), at_exposure)
+        self._cycle = replace(self.arrive(shot, Arrival(at, at + self.scenario.timing.command_latency_s, now)), notes=notes)
+        return self._cycle
 
     def look(self) -> Look | None:
         """The detector's region of interest for the next picture; None for all of it."""
         return self.detector.look(self.detector_memory, self.seen_through, self.scenario.target)
 
-    def arrive(self, shot: Exposed, now: Arrival) -> Frame:
+    def arrive(self, shot: Exposure, now: Arrival) -> Cycle:
         """One control step: detect, observe, reference, law, allocation."""
         s, last = self.scenario, self.before or shot
-        began, rendered = time.perf_counter(), self.plant.render_s
+        began = time.perf_counter()
         seen = self._observe(shot, last, now)
         self.reference_memory, goal = s.goal.reference(self.reference_memory, seen)
         seen = seen.only(goal.counted)
         detected = time.perf_counter()
         # The robot as it is now, not as it was at the exposure: the command acts from here on.
-        reading = self.plant.reading()
+        reading = now.reading
         mount = self._mount_at(reading.q)
         basis = s.robot.motion_basis(mount, reading.q)
         self.law_memory, command = self.guarded.step(self.law_memory, seen, goal, basis)
@@ -110,35 +136,32 @@ class FrameController:
         blind = command.rest_reason or self._unseen(seen, goal, error) or (f"pictures arrived {now.t - shot.t:.2g} s late" if late else "")
         moved = self._moved(now.t, reading, blind, mount)
         allocation = self._supervised(shot.t, blind, self._allocate(command, reading, mount, rests=late), reading, moved)
-        # A detector may have had a picture drawn whole: that time is the renderer's.
-        self.spent["detect"] += detected - began - (self.plant.render_s - rendered)
-        self.spent["law"] += time.perf_counter() - detected
-        frame = self._frame(shot, now, seen, goal, error, command, allocation)
+        self.ordered.add(now.t_cmd, allocation.twist)
         self.before = shot
-        self.reference_memory, next_goal = s.goal.passed(self.reference_memory, frame.error)
+        self.reference_memory, next_goal = s.goal.passed(self.reference_memory, error)
         if next_goal is not None:  # a law's memory belongs to one goal
             self.law_memory = self.law.init(next_goal)
-        return frame
+        self.spent["detect"] += detected - began
+        self.spent["law"] += time.perf_counter() - detected
+        return Cycle(FrameTiming(shot.number, shot.t, now.t_cmd), seen, goal, error, command, allocation)
 
-    def _frame(
-        self, shot: Exposed, now: Arrival, seen: Observation, goal: Goal, error: ImageError, command: Command, allocation: Allocation
-    ) -> Frame:
-        """The frame, with the robot's and the task's own columns."""
-        image = shot.picture.image if shot.picture else None
-        row = np.empty(self._own)
-        frame = Frame(FrameTiming(shot.number, shot.t, now.t_cmd), seen, goal, error, command, allocation, shot.truth, image, row)
-        values = self.monitor.measure(frame)
-        row[:] = (*self._robot_row(frame, shot), *values)
-        return frame
+    def override(self, cycle: Cycle, command: Array) -> tuple[Command, Allocation]:
+        """Another command in place of the law's in the last cycle: as it reads, and within the robot's limits.
 
-    def _robot_row(self, frame: Frame, shot: Exposed) -> Iterable[float]:
-        """Values of the robot's own columns."""
-        if self.robot_log.columns == RobotLog.columns:
-            return (self.supervisor.mode,)  # the state, which takes a tenth of an ideal frame, is not needed
-        seen = frame.observation
-        place, odometry = (_NOWHERE if known is None else known for known in (seen.place, seen.odometry))
-        T_base = frame.T_world_base(self.monitor.mount_inverse)
-        return self.robot_log.row(RobotState(shot.t, T_base, place, odometry, shot.reading, shot.truth.act, shot.truth.wind))
+        command: a camera twist (6,), or velocities along the robot's motions (n,). A supervisor that has taken over is obeyed first.
+        """
+        assert self._at is not None
+        _, reading, mount = self._at
+        basis = self.scenario.robot.motion_basis(mount, reading.q)
+        twist = command if len(command) == 6 else basis @ command
+        u = np.linalg.pinv(basis) @ command if len(command) == 6 else command
+        wanted = Command(u, twist)
+        allocation = self._allocate(wanted, reading, mount, rests=False)
+        if self._taken_over:
+            allocation = replace(allocation, setpoint=cycle.allocation.setpoint)
+        self._setpoint = allocation.setpoint
+        self.ordered.add(cycle.timing.t_cmd, allocation.twist)
+        return wanted, allocation
 
     def _mount_at(self, q: Array) -> Mount:
         """The camera's mount; eye to hand, the camera's pose relative to the flange at the joints q."""
@@ -146,25 +169,28 @@ class FrameController:
             return self.mount
         return Mount.facing(inverse(self.scenario.robot.flange_pose(q)) @ self.mount.T_flange_camera)
 
-    def _own_motion(self, last: Exposed, shot: Exposed, now: Arrival, twist: Array) -> OwnMotion:
+    def _own_motion(self, last: Exposure, shot: Exposure, now: Arrival, twist: Array) -> OwnMotion:
         """The camera's motion since the last picture, and since this one's exposure, by the robot's own sensors."""
         # Integrated commands stand in for a robot without sensors of its motion.
-        moved, age, reading = now.displacement - shot.displacement, now.t - shot.t, self.plant.reading()
+        moved, age, reading = self.ordered.displacement(now.t) - self.ordered.displacement(shot.t), now.t - shot.t, now.reading
         if age > 0:
             moved = self.scenario.robot.measured_twist(shot.reading, reading, age, moved / age, self._mount_at(reading.q)) * age
         return OwnMotion(twist, shot.t - last.t, moved, age, self.last_twist)
 
-    def _observe(self, shot: Exposed, last: Exposed, now: Arrival) -> Observation:
+    def _observe(self, shot: Exposure, last: Exposure, now: Arrival) -> Observation:
         """The law's measurement from this picture."""
         s = self.scenario
-        # Truth reaches a detector only if it says that it needs it (an oracle): the one place where it passes the fence.
-        view = TruthView(shot.truth.p_camera, shot.truth.hidden) if s.detector.needs_truth else None
-        detected = self.detector.detect(self.detector_memory, shot.picture, view, self.seen_through, s.target, self.rng)
+        picture = shot.picture if s.detector.needs_image else None
+        detected = self.detector.detect(self.detector_memory, picture, shot.view, self.seen_through, s.target, self.rng)
         self.detector_memory, detection = detected
-        twist, own = shot.commanded, None
-        if self.observer.uses_motion(detection):
+        twist, own = np.zeros(6), None
+        uses_motion = self.observer.uses_motion(detection)
+        if (uses_motion or self._needs_motion) and shot.t > last.t:
+            # the mean of the twists commanded since the last exposure
+            twist = (self.ordered.displacement(shot.t) - self.ordered.displacement(last.t)) / (shot.t - last.t)
+        if uses_motion:
             mount = self._mount_at(shot.reading.q)
-            twist = s.robot.measured_twist(last.reading, shot.reading, shot.t - last.t, shot.commanded, mount)
+            twist = s.robot.measured_twist(last.reading, shot.reading, shot.t - last.t, twist, mount)
         if self._needs_motion:
             own = self._own_motion(last, shot, now, twist)
         heading, tilt = shot.reading.heading, shot.reading.tilt
@@ -179,11 +205,11 @@ class FrameController:
 
     def _moved(self, t: float, reading: Reading, blind: str, mount: Mount) -> float:
         """Way of the camera since the last call, by the robot's own sensors [m]; 0 where it is not needed, with sight."""
-        (before_t, before), self._way_from = self._way_from, (t, reading)
-        if not blind or t <= before_t:
+        before, self._at = self._at, (t, reading, mount)
+        if not blind or before is None or t <= before[0]:
             return 0.0
-        v = self.scenario.robot.measured_twist(before, reading, t - before_t, self.last_twist, mount)[:3]
-        return float(np.linalg.norm(v)) * (t - before_t)
+        v = self.scenario.robot.measured_twist(before[1], reading, t - before[0], self.last_twist, mount)[:3]
+        return float(np.linalg.norm(v)) * (t - before[0])
 
     def _allocate(self, command: Command, reading: Reading, mount: Mount, rests: bool) -> Allocation:
         """The setpoint for a command, within the robot's limits; the order to stop where the law has no measurement and no motion."""
@@ -199,15 +225,20 @@ class FrameController:
 
     def _supervised(self, t: float, blind: str, allocation: Allocation, reading: Reading, moved: float) -> Allocation:
         """The allocation, unless the robot's supervisor overrides it."""
-        if self.guarded.failure and not self.failed:
-            self.failed = True
+        if self.guarded.failure and not self._failed:
+            self._failed = True
             self.supervisor.abort(t, Outcome.law_failed, self.guarded.failure)
         self._setpoint = setpoint = self.supervisor.filter(t, blind, reading, allocation.setpoint, moved)
-        return allocation if setpoint is allocation.setpoint else replace(allocation, setpoint=setpoint)
+        self._taken_over = setpoint is not allocation.setpoint
+        return replace(allocation, setpoint=setpoint) if self._taken_over else allocation
 
-    def without_picture(self, t: float) -> Array:
-        """The setpoint at a time [s] at which the last picture is older than a command lasts."""
-        reading = self.plant.reading()
+    def without_picture(self, t: float, reading: Reading) -> Array:
+        """The setpoint at a time [s] at which the last picture is older than a command lasts (`timing.command_timeout_s`)."""
         moved = self._moved(t, reading, NO_PICTURE, self._mount_at(reading.q))
         self._setpoint = self.supervisor.filter(t, NO_PICTURE, reading, stop_order(self._setpoint), moved)
         return self._setpoint
+
+    @property
+    def failure(self) -> str:
+        """What the law did wrong, in words; "" while it works."""
+        return self.guarded.failure

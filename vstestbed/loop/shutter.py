@@ -5,48 +5,37 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from vstestbed.camera import Look, Picture
-from vstestbed.core.geometry import Array
-from vstestbed.robots.reading import Reading
+from vstestbed.loop.exposure import Exposure
 from vstestbed.scenario.scenario import TIMING_STREAM, Scenario
 from vstestbed.sim.base import Plant, Truth
 from vstestbed.sim.timing import DelayLine, Planned, Shutter
+from vstestbed.vision.base import TruthView
 
 
 @dataclass(frozen=True, slots=True)
 class Exposed:
-    """A picture in transit to the law, with the sensor reading and the integrated commands at its exposure.
+    """A picture in transit to the controller, and the truth at its exposure, which stays behind."""
 
-    Attributes:
-        number: counts frames. picture: None where no detector asks for one. t: time of exposure [s].
-        truth, reading: truth and sensor reading at that time. commanded: mean of the twists commanded since the last exposure (6,).
-        displacement: integral of all commands until then, (6,) [m, rad].
-    """
-
-    number: int
-    picture: Picture | None
-    t: float
+    shot: Exposure
     truth: Truth
-    reading: Reading
-    commanded: Array
-    displacement: Array
 
 
 class CameraClock:
     """The camera on the clock: takes the pictures that its shutter plans, and sends them with their latency.
 
     Attributes:
-        line: pictures in transit. displacement: integral of all commands so far, (6,) [m, rad]; the loop adds to it.
+        line: pictures in transit.
+
+    Args:
+        whole: take whole pictures, whatever the detector's regions of interest are.
     """
 
-    def __init__(self, scenario: Scenario, plant: Plant):
-        self.plant = plant
+    def __init__(self, scenario: Scenario, plant: Plant, whole: bool = False):
+        self.plant, self._whole, self._view = plant, whole, scenario.detector.needs_truth
         rng = scenario.rng(TIMING_STREAM)
         self.shutter = Shutter(scenario.timing, scenario.camera, plant.step_s, plant.steps_per_frame, rng)
         self.line: DelayLine[Exposed] = DelayLine()
-        self.displacement, self._displacement_before, self._step_before = np.zeros(6), np.zeros(6), 0
         self.look: Look | None
         self._plan()
 
@@ -65,7 +54,7 @@ class CameraClock:
             # With pictures in transit the region of interest is not known yet: the detector has not seen them.
             # It is decided once: all images of an exposure show the same part.
             if self.opening == 0:
-                self.look = look_next() if self.line.next_due() is None else None
+                self.look = look_next() if self.line.next_due() is None and not self._whole else None
             if len(planned.opens) == 1:
                 picture, truth = self.plant.capture(self.look)
                 if picture is not None and planned.arrives > step:
@@ -81,14 +70,16 @@ class CameraClock:
         self.plant.expose(planned.weights[self.opening], self.look)
         self.opening += 1
         if self.opening == len(planned.opens) and self.middle is not None:
-            self._send(planned, self.plant.developed(self.middle.t), self.middle)
+            self._send(planned, self.plant.developed(self.middle.shot.t), self.middle)
 
     def _shot(self, step: int, truth: Truth) -> Exposed:
         """Truth and reading at an exposure, still without the picture."""
-        commanded = (self.displacement - self._displacement_before) / (max(1, step - self._step_before) * self.plant.step_s)
-        self._displacement_before, self._step_before = self.displacement, step
-        return Exposed(self.planned.frame, None, step * self.plant.step_s, truth, self.plant.reading(), commanded, self.displacement)
+        # Truth reaches a detector only if it says that it needs it (an oracle): the one place where it passes the fence.
+        view = TruthView(truth.p_camera, truth.hidden) if self._view else None
+        return Exposed(Exposure(self.planned.frame, step * self.plant.step_s, None, self.plant.reading(), view), truth)
 
-    def _send(self, planned: Planned, picture: Picture | None, shot: Exposed) -> None:
-        self.line.push(planned.arrives, shot if picture is None else replace(shot, picture=picture))
+    def _send(self, planned: Planned, picture: Picture | None, made: Exposed) -> None:
+        if self._whole and picture is not None:
+            picture = self.plant.with_own(picture)
+        self.line.push(planned.arrives, made if picture is None else replace(made, shot=replace(made.shot, picture=picture)))
         self._plan()

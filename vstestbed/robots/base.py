@@ -30,6 +30,8 @@ class Robot(Protocol):
     """Actuators, in the order of their controls."""
     sensors: ClassVar[tuple[str, ...]]
     """MJCF sensors that `measured` turns into its reading."""
+    reading: ClassVar[type[Reading]]
+    """The class of its reading."""
     base: ClassVar[Base]
     """`fixed` in the world (an arm; the ideal camera), `planar` (a vehicle on the floor, whose configuration is (x, y, heading)) or
     `floating` (a craft that flies). A base that moves is joint `root` (or `root_x`, `root_y`, `root_yaw`) in its file."""
@@ -180,6 +182,7 @@ class RobotBase:
 
     actuators: ClassVar[tuple[str, ...]] = ()
     sensors: ClassVar[tuple[str, ...]] = ()
+    reading: ClassVar[type[Reading]] = Reading
     base: ClassVar[Base] = "fixed"
     feet: ClassVar[tuple[str, ...]] = ()
     gripper: ClassVar[bool] = False

@@ -122,6 +122,7 @@ class Quadrotor(RobotBase):
 
     actuators: ClassVar[tuple[str, ...]] = ("rotor_front", "rotor_right", "rotor_back", "rotor_left")
     sensors: ClassVar[tuple[str, ...]] = ("gyro", "accelerometer", "velocity", "range")
+    reading: ClassVar[type[Reading]] = FlightReading
     base: ClassVar[Base] = "floating"
     feet: ClassVar[tuple[str, ...]] = ("foot_front", "foot_right", "foot_back", "foot_left")
     control_period_s: ClassVar[float | None] = 0.001

@@ -85,6 +85,10 @@ class Plant(Protocol):
         """
         ...
 
+    def with_own(self, picture: Picture) -> Picture:
+        """A picture just taken with the camera's own image, where it has none: that of a lens with panels, `Picture.own`."""
+        ...
+
     def expose(self, weight: float, look: Look | None = None) -> None:
         """Add an image, as a share `weight` of one exposure; nothing where no detector needs pictures.
 

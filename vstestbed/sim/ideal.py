@@ -86,6 +86,10 @@ class IdealPlant:
             T, self._T_world_target, self._twist, NONE, NONE, NONE, p_camera, hidden, contact="", feet="", act=NONE, wind=STILL_AIR
         )
 
+    def with_own(self, picture: Picture) -> Picture:
+        """A picture just taken with the camera's own image, where it has none."""
+        return self._eye.with_own(picture) if self._eye else picture
+
     def expose(self, weight: float, look: Look | None = None) -> None:
         """Add an image of the exposure, where a detector needs pictures."""
         self._move_target()

@@ -153,6 +153,10 @@ class MujocoPlant:
         act = stage.data.act[stage.at.act]
         return Truth(T, T_target, twist, q, qd, ctrl, p_camera, hidden, contact, feet, act, stage.model.opt.wind.copy())
 
+    def with_own(self, picture: Picture) -> Picture:
+        """A picture just taken with the camera's own image, where it has none."""
+        return self._eye.with_own(picture) if self._eye else picture
+
     def expose(self, weight: float, look: Look | None = None) -> None:
         """Add an image of the exposure, where a detector needs pictures."""
         self._move_scenery()

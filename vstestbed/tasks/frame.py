@@ -1,14 +1,15 @@
-"""Frame: the record of one cycle of the loop, for the log, the task's monitor and watchers."""
+"""Cycle: one control step, from the picture to the order. Frame: the same with the truth, for the log, the task's monitor and watchers."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from vstestbed.camera import Image
 from vstestbed.core.geometry import Array, all_finite
+from vstestbed.core.outcome import Outcome, Verdict
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import Command
 from vstestbed.robots import Allocation
@@ -54,16 +55,13 @@ class ImageError:
 
 
 @dataclass(frozen=True, slots=True)
-class Frame:
-    """One frame: measurement, reference, command, and the truth at the time of exposure.
+class Cycle:
+    """One control step of a robot: measurement, reference, command. It holds what a real robot knows, and nothing else.
 
     Attributes:
         timing: number and times. observation: the law's measurement. goal: its reference.
         error: in the image. command: of the law. allocation: the command within the robot's limits.
-        truth: for the log, the judge and the oracle, and for nothing else.
-        image: the servo camera's own picture, (H, W, 3) uint8 RGB, valid until the next frame; None where none was taken, or only
-            part of it drawn.
-        row: values of the columns that only this robot and this task have (`Scenario.own_columns`).
+        notes: what was unusual about the picture's time, in words (`Controller.step`).
     """
 
     timing: FrameTiming
@@ -72,14 +70,45 @@ class Frame:
     error: ImageError
     command: Command
     allocation: Allocation
-    truth: Truth
-    image: Image | None
-    row: Array
+    notes: tuple[str, ...] = field(default=(), kw_only=True)
 
     @property
     def t(self) -> float:
         """Time of exposure [s]."""
         return self.timing.t
+
+    @property
+    def twist(self) -> Array:
+        """The camera twist (6,) that was ordered, (v, w) in the camera frame, within the robot's limits [m/s, rad/s]."""
+        return self.allocation.twist
+
+    @property
+    def setpoint(self) -> Array:
+        """What goes to the actuators or the onboard controller (joint velocities [rad/s], a twist); NaN: stop."""
+        return self.allocation.setpoint
+
+
+@dataclass(frozen=True, slots=True)
+class Frame(Cycle):
+    """One control step with the truth at the time of exposure.
+
+    Attributes:
+        truth: for the log, the judge and the oracle, and for nothing else.
+        image: the servo camera's own picture, (H, W, 3) uint8 RGB, valid until the next frame; None where none was taken, or only
+            part of it drawn.
+        row: values of the columns that only this robot and this task have (`Scenario.own_columns`).
+        verdict: how the run ended with this frame, and why; None while it goes on.
+    """
+
+    truth: Truth
+    image: Image | None
+    row: Array
+    verdict: Verdict | None = field(default=None, kw_only=True)
+
+    @property
+    def outcome(self) -> Outcome | None:
+        """How the run ended with this frame; None while it goes on."""
+        return self.verdict[0] if self.verdict else None
 
     def T_world_base(self, mount_inverse: Array) -> Array:
         """True pose (4, 4) of the base that carries the camera; mount_inverse: T_camera_base (4, 4)."""

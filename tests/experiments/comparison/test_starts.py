@@ -14,7 +14,7 @@ import vstestbed as vs
 from tests.loop.test_golden_loops import ROWS
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import inverse, rotation_angle
-from vstestbed.experiments.comparison import Comparison, Controller, chosen, compare, controllers, jobs
+from vstestbed.experiments.comparison import Comparison, Variant, chosen, compare, controllers, jobs
 from vstestbed.experiments.comparison.plan import merged
 from vstestbed.experiments.comparison.starts import StartTable
 
@@ -156,7 +156,7 @@ GOLDEN_LAWS = {
 GOLDEN_STARTS = {("about the axis", "90 deg"): "rotz90", ("about the axis", "180 deg"): "rotz180", ("along the axis", "1 m"): "ztrans"}
 
 
-def tasks_of(comparison: str, law: str, *names: str) -> dict[str, Controller]:
+def tasks_of(comparison: str, law: str, *names: str) -> dict[str, Variant]:
     """One law's controllers of a comparison, by task."""
     whole = chosen([comparison], {}, {}, None)
     wanted = {name: task for name, task in whole.tasks.items() if name in names}
@@ -194,7 +194,7 @@ def test_canonical_polar_paths_near_the_centre_are_the_peers():
         assert vs.run(made[seed].scenario()).summary()["path_length_m"] == pytest.approx(path_m, abs=1e-3)
 
 
-def amounts_of(controller: Controller) -> list[tuple[float, np.ndarray]]:
+def amounts_of(controller: Variant) -> list[tuple[float, np.ndarray]]:
     """Each amount with T_goal_camera of its start."""
     made = []
     assert controller.starts is not None

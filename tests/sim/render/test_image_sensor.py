@@ -9,7 +9,7 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.camera import Look, Picture
-from vstestbed.loop.controller import FrameController
+from vstestbed.loop.controller import Controller
 from vstestbed.sim.base import Plant
 from vstestbed.sim.build import build_plant
 
@@ -104,13 +104,13 @@ def test_a_whole_picture_is_itself():
 def test_drawing_every_picture_again_changes_nothing_of_a_run(monkeypatch: pytest.MonkeyPatch):
     # Wheels with rollers: contacts, whose forces are warm-started from the step before.
     s = vs.load("omni_ibvs", {"stop.duration_s": 0.6, "camera.latency_s": 0.03})
-    plain, arrive, again = vs.run(s), FrameController.arrive, []
+    plain, arrive, again = vs.run(s), Controller.arrive, []
 
-    def drawn_again(self: FrameController, shot: object, now: object) -> object:
+    def drawn_again(self: Controller, shot: object, now: object) -> object:
         again.append(shot.picture.completed() is not shot.picture)
         return arrive(self, shot, now)
 
-    monkeypatch.setattr(FrameController, "arrive", drawn_again)
+    monkeypatch.setattr(Controller, "arrive", drawn_again)
     watched = vs.run(s)
     assert sum(again) > 10
     np.testing.assert_array_equal(plain.table, watched.table)

@@ -17,13 +17,13 @@ from vstestbed.experiments.comparison.folder import PLAN, read_plan, resumable, 
 from vstestbed.experiments.comparison.plan import Comparison, chosen
 from vstestbed.experiments.comparison.pools import clear, must_be_known, pool_of
 from vstestbed.experiments.comparison.results import finish
-from vstestbed.experiments.comparison.runs import Controller, Controllers, Job, controllers, jobs
+from vstestbed.experiments.comparison.runs import Job, Variant, Variants, controllers, jobs
 from vstestbed.scenario.load import dump
 
 if TYPE_CHECKING:
     import polars
 
-__all__ = ["PLAN", "Campaign", "Comparison", "Controller", "Job", "chosen", "compare", "controllers", "jobs", "must_be_known"]
+__all__ = ["PLAN", "Campaign", "Comparison", "Job", "Variant", "chosen", "compare", "controllers", "jobs", "must_be_known"]
 
 
 def compare(
@@ -126,7 +126,7 @@ def prepared(
         yield Campaign(folder, jobs(found, comparison.seeds), filmed), comparison
 
 
-def _resumed(folder: Path, requested: Comparison | None, force: bool, plugins: Sequence[str]) -> tuple[Comparison, Controllers]:
+def _resumed(folder: Path, requested: Comparison | None, force: bool, plugins: Sequence[str]) -> tuple[Comparison, Variants]:
     """The comparison of a folder with its controllers.
 
     Raises:
@@ -140,14 +140,14 @@ def _resumed(folder: Path, requested: Comparison | None, force: bool, plugins: S
     return comparison, found
 
 
-def _same(a: Comparison, of_a: Controllers, b: Comparison, of_b: Controllers) -> bool:
+def _same(a: Comparison, of_a: Variants, b: Comparison, of_b: Variants) -> bool:
     """Whether two comparisons are equal, wherever their files are: in seeds, scenarios as loaded, folders of the runs."""
     if a.seeds != b.seeds or len(of_a) != len(of_b):
         return False
     return all(_essence(x) == _essence(y) for x, y in zip(of_a, of_b, strict=True))
 
 
-def _essence(c: Controller) -> tuple[object, ...]:
+def _essence(c: Variant) -> tuple[object, ...]:
     return tuple(map(dump, c.starts or (c.scenario,))), c.folder, c.runs
 
 

@@ -22,9 +22,9 @@ from vstestbed.experiments.basin.setup import BatchSetup, start_of
 from vstestbed.experiments.comparison.worker import Files, picture_of_the_end
 from vstestbed.laws.views import Views
 from vstestbed.loop.columns import Layout
+from vstestbed.loop.episode import PARTS
 from vstestbed.loop.monitors import CROSSED_WORDS, FAR_WORDS
 from vstestbed.loop.recording import BLOCK, MemoryRows, Recording, to_frame
-from vstestbed.loop.run import PARTS
 from vstestbed.robots import Robot
 from vstestbed.robots.supervisor import FOLLOWS
 from vstestbed.scenario.load import dump, parse

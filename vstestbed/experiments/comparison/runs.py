@@ -28,7 +28,7 @@ MOST_RUNS = 100_000
 SIDE_BY_SIDE = 1000
 """Most folders in one: file browsers, and some file systems, are slow with more."""
 MOST_KEPT = 10_000
-"""Controllers that are kept in memory (some 15 kB each); of more, each is loaded again when its turn comes."""
+"""Variants that are kept in memory (some 15 kB each); of more, each is loaded again when its turn comes."""
 
 
 class Placed(NamedTuple):
@@ -39,7 +39,7 @@ class Placed(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Controller:
+class Variant:
     """One scenario with one combination of cases and values, from its nominal start or, in a task, from each of its starts."""
 
     scenario: Scenario
@@ -60,7 +60,7 @@ class Controller:
 class Job:
     """One run of a comparison."""
 
-    controller: Controller
+    controller: Variant
     seed: int | None
     of: int = 1
     """Number of runs of the controller."""
@@ -101,7 +101,7 @@ class Lazy(Sequence[T]):
         return self.item(places) if isinstance(places, int) else [self.item(place) for place in places]
 
 
-class Controllers(Lazy[Controller]):
+class Variants(Lazy[Variant]):
     """All controllers of a comparison: scenarios, cases, axes and tasks, the last varying fastest."""
 
     def __init__(self, comparison: Comparison):
@@ -117,11 +117,11 @@ class Controllers(Lazy[Controller]):
     def __len__(self) -> int:
         return min(math.prod(self._sizes), sys.maxsize)
 
-    def item(self, i: int) -> Controller:
-        """Controller i."""
+    def item(self, i: int) -> Variant:
+        """Variant i."""
         return self._made(i)
 
-    def _make(self, i: int) -> Controller:
+    def _make(self, i: int) -> Variant:
         c = self._comparison
         base, *varied = self._places(i)
         of_cases, of_axes = varied[: len(c.cases)], varied[len(c.cases) : -1]
@@ -153,7 +153,7 @@ def _settings(c: Comparison, block: Mapping[str, object], key: Key) -> dict[str,
     return {path: Placed(value, marks_under((*key, path), c.places)) for path, value in block.items()}
 
 
-def controllers(comparison: Comparison, force: bool = False) -> Controllers:
+def controllers(comparison: Comparison, force: bool = False) -> Variants:
     """All controllers, the first MOST_RUNS of them loaded and checked: bad input is found before anything runs.
 
     Args:
@@ -170,7 +170,7 @@ def controllers(comparison: Comparison, force: bool = False) -> Controllers:
         except ScenarioError as error:
             where = comparison.places.get(("base", i))
             raise (error if where is None else ScenarioError([Mistake(where, f"base.{i}", str(error))])) from None
-    found = Controllers(comparison)
+    found = Variants(comparison)
     for _ in itertools.islice(found, MOST_RUNS):  # loads them
         pass
     return found
@@ -193,18 +193,18 @@ def must_be_few(comparison: Comparison, force: bool = False) -> None:
 
 def _controller(
     c: Comparison, base: int, settings: Mapping[str, Placed], values: Mapping[str, object], folder: str, task_name: str | None
-) -> Controller:
+) -> Variant:
     name = c.base[base]
     if task_name is None:
         scenario = _load(c, name, settings)
-        return Controller(scenario, values, folder, _seeds_draw(scenario, c.seeds or 1))
+        return Variant(scenario, values, folder, _seeds_draw(scenario, c.seeds or 1))
     task = c.tasks[task_name]
     settings = merged(settings, _settings(c, task.set, ("tasks", task_name, "set")))
     if not task.each:
         scenario = _load(c, name, settings)
-        return Controller(scenario, values, folder, _seeds_draw(scenario, task.runs), None, task.labels(), task.runs)
+        return Variant(scenario, values, folder, _seeds_draw(scenario, task.runs), None, task.labels(), task.runs)
     starts = tuple(_load(c, name, merged(settings, one)) for one in _starts(c, task_name, task))
-    return Controller(starts[0], values, folder, _draws(starts[0]), starts, task.labels(), task.runs)
+    return Variant(starts[0], values, folder, _draws(starts[0]), starts, task.labels(), task.runs)
 
 
 def _starts(c: Comparison, name: str, task: StartTable) -> Iterator[dict[str, Placed]]:
@@ -252,10 +252,10 @@ def _distinct(words: list[str]) -> list[str]:
 class Jobs(Lazy[Job]):
     """All runs, seed by seed, so that the controllers can be compared at any time; a task has as many runs as its table."""
 
-    def __init__(self, found: Sequence[Controller], seeds: int | None):
+    def __init__(self, found: Sequence[Variant], seeds: int | None):
         self._found = found
         # the controllers of a comparison tell without being loaded
-        task_runs = found.task_runs if isinstance(found, Controllers) else tuple(c.runs for c in found)
+        task_runs = found.task_runs if isinstance(found, Variants) else tuple(c.runs for c in found)
         self._runs = tuple(seeds if n is None else n for n in task_runs)
 
     def __len__(self) -> int:
@@ -278,6 +278,6 @@ class Jobs(Lazy[Job]):
         return next(itertools.islice(self, i, None))
 
 
-def jobs(found: Sequence[Controller], seeds: int | None) -> Jobs:
+def jobs(found: Sequence[Variant], seeds: int | None) -> Jobs:
     """All runs of controllers; `seeds` for those without a task, None for the nominal start."""
     return Jobs(found, seeds)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 
@@ -31,7 +33,7 @@ class ImageSensor:
         self._renderer, self._noise, self._drift = renderer, noise or ImageNoise(), drift
         self._states: list[mujoco.MjData] = []
         self._present: mujoco.MjData | None = None
-        self._blur = MotionBlur()
+        self._blur, self._latest = MotionBlur(), PictureNoise(0.0, None)
 
     @property
     def spent_s(self) -> float:
@@ -47,6 +49,13 @@ class ImageSensor:
         images = self._renderer.images(look)
         self._keep_state(0, look)
         return self._picture(t, images, self._renderer.whole, (1.0,))
+
+    def with_own(self, picture: Picture) -> Picture:
+        """A picture just taken with the camera's own image: of a lens with panels the present scene, sharp, with the picture's noise."""
+        if picture.image is not None:
+            return picture
+        drawn = self._developed(picture.t, (self._renderer.full_image(),), self._latest)
+        return replace(picture, own=drawn.images[0])
 
     def expose(self, weight: float, look: Look | None = None) -> None:
         """Add an image of the present scene to the running exposure, with a share `weight`; `look` is the same for all its images."""
@@ -67,7 +76,7 @@ class ImageSensor:
         mujoco.mj_copyData(self._states[number], self._model, self._data)
 
     def _picture(self, t: float, clean: Images, whole: bool, weights: tuple[float, ...]) -> Picture:
-        noise = self._noise.next()
+        noise = self._latest = self._noise.next()
 
         def draw_whole() -> Picture:
             return self._developed(t, self._drawn_again(weights), noise)

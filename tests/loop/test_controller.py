@@ -1,0 +1,148 @@
+"""The controller alone: a run's own pictures and readings give the run's orders bit for bit, without MuJoCo; what is odd is told."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import vstestbed as vs
+from vstestbed.core.errors import ParameterError
+from vstestbed.loop.episode import Episode
+from vstestbed.loop.exposure import Arrival
+from vstestbed.loop.shutter import Exposed
+from vstestbed.robots import Reading
+
+SPOKEN = ("t", "arrived", "picture", "at_exposure", "now", "twist", "setpoint")
+ALONE = """
+import pickle, sys
+import numpy as np
+import vstestbed as vs
+kept, name, settings = pickle.load(open(sys.argv[1], "rb"))
+controller = vs.Controller(vs.load(name, settings))
+for t, arrived, picture, at_exposure, now, twist, setpoint in kept:
+    cycle = controller.step(picture, t, (at_exposure, now), arrived)
+    assert cycle.notes == (), cycle.notes
+    assert cycle.twist.tobytes() == twist.tobytes(), (t, cycle.twist, twist)
+    assert np.array_equal(cycle.setpoint, setpoint, equal_nan=True), (t, cycle.setpoint, setpoint)
+assert not {"mujoco", "dm_control"} & set(sys.modules), "MuJoCo was imported"
+print(len(kept), float(np.abs(np.array([row[5] for row in kept])).max()))
+"""
+
+
+def overheard(monkeypatch: pytest.MonkeyPatch, name: str, settings: dict[str, Any]) -> list[tuple[Any, ...]]:
+    """What reached the controller of a run, and what it ordered."""
+    kept, arrive = [], Episode._arrive
+
+    def overhear(self: Episode, made: Exposed, step: int) -> vs.Frame:
+        t = step * self.plant.step_s
+        now = Arrival(t, 0.0, self.plant.reading())
+        picture = made.shot.picture
+        assert picture is not None
+        images = tuple(image.copy() for image in picture.completed().images if image is not None)
+        frame = arrive(self, made, step)
+        image = images[0] if len(images) == 1 else images
+        kept.append((made.shot.t, t, image, made.shot.reading, now.reading, frame.twist.copy(), frame.setpoint.copy()))
+        return frame
+
+    monkeypatch.setattr(Episode, "_arrive", overhear)
+    vs.run(vs.load(name, settings))
+    return kept
+
+
+@pytest.mark.parametrize(
+    ("name", "settings"),
+    [
+        ("arm_ibvs", {"camera.latency_s": 0.05, "noise.image_sigma": 2.0}),
+        ("arm_track_circle", {}),
+        ("omni_ibvs", {"timing.command_latency_s": 0.02}),
+        ("car_pbvs", {}),
+        ("quadrotor_hover", {}),
+        ("spherical_behind", {"detector": "blobs", "robot.kind": "free"}),
+    ],
+)
+def test_a_runs_pictures_and_readings_give_its_orders_without_mujoco(
+    name: str, settings: dict[str, Any], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    import pickle
+
+    settings = settings | {"stop.duration_s": 0.6}
+    kept = overheard(monkeypatch, name, settings)
+    file = tmp_path / "kept.pickle"
+    file.write_bytes(pickle.dumps((kept, name, settings)))
+    alone = subprocess.run([sys.executable, "-c", ALONE, str(file)], capture_output=True, text=True)
+    assert alone.returncode == 0, alone.stderr
+    frames, fastest = alone.stdout.split()
+    assert int(frames) == len(kept) > 5 and float(fastest) > 1e-3
+
+
+class TestWhatIsTold:
+    BLACK = np.zeros((480, 640, 3), np.uint8)
+    REST = Reading(np.zeros(6), np.zeros(6))
+
+    @pytest.fixture
+    def controller(self) -> vs.Controller:
+        scenario = vs.load("arm_ibvs")
+        assert (scenario.camera.height, scenario.camera.width) == self.BLACK.shape[:2]
+        return vs.Controller(scenario)
+
+    def test_a_picture_that_came_twice_changes_nothing(self, controller: vs.Controller) -> None:
+        first = controller.step(self.BLACK, 0.0, self.REST)
+        again = controller.step(self.BLACK, 0.0, self.REST)
+        assert again.notes == ("the picture of 0 s came again",) and again.command is first.command
+        assert controller.step(self.BLACK, 0.04, self.REST).timing.number == 1
+
+    def test_missing_pictures_are_counted(self, controller: vs.Controller) -> None:
+        controller.step(self.BLACK, 0.0, self.REST)
+        assert controller.step(self.BLACK, 0.04, self.REST).notes == ()
+        assert controller.step(self.BLACK, 0.16, self.REST).notes == ("2 pictures are missing before this one",)
+        assert controller.step(self.BLACK, 0.24, self.REST).notes == ("1 picture is missing before this one",)
+
+    def test_a_late_picture_stops_the_robot(self, controller: vs.Controller) -> None:
+        cycle = controller.step(self.BLACK, 0.0, self.REST, arrived=2.0)
+        assert cycle.notes == ("the picture is 2 s old: the robot is told to stop",) and np.isnan(cycle.setpoint).all()
+
+    def test_without_a_picture_the_robot_stops_and_the_task_is_given_up(self, controller: vs.Controller) -> None:
+        controller.step(self.BLACK, 0.0, self.REST)
+        for t in (0.5, 1.0, 5.0):
+            assert np.isnan(controller.without_picture(t, self.REST)).all()
+        assert controller.supervisor.aborted is not None and "no marker was in sight" not in controller.supervisor.aborted[1]
+
+    @pytest.mark.parametrize(
+        "picture", [np.zeros((640, 480, 3), np.uint8), np.zeros((480, 640), np.uint8), np.zeros((480, 640, 3)), None, "a.png"]
+    )
+    def test_a_wrong_picture(self, controller: vs.Controller, picture: Any) -> None:
+        with pytest.raises(ParameterError, match=r"picture must be (\(480, 640, 3\) uint8, RGB|one image)"):
+            controller.step(picture, 0.0, self.REST)
+
+    def test_a_clock_that_goes_back(self, controller: vs.Controller) -> None:
+        controller.step(self.BLACK, 1.0, self.REST)
+        with pytest.raises(ParameterError, match="t goes back: the last picture was taken at 1 s"):
+            controller.step(self.BLACK, 0.9, self.REST)
+        with pytest.raises(ParameterError, match="arrived must be a time after the exposure"):
+            controller.step(self.BLACK, 1.1, self.REST, arrived=1.05)
+        with pytest.raises(ParameterError, match="t must be the time of exposure"):
+            controller.step(self.BLACK, float("nan"), self.REST)
+        assert controller.step(self.BLACK, 1.04, self.REST).notes == ()  # a mistake has changed nothing
+
+    @pytest.mark.parametrize("q", [np.zeros(5), np.full(6, np.nan)])
+    def test_a_wrong_reading(self, controller: vs.Controller, q: np.ndarray) -> None:
+        with pytest.raises(ParameterError, match=r"readings\.q must be 6 finite numbers"):
+            controller.step(self.BLACK, 0.0, Reading(q, np.zeros(6)))
+
+    def test_the_reading_of_another_robot(self) -> None:
+        controller = vs.Controller(vs.load("quadrotor_hover"))
+        faces = [np.zeros((p.lens.height, p.lens.width, 3), np.uint8) for p in controller.scenario.camera.panels]
+        with pytest.raises(ParameterError, match="picture must be 6 images, one for each face"):
+            controller.step(faces[0], 0.0, self.REST)
+        with pytest.raises(ParameterError, match="readings must be FlightReadings"):
+            controller.step(faces, 0.0, Reading(np.zeros(0), np.zeros(0)))
+
+    def test_an_oracle_has_no_truth_here(self) -> None:
+        controller = vs.Controller(vs.load("arm_ibvs", {"detector": "oracle"}))
+        with pytest.raises(ParameterError, match="is the simulator's truth"):
+            controller.step(self.BLACK, 0.0, self.REST)

@@ -1,0 +1,203 @@
+"""A session: the same bytes as `run`, in any thread, several at once; orders by hand reach the robot; mistakes are told."""
+
+from __future__ import annotations
+
+import threading
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+import vstestbed as vs
+from vstestbed.core.errors import ParameterError, SessionError
+
+SHORT = {"stop.duration_s": 0.6}
+TWELVE = (
+    *("arm_ibvs", "arm_pbvs", "arm_fisheye", "arm_track_circle", "omni_ibvs", "omni_line", "car_pbvs", "car_line"),
+    *("quadrotor_hover", "quadrotor_path", "ibvs_book", "spherical_behind"),
+)
+
+
+def turned(session: vs.Session, seed: int | None = None) -> vs.Recording:
+    """The session's episode, stepped to its end by the scenario's law."""
+    frame = session.reset(seed)
+    while frame.outcome is None:
+        frame = session.step()
+    return session.recording()
+
+
+def same(a: vs.Recording, b: vs.Recording) -> bool:
+    ended = a.outcome is b.outcome and a.reason == b.reason and a.ended_s == b.ended_s
+    return ended and a.columns == b.columns and a.table.tobytes() == b.table.tobytes()
+
+
+@pytest.mark.parametrize("name", TWELVE)
+def test_its_bytes_are_those_of_a_run_with_and_without_whole_pictures(name: str) -> None:
+    scenario = vs.load(name, SHORT)
+    run = vs.run(scenario)
+    with vs.Session(scenario, pictures=True) as session:
+        frame = session.reset()
+        images = [frame.image]
+        while frame.outcome is None:
+            frame = session.step()
+            images.append(frame.image)
+        assert same(session.recording(), run)
+    camera = scenario.camera
+    assert all(image is not None and image.shape == (camera.height, camera.width, 3) and image.any() for image in images)
+    assert len({id(image) for image in images}) == len(images) > 3
+
+
+def test_several_are_independent_in_threads_and_interleaved() -> None:
+    names = "arm_ibvs", "omni_ibvs"
+    runs = [vs.run(vs.load(name, SHORT).randomised(3)) for name in names]
+    threads, turned_there = [], {}
+    for name in names:
+        session = vs.Session(vs.load(name, SHORT))
+        threads.append(threading.Thread(target=lambda n=name, s=session: turned_there.update({n: turned(s, seed=3)})))
+        threads[-1].start()
+    sessions = [vs.Session(vs.load(name, SHORT)) for name in names]
+    frames = [session.reset(seed=3) for session in sessions]
+    while any(frame.outcome is None for frame in frames):
+        frames = [s.step() if frame.outcome is None else frame for s, frame in zip(sessions, frames, strict=True)]
+    for thread in threads:
+        thread.join()
+    for name, session, run in zip(names, sessions, runs, strict=True):
+        assert same(session.recording(), run) and same(turned_there[name], run)
+        session.close()
+
+
+@pytest.mark.parametrize("latency_s", [0.0, 0.06])
+def test_a_command_by_hand_moves_the_robot_after_the_scenarios_latency(latency_s: float) -> None:
+    settings = {"timing.command_latency_s": latency_s, "robot.actuation": "ideal", "stop.duration_s": 0.4, "camera.rate_hz": 100}
+    twist = np.array([0.05, 0.0, 0.0, 0.0, 0.0, 0.0])
+    with vs.Session(vs.load("arm_ibvs", settings)) as session:
+        frame = session.reset()
+        for _ in range(5):
+            frame = session.step(np.zeros(6))
+        given, speeds = frame.t, []
+        while frame.outcome is None:
+            frame = session.step(twist)
+            speeds.append((frame.t, np.linalg.norm(frame.truth.twist[:3])))
+        log = session.recording()
+    moving = next(t for t, v in speeds if v > 0.04)
+    assert moving - given == pytest.approx(latency_s + 0.01, abs=0.0101)
+    sent = log["t"] >= given
+    np.testing.assert_allclose(log["cmd_vx"][sent][:-1], 0.05)
+    np.testing.assert_allclose(log["applied_vx"][sent][:-1], 0.05, atol=1e-9)
+    assert (log["cmd_vx"][~sent] == 0).all()
+    before, after = (int(np.argmax(log["cmd_vx"] > 0)), int(np.argmax(log["act_vx"] > 0.04)))
+    assert log["t"][after] - log["t"][before] >= latency_s
+
+
+@pytest.mark.parametrize(
+    ("name", "motion"), [("omni_ibvs", [0.1, 0.0, 0.0]), ("car_pbvs", [0.3, 0.0]), ("quadrotor_hover", [0.2, 0.0, 0.0, 0.0])]
+)
+def test_a_robots_own_motions_are_camera_twists_by_its_mount(name: str, motion: list[float]) -> None:
+    scenario = vs.load(name, {"stop.duration_s": 1.5})
+    basis = scenario.robot.motion_basis(vs.Mount.of(scenario.camera.mount.T), scenario.robot.start_joints())
+    twist = basis @ motion
+    with vs.Session(scenario) as by_motion, vs.Session(scenario) as by_twist:
+        frame = by_motion.reset()
+        by_twist.reset()
+        while frame.outcome is None:
+            frame = by_motion.step(np.array(motion))
+            other = by_twist.step(twist)
+        np.testing.assert_allclose(frame.truth.T_world_camera, other.truth.T_world_camera, atol=1e-9)
+    log = by_motion.recording()
+    assert 0.5 * motion[0] < np.linalg.norm(np.ptp(log.poses("camera").t, axis=0)) < 1.6 * motion[0]
+    np.testing.assert_allclose([log[f"cmd_{name}"][-1] for name in ("vx", "vy", "vz", "wx", "wy", "wz")], twist)
+
+
+def test_the_law_still_says_what_it_would_do() -> None:
+    with vs.Session(vs.load("arm_ibvs", SHORT)) as session:
+        frames = [session.reset()]
+        while frames[-1].outcome is None:
+            frames.append(session.step(np.zeros(6)))
+    # The robot rests: the law sees the same picture, and wants the same each time.
+    twists = np.array([frame.command.twist for frame in frames[:-1]])
+    assert np.linalg.norm(twists[0]) > 0.05 and np.abs(np.diff(twists, axis=0)).max() < 0.02
+    assert not session.recording()["applied_vx"][:-1].any()
+    assert all(a.t < b.t for a, b in pairwise(frames))
+
+
+def test_a_law_that_took_over_again_drives_to_the_goal() -> None:
+    with vs.Session(vs.load("ibvs_book")) as session:
+        frame = session.reset()
+        for _ in range(5):
+            frame = session.step([0.1, 0, 0, 0, 0, 0])
+        while frame.outcome is None:
+            frame = session.step()
+    assert frame.outcome is vs.Outcome.converged and frame.verdict == (session.recording().outcome, session.recording().reason)
+
+
+def test_a_seed_draws_the_start_and_none_is_the_scenarios_own() -> None:
+    scenario = vs.load("ibvs_book")
+    with vs.Session(scenario) as session:
+        assert same(turned(session), vs.run(scenario))
+        assert same(turned(session), vs.run(scenario))
+    arm = vs.load("arm_ibvs", {"stop.duration_s": 0.2})
+    with vs.Session(arm) as session:
+        for seed in (3, 4, 3):
+            assert same(turned(session, seed), vs.run(arm.randomised(seed)))
+
+
+class TestMistakes:
+    @pytest.fixture
+    def session(self) -> vs.Session:
+        return vs.Session(vs.load("omni_ibvs", SHORT))
+
+    def test_before_reset(self, session: vs.Session) -> None:
+        with pytest.raises(SessionError, match="nothing to step; call reset"):
+            session.step()
+        with pytest.raises(SessionError, match="nothing has run"):
+            session.recording()
+
+    @pytest.mark.parametrize("command", [[1.0, 2.0], np.zeros((6, 1)), "fast", [1, 2, 3, 4], 0.1])
+    def test_of_the_commands_shape(self, session: vs.Session, command: object) -> None:
+        with session:
+            session.reset()
+            with pytest.raises(ParameterError, match=r"must be a camera twist \(6,\), or 3 velocities along the robot's motions"):
+                session.step(command)  # type: ignore[arg-type] - the mistake
+            assert session.step([0.1, 0, 0]).t > 0  # nothing was lost
+
+    def test_of_numbers_that_are_none(self, session: vs.Session) -> None:
+        with session:
+            session.reset()
+            with pytest.raises(ParameterError, match="must be finite"):
+                session.step([np.nan, 0, 0])
+
+    def test_after_the_end_and_after_close(self, session: vs.Session) -> None:
+        recording = turned(session)
+        with pytest.raises(SessionError, match=r"the run has ended: 0\.6 s were not enough; call reset"):
+            session.step()
+        session.reset()
+        session.close()
+        with pytest.raises(SessionError, match="is closed"):
+            session.step()
+        assert session.recording().outcome is vs.Outcome.interrupted
+        assert recording.outcome is vs.Outcome.timed_out
+
+    def test_no_scenario(self) -> None:
+        with pytest.raises(ParameterError, match="must be a Scenario"):
+            vs.Session("arm_ibvs")  # type: ignore[arg-type] - the mistake
+
+    def test_a_law_that_raises_frees_the_simulation(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        session = vs.Session(vs.load("ibvs_book"))
+        session.reset()
+        assert session.episode is not None
+        monkeypatch.setattr(session.episode.controller, "arrive", lambda *_: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            session.step()
+        assert session.episode.closed and len(session.recording().table) == 1
+
+
+def test_a_run_that_ends_without_another_picture_gives_the_last_frame_with_its_outcome() -> None:
+    # A target that is lost while the camera is dead: pictures stop after the first second.
+    scenario = vs.load("arm_ibvs", {"timing.drop_probability": 0.97, "stop.duration_s": 4.0, "seed": 1})
+    run = vs.run(scenario)
+    with vs.Session(scenario) as session:
+        recording = turned(session)
+        assert session.episode is not None and session.episode.frame is not None
+        if recording.ended_s > session.episode.frame.t:
+            assert session.episode.ended().outcome is recording.outcome
+    assert same(recording, run) and recording.ended_s > recording["t"][-1]

@@ -1,0 +1,34 @@
+"""The twists that were ordered, integrated over time: what a robot without sensors of its motion knows about its own way."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from vstestbed.core.geometry import Array
+
+REMEMBERED = 500
+"""Orders that are kept. The oldest time asked for is that of the last exposure but one, a few orders ago."""
+
+
+class CommandHistory:
+    """The camera twists ordered so far, each in force from its time on until the next one."""
+
+    def __init__(self) -> None:
+        self._orders: deque[tuple[float, Array, Array]] = deque([(0.0, np.zeros(6), np.zeros(6))], maxlen=REMEMBERED)
+
+    def add(self, t: float, twist: Array) -> None:
+        """A twist (6,) is in force from t [s] on, which is not before the last order; one of the same time takes its place."""
+        since, before, way = self._orders[-1]
+        if t <= since:
+            self._orders[-1] = since, twist, way
+        else:
+            self._orders.append((t, twist, way + before * (t - since)))
+
+    def displacement(self, t: float) -> Array:
+        """The integral of all twists until t, (6,) [m, rad]."""
+        for since, twist, way in reversed(self._orders):
+            if since <= t:
+                return way + twist * (t - since)
+        return self._orders[0][2]

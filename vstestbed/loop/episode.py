@@ -1,0 +1,208 @@
+"""Episode: the only time loop. It advances the clock from event to event: exposures, arriving pictures, arriving commands."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Generator
+from dataclasses import replace
+
+from vstestbed.camera import Image
+from vstestbed.core.geometry import Array
+from vstestbed.core.outcome import Outcome, Verdict
+from vstestbed.core.provenance import versions
+from vstestbed.loop.columns import Layout
+from vstestbed.loop.controller import Controller
+from vstestbed.loop.exposure import Arrival
+from vstestbed.loop.judge import Judge
+from vstestbed.loop.recording import Log, MemoryRows, Recording, Rows, Watcher
+from vstestbed.loop.shutter import CameraClock, Exposed
+from vstestbed.loop.witness import Witness
+from vstestbed.robots import Allocation
+from vstestbed.scenario.scenario import IMAGE_STREAM, MOTION_STREAM, SENSOR_STREAM, Scenario
+from vstestbed.sim.base import Plant
+from vstestbed.sim.build import build_plant
+from vstestbed.sim.timing import DelayLine
+from vstestbed.tasks.frame import Frame
+
+PARTS = ("physics", "render", "detect", "law", "record", "video")
+"""Parts of a run's wall time."""
+
+
+class Episode:
+    """One run under way: the plant, the controller, the judge, the log.
+
+    Attributes:
+        outcome: how it ended; None while it goes on. reason: in words. ended_s: simulated time of the verdict [s].
+        frame: the last frame; its command is not sent before the next `advance`.
+        plant, controller: of this run. closed: the simulation is freed.
+    """
+
+    def __init__(self, scenario: Scenario, pictures: bool, watchers: tuple[Watcher, ...], rows: Rows | None):
+        began = time.perf_counter()
+        self.scenario, self._pictures, self._watchers = scenario, pictures, watchers
+        layout = Layout(scenario)
+        self.rows = MemoryRows(layout.columns) if rows is None else rows
+        self._log = Log(layout, self.rows)
+        self.outcome: Outcome | None = None
+        self.reason, self.ended_s = "", 0.0
+        self.frame: Frame | None = None
+        self._waits = self._by_hand = self.closed = False
+        self._physics_s = self._record_s = self._redrawn_s = 0.0
+        self.plant, self._renderer = _plant(scenario, pictures)
+        self.controller, self._camera = Controller(scenario), CameraClock(scenario, self.plant, pictures)
+        supervisor = self.controller.supervisor
+        self._witness = Witness(scenario, supervisor)
+        self._judge = Judge(self._witness.task, scenario.stop, scenario.target, supervisor)
+        self._commands: DelayLine[Allocation] = DelayLine(round(scenario.timing.command_latency_s / self.plant.step_s))
+        self._frames = self._turn()
+        self.build_s, self.loop_s = time.perf_counter() - began, 0.0
+
+    def advance(self, command: Array | None = None) -> Frame | None:
+        """Send a command, or the law's, for the last frame; the next frame, or None where the run ended without one."""
+        start = time.perf_counter()
+        try:
+            if self._waits:
+                self._send(command)
+            return next(self._frames, None)
+        except BaseException:  # whatever a law, a watcher or Ctrl-C raises: the plant holds an OpenGL context, which the next run needs
+            self.close()
+            raise
+        finally:
+            self.loop_s += time.perf_counter() - start
+
+    def ended(self) -> Frame:
+        """The last frame, with the outcome of a run that ended without another one."""
+        assert self.frame is not None and self.outcome is not None
+        return replace(self.frame, verdict=(self.outcome, self.reason))
+
+    def close(self) -> None:
+        """Write what waits to the log, free the simulation."""
+        if self.closed:
+            return
+        self.closed = True
+        try:
+            if self._waits:
+                self._note()
+            self._log.flush()
+        finally:
+            self.plant.close()
+
+    def recording(self) -> Recording:
+        """The record of what has run so far."""
+        if not self.closed:
+            self._log.flush()
+        outcome, spent = self.outcome or Outcome.interrupted, self.controller.spent
+        detect_s = spent["detect"] - self._redrawn_s
+        took = (self._physics_s, self.plant.render_s, detect_s, spent["law"], self._record_s, 0.0)
+        return Recording(
+            self.scenario,
+            outcome,
+            self.reason or outcome.value,
+            self.rows,
+            wall_time_s=self.build_s + self.loop_s,
+            loop_s=self.loop_s,
+            time_ms={part: 1e3 * seconds for part, seconds in zip(PARTS, took, strict=True)},
+            versions=versions() | {"renderer": self._renderer},
+            ended_s=self.ended_s,
+        )
+
+    def _send(self, command: Array | None) -> None:
+        """Send the command for the last frame on its way, and put the frame into the log."""
+        assert self.frame is not None
+        self._by_hand = command is not None
+        if command is not None:
+            wanted, allocation = self.controller.override(self.frame, command)
+            self.frame = replace(self.frame, command=wanted, allocation=allocation)
+        self._commands.push(self._step, self.frame.allocation)
+        self._note()
+
+    def _note(self) -> None:
+        """The last frame is complete: into the log, and to the watchers."""
+        assert self.frame is not None
+        self._waits = False
+        start = time.perf_counter()
+        self._log.append(self.frame)
+        self._record_s += time.perf_counter() - start
+        for watcher in self._watchers:
+            watcher.frame(self.frame)
+
+    def _end(self, verdict: Verdict, t: float) -> None:
+        (self.outcome, self.reason), self.ended_s = verdict, t
+
+    def _turn(self) -> Generator[Frame]:
+        """Take pictures, deliver them and their commands, each when it is due, until the judge's verdict."""
+        scenario, plant, controller, camera, commands = self.scenario, self.plant, self.controller, self._camera, self._commands
+        self._step = step = 0
+        order_steps = round(scenario.timing.order_s(scenario.camera) / plant.step_s)
+        silent_at = order_steps + round(scenario.camera.latency_s / plant.step_s)
+        while True:
+            camera.act(step, controller.look)
+            for made in camera.line.pop_due(step):
+                silent_at = step + order_steps
+                frame = self._arrive(made, step)
+                yield frame
+                if frame.outcome is not None:
+                    return
+            if step >= silent_at:  # a camera that is dead must not leave the robot without a supervisor, nor the run without an end
+                plant.apply(controller.without_picture(step * plant.step_s, plant.reading()))
+                if verdict := self._judge.without_picture(step * plant.step_s, plant.truth()):
+                    return self._end(verdict, step * plant.step_s)
+                if controller.supervisor.aborted:  # orders still on their way must not set a robot that stops in motion again
+                    commands.clear()
+                silent_at = step + plant.steps_per_frame
+            # After the pictures: without latency, a command takes effect in the step in which its picture arrived.
+            for allocation in commands.pop_due(step):
+                plant.apply(allocation.setpoint)
+            # The physics runs to the next event in one call.
+            due = commands.next_due()
+            ahead = min(camera.next_event(), silent_at, silent_at if due is None else due) - step
+            start = time.perf_counter()
+            if not plant.advance(ahead):
+                return self._end((Outcome.crashed, f"{Outcome.crashed.value} at {step * plant.step_s:.3f} s"), step * plant.step_s)
+            self._physics_s += time.perf_counter() - start
+            self._step = step = step + ahead
+
+    def _arrive(self, made: Exposed, step: int) -> Frame:
+        """A picture has arrived: the frame with its command, and its outcome if it is the last."""
+        plant, shot = self.plant, made.shot
+        rendered = plant.render_s
+        arrival = Arrival(step * plant.step_s, (step + self._commands.delay_steps) * plant.step_s, plant.reading())
+        cycle = self.controller.arrive(shot, arrival)
+        # A detector may have had a picture drawn whole: that time is the renderer's.
+        self._redrawn_s += plant.render_s - rendered
+        before, self.frame = self.frame, self._witness.frame(cycle, shot, made.truth, self._image(made))
+        judged = self.frame
+        if (
+            self._by_hand and before is not None
+        ):  # this frame's own command is not known yet: judged, and at the end logged, with that in force
+            judged = replace(judged, command=before.command, allocation=before.allocation)
+        self._waits = True
+        if verdict := self._judge.verdict(judged):
+            self._end(verdict, self.frame.t)
+            self.frame = replace(judged, verdict=verdict)
+            self._note()
+        return self.frame
+
+    def _image(self, made: Exposed) -> Image | None:
+        """The camera's own image of an exposure; a copy that the caller may keep where pictures are asked for."""
+        image = made.shot.picture.image if made.shot.picture else None
+        return image.copy() if self._pictures and image is not None else image
+
+
+def _plant(scenario: Scenario, pictures: bool) -> tuple[Plant, str]:
+    """The plant of a scenario, and the name of its renderer."""
+    return build_plant(
+        scenario.robot,
+        scenario.camera,
+        scenario.target,
+        scenario.world,
+        scenario.physics,
+        needs_image=scenario.detector.needs_image or pictures,
+        needs_truth=scenario.detector.needs_truth,
+        image_sigma=scenario.noise.image_sigma,
+        rng=scenario.rng(IMAGE_STREAM),
+        sensor_rng=scenario.rng(SENSOR_STREAM),
+        motion_rng=scenario.rng(MOTION_STREAM),
+        drift=scenario.noise.drift,
+        order_s=scenario.timing.order_s(scenario.camera),
+    )

@@ -1,0 +1,93 @@
+"""Pictures, times and readings of a real camera and robot, checked before the controller uses them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from vstestbed.camera import Image
+from vstestbed.core.errors import ParameterError
+from vstestbed.robots import Reading
+from vstestbed.scenario.scenario import Scenario
+
+Readings = tuple[Reading, Reading]
+"""A robot's sensor readings: at the exposure, and when the picture has arrived."""
+MISSING = 1.5
+"""A picture is missing where two are further apart than this [camera periods]."""
+
+
+class Inputs:
+    """Checks what a controller is given, and counts the pictures.
+
+    Attributes:
+        taken: number of pictures so far, each counted once.
+    """
+
+    def __init__(self, scenario: Scenario):
+        self._camera, self._robot, self._detector = scenario.camera, scenario.robot, scenario.detector
+        self._latest_s = scenario.timing.latest_s(scenario.camera)
+        self._reading = scenario.robot.reading
+        self._t: float | None = None
+        self.taken = -1
+
+    def notes(self, picture: Image | Sequence[Image], t: float, readings: Reading | Readings, arrived: float | None) -> tuple[str, ...]:
+        """What is unusual about a picture's time, in words: it is late, came twice, or others are missing before it.
+
+        Raises:
+            ParameterError: see `Controller.step`.
+        """
+        if self._detector.needs_truth:
+            words = "is the simulator's truth, which no real camera has; works: --set detector=blobs"
+            raise ParameterError("detector", words, self._detector.kind)
+        self._check_picture(picture)
+        for reading in readings if isinstance(readings, tuple) else (readings,):
+            self._check_reading(reading)
+        late = self._late(t, arrived)  # before the picture is counted: a mistake changes nothing
+        return (*self._timed(t), *late)
+
+    def _check_picture(self, picture: Image | Sequence[Image]) -> None:
+        """The panels' images have their number, sizes and type."""
+        panels = self._camera.panels
+        images = (picture,) if isinstance(picture, np.ndarray) else picture
+        if not isinstance(images, Sequence | tuple) or len(images) != len(panels):
+            words = "must be one image" if len(panels) == 1 else f"must be {len(panels)} images, one for each face of the camera"
+            raise ParameterError("picture", words, type(picture).__name__)
+        for image, panel in zip(images, panels, strict=True):
+            wanted = panel.lens.height, panel.lens.width, 3
+            if not isinstance(image, np.ndarray) or image.shape != wanted or image.dtype != np.uint8:
+                found = f"{image.shape} {image.dtype}" if isinstance(image, np.ndarray) else type(image).__name__
+                raise ParameterError("picture", f"must be {wanted} uint8, RGB, as the scenario's camera has it", found)
+
+    def _check_reading(self, reading: Reading) -> None:
+        """The reading is one of this robot."""
+        n = len(self._robot.joints)
+        if not isinstance(reading, self._reading):
+            raise ParameterError("readings", f"must be {self._reading.__name__}s for this robot", type(reading).__name__)
+        for name, values in (("q", reading.q), ("qd", reading.qd)):
+            if np.shape(values) != (n,) or not np.isfinite(values).all():
+                raise ParameterError(f"readings.{name}", f"must be {n} finite numbers: {', '.join(self._robot.joints)}", values)
+
+    def _timed(self, t: float) -> tuple[str, ...]:
+        """Notes of a picture's time against the one before."""
+        before = self._t
+        if not math.isfinite(t):
+            raise ParameterError("t", "must be the time of exposure in seconds", t)
+        if before is not None and t < before:
+            raise ParameterError("t", f"goes back: the last picture was taken at {before:g} s", t)
+        if before is not None and t == before:
+            return (f"the picture of {t:g} s came again",)
+        periods = 1.0 if before is None else (t - before) / self._camera.period
+        self._t = t
+        self.taken += 1
+        missing = round(periods) - 1
+        return (f"{missing} {'picture is' if missing == 1 else 'pictures are'} missing before this one",) if periods > MISSING else ()
+
+    def _late(self, t: float, arrived: float | None) -> tuple[str, ...]:
+        """A note of a picture that arrived too late to be one."""
+        if arrived is None:
+            return ()
+        if not (math.isfinite(arrived) and arrived >= t):
+            raise ParameterError("arrived", f"must be a time after the exposure, {t:g} s", arrived)
+        return (f"the picture is {arrived - t:.2g} s old: the robot is told to stop",) if arrived - t > self._latest_s else ()

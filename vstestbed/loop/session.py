@@ -1,0 +1,130 @@
+"""Session: a scenario that is simulated frame by frame, by the scenario's law or by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from types import TracebackType
+
+import numpy as np
+
+from vstestbed.core.errors import ParameterError, SessionError
+from vstestbed.core.geometry import Array, all_finite
+from vstestbed.loop.episode import Episode
+from vstestbed.loop.recording import Recording, Rows, Watcher
+from vstestbed.robots import Mount
+from vstestbed.scenario.scenario import Scenario
+from vstestbed.tasks.frame import Frame
+
+
+class Session:
+    """A scenario that is simulated frame by frame; `run` is a session turned to its end.
+
+        with vs.Session(vs.load("arm_ibvs")) as session:
+            frame = session.reset(seed=3)
+            while frame.outcome is None:
+                frame = session.step()
+        session.recording()
+
+    Sessions are independent of each other and of the thread that steps them, one at a time each.
+
+    Args:
+        scenario: the experiment.
+        pictures: take whole pictures (`Frame.image`), also where the detector needs none: its numbers do not change.
+        watch: receive every frame, with the command that was sent.
+        rows: where the rows of the log go, for one episode; into memory by default.
+
+    Raises:
+        ParameterError: `scenario` is not a Scenario.
+    """
+
+    def __init__(self, scenario: Scenario, *, pictures: bool = False, watch: Iterable[Watcher] = (), rows: Rows | None = None):
+        if not isinstance(scenario, Scenario):
+            raise ParameterError("scenario", "must be a Scenario: vstestbed.load('arm_ibvs')", scenario)
+        self._given, self._pictures, self._watchers, self._rows = scenario, pictures, tuple(watch), rows
+        self.episode: Episode | None = None
+        robot = scenario.robot
+        self._motions = robot.motion_basis(Mount.of(scenario.believed_camera.mount.T), robot.start_joints()).shape[1]
+
+    def reset(self, seed: int | None = None) -> Frame:
+        """Begin an episode and simulate until its first picture has arrived. An episode that is under way ends unfinished.
+
+        Args:
+            seed: of the start and of all noise, as `run --seed`; None for the scenario's own start and seed.
+
+        Raises:
+            EnvironmentLackError: a picture is needed that only OpenGL can draw, and it does not work here.
+            SessionError: no picture arrived before the end.
+        """
+        self.close()
+        scenario = self._given if seed is None else self._given.randomised(seed)
+        rows, self._rows = self._rows, None
+        self.episode = Episode(scenario, self._pictures, self._watchers, rows)
+        frame = self.episode.advance()
+        if frame is None:
+            raise SessionError(f"the run ended before a picture arrived: {self.episode.reason}", "change the camera's timing")
+        return frame
+
+    def step(self, command: Array | None = None) -> Frame:
+        """Send the command for the last frame, and simulate until the next picture has arrived.
+
+        Args:
+            command: in place of the law's command: a camera twist (6,) [m/s, rad/s], or velocities along the robot's motions (n,)
+                (omni: vx, vy, wz; car: v, w; quadrotor: vx, vy, vz, wz). It has the scenario's latency and the robot's limits. The law
+                still computes its own command for every frame, `Frame.command`.
+
+        Returns the next frame, or where the run ended without another picture the last one, with the outcome.
+
+        Raises:
+            ParameterError: a command of another shape, or one that is not finite.
+            SessionError: before `reset`, or after the end.
+        """
+        episode = self._running()
+        if command is not None:
+            command = self._checked(command)
+        return episode.advance(command) or episode.ended()
+
+    def recording(self) -> Recording:
+        """The episode so far: outcome, log, metrics; `interrupted` where it has not ended. The same bytes as `run` where the law drove.
+
+        Raises:
+            SessionError: before `reset`.
+        """
+        if self.episode is None:
+            raise SessionError("nothing has run", "call reset() first")
+        return self.episode.recording()
+
+    def close(self) -> None:
+        """End the episode and free the simulation; the recording stays."""
+        if self.episode is not None:
+            self.episode.close()
+
+    def __enter__(self) -> Session:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+    def _running(self) -> Episode:
+        """The episode that can be stepped."""
+        episode = self.episode
+        if episode is None:
+            raise SessionError("nothing to step", "call reset() first")
+        if episode.outcome is not None:
+            raise SessionError(f"the run has ended: {episode.reason}", "call reset() for another one")
+        if episode.closed:
+            raise SessionError("the session is closed", "call reset() for another run")
+        return episode
+
+    def _checked(self, command: Array) -> Array:
+        """A command as numbers of a right shape."""
+        n = self._motions
+        try:
+            numbers = np.array(command, dtype=float)
+        except (TypeError, ValueError):
+            numbers = np.zeros(0)
+        if numbers.shape not in ((6,), (n,)):
+            words = "must be a camera twist (6,)" + ("" if n == 6 else f", or {n} velocities along the robot's motions")
+            raise ParameterError("command", words, command)
+        if not all_finite(numbers):
+            raise ParameterError("command", "must be finite", command)
+        return numbers
