@@ -89,7 +89,7 @@ def noise_level(image: Image) -> float:
     exactly 0 without noise. Noise below about .7 is lost in the rounding to grey levels. A textured background counts as noise.
     """
     of = noise_rows(len(image))
-    rows = np.ascontiguousarray(image[of.start :: of.step, :, 1])
+    rows = cv2.extractChannel(image[of.start :: of.step], 1)
     here, there = rows[:, 1:], rows[:, :-1]
     if 2 * np.count_nonzero(here != there) <= here.size:  # the median is 0: no need to sort
         return 0.0
