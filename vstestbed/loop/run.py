@@ -10,6 +10,7 @@ import numpy as np
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.outcome import Outcome, Verdict
 from vstestbed.core.provenance import versions
+from vstestbed.laws.solve import load_lapack
 from vstestbed.loop.columns import Layout
 from vstestbed.loop.controller import Arrival, FrameController
 from vstestbed.loop.judge import Judge
@@ -108,6 +109,8 @@ def run(scenario: Scenario, watch: Iterable[Watcher] = (), rows: Rows | None = N
         for watcher in watchers:
             watcher.frame(frame)
 
+    if hasattr(scenario.law, "solve"):
+        load_lapack()
     ready = time.perf_counter()
     try:
         (outcome, reason), ended_s = _until_the_end(scenario, plant, note, spent)
