@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from typing import ClassVar
 
@@ -13,7 +14,7 @@ from vstestbed.robots.base import RobotBase
 from vstestbed.robots.reading import Reading
 from vstestbed.robots.resolved_rate import resolved_rate, share
 
-LIMIT_MARGIN = np.radians(1.0)
+LIMIT_MARGIN = math.radians(1.0)
 """Distance from its hard stop at which a joint comes to rest [rad; m for one that slides]."""
 LIMIT_HORIZON_S = 0.25
 """Velocity damper: near its limit a joint may approach no faster than to reach the margin in this time [s]."""
@@ -112,14 +113,22 @@ class Arm(RobotBase, ABC):
         realised = J @ dq
         along = share(realised, commanded, self.unit_m)
         limit: Limit = "singular" if along < 0.5 else ""
-        limits = self.joint_limits
-        # By the measured joints, not by integrated commands: the servos lag behind those.
-        room = np.where(dq > 0, limits[:, 1] - reading.q, reading.q - limits[:, 0]) - LIMIT_MARGIN
-        # Not shorter than a period: within one, no further command could slow the joint down.
-        damper = np.maximum(room, 0.0) / max(LIMIT_HORIZON_S, period)
-        size = np.maximum(np.abs(dq), 1e-12)
-        speed, position = float((self.speed_limits / size).min()), float((damper / size).min())
+        speed, position = self._allowed(dq, reading.q, max(LIMIT_HORIZON_S, period))
         scale = min(1.0, speed, position)
         if scale < 1.0:  # a limit met hides the singularity beside it: `scale` has both
             limit = "joint_limit" if position < speed else "speed"
         return Allocation(setpoint=dq * scale, twist=mount.to_camera @ realised * scale, scale=scale * along, limit=limit)
+
+    def _allowed(self, dq: Array, q: Array, horizon_s: float) -> tuple[float, float]:
+        """Largest factors of the joint speeds dq (n,) within the speed limits, and within the velocity damper at the joints q (n,).
+
+        The horizon is not shorter than a period: within one, no further command could slow a joint down. The joints are the measured
+        ones, not integrated commands: the servos lag behind those.
+        """
+        speed = position = math.inf
+        limits = zip(dq.tolist(), q.tolist(), self.joint_limits.tolist(), self.speed_limits.tolist(), strict=True)
+        for u, at, (low, high), most in limits:  # numpy takes thrice as long
+            size = max(abs(u), 1e-12)
+            room = (high - at if u > 0 else at - low) - LIMIT_MARGIN
+            speed, position = min(speed, most / size), min(position, max(room, 0.0) / horizon_s / size)
+        return speed, position

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 
 from vstestbed.core.geometry import Array
@@ -37,6 +39,7 @@ def resolved_rate(J: Array, twist: Array, unit_m: float, threshold: float = THRE
     return Vt.T @ (s / (s**2 + damping2) * (U.T @ (twist * scale)))
 
 
+@functools.cache
 def unit_scale(unit_m: float) -> Array:
     """Factors (6,) that give the linear part of a twist in lengths of unit_m."""
     return np.array([1 / unit_m] * 3 + [1.0] * 3)
