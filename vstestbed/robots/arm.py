@@ -93,7 +93,9 @@ class Arm(RobotBase, ABC):
     def _away_from_limits(self, q: Array) -> Array:
         """dq*_i = -avoid_limits (q_i - edge_i) beyond the edge of the middle four fifths of a joint's range, else 0."""
         limits = self.joint_limits
-        low, high = (limits.mean(axis=1) + side * INNER * np.ptp(limits, axis=1) / 2 for side in (-1, 1))
+        with np.errstate(invalid="ignore"):  # a joint that turns without end has no middle: nan, where it is always inside
+            low, high = (limits.mean(axis=1) + side * INNER * np.ptp(limits, axis=1) / 2 for side in (-1, 1))
+        low, high = np.where(np.isnan(low), -np.inf, low), np.where(np.isnan(high), np.inf, high)
         return -self.avoid_limits * (q - np.clip(q, low, high))
 
     def allocate(self, twist: Array, reading: Reading, mount: Mount, period: float) -> Allocation:

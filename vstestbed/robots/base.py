@@ -68,7 +68,12 @@ class Robot(Protocol):
 
     @property
     def actuator_set(self) -> Actuation | None:
-        """Which of the actuators in its file are used; None: all."""
+        """Which of the actuators in its file are used, and what is added to them; None: all."""
+        ...
+
+    @property
+    def flange(self) -> str:
+        """The site, or the body, in its file that carries the camera."""
         ...
 
     @property
@@ -185,6 +190,7 @@ class RobotBase:
     reading: ClassVar[type[Reading]] = Reading
     base: ClassVar[Base] = "fixed"
     feet: ClassVar[tuple[str, ...]] = ()
+    flange = "flange"
     gripper: ClassVar[bool] = False
     control_period_s: ClassVar[float | None] = None
     # The servo gains in puma560.xml and the contacts of the vehicles' wheels were measured at 2 ms.

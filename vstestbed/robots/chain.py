@@ -25,6 +25,7 @@ class JointChain:
         limits: lowest and highest position (n, 2) [rad, m]; infinite for a joint that turns without end.
         inertia: seen by each joint's motor alone at the start, gears included (n,) [kg m^2, kg].
         torque: largest torque or force by the file (n,) [Nm, N]; infinite where it says none.
+        drives: the file's own actuator of each joint, `velocity`, `position` or another word; "" where it has none.
     """
 
     names: tuple[str, ...]
@@ -35,6 +36,7 @@ class JointChain:
     limits: Array
     inertia: Array
     torque: Array
+    drives: tuple[str, ...]
 
     @cached_property
     def _skew(self) -> Array:

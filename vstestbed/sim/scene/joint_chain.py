@@ -59,6 +59,7 @@ def joint_chain(file: str, flange: str, names: tuple[str, ...]) -> JointChain:
         limits=np.where(bounded, model.jnt_range[joints], [-np.inf, np.inf]),
         inertia=_inertia(model, data)[model.jnt_dofadr[joints]],
         torque=_torque(model, joints),
+        drives=tuple(_drive(model, i) for i in joints),
     )
 
 
@@ -115,14 +116,35 @@ def _inertia(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
     return M.diagonal().copy()
 
 
+def drivers(model: mujoco.MjModel, joint: int) -> list[int]:
+    """The actuators that act on a joint alone."""
+    alone = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
+    return np.flatnonzero(alone & (model.actuator_trnid[:, 0] == joint)).tolist()
+
+
 def _torque(model: mujoco.MjModel, joints: list[int]) -> np.ndarray:
-    """Largest torque of each joint: of the joint itself, else of the actuator on it, else infinite."""
+    """Largest torque of each joint: of the joint itself, and of the actuators on it; infinite without one."""
     torque = np.full(len(joints), np.inf)
     for k, i in enumerate(joints):
         if model.jnt_actfrclimited[i]:
             torque[k] = model.jnt_actfrcrange[i, 1]
-        for a in range(model.nu):
-            drives = model.actuator_trntype[a] == mujoco.mjtTrn.mjTRN_JOINT and model.actuator_trnid[a, 0] == i
-            if drives and model.actuator_forcelimited[a]:
+        for a in drivers(model, i):
+            if model.actuator_forcelimited[a]:
                 torque[k] = min(torque[k], abs(model.actuator_gear[a, 0]) * model.actuator_forcerange[a, 1])
     return torque
+
+
+def _drive(model: mujoco.MjModel, joint: int) -> str:
+    """The file's actuator of a joint: `velocity`, `position`, `motor`, `two`; "" for none."""
+    there = drivers(model, joint)
+    if len(there) != 1:
+        return "two" if there else ""
+    (a,) = there
+    _, kp, kv = model.actuator_biasprm[a, :3]
+    affine = model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_AFFINE
+    integrates = model.actuator_dyntype[a] == mujoco.mjtDyn.mjDYN_INTEGRATOR
+    if not affine or model.actuator_gear[a, 0] != 1:
+        return "motor"
+    if kp == 0:
+        return "velocity" if kv < 0 and not integrates else "motor"
+    return "velocity" if integrates else "position"
