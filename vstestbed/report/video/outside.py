@@ -58,7 +58,7 @@ class Outside:
         self._line = max(1, round(size[1] / 360))
         self._trail, self._spacing = np.zeros((0, 3)), 0.0
         self._corners = np.vstack([_frustum(scenario.camera), np.zeros(3)])
-        self._scale = min((1 - FREE) * size[0] / scenario.camera.width, 0.5 * size[1] / scenario.camera.height)
+        self._scale = inset_share(scenario.camera, size)
         inset = round(scenario.camera.width * self._scale), round(scenario.camera.height * self._scale)
         self._inset_t, self._inset = -np.inf, np.full((inset[1] + EDGE, inset[0] + EDGE, 3), PAPER, np.uint8)
         self._overlay = Overlay(*inset, scenario.target.colors)
@@ -178,6 +178,11 @@ class Pen:
             cv2.fillConvexPoly(mask, cv2.convexHull(points), 255, cv2.LINE_8, SHIFT)
         cv2.copyTo(cv2.addWeighted(part, 1 - fill, np.full_like(part, color), fill, 0), mask, part)
         cv2.polylines(part, list(cv2.findContours(mask, cv2.RETR_LIST, cv2.CHAIN_APPROX_SIMPLE)[0]), True, color, self._stroke, cv2.LINE_AA)
+
+
+def inset_share(camera: Camera, size: tuple[int, int]) -> float:
+    """Size of the inset in a picture of a size (width, height) as a share of the servo camera's image."""
+    return min((1 - FREE) * size[0] / camera.width, 0.5 * size[1] / camera.height)
 
 
 def _frustum(camera: Camera) -> Array:
