@@ -21,7 +21,7 @@ from vstestbed.loop.recording import Rows
 from vstestbed.loop.summary_file import read_summary
 from vstestbed.report.video.outside import Outside, inset_share
 from vstestbed.report.video.overlay import ALARM, GOOD, HOLD_S, Overlay, draw_caption, draw_ending
-from vstestbed.report.video.quality import Pace, Quality
+from vstestbed.report.video.quality import FINE, Pace, Quality
 from vstestbed.report.video.writer import Image, VideoWriter
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.replay import Replay
@@ -214,7 +214,7 @@ def replay_of(scenario: Scenario, quality: Quality, inset_in: tuple[int, int] | 
     """
     parts = scenario.robot, scenario.camera, scenario.target, scenario.world
     share = quality.share(scenario.camera.width, scenario.camera.height)
-    if inset_in is not None and share < 1:
+    if inset_in is not None and quality.longest < FINE.longest:
         share = min(share, inset_share(scenario.camera, inset_in))
     return Replay(*parts, quality.shadows, scenario.sights, quality.samples, share)
 
