@@ -100,7 +100,7 @@ def test_an_inset_alone_is_drawn_at_its_own_size_unless_the_film_is_fine() -> No
             sizes.append(replay.picture("eye", *SIZE, 0.0, frame.T_world_target, frame.q, frame.T_world_camera).shape[1::-1])
         finally:
             replay.close()
-    assert sizes == [(400, 300), (round(0.26 * 640), round(0.26 * 640 * 480 / 640)), (640, 480)]
+    assert sizes == [(384, 288), (round(0.26 * 640), round(0.26 * 640 * 480 / 640)), (640, 480)]
 
 
 def test_a_trail_has_a_bounded_number_of_points_from_the_first_to_the_last() -> None:

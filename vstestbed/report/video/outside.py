@@ -32,7 +32,7 @@ MOST_PLACES: Final = 400
 AXIS: Final = 0.045
 """Length of an axis of the target's frame over the picture's width, at its place."""
 INSET_S: Final = 0.2
-"""Time between two pictures of the servo camera in the inset that must be rendered for it [s]."""
+"""Time between two pictures of the servo camera in the inset [s]."""
 EDGE: Final = 2
 """Width of the edge of the inset [px]."""
 SPACING: Final = 0.006
@@ -92,11 +92,10 @@ class Outside:
     def put_inset(self, scene: Image, frame: FilmFrame, image: Image | None, render: Callable[[], Image]) -> None:
         """The servo camera's image in the upper right corner of a picture, with its markers, in place.
 
-        image: what is there already; without one, `render` is asked every INSET_S alone, since a wide lens takes several views.
+        It is renewed every INSET_S. image: what is there already; without one, `render` is asked.
         """
-        if image is None and frame.t >= self._inset_t + INSET_S - 1e-9:
-            image = render()
-        if image is not None:
+        if frame.t >= self._inset_t + INSET_S - 1e-9:
+            image = render() if image is None else image
             small = self._inset[:-EDGE, EDGE:]
             small[:] = _reduced(image, *small.shape[1::-1])
             self._overlay.marks(small, (frame.uv + 0.5) * self._scale - 0.5, (frame.goal_uv + 0.5) * self._scale - 0.5)
