@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import Any, Protocol
 
 import mujoco
 import numpy as np
@@ -62,7 +62,7 @@ class StillView:
         self._view, self._model, self._data, self._f, self._part = view, model, data, f, part
         self._camera, self._sides = model.camera(camera).id, sides
         self._corners = model.geom_aabb[:, None, :3] + model.geom_aabb[:, None, 3:] * CORNERS
-        self._drawn: tuple[Array, ...] = ()
+        self._drawn: tuple[NDArray[Any], ...] = ()
         self._image: Image | None = None
 
     def full_image(self) -> Image:
@@ -77,7 +77,7 @@ class StillView:
             self._image, self._drawn = self._view.full_image(), state
         return self._image.copy()
 
-    def _renewed(self, image: Image, state: tuple[Array, ...], moved: NDArray[np.intp]) -> bool:
+    def _renewed(self, image: Image, state: tuple[NDArray[Any], ...], moved: NDArray[np.intp]) -> bool:
         """Draw an image again, in place, where the geoms that have moved are and were; False where that is not possible."""
         window = self._window(np.concatenate([state[0][moved], self._drawn[0][moved]]), np.tile(self._model.geom_rbound[moved], 2))
         part = None if window is None else self._part(window)
@@ -103,7 +103,7 @@ class StillView:
         left, top, right, bottom = np.clip([first, last], 0, size).astype(int).ravel().tolist()
         return (left, top, right, bottom) if left < right and top < bottom else None
 
-    def _state(self) -> tuple[Array, ...]:
+    def _state(self) -> tuple[NDArray[Any], ...]:
         """Places (G, 3), axes (G, 3, 3) and sight (G,) of the geoms in the camera's frame; the camera's place (3,) and axes (3, 3)."""
         data, i = self._data, self._camera
         place, axes = data.cam_xpos[i].copy(), data.cam_xmat[i].reshape(3, 3).copy()
@@ -118,7 +118,7 @@ class StillView:
         wide, high = (-tangent * z for tangent in self._sides)
         return ~np.logical_or.reduce([(beyond > 0).all(axis=1) for beyond in (z, x - wide, -x - wide, y - high, -y - high)])
 
-    def _motion(self, state: tuple[Array, ...]) -> tuple[Array, float]:
+    def _motion(self, state: tuple[NDArray[Any], ...]) -> tuple[Array, float]:
         """Bounds of the motion in the image since it was drawn: of each geom (G,), and of planes as the camera moves [px]."""
         (p, Q, seen, c, R), (p_drawn, Q_drawn, seen_drawn, c_drawn, R_drawn) = state, self._drawn
         radius = self._model.geom_rbound
