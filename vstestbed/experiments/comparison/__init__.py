@@ -63,7 +63,8 @@ def compare(
     if getattr(multiprocessing.current_process(), "_inheriting", False):  # a worker that imports the script
         raise ParameterError("compare", "must stand under `if __name__ == '__main__':` in a script, which worker processes import")
     must_be_known(executor)
-    with prepared(scenarios, vary or {}, seeds, None if out is None else Path(out), resume, set or {}, plugins, film, force) as (
+    folder = None if out is None else Path(out)
+    with prepared(scenarios, vary or {}, seeds, folder, resume, set or {}, plugins, film, force) as (
         campaign,
         comparison,
     ):
