@@ -38,7 +38,7 @@ class Arm(RobotBase, ABC):
 
     @property
     @abstractmethod
-    def speed_limits(self) -> Array:
+    def joint_speeds(self) -> Array:
         """Largest speed of each joint, (n,) [rad/s, m/s]."""
 
     @property
@@ -128,7 +128,7 @@ class Arm(RobotBase, ABC):
         ones, not integrated commands: the servos lag behind those.
         """
         speed = position = math.inf
-        limits = zip(dq.tolist(), q.tolist(), self.joint_limits.tolist(), self.speed_limits.tolist(), strict=True)
+        limits = zip(dq.tolist(), q.tolist(), self.joint_limits.tolist(), self.joint_speeds.tolist(), strict=True)
         for u, at, (low, high), most in limits:  # numpy takes thrice as long
             size = max(abs(u), 1e-12)
             room = (high - at if u > 0 else at - low) - LIMIT_MARGIN

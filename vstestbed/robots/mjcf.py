@@ -66,9 +66,9 @@ class Mjcf(Arm):
     kind: Literal["mjcf"] = "mjcf"
     file: str
     flange: str = "flange"
-    joints: tuple[str, ...] = ()
+    joints: tuple[str, ...] = ()  # pyright: ignore[reportIncompatibleMethodOverride] - a field in place of a property
     actuation: Literal["velocity", "ideal", "file"] = "velocity"
-    speed_limits: Annotated[tuple[PositiveSpeed, ...], Len(2, 7)]  # pyright: ignore[reportIncompatibleVariableOverride] - YAML gives it
+    speed_limits: Annotated[tuple[PositiveSpeed, ...], Len(2, 7)]
     start: ArmStart
     avoid_limits: Annotated[float, Ge(0), Le(10)] = 0.5
     actuators: ClassVar[tuple[str, ...]]
@@ -128,6 +128,11 @@ class Mjcf(Arm):
     def joint_limits(self) -> Array:
         """Those of the file."""
         return self.chain.limits
+
+    @property
+    def joint_speeds(self) -> Array:
+        """`speed_limits`, as an array."""
+        return np.array(self.speed_limits)
 
     @property
     def unit_m(self) -> float:

@@ -191,7 +191,7 @@ class Puma560(Arm):
         return JOINT_LIMITS
 
     @property
-    def speed_limits(self) -> Array:
+    def joint_speeds(self) -> Array:
         """SPEED_LIMITS."""
         return SPEED_LIMITS
 
