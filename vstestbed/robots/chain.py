@@ -23,7 +23,6 @@ class JointChain:
         axes, anchors: unit vectors and points (n, 3) in the world, all joints at q = 0 [m].
         T_0: pose (4, 4) of the flange there.
         limits: lowest and highest position (n, 2) [rad, m]; infinite for a joint that turns without end.
-        inertia: seen by each joint's motor alone at the start, gears included (n,) [kg m^2, kg].
         torque: largest torque or force by the file (n,) [Nm, N]; infinite where it says none.
         drives: the file's own actuator of each joint, `velocity`, `position` or another word; "" where it has none.
     """
@@ -34,7 +33,6 @@ class JointChain:
     anchors: Array
     T_0: Array
     limits: Array
-    inertia: Array
     torque: Array
     drives: tuple[str, ...]
 

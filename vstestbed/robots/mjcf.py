@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from importlib import import_module
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from annotated_types import Ge, Le, Len
@@ -101,8 +101,7 @@ class Mjcf(Arm):
     @property
     def chain(self) -> JointChain:
         """The joints as plain numbers."""
-        # MuJoCo reads the file, in its own room, which robots never import: asked once by name, for numbers.
-        return import_module("vstestbed.sim.scene.joint_chain").joint_chain(self.file, self.flange, self.joints)
+        return _reader().joint_chain(self.file, self.flange, self.joints)
 
     @property
     def model(self) -> str:
@@ -117,12 +116,13 @@ class Mjcf(Arm):
 
     def _servos(self, chain: JointChain) -> list[Servo]:
         speeds, torques = self.speed_limits, chain.torque.tolist()
+        inertia = _reader().inertia_at(self.file, chain.names, tuple(self.configuration().tolist()))
         if self.actuation == "file":
             return [Servo(name, speed, None) for name, speed in zip(chain.names, speeds, strict=True)]
         if self.actuation == "ideal":
-            return [Servo(n, v, np.inf, kv=IDEAL_GAIN * m) for n, v, m in zip(chain.names, speeds, chain.inertia.tolist(), strict=True)]
-        each = zip(chain.names, speeds, torques, (STIFFNESS * chain.inertia).tolist(), strict=True)
-        return [Servo(name, speed, torque, kp, kp * RATIO_S) for name, speed, torque, kp in each]
+            return [Servo(n, v, np.inf, kv=IDEAL_GAIN * m) for n, v, m in zip(chain.names, speeds, inertia, strict=True)]
+        each = zip(chain.names, speeds, torques, inertia, strict=True)
+        return [Servo(name, speed, torque, STIFFNESS * m, STIFFNESS * RATIO_S * m) for name, speed, torque, m in each]
 
     @property
     def joint_limits(self) -> Array:
@@ -165,3 +165,8 @@ class Mjcf(Arm):
         half = np.where(self.chain.slides, box.slide_m, np.radians(box.q_deg))
         q = self.configuration() + rng.uniform(-1, 1, len(half)) * half
         return self.started_at(np.clip(q, *self.chain.limits.T))
+
+
+def _reader() -> Any:
+    """MuJoCo's reading of such files. It is in the simulator's room, which robots never import: asked by name, for plain numbers."""
+    return import_module("vstestbed.sim.scene.joint_chain")

@@ -46,8 +46,6 @@ def joint_chain(file: str, flange: str, names: tuple[str, ...]) -> JointChain:
     data = mujoco.MjData(model)
     data.qpos[model.jnt_qposadr[joints]] = 0.0
     mujoco.mj_kinematics(model, data)
-    mujoco.mj_comPos(model, data)
-    mujoco.mj_crb(model, data)
     T_world_body = _pose(data.xpos[body], data.xmat[body])
     bounded = model.jnt_limited[joints].astype(bool)[:, None]
     return JointChain(
@@ -57,10 +55,21 @@ def joint_chain(file: str, flange: str, names: tuple[str, ...]) -> JointChain:
         anchors=data.xanchor[joints].copy(),
         T_0=T_world_body @ T_body_flange,
         limits=np.where(bounded, model.jnt_range[joints], [-np.inf, np.inf]),
-        inertia=_inertia(model, data)[model.jnt_dofadr[joints]],
         torque=_torque(model, joints),
         drives=tuple(_drive(model, i) for i in joints),
     )
+
+
+@functools.lru_cache(maxsize=64)
+def inertia_at(file: str, joints: tuple[str, ...], q: tuple[float, ...]) -> tuple[float, ...]:
+    """What each joint's motor has to move at positions q [rad, m], gears included: the diagonal of the mass matrix [kg m^2, kg]."""
+    model = compiled(file)
+    data, places = mujoco.MjData(model), [model.joint(name) for name in joints]
+    data.qpos[[j.qposadr[0] for j in places]] = q
+    mujoco.mj_forward(model, data)
+    M = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, M)
+    return tuple(M.diagonal()[[j.dofadr[0] for j in places]].tolist())
 
 
 def _pose(xyz: np.ndarray, R: np.ndarray) -> np.ndarray:
@@ -107,13 +116,6 @@ def _check(model: mujoco.MjModel, flange: str, joints: list[int], found: tuple[s
         raise ParameterError("flange", f"must have 2 to {MOST_JOINTS} joints before it, and {flange} has {len(found)}")
     if not all(found):
         raise ParameterError("file", f"must name each joint before {flange}; joint {found.index('') + 1} of them has no name")
-
-
-def _inertia(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
-    """Diagonal of the inertia matrix (nv,), armature included, at the state of the data."""
-    M = np.zeros((model.nv, model.nv))
-    mujoco.mj_fullM(model, data, M)
-    return M.diagonal().copy()
 
 
 def drivers(model: mujoco.MjModel, joint: int) -> list[int]:
