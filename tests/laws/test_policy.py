@@ -65,6 +65,15 @@ class TestWhatItSees:
         assert np.allclose(observed(frame.observation, frame.goal)["agent_pos"], frame.truth.q, atol=1e-3)
         assert first_frame().observation.joints is None
 
+    def test_of_a_vehicle_the_odometry_and_not_the_place_in_the_world(self, tmp_path: Path):
+        law = Policy(file=written(tmp_path, "def act(o): return [0.1, 0.0, o['agent_pos'][0]]\n") + ":act", agent_pos=True)
+        made = replace(vs.load("omni_ibvs", {"detector": {"kind": "oracle"}, "robot.wheels": "planar"}), law=law)
+        with vs.Session(made) as session:
+            frames = [session.reset(), *(session.step() for _ in range(9))]
+        assert all(f.observation.joints is None for f in frames)
+        moved = observed(frames[-1].observation, frames[-1].goal)["agent_pos"]
+        assert 0.01 < moved[0] < 0.1 and abs(frames[-1].truth.T_world_camera[0, 3] - moved[0]) > 0.1
+
     def test_a_batch_of_ideal_cameras_has_no_joints(self):
         from vstestbed.experiments.basin.setup import BatchSetup
 

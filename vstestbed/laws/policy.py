@@ -45,7 +45,7 @@ class Policy(LawBase):
 
     Args:
         file: the policy. To load a scenario runs the code of it.
-        agent_pos: show it the joint positions, as measured by the encoders.
+        agent_pos: show it what the encoders measure: an arm's joints, a vehicle's odometry.
         depth: source of depth for tasks that need a pose; the policy does not see it.
         limits: largest speed and rate of the commanded twist.
     """
@@ -90,7 +90,10 @@ class Policy(LawBase):
         Raises:
             ParameterError: the action is not n numbers.
         """
-        given = memory(observed(observation, goal))
+        seen = observed(observation, goal)
+        if not self.agent_pos:
+            seen.pop("agent_pos", None)
+        given = memory(seen)
         if given is None:
             return memory, Command.rest(basis, NO_ACTION)
         action = self._checked(given, basis.shape[1])

@@ -18,10 +18,11 @@ def observed(seen: Observation, goal: Goal) -> dict[str, Array]:
     """What a policy sees of one frame, in new arrays of float64.
 
     `markers` (N, 2) [px], 0 for a marker that is not seen; `seen` (N,), 1 or 0; `goal` (N, 2), the markers at the goal [px]; and where
-    the joints are measured, `agent_pos` (n,) [rad, m].
+    they are measured, `agent_pos` (n,): the joints [rad, m], of a vehicle its odometry (x, y, heading) from its start [m, m, rad].
     """
     found = {"markers": np.nan_to_num(seen.uv, nan=0.0), "seen": seen.seen.astype(float), "goal": np.array(goal.uv, dtype=float)}
-    return found if seen.joints is None else found | {"agent_pos": np.array(seen.joints, dtype=float)}
+    place = seen.joints if seen.odometry is None else seen.odometry
+    return found if place is None else found | {"agent_pos": np.array(place, dtype=float)}
 
 
 @dataclass(frozen=True)

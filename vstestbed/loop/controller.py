@@ -82,7 +82,9 @@ class Controller:
         self.supervisor = scenario.robot.supervisor(scenario.goal.lands, scenario.stop.lost_after_s, scenario.stop.lost_after_m)
         self.before: Exposure | None = None
         self._failed = False
-        self._needs_motion, self._needs_joints = ("motion" in scenario.law.inputs), ("joints" in scenario.law.inputs)
+        self._needs_motion = "motion" in scenario.law.inputs
+        # not of a vehicle: one without wheel joints would show its place in the world
+        self._needs_joints = "joints" in scenario.law.inputs and scenario.robot.base == "fixed" and bool(scenario.robot.joints)
         self._latest_s = scenario.timing.latest_s(scenario.camera)
         self.inputs = Inputs(scenario)
         self._cycle: Cycle | None = None
