@@ -148,6 +148,11 @@ class TestMistakes:
         with pytest.raises(ParameterError, match=rf"mine.py:act: an action must be 6 numbers for this robot's motions, got {found}"):
             vs.run(scenario(written(tmp_path, f"def act(o): return {given}\n") + ":act"))
 
+    def test_of_a_class_that_cannot_be_made(self, tmp_path: Path):
+        mine = written(tmp_path, "class P:\n    def __init__(self):\n        self.x = 1 / 0\n")
+        with pytest.raises(ParameterError, match=r"mine.py:3: the policy cannot begin \(ZeroDivisionError: division by zero\)"):
+            vs.run(scenario(mine + ":P"))
+
     @pytest.mark.parametrize(
         ("file", "words"),
         [
@@ -232,3 +237,9 @@ class TestOnnx:
             EnvironmentLackError, match=r"onnxruntime is not installed, which net.onnx needs; pip install 'vstestbed\[policy\]'"
         ):
             vs.load("ibvs_book", {"law": {"kind": "policy", "file": str(tmp_path / "net.onnx")}})
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_the_bundled_policy_reaches_its_goal(seed: int):
+    recording = vs.run(vs.load("arm_policy", {"detector": {"kind": "oracle"}}, seed=seed))
+    assert recording.outcome.success and recording.summary()["path_ratio"] < 1.1

@@ -74,14 +74,23 @@ class Policy(LawBase):
         return 1
 
     def init(self, goal: Goal) -> Act:
-        """The policy itself: a copy of its own for each run, where it has a memory."""
+        """The policy itself: a copy of its own for each run, where it has a memory.
+
+        Raises:
+            ParameterError: its class or its `reset` raises.
+        """
         made: Any = _loaded(self.file, self.agent_pos)
-        if inspect.isclass(made):
-            made = made()
-        elif hasattr(made, "reset"):
-            made = copy.deepcopy(made)
-        if hasattr(made, "reset"):
-            made.reset()
+        try:
+            if inspect.isclass(made):
+                made = made()
+            elif hasattr(made, "reset"):
+                made = copy.deepcopy(made)
+            if hasattr(made, "reset"):
+                made.reset()
+        except Exception as error:  # the code of others
+            path = Path(self.file.rpartition(":")[0])
+            words = f"{line_of(error, str(path), path)}: the policy cannot begin ({type(error).__name__}: {error})"
+            raise ParameterError("law.file", words) from error
         return getattr(made, "act", made)
 
     def step(self, memory: Act, observation: Observation, goal: Goal, basis: Array) -> tuple[Act, Command]:
