@@ -45,7 +45,7 @@ class Policy(LawBase):
 
     Args:
         file: the policy. To load a scenario runs the code of it.
-        agent_pos: show it what the encoders measure: an arm's joints, a vehicle's odometry.
+        agent_pos: show it what the robot's own sensors tell (`Robot.proprioception`), such as an arm's joints.
         depth: source of depth for tasks that need a pose; the policy does not see it.
         limits: largest speed and rate of the commanded twist.
     """
@@ -99,10 +99,7 @@ class Policy(LawBase):
         Raises:
             ParameterError: the action is not n numbers.
         """
-        seen = observed(observation, goal)
-        if not self.agent_pos:
-            seen.pop("agent_pos", None)
-        given = memory(seen)
+        given = memory(observed(observation, goal))
         if given is None:
             return memory, Command.rest(basis, NO_ACTION)
         action = self._checked(given, basis.shape[1])
