@@ -14,14 +14,24 @@ SPEED_MPS, RATE_RADPS = 1.0, 1.0
 """Velocities of an action of 1 where the law of the scenario has no limits."""
 
 
+MOST_PX = 1e6
+"""Bound of the pixels that a policy sees [px]: an oracle's are anywhere when its field of view is unlimited."""
+
+
 def observed(seen: Observation, goal: Goal) -> dict[str, Array]:
     """What a policy sees of one frame, in new arrays of float64.
 
-    `markers` (N, 2) [px], 0 for a marker that is not seen; `seen` (N,), 1 or 0; `goal` (N, 2), the markers at the goal [px]; and where
-    the joints are measured, `agent_pos` (n,) [rad, m].
+    `markers` (N, 2) [px], 0 for a marker that is not seen; `seen` (N,), 1 or 0; `goal` (N, 2), the markers at the goal [px], 0 where
+    none would be seen; and where the observation has it, `agent_pos` (k,), what the robot's own sensors tell (`Robot.proprioception`).
+    Pixels are within +-MOST_PX.
     """
-    found = {"markers": np.nan_to_num(seen.uv, nan=0.0), "seen": seen.seen.astype(float), "goal": np.array(goal.uv, dtype=float)}
+    found = {"markers": _pixels(seen.uv), "seen": seen.seen.astype(float), "goal": _pixels(goal.uv)}
     return found if seen.joints is None else found | {"agent_pos": np.array(seen.joints, dtype=float)}
+
+
+def _pixels(uv: Array) -> Array:
+    """Pixels (N, 2) as a new array of finite numbers, 0 for NaN."""
+    return np.clip(np.nan_to_num(uv, nan=0.0), -MOST_PX, MOST_PX)
 
 
 @dataclass(frozen=True)

@@ -196,7 +196,7 @@ class Controller:
         heading, tilt = shot.reading.heading, shot.reading.tilt
         observed = self.observer.observe(self.observer_memory, shot.t, detection, twist, self.rng, heading, tilt, own)
         self.observer_memory, seen = observed
-        return replace(seen, joints=np.array(shot.reading.q)) if self._needs_joints else seen
+        return replace(seen, joints=np.array(s.robot.proprioception(shot.reading, seen.odometry))) if self._needs_joints else seen
 
     def _unseen(self, seen: Observation, goal: Goal, error: ImageError) -> str:
         """Why a law that gives no reason has no measurement; "" where it has one."""
