@@ -23,14 +23,14 @@ class DmServo(dm_env.Environment):
     A success or failure ends an episode with discount 0, a time-out with discount 1.
 
     Attributes:
-        info: of the last step, see `Rollout`: truth, outcome, judged error.
+        info: of the last step, see `Rollout`: truth, outcome, judged error. rollout: the episodes.
 
     Args:
         rollout: the episodes. seed: of the seeds that they get, one after the other; None: other ones each time.
     """
 
     def __init__(self, rollout: Rollout, seed: int | None = None):
-        self._rollout, self._rng = rollout, np.random.default_rng(seed)
+        self.rollout, self._rng = rollout, np.random.default_rng(seed)
         self.scenario = rollout.scenario
         self.info: dict[str, Any] = {}
         self._last = True
@@ -41,7 +41,7 @@ class DmServo(dm_env.Environment):
 
     def reset_to(self, seed: int) -> dm_env.TimeStep:
         """Begin the episode of `vstestbed run --seed`."""
-        step = self._rollout.reset(seed)
+        step = self.rollout.reset(seed)
         self._last, self.info = False, step.info
         return dm_env.restart(step.observation)
 
@@ -53,7 +53,7 @@ class DmServo(dm_env.Environment):
         """
         if self._last:
             return self.reset()
-        step = self._rollout.step(action)
+        step = self.rollout.step(action)
         self._last, self.info = step.terminated or step.truncated, step.info
         if not self._last:
             return dm_env.transition(step.reward, step.observation)
@@ -61,17 +61,17 @@ class DmServo(dm_env.Environment):
 
     def observation_spec(self) -> dict[str, specs.BoundedArray]:  # pyright: ignore[reportIncompatibleMethodOverride] - dm_env says Any nested
         """The entries of an observation."""
-        return {name: specs.BoundedArray(b.shape, b.dtype, b.low, b.high, name) for name, b in self._rollout.bounds().items()}
+        return {name: specs.BoundedArray(b.shape, b.dtype, b.low, b.high, name) for name, b in self.rollout.bounds().items()}
 
     def action_spec(self) -> specs.BoundedArray:  # pyright: ignore[reportIncompatibleMethodOverride] - dm_env's own has no type
         """Shares of the largest velocities along the robot's motions, (n,) in [-1, 1]."""
-        return specs.BoundedArray(self._rollout.scale.per_unit.shape, np.float64, -1.0, 1.0, "action")
+        return specs.BoundedArray(self.rollout.scale.per_unit.shape, np.float64, -1.0, 1.0, "action")
 
     def render(self) -> Image:
         """The scene from outside, (H, W, 3) uint8."""
-        return self._rollout.render()
+        return self.rollout.render()
 
     def close(self) -> None:
         """Free the simulation."""
-        self._rollout.close()
+        self.rollout.close()
         self._last = True

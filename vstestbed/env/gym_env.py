@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -14,6 +14,7 @@ from vstestbed.camera import Image
 from vstestbed.core.errors import ParameterError
 from vstestbed.env.reward import Reward, RewardKind
 from vstestbed.env.rollout import MOST_SEED, ObservationMode, Rollout, Step
+from vstestbed.loop.recording import Recording
 from vstestbed.scenario.scenario import Scenario
 
 
@@ -33,7 +34,6 @@ class GymServo(gymnasium.Env[dict[str, Any], NDArray[Any]]):
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 25}  # noqa: RUF012 - the base class has it so
-    NEVER_DRAWN: ClassVar[str] = "must be None or rgb_array"
 
     def __init__(
         self,
@@ -47,7 +47,7 @@ class GymServo(gymnasium.Env[dict[str, Any], NDArray[Any]]):
         render_mode: str | None = None,
     ):
         if render_mode not in (None, *self.metadata["render_modes"]):
-            raise ParameterError("render_mode", self.NEVER_DRAWN, render_mode)
+            raise ParameterError("render_mode", "must be None or rgb_array", render_mode)
         self.render_mode = render_mode
         self._rollout = Rollout(scenario, observation, Reward(reward, discount, success_bonus), overrides)
         self.scenario = self._rollout.scenario
@@ -73,6 +73,14 @@ class GymServo(gymnasium.Env[dict[str, Any], NDArray[Any]]):
             ParameterError: an action of another shape, or one that is not finite. SessionError: after the end.
         """
         return self._rollout.step(action)
+
+    def expert(self) -> NDArray[Any]:
+        """The action of the scenario's own law for the last frame: see `Rollout.expert`."""
+        return self._rollout.expert()
+
+    def recording(self) -> Recording:
+        """The episode so far: see `Rollout.recording`."""
+        return self._rollout.recording()
 
     def render(self) -> Image | None:  # pyright: ignore[reportIncompatibleMethodOverride] - the base class's type is a variable
         """The scene from outside, (H, W, 3) uint8; None without a render mode."""

@@ -17,6 +17,7 @@ from vstestbed.core.outcome import Outcome
 from vstestbed.env.overview import Overview
 from vstestbed.env.reward import Reward, potential
 from vstestbed.laws.policy_io import MOST_PX, ActionScale, observed
+from vstestbed.loop.recording import Recording
 from vstestbed.loop.session import Session
 from vstestbed.robots import Mount
 from vstestbed.scenario.load import load
@@ -141,6 +142,24 @@ class Rollout:
         terminated = outcome is not None and not truncated
         reward = self._reward.of_step(before, self._phi, terminated, outcome is not None and outcome.success)
         return Step(self._observation(frame), reward, terminated, truncated, self._info(frame, error))
+
+    def expert(self) -> Array:
+        """The action (n,) of the scenario's own law for the last frame, clipped to [-1, 1]: a demonstration.
+
+        Raises:
+            SessionError: before `reset`.
+        """
+        return self.scale.action(self._running()[1].command.u)
+
+    def recording(self) -> Recording:
+        """The episode so far, as `Session.recording`.
+
+        Raises:
+            SessionError: before `reset`, or after `close`.
+        """
+        if self._session is None:
+            raise SessionError("no episode has begun", "call reset() first")
+        return self._session.recording()
 
     def render(self) -> Image:
         """The scene from outside at the last frame, as in a film's draft.
