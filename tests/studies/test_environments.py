@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import vstestbed.env
-from vstestbed.sim import gl_cache, gl_thread
+from vstestbed.sim import gl_context, gl_thread
 
 pytestmark = pytest.mark.study
 
@@ -29,10 +29,10 @@ def held() -> dict[str, float]:
     lines = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
     return {
         "memory_mb": int(lines["VmRSS"].split()[0]) / 1024,
-        "descriptors": len(os.listdir("/proc/self/fd")),
+        "descriptors": len(list(Path("/proc/self/fd").iterdir())),
         "threads": int(lines["Threads"]),
         "contexts": len(gl_thread._contexts),
-        "rendering_contexts": len(gl_cache._kept),
+        "rendering_contexts": len(gl_context._kept),
     }
 
 
@@ -52,7 +52,7 @@ def test_a_thousand_resets_leave_nothing_behind(name: str) -> None:
     first, last = marks[100], marks[RESETS]
     assert last["memory_mb"] - first["memory_mb"] < MOST_GROWTH_MB
     assert last["descriptors"] <= first["descriptors"] and last["threads"] <= first["threads"]
-    assert last["contexts"] == 1 and last["rendering_contexts"] <= gl_cache.MOST_KEPT
+    assert last["contexts"] == 1 and last["rendering_contexts"] <= gl_context.MOST_KEPT
 
 
 MEASURED = """
