@@ -211,7 +211,7 @@ class Rollout:
         """What a learner sees of a frame: measurements of the camera and of the robot, nothing of the frame's truth."""
         seen, exposure = frame.observation, self._episode.controller.before
         own = self.scenario.robot.proprioception(exposure.reading, seen.odometry)
-        found: dict[str, Any] = observed(replace(seen, joints=own if len(own) else None), frame.goal)
+        found: dict[str, Any] = observed(replace(seen, proprioception=own if len(own) else None), frame.goal)
         if "agent_pos" in found:
             found["agent_pos"] = np.clip(found["agent_pos"], -MOST, MOST)
         if self._mode == "pixels":
