@@ -185,11 +185,9 @@ class Controller:
         detected = self.detector.detect(self.detector_memory, picture, shot.view, self.seen_through, s.target, self.rng)
         self.detector_memory, detection = detected
         twist, own = np.zeros(6), None
-        uses_motion = self.observer.uses_motion(detection)
-        if (uses_motion or self._needs_motion) and shot.t > last.t:
-            # the mean of the twists commanded since the last exposure
+        if shot.t > last.t:  # the mean of the twists commanded since the last exposure, by which a pose is predicted
             twist = (self.ordered.displacement(shot.t) - self.ordered.displacement(last.t)) / (shot.t - last.t)
-        if uses_motion:
+        if self.observer.uses_motion(detection):
             mount = self._mount_at(shot.reading.q)
             twist = s.robot.measured_twist(last.reading, shot.reading, shot.t - last.t, twist, mount)
         if self._needs_motion:

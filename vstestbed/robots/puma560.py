@@ -8,6 +8,7 @@ Dynamics, gears and friction are in `models/puma560.xml`; a test compares the tw
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Annotated, ClassVar, Literal
 
@@ -42,13 +43,27 @@ JOINT_LIMITS = np.radians([[-160, 160], [-45, 225], [-225, 45], [-110, 170], [-1
 SPEED_LIMITS = np.array([1.92, 1.51, 2.40, 5.34, 5.09, 5.74])
 """[rad/s]. Source: Corke 1996, Visual Control of Robots, Table 2.21: where the amplifiers' voltage saturates."""
 
+_JOINT_LIMITS, _SPEED_LIMITS = JOINT_LIMITS.tolist(), SPEED_LIMITS.tolist()
+
 REACH_UNIT = 0.4318
 """Length that makes metres and radians comparable [m], the upper arm's a_2: singular values are those of (v / REACH_UNIT, w)."""
 
-_SCALE = np.array([1 / REACH_UNIT] * 3 + [1.0] * 3)
+_SCALE, _EYE = np.array([1 / REACH_UNIT] * 3 + [1.0] * 3), np.eye(4)
 
 # Exactly 0 or +-1, as every alpha is a multiple of a quarter turn; cos(pi / 2) alone is 6e-17 in floating point.
 _SIN_ALPHA, _COS_ALPHA = np.round(np.sin(DH[:, 2])), np.round(np.cos(DH[:, 2]))
+
+
+def _links() -> tuple[Array, Array, Array]:
+    """A_i in parts: its lower half in (6, 4, 4), and the factors (6, 2, 4) of cos q_i and of sin q_i in its upper half."""
+    rest, of_cosine, of_sine = np.zeros((6, 4, 4)), np.zeros((6, 2, 4)), np.zeros((6, 2, 4))
+    rest[:, 2, 1], rest[:, 2, 2], rest[:, 2, 3], rest[:, 3, 3] = _SIN_ALPHA, _COS_ALPHA, DH[:, 0], 1.0
+    of_cosine[:, 0, 0], of_cosine[:, 0, 3], of_cosine[:, 1, 1], of_cosine[:, 1, 2] = 1.0, DH[:, 1], _COS_ALPHA, -_SIN_ALPHA
+    of_sine[:, 0, 1], of_sine[:, 0, 2], of_sine[:, 1, 0], of_sine[:, 1, 3] = -_COS_ALPHA, _SIN_ALPHA, 1.0, DH[:, 1]
+    return rest, of_cosine, of_sine
+
+
+_REST, _OF_COSINE, _OF_SINE = _links()
 
 
 def kinematics(q: Array) -> tuple[Array, Array]:
@@ -78,14 +93,11 @@ def kinematics(q: Array) -> tuple[Array, Array]:
 
 def _frames(q: Array) -> Array:
     """T_base_i of the frames 0 to 6, shape (7, 4, 4)."""
-    c, s = np.cos(q), np.sin(q)
-    A = np.zeros((6, 4, 4))
-    A[:, 0, 0], A[:, 0, 1], A[:, 0, 2], A[:, 0, 3] = c, -s * _COS_ALPHA, s * _SIN_ALPHA, DH[:, 1] * c
-    A[:, 1, 0], A[:, 1, 1], A[:, 1, 2], A[:, 1, 3] = s, c * _COS_ALPHA, -c * _SIN_ALPHA, DH[:, 1] * s
-    A[:, 2, 1], A[:, 2, 2], A[:, 2, 3], A[:, 3, 3] = _SIN_ALPHA, _COS_ALPHA, DH[:, 0], 1.0
+    A = _REST.copy()
+    A[:, :2] = np.cos(q)[:, None, None] * _OF_COSINE + np.sin(q)[:, None, None] * _OF_SINE
     frames = np.empty((7, 4, 4))
-    frames[0] = np.eye(4)
-    for i in range(6):
+    frames[0], frames[1] = _EYE, A[0]
+    for i in range(1, 6):
         np.dot(frames[i], A[i], out=frames[i + 1])
     return frames
 
@@ -100,7 +112,7 @@ def jacobian(q: Array) -> Array:
     return kinematics(q)[1]
 
 
-def resolved_rate(J: Array, twist: Array, speed_limits: Array = SPEED_LIMITS, threshold: float = 0.05) -> Array:
+def resolved_rate(J: Array, twist: Array, speed_limits: Array | None = SPEED_LIMITS, threshold: float = 0.05) -> Array:
     """Damped resolved-rate control: joint speeds for a flange twist, scaled as a whole into the speed limits.
 
     dq = Js^T (Js Js^T + lambda^2 I)^-1 ts,  where Js and ts have v divided by REACH_UNIT, and
@@ -111,7 +123,7 @@ def resolved_rate(J: Array, twist: Array, speed_limits: Array = SPEED_LIMITS, th
     Args:
         J: Jacobian, shape (6, 6), rows (v, w).
         twist: (vx, vy, vz, wx, wy, wz) of the flange in the Jacobian's frame, [m/s, rad/s].
-        speed_limits: largest size of each joint speed, shape (6,), [rad/s].
+        speed_limits: largest size of each joint speed, shape (6,), [rad/s]; None for none.
         threshold: smallest singular value of Js that is left undamped.
 
     Returns:
@@ -123,12 +135,13 @@ def resolved_rate(J: Array, twist: Array, speed_limits: Array = SPEED_LIMITS, th
     U, s, Vt = np.linalg.svd(J * _SCALE[:, None])
     damping2 = max(0.0, threshold**2 - s[-1] ** 2)
     dq = Vt.T @ (s / (s**2 + damping2) * (U.T @ (twist * _SCALE)))
+    if speed_limits is None:
+        return dq
     # Scaled as a whole: joints clipped one by one would change the direction of the camera's motion, not only its speed.
     return dq / max(1.0, float(np.max(np.abs(dq) / speed_limits)))
 
 
-NO_LIMITS = np.full(6, np.inf)
-LIMIT_MARGIN = np.radians(1.0)
+LIMIT_MARGIN = math.radians(1.0)
 """Distance from its hard stop at which a joint comes to rest [rad]."""
 LIMIT_HORIZON_S = 0.25
 """Velocity damper: near its limit a joint may approach no faster than to reach the margin in this time [s]."""
@@ -266,7 +279,7 @@ class Puma560(RobotBase):
         J = jacobian(reading.q)
         # A projection: dq . dq* >= 0, so this task on its own never moves the joints as a whole nearer to their limits. The damped
         # inverse for J^-1, as `allocate` will use it, so that the fit is of motions that the joints are really given.
-        joint_motions = np.column_stack([resolved_rate(J, mount.to_flange @ twist, NO_LIMITS) for twist in null_space.T])
+        joint_motions = np.column_stack([resolved_rate(J, mount.to_flange @ twist, None) for twist in null_space.T])
         return null_space @ np.linalg.lstsq(joint_motions, desired, rcond=1e-6)[0]
 
     def allocate(self, twist: Array, reading: Reading, mount: Mount, period: float) -> Allocation:
@@ -277,20 +290,29 @@ class Puma560(RobotBase):
         """
         commanded = mount.to_flange @ twist
         J = jacobian(reading.q)
-        dq = resolved_rate(J, commanded, NO_LIMITS)
+        dq = resolved_rate(J, commanded, None)
         realised = J @ dq
         along = _share(realised, commanded)
         limit: Limit = "singular" if along < 0.5 else ""
-        # By the measured joints, not by integrated commands: the servos lag behind those.
-        room = np.where(dq > 0, JOINT_LIMITS[:, 1] - reading.q, reading.q - JOINT_LIMITS[:, 0]) - LIMIT_MARGIN
-        # Not shorter than a period: within one, no further command could slow the joint down.
-        damper = np.maximum(room, 0.0) / max(LIMIT_HORIZON_S, period)
-        size = np.maximum(np.abs(dq), 1e-12)
-        speed, position = float((SPEED_LIMITS / size).min()), float((damper / size).min())
+        speed, position = _allowed(dq, reading.q, max(LIMIT_HORIZON_S, period))
         scale = min(1.0, speed, position)
         if scale < 1.0:  # a limit met hides the singularity beside it: `scale` has both
             limit = "joint_limit" if position < speed else "speed"
         return Allocation(setpoint=dq * scale, twist=mount.to_camera @ realised * scale, scale=scale * along, limit=limit)
+
+
+def _allowed(dq: Array, q: Array, horizon_s: float) -> tuple[float, float]:
+    """Largest factors of the joint speeds dq (6,) within the speed limits, and within the velocity damper at the joints q (6,) [rad].
+
+    The horizon is not shorter than a period: within one, no further command could slow a joint down. The joints are the measured ones,
+    not integrated commands: the servos lag behind those.
+    """
+    speed = position = math.inf
+    for u, at, (low, high), most in zip(dq.tolist(), q.tolist(), _JOINT_LIMITS, _SPEED_LIMITS, strict=True):  # numpy takes thrice as long
+        size = max(abs(u), 1e-12)
+        room = (high - at if u > 0 else at - low) - LIMIT_MARGIN
+        speed, position = min(speed, most / size), min(position, max(room, 0.0) / horizon_s / size)
+    return speed, position
 
 
 def _share(realised: Array, commanded: Array) -> float:

@@ -16,7 +16,7 @@ from vstestbed.core.outcome import Outcome
 from vstestbed.report.video.film import Film, FilmFrame, Pictures, _in_words, replay_of
 from vstestbed.report.video.outside import GOAL, MOST_PLACES, Outside, Pen, Stroke
 from vstestbed.report.video.overlay import GOOD, draw_ending
-from vstestbed.report.video.quality import DRAFT
+from vstestbed.report.video.quality import DRAFT, FINE
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.scene.compose import Parts
 
@@ -89,6 +89,18 @@ def test_a_part_that_is_drawn_again_fits_into_the_picture() -> None:
     finally:
         replay.close()
         other.close()
+
+
+def test_an_inset_alone_is_drawn_at_its_own_size_unless_the_film_is_fine() -> None:
+    s = vs.load("arm_ibvs")
+    frame, sizes = at_the_start(s), []
+    for quality, inset_in in ((DRAFT, None), (DRAFT, DRAFT.size), (FINE, FINE.size)):
+        replay = replay_of(s, quality, inset_in)
+        try:
+            sizes.append(replay.picture("eye", *SIZE, 0.0, frame.T_world_target, frame.q, frame.T_world_camera).shape[1::-1])
+        finally:
+            replay.close()
+    assert sizes == [(384, 288), (round(0.26 * 640), round(0.26 * 640 * 480 / 640)), (640, 480)]
 
 
 def test_a_trail_has_a_bounded_number_of_points_from_the_first_to_the_last() -> None:

@@ -90,7 +90,9 @@ def carry_out(
             write_table(campaign.folder, table)
         if report:
             finish(campaign.folder, comparison, table, stage, at_once if pool is None else pool.call)
-    return table
+    from vstestbed.experiments.comparison.result import ComparisonTable  # here: polars is imported only where there is a table
+
+    return ComparisonTable.of(table, campaign.folder, comparison)
 
 
 @contextmanager

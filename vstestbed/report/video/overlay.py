@@ -88,7 +88,7 @@ class Overlay:
         self._light = _bytes(0.7 * np.asarray(colors) + 0.3)  # lighter, or blue and violet would not stand out from their dark borders
         self._stroke = max(1, round(height / 480))
         self._edge = self._stroke if height > SMALL else 0
-        self._figure_stroke = max(1, round(height / 240))  # yuv420p stores colour for blocks of 2 x 2 pixels: thinner lines turn grey
+        self._figure_stroke = math.ceil(height / 240)  # yuv420p stores colour for blocks of 2 x 2 pixels: thinner lines turn grey
         self._trails = [Trail(max(2.0, height / 240)) for _ in self._colors]
 
     def draw(self, image: Image, uv: Array, goal_uv: Array | None, *, t: float, error: str, lost: bool = False) -> None:
