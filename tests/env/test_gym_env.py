@@ -143,6 +143,32 @@ def test_what_it_senses_of_itself_is_no_truth_and_follows_its_motion(name: str) 
         np.testing.assert_array_equal(felt[0, :3], 0.0)  # the place in the world is not what encoders tell
 
 
+@pytest.mark.parametrize("name", ROBOTS)
+def test_a_policy_as_a_law_is_shown_the_same_and_its_actions_mean_the_same(name: str, tmp_path: Path) -> None:
+    scenario = vs.load(name)
+    mount = Mount.of(scenario.camera.mount.T)
+    motions = scenario.robot.motion_basis(mount, scenario.robot.start_joints()).shape[1]
+    source = f"""import numpy as np
+def act(shown):
+    sums = [np.sum(np.sin(shown[key])) for key in ("markers", "seen", "goal", "agent_pos") if key in shown]
+    return 0.1 * np.sin(np.arange({motions}) + sum(sums))
+"""
+    (tmp_path / "mine.py").write_text(source, encoding="utf-8")
+    exec(source, own := {})
+    law = {
+        "kind": "policy",
+        "file": f"{tmp_path / 'mine.py'}:act",
+        "agent_pos": True,
+        "depth": "floor" if scenario.robot.base == "planar" else "pnp",
+    }
+    env = GymServo(name, overrides={"law": law})
+    shown, _ = env.reset(seed=1)
+    for _ in range(3):
+        np.testing.assert_allclose(env.expert(), own["act"](shown), atol=1e-12)
+        shown, *_ = env.step(env.expert())
+    env.close()
+
+
 def test_via_points_change_the_goal_that_a_policy_sees() -> None:
     views = vs.load("omni_via_points").goal_views
     env = vstestbed.env.make("omni_via_points", overrides={"goal.threshold_px": 1e5}, disable_env_checker=True)
