@@ -60,10 +60,10 @@ class TestWhatItSees:
         seen["goal"][:] = 0
         assert frame.goal.uv.any()
 
-    def test_the_joints_only_where_asked_for(self):
+    def test_its_own_sensors_only_where_asked_for(self):
         frame = first_frame(agent_pos=True)
         assert np.allclose(observed(frame.observation, frame.goal)["agent_pos"], frame.truth.q, atol=1e-3)
-        assert first_frame().observation.joints is None
+        assert first_frame().observation.proprioception is None
 
     def test_of_a_vehicle_the_odometry_and_not_the_place_in_the_world(self, tmp_path: Path):
         law = Policy(file=written(tmp_path, "def act(o): return [0.1, 0.0, o['agent_pos'][0]]\n") + ":act", agent_pos=True)
@@ -75,10 +75,10 @@ class TestWhatItSees:
         assert np.array_equal(moved, last.observation.odometry)
         assert 0.01 < moved[0] < 0.1 and abs(last.truth.T_world_camera[0, 3] - moved[0]) > 0.1
 
-    def test_a_batch_of_ideal_cameras_has_no_joints(self):
+    def test_a_batch_of_ideal_cameras_has_no_sensors_of_its_own(self):
         from vstestbed.experiments.basin.setup import BatchSetup
 
-        with pytest.raises(ParameterError, match="policy reads joints, which the ideal cameras"):
+        with pytest.raises(ParameterError, match="policy reads proprioception, which the ideal cameras"):
             BatchSetup(replace(quick("view"), law=Policy(file=f"{EXAMPLE}:act", agent_pos=True)))
 
 

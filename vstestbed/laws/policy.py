@@ -45,7 +45,7 @@ class Policy(LawBase):
 
     Args:
         file: the policy. To load a scenario runs the code of it.
-        agent_pos: show it what the robot's own sensors tell (`Robot.proprioception`), such as an arm's joints.
+        agent_pos: show it what the robot's own sensors tell (`Robot.proprioception`): an arm's joints, a vehicle's odometry.
         depth: source of depth for tasks that need a pose; the policy does not see it.
         limits: largest speed and rate of the commanded twist.
     """
@@ -67,7 +67,7 @@ class Policy(LawBase):
     @property
     def inputs(self) -> tuple[str, ...]:
         """The fields of an Observation that it looks at."""
-        return ("uv", "joints") if self.agent_pos else ("uv",)
+        return ("uv", "proprioception") if self.agent_pos else ("uv",)
 
     def markers_needed(self, basis: Array) -> int:
         """One: what a policy can do with fewer markers than the robot has motions is its own matter."""

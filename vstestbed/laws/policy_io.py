@@ -26,7 +26,7 @@ def observed(seen: Observation, goal: Goal) -> dict[str, Array]:
     Pixels are within +-MOST_PX.
     """
     found = {"markers": _pixels(seen.uv), "seen": seen.seen.astype(float), "goal": _pixels(goal.uv)}
-    return found if seen.joints is None else found | {"agent_pos": np.array(seen.joints, dtype=float)}
+    return found if seen.proprioception is None else found | {"agent_pos": np.array(seen.proprioception, dtype=float)}
 
 
 def _pixels(uv: Array) -> Array:

@@ -82,7 +82,8 @@ class Controller:
         self.supervisor = scenario.robot.supervisor(scenario.goal.lands, scenario.stop.lost_after_s, scenario.stop.lost_after_m)
         self.before: Exposure | None = None
         self._failed = False
-        self._needs_motion, self._needs_joints = ("motion" in scenario.law.inputs), ("joints" in scenario.law.inputs)
+        self._needs_motion = "motion" in scenario.law.inputs
+        self._needs_own_state = "proprioception" in scenario.law.inputs and bool(scenario.robot.proprioception_names)
         self._latest_s = scenario.timing.latest_s(scenario.camera)
         self.inputs = Inputs(scenario)
         self._cycle: Cycle | None = None
@@ -194,7 +195,9 @@ class Controller:
         heading, tilt = shot.reading.heading, shot.reading.tilt
         observed = self.observer.observe(self.observer_memory, shot.t, detection, twist, self.rng, heading, tilt, own)
         self.observer_memory, seen = observed
-        return replace(seen, joints=np.array(s.robot.proprioception(shot.reading, seen.odometry))) if self._needs_joints else seen
+        if self._needs_own_state:
+            return replace(seen, proprioception=s.robot.proprioception(shot.reading, seen.odometry))
+        return seen
 
     def _unseen(self, seen: Observation, goal: Goal, error: ImageError) -> str:
         """Why a law that gives no reason has no measurement; "" where it has one."""
