@@ -83,6 +83,7 @@ class Controller:
         self.before: Exposure | None = None
         self._failed = False
         self._needs_motion = "motion" in scenario.law.inputs
+        self._needs_own_state = "proprioception" in scenario.law.inputs and bool(scenario.robot.proprioception_names)
         self._latest_s = scenario.timing.latest_s(scenario.camera)
         self.inputs = Inputs(scenario)
         self._cycle: Cycle | None = None
@@ -194,6 +195,8 @@ class Controller:
         heading, tilt = shot.reading.heading, shot.reading.tilt
         observed = self.observer.observe(self.observer_memory, shot.t, detection, twist, self.rng, heading, tilt, own)
         self.observer_memory, seen = observed
+        if self._needs_own_state:
+            return replace(seen, proprioception=s.robot.proprioception(shot.reading, seen.odometry))
         return seen
 
     def _unseen(self, seen: Observation, goal: Goal, error: ImageError) -> str:

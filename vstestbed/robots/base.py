@@ -67,6 +67,11 @@ class Robot(Protocol):
         ...
 
     @property
+    def proprioception_names(self) -> tuple[str, ...]:
+        """Names of the entries of `proprioception`."""
+        ...
+
+    @property
     def actuator_set(self) -> Actuation | None:
         """Which of the actuators in its file are used, and what is added to them; None: all."""
         ...
@@ -136,6 +141,13 @@ class Robot(Protocol):
 
     def measured_twist(self, before: Reading, now: Reading, duration: float, commanded: Array, mount: Mount) -> Array:
         """Mean camera twist (6,) between two readings; the commanded one, `commanded`, where the robot cannot measure it."""
+        ...
+
+    def proprioception(self, reading: Any, odometry: Array | None) -> Array:
+        """What its own sensors tell of its state, one vector (k,) for learned policies (`agent_pos`); empty where it has none.
+
+        reading: at one instant. odometry: a vehicle's dead reckoning since its start (x, y, heading) [m, rad]; None of others.
+        """
         ...
 
     def allocate(self, twist: Array, reading: Reading, mount: Mount, period: float) -> Allocation:
@@ -210,6 +222,11 @@ class RobotBase:
         return ()
 
     @property
+    def proprioception_names(self) -> tuple[str, ...]:
+        """The joints."""
+        return self.joints
+
+    @property
     def actuator_set(self) -> Actuation | None:
         """All actuators of its file."""
         return None
@@ -247,6 +264,10 @@ class RobotBase:
     def measured(self, q: Array, qd: Array, sensors: Mapping[str, list[float]], noise: Any) -> Any:
         """The joints as they are."""
         return Reading(q, qd)
+
+    def proprioception(self, reading: Any, odometry: Array | None) -> Array:
+        """The joints' positions [rad, m]."""
+        return reading.q
 
     def secondary_task(self, null_space: Array, reading: Reading, mount: Mount) -> Array:
         """None."""

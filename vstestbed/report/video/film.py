@@ -26,7 +26,7 @@ from vstestbed.report.video.writer import Image, VideoWriter
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.replay import Replay
 from vstestbed.tasks.frame import Frame
-from vstestbed.tasks.judged import in_words_unit
+from vstestbed.tasks.judged import in_a_frame, in_words_unit
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,9 +188,7 @@ def _scaled(image: Image, size: tuple[int, int]) -> Image:
 
 def _in_words(scenario: Scenario, values: dict[str, float]) -> str:
     """The error of one frame by which the task is judged, in its own unit."""
-    # A continuing task is judged by its error once settled: at t = inf it is that of this frame.
-    log = {name: np.array([value]) for name, value in values.items()} | {"t": np.array([np.inf])}
-    judged = scenario.goal.judged(log, scenario.stop)
+    judged = in_a_frame(scenario.goal, scenario.stop, values)
     value, unit = in_words_unit(judged.value, judged.unit)
     return f"error {value:.{3 if unit.startswith('m') else 2}f} {unit}" if math.isfinite(value) else "error \u2013"
 
