@@ -11,6 +11,7 @@ import vstestbed as vs
 import vstestbed.testing as suites
 from tests.examples import wrong
 from tests.examples.wrong import Crooked, Displaced, Ghost, Numb, Shifted, Silent, Stateful, Wild
+from tests.robots.arms import block
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose
 from vstestbed.laws import LAWS
@@ -48,6 +49,8 @@ def scenario(name, changes):
 
 
 def robot(kind):
+    if kind == "mjcf":
+        return ROBOTS.members[kind](**{name: value for name, value in block("scara").items() if name != "kind"})
     return Free(start=FreeStart(nominal=Pose(xyz=(0, 0, -1)))) if kind == "free" else ROBOTS.members[kind]()
 
 

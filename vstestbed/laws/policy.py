@@ -15,6 +15,7 @@ import numpy as np
 from vstestbed.core.errors import EnvironmentLackError, ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.modules import line_of, load_file
+from vstestbed.core.named_files import absolute_file
 from vstestbed.core.spec import spec
 from vstestbed.features.depth import AtGoal, Depth
 from vstestbed.features.observation import Goal, Observation
@@ -117,11 +118,6 @@ class Policy(LawBase):
             found = f"shape {np.shape(given)}" if isinstance(given, np.ndarray | list | tuple) else type(given).__name__
             raise ParameterError("law.file", f"{Path(self.file).name}: an action must be {n} numbers for this robot's motions, got {found}")
         return action
-
-
-def absolute_file(file: str, folder: Path) -> str:
-    """A policy's file and name without reference to the folder."""
-    return str((folder / Path(file).expanduser()).absolute())
 
 
 def _loaded(file: str, agent_pos: bool) -> Any:

@@ -37,6 +37,8 @@ class Robot(Protocol):
     `floating` (a craft that flies). A base that moves is joint `root` (or `root_x`, `root_y`, `root_yaw`) in its file."""
     feet: ClassVar[tuple[str, ...]]
     """Geoms in its file that may touch the ground while nothing else of it may."""
+    flange: Any
+    """The name of the site, or the body, in its file that carries the camera."""
     gripper: ClassVar[bool]
     """Whether it can hold the target, in front of a camera that stands in the room."""
     control_period_s: ClassVar[float | None]
@@ -74,11 +76,6 @@ class Robot(Protocol):
     @property
     def actuator_set(self) -> Actuation | None:
         """Which of the actuators in its file are used, and what is added to them; None: all."""
-        ...
-
-    @property
-    def flange(self) -> str:
-        """The site, or the body, in its file that carries the camera."""
         ...
 
     @property
@@ -144,10 +141,7 @@ class Robot(Protocol):
         ...
 
     def proprioception(self, reading: Any, odometry: Array | None) -> Array:
-        """What its own sensors tell of its state, one vector (k,) for learned policies (`agent_pos`); empty where it has none.
-
-        reading: at one instant. odometry: a vehicle's dead reckoning since its start (x, y, heading) [m, rad]; None of others.
-        """
+        """What its sensors tell a learned policy (k,), `agent_pos`; odometry: a vehicle's way since its start (x, y, heading) [m, rad]."""
         ...
 
     def allocate(self, twist: Array, reading: Reading, mount: Mount, period: float) -> Allocation:

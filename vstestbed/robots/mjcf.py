@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from importlib import import_module
+from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -11,6 +12,7 @@ from annotated_types import Ge, Le, Len
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
+from vstestbed.core.named_files import absolute_file
 from vstestbed.core.quantity import Angle, PositiveSpeed
 from vstestbed.core.spec import spec
 from vstestbed.robots.allocation import Actuation, Servo
@@ -52,7 +54,7 @@ class Mjcf(Arm):
     """An arm of one's own, driven by joint velocities; masses, gears, friction and torque limits are those of its file.
 
     Args:
-        file: MJCF or URDF, absolute, or relative to the scenario's file.
+        file: MJCF or URDF, absolute, relative to the scenario's file, or `package:NAME/path` inside an installed package.
         flange: the site, or the body, that carries the camera or the target.
         joints: those between root and flange, in their order; by default as the file has them.
         actuation: `velocity` adds a servo to each joint, which integrates the commanded speed to a position that it holds, with
@@ -75,6 +77,7 @@ class Mjcf(Arm):
 
     def __post_init__(self) -> None:
         """Read the file, and refuse what does not fit it."""
+        object.__setattr__(self, "file", absolute_file(self.file, Path.cwd()))  # frozen: a run remembers where its arm is
         chain = self.chain
         names, n = ", ".join(chain.names), len(chain.names)
         object.__setattr__(self, "joints", chain.names)  # frozen: what the file has is part of the scenario from here on

@@ -184,7 +184,7 @@ def _required() -> str:
 
 
 def for_another_folder(path: Path) -> str:
-    """The text of a scenario file for a copy elsewhere: its plugins and its policy that are files are named absolutely."""
+    """The text of a scenario file for a copy elsewhere: its plugins and the files that it names are named absolutely."""
     text, folder = text_of(path), path.absolute().parent
     plain = plain_mapping(text, str(path), "")[0]
     named, moved = plain.get("plugins"), absolute_files(plain, folder)
@@ -197,8 +197,9 @@ def for_another_folder(path: Path) -> str:
     tree = yaml.load(text)
     if isinstance(named, list):
         tree["plugins"] = moved["plugins"]
-    if isinstance(moved.get("law"), dict) and "file" in moved["law"]:
-        tree["law"]["file"] = moved["law"]["file"]
+    for block in ("law", "robot"):
+        if isinstance(moved.get(block), dict) and "file" in moved[block]:
+            tree[block]["file"] = moved[block]["file"]
     yaml.dump(tree, out)
     return out.getvalue()
 

@@ -16,8 +16,8 @@ from typing import Any
 
 from vstestbed.core.errors import PluginError
 from vstestbed.core.modules import line_of, load_file, module_of
+from vstestbed.core.named_files import ENDINGS, absolute_file
 from vstestbed.core.spec import refresh_specs, undone_on_error
-from vstestbed.laws.policy import POLICY_FILE, absolute_file
 from vstestbed.scenario.validation import KINDS
 from vstestbed.scenario.yaml_marks import Marks, place_of
 
@@ -79,13 +79,13 @@ def absolute(name: str, folder: Path) -> str:
 
 
 def absolute_files(value: Any, folder: Path, key: str = "") -> Any:
-    """A scenario's or a comparison's plain values, with the files of policies (`law.file`) named without reference to the folder."""
+    """A scenario's or a comparison's plain values, with the files that they name (fields `file`) without reference to the folder."""
     if isinstance(value, Mapping):
         return {name: absolute_files(inner, folder, str(name)) for name, inner in value.items()}
     if isinstance(value, list | tuple):
         return type(value)(absolute_files(inner, folder, key) for inner in value)
-    names_policy = isinstance(value, str) and key.rpartition(".")[2] == "file" and POLICY_FILE.search(value)
-    return absolute_file(value, folder) if names_policy else value
+    names_file = isinstance(value, str) and key.rpartition(".")[2] == "file" and ENDINGS.search(value)
+    return absolute_file(value, folder) if names_file else value
 
 
 def _loaded(name: str, folder: Path, where: str, beside: Sequence[str], field: str = "") -> str:

@@ -35,7 +35,7 @@ def add_robot(scene: mujoco.MjSpec, robot: Robot, prefix: str, friction: float |
     T_body_flange = _flange_pose(robot.model, robot.flange)  # first: it refuses a model that has no flange
     model = mujoco.MjSpec.from_file(str(model_path(robot.model)))
     choose_servos(model, robot)
-    carry_files(model, Path(robot.model), scene, prefix)
+    files = carry_files(model, Path(robot.model), scene, prefix)
     # `attach` leaves the child's options behind: what its contacts and air were tuned with must be copied. Of two robots the larger
     # value serves both.
     model.option.timestep = scene.option.timestep
@@ -51,6 +51,8 @@ def add_robot(scene: mujoco.MjSpec, robot: Robot, prefix: str, friction: float |
         for geom in [*model.geoms, scene.geom("floor")]:
             geom.friction[0] = min(geom.friction[0], friction)
     scene.attach(model, prefix=prefix, frame=scene.worldbody.add_frame())
+    if files:  # after it: an attached model brings its own assets, under a prefix that nothing refers to
+        scene.assets = {**scene.assets, **files}
     site = scene.site(f"{prefix}{robot.flange}")
     return site.parent if site else scene.body(f"{prefix}{robot.flange}"), T_body_flange
 

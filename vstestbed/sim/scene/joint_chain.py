@@ -8,10 +8,11 @@ import mujoco
 import numpy as np
 
 from vstestbed.core.errors import ParameterError
+from vstestbed.core.named_files import place_of_file
 from vstestbed.robots.chain import JointChain
 
 MOST_JOINTS = 7
-WORDS = {mujoco.mjtJoint.mjJNT_FREE: "a free joint", mujoco.mjtJoint.mjJNT_BALL: "a ball joint"}
+WORDS = {int(mujoco.mjtJoint.mjJNT_FREE): "a free joint", int(mujoco.mjtJoint.mjJNT_BALL): "a ball joint"}
 
 
 @functools.lru_cache(maxsize=8)
@@ -21,8 +22,9 @@ def compiled(file: str) -> mujoco.MjModel:
     Raises:
         ParameterError: `file` is not there, or MuJoCo cannot compile it.
     """
+    path = place_of_file(file)
     try:
-        return mujoco.MjSpec.from_file(file).compile()
+        return mujoco.MjSpec.from_file(str(path)).compile()
     except (ValueError, mujoco.FatalError) as error:
         words = " ".join(str(error).split())
         raise ParameterError("file", f"cannot be compiled by MuJoCo ({words}); works: an MJCF or URDF file", file) from None
@@ -106,7 +108,7 @@ def _joints_to(model: mujoco.MjModel, body: int) -> list[int]:
 def _check(model: mujoco.MjModel, flange: str, joints: list[int], found: tuple[str, ...], names: tuple[str, ...]) -> None:
     """Refuse a chain that no velocity servos can drive."""
     for i, name in zip(joints, found, strict=True):
-        if (word := WORDS.get(model.jnt_type[i])) is not None:
+        if (word := WORDS.get(int(model.jnt_type[i]))) is not None:
             words = f"must be hinges and slides, and {name or 'one of them'} is {word}: an arm stands on a base that is fixed in the world"
             raise ParameterError("joints", words)
     if names and names != found:

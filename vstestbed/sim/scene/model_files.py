@@ -12,8 +12,8 @@ ASSETS = "assets"
 """Folder beside model.xml for its asset files."""
 
 
-def carry_files(model: mujoco.MjSpec, file: Path, scene: mujoco.MjSpec, prefix: str) -> None:
-    """Take the files that a model refers to into the scene's assets, under names of their own; keyframes, which fit no other scene, go.
+def carry_files(model: mujoco.MjSpec, file: Path, scene: mujoco.MjSpec, prefix: str) -> dict[str, bytes]:
+    """The files that a model refers to, under names of their own, for the scene's assets; keyframes, which fit no other scene, go.
 
     model: of the file, not attached yet. prefix: of its names in the scene (`robot/`).
     """
@@ -30,5 +30,4 @@ def carry_files(model: mujoco.MjSpec, file: Path, scene: mujoco.MjSpec, prefix: 
                 thing.file = name
     if taken:
         model.meshdir = model.texturedir = scene.meshdir = scene.texturedir = ASSETS
-        model.assets = taken
-        scene.assets = {**scene.assets, **taken}
+    return taken
