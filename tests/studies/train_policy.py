@@ -6,6 +6,10 @@ The expert drives first, disturbed so that it also shows how to come back; then 
 command for every frame of a session, says what it would have done (`Frame.command`). Marker pixels come from the oracle detector: no
 picture is rendered. The starts are those of seeds from 10,000 on; comparisons use those from 0 on.
 
+With seed 0: 360 episodes, 119,000 frames, 175 s of processor time (two minutes on two cores that are free). From the second round on the
+learner converged from each of its 60 starts; at the end its velocities are 0.3 % off the expert's. On rendered pictures: README, "Learned
+policies".
+
 Reference: Ross, Gordon & Bagnell 2011, "A reduction of imitation learning and structured prediction to no-regret online learning".
 """
 

@@ -161,14 +161,15 @@ def _network(path: Path, written: int, agent_pos: bool) -> Act:
     except Exception as error:  # the runtime's exceptions have no common class of their own
         raise ParameterError("file", f"{path} is no ONNX network ({' '.join(str(error).split())[:120]})") from error
     known = ("markers", "seen", "goal", *(("agent_pos",) if agent_pos else ()))
-    for wanted in network.get_inputs():
+    inputs = network.get_inputs()
+    for wanted in inputs:
         if wanted.name not in known or wanted.type not in ONNX_KINDS:
             hint = "; agent_pos needs law.agent_pos: true" if wanted.name == "agent_pos" else ""
             words = f"wants {wanted.name!r} as {wanted.type}; a policy sees {', '.join(known)} as float or double{hint}"
             raise ParameterError("file", f"{path.name} {words}")
 
     def act(observation: Mapping[str, Array]) -> Array:
-        given = {i.name: observation[i.name][None].astype(ONNX_KINDS[i.type]) for i in network.get_inputs()}
+        given = {i.name: observation[i.name][None].astype(ONNX_KINDS[i.type]) for i in inputs}
         return np.asarray(network.run(None, given)[0], dtype=float)[0]
 
     return act
