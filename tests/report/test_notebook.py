@@ -40,7 +40,7 @@ def test_a_recording_shows_its_report() -> None:
 
 def test_a_comparison_shows_who_is_better_and_is_a_table(tmp_path: Path) -> None:
     setting = {"stop.duration_s": 0.5, "detector": "oracle"}
-    table = vs.compare(["ibvs_book", "pbvs_book"], jobs=1, set=setting, out=tmp_path / "two", film=False, report=False)
+    table = vs.compare(["ibvs_book", "pbvs_book"], jobs=1, set=setting, out=str(tmp_path / "two"), film=False, report=False)
     page = page_in(table._repr_html_())
     assert "ibvs_book" in page and "pbvs_book" in page and "Reached the goal" in page and str(tmp_path / "two") in page
     assert isinstance(table, pl.DataFrame) and table.height == 2

@@ -188,7 +188,7 @@ def test_a_film_ends_with_the_outcome_for_a_second(tmp_path: Path, outcome: Outc
         last = [f.reformat(format="rgb24", src_colorspace="ITU709").to_ndarray() for f in container.decode(video=0)]
     assert len(last) - shown == pytest.approx(rate, abs=1)  # one second
     band = last[-1][200:218, 280:310].astype(int)
-    np.testing.assert_allclose(band.reshape(-1, 3).mean(axis=0), colour, atol=12)
+    np.testing.assert_allclose(band.reshape(-1, 3).mean(axis=0), colour, atol=30)  # what is under it shines through
     assert np.abs(last[0][200:218, 280:310].astype(int) - colour).max(axis=2).min() > 20  # not before
     assert last[-1][190:215, 10:150].max() > 200  # the words
 
@@ -197,6 +197,7 @@ def test_a_film_ends_with_the_outcome_for_a_second(tmp_path: Path, outcome: Outc
 def test_the_ending_leaves_most_of_the_picture_free(width: int, height: int) -> None:
     image = np.zeros((height, width, 3), np.uint8)
     draw_ending(image, "Converged", "RMS error under 0.2 px for 0.5 s", GOOD)
-    rows = np.flatnonzero((image == GOOD).all(axis=2).any(axis=1))
-    assert 0.08 * height < np.ptp(rows) < 0.2 * height
+    covered = np.rint(0.82 * np.array(GOOD))  # over black
+    rows = np.flatnonzero((np.abs(image - covered) <= 1).all(axis=2).any(axis=1))
+    assert 0.05 * height < np.ptp(rows) < 0.12 * height
     assert ((image[rows] > 200).all(axis=2)).sum() > 100  # with words on it
