@@ -12,6 +12,7 @@ from vstestbed.core.assets import model_path
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.robots import Robot
+from vstestbed.sim.scene.groups import OF_FILES
 from vstestbed.sim.scene.model_files import carry_files
 from vstestbed.sim.scene.servos import choose_servos
 
@@ -35,6 +36,8 @@ def add_robot(scene: mujoco.MjSpec, robot: Robot, prefix: str, friction: float |
     T_body_flange = _flange_pose(robot.model, robot.flange)  # first: it refuses a model that has no flange
     model = mujoco.MjSpec.from_file(str(model_path(robot.model)))
     choose_servos(model, robot)
+    for geom in model.geoms:
+        geom.group = OF_FILES.get(geom.group, geom.group)
     files = carry_files(model, Path(robot.model), scene, prefix)
     # `attach` leaves the child's options behind: what its contacts and air were tuned with must be copied. Of two robots the larger
     # value serves both.

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from vstestbed.core.geometry import Array, inverse, transform
-from vstestbed.sim.scene.compose import RANGE_GROUP
+from vstestbed.sim.scene.groups import RANGE_GROUP
 from vstestbed.sim.scene.overview import AZIMUTHS, LEAST_REACH, ROOM, Axes, Tangents, axes_of, extremes, eye_of, holds, slanting
 from vstestbed.sim.scene.stage import Stage
 
