@@ -26,7 +26,7 @@ from vstestbed.report.video.writer import Image, VideoWriter
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.replay import Replay
 from vstestbed.tasks.frame import Frame
-from vstestbed.tasks.judged import in_words_unit
+from vstestbed.tasks.judged import JudgedError, in_words_unit
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,9 +91,9 @@ class Pictures:
     def picture(self, frame: FilmFrame) -> Image:
         """The picture of one frame (H, W, 3)."""
         values = dict(zip(self._scenario.own_columns, frame.own.tolist(), strict=True)) | {"error_px": frame.error_px}
-        error = _in_words(self._scenario, values)
+        error = error_in_words(self._scenario, values)
         if self._camera == "eye":
-            image = np.array(_scaled(self._seen(frame), self._size))  # a copy: the detector and other films use it
+            image = np.array(scaled(self._seen(frame), self._size))  # a copy: the detector and other films use it
             uv, goal_uv = ((uv + 0.5) * self._scale - 0.5 for uv in (frame.uv, frame.goal_uv))
             self._overlay.draw(image, uv, goal_uv, t=frame.t, error=error, lost=frame.lost)
             return image
@@ -177,7 +177,7 @@ class Film:
         self._writer.abort()
 
 
-def _scaled(image: Image, size: tuple[int, int]) -> Image:
+def scaled(image: Image, size: tuple[int, int]) -> Image:
     """The image at a size (width, height); itself if it has that size."""
     if image.shape[1::-1] == size:
         return image
@@ -186,13 +186,18 @@ def _scaled(image: Image, size: tuple[int, int]) -> Image:
     return np.asarray(cv2.resize(image, size, interpolation=way), np.uint8)
 
 
-def _in_words(scenario: Scenario, values: dict[str, float]) -> str:
+def error_in_words(scenario: Scenario, values: dict[str, float]) -> str:
     """The error of one frame by which the task is judged, in its own unit."""
-    # A continuing task is judged by its error once settled: at t = inf it is that of this frame.
-    log = {name: np.array([value]) for name, value in values.items()} | {"t": np.array([np.inf])}
-    judged = scenario.goal.judged(log, scenario.stop)
+    judged = judged_now(scenario, values)
     value, unit = in_words_unit(judged.value, judged.unit)
     return f"error {value:.{3 if unit.startswith('m') else 2}f} {unit}" if math.isfinite(value) else "error \u2013"
+
+
+def judged_now(scenario: Scenario, values: dict[str, float]) -> JudgedError:
+    """The error of one frame by which the task is judged, from its `error_px` and own columns."""
+    # A continuing task is judged by its error once settled: at t = inf it is that of this frame.
+    log = {name: np.array([value]) for name, value in values.items()} | {"t": np.array([np.inf])}
+    return scenario.goal.judged(log, scenario.stop)
 
 
 def ending_of(folder: Path) -> Verdict | None:

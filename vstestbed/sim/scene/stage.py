@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from vstestbed.core.geometry import Array, inverse, quaternion_wxyz
 from vstestbed.sim.gl_context import Physics
-from vstestbed.sim.scene.compose import LENS_GROUP, RANGE_GROUP, Parts, compose
+from vstestbed.sim.scene.compose import HAND_PLATE, LENS_GROUP, RANGE_GROUP, Parts, compose
 from vstestbed.sim.scene.indices import StateIndices
 from vstestbed.sim.scene.roots import Root
 from vstestbed.sim.scene.world import decoy_path, plate_path
@@ -25,6 +25,7 @@ class Stage:
     Attributes:
         at: where the robot's joints and actuators are in `data`. eye: number of the servo camera's site, in computer-vision axes.
         root, leader: the free bases of the robot and of the vehicle that carries the target; None where there is none.
+        hand_plate: number of the mocap body of the plate in reserve; None without one.
         held_site: number of the target's site in the gripper (eye to hand), else -1.
     """
 
@@ -44,6 +45,7 @@ class Stage:
         self._plate_paths = [*map(plate_path, world.plates), *map(decoy_path, world.decoys)]
         names = [f"plate_{i}" for i in range(len(world.plates))] + [f"decoy_{i}" for i in range(len(world.decoys))]
         self._plates = [self.model.body(name).mocapid[0] for name in names]
+        self.hand_plate = self.model.body(HAND_PLATE).mocapid[0] if parts.plate_m else None
         self._free = self.model.body("robot/camera").mocapid[0] if parts.robot.model is None else None
         self.eye = self.model.site("eye").id
         self._rest = parts.robot.rest_ctrl()
