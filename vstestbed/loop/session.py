@@ -119,6 +119,11 @@ class Session:
         episode.plant.push(force, duration_s)
         episode.changed_by_hand("robot pushed")
 
+    @property
+    def weight_n(self) -> float:
+        """Weight of the robot [N], to choose a push by; 0 for an ideal camera, and before `reset`."""
+        return self.episode.plant.weight_n if self.episode is not None else 0.0
+
     def move_target(self, T_world_target: Array) -> None:
         """Put the target at a pose (4, 4) now; one that moves goes on from there.
 

@@ -116,6 +116,11 @@ class Plant(Protocol):
         """Advance by physics steps; False when the simulation became unstable."""
         ...
 
+    @property
+    def weight_n(self) -> float:
+        """Weight of the robot [N]; 0 for an ideal camera."""
+        ...
+
     def push(self, force: Array, duration_s: float) -> None:
         """Push the robot with a force (3,) along world axes [N] for a while. ParameterError where it has no mass."""
         ...

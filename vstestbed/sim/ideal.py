@@ -129,6 +129,11 @@ class IdealPlant:
             self._actuate()
         return True
 
+    @property
+    def weight_n(self) -> float:
+        """An ideal camera has no mass."""
+        return 0.0
+
     def push(self, force: Array, duration_s: float) -> None:
         """Refused: an ideal camera has no mass."""
         raise ParameterError("push", "needs a robot with a mass; this camera follows its twist exactly")

@@ -222,6 +222,13 @@ class MujocoPlant:
             reading = self._sensors.read(step)
             self._memory, self._ctrl[stage.at.ctrl] = self._robot.actuate(self._memory, setpoint, reading, dt)
 
+    @property
+    def weight_n(self) -> float:
+        """Weight of all bodies of the robot [N]."""
+        model = self._stage.model
+        root = model.body_rootid[model.site("robot/flange").bodyid[0]]
+        return float(model.body_subtreemass[root] * np.linalg.norm(model.opt.gravity))
+
     def push(self, force: Array, duration_s: float) -> None:
         """Push the body that carries the camera (eye to hand, the gripper) with a force (3,) along world axes [N]."""
         self._push.begin(force, self._steps, duration_s, self.step_s)

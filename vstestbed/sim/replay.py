@@ -128,6 +128,11 @@ class Replay:
         """The visible geoms as triangles, fixed to bodies; `body_poses` places them."""
         return solids(self._stage.model)
 
+    @property
+    def body_names(self) -> list[str]:
+        """Names of all bodies, by number."""
+        return [self._stage.model.body(i).name for i in range(self._stage.model.nbody)]
+
     def body_poses(self, t: float, T_world_target: Array, q: Array, T_world_camera: Array) -> tuple[Array, Array]:
         """Positions (B, 3) [m] and quaternions (B, 4), wxyz, of all bodies in a state; valid until the next call."""
         self._stage.place(t, T_world_target, q, T_world_camera)

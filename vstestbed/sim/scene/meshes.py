@@ -108,10 +108,14 @@ def _triangles(model: mujoco.MjModel, i: int) -> Array:
 
 def _box() -> Array:
     """A box of half sizes 1."""
-    square = np.array([[-1, -1, 1], [1, -1, 1], [1, 1, 1], [-1, -1, 1], [1, 1, 1], [-1, 1, 1]], dtype=float).reshape(2, 3, 3)
-    turns = [square[..., list(order)] * sign for order in ((0, 1, 2), (2, 0, 1), (1, 2, 0)) for sign in (1.0,)]
-    opposite = [turn[:, ::-1] * np.array([-1.0 if axis == normal else 1.0 for axis in range(3)]) for normal, turn in zip((2, 0, 1), turns)]
-    return np.concatenate([*turns, *opposite])
+    faces = []
+    for axis in range(3):
+        for side in (-1.0, 1.0):
+            corners = np.full((4, 3), side)
+            corners[:, (axis + 1) % 3], corners[:, (axis + 2) % 3] = (-1, 1, 1, -1), (-1, -1, 1, 1)  # counter-clockwise seen from +axis
+            turned = corners[:: int(side)]
+            faces += [turned[[0, 1, 2]], turned[[0, 2, 3]]]
+    return np.array(faces)
 
 
 def _arc(half: float) -> tuple[Array, Array]:
