@@ -6,10 +6,10 @@ import logging
 import threading
 from collections.abc import Callable
 
-from vstestbed.core.errors import VstestbedError
+from vstestbed.core.errors import ScenarioError, VstestbedError
 from vstestbed.core.geometry import Array
 from vstestbed.live.inbox import Inbox
-from vstestbed.live.page import Gizmo, View
+from vstestbed.live.page import WORDS_S, Gizmo, View
 from vstestbed.live.panel import RunPanel
 from vstestbed.live.run import LiveRun
 from vstestbed.live.server import LocalServer
@@ -95,15 +95,16 @@ class LiveApp:
         try:
             action()
         except VstestbedError as error:
-            self._panel.status.say(str(error), refused=True)
+            self._panel.status.say(_sentence(error), refused=True)
+            self._panel.hand.show(set(self._gizmos))
             self._panel.controls.show(self.run.scenario)
         except Exception as error:  # a plugin, or a bug: the page must stay, so that the rest can still be looked at
             logging.getLogger(__name__).warning("the live view went on after an error", exc_info=error)
             self._panel.status.say(f"{type(error).__name__}: {error}", refused=True)
 
     def _show(self, now: bool) -> None:
-        self._panel.status.show(self.run.last, self.run.transport)
-        self._panel.transport.show()
+        if now or self._view.due("words", WORDS_S):
+            self._panel.status.show(self.run.last, self.run.transport, self.run.by_hand)
         self._view.draw(self.run.last, now)
 
     def _set(self, path: str, value: object) -> None:
@@ -121,7 +122,7 @@ class LiveApp:
     def _restarted(self) -> None:
         for what in list(self._gizmos):
             self._let_go(what)
-        self._panel.hand.let_go()
+        self._panel.hand.show(set())
         self._view.restart(self.run.scenario, self.run.last)
         self._view.add(self.run.last)
         self._show(now=True)
@@ -139,8 +140,8 @@ class LiveApp:
             if on:
                 self._grip(what, self.run.before_marker(self._panel.hand.marker), self._hold_plate)
         elif on:
-            self.run.move_target(self.run.last.film.T_world_target)  # refused at once where the target is carried
-            self._grip(what, self.run.last.film.T_world_target, self._drag_target)
+            self.run.check_target_free()
+            self._grip(what, self.run.last.film.T_world_target, self.run.move_target)
 
     def _grip(self, what: str, T: Array, dragged: Callable[[Array], None]) -> None:
         def asked(T_now: Array) -> None:
@@ -154,16 +155,15 @@ class LiveApp:
         if what == "plate":
             self._view.scene.put_plate(None, self.run.plate_m)
 
-    def _drag_target(self, T: Array) -> None:
-        self.run.move_target(T)
-        self._told_by_hand()
-
     def _hold_plate(self, T: Array | None) -> None:
         if T is None and "plate held" not in self.run.by_hand:
             return  # never held in this run: nothing to take away
         self.run.hold_plate(T)
         self._view.scene.put_plate(T, self.run.plate_m)
-        self._told_by_hand()
 
-    def _told_by_hand(self) -> None:
-        self._panel.status.say("done by hand: no scenario file repeats this run from here on")
+
+def _sentence(error: VstestbedError) -> str:
+    """What is refused, and why; of a setting without the word `--set`, which the page has not."""
+    if isinstance(error, ScenarioError):
+        return "; ".join(f"{m.field}: {m.sentence}" if m.field else m.sentence for m in error.mistakes)
+    return str(error)

@@ -16,8 +16,8 @@ from vstestbed.live.transport import Sample
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.replay import Replay
 
-SCENE_S, PICTURE_S, PLOTS_S = 1 / 30, 1 / 15, 1 / 4
-"""Least time on the wall between two updates of the scene, of the picture, of plots and words [s]."""
+SCENE_S, PICTURE_S, PLOTS_S, WORDS_S = 1 / 30, 1 / 15, 1 / 4, 1 / 8
+"""Least time on the wall between two updates of the scene, of the picture, of plots, of words [s]."""
 VIEW_WIDTH, PANEL_WIDTH = 340, 330
 """Widths of the panels beside the scene [px]."""
 
@@ -45,7 +45,7 @@ class View:
             self._replay.close()
             self.eye.remove()
             self.plots.remove()
-        scenario = self._scenario
+        scenario, self._unit = self._scenario, first.unit
         self._replay = _replay_of(scenario)
         self.scene = SceneView(self._server, scenario, self._replay, first)
         with self._tab:
@@ -55,7 +55,8 @@ class View:
     def restart(self, scenario: Scenario, first: Sample) -> bool:
         """Begin anew; whether the scene is another one, so that all that others put into it is gone."""
         parts = [(s.robot, s.camera, s.target, s.world) for s in (scenario, self._scenario)]
-        self._scenario, other = scenario, parts[0] != parts[1]
+        other = parts[0] != parts[1] or first.unit != self._unit
+        self._scenario = scenario
         if other:
             self._build(first)
         else:
@@ -77,15 +78,16 @@ class View:
         """Send what is due; `now`: everything."""
         if not self._server.get_clients() and not now:  # nobody looks
             return
-        if now or self._due("scene", SCENE_S):
-            image = self.eye.draw(sample) if now or self._due("picture", PICTURE_S) else None
+        if now or self.due("scene", SCENE_S):
+            image = self.eye.draw(sample) if now or self.due("picture", PICTURE_S) else None
             with self._server.atomic():
                 self.scene.show(sample, image)
-        if now or self._due("plots", PLOTS_S):
+        if now or self.due("plots", PLOTS_S):
             self.plots.draw()
             self.scene.draw_trail()
 
-    def _due(self, what: str, period_s: float) -> bool:
+    def due(self, what: str, period_s: float) -> bool:
+        """Whether something was not sent for a while; it is to be sent now."""
         t = time.monotonic()
         if t - self._made_at.get(what, -np.inf) < period_s:
             return False

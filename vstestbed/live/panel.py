@@ -16,6 +16,8 @@ from vstestbed.live.transport import Sample, Transport
 from vstestbed.scenario.yaml_marks import read_value
 
 SPEEDS = {"0.1 x": 0.1, "0.25 x": 0.25, "0.5 x": 0.5, "1 x": 1.0, "2 x": 2.0, "5 x": 5.0, "as fast as it can": math.inf}
+LAW = "law"
+"""Of what is changed by hand, that which a scenario can repeat, though from the start alone."""
 SLOWER = 0.95
 """Share of the asked pace under which the page says that the machine is slower."""
 PUSH_S = 0.2
@@ -30,11 +32,13 @@ class TransportPanel:
     """
 
     def __init__(self, gui: viser.GuiApi, inbox: Inbox, transport: Transport, reset: Callable[[], None]):
-        self._transport = transport
-        self._play = gui.add_button("pause")
-        on_click(self._play, inbox, lambda: transport.play(not transport.playing))
-        on_click(gui.add_button("step", hint="one frame, then pause"), inbox, transport.step)
-        on_click(gui.add_button("reset", hint="from the start"), inbox, reset)
+        orders = {"play": lambda: transport.play(True), "pause": lambda: transport.play(False), "step": transport.step, "reset": reset}
+        buttons = gui.add_button_group("run", tuple(orders), hint="step: one frame, then pause; reset: from the start")
+
+        async def clicked(event: viser.GuiEvent[Any]) -> None:
+            inbox.put(orders[event.target.value])
+
+        buttons.on_click(clicked)
         speed = gui.add_dropdown("speed", tuple(SPEEDS), initial_value="1 x", hint="simulated time against real time")
 
         async def asked(event: viser.GuiEvent[Any]) -> None:
@@ -44,22 +48,19 @@ class TransportPanel:
 
         speed.on_update(asked)
 
-    def show(self) -> None:
-        """The word on the button."""
-        word = "pause" if self._transport.playing else "play"
-        if self._play.label != word:
-            self._play.label = word
-
 
 class StatusLine:
     """The state of a run in words, and what was last refused or done."""
 
     def __init__(self, gui: viser.GuiApi):
-        self._state, self._said = gui.add_markdown(""), gui.add_markdown("")
+        self._state, self._hand, self._said = (gui.add_markdown("") for _ in range(3))
         self._words = self._message = ""
+        self._done: tuple[str, ...] = ()
 
-    def show(self, sample: Sample, transport: Transport) -> None:
-        """Time, error, pace, or the outcome."""
+    def show(self, sample: Sample, transport: Transport, by_hand: tuple[str, ...] = ()) -> None:
+        """Time, error, pace, or the outcome; what was done by hand in this run."""
+        if by_hand != self._done:
+            self._done, self._hand.content = by_hand, _told(by_hand)
         error = f"{sample.judged:.3g} {sample.unit}" if math.isfinite(sample.judged) else "target not in sight"
         words = f"**t = {sample.film.t:.2f} s** · frame {sample.number} · error {error}  \n{_state(sample, transport)}"
         if words != self._words:
@@ -70,6 +71,15 @@ class StatusLine:
         content = "" if not message else f"**refused:** {escaped(message)}" if refused else escaped(message)
         if content != self._message:
             self._message = self._said.content = content
+
+
+def _told(by_hand: tuple[str, ...]) -> str:
+    """What a run has that its scenario has not."""
+    if not by_hand:
+        return ""
+    if by_hand == (LAW,):
+        return "The law was changed during this run; *save as scenario* keeps the last setting, from the start."
+    return f"By hand in this run: {', '.join(by_hand)}. No scenario file repeats this."
 
 
 def _state(sample: Sample, transport: Transport) -> str:
@@ -96,7 +106,6 @@ class HandPanel:
 
     def __init__(self, gui: viser.GuiApi, inbox: Inbox, run: LiveRun, gizmo: Callable[[str, bool], None]):
         with gui.add_folder("by hand", expand_by_default=False):
-            gui.add_markdown("No scenario repeats what is done by hand.")
             force = gui.add_vector3("force [N]", push_of(run), hint=f"along world axes, for {PUSH_S:g} s at the flange")
             on_click(gui.add_button("push the robot"), inbox, lambda: run.push(np.array(force.value), PUSH_S))
             target = gui.add_checkbox("drag the target", False)
@@ -113,10 +122,10 @@ class HandPanel:
         """Number of the marker before which the plate is held."""
         return int(self._marker.value)
 
-    def let_go(self) -> None:
-        """Nothing is held any more."""
-        for box in self._boxes.values():
-            box.value = False
+    def show(self, held: set[str]) -> None:
+        """What has a gizmo now."""
+        for what, box in self._boxes.items():
+            box.value = what in held
 
     def _asked(self, inbox: Inbox, what: str, gizmo: Callable[[str, bool], None]) -> Any:
         async def asked(event: viser.GuiEvent[Any]) -> None:
@@ -151,13 +160,13 @@ class RunPanel:
         save: Callable[[], None],
     ):
         self.status = StatusLine(gui)
-        self.transport = TransportPanel(gui, inbox, run.transport, reset)
+        TransportPanel(gui, inbox, run.transport, reset)
         self.controls = Controls(gui, run.scenario, lambda path, value: inbox.put(lambda: set_(path, value), path), inbox.waits)
         with gui.add_folder("any other field", expand_by_default=False):
             field, value = gui.add_text("field", "goal.T_camera_target.xyz"), gui.add_text("value", "[0, 0, 0.8]")
             on_click(gui.add_button("set", hint="as --set field=value"), inbox, lambda: set_(field.value, read_value(value.value)))
         self.hand = HandPanel(gui, inbox, run, gizmo)
-        on_click(gui.add_button("own start", hint="the scenario's own start, without a seed"), inbox, lambda: set_("seed", None))
+        on_click(gui.add_button("start without a seed", hint="the scenario's own start"), inbox, lambda: set_("seed", None))
         on_click(gui.add_button("save as scenario", hint="what repeats these settings from the start"), inbox, save)
 
 

@@ -87,7 +87,7 @@ class PlaybackApp:
         self._view = View(self._server, self.recorded.scenario, self._sample)
         gui = self._server.gui
         self._status = StatusLine(gui)
-        self._panel = TransportPanel(gui, self._inbox, self.transport, lambda: self._go_to(0))
+        TransportPanel(gui, self._inbox, self.transport, lambda: self._go_to(0))
         last = float(self.recorded.t[-1])
         self._slider = gui.add_slider("t [s]", 0.0, max(last, 1e-3), max(1e-3, last / 1000), 0.0)
         self._slider.on_update(self._asked)
@@ -116,7 +116,6 @@ class PlaybackApp:
         if self._wait_s() == 0.0:
             self._show(self.i + 1)
             self.transport.passed(self._sample.film.t)
-        self._panel.show()
         self._status.show(self._sample, self.transport)
 
     def _wait_s(self) -> float | None:

@@ -16,7 +16,8 @@ MOST = 1200
 """Points of a curve: when there are more, every other one is dropped, so that the whole run stays in sight."""
 HEIGHT = 150
 """Of a plot [px]."""
-AXES: tuple[Any, ...] = ({"size": 26, "font": "11px sans-serif"}, {"size": 46, "font": "11px sans-serif"})
+THIN: dict[str, Any] = {"font": "11px sans-serif", "ticks": {"size": 4, "width": 1}, "grid": {"width": 1, "stroke": "#e3e6ea"}}
+AXES: tuple[Any, ...] = ({"size": 26, **THIN}, {"size": 46, **THIN})
 
 
 class Curves:
@@ -61,6 +62,8 @@ class Plots:
         self._joints = joints
         self._curves = Curves(8 + joints)
         self._error = _plot(gui, f"judged error [{unit}]", ["error"], [LINE_COLORS[0]], log=True)
+        key = " · ".join(f'<span style="color:{color}">{axis}</span>' for axis, color in zip("xyz", AXIS_COLORS, strict=True))
+        self._key = gui.add_html(f'<div style="font-size:12px;text-align:center">ordered twist: {key} of the camera</div>')
         self._v = _plot(gui, "ordered speed [m/s]", ["vx", "vy", "vz"], AXIS_COLORS)
         self._w = _plot(gui, "ordered rate [rad/s]", ["wx", "wy", "wz"], AXIS_COLORS)
         names = list(scenario.robot.joints)
@@ -88,7 +91,7 @@ class Plots:
 
     def remove(self) -> None:
         """Take the plots away."""
-        for plot in (self._error, self._v, self._w, self._q):
+        for plot in (self._error, self._key, self._v, self._w, self._q):
             if plot is not None:
                 plot.remove()
 
@@ -102,5 +105,12 @@ def _plot(gui: viser.GuiApi, title: str, names: list[str], colors: Any, log: boo
     scales: dict[str, Any] = {"x": {"time": False}, "y": {"distr": 3 if log else 1}}
     blank = np.full(2, np.nan)
     return gui.add_uplot(
-        (t, *(blank for _ in names)), tuple(series), title=title, scales=scales, axes=AXES, legend={"show": False}, height=HEIGHT
+        (t, *(blank for _ in names)),
+        tuple(series),
+        title=title,
+        scales=scales,
+        axes=AXES,
+        legend={"show": False},
+        height=HEIGHT,
+        padding=(10, 12, 0, 0),
     )

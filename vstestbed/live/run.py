@@ -68,7 +68,7 @@ class LiveRun:
         self.session, self.plate_m = session, edge
         self.restarts += 1
         self.frames = 0
-        self.transport.restart_pace()
+        self.transport.begin()
         self._show(frame)
 
     def wait_s(self) -> float | None:
@@ -117,6 +117,12 @@ class LiveRun:
         """Put the target at a pose (4, 4); ParameterError where it is carried."""
         self._goes_on()
         self.session.move_target(T_world_target)
+
+    def check_target_free(self) -> None:
+        """ParameterError where the target is carried, so that nobody else can move it."""
+        target = self.scenario.target
+        if target.on_gripper or target.carrier is not None:
+            raise ParameterError("target", "is carried, and goes where its carrier goes")
 
     def hold_plate(self, T_world_plate: Array | None) -> None:
         """Hold the plate at a pose (4, 4), or take it away."""

@@ -16,9 +16,12 @@ from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.replay import Replay
 
 FLOOR, LINES, SKY = (74, 92, 115), (98, 117, 141), (190, 202, 216)
-FLOOR_M = 60.0
-"""Edge of the floor [m]."""
-REACH = 0.22
+FLOOR_M, GRID_M = 400.0, 60.0
+"""Edges of the floor, and of the part of it with lines [m]."""
+AMBIENT = 1.2
+LIGHTS = (("key", (-2.0, -3.0, 4.0), 1.7), ("fill", (3.0, 2.0, 1.0), 0.6))
+"""Lights from afar: where they come from, and how bright they are."""
+REACH = 0.13
 """Length of the camera's frustum over its distance from the target, or from its goal, at the start."""
 SHORTEST_M, LONGEST_M = 0.06, 0.6
 GHOST = 0.3
@@ -96,19 +99,24 @@ class SceneView:
 
     def put_plate(self, T_world_plate: Array | None, edge_m: float) -> None:
         """Show the plate in reserve at a pose (4, 4), or not at all."""
-        if self.plate is not None:
+        if self.plate is not None and T_world_plate is None:
             self.plate.remove()
             self.plate = None
-        if T_world_plate is not None:
+        if T_world_plate is not None and self.plate is None:
             half = edge_m / 2
             corners = np.array([[-half, -half, 0], [half, -half, 0], [half, half, 0], [-half, half, 0]])
             faces = np.array([[0, 1, 2], [0, 2, 3]])
             self.plate = self._scene.add_mesh_simple("/plate", corners, faces, color=PLATE_GREY, side="double")
+        if T_world_plate is not None and self.plate is not None:
             _put(self.plate, T_world_plate)
 
     def _light(self) -> None:
         self._scene.set_background_image(np.full((2, 2, 3), SKY, np.uint8))
-        self._scene.configure_default_lights(enabled=True, cast_shadow=False)
+        self._scene.configure_default_lights(enabled=False)
+        self._scene.configure_environment_map(None)
+        self._scene.add_light_ambient("/lights/all", intensity=AMBIENT)
+        for name, direction, intensity in LIGHTS:
+            self._scene.add_light_directional(f"/lights/{name}", intensity=intensity, position=direction, cast_shadow=False)
 
     def _floor(self) -> None:
         z = self._scenario.world.floor_z
@@ -117,7 +125,7 @@ class SceneView:
         faces = np.array([[0, 1, 2], [0, 2, 3]])
         self._scene.add_mesh_simple("/floor", corners, faces, color=FLOOR, side="double", position=(0, 0, z - 2e-3))
         grid = {"cell_size": 1.0, "section_size": 5.0, "cell_color": LINES, "section_color": LINES}
-        self._scene.add_grid("/grid", FLOOR_M, FLOOR_M, plane="xy", position=(0, 0, z - 1e-3), **grid)
+        self._scene.add_grid("/grid", GRID_M, GRID_M, plane="xy", position=(0, 0, z - 1e-3), **grid)
 
     def _solids(self) -> dict[int, _Placed]:
         bodies: dict[int, _Placed] = {}
@@ -172,9 +180,9 @@ class SceneView:
 
     def _look_at(self, server: viser.ViserServer, t: float, T_world_goal: Array | None) -> None:
         """The view from which pages look at first: that of the film from outside."""
-        T, middle = self._replay.outside_pose(t, T_world_goal)
+        T, middle, fovy = self._replay.outside_view(t, T_world_goal)
         camera = server.initial_camera
-        camera.position, camera.look_at = tuple(T[:3, 3].tolist()), tuple(middle.tolist())
+        camera.position, camera.look_at, camera.fov = tuple(T[:3, 3].tolist()), tuple(middle.tolist()), fovy
 
 
 def _put(handle: viser.SceneNodeHandle, T: Array) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import io
+import logging
 import socket
 from urllib.parse import urlsplit
 
@@ -39,6 +40,7 @@ class LocalServer(viser.ViserServer):
             _must_be_free(port)
         with contextlib.redirect_stdout(io.StringIO()):  # its own table of addresses
             super().__init__(host=HOST, port=port or 0, label=label, verbose=False)
+        logging.getLogger("websockets.server").addFilter(_without_foreign)
         self.address = f"http://{HOST}:{self.get_port()}"
         self._websock_server.on_client_connect(self._refuse_foreign)
         self.gui.configure_theme(control_width="medium", show_logo=False, show_share_button=False)
@@ -57,6 +59,11 @@ class LocalServer(viser.ViserServer):
         """Stop serving."""
         with contextlib.redirect_stdout(io.StringIO()):
             super().stop()
+
+
+def _without_foreign(record: logging.LogRecord) -> bool:
+    """A filter: refusals need no traceback."""
+    return not (record.exc_info and isinstance(record.exc_info[1], ForeignPageError))
 
 
 def _must_be_free(port: int) -> None:

@@ -70,6 +70,11 @@ class Transport:
         self.speed = speed
         self.restart_pace()
 
+    def begin(self) -> None:
+        """Another run begins: steps that wait belong to the one before."""
+        self._steps = 0
+        self.restart_pace()
+
     def restart_pace(self) -> None:
         """The pace counts from the next frame on."""
         self._anchor = None

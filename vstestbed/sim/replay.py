@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
@@ -31,8 +33,8 @@ which for a base with 36 rollers was a third of an image's time."""
 FREE, FOOT, FOOT_PX = 0.74, 0.065, 19
 """Shares of the outside view: of its width, from the left, without an inset; of its height, at the bottom, with a caption, and at least
 so many pixels."""
-OUTSIDE_ASPECT = 1.3
-"""Width over height of the view that `outside_pose` fits."""
+OUTSIDE_ASPECT = 0.95
+"""Width over height of the view that `outside_view` fits."""
 FLOOR = (64, 84, 108), (56, 75, 98)
 """The two colours of the floor in films: light arms, dark cars and lines of any hue stand out from a slate blue."""
 SKY = 0.62, 0.69, 0.78
@@ -138,14 +140,18 @@ class Replay:
         self._stage.place(t, T_world_target, q, T_world_camera)
         return self._stage.data.xpos, self._stage.data.xquat
 
-    def outside_pose(self, t: float, T_world_goal: Array | None) -> tuple[Array, Array]:
-        """A view from outside of the last placed state that shows robot, target and goal: T_world_camera (4, 4), and its middle (3,)."""
+    def outside_view(self, t: float, T_world_goal: Array | None) -> tuple[Array, Array, float]:
+        """A view from outside of the last placed state that shows robot, target and goal.
+
+        Returns T_world_camera (4, 4), the point (3,) that it looks at, and its vertical field of view [rad].
+        """
         follow = FollowCamera(self._stage, self._things, OUTSIDE_ASPECT, 1.0, 0.0)
         follow.place(t, T_world_goal)
         data, T = self._stage.data.camera("overview"), np.eye(4)
         T[:3, :3], T[:3, 3] = data.xmat.reshape(3, 3) @ FLIP[:3, :3], data.xpos
         middle = self._things.points(self._stage.data).reshape(-1, 3).mean(axis=0)
-        return T, T[:3, 3] + T[:3, 2] * float((middle - T[:3, 3]) @ T[:3, 2])
+        fovy = math.radians(float(self._stage.model.camera("overview").fovy[0]))
+        return T, T[:3, 3] + T[:3, 2] * float((middle - T[:3, 3]) @ T[:3, 2]), fovy
 
     def seen(self, t: float) -> Image | None:
         """The last picture of the servo camera, if it is that of a time [s]; not to be drawn into."""
