@@ -28,6 +28,16 @@ def chromium() -> str | None:
     return next((path for name in NAMES if (path := shutil.which(name))), None)
 
 
+KEYS = {"ArrowRight": 39, "ArrowLeft": 37, "End": 35, "Home": 36}
+"""Windows' numbers of keys, which the protocol wants."""
+
+
+def labelled(label: str) -> str:
+    """JavaScript for the control with a label; the last one, where several have it."""
+    labels = f"[...document.querySelectorAll('label')].filter(l => l.innerText.trim() === {json.dumps(label)})"
+    return f"document.getElementById({labels}.at(-1)?.htmlFor)"
+
+
 class Tab:
     """One page."""
 
@@ -73,6 +83,37 @@ class Tab:
         found = f"[...document.querySelectorAll('button')].find(b => b.innerText.trim() === {json.dumps(words)})"
         self.wait(f"!!({found})")
         self.js(f"{found}.click()")
+
+    def set_slider(self, label: str, keys: list[str]) -> None:
+        """Press keys (ArrowRight, End, ...) on the slider with a label."""
+        self.wait(f"!!({labelled(label)})")
+        self.js(f"{labelled(label)}.querySelector('[role=slider]').focus()")
+        for key in keys:
+            for kind in ("keyDown", "keyUp"):
+                self.call("Input.dispatchKeyEvent", type=kind, key=key, code=key, windowsVirtualKeyCode=KEYS[key])
+
+    def type_into(self, label: str, text: str) -> None:
+        """Replace what is in the field with a label, and leave it."""
+        self.wait(f"!!({labelled(label)})")
+        inner = f"(e => e.matches('input') ? e : e.querySelector('input'))({labelled(label)})"
+        self.js(f"(i => {{ i.focus(); i.select() }})({inner})")
+        self.call("Input.insertText", text=text)
+        self.js("document.activeElement.blur()")
+
+    def choose(self, label: str, word: str) -> None:
+        """Choose a word from the menu with a label."""
+        self.wait(f"!!({labelled(label)})")
+        self.js(f"{labelled(label)}.click()")
+        option = f"[...document.querySelectorAll('[role=option]')].find(o => o.innerText.trim() === {json.dumps(word)})"
+        self.wait(f"!!({option})")
+        self.js(f"{option}.click()")
+
+    def value(self, label: str) -> str:
+        """What the field, or the slider, with a label shows."""
+        found = labelled(label)
+        return str(
+            self.js(f"(() => {{ const e = {found}; const s = e.querySelector('[role=slider]'); return s ? s.ariaValueNow : e.value }})()")
+        )
 
     def screenshot(self, path: Path | None = None) -> bytes:
         """What the page looks like, as PNG."""

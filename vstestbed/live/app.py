@@ -59,6 +59,11 @@ class LiveApp:
         finally:
             self.close()
 
+    @property
+    def clients(self) -> tuple[int, ...]:
+        """Numbers of the pages that are connected."""
+        return tuple(self._server.get_clients())
+
     def stop(self) -> None:
         """Let `serve` return; from any thread."""
         self._stop.set()
