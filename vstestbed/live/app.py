@@ -45,7 +45,7 @@ class LiveApp:
         self.address = self._server.address
         self._view = View(self._server, scenario, self.run.last)
         self._panel = RunPanel(
-            self._server.gui, self._inbox, self.run, set_=self._set, gizmo=self._gizmo, reset=self._reset, save=self._save
+            self._server.gui, self._inbox, self.run, set_=self._set, gizmo=self._gizmo, reset=self.reset, save=self._save
         )
         self._server.gui.main_panel.dock_right()
         self._view.add(self.run.last)
@@ -63,6 +63,15 @@ class LiveApp:
     def clients(self) -> tuple[int, ...]:
         """Numbers of the pages that are connected."""
         return tuple(self._server.get_clients())
+
+    @property
+    def said(self) -> str:
+        """The sentence that pages show."""
+        return self._panel.status.message
+
+    def ask(self, order: Callable[[], object]) -> None:
+        """Let the thread that serves do something, as a page does; from any thread."""
+        self._inbox.put(order)
 
     def stop(self) -> None:
         """Let `serve` return; from any thread."""
@@ -95,7 +104,7 @@ class LiveApp:
             raise
         self._view.add(self.run.last)
 
-    def _tried(self, action: Callable[[], None]) -> None:
+    def _tried(self, action: Callable[[], object]) -> None:
         """Do something; what goes wrong is told on the page, and ends nothing."""
         try:
             action()
@@ -119,7 +128,8 @@ class LiveApp:
             self._restarted()
         self._panel.status.say(f"{path} = {value}: " + ("a new start" if restarted else "in force from the next frame on"))
 
-    def _reset(self) -> None:
+    def reset(self) -> None:
+        """Begin the run again; by the thread that serves."""
         self.run.restart()
         self._restarted()
         self._panel.status.say("")

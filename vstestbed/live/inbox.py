@@ -6,7 +6,7 @@ import itertools
 import threading
 from collections.abc import Callable
 
-Order = Callable[[], None]
+Order = Callable[[], object]
 
 
 class Inbox:

@@ -50,11 +50,15 @@ class TransportPanel:
 
 
 class StatusLine:
-    """The state of a run in words, and what was last refused or done."""
+    """The state of a run in words, and what was last refused or done.
+
+    Attributes:
+        message: what was last refused or done, in Markdown.
+    """
 
     def __init__(self, gui: viser.GuiApi):
         self._state, self._hand, self._said = (gui.add_markdown("") for _ in range(3))
-        self._words = self._message = ""
+        self._words = self.message = ""
         self._done: tuple[str, ...] = ()
 
     def show(self, sample: Sample, transport: Transport, by_hand: tuple[str, ...] = ()) -> None:
@@ -69,8 +73,8 @@ class StatusLine:
     def say(self, message: str, refused: bool = False) -> None:
         """A sentence that stays until the next one; "" for none."""
         content = "" if not message else f"**refused:** {escaped(message)}" if refused else escaped(message)
-        if content != self._message:
-            self._message = self._said.content = content
+        if content != self.message:
+            self.message = self._said.content = content
 
 
 def _told(by_hand: tuple[str, ...]) -> str:

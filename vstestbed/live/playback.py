@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -87,12 +87,12 @@ class PlaybackApp:
         self._view = View(self._server, self.recorded.scenario, self._sample)
         gui = self._server.gui
         self._status = StatusLine(gui)
-        TransportPanel(gui, self._inbox, self.transport, lambda: self._go_to(0))
+        TransportPanel(gui, self._inbox, self.transport, lambda: self.go_to(0))
         last = float(self.recorded.t[-1])
         self._slider = gui.add_slider("t [s]", 0.0, max(last, 1e-3), max(1e-3, last / 1000), 0.0)
         self._slider.on_update(self._asked)
         gui.main_panel.dock_right()
-        self._go_to(0)
+        self.go_to(0)
 
     def serve(self) -> None:
         """Play the run and obey its pages, until `stop` or an interrupt."""
@@ -102,6 +102,10 @@ class PlaybackApp:
         finally:
             self._server.stop()
             self._view.close()
+
+    def ask(self, order: Callable[[], object]) -> None:
+        """Let the thread that serves do something, as a page does; from any thread."""
+        self._inbox.put(order)
 
     def stop(self) -> None:
         """Let `serve` return; from any thread."""
@@ -124,10 +128,10 @@ class PlaybackApp:
     async def _asked(self, event: viser.GuiEvent[Any]) -> None:
         if event.client is not None:
             t = float(event.target.value)
-            self._inbox.put(lambda: self._go_to(self.recorded.at(t)), SLIDER)
+            self._inbox.put(lambda: self.go_to(self.recorded.at(t)), SLIDER)
 
-    def _go_to(self, i: int) -> None:
-        """Show another frame, with the curves and the trail up to it."""
+    def go_to(self, i: int) -> None:
+        """Show another frame (by the thread that serves), with the curves and the trail up to it."""
         self._view.forget()
         every = max(1, i // 300)
         for earlier in range(0, i, every):
