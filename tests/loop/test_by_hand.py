@@ -33,6 +33,20 @@ def test_a_plate_in_reserve_changes_no_number(name: str):
     np.testing.assert_array_equal(session.recording().table, plain.table)
 
 
+@pytest.mark.parametrize("name", ["arm_ibvs", "quadrotor_hover"])
+def test_pictures_now_and_then_change_no_number(name: str):
+    short = {"stop.duration_s": 0.8, "timing.exposure_s": 0.01}
+    plain, seen = vs.run(vs.load(name, short)), []
+    with vs.Session(vs.load(name, short), pictures=True) as session:
+        frame = session.reset()
+        while frame.outcome is None:
+            session.take_pictures(frame.timing.number % 5 == 0)
+            frame = session.step()
+            seen.append(frame.image is not None)
+    np.testing.assert_array_equal(session.recording().table, plain.table)
+    assert any(seen) and not all(seen)
+
+
 class TestTheLaw:
     def test_keeps_its_memory(self):
         smooth = {"law__smooth_start_s": 1.0}

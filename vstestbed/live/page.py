@@ -11,13 +11,14 @@ import viser
 from vstestbed.core.geometry import Array, pose_from, quaternion_wxyz
 from vstestbed.live.eye import WIDTH, Eye
 from vstestbed.live.plots import Plots
+from vstestbed.live.run import PICTURE_S
 from vstestbed.live.scene import SceneView
 from vstestbed.live.transport import Sample
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.replay import Replay
 
-SCENE_S, PICTURE_S, PLOTS_S, WORDS_S = 1 / 30, 1 / 15, 1 / 4, 1 / 8
-"""Least time on the wall between two updates of the scene, of the picture, of plots, of words [s]."""
+SCENE_S, PLOTS_S, WORDS_S = 1 / 30, 1 / 4, 1 / 8
+"""Least time on the wall between two updates of the scene, of plots, of words [s]; of the picture: `live.run`."""
 VIEW_WIDTH, PANEL_WIDTH = 340, 330
 """Widths of the panels beside the scene [px]."""
 
@@ -27,10 +28,11 @@ class View:
 
     Args:
         server: of the pages. scenario: the experiment. first: the first sample.
+        recorded: the samples have no pictures; they are drawn again.
     """
 
-    def __init__(self, server: viser.ViserServer, scenario: Scenario, first: Sample):
-        self._server = server
+    def __init__(self, server: viser.ViserServer, scenario: Scenario, first: Sample, recorded: bool = False):
+        self._server, self._recorded = server, recorded
         panel = server.gui.add_panel()
         self._tab = panel.add_tab("camera and curves")
         panel.dock_left()
@@ -78,8 +80,9 @@ class View:
         """Send what is due; `now`: everything."""
         if not self._server.get_clients() and not now:  # nobody looks
             return
-        if now or self.due("scene", SCENE_S):
-            image = self.eye.draw(sample) if now or self.due("picture", PICTURE_S) else None
+        has_picture = sample.film.image is not None or (self._recorded and self.due("picture", PICTURE_S))
+        if now or has_picture or self.due("scene", SCENE_S):
+            image = self.eye.draw(sample) if now or has_picture else None
             with self._server.atomic():
                 self.scene.show(sample, image)
         if now or self.due("plots", PLOTS_S):

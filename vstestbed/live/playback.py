@@ -84,7 +84,7 @@ class PlaybackApp:
         self._sample = self.recorded.sample(0)
         self._server = LocalServer(port, f"{self.recorded.scenario.name}: recorded")
         self.address = self._server.address
-        self._view = View(self._server, self.recorded.scenario, self._sample)
+        self._view = View(self._server, self.recorded.scenario, self._sample, recorded=True)
         gui = self._server.gui
         self._status = StatusLine(gui)
         TransportPanel(gui, self._inbox, self.transport, lambda: self.go_to(0))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 from typing import Any
 
@@ -19,6 +20,8 @@ from vstestbed.tasks.judged import in_words_unit
 
 PLATE_RADII, LEAST_PLATE_M = 5.0, 0.06
 """Edge of the plate in reserve: so many radii of a marker, but at least so much [m]."""
+PICTURE_S, REST = 1 / 15, 2.5
+"""Least time on the wall between two whole pictures [s], and over the time that a frame with one took."""
 NEAR_MARKER = 0.75
 """Where the plate is held, as a share of the way from the camera to the marker."""
 
@@ -37,6 +40,7 @@ class LiveRun:
     def __init__(self, settings: Settings):
         self.settings, self.transport = settings, Transport()
         self.restarts = self.frames = 0
+        self._next_picture = 0.0
         self.session: Session
         self.last: Sample
         self.frame: Frame
@@ -76,8 +80,15 @@ class LiveRun:
         return None if self.ended else self.transport.wait_s(self.frame.t)
 
     def turn(self) -> None:
-        """One frame more."""
-        self._show(self.session.step())
+        """One frame more; with a whole picture not more often than a page shows it, nor than the machine can."""
+        began = time.monotonic()
+        wanted = not self.transport.playing or began >= self._next_picture
+        self.session.take_pictures(wanted)
+        frame = self.session.step()
+        if wanted:
+            now = time.monotonic()
+            self._next_picture = now + max(PICTURE_S, REST * (now - began))
+        self._show(frame)
 
     def change(self, path: str, value: object) -> bool:
         """Change a setting, at once where the law alone changes and can, else with a new start; whether there was one.

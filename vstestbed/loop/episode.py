@@ -42,7 +42,7 @@ class Episode:
 
     def __init__(self, scenario: Scenario, pictures: bool, watchers: tuple[Watcher, ...], rows: Rows | None, plate_m: float = 0.0):
         began = time.perf_counter()
-        self.scenario, self._pictures, self._watchers = scenario, pictures, watchers
+        self.scenario, self._watchers = scenario, watchers
         layout = Layout(scenario)
         self.rows = MemoryRows(layout.columns) if rows is None else rows
         self._log = Log(layout, self.rows)
@@ -109,6 +109,10 @@ class Episode:
             versions=versions() | {"renderer": self._renderer},
             ended_s=self.ended_s,
         )
+
+    def take_pictures(self, on: bool) -> None:
+        """Whether the exposures from now on take whole pictures; only of an episode that was begun with pictures."""
+        self._camera.whole = on
 
     def changed_by_hand(self, what: str) -> None:
         """Remember what a person changed, which no scenario file repeats."""
@@ -209,7 +213,7 @@ class Episode:
     def _image(self, made: Exposed) -> Image | None:
         """The camera's own image of an exposure; a copy that the caller may keep where pictures are asked for."""
         image = made.shot.picture.image if made.shot.picture else None
-        return image.copy() if self._pictures and image is not None else image
+        return image.copy() if self._camera.whole and image is not None else image
 
 
 def _plant(scenario: Scenario, pictures: bool, plate_m: float) -> tuple[Plant, str]:

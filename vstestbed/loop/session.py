@@ -95,6 +95,14 @@ class Session:
             command = self._checked(command)
         return episode.advance(command) or episode.ended()
 
+    def take_pictures(self, on: bool) -> None:
+        """Whether the exposures from now on are whole pictures, where `pictures` was asked for: fewer take less time. No number changes.
+
+        Raises:
+            SessionError: nothing to step.
+        """
+        self._running().take_pictures(on and self._pictures)
+
     def retune(self, law: Law[Any]) -> None:
         """Go on with other parameters of the law, such as its gain, from the next picture on; the run is not started again.
 
