@@ -23,7 +23,13 @@ LIGHTS = (("key", (-2.0, -3.0, 4.0), 1.7), ("fill", (3.0, 2.0, 1.0), 0.6))
 """Lights from afar: where they come from, and how bright they are."""
 REACH = 0.13
 """Length of the camera's frustum over its distance from the target, or from its goal, at the start."""
+REACH_OF_ROOM = 0.05
+"""The same of a camera that stands in the room: it may be nearer to the viewer than the robot, and must not hide it."""
 SHORTEST_M, LONGEST_M = 0.06, 0.6
+NEAR = 0.02
+"""Near plane over the distance of what is looked at: the depth buffer must tell lines on the floor from the floor."""
+LAYER_M = 0.004
+"""Distance of the grid under the floor of the simulation, and of the surface under the grid [m]."""
 GHOST = 0.3
 """Opacity of the robot, or the target in the gripper, at its goal."""
 PLACES = 400
@@ -54,7 +60,7 @@ class SceneView:
         film = first.film
         ends = [film.T_world_target, *([] if first.T_world_goal is None else [first.T_world_goal])]
         far = max(float(np.linalg.norm(T[:3, 3] - film.T_world_camera[:3, 3])) for T in ends)
-        self.reach_m = float(np.clip(REACH * far, SHORTEST_M, LONGEST_M))
+        self.reach_m = float(np.clip((REACH_OF_ROOM if scenario.target.on_gripper else REACH) * far, SHORTEST_M, LONGEST_M))
         self._scene.reset()
         self._light()
         self._floor()
@@ -123,9 +129,9 @@ class SceneView:
         half = FLOOR_M / 2
         corners = np.array([[-half, -half, 0], [half, -half, 0], [half, half, 0], [-half, half, 0]])
         faces = np.array([[0, 1, 2], [0, 2, 3]])
-        self._scene.add_mesh_simple("/floor", corners, faces, color=FLOOR, side="double", position=(0, 0, z - 2e-3))
+        self._scene.add_mesh_simple("/floor", corners, faces, color=FLOOR, side="double", position=(0, 0, z - 2 * LAYER_M))
         grid = {"cell_size": 1.0, "section_size": 5.0, "cell_color": LINES, "section_color": LINES}
-        self._scene.add_grid("/grid", GRID_M, GRID_M, plane="xy", position=(0, 0, z - 1e-3), **grid)
+        self._scene.add_grid("/grid", GRID_M, GRID_M, plane="xy", position=(0, 0, z - LAYER_M), **grid)
 
     def _solids(self) -> dict[int, _Placed]:
         bodies: dict[int, _Placed] = {}
@@ -183,6 +189,8 @@ class SceneView:
         T, middle, fovy = self._replay.outside_view(t, T_world_goal)
         camera = server.initial_camera
         camera.position, camera.look_at, camera.fov = tuple(T[:3, 3].tolist()), tuple(middle.tolist()), fovy
+        camera.up = (0.0, 0.0, 1.0) if self._scenario.robot.model else tuple((-T[:3, 1]).tolist())  # a free camera's room has no upright
+        camera.near = NEAR * float(np.linalg.norm(middle - T[:3, 3]))
 
 
 def _put(handle: viser.SceneNodeHandle, T: Array) -> None:

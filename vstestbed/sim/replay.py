@@ -145,8 +145,8 @@ class Replay:
 
         Returns T_world_camera (4, 4), the point (3,) that it looks at, and its vertical field of view [rad].
         """
-        follow = FollowCamera(self._stage, self._things, OUTSIDE_ASPECT, 1.0, 0.0)
-        follow.place(t, T_world_goal)
+        if T_world_goal is not None or self._parts.robot.base == "fixed":  # else the composed view, which shows the way there is
+            FollowCamera(self._stage, self._things, OUTSIDE_ASPECT, 1.0, 0.0).place(t, T_world_goal)
         data, T = self._stage.data.camera("overview"), np.eye(4)
         T[:3, :3], T[:3, 3] = data.xmat.reshape(3, 3) @ FLIP[:3, :3], data.xpos
         middle = self._things.points(self._stage.data).reshape(-1, 3).mean(axis=0)
