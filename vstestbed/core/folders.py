@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -89,6 +90,11 @@ def must_be_new(out: Path, remedy: str) -> None:
                 with only_writer(out):  # raises if another process is writing
                     pass
             raise OutputError(out, "exists and is not an empty folder", remedy)
+
+
+def folder_name(name: str) -> str:
+    """A scenario's name as the name of a folder: a name may hold anything, but that of a folder no separators, and it must not be `..`."""
+    return re.sub(r"[^\w.-]+", "_", name).strip(".") or "scenario"
 
 
 def numbered(parent: Path) -> Path:

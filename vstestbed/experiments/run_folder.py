@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import re
 import shutil
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -45,9 +44,7 @@ def new_folder(scenario: Scenario, out: Path | None) -> Path:
     Raises:
         OutputError: `out` holds something already, or cannot be made.
     """
-    # a name may hold anything, but a folder name no separators, and it must not be `..`
-    name = re.sub(r"[^\w.-]+", "_", scenario.name).strip(".") or "scenario"
-    return folders.new_folder(Path("runs") / name, out, REMEDY)
+    return folders.new_folder(Path("runs") / folders.folder_name(scenario.name), out, REMEDY)
 
 
 def run_into(

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from vstestbed.camera import Image, Look, Picture
+from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, inverse
 from vstestbed.core.outcome import Outcome
 from vstestbed.features.observation import Goal, Observation, OwnMotion
@@ -114,6 +115,25 @@ class Controller:
         shot = Exposure(self.inputs.taken, t, Picture(t, images), at_exposure)
         self._cycle = replace(self.arrive(shot, Arrival(at, at + self.scenario.timing.command_latency_s, now)), notes=notes)
         return self._cycle
+
+    def retune(self, law: Law[Any]) -> None:
+        """Go on with other parameters of the law from the next picture on; the memories of all parts stay.
+
+        law: of the same kind, feature and source of depth, which the memories and the observer belong to.
+
+        Raises:
+            ParameterError: of another one, or a law that this scenario refuses.
+        """
+        for name in ("kind", "feature", "depth", "inputs"):
+            before, after = getattr(self.law, name), getattr(law, name)
+            if before != after:
+                raise ParameterError(f"law.{name}", "cannot be changed during a run, since the law's memory belongs to it")
+        self.scenario = replace(self.scenario, law=law)
+        failure = self.guarded.failure
+        self.law, self.guarded = law, GuardedLaw(law)
+        self.guarded.failure = failure  # one that has failed is not asked again
+        at_start = self.scenario.robot.start_joints()
+        self._needed = law.markers_needed(self.scenario.robot.motion_basis(self._mount_at(at_start), at_start))
 
     def look(self) -> Look | None:
         """The detector's region of interest for the next picture; None for all of it."""

@@ -5,11 +5,13 @@ from __future__ import annotations
 import time
 from collections.abc import Generator
 from dataclasses import replace
+from typing import Any
 
 from vstestbed.camera import Image
 from vstestbed.core.geometry import Array
 from vstestbed.core.outcome import Outcome, Verdict
 from vstestbed.core.provenance import versions
+from vstestbed.laws import Law
 from vstestbed.laws.solve import load_lapack
 from vstestbed.loop.columns import Layout
 from vstestbed.loop.controller import Controller
@@ -36,20 +38,22 @@ class Episode:
         outcome: how it ended; None while it goes on. reason: in words. ended_s: simulated time of the verdict [s].
         frame: the last frame; its command is not sent before the next `advance`.
         plant, controller: of this run. closed: the simulation is freed.
+        by_hand: what a person changed during the run, in words, each with the time of the first [s] and how often.
     """
 
-    def __init__(self, scenario: Scenario, pictures: bool, watchers: tuple[Watcher, ...], rows: Rows | None):
+    def __init__(self, scenario: Scenario, pictures: bool, watchers: tuple[Watcher, ...], rows: Rows | None, plate_m: float = 0.0):
         began = time.perf_counter()
-        self.scenario, self._pictures, self._watchers = scenario, pictures, watchers
+        self.scenario, self._watchers = scenario, watchers
         layout = Layout(scenario)
         self.rows = MemoryRows(layout.columns) if rows is None else rows
         self._log = Log(layout, self.rows)
         self.outcome: Outcome | None = None
         self.reason, self.ended_s = "", 0.0
+        self.by_hand: dict[str, tuple[float, int]] = {}
         self.frame: Frame | None = None
-        self._waits = self._by_hand = self.closed = False
+        self._waits = self._commanded = self.closed = False
         self._physics_s = self._record_s = self._redrawn_s = 0.0
-        self.plant, self._renderer = _plant(scenario, pictures)
+        self.plant, self._renderer = _plant(scenario, pictures, plate_m)
         self.controller, self._camera = Controller(scenario), CameraClock(scenario, self.plant, pictures)
         supervisor = self.controller.supervisor
         self._witness = Witness(scenario, supervisor)
@@ -98,7 +102,7 @@ class Episode:
         detect_s = spent["detect"] - self._redrawn_s
         took = (self._physics_s, self.plant.render_s, detect_s, spent["law"], self._record_s, 0.0)
         return Recording(
-            self.scenario,
+            self._described(),
             outcome,
             self.reason or outcome.value,
             self.rows,
@@ -109,10 +113,33 @@ class Episode:
             ended_s=self.ended_s,
         )
 
+    def take_pictures(self, on: bool) -> None:
+        """Whether the exposures from now on take whole pictures; only of an episode that was begun with pictures."""
+        self._camera.whole = on
+
+    def changed_by_hand(self, what: str) -> None:
+        """Remember what a person changed, which no scenario file repeats."""
+        t, times = self.by_hand.get(what, (self.frame.t if self.frame else 0.0, 0))
+        self.by_hand[what] = t, times + 1
+
+    def _described(self) -> Scenario:
+        """The scenario; its description tells what was changed by hand."""
+        if not self.by_hand:
+            return self.scenario
+        words = "; ".join(f"{what} from {t:.2f} s on ({times} times)" for what, (t, times) in self.by_hand.items())
+        description = f"{self.scenario.description} Changed by hand during the run: {words}.".strip()
+        return replace(self.scenario, description=description)
+
+    def retune(self, law: Law[Any]) -> None:
+        """Go on with other parameters of the law."""
+        self.controller.retune(law)
+        self.scenario = self.controller.scenario
+        self.changed_by_hand("law")
+
     def _send(self, command: Array | None) -> None:
         """Send the command for the last frame on its way, and put the frame into the log."""
         assert self.frame is not None
-        self._by_hand = command is not None
+        self._commanded = command is not None
         if command is not None:
             wanted, allocation = self.controller.override(self.frame, command)
             self.frame = replace(self.frame, command=wanted, allocation=allocation)
@@ -176,7 +203,7 @@ class Episode:
         before, self.frame = self.frame, self._witness.frame(cycle, shot, made.truth, self._image(made))
         judged = self.frame
         if (
-            self._by_hand and before is not None
+            self._commanded and before is not None
         ):  # this frame's own command is not known yet: judged, and at the end logged, with that in force
             judged = replace(judged, command=before.command, allocation=before.allocation)
         self._waits = True
@@ -189,10 +216,10 @@ class Episode:
     def _image(self, made: Exposed) -> Image | None:
         """The camera's own image of an exposure; a copy that the caller may keep where pictures are asked for."""
         image = made.shot.picture.image if made.shot.picture else None
-        return image.copy() if self._pictures and image is not None else image
+        return image.copy() if self._camera.whole and image is not None else image
 
 
-def _plant(scenario: Scenario, pictures: bool) -> tuple[Plant, str]:
+def _plant(scenario: Scenario, pictures: bool, plate_m: float) -> tuple[Plant, str]:
     """The plant of a scenario, and the name of its renderer."""
     return build_plant(
         scenario.robot,
@@ -208,4 +235,5 @@ def _plant(scenario: Scenario, pictures: bool) -> tuple[Plant, str]:
         motion_rng=scenario.rng(MOTION_STREAM),
         drift=scenario.noise.drift,
         order_s=scenario.timing.order_s(scenario.camera),
+        plate_m=plate_m,
     )

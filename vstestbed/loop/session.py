@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from types import TracebackType
+from typing import Any
 
 import numpy as np
 
 from vstestbed.core.errors import ParameterError, SessionError
 from vstestbed.core.geometry import Array, all_finite
+from vstestbed.laws import Law
 from vstestbed.loop.episode import Episode
 from vstestbed.loop.recording import Recording, Rows, Watcher
 from vstestbed.robots import Mount
@@ -33,14 +35,24 @@ class Session:
         pictures: take whole pictures (`Frame.image`), also where the detector needs none: its numbers do not change.
         watch: receive every frame, with the command that was sent.
         rows: where the rows of the log go, for one episode; into memory by default.
+        plate_m: edge of a square plate in reserve, for `hold_plate` [m]; 0 for none.
 
     Raises:
         ParameterError: `scenario` is not a Scenario.
     """
 
-    def __init__(self, scenario: Scenario, *, pictures: bool = False, watch: Iterable[Watcher] = (), rows: Rows | None = None):
+    def __init__(
+        self,
+        scenario: Scenario,
+        *,
+        pictures: bool = False,
+        watch: Iterable[Watcher] = (),
+        rows: Rows | None = None,
+        plate_m: float = 0.0,
+    ):
         if not isinstance(scenario, Scenario):
             raise ParameterError("scenario", "must be a Scenario: vstestbed.load('arm_ibvs')", scenario)
+        self._plate_m = plate_m
         self._given, self._pictures, self._watchers, self._rows = scenario, pictures, tuple(watch), rows
         self.episode: Episode | None = None
         robot = scenario.robot
@@ -60,7 +72,7 @@ class Session:
         self.close()
         scenario = self._given if seed is None else seeded(self._given, seed)
         rows, self._rows = self._rows, None
-        self.episode = Episode(scenario, self._pictures, self._watchers, rows)
+        self.episode = Episode(scenario, self._pictures, self._watchers, rows, self._plate_m)
         frame = self.episode.advance()
         if frame is None:
             raise SessionError(f"the run ended before a picture arrived: {self.episode.reason}", "change the camera's timing")
@@ -84,6 +96,63 @@ class Session:
         if command is not None:
             command = self._checked(command)
         return episode.advance(command) or episode.ended()
+
+    def take_pictures(self, on: bool) -> None:
+        """Whether the exposures from now on are whole pictures, where `pictures` was asked for: fewer take less time. No number changes.
+
+        Raises:
+            SessionError: nothing to step.
+        """
+        self._running().take_pictures(on and self._pictures)
+
+    def retune(self, law: Law[Any]) -> None:
+        """Go on with other parameters of the law, such as its gain, from the next picture on; the run is not started again.
+
+        Like all that is changed by hand (`push`, `move_target`, `hold_plate`), it is told by the description of the recording's
+        scenario, and no scenario repeats it.
+
+        Args:
+            law: of the same kind, feature and source of depth.
+
+        Raises:
+            ParameterError: of another one, or a law that this scenario refuses. SessionError: nothing to step.
+        """
+        self._running().retune(law)
+
+    def push(self, force: Array, duration_s: float = 0.2) -> None:
+        """Push the robot at its flange with a force (3,) along world axes [N], from now on, for a while.
+
+        Raises:
+            ParameterError: an ideal camera, which has no mass; a force or a duration that is none. SessionError: nothing to step.
+        """
+        episode = self._running()
+        episode.plant.push(force, duration_s)
+        episode.changed_by_hand("robot pushed")
+
+    @property
+    def weight_n(self) -> float:
+        """Weight of the robot [N], to choose a push by; 0 for an ideal camera, and before `reset`."""
+        return self.episode.plant.weight_n if self.episode is not None else 0.0
+
+    def move_target(self, T_world_target: Array) -> None:
+        """Put the target at a pose (4, 4) now; one that moves goes on from there.
+
+        Raises:
+            ParameterError: no pose, or a target that is carried. SessionError: nothing to step.
+        """
+        episode = self._running()
+        episode.plant.move_target(T_world_target)
+        episode.changed_by_hand("target moved")
+
+    def hold_plate(self, T_world_plate: Array | None) -> None:
+        """Hold an opaque plate at a pose (4, 4) of its middle, across its z axis, or take it away (None). It touches nothing.
+
+        Raises:
+            ParameterError: the session has no plate (`plate_m`). SessionError: nothing to step.
+        """
+        episode = self._running()
+        episode.plant.hold_plate(T_world_plate)
+        episode.changed_by_hand("plate held")
 
     def recording(self) -> Recording:
         """The episode so far: outcome, log, metrics; `interrupted` where it has not ended. The same bytes as `run` where the law drove.

@@ -26,17 +26,19 @@ class CameraClock:
 
     Attributes:
         line: pictures in transit.
+        whole: whether the next exposures take whole pictures; may be changed at any time.
 
     Args:
         whole: take whole pictures, whatever the detector's regions of interest are.
     """
 
     def __init__(self, scenario: Scenario, plant: Plant, whole: bool = False):
-        self.plant, self._whole, self._view = plant, whole, scenario.detector.needs_truth
+        self.plant, self.whole, self._view = plant, whole, scenario.detector.needs_truth
         rng = scenario.rng(TIMING_STREAM)
         self.shutter = Shutter(scenario.timing, scenario.camera, plant.step_s, plant.steps_per_frame, rng)
         self.line: DelayLine[Exposed] = DelayLine()
         self.look: Look | None
+        self._takes_whole = whole
         self._plan()
 
     def _plan(self) -> None:
@@ -54,7 +56,8 @@ class CameraClock:
             # With pictures in transit the region of interest is not known yet: the detector has not seen them.
             # It is decided once: all images of an exposure show the same part.
             if self.opening == 0:
-                self.look = look_next() if self.line.next_due() is None and not self._whole else None
+                self._takes_whole = self.whole
+                self.look = look_next() if self.line.next_due() is None and not self.whole else None
             if len(planned.opens) == 1:
                 picture, truth = self.plant.capture(self.look)
                 if picture is not None and planned.arrives > step:
@@ -79,7 +82,7 @@ class CameraClock:
         return Exposed(Exposure(self.planned.frame, step * self.plant.step_s, None, self.plant.reading(), view), truth)
 
     def _send(self, planned: Planned, picture: Picture | None, made: Exposed) -> None:
-        if self._whole and picture is not None:
+        if self._takes_whole and picture is not None:
             picture = self.plant.with_own(picture)
         self.line.push(planned.arrives, made if picture is None else replace(made, shot=replace(made.shot, picture=picture)))
         self._plan()

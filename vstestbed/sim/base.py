@@ -116,6 +116,23 @@ class Plant(Protocol):
         """Advance by physics steps; False when the simulation became unstable."""
         ...
 
+    @property
+    def weight_n(self) -> float:
+        """Weight of the robot [N]; 0 for an ideal camera."""
+        ...
+
+    def push(self, force: Array, duration_s: float) -> None:
+        """Push the robot with a force (3,) along world axes [N] for a while. ParameterError where it has no mass."""
+        ...
+
+    def move_target(self, T_world_target: Array) -> None:
+        """Put the target at a pose (4, 4); one that moves goes on from there. ParameterError where it is carried."""
+        ...
+
+    def hold_plate(self, T_world_plate: Array | None) -> None:
+        """Put the plate in reserve at a pose (4, 4), or away. ParameterError where the scene has none."""
+        ...
+
     def close(self) -> None:
         """Free pictures and physics."""
         ...

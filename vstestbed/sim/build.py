@@ -31,6 +31,7 @@ def build_plant(
     motion_rng: np.random.Generator | None = None,
     drift: Drift = NO_DRIFT,
     order_s: float = math.inf,
+    plate_m: float = 0.0,
 ) -> tuple[Plant, str]:
     """The plant, and the name of its renderer ("none" without pictures).
 
@@ -41,6 +42,7 @@ def build_plant(
         image_sigma, rng: noise of the pictures [grey levels] and its generator.
         sensor_rng: generator of the robot's sensor noise. motion_rng: generator of a target's random walk.
         drift: of the camera's gains. order_s: how long a command lasts before the robot stops [s].
+        plate_m: edge of a plate in reserve, for `Plant.hold_plate`; 0 for none [m].
 
     Raises:
         EnvironmentLackError: a picture is needed that only OpenGL can draw, and it does not work here.
@@ -49,10 +51,10 @@ def build_plant(
     from vstestbed.sim.scene.compose import Parts
 
     step, steps_per_frame = clock.resolve(camera, robot.largest_step_s)
-    parts = Parts(robot, camera, target, world, step)
+    parts = Parts(robot, camera, target, world, step, plate_m=plate_m)
     ideal = robot.model is None
     path = target.path(motion_rng or np.random.default_rng(0)) if target.motion.by_itself else None
-    if ideal and not needs_image and not world.plates:
+    if ideal and not needs_image and not world.plates and not plate_m:
         from vstestbed.sim.ideal import IdealPlant
 
         return IdealPlant(parts, steps_per_frame, path=path, order_s=order_s), "none"

@@ -7,10 +7,12 @@ import math
 import numpy as np
 
 from vstestbed.camera import Look, Picture
+from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, adjoint, exp, inverse
 from vstestbed.robots.orders import Orders
 from vstestbed.robots.reading import Reading
 from vstestbed.sim.base import Truth
+from vstestbed.sim.hands import hold_plate, moved_path
 from vstestbed.sim.render.image_sensor import ImageSensor
 from vstestbed.sim.scene.compose import Parts
 from vstestbed.sim.scene.stage import Stage
@@ -39,7 +41,7 @@ class IdealPlant:
         path: Path | None = None,
         order_s: float = math.inf,
     ):
-        self._path = path
+        self._path, self._parts = path, parts
         self.step_s, self.steps_per_frame = parts.step, steps_per_frame
         self._T = parts.start[1]
         self._to_camera = adjoint(inverse(parts.camera.mount.T))
@@ -126,6 +128,23 @@ class IdealPlant:
             self._steps += ahead
             self._actuate()
         return True
+
+    @property
+    def weight_n(self) -> float:
+        """An ideal camera has no mass."""
+        return 0.0
+
+    def push(self, force: Array, duration_s: float) -> None:
+        """Refused: an ideal camera has no mass."""
+        raise ParameterError("push", "needs a robot with a mass; this camera follows its twist exactly")
+
+    def move_target(self, T_world_target: Array) -> None:
+        """Put the target at a pose (4, 4); one that moves goes on from there."""
+        self._path = moved_path(self._path, self._parts, self._t, T_world_target)
+
+    def hold_plate(self, T_world_plate: Array | None) -> None:
+        """Put the plate in reserve at a pose (4, 4), or away."""
+        hold_plate(self._stage, T_world_plate)
 
     def close(self) -> None:
         """Free the pictures."""

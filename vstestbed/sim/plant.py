@@ -15,6 +15,7 @@ from vstestbed.robots.orders import Orders
 from vstestbed.robots.reading import Reading
 from vstestbed.sim.base import Truth
 from vstestbed.sim.contacts import RobotContacts
+from vstestbed.sim.hands import Push, hold_plate, moved_path
 from vstestbed.sim.render.image_sensor import ImageSensor
 from vstestbed.sim.scene.lead_vehicle import LeadVehicle
 from vstestbed.sim.scene.stage import Stage
@@ -64,7 +65,7 @@ class MujocoPlant:
         self._wind_field = None if world.wind.still else wind
         self._sensors, self._ctrl = SensorReader(stage, rng), stage.data.ctrl
         self._leader = LeadVehicle(stage) if stage.leader else None
-        self._velocity = np.zeros(6)
+        self._velocity, self._push = np.zeros(6), Push(stage)
         self._memory: Any = robot.begin()
         self._orders = Orders(robot.stopping, robot.hold_setpoint(), order_s / self.step_s, self.step_s)
         self._control_steps = _whole_steps(robot.control_period_s, self.step_s)
@@ -195,6 +196,8 @@ class MujocoPlant:
         end = self._steps + steps
         while self._steps < end:
             ahead = end - self._steps
+            if self._push.acts:
+                ahead = self._push.ahead(self._steps, ahead)
             for every, act, dt in self._loops:
                 late = self._steps % every
                 if not late:
@@ -218,6 +221,27 @@ class MujocoPlant:
         if setpoint is not None:
             reading = self._sensors.read(step)
             self._memory, self._ctrl[stage.at.ctrl] = self._robot.actuate(self._memory, setpoint, reading, dt)
+
+    @property
+    def weight_n(self) -> float:
+        """Weight of all bodies of the robot [N]."""
+        model = self._stage.model
+        root = model.body_rootid[self._stage.flange_body()]
+        return float(model.body_subtreemass[root] * np.linalg.norm(model.opt.gravity))
+
+    def push(self, force: Array, duration_s: float) -> None:
+        """Push the body that carries the camera (eye to hand, the gripper) with a force (3,) along world axes [N]."""
+        self._push.begin(force, self._steps, duration_s, self.step_s)
+
+    def move_target(self, T_world_target: Array) -> None:
+        """Put the target at a pose (4, 4); one that moves goes on from there."""
+        self._path = moved_path(self._path, self._stage.parts, self._steps * self.step_s, T_world_target)
+        self._scenery = True
+
+    def hold_plate(self, T_world_plate: Array | None) -> None:
+        """Put the plate in reserve at a pose (4, 4), or away."""
+        hold_plate(self._stage, T_world_plate)
+        self._scenery = True
 
     def close(self) -> None:
         """Free pictures and physics."""

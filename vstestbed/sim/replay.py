@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +16,7 @@ from vstestbed.sim.render.pictures import outside_view, servo_renderer
 from vstestbed.sim.render.still import StillView, half_tangents, pixels_per_radian
 from vstestbed.sim.scene.compose import Parts
 from vstestbed.sim.scene.follow import FollowCamera, Things
+from vstestbed.sim.scene.meshes import Solid, solids
 from vstestbed.sim.scene.overview import LEAST_REACH
 from vstestbed.sim.scene.stage import Stage
 from vstestbed.sim.scene.world import World
@@ -30,6 +33,8 @@ which for a base with 36 rollers was a third of an image's time."""
 FREE, FOOT, FOOT_PX = 0.74, 0.065, 19
 """Shares of the outside view: of its width, from the left, without an inset; of its height, at the bottom, with a caption, and at least
 so many pixels."""
+OUTSIDE_ASPECT = 0.95
+"""Width over height of the view that `outside_view` fits."""
 FLOOR = (64, 84, 108), (56, 75, 98)
 """The two colours of the floor in films: light arms, dark cars and lines of any hue stand out from a slate blue."""
 SKY = 0.62, 0.69, 0.78
@@ -119,6 +124,34 @@ class Replay:
             self._follow = self._follow or FollowCamera(self._stage, self._things, width / height, FREE, max(FOOT, FOOT_PX / height))
             self._follow.place(t, T_world_goal)
         return self._views[camera][0].full_image()
+
+    @property
+    def solids(self) -> list[Solid]:
+        """The visible geoms as triangles, fixed to bodies; `body_poses` places them."""
+        return solids(self._stage.model)
+
+    @property
+    def body_names(self) -> list[str]:
+        """Names of all bodies, by number."""
+        return [self._stage.model.body(i).name for i in range(self._stage.model.nbody)]
+
+    def body_poses(self, t: float, T_world_target: Array, q: Array, T_world_camera: Array) -> tuple[Array, Array]:
+        """Positions (B, 3) [m] and quaternions (B, 4), wxyz, of all bodies in a state; valid until the next call."""
+        self._stage.place(t, T_world_target, q, T_world_camera)
+        return self._stage.data.xpos, self._stage.data.xquat
+
+    def outside_view(self, t: float, T_world_goal: Array | None) -> tuple[Array, Array, float]:
+        """A view from outside of the last placed state that shows robot, target and goal.
+
+        Returns T_world_camera (4, 4), the point (3,) that it looks at, and its vertical field of view [rad].
+        """
+        if T_world_goal is not None or self._parts.robot.base == "fixed":  # else the composed view, which shows the way there is
+            FollowCamera(self._stage, self._things, OUTSIDE_ASPECT, 1.0, 0.0).place(t, T_world_goal)
+        data, T = self._stage.data.camera("overview"), np.eye(4)
+        T[:3, :3], T[:3, 3] = data.xmat.reshape(3, 3) @ FLIP[:3, :3], data.xpos
+        middle = self._things.points(self._stage.data).reshape(-1, 3).mean(axis=0)
+        fovy = math.radians(float(self._stage.model.camera("overview").fovy[0]))
+        return T, T[:3, 3] + T[:3, 2] * float((middle - T[:3, 3]) @ T[:3, 2]), fovy
 
     def seen(self, t: float) -> Image | None:
         """The last picture of the servo camera, if it is that of a time [s]; not to be drawn into."""

@@ -91,9 +91,9 @@ class Pictures:
     def picture(self, frame: FilmFrame) -> Image:
         """The picture of one frame (H, W, 3)."""
         values = dict(zip(self._scenario.own_columns, frame.own.tolist(), strict=True)) | {"error_px": frame.error_px}
-        error = _in_words(self._scenario, values)
+        error = error_in_words(self._scenario, values)
         if self._camera == "eye":
-            image = np.array(_scaled(self._seen(frame), self._size))  # a copy: the detector and other films use it
+            image = np.array(scaled(self._seen(frame), self._size))  # a copy: the detector and other films use it
             uv, goal_uv = ((uv + 0.5) * self._scale - 0.5 for uv in (frame.uv, frame.goal_uv))
             self._overlay.draw(image, uv, goal_uv, t=frame.t, error=error, lost=frame.lost)
             return image
@@ -177,7 +177,7 @@ class Film:
         self._writer.abort()
 
 
-def _scaled(image: Image, size: tuple[int, int]) -> Image:
+def scaled(image: Image, size: tuple[int, int]) -> Image:
     """The image at a size (width, height); itself if it has that size."""
     if image.shape[1::-1] == size:
         return image
@@ -186,7 +186,7 @@ def _scaled(image: Image, size: tuple[int, int]) -> Image:
     return np.asarray(cv2.resize(image, size, interpolation=way), np.uint8)
 
 
-def _in_words(scenario: Scenario, values: dict[str, float]) -> str:
+def error_in_words(scenario: Scenario, values: dict[str, float]) -> str:
     """The error of one frame by which the task is judged, in its own unit."""
     judged = in_a_frame(scenario.goal, scenario.stop, values)
     value, unit = in_words_unit(judged.value, judged.unit)

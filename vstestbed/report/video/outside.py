@@ -57,7 +57,7 @@ class Outside:
         self._held = 1.2 * scenario.target.points if scenario.target.on_gripper else None
         self._line = max(1, round(size[1] / 360))
         self._trail, self._spacing = np.zeros((0, 3)), 0.0
-        self._corners = np.vstack([_frustum(scenario.camera), np.zeros(3)])
+        self._corners = np.vstack([frustum_corners(scenario.camera), np.zeros(3)])
         self._scale = inset_share(scenario.camera, size)
         inset = round(scenario.camera.width * self._scale), round(scenario.camera.height * self._scale)
         self._inset_t, self._inset = -np.inf, np.full((inset[1] + EDGE, inset[0] + EDGE, 3), PAPER, np.uint8)
@@ -184,7 +184,7 @@ def inset_share(camera: Camera, size: tuple[int, int]) -> float:
     return min((1 - FREE) * size[0] / camera.width, 0.5 * size[1] / camera.height)
 
 
-def _frustum(camera: Camera) -> Array:
+def frustum_corners(camera: Camera) -> Array:
     """Corners (4, 3) of the picture on the plane at distance 1, at most .6 to each side; of a lens that sees beyond it, a pyramid."""
     w, h = camera.width - 0.5, camera.height - 0.5
     rays = camera.ray(np.array([[-0.5, -0.5], [w, -0.5], [w, h], [-0.5, h]]))

@@ -31,6 +31,8 @@ from vstestbed.targets import Pad, Target
 from vstestbed.targets.markers import HALF_THICKNESS_M, Marker
 from vstestbed.vision.detect.tag_print import printed
 
+HAND_PLATE = "hand_plate"
+"""Name of the plate in reserve."""
 FACE_VIEWER = (0, 1, 0, 0)
 """A half turn about x (wxyz): the face that MuJoCo draws a texture on upright, +z with y up, looks at the viewer, y down."""
 HOUSING_M = 0.03
@@ -53,7 +55,11 @@ PITCH_M = 1e-5
 
 @dataclass(frozen=True)
 class Parts:
-    """The parts of a scene. `sights` are points that the outside view must show, besides the robot's start and the target [m]."""
+    """The parts of a scene.
+
+    `sights` are points that the outside view must show, besides the robot's start and the target [m]. `plate_m` is the edge of a plate
+    in reserve, out of sight until a person holds it somewhere; 0 for none [m].
+    """
 
     robot: Robot
     camera: Camera
@@ -61,6 +67,7 @@ class Parts:
     world: World
     step: float
     sights: tuple[tuple[float, float, float], ...] = ()
+    plate_m: float = 0.0
 
     @property
     def leader(self) -> Robot | None:
@@ -104,6 +111,9 @@ def compose(parts: Parts) -> mujoco.MjSpec:
         holder = scene.worldbody.add_body(name=f"plate_{i}", mocap=True, pos=AWAY, quat=quaternion_wxyz(plate.pose.T[:3, :3]))
         size = [plate.width / 2, plate.height / 2, 0.002]
         _visual(holder, f"plate_{i}", mujoco.mjtGeom.mjGEOM_BOX, size, [0.45, 0.45, 0.47, 1], 0)
+    if parts.plate_m:
+        holder = scene.worldbody.add_body(name=HAND_PLATE, mocap=True, pos=AWAY)
+        _visual(holder, HAND_PLATE, mujoco.mjtGeom.mjGEOM_BOX, [parts.plate_m / 2, parts.plate_m / 2, 0.002], [0.45, 0.45, 0.47, 1], 0)
     for i, decoy in enumerate(parts.world.decoys):
         holder = scene.worldbody.add_body(name=f"decoy_{i}", mocap=True, pos=decoy.xyz)
         _visual(holder, f"decoy_{i}", mujoco.mjtGeom.mjGEOM_SPHERE, [decoy.radius, 0, 0], [*decoy.color, 1], 0)

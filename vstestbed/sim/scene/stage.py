@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from vstestbed.core.geometry import Array, inverse, quaternion_wxyz
 from vstestbed.sim.gl_context import Physics
-from vstestbed.sim.scene.compose import Parts, compose
+from vstestbed.sim.scene.compose import HAND_PLATE, Parts, compose
 from vstestbed.sim.scene.groups import LENS_GROUP, RANGE_GROUP
 from vstestbed.sim.scene.indices import StateIndices
 from vstestbed.sim.scene.roots import Root
@@ -26,6 +26,7 @@ class Stage:
     Attributes:
         at: where the robot's joints and actuators are in `data`. eye: number of the servo camera's site, in computer-vision axes.
         root, leader: the free bases of the robot and of the vehicle that carries the target; None where there is none.
+        hand_plate: number of the mocap body of the plate in reserve; None without one.
         held_site: number of the target's site in the gripper (eye to hand), else -1.
     """
 
@@ -45,6 +46,7 @@ class Stage:
         self._plate_paths = [*map(plate_path, world.plates), *map(decoy_path, world.decoys)]
         names = [f"plate_{i}" for i in range(len(world.plates))] + [f"decoy_{i}" for i in range(len(world.decoys))]
         self._plates = [self.model.body(name).mocapid[0] for name in names]
+        self.hand_plate = self.model.body(HAND_PLATE).mocapid[0] if parts.plate_m else None
         self._free = self.model.body("robot/camera").mocapid[0] if parts.robot.model is None else None
         self.eye = self.model.site("eye").id
         self._rest = parts.robot.rest_ctrl()
@@ -142,6 +144,12 @@ class Stage:
         rays = np.where(np.isfinite(reach), (p_world / reach[:, None]).T, [[0.0], [0.0], [1.0]]).T
         hits = [mujoco.mj_ray(self.model, self.data, origin, np.ascontiguousarray(d), groups, 1, -1, geom) for d in rays]
         return np.array([0 <= hit < r - slack for hit, r in zip(hits, reach, strict=True)])
+
+    def flange_body(self) -> int:
+        """Number of the robot's body that carries the camera or, eye to hand, the target."""
+        name = f"robot/{self.parts.robot.flange}"
+        site = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_SITE, name)
+        return int(self.model.site_bodyid[site]) if site >= 0 else self.model.body(name).id
 
     def start_qpos(self) -> Array:
         """MuJoCo's whole state of positions (nq,) at the nominal start."""

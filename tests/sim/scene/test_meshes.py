@@ -1,0 +1,67 @@
+"""The geoms of a scene as triangles: closed where the geom is, as large as it, facing outwards."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+import vstestbed as vs
+from vstestbed.sim.replay import Replay
+from vstestbed.sim.scene.meshes import solids
+
+SIZES = {"sphere": (".3", 4 / 3 * np.pi * 0.3**3), "box": (".1 .2 .3", 8 * 0.1 * 0.2 * 0.3), "cylinder": (".2 .4", np.pi * 0.04 * 0.8)}
+SIZES |= {"capsule": (".2 .4", np.pi * 0.04 * 0.8 + 4 / 3 * np.pi * 0.008), "ellipsoid": (".1 .2 .3", 4 / 3 * np.pi * 0.006)}
+
+
+@pytest.mark.parametrize("kind", SIZES)
+def test_a_geom_keeps_its_volume_and_faces_outwards(kind: str):
+    size, volume = SIZES[kind]
+    geom = f'<geom type="{kind}" size="{size}" rgba="1 0 0 1" pos="1 2 3" euler="20 30 40"/>'
+    xml = f"<mujoco><worldbody><body>{geom}</body></worldbody></mujoco>"
+    (solid,) = solids(mujoco.MjModel.from_xml_string(xml))
+    a, b, c = (solid.vertices[solid.faces[:, i]] for i in range(3))
+    signed = np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6  # of the divergence theorem: positive where normals face outwards
+    assert signed == pytest.approx(volume, rel=0.04) and solid.rgb == (1.0, 0.0, 0.0) and solid.body == 1
+    np.testing.assert_allclose(solid.vertices.mean(axis=0), [1, 2, 3], atol=0.03)
+
+
+@pytest.mark.parametrize("name", ["arm_ibvs", "car_parking", "quadrotor_hover", "omni_ibvs", "arm_tags", "arm_eye_to_hand", "car_line"])
+def test_every_robot_and_target_is_there(name: str):
+    s = vs.load(name)
+    replay = Replay(s.robot, s.camera, s.target, s.world)
+    names = replay.body_names
+    shown = {names[solid.body].partition("/")[0] for solid in replay.solids}
+    assert {"robot", "target"} <= shown
+    for solid in replay.solids:
+        assert np.isfinite(solid.vertices).all() and solid.faces.max() < len(solid.vertices)
+    replay.close()
+
+
+def test_markers_have_their_colours_and_tags_their_print():
+    s = vs.load("arm_ibvs")
+    replay = Replay(s.robot, s.camera, s.target, s.world)
+    colours = {solid.rgb for solid in replay.solids if replay.body_names[solid.body] == "target/frame"}
+    for colour in s.target.colors:
+        assert min(np.abs(np.array(c) - colour).max() for c in colours) < 0.01
+    replay.close()
+    s = vs.load("arm_tags")
+    replay = Replay(s.robot, s.camera, s.target, s.world)
+    dark = [solid for solid in replay.solids if replay.body_names[solid.body] == "target/frame" and max(solid.rgb) < 0.1]
+    modules = sum(len(solid.faces) for solid in dark) / 2 / len(s.target.points)
+    assert 20 < modules < s.target.marker.modules**2  # about as many dark modules a tag as light ones, and its border
+    replay.close()
+
+
+def test_poses_are_those_of_the_state():
+    s = vs.load("arm_ibvs")
+    replay = Replay(s.robot, s.camera, s.target, s.world)
+    q = s.robot.start_joints()
+    xpos, xquat = replay.body_poses(0.0, s.target.T_world_start, q, np.eye(4))
+    np.testing.assert_allclose(xpos[replay.body_names.index("target/frame")], s.target.T_world_start[:3, 3], atol=1e-9)
+    before = xpos.copy()
+    xpos, xquat = replay.body_poses(0.0, s.target.T_world_start, q + 0.1, np.eye(4))
+    assert np.abs(xpos - before).max() > 0.01 and np.allclose(np.linalg.norm(xquat, axis=1), 1)
+    T, middle, fovy = replay.outside_view(0.0, s.T_world_goal)
+    assert 0.2 < fovy < 1.5 and (T[:3, :3].T @ (middle - T[:3, 3]))[2] > 0.5
+    replay.close()

@@ -1,0 +1,184 @@
+"""The live view of a run: one thread turns the session and sends what is due; pages only put orders into its inbox."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+
+from vstestbed.core.errors import ScenarioError, VstestbedError
+from vstestbed.core.geometry import Array
+from vstestbed.live.inbox import Inbox
+from vstestbed.live.page import WORDS_S, Gizmo, View
+from vstestbed.live.panel import RunPanel
+from vstestbed.live.run import LiveRun
+from vstestbed.live.server import LocalServer
+from vstestbed.live.settings import Settings
+
+IDLE_S = 0.2
+"""How long a view that rests waits for orders before it looks whether it has to end [s]."""
+
+
+class LiveApp:
+    """A run in the browser.
+
+    Args:
+        settings: the scenario, and what is changed of it. port: to listen at; None for a free one.
+
+    Attributes:
+        run: what is shown. address: of the page.
+
+    Raises:
+        ParameterError: the port is taken.
+    """
+
+    def __init__(self, settings: Settings, port: int | None = None):
+        self.run = LiveRun(settings)
+        self._inbox, self._stop = Inbox(), threading.Event()
+        self._gizmos: dict[str, Gizmo] = {}
+        scenario = self.run.scenario
+        try:
+            self._server = LocalServer(port, scenario.name)
+        except BaseException:
+            self.run.close()
+            raise
+        self.address = self._server.address
+        self._view = View(self._server, scenario, self.run.last)
+        self._panel = RunPanel(
+            self._server.gui, self._inbox, self.run, set_=self._set, gizmo=self._gizmo, reset=self.reset, save=self._save
+        )
+        self._server.gui.main_panel.dock_right()
+        self._view.add(self.run.last)
+        self._show(now=True)
+
+    def serve(self) -> None:
+        """Turn the run and obey its pages, until `stop` or an interrupt."""
+        try:
+            while not self._stop.is_set():
+                self._once()
+        finally:
+            self.close()
+
+    @property
+    def clients(self) -> tuple[int, ...]:
+        """Numbers of the pages that are connected."""
+        return tuple(self._server.get_clients())
+
+    @property
+    def said(self) -> str:
+        """The sentence that pages show."""
+        return self._panel.status.message
+
+    def ask(self, order: Callable[[], object]) -> None:
+        """Let the thread that serves do something, as a page does; from any thread."""
+        self._inbox.put(order)
+
+    def stop(self) -> None:
+        """Let `serve` return; from any thread."""
+        self._stop.set()
+        self._inbox.put(lambda: None)
+
+    def close(self) -> None:
+        """Free page and simulation."""
+        self._server.stop()
+        self._view.close()
+        self.run.close()
+
+    def _once(self) -> None:
+        """Obey what was asked for, and make the next frame if it is due."""
+        wait = self.run.wait_s()
+        orders = self._inbox.take(IDLE_S if wait is None else min(wait, IDLE_S))
+        for order in orders:
+            self._tried(order)
+        if orders:
+            self._show(now=self.run.wait_s() is None)
+        if self.run.wait_s() == 0.0:
+            self._tried(self._turn)
+            self._show(now=self.run.wait_s() is None)
+
+    def _turn(self) -> None:
+        try:
+            self.run.turn()
+        except BaseException:
+            self.run.transport.play(False)  # else the same failure would come again at once
+            raise
+        self._view.add(self.run.last)
+
+    def _tried(self, action: Callable[[], object]) -> None:
+        """Do something; what goes wrong is told on the page, and ends nothing."""
+        try:
+            action()
+        except VstestbedError as error:
+            self._panel.status.say(_sentence(error), refused=True)
+            self._panel.hand.show(set(self._gizmos))
+            self._panel.controls.show(self.run.scenario)
+        except Exception as error:  # a plugin, or a bug: the page must stay, so that the rest can still be looked at
+            logging.getLogger(__name__).warning("the live view went on after an error", exc_info=error)
+            self._panel.status.say(f"{type(error).__name__}: {error}", refused=True)
+
+    def _show(self, now: bool) -> None:
+        if now or self._view.due("words", WORDS_S):
+            self._panel.status.show(self.run.last, self.run.transport, self.run.by_hand)
+        self._view.draw(self.run.last, now)
+
+    def _set(self, path: str, value: object) -> None:
+        restarted = self.run.change(path, value)
+        self._panel.controls.show(self.run.scenario)
+        if restarted:
+            self._restarted()
+        self._panel.status.say(f"{path} = {value}: " + ("a new start" if restarted else "in force from the next frame on"))
+
+    def reset(self) -> None:
+        """Begin the run again; by the thread that serves."""
+        self.run.restart()
+        self._restarted()
+        self._panel.status.say("")
+
+    def _restarted(self) -> None:
+        for what in list(self._gizmos):
+            self._let_go(what)
+        self._panel.hand.show(set())
+        self._view.restart(self.run.scenario, self.run.last)
+        self._view.add(self.run.last)
+        self._show(now=True)
+
+    def _save(self) -> None:
+        note = f"Its run was changed by hand, which this file does not repeat: {', '.join(self.run.by_hand)}." if self.run.by_hand else ""
+        path = self.run.settings.save(note)
+        self._panel.status.say(f"saved: vstestbed run {path}. {note}")
+
+    def _gizmo(self, what: str, on: bool) -> None:
+        """Show or take away what the target, or the plate, is dragged by."""
+        self._let_go(what)
+        if what == "plate":
+            self._hold_plate(self.run.before_marker(self._panel.hand.marker) if on else None)
+            if on:
+                self._grip(what, self.run.before_marker(self._panel.hand.marker), self._hold_plate)
+        elif on:
+            self.run.check_target_free()
+            self._grip(what, self.run.last.film.T_world_target, self.run.move_target)
+
+    def _grip(self, what: str, T: Array, dragged: Callable[[Array], None]) -> None:
+        def asked(T_now: Array) -> None:
+            self._inbox.put(lambda: dragged(T_now), f"drag.{what}")
+
+        self._gizmos[what] = Gizmo(self._server, f"/gizmo_{what}", T, self._view.scene.reach_m, asked)
+
+    def _let_go(self, what: str) -> None:
+        if (gizmo := self._gizmos.pop(what, None)) is not None:
+            gizmo.remove()
+        if what == "plate":
+            self._view.scene.put_plate(None, self.run.plate_m)
+
+    def _hold_plate(self, T: Array | None) -> None:
+        if T is None and "plate held" not in self.run.by_hand:
+            return  # never held in this run: nothing to take away
+        self.run.hold_plate(T)
+        self._view.scene.put_plate(T, self.run.plate_m)
+
+
+def _sentence(error: VstestbedError) -> str:
+    """What is refused, and why; of a setting without the word `--set`, which the page has not."""
+    if isinstance(error, ScenarioError):
+        return "; ".join(f"{m.field}: {m.sentence}" if m.field else m.sentence for m in error.mistakes)
+    return str(error)

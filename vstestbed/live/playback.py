@@ -1,0 +1,147 @@
+"""A recorded run in the browser, with a slider for its time; the same scene, picture and curves as of one that goes on."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import viser
+
+from vstestbed.core.errors import RunFolderError
+from vstestbed.live.app import IDLE_S
+from vstestbed.live.inbox import Inbox
+from vstestbed.live.page import View
+from vstestbed.live.panel import StatusLine, TransportPanel
+from vstestbed.live.run import sample
+from vstestbed.live.server import LocalServer
+from vstestbed.live.transport import Sample, Transport
+from vstestbed.loop.columns import TWIST
+from vstestbed.loop.log_file import open_log
+from vstestbed.report.video.film import FilmFrame, ending_of
+from vstestbed.scenario.load import load
+
+SLIDER = "slider"
+"""Key of the orders of the time slider."""
+
+
+class Recorded:
+    """The samples of a recorded run.
+
+    Args:
+        folder: the run's. plugins: as `--plugin`.
+
+    Raises:
+        RunFolderError: no run, a damaged one, or one without frames.
+    """
+
+    def __init__(self, folder: Path, plugins: Sequence[str] = ()):
+        self.scenario = load(folder / "scenario.yaml", plugins=plugins)
+        log = open_log(folder, self.scenario)
+        if not len(log):
+            raise RunFolderError(folder, "has a log without frames")
+        self._columns, self._table = log.columns, log.table()
+        self._ending = ending_of(folder)
+        self.t = self._table[:, self._columns.index("t")]
+
+    def __len__(self) -> int:
+        """Number of frames."""
+        return len(self._table)
+
+    def sample(self, i: int) -> Sample:
+        """Frame i."""
+        row = dict(zip(self._columns, self._table[i].tolist(), strict=True))
+        film = FilmFrame.of_row(row, self.scenario)
+        values = {name: row[name] for name in self.scenario.own_columns} | {"error_px": row["error_px"]}
+        twist = np.array([row[f"applied_{name}"] for name in TWIST])
+        view = int(row.get("view", 0))
+        return sample(self.scenario, film, values, int(row["frame"]), twist, view, self._ending if i == len(self) - 1 else None)
+
+    def at(self, t: float) -> int:
+        """Number of the last frame that is not after a time [s]; the first one before all."""
+        return max(0, int(np.searchsorted(self.t, t + 1e-9, side="right")) - 1)
+
+
+class PlaybackApp:
+    """A recorded run in the browser.
+
+    Args:
+        folder: the run's. port: to listen at; None for a free one. plugins: as `--plugin`.
+
+    Attributes:
+        recorded: the run. i: number of the frame that is shown. transport: play, pause, step, speed. address: of the page.
+
+    Raises:
+        RunFolderError: no run, a damaged one, or one without frames. ParameterError: the port is taken.
+    """
+
+    def __init__(self, folder: Path, port: int | None = None, plugins: Sequence[str] = ()):
+        self.recorded, self.i = Recorded(folder, plugins), 0
+        self.transport, self._inbox, self._stop = Transport(), Inbox(), threading.Event()
+        self._sample = self.recorded.sample(0)
+        self._server = LocalServer(port, f"{self.recorded.scenario.name}: recorded")
+        self.address = self._server.address
+        self._view = View(self._server, self.recorded.scenario, self._sample, recorded=True)
+        gui = self._server.gui
+        self._status = StatusLine(gui)
+        TransportPanel(gui, self._inbox, self.transport, lambda: self.go_to(0))
+        last = float(self.recorded.t[-1])
+        self._slider = gui.add_slider("t [s]", 0.0, max(last, 1e-3), max(1e-3, last / 1000), 0.0)
+        self._slider.on_update(self._asked)
+        gui.main_panel.dock_right()
+        self.go_to(0)
+
+    def serve(self) -> None:
+        """Play the run and obey its pages, until `stop` or an interrupt."""
+        try:
+            while not self._stop.is_set():
+                self._once()
+        finally:
+            self._server.stop()
+            self._view.close()
+
+    def ask(self, order: Callable[[], object]) -> None:
+        """Let the thread that serves do something, as a page does; from any thread."""
+        self._inbox.put(order)
+
+    def stop(self) -> None:
+        """Let `serve` return; from any thread."""
+        self._stop.set()
+        self._inbox.put(lambda: None)
+
+    def _once(self) -> None:
+        wait = self._wait_s()
+        orders = self._inbox.take(IDLE_S if wait is None else min(wait, IDLE_S))
+        for order in orders:
+            order()
+        if self._wait_s() == 0.0:
+            self._show(self.i + 1)
+            self.transport.passed(self._sample.film.t)
+        self._status.show(self._sample, self.transport)
+
+    def _wait_s(self) -> float | None:
+        return None if self.i + 1 >= len(self.recorded) else self.transport.wait_s(self._sample.film.t)
+
+    async def _asked(self, event: viser.GuiEvent[Any]) -> None:
+        if event.client is not None:
+            t = float(event.target.value)
+            self._inbox.put(lambda: self.go_to(self.recorded.at(t)), SLIDER)
+
+    def go_to(self, i: int) -> None:
+        """Show another frame (by the thread that serves), with the curves and the trail up to it."""
+        self._view.forget()
+        every = max(1, i // 300)
+        for earlier in range(0, i, every):
+            self._view.add(self.recorded.sample(earlier))
+        self.transport.restart_pace()
+        self._show(i, now=True)
+
+    def _show(self, i: int, now: bool = False) -> None:
+        self.i, self._sample = i, self.recorded.sample(i)
+        self._view.add(self._sample)
+        self._view.draw(self._sample, now or i + 1 == len(self.recorded))
+        if not self._inbox.waits(SLIDER) and math.isfinite(self._sample.film.t):
+            self._slider.value = self._sample.film.t
