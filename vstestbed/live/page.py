@@ -23,7 +23,7 @@ VIEW_WIDTH, PANEL_WIDTH = 340, 330
 """Widths of the panels beside the scene [px]."""
 
 
-class View:
+class LiveView:
     """What pages show of a run besides its panel: scene, picture and plots.
 
     Args:
