@@ -60,7 +60,7 @@ class TestSettings:
         monkeypatch.chdir(tmp_path)
         settings = Settings("arm_ibvs", seed=3)
         settings.change("law.gain", 0.9)
-        first, second = settings.save(), settings.save("Pushed.")
+        first, second = settings.keep(), settings.keep("Pushed.")
         assert vs.load(first) == settings.scenario and first.parent.name == "001" and second.parent.name == "002"
         assert vs.load(second).description.endswith("Pushed.")
 

@@ -13,6 +13,8 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import threading
+import time
 from fractions import Fraction
 from pathlib import Path
 
@@ -51,6 +53,9 @@ STUDIES: dict[str, tuple[str, str]] = {
 }
 """The command, and the file in its folder; of a film the picture at SHOWN_S."""
 SHOWN_S = Fraction(18, 5)
+LIVE, LATE_S, QUIET, SWINGS, TURNED_S, SHOT_S = "live", 0.4, 0.4, 3.6, 4.0, 8.5
+"""The page of `vstestbed live`, which needs a Chromium: pictures that come so late [s], the gain before and after TURNED_S [1/s, s], and
+when it is shown [s]."""
 
 
 def strip(name: str) -> Image:
@@ -94,17 +99,50 @@ def study(name: str, folder: Path) -> Path | Image:
         return scaled(shown, WIDE, reader.height * WIDE // reader.width)
 
 
+def live_page() -> Image:
+    """The page of a live run whose gain was made too large for its delay."""
+    sys.path.insert(0, str(REPOSITORY))
+    from tests.live.browser import Browser
+    from vstestbed.live.app import LiveApp
+    from vstestbed.live.settings import Settings
+
+    app = LiveApp(Settings("arm_ibvs", {"camera.latency_s": LATE_S, "law.gain": QUIET}))
+    app.run.transport.play(False)
+    serving = threading.Thread(target=app.serve)
+    serving.start()
+    try:
+        with Browser(1400, 880) as browser:
+            tab = browser.tab(app.address)
+            tab.wait("document.body?.innerText.includes('frame')", 60)
+            for gain, until_s in ((QUIET, TURNED_S), (SWINGS, SHOT_S)):
+                app.ask(lambda gain=gain: app.change("law.gain", gain))
+                tab.click("play")
+                while app.run.last.film.t < until_s and not app.run.ended:
+                    time.sleep(0.02)
+            tab.click("pause")
+            time.sleep(2.0)
+            tab.js("document.querySelector('.mantine-Notification-closeButton')?.click()")
+            time.sleep(1.0)
+            shot = cv2.imdecode(np.frombuffer(tab.screenshot(), np.uint8), cv2.IMREAD_COLOR_RGB)
+    finally:
+        app.stop()
+        serving.join()
+    assert shot is not None
+    return np.asarray(cv2.resize(shot, (WIDE, shot.shape[0] * WIDE // shot.shape[1]), interpolation=cv2.INTER_AREA), np.uint8)
+
+
 def main() -> None:
     """Make them."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("names", nargs="*", metavar="NAME", help=f"{', '.join([*FILMS, *STUDIES])}")
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"{', '.join([*FILMS, LIVE, *STUDIES])}")
     parser.add_argument("--studies", action="store_true")
     parser.add_argument("--out", type=Path, default=REPOSITORY / ".media")
     given = parser.parse_args()
-    names = given.names or [*FILMS, *(STUDIES if given.studies else ())]
+    names = given.names or [*FILMS, LIVE, *(STUDIES if given.studies else ())]
     with tempfile.TemporaryDirectory() as folder:
         for name in names:
-            made, path = strip(name) if name in FILMS else study(name, Path(folder)), given.out / f"{name}.png"
+            made = strip(name) if name in FILMS else live_page() if name == LIVE else study(name, Path(folder))
+            path = given.out / f"{name}.png"
             if isinstance(made, Path):
                 shutil.copy(made, path)
             else:

@@ -6,6 +6,8 @@
     ├── ParameterError         one parameter out of its range (also a ValueError)            exit 2
     ├── OutputError            a result folder that cannot be written                        exit 2 or 4
     ├── RunFolderError         a folder without a readable run                               exit 2
+    ├── SessionError           a session that cannot do this now (not begun, ended)          exit 2
+    ├── SessionError           a session that cannot do this in its present state            exit 2
     └── EnvironmentLackError   this machine lacks OpenGL, a codec, disk space                exit 4
 
 Each class takes data and composes its own message, which includes a remedy.

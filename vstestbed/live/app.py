@@ -9,7 +9,7 @@ from collections.abc import Callable
 from vstestbed.core.errors import ScenarioError, VstestbedError
 from vstestbed.core.geometry import Array
 from vstestbed.live.inbox import Inbox
-from vstestbed.live.page import WORDS_S, Gizmo, View
+from vstestbed.live.page import WORDS_S, Gizmo, LiveView
 from vstestbed.live.panel import RunPanel
 from vstestbed.live.run import LiveRun
 from vstestbed.live.server import LocalServer
@@ -43,9 +43,9 @@ class LiveApp:
             self.run.close()
             raise
         self.address = self._server.address
-        self._view = View(self._server, scenario, self.run.last)
+        self._view = LiveView(self._server, scenario, self.run.last)
         self._panel = RunPanel(
-            self._server.gui, self._inbox, self.run, set_=self._set, gizmo=self._gizmo, reset=self.reset, save=self._save
+            self._server.gui, self._inbox, self.run, set_=self.change, gizmo=self._gizmo, reset=self.reset, save=self._save
         )
         self._server.gui.main_panel.dock_right()
         self._view.add(self.run.last)
@@ -121,7 +121,8 @@ class LiveApp:
             self._panel.status.show(self.run.last, self.run.transport, self.run.by_hand)
         self._view.draw(self.run.last, now)
 
-    def _set(self, path: str, value: object) -> None:
+    def change(self, path: str, value: object) -> None:
+        """Change a setting, and tell it on the page; by the thread that serves."""
         restarted = self.run.change(path, value)
         self._panel.controls.show(self.run.scenario)
         if restarted:
@@ -144,7 +145,7 @@ class LiveApp:
 
     def _save(self) -> None:
         note = f"Its run was changed by hand, which this file does not repeat: {', '.join(self.run.by_hand)}." if self.run.by_hand else ""
-        path = self.run.settings.save(note)
+        path = self.run.settings.keep(note)
         self._panel.status.say(f"saved: vstestbed run {path}. {note}")
 
     def _gizmo(self, what: str, on: bool) -> None:

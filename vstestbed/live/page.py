@@ -23,7 +23,7 @@ VIEW_WIDTH, PANEL_WIDTH = 340, 330
 """Widths of the panels beside the scene [px]."""
 
 
-class View:
+class LiveView:
     """What pages show of a run besides its panel: scene, picture and plots.
 
     Args:
@@ -80,14 +80,18 @@ class View:
         """Send what is due; `now`: everything."""
         if not self._server.get_clients() and not now:  # nobody looks
             return
-        has_picture = sample.film.image is not None or (self._recorded and self.due("picture", PICTURE_S))
-        if now or has_picture or self.due("scene", SCENE_S):
-            image = self.eye.draw(sample) if now or has_picture else None
+        pictured = now or self._has_picture(sample)
+        if pictured or self.due("scene", SCENE_S):
+            image = self.eye.draw(sample) if pictured else None
             with self._server.atomic():
                 self.scene.show(sample, image)
         if now or self.due("plots", PLOTS_S):
             self.plots.draw()
             self.scene.draw_trail()
+
+    def _has_picture(self, sample: Sample) -> bool:
+        """Whether a sample has a picture, or one is to be drawn for it."""
+        return sample.film.image is not None or (self._recorded and self.due("picture", PICTURE_S))
 
     def due(self, what: str, period_s: float) -> bool:
         """Whether something was not sent for a while; it is to be sent now."""

@@ -14,7 +14,7 @@ import viser
 from vstestbed.core.errors import RunFolderError
 from vstestbed.live.app import IDLE_S
 from vstestbed.live.inbox import Inbox
-from vstestbed.live.page import View
+from vstestbed.live.page import LiveView
 from vstestbed.live.panel import StatusLine, TransportPanel
 from vstestbed.live.run import sample
 from vstestbed.live.server import LocalServer
@@ -84,7 +84,7 @@ class PlaybackApp:
         self._sample = self.recorded.sample(0)
         self._server = LocalServer(port, f"{self.recorded.scenario.name}: recorded")
         self.address = self._server.address
-        self._view = View(self._server, self.recorded.scenario, self._sample, recorded=True)
+        self._view = LiveView(self._server, self.recorded.scenario, self._sample, recorded=True)
         gui = self._server.gui
         self._status = StatusLine(gui)
         TransportPanel(gui, self._inbox, self.transport, lambda: self.go_to(0))

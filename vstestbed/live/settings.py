@@ -79,7 +79,7 @@ class Settings:
         now: Any = getattr(self.scenario.camera, "distortion", None) or (0.0,) * 5
         return parent, [value if i == int(item) else k for i, k in enumerate(now)]
 
-    def save(self, note: str = "") -> Path:
+    def keep(self, note: str = "") -> Path:
         """Write the scenario that repeats these settings from the start, `runs/<scenario>/live/<number>/scenario.yaml`.
 
         note: joins the description, such as what was changed by hand meanwhile.

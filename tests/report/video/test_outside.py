@@ -13,7 +13,7 @@ import vstestbed as vs
 from vstestbed.camera import Perspective
 from vstestbed.core.geometry import Array, inverse, transform
 from vstestbed.core.outcome import Outcome
-from vstestbed.report.video.film import Film, FilmFrame, Pictures, _in_words, replay_of
+from vstestbed.report.video.film import Film, FilmFrame, Pictures, error_in_words, replay_of
 from vstestbed.report.video.outside import GOAL, MOST_PLACES, Outside, Pen, Stroke
 from vstestbed.report.video.overlay import GOOD, draw_ending
 from vstestbed.report.video.quality import DRAFT, FINE
@@ -151,7 +151,7 @@ ERRORS: list[tuple[str, dict[str, float], str]] = [
 
 @pytest.mark.parametrize(("name", "values", "words"), ERRORS)
 def test_the_error_is_the_one_that_is_judged_in_its_own_unit(name: str, values: dict[str, float], words: str) -> None:
-    assert _in_words(vs.load(name), values) == words
+    assert error_in_words(vs.load(name), values) == words
 
 
 def goal_in_film(name: str, t: float, view: int = 0) -> Array | None:
