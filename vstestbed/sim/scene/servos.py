@@ -40,15 +40,10 @@ def _keep(model: mujoco.MjSpec, prefix: str) -> None:
 
 
 def _add(model: mujoco.MjSpec, servo: Servo) -> None:
-    """A servo for a joint, named as the joint; of the file's own only the name, the range and what it is told change."""
+    """A servo for a joint, named as the joint."""
     there = [a for a in model.actuators if a.target == servo.joint and a.trntype == mujoco.mjtTrn.mjTRN_JOINT]
     if servo.torque is None:
-        (own,) = there
-        own.name = servo.joint
-        if own.biasprm[1] != 0 and own.dyntype == mujoco.mjtDyn.mjDYN_NONE:  # a position servo, fed with the integrated speed
-            own.dyntype, own.actlimited = mujoco.mjtDyn.mjDYN_INTEGRATOR, True
-            own.actrange = own.ctrlrange if own.ctrlrange[0] < own.ctrlrange[1] else [-UNBOUNDED, UNBOUNDED]
-        own.ctrlrange, own.ctrllimited = [-servo.speed, servo.speed], True
+        _feed(there[0], servo)
         return
     for actuator in there:
         model.delete(actuator)
@@ -61,3 +56,12 @@ def _add(model: mujoco.MjSpec, servo: Servo) -> None:
     made.ctrllimited, made.ctrlrange = True, [-servo.speed, servo.speed]
     if np.isfinite(servo.torque):
         made.forcelimited, made.forcerange = True, [-servo.torque, servo.torque]
+
+
+def _feed(own: mujoco.MjsActuator, servo: Servo) -> None:
+    """The file's own servo, told speeds: one of position is fed with the integrated speed."""
+    own.name = servo.joint
+    if own.biasprm[1] != 0 and own.dyntype == mujoco.mjtDyn.mjDYN_NONE:
+        own.dyntype, own.actlimited = mujoco.mjtDyn.mjDYN_INTEGRATOR, True
+        own.actrange = own.ctrlrange if own.ctrlrange[0] < own.ctrlrange[1] else [-UNBOUNDED, UNBOUNDED]
+    own.ctrllimited, own.ctrlrange = True, [-servo.speed, servo.speed]
