@@ -185,3 +185,26 @@ class TestMistakes:
         motors = "".join(f'<motor name="m_{j}" joint="{j}"/>' for j in ("shoulder", "elbow", "lift", "roll"))
         (tmp_path / "motors.xml").write_text(text.replace("</mujoco>", f"<actuator>{motors}</actuator></mujoco>"))
         assert "shoulder has a motor actuator there" in self.refused(tmp_path, file="motors.xml", actuation="file")
+
+
+class TestDoctor:
+    """`doctor FILE.xml` says what of a file can be used; the block that it prints loads."""
+
+    def test_a_sound_file(self, command: Any, tmp_path: Path) -> None:
+        told = command("doctor", str(HERE / "scara.xml"))
+        assert told.code == 0 and "tool: shoulder, elbow, lift, roll" in told.out
+        assert "lift: slide, -0.3 to 0.1 m, at most 200 N [no actuator, line 17]" in told.out
+        assert "shoulder: hinge, -150 to 150 deg [no torque limit (actuatorfrcrange); no actuator, line 11]" in told.out
+        robot = next(line for line in told.out.splitlines() if "robot: {" in line).partition("robot: ")[2]
+        import yaml
+
+        scenario = written(tmp_path, "printed", yaml.safe_load(robot), square_before(arm("scara"), *SEEN["flat"]), {"xyz": [0, 0, 0.6]})
+        assert scenario.robot.joints == ("shoulder", "elbow", "lift", "roll")
+
+    def test_files_that_are_no_arms(self, command: Any, tmp_path: Path) -> None:
+        told = command("doctor", "models/quadrotor.xml" if Path("models").is_dir() else str(HERE.parents[2] / "models/quadrotor.xml"))
+        assert told.code == 2 and "root is a free joint" in told.out
+        (tmp_path / "broken.xml").write_text("<mujoco>\n<wordbody/>\n</mujoco>")
+        told = command("doctor", str(tmp_path / "broken.xml"))
+        assert told.code == 2 and "NO  model" in told.out and "line 2" in told.out
+        assert command("doctor", str(tmp_path / "none.xml")).code == 2

@@ -6,6 +6,7 @@ import os
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -42,6 +43,14 @@ def examine() -> Iterator[Finding]:
     yield _data()
     yield from _pictures()
     yield _codec()
+
+
+def examine_file(model: str) -> Iterator[Finding]:
+    """What of an arm's MJCF or URDF file the robot `mjcf` can use, and what is missing."""
+    from vstestbed.core.named_files import absolute_file
+    from vstestbed.sim.scene.model_report import examine_model
+
+    yield from (Finding(*line) for line in examine_model(absolute_file(model, Path.cwd())))
 
 
 def _packages() -> Finding:

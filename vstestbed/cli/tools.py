@@ -109,15 +109,17 @@ def schema(plugin: Plugins = None) -> None:
 
 
 @tools.command()
-def doctor() -> None:
-    """Versions, OpenGL, codecs, cores: what works here, and the command that mends what does not."""
-    from vstestbed.cli.doctor import examine
+def doctor(
+    model: Annotated[str | None, typer.Argument(metavar="[FILE.xml]", help="An arm's MJCF or URDF: what of it can be used.")] = None,
+) -> None:
+    """Versions, OpenGL, codecs, cores: what works here, and the command that mends what does not; or what works of an arm's file."""
+    from vstestbed.cli.doctor import examine, examine_file
 
     sound = True
-    for finding in examine():
+    for finding in examine() if model is None else examine_file(model):
         typer.echo(str(finding))
         sound = sound and finding.works
-    raise typer.Exit(0 if sound else EnvironmentLackError.exit_code)
+    raise typer.Exit(0 if sound else EnvironmentLackError.exit_code if model is None else ParameterError.exit_code)
 
 
 @tools.command("optical-flow")

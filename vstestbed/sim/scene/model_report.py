@@ -1,0 +1,82 @@
+"""What of an arm's file can be used, and what is missing, for `doctor FILE.xml`."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+import mujoco
+import numpy as np
+
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.named_files import place_of_file
+from vstestbed.robots.chain import JointChain
+from vstestbed.sim.scene.joint_chain import compiled, joint_chain
+
+Line = tuple[str, bool, str, str]
+"""What was examined, whether it can be used, what was found, a remedy."""
+
+
+def examine_model(file: str) -> Iterator[Line]:
+    """Examine a model as the robot `mjcf` would use it: flanges, joints, torque limits, servos, and a block to begin with.
+
+    Raises:
+        ParameterError: the file is not there.
+    """
+    path = place_of_file(file)
+    try:
+        model = compiled(file)
+    except ParameterError as error:
+        yield "model", False, error.problem, "correct the file; MuJoCo names the line"
+        return
+    yield "model", True, f"{model.njnt} joints, {model.nu} actuators, {model.nsite} sites, {model.nmesh} meshes", ""
+    usable: list[tuple[str, JointChain]] = []
+    refusals: dict[str, list[str]] = {}
+    for name in _ends(model):
+        try:
+            usable.append((name, joint_chain(file, name, ())))
+        except ParameterError as error:
+            refusals.setdefault(f"{error.field} {error.problem}", []).append(name)
+    for name, chain in usable:
+        yield "flange", True, f"{name}: {', '.join(chain.names)}", ""
+    if not usable:
+        why = "; ".join(f"{', '.join(names)}: {words}" for words, names in refusals.items()) or "it has no bodies"
+        yield "flange", False, why, "an arm stands on a fixed base and has 2 to 7 hinges and slides before its flange"
+        return
+    name, chain = max(usable, key=lambda found: len(found[1].names))
+    yield from _of_joints(chain, path.read_text(errors="replace").splitlines())
+    yield "scenario", True, _block(file, name, chain), ""
+
+
+def _ends(model: mujoco.MjModel) -> list[str]:
+    """Names that could be a flange: the sites, and the bodies that carry no other body."""
+    parents = set(model.body_parentid.tolist())
+    leaves = [model.body(i).name for i in range(1, model.nbody) if i not in parents]
+    return [name for name in [*(model.site(i).name for i in range(model.nsite)), *leaves] if name]
+
+
+def _of_joints(chain: JointChain, lines: list[str]) -> Iterator[Line]:
+    """Ranges, torque limits and drives of the longest chain's joints, each with its line where something is missing."""
+    for name, slides, (low, high), torque, drive in zip(chain.names, chain.slides, chain.limits, chain.torque, chain.drives, strict=True):
+        size, unit = (1.0, "m") if slides else (float(np.degrees(1.0)), "deg")
+        spans = f"{low * size:.4g} to {high * size:.4g} {unit}" if np.isfinite(low) else "turns without end"
+        missing = [] if np.isfinite(torque) else ["no torque limit (actuatorfrcrange)"]
+        missing += [] if drive in ("velocity", "position") else [f"a {drive} actuator" if drive else "no actuator"]
+        where = f", line {line}" if missing and (line := _line_of(name, lines)) else ""
+        strength = f", at most {torque:.4g} {'N' if slides else 'Nm'}" if np.isfinite(torque) else ""
+        note = f" [{'; '.join(missing)}{where}]" if missing else ""
+        yield "joint", True, f"{name}: {'slide' if slides else 'hinge'}, {spans}{strength}{note}", ""
+
+
+def _line_of(joint: str, lines: list[str]) -> int:
+    """The line of a file that names a joint; 0 where another file that it includes does."""
+    wanted = re.compile(rf'<joint\b[^>]*\bname="{re.escape(joint)}"')
+    return next((number for number, line in enumerate(lines, start=1) if wanted.search(line)), 0)
+
+
+def _block(file: str, flange: str, chain: JointChain) -> str:
+    """A robot's block of a scenario, with a start in the middle of each range."""
+    middle = np.where(np.isfinite(chain.limits), chain.limits, 0.0).mean(axis=1)
+    start = np.where(chain.slides, middle, np.degrees(middle)).round(3).tolist()
+    speeds = [0.25 if slides else 1.0 for slides in chain.slides]
+    return f"robot: {{kind: mjcf, file: {file}, flange: {flange}, speed_limits: {speeds}, start: {{nominal: {{q_deg: {start}}}}}}}"
