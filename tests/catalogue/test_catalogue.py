@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 import vstestbed as vs
 import vstestbed.testing as suites
+from tests.examples import wrong
 from tests.examples.wrong import Crooked, Displaced, Ghost, Numb, Shifted, Silent, Stateful, Wild
+from tests.robots.arms import block
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose
 from vstestbed.laws import LAWS
@@ -21,7 +24,8 @@ from vstestbed.tasks.stop import Converged
 from vstestbed.testing.scenarios import quick
 from vstestbed.vision import DETECTORS, Tags
 
-LAW_PARAMETERS = {"partitioned": {"gain": 1.0}, "pbvs": {"gain": 1.0}, "hybrid": {"gain": 1.0}, "ibvs": {"gain": 1.0}}
+POLICY = {"file": str(Path(wrong.__file__).with_name("policy.py")) + ":Smooth"}
+LAW_PARAMETERS = {word: {"gain": 1.0} for word in ("partitioned", "pbvs", "hybrid", "ibvs")} | {"policy": POLICY}
 TASKS = {
     "view": lambda: quick("view"),
     "view_from": lambda: scenario("omni_ibvs", {"robot.wheels": "planar"}),
@@ -45,6 +49,8 @@ def scenario(name, changes):
 
 
 def robot(kind):
+    if kind == "mjcf":
+        return ROBOTS.members[kind](**{name: value for name, value in block("scara").items() if name != "kind"})
     return Free(start=FreeStart(nominal=Pose(xyz=(0, 0, -1)))) if kind == "free" else ROBOTS.members[kind]()
 
 

@@ -141,6 +141,13 @@ def test_a_seed_draws_the_start_and_none_is_the_scenarios_own() -> None:
             assert same(turned(session, seed), vs.run(arm.randomised(seed)))
 
 
+def test_a_seed_is_that_of_the_noise_where_no_start_is_random() -> None:
+    overrides = {"detector": "oracle", "noise.pixel_sigma_px": 0.5, "stop.duration_s": 0.5}
+    with vs.Session(vs.load("ibvs_retreat", overrides)) as session:
+        assert same(turned(session, 5), vs.run(vs.load("ibvs_retreat", overrides, seed=5)))
+        assert not same(turned(session, 6), vs.run(vs.load("ibvs_retreat", overrides, seed=5)))
+
+
 class TestMistakes:
     @pytest.fixture
     def session(self) -> vs.Session:

@@ -6,10 +6,9 @@ import pytest
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose, inverse
 from vstestbed.robots import Mount, Puma560
+from vstestbed.robots.arm import LIMIT_HORIZON_S, LIMIT_MARGIN
 from vstestbed.robots.puma560 import (
     JOINT_LIMITS,
-    LIMIT_HORIZON_S,
-    LIMIT_MARGIN,
     REACH_UNIT,
     SPEED_LIMITS,
     JointAngles,

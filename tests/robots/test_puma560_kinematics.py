@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from vstestbed.core.geometry import exp, inverse
-from vstestbed.robots.puma560 import JOINT_LIMITS, REACH_UNIT, SPEED_LIMITS, forward, jacobian, kinematics, resolved_rate
+from vstestbed.robots import Allocation, Mount, Puma560, Reading
+from vstestbed.robots.puma560 import JOINT_LIMITS, REACH_UNIT, SPEED_LIMITS, forward, jacobian, kinematics
+from vstestbed.robots.resolved_rate import resolved_rate
 
 Q0 = np.radians([0, 45, -180, 0, 45, -45])
 SCALE = np.array([1 / REACH_UNIT] * 3 + [1.0] * 3)
-NO_LIMIT = np.full(6, np.inf)
 
 
 def random_q(rng: np.random.Generator) -> np.ndarray:
@@ -60,7 +61,7 @@ def test_jacobian_is_the_derivative_of_forward():
 
 def test_a_small_resolved_step_makes_the_twist():
     twist, dt = np.array([0.05, -0.02, 0.03, 0.1, 0.05, -0.1]), 1e-4
-    reached = forward(Q0 + dt * resolved_rate(jacobian(Q0), twist))
+    reached = forward(Q0 + dt * resolved_rate(jacobian(Q0), twist, REACH_UNIT))
     # The chain bends by |dq dt|^2, about 1e-9 per step; the wish is that small against the motion (5e-6 and more).
     np.testing.assert_allclose(reached, forward(Q0) @ exp(twist * dt), atol=5e-9)
 
@@ -72,7 +73,7 @@ def test_resolved_rate_is_exact_away_from_singularities():
         J, twist = jacobian(random_q(rng)), rng.normal(size=6)
         if weakest(J) < 0.05:
             continue
-        dq = resolved_rate(J, twist, NO_LIMIT)
+        dq = resolved_rate(J, twist, REACH_UNIT)
         # Rounding times the condition number, at most about 1e2 here.
         np.testing.assert_allclose(J @ dq, twist, atol=1e-12)
         checked += 1
@@ -94,7 +95,7 @@ def test_resolved_rate_is_bounded_at_and_around_singularities(name: str, q_deg: 
     for size in (0.0, 1e-9, 1e-6, 1e-4, 1e-2, 3e-2, 1e-1):
         for _ in range(20):
             twist = rng.normal(size=6)
-            dq = resolved_rate(jacobian(q + size * rng.normal(size=6)), twist, NO_LIMIT)
+            dq = resolved_rate(jacobian(q + size * rng.normal(size=6)), twist, REACH_UNIT)
             # |dq| <= |scaled twist| / threshold everywhere, as the docstring proves; 1e-9 for rounding.
             assert np.linalg.norm(dq) <= np.linalg.norm(twist * SCALE) / 0.05 * (1 + 1e-9)
 
@@ -102,7 +103,7 @@ def test_resolved_rate_is_bounded_at_and_around_singularities(name: str, q_deg: 
 def test_damping_sets_in_without_a_step():
     twist = np.array([0.1, 0.1, 0.1, 0.1, 0.1, 0.1])
     angles = np.radians(np.linspace(-20, 20, 4001))
-    rates = np.array([resolved_rate(jacobian(np.array([*Q0[:4], a, Q0[5]])), twist, NO_LIMIT) for a in angles])
+    rates = np.array([resolved_rate(jacobian(np.array([*Q0[:4], a, Q0[5]])), twist, REACH_UNIT) for a in angles])
     smallest = np.array([weakest(jacobian(np.array([*Q0[:4], a, Q0[5]]))) for a in angles])
     assert smallest.min() < 0.05 < smallest.max()
     # Neighbours are 1.7e-4 rad apart and the gain's slope is at most 1 / threshold^2 = 400 per unit of s_min (which moves
@@ -110,14 +111,18 @@ def test_damping_sets_in_without_a_step():
     assert np.abs(np.diff(rates, axis=0)).max() < 0.06
 
 
+def allocated(twist: np.ndarray) -> Allocation:
+    return Puma560().allocate(twist, Reading(Q0, np.zeros(6)), Mount.of(np.eye(4)), 0.04)
+
+
 def test_speed_limits_keep_the_direction():
-    J, twist = jacobian(Q0), np.array([2.0, 1.0, -3.0, 1.0, 0.0, 2.0])
-    free, limited = resolved_rate(J, twist, NO_LIMIT), resolved_rate(J, twist)
+    twist = np.array([2.0, 1.0, -3.0, 1.0, 0.0, 2.0])
+    free, limited = resolved_rate(jacobian(Q0), twist, REACH_UNIT), allocated(twist)
     # Division's rounding.
-    assert np.max(np.abs(limited) / SPEED_LIMITS) == pytest.approx(1.0, abs=1e-12)
-    np.testing.assert_allclose(limited, free * (limited[0] / free[0]), rtol=1e-12)
+    assert np.max(np.abs(limited.setpoint) / SPEED_LIMITS) == pytest.approx(1.0, abs=1e-12) and limited.limit == "speed"
+    np.testing.assert_allclose(limited.setpoint, free * (limited.setpoint[0] / free[0]), rtol=1e-12)
 
 
 def test_slow_twists_are_not_scaled():
-    J, twist = jacobian(Q0), np.full(6, 1e-3)
-    np.testing.assert_array_equal(resolved_rate(J, twist), resolved_rate(J, twist, NO_LIMIT))
+    twist = np.full(6, 1e-3)
+    np.testing.assert_array_equal(allocated(twist).setpoint, resolved_rate(jacobian(Q0), twist, REACH_UNIT))

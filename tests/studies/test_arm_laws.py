@@ -8,7 +8,7 @@ import pytest
 import vstestbed as vs
 
 SEEDS = 20
-SCENARIOS = ("arm_polar", "arm_spherical", "arm_partitioned", "arm_pbvs", "arm_hybrid", "arm_fisheye", "arm_tags")
+SCENARIOS = ("arm_polar", "arm_spherical", "arm_partitioned", "arm_pbvs", "arm_hybrid", "arm_policy", "arm_fisheye", "arm_tags")
 CANNOT = {("arm_partitioned", 7): vs.Outcome.joint_limit, ("arm_partitioned", 15): vs.Outcome.joint_limit}
 """Starts that a law cannot handle, and how they end: the partitioned law's way takes the wrist through its singularity
 (joint 5 passes zero), where joint 4 turns until it meets its limit, whatever the gains."""

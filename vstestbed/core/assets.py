@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from vstestbed.core.errors import OutputError
+from vstestbed.core.named_files import PACKAGE, place_of_file
 
 _PACKAGE = Path(__file__).resolve().parent.parent
 
@@ -19,8 +20,8 @@ def folder(name: str) -> Path:
 
 
 def model_path(name: str) -> Path:
-    """The MJCF file `name` in models/."""
-    return folder("models") / name
+    """The MJCF file `name` in models/, or a robot's own by its whole path, or inside a package (`package:NAME/path`)."""
+    return place_of_file(name) if name.startswith(PACKAGE) else folder("models") / name
 
 
 def bundled_scenarios() -> dict[str, Path]:

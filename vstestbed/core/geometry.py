@@ -288,6 +288,10 @@ def pose_from(position: Array, q_wxyz: Array) -> Array:
 def rigid_error(T_a: Array, T_b: Array) -> tuple[float, float]:
     """Distance [m] of the origins and angle [rad] between two poses (4, 4)."""
     d = T_a[:3, 3] - T_b[:3, 3]
-    xx, xy, xz, yx, yy, yz, zx, zy, zz = (T_a[:3, :3].T @ T_b[:3, :3]).ravel().tolist()
-    angle = math.atan2(math.hypot(zy - yz, xz - zx, yx - xy), xx + yy + zz - 1)
-    return math.sqrt(float(d @ d)), angle
+    return math.sqrt(float(d @ d)), turn_between(T_a, T_b)
+
+
+def turn_between(T_a: Array, T_b: Array) -> float:
+    """Angle [rad] of the rotation between two poses (4, 4)."""
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = (T_a[:3, :3].T @ T_b[:3, :3]).tolist()
+    return math.atan2(math.hypot(zy - yz, xz - zx, yx - xy), xx + yy + zz - 1)

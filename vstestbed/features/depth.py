@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 import numpy as np
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.geometry import Array
+from vstestbed.core.geometry import Array, lengths
 from vstestbed.core.quantity import PositiveLength, PositiveTime
 from vstestbed.core.spec import OneOf, spec
 from vstestbed.features.observation import Goal
@@ -76,7 +76,7 @@ class FromPose(DepthSource):
 
     def ranges(self, cues: DepthCues) -> Array:
         """Distance of the markers under the estimated pose."""
-        return np.full(len(cues.xy), np.nan) if cues.p_estimated is None else np.linalg.norm(cues.p_estimated, axis=1)
+        return np.full(len(cues.xy), np.nan) if cues.p_estimated is None else lengths(cues.p_estimated)[:, 0]
 
 
 @spec

@@ -55,6 +55,8 @@ class Observation:
             where it is not known yet, or the target is no landmark.
         motion: the camera's own motion, for laws that ask for it.
         radius_px: apparent radius of each marker (N,) [px], from the target's model and its depth, for laws that ask for it.
+        proprioception: what the robot's own sensors tell of its state (k,) at the exposure (`Robot.proprioception`), for laws that ask
+            for it.
 
     Where the scenario derotates, xy, depth, T_camera_target, ray, relative and motion are those of the level camera, which
     shares the craft's place and heading; uv is what the picture shows.
@@ -72,6 +74,7 @@ class Observation:
     place: Array | None = None
     motion: OwnMotion | None = None
     radius_px: Array | None = None
+    proprioception: Array | None = None
 
     @property
     def seen(self) -> NDArray[np.bool_]:

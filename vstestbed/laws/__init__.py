@@ -7,9 +7,23 @@ from vstestbed.laws.ibvs import IBVS
 from vstestbed.laws.line_following import LineFollowing
 from vstestbed.laws.partitioned import Partitioned
 from vstestbed.laws.pbvs import PBVS
+from vstestbed.laws.policy import Policy
 from vstestbed.laws.pose_controller import PoseController
 from vstestbed.laws.pursuit import Pursuit
 
-LAWS = OneOf("law", IBVS, Partitioned, PBVS, Hybrid, PoseController, Pursuit, LineFollowing, contract=LAW_CONTRACT)
+LAWS = OneOf("law", IBVS, Partitioned, PBVS, Hybrid, PoseController, Pursuit, LineFollowing, Policy, contract=LAW_CONTRACT)
 
-__all__ = ["IBVS", "LAWS", "PBVS", "Command", "Hybrid", "Law", "LawBase", "LineFollowing", "Partitioned", "PoseController", "Pursuit"]
+__all__ = [
+    "IBVS",
+    "LAWS",
+    "PBVS",
+    "Command",
+    "Hybrid",
+    "Law",
+    "LawBase",
+    "LineFollowing",
+    "Partitioned",
+    "Policy",
+    "PoseController",
+    "Pursuit",
+]

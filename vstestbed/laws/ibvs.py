@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Annotated, Literal
 
 import numpy as np
@@ -12,6 +13,7 @@ from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import Time
 from vstestbed.core.spec import spec
 from vstestbed.features import FEATURES, LineFeature, Point, Polar, Polygon, Spherical
+from vstestbed.features.base import Feature
 from vstestbed.features.depth import Depth, PnP
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.base import Command, ConstantGain, Gain, LawBase, TwistLimits
@@ -172,10 +174,20 @@ class IBVS(LawBase):
             x, distance: the feature's inputs in views of N markers, e.g. xy (..., N, 2) and depth (..., N) [m].
             goal_x, goal_distance: the same in the goal view, (N, 2) and (N,).
         """
-        feature = self.feature
-        e = feature.error(feature.measure(x), feature.measure(goal_x))
-        L = np.empty(0) if self.interaction == "desired" else feature.interaction(x, distance)
-        if self.interaction == "current":
-            return e, L
-        at_goal = feature.interaction(goal_x, goal_distance)
-        return e, at_goal if self.interaction == "desired" else 0.5 * (L + at_goal)
+        feature, which = self.feature, self.interaction
+        if which == "current":
+            return feature.error(feature.measure(x), feature.measure(goal_x)), feature.interaction(x, distance)
+        s_star, L_star = _at_goal(feature, goal_x.tobytes(), goal_distance.tobytes())
+        e = feature.error(feature.measure(x), s_star)
+        return e, L_star if which == "desired" else 0.5 * (feature.interaction(x, distance) + L_star)
+
+
+@lru_cache(maxsize=256)
+def _at_goal(feature: Feature, x: bytes, distance: bytes) -> tuple[Array, Array]:
+    """The feature s* and its interaction matrix L* in the goal view, its inputs given as bytes, which can be hashed.
+
+    Most goals are the same at every frame.
+    """
+    of_points = np.frombuffer(distance)
+    at = np.frombuffer(x).reshape(len(of_points), -1)
+    return feature.measure(at), feature.interaction(at, of_points)

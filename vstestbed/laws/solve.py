@@ -96,6 +96,11 @@ def _dot(a: Array, b: Array) -> NDArray[np.float64]:
     return np.einsum("mk,mk->k", a, b)
 
 
+def load_lapack() -> None:
+    """Import what `least_squares` needs of SciPy now: else the first frame of a law would take .2 s."""
+    _gelsy()
+
+
 @cache
 def _gelsy() -> Any:
     from scipy.linalg import get_lapack_funcs  # here: the import takes 0.2 s, which listing and checking scenarios need not pay

@@ -84,6 +84,7 @@ class Controller:
         self.before: Exposure | None = None
         self._failed = False
         self._needs_motion = "motion" in scenario.law.inputs
+        self._needs_own_state = "proprioception" in scenario.law.inputs and bool(scenario.robot.proprioception_names)
         self._latest_s = scenario.timing.latest_s(scenario.camera)
         self.inputs = Inputs(scenario)
         self._cycle: Cycle | None = None
@@ -204,11 +205,9 @@ class Controller:
         detected = self.detector.detect(self.detector_memory, picture, shot.view, self.seen_through, s.target, self.rng)
         self.detector_memory, detection = detected
         twist, own = np.zeros(6), None
-        uses_motion = self.observer.uses_motion(detection)
-        if (uses_motion or self._needs_motion) and shot.t > last.t:
-            # the mean of the twists commanded since the last exposure
+        if shot.t > last.t:  # the mean of the twists commanded since the last exposure, by which a pose is predicted
             twist = (self.ordered.displacement(shot.t) - self.ordered.displacement(last.t)) / (shot.t - last.t)
-        if uses_motion:
+        if self.observer.uses_motion(detection):
             mount = self._mount_at(shot.reading.q)
             twist = s.robot.measured_twist(last.reading, shot.reading, shot.t - last.t, twist, mount)
         if self._needs_motion:
@@ -216,6 +215,8 @@ class Controller:
         heading, tilt = shot.reading.heading, shot.reading.tilt
         observed = self.observer.observe(self.observer_memory, shot.t, detection, twist, self.rng, heading, tilt, own)
         self.observer_memory, seen = observed
+        if self._needs_own_state:
+            return replace(seen, proprioception=s.robot.proprioception(shot.reading, seen.odometry))
         return seen
 
     def _unseen(self, seen: Observation, goal: Goal, error: ImageError) -> str:

@@ -12,6 +12,7 @@ from vstestbed.core.geometry import Array
 from vstestbed.core.outcome import Outcome, Verdict
 from vstestbed.core.provenance import versions
 from vstestbed.laws import Law
+from vstestbed.laws.solve import load_lapack
 from vstestbed.loop.columns import Layout
 from vstestbed.loop.controller import Controller
 from vstestbed.loop.exposure import Arrival
@@ -59,6 +60,8 @@ class Episode:
         self._judge = Judge(self._witness.task, scenario.stop, scenario.target, supervisor)
         self._commands: DelayLine[Allocation] = DelayLine(round(scenario.timing.command_latency_s / self.plant.step_s))
         self._frames = self._turn()
+        if hasattr(scenario.law, "solve"):
+            load_lapack()  # before the loop's clock starts
         self.build_s, self.loop_s = time.perf_counter() - began, 0.0
 
     def advance(self, command: Array | None = None) -> Frame | None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, all_finite
+from vstestbed.core.modules import is_file_module
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import Command, Law
 
@@ -54,8 +55,9 @@ class GuardedLaw:
         return stepped
 
     def _where(self, error: BaseException) -> str:
-        """File and line of the law's own module where the error came from; the innermost ones where the law has no part in it."""
+        """File and line where the error came from, of the law's module or a file of others; the innermost ones where neither has a part."""
         frames = list(traceback.walk_tb(error.__traceback__))
-        own = [(f, line) for f, line in frames if f.f_globals.get("__name__") == type(self._law).__module__]
+        names = [str(f.f_globals.get("__name__")) for f, _ in frames]
+        own = [at for at, name in zip(frames, names, strict=True) if name == type(self._law).__module__ or is_file_module(name)]
         frame, line = (own or frames)[-1]
         return f"{Path(frame.f_code.co_filename).name}, line {line}"

@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Container, Iterator, Sequence
 from dataclasses import dataclass, field
+from importlib import import_module
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol
 
 import numpy as np
@@ -166,6 +167,11 @@ class Recording:
     def frame(self) -> polars.DataFrame:
         """The log as a polars table in memory, one row a camera frame."""
         return to_frame(dict(zip(self.columns, self.table.T, strict=True)))
+
+    def _repr_html_(self) -> str:
+        """The report, where a Jupyter notebook shows the recording."""
+        # By name: the report's room is above this one, and only a notebook asks for it.
+        return import_module("vstestbed.report.run.page").recording_cell(self)
 
     def summary(self) -> dict[str, object]:
         """The metrics of the run, as in `summary.json`; `time_ms` is the mean wall time of a frame by part [ms]."""

@@ -14,6 +14,7 @@ from vstestbed.laws import Law
 from vstestbed.loop.episode import Episode
 from vstestbed.loop.recording import Recording, Rows, Watcher
 from vstestbed.robots import Mount
+from vstestbed.scenario.load import seeded
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.tasks.frame import Frame
 
@@ -64,11 +65,12 @@ class Session:
             seed: of the start and of all noise, as `run --seed`; None for the scenario's own start and seed.
 
         Raises:
+            ParameterError: a seed for a scenario in which nothing is random.
             EnvironmentLackError: a picture is needed that only OpenGL can draw, and it does not work here.
             SessionError: no picture arrived before the end.
         """
         self.close()
-        scenario = self._given if seed is None else self._given.randomised(seed)
+        scenario = self._given if seed is None else seeded(self._given, seed)
         rows, self._rows = self._rows, None
         self.episode = Episode(scenario, self._pictures, self._watchers, rows, self._plate_m)
         frame = self.episode.advance()

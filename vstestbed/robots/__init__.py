@@ -6,12 +6,13 @@ from vstestbed.robots.allocation import Actuation, Allocation, Mount
 from vstestbed.robots.base import Robot, RobotBase
 from vstestbed.robots.car import Car
 from vstestbed.robots.free import Free
+from vstestbed.robots.mjcf import Mjcf
 from vstestbed.robots.omni import Omni
 from vstestbed.robots.puma560 import Puma560
 from vstestbed.robots.quadrotor import Quadrotor
 from vstestbed.robots.reading import Reading
 
-ROBOTS = OneOf("robot", Free, Puma560, Omni, Car, Quadrotor, contract=Contract(Robot, base=RobotBase))
+ROBOTS = OneOf("robot", Free, Puma560, Mjcf, Omni, Car, Quadrotor, contract=Contract(Robot, base=RobotBase))
 VEHICLES: dict[str, type[Omni | Car]] = {"omni": Omni, "car": Car}
 """Robots that can carry a target along a route (`Carried.by`)."""
 
@@ -22,6 +23,7 @@ __all__ = [
     "Allocation",
     "Car",
     "Free",
+    "Mjcf",
     "Mount",
     "Omni",
     "Puma560",

@@ -62,15 +62,34 @@ class Mount:
 
 
 @dataclass(frozen=True, slots=True)
-class Actuation:
-    """Which of the actuators in a robot's MJCF file a scenario uses, and which forces act on its joints.
+class Servo:
+    """The servo of one joint, told its speed.
 
     Attributes:
-        prefix: actuators named `<prefix>_<joint>` are kept, the others deleted.
-        friction: joints keep their damping and Coulomb friction.
-        gravity_compensated: links are weightless to the joints (MuJoCo's gravcomp).
+        joint: its name. speed: largest one it is told [rad/s, m/s].
+        torque: largest one [Nm, N]; None for the file's own servo.
+        kp: position gain, of a servo that integrates the speed to a position [Nm/rad, N/m]; 0 for none. kv: velocity gain.
     """
 
-    prefix: str
+    joint: str
+    speed: float
+    torque: float | None
+    kp: float = 0.0
+    kv: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Actuation:
+    """Which actuators a scenario uses, and which forces act on its joints.
+
+    Attributes:
+        prefix: actuators named `<prefix>_<joint>` in the robot's MJCF file are kept, the others deleted; None: all are kept.
+        friction: joints keep their damping and Coulomb friction.
+        gravity_compensated: links are weightless to the joints (MuJoCo's gravcomp).
+        servos: take the place of the file's actuators on their joints.
+    """
+
+    prefix: str | None
     friction: bool
     gravity_compensated: bool
+    servos: tuple[Servo, ...] = ()

@@ -37,6 +37,8 @@ class Robot(Protocol):
     `floating` (a craft that flies). A base that moves is joint `root` (or `root_x`, `root_y`, `root_yaw`) in its file."""
     feet: ClassVar[tuple[str, ...]]
     """Geoms in its file that may touch the ground while nothing else of it may."""
+    flange: Any
+    """The name of the site, or the body, in its file that carries the camera."""
     gripper: ClassVar[bool]
     """Whether it can hold the target, in front of a camera that stands in the room."""
     control_period_s: ClassVar[float | None]
@@ -67,8 +69,13 @@ class Robot(Protocol):
         ...
 
     @property
+    def proprioception_names(self) -> tuple[str, ...]:
+        """Names of the entries of `proprioception`."""
+        ...
+
+    @property
     def actuator_set(self) -> Actuation | None:
-        """Which of the actuators in its file are used; None: all."""
+        """Which of the actuators in its file are used, and what is added to them; None: all."""
         ...
 
     @property
@@ -133,6 +140,10 @@ class Robot(Protocol):
         """Mean camera twist (6,) between two readings; the commanded one, `commanded`, where the robot cannot measure it."""
         ...
 
+    def proprioception(self, reading: Any, odometry: Array | None) -> Array:
+        """What its sensors tell a learned policy (k,), `agent_pos`; odometry: a vehicle's way since its start (x, y, heading) [m, rad]."""
+        ...
+
     def allocate(self, twist: Array, reading: Reading, mount: Mount, period: float) -> Allocation:
         """The setpoint for a camera twist (6,), within the robot's limits for one period [s]."""
         ...
@@ -185,6 +196,7 @@ class RobotBase:
     reading: ClassVar[type[Reading]] = Reading
     base: ClassVar[Base] = "fixed"
     feet: ClassVar[tuple[str, ...]] = ()
+    flange = "flange"
     gripper: ClassVar[bool] = False
     control_period_s: ClassVar[float | None] = None
     # The servo gains in puma560.xml and the contacts of the vehicles' wheels were measured at 2 ms.
@@ -202,6 +214,11 @@ class RobotBase:
     def joints(self) -> tuple[str, ...]:
         """None that it measures."""
         return ()
+
+    @property
+    def proprioception_names(self) -> tuple[str, ...]:
+        """The joints."""
+        return self.joints
 
     @property
     def actuator_set(self) -> Actuation | None:
@@ -241,6 +258,10 @@ class RobotBase:
     def measured(self, q: Array, qd: Array, sensors: Mapping[str, list[float]], noise: Any) -> Any:
         """The joints as they are."""
         return Reading(q, qd)
+
+    def proprioception(self, reading: Any, odometry: Array | None) -> Array:
+        """The joints' positions [rad, m]."""
+        return reading.q
 
     def secondary_task(self, null_space: Array, reading: Reading, mount: Mount) -> Array:
         """None."""

@@ -143,6 +143,15 @@ class Car(Vehicle):
         error = math.radians(self.compass.bias_deg + self.compass.sigma_deg * noise.standard_normal())
         return Reading(q, qd, heading=(math.atan2(y, x) + error + math.pi) % (2 * math.pi) - math.pi)
 
+    @property
+    def proprioception_names(self) -> tuple[str, ...]:
+        """Dead reckoning, compass, steering."""
+        return *super().proprioception_names, "compass", "steering"
+
+    def proprioception(self, reading: Reading, odometry: Array | None) -> Array:
+        """Dead reckoning (x, y, heading) from its start, the compass's heading, the steering angle: (5,) [m, m, rad, rad, rad]."""
+        return np.array([*super().proprioception(reading, odometry), reading.heading or 0.0, reading.q[_STEERING]])
+
     def odometry(self, before: Reading, now: Reading, duration: float) -> Array:
         """Mean motion (vx, 0, wz), shape (3,), of the base between two readings of its encoders.
 

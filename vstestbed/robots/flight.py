@@ -152,7 +152,8 @@ def velocity_loop(
     # The level frame turns with the heading, the wind does not: its compensation must turn back by as much.
     i, j, turn, k = gains.velocity_integral * dt, gains.climb_integral * dt, yaw_rate * dt, gains.velocity
     x, y, z = x + turn * y + i * (mx - vx), y - turn * x + i * (my - vy), z + j * (mz - vz)
-    x, y, z = clip(x, -MAX_TRIM, MAX_TRIM), clip(y, -MAX_TRIM, MAX_TRIM), clip(z, -MAX_TRIM, MAX_TRIM)
+    if not (-MAX_TRIM <= x <= MAX_TRIM and -MAX_TRIM <= y <= MAX_TRIM and -MAX_TRIM <= z <= MAX_TRIM):  # rare, and calls take time
+        x, y, z = clip(x, -MAX_TRIM, MAX_TRIM), clip(y, -MAX_TRIM, MAX_TRIM), clip(z, -MAX_TRIM, MAX_TRIM)
     # The last terms are r* z x v*: to keep a velocity in a frame that turns, the craft must accelerate sideways.
     acceleration = k * (ox - vx) + x - yaw_rate * oy, k * (oy - vy) + y + yaw_rate * ox, gains.climb * (oz - vz) + z
     return (x, y, z), acceleration
@@ -194,5 +195,8 @@ def rate_loop(trim: tuple[float, float], ref_rates: Vector, rates: Vector, gains
     (tx, ty), (rx, ry, rz), (wx, wy, wz), (Jx, Jy, Jz) = trim, ref_rates, rates, INERTIA
     ex, ey = rx - wx, ry - wy
     k, i = gains.rate, gains.rate_integral * dt
-    tx, ty = clip(tx + i * ex, -MAX_RATE_TRIM, MAX_RATE_TRIM), clip(ty + i * ey, -MAX_RATE_TRIM, MAX_RATE_TRIM)
-    return (tx, ty), (Jx * (k * ex + tx), Jy * (k * ey + ty), clip(Jz * gains.yaw * (rz - wz), -MAX_YAW_TORQUE, MAX_YAW_TORQUE))
+    tx, ty, z = tx + i * ex, ty + i * ey, Jz * gains.yaw * (rz - wz)
+    if not (-MAX_RATE_TRIM <= tx <= MAX_RATE_TRIM and -MAX_RATE_TRIM <= ty <= MAX_RATE_TRIM and -MAX_YAW_TORQUE <= z <= MAX_YAW_TORQUE):
+        tx, ty = clip(tx, -MAX_RATE_TRIM, MAX_RATE_TRIM), clip(ty, -MAX_RATE_TRIM, MAX_RATE_TRIM)
+        z = clip(z, -MAX_YAW_TORQUE, MAX_YAW_TORQUE)
+    return (tx, ty), (Jx * (k * ex + tx), Jy * (k * ey + ty), z)

@@ -17,6 +17,7 @@ from vstestbed.core.planar import GroundPose, place_of, pose_on_ground, relative
 from vstestbed.core.quantity import AngleWidth, Distance, Narrower
 from vstestbed.core.spec import spec
 from vstestbed.robots.base import Base, RobotBase
+from vstestbed.robots.reading import Reading
 from vstestbed.robots.robot_log import RobotLog, RobotState
 from vstestbed.robots.supervisor import Supervisor
 
@@ -82,6 +83,15 @@ class Vehicle(RobotBase):
         if xyz[2] <= 0:
             words = "must have z > 0: the vehicle's frame lies on the floor, and the camera would be under it"
             raise ParameterError("camera.mount.xyz", words, xyz)
+
+    @property
+    def proprioception_names(self) -> tuple[str, ...]:
+        """Dead reckoning."""
+        return "odo_x", "odo_y", "odo_heading"
+
+    def proprioception(self, reading: Reading, odometry: Array | None) -> Array:
+        """Its dead reckoning: (x, y, heading) from its start [m, m, rad]. Not its joints, which in a model without wheels are the place."""
+        return np.zeros(3) if odometry is None else odometry
 
     def log(self, supervisor: Supervisor) -> RobotLog:
         """True place, estimated place, dead reckoning, slip, the supervisor's mode."""

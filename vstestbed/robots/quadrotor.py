@@ -46,6 +46,8 @@ STOPPED_MPS = 0.12
 """Near the ground, a descent slower than the reference by this much is taken to be stopped by it [m/s]; the estimate's noise is .02."""
 STANDING_COSINE = math.cos(math.radians(30))
 """A craft tilted by more than 30 degrees does not stand."""
+FAR_M = 100.0
+"""A measured range beyond this, or none, is given to a learned policy as this [m]."""
 READINGS_AHEAD = 64
 """For how many readings noise is drawn at once."""
 NO_JOINTS = np.zeros(0)
@@ -217,6 +219,16 @@ class Quadrotor(RobotBase):
         """Mean camera twist (6,) between two readings: the mean of velocity and body rates at both, through the mount."""
         assert isinstance(before, FlightReading) and isinstance(now, FlightReading)
         return mount.to_camera @ (0.5 * (before.body_twist + now.body_twist))
+
+    @property
+    def proprioception_names(self) -> tuple[str, ...]:
+        """The estimated tilt, the range, the estimated body twist."""
+        return "roll", "pitch", "range", "vx", "vy", "vz", "wx", "wy", "wz"
+
+    def proprioception(self, reading: FlightReading, odometry: Array | None) -> Array:
+        """Estimated roll and pitch [rad], measured range [m] (FAR_M over nothing), estimated body twist [m/s, rad/s]: shape (9,)."""
+        assert reading.tilt is not None
+        return np.concatenate([reading.tilt, [min(reading.range_m, FAR_M)], reading.body_twist])
 
     def allocate(self, twist: Array, reading: Reading, mount: Mount, period: float) -> Allocation:
         """The setpoint (vx, vy, vz, wz) in the level frame for a camera twist (6,), scaled as a whole into the speed limits.

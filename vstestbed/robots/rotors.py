@@ -46,14 +46,17 @@ def mix(thrust: float, torque: Vector) -> tuple[Four, bool]:
     # by itself would lose roll and pitch torque whenever the thrust is high.
     half = 0.5 * LIMIT
     x, y, z = torque
-    r0, p0, t0, y0 = x / PER_PAIR, y / PER_PAIR, thrust / PER_FOUR, z / PER_YAW
-    r, p = clip(r0, -half, half), clip(p0, -half, half)
+    r, p, t, y = x / PER_PAIR, y / PER_PAIR, thrust / PER_FOUR, z / PER_YAW
+    cut = False
+    if not (-half <= r <= half and -half <= p <= half):  # here and below: such a case is rare, and calls take time
+        r, p, cut = clip(r, -half, half), clip(p, -half, half), True
     ar, ap = abs(r), abs(p)
     widest = ar if ar > ap else ap
-    t = clip(t0, widest, LIMIT - widest)
+    if not widest <= t <= LIMIT - widest:
+        t, cut = clip(t, widest, LIMIT - widest), True
     above, below = LIMIT - t, t
-    y = clip(y0, max(ap - above, ar - below), min(above - ar, below - ap))
-    cut = r != r0 or p != p0 or t != t0 or y != y0
+    if not (ap - above <= y <= above - ar and ar - below <= y <= below - ap):
+        y, cut = clip(y, max(ap - above, ar - below), min(above - ar, below - ap)), True
     return (t - p - y, t - r + y, t + p - y, t + r + y), cut
 
 
@@ -74,11 +77,7 @@ def speed_control(turning: Four, reference: Four, response_s: float, dt: float) 
     lead, ahead = LAG_S / response_s, dt / (LAG_S + 0.5 * dt)  # (1, 1) Pade of 1 - exp(-dt / LAG_S): 1e-7 at 1 ms
     a, b, c, d = turning
     A, B, C, D = reference
-    u = (
-        clip(a + lead * (A - a), 0.0, LIMIT),
-        clip(b + lead * (B - b), 0.0, LIMIT),
-        clip(c + lead * (C - c), 0.0, LIMIT),
-        clip(d + lead * (D - d), 0.0, LIMIT),
-    )
-    ua, ub, uc, ud = u
-    return (a + ahead * (ua - a), b + ahead * (ub - b), c + ahead * (uc - c), d + ahead * (ud - d)), u
+    ua, ub, uc, ud = a + lead * (A - a), b + lead * (B - b), c + lead * (C - c), d + lead * (D - d)
+    if not (0.0 <= ua <= LIMIT and 0.0 <= ub <= LIMIT and 0.0 <= uc <= LIMIT and 0.0 <= ud <= LIMIT):  # as in `mix`
+        ua, ub, uc, ud = clip(ua, 0.0, LIMIT), clip(ub, 0.0, LIMIT), clip(uc, 0.0, LIMIT), clip(ud, 0.0, LIMIT)
+    return (a + ahead * (ua - a), b + ahead * (ub - b), c + ahead * (uc - c), d + ahead * (ud - d)), (ua, ub, uc, ud)

@@ -15,7 +15,7 @@ from ruamel.yaml import YAML
 from vstestbed.core.assets import bundled_scenarios
 from vstestbed.core.errors import Mistake, ParameterError, ScenarioError, nearest
 from vstestbed.core.spec import refresh_specs, to_mapping
-from vstestbed.scenario.plugins import absolute, load_named
+from vstestbed.scenario.plugins import absolute, absolute_files, load_named
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.scenario.validation import KINDS, build
 from vstestbed.scenario.yaml_marks import FROM_OPTION, Marks, override, place_of, plain_mapping, short
@@ -98,7 +98,8 @@ def parse(
 ) -> Scenario:
     """Build a scenario from YAML text; `file` is its name in messages. See `load`."""
     plain, marks = plain_mapping(text, file, f"a scenario needs {_required()}")
-    overrides, places = overrides or {}, places or {}
+    plain = absolute_files(plain, Path(file).absolute().parent)
+    overrides, places = dict[str, object](absolute_files(overrides or {}, Path.cwd())), places or {}
     _override_all(plain, marks, overrides, places, of_plugins=True)
     load_named(plain, marks, file, plugins)  # before the other settings, which may use the words that plugins add
     _override_all(plain, marks, overrides, places, of_plugins=False)
@@ -150,6 +151,7 @@ def _origins(text: str, file: str, overrides: Mapping[str, object], places: Mapp
 def _mistakes(text: str, file: str, overrides: Mapping[str, object]) -> list[tuple[str, str]]:
     """Field and sentence of each mistake in a scenario."""
     plain, marks = plain_mapping(text, file, "")
+    plain = absolute_files(plain, Path(file).absolute().parent)
     for dotted, value in overrides.items():
         override(plain, dotted, value, marks, _is_kind)
     try:
@@ -182,15 +184,22 @@ def _required() -> str:
 
 
 def for_another_folder(path: Path) -> str:
-    """The text of a scenario file for a copy elsewhere: its plugins that are files are named absolutely."""
-    text = text_of(path)
-    named = plain_mapping(text, str(path), "")[0].get("plugins")
-    if not isinstance(named, list) or [(n, absolute(str(n), path.parent)) for n in named] == [(n, n) for n in named]:
+    """The text of a scenario file for a copy elsewhere: its plugins and the files that it names are named absolutely."""
+    text, folder = text_of(path), path.absolute().parent
+    plain = plain_mapping(text, str(path), "")[0]
+    named, moved = plain.get("plugins"), absolute_files(plain, folder)
+    if isinstance(named, list):
+        moved["plugins"] = [absolute(str(name), folder) for name in named]
+    if moved == plain:
         return text
     yaml, out = YAML(), io.StringIO()  # keeps the comments
     yaml.width = 120
     tree = yaml.load(text)
-    tree["plugins"] = [absolute(str(name), path.parent) for name in named]
+    if isinstance(named, list):
+        tree["plugins"] = moved["plugins"]
+    for block in ("law", "robot"):
+        if isinstance(moved.get(block), dict) and "file" in moved[block]:
+            tree[block]["file"] = moved[block]["file"]
     yaml.dump(tree, out)
     return out.getvalue()
 

@@ -6,18 +6,17 @@ path, so that files of one name in different folders are different plugins, and 
 
 from __future__ import annotations
 
-import hashlib
 import importlib.metadata
 import importlib.util
 import sys
-import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 from vstestbed.core.errors import PluginError
+from vstestbed.core.modules import line_of, load_file, module_of
+from vstestbed.core.named_files import ENDINGS, absolute_file
 from vstestbed.core.spec import refresh_specs, undone_on_error
 from vstestbed.scenario.validation import KINDS
 from vstestbed.scenario.yaml_marks import Marks, place_of
@@ -79,6 +78,16 @@ def absolute(name: str, folder: Path) -> str:
     return str((folder / Path(name).expanduser()).absolute()) if is_file_name(name) else name
 
 
+def absolute_files(value: Any, folder: Path, key: str = "") -> Any:
+    """A scenario's or a comparison's plain values, with the files that they name (fields `file`) without reference to the folder."""
+    if isinstance(value, Mapping):
+        return {name: absolute_files(inner, folder, str(name)) for name, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return type(value)(absolute_files(inner, folder, key) for inner in value)
+    names_file = isinstance(value, str) and key.rpartition(".")[2] == "file" and ENDINGS.search(value)
+    return absolute_file(value, folder) if names_file else value
+
+
 def _loaded(name: str, folder: Path, where: str, beside: Sequence[str], field: str = "") -> str:
     """Load a plugin; returns the name under which it is found again.
 
@@ -95,7 +104,7 @@ def _loaded(name: str, folder: Path, where: str, beside: Sequence[str], field: s
     if not path.is_file():
         return _moved(path.stem, beside) or _refuse(where, f"{path} is not there", f"PLACE/{path.name}", field)
     with _loading(str(path), path), undone_on_error():
-        module = _load_file(path)
+        module = load_file(path)
         refresh_specs()
     if not is_file_name(name):  # by its own name, too, so that an import of it does not load the file again
         sys.modules.setdefault(name, module)
@@ -112,7 +121,7 @@ def _load_module(name: str, where: str, beside: Sequence[str], field: str) -> st
     if origin is None and name not in sys.modules:
         words = f"there is no module {name!r} on Python's path or in the current folder"
         return _moved(name.rpartition(".")[2], beside) or _refuse(where, words, "FILE.py", field)
-    if origin is None or _module_of(origin) is None:
+    if origin is None or module_of(origin) is None:
         with _loading(name, origin), undone_on_error():
             importlib.import_module(name)
             refresh_specs()
@@ -137,36 +146,6 @@ def _refuse(where: str, found: str, remedy: str, field: str) -> str:
     raise PluginError(where, found, f"put it there, or give its place with --plugin {remedy}", field)
 
 
-def _module_of(path: Path) -> ModuleType | None:
-    """The module that has been loaded from a file, under whatever name."""
-    target = path.resolve()
-    for module in list(sys.modules.values()):
-        file = getattr(module, "__file__", None)
-        if isinstance(file, str) and file.endswith((path.name, target.name)) and Path(file).resolve() == target:
-            return module
-    return None
-
-
-def _load_file(path: Path) -> ModuleType:
-    """The module of a file, loaded if it is not yet. Its folder joins Python's path, at the end, for what the file imports."""
-    if (known := _module_of(path)) is not None:
-        return known
-    # The same name in every process: workers unpickle the plugin's objects by it.
-    name = f"{path.stem}@{hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:12]}"
-    spec = importlib.util.spec_from_file_location(name, path)
-    if spec is None or spec.loader is None:
-        raise ImportError("it is not a Python file; its name must end in .py")
-    if str(path.parent) not in sys.path:
-        sys.path.append(str(path.parent))
-    module = sys.modules[name] = importlib.util.module_from_spec(spec)  # known before it runs: dataclasses look their module up
-    try:
-        spec.loader.exec_module(module)
-    except BaseException:
-        del sys.modules[name]
-        raise
-    return module
-
-
 def _load_installed() -> None:
     """Register the kinds of installed packages' entry points."""
     offered: Any = importlib.metadata.entry_points()  # once: every call reads the metadata of all packages
@@ -185,15 +164,6 @@ def _loading(name: str, path: Path | None) -> Iterator[None]:
     except KeyboardInterrupt:
         raise
     except SystemExit as error:
-        raise PluginError(_line(error, name, path), f"ends Python with sys.exit({error.code!r}) when it is imported") from error
+        raise PluginError(line_of(error, name, path), f"ends Python with sys.exit({error.code!r}) when it is imported") from error
     except Exception as error:
-        raise PluginError(_line(error, name, path), f"cannot be imported ({type(error).__name__}: {error})") from error
-
-
-def _line(error: BaseException, name: str, path: Path | None) -> str:
-    """FILE:LINE where an error was raised in a plugin: the last line of its file that was at work."""
-    if isinstance(error, SyntaxError) and error.filename:
-        return f"{error.filename}:{error.lineno}"
-    frames = traceback.extract_tb(error.__traceback__)
-    lines = [f"{f.filename}:{f.lineno}" for f in frames if path is not None and Path(f.filename).resolve() == path.resolve()]
-    return lines[-1] if lines else name
+        raise PluginError(line_of(error, name, path), f"cannot be imported ({type(error).__name__}: {error})") from error

@@ -226,8 +226,7 @@ class MujocoPlant:
     def weight_n(self) -> float:
         """Weight of all bodies of the robot [N]."""
         model = self._stage.model
-        root = model.body_rootid[model.site("robot/flange").bodyid[0]]
-        return float(model.body_subtreemass[root] * np.linalg.norm(model.opt.gravity))
+        return float(model.body_subtreemass[model.body_rootid[self._stage.flange_body]] * np.linalg.norm(model.opt.gravity))
 
     def push(self, force: Array, duration_s: float) -> None:
         """Push the body that carries the camera (eye to hand, the gripper) with a force (3,) along world axes [N]."""

@@ -13,7 +13,7 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import FLIP, Array
 from vstestbed.robots import Robot
 from vstestbed.sim.render.pictures import outside_view, servo_renderer
-from vstestbed.sim.render.still import StillView, pixels_per_radian
+from vstestbed.sim.render.still import StillView, half_tangents, pixels_per_radian
 from vstestbed.sim.scene.compose import Parts
 from vstestbed.sim.scene.follow import FollowCamera, Things
 from vstestbed.sim.scene.meshes import Solid, solids
@@ -173,7 +173,8 @@ class Replay:
             lens = self._parts.camera
             stage = Stage(self._parts, samples=lens.multisampling)
             drawn_by, f = servo_renderer(stage, lens, share=self._share), self._share * pixels_per_radian(lens)
-            self._own = stage, StillView(drawn_by, stage.model, stage.data, "eye", f)
+            sides = None if lens.shadows else half_tangents(lens)  # what is out of sight may cast shadows
+            self._own = stage, StillView(drawn_by, stage.model, stage.data, "eye", f, sides=sides)
         return self._own
 
     def close(self) -> None:

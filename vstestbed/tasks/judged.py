@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from typing import Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
 from vstestbed.core.geometry import Array
-from vstestbed.tasks.stop import Converged
+from vstestbed.tasks.stop import Converged, Stop
+
+if TYPE_CHECKING:
+    from vstestbed.tasks.base import Task
 
 By = Literal["pixels", "level pixels", "estimate", "truth"]
 """Who measured the error."""
@@ -78,6 +81,12 @@ def at_worst(log: Mapping[str, Array], column: str, limit: float, settle_s: floa
 def at_the_end(log: Mapping[str, Array], column: str, limit: float, unit: Literal["m", "m/s"] = "m") -> JudgedError:
     """A true error in the last frame."""
     return JudgedError(_last(log, column), unit, limit, "truth")
+
+
+def in_a_frame(task: Task, stop: Stop, values: Mapping[str, float]) -> JudgedError:
+    """The error by which a task is judged, in one frame; values: `error_px` and the task's own columns."""
+    # A continuing task is judged by its error once settled: at t = inf it is that of this frame.
+    return task.judged({name: np.array([value]) for name, value in values.items()} | {"t": np.array([np.inf])}, stop)
 
 
 def _last(log: Mapping[str, Array], column: str) -> float:

@@ -12,7 +12,8 @@ import vstestbed as vs
 from vstestbed.core.geometry import Array
 from vstestbed.experiments.comparison import chosen, controllers, jobs
 from vstestbed.laws.base import TwistLimits
-from vstestbed.robots.puma560 import JOINT_LIMITS, LIMIT_MARGIN
+from vstestbed.robots.arm import LIMIT_MARGIN
+from vstestbed.robots.puma560 import JOINT_LIMITS
 from vstestbed.scenario.scenario import Scenario
 
 LIMITS = np.degrees(JOINT_LIMITS)

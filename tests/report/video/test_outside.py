@@ -16,7 +16,7 @@ from vstestbed.core.outcome import Outcome
 from vstestbed.report.video.film import Film, FilmFrame, Pictures, error_in_words, replay_of
 from vstestbed.report.video.outside import GOAL, MOST_PLACES, Outside, Pen, Stroke
 from vstestbed.report.video.overlay import GOOD, draw_ending
-from vstestbed.report.video.quality import DRAFT
+from vstestbed.report.video.quality import DRAFT, FINE
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.scene.compose import Parts
 
@@ -89,6 +89,18 @@ def test_a_part_that_is_drawn_again_fits_into_the_picture() -> None:
     finally:
         replay.close()
         other.close()
+
+
+def test_an_inset_alone_is_drawn_at_its_own_size_unless_the_film_is_fine() -> None:
+    s = vs.load("arm_ibvs")
+    frame, sizes = at_the_start(s), []
+    for quality, inset_in in ((DRAFT, None), (DRAFT, DRAFT.size), (FINE, FINE.size)):
+        replay = replay_of(s, quality, inset_in)
+        try:
+            sizes.append(replay.picture("eye", *SIZE, 0.0, frame.T_world_target, frame.q, frame.T_world_camera).shape[1::-1])
+        finally:
+            replay.close()
+    assert sizes == [(384, 288), (round(0.26 * 640), round(0.26 * 640 * 480 / 640)), (640, 480)]
 
 
 def test_a_trail_has_a_bounded_number_of_points_from_the_first_to_the_last() -> None:
@@ -176,7 +188,7 @@ def test_a_film_ends_with_the_outcome_for_a_second(tmp_path: Path, outcome: Outc
         last = [f.reformat(format="rgb24", src_colorspace="ITU709").to_ndarray() for f in container.decode(video=0)]
     assert len(last) - shown == pytest.approx(rate, abs=1)  # one second
     band = last[-1][200:218, 280:310].astype(int)
-    np.testing.assert_allclose(band.reshape(-1, 3).mean(axis=0), colour, atol=12)
+    np.testing.assert_allclose(band.reshape(-1, 3).mean(axis=0), colour, atol=30)  # what is under it shines through
     assert np.abs(last[0][200:218, 280:310].astype(int) - colour).max(axis=2).min() > 20  # not before
     assert last[-1][190:215, 10:150].max() > 200  # the words
 
@@ -185,6 +197,7 @@ def test_a_film_ends_with_the_outcome_for_a_second(tmp_path: Path, outcome: Outc
 def test_the_ending_leaves_most_of_the_picture_free(width: int, height: int) -> None:
     image = np.zeros((height, width, 3), np.uint8)
     draw_ending(image, "Converged", "RMS error under 0.2 px for 0.5 s", GOOD)
-    rows = np.flatnonzero((image == GOOD).all(axis=2).any(axis=1))
-    assert 0.08 * height < np.ptp(rows) < 0.2 * height
+    covered = np.rint(0.82 * np.array(GOOD))  # over black
+    rows = np.flatnonzero((np.abs(image - covered) <= 1).all(axis=2).any(axis=1))
+    assert 0.05 * height < np.ptp(rows) < 0.12 * height
     assert ((image[rows] > 200).all(axis=2)).sum() > 100  # with words on it

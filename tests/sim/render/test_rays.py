@@ -23,7 +23,8 @@ from vstestbed.sim.render.opengl import OpenGLRenderer
 from vstestbed.sim.render.pictures import servo_renderer
 from vstestbed.sim.render.pixel_check import pixel_convention
 from vstestbed.sim.render.rays import BLANK, Caster, RayRenderer, RaySceneCamera
-from vstestbed.sim.scene.compose import LENS_GROUP, RANGE_GROUP, Parts
+from vstestbed.sim.scene.compose import Parts
+from vstestbed.sim.scene.groups import LENS_GROUP, RANGE_GROUP
 from vstestbed.sim.scene.stage import Stage
 from vstestbed.sim.scene.world import World
 from vstestbed.targets.base import Target

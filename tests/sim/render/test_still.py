@@ -8,7 +8,7 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.camera import Window
-from vstestbed.sim.render.still import UNSEEN_PX, StillView, pixels_per_radian
+from vstestbed.sim.render.still import UNSEEN_PX, StillView, half_tangents, pixels_per_radian
 
 SCENE = """
 <mujoco><worldbody>
@@ -72,6 +72,19 @@ class TestMotion:
             self.model.cam_quat[0] = [np.cos(pixel), np.sin(pixel), 0, 0]
         assert self.image() == 2
 
+    @pytest.mark.parametrize(("place", "drawn"), [((1, 0, 0.5), 1), ((0, -1, 0.5), 1), ((0, 0, 2.2), 1), ((0.7, 0, 0.5), 2)])
+    def test_what_is_out_of_sight_moves_unseen(self, place: tuple[float, float, float], drawn: int):
+        self.view = StillView(self.counts, self.model, self.data, "eye", F, sides=(0.5, 0.5))  # .75 m aside, 1.5 m before the camera
+        self.data.mocap_pos[0] = place
+        assert self.image() == 1
+        self.data.mocap_pos[0, :2] *= 1.05
+        self.data.mocap_pos[0, 2] += 0.01
+        assert self.image() == drawn
+        self.data.mocap_pos[0] = 0.1, 0.1, 0.5  # it comes into sight
+        assert self.image() == drawn + 1
+        self.data.mocap_pos[0] = place  # and leaves
+        assert self.image() == drawn + 2
+
 
 class TestParts:
     @pytest.fixture(autouse=True)
@@ -121,3 +134,11 @@ def test_pixels_per_radian_are_those_of_the_lens(name: str):
     there = np.linalg.norm(camera.ray(centre + [1, 0]) - camera.ray(centre))
     assert f >= 0.99 / there
     assert f < 2 / there
+
+
+def test_half_tangents_are_those_of_the_lens():
+    camera = vs.load("arm_ibvs").camera
+    sides = half_tangents(camera)
+    assert sides is not None
+    assert np.allclose(sides, np.array([640 / 480, 1]) * np.tan(np.radians(32)), rtol=0.021) and sides[1] > np.tan(np.radians(32))
+    assert half_tangents(vs.load("spherical_book").camera) is None

@@ -146,6 +146,19 @@ def test_a_target_that_moves_stays_in_an_arms_picture() -> None:
     assert np.linalg.norm(eyes[-1] - eyes[len(eyes) // 2]) < 0.005  # it has seen the whole circle, and stands
 
 
+def test_the_view_of_an_arm_rests_until_something_leaves_its_margin() -> None:
+    s = vs.load("arm_ibvs")
+    film, eyes = Filmed(s), []
+    for k, up in enumerate([0.0, *[0.03] * 50, *[0.4] * 100]):
+        T = film.T_target.copy()
+        T[2, 3] += up
+        film.show(k / RATE_HZ, film.start, None, T)
+        eyes.append(film.pose[:3, 3].copy())
+    assert (np.array(eyes[:51]) == eyes[0]).all()
+    assert shows(film.pixels(transform(T, s.target.points)))
+    assert np.linalg.norm(eyes[-1] - eyes[0]) > 0.1 and np.linalg.norm(eyes[-1] - eyes[-10]) < 1e-3
+
+
 def test_a_free_camera_that_retreats_stays_in_the_picture() -> None:
     s = vs.load("ibvs_retreat")
     film = Filmed(s)

@@ -82,7 +82,7 @@ class BatchSetup:
 
     def _check_law(self) -> None:
         s = self.scenario
-        foreign = sorted({"motion", "odometry", "place"} & set(s.law.inputs))
+        foreign = sorted({"proprioception", "motion", "odometry", "place"} & set(s.law.inputs))
         if foreign:
             raise ParameterError("law.kind", f"{s.law.kind} reads {foreign[0]}, which the ideal cameras of a batch do not measure")
         if s.law.visibility.margin_px > 0:

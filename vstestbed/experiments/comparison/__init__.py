@@ -32,7 +32,7 @@ def compare(
     seeds: int | None = None,
     jobs: int | None = None,
     executor: str = "local",
-    out: Path | None = None,
+    out: str | Path | None = None,
     resume: bool = False,
     set: Mapping[str, object] | None = None,
     plugins: Sequence[str] = (),
@@ -63,7 +63,11 @@ def compare(
     if getattr(multiprocessing.current_process(), "_inheriting", False):  # a worker that imports the script
         raise ParameterError("compare", "must stand under `if __name__ == '__main__':` in a script, which worker processes import")
     must_be_known(executor)
-    with prepared(scenarios, vary or {}, seeds, out, resume, set or {}, plugins, film, force) as (campaign, comparison):
+    folder = None if out is None else Path(out)
+    with prepared(scenarios, vary or {}, seeds, folder, resume, set or {}, plugins, film, force) as (
+        campaign,
+        comparison,
+    ):
         return carry_out(campaign, comparison, jobs, executor, on_done, report=report)
 
 
@@ -90,7 +94,9 @@ def carry_out(
             write_table(campaign.folder, table)
         if report:
             finish(campaign.folder, comparison, table, stage, at_once if pool is None else pool.call)
-    return table
+    from vstestbed.experiments.comparison.result import ComparisonTable  # here: polars is imported only where there is a table
+
+    return ComparisonTable.of(table, campaign.folder, comparison)
 
 
 @contextmanager

@@ -17,7 +17,7 @@ from vstestbed.core.spec import spec
 from vstestbed.experiments.comparison.starts import StartTable
 from vstestbed.loop.metrics import FIGURES
 from vstestbed.scenario.load import text_of
-from vstestbed.scenario.plugins import load_named, load_plugins
+from vstestbed.scenario.plugins import absolute_files, load_named, load_plugins
 from vstestbed.scenario.validation import build
 from vstestbed.scenario.yaml_marks import Key, Marks, place_of, plain_mapping
 
@@ -111,7 +111,7 @@ def read_comparison(path: Path, plugins: Sequence[str] = ()) -> Comparison:
     """
     plain, marks = plain_mapping(text_of(path), str(path), "a comparison needs base")
     load_named(plain, marks, str(path), plugins)
-    read = build(Comparison, plain, marks, str(path))
+    read = build(Comparison, absolute_files(plain, path.absolute().parent), marks, str(path))
     beside = tuple(str(path.parent / n) if (path.parent / n).is_file() else n for n in read.base)
     return changed(read, marks, base=beside)
 
@@ -135,6 +135,7 @@ def chosen(
     Raises:
         ScenarioError, ParameterError, PluginError: invalid input.
     """
+    settings, axes = absolute_files(settings, Path.cwd()), absolute_files(axes, Path.cwd())
     path = bundled_comparisons().get(names[0], Path(names[0])) if len(names) == 1 else None
     options: Marks = {}
     options |= {("set", dotted): "--set" for dotted in settings} | {("axes", dotted): "--vary" for dotted in axes}

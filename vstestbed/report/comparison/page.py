@@ -22,6 +22,7 @@ from vstestbed.report.comparison.pairs import pairs
 from vstestbed.report.comparison.series import read_series
 from vstestbed.report.comparison.settings import differing_fields, gains_alone
 from vstestbed.report.html.canvas import WIDTH_IN, save, style, to_svg
+from vstestbed.report.html.notebook import cell
 from vstestbed.report.html.parts import figure, film
 from vstestbed.report.html.template import PAGE, STYLE
 from vstestbed.report.run import numbers
@@ -35,6 +36,8 @@ FILM_BYTES: Final = 8_000_000
 """A film up to this size is embedded (base64 makes it 4/3 as large); the page then stays under 20 MB."""
 BROAD_IN: Final = 2 * WIDTH_IN
 """Width of a figure over both columns of the page [in]."""
+NOTEBOOK_PX: Final = 480
+"""Height of a comparison's result in a notebook [px]."""
 COLUMN_IN: Final = {1: 3.5, 2: 7.16}
 """Width of a paper's figure over one and two columns (IEEE) [in]."""
 DPI: Final = 300
@@ -135,6 +138,20 @@ def write_comparison_report(
         body="\n".join(filter(None, body)),
     )
     return write_whole(folder / "report.html", page)
+
+
+def comparison_cell(folder: Path, table: pl.DataFrame, axes: tuple[str, ...], metrics: tuple[str, ...]) -> str:
+    """The result of a comparison as a notebook shows it: who is better, the controllers' numbers, their differences; no figures."""
+    comparison = ComparisonResults(table, axes, metrics or DEFAULT_METRICS)
+    paired = pairs(comparison)
+    body = [
+        summary_text.headline(comparison, paired, gains_alone(differing_fields(folder, comparison))),
+        comparison_tables.controllers(comparison),
+        comparison_tables.differences(comparison, paired),
+        comparison_tables.SCRIPT,
+    ]
+    look, where = STYLE + comparison_tables.STYLE, f'<p class="soft">Figures and films: {escape(str(folder / "report.html"))}</p>'
+    return cell(PAGE.format(title="Comparison", style=look, heading="Comparison", description=where, body="\n".join(body)), NOTEBOOK_PX)
 
 
 def _paper(data: Data, plot: int, place: Path) -> None:

@@ -15,6 +15,7 @@ from vstestbed.core.files import write_whole
 from vstestbed.loop.log_file import open_log
 from vstestbed.loop.summary_file import read_summary
 from vstestbed.report.html.chart import Chart
+from vstestbed.report.html.notebook import cell
 from vstestbed.report.html.parts import figure, film, folded
 from vstestbed.report.html.template import PAGE, STYLE
 from vstestbed.report.run import figures, flight, numbers, path3d, vehicle
@@ -23,12 +24,15 @@ from vstestbed.report.run import polar_angles as angles
 from vstestbed.report.run.tracks import Setting, Tracks
 
 if TYPE_CHECKING:
-    from vstestbed.loop.recording import Rows
+    from vstestbed.loop.recording import Recording, Rows
 
 FARTHEST_M: Final = 1e6
 """Positions beyond [m] are no run's, which ends (`diverged`) 200 m away from its target."""
 EMBED_BYTES: Final = 30_000_000
 """Films up to this size together are embedded in the page; larger ones are linked, so that a browser can still open it."""
+
+NOTEBOOK_PX: Final = 720
+"""Height of the report in a notebook [px]."""
 
 FILMS: Final = {"camera": "What the camera sees", "overview": "From outside"}
 
@@ -167,6 +171,14 @@ def render_page(
     subtitle = f'<p class="soft">{escape(setting.description)}</p>' if setting.description else ""
     title = f"{name}: {numbers.outcome_text(summary)}"
     return PAGE.format(title=escape(title), style=STYLE, heading=escape(name), description=subtitle, body="\n".join(filter(None, body)))
+
+
+def recording_cell(recording: Recording) -> str:
+    """The report of a recording as a notebook shows it, without films."""
+    from vstestbed.scenario.load import dump
+
+    scenario = recording.scenario
+    return cell(render_page(recording.rows, recording.summary(), dump(scenario), {}, Setting.of(scenario)), NOTEBOOK_PX)
 
 
 def _figures(tracks: Tracks) -> str:

@@ -19,14 +19,14 @@ from vstestbed.core.outcome import Outcome, Verdict
 from vstestbed.loop.columns import POSE
 from vstestbed.loop.recording import Rows
 from vstestbed.loop.summary_file import read_summary
-from vstestbed.report.video.outside import Outside
+from vstestbed.report.video.outside import Outside, inset_share
 from vstestbed.report.video.overlay import ALARM, GOOD, HOLD_S, Overlay, draw_caption, draw_ending
-from vstestbed.report.video.quality import Pace, Quality
+from vstestbed.report.video.quality import FINE, Pace, Quality
 from vstestbed.report.video.writer import Image, VideoWriter
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.replay import Replay
 from vstestbed.tasks.frame import Frame
-from vstestbed.tasks.judged import JudgedError, in_words_unit
+from vstestbed.tasks.judged import in_a_frame, in_words_unit
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,16 +188,9 @@ def scaled(image: Image, size: tuple[int, int]) -> Image:
 
 def error_in_words(scenario: Scenario, values: dict[str, float]) -> str:
     """The error of one frame by which the task is judged, in its own unit."""
-    judged = judged_now(scenario, values)
+    judged = in_a_frame(scenario.goal, scenario.stop, values)
     value, unit = in_words_unit(judged.value, judged.unit)
     return f"error {value:.{3 if unit.startswith('m') else 2}f} {unit}" if math.isfinite(value) else "error \u2013"
-
-
-def judged_now(scenario: Scenario, values: dict[str, float]) -> JudgedError:
-    """The error of one frame by which the task is judged, from its `error_px` and own columns."""
-    # A continuing task is judged by its error once settled: at t = inf it is that of this frame.
-    log = {name: np.array([value]) for name, value in values.items()} | {"t": np.array([np.inf])}
-    return scenario.goal.judged(log, scenario.stop)
 
 
 def ending_of(folder: Path) -> Verdict | None:
@@ -212,10 +205,16 @@ def ending_of(folder: Path) -> Verdict | None:
     return Outcome[summary["outcome"]], summary.get("reason", "")
 
 
-def replay_of(scenario: Scenario, quality: Quality) -> Replay:
-    """A replay of the scene of a scenario."""
+def replay_of(scenario: Scenario, quality: Quality, inset_in: tuple[int, int] | None = None) -> Replay:
+    """A replay of the scene of a scenario.
+
+    inset_in: size (width, height) of a picture in whose inset alone the servo camera's pictures are shown; its drafts are drawn as small.
+    """
     parts = scenario.robot, scenario.camera, scenario.target, scenario.world
-    return Replay(*parts, quality.shadows, scenario.sights, quality.samples, quality.share(scenario.camera.width, scenario.camera.height))
+    share = quality.share(scenario.camera.width, scenario.camera.height)
+    if inset_in is not None and quality.longest < FINE.longest:
+        share = min(share, inset_share(scenario.camera, inset_in))
+    return Replay(*parts, quality.shadows, scenario.sights, quality.samples, share)
 
 
 @contextmanager
@@ -227,7 +226,7 @@ def open_films(scenario: Scenario, paths: dict[str, Path], quality: Quality, siz
         paths: the films by the names of their cameras.
         quality, size: see `Film`.
     """
-    replay = replay_of(scenario, quality)
+    replay = replay_of(scenario, quality, None if "eye" in paths else size or quality.size)
     films = [Film(scenario, camera, path, replay, quality, size) for camera, path in paths.items()]
     try:
         yield films
@@ -278,7 +277,7 @@ def picture_of_the_end(scenario: Scenario, log: Rows, path: Path, quality: Quali
         EnvironmentLackError: no OpenGL, no space. OutputError: the picture cannot be written.
     """
     (last,) = deque(rows_of(log), maxlen=1)
-    replay = replay_of(scenario, quality)
+    replay = replay_of(scenario, quality, quality.size)
     try:
         image = Pictures(scenario, "overview", replay, quality.size).picture(FilmFrame.of_row(last, scenario))
     finally:

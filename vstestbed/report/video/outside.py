@@ -32,7 +32,7 @@ MOST_PLACES: Final = 400
 AXIS: Final = 0.045
 """Length of an axis of the target's frame over the picture's width, at its place."""
 INSET_S: Final = 0.2
-"""Time between two pictures of the servo camera in the inset that must be rendered for it [s]."""
+"""Time between two pictures of the servo camera in the inset [s]."""
 EDGE: Final = 2
 """Width of the edge of the inset [px]."""
 SPACING: Final = 0.006
@@ -58,7 +58,7 @@ class Outside:
         self._line = max(1, round(size[1] / 360))
         self._trail, self._spacing = np.zeros((0, 3)), 0.0
         self._corners = np.vstack([frustum_corners(scenario.camera), np.zeros(3)])
-        self._scale = min((1 - FREE) * size[0] / scenario.camera.width, 0.5 * size[1] / scenario.camera.height)
+        self._scale = inset_share(scenario.camera, size)
         inset = round(scenario.camera.width * self._scale), round(scenario.camera.height * self._scale)
         self._inset_t, self._inset = -np.inf, np.full((inset[1] + EDGE, inset[0] + EDGE, 3), PAPER, np.uint8)
         self._overlay = Overlay(*inset, scenario.target.colors)
@@ -92,11 +92,10 @@ class Outside:
     def put_inset(self, scene: Image, frame: FilmFrame, image: Image | None, render: Callable[[], Image]) -> None:
         """The servo camera's image in the upper right corner of a picture, with its markers, in place.
 
-        image: what is there already; without one, `render` is asked every INSET_S alone, since a wide lens takes several views.
+        It is renewed every INSET_S. image: what is there already; without one, `render` is asked.
         """
-        if image is None and frame.t >= self._inset_t + INSET_S - 1e-9:
-            image = render()
-        if image is not None:
+        if frame.t >= self._inset_t + INSET_S - 1e-9:
+            image = render() if image is None else image
             small = self._inset[:-EDGE, EDGE:]
             small[:] = _reduced(image, *small.shape[1::-1])
             self._overlay.marks(small, (frame.uv + 0.5) * self._scale - 0.5, (frame.goal_uv + 0.5) * self._scale - 0.5)
@@ -178,6 +177,11 @@ class Pen:
             cv2.fillConvexPoly(mask, cv2.convexHull(points), 255, cv2.LINE_8, SHIFT)
         cv2.copyTo(cv2.addWeighted(part, 1 - fill, np.full_like(part, color), fill, 0), mask, part)
         cv2.polylines(part, list(cv2.findContours(mask, cv2.RETR_LIST, cv2.CHAIN_APPROX_SIMPLE)[0]), True, color, self._stroke, cv2.LINE_AA)
+
+
+def inset_share(camera: Camera, size: tuple[int, int]) -> float:
+    """Size of the inset in a picture of a size (width, height) as a share of the servo camera's image."""
+    return min((1 - FREE) * size[0] / camera.width, 0.5 * size[1] / camera.height)
 
 
 def frustum_corners(camera: Camera) -> Array:

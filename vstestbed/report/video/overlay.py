@@ -27,8 +27,8 @@ ALARM: Final[Color] = (200, 30, 45)
 GOOD: Final[Color] = (24, 122, 62)
 HOLD_S: Final = 1
 """How long the last picture of a film stays [s]."""
-TALLEST: Final = 0.2
-"""Most of a picture's height that the outcome and its reason may take as two lines."""
+ENDING: Final = 0.82
+"""Opacity of the band with the outcome."""
 SHIFT: Final = 4
 UNIT: Final = 1 << SHIFT  # OpenCV draws on a grid of 1/16 px
 SMALL: Final = 240
@@ -88,7 +88,7 @@ class Overlay:
         self._light = _bytes(0.7 * np.asarray(colors) + 0.3)  # lighter, or blue and violet would not stand out from their dark borders
         self._stroke = max(1, round(height / 480))
         self._edge = self._stroke if height > SMALL else 0
-        self._figure_stroke = max(1, round(height / 240))  # yuv420p stores colour for blocks of 2 x 2 pixels: thinner lines turn grey
+        self._figure_stroke = math.ceil(height / 240)  # yuv420p stores colour for blocks of 2 x 2 pixels: thinner lines turn grey
         self._trails = [Trail(max(2.0, height / 240)) for _ in self._colors]
 
     def draw(self, image: Image, uv: Array, goal_uv: Array | None, *, t: float, error: str, lost: bool = False) -> None:
@@ -166,22 +166,20 @@ def draw_caption(image: Image, title: str, *, t: float, error: str) -> None:
 
 
 def draw_ending(image: Image, words: str, reason: str, color: Color) -> None:
-    """Write how a run ended, in bold, and why, on a coloured band over the caption, in place; shortened to its width.
+    """Write how a run ended, in bold, and why, in one line on a coloured band over the caption, in place.
 
-    In a small picture both are one line.
+    What the band covers shines through. Where only a part of the reason fits, it is left out.
     """
     height, width = image.shape[:2]
     size, foot = text_size(height), height - strip_height(height)
-    pad = round(0.7 * size)
-    low = 3.6 * size > TALLEST * height
-    top = foot - round((1.9 if low else 3.6) * size)
-    image[top:foot] = color
-    if low:
-        reason = f"{words}: {reason}"
-    else:
-        large = next((k for k in range(round(1.25 * size), size, -1) if text_width(words, k, 600) <= width - 2 * pad), size)
-        draw_text(image, shortened(words, large, width - 2 * pad, 600), (pad, top + round(1.5 * size)), PAPER, large, weight=600)
-    draw_text(image, shortened(reason, size, width - 2 * pad), (pad, foot - round((0.6 if low else 0.75) * size)), PAPER, size)
+    pad, top = round(0.7 * size), foot - round(1.9 * size)
+    band = image[top:foot]
+    cv2.addWeighted(band, 1 - ENDING, np.full_like(band, color), ENDING, 0.0, dst=band)
+    base = foot - round(0.6 * size)
+    draw_text(image, shortened(words, size, width - 2 * pad, 600), (pad, base), PAPER, size, weight=600)
+    at = pad + text_width(words, size, 600) + size
+    if at + text_width(reason, size) <= width - pad:
+        draw_text(image, reason, (at, base), PAPER, size)
 
 
 def text_size(height: int) -> int:

@@ -36,7 +36,7 @@ class Quality:
         return min(1.0, self.longest / max(width, height))
 
 
-DRAFT = Quality((640, 360), longest=480, samples=0, shadows=False, most_hz=15.0)
+DRAFT = Quality((640, 360), longest=384, samples=0, shadows=False, most_hz=15.0)
 FINE = Quality((1280, 720), longest=4320, samples=4, shadows=True, most_hz=math.inf)
 RAYS = Quality((320, 180), longest=320, samples=0, shadows=False, most_hz=5.0)
 """Without OpenGL a picture takes some twenty times as long."""

@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 
 Image = NDArray[np.uint8]
 
-ENCODER: Final = {"preset": "veryfast", "crf": "20", "x264-params": "subme=1:bframes=0:threads=1"}
-"""One sub-pixel step in the search of motion and no B frames: .65 of `veryfast`'s time for 1.4 times its size; `superfast` makes 2.1 times
-its size in that time.
+ENCODER: Final = {"preset": "ultrafast", "crf": "20", "x264-params": "subme=1:mbtree=1:rc-lookahead=5:threads=1"}
+"""One sub-pixel step in the search of motion, and quality where it lasts (a tree of macroblocks over five frames): .8 of the time of
+`veryfast` with one step and no B frames, for 1.1 to 1.3 times its size; without the tree 2.3 times its size in that time.
 
 Without `threads=1` here, beside the stream's own thread count, one film in a hundred has other bytes on a machine under load."""
 BT709: Final = 1  # code of BT.709 in ISO/IEC 23091-2, the same for primaries, transfer curve and matrix

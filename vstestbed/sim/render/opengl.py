@@ -16,7 +16,7 @@ from vstestbed.sim.lens.cube import cube_of, drawn_for
 from vstestbed.sim.lens.pinhole import resampling_maps
 from vstestbed.sim.render import gl_probe as gl
 from vstestbed.sim.render.window import PartCamera, part_round
-from vstestbed.sim.scene.compose import LENS_GROUP, RANGE_GROUP
+from vstestbed.sim.scene.groups import LENS_GROUP, RANGE_GROUP
 from vstestbed.sim.scene.stage import Stage
 
 ROUNDED = {int(kind) for kind in (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_ELLIPSOID)}

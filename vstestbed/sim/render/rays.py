@@ -17,7 +17,7 @@ from vstestbed.core.geometry import FLIP, Array
 from vstestbed.sim.render import gl_probe as gl
 from vstestbed.sim.render.cones import cone_of, meets
 from vstestbed.sim.render.shade import Paint
-from vstestbed.sim.scene.compose import LENS_GROUP, RANGE_GROUP
+from vstestbed.sim.scene.groups import LENS_GROUP, RANGE_GROUP
 from vstestbed.sim.scene.stage import Stage
 from vstestbed.vision.detect.colour_blobs import noise_rows
 

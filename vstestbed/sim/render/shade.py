@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vstestbed.core.geometry import Array
-from vstestbed.sim.scene.compose import TARGET_GROUP
+from vstestbed.sim.scene.groups import TARGET_GROUP
 
 RGB_ROLE = int(mujoco.mjtTextureRole.mjTEXROLE_RGB)
 SKYBOX = int(mujoco.mjtTexture.mjTEXTURE_SKYBOX)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import Any, Protocol
 
 import mujoco
 import numpy as np
@@ -20,6 +20,9 @@ NEAR_M = 0.1
 """Least distance that is assumed between a view and what it shows [m]."""
 FLOOR_M = 0.5
 """The same for planes, which have no bounding sphere [m]."""
+CORNERS = np.array([[i, j, k] for i in (-1.0, 1.0) for j in (-1.0, 1.0) for k in (-1.0, 1.0)])
+ASIDE = 1.02
+"""Margin of the tangents beyond which a geom is out of sight."""
 
 
 class View(Protocol):
@@ -42,6 +45,8 @@ class StillView:
         camera: the view's camera by its name in the scene.
         f: pixels per radian.
         part: draws a perspective image within a window alone, or returns None where it cannot.
+        sides: tangents of half the angles of view (see `half_tangents`). What is beyond them, before and now, may move unseen: most of
+            an arm that carries the camera. None where everything counts.
     """
 
     def __init__(
@@ -52,10 +57,12 @@ class StillView:
         camera: str,
         f: float,
         part: Callable[[Window], Image | None] = lambda window: None,
+        sides: tuple[float, float] | None = None,
     ):
         self._view, self._model, self._data, self._f, self._part = view, model, data, f, part
-        self._camera = model.camera(camera).id
-        self._drawn: tuple[Array, ...] = ()
+        self._camera, self._sides = model.camera(camera).id, sides
+        self._corners = model.geom_aabb[:, None, :3] + model.geom_aabb[:, None, 3:] * CORNERS
+        self._drawn: tuple[NDArray[Any], ...] = ()
         self._image: Image | None = None
 
     def full_image(self) -> Image:
@@ -70,7 +77,7 @@ class StillView:
             self._image, self._drawn = self._view.full_image(), state
         return self._image.copy()
 
-    def _renewed(self, image: Image, state: tuple[Array, ...], moved: NDArray[np.intp]) -> bool:
+    def _renewed(self, image: Image, state: tuple[NDArray[Any], ...], moved: NDArray[np.intp]) -> bool:
         """Draw an image again, in place, where the geoms that have moved are and were; False where that is not possible."""
         window = self._window(np.concatenate([state[0][moved], self._drawn[0][moved]]), np.tile(self._model.geom_rbound[moved], 2))
         part = None if window is None else self._part(window)
@@ -78,7 +85,7 @@ class StillView:
             return False
         left, top, right, bottom = window
         image[top:bottom, left:right] = part[top:bottom, left:right]
-        for drawn, now in zip(self._drawn[:2], state, strict=False):
+        for drawn, now in zip(self._drawn[:3], state, strict=False):
             drawn[moved] = now[moved]
         return True
 
@@ -96,19 +103,28 @@ class StillView:
         left, top, right, bottom = np.clip([first, last], 0, size).astype(int).ravel().tolist()
         return (left, top, right, bottom) if left < right and top < bottom else None
 
-    def _state(self) -> tuple[Array, ...]:
-        """Places (G, 3) and axes (G, 3, 3) of the geoms in the camera's frame; the camera's place (3,) and axes (3, 3)."""
+    def _state(self) -> tuple[NDArray[Any], ...]:
+        """Places (G, 3), axes (G, 3, 3) and sight (G,) of the geoms in the camera's frame; the camera's place (3,) and axes (3, 3)."""
         data, i = self._data, self._camera
         place, axes = data.cam_xpos[i].copy(), data.cam_xmat[i].reshape(3, 3).copy()
-        return (data.geom_xpos - place) @ axes, axes.T @ data.geom_xmat.reshape(-1, 3, 3), place, axes
+        p, Q = (data.geom_xpos - place) @ axes, axes.T @ data.geom_xmat.reshape(-1, 3, 3)
+        return p, Q, self._in_sight(p, Q), place, axes
 
-    def _motion(self, state: tuple[Array, ...]) -> tuple[Array, float]:
+    def _in_sight(self, p: Array, Q: Array) -> NDArray[np.bool_]:
+        """Whether geoms (G,) may be in the image: their boxes are not all beyond one side of it, nor behind the camera."""
+        if self._sides is None:
+            return np.ones(len(p), bool)
+        x, y, z = np.moveaxis(p[:, None] + self._corners @ Q.transpose(0, 2, 1), -1, 0)
+        wide, high = (-tangent * z for tangent in self._sides)
+        return ~np.logical_or.reduce([(beyond > 0).all(axis=1) for beyond in (z, x - wide, -x - wide, y - high, -y - high)])
+
+    def _motion(self, state: tuple[NDArray[Any], ...]) -> tuple[Array, float]:
         """Bounds of the motion in the image since it was drawn: of each geom (G,), and of planes as the camera moves [px]."""
-        (p, Q, c, R), (p_drawn, Q_drawn, c_drawn, R_drawn) = state, self._drawn
+        (p, Q, seen, c, R), (p_drawn, Q_drawn, seen_drawn, c_drawn, R_drawn) = state, self._drawn
         radius = self._model.geom_rbound
         moved = lengths(p - p_drawn)[:, 0] + radius * _turn(Q - Q_drawn)
         distance = lengths(p)[:, 0] - radius
-        of_geoms = np.where(radius > 0, moved / np.maximum(distance, NEAR_M), 0.0)
+        of_geoms = np.where((radius > 0) & (seen | seen_drawn), moved / np.maximum(distance, NEAR_M), 0.0)
         of_planes = _turn(R - R_drawn) + lengths(c - c_drawn)[0] / FLOOR_M
         return self._f * of_geoms, self._f * float(of_planes)
 
@@ -127,3 +143,14 @@ def pixels_per_radian(lens: Camera) -> float:
     uv = np.stack([u, v], axis=-1)
     angles = [np.linalg.norm(lens.ray(uv + step) - lens.ray(uv), axis=-1) for step in ([1, 0], [0, 1])]
     return 1 / float(np.nanpercentile(angles, 25))
+
+
+def half_tangents(lens: Camera) -> tuple[float, float] | None:
+    """Tangents of the angles from a lens's axis to the sides of its image, with a margin; None if it sees sideways."""
+    u, v = np.meshgrid(np.linspace(-0.5, lens.width - 0.5, 9), np.linspace(-0.5, lens.height - 0.5, 9))
+    rays = lens.ray(np.stack([u, v], axis=-1))
+    with np.errstate(invalid="ignore"):
+        if not (rays[..., 2] > 0.1).all():
+            return None
+    across, upwards = (ASIDE * float(np.abs(rays[..., i] / rays[..., 2]).max()) for i in (0, 1))
+    return across, upwards

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -11,6 +12,9 @@ from vstestbed.core.assets import model_path
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.robots import Robot
+from vstestbed.sim.scene.groups import OF_FILES
+from vstestbed.sim.scene.model_files import carry_files
+from vstestbed.sim.scene.servos import choose_servos
 
 AUTO = mujoco.mjtJacobian.mjJAC_AUTO
 
@@ -29,9 +33,12 @@ def add_robot(scene: mujoco.MjSpec, robot: Robot, prefix: str, friction: float |
     """
     if robot.model is None:
         return scene.worldbody.add_body(name=f"{prefix}camera", mocap=True), np.eye(4)
-    T_body_flange = _flange_pose(robot.model)  # first: it refuses a model that has no flange
+    T_body_flange = _flange_pose(robot.model, robot.flange)  # first: it refuses a model that has no flange
     model = mujoco.MjSpec.from_file(str(model_path(robot.model)))
-    _choose_servos(model, robot)
+    choose_servos(model, robot)
+    for geom in model.geoms:
+        geom.group = OF_FILES.get(geom.group, geom.group)
+    files = carry_files(model, Path(robot.model), scene, prefix)
     # `attach` leaves the child's options behind: what its contacts and air were tuned with must be copied. Of two robots the larger
     # value serves both.
     model.option.timestep = scene.option.timestep
@@ -47,7 +54,10 @@ def add_robot(scene: mujoco.MjSpec, robot: Robot, prefix: str, friction: float |
         for geom in [*model.geoms, scene.geom("floor")]:
             geom.friction[0] = min(geom.friction[0], friction)
     scene.attach(model, prefix=prefix, frame=scene.worldbody.add_frame())
-    return scene.site(f"{prefix}flange").parent, T_body_flange
+    if files:  # after it: an attached model brings its own assets, under a prefix that nothing refers to
+        scene.assets = {**scene.assets, **files}
+    site = scene.site(f"{prefix}{robot.flange}")
+    return site.parent if site else scene.body(f"{prefix}{robot.flange}"), T_body_flange
 
 
 @functools.cache
@@ -56,43 +66,26 @@ def _compiled(model: str) -> mujoco.MjModel:
     return mujoco.MjSpec.from_file(str(model_path(model))).compile()
 
 
-def _flange_pose(model: str) -> Array:
-    """Pose (4, 4) of the site `flange` in its body, as the compiler has it.
+def _flange_pose(model: str, flange: str) -> Array:
+    """Pose (4, 4) of the flange in its body, as the compiler has it; the identity where the flange is a body.
 
     A spec keeps an orientation as the file writes it (quat, euler, axisangle, xyaxes, zaxis), and its `quat` is the identity where
     the file writes another of these: only the compiled model has them all.
 
     Raises:
-        ParameterError: the file has no such site.
+        ParameterError: the file has no such site or body.
     """
     compiled = _compiled(model)
-    i = mujoco.mj_name2id(compiled, mujoco.mjtObj.mjOBJ_SITE, "flange")
+    i = mujoco.mj_name2id(compiled, mujoco.mjtObj.mjOBJ_SITE, flange)
+    if i < 0 <= mujoco.mj_name2id(compiled, mujoco.mjtObj.mjOBJ_BODY, flange):
+        return np.eye(4)
     if i < 0:
-        raise ParameterError("robot.kind", f"has a model without a site `flange`, which carries the camera; add one to {model}")
+        raise ParameterError("robot.kind", f"has a model without a site `{flange}`, which carries the camera; add one to {model}")
     R = np.zeros(9)
     mujoco.mju_quat2Mat(R, compiled.site_quat[i])
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = R.reshape(3, 3), compiled.site_pos[i]
     return T
-
-
-def _choose_servos(model: mujoco.MjSpec, robot: Robot) -> None:
-    """Keep the actuators of the chosen profile, and apply its gravity compensation and friction; a vehicle has one profile only."""
-    chosen = robot.actuator_set
-    if chosen is None:
-        return
-    for actuator in list(model.actuators):
-        profile, _, name = actuator.name.partition("_")
-        if profile == chosen.prefix:
-            actuator.name = name
-        else:
-            model.delete(actuator)
-    for body in model.bodies:
-        if chosen.gravity_compensated:
-            body.gravcomp = 1.0
-    for joint in model.joints:
-        if not chosen.friction:
-            joint.frictionloss, joint.damping = 0.0, np.zeros(3)
 
 
 def extent_of(model: str) -> float:

@@ -21,6 +21,8 @@ from vstestbed.core.geometry import FLIP, Array, quaternion_wxyz, transform
 from vstestbed.robots import VEHICLES, Robot
 from vstestbed.sim.lens.cube import drawn_for
 from vstestbed.sim.scene.attach import add_robot, extent_of
+from vstestbed.sim.scene.groups import LENS_GROUP, ROBOT_GROUP, SITE_GROUP, TARGET_GROUP
+from vstestbed.sim.scene.model_files import ASSETS
 from vstestbed.sim.scene.overview import frame_drive, frame_flight
 from vstestbed.sim.scene.paint import add_stripe
 from vstestbed.sim.scene.start_pose import camera_start, target_start
@@ -29,11 +31,8 @@ from vstestbed.targets import Pad, Target
 from vstestbed.targets.markers import HALF_THICKNESS_M, Marker
 from vstestbed.vision.detect.tag_print import printed
 
-LENS_GROUP, ROBOT_GROUP, TARGET_GROUP, SITE_GROUP, RANGE_GROUP = 1, 2, 3, 4, 5
 HAND_PLATE = "hand_plate"
 """Name of the plate in reserve."""
-ASSETS = "assets"
-"""Folder beside model.xml for its asset files."""
 FACE_VIEWER = (0, 1, 0, 0)
 """A half turn about x (wxyz): the face that MuJoCo draws a texture on upright, +z with y up, looks at the viewer, y down."""
 HOUSING_M = 0.03

@@ -8,8 +8,8 @@ import mujoco
 import numpy as np
 
 from vstestbed.core.geometry import Array, inverse, transform
-from vstestbed.sim.scene.compose import RANGE_GROUP
-from vstestbed.sim.scene.overview import AZIMUTHS, LEAST_REACH, Axes, Tangents, axes_of, extremes, eye_of, slanting
+from vstestbed.sim.scene.groups import RANGE_GROUP
+from vstestbed.sim.scene.overview import AZIMUTHS, LEAST_REACH, ROOM, Axes, Tangents, axes_of, extremes, eye_of, holds, slanting
 from vstestbed.sim.scene.stage import Stage
 
 ELEVATIONS = np.radians([26.0, 36.0, 16.0, 10.0, 5.0])
@@ -24,6 +24,9 @@ LEAST_SHARE = 0.08
 """Least extent of the robot over the picture's width; where robot, target and goal are too far apart for it, the robot counts."""
 RATE = 2.5
 """Natural frequency of the filter that smooths the following [rad/s]: the camera starts and stops within about a second."""
+ROOM_TO_MOVE, SLACK = 1.2, 1.02
+"""Margin of the view of a robot that stays, and what is left of it when the view is taken anew: until then it rests, and of the picture
+only what has moved must be drawn again."""
 SHOWN = "robot/", "leader/", "target/", "eye"
 """Beginnings of the names of bodies, or of geoms in the world, that are in the picture, and not of plates, decoys and the floor."""
 STRIPE = "target/line_"
@@ -89,11 +92,12 @@ class FollowCamera:
         self._camera, self._light = model.camera("overview").id, model.light("key").id
         half = math.tan(math.radians(model.cam_fovy[self._camera]) / 2)
         self._width = 2 * half * aspect
-        self._tangents = Tangents(half * aspect, half * aspect * (2 * free - 1), half * (1 - 2 * foot), half).narrowed()
-        self._things = things
+        tangents = Tangents(half * aspect, half * aspect * (2 * free - 1), half * (1 - 2 * foot), half)
         self._moving = stage.parts.robot.base != "fixed"
+        self._tangents, self._edges = tangents.narrowed(ROOM if self._moving else ROOM_TO_MOVE), tangents.narrowed(SLACK)
+        self._things = things
         self._view: Axes | None = None
-        self._extremes = np.full(4, -np.inf)
+        self._extremes, self._framed = np.full((2, 4), -np.inf), np.zeros(3)
         self._t, self._eye, self._velocity = 0.0, np.zeros(3), np.zeros(3)
 
     def place(self, t: float, T_world_goal: Array | None) -> None:
@@ -131,9 +135,12 @@ class FollowCamera:
     def _eye_for(self, view: Axes, around: Array, beside: Array) -> Array:
         """The nearest eye (3,) that shows everything, or as much of it as leaves the robot its least size."""
         if not self._moving:
-            now = extremes(np.vstack([around, beside]), view, self._tangents)
-            self._extremes = np.maximum(self._extremes, now)
-            return eye_of(self._extremes, view, self._tangents)
+            points = np.vstack([around, beside])
+            now = np.array([extremes(points, view, tangents) for tangents in (self._tangents, self._edges)])
+            first, self._extremes = not np.isfinite(self._extremes).all(), np.maximum(self._extremes, now)
+            if first or not holds(self._framed, self._extremes[1], view, self._edges):
+                self._framed = eye_of(self._extremes[0], view, self._tangents)
+            return self._framed
         middle, near, far = around.mean(axis=0), 0.0, 1.0
         eye = self._showing(view, around, beside)
         for _ in range(BISECTIONS if self._share(eye, view, around) < LEAST_SHARE else 0):

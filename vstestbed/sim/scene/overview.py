@@ -106,9 +106,9 @@ class Tangents(NamedTuple):
     down: float
     up: float
 
-    def narrowed(self) -> Tangents:
-        """With a margin."""
-        return Tangents(*(tangent / ROOM for tangent in self))
+    def narrowed(self, room: float) -> Tangents:
+        """With a margin: the picture is so many times as large as its contents."""
+        return Tangents(*(tangent / room for tangent in self))
 
 
 def eye_for(points: Array, right: Array, up: Array, half_height: float) -> Array:
@@ -151,6 +151,14 @@ def eye_of(most: Array, axes: Axes, tangents: Tangents) -> Array:
     across = (most[1] - to_right * distance + left * distance - most[0]) / 2
     upwards = (most[3] - to_up * distance + down * distance - most[2]) / 2
     return across * axes.right + upwards * axes.up - distance * axes.ahead
+
+
+def holds(eye: Array, most: Array, axes: Axes, tangents: Tangents) -> bool:
+    """Whether a place (3,) satisfies extremes (4,)."""
+    across, upwards, distance = axes.right @ eye, axes.up @ eye, -(axes.ahead @ eye)
+    left, to_right, down, to_up = np.array(tangents) * distance
+    room = np.array([left - across, across + to_right, down - upwards, upwards + to_up])
+    return bool((room >= most).all())
 
 
 def axes_of(model: mujoco.MjModel, camera: int) -> tuple[Array, Array]:

@@ -118,8 +118,8 @@ def _poses(which: list[int], few: Candidates, camera: Camera, target: Target, pr
 
 def _explained(few: Candidates, T: Array, camera: Camera, target: Target) -> tuple[float, list[Placed | None]]:
     """Score of a pose, sum over markers of max(0, 1 - distance / allowed), and the blob of each marker that it explains."""
-    bias, area = centre_bias(camera, target, T)
-    uv = camera.project(transform(T, target.points)) + bias
+    bias, area, centre = centre_bias(camera, target, T)
+    uv = centre + bias
     allowed, chosen, score = allowed_px(uv), [], 0.0
     for i, some in enumerate(few):
         fitting = [(f, _off(f[1], uv[i])) for f in some if _like(f[1], area[i])]

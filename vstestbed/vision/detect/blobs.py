@@ -15,13 +15,15 @@ from vstestbed.core.spec import spec
 from vstestbed.targets.base import Target
 from vstestbed.vision.base import Detection, TruthView
 from vstestbed.vision.detect.assign import assign_blobs
-from vstestbed.vision.detect.colour_blobs import Blob, Image, Rim, find_blobs, noise_level
+from vstestbed.vision.detect.colour_blobs import Blob, Region, Rim, find_blobs, noise_level
 from vstestbed.vision.detect.moments import MarkerFit
 from vstestbed.vision.detect.track import BlobsMemory, at_border, hand_over, largest, look_of, moves_of, windows
 
 EDGE_PX = 0.15
 """Error of a smoothed, shaded blob's border, inwards or outwards [px] (measured on rendered balls of 5 px radius and more)."""
 
+Place = tuple[int, Window]
+"""Index of the camera's panel, and a window in it."""
 Found = tuple[int, Blob] | None
 """Index of the camera's panel and a marker's blob in it; None: not found."""
 
@@ -109,27 +111,29 @@ class Blobs:
             after = hand_over(after, camera, self.window_margin_px)
         return after, Detection(uv=uv, T_camera_target=T)
 
-    def _blobs_in(self, image: Image, window: Window, noise: float, lens: Camera) -> list[Blob]:
-        """All blobs in a window of one panel's image, in directions that its lens sees."""
-        rim: Rim = self.moments if _smooth(lens) or (noise > 0 and self.moments == "binary") else "sharp"
-        found = find_blobs(image, window, self.chroma, self.least_area_px, rim, noise)
-        if not found or lens.sees_all:
-            return found
-        # Noise makes blobs outside of a wide lens's image circle, too, where a pixel has no ray.
-        seen = np.isfinite(lens.ray(np.array([(blob.u, blob.v) for blob in found]))[:, 0])
-        return [blob for blob, is_seen in zip(found, seen.tolist(), strict=True) if is_seen]
+    def _blobs_in(self, places: list[Place], picture: Picture, noise: list[float], camera: Camera) -> list[list[Blob]]:
+        """All blobs in each of some places of a picture, in directions that the lens there sees."""
+        regions: list[Region] = []
+        for panel, window in places:
+            image, lens, level = picture.images[panel], camera.panels[panel].lens, noise[panel]
+            assert image is not None
+            rim: Rim = self.moments if _smooth(lens) or (level > 0 and self.moments == "binary") else "sharp"
+            regions.append(Region(image, window, rim, level))
+        found = find_blobs(regions, self.chroma, self.least_area_px)
+        return [_seen_by(camera.panels[panel].lens, blobs) for (panel, _), blobs in zip(places, found, strict=True)]
 
     def _track(self, picture: Picture, noise: list[float], memory: BlobsMemory, camera: Camera, target: Target) -> list[Found] | None:
         """Each marker's blob from a window of its own; None where one is lost and the whole image must be searched."""
         own = windows(memory, camera, self.window_margin_px)
-        if own is None:
+        if own is None or any(picture.images[panel] is None for panel in memory.panels):
             return None
+        places = list(zip(memory.panels, own, strict=True))
         found: list[Found] = []
-        for hue, last, move, panel, window in zip(target.hues_deg, memory.blobs, memory.moves, memory.panels, own, strict=True):
-            image, lens = picture.images[panel], camera.panels[panel].lens
-            if image is None or last is None:
+        by_marker = self._blobs_in(places, picture, noise, camera)
+        for hue, last, move, (panel, window), blobs in zip(target.hues_deg, memory.blobs, memory.moves, places, by_marker, strict=True):
+            lens = camera.panels[panel].lens
+            if last is None:
                 return None
-            blobs = self._blobs_in(image, window, noise[panel], lens)
             blob = _nearest(self._of_hue(blobs, hue, len(own)), last.u + move[0], last.v + move[1])
             if blob is None or blob.cut_by(window, lens.width, lens.height):
                 return None
@@ -151,12 +155,10 @@ class Blobs:
 
     def _all_blobs(self, picture: Picture, noise: list[float], camera: Camera) -> list[tuple[int, Blob]]:
         """All blobs of all panels, each with the index of its panel."""
-        found: list[tuple[int, Blob]] = []
-        for i, (image, panel) in enumerate(zip(picture.images, camera.panels, strict=True)):
-            if image is not None:
-                window = (0, 0, panel.lens.width, panel.lens.height)
-                found += [(i, b) for b in self._blobs_in(image, window, noise[i], panel.lens)]
-        return found
+        drawn = [i for i, image in enumerate(picture.images) if image is not None]
+        whole = [(i, (0, 0, camera.panels[i].lens.width, camera.panels[i].lens.height)) for i in drawn]
+        # One by one: a panel is too large for the time of a call to count.
+        return [(place[0], blob) for place in whole for blob in self._blobs_in([place], picture, noise, camera)[0]]
 
     def _of_hue(self, blobs: list[Blob], hue_deg: float, n_hues: int) -> list[Blob]:
         return [b for b in blobs if self._has_hue(b, hue_deg, n_hues)]
@@ -170,6 +172,14 @@ class Blobs:
 def _noise_levels(picture: Picture) -> list[float]:
     """The noise of each panel's image [grey levels]; 0 for one that was not drawn."""
     return [0.0 if image is None else noise_level(image) for image in picture.images]
+
+
+def _seen_by(lens: Camera, blobs: list[Blob]) -> list[Blob]:
+    """The blobs in directions that a lens sees: noise makes blobs outside of a wide lens's image circle, too, where a pixel has no ray."""
+    if not blobs or lens.sees_all:
+        return blobs
+    seen = np.isfinite(lens.ray(np.array([(blob.u, blob.v) for blob in blobs]))[:, 0])
+    return [blob for blob, is_seen in zip(blobs, seen.tolist(), strict=True) if is_seen]
 
 
 def _split(found: list[Found], memory: BlobsMemory) -> tuple[list[Blob | None], list[int]]:

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import colorsys
 import math
+from bisect import bisect_right
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from itertools import accumulate
+from typing import Literal, NamedTuple
 
 import cv2
 import numpy as np
@@ -86,11 +89,11 @@ def noise_level(image: Image) -> float:
     exactly 0 without noise. Noise below about .7 is lost in the rounding to grey levels. A textured background counts as noise.
     """
     of = noise_rows(len(image))
-    rows = np.ascontiguousarray(image[of.start :: of.step, :, 1])
-    steps = cv2.absdiff(rows[:, 1:], rows[:, :-1])
-    if 2 * cv2.countNonZero(steps) <= steps.size:  # the median is 0: no need to sort
+    rows = cv2.extractChannel(image[of.start :: of.step], 1)
+    here, there = rows[:, 1:], rows[:, :-1]
+    if 2 * np.count_nonzero(here != there) <= here.size:  # the median is 0: no need to sort
         return 0.0
-    return float(np.median(steps)) / MEDIAN_STEP
+    return float(np.median(cv2.absdiff(here, there))) / MEDIAN_STEP
 
 
 def chroma_mask(image: Image, threshold: int) -> Image:
@@ -114,39 +117,74 @@ def chroma_mask(image: Image, threshold: int) -> Image:
     return mask
 
 
-def find_blobs(image: Image, window: Window, threshold: int, least_area: float, rim: Rim, noise: float = 0.0) -> list[Blob]:
-    """All blobs of at least `least_area` pixels whose chroma exceeds the threshold, in a window of an RGB image.
+class Region(NamedTuple):
+    """A part of an image in which blobs are searched.
 
-    Args:
+    Attributes:
         image: the whole image, shape (H, W, 3).
-        window: the part to be searched [px].
-        threshold: chroma above which a pixel belongs to a blob, 0..255.
-        least_area: smaller blobs are noise [px^2].
+        window: the part of it [px].
         rim: weights of the pixels at a blob's edge. `sharp`: by the threshold (by coverage where there is noise), for images
             of one sample a pixel; for images with smooth edges `binary` (in or out at half coverage) or `grey` (by coverage).
         noise: standard deviation of the image's noise [grey levels]; if positive, blobs are segmented in the smoothed image,
             which has three eighths of it, and measured as in `_noisy_coverage`.
     """
-    left, top, right, bottom = window
-    part = image[top:bottom, left:right]
-    mask = chroma_mask(_smoothed(part) if noise > 0 else part, threshold)
-    blobs = []
-    contours = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[0]
-    for contour in contours:
-        x, y, w, h = cv2.boundingRect(contour)
+
+    image: Image
+    window: Window
+    rim: Rim
+    noise: float
+
+    @property
+    def searched(self) -> Image:
+        """The pixels that are segmented."""
+        left, top, right, bottom = self.window
+        part = self.image[top:bottom, left:right]
+        return _smoothed(part) if self.noise > 0 else part
+
+
+def find_blobs(regions: Sequence[Region], threshold: int, least_area: float) -> list[list[Blob]]:
+    """All blobs of at least `least_area` pixels whose chroma exceeds the threshold, in each of the regions.
+
+    Args:
+        regions: where to search.
+        threshold: chroma above which a pixel belongs to a blob, 0..255.
+        least_area: smaller blobs are noise [px^2].
+    """
+    mask, lefts = _masks(regions, threshold)
+    boxed = [(contour, cv2.boundingRect(contour)) for contour in cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[0]]
+    where = [bisect_right(lefts, box[0]) - 1 for _, box in boxed]
+    out: list[list[Blob]] = [[] for _ in regions]
+    crowd = [where.count(i) for i in range(len(regions))]
+    for (contour, (x, y, w, h)), i in zip(boxed, where, strict=True):
         if w * h < least_area:  # the box bounds the area: most specks of noise end here
             continue
         alone = mask[y : y + h, x : x + w]
-        if len(contours) > 1:  # remove the parts of other blobs from this one's box
+        if crowd[i] > 1:  # remove the parts of other blobs from this one's box
             filled = cv2.drawContours(np.zeros((h, w), np.uint8), [contour], 0, 255, cv2.FILLED, offset=(-x, -y))
             alone = np.asarray(cv2.bitwise_and(alone, filled), np.uint8)
-        blob = _blob(image, alone, (left + x, top + y, left + x + w, top + y + h), rim, noise)
+        left, top = regions[i].window[0] + x - lefts[i], regions[i].window[1] + y
+        blob = _blob(regions[i], alone, (left, top, left + w, top + h))
         if blob is not None and blob.area >= least_area:
-            blobs.append(blob)
-    return blobs
+            out[i].append(blob)
+    return out
 
 
-def _blob(image: Image, alone: Image, box: Window, rim: Rim, noise: float) -> Blob | None:
+def _masks(regions: Sequence[Region], threshold: int) -> tuple[Image, list[int]]:
+    """The chroma masks of all regions in one image, side by side with a gap of a pixel, and the column at which each begins.
+
+    OpenCV's calls take longer to make than to run on a window of some 40 pixels.
+    """
+    if len(regions) == 1:
+        return chroma_mask(regions[0].searched, threshold), [0]
+    parts = [region.searched for region in regions]
+    lefts = list(accumulate((part.shape[1] + 1 for part in parts), initial=0))
+    canvas = np.zeros((max(len(part) for part in parts), lefts.pop(), 3), np.uint8)
+    for part, left in zip(parts, lefts, strict=True):
+        canvas[: len(part), left : left + part.shape[1]] = part
+    return chroma_mask(canvas, threshold), lefts
+
+
+def _blob(region: Region, alone: Image, box: Window) -> Blob | None:
     """One blob from its own pixels in its box, 255 in `alone`; None without mass.
 
     Moments are computed within the blob's own box (two pixels larger on each side where edge pixels are weighted by coverage),
@@ -154,6 +192,7 @@ def _blob(image: Image, alone: Image, box: Window, rim: Rim, noise: float) -> Bl
     An ellipse with second central moments mu (per area) has area 4 pi sqrt(det mu); a blob that is smaller
     is partly occluded. (Coverage is an ellipse convolved with a pixel, which adds its variance 1/12 to mu_xx and mu_yy.)
     """
+    image, _, rim, noise = region
     height, width = image.shape[:2]
     left, top = box[:2]
     if noise > 0 or rim != "sharp":

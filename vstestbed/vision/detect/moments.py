@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
-from vstestbed.camera import Camera
-from vstestbed.core.geometry import Array, lengths, transform
+from vstestbed.camera import Camera, Panel
+from vstestbed.core.geometry import Array, lengths
 from vstestbed.targets.base import Target
 from vstestbed.vision.detect.assign import allowed_px
-from vstestbed.vision.detect.centre import ball_bias, centre_bias
+from vstestbed.vision.detect.centre import Outlines, ball_bias, centre_bias
 from vstestbed.vision.detect.colour_blobs import Blob
 from vstestbed.vision.detect.track import BlobsMemory
 from vstestbed.vision.pose.pnp import solve_pose_from_rays, three_ray_poses
@@ -38,7 +39,7 @@ class MarkerFit:
 
     def __init__(self, camera: Camera, target: Target, panels: list[int], area_tolerance: float, edge: float):
         self._camera, self._target, self._tolerance, self._edge = camera, target, area_tolerance, edge
-        self._of = None if len(camera.panels) == 1 else np.array(panels)
+        self._of = None if len(camera.panels) == 1 else _by_panel(camera, panels)
         self.outliers = np.zeros(len(target.points), dtype=bool)
         """Which blobs are no markers of this target: they lie far from where the pose of the others predicts them, (N,)."""
 
@@ -68,9 +69,10 @@ class MarkerFit:
         for _ in range(len(centroid) + MOST_ROUNDS):
             if T is None:
                 break
-            bias, expected = self._expected(T)
-            worst, misfit = self._worst(area, expected)
-            outlier = self._outlier(T, centroid, bias, area, previous, misfit)
+            expected = self._expected(T)
+            bias = expected.bias
+            worst, misfit = self._worst(area, expected.area)
+            outlier = self._outlier(centroid, expected, area, previous, misfit)
             if outlier is not None:
                 worst, T, assumed = outlier
                 centroid[worst] = area[worst] = np.nan
@@ -87,10 +89,10 @@ class MarkerFit:
         """Bias (N, 2) [px] of markers too few for a pose: of balls by their size, of discs under the last pose."""
         if self._target.marker.height_m:
             return self._by_size(centroid, area)
-        return assumed if previous is None else self._expected(previous)[0]
+        return assumed if previous is None else self._expected(previous).bias
 
     def _outlier(
-        self, T: Array, centroid: Array, bias: Array, area: Array, previous: Array | None, misfit: float
+        self, centroid: Array, expected: Outlines, area: Array, previous: Array | None, misfit: float
     ) -> tuple[int, Array, Array] | None:
         """The blob that is not this target's, with the pose and bias of the others; None where the pose of all explains them.
 
@@ -98,27 +100,31 @@ class MarkerFit:
         pose, by area. Four blobs of which one is another object may have a pose that nearly fits their positions, but hardly
         one that fits their areas too.
         """
+        if self._of is not None:
+            return None
         seen = np.flatnonzero(np.isfinite(centroid[:, 0]))
-        if self._of is not None or len(seen) < 4:
+        if len(seen) < 4:
             return None
         allowed = allowed_px(centroid)
-        if misfit <= 1 and self._off(T, centroid, bias)[seen].max() <= allowed:
+        if misfit <= 1 and _off(centroid, expected)[seen].max() <= allowed:
             return None
         best, found = math.inf, None
         for i in seen.tolist():
             others, left = centroid.copy(), area.copy()
             others[i] = left[i] = np.nan
-            pose = self._of_others(others - bias, left, previous)
+            pose = self._of_others(others - expected.bias, left, previous)
             if pose is None:
                 continue
-            there, expected = self._expected(pose)
-            surprise = float(np.nanmean(np.abs(np.log(left / expected)))) / SURPRISE
-            score = surprise + float(np.nanmax(self._off(pose, others, there))) / allowed
+            there = self._expected(pose)
+            surprise = float(np.nanmean(np.abs(np.log(left / there.area)))) / SURPRISE
+            score = surprise + float(np.nanmax(_off(others, there))) / allowed
             if score < best:
                 best, found = score, (i, pose, there)
-        if found is not None:
-            self.outliers[found[0]] = self._off(found[1], centroid, found[2])[found[0]] > allowed
-        return found
+        if found is None:
+            return None
+        index, pose, there = found
+        self.outliers[index] = _off(centroid, there)[index] > allowed
+        return index, pose, there.bias
 
     def _of_others(self, uv: Array, area: Array, previous: Array | None) -> Array | None:
         """The pose without one blob; of three, the one that continues the last pose, unless their areas contradict it."""
@@ -130,25 +136,20 @@ class MarkerFit:
 
     def _surprise(self, T: Array, area: Array) -> float:
         """Sum of |log(area / predicted)| of areas (N,) under a pose."""
-        return float(np.nansum(np.abs(np.log(area / self._expected(T)[1]))))
+        return float(np.nansum(np.abs(np.log(area / self._expected(T).area))))
 
-    def _off(self, T: Array, centroid: Array, bias: Array) -> Array:
-        """Distance of each centroid (N, 2) from its prediction under a pose, shape (N,) [px]."""
-        uv = self._camera.project(transform(T, self._target.points)) + bias
-        return lengths(centroid - uv)[:, 0]
-
-    def _expected(self, T_camera_target: Array) -> tuple[Array, Array]:
-        """Predicted perspective bias (N, 2) [px] and area (N,) [px^2] of each marker in its panel."""
+    def _expected(self, T_camera_target: Array) -> Outlines:
+        """Predicted outline of each marker in its panel."""
         if self._of is None:
             return centre_bias(self._camera, self._target, T_camera_target)
-        bias, area = np.full((len(self._of), 2), np.nan), np.full(len(self._of), np.nan)
-        for panel in set(self._of.tolist()):
+        n = len(self._target.points)
+        out = Outlines(np.full((n, 2), np.nan), np.full(n, np.nan), np.full((n, 2), np.nan))
+        for panel, mine in self._of:
             T = T_camera_target.copy()
-            T[:3] = self._camera.panels[panel].R_camera_panel.T @ T[:3]
-            mine = self._of == panel
-            there = centre_bias(self._camera.panels[panel].lens, self._target, T)
-            bias[mine], area[mine] = there[0][mine], there[1][mine]
-        return bias, area
+            T[:3] = panel.R_camera_panel.T @ T[:3]
+            for all_of_them, there in zip(out, centre_bias(panel.lens, self._target, T), strict=True):
+                all_of_them[mine] = there[mine]
+        return out
 
     def _by_size(self, centroid: Array, area: Array) -> Array:
         """Perspective bias (N, 2) [px] of balls, from the apparent size of each; 0 for those not seen."""
@@ -157,19 +158,17 @@ class MarkerFit:
             bias = ball_bias(self._camera, radius, centroid, area)
         else:
             bias = np.zeros_like(centroid)
-            for panel in set(self._of.tolist()):
-                mine = self._of == panel
-                bias[mine] = ball_bias(self._camera.panels[panel].lens, radius, centroid[mine], area[mine])
-        return np.nan_to_num(bias)
+            for panel, mine in self._of:
+                bias[mine] = ball_bias(panel.lens, radius, centroid[mine], area[mine])
+        return np.where(np.isfinite(bias), bias, 0.0)
 
     def _rays(self, uv: Array) -> Array:
         """Unit rays (N, 3) in the camera frame of the markers' pixels (N, 2), each in its panel."""
         if self._of is None:
             return self._camera.ray(uv)
         rays = np.empty((len(uv), 3))
-        for panel in set(self._of.tolist()):
-            mine = self._of == panel
-            rays[mine] = self._camera.panels[panel].lens.ray(uv[mine]) @ self._camera.panels[panel].R_camera_panel.T
+        for panel, mine in self._of:
+            rays[mine] = panel.lens.ray(uv[mine]) @ panel.R_camera_panel.T
         return rays
 
     def _pose(self, uv: Array, area: Array, previous: Array | None) -> Array | None:
@@ -203,6 +202,19 @@ class MarkerFit:
             if misfit > most:
                 worst, most = i, misfit
         return worst, most
+
+
+def _off(centroid: Array, expected: Outlines) -> Array:
+    """Distance of each centroid (N, 2) from its prediction, shape (N,) [px]."""
+    return lengths(centroid - (expected.centre + expected.bias))[:, 0]
+
+
+def _by_panel(camera: Camera, panels: list[int]) -> list[tuple[Panel, slice | NDArray[np.bool_]]]:
+    """The panels in which markers are, each with which they are: all of them (a slice, which is quicker), or (N,) bool."""
+    if min(panels) == max(panels):
+        return [(camera.panels[panels[0]], slice(None))]
+    of = np.array(panels)
+    return [(camera.panels[panel], of == panel) for panel in set(panels)]
 
 
 def _whole(blobs: list[Blob | None]) -> tuple[Array, Array]:

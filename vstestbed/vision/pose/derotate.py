@@ -33,7 +33,7 @@ _ANGLES, _PLANE = Spherical(), Point()
 
 def level_from_tilt(tilt: Array, R_base_camera: Array) -> Array:
     """R_level_camera (3, 3): rotation from the camera's frame to that of the level craft's camera, for (roll, pitch) (2,) [rad]."""
-    (cr, cp), (sr, sp) = np.cos(tilt), np.sin(tilt)
+    (cr, cp), (sr, sp) = np.cos(tilt).tolist(), np.sin(tilt).tolist()
     R_level_base = np.array([[cp, sp * sr, sp * cr], [0.0, cr, -sr], [-sp, cp * sr, cp * cr]])
     return R_base_camera.T @ R_level_base @ R_base_camera
 

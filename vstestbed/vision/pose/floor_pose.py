@@ -21,6 +21,7 @@ SAME_BASIN = 0.05
 """A guess no farther than this from a solution leads to it [m, rad]."""
 ALIKE = 1e-9
 """Errors below this [rad] are rounding."""
+_EYE = np.eye(3)
 FITS = 0.1
 """A solution whose angular errors have a larger root mean square than this [rad] is rejected."""
 
@@ -59,12 +60,15 @@ def _by_height(d: Array, points: Array, origin: Array) -> Array | None:
     usable = (np.abs(d[:, 2]) > LEVEL) & (height * d[:, 2] > 0)
     if not usable.any():
         return None
+    if usable.all():
+        usable = slice(None)  # views, where a mask would copy
     here = origin[:2] + d[usable, :2] / d[usable, 2:] * height[usable, None]
     there = points[usable, :2]
-    a, b = here - here.mean(axis=0), there - there.mean(axis=0)
-    heading = math.atan2(float(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])), float(np.sum(a * b)))
+    middle, goal = np.add.reduce(here) / len(here), np.add.reduce(there) / len(there)
+    a, b = here - middle, there - goal
+    heading = math.atan2(np.add.reduce(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.add.reduce(a * b, axis=None))
     c, s = math.cos(heading), math.sin(heading)
-    return np.array([*(there.mean(axis=0) - np.array([[c, -s], [s, c]]) @ here.mean(axis=0)), heading])
+    return np.array([*(goal - np.array([[c, -s], [s, c]]) @ middle), heading])
 
 
 def _refined(d: Array, points: Array, origin: Array, place: Array) -> tuple[Array, float]:
@@ -74,7 +78,7 @@ def _refined(d: Array, points: Array, origin: Array, place: Array) -> tuple[Arra
     dp/dheading = R'^T (m - (x, y)), and the error is the component of p/|p| orthogonal to the ray.
     """
     place = np.array(place, dtype=float)
-    across = np.eye(3) - d[:, :, None] * d[:, None, :]
+    across = _EYE - d[:, :, None] * d[:, None, :]
     unknowns = 3 if len(points) > 1 else 2
     error = math.inf
     for _ in range(ROUNDS):

@@ -58,9 +58,10 @@ def homography(a: Array, b: Array, least: float) -> Array | None:
     s, Vt = np.linalg.svd(_equations((a - a_mean) / a_size, (b - b_mean) / b_size))[1:]
     if not s[7] > least * s[0]:
         return None
-    to_a, from_b = np.eye(3), np.eye(3)
-    to_a[:2, :2], to_a[:2, 2:] = np.eye(2) / a_size, -a_mean.T / a_size
-    from_b[:2, :2], from_b[:2, 2:] = np.eye(2) * b_size, b_mean.T
+    (x, y), size = a_mean[0].tolist(), a_size.item()
+    to_a = np.array([(1 / size, 0, -x / size), (0, 1 / size, -y / size), (0, 0, 1)])
+    (x, y), size = b_mean[0].tolist(), b_size.item()
+    from_b = np.array([(size, 0, x), (0, size, y), (0, 0, 1)])
     return from_b @ Vt[8].reshape(3, 3) @ to_a
 
 
@@ -83,8 +84,8 @@ def _equations(a: Array, b: Array) -> Array:
 
 def _scaling(xy: Array) -> tuple[Array, Array]:
     """Mean (..., 1, 2) and root mean square distance from it (..., 1, 1) of points (..., N, 2): Hartley's normalisation."""
-    mean = xy.mean(axis=-2, keepdims=True)
-    size2 = np.sum((xy - mean) ** 2, axis=(-2, -1), keepdims=True) / xy.shape[-2]
+    mean = np.add.reduce(xy, axis=-2, keepdims=True) / xy.shape[-2]
+    size2 = np.add.reduce((xy - mean) ** 2, axis=(-2, -1), keepdims=True) / xy.shape[-2]
     return mean, np.maximum(np.sqrt(size2), 1e-12)
 
 

@@ -46,21 +46,23 @@ def planar_poses(xy: Array, points: Array) -> list[Array]:
     H = H / H[2, 2]
     v = H[:2, 2]
     R_v = _rotation_to(v)
-    A = np.linalg.solve(R_v[:2, :2] - np.outer(v, R_v[2, :2]), H[:2, :2] - np.outer(v, H[2, :2]))
+    A = np.linalg.solve(R_v[:2, :2] - v[:, None] * R_v[2, :2], H[:2, :2] - v[:, None] * H[2, :2])
     (s1, s2), Vt = np.linalg.svd(A)[1:]
     if not s1 > 0:
         return []
     tilt = np.sqrt((1 - s2 / s1) * (1 + s2 / s1)) * Vt[1]
-    R = np.array([_rotation_of(R_v @ np.vstack([A / s1, sign * tilt])) for sign in (1.0, -1.0)]) @ plane.R.T
+    columns = np.empty((2, 3, 2))
+    columns[:, :2], columns[0, 2], columns[1, 2] = A / s1, tilt, -tilt
+    R = np.array([_rotation_of(R_v @ both) for both in columns]) @ plane.R.T
     T = np.zeros((2, 4, 4))
     T[:, :3, :3], T[:, :3, 3], T[:, 3, 3] = R, _translations(R, points, xy), 1.0
     return list(T)
 
 
-def _rotation_of(columns: Array) -> Array:
-    """The rotation (3, 3) of given first two columns (3, 2)."""
+def _rotation_of(columns: Array) -> list[list[float]]:
+    """The rotation, three rows, of given first two columns (3, 2)."""
     (a, d), (b, e), (c, f) = columns.tolist()
-    return np.array([[a, d, b * f - c * e], [b, e, c * d - a * f], [c, f, a * e - b * d]])
+    return [[a, d, b * f - c * e], [b, e, c * d - a * f], [c, f, a * e - b * d]]
 
 
 def _translations(R: Array, points: Array, xy: Array) -> Array:

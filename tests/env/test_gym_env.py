@@ -1,0 +1,399 @@
+"""The Gymnasium environments: checked by Gymnasium's own checker, seeded as runs are, without a trace of truth in what a policy sees."""
+
+from __future__ import annotations
+
+import dataclasses
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import vstestbed as vs
+import vstestbed.env
+from vstestbed.core.assets import bundled_scenarios
+from vstestbed.core.errors import EnvironmentLackError, ParameterError, ScenarioError, SessionError
+from vstestbed.env.gym_env import GymServo
+from vstestbed.loop.judge import Judge
+from vstestbed.robots import Mount
+from vstestbed.sim.base import Truth
+from vstestbed.sim.ideal import IdealPlant
+from vstestbed.sim.plant import MujocoPlant
+
+MODES = "markers", "pixels", "both"
+ROBOTS = "arm_ibvs", "car_pbvs", "omni_via_points", "quadrotor_hover", "ibvs_book"
+
+
+def same(a: dict[str, Any], b: dict[str, Any]) -> bool:
+    return a.keys() == b.keys() and all(a[k].dtype == b[k].dtype and a[k].tobytes() == b[k].tobytes() for k in a)
+
+
+def moved(env: gymnasium.Env[Any, Any], seed: int, steps: int = 4) -> list[Any]:
+    """What an episode of small random actions shows."""
+    rng = np.random.default_rng(5)
+    return [env.reset(seed=seed)[0], *(env.step(rng.uniform(-0.2, 0.2, env.action_space.shape))[0] for _ in range(steps))]
+
+
+def test_there_is_an_id_for_every_bundled_scenario() -> None:
+    ids = {name for name in gymnasium.registry if name.startswith("vstestbed/")}
+    assert ids == {f"vstestbed/{name}-v0" for name in (*bundled_scenarios(), "scenario")}
+
+
+@pytest.mark.parametrize(("name", "mode"), [("arm_ibvs", "both"), ("car_pbvs", "markers")])
+def test_gymnasiums_checker_has_nothing_to_say(name: str, mode: str) -> None:
+    checked_without_a_warning(name, mode)
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("name", bundled_scenarios())
+def test_the_checker_has_nothing_to_say_of_any_scenario(name: str, mode: str) -> None:
+    checked_without_a_warning(name, mode)
+
+
+def checked_without_a_warning(name: str, mode: str) -> None:
+    env = gymnasium.make(f"vstestbed/{name}-v0", observation=mode)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        check_env(env.unwrapped)  # also every render mode, by the id
+    env.close()
+    assert [str(warning.message) for warning in said] == []
+
+
+@pytest.mark.parametrize("name", [*ROBOTS[:2], *(pytest.param(name, marks=pytest.mark.study) for name in ROBOTS[2:])])
+def test_a_seed_is_that_of_a_run(name: str) -> None:
+    """The first picture, before any action, and the log's first row."""
+    env = gymnasium.make(f"vstestbed/{name}-v0", observation="both", overrides={"stop.duration_s": 0.4})
+    shown, info = env.reset(seed=7)
+    run = vs.run(vs.load(name, {"stop.duration_s": 0.4}, seed=7))
+    with vs.Session(vs.load(name, {"stop.duration_s": 0.4}, seed=7), pictures=True) as session:
+        frame = session.reset()
+        assert frame.image is not None and shown["pixels"].tobytes() == frame.image.tobytes()
+        while frame.outcome is None:
+            frame = session.step(np.zeros(len(env.action_space.low)))
+        resting = session.recording()
+    assert info["seed"] == 7 and shown["markers"].tobytes() == frame_markers(run, len(shown["seen"])).tobytes()
+    np.testing.assert_allclose(info["truth"]["T_world_camera"], run.poses("camera")[0].A, atol=1e-12)
+    over = False
+    while not over:
+        _, _, terminated, truncated, _ = env.step(np.zeros(env.action_space.shape))
+        over = terminated or truncated
+    assert isinstance(env.unwrapped, GymServo)
+    assert env.unwrapped.recording().table.tobytes() == resting.table.tobytes()
+    env.close()
+
+
+def frame_markers(run: vs.Recording, n: int) -> np.ndarray:
+    return np.nan_to_num(np.array([[run[f"u_{i}"][0], run[f"v_{i}"][0]] for i in range(n)]))
+
+
+def test_episodes_without_a_seed_differ_and_a_seeded_first_one_repeats_them() -> None:
+    env = gymnasium.make("vstestbed/arm_ibvs-v0")
+    env.reset(seed=1)
+    after = [env.reset() for _ in range(2)]
+    assert not same(after[0][0], after[1][0]) and after[0][1]["seed"] != after[1][1]["seed"]
+    env.reset(seed=1)
+    assert same(env.reset()[0], after[0][0])
+    env.close()
+
+
+def test_a_scenario_without_random_starts_has_its_noise_seeded() -> None:
+    env = vstestbed.env.make("ibvs_retreat", overrides={"noise.pixel_sigma_px": 0.5, "detector": "oracle"})
+    first, again, other = (env.reset(seed=seed) for seed in (1, 1, 2))
+    assert same(first[0], again[0]) and not same(first[0], other[0])
+    np.testing.assert_array_equal(first[1]["truth"]["T_world_camera"], other[1]["truth"]["T_world_camera"])
+    env.close()
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_actions_are_shares_of_the_largest_velocities(name: str) -> None:
+    env = vstestbed.env.make(name, overrides={"law.limits": {"speed_mps": 0.2, "rate_radps": 0.1}, "timing.command_latency_s": 0})
+    servo = env.unwrapped
+    assert isinstance(servo, GymServo)
+    env.reset(seed=0)
+    action = np.zeros(env.action_space.shape)
+    action[0], action[-1] = 5.0, -0.5  # clipped, and half
+    env.step(action)
+    log, robot = servo.recording(), servo.scenario.robot
+    sent = [log[f"cmd_{c}"][0] for c in ("vx", "vy", "vz", "wx", "wy", "wz")]
+    u = np.zeros(len(action))
+    u[0], u[-1] = 0.2, -0.05
+    basis = robot.motion_basis(Mount.of(servo.scenario.camera.mount.T), robot.start_joints())
+    np.testing.assert_allclose(sent, basis @ u, atol=1e-12)
+    env.close()
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_what_it_senses_of_itself_is_no_truth_and_follows_its_motion(name: str) -> None:
+    env = vstestbed.env.make(name, disable_env_checker=True)
+    robot = vs.load(name).robot
+    shown = moved(env, seed=2, steps=6)
+    env.close()
+    if not robot.proprioception_names:
+        assert "agent_pos" not in shown[0]
+        return
+    felt = np.array([one["agent_pos"] for one in shown])
+    assert felt.shape == (7, len(robot.proprioception_names)) and np.isfinite(felt).all()
+    assert (felt[0] != felt[-1]).any()
+    if robot.base == "planar":
+        np.testing.assert_array_equal(felt[0, :3], 0.0)  # the place in the world is not what encoders tell
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_a_policy_as_a_law_is_shown_the_same_and_its_actions_mean_the_same(name: str, tmp_path: Path) -> None:
+    scenario = vs.load(name)
+    mount = Mount.of(scenario.camera.mount.T)
+    motions = scenario.robot.motion_basis(mount, scenario.robot.start_joints()).shape[1]
+    source = f"""import numpy as np
+def act(shown):
+    sums = [np.sum(np.sin(shown[key])) for key in ("markers", "seen", "goal", "agent_pos") if key in shown]
+    return 0.1 * np.sin(np.arange({motions}) + sum(sums))
+"""
+    (tmp_path / "mine.py").write_text(source, encoding="utf-8")
+    exec(source, own := {})
+    law = {
+        "kind": "policy",
+        "file": f"{tmp_path / 'mine.py'}:act",
+        "agent_pos": True,
+        "depth": "floor" if scenario.robot.base == "planar" else "pnp",
+    }
+    env = GymServo(name, overrides={"law": law})
+    shown, _ = env.reset(seed=1)
+    for _ in range(3):
+        np.testing.assert_allclose(env.expert(), own["act"](shown), atol=1e-12)
+        shown, *_ = env.step(env.expert())
+    env.close()
+
+
+def test_via_points_change_the_goal_that_a_policy_sees() -> None:
+    views = vs.load("omni_via_points").goal_views
+    env = vstestbed.env.make("omni_via_points", overrides={"goal.threshold_px": 1e5}, disable_env_checker=True)
+    goals = [one["goal"] for one in moved(env, seed=0)]
+    env.close()
+    np.testing.assert_allclose(goals[0], views[0].uv)
+    np.testing.assert_allclose(goals[-1], views[-1].uv)
+
+
+class TestTruth:
+    """Corrupted truth changes info, and nothing that a policy sees."""
+
+    @staticmethod
+    def corrupt(monkeypatch: pytest.MonkeyPatch) -> None:
+        rng = np.random.default_rng(0)
+        monkeypatch.setattr(Judge, "verdict", lambda judge, frame: None)  # one that believes the lies would end the run
+        for plant in (MujocoPlant, IdealPlant):
+            true = plant.truth
+
+            def lie(self: Any, true: Callable[[Any], Truth] = true) -> Truth:
+                truth = true(self)
+                poses = {
+                    n: getattr(truth, n) + np.pad(rng.normal(size=(3, 1)), ((0, 1), (3, 0))) for n in ("T_world_camera", "T_world_target")
+                }
+                garbage = {n: rng.normal(size=np.shape(getattr(truth, n))) for n in ("p_camera", "twist", "q", "qd", "ctrl", "act", "wind")}
+                return dataclasses.replace(truth, hidden=~truth.hidden, **poses, **garbage)
+
+            monkeypatch.setattr(plant, "truth", lie)
+
+    @pytest.mark.parametrize("name", ["arm_track_circle", "car_pbvs", "omni_via_points", "quadrotor_hover"])
+    def test_an_observation_has_none_of_it(self, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+        env = gymnasium.make(f"vstestbed/{name}-v0", observation="both", disable_env_checker=True)
+        honest, told = moved(env, seed=3), env.step(np.zeros(env.action_space.shape))[4]["truth"]
+        self.corrupt(monkeypatch)
+        lied, lies = moved(env, seed=3), env.step(np.zeros(env.action_space.shape))[4]["truth"]
+        env.close()
+        assert all(same(a, b) for a, b in zip(honest, lied, strict=True))
+        assert not np.allclose(told["T_world_camera"], lies["T_world_camera"])
+
+    def test_a_planted_number_is_found(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        from vstestbed.env.rollout import Rollout
+
+        plain = Rollout._observation
+        monkeypatch.setattr(Rollout, "_observation", lambda self, f: plain(self, f) | {"goal": plain(self, f)["goal"] + f.truth.twist[0]})
+        env = gymnasium.make("vstestbed/arm_ibvs-v0", disable_env_checker=True)
+        honest = moved(env, seed=3)
+        self.corrupt(monkeypatch)
+        assert not all(same(a, b) for a, b in zip(honest, moved(env, seed=3), strict=True))
+        env.close()
+
+
+def driven(env: gymnasium.Env[Any, Any], seed: int) -> tuple[list[float], list[float], bool, bool, dict[str, Any]]:
+    """An episode that the scenario's own law drives: rewards, errors, how it ended."""
+    servo = env.unwrapped
+    assert isinstance(servo, GymServo)
+    _, info = env.reset(seed=seed)
+    rewards, errors, over = [], [info["error"]], (False, False)
+    while not any(over):
+        _, reward, *over, info = env.step(servo.expert())
+        rewards.append(float(reward))
+        errors.append(info["error"])
+    return rewards, errors, *over, info
+
+
+@pytest.fixture
+def quick_env(quick: Path) -> Callable[..., gymnasium.Env[Any, Any]]:
+    return lambda **settings: vstestbed.env.make(quick, **settings)
+
+
+class TestEnds:
+    def test_a_success_terminates_with_the_bonus(self, quick_env: Callable[..., gymnasium.Env[Any, Any]]) -> None:
+        rewards, errors, terminated, truncated, info = driven(quick_env(reward="sparse", success_bonus=3.0), 0)
+        assert (terminated, truncated, info["is_success"], info["outcome"]) == (True, False, True, "converged")
+        assert rewards == [0.0] * (len(rewards) - 1) + [3.0]
+        assert info["error"] < info["error_limit"] == 0.2 < errors[0] and (info["error_unit"], info["error_by"]) == ("px", "pixels")
+
+    def test_potential_differences_telescope(self, quick_env: Callable[..., gymnasium.Env[Any, Any]]) -> None:
+        discount = 0.9
+        rewards, errors, *_ = driven(quick_env(discount=discount, success_bonus=2.0), 0)
+        total = sum(discount**k * reward for k, reward in enumerate(rewards))
+        start = 1 - np.log1p(errors[0] / 0.2) / np.log1p(1e4)
+        assert total == pytest.approx(2.0 * discount ** (len(rewards) - 1) - start)
+
+    def test_a_negative_error_rises_to_the_goal(self, quick_env: Callable[..., gymnasium.Env[Any, Any]]) -> None:
+        rewards, errors, *_ = driven(quick_env(reward="negative_error", success_bonus=0.0), 0)
+        assert all(-1 <= reward <= 0 for reward in rewards) and rewards[-1] > rewards[0] and errors[0] > errors[-1]
+
+    def test_a_time_out_truncates(self, quick_env: Callable[..., gymnasium.Env[Any, Any]]) -> None:
+        env = quick_env(overrides={"stop.duration_s": 0.2})
+        env.reset(seed=0)
+        steps = 0
+        over = (False, False)
+        while not any(over):
+            _, _, *over, info = env.step(np.full(6, 1e-3))
+            steps += 1
+        assert list(over) == [False, True] and info["outcome"] == "timed_out" and not info["is_success"]
+        assert steps == env.get_wrapper_attr("_max_episode_steps") and "not enough" in info["reason"]
+        with pytest.raises(SessionError, match=r"the episode has ended: .*; call reset"):
+            env.step(np.zeros(6))
+
+    def test_lost_markers_have_no_error_and_the_worst_potential(self, quick_env: Callable[..., gymnasium.Env[Any, Any]]) -> None:
+        env = quick_env(overrides={"stop.lost_after_s": 0.2})
+        shown, info = env.reset(seed=0)
+        nearness = 1 - np.log1p(info["error"] / 0.2) / np.log1p(1e4)
+        rewards, over = [], (False, False)
+        while not any(over):
+            shown, reward, *over, info = env.step(np.array([0, 0, 0, 1, 0, 0]))
+            rewards.append(reward)
+        assert list(over) == [True, False] and info["outcome"] == "target_lost" and np.isnan(info["error"])
+        unseen = shown["seen"] == 0
+        assert unseen.any() and not shown["markers"][unseen].any()
+        assert rewards[-1] == 0.0 and sum(0.99**k * r for k, r in enumerate(rewards)) == pytest.approx(-nearness)
+
+    def test_a_run_that_ends_with_its_first_picture_is_told_by_the_first_step(
+        self, quick_env: Callable[..., gymnasium.Env[Any, Any]], monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(Judge, "verdict", lambda judge, frame: (vs.Outcome.collided, "contact at the start"))
+        env = quick_env()
+        assert env.reset(seed=0)[1]["outcome"] == "collided"
+        _, _, terminated, _, info = env.step(np.zeros(6))
+        assert terminated and info["reason"] == "contact at the start"
+        with pytest.raises(SessionError):
+            env.step(np.zeros(6))
+
+
+class TestMistakes:
+    @pytest.mark.parametrize("action", [np.zeros(5), np.zeros((6, 1)), "fast", 0.1])
+    def test_of_the_actions_shape(self, quick: Path, action: Any) -> None:
+        env = GymServo(quick)
+        env.reset()
+        with pytest.raises(ParameterError, match=r"action must be 6 numbers in \[-1, 1\]"):
+            env.step(action)
+
+    def test_of_numbers_that_are_none(self, quick: Path) -> None:
+        env = GymServo(quick)
+        env.reset()
+        with pytest.raises(ParameterError, match="action must be finite"):
+            env.step(np.array([0, 0, 0, 0, 0, np.nan]))
+
+    def test_before_reset(self, quick: Path) -> None:
+        env = GymServo(quick, render_mode="rgb_array")
+        with pytest.raises(SessionError, match="call reset"):
+            env.step(np.zeros(6))
+        with pytest.raises(SessionError, match="call reset"):
+            env.render()
+        env.close()
+
+    @pytest.mark.parametrize(
+        ("settings", "words"),
+        [
+            ({"observation": "depth"}, "observation must be one of markers, pixels, both"),
+            ({"reward": "dense"}, "reward must be one of potential, negative_error, sparse"),
+            ({"discount": 0}, "discount must be over 0"),
+            ({"success_bonus": np.nan}, "success_bonus must be finite"),
+            ({"render_mode": "human"}, "render_mode must be None or rgb_array"),
+        ],
+    )
+    def test_of_a_setting(self, quick: Path, settings: dict[str, Any], words: str) -> None:
+        with pytest.raises(ParameterError, match=words):
+            GymServo(quick, **settings)
+
+    def test_of_the_scenario(self) -> None:
+        with pytest.raises(ScenarioError, match="did you mean 'arm_ibvs'"):
+            vstestbed.env.make("arm_ibv")
+        with pytest.raises(ParameterError, match="overrides are for a scenario given by name"):
+            GymServo(vs.load("arm_ibvs"), overrides={"seed": 1})
+
+    def test_without_gymnasium_a_sentence_says_what_to_install(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(vstestbed.env, "find_spec", lambda name: None)
+        with pytest.raises(EnvironmentLackError, match=r"Gymnasium is not installed; pip install 'vstestbed\[env\]'"):
+            vstestbed.env.make("arm_ibvs")
+
+
+def test_nothing_is_simulated_or_drawn_before_the_first_reset(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: Any, **__: Any) -> None:
+        raise RuntimeError("built")
+
+    monkeypatch.setattr("vstestbed.loop.episode.build_plant", refuse)
+    env = gymnasium.make("vstestbed/arm_ibvs-v0", observation="pixels", render_mode="rgb_array")
+    with pytest.raises(RuntimeError, match="built"):
+        env.reset()
+
+
+def test_the_view_from_outside_is_the_films() -> None:
+    env = gymnasium.make("vstestbed/arm_ibvs-v0", render_mode="rgb_array")
+    env.reset(seed=0)
+    first = env.render()
+    env.step(np.full(6, 0.5))
+    for _ in range(10):
+        env.step(np.full(6, 0.5))
+    last = env.render()
+    env.close()
+    assert isinstance(first, np.ndarray) and isinstance(last, np.ndarray)
+    assert first.shape == last.shape == (360, 640, 3) and first.dtype == np.uint8
+    assert 0.01 < (first != last).any(axis=2).mean() < 0.9
+    assert env.unwrapped.metadata["render_fps"] == 25
+
+
+def test_two_in_processes_give_the_numbers_of_single_ones(quick: Path) -> None:
+    in_processes_as_alone(2, "vstestbed/scenario-v0", {"scenario": str(quick)})
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("context", ["spawn", "forkserver"])
+def test_four_with_pictures_in_processes_give_the_numbers_of_single_ones(context: str) -> None:
+    in_processes_as_alone(4, "vstestbed/arm_ibvs-v0", {"observation": "both"}, context)
+
+
+def in_processes_as_alone(n: int, name: str, settings: dict[str, Any], context: str = "spawn") -> None:
+    actions = np.random.default_rng(0).uniform(-0.2, 0.2, (5, n, 6))
+    vector = gymnasium.make_vec(name, num_envs=n, vectorization_mode="async", vector_kwargs={"context": context}, **settings)
+    shown, rewards = [vector.reset(seed=list(range(n)))[0]], []
+    for action in actions:
+        seen, reward, _, _, info = vector.step(action)
+        shown.append(seen)
+        rewards.append(reward)
+    assert not info["is_success"].any() and info["truth"]["T_world_camera"].shape == (n, 4, 4)
+    assert vector.call("task_description")[0] and vector.call("_max_episode_steps")[0] > 100
+    vector.close()
+    for i in range(n):
+        env = gymnasium.make(name, **settings)
+        alone = [env.reset(seed=i)[0]]
+        for k, action in enumerate(actions):
+            seen, reward, *_ = env.step(action[i])
+            alone.append(seen)
+            assert reward == rewards[k][i]
+        assert all(same({name: value[i] for name, value in together.items()}, one) for together, one in zip(shown, alone, strict=True))
+        env.close()

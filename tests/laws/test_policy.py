@@ -1,0 +1,246 @@
+"""Learned policies as laws: what they see, what their actions mean, their memory, and what is told of mistakes."""
+
+from __future__ import annotations
+
+import re
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import vstestbed as vs
+from tests.examples import policy as example
+from tests.laws.onnx_file import DOUBLE, linear
+from vstestbed.core.errors import EnvironmentLackError, ParameterError, ScenarioError
+from vstestbed.experiments.comparison.folder import read_plan, write_plan
+from vstestbed.experiments.comparison.plan import chosen
+from vstestbed.experiments.run_folder import run_into
+from vstestbed.laws.base import TwistLimits
+from vstestbed.laws.policy import Policy
+from vstestbed.laws.policy_io import ActionScale, observed
+from vstestbed.scenario.load import dump, parse
+from vstestbed.testing.scenarios import quick
+
+EXAMPLE = str(Path(example.__file__))
+SCENARIO = """
+robot: {kind: free, start: {nominal: {xyz: [0.1, 0.1, -1.2]}}}
+camera: {width: 1000, height: 1000, focal_length_m: 0.008, pixel_size_m: 1.0e-5, rate_hz: 10}
+target: {kind: square, side: 0.5, pose: {xyz: [0, 0, 0]}, marker: {kind: disc, radius: 0.03}}
+detector: oracle
+law: {kind: policy, file: "POLICY"}
+goal: {T_camera_target: {xyz: [0, 0, 1]}}
+"""
+
+
+def scenario(policy: str, **changes: object) -> vs.Scenario:
+    return replace(quick("view"), law=Policy(file=policy), **changes)
+
+
+def written(folder: Path, text: str, name: str = "mine.py") -> str:
+    (folder / name).write_text(text, encoding="utf-8")
+    return str(folder / name)
+
+
+def first_frame(name: str = "arm_ibvs", **law: object):
+    made = vs.load(name, {"detector": {"kind": "oracle"}})
+    with vs.Session(replace(made, law=Policy(file=f"{EXAMPLE}:act", **law))) as session:
+        return session.reset()
+
+
+class TestWhatItSees:
+    def test_pixels_and_no_nan(self):
+        frame = first_frame()
+        gone = frame.observation.only(np.array([True, False, True, True]))
+        seen = observed(gone, frame.goal)
+        assert {k: v.shape for k, v in seen.items()} == {"markers": (4, 2), "seen": (4,), "goal": (4, 2)}
+        assert np.array_equal(seen["seen"], [1, 0, 1, 1]) and np.array_equal(seen["markers"][1], [0, 0])
+        assert np.array_equal(seen["markers"][0], frame.observation.uv[0])
+        seen["goal"][:] = 0
+        assert frame.goal.uv.any()
+
+    def test_its_own_sensors_only_where_asked_for(self):
+        frame = first_frame(agent_pos=True)
+        assert np.allclose(observed(frame.observation, frame.goal)["agent_pos"], frame.truth.q, atol=1e-3)
+        assert first_frame().observation.proprioception is None
+
+    def test_of_a_vehicle_the_odometry_and_not_the_place_in_the_world(self, tmp_path: Path):
+        law = Policy(file=written(tmp_path, "def act(o): return [0.1, 0.0, o['agent_pos'][0]]\n") + ":act", agent_pos=True)
+        made = replace(vs.load("omni_ibvs", {"detector": {"kind": "oracle"}, "robot.wheels": "planar"}), law=law)
+        with vs.Session(made) as session:
+            frames = [session.reset(), *(session.step() for _ in range(9))]
+        last = frames[-1]
+        moved = observed(last.observation, last.goal)["agent_pos"]
+        assert np.array_equal(moved, last.observation.odometry)
+        assert 0.01 < moved[0] < 0.1 and abs(last.truth.T_world_camera[0, 3] - moved[0]) > 0.1
+
+    def test_a_batch_of_ideal_cameras_has_no_sensors_of_its_own(self):
+        from vstestbed.experiments.basin.setup import BatchSetup
+
+        with pytest.raises(ParameterError, match="policy reads proprioception, which the ideal cameras"):
+            BatchSetup(replace(quick("view"), law=Policy(file=f"{EXAMPLE}:act", agent_pos=True)))
+
+
+class TestActions:
+    def test_one_is_the_largest_velocity(self):
+        scale = ActionScale.of(TwistLimits(speed_mps=0.2, rate_radps=0.5), np.eye(6))
+        assert np.array_equal(scale.velocities(np.array([1, -1, 0.5, 1, 9, 0])), [0.2, -0.2, 0.1, 0.5, 0.5, 0])
+        assert np.array_equal(scale.action(np.array([0.1, 0, -7, 0.25, 0, 0])), [0.5, 0, -1, 0.5, 0, 0])
+
+    def test_a_turn_of_the_base_counts_as_a_rate_though_it_moves_the_camera(self):
+        omni = vs.load("omni_ibvs").robot
+        basis = omni.motion_basis(vs.Mount.of(vs.load("omni_ibvs").camera.mount.T), omni.start_joints())
+        assert np.array_equal(ActionScale.of(TwistLimits(rate_radps=0.3), basis).per_unit, [1, 1, 0.3])
+
+    def test_the_twist_keeps_the_limits(self):
+        frame = first_frame()
+        limits = TwistLimits(speed_mps=0.01, rate_radps=0.01)
+        law = Policy(file=f"{EXAMPLE}:act", limits=limits)
+        _, command = law.step(law.init(frame.goal), frame.observation, frame.goal, np.eye(6))
+        assert limits.scale(command.twist) > 1 - 1e-9 and command.twist.any()
+
+
+class TestMemory:
+    def test_every_run_has_its_own(self):
+        law = Policy(file=f"{EXAMPLE}:Smooth")
+        loop = replace(quick("view"), law=law)
+        one = vs.run(loop)
+        assert one.outcome.success
+        with vs.Session(loop) as a, vs.Session(loop) as b:
+            twists = [[session.reset().command.twist] for session in (a, b)]
+            for _ in range(5):
+                for session, mine in zip((a, b), twists, strict=True):
+                    mine.append(session.step().command.twist)
+        assert np.array_equal(twists[0], twists[1])
+
+    def test_an_object_is_copied_and_reset(self, tmp_path: Path):
+        text = (
+            "class P:\n  n = 0\n  def reset(self): self.n = 10\n  def act(self, o):\n    self.n += 1; return [self.n / 100] * 6\np = P()\n"
+        )
+        law, frame = Policy(file=written(tmp_path, text) + ":p"), first_frame()
+        goal, seen = frame.goal, frame.observation
+        first, second = law.init(goal), law.init(goal)
+        firsts = [law.step(first, seen, goal, np.eye(6))[1].u[0] for _ in range(2)]
+        assert firsts == [0.11, 0.12] and law.step(second, seen, goal, np.eye(6))[1].u[0] == 0.11
+
+    def test_no_action_is_rest_with_a_reason(self, tmp_path: Path):
+        loop = scenario(written(tmp_path, "def act(o): return None\n") + ":act")
+        recording = vs.run(loop)
+        assert recording.outcome is vs.Outcome.target_lost and "the policy gave no action" in recording.reason
+
+
+class TestMistakes:
+    @pytest.mark.parametrize(
+        ("text", "words"),
+        [
+            ("def act(o):\n    return [1 / 0] * 6\n", r"law policy raised ZeroDivisionError: division by zero \(mine.py, line 2\)"),
+            ("def act(o):\n    return [float('nan')] * 6\n", "law policy gave a twist that is not finite"),
+            ("def act(o):\n    return o['depth']\n", r"KeyError: 'depth' \(mine.py, line 2\)"),
+        ],
+    )
+    def test_in_a_run(self, tmp_path: Path, text: str, words: str):
+        recording = vs.run(scenario(written(tmp_path, text) + ":act"))
+        assert recording.outcome is vs.Outcome.law_failed
+        assert re.search(words, recording.reason), recording.reason
+
+    @pytest.mark.parametrize(("given", "found"), [("[0.0] * 3", r"shape \(3,\)"), ("'left'", "str"), ("[[0.0] * 6]", r"shape \(1, 6\)")])
+    def test_of_shape(self, tmp_path: Path, given: str, found: str):
+        with pytest.raises(ParameterError, match=rf"mine.py:act: an action must be 6 numbers for this robot's motions, got {found}"):
+            vs.run(scenario(written(tmp_path, f"def act(o): return {given}\n") + ":act"))
+
+    def test_of_a_class_that_cannot_be_made(self, tmp_path: Path):
+        mine = written(tmp_path, "class P:\n    def __init__(self):\n        self.x = 1 / 0\n")
+        with pytest.raises(ParameterError, match=r"mine.py:3: the policy cannot begin \(ZeroDivisionError: division by zero\)"):
+            vs.run(scenario(mine + ":P"))
+
+    @pytest.mark.parametrize(
+        ("file", "words"),
+        [
+            ("mine.py", "must be FILE.py:NAME, such as my.py:act, or FILE.onnx, got 'mine.py'"),
+            ("gone.py:act", "gone.py is not there; give the place of gone.py"),
+            ("mine.py:drive", "mine.py has no function or class 'drive'"),
+            ("bad.py:act", "bad.py:2 cannot be imported (ZeroDivisionError: division by zero)"),
+            ("ends.py:act", "ends.py:1 cannot be imported (SystemExit: 3)"),
+            ("gone.onnx", "gone.onnx is not there; give the place of gone.onnx"),
+        ],
+    )
+    def test_of_the_file_stand_at_its_place_in_the_scenario(self, tmp_path: Path, file: str, words: str):
+        written(tmp_path, "def act(o): return None\n")
+        written(tmp_path, "x = 1\ny = 1 / 0\n", "bad.py")
+        written(tmp_path, "raise SystemExit(3)\n", "ends.py")
+        place = Path(written(tmp_path, SCENARIO.replace("POLICY", file), "mine.yaml"))
+        with pytest.raises(ScenarioError) as raised:
+            vs.load(place)
+        assert len(raised.value.mistakes) == 1
+        assert str(raised.value).startswith(f"{place}:6:21: law.file: ") and words in str(raised.value)
+
+
+class TestWhereItIs:
+    def test_beside_the_scenario_and_remembered_for_anywhere(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+        lab = tmp_path / "lab"
+        lab.mkdir()
+        mine = written(lab, Path(EXAMPLE).read_text(encoding="utf-8"))
+        made = vs.load(Path(written(lab, SCENARIO.replace("POLICY", "mine.py:act"), "mine.yaml")))
+        assert made.law.file == f"{mine}:act" and parse(dump(made), "x.yaml") == made
+        monkeypatch.chdir(lab)
+        assert vs.load("ibvs_book", {"law": {"kind": "policy", "file": "mine.py:Smooth"}}).law.file == f"{mine}:Smooth"
+        (tmp_path / "run").mkdir()
+        run_into(tmp_path / "run", made, "none", report=False)
+        monkeypatch.chdir(tmp_path)
+        again = vs.load(tmp_path / "run" / "scenario.yaml")
+        assert again == made and vs.run(again).outcome.success
+
+    def test_in_the_plan_of_a_comparison(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+        mine = written(tmp_path, Path(EXAMPLE).read_text(encoding="utf-8"))
+        place = written(tmp_path, SCENARIO.replace("POLICY", "mine.py:act"), "mine.yaml")
+        monkeypatch.chdir(tmp_path)
+        plan = chosen([place], {}, {"law.file": ("mine.py:act", "mine.py:Smooth")}, 2)
+        (tmp_path / "out").mkdir()
+        write_plan(tmp_path / "out", plan)
+        monkeypatch.chdir("/")
+        read = read_plan(tmp_path / "out")
+        assert read.axes["law.file"] == (f"{mine}:act", f"{mine}:Smooth")
+        assert vs.load(read.base[0]).law.file == f"{mine}:act"
+
+
+class TestOnnx:
+    W = 0.002 * np.eye(8, 6)
+
+    @pytest.mark.parametrize("kind", [1, DOUBLE])
+    def test_a_network_gives_what_it_says(self, tmp_path: Path, kind: int):
+        pytest.importorskip("onnxruntime", reason="the extra vstestbed[policy]")
+        (tmp_path / "net.onnx").write_bytes(linear(self.W, kind=kind))
+        law, frame = Policy(file=str(tmp_path / "net.onnx")), first_frame()
+        _, command = law.step(law.init(frame.goal), frame.observation, frame.goal, np.eye(6))
+        wanted = np.clip((frame.observation.uv - frame.goal.uv).ravel() @ self.W, -1, 1)
+        assert np.allclose(command.u, wanted, atol=1e-6) and wanted.any()
+
+    def test_an_input_that_no_policy_sees(self, tmp_path: Path):
+        pytest.importorskip("onnxruntime", reason="the extra vstestbed[policy]")
+        (tmp_path / "net.onnx").write_bytes(linear(self.W, inputs=("markers", "image")))
+        with pytest.raises(ParameterError, match=r"file net.onnx wants 'image' as tensor\(float\); a policy sees markers, seen, goal"):
+            Policy(file=str(tmp_path / "net.onnx"))
+        (tmp_path / "joints.onnx").write_bytes(linear(self.W, inputs=("markers", "agent_pos")))
+        with pytest.raises(ParameterError, match=r"agent_pos needs law.agent_pos: true"):
+            Policy(file=str(tmp_path / "joints.onnx"))
+
+    def test_no_network_at_all(self, tmp_path: Path):
+        pytest.importorskip("onnxruntime", reason="the extra vstestbed[policy]")
+        (tmp_path / "net.onnx").write_bytes(b"no network")
+        with pytest.raises(ParameterError, match=r"net.onnx is no ONNX network"):
+            Policy(file=str(tmp_path / "net.onnx"))
+
+    def test_without_its_runtime_the_extra_is_named(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+        (tmp_path / "net.onnx").write_bytes(linear(self.W))
+        monkeypatch.setitem(sys.modules, "onnxruntime", None)
+        with pytest.raises(
+            EnvironmentLackError, match=r"onnxruntime is not installed, which net.onnx needs; pip install 'vstestbed\[policy\]'"
+        ):
+            vs.load("ibvs_book", {"law": {"kind": "policy", "file": str(tmp_path / "net.onnx")}})
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_the_bundled_policy_reaches_its_goal(seed: int):
+    recording = vs.run(vs.load("arm_policy", {"detector": {"kind": "oracle"}}, seed=seed))
+    assert recording.outcome.success and recording.summary()["path_ratio"] < 1.1

@@ -1,0 +1,39 @@
+"""Files that a scenario names: beside it, absolute, or inside an installed package."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+from pathlib import Path
+
+from vstestbed.core.errors import ParameterError
+
+ENDINGS = re.compile(r"\.(onnx|xml|mjcf|urdf)$|\.py:\w+$")
+"""The end of a value of a field `file`: a network, a model, a function in a Python file."""
+PACKAGE = "package:"
+
+
+def absolute_file(file: str, folder: Path) -> str:
+    """A file's name without reference to the folder; one inside a package (`package:NAME/path`) as it is."""
+    return file if file.startswith(PACKAGE) else str((folder / Path(file).expanduser()).absolute())
+
+
+def place_of_file(file: str) -> Path:
+    """The path of a file named absolutely or inside a package, which is not imported.
+
+    Raises:
+        ParameterError: the package is not installed, or the file is not there.
+    """
+    path = Path(file)
+    if file.startswith(PACKAGE):
+        name, _, inside = file.removeprefix(PACKAGE).partition("/")
+        try:
+            found = importlib.util.find_spec(name)
+        except (ImportError, ValueError):  # its parent is not there, or it is no name of a package
+            found = None
+        if found is None or not found.submodule_search_locations:
+            raise ParameterError("file", f"names the package {name}, which is not installed; pip install it, or give the file's path", file)
+        path = Path(found.submodule_search_locations[0]) / inside
+    if not path.is_file():
+        raise ParameterError("file", f"is not there ({path}); give its path, absolute or relative to the scenario's file", file)
+    return path

@@ -1,0 +1,92 @@
+"""Environments for learners: every scenario as a Gymnasium and as a dm_env environment, over `vstestbed.Session`.
+
+    import gymnasium, vstestbed.env
+
+    env = gymnasium.make("vstestbed/arm_ibvs-v0", observation="pixels")  # one id for each bundled scenario
+    env = vstestbed.env.make("my.yaml", reward="sparse")  # any other
+    env = vstestbed.env.dm("arm_ibvs")  # a dm_env.Environment
+
+To import this registers the ids. Gymnasium is an extra (`pip install 'vstestbed[env]'`), dm_env is not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from vstestbed.core.assets import bundled_scenarios
+from vstestbed.core.errors import EnvironmentLackError
+
+if TYPE_CHECKING:
+    import gymnasium
+
+    from vstestbed.env.deepmind import DmServo
+    from vstestbed.env.reward import RewardKind
+    from vstestbed.env.rollout import ObservationMode
+    from vstestbed.scenario.scenario import Scenario
+
+ANY = "vstestbed/scenario-v0"
+"""The id of any scenario, whose keyword `scenario` names it: for `gymnasium.make_vec` of one's own file."""
+REMEDY = "pip install 'vstestbed[env]'"
+
+
+def _register() -> None:
+    """Register an id for each bundled scenario, and ANY, where Gymnasium is installed."""
+    if find_spec("gymnasium") is None:
+        return
+    from gymnasium import register
+
+    entry = "vstestbed.env.gym_env:GymServo"
+    register(ANY, entry_point=entry)
+    for name in bundled_scenarios():
+        register(f"vstestbed/{name}-v0", entry_point=entry, kwargs={"scenario": name})
+
+
+def make(scenario: str | Path | Scenario, **settings: Any) -> gymnasium.Env[dict[str, Any], Any]:
+    """A Gymnasium environment of any scenario, `gymnasium.make` of the id ANY.
+
+    Args:
+        scenario: path of a YAML file, name of a bundled scenario, or a loaded one.
+        settings: as `GymServo` has them (observation, reward, render_mode, overrides, ...), or `gymnasium.make`.
+
+    Raises:
+        EnvironmentLackError: Gymnasium is not installed. ScenarioError: the scenario has mistakes.
+        ParameterError: a setting is none of the possible ones.
+    """
+    if find_spec("gymnasium") is None:
+        raise EnvironmentLackError("Gymnasium is not installed", REMEDY)
+    import gymnasium
+
+    return gymnasium.make(ANY, scenario=scenario, **settings)
+
+
+def dm(
+    scenario: str | Path | Scenario,
+    *,
+    observation: ObservationMode = "markers",
+    reward: RewardKind = "potential",
+    discount: float = 0.99,
+    success_bonus: float = 10.0,
+    overrides: Mapping[str, object] | None = None,
+    seed: int | None = None,
+) -> DmServo:
+    """A dm_env environment of any scenario.
+
+    Args:
+        scenario: path of a YAML file, name of a bundled scenario, or a loaded one.
+        observation, reward, discount, success_bonus, overrides: see `Rollout`.
+        seed: of the seeds that episodes get, one after the other; None: other ones each time.
+
+    Raises:
+        ScenarioError: the scenario has mistakes. ParameterError: a setting is none of the possible ones.
+    """
+    from vstestbed.env.deepmind import DmServo
+    from vstestbed.env.reward import Reward
+    from vstestbed.env.rollout import Rollout
+
+    return DmServo(Rollout(scenario, observation, Reward(reward, discount, success_bonus), overrides), seed)
+
+
+_register()

@@ -1,0 +1,91 @@
+"""The Gymnasium environment of a scenario."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from vstestbed.camera import Image
+from vstestbed.core.errors import ParameterError
+from vstestbed.env.reward import Reward, RewardKind
+from vstestbed.env.rollout import MOST_SEED, ObservationMode, Rollout, Step
+from vstestbed.loop.recording import Recording
+from vstestbed.scenario.scenario import Scenario
+
+
+class GymServo(gymnasium.Env[dict[str, Any], NDArray[Any]]):
+    """A scenario as a Gymnasium environment; observations, actions and info: see `Rollout`, rewards: `Reward`.
+
+    `reset(seed=k)` is the run of `vstestbed run --seed k`, byte for byte; without a seed, `np_random` draws one (`info["seed"]`), so
+    that episodes differ, and a seeded first reset makes all that follow the same. Keys are LeRobot's: `pixels`, `agent_pos`,
+    `info["is_success"]`, `task_description`, `_max_episode_steps`.
+
+    Args:
+        scenario, observation, overrides: see `Rollout`. render_mode: None, or `rgb_array`, the scene from outside.
+        reward, discount, success_bonus: see `Reward`.
+
+    Raises:
+        ScenarioError: the scenario has mistakes. ParameterError: a setting is none of the possible ones.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 25}  # noqa: RUF012 - the base class has it so
+
+    def __init__(
+        self,
+        scenario: str | Path | Scenario,
+        *,
+        observation: ObservationMode = "markers",
+        reward: RewardKind = "potential",
+        discount: float = 0.99,
+        success_bonus: float = 10.0,
+        overrides: Mapping[str, object] | None = None,
+        render_mode: str | None = None,
+    ):
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise ParameterError("render_mode", "must be None or rgb_array", render_mode)
+        self.render_mode = render_mode
+        self._rollout = Rollout(scenario, observation, Reward(reward, discount, success_bonus), overrides)
+        self.scenario = self._rollout.scenario
+        self.task, self.task_description = self.scenario.name, self.scenario.description
+        self._max_episode_steps = self._rollout.most_steps
+        self.metadata = self.metadata | {"render_fps": self.scenario.camera.rate_hz}
+        boxes: dict[str, gymnasium.Space[Any]] = {
+            name: gymnasium.spaces.Box(b.low, b.high, b.shape, b.dtype) for name, b in self._rollout.bounds().items()
+        }
+        self.observation_space = gymnasium.spaces.Dict(boxes)
+        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, self._rollout.scale.per_unit.shape, np.float64)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Begin an episode: its observation and info. `options` has no effect."""
+        super().reset(seed=seed)
+        step = self._rollout.reset(int(self.np_random.integers(MOST_SEED)) if seed is None else seed)
+        return step.observation, step.info
+
+    def step(self, action: NDArray[Any]) -> Step:
+        """One camera frame: observation, reward, terminated, truncated, info.
+
+        Raises:
+            ParameterError: an action of another shape, or one that is not finite. SessionError: after the end.
+        """
+        return self._rollout.step(action)
+
+    def expert(self) -> NDArray[Any]:
+        """The action of the scenario's own law for the last frame: see `Rollout.expert`."""
+        return self._rollout.expert()
+
+    def recording(self) -> Recording:
+        """The episode so far: see `Rollout.recording`."""
+        return self._rollout.recording()
+
+    def render(self) -> Image | None:  # pyright: ignore[reportIncompatibleMethodOverride] - the base class's type is a variable
+        """The scene from outside, (H, W, 3) uint8; None without a render mode."""
+        return None if self.render_mode is None else self._rollout.render()
+
+    def close(self) -> None:
+        """Free the simulation."""
+        self._rollout.close()

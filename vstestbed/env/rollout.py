@@ -1,0 +1,245 @@
+"""Rollout: a session as learners want it, with observations, actions in [-1, 1], rewards and info."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, get_args
+
+import numpy as np
+
+from vstestbed.camera import Image
+from vstestbed.core.errors import ParameterError, SessionError
+from vstestbed.core.geometry import Array, all_finite
+from vstestbed.core.outcome import Outcome
+from vstestbed.env.overview import Overview
+from vstestbed.env.reward import Reward, potential
+from vstestbed.laws.policy_io import MOST_PX, ActionScale, observed
+from vstestbed.loop.recording import Recording
+from vstestbed.loop.session import Session
+from vstestbed.robots import Mount
+from vstestbed.scenario.load import load
+from vstestbed.scenario.scenario import Scenario
+from vstestbed.tasks.frame import Frame
+from vstestbed.tasks.judged import JudgedError, in_a_frame
+
+ObservationMode = Literal["markers", "pixels", "both"]
+MOST = 1e6
+"""Bound of `agent_pos`: far beyond any reading in metres, radians or their rates."""
+MOST_SEED = 2**31 - 1
+"""Largest seed that an episode without a given one draws."""
+
+
+class Bounds(NamedTuple):
+    """One entry of an observation: its shape, type and bounds."""
+
+    shape: tuple[int, ...]
+    dtype: type
+    low: float
+    high: float
+
+
+class Step(NamedTuple):
+    """What a step gives: observation, reward, whether the episode has ended, whether by the clock, and info."""
+
+    observation: dict[str, Any]
+    reward: float
+    terminated: bool
+    truncated: bool
+    info: dict[str, Any]
+
+
+class Rollout:
+    """A session as learners want it; the Gymnasium and the dm_env environment are this in their words.
+
+    Observation: `markers` (N, 2) [px], 0 for one not seen, and `seen` (N,); `goal` (N, 2), where the markers are to be now [px] (it
+    changes with via points, descents and paths); `agent_pos` (k,), what the robot's own sensors tell (`Robot.proprioception`), where
+    it has any; `pixels` (H, W, 3) uint8. It is what a law of the scenario gets, and no truth. Mode `markers` has no pixels, `pixels`
+    no markers, `both` has all.
+
+    Action (n,) in [-1, 1]: velocities along the robot's motions as shares of the law's limits, or of 1 m/s and 1 rad/s where it has
+    none (`laws.policy_io.ActionScale`); clipped. It has the scenario's latency and the robot's limits.
+
+    An episode ends with the run's outcome: truncated by a time-out, terminated by any other.
+
+    Info at every step: `is_success`, `outcome` and `reason` ("" while it runs), `error`, `error_unit`, `error_limit`, `error_by`
+    (the judged error in this frame, NaN where unknown, and who measures it), `t` [s], `seed`, and `truth`: `T_world_camera`,
+    `T_world_target` (4, 4), `twist` (6,) of the camera, `q`. The reward and the end of tasks that the truth decides (`error_by`) are
+    the referee's, computed with it; observations never are.
+
+    Args:
+        scenario: path of a YAML file, name of a bundled scenario, or a loaded one. Of a file its plugins are run.
+        observation: the mode. reward: of a step. overrides: values by dotted path, as `vstestbed.load`.
+
+    Raises:
+        ScenarioError: the scenario has mistakes. ParameterError: another mode; overrides of a loaded scenario.
+    """
+
+    def __init__(
+        self,
+        scenario: str | Path | Scenario,
+        observation: ObservationMode = "markers",
+        reward: Reward = Reward(),  # noqa: B008 - frozen
+        overrides: Mapping[str, object] | None = None,
+    ):
+        if observation not in get_args(ObservationMode):
+            raise ParameterError("observation", f"must be one of {', '.join(get_args(ObservationMode))}", observation)
+        if isinstance(scenario, Scenario) and overrides:
+            raise ParameterError("overrides", "are for a scenario given by name or path; load it with them")
+        self.scenario = scenario if isinstance(scenario, Scenario) else load(scenario, overrides)
+        self._mode, self._reward = observation, reward
+        robot, mount = self.scenario.robot, Mount.of(self.scenario.believed_camera.mount.T)
+        self.scale = ActionScale.of(self.scenario.law.limits, robot.motion_basis(mount, robot.start_joints()))
+        self._session: Session | None = None
+        self._frame: Frame | None = None
+        self._overview: Overview | None = None
+        self._phi, self._told = 0.0, False
+
+    @property
+    def most_steps(self) -> int:
+        """Steps of an episode that ends by the clock, where no picture is missing."""
+        return math.ceil(self.scenario.stop.duration_s * self.scenario.camera.rate_hz - 1e-9)
+
+    def bounds(self) -> dict[str, Bounds]:
+        """The entries of an observation."""
+        camera, n = self.scenario.camera, len(self.scenario.goal_view.uv)
+        found = {"goal": Bounds((n, 2), np.float64, -MOST_PX, MOST_PX)}
+        if self._mode != "pixels":
+            found |= {"markers": Bounds((n, 2), np.float64, -MOST_PX, MOST_PX), "seen": Bounds((n,), np.float64, 0.0, 1.0)}
+        if self._mode != "markers":
+            found["pixels"] = Bounds((camera.height, camera.width, 3), np.uint8, 0, 255)
+        if k := len(self.scenario.robot.proprioception_names):
+            found["agent_pos"] = Bounds((k,), np.float64, -MOST, MOST)
+        return found
+
+    def reset(self, seed: int) -> Step:
+        """Begin the episode of a seed: the start and the noise of `run --seed`; of a scenario without random starts the noise alone."""
+        given, seed = self.scenario, int(seed)  # of numpy, in a vector of environments
+        scenario = replace(given, seed=seed) if given.robot.start.random is None else given.randomised(seed)
+        self.close()
+        self._session = Session(scenario, pictures=self._mode != "markers")
+        frame = self._frame = self._session.reset()
+        error, self._phi = self._judged(frame)
+        self._told = False
+        return Step(self._observation(frame), 0.0, False, False, self._info(frame, error))
+
+    def step(self, action: Array) -> Step:
+        """Send the robot the velocities of an action (n,), and simulate until the next picture has arrived.
+
+        Raises:
+            ParameterError: an action of another shape, or one that is not finite. SessionError: before `reset`, or after the end.
+        """
+        u = self.scale.velocities(self._checked(action))
+        session, frame = self._running()
+        if frame.outcome is None:
+            frame = self._frame = session.step(u)
+        outcome, before = frame.outcome, self._phi
+        self._told = outcome is not None  # an episode may have ended with its first frame: the first step tells
+        error, self._phi = self._judged(frame)
+        truncated = outcome is Outcome.timed_out
+        terminated = outcome is not None and not truncated
+        reward = self._reward.of_step(before, self._phi, terminated, outcome is not None and outcome.success)
+        return Step(self._observation(frame), reward, terminated, truncated, self._info(frame, error))
+
+    def expert(self) -> Array:
+        """The action (n,) of the scenario's own law for the last frame, clipped to [-1, 1]: a demonstration.
+
+        Raises:
+            SessionError: before `reset`.
+        """
+        return self.scale.action(self._running()[1].command.u)
+
+    def recording(self) -> Recording:
+        """The episode so far, as `Session.recording`.
+
+        Raises:
+            SessionError: before `reset`, or after `close`.
+        """
+        if self._session is None:
+            raise SessionError("no episode has begun", "call reset() first")
+        return self._session.recording()
+
+    def render(self) -> Image:
+        """The scene from outside at the last frame, as in a film's draft.
+
+        Raises:
+            SessionError: before `reset`. EnvironmentLackError: it cannot be drawn here.
+        """
+        if self._frame is None or self._session is None:
+            raise SessionError("nothing to draw", "call reset() first")
+        if self._overview is None:
+            self._overview = Overview(self._episode.scenario)
+        return self._overview.picture(self._frame)
+
+    def close(self) -> None:
+        """Free the simulation; `reset` begins another one."""
+        session, overview, self._session, self._overview, self._frame = self._session, self._overview, None, None, None
+        if overview is not None:
+            overview.close()
+        if session is not None:
+            session.close()
+
+    @property
+    def _episode(self) -> Any:
+        """The session's episode, which has begun."""
+        assert self._session is not None and self._session.episode is not None
+        return self._session.episode
+
+    def _running(self) -> tuple[Session, Frame]:
+        """The session and its last frame, of an episode whose end has not been told."""
+        if self._session is None or self._frame is None:
+            raise SessionError("no episode has begun", "call reset() first")
+        if self._told:
+            raise SessionError(f"the episode has ended: {self._episode.reason}", "call reset() for another one")
+        return self._session, self._frame
+
+    def _checked(self, action: Array) -> Array:
+        """An action as numbers of its shape."""
+        try:
+            numbers = np.array(action, dtype=float)
+        except (TypeError, ValueError):
+            numbers = np.zeros(0)
+        if numbers.shape != self.scale.per_unit.shape:
+            raise ParameterError("action", f"must be {len(self.scale.per_unit)} numbers in [-1, 1]", action)
+        if not all_finite(numbers):
+            raise ParameterError("action", "must be finite", action)
+        return numbers
+
+    def _observation(self, frame: Frame) -> dict[str, Any]:
+        """What a learner sees of a frame: measurements of the camera and of the robot, nothing of the frame's truth."""
+        seen, exposure = frame.observation, self._episode.controller.before
+        own = self.scenario.robot.proprioception(exposure.reading, seen.odometry)
+        found: dict[str, Any] = observed(replace(seen, proprioception=own if len(own) else None), frame.goal)
+        if "agent_pos" in found:
+            found["agent_pos"] = np.clip(found["agent_pos"], -MOST, MOST)
+        if self._mode == "pixels":
+            del found["markers"], found["seen"]
+        if self._mode != "markers":
+            found["pixels"] = np.array(frame.image)
+        return found
+
+    def _judged(self, frame: Frame) -> tuple[JudgedError, float]:
+        """The judged error in a frame, and the potential."""
+        scenario = self.scenario
+        values = dict(zip(scenario.own_columns, frame.row.tolist(), strict=True)) | {"error_px": frame.error.rms_px}
+        error = in_a_frame(scenario.goal, scenario.stop, values)
+        return error, potential(error, frame.goal.view, len(scenario.goal_views))
+
+    def _info(self, frame: Frame, error: JudgedError) -> dict[str, Any]:
+        """What a learner may look at and a policy may not."""
+        outcome, truth = frame.outcome, frame.truth
+        true = {"T_world_camera": truth.T_world_camera, "T_world_target": truth.T_world_target, "twist": truth.twist, "q": truth.q}
+        return {
+            "is_success": outcome is not None and outcome.success,
+            "outcome": "" if outcome is None else outcome.name,
+            "reason": frame.verdict[1] if frame.verdict else "",
+            "error": error.value,
+            "error_unit": error.unit,
+            "error_limit": error.limit,
+            "error_by": error.by,
+            "t": frame.t,
+            "seed": self._episode.scenario.seed,
+            "truth": {name: np.array(value) for name, value in true.items()},
+        }

@@ -1,0 +1,171 @@
+"""A learned policy as a law: a function of a Python file, or a network in an ONNX file."""
+
+from __future__ import annotations
+
+import copy
+import inspect
+import re
+from collections.abc import Callable, Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from vstestbed.core.errors import EnvironmentLackError, ParameterError
+from vstestbed.core.geometry import Array
+from vstestbed.core.modules import line_of, load_file
+from vstestbed.core.named_files import absolute_file
+from vstestbed.core.spec import spec
+from vstestbed.features.depth import AtGoal, Depth
+from vstestbed.features.observation import Goal, Observation
+from vstestbed.laws.base import Command, LawBase, TwistLimits
+from vstestbed.laws.policy_io import ActionScale, observed
+
+Act = Callable[[Mapping[str, Array]], Any]
+"""From what a policy sees to an action (n,) in [-1, 1]; None where it has none."""
+NO_ACTION = "the policy gave no action"
+POLICY_FILE = re.compile(r"\.onnx$|\.py:\w+$")
+"""The end of a policy's name."""
+ONNX_KINDS = {"tensor(float)": np.float32, "tensor(double)": np.float64}
+
+
+@spec
+class Policy(LawBase):
+    """u = scale * action of a learned policy, action = act(observation) in [-1, 1]^n, beyond which it is clipped.
+
+    `file` is `FILE.py:NAME` or `FILE.onnx`, absolute, or relative to the scenario's file. NAME is one of
+    - a function `act(observation)` without memory;
+    - a class, or an object with a method `reset`: each run has an instance or a deep copy of its own, whose `reset()`, where it has
+      one, is called first; its `act(observation)`, or the instance itself, is called for each frame.
+    The observation is a dict of float64 arrays: `markers`, `seen`, `goal` and, where it is asked for, `agent_pos`
+    (`policy_io.observed`). An ONNX network has inputs of some of these names, with a batch dimension of 1 before them, and the action
+    (1, n) as its first output; it runs in one thread. An action that is None or, while a marker is not seen, zero orders rest.
+
+    An action of 1 is the law's limit of speed or rate, without one 1 m/s or 1 rad/s (`policy_io.ActionScale`).
+
+    Args:
+        file: the policy. To load a scenario runs the code of it.
+        agent_pos: show it what the robot's own sensors tell (`Robot.proprioception`): an arm's joints, a vehicle's odometry.
+        depth: source of depth for tasks that need a pose; the policy does not see it.
+        limits: largest speed and rate of the commanded twist.
+    """
+
+    kind: Literal["policy"] = "policy"
+    file: str
+    agent_pos: bool = False
+    depth: Depth = AtGoal()
+    limits: TwistLimits = TwistLimits()
+    tasks = ("view", "path", "landing", "pose", "gap", "line")
+
+    def __post_init__(self) -> None:
+        """Load the policy, so that a mistake in `file` is told before anything runs."""
+        if not POLICY_FILE.search(self.file):
+            raise ParameterError("file", "must be FILE.py:NAME, such as my.py:act, or FILE.onnx", self.file)
+        object.__setattr__(self, "file", absolute_file(self.file, Path.cwd()))  # frozen; a run remembers where its policy is
+        _loaded(self.file, self.agent_pos)
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """The fields of an Observation that it looks at."""
+        return ("uv", "proprioception") if self.agent_pos else ("uv",)
+
+    def markers_needed(self, basis: Array) -> int:
+        """One: what a policy can do with fewer markers than the robot has motions is its own matter."""
+        return 1
+
+    def init(self, goal: Goal) -> Act:
+        """The policy itself: a copy of its own for each run, where it has a memory.
+
+        Raises:
+            ParameterError: its class or its `reset` raises.
+        """
+        made: Any = _loaded(self.file, self.agent_pos)
+        try:
+            if inspect.isclass(made):
+                made = made()
+            elif hasattr(made, "reset"):
+                made = copy.deepcopy(made)
+            if hasattr(made, "reset"):
+                made.reset()
+        except Exception as error:  # the code of others
+            path = Path(self.file.rpartition(":")[0])
+            words = f"{line_of(error, str(path), path)}: the policy cannot begin ({type(error).__name__}: {error})"
+            raise ParameterError("law.file", words) from error
+        return getattr(made, "act", made)
+
+    def step(self, memory: Act, observation: Observation, goal: Goal, basis: Array) -> tuple[Act, Command]:
+        """One frame: ask the policy.
+
+        Raises:
+            ParameterError: the action is not n numbers.
+        """
+        given = memory(observed(observation, goal))
+        if given is None:
+            return memory, Command.rest(basis, NO_ACTION)
+        action = self._checked(given, basis.shape[1])
+        if not action.any() and not observation.seen.all():
+            return memory, Command.rest(basis, "the policy rests while a marker is out of sight")
+        return memory, self.limits.command(ActionScale.of(self.limits, basis).velocities(action), basis)
+
+    def _checked(self, given: Any, n: int) -> Array:
+        """An action as n numbers."""
+        try:
+            action = np.asarray(given, dtype=float)
+        except (TypeError, ValueError):
+            action = np.zeros(0)
+        if action.shape != (n,):
+            found = f"shape {np.shape(given)}" if isinstance(given, np.ndarray | list | tuple) else type(given).__name__
+            raise ParameterError("law.file", f"{Path(self.file).name}: an action must be {n} numbers for this robot's motions, got {found}")
+        return action
+
+
+def _loaded(file: str, agent_pos: bool) -> Any:
+    """The function, class or object that `Policy.file` names."""
+    source, _, name = file.rpartition(":")
+    path = Path(file if file.endswith(".onnx") else source)
+    if not path.is_file():
+        raise ParameterError("file", f"{path} is not there; give the place of {path.name}")
+    return _network(path, path.stat().st_mtime_ns, agent_pos) if file.endswith(".onnx") else _from_module(path, name)
+
+
+def _from_module(path: Path, name: str) -> Any:
+    """The function, class or object of a name in a Python file."""
+    try:
+        found = getattr(load_file(path), name, None)
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # whatever the code of others raises, also SystemExit
+        words = f"cannot be imported ({type(error).__name__}: {error})"
+        raise ParameterError("file", f"{line_of(error, str(path), path)} {words}") from error
+    if not (callable(found) or callable(getattr(found, "act", None))):
+        raise ParameterError("file", f"{path} has no function or class {name!r}")
+    return found
+
+
+@lru_cache(maxsize=16)
+def _network(path: Path, written: int, agent_pos: bool) -> Act:
+    """The network of an ONNX file that was last written at a time [ns], as a function of what a policy sees."""
+    try:
+        import onnxruntime
+    except ImportError as error:
+        raise EnvironmentLackError(f"onnxruntime is not installed, which {path.name} needs", "pip install 'vstestbed[policy]'") from error
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1  # comparisons have a process for each core
+    try:
+        network = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # the runtime's exceptions have no common class of their own
+        raise ParameterError("file", f"{path} is no ONNX network ({' '.join(str(error).split())[:120]})") from error
+    known = ("markers", "seen", "goal", *(("agent_pos",) if agent_pos else ()))
+    inputs = network.get_inputs()
+    for wanted in inputs:
+        if wanted.name not in known or wanted.type not in ONNX_KINDS:
+            hint = "; agent_pos needs law.agent_pos: true" if wanted.name == "agent_pos" else ""
+            words = f"wants {wanted.name!r} as {wanted.type}; a policy sees {', '.join(known)} as float or double{hint}"
+            raise ParameterError("file", f"{path.name} {words}")
+
+    def act(observation: Mapping[str, Array]) -> Array:
+        given = {i.name: observation[i.name][None].astype(ONNX_KINDS[i.type]) for i in inputs}
+        return np.asarray(network.run(None, given)[0], dtype=float)[0]
+
+    return act

@@ -1,0 +1,136 @@
+"""Serial arms with a camera or a target at the flange, driven by joint velocities: what all of them share."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from typing import ClassVar
+
+import numpy as np
+
+from vstestbed.core.geometry import Array
+from vstestbed.robots.allocation import ALL_SIX, Allocation, Limit, Mount
+from vstestbed.robots.base import RobotBase
+from vstestbed.robots.reading import Reading
+from vstestbed.robots.resolved_rate import resolved_rate, share
+
+LIMIT_MARGIN = math.radians(1.0)
+"""Distance from its hard stop at which a joint comes to rest [rad; m for one that slides]."""
+LIMIT_HORIZON_S = 0.25
+"""Velocity damper: near its limit a joint may approach no faster than to reach the margin in this time [s]."""
+INNER = 0.8
+"""Central share of a joint's range in which limit avoidance leaves it alone."""
+
+
+class Arm(RobotBase, ABC):
+    """A chain of joints on a base that stands at the world's origin. Fewer than six joints are motions of their own.
+
+    A subclass gives the kinematics, the limits and `avoid_limits`, the gain of joint-limit avoidance [1/s].
+    """
+
+    gripper: ClassVar[bool] = True
+    avoid_limits: float
+
+    @property
+    @abstractmethod
+    def joint_limits(self) -> Array:
+        """Lowest and highest position of each joint, (n, 2) [rad, m]."""
+
+    @property
+    @abstractmethod
+    def joint_speeds(self) -> Array:
+        """Largest speed of each joint, (n,) [rad/s, m/s]."""
+
+    @property
+    @abstractmethod
+    def unit_m(self) -> float:
+        """Length that makes metres and radians comparable [m]."""
+
+    @abstractmethod
+    def kinematics(self, q: Array) -> tuple[Array, Array]:
+        """T_world_flange (4, 4) and the Jacobian (6, n): twist of the flange (v, w) in its own frame = J @ dq."""
+
+    def start_joints(self) -> Array:
+        """The configuration itself."""
+        return self.configuration()
+
+    @abstractmethod
+    def configuration(self) -> Array:
+        """Joint positions of the nominal start, shape (n,) [rad, m]."""
+
+    def flange_pose(self, configuration: Array) -> Array:
+        """T_world_flange (4, 4)."""
+        return self.kinematics(configuration)[0]
+
+    def motion_basis(self, mount: Mount, q: Array) -> Array:
+        """All six degrees of freedom, also near singularities, where `allocate` damps; of fewer joints their own twists (6, n)."""
+        return ALL_SIX if len(q) >= 6 else mount.to_camera @ self.kinematics(q)[1]
+
+    def measured_twist(self, before: Reading, now: Reading, duration: float, commanded: Array, mount: Mount) -> Array:
+        """Mean camera twist (6,) between two readings: J at the mean joint positions times dq / duration."""
+        if duration <= 0:
+            return np.zeros(6)
+        # At the middle: the chord and the path differ in the third order of dq there, in the second at either end.
+        J = self.kinematics((before.q + now.q) / 2)[1]
+        return mount.to_camera @ (J @ ((now.q - before.q) / duration))
+
+    def secondary_task(self, null_space: Array, reading: Reading, mount: Mount) -> Array:
+        """Joint-limit avoidance in the null space of the law.
+
+        Desired: `_away_from_limits`. The null-space motion J^-1 null_space z nearest to it in the least-squares sense is taken.
+
+        References: Liegeois 1977, doi:10.1109/TSMC.1977.4309644; Chaumette & Marchand 2001, doi:10.1109/70.964671.
+        """
+        desired = self._away_from_limits(reading.q)
+        if null_space.shape[1] == 0 or not desired.any():
+            return np.zeros(6)
+        J = self.kinematics(reading.q)[1]
+        # A projection: dq . dq* >= 0, so this task on its own never moves the joints as a whole nearer to their limits. The damped
+        # inverse for J^-1, as `allocate` will use it, so that the fit is of motions that the joints are really given.
+        joint_motions = np.column_stack([resolved_rate(J, mount.to_flange @ twist, self.unit_m) for twist in null_space.T])
+        return null_space @ np.linalg.lstsq(joint_motions, desired, rcond=1e-6)[0]
+
+    def _away_from_limits(self, q: Array) -> Array:
+        """dq*_i = -avoid_limits (q_i - edge_i) beyond the edge of the middle four fifths of a joint's range, else 0."""
+        limits = self.joint_limits
+        with np.errstate(invalid="ignore"):  # a joint that turns without end has no middle: nan, where it is always inside
+            low, high = (limits.mean(axis=1) + side * INNER * np.ptp(limits, axis=1) / 2 for side in (-1, 1))
+        low, high = np.where(np.isnan(low), -np.inf, low), np.where(np.isnan(high), np.inf, high)
+        return -self.avoid_limits * (q - np.clip(q, low, high))
+
+    def allocate(self, twist: Array, reading: Reading, mount: Mount, period: float) -> Allocation:
+        """Joint speeds for a camera twist (6,): damped resolved rate, then scaled as a whole into speed and position limits.
+
+        A seventh joint moves the arm away from its limits in the null space of the flange's motion.
+
+        Near a position limit a joint's speed towards it is bounded by its distance over LIMIT_HORIZON_S
+        (velocity damper: Faverjon & Tournassoud 1987, doi:10.1109/ROBOT.1987.1087982).
+        """
+        commanded = mount.to_flange @ twist
+        J = self.kinematics(reading.q)[1]
+        dq = resolved_rate(J, commanded, self.unit_m)
+        if J.shape[1] > 6:
+            away = self._away_from_limits(reading.q)
+            dq = dq + away - resolved_rate(J, J @ away, self.unit_m)
+        realised = J @ dq
+        along = share(realised, commanded, self.unit_m)
+        limit: Limit = "singular" if along < 0.5 else ""
+        speed, position = self._allowed(dq, reading.q, max(LIMIT_HORIZON_S, period))
+        scale = min(1.0, speed, position)
+        if scale < 1.0:  # a limit met hides the singularity beside it: `scale` has both
+            limit = "joint_limit" if position < speed else "speed"
+        return Allocation(setpoint=dq * scale, twist=mount.to_camera @ realised * scale, scale=scale * along, limit=limit)
+
+    def _allowed(self, dq: Array, q: Array, horizon_s: float) -> tuple[float, float]:
+        """Largest factors of the joint speeds dq (n,) within the speed limits, and within the velocity damper at the joints q (n,).
+
+        The horizon is not shorter than a period: within one, no further command could slow a joint down. The joints are the measured
+        ones, not integrated commands: the servos lag behind those.
+        """
+        speed = position = math.inf
+        limits = zip(dq.tolist(), q.tolist(), self.joint_limits.tolist(), self.joint_speeds.tolist(), strict=True)
+        for u, at, (low, high), most in limits:  # numpy takes thrice as long
+            size = max(abs(u), 1e-12)
+            room = (high - at if u > 0 else at - low) - LIMIT_MARGIN
+            speed, position = min(speed, most / size), min(position, max(room, 0.0) / horizon_s / size)
+        return speed, position

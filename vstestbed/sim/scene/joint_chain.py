@@ -1,0 +1,154 @@
+"""Reads an arm's joints from its MJCF or URDF file into plain numbers, and says what of the file cannot be used."""
+
+from __future__ import annotations
+
+import functools
+
+import mujoco
+import numpy as np
+
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.named_files import place_of_file
+from vstestbed.robots.chain import JointChain
+
+MOST_JOINTS = 7
+WORDS = {int(mujoco.mjtJoint.mjJNT_FREE): "a free joint", int(mujoco.mjtJoint.mjJNT_BALL): "a ball joint"}
+
+
+@functools.lru_cache(maxsize=8)
+def compiled(file: str) -> mujoco.MjModel:
+    """The model of a file on its own.
+
+    Raises:
+        ParameterError: `file` is not there, or MuJoCo cannot compile it.
+    """
+    path = place_of_file(file)
+    try:
+        return mujoco.MjSpec.from_file(str(path)).compile()
+    except (ValueError, mujoco.FatalError) as error:
+        words = " ".join(str(error).split())
+        raise ParameterError("file", f"cannot be compiled by MuJoCo ({words}); works: an MJCF or URDF file", file) from None
+
+
+@functools.lru_cache(maxsize=8)
+def joint_chain(file: str, flange: str, names: tuple[str, ...]) -> JointChain:
+    """The joints from the root to a flange.
+
+    Args:
+        file: the model's. flange: one of its sites or bodies. names: the joints, in their order; () for all between root and flange.
+
+    Raises:
+        ParameterError: `file`, `flange` or `joints`, with what would work.
+    """
+    model = compiled(file)
+    body, T_body_flange = _flange(model, flange)
+    joints = _joints_to(model, body)
+    found = tuple(model.joint(i).name for i in joints)
+    _check(model, flange, joints, found, names)
+    data = mujoco.MjData(model)
+    data.qpos[model.jnt_qposadr[joints]] = 0.0
+    mujoco.mj_kinematics(model, data)
+    T_world_body = _pose(data.xpos[body], data.xmat[body])
+    bounded = model.jnt_limited[joints].astype(bool)[:, None]
+    return JointChain(
+        names=found,
+        slides=model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_SLIDE,
+        axes=data.xaxis[joints].copy(),
+        anchors=data.xanchor[joints].copy(),
+        T_0=T_world_body @ T_body_flange,
+        limits=np.where(bounded, model.jnt_range[joints], [-np.inf, np.inf]),
+        torque=_torque(model, joints),
+        drives=tuple(_drive(model, i) for i in joints),
+    )
+
+
+@functools.lru_cache(maxsize=64)
+def inertia_at(file: str, joints: tuple[str, ...], q: tuple[float, ...]) -> tuple[float, ...]:
+    """What each joint's motor has to move at positions q [rad, m], gears included: the diagonal of the mass matrix [kg m^2, kg]."""
+    model = compiled(file)
+    data, places = mujoco.MjData(model), [model.joint(name) for name in joints]
+    data.qpos[[j.qposadr[0] for j in places]] = q
+    mujoco.mj_forward(model, data)
+    M = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, M)
+    return tuple(M.diagonal()[[j.dofadr[0] for j in places]].tolist())
+
+
+def _pose(xyz: np.ndarray, R: np.ndarray) -> np.ndarray:
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = R.reshape(3, 3), xyz
+    return T
+
+
+def _flange(model: mujoco.MjModel, flange: str) -> tuple[int, np.ndarray]:
+    """The body that carries the flange, and the flange's pose (4, 4) in it."""
+    site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, flange)
+    if site >= 0:
+        R = np.zeros(9)
+        mujoco.mju_quat2Mat(R, model.site_quat[site])
+        return int(model.site_bodyid[site]), _pose(model.site_pos[site], R)
+    body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, flange)
+    if body > 0:
+        return body, np.eye(4)
+    there = [model.site(i).name for i in range(model.nsite)] or [model.body(i).name for i in range(1, model.nbody)]
+    kind = "sites" if model.nsite else "bodies"
+    raise ParameterError("flange", f"is no site and no body of the file; its {kind}: {', '.join(filter(None, there))}", flange)
+
+
+def _joints_to(model: mujoco.MjModel, body: int) -> list[int]:
+    """The joints between the root and a body, the first one first."""
+    joints: list[int] = []
+    while body > 0:
+        first, n = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+        joints = [*range(first, first + n), *joints]
+        body = int(model.body_parentid[body])
+    return joints
+
+
+def _check(model: mujoco.MjModel, flange: str, joints: list[int], found: tuple[str, ...], names: tuple[str, ...]) -> None:
+    """Refuse a chain that no velocity servos can drive."""
+    for i, name in zip(joints, found, strict=True):
+        if (word := WORDS.get(int(model.jnt_type[i]))) is not None:
+            words = f"must be hinges and slides, and {name or 'one of them'} is {word}: an arm stands on a base that is fixed in the world"
+            raise ParameterError("joints", words)
+    if names and names != found:
+        words = f"must be those between the root and {flange}, in their order: {', '.join(found)}"
+        raise ParameterError("joints", words, list(names))
+    if not 2 <= len(found) <= MOST_JOINTS:
+        raise ParameterError("flange", f"must have 2 to {MOST_JOINTS} joints before it, and {flange} has {len(found)}")
+    if not all(found):
+        raise ParameterError("file", f"must name each joint before {flange}; joint {found.index('') + 1} of them has no name")
+
+
+def drivers(model: mujoco.MjModel, joint: int) -> list[int]:
+    """The actuators that act on a joint alone."""
+    alone = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
+    return np.flatnonzero(alone & (model.actuator_trnid[:, 0] == joint)).tolist()
+
+
+def _torque(model: mujoco.MjModel, joints: list[int]) -> np.ndarray:
+    """Largest torque of each joint: of the joint itself, and of the actuators on it; infinite without one."""
+    torque = np.full(len(joints), np.inf)
+    for k, i in enumerate(joints):
+        if model.jnt_actfrclimited[i]:
+            torque[k] = model.jnt_actfrcrange[i, 1]
+        for a in drivers(model, i):
+            if model.actuator_forcelimited[a]:
+                torque[k] = min(torque[k], abs(model.actuator_gear[a, 0]) * model.actuator_forcerange[a, 1])
+    return torque
+
+
+def _drive(model: mujoco.MjModel, joint: int) -> str:
+    """The file's actuator of a joint: `velocity`, `position`, `motor`, `two`; "" for none."""
+    there = drivers(model, joint)
+    if len(there) != 1:
+        return "two" if there else ""
+    (a,) = there
+    _, kp, kv = model.actuator_biasprm[a, :3]
+    affine = model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_AFFINE
+    integrates = model.actuator_dyntype[a] == mujoco.mjtDyn.mjDYN_INTEGRATOR
+    if not affine or model.actuator_gear[a, 0] != 1:
+        return "motor"
+    if kp == 0:
+        return "velocity" if kv < 0 and not integrates else "motor"
+    return "velocity" if integrates else "position"
