@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import sys
 from collections.abc import Callable, Iterator
@@ -33,10 +34,15 @@ def command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capt
     from vstestbed.cli.app import main
 
     monkeypatch.chdir(tmp_path)
+    logger = logging.getLogger("vstestbed")  # the command line sets it up for its own process
+    monkeypatch.setattr(logger, "propagate", logger.propagate)
+    monkeypatch.setattr(logger, "handlers", list(logger.handlers))
+    level = logger.level
 
     def call(*words: object) -> Ended:
         with pytest.raises(SystemExit) as end:
             main([str(word) for word in words])
+        logger.setLevel(level)
         out, err = capsys.readouterr()
         assert isinstance(end.value.code, int)
         return Ended(end.value.code, out, err)

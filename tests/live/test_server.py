@@ -97,6 +97,38 @@ def test_a_law_that_fails_ends_the_run_and_not_the_server(monkeypatch: pytest.Mo
     thread.join(10)
 
 
+class TestGizmos:
+    def test_a_plate_is_held_let_go_and_gone_after_a_reset(self):
+        app = LiveApp(Settings("arm_ibvs"))
+        app.run.transport.play(False)
+        thread = threading.Thread(target=app.serve)
+        thread.start()
+        app.ask(lambda: app.gizmo("plate", True))
+        until(lambda: app.run.by_hand == ("plate held",))
+        app.ask(app.run.transport.step)
+        until(lambda: app.run.frames == 2)
+        assert not app.run.frame.observation.seen[0]
+        app.ask(lambda: app.gizmo("target", True))
+        app.ask(app.reset)
+        until(lambda: app.run.restarts == 2)
+        app.ask(app.run.transport.step)
+        until(lambda: app.run.frames == 2)
+        assert app.run.frame.observation.seen.all() and app.run.by_hand == ()
+        app.stop()
+        thread.join(10)
+
+    def test_a_target_that_is_carried_has_none(self):
+        app = LiveApp(Settings("arm_eye_to_hand"))
+        app.run.transport.play(False)
+        thread = threading.Thread(target=app.serve)
+        thread.start()
+        app.ask(lambda: app.gizmo("target", True))
+        until(lambda: "is carried, and goes where its carrier goes" in app.said)
+        assert app.run.by_hand == ()
+        app.stop()
+        thread.join(10)
+
+
 class TestTheCommand:
     def test_a_taken_port_is_told(self, command):
         with socket.socket() as other:

@@ -153,3 +153,11 @@ def test_nothing_can_be_done_to_what_does_not_run():
     for act in (lambda: session.push(np.ones(3)), lambda: session.retune(law), lambda: session.move_target(np.eye(4))):
         with pytest.raises(SessionError, match="nothing to step"):
             act()
+
+
+def test_an_arm_that_holds_the_target_is_pushed_at_its_gripper():
+    with started("arm_eye_to_hand", 2, robot__actuation="raw") as pushed, started("arm_eye_to_hand", 2, robot__actuation="raw") as twin:
+        pushed.push(np.array([0.0, 300.0, 0.0]), 0.2)
+        for _ in range(6):
+            frame, other = pushed.step(), twin.step()
+        assert np.abs(frame.truth.q - other.truth.q).max() > 1e-3 and pushed.weight_n > 100

@@ -45,7 +45,7 @@ class LiveApp:
         self.address = self._server.address
         self._view = LiveView(self._server, scenario, self.run.last)
         self._panel = RunPanel(
-            self._server.gui, self._inbox, self.run, set_=self.change, gizmo=self._gizmo, reset=self.reset, save=self._save
+            self._server.gui, self._inbox, self.run, set_=self.change, gizmo=self.gizmo, reset=self.reset, save=self._save
         )
         self._server.gui.main_panel.dock_right()
         self._view.add(self.run.last)
@@ -148,8 +148,8 @@ class LiveApp:
         path = self.run.settings.keep(note)
         self._panel.status.say(f"saved: vstestbed run {path}. {note}")
 
-    def _gizmo(self, what: str, on: bool) -> None:
-        """Show or take away what the target, or the plate, is dragged by."""
+    def gizmo(self, what: str, on: bool) -> None:
+        """Show or take away what the `target`, or the `plate`, is dragged by; by the thread that serves."""
         self._let_go(what)
         if what == "plate":
             self._hold_plate(self.run.before_marker(self._panel.hand.marker) if on else None)

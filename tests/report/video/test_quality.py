@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from pathlib import Path
 
 import av
@@ -55,7 +54,6 @@ def test_rays_make_small_films_and_say_so(monkeypatch: pytest.MonkeyPatch, caplo
     from vstestbed.report.video import quality
 
     quality._warn_once.cache_clear()
-    monkeypatch.setattr(logging.getLogger("vstestbed"), "propagate", True)  # the command line, tested before, keeps its own words
     assert quality_of(vs.load("arm_ibvs", {"camera.renderer": "gl"})) is DRAFT
     assert caplog.text == ""
     rays = vs.load("arm_ibvs", {"camera.renderer": "rays"})

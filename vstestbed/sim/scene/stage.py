@@ -26,6 +26,7 @@ class Stage:
     Attributes:
         at: where the robot's joints and actuators are in `data`. eye: number of the servo camera's site, in computer-vision axes.
         root, leader: the free bases of the robot and of the vehicle that carries the target; None where there is none.
+        flange_body: number of the body that carries the camera, or eye to hand the target.
         hand_plate: number of the mocap body of the plate in reserve; None without one.
         held_site: number of the target's site in the gripper (eye to hand), else -1.
     """
@@ -49,6 +50,7 @@ class Stage:
         self.hand_plate = self.model.body(HAND_PLATE).mocapid[0] if parts.plate_m else None
         self._free = self.model.body("robot/camera").mocapid[0] if parts.robot.model is None else None
         self.eye = self.model.site("eye").id
+        self.flange_body = self.model.body_parentid[self._target.id] if parts.target.on_gripper else self.model.site_bodyid[self.eye]
         self._rest = parts.robot.rest_ctrl()
         self.at = StateIndices.of(self.model, parts.robot, "robot/")
         self.held_site = self.model.site("target/frame").id if parts.target.on_gripper else -1
