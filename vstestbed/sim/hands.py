@@ -68,7 +68,7 @@ class Push:
     """
 
     def __init__(self, stage: Stage):
-        self._force = stage.data.xfrc_applied[stage.flange_body()]
+        self._force = stage.data.xfrc_applied[stage.flange_body]
         self._until = 0
         self.acts = False
 

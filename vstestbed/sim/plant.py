@@ -226,7 +226,7 @@ class MujocoPlant:
     def weight_n(self) -> float:
         """Weight of all bodies of the robot [N]."""
         model = self._stage.model
-        root = model.body_rootid[self._stage.flange_body()]
+        root = model.body_rootid[self._stage.flange_body]
         return float(model.body_subtreemass[root] * np.linalg.norm(model.opt.gravity))
 
     def push(self, force: Array, duration_s: float) -> None:

@@ -147,12 +147,6 @@ class Stage:
         hits = [mujoco.mj_ray(self.model, self.data, origin, np.ascontiguousarray(d), groups, 1, -1, geom) for d in rays]
         return np.array([0 <= hit < r - slack for hit, r in zip(hits, reach, strict=True)])
 
-    def flange_body(self) -> int:
-        """Number of the robot's body that carries the camera or, eye to hand, the target."""
-        name = f"robot/{self.parts.robot.flange}"
-        site = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_SITE, name)
-        return int(self.model.site_bodyid[site]) if site >= 0 else self.model.body(name).id
-
     def start_qpos(self) -> Array:
         """MuJoCo's whole state of positions (nq,) at the nominal start."""
         q, T = self.parts.start
