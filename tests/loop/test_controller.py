@@ -132,7 +132,7 @@ class TestWhatIsTold:
     def test_a_time_that_is_none(self, controller: vs.Controller) -> None:
         for t in (None, "0", np.zeros(1)):
             with pytest.raises(ParameterError, match="t must be the time of exposure in seconds"):
-                controller.step(self.BLACK, t, self.REST)  # pyright: ignore[reportArgumentType] - the mistake
+                controller.step(self.BLACK, t, self.REST)
         controller.step(self.BLACK, 1.0, self.REST, arrived=1.5)
         with pytest.raises(ParameterError, match=r"arrived goes back: the last picture arrived at 1\.5 s"):
             controller.step(self.BLACK, 1.04, self.REST, arrived=1.45)
@@ -141,18 +141,18 @@ class TestWhatIsTold:
         with pytest.raises(ParameterError, match=r"readings\.q must be 6 finite numbers"):
             controller.without_picture(2.0, Reading(np.full(6, np.nan), np.zeros(6)))
         with pytest.raises(ParameterError, match="readings must be one, or two: at the exposure and now, got '3'"):
-            controller.step(self.BLACK, 1.04, (self.REST,) * 3)  # pyright: ignore[reportArgumentType] - the mistake
+            controller.step(self.BLACK, 1.04, (self.REST,) * 3)
         assert controller.step(self.BLACK, 1.04, self.REST).notes == ()
 
     def test_a_scenarios_name_is_no_scenario(self) -> None:
         with pytest.raises(ParameterError, match="must be a Scenario"):
-            vs.Controller("arm_ibvs")  # pyright: ignore[reportArgumentType] - the mistake
+            vs.Controller("arm_ibvs")
 
     def test_without_any_picture_the_order_has_the_robots_shape(self, controller: vs.Controller) -> None:
         assert controller.without_picture(0.5, self.REST).shape == (6,)
 
     def test_lists_are_readings_too(self, controller: vs.Controller) -> None:
-        lists = Reading([0, 1, -3, 0, 1, 0], [0] * 6)  # pyright: ignore[reportArgumentType] - what users have
+        lists = Reading([0, 1, -3, 0, 1, 0], [0] * 6)
         assert controller.step(self.BLACK, 0.0, lists).setpoint.shape == (6,)
 
     def test_a_driver_may_write_the_next_reading_into_the_same_array(self, controller: vs.Controller) -> None:

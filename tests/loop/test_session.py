@@ -208,3 +208,22 @@ def test_a_run_that_ends_without_another_picture_gives_the_last_frame_with_its_o
         if recording.ended_s > session.episode.frame.t:
             assert session.episode.ended().outcome is recording.outcome
     assert same(recording, run) and recording.ended_s > recording["t"][-1]
+
+
+@pytest.mark.parametrize("what", ["uv", "xy", "T_camera_target"])
+def test_who_writes_to_a_frames_goal_is_told_and_later_runs_stay_the_same(what: str) -> None:
+    scenario = vs.load("ibvs_book", SHORT)
+    before = vs.run(scenario)
+    with vs.Session(scenario) as session:
+        frame = session.reset()
+        for array in (getattr(frame.goal, what), frame.truth.T_world_target):
+            with pytest.raises(ValueError, match="read-only"):
+                array -= 0.3
+    assert same(vs.run(scenario), before)
+
+
+def test_a_twist_beyond_all_bounds_ends_as_crashed() -> None:
+    with vs.Session(vs.load("ibvs_book", SHORT)) as session:
+        session.reset()
+        frame = session.step([1e300] * 6)
+        assert frame.outcome is vs.Outcome.crashed

@@ -6,9 +6,10 @@ from collections.abc import Iterable
 from types import TracebackType
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from vstestbed.core.errors import ParameterError, SessionError
-from vstestbed.core.geometry import Array, all_finite
+from vstestbed.core.geometry import Array
 from vstestbed.loop.episode import Episode
 from vstestbed.loop.recording import Recording, Rows, Watcher
 from vstestbed.robots import Mount
@@ -66,7 +67,7 @@ class Session:
             raise SessionError(f"the run ended before a picture arrived: {self.episode.reason}", "change the camera's timing")
         return frame
 
-    def step(self, command: Array | None = None) -> Frame:
+    def step(self, command: ArrayLike | None = None) -> Frame:
         """Send the command for the last frame, and simulate until the next picture has arrived.
 
         Args:
@@ -81,9 +82,7 @@ class Session:
             SessionError: before `reset`, or after the end.
         """
         episode = self._running()
-        if command is not None:
-            command = self._checked(command)
-        return episode.advance(command) or episode.ended()
+        return episode.advance(None if command is None else self._checked(command)) or episode.ended()
 
     def recording(self) -> Recording:
         """The episode so far: outcome, log, metrics; `interrupted` where it has not ended. The same bytes as `run` where the law drove.
@@ -117,7 +116,7 @@ class Session:
             raise SessionError("the session is closed", "call reset() for another run")
         return episode
 
-    def _checked(self, command: Array) -> Array:
+    def _checked(self, command: ArrayLike) -> Array:
         """A command as numbers of a right shape."""
         n = self._motions
         try:
@@ -127,6 +126,6 @@ class Session:
         if numbers.shape not in ((6,), (n,)):
             words = "must be a camera twist (6,)" + ("" if n == 6 else f", or {n} velocities along the robot's motions")
             raise ParameterError("command", words, command)
-        if not all_finite(numbers):
+        if not np.isfinite(numbers).all():
             raise ParameterError("command", "must be finite", command)
         return numbers
