@@ -227,3 +227,15 @@ def test_a_twist_beyond_all_bounds_ends_as_crashed() -> None:
         session.reset()
         frame = session.step([1e300] * 6)
         assert frame.outcome is vs.Outcome.crashed
+
+
+def test_a_later_frame_is_not_in_an_earlier_recording() -> None:
+    with vs.Session(vs.load("ibvs_book", SHORT)) as session:
+        session.reset()
+        session.step()
+        early = session.recording()
+        session.step()
+        session.step()
+        later = session.recording()
+        assert (len(early.rows), len(later.rows)) == (1, 3)
+        assert early.table.tobytes() == later.table[:1].tobytes()
