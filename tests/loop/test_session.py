@@ -239,3 +239,14 @@ def test_a_later_frame_is_not_in_an_earlier_recording() -> None:
         later = session.recording()
         assert (len(early.rows), len(later.rows)) == (1, 3)
         assert early.table.tobytes() == later.table[:1].tobytes()
+
+
+def test_tags_in_whole_pictures_differ_by_a_thousandth_of_a_pixel() -> None:
+    """A texture drawn whole and one drawn in a window differ by a grey level."""
+    scenario = vs.load("arm_tags", SHORT)
+    run = vs.run(scenario)
+    with vs.Session(scenario, pictures=True) as session:
+        whole = turned(session)
+    assert len(run.rows) == len(whole.rows)
+    for name in ("u_0", "v_0", "u_3", "v_3"):
+        np.testing.assert_allclose(whole[name], run[name], atol=2e-3)

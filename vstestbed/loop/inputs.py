@@ -128,6 +128,6 @@ class Inputs:
 
 def _seconds(field: str, words: str, t: SupportsFloat) -> float:
     """A finite time; ParameterError with these words where it is none."""
-    if isinstance(t, str) or not isinstance(t, SupportsFloat) or np.ndim(t) > 0 or not math.isfinite(t):  # pyright: ignore[reportArgumentType] - SupportsFloat
+    if isinstance(t, str) or np.ndim(t) > 0 or not (isinstance(t, SupportsFloat) and math.isfinite(float(t))):
         raise ParameterError(field, words, repr(t) if t is None else t)
     return float(t)

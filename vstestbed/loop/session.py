@@ -31,7 +31,8 @@ class Session:
 
     Args:
         scenario: the experiment.
-        pictures: take whole pictures (`Frame.image`), also where the detector needs none: its numbers do not change.
+        pictures: take whole pictures (`Frame.image`), also where the detector needs none. The log has the same bytes, but for
+            detector `tags`: a tag's texture drawn whole differs from one drawn in a window by a grey level, its corners by .001 px.
         watch: receive every frame, with the command that was sent.
         rows: where the rows of the log go, for one episode; into memory by default.
 
