@@ -155,6 +155,34 @@ class TestWhatIsTold:
         lists = Reading([0, 1, -3, 0, 1, 0], [0] * 6)
         assert controller.step(self.BLACK, 0.0, lists).setpoint.shape == (6,)
 
+    @pytest.mark.parametrize(
+        ("wrong", "words"),
+        [({"heading": np.nan}, "heading must be an angle in radians"), ({"tilt": np.zeros(3)}, "tilt must be roll and pitch in radians")],
+    )
+    def test_a_compass_that_fails(self, controller: vs.Controller, wrong: dict[str, Any], words: str) -> None:
+        """In a law, NaN would end the task for good."""
+        with pytest.raises(ParameterError, match=rf"readings\.{words}"):
+            controller.step(self.BLACK, 0.0, Reading(np.zeros(6), np.zeros(6), **wrong))
+
+    def test_who_writes_to_a_cycle_changes_no_later_order(self) -> None:
+        scenario = vs.load("arm_track_circle", {"stop.duration_s": 0.4})
+        orders = []
+        for writes in (False, True):
+            controller = vs.Controller(scenario)
+            with vs.Session(scenario, pictures=True) as session:
+                frame = session.reset()
+                while frame.outcome is None:
+                    assert frame.image is not None
+                    cycle = controller.step(frame.image, frame.t, Reading(frame.truth.q, np.zeros(6)))
+                    orders.append(cycle.twist.copy())
+                    if writes:
+                        for array in (cycle.twist, cycle.setpoint, cycle.command.twist):
+                            array *= 0.5
+                    frame = session.step()
+        half = len(orders) // 2
+        assert np.abs(orders[0]).max() > 1e-3
+        assert np.array_equal(orders[:half], orders[half:])
+
     def test_a_driver_may_write_the_next_reading_into_the_same_array(self, controller: vs.Controller) -> None:
         q = np.array([0, 0.7, -3, 0, 0.7, 0])
         controller.step(self.BLACK, 0.0, Reading(q, np.zeros(6)))

@@ -225,7 +225,7 @@ class Controller:
             twist = twist + robot.secondary_task(command.null_space, reading, mount)
         allocation = robot.allocate(twist, reading, mount, self.scenario.camera.period)
         # The command within limits, before the supervisor: a law with feedforward predicts by it (`OwnMotion.commanded`).
-        self.last_twist = allocation.twist
+        self.last_twist = allocation.twist.copy()  # the cycle's reader may write to it
         if rests or (command.rest_reason and not twist.any()):
             return replace(allocation, setpoint=stop_order(allocation.setpoint), twist=np.zeros(6))
         return allocation

@@ -6,12 +6,12 @@ import copy
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import SupportsFloat
 
 import numpy as np
 
 from vstestbed.camera import Image
 from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array
 from vstestbed.robots import Reading
 from vstestbed.scenario.scenario import Scenario
 
@@ -45,15 +45,13 @@ class Inputs:
         n = len(self._robot.joints)
         if not isinstance(reading, self._reading):
             raise ParameterError("readings", f"must be {self._reading.__name__}s for this robot", type(reading).__name__)
-        numbers = {}
-        for name, values in (("q", reading.q), ("qd", reading.qd)):
-            try:
-                numbers[name] = np.array(values, dtype=float)
-            except (TypeError, ValueError):
-                numbers[name] = np.full(1, np.nan)
-            if numbers[name].shape != (n,) or not np.isfinite(numbers[name]).all():
-                raise ParameterError(f"readings.{name}", f"must be {n} finite numbers: {', '.join(self._robot.joints)}", values)
-        return replace(copy.deepcopy(reading), **numbers)
+        joints = f"must be {n} finite numbers: {', '.join(self._robot.joints)}"
+        q, qd = (_finite(f"readings.{name}", joints, values, (n,)) for name, values in (("q", reading.q), ("qd", reading.qd)))
+        if reading.heading is not None:
+            _finite("readings.heading", "must be an angle in radians, or None without a compass", reading.heading, ())
+        if reading.tilt is not None:
+            _finite("readings.tilt", "must be roll and pitch in radians, or None", reading.tilt, (2,))
+        return replace(copy.deepcopy(reading), q=q, qd=qd)
 
     def now(self, t: float) -> float:
         """A time [s] at which no picture has come, which is not before the last picture's."""
@@ -126,8 +124,17 @@ class Inputs:
         return (f"the picture is {arrived - t:.2g} s old: the robot is told to stop",) if arrived - t > self._latest_s else ()
 
 
-def _seconds(field: str, words: str, t: SupportsFloat) -> float:
+def _finite(field: str, words: str, given: object, shape: tuple[int, ...]) -> Array:
+    """Finite numbers of a shape, as a new array; ParameterError with these words where they are not."""
+    try:
+        numbers = np.array(given, dtype=float)
+    except (TypeError, ValueError):
+        numbers = np.array(math.nan)
+    if numbers.shape != shape or not np.isfinite(numbers).all():
+        raise ParameterError(field, words, repr(given) if given is None else given)
+    return numbers
+
+
+def _seconds(field: str, words: str, t: object) -> float:
     """A finite time; ParameterError with these words where it is none."""
-    if isinstance(t, str) or np.ndim(t) > 0 or not (isinstance(t, SupportsFloat) and math.isfinite(float(t))):
-        raise ParameterError(field, words, repr(t) if t is None else t)
-    return float(t)
+    return float(_finite(field, words, None if isinstance(t, str) else t, ()))
