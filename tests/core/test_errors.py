@@ -13,6 +13,7 @@ from vstestbed.core.errors import (
     ParameterError,
     RunFolderError,
     ScenarioError,
+    SessionError,
     VstestbedError,
     nearest,
 )
@@ -57,3 +58,8 @@ def test_mistakes_of_a_scenario_are_kept_as_data() -> None:
     mistake = Mistake("a.yaml:1:1", "law", "is missing")
     assert ScenarioError([mistake]).mistakes == (mistake,)
     assert pickle.loads(pickle.dumps(mistake)) == mistake
+
+
+@pytest.mark.parametrize("error", [ParameterError("action", "must be finite", 3), SessionError("the run has ended", "call reset()")])
+def test_an_error_raised_again_from_itself_says_the_same(error: VstestbedError) -> None:
+    assert str(type(error)(error)) == str(error)

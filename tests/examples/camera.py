@@ -21,6 +21,8 @@ def twists(scenario: vs.Scenario, source: str) -> Iterator[vs.Cycle]:
     """The cycle of each picture of a film, or of a camera until Ctrl-C."""
     controller, began = vs.Controller(scenario), time.monotonic()
     video = cv2.VideoCapture(int(source) if source.isdigit() else source)
+    if not video.isOpened():
+        sys.exit(f"{source}: no film or camera that OpenCV can open")
     while True:
         there, picture = video.read()
         t = time.monotonic() - began if source.isdigit() else video.get(cv2.CAP_PROP_POS_MSEC) / 1000
@@ -30,5 +32,7 @@ def twists(scenario: vs.Scenario, source: str) -> Iterator[vs.Cycle]:
 
 
 if __name__ == "__main__":
+    if len(sys.argv) < 2:
+        sys.exit(__doc__)
     for cycle in twists(vs.load(sys.argv[1]), sys.argv[2] if len(sys.argv) > 2 else "0"):
         print(f"{cycle.t:7.3f} s", *(f"{v:8.4f}" for v in cycle.twist), cycle.command.rest_reason, *cycle.notes)

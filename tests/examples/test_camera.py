@@ -42,3 +42,9 @@ def test_it_prints_the_twists_of_the_run(film: tuple[Path, list[vs.Frame]]) -> N
     # t and the twist as they are printed; nothing is unusual about these pictures
     wanted = [[frame.t, *frame.twist] for frame in frames]
     np.testing.assert_allclose([[float(word) for word in words] for words in printed], wanted, atol=6e-4)
+
+
+def test_a_film_that_is_not_there_is_told(tmp_path: Path) -> None:
+    ran = subprocess.run([sys.executable, CAMERA, "ibvs_book", tmp_path / "gone.avi"], capture_output=True, text=True)
+    assert ran.returncode == 1
+    assert "gone.avi: no film or camera that OpenCV can open" in ran.stderr

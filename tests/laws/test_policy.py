@@ -154,6 +154,10 @@ class TestMistakes:
         with pytest.raises(ParameterError, match=r"mine.py:3: the policy cannot begin \(ZeroDivisionError: division by zero\)"):
             vs.run(scenario(mine + ":P"))
 
+    def test_of_a_class_without_act(self, tmp_path: Path):
+        with pytest.raises(ParameterError, match=r"mine\.py:P: P has no method act\(observation\)"):
+            vs.run(scenario(written(tmp_path, "class P: pass\n") + ":P"))
+
     @pytest.mark.parametrize(
         ("file", "words"),
         [

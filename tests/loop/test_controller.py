@@ -129,6 +129,68 @@ class TestWhatIsTold:
             controller.step(self.BLACK, float("nan"), self.REST)
         assert controller.step(self.BLACK, 1.04, self.REST).notes == ()  # a mistake has changed nothing
 
+    def test_a_time_that_is_none(self, controller: vs.Controller) -> None:
+        for t in (None, "0", np.zeros(1)):
+            with pytest.raises(ParameterError, match="t must be the time of exposure in seconds"):
+                controller.step(self.BLACK, t, self.REST)
+        controller.step(self.BLACK, 1.0, self.REST, arrived=1.5)
+        with pytest.raises(ParameterError, match=r"arrived goes back: the last picture arrived at 1\.5 s"):
+            controller.step(self.BLACK, 1.04, self.REST, arrived=1.45)
+        with pytest.raises(ParameterError, match="t goes back"):
+            controller.without_picture(0.5, self.REST)
+        with pytest.raises(ParameterError, match=r"readings\.q must be 6 finite numbers"):
+            controller.without_picture(2.0, Reading(np.full(6, np.nan), np.zeros(6)))
+        with pytest.raises(ParameterError, match="readings must be one, or two: at the exposure and now, got '3'"):
+            controller.step(self.BLACK, 1.04, (self.REST,) * 3)
+        assert controller.step(self.BLACK, 1.04, self.REST).notes == ()
+
+    def test_a_scenarios_name_is_no_scenario(self) -> None:
+        with pytest.raises(ParameterError, match="must be a Scenario"):
+            vs.Controller("arm_ibvs")
+
+    def test_without_any_picture_the_order_has_the_robots_shape(self, controller: vs.Controller) -> None:
+        assert controller.without_picture(0.5, self.REST).shape == (6,)
+
+    def test_lists_are_readings_too(self, controller: vs.Controller) -> None:
+        lists = Reading([0, 1, -3, 0, 1, 0], [0] * 6)
+        assert controller.step(self.BLACK, 0.0, lists).setpoint.shape == (6,)
+
+    @pytest.mark.parametrize(
+        ("wrong", "words"),
+        [({"heading": np.nan}, "heading must be an angle in radians"), ({"tilt": np.zeros(3)}, "tilt must be roll and pitch in radians")],
+    )
+    def test_a_compass_that_fails(self, controller: vs.Controller, wrong: dict[str, Any], words: str) -> None:
+        """In a law, NaN would end the task for good."""
+        with pytest.raises(ParameterError, match=rf"readings\.{words}"):
+            controller.step(self.BLACK, 0.0, Reading(np.zeros(6), np.zeros(6), **wrong))
+
+    def test_who_writes_to_a_cycle_changes_no_later_order(self) -> None:
+        scenario = vs.load("arm_track_circle", {"stop.duration_s": 0.4})
+        orders = []
+        for writes in (False, True):
+            controller = vs.Controller(scenario)
+            with vs.Session(scenario, pictures=True) as session:
+                frame = session.reset()
+                while frame.outcome is None:
+                    assert frame.image is not None
+                    cycle = controller.step(frame.image, frame.t, Reading(frame.truth.q, np.zeros(6)))
+                    orders.append(cycle.twist.copy())
+                    if writes:
+                        for array in (cycle.twist, cycle.setpoint, cycle.command.twist):
+                            array *= 0.5
+                    frame = session.step()
+        half = len(orders) // 2
+        assert np.abs(orders[0]).max() > 1e-3
+        assert np.array_equal(orders[:half], orders[half:])
+
+    def test_a_driver_may_write_the_next_reading_into_the_same_array(self, controller: vs.Controller) -> None:
+        q = np.array([0, 0.7, -3, 0, 0.7, 0])
+        controller.step(self.BLACK, 0.0, Reading(q, np.zeros(6)))
+        first = q.copy()
+        q[:] = 0.1
+        assert controller.before is not None
+        assert np.array_equal(controller.before.reading.q, first)
+
     @pytest.mark.parametrize("q", [np.zeros(5), np.full(6, np.nan)])
     def test_a_wrong_reading(self, controller: vs.Controller, q: np.ndarray) -> None:
         with pytest.raises(ParameterError, match=r"readings\.q must be 6 finite numbers"):

@@ -208,3 +208,45 @@ def test_a_run_that_ends_without_another_picture_gives_the_last_frame_with_its_o
         if recording.ended_s > session.episode.frame.t:
             assert session.episode.ended().outcome is recording.outcome
     assert same(recording, run) and recording.ended_s > recording["t"][-1]
+
+
+@pytest.mark.parametrize("what", ["uv", "xy", "T_camera_target"])
+def test_who_writes_to_a_frames_goal_is_told_and_later_runs_stay_the_same(what: str) -> None:
+    scenario = vs.load("ibvs_book", SHORT)
+    before = vs.run(scenario)
+    with vs.Session(scenario) as session:
+        frame = session.reset()
+        for array in (getattr(frame.goal, what), frame.truth.T_world_target):
+            with pytest.raises(ValueError, match="read-only"):
+                array -= 0.3
+    assert same(vs.run(scenario), before)
+
+
+def test_a_twist_beyond_all_bounds_ends_as_crashed() -> None:
+    with vs.Session(vs.load("ibvs_book", SHORT)) as session:
+        session.reset()
+        frame = session.step([1e300] * 6)
+        assert frame.outcome is vs.Outcome.crashed
+
+
+def test_a_later_frame_is_not_in_an_earlier_recording() -> None:
+    with vs.Session(vs.load("ibvs_book", SHORT)) as session:
+        session.reset()
+        session.step()
+        early = session.recording()
+        session.step()
+        session.step()
+        later = session.recording()
+        assert (len(early.rows), len(later.rows)) == (1, 3)
+        assert early.table.tobytes() == later.table[:1].tobytes()
+
+
+def test_tags_in_whole_pictures_differ_by_a_thousandth_of_a_pixel() -> None:
+    """A texture drawn whole and one drawn in a window differ by a grey level."""
+    scenario = vs.load("arm_tags", SHORT)
+    run = vs.run(scenario)
+    with vs.Session(scenario, pictures=True) as session:
+        whole = turned(session)
+    assert len(run.rows) == len(whole.rows)
+    for name in ("u_0", "v_0", "u_3", "v_3"):
+        np.testing.assert_allclose(whole[name], run[name], atol=2e-3)

@@ -6,8 +6,7 @@
     ├── ParameterError         one parameter out of its range (also a ValueError)            exit 2
     ├── OutputError            a result folder that cannot be written                        exit 2 or 4
     ├── RunFolderError         a folder without a readable run                               exit 2
-    ├── SessionError           a session that cannot do this now (not begun, ended)          exit 2
-    ├── SessionError           a session that cannot do this in its present state            exit 2
+    ├── SessionError           a session that cannot do what it is asked in its state        exit 2
     └── EnvironmentLackError   this machine lacks OpenGL, a codec, disk space                exit 4
 
 Each class takes data and composes its own message, which includes a remedy.
@@ -42,12 +41,14 @@ class ParameterError(VstestbedError, ValueError):
         field: the parameter's name, as the user writes it.
         problem: the rest of the sentence: what is wrong, and what is valid.
         found: the given value; None where the message needs none.
+
+    With one argument alone, an error or its message, it says the same: so Gymnasium's vector environments raise a worker's error again.
     """
 
-    def __init__(self, field: str, problem: str, found: object = None):
-        self.field, self.problem, self.found = field, problem, found
+    def __init__(self, field: object, problem: str = "", found: object = None):
+        self.field, self.problem, self.found = str(field), problem, found
         got = "" if found is None else f", got {found!r}"
-        super().__init__(f"{field} {problem}{got}")
+        super().__init__(f"{field} {problem}{got}".rstrip())
 
 
 @dataclass(frozen=True)
@@ -94,10 +95,10 @@ class RunFolderError(VstestbedError):
 
 
 class SessionError(VstestbedError):
-    """A session that cannot do what it is asked in its present state: the state, a remedy."""
+    """A session that cannot do what it is asked in its present state: the state, a remedy; or an error alone, as ParameterError."""
 
-    def __init__(self, state: str, remedy: str):
-        super().__init__(f"{state}; {remedy}")
+    def __init__(self, state: object, remedy: str = ""):
+        super().__init__(f"{state}; {remedy}" if remedy else str(state))
 
 
 class EnvironmentLackError(VstestbedError):

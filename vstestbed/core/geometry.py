@@ -35,7 +35,7 @@ class Pose:
 
     @cached_property
     def T(self) -> Array:
-        """The homogeneous matrix, shape (4, 4)."""
+        """The homogeneous matrix, shape (4, 4), read-only."""
         T = np.eye(4)
         for axis, angle in ((2, self.rpy_deg[2]), (1, self.rpy_deg[1]), (0, self.rpy_deg[0])):
             turn, c, s = np.eye(3), math.cos(math.radians(angle)), math.sin(math.radians(angle))
@@ -43,6 +43,7 @@ class Pose:
             turn[i, i], turn[j, j], turn[i, j], turn[j, i] = c, c, -s, s
             T[:3, :3] = T[:3, :3] @ turn  # not `rotation_from_rpy`, whose last bits are others: a log is made again byte for byte
         T[:3, 3] = self.xyz
+        T.setflags(write=False)  # kept: who writes to it would move the pose for good
         return T
 
     def SE3(self) -> SE3:

@@ -130,7 +130,16 @@ class Goal:
     @cached_property
     def xy(self) -> Array:
         """Normalised coordinates of the markers, shape (N, 2)."""
-        return self.camera.normalise(self.uv)
+        xy = self.camera.normalise(self.uv)
+        xy.setflags(write=False)  # kept
+        return xy
+
+    def protected(self) -> Goal:
+        """The same goal with its arrays read-only: a scenario keeps its goals, and who wrote to one would change every later run."""
+        for array in (self.uv, self.depth, self.ray, self.range, self.T_camera_target, self.place, self.twist, self.counted):
+            if array is not None:
+                array.setflags(write=False)
+        return self
 
     @property
     def middle(self) -> Array:

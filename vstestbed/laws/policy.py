@@ -78,7 +78,7 @@ class Policy(LawBase):
         """The policy itself: a copy of its own for each run, where it has a memory.
 
         Raises:
-            ParameterError: its class or its `reset` raises.
+            ParameterError: its class or its `reset` raises, or it has no `act`.
         """
         made: Any = _loaded(self.file, self.agent_pos)
         try:
@@ -92,7 +92,10 @@ class Policy(LawBase):
             path = Path(self.file.rpartition(":")[0])
             words = f"{line_of(error, str(path), path)}: the policy cannot begin ({type(error).__name__}: {error})"
             raise ParameterError("law.file", words) from error
-        return getattr(made, "act", made)
+        act = getattr(made, "act", made)
+        if not callable(act):
+            raise ParameterError("law.file", f"{Path(self.file).name}: {type(made).__name__} has no method act(observation)")
+        return act
 
     def step(self, memory: Act, observation: Observation, goal: Goal, basis: Array) -> tuple[Act, Command]:
         """One frame: ask the policy.

@@ -20,6 +20,7 @@ class CommandHistory:
 
     def add(self, t: float, twist: Array) -> None:
         """A twist (6,) is in force from t [s] on, which is not before the last order; one of the same time takes its place."""
+        twist = twist.copy()  # a cycle's, to which its reader may write
         since, before, way = self._orders[-1]
         if t <= since:
             self._orders[-1] = since, twist, way

@@ -59,14 +59,20 @@ class Controller:
 
     Args:
         scenario: the experiment.
+
+    Raises:
+        ParameterError: `scenario` is not a Scenario.
     """
 
     def __init__(self, scenario: Scenario):
+        if not isinstance(scenario, Scenario):
+            raise ParameterError("scenario", "must be a Scenario: vstestbed.load('arm_ibvs')", scenario)
         self.scenario = scenario
         # The calibrated mount: what the robot does with a command follows from what it believes, errors included.
         self.mount = Mount.of(scenario.believed_camera.mount.T)
         self.last_twist, self.ordered = np.zeros(6), CommandHistory()
-        self._setpoint, self._taken_over = np.zeros(1), False
+        self._setpoint: Array | None = None
+        self._taken_over = False
         self._at: tuple[float, Reading, Mount] | None = None
         at_start = scenario.robot.start_joints()
         # an oracle looks with the true lens; a real detector knows only the calibrated one
@@ -106,10 +112,9 @@ class Controller:
             ParameterError: a picture of another size or kind, a reading of another robot, a time that goes back, a detector that
                 needs the simulator's truth.
         """
-        notes = self.inputs.notes(picture, t, readings, arrived)
+        (at_exposure, now), notes = self.inputs.given(picture, t, readings, arrived)
         if self._cycle is not None and t == self._cycle.t:
             return replace(self._cycle, notes=notes)
-        at_exposure, now = readings if isinstance(readings, tuple) else (readings, readings)
         at = t + self.scenario.camera.latency_s if arrived is None else arrived
         images = (picture,) if isinstance(picture, np.ndarray) else tuple(picture)
         shot = Exposure(self.inputs.taken, t, Picture(t, images), at_exposure)
@@ -239,7 +244,7 @@ class Controller:
             twist = twist + robot.secondary_task(command.null_space, reading, mount)
         allocation = robot.allocate(twist, reading, mount, self.scenario.camera.period)
         # The command within limits, before the supervisor: a law with feedforward predicts by it (`OwnMotion.commanded`).
-        self.last_twist = allocation.twist
+        self.last_twist = allocation.twist.copy()  # the cycle's reader may write to it
         if rests or (command.rest_reason and not twist.any()):
             return replace(allocation, setpoint=stop_order(allocation.setpoint), twist=np.zeros(6))
         return allocation
@@ -254,8 +259,16 @@ class Controller:
         return replace(allocation, setpoint=setpoint) if self._taken_over else allocation
 
     def without_picture(self, t: float, reading: Reading) -> Array:
-        """The setpoint at a time [s] at which the last picture is older than a command lasts (`timing.command_timeout_s`)."""
-        moved = self._moved(t, reading, NO_PICTURE, self._mount_at(reading.q))
+        """The setpoint at a time [s] at which the last picture is older than a command lasts (`timing.command_timeout_s`).
+
+        Raises:
+            ParameterError: a time that goes back, a reading of another robot.
+        """
+        t, reading = self.inputs.now(t), self.inputs.reading(reading)
+        mount = self._mount_at(reading.q)
+        if self._setpoint is None:  # before the first picture: one of the right shape
+            self._setpoint = self.scenario.robot.allocate(np.zeros(6), reading, mount, self.scenario.camera.period).setpoint
+        moved = self._moved(t, reading, NO_PICTURE, mount)
         self._setpoint = self.supervisor.filter(t, NO_PICTURE, reading, stop_order(self._setpoint), moved)
         return self._setpoint
 

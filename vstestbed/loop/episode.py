@@ -95,9 +95,10 @@ class Episode:
             self.plant.close()
 
     def recording(self) -> Recording:
-        """The record of what has run so far."""
+        """The record of what has run so far; frames that come later are not in it."""
         if not self.closed:
             self._log.flush()
+        rows = MemoryRows(self.rows.columns, self.rows.table()) if isinstance(self.rows, MemoryRows) else self.rows
         outcome, spent = self.outcome or Outcome.interrupted, self.controller.spent
         detect_s = spent["detect"] - self._redrawn_s
         took = (self._physics_s, self.plant.render_s, detect_s, spent["law"], self._record_s, 0.0)
@@ -105,7 +106,7 @@ class Episode:
             self._described(),
             outcome,
             self.reason or outcome.value,
-            self.rows,
+            rows,
             wall_time_s=self.build_s + self.loop_s,
             loop_s=self.loop_s,
             time_ms={part: 1e3 * seconds for part, seconds in zip(PARTS, took, strict=True)},

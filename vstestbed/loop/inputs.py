@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from vstestbed.camera import Image
 from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array
 from vstestbed.robots import Reading
 from vstestbed.scenario.scenario import Scenario
 
@@ -30,10 +33,37 @@ class Inputs:
         self._latest_s = scenario.timing.latest_s(scenario.camera)
         self._reading = scenario.robot.reading
         self._t: float | None = None
+        self._arrived: float | None = None
         self.taken = -1
 
-    def notes(self, picture: Image | Sequence[Image], t: float, readings: Reading | Readings, arrived: float | None) -> tuple[str, ...]:
-        """What is unusual about a picture's time, in words: it is late, came twice, or others are missing before it.
+    def reading(self, reading: Reading) -> Reading:
+        """A reading of this robot of float64, in arrays of its own: a driver may write the next one into the same arrays.
+
+        Raises:
+            ParameterError: a reading of another robot, or numbers that are not finite.
+        """
+        n = len(self._robot.joints)
+        if not isinstance(reading, self._reading):
+            raise ParameterError("readings", f"must be {self._reading.__name__}s for this robot", type(reading).__name__)
+        joints = f"must be {n} finite numbers: {', '.join(self._robot.joints)}"
+        q, qd = (_finite(f"readings.{name}", joints, values, (n,)) for name, values in (("q", reading.q), ("qd", reading.qd)))
+        if reading.heading is not None:
+            _finite("readings.heading", "must be an angle in radians, or None without a compass", reading.heading, ())
+        if reading.tilt is not None:
+            _finite("readings.tilt", "must be roll and pitch in radians, or None", reading.tilt, (2,))
+        return replace(copy.deepcopy(reading), q=q, qd=qd)
+
+    def now(self, t: float) -> float:
+        """A time [s] at which no picture has come, which is not before the last picture's."""
+        t = _seconds("t", "must be the time now in seconds", t)
+        if self._t is not None and t < self._t:
+            raise ParameterError("t", f"goes back: the last picture was taken at {self._t:g} s", t)
+        return t
+
+    def given(
+        self, picture: Image | Sequence[Image], t: float, readings: Reading | Readings, arrived: float | None
+    ) -> tuple[Readings, tuple[str, ...]]:
+        """The readings, at the exposure and now, and what is unusual about a picture's time, in words: late, come twice, missing before.
 
         Raises:
             ParameterError: see `Controller.step`.
@@ -42,10 +72,19 @@ class Inputs:
             words = "is the simulator's truth, which no real camera has; works: --set detector=blobs"
             raise ParameterError("detector", words, self._detector.kind)
         self._check_picture(picture)
-        for reading in readings if isinstance(readings, tuple) else (readings,):
-            self._check_reading(reading)
+        both, t = self._both(readings), _seconds("t", "must be the time of exposure in seconds", t)
         late = self._late(t, arrived)  # before the picture is counted: a mistake changes nothing
-        return (*self._timed(t), *late)
+        notes = (*self._timed(t), *late)
+        self._arrived = self._arrived if arrived is None else arrived
+        return both, notes
+
+    def _both(self, readings: Reading | Readings) -> Readings:
+        """Readings at the exposure and now, of float64, in arrays of their own."""
+        given = readings if isinstance(readings, tuple) else (readings, readings)
+        if len(given) != 2:
+            raise ParameterError("readings", "must be one, or two: at the exposure and now", f"{len(given)}")
+        at_exposure = self.reading(given[0])
+        return at_exposure, at_exposure if given[1] is given[0] else self.reading(given[1])
 
     def _check_picture(self, picture: Image | Sequence[Image]) -> None:
         """The panels' images have their number, sizes and type."""
@@ -60,20 +99,9 @@ class Inputs:
                 found = f"{image.shape} {image.dtype}" if isinstance(image, np.ndarray) else type(image).__name__
                 raise ParameterError("picture", f"must be {wanted} uint8, RGB, as the scenario's camera has it", found)
 
-    def _check_reading(self, reading: Reading) -> None:
-        """The reading is one of this robot."""
-        n = len(self._robot.joints)
-        if not isinstance(reading, self._reading):
-            raise ParameterError("readings", f"must be {self._reading.__name__}s for this robot", type(reading).__name__)
-        for name, values in (("q", reading.q), ("qd", reading.qd)):
-            if np.shape(values) != (n,) or not np.isfinite(values).all():
-                raise ParameterError(f"readings.{name}", f"must be {n} finite numbers: {', '.join(self._robot.joints)}", values)
-
     def _timed(self, t: float) -> tuple[str, ...]:
         """Notes of a picture's time against the one before."""
         before = self._t
-        if not math.isfinite(t):
-            raise ParameterError("t", "must be the time of exposure in seconds", t)
         if before is not None and t < before:
             raise ParameterError("t", f"goes back: the last picture was taken at {before:g} s", t)
         if before is not None and t == before:
@@ -88,6 +116,25 @@ class Inputs:
         """A note of a picture that arrived too late to be one."""
         if arrived is None:
             return ()
-        if not (math.isfinite(arrived) and arrived >= t):
-            raise ParameterError("arrived", f"must be a time after the exposure, {t:g} s", arrived)
+        words = f"must be a time after the exposure, {t:g} s"
+        if _seconds("arrived", words, arrived) < t:
+            raise ParameterError("arrived", words, arrived)
+        if self._arrived is not None and arrived < self._arrived:
+            raise ParameterError("arrived", f"goes back: the last picture arrived at {self._arrived:g} s", arrived)
         return (f"the picture is {arrived - t:.2g} s old: the robot is told to stop",) if arrived - t > self._latest_s else ()
+
+
+def _finite(field: str, words: str, given: object, shape: tuple[int, ...]) -> Array:
+    """Finite numbers of a shape, as a new array; ParameterError with these words where they are not."""
+    try:
+        numbers = np.array(given, dtype=float)
+    except (TypeError, ValueError):
+        numbers = np.array(math.nan)
+    if numbers.shape != shape or not np.isfinite(numbers).all():
+        raise ParameterError(field, words, repr(given) if given is None else given)
+    return numbers
+
+
+def _seconds(field: str, words: str, t: object) -> float:
+    """A finite time; ParameterError with these words where it is none."""
+    return float(_finite(field, words, None if isinstance(t, str) else t, ()))

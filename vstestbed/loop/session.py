@@ -7,9 +7,10 @@ from types import TracebackType
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from vstestbed.core.errors import ParameterError, SessionError
-from vstestbed.core.geometry import Array, all_finite
+from vstestbed.core.geometry import Array
 from vstestbed.laws import Law
 from vstestbed.loop.episode import Episode
 from vstestbed.loop.recording import Recording, Rows, Watcher
@@ -32,7 +33,8 @@ class Session:
 
     Args:
         scenario: the experiment.
-        pictures: take whole pictures (`Frame.image`), also where the detector needs none: its numbers do not change.
+        pictures: take whole pictures (`Frame.image`), also where the detector needs none. The log has the same bytes, but for
+            detector `tags`: a tag's texture drawn whole differs from one drawn in a window by a grey level, its corners by .001 px.
         watch: receive every frame, with the command that was sent.
         rows: where the rows of the log go, for one episode; into memory by default.
         plate_m: edge of a square plate in reserve, for `hold_plate` [m]; 0 for none.
@@ -78,7 +80,7 @@ class Session:
             raise SessionError(f"the run ended before a picture arrived: {self.episode.reason}", "change the camera's timing")
         return frame
 
-    def step(self, command: Array | None = None) -> Frame:
+    def step(self, command: ArrayLike | None = None) -> Frame:
         """Send the command for the last frame, and simulate until the next picture has arrived.
 
         Args:
@@ -93,9 +95,7 @@ class Session:
             SessionError: before `reset`, or after the end.
         """
         episode = self._running()
-        if command is not None:
-            command = self._checked(command)
-        return episode.advance(command) or episode.ended()
+        return episode.advance(None if command is None else self._checked(command)) or episode.ended()
 
     def take_pictures(self, on: bool) -> None:
         """Whether the exposures from now on are whole pictures, where `pictures` was asked for: fewer take less time. No number changes.
@@ -186,7 +186,7 @@ class Session:
             raise SessionError("the session is closed", "call reset() for another run")
         return episode
 
-    def _checked(self, command: Array) -> Array:
+    def _checked(self, command: ArrayLike) -> Array:
         """A command as numbers of a right shape."""
         n = self._motions
         try:
@@ -196,6 +196,6 @@ class Session:
         if numbers.shape not in ((6,), (n,)):
             words = "must be a camera twist (6,)" + ("" if n == 6 else f", or {n} velocities along the robot's motions")
             raise ParameterError("command", words, command)
-        if not all_finite(numbers):
+        if not np.isfinite(numbers).all():
             raise ParameterError("command", "must be finite", command)
         return numbers

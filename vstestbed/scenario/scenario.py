@@ -124,8 +124,8 @@ class Scenario:
 
     @cached_property
     def goal_views(self) -> tuple[Goal, ...]:
-        """The goals for the law: one view, or several in turn."""
-        return self.goal.goal_views(self.setup)
+        """The goals for the law: one view, or several in turn; their arrays are read-only."""
+        return tuple(view.protected() for view in self.goal.goal_views(self.setup))
 
     @property
     def goal_view(self) -> Goal:

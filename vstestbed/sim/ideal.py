@@ -120,11 +120,14 @@ class IdealPlant:
             self._followed, self._twist = setpoint, self._to_camera @ setpoint
 
     def advance(self, steps: int) -> bool:
-        """Advance by exact exponentials: no integration error, however many steps each stands for."""
+        """Advance by exact exponentials: no integration error, however many steps each stands for. False beyond all numbers."""
         end = self._steps + steps
         while self._steps < end:
             ahead = self._orders.unchanged(self._steps, end - self._steps)
-            self._T = self._T @ exp(self._twist * (ahead * self.step_s))
+            try:
+                self._T = self._T @ exp(self._twist * (ahead * self.step_s))
+            except (ValueError, OverflowError):  # a twist so large that its square overflows
+                return False
             self._steps += ahead
             self._actuate()
         return True
