@@ -248,3 +248,13 @@ class TestOnnx:
 def test_the_bundled_policy_reaches_its_goal(seed: int):
     recording = vs.run(vs.load("arm_policy", {"detector": {"kind": "oracle"}}, seed=seed))
     assert recording.outcome.success and recording.summary()["path_ratio"] < 1.1
+
+
+def test_an_object_that_does_not_tell_of_its_memory_is_copied_for_each_run(tmp_path: Path) -> None:
+    (tmp_path / "leaky.py").write_text(
+        "class Leak:\n    n = 0\n\n    def act(self, observation):\n        self.n += 1\n        return [0.01 * self.n, 0, 0, 0, 0, 0]\n\n\nleak = Leak()\n"
+    )
+    scenario = vs.load("ibvs_book", {"law": {"kind": "policy", "file": str(tmp_path / "leaky.py:leak")}, "stop.duration_s": 0.4})
+    first, second = vs.run(scenario), vs.run(scenario)
+    assert first["cmd_vx"][0] > 0
+    np.testing.assert_array_equal(first.table, second.table)

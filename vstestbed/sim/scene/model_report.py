@@ -57,15 +57,27 @@ def _ends(model: mujoco.MjModel) -> list[str]:
 
 def _of_joints(chain: JointChain, lines: list[str]) -> Iterator[Line]:
     """Ranges, torque limits and drives of the longest chain's joints, each with its line where something is missing."""
-    for name, slides, (low, high), torque, drive in zip(chain.names, chain.slides, chain.limits, chain.torque, chain.drives, strict=True):
-        size, unit = (1.0, "m") if slides else (float(np.degrees(1.0)), "deg")
-        spans = f"{low * size:.4g} to {high * size:.4g} {unit}" if np.isfinite(low) else "turns without end"
-        missing = [] if np.isfinite(torque) else ["no torque limit (actuatorfrcrange)"]
-        missing += [] if drive in ("velocity", "position") else [f"a {drive} actuator" if drive else "no actuator"]
+    for i, name in enumerate(chain.names):
+        missing = _missing(chain, i)
         where = f", line {line}" if missing and (line := _line_of(name, lines)) else ""
-        strength = f", at most {torque:.4g} {'N' if slides else 'Nm'}" if np.isfinite(torque) else ""
         note = f" [{'; '.join(missing)}{where}]" if missing else ""
-        yield "joint", True, f"{name}: {'slide' if slides else 'hinge'}, {spans}{strength}{note}", ""
+        yield "joint", True, f"{name}: {_span(chain, i)}{note}", ""
+
+
+def _span(chain: JointChain, i: int) -> str:
+    """Kind, range and torque limit of a joint."""
+    slides, torque = bool(chain.slides[i]), float(chain.torque[i])
+    low, high = (chain.limits[i] * (1.0 if slides else np.degrees(1.0))).tolist()
+    spans = f"{low:.4g} to {high:.4g} {'m' if slides else 'deg'}" if np.isfinite(low) else "turns without end"
+    strength = f", at most {torque:.4g} {'N' if slides else 'Nm'}" if np.isfinite(torque) else ""
+    return f"{'slide' if slides else 'hinge'}, {spans}{strength}"
+
+
+def _missing(chain: JointChain, i: int) -> list[str]:
+    """What the file does not say about a joint, in words."""
+    drive = chain.drives[i]
+    missing = [] if np.isfinite(chain.torque[i]) else ["no torque limit (actuatorfrcrange)"]
+    return missing if drive in ("velocity", "position") else [*missing, f"a {drive} actuator" if drive else "no actuator"]
 
 
 def _line_of(joint: str, lines: list[str]) -> int:
