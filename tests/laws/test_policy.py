@@ -251,9 +251,8 @@ def test_the_bundled_policy_reaches_its_goal(seed: int):
 
 
 def test_an_object_that_does_not_tell_of_its_memory_is_copied_for_each_run(tmp_path: Path) -> None:
-    (tmp_path / "leaky.py").write_text(
-        "class Leak:\n    n = 0\n\n    def act(self, observation):\n        self.n += 1\n        return [0.01 * self.n, 0, 0, 0, 0, 0]\n\n\nleak = Leak()\n"
-    )
+    act = "def act(self, o):\n    self.n += 1; return [0.01 * self.n, 0, 0, 0, 0, 0]"
+    (tmp_path / "leaky.py").write_text(f"class Leak:\n  n = 0\n  {act}\nleak = Leak()\n")
     scenario = vs.load("ibvs_book", {"law": {"kind": "policy", "file": str(tmp_path / "leaky.py:leak")}, "stop.duration_s": 0.4})
     first, second = vs.run(scenario), vs.run(scenario)
     assert first["cmd_vx"][0] > 0

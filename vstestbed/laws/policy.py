@@ -36,7 +36,8 @@ class Policy(LawBase):
 
     `file` is `FILE.py:NAME` or `FILE.onnx`, absolute, or relative to the scenario's file. NAME is one of
     - a function `act(observation)` without memory;
-    - a class, or an object: each run has an instance or a deep copy of its own, whose `reset()`, where it has one, is called first; its `act(observation)`, or the instance itself, is called for each frame.
+    - a class, or an object: each run has an instance or a deep copy of its own, whose `reset()`, where it has one, is called first;
+      its `act(observation)`, or the instance itself, is called for each frame.
     The observation is a dict of float64 arrays: `markers`, `seen`, `goal` and, where it is asked for, `agent_pos`
     (`policy_io.observed`). An ONNX network has inputs of some of these names, with a batch dimension of 1 before them, and the action
     (1, n) as its first output; it runs in one thread. An action that is None or, while a marker is not seen, zero orders rest.
