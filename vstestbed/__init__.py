@@ -121,8 +121,24 @@ def __getattr__(name: str) -> object:
     if name in _MODULES:
         return import_module(_MODULES[name])
     if name in _HOME_OF:
-        return getattr(import_module(_HOME_OF[name]), name)
+        home = import_module(_HOME_OF[name])
+        if _HOME_OF[name].startswith("vstestbed.loop"):
+            _show_in_notebooks()
+        return getattr(home, name)
     raise AttributeError(f"module 'vstestbed' has no attribute {name!r}; public names: {', '.join(__all__)}")
+
+
+def _show_in_notebooks() -> None:
+    """Let a recording show its report in a notebook: the room of recordings is below that of reports, and imports nothing of it."""
+    from vstestbed.loop.recording import Recording
+
+    Recording.shown_by = staticmethod(_cell_of)
+
+
+def _cell_of(recording: Recording) -> str:
+    from vstestbed.report.run.page import recording_cell
+
+    return recording_cell(recording)
 
 
 def __dir__() -> list[str]:

@@ -23,7 +23,8 @@ import numpy as np
 
 import vstestbed as vs
 from vstestbed.core.files import make_folder, write_whole
-from vstestbed.report.video.film import FilmFrame, Pictures, replay_of, rows_of
+from vstestbed.report.video.film import Pictures, replay_of, rows_of
+from vstestbed.report.video.film_frame import FilmFrame
 from vstestbed.report.video.frame_reader import FrameReader, scaled
 from vstestbed.report.video.quality import FINE
 from vstestbed.report.video.writer import Image

@@ -15,7 +15,21 @@ PACKAGE = "package:"
 
 def absolute_file(file: str, folder: Path) -> str:
     """A file's name without reference to the folder; one inside a package (`package:NAME/path`) as it is."""
-    return file if file.startswith(PACKAGE) else str((folder / Path(file).expanduser()).absolute())
+    if file.startswith(PACKAGE):
+        return file
+    try:
+        path = Path(file).expanduser()
+    except RuntimeError:  # `~nobody`: there is no such user
+        path = Path(file)
+    return str((folder / path).absolute())
+
+
+def is_there(path: Path) -> bool:
+    """Whether a path is a file; no for one that cannot be the name of any, such as one that is too long."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
 
 
 def place_of_file(file: str) -> Path:
@@ -34,6 +48,6 @@ def place_of_file(file: str) -> Path:
         if found is None or not found.submodule_search_locations:
             raise ParameterError("file", f"names the package {name}, which is not installed; pip install it, or give the file's path", file)
         path = Path(found.submodule_search_locations[0]) / inside
-    if not path.is_file():
+    if not is_there(path):
         raise ParameterError("file", f"is not there ({path}); give its path, absolute or relative to the scenario's file", file)
     return path

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from vstestbed.camera import Image
-from vstestbed.report.video.film import FilmFrame, Pictures, replay_of
+from vstestbed.report.video.film import Pictures, replay_of
+from vstestbed.report.video.film_frame import FilmFrame
 from vstestbed.report.video.quality import quality_of
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.tasks.frame import Frame

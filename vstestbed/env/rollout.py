@@ -224,7 +224,7 @@ class Rollout:
         """The judged error in a frame, and the potential."""
         scenario = self.scenario
         values = dict(zip(scenario.own_columns, frame.row.tolist(), strict=True)) | {"error_px": frame.error.rms_px}
-        error = in_a_frame(scenario.goal, scenario.stop, values)
+        error = in_a_frame(scenario.goal.judged, scenario.stop, values)
         return error, potential(error, frame.goal.view, len(scenario.goal_views))
 
     def _info(self, frame: Frame, error: JudgedError) -> dict[str, Any]:

@@ -15,7 +15,7 @@ import numpy as np
 from vstestbed.core.errors import EnvironmentLackError, ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.modules import line_of, load_file
-from vstestbed.core.named_files import absolute_file
+from vstestbed.core.named_files import absolute_file, is_there
 from vstestbed.core.spec import spec
 from vstestbed.features.depth import AtGoal, Depth
 from vstestbed.features.observation import Goal, Observation
@@ -84,7 +84,7 @@ class Policy(LawBase):
         try:
             if inspect.isclass(made):
                 made = made()
-            elif not (inspect.isroutine(made) or self.file.endswith(".onnx")):  # an object may have a memory, whether it tells or not
+            elif _is_object(made) and not self.file.endswith(".onnx"):  # it may have a memory, whether it tells or not
                 made = copy.deepcopy(made)
             if hasattr(made, "reset"):
                 made.reset()
@@ -123,11 +123,16 @@ class Policy(LawBase):
         return action
 
 
+def _is_object(made: Any) -> bool:
+    """Whether it is neither a function nor a method."""
+    return not inspect.isroutine(made)
+
+
 def _loaded(file: str, agent_pos: bool) -> Any:
     """The function, class or object that `Policy.file` names."""
     source, _, name = file.rpartition(":")
     path = Path(file if file.endswith(".onnx") else source)
-    if not path.is_file():
+    if not is_there(path):
         raise ParameterError("file", f"{path} is not there; give the place of {path.name}")
     return _network(path, path.stat().st_mtime_ns, agent_pos) if file.endswith(".onnx") else _from_module(path, name)
 

@@ -21,7 +21,8 @@ from vstestbed.live.server import LocalServer
 from vstestbed.live.transport import Sample, Transport
 from vstestbed.loop.columns import TWIST
 from vstestbed.loop.log_file import open_log
-from vstestbed.report.video.film import FilmFrame, ending_of
+from vstestbed.report.video.film import ending_of
+from vstestbed.report.video.film_frame import FilmFrame
 from vstestbed.scenario.load import load
 
 SLIDER = "slider"

@@ -13,7 +13,7 @@ from vstestbed.core.geometry import Array, inverse, transform
 from vstestbed.live.settings import Settings
 from vstestbed.live.transport import Sample, Transport
 from vstestbed.loop.session import Session
-from vstestbed.report.video.film import FilmFrame
+from vstestbed.report.video.film_frame import FilmFrame
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.judged import in_a_frame, in_words_unit
@@ -172,7 +172,7 @@ def sample_of(scenario: Scenario, frame: Frame) -> Sample:
 
 def sample(scenario: Scenario, film: FilmFrame, values: dict[str, float], number: int, twist: Array, view: int, verdict: Any) -> Sample:
     """A frame as pages show it, from a session or a log; values: its `error_px` and own columns."""
-    judged = in_a_frame(scenario.goal, scenario.stop, values)
+    judged = in_a_frame(scenario.goal.judged, scenario.stop, values)
     value, unit = in_words_unit(judged.value, judged.unit)
     T = scenario.goal.goal_pose_at(scenario.goal_poses, film.t, view)
     return Sample(number, film, twist, value, unit, None if T is None else film.T_world_target @ inverse(T), verdict)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from vstestbed.core.geometry import Array
 from vstestbed.core.outcome import Verdict
-from vstestbed.report.video.film import FilmFrame
+from vstestbed.report.video.film_frame import FilmFrame
 
 LATE_S = 0.25
 """How far behind its pace a run may be and still catch up; beyond, it goes on from where it is."""

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Container, Iterator, Sequence
+from collections.abc import Callable, Container, Iterator, Sequence
 from dataclasses import dataclass, field
-from importlib import import_module
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol
 
 import numpy as np
@@ -137,6 +136,8 @@ class Recording:
     time_ms: dict[str, float] = field(default_factory=dict)
     versions: dict[str, str] = field(default_factory=dict)
     ended_s: float = 0.0
+    shown_by: ClassVar[Callable[[Recording], str | None]] = staticmethod(lambda recording: None)
+    """Makes HTML of a recording for notebooks: the package sets the report here, whose room is above this one."""
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -168,10 +169,9 @@ class Recording:
         """The log as a polars table in memory, one row a camera frame."""
         return to_frame(dict(zip(self.columns, self.table.T, strict=True)))
 
-    def _repr_html_(self) -> str:
+    def _repr_html_(self) -> str | None:
         """The report, where a Jupyter notebook shows the recording."""
-        # By name: the report's room is above this one, and only a notebook asks for it.
-        return import_module("vstestbed.report.run.page").recording_cell(self)
+        return Recording.shown_by(self)
 
     def summary(self) -> dict[str, object]:
         """The metrics of the run, as in `summary.json`; `time_ms` is the mean wall time of a frame by part [ms]."""

@@ -2,13 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vstestbed.core.geometry import Array
+
+
+class ChainReader(Protocol):
+    """Reads an arm's file into plain numbers: MuJoCo, in the simulator's room, which this one never imports."""
+
+    def joint_chain(self, file: str, flange: str, names: tuple[str, ...]) -> JointChain:
+        """The joints from the root to a flange; names: in their order, () for all."""
+        ...
+
+    def inertia_at(self, file: str, joints: tuple[str, ...], q: tuple[float, ...]) -> tuple[float, ...]:
+        """What each joint's motor has to move at positions q [rad, m]: [kg m^2, kg]."""
+        ...
+
+
+READERS: list[Callable[[], ChainReader]] = []
+"""Imports the reader when one is needed; `vstestbed.sim` enters it."""
 
 
 @dataclass(frozen=True)

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from annotated_types import Ge, Le, Len
@@ -17,7 +16,7 @@ from vstestbed.core.quantity import Angle, PositiveSpeed
 from vstestbed.core.spec import spec
 from vstestbed.robots.allocation import Actuation, Servo
 from vstestbed.robots.arm import Arm
-from vstestbed.robots.chain import JointChain
+from vstestbed.robots.chain import READERS, ChainReader, JointChain
 
 STIFFNESS, RATIO_S = 4500.0, 1 / 40
 """Position gain of a velocity servo over the joint's inertia [1/s^2], and its velocity gain over that [s]. The Puma's servos have 3500 to
@@ -170,6 +169,8 @@ class Mjcf(Arm):
         return self.started_at(np.clip(q, *self.chain.limits.T))
 
 
-def _reader() -> Any:
-    """MuJoCo's reading of such files. It is in the simulator's room, which robots never import: asked by name, for plain numbers."""
-    return import_module("vstestbed.sim.scene.joint_chain")
+def _reader() -> ChainReader:
+    """What reads such files."""
+    if not READERS:
+        raise ParameterError("file", "is read by the simulator's room; import vstestbed.sim first")
+    return READERS[-1]()

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from collections.abc import Callable, Iterable, Mapping
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from vstestbed.core.geometry import Array
 from vstestbed.tasks.stop import Converged, Stop
-
-if TYPE_CHECKING:
-    from vstestbed.tasks.base import Task
 
 By = Literal["pixels", "level pixels", "estimate", "truth"]
 """Who measured the error."""
@@ -83,10 +80,10 @@ def at_the_end(log: Mapping[str, Array], column: str, limit: float, unit: Litera
     return JudgedError(_last(log, column), unit, limit, "truth")
 
 
-def in_a_frame(task: Task, stop: Stop, values: Mapping[str, float]) -> JudgedError:
-    """The error by which a task is judged, in one frame; values: `error_px` and the task's own columns."""
+def in_a_frame(judged: Callable[[Mapping[str, Array], Stop], JudgedError], stop: Stop, values: Mapping[str, float]) -> JudgedError:
+    """The error by which a task is judged, in one frame; judged: `Task.judged`. values: `error_px` and the task's own columns."""
     # A continuing task is judged by its error once settled: at t = inf it is that of this frame.
-    return task.judged({name: np.array([value]) for name, value in values.items()} | {"t": np.array([np.inf])}, stop)
+    return judged({name: np.array([value]) for name, value in values.items()} | {"t": np.array([np.inf])}, stop)
 
 
 def _last(log: Mapping[str, Array], column: str) -> float:

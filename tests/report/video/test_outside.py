@@ -13,7 +13,8 @@ import vstestbed as vs
 from vstestbed.camera import Perspective
 from vstestbed.core.geometry import Array, inverse, transform
 from vstestbed.core.outcome import Outcome
-from vstestbed.report.video.film import Film, FilmFrame, Pictures, error_in_words, replay_of
+from vstestbed.report.video.film import Film, Pictures, error_in_words, replay_of
+from vstestbed.report.video.film_frame import FilmFrame
 from vstestbed.report.video.outside import GOAL, MOST_PLACES, Outside, Pen, Stroke
 from vstestbed.report.video.overlay import GOOD, draw_ending
 from vstestbed.report.video.quality import DRAFT, FINE

@@ -46,7 +46,7 @@ def test_the_other_is_the_mirror_pose_about_the_line_of_sight() -> None:
 
 def test_in_a_frontal_view_both_are_the_same() -> None:
     for turn in np.arange(0, 180, 0.5):
-        T = Pose(xyz=(0.1, -0.2, 2), rpy_deg=(0, 0, turn)).T
+        T = Pose(xyz=(0.1, -0.2, 2), rpy_deg=(0, 0, turn)).T.copy()
         # Seen along the plane's normal from its middle: the target turned to face the camera.
         T[:3, :3] = exp(np.array([0, 0, 0, *np.cross([0, 0, 1], T[:3, 3]) / np.hypot(0.1, 0.2) * np.arctan2(np.hypot(0.1, 0.2), 2)]))[
             :3, :3

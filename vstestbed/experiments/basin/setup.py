@@ -27,7 +27,7 @@ from vstestbed.sim.timing import Timing
 from vstestbed.vision import Oracle
 
 if TYPE_CHECKING:
-    from vstestbed.experiments.comparison import Comparison
+    from vstestbed.experiments.comparison.plan import Comparison
 
 SLACK_S = 1e-9
 """The judge of one run allows this much when it compares times [s]."""

@@ -11,7 +11,8 @@ from dataclasses import replace
 import numpy as np
 
 from vstestbed.core.outcome import Verdict
-from vstestbed.report.video.film import Film, FilmFrame
+from vstestbed.report.video.film import Film
+from vstestbed.report.video.film_frame import FilmFrame
 from vstestbed.report.video.quality import Pace
 from vstestbed.tasks.frame import Frame
 

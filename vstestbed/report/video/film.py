@@ -7,69 +7,24 @@ import time
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
 
 from vstestbed.core.files import write_whole
-from vstestbed.core.geometry import Array, inverse, pose_from
+from vstestbed.core.geometry import inverse
 from vstestbed.core.outcome import Outcome, Verdict
-from vstestbed.loop.columns import POSE
 from vstestbed.loop.recording import Rows
 from vstestbed.loop.summary_file import read_summary
+from vstestbed.report.video.film_frame import FilmFrame
 from vstestbed.report.video.outside import Outside, inset_share
 from vstestbed.report.video.overlay import ALARM, GOOD, HOLD_S, Overlay, draw_caption, draw_ending
 from vstestbed.report.video.quality import FINE, Pace, Quality
 from vstestbed.report.video.writer import Image, VideoWriter
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.replay import Replay
-from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.judged import in_a_frame, in_words_unit
-
-
-@dataclass(frozen=True, slots=True)
-class FilmFrame:
-    """State of one frame as a film shows it.
-
-    `own`: values of the robot's and the task's own columns; `image`: the servo camera's image, if it was rendered already.
-    """
-
-    t: float
-    T_world_target: Array
-    T_world_camera: Array
-    q: Array
-    uv: Array
-    error_px: float
-    lost: bool
-    goal_uv: Array
-    own: Array
-    image: Image | None = None
-
-    @classmethod
-    def of_frame(cls, frame: Frame) -> FilmFrame:
-        """A frame of a running loop."""
-        truth, error = frame.truth, frame.error
-        scene = (truth.T_world_target, truth.T_world_camera, truth.q)
-        return cls(frame.t, *scene, frame.observation.uv, error.rms_px, error.lost, frame.goal.uv, frame.row, frame.image)
-
-    @classmethod
-    def of_row(cls, row: dict[str, float], scenario: Scenario) -> FilmFrame:
-        """The frame of one row of a log."""
-        joints, markers = scenario.robot.joints, len(scenario.target.points)
-        camera, target = (np.array([row[f"{who}_{name}"] for name in POSE]) for who in ("cam", "tgt"))
-        return cls(
-            t=row["t"],
-            T_world_target=pose_from(target[:3], target[3:]),
-            T_world_camera=pose_from(camera[:3], camera[3:]),
-            q=np.array([row[f"q_{name}"] for name in joints]),
-            uv=np.array([[row[f"u_{i}"], row[f"v_{i}"]] for i in range(markers)]),
-            error_px=row["error_px"],
-            lost=bool(row["lost"]),
-            goal_uv=np.array([[row[f"u_goal_{i}"], row[f"v_goal_{i}"]] for i in range(markers)]),
-            own=np.array([row[name] for name in scenario.own_columns]),
-        )
 
 
 class Pictures:
@@ -188,7 +143,7 @@ def scaled(image: Image, size: tuple[int, int]) -> Image:
 
 def error_in_words(scenario: Scenario, values: dict[str, float]) -> str:
     """The error of one frame by which the task is judged, in its own unit."""
-    judged = in_a_frame(scenario.goal, scenario.stop, values)
+    judged = in_a_frame(scenario.goal.judged, scenario.stop, values)
     value, unit = in_words_unit(judged.value, judged.unit)
     return f"error {value:.{3 if unit.startswith('m') else 2}f} {unit}" if math.isfinite(value) else "error \u2013"
 

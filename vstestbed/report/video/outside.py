@@ -20,7 +20,7 @@ from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.replay import FREE, Replay
 
 if TYPE_CHECKING:
-    from vstestbed.report.video.film import FilmFrame
+    from vstestbed.report.video.film_frame import FilmFrame
 
 GOAL: Final[Color] = (110, 255, 170)
 OWN: Final[Color] = (255, 196, 64)
