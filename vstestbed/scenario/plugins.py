@@ -16,7 +16,7 @@ from typing import Any
 
 from vstestbed.core.errors import PluginError
 from vstestbed.core.modules import line_of, load_file, module_of
-from vstestbed.core.named_files import ENDINGS, absolute_file
+from vstestbed.core.named_files import ENDINGS, absolute_file, is_there
 from vstestbed.core.spec import refresh_specs, undone_on_error
 from vstestbed.scenario.validation import KINDS
 from vstestbed.scenario.yaml_marks import Marks, place_of
@@ -75,7 +75,7 @@ def is_file_name(name: str) -> bool:
 
 def absolute(name: str, folder: Path) -> str:
     """The name of a plugin without reference to the folder; modules as they are."""
-    return str((folder / Path(name).expanduser()).absolute()) if is_file_name(name) else name
+    return absolute_file(name, folder) if is_file_name(name) else name
 
 
 def absolute_files(value: Any, folder: Path, key: str = "") -> Any:
@@ -99,9 +99,9 @@ def _loaded(name: str, folder: Path, where: str, beside: Sequence[str], field: s
         path = Path(absolute(name, folder))
     else:
         path = Path.cwd() / f"{name}.py"
-        if _origin(name) not in (None, path.resolve()) or not path.is_file():
+        if _origin(name) not in (None, path.resolve()) or not is_there(path):
             return _load_module(name, where, beside, field)
-    if not path.is_file():
+    if not is_there(path):
         return _moved(path.stem, beside) or _refuse(where, f"{path} is not there", f"PLACE/{path.name}", field)
     with _loading(str(path), path), undone_on_error():
         module = load_file(path)

@@ -12,6 +12,7 @@ from annotated_types import Len
 
 from vstestbed.core.assets import bundled_comparisons
 from vstestbed.core.errors import Mistake, ParameterError, ScenarioError
+from vstestbed.core.named_files import is_there
 from vstestbed.core.quantity import Narrower, Seed
 from vstestbed.core.spec import spec
 from vstestbed.experiments.comparison.starts import StartTable
@@ -112,7 +113,7 @@ def read_comparison(path: Path, plugins: Sequence[str] = ()) -> Comparison:
     plain, marks = plain_mapping(text_of(path), str(path), "a comparison needs base")
     load_named(plain, marks, str(path), plugins)
     read = build(Comparison, absolute_files(plain, path.absolute().parent), marks, str(path))
-    beside = tuple(str(path.parent / n) if (path.parent / n).is_file() else n for n in read.base)
+    beside = tuple(str(path.parent / n) if is_there(path.parent / n) else n for n in read.base)
     return changed(read, marks, base=beside)
 
 
@@ -181,4 +182,4 @@ def _is_comparison(path: Path) -> bool:
         ScenarioError: it is no mapping, so neither a comparison nor a scenario.
     """
     needs = "a comparison needs base, a scenario robot, target, law and goal"
-    return path.is_file() and "base" in plain_mapping(text_of(path), str(path), needs)[0]
+    return is_there(path) and "base" in plain_mapping(text_of(path), str(path), needs)[0]
