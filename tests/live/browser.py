@@ -71,7 +71,7 @@ class Tab:
         began = time.perf_counter()
         while not self.js(expression):
             assert time.perf_counter() - began < seconds, f"not true within {seconds} s: {expression}; the page says {self.text()[:2000]}"
-            time.sleep(0.02)
+            time.sleep(0.02)  # between two looks at a page that changes by itself
         return time.perf_counter() - began
 
     def text(self) -> str:
@@ -142,7 +142,7 @@ class Browser:
         path, until = Path(self._profile) / "DevToolsActivePort", time.monotonic() + 60
         while not (path.is_file() and path.read_text().strip()):
             assert time.monotonic() < until and self._process.poll() is None, "Chromium does not start"
-            time.sleep(0.05)
+            time.sleep(0.05)  # between two looks for a file of another process
         return int(path.read_text().split()[0])
 
     def tab(self, url: str) -> Tab:

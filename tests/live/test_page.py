@@ -62,7 +62,7 @@ class Served:
         """Click `step` so many times, each after the frame of the one before: viser's page sends at most 20 messages a second."""
         for _ in range(count):
             n = self.run.frames
-            time.sleep(0.06)
+            time.sleep(0.06)  # at most 20 messages a second: two clicks nearer to each other arrive as one
             tab.click("step")
             self.until(lambda n=n: self.run.frames == n + 1)
 
@@ -70,7 +70,7 @@ class Served:
         began = time.perf_counter()
         while not condition():
             assert time.perf_counter() - began < seconds
-            time.sleep(0.001)
+            time.sleep(0.001)  # between two looks at what another thread changes
         return time.perf_counter() - began
 
 
@@ -107,7 +107,7 @@ def test_scene_picture_and_curves_are_there(browser: Browser, name: str, tmp_pat
         live.until(lambda: live.run.frames > 12)
         tab.wait(f"{FRAME} > 10")
         tab.click("pause")
-        time.sleep(1.0)
+        time.sleep(1.0)  # the page draws what has arrived: nothing tells when it has
         image = picture(tab)
         tab.screenshot(tmp_path / "page.png")
         scene = image[:, image.shape[1] // 4 : 3 * image.shape[1] // 4].reshape(-1, 3)
@@ -153,7 +153,7 @@ def _print_latency(live: Served, tab: Tab) -> None:
         frame = live.run.frames
         live.until(lambda frame=frame: live.run.frames > frame or live.run.ended)
         took.append(1e3 * (time.perf_counter() - began))
-        time.sleep(0.1)
+        time.sleep(0.1)  # the next change of the slider is a message of its own
     print(f"\nfrom the slider to the command: median {np.median(took):.0f} ms, most {max(took):.0f} ms (a frame has 40 ms)")
     assert np.median(took) < 1000
 
@@ -179,10 +179,10 @@ def test_pause_and_step_count_frames_exactly(browser: Browser):
         tab.click("pause")
         tab.wait("document.body.innerText.includes('paused')")
         n = live.run.frames
-        time.sleep(0.6)
+        time.sleep(0.6)  # fifteen frames of time, in which none may come
         assert live.run.frames == n
         live.steps(tab, 7)
-        time.sleep(0.4)
+        time.sleep(0.4)  # ten frames of time, in which one too many would come
         assert live.run.frames == n + 7
         tab.wait(f"{FRAME} === {n + 6}")  # frames count from 0
         tab.close()
@@ -232,7 +232,7 @@ def test_reloads_leak_nothing(browser: Browser):
         seen = []
         for i in range(RELOADS + 5):
             tab.call("Page.reload")
-            time.sleep(0.2)
+            time.sleep(0.2)  # the old page is gone: the next line must not see it
             tab.wait(f"{FRAME} >= 0", 60)
             live.until(lambda: len(live.app.clients) == 1)
             gc.collect()

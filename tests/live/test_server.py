@@ -31,7 +31,7 @@ def until(condition, seconds: float = 20.0) -> None:
     end = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < end
-        time.sleep(0.01)
+        time.sleep(0.01)  # between two looks at what another thread changes
 
 
 class TestWhoIsLetIn:
@@ -152,7 +152,7 @@ class TestTheCommand:
         with subprocess.Popen(words, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=tmp_path) as process:
             assert process.stderr is not None
             assert process.stderr.readline().startswith("http://127.0.0.1:")
-            time.sleep(1.0)
+            time.sleep(1.0)  # the run is under way, not its start, when it is interrupted
             began = time.monotonic()
             process.send_signal(signal.SIGINT)
             out, err = process.communicate(timeout=20)

@@ -119,11 +119,11 @@ def live_page() -> Image:
                 app.ask(lambda gain=gain: app.change("law.gain", gain))
                 tab.click("play")
                 while app.run.last.film.t < until_s and not app.run.ended:
-                    time.sleep(0.02)
+                    time.sleep(0.02)  # between two looks at what another thread changes
             tab.click("pause")
-            time.sleep(2.0)
+            time.sleep(2.0)  # the page draws what has arrived: nothing tells when it has
             tab.js("document.querySelector('.mantine-Notification-closeButton')?.click()")
-            time.sleep(1.0)
+            time.sleep(1.0)  # the notice fades
             shot = cv2.imdecode(np.frombuffer(tab.screenshot(), np.uint8), cv2.IMREAD_COLOR_RGB)
     finally:
         app.stop()

@@ -106,7 +106,7 @@ class RenderingThread(executor.BaseRenderExecutor):
         """
         until = time.monotonic() + REST_S
         while time.monotonic() < until and any(thread.is_alive() for thread in tuple(self._daemons)):
-            time.sleep(0.002)
+            time.sleep(0.002)  # gives them the interpreter's lock
 
     def abandon(self) -> None:
         """Give up the context without freeing it: this process is a fork, in which the rendering thread does not exist."""
