@@ -33,8 +33,10 @@ SHIFT: Final = 4
 UNIT: Final = 1 << SHIFT  # OpenCV draws on a grid of 1/16 px
 SMALL: Final = 240
 """Height up to which an image, as an inset, has symbols without a dark edge, which would hide their colours [px]."""
-OPEN: Final = 0.5
+OPEN: Final = 0.6
 """Share of a cross that is open in its middle, where the marker is."""
+LEAST: Final = 5.0, 11.0
+"""Least size of a symbol in an inset, and in a larger image, whose thicker lines would otherwise close over the marker [px]."""
 CHUNK: Final = 64
 CHUNKS: Final = 8
 """A trail is a ring of 8 polylines of up to 64 points: the oldest is dropped as a whole, so that no points are moved."""
@@ -88,6 +90,7 @@ class Overlay:
         self._light = _bytes(0.7 * np.asarray(colors) + 0.3)  # lighter, or blue and violet would not stand out from their dark borders
         self._stroke = max(1, round(height / 480))
         self._edge = self._stroke if height > SMALL else 0
+        self._least = LEAST[height > SMALL]
         self._figure_stroke = math.ceil(height / 240)  # yuv420p stores colour for blocks of 2 x 2 pixels: thinner lines turn grey
         self._trails = [Trail(max(2.0, height / 240)) for _ in self._colors]
 
@@ -119,8 +122,8 @@ class Overlay:
             trail.add(point)
             cv2.polylines(image, trail.polylines(), False, color, self._stroke, cv2.LINE_AA, SHIFT)
         if goal_uv is not None:
-            self._strokes(image, self._drawable(goal_uv), _DIAMOND, max(5.0, self.size[1] / 36), closed=True)
-        self._strokes(image, uv, _CROSS, max(5.0, self.size[1] / 40), closed=False)
+            self._strokes(image, self._drawable(goal_uv), _DIAMOND, max(self._least, self.size[1] / 36), closed=True)
+        self._strokes(image, uv, _CROSS, max(self._least, self.size[1] / 40), closed=False)
 
     def _drawable(self, uv: Array) -> Array:
         """The pixels, NaN where they are so far outside that OpenCV's fixed-point integers would overflow."""
