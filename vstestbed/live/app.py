@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import logging
-import threading
 from collections.abc import Callable
 
 from vstestbed.core.errors import ScenarioError, VstestbedError
 from vstestbed.core.geometry import Array
-from vstestbed.live.inbox import Inbox
+from vstestbed.live.inbox import Served
 from vstestbed.live.page import WORDS_S, Gizmo, LiveView
 from vstestbed.live.panel import RunPanel
 from vstestbed.live.run import LiveRun
@@ -19,7 +18,7 @@ IDLE_S = 0.2
 """How long a view that rests waits for orders before it looks whether it has to end [s]."""
 
 
-class LiveApp:
+class LiveApp(Served):
     """A run in the browser.
 
     Args:
@@ -34,7 +33,7 @@ class LiveApp:
 
     def __init__(self, settings: Settings, port: int | None = None):
         self.run = LiveRun(settings)
-        self._inbox, self._stop = Inbox(), threading.Event()
+        super().__init__()
         self._gizmos: dict[str, Gizmo] = {}
         scenario = self.run.scenario
         try:
@@ -68,15 +67,6 @@ class LiveApp:
     def said(self) -> str:
         """The sentence that pages show."""
         return self._panel.status.message
-
-    def ask(self, order: Callable[[], object]) -> None:
-        """Let the thread that serves do something, as a page does; from any thread."""
-        self._inbox.put(order)
-
-    def stop(self) -> None:
-        """Let `serve` return; from any thread."""
-        self._stop.set()
-        self._inbox.put(lambda: None)
 
     def close(self) -> None:
         """Free page and simulation."""

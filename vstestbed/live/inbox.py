@@ -36,3 +36,19 @@ class Inbox:
                 self._come.wait(wait_s)
             orders, self._orders = list(self._orders.values()), {}
             return orders
+
+
+class Served:
+    """An app whose pages, and other threads, ask for things that the thread that serves does."""
+
+    def __init__(self) -> None:
+        self._inbox, self._stop = Inbox(), threading.Event()
+
+    def ask(self, order: Order) -> None:
+        """Let the thread that serves do something, as a page does; from any thread."""
+        self._inbox.put(order)
+
+    def stop(self) -> None:
+        """Let `serve` return; from any thread."""
+        self._stop.set()
+        self._inbox.put(lambda: None)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ import viser
 
 from vstestbed.core.errors import RunFolderError
 from vstestbed.live.app import IDLE_S
-from vstestbed.live.inbox import Inbox
+from vstestbed.live.inbox import Served
 from vstestbed.live.page import LiveView
 from vstestbed.live.panel import StatusLine, TransportPanel
 from vstestbed.live.run import sample
@@ -66,7 +65,7 @@ class Recorded:
         return max(0, int(np.searchsorted(self.t, t + 1e-9, side="right")) - 1)
 
 
-class PlaybackApp:
+class PlaybackApp(Served):
     """A recorded run in the browser.
 
     Args:
@@ -81,7 +80,8 @@ class PlaybackApp:
 
     def __init__(self, folder: Path, port: int | None = None, plugins: Sequence[str] = ()):
         self.recorded, self.i = Recorded(folder, plugins), 0
-        self.transport, self._inbox, self._stop = Transport(), Inbox(), threading.Event()
+        super().__init__()
+        self.transport = Transport()
         self._sample = self.recorded.sample(0)
         self._server = LocalServer(port, f"{self.recorded.scenario.name}: recorded")
         self.address = self._server.address
@@ -103,15 +103,6 @@ class PlaybackApp:
         finally:
             self._server.stop()
             self._view.close()
-
-    def ask(self, order: Callable[[], object]) -> None:
-        """Let the thread that serves do something, as a page does; from any thread."""
-        self._inbox.put(order)
-
-    def stop(self) -> None:
-        """Let `serve` return; from any thread."""
-        self._stop.set()
-        self._inbox.put(lambda: None)
 
     def _once(self) -> None:
         wait = self._wait_s()
