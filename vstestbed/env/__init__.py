@@ -11,7 +11,6 @@ To import this registers the ids. Gymnasium is an extra (`pip install 'vstestbed
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,8 +22,6 @@ if TYPE_CHECKING:
     import gymnasium
 
     from vstestbed.env.deepmind import DmServo
-    from vstestbed.env.reward import RewardKind
-    from vstestbed.env.rollout import ObservationMode
     from vstestbed.scenario.scenario import Scenario
 
 ANY = "vstestbed/scenario-v0"
@@ -62,31 +59,21 @@ def make(scenario: str | Path | Scenario, **settings: Any) -> gymnasium.Env[dict
     return gymnasium.make(ANY, scenario=scenario, **settings)
 
 
-def dm(
-    scenario: str | Path | Scenario,
-    *,
-    observation: ObservationMode = "markers",
-    reward: RewardKind = "potential",
-    discount: float = 0.99,
-    success_bonus: float = 10.0,
-    overrides: Mapping[str, object] | None = None,
-    seed: int | None = None,
-) -> DmServo:
+def dm(scenario: str | Path | Scenario, *, seed: int | None = None, **settings: Any) -> DmServo:
     """A dm_env environment of any scenario.
 
     Args:
         scenario: path of a YAML file, name of a bundled scenario, or a loaded one.
-        observation, reward, discount, success_bonus, overrides: see `Rollout`.
+        settings: observation, reward, discount, success_bonus, overrides, as `rollout.rollout_of` has them.
         seed: of the seeds that episodes get, one after the other; None: other ones each time.
 
     Raises:
         ScenarioError: the scenario has mistakes. ParameterError: a setting is none of the possible ones.
     """
     from vstestbed.env.deepmind import DmServo
-    from vstestbed.env.reward import Reward
-    from vstestbed.env.rollout import Rollout
+    from vstestbed.env.rollout import rollout_of
 
-    return DmServo(Rollout(scenario, observation, Reward(reward, discount, success_bonus), overrides), seed)
+    return DmServo(rollout_of(scenario, **settings), seed)
 
 
 _register()

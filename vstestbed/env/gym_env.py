@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +11,7 @@ from numpy.typing import NDArray
 
 from vstestbed.camera import Image
 from vstestbed.core.errors import ParameterError
-from vstestbed.env.reward import Reward, RewardKind
-from vstestbed.env.rollout import MOST_SEED, ObservationMode, Rollout, Step
+from vstestbed.env.rollout import MOST_SEED, Step, rollout_of
 from vstestbed.loop.recording import Recording
 from vstestbed.scenario.scenario import Scenario
 
@@ -26,8 +24,9 @@ class GymServo(gymnasium.Env[dict[str, Any], NDArray[Any]]):
     `info["is_success"]`, `task_description`, `_max_episode_steps`.
 
     Args:
-        scenario, observation, overrides: see `Rollout`. render_mode: None, or `rgb_array`, the scene from outside.
-        reward, discount, success_bonus: see `Reward`.
+        scenario: path of a YAML file, name of a bundled scenario, or a loaded one.
+        render_mode: None, or `rgb_array`, the scene from outside.
+        settings: observation, reward, discount, success_bonus, overrides, as `rollout.rollout_of` has them.
 
     Raises:
         ScenarioError: the scenario has mistakes. ParameterError: a setting is none of the possible ones.
@@ -39,17 +38,13 @@ class GymServo(gymnasium.Env[dict[str, Any], NDArray[Any]]):
         self,
         scenario: str | Path | Scenario,
         *,
-        observation: ObservationMode = "markers",
-        reward: RewardKind = "potential",
-        discount: float = 0.99,
-        success_bonus: float = 10.0,
-        overrides: Mapping[str, object] | None = None,
         render_mode: str | None = None,
+        **settings: Any,
     ):
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ParameterError("render_mode", "must be None or rgb_array", render_mode)
         self.render_mode = render_mode
-        self._rollout = Rollout(scenario, observation, Reward(reward, discount, success_bonus), overrides)
+        self._rollout = rollout_of(scenario, **settings)
         self.scenario = self._rollout.scenario
         self.task, self.task_description = self.scenario.name, self.scenario.description
         self._max_episode_steps = self._rollout.most_steps

@@ -15,7 +15,7 @@ from vstestbed.core.errors import ParameterError, SessionError
 from vstestbed.core.geometry import Array
 from vstestbed.core.outcome import Outcome
 from vstestbed.env.overview import Overview
-from vstestbed.env.reward import Reward, potential
+from vstestbed.env.reward import Reward, RewardKind, potential
 from vstestbed.laws.policy_io import MOST_PX, ActionScale, observed
 from vstestbed.loop.recording import Recording
 from vstestbed.loop.session import Session
@@ -243,3 +243,20 @@ class Rollout:
             "seed": self._episode.scenario.seed,
             "truth": {name: np.array(value) for name, value in true.items()},
         }
+
+
+def rollout_of(
+    scenario: str | Path | Scenario,
+    *,
+    observation: ObservationMode = "markers",
+    reward: RewardKind = "potential",
+    discount: float = 0.99,
+    success_bonus: float = 10.0,
+    overrides: Mapping[str, object] | None = None,
+) -> Rollout:
+    """A rollout by the settings of an environment: scenario, observation and overrides as `Rollout`, the others as `Reward` has them.
+
+    Raises:
+        ScenarioError: the scenario has mistakes. ParameterError: a setting is none of the possible ones.
+    """
+    return Rollout(scenario, observation, Reward(reward, discount, success_bonus), overrides)
