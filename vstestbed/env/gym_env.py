@@ -19,9 +19,9 @@ from vstestbed.scenario.scenario import Scenario
 class GymServo(gymnasium.Env[dict[str, Any], NDArray[Any]]):
     """A scenario as a Gymnasium environment; observations, actions and info: see `Rollout`, rewards: `Reward`.
 
-    `reset(seed=k)` is the run of `vstestbed run --seed k`, byte for byte (detector `tags` with pixels: see `Session`); without a seed, `np_random` draws one (`info["seed"]`), so
-    that episodes differ, and a seeded first reset makes all that follow the same. Keys are LeRobot's: `pixels`, `agent_pos`,
-    `info["is_success"]`, `task_description`, `_max_episode_steps`.
+    `reset(seed=k)` is the run of `vstestbed run --seed k`, byte for byte (of detector `tags` with pixels see `vstestbed.Session`);
+    without a seed, `np_random` draws one (`info["seed"]`), so that episodes differ, and a seeded first reset makes all that follow the
+    same. Keys are LeRobot's: `pixels`, `agent_pos`, `info["is_success"]`, `task_description`, `_max_episode_steps`.
 
     Args:
         scenario: path of a YAML file, name of a bundled scenario, or a loaded one.
