@@ -87,8 +87,8 @@ def test_the_readme_has_no_blank_left_to_fill() -> None:
 
 @pytest.mark.usefixtures("own_kinds")
 def test_the_law_of_the_readme_is_a_law(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The example by which the README shows how to add a kind."""
-    text = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+    """The example by which vstestbed/README.md shows how to add a kind."""
+    text = (Path(__file__).parents[1] / "vstestbed" / "README.md").read_text(encoding="utf-8")
     code = next(block for block in re.findall(r"```python\n(.*?)```", text, re.DOTALL) if "LAWS.add" in block)
     (tmp_path / "readme_law.py").write_text(code, encoding="utf-8")
     monkeypatch.syspath_prepend(str(tmp_path))

@@ -1,4 +1,4 @@
-"""Makes the README's pictures again: `python tests/studies/readme_pictures.py [NAME ...] [--studies] [--out DIR]`.
+"""Makes the pages' pictures again: `python -m tests.pages.pictures [NAME ...] [--studies] [--out DIR]`.
 
 Without names: all that show films (a minute each); `--studies`: the figures of studies, too, some of which take half an hour. Each picture
 goes into `.media/`, or into DIR.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import io
 import shlex
 import shutil
 import subprocess
@@ -16,8 +17,10 @@ import tempfile
 import threading
 import time
 from fractions import Fraction
+from itertools import islice
 from pathlib import Path
 
+import av
 import cv2
 import numpy as np
 
@@ -39,6 +42,9 @@ FILMS: dict[str, tuple[str, tuple[tuple[str, float], ...]]] = {
     "quadrotor_land": ("quadrotor_land", (("overview", 0.0), ("overview", 0.5), ("overview", 1.0))),
 }
 """Scenario, and from left to right the camera and the share of the run at which it is shown."""
+MOVING: dict[str, str] = {"film_arm": "arm_ibvs", "film_omni": "omni_ibvs", "film_car": "car_pbvs", "film_quadrotor": "quadrotor_land"}
+"""Films of the README: their scenarios."""
+MOVING_WIDTH, MOVING_HZ, MOVING_QUALITY = 480, 12, 70
 STUDIES: dict[str, tuple[str, str]] = {
     "compare_differences": ("compare arm_laws", "figures/differences.png"),
     "compare_arm_laws": ("compare arm_laws --seeds 1", "comparison.mp4"),
@@ -81,6 +87,23 @@ def strip(name: str) -> Image:
     height = round(WIDTH / sum(image.shape[1] / image.shape[0] for image in images))
     sized = [cv2.resize(x, (round(x.shape[1] * height / x.shape[0]), height), interpolation=cv2.INTER_AREA) for x in images]
     return np.asarray(np.concatenate(sized, axis=1), np.uint8)
+
+
+def moving(name: str, folder: Path) -> bytes:
+    """The film from outside of a run as an animated WebP that repeats."""
+    place = folder / name
+    words = ["run", MOVING[name], "--video", "overview", "--fine", "--quiet", "--out", str(place)]
+    subprocess.run([sys.executable, "-m", "vstestbed", *words], check=True)
+    with av.open(str(place / "overview.mp4")) as film:
+        shown = film.streams.video[0]
+        every = max(1, round(float(shown.average_rate or MOVING_HZ) / MOVING_HZ))
+        size = MOVING_WIDTH, MOVING_WIDTH * shown.height // shown.width
+        images = [frame.to_image(width=size[0], height=size[1], interpolation="AREA") for frame in islice(film.decode(shown), 0, None, every)]
+        duration_ms = round(1000 * every / float(shown.average_rate or MOVING_HZ))
+    file = io.BytesIO()
+    settings = {"duration": duration_ms, "loop": 0, "quality": MOVING_QUALITY, "method": 4}
+    images[0].save(file, "webp", save_all=True, append_images=images[1:], **settings)
+    return file.getvalue()
 
 
 def study(name: str, folder: Path) -> Path | Image:
@@ -135,13 +158,16 @@ def live_page() -> Image:
 def main() -> None:
     """Make them."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("names", nargs="*", metavar="NAME", help=f"{', '.join([*FILMS, LIVE, *STUDIES])}")
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"{', '.join([*FILMS, *MOVING, LIVE, *STUDIES])}")
     parser.add_argument("--studies", action="store_true")
     parser.add_argument("--out", type=Path, default=REPOSITORY / ".media")
     given = parser.parse_args()
-    names = given.names or [*FILMS, LIVE, *(STUDIES if given.studies else ())]
+    names = given.names or [*FILMS, *MOVING, LIVE, *(STUDIES if given.studies else ())]
     with tempfile.TemporaryDirectory() as folder:
         for name in names:
+            if name in MOVING:
+                write_whole(given.out / f"{name}.webp", moving(name, Path(folder)))
+                continue
             made = strip(name) if name in FILMS else live_page() if name == LIVE else study(name, Path(folder))
             path = given.out / f"{name}.png"
             if isinstance(made, Path):

@@ -1,0 +1,149 @@
+"""A page from its source: Jinja templates in `sources/`, laid out as the pages are, with the results of commands in them.
+
+    {{ run("arm_ibvs").time_to_converge_s | n(1) }} s
+    {% set rows = command("compare arm_laws") %} {{ rows | where(scenario="arm_pbvs") | reached }}
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import polars as pl
+from ruamel.yaml import YAML
+
+import vstestbed as vs
+from tests.pages.kept import Kept, Row
+from vstestbed.core.assets import bundled_comparisons, bundled_scenarios
+from vstestbed.report.comparison.tasks import AMOUNT, cells, markdown
+from vstestbed.report.comparison.statistics import paired_difference, spread, success_rate
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+SOURCES = Path(__file__).parent / "sources"
+
+
+def pages() -> list[Path]:
+    """The pages that have a source, relative to the repository."""
+    return sorted(path.relative_to(SOURCES) for path in SOURCES.rglob("*.md") if not path.name.startswith("_"))
+
+
+def rendered(page: Path, kept: Kept) -> str:
+    """The text of a page."""
+    made = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(SOURCES),
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        autoescape=False,
+    )
+    made.globals.update(command=kept, run=lambda words: kept(f"run {words}"), scenarios=scenarios, comparisons=comparisons)
+    made.filters["judged"] = judged
+    made.filters.update(n=number, where=where, reached=reached, typical=typical, worst=worst, least=least, range=span, median=median)
+    made.filters.update(differs=differs, failed=failed, tasks=tasks)
+    return made.get_template(page.as_posix()).render()
+
+
+def scenarios(robots: Iterable[str]) -> list[tuple[str, str]]:
+    """Name and description of the bundled scenarios with one of these robots."""
+    return [(s.name, s.description.strip()) for s in map(vs.load, bundled_scenarios()) if s.robot.kind in robots]
+
+
+def comparisons() -> list[tuple[str, str]]:
+    """Name and description of the bundled comparisons."""
+    return [(name, YAML(typ="safe").load(file).get("description", "")) for name, file in bundled_comparisons().items()]
+
+
+def judged(summary: Row) -> str:
+    """The error that decides a run's outcome, with its unit and limit: `0.13 px (0.2)`."""
+    error, unit, limit = summary["judged_error"], summary["judged_unit"], summary["judged_limit"]
+    if error is None:
+        return ""
+    factor, word = {"m": (1000, "mm"), "rad": (math.degrees(1), "deg")}.get(unit, (1, unit))
+    return f"{error * factor:.3g} {word} ({limit * factor:.3g})"
+
+
+def number(value: float | None, places: int = 1) -> str:
+    """A number to so many places; nothing for none."""
+    return "" if value is None or not math.isfinite(value) else f"{value:.{places}f}"
+
+
+def where(rows: Iterable[Row], **wanted: Any) -> list[Row]:
+    """The rows that have these values.
+
+    Raises:
+        ValueError: none has.
+    """
+    found = [row for row in rows if all(row.get(name.replace("__", ".")) == value for name, value in wanted.items())]
+    if not found:
+        raise ValueError(f"no run has {wanted}")
+    return found
+
+
+def reached(rows: Iterable[Row], interval: bool = True) -> str:
+    """Runs that reached the goal, `19 of 20 [76, 99] %`, with the Wilson interval."""
+    good = [bool(row["success"]) for row in rows]
+    rate = success_rate(sum(good), len(good))
+    return f"{sum(good)} of {len(good)}" + (f" [{100 * rate.low:.0f}, {100 * rate.high:.0f}] %" if interval else "")
+
+
+def failed(rows: Iterable[Row], by: str = "seed") -> str:
+    """The runs that did not reach the goal, by outcome: `joint_limit: 7, 15`."""
+    outcomes: dict[str, list[str]] = {}
+    for row in rows:
+        if not row["success"]:
+            outcomes.setdefault(f"`{row['outcome']}`", []).append(str(row[by]))
+    return "; ".join(f"{outcome}: {', '.join(those)}" for outcome, those in outcomes.items())
+
+
+def typical(rows: Iterable[Row], name: str, places: int = 1, factor: float = 1, every: bool = False) -> str:
+    """Median and quartiles over the runs that reached the goal, or over all: `12.7 [11.9, 13.1]`."""
+    of = spread(_values(rows, name, factor, every))
+    texts = [number(value, places) for value in (of.median, of.q1, of.q3)]
+    return texts[0] if len(set(texts)) == 1 else f"{texts[0]} [{texts[1]}, {texts[2]}]"
+
+
+def median(rows: Iterable[Row], name: str, factor: float = 1, every: bool = False) -> float:
+    """The median over the runs that reached the goal, or over all."""
+    return spread(_values(rows, name, factor, every)).median
+
+
+def worst(rows: Iterable[Row], name: str, factor: float = 1) -> float:
+    """The largest value of the runs that reached the goal."""
+    return max(_values(rows, name, factor))
+
+
+def least(rows: Iterable[Row], name: str, factor: float = 1) -> float:
+    """The smallest value of the runs that reached the goal."""
+    return min(_values(rows, name, factor))
+
+
+def span(rows: Iterable[Row], name: str, places: int = 1, factor: float = 1, every: bool = False) -> str:
+    """From the smallest to the largest value of the runs that reached the goal, or of all: `11.6 to 19.7`."""
+    values = list(_values(rows, name, factor, every))
+    low, high = number(min(values), places), number(max(values), places)
+    return low if low == high else f"{low} to {high}"
+
+
+def differs(rows: Iterable[Row], others: Iterable[Row], name: str, places: int = 1, every: bool = False) -> str:
+    """Mean of the paired differences of both's successful seeds, or of all, with its 95 % interval: `-0.9 [-1.5, -0.4]`."""
+    a, b = ({row["seed"]: row[name] for row in those if every or row["success"]} for those in (rows, others))
+    both = sorted(a.keys() & b.keys())
+    found = paired_difference([a[seed] for seed in both], [b[seed] for seed in both])
+    return f"{number(found.mean, places)} [{number(found.low, places)}, {number(found.high, places)}]"
+
+
+def tasks(rows: Sequence[Row]) -> str:
+    """Laws by tasks, as in a comparison's `tasks.md`."""
+    names = list(rows[0])
+    axes = [name for name in names[1 : names.index("seed")] if name != AMOUNT]
+    return markdown(cells(pl.DataFrame(rows, infer_schema_length=None), axes)).rstrip("\n")
+
+
+def _values(rows: Iterable[Row], name: str, factor: float, every: bool = False) -> Iterator[float]:
+    for row in rows:
+        if (every or row["success"]) and row.get(name) is not None:
+            yield factor * row[name]

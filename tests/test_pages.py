@@ -1,0 +1,87 @@
+"""The pages: made from their sources and from kept results; their commands parse, their scenarios exist, their links lead somewhere."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Iterator
+from pathlib import Path
+
+import click
+import pytest
+import typer.main
+from click.testing import CliRunner
+
+import vstestbed as vs
+from tests.pages.kept import FOLDER, Kept, place_of
+from tests.pages.render import REPOSITORY, pages, rendered
+from vstestbed.cli.app import app
+from vstestbed.cli.tools import settings_of
+
+PAGES = [Path("README.md"), *sorted(p.relative_to(REPOSITORY) for top in ("scenarios", "models", "vstestbed", "tests")
+                                    for p in (REPOSITORY / top).rglob("*.md") if "pages" not in p.parts)]
+COMMANDS = typer.main.get_command(app)
+assert isinstance(COMMANDS, click.Group)
+SHORT = {"list", "schema", "describe", "doctor"}
+"""Commands that take a second; those of the pages are carried out."""
+
+
+def commands(text: str) -> Iterator[list[str]]:
+    """The vstestbed commands of a page: indented lines, and `code` that begins with the word; without comments."""
+    shown = re.findall(r"^    (?:\S+ = )?(vstestbed .*)$", text, re.MULTILINE) + re.findall(r"`(vstestbed [^`]+)`", text.replace("\n", " "))
+    for line in shown:
+        if not re.search(r"\.\.\.|[A-Z]{3,}|\|", line):  # a pattern of a command, not a command
+            yield shlex.split(line, comments=True)[1:]
+
+
+@pytest.mark.parametrize("page", pages(), ids=str)
+def test_a_page_is_what_its_source_and_the_kept_results_give(page: Path) -> None:
+    text = rendered(page, Kept(may_run=False))
+    assert text == (REPOSITORY / page).read_text(encoding="utf-8"), "python -m tests.pages makes it again"
+
+
+def test_every_kept_result_is_asked_for() -> None:
+    kept = Kept(may_run=False)
+    for page in pages():
+        rendered(page, kept)
+    assert {place_of(command) for command in kept.used} == set(FOLDER.glob("*.json"))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=str)
+def test_commands_of_a_page_parse_and_their_scenarios_exist(page: Path) -> None:
+    for words in commands((REPOSITORY / page).read_text(encoding="utf-8")):
+        name, *rest = words
+        if name.startswith("-"):
+            continue
+        command = COMMANDS.get_command(click.Context(COMMANDS), name)
+        assert command, f"no command {name}"
+        given = command.make_context(name, list(rest), resilient_parsing=False).params
+        plain = given.get("scenario")
+        if isinstance(plain, str) and name == "run" and not given.get("plugin") and "." not in plain:
+            vs.load(plain, settings_of(given.get("set_")))
+
+
+def test_short_commands_of_the_pages_do_what_they_say(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    found = {tuple(words) for page in PAGES for words in commands((REPOSITORY / page).read_text(encoding="utf-8")) if words[0] in SHORT}
+    assert found
+    for words in sorted(found):
+        words = words[: words.index(">")] if ">" in words else words
+        done = CliRunner().invoke(COMMANDS, list(words))
+        assert done.exit_code == 0, (words, done.output)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=str)
+def test_links_of_a_page_lead_somewhere(page: Path) -> None:
+    text = re.sub(r"```.*?```", "", (REPOSITORY / page).read_text(encoding="utf-8"), flags=re.DOTALL)
+    for link in re.findall(r"\]\(([^)\s]+)\)", text):
+        file, _, place = link.partition("#")
+        if not link.startswith(("http://", "https://")):
+            there = (REPOSITORY / page).parent / file if file else REPOSITORY / page
+            assert there.exists(), link
+            headings = re.findall(r"^#+ (.*)$", there.read_text(encoding="utf-8"), re.MULTILINE) if place else []
+            assert not place or place in {re.sub(r"[^\w\- ]", "", h.lower()).replace(" ", "-") for h in headings}, link
+
+
+def test_the_readme_is_short() -> None:
+    assert len((REPOSITORY / "README.md").read_text(encoding="utf-8").splitlines()) <= 160
