@@ -77,7 +77,7 @@ def test_a_seed_is_that_of_a_run(name: str) -> None:
             frame = session.step(np.zeros(len(env.action_space.low)))
         resting = session.recording()
     assert info["seed"] == 7 and shown["markers"].tobytes() == frame_markers(run, len(shown["seen"])).tobytes()
-    np.testing.assert_allclose(info["truth"]["T_world_camera"], run.poses("camera")[0].A, atol=1e-12)
+    np.testing.assert_allclose(info["truth"]["T_world_camera"], run.camera_poses()[0].A, atol=1e-12)
     over = False
     while not over:
         _, _, terminated, truncated, _ = env.step(np.zeros(env.action_space.shape))

@@ -50,10 +50,10 @@ def test_columns_and_tables_are_read_once() -> None:
 
 def test_poses_are_those_of_spatialmath() -> None:
     run = vs.run(vs.load("ibvs_book", {"detector": "oracle", "law.depth": "oracle"}))
-    camera, goal = run.poses("camera"), run.scenario.goal_poses[0]
+    camera, goal = run.camera_poses(), run.scenario.goal_poses[0]
     assert len(camera) == len(run.rows)
     start = run.scenario.robot.start.nominal.SE3()
     assert np.allclose(camera[0].A, start.A, atol=1e-12)
     # the relative pose of the last frame is the goal's, by spatialmath's own inverse and product
-    assert np.allclose((camera[-1].inv() * run.poses("target")[-1]).A, goal, atol=1e-2)
+    assert np.allclose((camera[-1].inv() * run.target_poses()[-1]).A, goal, atol=1e-2)
     assert np.allclose(Pose.of(start).T, start.A)

@@ -4,21 +4,32 @@ from __future__ import annotations
 
 import math
 from functools import cached_property
+from typing import Any
 
 import numpy as np
+from pydantic import model_validator
 
 from vstestbed.core.geometry import Array, joined
 from vstestbed.core.quantity import Angle, Length
+from vstestbed.core.spatial import floor_place, is_matrix
 from vstestbed.core.spec import spec
 
 
 @spec
 class GroundPose:
-    """A place on the floor in YAML: x, y [m] and the heading from the x axis, counter-clockwise [deg]."""
+    """A place on the floor in YAML: x, y [m] and the heading from the x axis, counter-clockwise [deg].
+
+    In Python every field of this class also takes spatialmath's SE2, and an SE3 that stands upright at height 0.
+    """
 
     x: Length = 0.0
     y: Length = 0.0
     heading_deg: Angle = 0.0
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_matrix(cls, given: Any) -> Any:
+        return dict(zip(("x", "y", "heading_deg"), floor_place(given), strict=True)) if is_matrix(given) else given
 
     @property
     def heading(self) -> float:

@@ -64,9 +64,9 @@ def _with_our_errors(cls: Any) -> None:
             first = error.errors()[0]
             # A __post_init__ that raised ParameterError has said it better than pydantic, which wraps it.
             inner = first.get("ctx", {}).get("error")
-            if isinstance(inner, ParameterError):
-                raise inner from None
             field = ".".join(str(part) for part in first["loc"]) or cls.__name__
+            if isinstance(inner, ParameterError):
+                raise (inner if inner.field else ParameterError(field, inner.problem, inner.found)) from None
             raise ParameterError(field, first["msg"], first["input"]) from None
 
     cls.__init__ = init

@@ -83,7 +83,8 @@ def _finding(detail: Any, plain: dict[str, Any], cls: type) -> tuple[Key, str]:
     key, inner = _key_of(detail["loc"], plain), detail.get("ctx", {}).get("error")
     if isinstance(inner, ParameterError):  # raised by a __post_init__; its field is relative to the block
         got = "" if inner.found is None else f", got {short(inner.found)}"
-        return (*key, *(int(p) if p.isdecimal() else p for p in inner.field.split("."))), f"{inner.problem}{got}"
+        own = inner.field.split(".") if inner.field else []  # without a field it is about the block as a whole
+        return (*key, *(int(p) if p.isdecimal() else p for p in own)), f"{inner.problem}{got}"
     # The error belongs to the block; the mistake stands at its `kind`.
     if detail["type"] == "unknown_kind" and isinstance(detail["input"], dict) and "kind" in detail["input"]:
         return (*key, "kind"), _sentence(detail | {"input": detail["input"]["kind"]}, cls)

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.files import write_whole, writing
-from vstestbed.core.geometry import Array, Pose, inverse, rotation_from_rpy, transform
+from vstestbed.core.geometry import Array, Pose, inverse, transform
 from vstestbed.core.outcome import Outcome
+from vstestbed.core.rpy import rotation_from_rpy
 from vstestbed.experiments.basin.batch import Batch, fly
 from vstestbed.experiments.basin.setup import BatchSetup, ideal, start_of, started_at
 from vstestbed.experiments.comparison import Comparison, controllers
