@@ -15,7 +15,7 @@ from tests.robots.arms import BLOCKS, HERE, block
 from vstestbed.core.errors import ScenarioError
 from vstestbed.core.geometry import Pose
 from vstestbed.robots import ROBOTS, Mjcf
-from vstestbed.scenario.load import dump
+from vstestbed.scenario.dump import dump
 from vstestbed.sim.build import scene_files
 
 HAND = {"xyz": [0.06, 0, 0.02]}
@@ -103,7 +103,7 @@ def test_the_file_is_found_beside_the_scenario_and_remembered_whole(tmp_path: Pa
     target = square_before(arm("scara"), *SEEN["flat"])
     scenario = written(tmp_path, "beside", block("scara") | {"file": "mine.xml"}, target, {"xyz": [0, 0, 0.6]})
     assert scenario.robot.model == str(tmp_path / "mine.xml")
-    (tmp_path / "again.yaml").write_text(dump(scenario))
+    (tmp_path / "again.yaml").write_text(dump(scenario, defaults=True))
     assert vs.load(tmp_path / "again.yaml", {"name": scenario.name}) == scenario
 
 

@@ -16,7 +16,8 @@ from vstestbed.core.assets import bundled_scenarios
 from vstestbed.core.errors import ParameterError, PluginError, ScenarioError
 from vstestbed.core.spec import spec
 from vstestbed.laws import IBVS
-from vstestbed.scenario.load import dump, find, load, parse, schema
+from vstestbed.scenario.dump import dump
+from vstestbed.scenario.load import find, load, parse, schema
 from vstestbed.scenario.plugins import load_plugins
 from vstestbed.scenario.validation import KINDS
 from vstestbed.scenario.yaml_marks import read_value
@@ -362,13 +363,13 @@ class TestBundled:
     @pytest.mark.parametrize("name", NAMES)
     def test_what_is_written_reads_back_as_the_same_scenario(self, name: str) -> None:
         scenario = load(name)
-        text = dump(scenario)
+        text = dump(scenario, defaults=True)
         again = parse(text, "again.yaml")
         assert again == scenario
-        assert dump(again) == text
+        assert dump(again, defaults=True) == text
 
     def test_every_default_is_written(self) -> None:
-        written = YAML(typ="safe").load(dump(parse(GOOD, "s.yaml")))
+        written = YAML(typ="safe").load(dump(parse(GOOD, "s.yaml"), defaults=True))
         assert written["stop"] == {
             "duration_s": 30.0,
             "converged": {"error_px": 0.2, "position_m": None, "rotation_deg": None, "hold_s": 0.5},
@@ -418,7 +419,7 @@ class TestSchema:
 
     @pytest.mark.parametrize("name", NAMES)
     def test_bundled_scenarios_conform_as_they_are_and_as_they_are_written(self, name: str, whole: dict[str, Any]) -> None:
-        for text in (bundled_scenarios()[name].read_text(encoding="utf-8"), dump(load(name))):
+        for text in (bundled_scenarios()[name].read_text(encoding="utf-8"), dump(load(name), defaults=True)):
             assert conforms(YAML(typ="safe").load(text), whole, whole)
 
     @pytest.mark.parametrize(

@@ -167,6 +167,10 @@ class OneOf:
         self.members[kind] = member
         return new
 
+    def implied(self, block: Mapping[str, Any]) -> str | None:
+        """The kind of a block without `kind`, by one of its fields; None where none tells it."""
+        return next((kind for field, kind in self.fields.items() if field in block), None)
+
     def load_entry_points(self, installed: EntryPoints) -> bool:
         """Register the classes that installed packages offer under `vstestbed.<what>s`; True if any was new."""
         before = len(self.members)
@@ -181,8 +185,7 @@ class OneOf:
         block, words = self._expanded(value), ", ".join(sorted(self.members))
         if not isinstance(block, dict):
             raise PydanticCustomError("block", "must be a {what} block or one of the words: {words}", {"what": self.what, "words": words})
-        implied = next((kind for field, kind in self.fields.items() if field in block), self.default)
-        kind = block.get("kind", implied)
+        kind = block.get("kind", self.implied(block) or self.default)
         if kind is None:
             raise PydanticCustomError("no_kind", "needs {words}", {"words": self._needs})
         if not isinstance(kind, str) or kind not in self.members:
@@ -253,3 +256,36 @@ def to_mapping(value: Any) -> Any:
     if isinstance(value, dict):
         return {name: to_mapping(v) for name, v in value.items()}
     return value
+
+
+def brief_mapping(value: Any) -> Any:
+    """A spec as people write it: without what is a default anyway, whole numbers without `.0`, with the shorthands of its rooms."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return _brief_block(value)
+    if isinstance(value, tuple | list):
+        return [brief_mapping(v) for v in value]
+    if isinstance(value, float) and value.is_integer() and abs(value) < 1e6:
+        return int(value)
+    return value
+
+
+def _brief_block(value: Any) -> Any:
+    """A spec as a mapping, or the word or number that stands for it."""
+    fields = [f for f in dataclasses.fields(value) if f.init and f.name != "kind"]
+    # What makes it this kind comes before what all kinds have, as people write it: a square's side before its pose.
+    own = sorted(fields, key=lambda f: f.name not in type(value).__annotations__)
+    # A block needs something in it: of one that is all defaults, the first field.
+    kept = [f for f in own if getattr(value, f.name) != _default(f)] or ([] if hasattr(value, "kind") else own[:1])
+    block = {f.name: brief_mapping(getattr(value, f.name)) for f in kept}
+    rooms = [room for room in _ROOMS if type(value) in room.members.values()]
+    if not hasattr(value, "kind") or (rooms and all(room.implied(block) == value.kind for room in rooms)):
+        return block
+    for room in rooms:
+        if room.number and value.kind == room.number[0] and block.keys() == {room.number[1]}:
+            return block[room.number[1]]
+    return {"kind": value.kind, **block} if block or not rooms else value.kind
+
+
+def _default(field: dataclasses.Field[Any]) -> Any:
+    """The default of a field; MISSING where it has none."""
+    return field.default_factory() if field.default_factory is not dataclasses.MISSING else field.default

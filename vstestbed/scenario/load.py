@@ -14,7 +14,7 @@ from ruamel.yaml import YAML
 
 from vstestbed.core.assets import bundled_scenarios
 from vstestbed.core.errors import Mistake, ParameterError, ScenarioError, nearest
-from vstestbed.core.spec import refresh_specs, to_mapping
+from vstestbed.core.spec import refresh_specs
 from vstestbed.scenario.plugins import absolute, absolute_files, load_named
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.scenario.validation import KINDS, build
@@ -201,30 +201,6 @@ def for_another_folder(path: Path) -> str:
         if isinstance(moved.get(block), dict) and "file" in moved[block]:
             tree[block]["file"] = moved[block]["file"]
     yaml.dump(tree, out)
-    return out.getvalue()
-
-
-def dump(scenario: Scenario) -> str:
-    """The scenario as YAML with all defaults; `parse` of it gives the same scenario."""
-    return dump_mapping(scenario)
-
-
-def dump_mapping(spec: object) -> str:
-    """A spec as YAML with all defaults."""
-    import yaml  # here: only runs with a folder write YAML, which libyaml does in a twentieth of ruamel's time
-
-    libyaml: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
-
-    class Dumper(libyaml):
-        """PyYAML writes YAML 1.1, where `1e3` is text; it is read as YAML 1.2, where it is a number."""
-
-    def plain_or_quoted(dumper: Any, text: str) -> Any:
-        return dumper.represent_scalar("tag:yaml.org,2002:str", text, "'" if text[:1] in "+-.0123456789" else None)
-
-    Dumper.add_representer(str, plain_or_quoted)
-    # nested blocks on lines of their own, the innermost mappings and lists on one line
-    out = io.StringIO()
-    yaml.dump(to_mapping(spec), out, Dumper=Dumper, default_flow_style=None, width=120, sort_keys=False, allow_unicode=True)
     return out.getvalue()
 
 

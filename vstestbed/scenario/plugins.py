@@ -88,6 +88,20 @@ def absolute_files(value: Any, folder: Path, key: str = "") -> Any:
     return absolute_file(value, folder) if names_file else value
 
 
+def relative_files(plain: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """A scenario's plain values, with the plugins and files (fields `file`) in the folder, or below it, named relative to it."""
+
+    def near(value: Any, names_file: bool) -> Any:
+        if isinstance(value, dict):
+            return {name: near(inner, name in ("file", "plugins")) for name, inner in value.items()}
+        if isinstance(value, list):
+            return [near(inner, names_file) for inner in value]
+        inside = names_file and isinstance(value, str) and Path(value).is_absolute() and Path(value).is_relative_to(folder)
+        return Path(value).relative_to(folder).as_posix() if inside else value
+
+    return near(plain, False)
+
+
 def _loaded(name: str, folder: Path, where: str, beside: Sequence[str], field: str = "") -> str:
     """Load a plugin; returns the name under which it is found again.
 

@@ -23,7 +23,7 @@ from vstestbed.experiments.comparison.pools import RUNNING
 from vstestbed.experiments.comparison.worker import execute, request_of
 from vstestbed.laws import IBVS
 from vstestbed.laws.views import has_batch
-from vstestbed.scenario.load import dump
+from vstestbed.scenario.dump import dump
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.vision import Oracle
 
@@ -67,7 +67,7 @@ def test_a_batch_gives_the_folders_of_single_runs(canonical: dict[str, list[Scen
     for i, files in zip(picked, flown, strict=True):
         single = execute(request_of("a", whole[i], False))
         assert files is not None and single.keys() == files.keys()
-        assert files["scenario.yaml"].decode() == dump(whole[i]) == single["scenario.yaml"].decode()
+        assert files["scenario.yaml"].decode() == dump(whole[i], defaults=True) == single["scenario.yaml"].decode()
         assert files["model.xml"] == single["model.xml"]
         must_agree(json.loads(single["summary.json"]), json.loads(files["summary.json"]), f"{law} {i}")
         one, other = (pl.read_parquet(io.BytesIO(f["log.parquet"])) for f in (single, files))

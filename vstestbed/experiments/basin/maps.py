@@ -168,7 +168,6 @@ def fixed(scenario: Scenario, x: Axis, y: Axis, at: Mapping[str, float]) -> dict
 
 def starts(scenario: Scenario, x: Axis, y: Axis, at: Mapping[str, float]) -> Array:
     """Start poses T_camera_target (n_y n_x, 4, 4), x fastest; other coordinates as by `fixed`."""
-    T_goal_target = scenario.goal_view.T_camera_target
     place = np.empty((y.n, x.n, 6))
     for name, value in fixed(scenario, x, y, at).items():
         place[..., COORDINATES.index(name)] = value
@@ -177,7 +176,7 @@ def starts(scenario: Scenario, x: Axis, y: Axis, at: Mapping[str, float]) -> Arr
     place = place.reshape(-1, 6)
     T_goal_camera = np.zeros((len(place), 4, 4))
     T_goal_camera[:, :3, :3], T_goal_camera[:, :3, 3], T_goal_camera[:, 3, 3] = rotation_from_rpy(np.radians(place[:, 3:])), place[:, :3], 1
-    return inverse(T_goal_camera) @ T_goal_target
+    return inverse(T_goal_camera) @ scenario.goal_view.T_camera_target
 
 
 def laws(comparison: Comparison, field_of_view: str | None = None, force: bool = False) -> list[tuple[str, Scenario]]:

@@ -18,7 +18,7 @@ from vstestbed.experiments.comparison.plan import Comparison, chosen
 from vstestbed.experiments.comparison.pools import clear, must_be_known, pool_of
 from vstestbed.experiments.comparison.results import finish
 from vstestbed.experiments.comparison.runs import Job, Variant, Variants, controllers, jobs
-from vstestbed.scenario.load import dump
+from vstestbed.scenario.dump import dump
 
 if TYPE_CHECKING:
     import polars
@@ -154,7 +154,7 @@ def _same(a: Comparison, of_a: Variants, b: Comparison, of_b: Variants) -> bool:
 
 
 def _essence(c: Variant) -> tuple[object, ...]:
-    return tuple(map(dump, c.starts or (c.scenario,))), c.folder, c.runs
+    return tuple(dump(s, defaults=True) for s in c.starts or (c.scenario,)), c.folder, c.runs
 
 
 def workers(requested: int | None, runs: int) -> int:

@@ -14,11 +14,13 @@ from typing import TYPE_CHECKING, Any
 
 from vstestbed.core.errors import ParameterError, RunFolderError
 from vstestbed.core.files import make_folder, temporary, write_whole, writing
+from vstestbed.core.spec import to_mapping
 from vstestbed.experiments.comparison.plan import AMOUNT, Comparison, read_comparison
 from vstestbed.experiments.comparison.runs import Job
 from vstestbed.experiments.comparison.worker import Files
 from vstestbed.loop.summary_file import read_summary
-from vstestbed.scenario.load import dump_mapping, for_another_folder
+from vstestbed.scenario.dump import as_yaml
+from vstestbed.scenario.load import for_another_folder
 
 if TYPE_CHECKING:
     import polars
@@ -51,7 +53,7 @@ def write_plan(folder: Path, comparison: Comparison) -> None:
             write_whole(make_folder(folder / "scenarios") / Path(name).name, for_another_folder(Path(name)))
             name = f"scenarios/{Path(name).name}"
         base.append(name)
-    write_whole(folder / PLAN, dump_mapping(replace(comparison, base=tuple(base))))
+    write_whole(folder / PLAN, as_yaml(to_mapping(replace(comparison, base=tuple(base)))))
 
 
 def read_plan(folder: Path, plugins: Sequence[str] = ()) -> Comparison:

@@ -14,7 +14,8 @@ from vstestbed.core.errors import EnvironmentLackError
 from vstestbed.core.outcome import Outcome
 from vstestbed.experiments.run_folder import run_into
 from vstestbed.loop.recording import Rows
-from vstestbed.scenario.load import dump, parse
+from vstestbed.scenario.dump import dump
+from vstestbed.scenario.load import parse
 from vstestbed.scenario.scenario import Scenario
 
 Files = dict[str, bytes]
@@ -108,7 +109,7 @@ def picture_of_the_end(scenario: Scenario, rows: Rows, folder: Path) -> None:
 
 def request_of(folder: str, scenario: Scenario, filmed: bool) -> RunRequest:
     """The request for a run of a scenario."""
-    return RunRequest(folder, dump(scenario), filmed)
+    return RunRequest(folder, dump(scenario, defaults=True), filmed)
 
 
 def begin(parent_must_live: bool) -> None:
