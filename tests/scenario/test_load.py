@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
+from tests.robots.arms import where_installed
 from vstestbed.core.assets import bundled_scenarios
 from vstestbed.core.errors import ParameterError, PluginError, ScenarioError
 from vstestbed.core.spec import spec
@@ -349,7 +350,7 @@ class TestSeed:
 
 
 class TestBundled:
-    @pytest.mark.parametrize("name", NAMES)
+    @pytest.mark.parametrize("name", where_installed(NAMES))
     def test_loads_with_its_goal_and_its_start_in_view(self, name: str) -> None:
         scenario = load(name)
         assert scenario.name == name
@@ -360,7 +361,7 @@ class TestBundled:
         if scenario.goal.kind != "line":
             assert scenario._in_view(scenario.robot), "the start does not see the whole target"
 
-    @pytest.mark.parametrize("name", NAMES)
+    @pytest.mark.parametrize("name", where_installed(NAMES))
     def test_what_is_written_reads_back_as_the_same_scenario(self, name: str) -> None:
         scenario = load(name)
         text = dump(scenario, defaults=True)
@@ -417,7 +418,7 @@ class TestSchema:
         for kinds in KINDS.values():
             assert {member.__name__ for member in kinds.members.values()} <= known
 
-    @pytest.mark.parametrize("name", NAMES)
+    @pytest.mark.parametrize("name", where_installed(NAMES))
     def test_bundled_scenarios_conform_as_they_are_and_as_they_are_written(self, name: str, whole: dict[str, Any]) -> None:
         for text in (bundled_scenarios()[name].read_text(encoding="utf-8"), dump(load(name), defaults=True)):
             assert conforms(YAML(typ="safe").load(text), whole, whole)

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
+from tests.robots.arms import where_installed
 from vstestbed.core.assets import bundled_scenarios
 from vstestbed.core.errors import ParameterError
 
@@ -58,7 +59,7 @@ def line(renderer: str, r: vs.Recording) -> str:
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("name", bundled_scenarios())
+@pytest.mark.parametrize("name", where_installed(bundled_scenarios()))
 def test_the_renderer_does_not_change_the_experiment(name: str) -> None:
     scenario = vs.load(name, {"camera.renderer": "gl"})
     by_gl = vs.run(scenario)

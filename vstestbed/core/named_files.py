@@ -46,7 +46,8 @@ def place_of_file(file: str) -> Path:
         except (ImportError, ValueError):  # its parent is not there, or it is no name of a package
             found = None
         if found is None or not found.submodule_search_locations:
-            raise ParameterError("file", f"names the package {name}, which is not installed; pip install it, or give the file's path", file)
+            remedy = f"pip install --no-deps {name} (only its files are read), or give the file's path"
+            raise ParameterError("file", f"names the package {name}, which is not installed; {remedy}", file)
         path = Path(found.submodule_search_locations[0]) / inside
     if not is_there(path):
         raise ParameterError("file", f"is not there ({path}); give its path, absolute or relative to the scenario's file", file)

@@ -204,7 +204,10 @@ class Recording:
         return Recording.shown_by(self)
 
     def summary(self) -> dict[str, object]:
-        """The metrics of the run, as in `summary.json`; `time_ms` is the mean wall time of a frame by part [ms]."""
+        """The metrics of the run, as in `summary.json`; `time_ms` is the mean wall time of a frame by part [ms].
+
+        With the gains of servos that were made for an arm of one's own (`Actuation.gains`).
+        """
         figures = summarise(self.scenario, self.outcome, self.rows)
         last, frames = figures["sim_time_s"], max(int(str(figures["frames"])), 1)
         assert isinstance(last, float)
@@ -216,7 +219,8 @@ class Recording:
             "time_ms": {k: v / frames for k, v in self.time_ms.items()},
             "versions": self.versions,
         }
-        return {"scenario": self.scenario.name} | ended | figures | cost
+        actuators = self.scenario.robot.actuator_set
+        return {"scenario": self.scenario.name} | ended | figures | (actuators.gains() if actuators else {}) | cost
 
 
 def types_of(columns: Container[str]) -> dict[str, polars.DataType]:

@@ -8,6 +8,7 @@ from typing import Any, ClassVar, Literal, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
+from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.robots.allocation import Actuation, Allocation, Mount
 from vstestbed.robots.reading import Reading
@@ -107,6 +108,13 @@ class Robot(Protocol):
 
     def started_at(self, configuration: Array) -> Robot:
         """The same robot with this nominal start."""
+        ...
+
+    def configuration_at(self, T_world_flange: Array, near: Array) -> Array:
+        """The configuration nearest to another one, `near`, in which its flange is at a pose (4, 4), by the robot's own model.
+
+        ParameterError where it does not get there, or has no such inverse.
+        """
         ...
 
     def idealised(self) -> Robot:
@@ -243,6 +251,10 @@ class RobotBase:
     def start_joints(self) -> Array:
         """All at zero."""
         return np.zeros(len(self.joints))
+
+    def configuration_at(self, T_world_flange: Array, near: Array) -> Array:
+        """None: refused."""
+        raise ParameterError("robot.kind", "must be an arm or the free camera: only they start where a view of the target asks for")
 
     def idealised(self) -> Any:
         """Itself."""

@@ -78,6 +78,10 @@ class Free(RobotBase):
         """The same camera from another pose, flat (16,)."""
         return Free(start=FreeStart(nominal=Pose.of(configuration.reshape(4, 4)), random=self.start.random))
 
+    def configuration_at(self, T_world_flange: Array, near: Array) -> Array:
+        """The pose itself, flat (16,)."""
+        return T_world_flange.ravel()
+
     def flange_pose(self, configuration: Array) -> Array:
         """The pose itself, (4, 4)."""
         return configuration.reshape(4, 4)

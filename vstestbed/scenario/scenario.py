@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cached_property
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from annotated_types import Ge, Lt
 
 from vstestbed.camera import CAMERAS, Calibration, Camera, Perspective
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.geometry import Array, inverse
+from vstestbed.core.geometry import Array, Pose, inverse
 from vstestbed.core.quantity import Narrower, Pixels, Seed, Sigma, Time
 from vstestbed.core.spec import spec
 from vstestbed.features.observation import Goal
@@ -20,7 +20,7 @@ from vstestbed.robots import ROBOTS, Robot
 from vstestbed.scenario.checks import check_carrier, check_floor_depth, check_markers, check_memory, check_robot
 from vstestbed.sim.clock import Clock
 from vstestbed.sim.render.noise import Drift
-from vstestbed.sim.scene.start_pose import camera_start, target_start
+from vstestbed.sim.scene.start_pose import camera_start, flange_for, target_start
 from vstestbed.sim.scene.world import World
 from vstestbed.sim.timing import Timing
 from vstestbed.targets import TARGETS, Target
@@ -54,6 +54,8 @@ START_STREAM, NOISE_STREAM, IMAGE_STREAM, SENSOR_STREAM, TIMING_STREAM, DEPTH_ST
 of depths, and the target's random walk. Their numbers enter the seed: a new stream comes last, or all recorded runs change."""
 TRIES = 1000
 """Largest number of random starts drawn until the target is in view."""
+DISPLACEMENT_STEPS = 12
+"""Parts of the way from the goal view to a displaced start: of a half turn 15 degrees each, within which Newton's steps keep a posture."""
 VIEW_MARGIN_PX = 10.0
 """Margin round each whole marker in the picture of a random start [px]."""
 
@@ -186,6 +188,23 @@ class Scenario:
             if seeded._in_view(robot):
                 return replace(seeded, robot=robot)
         raise ParameterError("robot.start.random", f"gave no start in {TRIES} draws that has the whole target in view; make it smaller")
+
+    def displaced(self, by: Pose, of: Literal["camera", "target"]) -> Scenario:
+        """The same experiment, begun at a displacement D from its goal view: the robot's start is found by inverse kinematics.
+
+        of: `camera`, displaced in the frame of the camera at its goal, T_camera_target = D^-1 T*; or `target`, seen displaced in
+        its own frame at the goal, T_camera_target = T* D.
+
+        Raises:
+            ParameterError: the robot does not get there, or is neither an arm nor the free camera.
+        """
+        T, q = self.goal_poses[-1], self.robot.configuration()
+        for share in np.linspace(0.0, 1.0, DISPLACEMENT_STEPS + 1):  # in small steps: the arm keeps its posture at the goal
+            xyz, rpy_deg = (tuple((share * np.array(part)).tolist()) for part in (by.xyz, by.rpy_deg))
+            D = Pose(xyz=xyz, rpy_deg=rpy_deg).T
+            seen = inverse(D) @ T if of == "camera" else T @ D
+            q = self.robot.configuration_at(flange_for(self.camera, self.target, seen), q)
+        return replace(self, robot=self.robot.started_at(q))
 
     def _in_view(self, robot: Robot) -> bool:
         """Whether the robot's start has the whole target in the picture, seen from its front."""

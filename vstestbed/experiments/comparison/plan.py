@@ -133,11 +133,13 @@ def chosen(
 ) -> Comparison:
     """The comparison that a command line requests: of scenarios, or a comparison by its file or bundled name, with the options applied.
 
+    Scenarios after a comparison's name take the place of its own.
+
     Raises:
         ScenarioError, ParameterError, PluginError: invalid input.
     """
     settings, axes = absolute_files(settings, Path.cwd()), absolute_files(axes, Path.cwd())
-    path = bundled_comparisons().get(names[0], Path(names[0])) if len(names) == 1 else None
+    path = bundled_comparisons().get(names[0], Path(names[0])) if names else None
     options: Marks = {}
     options |= {("set", dotted): "--set" for dotted in settings} | {("axes", dotted): "--vary" for dotted in axes}
     if path is None or not _is_comparison(path):
@@ -148,7 +150,8 @@ def chosen(
         _must_have_effect(read, dotted)
     own = {key: where for key, where in read.places.items() if key[:2] not in options}
     seeds = read.seeds if seeds is None else seeds
-    return changed(read, own | options, set=merged(read.set, settings), axes=read.axes | dict(axes), seeds=seeds)
+    base = tuple(names[1:]) or read.base
+    return changed(read, own | options, base=base, set=merged(read.set, settings), axes=read.axes | dict(axes), seeds=seeds)
 
 
 def _must_have_effect(read: Comparison, path: str) -> None:

@@ -9,7 +9,7 @@ import re
 import sys
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple, TypeVar, overload
 
@@ -54,6 +54,12 @@ class Variant:
     """Labels of the runs of a task: `20 deg`."""
     runs: int | None = None
     """Number of runs of a task; None without a task: the comparison's seeds."""
+    unreachable: Mapping[int, str] = field(default_factory=dict)
+    """Why the robot cannot stand where a run of a task begins, by the run's number."""
+
+
+class UnreachableError(ParameterError):
+    """A run that cannot begin: the robot cannot stand at its start."""
 
 
 @dataclass(frozen=True)
@@ -71,8 +77,14 @@ class Job:
         return f"{self.controller.folder}/{'nominal' if self.seed is None else among(self.seed, self.of)}"
 
     def scenario(self) -> Scenario:
-        """The scenario with its start and its noise drawn from the seed."""
+        """The scenario with its start and its noise drawn from the seed.
+
+        Raises:
+            UnreachableError: the robot cannot stand there. ParameterError: no start can be drawn.
+        """
         found = self.controller
+        if self.seed in found.unreachable:
+            raise UnreachableError("start", found.unreachable[self.seed])
         if found.starts is not None and self.seed is not None:
             return replace(found.starts[self.seed], seed=self.seed)
         return found.scenario if self.seed is None or not found.draws else seeded(found.scenario, self.seed)
@@ -200,11 +212,27 @@ def _controller(
         return Variant(scenario, values, folder, _seeds_draw(scenario, c.seeds or 1))
     task = c.tasks[task_name]
     settings = merged(settings, _settings(c, task.set, ("tasks", task_name, "set")))
+    if task.displacements:
+        return _displaced(_load(c, name, settings), task, values, folder)
     if not task.each:
         scenario = _load(c, name, settings)
         return Variant(scenario, values, folder, _seeds_draw(scenario, task.runs), None, task.labels(), task.runs)
     starts = tuple(_load(c, name, merged(settings, one)) for one in _starts(c, task_name, task))
     return Variant(starts[0], values, folder, _draws(starts[0]), starts, task.labels(), task.runs)
+
+
+def _displaced(scenario: Scenario, task: StartTable, values: Mapping[str, object], folder: str) -> Variant:
+    """A task whose starts are displacements; those that the robot cannot reach are told as their runs' outcome."""
+    starts, unreachable = [], dict[int, str]()
+    for i, by in enumerate(task.displacements):
+        try:
+            starts.append(scenario.displaced(by, "camera" if task.camera_from_goal else "target"))
+        except ParameterError as error:
+            starts.append(scenario)
+            unreachable[i] = error.problem
+    if len(unreachable) == len(starts):
+        raise ParameterError(f"{scenario.name}: robot.start", f"is at no start of this task: {unreachable[0]}")
+    return Variant(scenario, values, folder, _draws(scenario), tuple(starts), task.labels(), task.runs, unreachable)
 
 
 def _starts(c: Comparison, name: str, task: StartTable) -> Iterator[dict[str, Placed]]:

@@ -91,10 +91,10 @@ def _files(folder: Path) -> Files:
     return {p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.is_file()} if folder.is_dir() else {}
 
 
-def crashed(text: str, reason: str, trace: str = "", rest: Files | None = None) -> Files:
-    """The folder of a crashed run: scenario, summary, traceback, and `rest`, the files that it has left."""
+def crashed(text: str, reason: str, trace: str = "", rest: Files | None = None, outcome: Outcome = Outcome.crashed) -> Files:
+    """The folder of a crashed run, or of one that could not begin: scenario, summary, traceback, and `rest`, the files that it has left."""
     scenario = parse(text, "scenario.yaml")
-    summary = {"scenario": scenario.name, "outcome": Outcome.crashed.name, "success": False, "reason": reason, "seed": scenario.seed}
+    summary = {"scenario": scenario.name, "outcome": outcome.name, "success": False, "reason": reason, "seed": scenario.seed}
     own = {"scenario.yaml": text.encode(), "summary.json": (json.dumps(summary, indent=1) + "\n").encode()}
     return (rest or {}) | own | ({"error.txt": trace.encode()} if trace else {})
 

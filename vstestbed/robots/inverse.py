@@ -1,0 +1,56 @@
+"""Inverse kinematics of an arm by Newton steps: the joint positions that put its flange somewhere, near those that it has."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array, inverse, log, rigid_error
+from vstestbed.robots.resolved_rate import resolved_rate
+
+MOST_STEPS = 200
+LARGEST_STEP = 0.3
+"""Largest change of a joint in one step [rad, m]: within it the Jacobian is a fair guess."""
+NEAR_M, NEAR_RAD = 1e-7, 1e-7
+"""Distance from the wanted pose at which the joints count as found: a ten-thousandth of what a camera can tell."""
+
+
+def joints_at(
+    kinematics: Callable[[Array], tuple[Array, Array]],
+    T_world_flange: Array,
+    near: Array,
+    limits: Array,
+    unit_m: float,
+    inward: Callable[[Array], Array] = np.zeros_like,
+) -> Array:
+    """Joint positions (n,) [rad, m] of a flange pose (4, 4).
+
+    q <- clip(q + J^+ log(T(q)^-1 T) + N inward(q)), with the damped inverse J^+ of `resolved_rate` and N the null space of J for
+    more than six joints.
+
+    Args:
+        kinematics: T_world_flange (4, 4) and the flange's Jacobian (6, n) of joints (n,). T_world_flange: the pose that is wanted.
+        near: joints to begin at: of several postures the one that Newton's steps reach from there is found.
+        limits: lowest and highest position of each joint (n, 2). unit_m: length that makes metres and radians comparable [m].
+        inward: motion of the joints (n,) away from their limits, in the null space of a seventh joint.
+
+    Raises:
+        ParameterError: the arm does not get there; with how near it comes.
+
+    Reference: Siciliano, Sciavicco, Villani & Oriolo 2009, Robotics, section 3.7, doi:10.1007/978-1-84628-642-1.
+    """
+    q = np.clip(near, *limits.T)
+    for _ in range(MOST_STEPS):
+        T, J = kinematics(q)
+        away_m, away_rad = rigid_error(T, T_world_flange)
+        if away_m < NEAR_M and away_rad < NEAR_RAD:
+            return q
+        step = resolved_rate(J, log(inverse(T) @ T_world_flange), unit_m)
+        if len(q) > 6:
+            free = inward(q)
+            step = step + free - resolved_rate(J, J @ free, unit_m)
+        q = np.clip(q + step * min(1.0, LARGEST_STEP / max(float(np.abs(step).max()), 1e-12)), *limits.T)
+    words = f"is out of its reach: it stays {1000 * away_m:.0f} mm and {np.degrees(away_rad):.1f} deg away"
+    raise ParameterError("robot.start", words)
