@@ -20,6 +20,7 @@ from vstestbed.cli.compare import comparing
 from vstestbed.cli.convergence import convergences
 from vstestbed.cli.delay import delays
 from vstestbed.cli.ending import GOAL_REACHED, INTERRUPTED, NOT_REACHED, STOPS, exit_code
+from vstestbed.cli.export import exports
 from vstestbed.cli.live import lives
 from vstestbed.cli.tools import Json, Plugins, load_scenario, tools
 from vstestbed.core.errors import ParameterError, RunFolderError
@@ -214,6 +215,7 @@ def report(
         typer.echo(str(page), err=True)
 
 
+app.add_typer(exports)
 app.add_typer(comparing)
 app.add_typer(basins)
 app.add_typer(delays)

@@ -190,10 +190,7 @@ class Controller:
         return wanted, allocation
 
     def _mount_at(self, q: Array) -> Mount:
-        """The camera's mount; eye to hand, the camera's pose relative to the flange at the joints q."""
-        if not self.scenario.target.on_gripper:
-            return self.mount
-        return Mount.facing(inverse(self.scenario.robot.flange_pose(q)) @ self.mount.T_flange_camera)
+        return mount_at(self.scenario, self.mount, q)
 
     def _own_motion(self, last: Exposure, shot: Exposure, now: Arrival, twist: Array) -> OwnMotion:
         """The camera's motion since the last picture, and since this one's exposure, by the robot's own sensors."""
@@ -276,3 +273,10 @@ class Controller:
     def failure(self) -> str:
         """What the law did wrong, in words; "" while it works."""
         return self.guarded.failure
+
+
+def mount_at(scenario: Scenario, mount: Mount, q: Array) -> Mount:
+    """The camera's mount; eye to hand, the camera's pose relative to the flange at the joints q (n,)."""
+    if not scenario.target.on_gripper:
+        return mount
+    return Mount.facing(inverse(scenario.robot.flange_pose(q)) @ mount.T_flange_camera)

@@ -7,6 +7,7 @@ Its motion is u = (vx, vy, wz) of that frame in its own axes, shape (..., 3), [m
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -130,6 +131,12 @@ class VehicleLog(RobotLog):
         slip = (0.0, 0.0) if self._before is None else _slip(self._before, state)
         self._before = state
         return np.concatenate([place_of(state.T_world_base), state.place, dead_reckoning, slip, super().row(state)])
+
+    def proprioception(self, log: Mapping[str, Array]) -> dict[str, Array]:
+        """Dead reckoning from the start: the inverse of what `row` does with it."""
+        x, y, heading = (log[f"odo_{name}"] - at for name, at in zip(("x", "y", "heading"), self._start, strict=True))
+        c, s = self._turn
+        return {"odo_x": c * x + s * y, "odo_y": c * y - s * x, "odo_heading": heading}
 
 
 def _slip(before: RobotState, now: RobotState) -> tuple[float, float]:

@@ -133,12 +133,12 @@ class Replay:
     @property
     def body_names(self) -> list[str]:
         """Names of all bodies, by number."""
-        return [self._stage.model.body(i).name for i in range(self._stage.model.nbody)]
+        return self._stage.body_names
 
     def body_poses(self, t: float, T_world_target: Array, q: Array, T_world_camera: Array) -> tuple[Array, Array]:
         """Positions (B, 3) [m] and quaternions (B, 4), wxyz, of all bodies in a state; valid until the next call."""
         self._stage.place(t, T_world_target, q, T_world_camera)
-        return self._stage.data.xpos, self._stage.data.xquat
+        return self._stage.body_poses
 
     def outside_view(self, t: float, T_world_goal: Array | None) -> tuple[Array, Array, float]:
         """A view from outside of the last placed state that shows robot, target and goal.

@@ -172,11 +172,22 @@ def report_again(folder: Path, plugins: Sequence[str] = ()) -> Path:
     Raises:
         RunFolderError: no run is finished, or a file of one is damaged. ScenarioError, PluginError: see `read_plan`.
     """
-    comparison = read_plan(folder, plugins)
-    # A damaged run is named, and not left out as if it were still to come.
-    table = table_of(folder, jobs(controllers(comparison, force=True), comparison.seeds), damaged=False)
-    if table.is_empty():
-        raise RunFolderError(folder, "has no finished run", f"`vstestbed compare --resume --out {folder}` does what is missing")
+    comparison, table, _ = stored(folder, plugins)
     write_table(folder, table)
     finish(folder, comparison, table, lambda words: None)
     return folder / "report.html"
+
+
+def stored(folder: Path, plugins: Sequence[str] = ()) -> tuple[Comparison, polars.DataFrame, int]:
+    """The comparison of a folder, the table of its finished runs, and how many there are to be; plugins: see `report_again`.
+
+    Raises:
+        RunFolderError: no run is finished, or a file of one is damaged. ScenarioError, PluginError: see `read_plan`.
+    """
+    comparison = read_plan(folder, plugins)
+    every = jobs(controllers(comparison, force=True), comparison.seeds)
+    # A damaged run is named, and not left out as if it were still to come.
+    table = table_of(folder, every, damaged=False)
+    if table.is_empty():
+        raise RunFolderError(folder, "has no finished run", f"`vstestbed compare --resume --out {folder}` does what is missing")
+    return comparison, table, len(every)

@@ -80,6 +80,7 @@ class VideoWriter:
     Args:
         path: the film's file, ending in `.mp4`; an older file of that name is replaced on `close`.
         rate_hz: frame rate [Hz].
+        key_every: every how many frames one can be decoded without those before it; None: where the encoder likes.
 
     Raises:
         ParameterError: rate_hz is not a positive number, or a frame is not (H, W, 3) uint8 of the first one's size.
@@ -87,17 +88,23 @@ class VideoWriter:
         OutputError: the folder cannot be written.
     """
 
-    def __init__(self, path: Path, rate_hz: float):
+    def __init__(self, path: Path, rate_hz: float, key_every: int | None = None):
         if not (math.isfinite(rate_hz) and rate_hz > 0):
             raise ParameterError("rate_hz", "must be > 0", rate_hz)
         self.path = Path(path)
         self.rate = _fraction(rate_hz)
         self.frames = 0
+        self._options = ENCODER if key_every is None else ENCODER | {"g": str(key_every)}
         self._done = self._aborted = False
         self._shape: tuple[int, ...] = ()
         self._sink: _Sink | None = None
         self._container: OutputContainer | None = None
         self._stream: VideoStream | None = None
+
+    @property
+    def bytes(self) -> int:
+        """Size of the unfinished film so far [bytes]; 0 of one that is finished, or has not begun."""
+        return 0 if self._sink is None else self._sink.tell()
 
     def write(self, image: Image) -> None:
         """Append one frame, shape (H, W, 3), uint8, RGB."""
@@ -157,7 +164,7 @@ class VideoWriter:
 
         self._sink = sink = _Sink(self.path)  # the encoder gets the open file, and not its name, which may lead elsewhere by then
         self._container = av.open(sink, "w", format="mp4", options={"movflags": "+faststart"}, io_open=sink.reopened)
-        stream = self._container.add_stream("libx264", rate=self.rate, options=ENCODER)
+        stream = self._container.add_stream("libx264", rate=self.rate, options=self._options)
         stream.height, stream.width = shape[0] + shape[0] % 2, shape[1] + shape[1] % 2
         stream.pix_fmt = "yuv420p"
         stream.thread_count = 1

@@ -147,6 +147,16 @@ class Stage:
         hits = [mujoco.mj_ray(self.model, self.data, origin, np.ascontiguousarray(d), groups, 1, -1, geom) for d in rays]
         return np.array([0 <= hit < r - slack for hit, r in zip(hits, reach, strict=True)])
 
+    @property
+    def body_names(self) -> list[str]:
+        """Names of all bodies, by number."""
+        return [self.model.body(i).name for i in range(self.model.nbody)]
+
+    @property
+    def body_poses(self) -> tuple[Array, Array]:
+        """Positions (B, 3) [m] and quaternions (B, 4), wxyz, of all bodies in the state; valid until the next one."""
+        return self.data.xpos, self.data.xquat
+
     def start_qpos(self) -> Array:
         """MuJoCo's whole state of positions (nq,) at the nominal start."""
         q, T = self.parts.start
