@@ -44,9 +44,14 @@ if TYPE_CHECKING:
     from vstestbed.scenario.load import load
     from vstestbed.scenario.scenario import Scenario
     from vstestbed.targets import TARGETS, Target
+    from vstestbed.targets.attached import MOTIONS
+    from vstestbed.targets.motion import MotionBase
     from vstestbed.tasks import GOALS, Task, TaskBase
     from vstestbed.tasks.frame import Cycle, Frame
+    from vstestbed.tasks.metrics import METRICS
+    from vstestbed.tasks.monitors import MONITORS
     from vstestbed.vision import DETECTORS, Detection, Detector
+    from vstestbed.vision.perturb import PERTURBATIONS, PerturbationBase
 
 _HOMES = {
     "vstestbed.camera": ("CAMERAS", "Camera"),
@@ -66,9 +71,14 @@ _HOMES = {
     "vstestbed.scenario.load": ("load",),
     "vstestbed.scenario.scenario": ("Scenario",),
     "vstestbed.targets": ("TARGETS", "Target"),
+    "vstestbed.targets.attached": ("MOTIONS",),
+    "vstestbed.targets.motion": ("MotionBase",),
     "vstestbed.tasks": ("GOALS", "Task", "TaskBase"),
     "vstestbed.tasks.frame": ("Cycle", "Frame"),
+    "vstestbed.tasks.metrics": ("METRICS",),
+    "vstestbed.tasks.monitors": ("MONITORS",),
     "vstestbed.vision": ("DETECTORS", "Detection", "Detector"),
+    "vstestbed.vision.perturb": ("PERTURBATIONS", "PerturbationBase"),
 }
 _MODULES = {"errors": "vstestbed.core.errors", "features": "vstestbed.features", "testing": "vstestbed.testing"}
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
@@ -79,6 +89,10 @@ __all__ = [
     "FEATURES",
     "GOALS",
     "LAWS",
+    "METRICS",
+    "MONITORS",
+    "MOTIONS",
+    "PERTURBATIONS",
     "ROBOTS",
     "TARGETS",
     "Allocation",
@@ -94,9 +108,11 @@ __all__ = [
     "Goal",
     "Law",
     "LawBase",
+    "MotionBase",
     "Mount",
     "Observation",
     "Outcome",
+    "PerturbationBase",
     "Reading",
     "Recording",
     "Robot",
