@@ -59,10 +59,15 @@ if TYPE_CHECKING:
     from vstestbed.sim.scene.world import World
     from vstestbed.sim.timing import Timing
     from vstestbed.targets import TARGETS, Target
+    from vstestbed.targets.attached import MOTIONS
+    from vstestbed.targets.motion import MotionBase
     from vstestbed.tasks import GOALS, Task, TaskBase
     from vstestbed.tasks.frame import Cycle, Frame
+    from vstestbed.tasks.metrics import METRICS
+    from vstestbed.tasks.monitors import MONITORS
     from vstestbed.tasks.stop import Stop
     from vstestbed.vision import DETECTORS, Detection, Detector
+    from vstestbed.vision.perturb import PERTURBATIONS, PerturbationBase
 
 _HOMES = {
     "vstestbed.camera": ("CAMERAS", "Calibration", "Camera"),
@@ -87,10 +92,15 @@ _HOMES = {
     "vstestbed.sim.scene.world": ("World",),
     "vstestbed.sim.timing": ("Timing",),
     "vstestbed.targets": ("TARGETS", "Target"),
+    "vstestbed.targets.attached": ("MOTIONS",),
+    "vstestbed.targets.motion": ("MotionBase",),
     "vstestbed.tasks": ("GOALS", "Task", "TaskBase"),
     "vstestbed.tasks.frame": ("Cycle", "Frame"),
     "vstestbed.tasks.stop": ("Stop",),
+    "vstestbed.tasks.metrics": ("METRICS",),
+    "vstestbed.tasks.monitors": ("MONITORS",),
     "vstestbed.vision": ("DETECTORS", "Detection", "Detector"),
+    "vstestbed.vision.perturb": ("PERTURBATIONS", "PerturbationBase"),
 }
 _ROOMS = ("camera", "features", "laws", "robots", "targets", "tasks", "testing", "vision")
 _MODULES = {"errors": "vstestbed.core.errors"} | {room: f"vstestbed.{room}" for room in _ROOMS}
@@ -102,6 +112,10 @@ __all__ = [
     "FEATURES",
     "GOALS",
     "LAWS",
+    "METRICS",
+    "MONITORS",
+    "MOTIONS",
+    "PERTURBATIONS",
     "ROBOTS",
     "TARGETS",
     "Allocation",
@@ -120,10 +134,12 @@ __all__ = [
     "GroundPose",
     "Law",
     "LawBase",
+    "MotionBase",
     "Mount",
     "Noise",
     "Observation",
     "Outcome",
+    "PerturbationBase",
     "Pose",
     "Reading",
     "Recording",

@@ -32,6 +32,12 @@ class Room(str, Enum):
     features = "features"
     laws = "laws"
     detectors = "detectors"
+    markers = "markers"
+    motions = "motions"
+    goals = "goals"
+    metrics = "metrics"
+    monitors = "monitors"
+    perturbations = "perturbations"
 
 
 Plugins = Annotated[list[str] | None, typer.Option("--plugin", metavar="FILE.py|MODULE", help="Load a plugin, which adds kinds.")]

@@ -156,14 +156,14 @@ class OneOf:
             name = getattr(member, "__name__", repr(member))
             raise ParameterError(name, f"is not a spec; a {self.what} is a class with @spec directly above it, below any `add`")
         kind = kind_of(member)
-        if kind in self.members and self.members[kind] is not member:
+        if kind in self.members and self.members[kind] is not member and not _same_cell(self.members[kind], member):
             home = self.members[kind].__module__
             place = home if home.startswith("vstestbed.") else getattr(sys.modules.get(home), "__file__", home)
             taken = f"{kind!r} is already a {self.what} ({place})"
             raise ParameterError("kind", f"{taken}; give {member.__name__} a `kind` of its own")
         if self.contract is not None:
             self.contract.check(member)
-        new = kind not in self.members
+        new = self.members.get(kind) is not member
         self.members[kind] = member
         return new
 
@@ -229,6 +229,11 @@ class OneOf:
             block = handler.resolve_ref_schema(blocks[list(self.members).index(kind)])
             choices.append({key: value for key, value in block["properties"][field].items() if key not in ("default", "title")})
         return {"anyOf": choices}
+
+
+def _same_cell(before: type, after: type) -> bool:
+    """Whether two classes are one that was defined again by hand: a notebook's cell, run once more after a change."""
+    return before.__module__ == after.__module__ == "__main__" and before.__qualname__ == after.__qualname__
 
 
 def _needed_fields(cls: type) -> list[str]:

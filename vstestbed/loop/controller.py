@@ -30,6 +30,7 @@ NONE_SEEN, FEW_SEEN, NO_PICTURE = "no marker was in sight", "too few markers wer
 
 
 def _observer(scenario: Scenario) -> Observer:
+    perturbed = scenario.perturbed()
     return Observer(
         camera=scenario.believed_camera,
         target=scenario.target,
@@ -42,6 +43,7 @@ def _observer(scenario: Scenario) -> Observer:
         derotation=scenario.derotation,
         trim_s=scenario.level_trim_s,
         depth_scale=scenario.depth_scale,
+        perturbed=perturbed if perturbed and perturbed.on_pixels else None,
     )
 
 

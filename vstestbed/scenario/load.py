@@ -167,9 +167,8 @@ def seeded(scenario: Scenario, seed: int) -> Scenario:
     Raises:
         ParameterError: nothing is random, or no start was found with the target in view.
     """
-    noise = scenario.noise
     # A fixed start with noise is a fair experiment for many seeds; without noise either, every seed would give the same run.
-    if scenario.robot.start.random is None and (noise.image_sigma > 0 or noise.pixel_sigma_px > 0):
+    if scenario.robot.start.random is None and scenario.noise.draws():
         return dataclasses.replace(scenario, seed=seed)
     return scenario.randomised(seed)
 

@@ -25,8 +25,11 @@ from vstestbed.sim.scene.world import World
 from vstestbed.sim.timing import Timing
 from vstestbed.targets import TARGETS, Target
 from vstestbed.tasks import GOALS, Setup, Task
+from vstestbed.tasks.metrics import METRICS, MetricContract, check_metrics
+from vstestbed.tasks.monitors import MONITORS, MonitorContract
 from vstestbed.tasks.stop import Stop
 from vstestbed.vision import DETECTORS, Blobs, Detector
+from vstestbed.vision.perturb import PERTURBATIONS, Perturbation, Perturbed
 from vstestbed.vision.pose.derotate import Derotation
 
 
@@ -41,17 +44,29 @@ class Noise:
         pixel_sigma_px: standard deviation of Gaussian noise added to each measured coordinate, for every detector [px].
         dropout: probability that a detected marker is not reported, for every detector.
         drift: of the picture's brightness and colour.
+        perturb: further kinds, of the finished picture or of measured coordinates, in this order (`vision.perturb`).
     """
 
     image_sigma: Annotated[Sigma, Narrower(le=255)] = 0.0
     pixel_sigma_px: Pixels = 0.0
     dropout: Annotated[float, Ge(0), Lt(1)] = 0.0
     drift: Drift = Drift()
+    perturb: tuple[Annotated[Perturbation, PERTURBATIONS], ...] = ()
+
+    @property
+    def on_pictures(self) -> bool:
+        """Whether a perturbation changes pictures."""
+        return any("picture" in kind.changes for kind in self.perturb)
+
+    def draws(self, pictures: bool = True) -> bool:
+        """Whether a seed makes a difference; pictures: the detector works on them."""
+        on_pixels = self.pixel_sigma_px > 0 or any("pixels" in kind.changes for kind in self.perturb)
+        return on_pixels or (pictures and (self.image_sigma > 0 or self.on_pictures))
 
 
-START_STREAM, NOISE_STREAM, IMAGE_STREAM, SENSOR_STREAM, TIMING_STREAM, DEPTH_STREAM, MOTION_STREAM = range(7)
+START_STREAM, NOISE_STREAM, IMAGE_STREAM, SENSOR_STREAM, TIMING_STREAM, DEPTH_STREAM, MOTION_STREAM, PERTURB_STREAM = range(8)
 """Independent random streams of one seed: the start, the noise of measured pixels, of pictures, of the robot's own sensors, of timing,
-of depths, and the target's random walk. Their numbers enter the seed: a new stream comes last, or all recorded runs change."""
+of depths, the target's random walk, perturbations. Their numbers enter the seed: a new one comes last, or all recorded runs change."""
 TRIES = 1000
 """Largest number of random starts drawn until the target is in view."""
 DISPLACEMENT_STEPS = 12
@@ -65,6 +80,7 @@ class Scenario:
     """One experiment: robot, camera, target, detector, law, goal, nuisances, end. `name` is its file's name by default.
 
     `plugins`: files or modules that add kinds, loaded before the rest is checked (`scenario.plugins`).
+    `metrics`, `monitors`: figures of the summary and rules of when a run ends, besides those of every run.
     `derotation`: how image features of a tilted craft are rotated into its level frame; `level_trim_s`: time constant with which the
     picture corrects the IMU's roll and pitch for it [s] (0: not at all; `vision.pose.derotate.trimmed`).
 
@@ -85,6 +101,8 @@ class Scenario:
     level_trim_s: Time = 0.0
     stop: Stop = Stop()
     noise: Noise = Noise()
+    metrics: tuple[Annotated[MetricContract, METRICS], ...] = ()
+    monitors: tuple[Annotated[MonitorContract, MONITORS], ...] = ()
     calibration: Calibration = Calibration()
     timing: Timing = Timing()
     world: World = World()
@@ -106,6 +124,7 @@ class Scenario:
         if self.stop.duration_s < self.camera.period:
             raise ParameterError("stop.duration_s", f"must be at least one camera period, {self.camera.period:g} s", self.stop.duration_s)
         check_markers(self.robot, self.camera, self.target, self.detector, self.law, self.goal.needs_pose)
+        check_metrics(self.metrics)
         self.goal.check_views(self.setup, self.goal_views)
         self.law.check(self.target.points, self.goal_view)
         for goal in self.goal_views:
@@ -168,6 +187,10 @@ class Scenario:
     def T_world_goal(self) -> Array:
         """The camera's goal pose in the world (4, 4), for the target at its start."""
         return target_start(self.robot, self.target) @ inverse(self.goal_poses[-1])
+
+    def perturbed(self) -> Perturbed | None:
+        """The perturbations of a run, with what is drawn for it; None where there are none."""
+        return Perturbed(self.noise.perturb, self.rng(PERTURB_STREAM)) if self.noise.perturb else None
 
     def rng(self, stream: int) -> np.random.Generator:
         """The generator of one of the independent streams (START_STREAM, ...)."""

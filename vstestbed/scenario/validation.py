@@ -24,7 +24,10 @@ from vstestbed.targets.attached import MOTIONS
 from vstestbed.targets.markers import MARKERS
 from vstestbed.targets.route import ROUTES
 from vstestbed.tasks import GOALS, VIEWS
+from vstestbed.tasks.metrics import METRICS
+from vstestbed.tasks.monitors import MONITORS
 from vstestbed.vision import DETECTORS
+from vstestbed.vision.perturb import PERTURBATIONS
 
 T = TypeVar("T")
 KINDS: dict[str, OneOf] = {
@@ -42,6 +45,9 @@ KINDS: dict[str, OneOf] = {
     "goals": GOALS,
     "views": VIEWS,
     "routes": ROUTES,
+    "metrics": METRICS,
+    "monitors": MONITORS,
+    "perturbations": PERTURBATIONS,
 }
 """Every list of kinds; a plugin may add to each."""
 

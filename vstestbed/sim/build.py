@@ -14,6 +14,7 @@ from vstestbed.sim.clock import Clock
 from vstestbed.sim.render.noise import NO_DRIFT, Drift, ImageNoise
 from vstestbed.sim.scene.world import World
 from vstestbed.targets.base import Target
+from vstestbed.vision.perturb import Perturbed
 
 
 def build_plant(
@@ -30,6 +31,7 @@ def build_plant(
     sensor_rng: np.random.Generator | None = None,
     motion_rng: np.random.Generator | None = None,
     drift: Drift = NO_DRIFT,
+    perturbed: Perturbed | None = None,
     order_s: float = math.inf,
     plate_m: float = 0.0,
 ) -> tuple[Plant, str]:
@@ -41,7 +43,8 @@ def build_plant(
         needs_image, needs_truth: whether the detector works on pictures, on truth.
         image_sigma, rng: noise of the pictures [grey levels] and its generator.
         sensor_rng: generator of the robot's sensor noise. motion_rng: generator of a target's random walk.
-        drift: of the camera's gains. order_s: how long a command lasts before the robot stops [s].
+        drift: of the camera's gains. perturbed: further changes of the pictures; None for none.
+        order_s: how long a command lasts before the robot stops [s].
         plate_m: edge of a plate in reserve, for `Plant.hold_plate`; 0 for none [m].
 
     Raises:
@@ -66,7 +69,7 @@ def build_plant(
     eye, renderer = None, "none"
     if needs_image:
         drawn_by = servo_renderer(stage, camera, image_sigma > 0)
-        eye, renderer = ImageSensor(stage, drawn_by, ImageNoise(image_sigma, rng), drift), drawn_by.name
+        eye, renderer = ImageSensor(stage, drawn_by, ImageNoise(image_sigma, rng), drift, perturbed), drawn_by.name
     if ideal:
         from vstestbed.sim.ideal import IdealPlant
 

@@ -16,11 +16,11 @@ from vstestbed.core.named_files import is_there
 from vstestbed.core.quantity import Narrower, Seed
 from vstestbed.core.spec import spec
 from vstestbed.experiments.comparison.starts import StartTable
-from vstestbed.loop.metrics import FIGURES
 from vstestbed.scenario.load import text_of
 from vstestbed.scenario.plugins import absolute_files, load_named, load_plugins
 from vstestbed.scenario.validation import build
 from vstestbed.scenario.yaml_marks import Key, Marks, place_of, plain_mapping
+from vstestbed.tasks.metrics import FIGURES, own_titles
 
 T = TypeVar("T")
 TASK, AMOUNT = "task", "amount"
@@ -43,7 +43,7 @@ class Comparison:
         tasks: start tables by name, in place of seeds.
         seeds: number of seeds; seed i draws the start, the noise and the delays of run i, the same for every controller.
             None: the nominal start, once.
-        metrics: names of `summary.json` that the report shows; none: those of `report`.
+        metrics: names of `summary.json` that the report shows; none: those of `report`, and the scenarios' own.
     """
 
     description: str = ""
@@ -65,13 +65,13 @@ class Comparison:
             raise ParameterError("base", "must name each scenario once, and no two of one file name", list(self.base))
         self._check_axes()
         for name, cases in self.cases.items():
-            if name in (*self.axes, *OWN_COLUMNS) or not cases:
+            if name in (*self.axes, *OWN_COLUMNS, *own_titles()) or not cases:
                 raise ParameterError(f"cases.{name}", "must have a name of its own, and one case or more")
         if self.tasks and self.seeds is not None:
             raise ParameterError("seeds", "stand beside `tasks`, which have runs of their own; leave one of the two out", self.seeds)
         for name in self.metrics:
-            if name not in FIGURES:
-                raise ParameterError("metrics", f"must be figures of summary.json: {', '.join(FIGURES)}", name)
+            if name not in (known := (*FIGURES, *own_titles())):
+                raise ParameterError("metrics", f"must be figures of summary.json: {', '.join(known)}", name)
 
     def _check_axes(self) -> None:
         for path, values in self.axes.items():

@@ -248,7 +248,7 @@ def _load(c: Comparison, name: str, settings: Mapping[str, Placed]) -> Scenario:
 
 def _draws(scenario: Scenario) -> bool:
     """Whether anything of a scenario is random: its start, pixel or image noise, delays, or the calibration of depth."""
-    noise = scenario.noise.pixel_sigma_px > 0 or (scenario.noise.image_sigma > 0 and scenario.detector.needs_image)
+    noise = scenario.noise.draws(scenario.detector.needs_image)
     return scenario.robot.start.random is not None or noise or scenario.timing.draws or scenario.calibration.depth_spread > 0
 
 
