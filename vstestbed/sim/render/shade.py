@@ -37,7 +37,7 @@ class Paint:
         self._printed = [int(g) for g in np.flatnonzero((texture >= 0) & flat)]
         self._texture = texture
         for g in np.flatnonzero((texture >= 0) & ~flat):
-            rgb[g] *= texels_of(model, int(texture[g])).mean(axis=(0, 1))
+            rgb[g] *= texels_of(model, int(texture[g])).mean(axis=(0, 1)) / 255
         self._rgb = np.vstack([rgb, [0, 0, 0]]).astype(np.float32)  # the last row: no hit, geom -1
         self._glow = np.append(emission, 0).astype(np.float32)
         self._sky = _sky(model)
@@ -87,21 +87,23 @@ class Paint:
     def _print(self, geom: int, points: Array, pixel: Array) -> NDArray[np.float32]:
         """The texture of a geom at points (N, 3) [m] in the world: (N, 3), 1 for full brightness. pixel: size of one there (N,) [m].
 
-        One texture covers 2 m, or with texuniform=false the geom, divided by texrepeat; the geom's origin is its middle, y is up.
+        One texture covers 2 m about the geom's origin, or with texuniform=false the geom from its upper left corner on, y up; it is
+        divided by texrepeat.
         """
         model, data = self._model, self._data
         local = (points - data.geom_xpos[geom]) @ data.geom_xmat[geom].reshape(3, 3)[:, :2]
         material, mipmap = model.geom_matid[geom], self._mipmaps[self._texture[geom]]
-        half = 1.0 if model.mat_texuniform[material] else np.maximum(model.geom_size[geom, :2], 1e-9)
+        uniform = model.mat_texuniform[material]
+        half = 1.0 if uniform else np.maximum(model.geom_size[geom, :2], 1e-9)
         repeats = model.mat_texrepeat[material] / (2 * half)
-        place = local * repeats * [1, -1] + 0.5
+        place = local * repeats * [1, -1] + (0.5 if uniform else half * repeats)
         return mipmap.at(place - np.floor(place), pixel * float((repeats * mipmap.size).max()))
 
 
 def _sky(model: mujoco.MjModel) -> tuple[Array, NDArray[np.float32]]:
     """A sky that depends on the elevation alone: sines (M,) of elevations, rising, and colours (M, 3) there; black without a skybox."""
     for texture in np.flatnonzero(model.tex_type == SKYBOX):
-        faces = texels_of(model, int(texture))
+        faces = texels_of(model, int(texture)).astype(np.float32) / np.float32(255)
         side = faces.shape[1]
         if len(faces) != 6 * side:  # right, left, up, down, front, back
             continue

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import cv2
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
@@ -11,19 +10,16 @@ from vstestbed.core.geometry import Array
 
 
 class Mipmap:
-    """A texture (H, W, C) and its copies of half the size, a quarter, ... down to one texel, one after another in one table.
+    """A texture (H, W, 3) uint8 and its copies of half the size, a quarter, ... down to one texel, one after another in one table.
 
-    Args:
-        texels: 1 for full brightness. The texture repeats itself beyond its edges.
+    It repeats itself beyond its edges.
     """
 
-    def __init__(self, texels: NDArray[np.float32]):
+    def __init__(self, texels: NDArray[np.uint8]):
         levels = [texels]
         while max(levels[-1].shape[:2]) > 1:
-            height, width = levels[-1].shape[:2]
-            smaller = cv2.resize(levels[-1], (max(1, width // 2), max(1, height // 2)), interpolation=cv2.INTER_AREA)
-            levels.append(np.asarray(smaller, np.float32))
-        self._table = np.concatenate([level.reshape(-1, texels.shape[2]) for level in levels])
+            levels.append(_halved(levels[-1]))
+        self._table = np.concatenate([level.reshape(-1, 3) for level in levels])
         self._height, self._width = (np.array([level.shape[axis] for level in levels]) for axis in (0, 1))
         self._start = np.concatenate([[0], np.cumsum(self._height * self._width)[:-1]])
 
@@ -33,7 +29,7 @@ class Mipmap:
         return int(self._width[0]), int(self._height[0])
 
     def at(self, place: Array, texels: Array) -> NDArray[np.float32]:
-        """Colours (N, C) at places (N, 2), as shares of the width from the left and of the height from the top.
+        """Colours (N, 3), 1 for full brightness, at places (N, 2), as shares of the width from the left and of the height from the top.
 
         texels: across a pixel there, (N,). Linear between the centres of texels, and between the two levels whose texels are next to
         a pixel's size (trilinear); the first level where a texel is larger than a pixel.
@@ -54,17 +50,31 @@ class Mipmap:
         """Linear interpolation between the four texels round places (N, 2), each at its level (N,)."""
         width, height, start = self._width[level], self._height[level], self._start[level]
         u, v = place[:, 0] * width - 0.5, place[:, 1] * height - 0.5
-        left, top = np.floor(u), np.floor(v)
-        across, down = ((x - low).astype(np.float32)[:, None] for x, low in ((u, left), (v, top)))
-        columns = [left.astype(int) % width, (left.astype(int) + 1) % width]
-        rows = [start + top.astype(int) % height * width, start + (top.astype(int) + 1) % height * width]
-        upper, lower = ((1 - across) * self._table[row + columns[0]] + across * self._table[row + columns[1]] for row in rows)
-        return (1 - down) * upper + down * lower
+        left, top = np.floor(u).astype(int), np.floor(v).astype(int)
+        across, down = (u - left).astype(np.float32)[:, None], (v - top).astype(np.float32)[:, None]
+        columns = left % width, (left + 1) % width
+        rows = start + top % height * width, start + (top + 1) % height * width
+        table = self._table
+        upper, lower = ((1 - across) * table[row + columns[0]] + across * table[row + columns[1]] for row in rows)
+        return np.asarray(((1 - down) * upper + down * lower) / 255, np.float32)
 
 
-def texels_of(model: mujoco.MjModel, texture: int) -> NDArray[np.float32]:
-    """A texture's pixels (H, W, 3), 1 for full brightness."""
+def _halved(texels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Half of the rows and columns: means of two by two texels; of an odd number, interpolated so that nothing is shifted."""
+    half = texels.astype(np.float32)
+    for axis in (0, 1):
+        n = half.shape[axis]
+        if n > 1:
+            at = (np.arange(n // 2) + 0.5) * n / (n // 2) - 0.5
+            low = at.astype(int)
+            share = (at - low).astype(np.float32).reshape((-1, 1, 1) if axis == 0 else (1, -1, 1))
+            half = (1 - share) * half.take(low, axis) + share * half.take(low + 1, axis)
+    return (half + 0.5).astype(np.uint8)
+
+
+def texels_of(model: mujoco.MjModel, texture: int) -> NDArray[np.uint8]:
+    """A texture's pixels (H, W, 3)."""
     height, width, channels = model.tex_height[texture], model.tex_width[texture], model.tex_nchannel[texture]
     start = model.tex_adr[texture]
     pixels = model.tex_data[start : start + height * width * channels].reshape(height, width, channels)
-    return np.broadcast_to(pixels[..., :3], (height, width, 3)).astype(np.float32) / np.float32(255)
+    return np.broadcast_to(pixels[..., :3], (height, width, 3))
