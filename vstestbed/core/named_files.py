@@ -8,8 +8,8 @@ from pathlib import Path
 
 from vstestbed.core.errors import ParameterError
 
-ENDINGS = re.compile(r"\.(onnx|xml|mjcf|urdf)$|\.py:\w+$")
-"""The end of a value of a field `file`: a network, a model, a function in a Python file."""
+ENDINGS = re.compile(r"\.(onnx|xml|mjcf|urdf|png|jpe?g|stl|obj)$|\.py:\w+$", re.IGNORECASE)
+"""The end of a value of a field `file`: a network, a model, a picture, a solid, a function in a Python file."""
 PACKAGE = "package:"
 
 

@@ -7,18 +7,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vstestbed.core.geometry import Array
-from vstestbed.sim.scene.groups import TARGET_GROUP
+from vstestbed.sim.render.texture import Mipmap, texels_of
 
 RGB_ROLE = int(mujoco.mjtTextureRole.mjTEXROLE_RGB)
 SKYBOX = int(mujoco.mjtTexture.mjTEXTURE_SKYBOX)
-PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
+FLAT = [int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_BOX)]
+"""Shapes on which a texture lies flat, along x and y."""
 
 
 class Paint:
     """Colours of a scene as OpenGL's fixed pipeline makes them, without shadows, reflections and highlights.
 
     colour = min(1, rgb (emission + sum over lights of (ambient + diffuse max(0, n . l)))) texture, l towards the light.
-    A plane may have a flat texture (the floor's checker); any other textured geom has its texture's mean colour.
+    On planes and boxes a texture lies flat (the floor's checker, tags, pictures); any other textured geom has its texture's mean colour.
 
     Args:
         model, data: the scene; lights are where `data` has them.
@@ -31,26 +32,33 @@ class Paint:
         rgb = np.where(painted[:, None], model.mat_rgba[material, :3] if model.nmat else 0.0, model.geom_rgba[:, :3])
         emission = np.where(painted, model.mat_emission[material] if model.nmat else 0.0, 0.0)
         texture = np.where(painted, model.mat_texid[material, RGB_ROLE] if model.nmat else -1, -1)
-        self._texels = {i: _texels(model, i) for i in sorted(set(texture[texture >= 0].tolist()))}
-        self._planes = [int(g) for g in np.flatnonzero((texture >= 0) & (model.geom_type == PLANE))]
+        flat = np.isin(model.geom_type, FLAT)
+        self._mipmaps = {i: Mipmap(texels_of(model, i)) for i in sorted(set(texture[(texture >= 0) & flat].tolist()))}
+        self._printed = [int(g) for g in np.flatnonzero((texture >= 0) & flat)]
         self._texture = texture
-        for g in np.flatnonzero((texture >= 0) & (model.geom_type != PLANE)):
-            rgb[g] *= self._texels[texture[g]].mean(axis=(0, 1))
+        for g in np.flatnonzero((texture >= 0) & ~flat):
+            rgb[g] *= texels_of(model, int(texture[g])).mean(axis=(0, 1)) / 255
         self._rgb = np.vstack([rgb, [0, 0, 0]]).astype(np.float32)  # the last row: no hit, geom -1
         self._glow = np.append(emission, 0).astype(np.float32)
         self._sky = _sky(model)
-        self.textured_target = bool(((texture >= 0) & (model.geom_group == TARGET_GROUP)).any())
 
-    def colours(self, origin: Array, rays: Array, geom: NDArray[np.int32], distance: Array, normal: Array) -> NDArray[np.uint8]:
-        """Colours (N, 3) uint8 of what unit rays (N, 3) from `origin` (3,) hit: geoms (N,), -1 for the sky, with outward normals (N, 3)."""
+    def colours(
+        self, origin: Array, rays: Array, geom: NDArray[np.int32], distance: Array, normal: Array, apart: Array
+    ) -> NDArray[np.uint8]:
+        """Colours (N, 3) uint8 of what unit rays (N, 3) from `origin` (3,) hit: geoms (N,), -1 for the sky, with outward normals (N, 3).
+
+        apart: angle from each ray to the next (N,) [rad], by which textures are smoothed.
+        """
         light = self._light(normal)
         light += self._glow[geom]
         light *= self._rgb.T[:, geom]
         colour = np.minimum(light, 1, out=light)
-        for plane in self._planes:
-            at = np.flatnonzero(geom == plane)
+        for printed in self._printed:
+            at = np.flatnonzero(geom == printed)
             if len(at):
-                colour[:, at] *= self._plane_texture(plane, origin + rays[at] * distance[at, None]).T
+                cosine = np.maximum(np.abs(np.einsum("ni,ni->n", rays[at], normal[at])), 1e-6)
+                pixel = apart[at] * distance[at] / cosine
+                colour[:, at] *= self._print(printed, origin + rays[at] * distance[at, None], pixel).T
         sky = np.flatnonzero(geom == -1)
         if len(sky):
             elevation, tints = self._sky
@@ -76,35 +84,26 @@ class Paint:
                 channel += facing * np.float32(brightness)
         return light
 
-    def _plane_texture(self, plane: int, points: Array) -> NDArray[np.float32]:
-        """The texture of a plane at points (N, 3) [m] in the world: (N, 3), 1 for full brightness.
+    def _print(self, geom: int, points: Array, pixel: Array) -> NDArray[np.float32]:
+        """The texture of a geom at points (N, 3) [m] in the world: (N, 3), 1 for full brightness. pixel: size of one there (N,) [m].
 
-        One texture covers 2 m, or with texuniform=false the plane, divided by texrepeat; the plane's origin is its middle.
+        One texture covers 2 m about the geom's origin, or with texuniform=false the geom from its upper left corner on, y up; it is
+        divided by texrepeat.
         """
         model, data = self._model, self._data
-        local = (points - data.geom_xpos[plane]) @ data.geom_xmat[plane].reshape(3, 3)[:, :2]
-        material = model.geom_matid[plane]
-        half = 1.0 if model.mat_texuniform[material] else np.maximum(model.geom_size[plane, :2], 1e-9)
-        place = local * model.mat_texrepeat[material] / (2 * half) + 0.5
-        texels = self._texels[self._texture[plane]]
-        height, width = texels.shape[:2]
-        column = (np.mod(place[:, 0], 1) * width).astype(int) % width
-        row = (np.mod(-place[:, 1], 1) * height).astype(int) % height
-        return texels[row, column]
-
-
-def _texels(model: mujoco.MjModel, texture: int) -> NDArray[np.float32]:
-    """A texture's pixels (H, W, 3), 1 for full brightness."""
-    height, width, channels = model.tex_height[texture], model.tex_width[texture], model.tex_nchannel[texture]
-    start = model.tex_adr[texture]
-    pixels = model.tex_data[start : start + height * width * channels].reshape(height, width, channels)
-    return np.broadcast_to(pixels[..., :3], (height, width, 3)).astype(np.float32) / np.float32(255)
+        local = (points - data.geom_xpos[geom]) @ data.geom_xmat[geom].reshape(3, 3)[:, :2]
+        material, mipmap = model.geom_matid[geom], self._mipmaps[self._texture[geom]]
+        uniform = model.mat_texuniform[material]
+        half = 1.0 if uniform else np.maximum(model.geom_size[geom, :2], 1e-9)
+        repeats = model.mat_texrepeat[material] / (2 * half)
+        place = local * repeats * [1, -1] + (0.5 if uniform else half * repeats)
+        return mipmap.at(place - np.floor(place), pixel * float((repeats * mipmap.size).max()))
 
 
 def _sky(model: mujoco.MjModel) -> tuple[Array, NDArray[np.float32]]:
     """A sky that depends on the elevation alone: sines (M,) of elevations, rising, and colours (M, 3) there; black without a skybox."""
     for texture in np.flatnonzero(model.tex_type == SKYBOX):
-        faces = _texels(model, int(texture))
+        faces = texels_of(model, int(texture)).astype(np.float32) / np.float32(255)
         side = faces.shape[1]
         if len(faces) != 6 * side:  # right, left, up, down, front, back
             continue

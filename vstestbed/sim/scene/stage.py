@@ -14,6 +14,7 @@ from vstestbed.sim.scene.groups import LENS_GROUP, RANGE_GROUP
 from vstestbed.sim.scene.indices import StateIndices
 from vstestbed.sim.scene.roots import Root
 from vstestbed.sim.scene.world import decoy_path, plate_path
+from vstestbed.targets.markers import HIDDEN_M
 
 
 class Stage:
@@ -135,8 +136,7 @@ class Stage:
     def hidden(self, T_world_camera: Array, p_camera: Array) -> NDArray[np.bool_]:
         """Which marker centres (N, 3) are occluded: a ray from the lens hits something before them. Not those that do not exist (NaN)."""
         marker = self.parts.target.marker
-        # The ray hits the marker itself before its centre, by its height; 2 mm of slack for a flat one.
-        slack = marker.height_m + 0.002
+        slack = marker.height_m + HIDDEN_M  # the ray hits the marker itself before its centre, by its height
         groups = np.ones(6, dtype=np.uint8)
         groups[[LENS_GROUP, RANGE_GROUP]] = 0  # the lens lies inside the former; both are not in the picture either
         p_world = p_camera @ T_world_camera[:3, :3].T
