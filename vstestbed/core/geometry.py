@@ -39,10 +39,7 @@ class Pose:
     @model_validator(mode="before")
     @classmethod
     def _from_matrix(cls, given: Any) -> Any:
-        if not is_matrix(given):
-            return given
-        T = pose_matrix(given)
-        return {"xyz": tidy_position(T), "rpy_deg": tidy_angles(rpy_of(T[:3, :3].tolist()))}
+        return pose_block(given) if is_matrix(given) else given
 
     @cached_property
     def T(self) -> Array:
@@ -70,6 +67,12 @@ class Pose:
         """
         matrix = pose_matrix(T, "T")
         return cls(xyz=tuple(matrix[:3, 3].tolist()), rpy_deg=rpy_of(matrix[:3, :3].tolist()))
+
+
+def pose_block(value: Any) -> dict[str, Any]:
+    """The fields of the Pose of an SE3 or a matrix (4, 4), without the last digits of rounding (`pose_matrix`)."""
+    T = pose_matrix(value)
+    return {"xyz": tidy_position(T), "rpy_deg": tidy_angles(rpy_of(T[:3, :3].tolist()))}
 
 
 def all_finite(a: Array) -> bool:

@@ -22,8 +22,8 @@ RIGID, LEVEL = 1e-6, 1e-9
 
 
 def class_of(value: object) -> str:
-    """The name of the spatialmath class of a value, also of one derived from it; "" where it is of none."""
-    return next((c.__name__ for c in type(value).__mro__ if c.__module__.partition(".")[0] == "spatialmath"), "")
+    """The name of the spatialmath class of a value; "" where it is of none."""
+    return type(value).__name__ if type(value).__module__.partition(".")[0] == "spatialmath" else ""
 
 
 def is_matrix(value: object) -> bool:
@@ -68,7 +68,7 @@ def heading_of(T: Array) -> float:
     return _tidy(math.degrees(math.atan2(T[1, 0], T[0, 0])), 12)
 
 
-def upright(value: Any, name: str = "") -> tuple[tuple[float, ...], float]:
+def upright(value: Any, name: str = "") -> tuple[list[float], float]:
     """Position [m] and heading [deg] of a pose whose z axis points up.
 
     Raises:
@@ -81,14 +81,14 @@ def upright(value: Any, name: str = "") -> tuple[tuple[float, ...], float]:
     return tidy_position(T), heading_of(T)
 
 
-def tidy_position(T: Array) -> tuple[float, ...]:
+def tidy_position(T: Array) -> list[float]:
     """The translation of a pose (4, 4) [m] without the last digits of rounding, which nobody wants to read in YAML."""
-    return tuple(_tidy(x, 15) for x in T[:3, 3].tolist())
+    return [_tidy(x, 15) for x in T[:3, 3].tolist()]
 
 
-def tidy_angles(angles_deg: tuple[float, ...]) -> tuple[float, ...]:
+def tidy_angles(angles_deg: tuple[float, ...]) -> list[float]:
     """Angles [deg] without the last digits of rounding: 90 for 90.00000000000001, by which a pose changes less than 1e-14."""
-    return tuple(_tidy(a, 12) for a in angles_deg)
+    return [_tidy(a, 12) for a in angles_deg]
 
 
 def twist_numbers(value: Any, name: str = "command") -> Any:

@@ -16,6 +16,7 @@ from vstestbed.core.modules import module_of
 from vstestbed.core.spec import brief_mapping, to_mapping
 from vstestbed.scenario.plugins import absolute, absolute_files, is_file_name, relative_files
 from vstestbed.scenario.scenario import Scenario
+from vstestbed.scenario.validation import KINDS
 
 WIDTH, ON_ONE_LINE = 120, 110
 """Columns of a line, and of a block that stands on one line."""
@@ -104,8 +105,10 @@ def check_plugins(scenario: Scenario) -> None:
         ParameterError: it names the class, and how it gets into a file.
     """
     foreign = {type(part): field for field, part in _parts(scenario) if not _is_ours(type(part).__module__)}
-    offered: Any = importlib.metadata.entry_points() if foreign else ()
-    installed = {e.module for e in offered if e.group.startswith("vstestbed.")} if foreign else set()
+    if not foreign:
+        return
+    offered: Any = importlib.metadata.entry_points()
+    installed = {entry.module for room in KINDS for entry in offered.select(group=f"vstestbed.{room}")}
     for cls, field in foreign.items():
         if not _is_named(cls, scenario.plugins, installed):
             raise ParameterError(field, _how_to_name(cls))

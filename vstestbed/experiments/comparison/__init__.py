@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from vstestbed.core.errors import ParameterError, RunFolderError
 from vstestbed.core.folders import only_writer, study_folder
+from vstestbed.core.planar import block_of
 from vstestbed.core.shares import at_once
 from vstestbed.experiments.comparison.campaign import Campaign, OnDone
 from vstestbed.experiments.comparison.folder import PLAN, read_plan, resumable, table_of, write_plan, write_table
@@ -114,7 +115,8 @@ def prepared(
     """Check everything, make or open the folder, write the plan; the folder is held until the block ends."""
     requested = None
     if scenarios:
-        axes = {path: tuple(values) for path, values in vary.items()}
+        settings = {path: block_of(value) for path, value in settings.items()}
+        axes = {path: tuple(map(block_of, values)) for path, values in vary.items()}
         requested = chosen([str(s) for s in scenarios], settings, axes, seeds, plugins)
     with ExitStack() as stack:
         if resume:
