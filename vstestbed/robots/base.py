@@ -113,7 +113,7 @@ class Robot(Protocol):
     def configuration_at(self, T_world_flange: Array, near: Array) -> Array:
         """The configuration nearest to another one, `near`, in which its flange is at a pose (4, 4), by the robot's own model.
 
-        ParameterError where it does not get there, or has no such inverse.
+        UnreachableError where it does not get there, ParameterError where it has no such inverse.
         """
         ...
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from vstestbed.core.errors import ParameterError
+from vstestbed.core.errors import UnreachableError
 from vstestbed.core.geometry import Array, inverse, log, rigid_error
 from vstestbed.robots.resolved_rate import resolved_rate
 
@@ -37,7 +37,7 @@ def joints_at(
         inward: motion of the joints (n,) away from their limits, in the null space of a seventh joint.
 
     Raises:
-        ParameterError: the arm does not get there; with how near it comes.
+        UnreachableError: the arm does not get there; with how near it comes.
 
     Reference: Siciliano, Sciavicco, Villani & Oriolo 2009, Robotics, section 3.7, doi:10.1007/978-1-84628-642-1.
     """
@@ -53,4 +53,4 @@ def joints_at(
             step = step + free - resolved_rate(J, J @ free, unit_m)
         q = np.clip(q + step * min(1.0, LARGEST_STEP / max(float(np.abs(step).max()), 1e-12)), *limits.T)
     words = f"is out of its reach: it stays {1000 * away_m:.0f} mm and {np.degrees(away_rad):.1f} deg away"
-    raise ParameterError("robot.start", words)
+    raise UnreachableError("robot.start", words)

@@ -219,7 +219,7 @@ class Scenario:
         its own frame at the goal, T_camera_target = T* D.
 
         Raises:
-            ParameterError: the robot does not get there, or is neither an arm nor the free camera.
+            UnreachableError: the robot does not get there. ParameterError: it is neither an arm nor the free camera.
         """
         T, q = self.goal_poses[-1], self.robot.configuration()
         for share in np.linspace(0.0, 1.0, DISPLACEMENT_STEPS + 1):  # in small steps: the arm keeps its posture at the goal

@@ -11,12 +11,12 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
-from vstestbed.core.errors import VstestbedError
+from vstestbed.core.errors import UnreachableError, VstestbedError
 from vstestbed.core.outcome import Outcome
 from vstestbed.experiments.comparison.flights import BatchRequest, batches, flies_in_batch
 from vstestbed.experiments.comparison.folder import finished, store
 from vstestbed.experiments.comparison.pools import Done, Pool, WorkerLostError
-from vstestbed.experiments.comparison.runs import Job, UnreachableError
+from vstestbed.experiments.comparison.runs import Job
 from vstestbed.experiments.comparison.worker import Files, Request, RunRequest, crashed, request_of
 from vstestbed.scenario.scenario import Scenario
 

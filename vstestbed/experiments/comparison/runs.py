@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple, TypeVar, overload
 
-from vstestbed.core.errors import Mistake, ParameterError, ScenarioError
+from vstestbed.core.errors import Mistake, ParameterError, ScenarioError, UnreachableError
 from vstestbed.experiments.comparison.plan import TASK, Comparison, merged
 from vstestbed.experiments.comparison.starts import StartTable
 from vstestbed.scenario.load import find, load, seeded
@@ -58,10 +58,6 @@ class Variant:
     """Why the robot cannot stand where a run of a task begins, by the run's number."""
 
 
-class UnreachableError(ParameterError):
-    """A run that cannot begin: the robot cannot stand at its start."""
-
-
 @dataclass(frozen=True)
 class Job:
     """One run of a comparison."""
@@ -84,7 +80,7 @@ class Job:
         """
         found = self.controller
         if self.seed in found.unreachable:
-            raise UnreachableError("start", found.unreachable[self.seed])
+            raise UnreachableError("robot.start", found.unreachable[self.seed])
         if found.starts is not None and self.seed is not None:
             return replace(found.starts[self.seed], seed=self.seed)
         return found.scenario if self.seed is None or not found.draws else seeded(found.scenario, self.seed)
@@ -227,11 +223,9 @@ def _displaced(scenario: Scenario, task: StartTable, values: Mapping[str, object
     for i, by in enumerate(task.displacements):
         try:
             starts.append(scenario.displaced(by, "camera" if task.camera_from_goal else "target"))
-        except ParameterError as error:
+        except UnreachableError as error:
             starts.append(scenario)
             unreachable[i] = error.problem
-    if len(unreachable) == len(starts):
-        raise ParameterError(f"{scenario.name}: robot.start", f"is at no start of this task: {unreachable[0]}")
     return Variant(scenario, values, folder, _draws(scenario), tuple(starts), task.labels(), task.runs, unreachable)
 
 
