@@ -150,7 +150,7 @@ class Topics:
         return found if T_goal is None else found | {"goal": state.T_world_target @ inverse(T_goal)}
 
 
-def _series(scenario: Scenario, columns: tuple[str, ...]) -> Iterator[tuple[str, messages.Series]]:
+def _series(scenario: Scenario, columns: tuple[str, ...]) -> Iterator[tuple[str, messages.TimeSeries]]:
     """The time series by topic: columns of the log whose values are in no other message."""
     groups: dict[str, list[str]] = {}
     for column in columns:
@@ -158,7 +158,7 @@ def _series(scenario: Scenario, columns: tuple[str, ...]) -> Iterator[tuple[str,
             groups.setdefault(topic, []).append(column)
     for topic, those in groups.items():
         names = [name_with_unit(_short(topic, column), meaning(column, scenario).unit) for column in those]
-        yield topic, messages.Series("".join(word.title() for word in topic.split("/")).replace("_", ""), names, those)
+        yield topic, messages.TimeSeries("".join(word.title() for word in topic.split("/")).replace("_", ""), names, those)
 
 
 def _topic(column: str, scenario: Scenario) -> str | None:
