@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from vstestbed.core.errors import EnvironmentLackError
-from vstestbed.core.files import PartFile, writing
+from vstestbed.core.files import PartFile, make_folder, writing
 from vstestbed.core.folders import whole_folder
 from vstestbed.core.geometry import inverse
 from vstestbed.core.provenance import vstestbed_version
@@ -77,8 +77,7 @@ def write_mcaps(
     with whole_folder(out) as folder:
         for run in runs:
             path = folder / f"{run.folder.relative_to(within).as_posix()}.mcap"
-            with writing(path):
-                path.parent.mkdir(parents=True, exist_ok=True)
+            make_folder(path.parent)
             write_mcap(run, path, start_s, tick)
     return out
 
