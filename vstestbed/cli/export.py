@@ -74,15 +74,23 @@ def export(
 
     found = _found(folder, plugin or [])
     path = out or _beside(found, to)
-    if path.exists() and (to is Format.mcap or not path.is_dir() or any(path.iterdir())):
-        raise OutputError(path, "exists", "give a new one with --out")
+    _must_be_new(path, found, to)
     show_notes(not quiet)
     with FrameBar(found.frames, shown=not quiet) as bar:
         _write(found, to, path, start or 0.0, bar.frame)
     if not quiet:
-        for words in found.left_out:
-            typer.echo(words, err=True)
-        typer.echo(str(path), err=True)
+        typer.echo("\n".join([*found.left_out, str(path)]), err=True)
+
+
+def _must_be_new(path: Path, found: Exported, to: Format) -> None:
+    """Refuse a place that holds something, before any picture is drawn."""
+    if to is Format.mcap and found.within is None:  # a file
+        if path.exists() or path.is_symlink():
+            raise OutputError(path, "exists", "give a new file with --out")
+        return
+    from vstestbed.core.folders import must_be_new
+
+    must_be_new(path, "give a new folder with --out")
 
 
 def _found(folder: Path, plugins: list[str]) -> Exported:

@@ -12,7 +12,7 @@ from pathlib import Path
 import polars as pl
 import polars.selectors as cs
 
-from vstestbed.core.files import PartFile, write_whole, writing
+from vstestbed.core.files import PartFile, make_folder, write_whole, writing
 from vstestbed.core.folders import whole_folder
 from vstestbed.report.export.columns import Meaning, meaning
 from vstestbed.report.export.source import RecordedRun
@@ -39,8 +39,7 @@ def write_csv(
         for run in runs:
             place = run.folder.name if within is None else run.folder.relative_to(within).as_posix()
             path = folder / f"{place}.csv"
-            with writing(path):
-                path.parent.mkdir(parents=True, exist_ok=True)
+            make_folder(path.parent)
             _write_log(run, path, tick)
             known |= {name: meaning(name, run.scenario) for name in run.log.columns}
         lines = [{"column": name, "unit": m.unit, "whose": m.whose, "meaning": m.words} for name, m in known.items()]

@@ -15,6 +15,7 @@ import io
 import json
 from collections.abc import Callable, Iterable
 from fractions import Fraction
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -22,21 +23,19 @@ import numpy as np
 import polars as pl
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.files import write_whole
+from vstestbed.core.files import make_folder, write_whole
 from vstestbed.core.folders import whole_folder
 from vstestbed.core.provenance import vstestbed_version
 from vstestbed.report.export.lerobot_features import IMAGE, Features, Numbers, features_of, numbers_of, rate_of
 from vstestbed.report.export.lerobot_stats import PictureStatistics, Statistics, statistics, together
 from vstestbed.report.export.source import RecordedRun
-from vstestbed.report.video.writer import VideoWriter
+from vstestbed.report.video.writer import DATASET, VideoWriter
 
 VERSION = "v3.0"
 FILES_IN_CHUNK = 1000
 DATA_MB, VIDEO_MB = 100, 200
 """Most megabytes of a file, unless one episode has more."""
 EPISODES_IN_FILE = 1000
-KEY_EVERY = 2
-"""Every second frame can be decoded by itself: learners read frames in any order."""
 NUMBERED = "chunk-{chunk_index:03d}/file-{file_index:03d}"
 DATA, VIDEO, EPISODES = f"data/{NUMBERED}.parquet", f"videos/{{video_key}}/{NUMBERED}.mp4", f"meta/episodes/{NUMBERED}.parquet"
 ARROW_NOTE = b"ARROW:schema"
@@ -101,7 +100,7 @@ class DatasetWriter:
         }
         film = self._film(run)
         began, pictures = Fraction(self._in_film) / film.rate, PictureStatistics()
-        for frame in run.frames():
+        for frame in islice(run.frames(), n):  # a run that goes on may have more by now
             film.write(frame.picture)
             pictures.add(frame.picture)
             tick()
@@ -127,7 +126,7 @@ class DatasetWriter:
         stats = {name: {key: value.tolist() for key, value in of.items()} for name, of in overall.items()}
         self._write_json("meta/stats.json", stats)
         self._write_json("meta/info.json", self._info(self._first, self._features))
-        about = {"vstestbed": vstestbed_version(), "pictures": list(self._taken), "videos": "H.264, yuv420p, crf 20"}
+        about = {"vstestbed": vstestbed_version(), "pictures": list(self._taken), "videos": "H.264, yuv420p by BT.601, crf 20"}
         missing = [name for name in self._first.scenario.robot.proprioception_names if name not in self._state_names]
         about |= {"agent_pos_without": missing, "state": "of the robot's own sensors, as the log has them; of joints the true positions"}
         self._write_json("meta/vstestbed.json", about)
@@ -162,8 +161,8 @@ class DatasetWriter:
         if not self._films or self._films[-1].bytes > VIDEO_MB * 1e6:
             self._end_film()
             path = self._folder / VIDEO.format(video_key=IMAGE, **_place(len(self._films)))
-            path.parent.mkdir(parents=True, exist_ok=True)
-            self._films.append(VideoWriter(path, run.scenario.camera.rate_hz, KEY_EVERY))
+            make_folder(path.parent)
+            self._films.append(VideoWriter(path, run.scenario.camera.rate_hz, DATASET))
             self._in_film = 0
         return self._films[-1]
 
@@ -209,11 +208,11 @@ class DatasetWriter:
         return kind | totals | sizes | {"fps": rate_of(run.scenario), "splits": splits} | paths | {"features": features}
 
     def _write_json(self, name: str, content: dict[str, Any]) -> None:
-        write_whole(self._folder / name, json.dumps(content, indent=4, ensure_ascii=False) + "\n")
+        write_whole(make_folder((self._folder / name).parent) / Path(name).name, json.dumps(content, indent=4, ensure_ascii=False) + "\n")
 
     def _write_parquet(self, name: str, table: pl.DataFrame, metadata: dict[str, str] | None = None) -> None:
         path = self._folder / name
-        path.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(path.parent)
         content = io.BytesIO()
         table.write_parquet(content, compression="snappy", metadata=metadata)
         written = content.getvalue()

@@ -62,7 +62,8 @@ def numbers_of(run: RecordedRun) -> tuple[Numbers, tuple[str, ...]]:
     LeRobot wants it, `sim_time` is when they were taken.
     """
     s = run.scenario
-    log = {name: np.concatenate([block[name] for block in run.log.blocks([name])]) for name in _columns(run)}
+    blocks = list(run.log.blocks(_columns(run)))
+    log = {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
     n, frames = len(s.target.points), len(log["t"])
     state = _state(s, log)
     uv, goal = (np.stack([log[f"{axis}{at}_{i}"] for i in range(n) for axis in "uv"], axis=1) for at in ("", "_goal"))

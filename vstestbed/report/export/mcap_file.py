@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from vstestbed.core.errors import EnvironmentLackError
-from vstestbed.core.files import PartFile, writing
+from vstestbed.core.files import PartFile, make_folder, writing
 from vstestbed.core.folders import whole_folder
 from vstestbed.core.geometry import inverse
 from vstestbed.core.provenance import vstestbed_version
@@ -77,8 +77,7 @@ def write_mcaps(
     with whole_folder(out) as folder:
         for run in runs:
             path = folder / f"{run.folder.relative_to(within).as_posix()}.mcap"
-            with writing(path):
-                path.parent.mkdir(parents=True, exist_ok=True)
+            make_folder(path.parent)
             write_mcap(run, path, start_s, tick)
     return out
 
@@ -150,7 +149,7 @@ class Topics:
         return found if T_goal is None else found | {"goal": state.T_world_target @ inverse(T_goal)}
 
 
-def _series(scenario: Scenario, columns: tuple[str, ...]) -> Iterator[tuple[str, messages.Series]]:
+def _series(scenario: Scenario, columns: tuple[str, ...]) -> Iterator[tuple[str, messages.TimeSeries]]:
     """The time series by topic: columns of the log whose values are in no other message."""
     groups: dict[str, list[str]] = {}
     for column in columns:
@@ -158,7 +157,7 @@ def _series(scenario: Scenario, columns: tuple[str, ...]) -> Iterator[tuple[str,
             groups.setdefault(topic, []).append(column)
     for topic, those in groups.items():
         names = [name_with_unit(_short(topic, column), meaning(column, scenario).unit) for column in those]
-        yield topic, messages.Series("".join(word.title() for word in topic.split("/")).replace("_", ""), names, those)
+        yield topic, messages.TimeSeries("".join(word.title() for word in topic.split("/")).replace("_", ""), names, those)
 
 
 def _topic(column: str, scenario: Scenario) -> str | None:

@@ -113,7 +113,7 @@ def _transforms(when: Timestamp, named: Iterable[tuple[str, Array, Array]]) -> I
         )
 
 
-class Series:
+class TimeSeries:
     """Time series side by side: a message of its own, with a time stamp and a number for each column.
 
     Args:
