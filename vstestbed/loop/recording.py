@@ -186,7 +186,8 @@ class Recording:
             "time_ms": {k: v / frames for k, v in self.time_ms.items()},
             "versions": self.versions,
         }
-        return {"scenario": self.scenario.name} | ended | figures | cost
+        names = {"marker_names": list(self.scenario.target.names)} if self.scenario.target.names else {}
+        return {"scenario": self.scenario.name} | ended | names | figures | cost
 
 
 def types_of(columns: Container[str]) -> dict[str, polars.DataType]:

@@ -14,6 +14,7 @@ from ruamel.yaml import YAML
 
 from vstestbed.core.assets import bundled_scenarios
 from vstestbed.core.errors import Mistake, ParameterError, ScenarioError, nearest
+from vstestbed.core.named_files import kept_at
 from vstestbed.core.spec import refresh_specs, to_mapping
 from vstestbed.scenario.plugins import absolute, absolute_files, load_named
 from vstestbed.scenario.scenario import Scenario
@@ -197,7 +198,7 @@ def for_another_folder(path: Path) -> str:
     tree = yaml.load(text)
     if isinstance(named, list):
         tree["plugins"] = moved["plugins"]
-    for block in ("law", "robot"):
+    for block in ("law", "robot", "target"):
         if isinstance(moved.get(block), dict) and "file" in moved[block]:
             tree[block]["file"] = moved[block]["file"]
     yaml.dump(tree, out)
@@ -209,8 +210,23 @@ def dump(scenario: Scenario) -> str:
     return dump_mapping(scenario)
 
 
+def dump_for_folder(scenario: Scenario) -> str:
+    """The same for a run's folder, which has a copy of the target's file at `kept_at`."""
+    source = scenario.target.source
+    if source is None:
+        return dump(scenario)
+    plain = to_mapping(scenario)
+    plain["target"]["file"] = kept_at(source)
+    return _as_yaml(plain)
+
+
 def dump_mapping(spec: object) -> str:
     """A spec as YAML with all defaults."""
+    return _as_yaml(to_mapping(spec))
+
+
+def _as_yaml(plain: Any) -> str:
+    """Plain values as YAML."""
     import yaml  # here: only runs with a folder write YAML, which libyaml does in a twentieth of ruamel's time
 
     libyaml: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
@@ -224,7 +240,7 @@ def dump_mapping(spec: object) -> str:
     Dumper.add_representer(str, plain_or_quoted)
     # nested blocks on lines of their own, the innermost mappings and lists on one line
     out = io.StringIO()
-    yaml.dump(to_mapping(spec), out, Dumper=Dumper, default_flow_style=None, width=120, sort_keys=False, allow_unicode=True)
+    yaml.dump(plain, out, Dumper=Dumper, default_flow_style=None, width=120, sort_keys=False, allow_unicode=True)
     return out.getvalue()
 
 
