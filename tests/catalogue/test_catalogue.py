@@ -12,12 +12,13 @@ import vstestbed.testing as suites
 from tests.examples import wrong
 from tests.examples.wrong import Crooked, Displaced, Ghost, Numb, Shifted, Silent, Stateful, Wild
 from tests.robots.arms import block
+from vstestbed.core.assets import folder
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose
 from vstestbed.laws import LAWS
 from vstestbed.robots import ROBOTS, Free
 from vstestbed.robots.free import FreeStart
-from vstestbed.targets import TARGETS, GroundLines, Points, Square
+from vstestbed.targets import TARGETS, GroundLines, MeshTarget, PictureTarget, Points, Square
 from vstestbed.targets.route import Straight
 from vstestbed.tasks import GOALS
 from vstestbed.tasks.stop import Converged
@@ -40,6 +41,13 @@ TASKS = {
 TARGET_EXAMPLES = {
     "square": lambda: Square(side=0.4, pose=Pose(xyz=(0, 0, 1))),
     "points": lambda: Points(at=((0, 0, 0), (0.2, 0, 0.1), (0, 0.3, 0)), pose=Pose(xyz=(0, 0, 1))),
+    "picture": lambda: PictureTarget(file=str(folder("scenarios") / "targets" / "page.png"), width=0.6, pose=Pose(xyz=(0, 0, 1))),
+    "mesh": lambda: MeshTarget(
+        file=str(folder("scenarios") / "targets" / "flange.stl"),
+        scale=0.001,
+        at=((85, 85, 18), (-110, 0, 18), (0, 100, 0)),
+        pose=Pose(xyz=(0, 0, 1)),
+    ),
     "lines": lambda: GroundLines(route=Straight(length_m=5.0)),
 }
 

@@ -186,7 +186,7 @@ class Recording:
             "time_ms": {k: v / frames for k, v in self.time_ms.items()},
             "versions": self.versions,
         }
-        names = {"marker_names": list(self.scenario.target.names)} if self.scenario.target.names else {}
+        names = {"marker_names": {str(i): name for i, name in enumerate(self.scenario.target.names)}} if self.scenario.target.names else {}
         return {"scenario": self.scenario.name} | ended | names | figures | cost
 
 
