@@ -57,7 +57,7 @@ def test_markers_have_their_colours_and_tags_their_print():
         size = (s.target.marker.modules + 2) * PX_PER_MODULE
         np.testing.assert_array_equal(pane.image[..., 0], tag_picture(s.target.marker, i))
         assert pane.image.shape == (size, size, 3) and pane.width == pytest.approx(s.target.marker.tile)
-        np.testing.assert_allclose(pane.T_body_pane[:3, :3], np.diag([1, -1, -1]), atol=1e-9)  # upright for who looks along z
+        np.testing.assert_allclose(pane.T_body_pane[:3, :3], np.eye(3), atol=1e-9)  # upright for who looks along z
     replay.close()
 
 

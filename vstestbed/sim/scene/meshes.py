@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from vstestbed.core.geometry import Array
+from vstestbed.core.geometry import FLIP, Array
 from vstestbed.sim.scene.compose import HAND_PLATE
 from vstestbed.sim.scene.groups import RANGE_GROUP
 
@@ -41,7 +41,7 @@ class Pane:
     """A picture on a flat geom that is fixed to a body.
 
     Attributes:
-        body: number of the body. T_body_pane: its middle, x to the picture's right, y up, z towards who sees it, shape (4, 4).
+        body: number of the body. T_body_pane: its middle, x to the picture's right, y down, z away from who sees it, shape (4, 4).
         width, height: [m]. image: (H, W, 3) uint8 RGB.
     """
 
@@ -63,6 +63,7 @@ def panes(model: mujoco.MjModel) -> list[Pane]:
         mujoco.mju_quat2Mat(R, model.geom_quat[i])
         T[:3, :3] = R.reshape(3, 3)
         T[:3, 3] = model.geom_pos[i] + (half[2] + PRINT_M) * T[:3, 2]
+        T = T @ FLIP  # of a geom's texture y is up
         share = np.minimum(model.mat_texrepeat[model.geom_matid[i]], 1.0)
         image = texels_of(model, texture)
         columns, rows = (max(1, round(n * part)) for n, part in zip(image.shape[1::-1], share.tolist(), strict=True))
