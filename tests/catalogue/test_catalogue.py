@@ -14,13 +14,14 @@ from tests.examples.wrong import Crooked, Displaced, Ghost, Numb, Shifted, Silen
 from tests.examples.wrong_rooms import Backwards, Forgetful, Idle, Impatient, Jumping, Mirrored
 from tests.robots.arms import block
 from vstestbed.camera import CAMERAS
+from vstestbed.core.assets import folder
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose
 from vstestbed.features import FEATURES
 from vstestbed.laws import LAWS
 from vstestbed.robots import ROBOTS, Free
 from vstestbed.robots.free import FreeStart
-from vstestbed.targets import TARGETS, GroundLines, Points, Square
+from vstestbed.targets import TARGETS, GroundLines, MeshTarget, PictureTarget, Points, Square
 from vstestbed.targets.attached import MOTIONS
 from vstestbed.targets.route import Straight
 from vstestbed.tasks import GOALS
@@ -47,6 +48,13 @@ TASKS = {
 TARGET_EXAMPLES = {
     "square": lambda: Square(side=0.4, pose=Pose(xyz=(0, 0, 1))),
     "points": lambda: Points(at=((0, 0, 0), (0.2, 0, 0.1), (0, 0.3, 0)), pose=Pose(xyz=(0, 0, 1))),
+    "picture": lambda: PictureTarget(file=str(folder("scenarios") / "targets" / "page.png"), width=0.6, pose=Pose(xyz=(0, 0, 1))),
+    "mesh": lambda: MeshTarget(
+        file=str(folder("scenarios") / "targets" / "flange.stl"),
+        scale=0.001,
+        at=((85, 85, 18), (-110, 0, 18), (0, 100, 0)),
+        pose=Pose(xyz=(0, 0, 1)),
+    ),
     "lines": lambda: GroundLines(route=Straight(length_m=5.0)),
 }
 

@@ -52,3 +52,8 @@ def place_of_file(file: str) -> Path:
     if not is_there(path):
         raise ParameterError("file", f"is not there ({path}); give its path, absolute or relative to the scenario's file", file)
     return path
+
+
+def kept_at(source: Path) -> str:
+    """Where a run's folder keeps the file that its target was made from."""
+    return f"assets/target/{source.name}"

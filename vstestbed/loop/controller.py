@@ -162,6 +162,7 @@ class Controller:
         late = now.t - shot.t > self._latest_s
         error = ImageError.of(seen, goal, command.rest_reason)
         blind = command.rest_reason or self._unseen(seen, goal, error) or (f"pictures arrived {now.t - shot.t:.2g} s late" if late else "")
+        blind = blind and blind + self._lacking(seen)
         moved = self._moved(now.t, reading, blind, mount)
         allocation = self._supervised(shot.t, blind, self._allocate(command, reading, mount, rests=late), reading, moved)
         self.ordered.add(now.t_cmd, allocation.twist)
@@ -227,6 +228,11 @@ class Controller:
         """Why a law that gives no reason has no measurement; "" where it has one."""
         n = len(seen.uv) if error.all_seen and goal.counted is None else np.count_nonzero(seen.seen)
         return "" if n >= self._needed else FEW_SEEN if n else NONE_SEEN
+
+    def _lacking(self, seen: Observation) -> str:
+        """Which markers are not seen, by their names; "" where they have none, or all are seen."""
+        names = [name for name, there in zip(self.scenario.target.names, seen.seen, strict=False) if not there]
+        return f" (not seen: {', '.join(names)})" if names else ""
 
     def _moved(self, t: float, reading: Reading, blind: str, mount: Mount) -> float:
         """Way of the camera since the last call, by the robot's own sensors [m]; 0 where it is not needed, with sight."""

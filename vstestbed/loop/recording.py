@@ -219,8 +219,9 @@ class Recording:
             "time_ms": {k: v / frames for k, v in self.time_ms.items()},
             "versions": self.versions,
         }
-        actuators = self.scenario.robot.actuator_set
-        return {"scenario": self.scenario.name} | ended | figures | (actuators.gains() if actuators else {}) | cost
+        actuators, names = self.scenario.robot.actuator_set, self.scenario.target.names
+        named = {"marker_names": {str(i): name for i, name in enumerate(names)}} if names else {}
+        return {"scenario": self.scenario.name} | ended | named | figures | (actuators.gains() if actuators else {}) | cost
 
 
 def types_of(columns: Container[str]) -> dict[str, polars.DataType]:

@@ -13,6 +13,7 @@ from typing import Any
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.files import write_whole
 from vstestbed.core.modules import module_of
+from vstestbed.core.named_files import kept_at
 from vstestbed.core.spec import brief_mapping, to_mapping
 from vstestbed.scenario.plugins import absolute, absolute_files, is_file_name, relative_files
 from vstestbed.scenario.scenario import Scenario
@@ -53,6 +54,16 @@ def dump(scenario: Scenario, path: str | Path | None = None, *, defaults: bool =
     if path is not None:
         write_whole(Path(path), text)
     return text
+
+
+def dump_for_folder(scenario: Scenario) -> str:
+    """The record of a run, with every default, for its folder, which has a copy of the target's file at `kept_at`."""
+    source = scenario.target.source
+    if source is None:
+        return dump(scenario, defaults=True)
+    plain = to_mapping(scenario)
+    plain["target"]["file"] = kept_at(source)
+    return as_yaml(plain)
 
 
 def as_yaml(plain: Any, brief: bool = False) -> str:

@@ -196,7 +196,7 @@ def for_another_folder(path: Path) -> str:
     tree = yaml.load(text)
     if isinstance(named, list):
         tree["plugins"] = moved["plugins"]
-    for block in ("law", "robot"):
+    for block in ("law", "robot", "target"):
         if isinstance(moved.get(block), dict) and "file" in moved[block]:
             tree[block]["file"] = moved[block]["file"]
     yaml.dump(tree, out)

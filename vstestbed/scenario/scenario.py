@@ -128,7 +128,7 @@ class Scenario:
         self.goal.check_views(self.setup, self.goal_views)
         self.law.check(self.target.points, self.goal_view)
         for goal in self.goal_views:
-            self.law.visibility.check(goal, self.target.marker.radius)
+            self.law.visibility.check(goal, self.target.marker.radius, self.target.called)
 
     @property
     def clock(self) -> tuple[float, int]:
@@ -236,4 +236,5 @@ class Scenario:
         facing = float(T[:3, 2] @ T[:3, 3]) / max(float(np.linalg.norm(T[:3, 3])), 1e-9)  # cosine of the view on the plane
         turned = T[2, 2] if isinstance(self.camera, Perspective) else facing
         faces = turned > 0.17 or not self.target.one_sided  # within 80 degrees of the target's normal: beyond, discs are slivers
-        return bool(faces and self.camera.whole(p, self.target.marker.radius, VIEW_MARGIN_PX).all())
+        hidden = bool(self.target.hides(inverse(T)).any())
+        return bool(faces and not hidden and self.camera.whole(p, self.target.marker.radius, VIEW_MARGIN_PX).all())

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vstestbed.camera import Camera
+from vstestbed.core.named_files import kept_at
 from vstestbed.robots import Robot
 from vstestbed.sim.base import Plant
 from vstestbed.sim.clock import Clock
@@ -57,7 +58,7 @@ def build_plant(
     parts = Parts(robot, camera, target, world, step, plate_m=plate_m)
     ideal = robot.model is None
     path = target.path(motion_rng or np.random.default_rng(0)) if target.motion.by_itself else None
-    if ideal and not needs_image and not world.plates and not plate_m:
+    if ideal and not needs_image and not world.plates and not plate_m and target.body is None:  # nothing hides a marker
         from vstestbed.sim.ideal import IdealPlant
 
         return IdealPlant(parts, steps_per_frame, path=path, order_s=order_s), "none"
@@ -82,7 +83,7 @@ def build_plant(
 
 @dataclass(frozen=True, slots=True)
 class SceneFiles:
-    """A self-contained scene: its MJCF, and the asset files that it names, by their paths relative to it."""
+    """A self-contained scene: its MJCF, and the asset files that it names and the target's own file, by their paths relative to it."""
 
     xml: str
     assets: dict[str, bytes]
@@ -107,4 +108,6 @@ def scene_files(
         spec.add_key(name="start", qpos=stage.start_qpos(), act=stage.data.act.copy(), ctrl=stage.data.ctrl.copy())
         stage.close()
     spec.compile()
-    return SceneFiles(spec.to_xml(), dict(spec.assets))
+    source = target.source
+    kept = {} if source is None else {kept_at(source): source.read_bytes()}
+    return SceneFiles(spec.to_xml(), dict(spec.assets) | kept)

@@ -16,7 +16,7 @@ from vstestbed.sim.render.pictures import outside_view, servo_renderer
 from vstestbed.sim.render.still import StillView, half_tangents, pixels_per_radian
 from vstestbed.sim.scene.compose import Parts
 from vstestbed.sim.scene.follow import FollowCamera, Things
-from vstestbed.sim.scene.meshes import Solid, solids
+from vstestbed.sim.scene.meshes import Pane, Solid, panes, solids
 from vstestbed.sim.scene.overview import LEAST_REACH
 from vstestbed.sim.scene.stage import Stage
 from vstestbed.sim.scene.world import World
@@ -129,6 +129,11 @@ class Replay:
     def solids(self) -> list[Solid]:
         """The visible geoms as triangles, fixed to bodies; `body_poses` places them."""
         return solids(self._stage.model)
+
+    @property
+    def panes(self) -> list[Pane]:
+        """The pictures in the scene."""
+        return panes(self._stage.model)
 
     @property
     def body_names(self) -> list[str]:

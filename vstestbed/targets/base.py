@@ -92,6 +92,10 @@ class TargetContract(Protocol):
         """Marker i as messages and figures call it."""
         ...
 
+    def number(self, marker: int | str) -> int:
+        """The number of a marker, given by its number or its name."""
+        ...
+
 
 @spec
 class Target:
@@ -208,6 +212,10 @@ class Target:
     def called(self, i: int) -> str:
         """Marker i as messages and figures call it: `2`, or with its name `2 (bolt)`."""
         return f"{i} ({self.names[i]})" if self.names else str(i)
+
+    def number(self, marker: int | str) -> int:
+        """The number of a marker, given by its number or its name; -1 for a name that no marker has."""
+        return marker if isinstance(marker, int) else self.names.index(marker) if marker in self.names else -1
 
     @cached_property
     def hues_deg(self) -> tuple[float, ...]:

@@ -101,6 +101,11 @@ class BatchSetup:
 
     def _check_ideal(self) -> None:
         s = self.scenario
+        if s.target.body is not None and isinstance(s.detector, Oracle) and s.detector.field_of_view == "limited":
+            words = (
+                "has a solid, and a batch does not know which markers it hides; give an unlimited field of view, or a target without one"
+            )
+            raise ParameterError("target", words)
         noisy = s.noise != Noise() or s.timing != Timing()
         if not (s.calibration.camera_exact and s.calibration.depth_exact):
             raise ParameterError("calibration", "must be exact in a batch, whose poses and depths are true")

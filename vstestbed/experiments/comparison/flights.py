@@ -27,7 +27,7 @@ from vstestbed.loop.monitors import CROSSED_WORDS, FAR_WORDS
 from vstestbed.loop.recording import BLOCK, MemoryRows, Recording, to_frame
 from vstestbed.robots import Robot
 from vstestbed.robots.supervisor import FOLLOWS
-from vstestbed.scenario.dump import dump
+from vstestbed.scenario.dump import dump, dump_for_folder
 from vstestbed.scenario.load import parse
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.build import scene_files
@@ -226,7 +226,7 @@ def _folder(recording: Recording, place: str | None) -> Files:
     frame.write_parquet(log, compression="zstd", statistics=False, row_group_size=BLOCK)
     scene = scene_files(scenario.robot, scenario.camera, scenario.target, scenario.world, scenario.physics, scenario.sights)
     files = dict(scene.assets) | {
-        "scenario.yaml": dump(scenario, defaults=True).encode(),
+        "scenario.yaml": dump_for_folder(scenario).encode(),
         "model.xml": scene.xml.encode(),
         "log.parquet": log.getvalue(),
         "summary.json": (json.dumps(recording.summary() | {"batch": True}, indent=1) + "\n").encode(),

@@ -32,6 +32,7 @@ class Setting:
         width, height: image size of the servo camera [px].
         threshold_px: RMS error that counts as converged [px].
         points: marker centres in the target frame, shape (N, 3) [m].
+        names: of the markers; () where they have none.
         T_camera_target: the goal view, shape (4, 4).
         description: the scenario's description.
         feature: the image feature of the law; None for a law without one.
@@ -44,6 +45,7 @@ class Setting:
     height: int | None = None
     threshold_px: float | None = None
     points: Array | None = None
+    names: tuple[str, ...] = ()
     T_camera_target: Array | None = None
     description: str = ""
     feature: Feature | None = None
@@ -62,6 +64,7 @@ class Setting:
             height=scenario.camera.height,
             threshold_px=getattr(scenario.stop.converged, "error_px", None) if not goal.continuing else None,
             points=scenario.target.places if len(scenario.target.places) else None,
+            names=scenario.target.names,
             T_camera_target=getattr(view, "T", view),
             description=scenario.description,
             feature=scenario.law.feature,
@@ -163,6 +166,11 @@ class Tracks:
     def markers(self) -> int:
         """Number of markers in the log."""
         return sum(re.fullmatch(r"u_\d+", c) is not None for c in self.log.columns)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the markers; () where they have none, or the log is of another target."""
+        return self.setting.names if len(self.setting.names) == self.markers else ()
 
     @cached_property
     def t(self) -> Array:

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from vstestbed.camera import Camera, Image, Look, Panel, Perspective, Window
 from vstestbed.core.errors import EnvironmentLackError, ParameterError
-from vstestbed.core.geometry import FLIP, Array, lengths
+from vstestbed.core.geometry import FLIP, Array
 from vstestbed.sim.render import gl_probe as gl
-from vstestbed.sim.render.cones import cone_of, meets
+from vstestbed.sim.render.cones import angles_to_next, cone_of, meets
 from vstestbed.sim.render.shade import Paint
 from vstestbed.sim.scene.groups import LENS_GROUP, RANGE_GROUP
 from vstestbed.sim.scene.stage import Stage
@@ -116,7 +116,7 @@ class Raster:
         grid = np.stack(np.meshgrid(np.arange(self.width), np.arange(self.height)), axis=-1).astype(float)
         grid = (grid + 0.5) / share - 0.5 if share < 1 else grid
         self._rays = np.concatenate([self._of(rows) for rows in np.array_split(grid, max(1, self.height // 64))])
-        self._apart = _apart(self._rays)
+        self._apart = angles_to_next(self._rays)
 
     def _of(self, uv: Array) -> Array:
         """Rays (..., 3) in the camera's frame of pixels (..., 2)."""
@@ -171,17 +171,6 @@ def _tiles(window: Window) -> Iterator[Window]:
     for v in range(top, bottom, TILE_PX):
         for u in range(left, right, TILE_PX):
             yield u, v, min(u + TILE_PX, right), min(v + TILE_PX, bottom)
-
-
-def _apart(rays: Array) -> Array:
-    """Angle [rad] from each ray (H, W, 3) to the farther of the next ones across and down, shape (H, W); 0 where there is none."""
-    out = np.zeros(rays.shape[:2])
-    for axis in (0, 1):
-        if rays.shape[axis] > 1:
-            steps = lengths(np.diff(rays, axis=axis))[..., 0]
-            last = steps[-1:] if axis == 0 else steps[:, -1:]
-            np.fmax(out, np.concatenate([steps, last], axis=axis), out=out)
-    return out
 
 
 def _borders(geoms: NDArray[np.int32]) -> NDArray[np.bool_]:

@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vstestbed.core.geometry import Array
-from vstestbed.sim.render.texture import Mipmap, texels_of
+from vstestbed.sim.render.texture import Mipmap
+from vstestbed.sim.scene.meshes import texels_of
 
 RGB_ROLE = int(mujoco.mjtTextureRole.mjTEXROLE_RGB)
 SKYBOX = int(mujoco.mjtTexture.mjTEXTURE_SKYBOX)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -70,11 +69,3 @@ def _halved(texels: NDArray[np.uint8]) -> NDArray[np.uint8]:
             share = (at - low).astype(np.float32).reshape((-1, 1, 1) if axis == 0 else (1, -1, 1))
             half = (1 - share) * half.take(low, axis) + share * half.take(low + 1, axis)
     return (half + 0.5).astype(np.uint8)
-
-
-def texels_of(model: mujoco.MjModel, texture: int) -> NDArray[np.uint8]:
-    """A texture's pixels (H, W, 3)."""
-    height, width, channels = model.tex_height[texture], model.tex_width[texture], model.tex_nchannel[texture]
-    start = model.tex_adr[texture]
-    pixels = model.tex_data[start : start + height * width * channels].reshape(height, width, channels)
-    return np.broadcast_to(pixels[..., :3], (height, width, 3))
