@@ -141,7 +141,7 @@ def _frame_overview(scene: mujoco.MjSpec, parts: Parts) -> None:
     elif robot.base != "fixed":
         start = robot.flange_pose(robot.configuration())[:3, 3]
         sights = transform(target.T_world_start, target.points)
-        frame_drive(scene, np.array([start, *parts.sights]), sights, extent_of(robot.model))
+        frame_drive(scene, np.array([start, *parts.sights]), sights, extent_of(robot))
 
 
 def _add_camera(body: mujoco.MjsBody, T_body_camera: Array, camera: Camera, housing: float) -> None:
