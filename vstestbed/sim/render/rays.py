@@ -179,7 +179,8 @@ def _borders(geoms: NDArray[np.int32]) -> NDArray[np.bool_]:
 class RayRenderer:
     """The servo camera's images through any lens, by ray casting; the same as `OpenGLRenderer`'s, where both can render them.
 
-    Only the regions of interest are cast. There are no shadows and no textures (see `refuse`).
+    Only the regions of interest are cast. There are no shadows, and no textures on targets (see `refuse`);
+    `Paint` says which other textures are mapped.
 
     Args:
         stage: the scene.

@@ -1,4 +1,4 @@
-"""Shading of ray hits: MuJoCo's materials under its directional lights, the floor's texture, the sky."""
+"""Shading of ray hits: MuJoCo's materials under its lights, flat textures, the sky."""
 
 from __future__ import annotations
 
@@ -11,14 +11,21 @@ from vstestbed.sim.scene.groups import TARGET_GROUP
 
 RGB_ROLE = int(mujoco.mjtTextureRole.mjTEXROLE_RGB)
 SKYBOX = int(mujoco.mjtTexture.mjTEXTURE_SKYBOX)
-PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
+FLAT_TEXTURE = int(mujoco.mjtTexture.mjTEXTURE_2D)
+DIRECTIONAL, SPOT = int(mujoco.mjtLightType.mjLIGHT_DIRECTIONAL), int(mujoco.mjtLightType.mjLIGHT_SPOT)
+ROUND = [int(kind) for kind in (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CYLINDER)]
+MAPPED = [*ROUND, *(int(kind) for kind in (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_ELLIPSOID))]
+"""Geoms on which flat textures are mapped."""
 
 
 class Paint:
     """Colours of a scene as OpenGL's fixed pipeline makes them, without shadows, reflections and highlights.
 
     colour = min(1, rgb (emission + sum over lights of (ambient + diffuse max(0, n . l)))) texture, l towards the light.
-    A plane may have a flat texture (the floor's checker); any other textured geom has its texture's mean colour.
+    A light that is not directional has l and its brightness by the place: over the attenuation a + b d + c d^2, of a spot light times
+    cos(angle)^exponent within its cutoff. OpenGL has that at the corners of a surface alone, and its mean between them.
+    Flat textures (`type="2d"`) are mapped on planes, boxes, spheres, ellipsoids and cylinders; any other textured geom, with a cube
+    texture or of a mesh, has its texture's mean colour (`averaged`).
 
     Args:
         model, data: the scene; lights are where `data` has them.
@@ -32,9 +39,12 @@ class Paint:
         emission = np.where(painted, model.mat_emission[material] if model.nmat else 0.0, 0.0)
         texture = np.where(painted, model.mat_texid[material, RGB_ROLE] if model.nmat else -1, -1)
         self._texels = {i: _texels(model, i) for i in sorted(set(texture[texture >= 0].tolist()))}
-        self._planes = [int(g) for g in np.flatnonzero((texture >= 0) & (model.geom_type == PLANE))]
+        flat = (texture >= 0) & (model.tex_type[texture] == FLAT_TEXTURE) if model.ntex else texture >= 0
+        self._mapped = [int(g) for g in np.flatnonzero(flat & np.isin(model.geom_type, MAPPED))]
         self._texture = texture
-        for g in np.flatnonzero((texture >= 0) & (model.geom_type != PLANE)):
+        self.averaged = [int(g) for g in np.flatnonzero(texture >= 0) if g not in self._mapped]
+        self._local = bool((model.light_type[model.light_active] != DIRECTIONAL).any())
+        for g in self.averaged:
             rgb[g] *= self._texels[texture[g]].mean(axis=(0, 1))
         self._rgb = np.vstack([rgb, [0, 0, 0]]).astype(np.float32)  # the last row: no hit, geom -1
         self._glow = np.append(emission, 0).astype(np.float32)
@@ -44,13 +54,15 @@ class Paint:
     def colours(self, origin: Array, rays: Array, geom: NDArray[np.int32], distance: Array, normal: Array) -> NDArray[np.uint8]:
         """Colours (N, 3) uint8 of what unit rays (N, 3) from `origin` (3,) hit: geoms (N,), -1 for the sky, with outward normals (N, 3)."""
         light = self._light(normal)
+        if self._local:
+            self._add_local(light, origin + rays * distance[:, None], normal)
         light += self._glow[geom]
         light *= self._rgb.T[:, geom]
         colour = np.minimum(light, 1, out=light)
-        for plane in self._planes:
-            at = np.flatnonzero(geom == plane)
+        for one in self._mapped:
+            at = np.flatnonzero(geom == one)
             if len(at):
-                colour[:, at] *= self._plane_texture(plane, origin + rays[at] * distance[at, None]).T
+                colour[:, at] *= self._flat_texture(one, origin + rays[at] * distance[at, None]).T
         sky = np.flatnonzero(geom == -1)
         if len(sky):
             elevation, tints = self._sky
@@ -62,10 +74,10 @@ class Paint:
         return np.ascontiguousarray(colour.T.astype(np.uint8))
 
     def _light(self, normal: Array) -> NDArray[np.float32]:
-        """Irradiance of surfaces with outward normals (N, 3) by the lights: (3, N), 1 for full brightness."""
+        """Irradiance of surfaces with outward normals (N, 3) by directional lights: (3, N), 1 for full brightness."""
         model = self._model
         light = np.empty((3, len(normal)), np.float32)
-        on = np.flatnonzero(model.light_active)
+        on = np.flatnonzero(model.light_active & (model.light_type == DIRECTIONAL))
         light[:] = model.light_ambient[on].sum(axis=0)[:, None]
         # Channels first and single floats: three long contiguous rows, which numpy adds up quickest.
         x, y, z = np.ascontiguousarray(normal.T, dtype=np.float32)
@@ -76,15 +88,31 @@ class Paint:
                 channel += facing * np.float32(brightness)
         return light
 
-    def _plane_texture(self, plane: int, points: Array) -> NDArray[np.float32]:
-        """The texture of a plane at points (N, 3) [m] in the world: (N, 3), 1 for full brightness.
+    def _add_local(self, light: NDArray[np.float32], points: Array, normal: Array) -> None:
+        """Add the lights that have a place, at points (N, 3) with outward normals (N, 3), to (3, N)."""
+        model, data = self._model, self._data
+        for i in np.flatnonzero(model.light_active & (model.light_type != DIRECTIONAL)):
+            to = data.light_xpos[i] - points
+            far = np.maximum(np.linalg.norm(to, axis=1), 1e-9)
+            to /= far[:, None]
+            a, b, c = model.light_attenuation[i].tolist()
+            share = 1.0 / np.maximum(a + b * far + c * far * far, 1e-9)
+            if model.light_type[i] == SPOT:
+                along = np.clip(-(to @ data.light_xdir[i]), 0.0, 1.0)
+                share *= np.where(along >= np.cos(np.radians(model.light_cutoff[i])), along ** model.light_exponent[i], 0.0)
+            facing = np.maximum((to * normal).sum(axis=1), 0.0)
+            light += (share * (model.light_ambient[i][:, None] + model.light_diffuse[i][:, None] * facing)).astype(np.float32)
 
-        One texture covers 2 m, or with texuniform=false the plane, divided by texrepeat; the plane's origin is its middle.
+    def _flat_texture(self, plane: int, points: Array) -> NDArray[np.float32]:
+        """The texture of a geom at points (N, 3) [m] in the world, along its z axis: (N, 3), 1 for full brightness.
+
+        One texture covers 2 m, or with texuniform=false the geom, divided by texrepeat; the geom's origin is its middle.
         """
         model, data = self._model, self._data
         local = (points - data.geom_xpos[plane]) @ data.geom_xmat[plane].reshape(3, 3)[:, :2]
         material = model.geom_matid[plane]
-        half = 1.0 if model.mat_texuniform[material] else np.maximum(model.geom_size[plane, :2], 1e-9)
+        size = model.geom_size[plane, [0, 0] if model.geom_type[plane] in ROUND else [0, 1]]
+        half = 1.0 if model.mat_texuniform[material] else np.maximum(size, 1e-9)
         place = local * model.mat_texrepeat[material] / (2 * half) + 0.5
         texels = self._texels[self._texture[plane]]
         height, width = texels.shape[:2]

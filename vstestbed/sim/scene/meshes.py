@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from vstestbed.core.geometry import Array
 from vstestbed.sim.scene.compose import HAND_PLATE
-from vstestbed.sim.scene.groups import RANGE_GROUP
+from vstestbed.sim.scene.groups import RANGE_GROUP, TARGET_GROUP
 
 PLAIN_RGBA = (0.5, 0.5, 0.5, 1.0)
 """MuJoCo's default colour of a geom, for which its material's is used."""
+ENDLESS_M = 20.0
 AROUND, ALONG = 24, 8
 """Facets of round geoms round the axis, and from the equator to a pole."""
 
@@ -34,11 +35,11 @@ class Solid:
 
 
 def solids(model: mujoco.MjModel) -> list[Solid]:
-    """The visible geoms of a scene but infinite planes, joined by body and colour."""
+    """The visible geoms of a scene but its own floor, joined by body and colour; of infinite planes ENDLESS_M to each side."""
     found: dict[tuple[int, tuple[float, float, float]], list[Array]] = {}
     for i in range(model.ngeom):
         unseen = model.geom_group[i] == RANGE_GROUP or model.geom_rgba[i, 3] == 0 or model.geom(i).name == HAND_PLATE
-        if unseen or model.geom_type[i] == mujoco.mjtGeom.mjGEOM_PLANE:
+        if unseen or (model.geom_type[i] == mujoco.mjtGeom.mjGEOM_PLANE and model.geom(i).name == "floor"):  # viewers have their own
             continue
         R = np.zeros(9)
         mujoco.mju_quat2Mat(R, model.geom_quat[i])
@@ -60,10 +61,20 @@ def _coloured(model: mujoco.MjModel, i: int) -> list[tuple[tuple[float, float, f
     if material < 0:
         return [(_rgb(rgba), triangles)]
     texture = int(model.mat_texid[material, mujoco.mjtTextureRole.mjTEXROLE_RGB])
-    if texture >= 0 and model.geom_type[i] == mujoco.mjtGeom.mjGEOM_BOX:
+    if texture >= 0 and model.geom_group[i] == TARGET_GROUP and model.geom_type[i] == mujoco.mjtGeom.mjGEOM_BOX:
         return [((0.96, 0.96, 0.96), triangles), *_print(model, texture, model.geom_size[i])]
     colour = model.mat_rgba[material].astype(float) if np.allclose(rgba, PLAIN_RGBA) else rgba
+    if texture >= 0:
+        colour = colour.copy()
+        colour[:3] *= _mean(model, texture)
     return [(_rgb(colour * max(1.0, float(model.mat_emission[material]))), triangles)]
+
+
+def _mean(model: mujoco.MjModel, texture: int) -> Array:
+    """Mean colour (3,) of a texture, 1 for full brightness."""
+    count, channels = int(model.tex_height[texture] * model.tex_width[texture]), int(model.tex_nchannel[texture])
+    texels = model.tex_data[model.tex_adr[texture] :][: count * channels].reshape(count, channels)
+    return np.broadcast_to(texels[:, :3].mean(axis=0) / 255, (3,))
 
 
 def _rgb(rgba: Array) -> tuple[float, float, float]:
@@ -97,6 +108,8 @@ def _triangles(model: mujoco.MjModel, i: int) -> Array:
         return model.mesh_vert[first : first + count].astype(float)[faces]
     if kind == mujoco.mjtGeom.mjGEOM_BOX:
         return _box() * size
+    if kind == mujoco.mjtGeom.mjGEOM_PLANE:
+        return _box()[-2:] * [*np.where(size[:2] > 0, size[:2], ENDLESS_M), 0.0]
     if kind in (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_ELLIPSOID):
         return _turned(*_arc(0.0)) * (size if kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID else size[0])
     if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
