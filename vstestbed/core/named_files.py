@@ -9,7 +9,9 @@ from pathlib import Path
 from vstestbed.core.errors import ParameterError
 
 ENDINGS = re.compile(r"\.(onnx|xml|mjcf|urdf|png|jpe?g|stl|obj)$|\.py:\w+$", re.IGNORECASE)
-"""The end of a value of a field `file`: a network, a model, a picture, a solid, a function in a Python file."""
+"""The end of a value of a field of FILE_FIELDS: a network, a model, a picture, a solid, a function in a Python file."""
+FILE_FIELDS = "file", "scenery"
+"""Fields that name a file; the block `scenery` may be its file's name alone."""
 PACKAGE = "package:"
 
 

@@ -231,6 +231,25 @@ class OneOf:
         return {"anyOf": choices}
 
 
+@dataclasses.dataclass(frozen=True)
+class Shorthand:
+    """For `Annotated` of a spec: a text stands for the block that has it in one field.
+
+    Attributes:
+        field: its name.
+    """
+
+    field: str
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Pydantic's hook: a text is expanded to its block first."""
+        return core_schema.no_info_before_validator_function(lambda v: {self.field: v} if isinstance(v, str) else v, handler(source))
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        """Pydantic's hook for the JSON Schema: the block, or a text."""
+        return {"anyOf": [handler(schema), {"type": "string"}]}
+
+
 def _same_cell(before: type, after: type) -> bool:
     """Whether two classes are one that was defined again by hand: a notebook's cell, run once more after a change."""
     return before.__module__ == after.__module__ == "__main__" and before.__qualname__ == after.__qualname__

@@ -10,7 +10,7 @@ import numpy as np
 
 from vstestbed.core.geometry import Array
 from vstestbed.robots.allocation import ALL_SIX, Allocation, Limit, Mount
-from vstestbed.robots.base import RobotBase
+from vstestbed.robots.defaults import RobotBase
 from vstestbed.robots.inverse import joints_at
 from vstestbed.robots.reading import Reading
 from vstestbed.robots.resolved_rate import resolved_rate, share

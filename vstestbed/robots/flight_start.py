@@ -10,6 +10,9 @@ from vstestbed.core.quantity import Angle, AngleWidth, Position
 from vstestbed.core.spatial import is_matrix, upright
 from vstestbed.core.spec import spec
 
+LOWEST_M = 0.2
+"""The lowest start: it hovers there, its feet 3 cm above the ground [m]."""
+
 
 @spec
 class FlightPose:

@@ -17,7 +17,8 @@ from vstestbed.core.geometry import Array
 from vstestbed.core.planar import GroundPose, place_of, pose_on_ground, relative, wrapped
 from vstestbed.core.quantity import AngleWidth, Distance, Narrower
 from vstestbed.core.spec import spec
-from vstestbed.robots.base import Base, RobotBase
+from vstestbed.robots.base import Base
+from vstestbed.robots.defaults import RobotBase
 from vstestbed.robots.reading import Reading
 from vstestbed.robots.robot_log import RobotLog, RobotState
 from vstestbed.robots.supervisor import Supervisor

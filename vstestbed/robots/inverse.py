@@ -41,7 +41,7 @@ def joints_at(
 
     Reference: Siciliano, Sciavicco, Villani & Oriolo 2009, Robotics, section 3.7, doi:10.1007/978-1-84628-642-1.
     """
-    q = np.clip(near, *limits.T)
+    q, away_m, away_rad = np.clip(near, *limits.T), np.inf, np.inf
     for _ in range(MOST_STEPS):
         T, J = kinematics(q)
         away_m, away_rad = rigid_error(T, T_world_flange)

@@ -196,9 +196,9 @@ def for_another_folder(path: Path) -> str:
     tree = yaml.load(text)
     if isinstance(named, list):
         tree["plugins"] = moved["plugins"]
-    for block in ("law", "robot", "target"):
-        if isinstance(moved.get(block), dict) and "file" in moved[block]:
-            tree[block]["file"] = moved[block]["file"]
+    for block, field in (("law", "file"), ("robot", "file"), ("target", "file"), ("world", "scenery")):
+        if isinstance(moved.get(block), dict) and field in moved[block]:
+            tree[block][field] = moved[block][field]
     yaml.dump(tree, out)
     return out.getvalue()
 

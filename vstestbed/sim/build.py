@@ -38,7 +38,7 @@ def build_plant(
 ) -> tuple[Plant, str]:
     """The plant, and the name of its renderer ("none" without pictures).
 
-    Robots with a body are simulated by MuJoCo. The ideal camera needs MuJoCo only for pictures, or for occlusion by plates.
+    Robots with a body are simulated by MuJoCo. The ideal camera needs MuJoCo only for pictures, or for occlusion by plates and scenery.
 
     Args:
         needs_image, needs_truth: whether the detector works on pictures, on truth.
@@ -58,7 +58,8 @@ def build_plant(
     parts = Parts(robot, camera, target, world, step, plate_m=plate_m)
     ideal = robot.model is None
     path = target.path(motion_rng or np.random.default_rng(0)) if target.motion.by_itself else None
-    if ideal and not needs_image and not world.plates and not plate_m and target.body is None:  # nothing hides a marker
+    hides = world.plates or world.scenery is not None or plate_m or target.body is not None
+    if ideal and not needs_image and not hides:
         from vstestbed.sim.ideal import IdealPlant
 
         return IdealPlant(parts, steps_per_frame, path=path, order_s=order_s), "none"

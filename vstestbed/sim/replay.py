@@ -191,9 +191,11 @@ class Replay:
 
 def _repaint(model: mujoco.MjModel) -> None:
     """Colours and lights of films, which must not be those of the servo camera: they show robots, and to that camera markers."""
-    floor, sky = (_texels(model, name) for name in ("floor", "sky"))
+    floor = _texels(model, "floor")
     floor[:] = np.where((floor == floor[0]).all(axis=1, keepdims=True), *np.array(FLOOR, np.uint8))
-    sky[:] = np.rint(sky * np.array(SKY)).astype(np.uint8)
+    if any(model.texture(i).name == "sky" for i in range(model.ntex)):  # scenery may have brought its own
+        sky = _texels(model, "sky")
+        sky[:] = np.rint(sky * np.array(SKY)).astype(np.uint8)
     model.geom("floor").size[:2] = FLOOR_M
     key, fill = model.light("key"), model.light("fill")
     key.diffuse[:], fill.diffuse[:], fill.ambient[:] = KEY, FILL, AMBIENT

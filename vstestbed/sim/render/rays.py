@@ -184,7 +184,7 @@ def _borders(geoms: NDArray[np.int32]) -> NDArray[np.bool_]:
 class RayRenderer:
     """The servo camera's images through any lens, by ray casting; the same as `OpenGLRenderer`'s, where both can render them.
 
-    Only the regions of interest are cast. There are no shadows (see `refuse`).
+    Only the regions of interest are cast. There are no shadows (see `refuse`); `Paint` says which textures are mapped.
 
     Args:
         stage: the scene.

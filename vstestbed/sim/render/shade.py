@@ -1,4 +1,4 @@
-"""Shading of ray hits: MuJoCo's materials under its directional lights, the floor's texture, the sky."""
+"""Shading of ray hits: MuJoCo's materials under its lights, flat textures, the sky."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ from vstestbed.sim.scene.meshes import texels_of
 
 RGB_ROLE = int(mujoco.mjtTextureRole.mjTEXROLE_RGB)
 SKYBOX = int(mujoco.mjtTexture.mjTEXTURE_SKYBOX)
+FLAT_TEXTURE = int(mujoco.mjtTexture.mjTEXTURE_2D)
+DIRECTIONAL, SPOT = int(mujoco.mjtLightType.mjLIGHT_DIRECTIONAL), int(mujoco.mjtLightType.mjLIGHT_SPOT)
 FLAT = [int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_BOX)]
 """Shapes on which a texture lies flat, along x and y."""
 
@@ -20,7 +22,10 @@ class Paint:
     """Colours of a scene as OpenGL's fixed pipeline makes them, without shadows, reflections and highlights.
 
     colour = min(1, rgb (emission + sum over lights of (ambient + diffuse max(0, n . l)))) texture, l towards the light.
-    On planes and boxes a texture lies flat (the floor's checker, tags, pictures); any other textured geom has its texture's mean colour.
+    A light that is not directional has l and its brightness by the place: over the attenuation a + b d + c d^2, of a spot light times
+    cos(angle)^exponent within its cutoff. OpenGL has that at the corners of a surface alone, and its mean between them.
+    On planes and boxes a flat texture (`type="2d"`) lies as it is (the floor's checker, tags, pictures); any other textured geom, round,
+    of a mesh or with a cube texture, has its texture's mean colour (`averaged`).
 
     Args:
         model, data: the scene; lights are where `data` has them.
@@ -33,11 +38,13 @@ class Paint:
         rgb = np.where(painted[:, None], model.mat_rgba[material, :3] if model.nmat else 0.0, model.geom_rgba[:, :3])
         emission = np.where(painted, model.mat_emission[material] if model.nmat else 0.0, 0.0)
         texture = np.where(painted, model.mat_texid[material, RGB_ROLE] if model.nmat else -1, -1)
-        flat = np.isin(model.geom_type, FLAT)
-        self._mipmaps = {i: Mipmap(texels_of(model, i)) for i in sorted(set(texture[(texture >= 0) & flat].tolist()))}
-        self._printed = [int(g) for g in np.flatnonzero((texture >= 0) & flat)]
+        flat = (texture >= 0) & (model.tex_type[texture] == FLAT_TEXTURE) if model.ntex else texture >= 0
+        self._printed = [int(g) for g in np.flatnonzero(flat & np.isin(model.geom_type, FLAT))]
+        self._mipmaps = {i: Mipmap(texels_of(model, i)) for i in sorted({int(texture[g]) for g in self._printed})}
         self._texture = texture
-        for g in np.flatnonzero((texture >= 0) & ~flat):
+        self.averaged = [int(g) for g in np.flatnonzero(texture >= 0) if g not in self._printed]
+        self._local = bool((model.light_type[model.light_active] != DIRECTIONAL).any())
+        for g in self.averaged:
             rgb[g] *= texels_of(model, int(texture[g])).mean(axis=(0, 1)) / 255
         self._rgb = np.vstack([rgb, [0, 0, 0]]).astype(np.float32)  # the last row: no hit, geom -1
         self._glow = np.append(emission, 0).astype(np.float32)
@@ -51,6 +58,8 @@ class Paint:
         apart: angle from each ray to the next (N,) [rad], by which textures are smoothed.
         """
         light = self._light(normal)
+        if self._local:
+            self._add_local(light, origin + rays * distance[:, None], normal)
         light += self._glow[geom]
         light *= self._rgb.T[:, geom]
         colour = np.minimum(light, 1, out=light)
@@ -71,10 +80,10 @@ class Paint:
         return np.ascontiguousarray(colour.T.astype(np.uint8))
 
     def _light(self, normal: Array) -> NDArray[np.float32]:
-        """Irradiance of surfaces with outward normals (N, 3) by the lights: (3, N), 1 for full brightness."""
+        """Irradiance of surfaces with outward normals (N, 3) by directional lights: (3, N), 1 for full brightness."""
         model = self._model
         light = np.empty((3, len(normal)), np.float32)
-        on = np.flatnonzero(model.light_active)
+        on = np.flatnonzero(model.light_active & (model.light_type == DIRECTIONAL))
         light[:] = model.light_ambient[on].sum(axis=0)[:, None]
         # Channels first and single floats: three long contiguous rows, which numpy adds up quickest.
         x, y, z = np.ascontiguousarray(normal.T, dtype=np.float32)
@@ -88,17 +97,32 @@ class Paint:
     def _print(self, geom: int, points: Array, pixel: Array) -> NDArray[np.float32]:
         """The texture of a geom at points (N, 3) [m] in the world: (N, 3), 1 for full brightness. pixel: size of one there (N,) [m].
 
-        One texture covers 2 m about the geom's origin, or with texuniform=false the geom from its upper left corner on, y up; it is
+        It begins in the upper left corner, y up (of an endless plane, in the middle), and covers the geom, or with texuniform=true 2 m;
         divided by texrepeat.
         """
         model, data = self._model, self._data
         local = (points - data.geom_xpos[geom]) @ data.geom_xmat[geom].reshape(3, 3)[:, :2]
         material, mipmap = model.geom_matid[geom], self._mipmaps[self._texture[geom]]
-        uniform = model.mat_texuniform[material]
-        half = 1.0 if uniform else np.maximum(model.geom_size[geom, :2], 1e-9)
+        edge = model.geom_size[geom, :2]
+        half = np.ones(2) if model.mat_texuniform[material] else np.where(edge > 0, edge, 1.0)
         repeats = model.mat_texrepeat[material] / (2 * half)
-        place = local * repeats * [1, -1] + (0.5 if uniform else half * repeats)
+        place = local * repeats * [1, -1] + np.where(edge > 0, edge * repeats, 0.5)
         return mipmap.at(place - np.floor(place), pixel * float((repeats * mipmap.size).max()))
+
+    def _add_local(self, light: NDArray[np.float32], points: Array, normal: Array) -> None:
+        """Add the lights that have a place, at points (N, 3) with outward normals (N, 3), to (3, N)."""
+        model, data = self._model, self._data
+        for i in np.flatnonzero(model.light_active & (model.light_type != DIRECTIONAL)):
+            to = data.light_xpos[i] - points
+            far = np.maximum(np.linalg.norm(to, axis=1), 1e-9)
+            to /= far[:, None]
+            a, b, c = model.light_attenuation[i].tolist()
+            share = 1.0 / np.maximum(a + b * far + c * far * far, 1e-9)
+            if model.light_type[i] == SPOT:
+                along = np.clip(-(to @ data.light_xdir[i]), 0.0, 1.0)
+                share *= np.where(along >= np.cos(np.radians(model.light_cutoff[i])), along ** model.light_exponent[i], 0.0)
+            facing = np.maximum((to * normal).sum(axis=1), 0.0)
+            light += (share * (model.light_ambient[i][:, None] + model.light_diffuse[i][:, None] * facing)).astype(np.float32)
 
 
 def _sky(model: mujoco.MjModel) -> tuple[Array, NDArray[np.float32]]:

@@ -4,8 +4,9 @@ Names: joints and actuators `robot/joint_1`, ..., the servo camera `eye` (site `
 sees more than one pinhole picture holds has `eye_right`, `eye_left`, `eye_up`, `eye_down`, `eye_back` at the same place), the
 outside view `overview`, the target's body `target/frame` (mocap), its markers sites `target/marker_0`, `target/marker_1`, ...
 (of lines on the floor, which have no places of their own, only geoms `target/line_0`, ...), plates `plate_0`, ..., a vehicle
-that carries the target `leader/...`. Geom groups: 0 the room, 1 geoms that enclose the lens (not rendered by the servo camera,
-which in the textbook's scene sits at the wrist's centre, inside the hand), 2 the robot, 3 the target, 5 what range finders alone meet.
+that carries the target `leader/...`, scenery `scenery/...`. Geom groups: 0 the room, 1 geoms that enclose the lens (not rendered by
+the servo camera, which in the textbook's scene sits at the wrist's centre, inside the hand), 2 the robot, 3 the target, 5 what range
+finders alone meet.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from vstestbed.sim.scene.groups import FACE_VIEWER, GLOW, LENS_GROUP, ROBOT_GROU
 from vstestbed.sim.scene.model_files import ASSETS
 from vstestbed.sim.scene.overview import frame_drive, frame_flight
 from vstestbed.sim.scene.paint import add_body, add_sheet, add_stripe
+from vstestbed.sim.scene.scenery import add_scenery
 from vstestbed.sim.scene.start_pose import camera_start, target_start
 from vstestbed.sim.scene.world import AWAY, World
 from vstestbed.targets import Pad, Target
@@ -88,6 +90,8 @@ def compose(parts: Parts) -> mujoco.MjSpec:
     scene.compiler.degree = False
     for plane in ("floor", "ground"):
         scene.geom(plane).pos = [0, 0, parts.world.floor_z]
+    if (around := parts.world.scenery) is not None:
+        add_scenery(scene, around.file, around.pose.T, parts.world.floor_z)
     body, T_body_flange = add_robot(scene, parts.robot, "robot/", parts.world.floor_friction)
     housing = 1.0 if parts.robot.model else FREE_HOUSING
     if parts.target.on_gripper:
@@ -136,7 +140,7 @@ def _frame_overview(scene: mujoco.MjSpec, parts: Parts) -> None:
     elif robot.base != "fixed":
         start = robot.flange_pose(robot.configuration())[:3, 3]
         sights = transform(target.T_world_start, target.points)
-        frame_drive(scene, np.array([start, *parts.sights]), sights, extent_of(robot.model))
+        frame_drive(scene, np.array([start, *parts.sights]), sights, extent_of(robot))
 
 
 def _add_camera(body: mujoco.MjsBody, T_body_camera: Array, camera: Camera, housing: float) -> None:

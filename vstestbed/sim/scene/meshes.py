@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 
 from vstestbed.core.geometry import FLIP, Array
 from vstestbed.sim.scene.compose import HAND_PLATE
-from vstestbed.sim.scene.groups import RANGE_GROUP
+from vstestbed.sim.scene.groups import RANGE_GROUP, TARGET_GROUP
 
 PLAIN_RGBA = (0.5, 0.5, 0.5, 1.0)
 """MuJoCo's default colour of a geom, for which its material's is used."""
 PAPER_RGB = (0.96, 0.96, 0.96)
 PRINT_M = 2e-4
 """Distance of a print before its box [m]."""
+ENDLESS_M = 20.0
 AROUND, ALONG = 24, 8
 """Facets of round geoms round the axis, and from the equator to a pole."""
 
@@ -53,11 +54,11 @@ class Pane:
 
 
 def panes(model: mujoco.MjModel) -> list[Pane]:
-    """The pictures of a scene: what is printed on the front of boxes, as tags are."""
+    """The pictures of a scene: what is printed on the front of a target's boxes, as tags are."""
     found = []
     for i in np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_BOX):
         texture = _texture(model, int(i))
-        if texture < 0:
+        if texture < 0 or not _shows_print(model, int(i)):
             continue
         T, R, half = np.eye(4), np.zeros(9), model.geom_size[i].astype(float)
         mujoco.mju_quat2Mat(R, model.geom_quat[i])
@@ -79,6 +80,11 @@ def texels_of(model: mujoco.MjModel, texture: int) -> NDArray[np.uint8]:
     return np.broadcast_to(pixels[..., :3], (height, width, 3))
 
 
+def _shows_print(model: mujoco.MjModel, i: int) -> bool:
+    """Whether geom i is a box of a target, whose texture is a print on its front."""
+    return bool(model.geom_type[i] == mujoco.mjtGeom.mjGEOM_BOX and model.geom_group[i] == TARGET_GROUP)
+
+
 def _texture(model: mujoco.MjModel, i: int) -> int:
     """The texture of geom i; -1 without one."""
     material = int(model.geom_matid[i])
@@ -86,11 +92,14 @@ def _texture(model: mujoco.MjModel, i: int) -> int:
 
 
 def solids(model: mujoco.MjModel) -> list[Solid]:
-    """The visible geoms of a scene but infinite planes, joined by body and colour; what is printed on them is in `panes`."""
+    """The visible geoms of a scene but its own floor, joined by body and colour; of infinite planes ENDLESS_M to each side.
+
+    What is printed on a target is in `panes`.
+    """
     found: dict[tuple[int, tuple[float, float, float]], list[Array]] = {}
     for i in range(model.ngeom):
         unseen = model.geom_group[i] == RANGE_GROUP or model.geom_rgba[i, 3] == 0 or model.geom(i).name == HAND_PLATE
-        if unseen or model.geom_type[i] == mujoco.mjtGeom.mjGEOM_PLANE:
+        if unseen or (model.geom_type[i] == mujoco.mjtGeom.mjGEOM_PLANE and model.geom(i).name == "floor"):  # viewers have their own
             continue
         R = np.zeros(9)
         mujoco.mju_quat2Mat(R, model.geom_quat[i])
@@ -110,9 +119,12 @@ def _colour(model: mujoco.MjModel, i: int) -> tuple[float, float, float]:
     material = int(model.geom_matid[i])
     if material < 0:
         return _rgb(rgba)
-    if _texture(model, i) >= 0 and model.geom_type[i] == mujoco.mjtGeom.mjGEOM_BOX:
+    texture = _texture(model, i)
+    if texture >= 0 and _shows_print(model, i):
         return PAPER_RGB
-    colour = model.mat_rgba[material].astype(float) if np.allclose(rgba, PLAIN_RGBA) else rgba
+    colour = (model.mat_rgba[material] if np.allclose(rgba, PLAIN_RGBA) else rgba).astype(float)
+    if texture >= 0:
+        colour[:3] *= texels_of(model, texture).mean(axis=(0, 1)) / 255
     return _rgb(colour * max(1.0, float(model.mat_emission[material])))
 
 
@@ -131,6 +143,8 @@ def _triangles(model: mujoco.MjModel, i: int) -> Array:
         return model.mesh_vert[first : first + count].astype(float)[faces]
     if kind == mujoco.mjtGeom.mjGEOM_BOX:
         return _box() * size
+    if kind == mujoco.mjtGeom.mjGEOM_PLANE:
+        return _box()[-2:] * [*np.where(size[:2] > 0, size[:2], ENDLESS_M), 0.0]
     if kind in (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_ELLIPSOID):
         return _turned(*_arc(0.0)) * (size if kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID else size[0])
     if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:

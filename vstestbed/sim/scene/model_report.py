@@ -1,4 +1,4 @@
-"""What of an arm's file can be used, and what is missing, for `doctor FILE.xml`."""
+"""What of an arm's file, or of scenery, can be used, and what is missing, for `doctor FILE.xml`."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from vstestbed.core.named_files import place_of_file
 from vstestbed.robots.chain import JointChain
 from vstestbed.robots.mjcf import servo_gains
 from vstestbed.sim.scene.joint_chain import compiled, inertia_at, joint_chain
+from vstestbed.sim.scene.scenery import examine_scenery
 
 Line = tuple[str, bool, str, str]
 """What was examined, whether it can be used, what was found, a remedy."""
@@ -21,6 +22,8 @@ Line = tuple[str, bool, str, str]
 
 def examine_model(file: str) -> Iterator[Line]:
     """Examine a model as the robot `mjcf` would use it: flanges, joints, torque limits, servos and their gains, and a block to begin with.
+
+    A file without joints is examined as scenery (`world.scenery`).
 
     Raises:
         ParameterError: the file is not there.
@@ -30,6 +33,11 @@ def examine_model(file: str) -> Iterator[Line]:
         model = compiled(file)
     except ParameterError as error:
         yield "model", False, error.problem, "correct the file; MuJoCo names the line"
+        return
+    if not model.njnt:
+        for what, found in examine_scenery(file):
+            yield what, True, found, ""
+        yield "scenario", True, f"world: {{scenery: {file}}}", ""
         return
     yield "model", True, f"{model.njnt} joints, {model.nu} actuators, {model.nsite} sites, {model.nmesh} meshes", ""
     usable: list[tuple[str, JointChain]] = []
