@@ -282,8 +282,7 @@ def _kept_fields(value: Any) -> list[str]:
     fields = [f for f in dataclasses.fields(value) if f.init and f.name != "kind"]
     # What makes it this kind comes before what all kinds have, as people write it: a square's side before its pose.
     own = sorted(fields, key=lambda f: f.name not in type(value).__annotations__)
-    kept = [f.name for f in own if getattr(value, f.name) != _default(f)]
-    return kept if kept or hasattr(value, "kind") else [f.name for f in own[:1]]
+    return [f.name for f in own if getattr(value, f.name) != _default(f)] or [f.name for f in own[: not hasattr(value, "kind")]]
 
 
 def _with_kind(kind: str, block: dict[str, Any], rooms: list[OneOf]) -> Any:
