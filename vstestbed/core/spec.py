@@ -295,19 +295,28 @@ def brief_mapping(value: Any) -> Any:
 
 def _brief_block(value: Any) -> Any:
     """A spec as a mapping, or the word or number that stands for it."""
+    block = {name: brief_mapping(getattr(value, name)) for name in _kept_fields(value)}
+    if not hasattr(value, "kind"):
+        return block
+    return _with_kind(value.kind, block, [room for room in _ROOMS if type(value) in room.members.values()])
+
+
+def _kept_fields(value: Any) -> list[str]:
+    """The fields that are not at their default; of a block without a kind, which needs something in it, the first one at least."""
     fields = [f for f in dataclasses.fields(value) if f.init and f.name != "kind"]
     # What makes it this kind comes before what all kinds have, as people write it: a square's side before its pose.
     own = sorted(fields, key=lambda f: f.name not in type(value).__annotations__)
-    # A block needs something in it: of one that is all defaults, the first field.
-    kept = [f for f in own if getattr(value, f.name) != _default(f)] or ([] if hasattr(value, "kind") else own[:1])
-    block = {f.name: brief_mapping(getattr(value, f.name)) for f in kept}
-    rooms = [room for room in _ROOMS if type(value) in room.members.values()]
-    if not hasattr(value, "kind") or (rooms and all(room.implied(block) == value.kind for room in rooms)):
+    return [f.name for f in own if getattr(value, f.name) != _default(f)] or [f.name for f in own[: not hasattr(value, "kind")]]
+
+
+def _with_kind(kind: str, block: dict[str, Any], rooms: list[OneOf]) -> Any:
+    """A block with its kind, where no field tells it; the number or the word that a room has for it."""
+    if rooms and all(room.implied(block) == kind for room in rooms):
         return block
     for room in rooms:
-        if room.number and value.kind == room.number[0] and block.keys() == {room.number[1]}:
+        if room.number and (kind, [*block]) == (room.number[0], [room.number[1]]):
             return block[room.number[1]]
-    return {"kind": value.kind, **block} if block or not rooms else value.kind
+    return {"kind": kind, **block} if block or not rooms else kind
 
 
 def _default(field: dataclasses.Field[Any]) -> Any:

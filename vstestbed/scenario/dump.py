@@ -8,6 +8,7 @@ import io
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from vstestbed.core.errors import ParameterError
@@ -148,8 +149,12 @@ def _is_named(cls: type, plugins: tuple[str, ...], installed: set[str]) -> bool:
     if cls.__module__.partition(".")[0] in packages:
         return True
     loaded = [module_of(Path(absolute(name, Path.cwd()))) for name in plugins if is_file_name(name)]
-    # its own file is a plugin, or a plugin has imported it
-    return any(m is not None and (m is home or any(v is cls or v is home for v in vars(m).values())) for m in loaded)
+    return any(m is home or _holds(m, (cls, home)) for m in loaded if m is not None)
+
+
+def _holds(module: ModuleType, wanted: tuple[object, ...]) -> bool:
+    """Whether a module has imported one of these objects."""
+    return any(value is one for value in vars(module).values() for one in wanted)
 
 
 def _file_of(cls: type) -> Path | None:
