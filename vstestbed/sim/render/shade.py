@@ -13,8 +13,8 @@ RGB_ROLE = int(mujoco.mjtTextureRole.mjTEXROLE_RGB)
 SKYBOX = int(mujoco.mjtTexture.mjTEXTURE_SKYBOX)
 FLAT_TEXTURE = int(mujoco.mjtTexture.mjTEXTURE_2D)
 DIRECTIONAL, SPOT = int(mujoco.mjtLightType.mjLIGHT_DIRECTIONAL), int(mujoco.mjtLightType.mjLIGHT_SPOT)
-ROUND = [int(kind) for kind in (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CYLINDER)]
-MAPPED = [*ROUND, *(int(kind) for kind in (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_ELLIPSOID))]
+BOX = int(mujoco.mjtGeom.mjGEOM_BOX)
+MAPPED = int(mujoco.mjtGeom.mjGEOM_PLANE), BOX
 """Geoms on which flat textures are mapped."""
 
 
@@ -24,8 +24,8 @@ class Paint:
     colour = min(1, rgb (emission + sum over lights of (ambient + diffuse max(0, n . l)))) texture, l towards the light.
     A light that is not directional has l and its brightness by the place: over the attenuation a + b d + c d^2, of a spot light times
     cos(angle)^exponent within its cutoff. OpenGL has that at the corners of a surface alone, and its mean between them.
-    Flat textures (`type="2d"`) are mapped on planes, boxes, spheres, ellipsoids and cylinders; any other textured geom, with a cube
-    texture or of a mesh, has its texture's mean colour (`averaged`).
+    Flat textures (`type="2d"`) are mapped on planes and boxes; any other textured geom, a round one, a mesh, or one with a cube texture,
+    has its texture's mean colour (`averaged`).
 
     Args:
         model, data: the scene; lights are where `data` has them.
@@ -62,7 +62,7 @@ class Paint:
         for one in self._mapped:
             at = np.flatnonzero(geom == one)
             if len(at):
-                colour[:, at] *= self._flat_texture(one, origin + rays[at] * distance[at, None]).T
+                colour[:, at] *= self._flat_texture(one, origin + rays[at] * distance[at, None], normal[at]).T
         sky = np.flatnonzero(geom == -1)
         if len(sky):
             elevation, tints = self._sky
@@ -103,21 +103,24 @@ class Paint:
             facing = np.maximum((to * normal).sum(axis=1), 0.0)
             light += (share * (model.light_ambient[i][:, None] + model.light_diffuse[i][:, None] * facing)).astype(np.float32)
 
-    def _flat_texture(self, plane: int, points: Array) -> NDArray[np.float32]:
-        """The texture of a geom at points (N, 3) [m] in the world, along its z axis: (N, 3), 1 for full brightness.
+    def _flat_texture(self, geom: int, points: Array, normal: Array) -> NDArray[np.float32]:
+        """The texture of a plane or a box at points (N, 3) [m] in the world with normals (N, 3): (N, 3), 1 for full brightness.
 
-        One texture covers 2 m, or with texuniform=false the geom, divided by texrepeat; the geom's origin is its middle.
+        On a face with axes i < j it is stretched over its width, upright along j. It is repeated texrepeat times, with texuniform
+        as often again as the geom's half sizes x and y have metres.
         """
         model, data = self._model, self._data
-        local = (points - data.geom_xpos[plane]) @ data.geom_xmat[plane].reshape(3, 3)[:, :2]
-        material = model.geom_matid[plane]
-        size = model.geom_size[plane, [0, 0] if model.geom_type[plane] in ROUND else [0, 1]]
-        half = 1.0 if model.mat_texuniform[material] else np.maximum(size, 1e-9)
-        place = local * model.mat_texrepeat[material] / (2 * half) + 0.5
-        texels = self._texels[self._texture[plane]]
+        R, half = data.geom_xmat[geom].reshape(3, 3), model.geom_size[geom]
+        local, k = (points - data.geom_xpos[geom]) @ R, np.arange(len(points))
+        faces = np.abs(normal @ R).argmax(axis=1) if model.geom_type[geom] == BOX else np.full(len(points), 2)
+        i, j = np.array([1, 0, 0])[faces], np.array([2, 2, 1])[faces]
+        size = np.where(half > 0, half, 1.0)  # an endless plane has none
+        across, down = local[k, i] / (2 * size[i]) + 0.5, 0.5 - local[k, j] / (2 * size[j])
+        times = model.mat_texrepeat[(m := model.geom_matid[geom])] * (size[:2] if model.mat_texuniform[m] else 1.0)
+        texels = self._texels[self._texture[geom]]
         height, width = texels.shape[:2]
-        column = (np.mod(place[:, 0], 1) * width).astype(int) % width
-        row = (np.mod(-place[:, 1], 1) * height).astype(int) % height
+        column = (np.mod(across * times[0], 1) * width).astype(int) % width
+        row = (np.mod(down * times[1], 1) * height).astype(int) % height
         return texels[row, column]
 
 

@@ -11,6 +11,8 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -53,7 +55,7 @@ def _checked(path: str, mtime_ns: int) -> mujoco.MjModel:
         raise ParameterError("file", f"cannot be compiled by MuJoCo ({words}); works: an MJCF file", path) from None
     for what, moving in (("actuator", spec.actuators), ("joint", spec.joints)):
         if moving:
-            name, line = moving[0].name or "without a name", _line(moving[0].info)
+            name, line = moving[0].name or "without a name", _line(moving[0], path)
             why = "nothing would drive it" if what == "actuator" else "scenery stands still, as a run's log has no place for its motion"
             raise ParameterError("file", f"has the {what} {name}{line}, and {why}; remove it from the file", path)
     if not model.ngeom:
@@ -61,9 +63,13 @@ def _checked(path: str, mtime_ns: int) -> mujoco.MjModel:
     return model
 
 
-def _line(info: str) -> str:
-    """` (line 7)`, where MuJoCo knows it."""
-    return f" ({info})" if info else ""
+def _line(element: Any, path: str) -> str:
+    """` (line 7)`, where MuJoCo knows it, which it does not of a free joint, or the file itself has the name."""
+    if element.info:
+        return f" ({element.info})"
+    lines = Path(path).read_text(errors="replace").splitlines()
+    numbers = [number for number, text in enumerate(lines, start=1) if element.name and f'name="{element.name}"' in text]
+    return f" (line {numbers[0]})" if numbers else ""
 
 
 def _floors(model: mujoco.MjModel, T: Array, floor_z: float) -> list[int]:
@@ -110,8 +116,8 @@ def _name(model: mujoco.MjModel, g: int) -> str:
     return model.geom(g).name or f"number {g + 1} (without a name)"
 
 
-def add_scenery(scene: mujoco.MjSpec, file: str, T: Array, floor_z: float) -> None:
-    """Attach a checked file to the scene at a pose (4, 4)."""
+def add_scenery(scene: mujoco.MjSpec, file: str, T: Array, floor_z: float) -> dict[str, bytes]:
+    """Attach a checked file to the scene at a pose (4, 4); returns its meshes and textures, for the scene's assets."""
     path = place_of_file(file)
     floors = _floors(_checked(str(path), path.stat().st_mtime_ns), T, floor_z)
     spec = mujoco.MjSpec.from_file(str(path))
@@ -133,8 +139,7 @@ def add_scenery(scene: mujoco.MjSpec, file: str, T: Array, floor_z: float) -> No
     _same_options(spec, scene)
     files = carry_files(spec, path, scene, PREFIX)
     scene.attach(spec, prefix=PREFIX, frame=scene.worldbody.add_frame(pos=T[:3, 3], quat=quaternion_wxyz(T[:3, :3])))
-    if files:  # as of a robot's model: an attached one brings its own assets, under a prefix that nothing refers to
-        scene.assets = {**scene.assets, **files}
+    return files
 
 
 def _same_options(spec: mujoco.MjSpec, scene: mujoco.MjSpec) -> None:
