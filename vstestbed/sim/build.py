@@ -54,7 +54,7 @@ def build_plant(
     parts = Parts(robot, camera, target, world, step, plate_m=plate_m)
     ideal = robot.model is None
     path = target.path(motion_rng or np.random.default_rng(0)) if target.motion.by_itself else None
-    if ideal and not needs_image and not world.plates and world.scenery is None and not plate_m:
+    if ideal and not needs_image and not world.hides and not plate_m:
         from vstestbed.sim.ideal import IdealPlant
 
         return IdealPlant(parts, steps_per_frame, path=path, order_s=order_s), "none"

@@ -104,8 +104,7 @@ class BatchSetup:
         noisy = s.noise != Noise() or s.timing != Timing()
         if not (s.calibration.camera_exact and s.calibration.depth_exact):
             raise ParameterError("calibration", "must be exact in a batch, whose poses and depths are true")
-        hidden = s.world.plates or s.world.scenery
-        if not (s.robot.model is None and isinstance(s.detector, Oracle)) or s.camera.latency_s or noisy or hidden:
+        if not (s.robot.model is None and isinstance(s.detector, Oracle)) or s.camera.latency_s or noisy or s.world.hides:
             words = "must have a free camera, detector oracle, no latency, no noise, and no plates or scenery for a batch;"
             words = f"{words} `basin.setup.ideal` makes it so"
             raise ParameterError("scenario", words)
