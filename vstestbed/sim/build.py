@@ -58,8 +58,7 @@ def build_plant(
     parts = Parts(robot, camera, target, world, step, plate_m=plate_m)
     ideal = robot.model is None
     path = target.path(motion_rng or np.random.default_rng(0)) if target.motion.by_itself else None
-    hides = world.plates or world.scenery is not None or plate_m or target.body is not None
-    if ideal and not needs_image and not hides:
+    if ideal and not needs_image and not world.hides and not plate_m and target.body is None:  # nothing hides a marker
         from vstestbed.sim.ideal import IdealPlant
 
         return IdealPlant(parts, steps_per_frame, path=path, order_s=order_s), "none"

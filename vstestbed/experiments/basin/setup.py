@@ -111,8 +111,7 @@ class BatchSetup:
             raise ParameterError("calibration", "must be exact in a batch, whose poses and depths are true")
         if s.monitors:
             raise ParameterError("monitors", "must be none in a batch, which ends runs by the loop's own alone")
-        hidden = s.world.plates or s.world.scenery
-        if not (s.robot.model is None and isinstance(s.detector, Oracle)) or s.camera.latency_s or noisy or hidden:
+        if not (s.robot.model is None and isinstance(s.detector, Oracle)) or s.camera.latency_s or noisy or s.world.hides:
             words = "must have a free camera, detector oracle, no latency, no noise, and no plates or scenery for a batch;"
             words = f"{words} `basin.setup.ideal` makes it so"
             raise ParameterError("scenario", words)

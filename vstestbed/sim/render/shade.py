@@ -14,8 +14,9 @@ RGB_ROLE = int(mujoco.mjtTextureRole.mjTEXROLE_RGB)
 SKYBOX = int(mujoco.mjtTexture.mjTEXTURE_SKYBOX)
 FLAT_TEXTURE = int(mujoco.mjtTexture.mjTEXTURE_2D)
 DIRECTIONAL, SPOT = int(mujoco.mjtLightType.mjLIGHT_DIRECTIONAL), int(mujoco.mjtLightType.mjLIGHT_SPOT)
-FLAT = [int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_BOX)]
-"""Shapes on which a texture lies flat, along x and y."""
+BOX = int(mujoco.mjtGeom.mjGEOM_BOX)
+FLAT = int(mujoco.mjtGeom.mjGEOM_PLANE), BOX
+"""Shapes on whose faces a texture lies flat."""
 
 
 class Paint:
@@ -68,7 +69,7 @@ class Paint:
             if len(at):
                 cosine = np.maximum(np.abs(np.einsum("ni,ni->n", rays[at], normal[at])), 1e-6)
                 pixel = apart[at] * distance[at] / cosine
-                colour[:, at] *= self._print(printed, origin + rays[at] * distance[at, None], pixel).T
+                colour[:, at] *= self._print(printed, origin + rays[at] * distance[at, None], normal[at], pixel).T
         sky = np.flatnonzero(geom == -1)
         if len(sky):
             elevation, tints = self._sky
@@ -94,20 +95,27 @@ class Paint:
                 channel += facing * np.float32(brightness)
         return light
 
-    def _print(self, geom: int, points: Array, pixel: Array) -> NDArray[np.float32]:
-        """The texture of a geom at points (N, 3) [m] in the world: (N, 3), 1 for full brightness. pixel: size of one there (N,) [m].
+    def _print(self, geom: int, points: Array, normal: Array, pixel: Array) -> NDArray[np.float32]:
+        """The texture of a plane or a box at points (N, 3) [m] in the world with normals (N, 3): (N, 3), 1 for full brightness.
 
-        It begins in the upper left corner, y up (of an endless plane, in the middle), and covers the geom, or with texuniform=true 2 m;
-        divided by texrepeat.
+        On a face with axes i < j it is stretched over its width from the upper left corner on, upright along j. It is repeated texrepeat
+        times, with texuniform as often again as the geom's half sizes x and y have metres. On an endless plane it begins in the middle.
+
+        pixel: size of a pixel there (N,) [m].
         """
         model, data = self._model, self._data
-        local = (points - data.geom_xpos[geom]) @ data.geom_xmat[geom].reshape(3, 3)[:, :2]
-        material, mipmap = model.geom_matid[geom], self._mipmaps[self._texture[geom]]
-        edge = model.geom_size[geom, :2]
-        half = np.ones(2) if model.mat_texuniform[material] else np.where(edge > 0, edge, 1.0)
-        repeats = model.mat_texrepeat[material] / (2 * half)
-        place = local * repeats * [1, -1] + np.where(edge > 0, edge * repeats, 0.5)
-        return mipmap.at(place - np.floor(place), pixel * float((repeats * mipmap.size).max()))
+        R, half = data.geom_xmat[geom].reshape(3, 3), model.geom_size[geom]
+        local, k = (points - data.geom_xpos[geom]) @ R, np.arange(len(points))
+        faces = np.abs(normal @ R).argmax(axis=1) if model.geom_type[geom] == BOX else np.full(len(points), 2)
+        i, j = np.array([1, 0, 0])[faces], np.array([2, 2, 1])[faces]
+        size = np.where(half > 0, half, 1.0)
+        times = model.mat_texrepeat[(m := model.geom_matid[geom])] * (size[:2] if model.mat_texuniform[m] else 1.0)
+        begins = np.where(half[:2] > 0, 0.5 * times, 0.5)
+        edges = 2 * np.column_stack([size[i], size[j]])
+        place = np.column_stack([local[k, i], -local[k, j]]) / edges * times + begins
+        mipmap = self._mipmaps[self._texture[geom]]
+        texels = pixel * (times * mipmap.size / edges).max(axis=1)
+        return mipmap.at(place - np.floor(place), texels)
 
     def _add_local(self, light: NDArray[np.float32], points: Array, normal: Array) -> None:
         """Add the lights that have a place, at points (N, 3) with outward normals (N, 3), to (3, N)."""

@@ -90,8 +90,7 @@ def compose(parts: Parts) -> mujoco.MjSpec:
     scene.compiler.degree = False
     for plane in ("floor", "ground"):
         scene.geom(plane).pos = [0, 0, parts.world.floor_z]
-    if (around := parts.world.scenery) is not None:
-        add_scenery(scene, around.file, around.pose.T, parts.world.floor_z)
+    carried = add_scenery(scene, parts.world)
     body, T_body_flange = add_robot(scene, parts.robot, "robot/", parts.world.floor_friction)
     housing = 1.0 if parts.robot.model else FREE_HOUSING
     if parts.target.on_gripper:
@@ -116,6 +115,7 @@ def compose(parts: Parts) -> mujoco.MjSpec:
     for i, decoy in enumerate(parts.world.decoys):
         holder = scene.worldbody.add_body(name=f"decoy_{i}", mocap=True, pos=decoy.xyz)
         _visual(holder, f"decoy_{i}", mujoco.mjtGeom.mjGEOM_SPHERE, [decoy.radius, 0, 0], [*decoy.color, 1], 0)
+    scene.assets = {**scene.assets, **carried}  # last: MuJoCo warns of models that are attached to one with assets
     return scene
 
 

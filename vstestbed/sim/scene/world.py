@@ -159,6 +159,11 @@ class World:
             except ParameterError as error:
                 raise ParameterError("scenery", error.problem, error.found) from None
 
+    @property
+    def hides(self) -> bool:
+        """Whether there is what can hide a marker: plates, scenery."""
+        return bool(self.plates or self.scenery)
+
 
 AWAY = np.array([0.0, 0.0, -50.0])
 """Place of plates outside of their time: under the floor [m]. MuJoCo cannot remove a geom from a compiled model."""
