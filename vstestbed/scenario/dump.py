@@ -13,9 +13,9 @@ from typing import Any
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.files import write_whole
+from vstestbed.core.mapping import brief_mapping, to_mapping
 from vstestbed.core.modules import module_of
 from vstestbed.core.named_files import kept_at
-from vstestbed.core.spec import brief_mapping, to_mapping
 from vstestbed.scenario.plugins import absolute, absolute_files, is_file_name, relative_files
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.scenario.validation import KINDS

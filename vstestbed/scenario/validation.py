@@ -11,7 +11,8 @@ import pydantic
 
 from vstestbed.camera import CAMERAS
 from vstestbed.core.errors import Mistake, ParameterError, ScenarioError, nearest
-from vstestbed.core.spec import OneOf, refresh_specs, spec_named, to_mapping
+from vstestbed.core.mapping import to_mapping
+from vstestbed.core.spec import OneOf, refresh_specs, spec_named
 from vstestbed.features import FEATURES
 from vstestbed.features.depth import DEPTHS
 from vstestbed.laws import LAWS

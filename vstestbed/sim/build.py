@@ -58,7 +58,7 @@ def build_plant(
     parts = Parts(robot, camera, target, world, step, plate_m=plate_m)
     ideal = robot.model is None
     path = target.path(motion_rng or np.random.default_rng(0)) if target.motion.by_itself else None
-    if ideal and not needs_image and not world.hides and not plate_m and target.body is None:  # nothing hides a marker
+    if ideal and not needs_image and not plate_m and not _may_hide(target, world):
         from vstestbed.sim.ideal import IdealPlant
 
         return IdealPlant(parts, steps_per_frame, path=path, order_s=order_s), "none"
@@ -79,6 +79,11 @@ def build_plant(
 
     noise = sensor_rng or np.random.default_rng(0)
     return MujocoPlant(stage, steps_per_frame, eye, needs_truth, noise, path, order_s), renderer
+
+
+def _may_hide(target: Target, world: World) -> bool:
+    """Whether something may come between a free camera and a marker."""
+    return world.hides or target.body is not None
 
 
 @dataclass(frozen=True, slots=True)

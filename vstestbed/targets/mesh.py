@@ -28,8 +28,8 @@ FLAT_M = 1e-3
 """Largest distance of a disc's rim from the surface [m]."""
 RIM = 12
 Channel = Annotated[float, Ge(0), Le(1)]
-LARGEST_M = 1e3
-"""Largest size of a solid [m]: as of any length."""
+LARGEST_M = 100.0
+"""Largest size of a solid [m]: a part of 0.1 m or more whose millimetres were taken for metres is larger."""
 SOLID_MARKERS = OneOf("marker", Disc, Sphere, default="disc")
 
 

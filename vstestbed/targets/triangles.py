@@ -75,13 +75,20 @@ def _obj(raw: bytes) -> Triangles:
         if word == b"v":
             places.append(rest[:3])
         elif word == b"f":
-            # Counted from 1; a negative number counts back from the last vertex so far.
-            at = [int(item.split(b"/")[0]) for item in rest]
-            at = [i - 1 if i > 0 else len(places) + i for i in at]
-            if len(at) < 3 or min(at) < 0:
-                raise ValueError(f"line {number}: no face")
-            corners += [k for i in range(1, len(at) - 1) for k in (at[0], at[i], at[i + 1])]
+            try:
+                corners += _fan(rest, len(places))
+            except ValueError:
+                raise ValueError(f"line {number}: no face of three vertices or more that stand before it") from None
     return np.array(places, dtype=float).reshape(-1, 3)[np.array(corners, int)].reshape(-1, 3, 3)
+
+
+def _fan(items: list[bytes], count: int) -> list[int]:
+    """Corners of the triangles of a polygon `v/vt/vn ...` of an OBJ file that has `count` vertices so far; ValueError for no polygon."""
+    numbers = [int(item.split(b"/")[0]) for item in items]
+    at = [i - 1 if i > 0 else count + i for i in numbers]  # counted from 1; a negative number counts back from the last vertex
+    if len(at) < 3 or min(at) < 0 or max(at) >= count:
+        raise ValueError
+    return [k for i in range(1, len(at) - 1) for k in (at[0], at[i], at[i + 1])]
 
 
 def as_stl(triangles: Triangles) -> bytes:

@@ -185,7 +185,8 @@ def test_rays_shade_a_light_that_has_a_place_by_its_distance_and_angle(tmp_path:
     eye = np.array([0.0, 0.0, 4.0])
     rays, distance = points - eye, np.linalg.norm(points - eye, axis=1)
     floor = np.full(4, model.geom("scenery/floor").id, np.int32)
-    seen = Paint(model, stage.data).colours(eye, rays / distance[:, None], floor, distance, np.tile([0.0, 0.0, 1.0], (4, 1)))[:, 0]
+    normal, apart = np.tile([0.0, 0.0, 1.0], (4, 1)), np.full(4, 1e-3)
+    seen = Paint(model, stage.data).colours(eye, rays / distance[:, None], floor, distance, normal, apart)[:, 0]
     stage.close()
     d = np.hypot(x, 2.0)
     expected = 0.8 * (2 / d) * (2 / d) ** 2 / (1 + 0.5 * d**2) * (np.degrees(np.arccos(2 / d)) < 40)

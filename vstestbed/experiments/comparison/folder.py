@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from vstestbed.core.errors import ParameterError, RunFolderError
 from vstestbed.core.files import make_folder, temporary, write_whole, writing
-from vstestbed.core.spec import to_mapping
+from vstestbed.core.mapping import to_mapping
 from vstestbed.experiments.comparison.plan import AMOUNT, Comparison, read_comparison
 from vstestbed.experiments.comparison.runs import Job
 from vstestbed.experiments.comparison.worker import Files

@@ -32,20 +32,19 @@ class Setting:
         width, height: image size of the servo camera [px].
         threshold_px: RMS error that counts as converged [px].
         points: marker centres in the target frame, shape (N, 3) [m].
-        names: of the markers; () where they have none.
         T_camera_target: the goal view, shape (4, 4).
         description: the scenario's description.
         feature: the image feature of the law; None for a law without one.
         camera: the servo camera.
         ground_task: the task of a ground vehicle; None for other robots.
         band_m, settle_s: of a continuing task: error tolerance [m] after this time [s].
+        names: of the markers; () where they have none.
     """
 
     width: int | None = None
     height: int | None = None
     threshold_px: float | None = None
     points: Array | None = None
-    names: tuple[str, ...] = ()
     T_camera_target: Array | None = None
     description: str = ""
     feature: Feature | None = None
@@ -53,6 +52,7 @@ class Setting:
     ground_task: GroundTask | None = None
     band_m: float | None = None
     settle_s: float = 0.0
+    names: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, scenario: Scenario) -> Setting:

@@ -204,6 +204,11 @@ def _add_target(scene: mujoco.MjSpec, target: Target, carrier: mujoco.MjsBody | 
             _add_marker(scene, body, target, i, p)
     if target.body is not None:
         add_body(scene, body, target.body)
+    _add_back(scene, body, target)
+
+
+def _add_back(scene: mujoco.MjSpec, body: mujoco.MjsBody, target: Target) -> None:
+    """What is behind the markers of a planar target: a pad, or a board with its picture."""
     if target.pad:
         _add_pad(body, target.pad)
     elif target.board_half_m is not None:
