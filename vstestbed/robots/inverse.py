@@ -27,8 +27,8 @@ def joints_at(
 ) -> Array:
     """Joint positions (n,) [rad, m] of a flange pose (4, 4).
 
-    q <- clip(q + J^+ log(T(q)^-1 T) + N inward(q)), with the damped inverse J^+ of `resolved_rate` and N the null space of J for
-    more than six joints.
+    q <- clip(q + J^+ log(T(q)^-1 T) + N inward(q)), with the damped inverse J^+ of `resolved_rate`, without the columns of joints that
+    stand at a limit and would move beyond it, and N the null space of J for more than six joints.
 
     Args:
         kinematics: T_world_flange (4, 4) and the flange's Jacobian (6, n) of joints (n,). T_world_flange: the pose that is wanted.
@@ -47,10 +47,22 @@ def joints_at(
         away_m, away_rad = rigid_error(T, T_world_flange)
         if away_m < NEAR_M and away_rad < NEAR_RAD:
             return q
-        step = resolved_rate(J, log(inverse(T) @ T_world_flange), unit_m)
+        step = _step(J, log(inverse(T) @ T_world_flange), q, limits, unit_m)
         if len(q) > 6:
-            free = inward(q)
+            free = inward(q) * min(1.0, away_rad + away_m / unit_m)  # it fades: with the damped inverse it moves the flange a little
             step = step + free - resolved_rate(J, J @ free, unit_m)
         q = np.clip(q + step * min(1.0, LARGEST_STEP / max(float(np.abs(step).max()), 1e-12)), *limits.T)
     words = f"is out of its reach: it stays {1000 * away_m:.0f} mm and {np.degrees(away_rad):.1f} deg away"
     raise UnreachableError("robot.start", words)
+
+
+def _step(J: Array, twist: Array, q: Array, limits: Array, unit_m: float) -> Array:
+    """Motion of the joints (n,) for a twist (6,) of the flange: joints at their limits stay, and the others make up for them."""
+    low, high = limits.T
+    for _ in q:
+        step = resolved_rate(J, twist, unit_m)
+        blocked = ((q <= low) & (step < 0)) | ((q >= high) & (step > 0))
+        if not blocked.any():
+            break
+        J = np.where(blocked, 0.0, J)
+    return step

@@ -260,6 +260,8 @@ def test_a_start_out_of_reach_is_told_in_the_table(tmp_path: Path):
     table = table_of(tmp_path, campaign.jobs)
     assert table["outcome"].to_list() == ["converged", "unreachable"] and table["success"].to_list() == [True, False]
     assert "is out of its reach: it stays" in table["reason"][1]
+    meshes = list((tmp_path / table["folder"][0] / "assets").iterdir())
+    assert len(meshes) == 5 and all(mesh.stat().st_nlink == 2 for mesh in meshes)  # one copy for all runs
     with pytest.raises(UnreachableError):
         campaign.jobs[1].scenario()
 

@@ -7,6 +7,7 @@ import itertools
 import json
 import os
 import shutil
+import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +19,7 @@ from vstestbed.core.mapping import to_mapping
 from vstestbed.experiments.comparison.plan import AMOUNT, Comparison, read_comparison
 from vstestbed.experiments.comparison.runs import Job
 from vstestbed.experiments.comparison.worker import Files
+from vstestbed.experiments.run_folder import ASSETS
 from vstestbed.loop.summary_file import read_summary
 from vstestbed.scenario.dump import as_yaml
 from vstestbed.scenario.load import for_another_folder
@@ -86,7 +88,8 @@ def store(folder: Path, job: Job, files: Files, attempts: int) -> dict[str, Any]
         part.mkdir(parents=True)
         for name, content in files.items():
             (part / name).parent.mkdir(parents=True, exist_ok=True)
-            write_whole(part / name, content)
+            if not (name.startswith(f"{ASSETS}/") and _linked(folder, part / name, content)):
+                write_whole(part / name, content)
         _sync(part)
         if place.is_symlink():
             place.unlink()
@@ -95,6 +98,19 @@ def store(folder: Path, job: Job, files: Files, attempts: int) -> dict[str, Any]
         part.rename(place)
         _sync(place.parent)
     return summary
+
+
+def _linked(folder: Path, path: Path, content: bytes) -> bool:
+    """Whether a mesh or texture could be stored as a link to the comparison's only copy of it: those of one arm are some 10 MB a run."""
+    kept = folder / ASSETS / f"{zlib.crc32(content):08x}_{path.name}"
+    try:
+        if not kept.exists():
+            kept.parent.mkdir(exist_ok=True)
+            write_whole(kept, content)
+        os.link(kept, path)
+    except OSError:  # a file system without hard links
+        return False
+    return True
 
 
 def _sync(folder: Path) -> None:
