@@ -12,7 +12,7 @@ from vstestbed.core.geometry import Array
 from vstestbed.core.outcome import Outcome
 from vstestbed.loop.metric_parts import CameraPath, Convergence, Counts, ImagePaths, Peaks, Tracking
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.tasks.metrics import FIGURES, Figures, Part, figures_of
+from vstestbed.tasks.metrics import FIGURES, Figures, OwnFigures, Part
 
 
 class Blocks(Protocol):
@@ -78,18 +78,16 @@ def summarise(scenario: Scenario, outcome: Outcome, log: Blocks) -> dict[str, ob
         Peaks(),
         Tracking(scenario),
     ]
-    own = [(metric, metric.part(scenario.setup)) for metric in scenario.metrics]
+    own = OwnFigures(scenario.metrics, scenario.setup)
     for block in log.blocks():
-        for part in (*parts, *(part for _, part in own)):
+        for part in (*parts, own):
             part.add(block)
     figures = {name: value for part in parts for name, value in part.figures().items()}
     columns, before = WholeColumns(log), FIGURES.index("saturated_fraction")  # the task's own figures stand before it
     task = scenario.goal.metrics(columns) | scenario.goal.judged(columns, scenario.stop).summary()
     ordered: Figures = {name: figures[name] for name in FIGURES[:before]} | task
     ordered |= {name: figures[name] for name in FIGURES[before:] if name in figures}
-    for metric, part in own:
-        ordered |= figures_of(metric, part)
-    return {name: _clean(value) for name, value in ordered.items()}
+    return {name: _clean(value) for name, value in (ordered | own.figures()).items()}
 
 
 def _clean(value: object) -> object:

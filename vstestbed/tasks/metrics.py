@@ -194,3 +194,19 @@ def figures_of(metric: MetricContract, part: Part) -> Figures:
         if isinstance(value, bool) or not isinstance(value, Real | None):
             raise ParameterError(f"metrics: {metric.kind}", f"{name} must be a number or None", str(value))
     return {name: float(value) if isinstance(value := found[name], Real) else None for name in names}
+
+
+class OwnFigures:
+    """The part of a scenario's own metrics in one run."""
+
+    def __init__(self, metrics: Sequence[MetricContract], setup: Setup):
+        self._parts = [(metric, metric.part(setup)) for metric in metrics]
+
+    def add(self, log: Log) -> None:
+        """See `Part`."""
+        for _, part in self._parts:
+            part.add(log)
+
+    def figures(self) -> Figures:
+        """See `Part`; ParameterError as `figures_of`."""
+        return {name: value for metric, part in self._parts for name, value in figures_of(metric, part).items()}

@@ -34,13 +34,18 @@ def check_motion(motion: MotionBase) -> None:
     assert jump <= FASTEST_MPS * STEP_S, f"{motion.kind}: the path jumps by {jump:.3g} m within {STEP_S:g} s at {when:.3f} s"
     backwards = _along(motion, times[::-500])[::-1]
     assert np.array_equal(backwards, D[::-500][::-1]), f"{motion.kind}: another path when the times are asked for backwards"
-    for seed in range(3):
-        off = float(np.abs(motion.path(np.random.default_rng(seed))(0.0) - D[0]).max())
-        assert off < 1e-12, f"{motion.kind}: every seed must start at the same place, one is {off:.3g} off"
-    off = float(np.abs(rest @ D[0] - start).max())
-    assert off < 1e-9, f"{motion.kind}: start(pose) must be pose @ path(rng)(0), it is {off:.3g} off"
+    _check_start(motion, rest, D[0])
     still = bool(np.all(D[0] == D))
     assert still is not motion.moves, f"{motion.kind}: `moves` is {motion.moves}, and the path {'stands still' if still else 'moves'}"
+
+
+def _check_start(motion: MotionBase, rest: Array, D: Array) -> None:
+    """The displacement at 0 s (4, 4) is that of every seed, and where `start` says."""
+    for seed in range(3):
+        off = float(np.abs(motion.path(np.random.default_rng(seed))(0.0) - D).max())
+        assert off < 1e-12, f"{motion.kind}: every seed must start at the same place, one is {off:.3g} off"
+    off = float(np.abs(rest @ D - motion.start(rest)).max())
+    assert off < 1e-9, f"{motion.kind}: start(pose) must be pose @ path(rng)(0), it is {off:.3g} off"
 
 
 def _along(motion: MotionBase, times: Array) -> Array:

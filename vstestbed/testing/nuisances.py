@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from vstestbed.camera import Image
 from vstestbed.core.geometry import Array
 from vstestbed.loop.recording import Recording
 from vstestbed.loop.run import run
@@ -32,18 +33,22 @@ def check_noise(perturbation: Perturbation) -> None:
     assert PERTURBATIONS.contract is not None
     PERTURBATIONS.contract.check(type(perturbation))
     assert perturbation.changes, f"{kind}: `changes` must name picture, pixels or both"
-    for what, draw in (("picture", _picture), ("pixels", _pixels)):
-        if what not in perturbation.changes:
-            continue
-        one, again, other = (draw(perturbation, seed) for seed in (0, 0, 1))
-        assert np.array_equal(one, again, equal_nan=True), f"{kind}: another change of the {what} for the same seed; draw from `rng` alone"
-        none = _PICTURE if what == "picture" else _UV
-        changed = [not np.array_equal(x, none, equal_nan=True) for x in (*one, *other)]
-        assert any(changed), f"{kind}: none of {len(changed)} draws changed the {what}"
+    if "picture" in perturbation.changes:
+        _check_draws(kind, "picture", _PICTURE, [_picture(perturbation, seed) for seed in (0, 0, 1)])
+    if "pixels" in perturbation.changes:
+        _check_draws(kind, "pixels", _UV, [_pixels(perturbation, seed) for seed in (0, 0, 1)])
     loop = load("ibvs_book", {"stop.duration_s": SHORT_S}) if "picture" in perturbation.changes else quick("view")
     loop = replace(loop, noise=Noise(perturb=(perturbation,)))
     one, again = run(loop).table, run(loop).table
     assert np.array_equal(one, again, equal_nan=True), f"{kind}: two runs of one seed have different logs; keep no state in the object"
+
+
+def _check_draws(kind: str, what: str, unchanged: Array | Image, drawn: list[Array]) -> None:
+    """Draws of one seed, of the same again, and of another."""
+    one, again, other = drawn
+    assert np.array_equal(one, again, equal_nan=True), f"{kind}: another change of the {what} for the same seed; draw from `rng` alone"
+    changed = [not np.array_equal(x, unchanged, equal_nan=True) for x in (*one, *other)]
+    assert any(changed), f"{kind}: none of {len(changed)} draws changed the {what}"
 
 
 _PICTURE = np.random.default_rng(0).integers(0, 256, (48, 64, 3), dtype=np.uint8)
@@ -74,9 +79,7 @@ def check_metric(metric: MetricContract, scenario: Scenario | None = None) -> No
     kind = metric.kind
     assert METRICS.contract is not None
     METRICS.contract.check(type(metric))
-    for name, title in metric.titles.items():
-        two = isinstance(title, tuple) and len(title) == 2 and all(isinstance(word, str) for word in title)
-        assert two, f"{kind}: titles[{name!r}] must be (title, unit), got {title!r}"
+    _check_titles(metric)
     check_metrics((metric,))
     loop = replace(scenario or quick("view"), metrics=(metric,))
     recording = run(loop)
@@ -87,6 +90,12 @@ def check_metric(metric: MetricContract, scenario: Scenario | None = None) -> No
         assert same, f"{kind}: {whole} of the whole log, {parts} of blocks of {rows} rows; keep what the next block needs"
     empty = figures_of(metric, metric.part(loop.setup))
     assert set(empty) == set(metric.titles), f"{kind}: the figures of a log without rows must be there, None where undefined"
+
+
+def _check_titles(metric: MetricContract) -> None:
+    for name, title in metric.titles.items():
+        two = isinstance(title, tuple) and len(title) == 2 and all(isinstance(word, str) for word in title)
+        assert two, f"{metric.kind}: titles[{name!r}] must be (title, unit), got {title!r}"
 
 
 def _in_blocks(metric: MetricContract, recording: Recording, rows: int) -> dict[str, object]:
