@@ -139,10 +139,10 @@ def chosen(
         ScenarioError, ParameterError, PluginError: invalid input.
     """
     settings, axes = absolute_files(settings, Path.cwd()), absolute_files(axes, Path.cwd())
-    path = bundled_comparisons().get(names[0], Path(names[0])) if names else None
+    path = _comparison_file(names)
     options: Marks = {}
     options |= {("set", dotted): "--set" for dotted in settings} | {("axes", dotted): "--vary" for dotted in axes}
-    if path is None or not _is_comparison(path):
+    if path is None:
         own = Comparison(base=tuple(names), set=dict(settings), axes=dict(axes), seeds=seeds, plugins=load_plugins(plugins))
         return changed(own, options)
     read = read_comparison(path, plugins)
@@ -152,6 +152,12 @@ def chosen(
     seeds = read.seeds if seeds is None else seeds
     base = tuple(names[1:]) or read.base
     return changed(read, own | options, base=base, set=merged(read.set, settings), axes=read.axes | dict(axes), seeds=seeds)
+
+
+def _comparison_file(names: list[str]) -> Path | None:
+    """The file of the comparison that the first name is; None where it is a scenario."""
+    path = bundled_comparisons().get(names[0], Path(names[0])) if names else None
+    return path if path is not None and _is_comparison(path) else None
 
 
 def _must_have_effect(read: Comparison, path: str) -> None:

@@ -39,11 +39,9 @@ class Paint:
         rgb = np.where(painted[:, None], model.mat_rgba[material, :3] if model.nmat else 0.0, model.geom_rgba[:, :3])
         emission = np.where(painted, model.mat_emission[material] if model.nmat else 0.0, 0.0)
         texture = np.where(painted, model.mat_texid[material, RGB_ROLE] if model.nmat else -1, -1)
-        flat = (texture >= 0) & (model.tex_type[texture] == FLAT_TEXTURE) if model.ntex else texture >= 0
-        self._printed = [int(g) for g in np.flatnonzero(flat & np.isin(model.geom_type, FLAT))]
+        self._printed, self.averaged = _by_texture(model, texture)
         self._mipmaps = {i: Mipmap(texels_of(model, i)) for i in sorted({int(texture[g]) for g in self._printed})}
         self._texture = texture
-        self.averaged = [int(g) for g in np.flatnonzero(texture >= 0) if g not in self._printed]
         self._local = bool((model.light_type[model.light_active] != DIRECTIONAL).any())
         for g in self.averaged:
             rgb[g] *= texels_of(model, int(texture[g])).mean(axis=(0, 1)) / 255
@@ -131,6 +129,13 @@ class Paint:
                 share *= np.where(along >= np.cos(np.radians(model.light_cutoff[i])), along ** model.light_exponent[i], 0.0)
             facing = np.maximum((to * normal).sum(axis=1), 0.0)
             light += (share * (model.light_ambient[i][:, None] + model.light_diffuse[i][:, None] * facing)).astype(np.float32)
+
+
+def _by_texture(model: mujoco.MjModel, texture: NDArray[np.int_]) -> tuple[list[int], list[int]]:
+    """Geoms on which their texture (ngeom,) lies as it is, and those that have its mean colour."""
+    flat = (texture >= 0) & (model.tex_type[texture] == FLAT_TEXTURE) if model.ntex else texture >= 0
+    printed = flat & np.isin(model.geom_type, FLAT)
+    return np.flatnonzero(printed).tolist(), np.flatnonzero((texture >= 0) & ~printed).tolist()
 
 
 def _sky(model: mujoco.MjModel) -> tuple[Array, NDArray[np.float32]]:
