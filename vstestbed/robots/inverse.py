@@ -41,7 +41,7 @@ def joints_at(
 
     Reference: Siciliano, Sciavicco, Villani & Oriolo 2009, Robotics, section 3.7, doi:10.1007/978-1-84628-642-1.
     """
-    q = np.clip(near, *limits.T)
+    q, away_m, away_rad = np.clip(near, *limits.T), np.inf, np.inf
     for _ in range(MOST_STEPS):
         T, J = kinematics(q)
         away_m, away_rad = rigid_error(T, T_world_flange)
@@ -59,10 +59,11 @@ def joints_at(
 def _step(J: Array, twist: Array, q: Array, limits: Array, unit_m: float) -> Array:
     """Motion of the joints (n,) for a twist (6,) of the flange: joints at their limits stay, and the others make up for them."""
     low, high = limits.T
+    step = resolved_rate(J, twist, unit_m)
     for _ in q:
-        step = resolved_rate(J, twist, unit_m)
         blocked = ((q <= low) & (step < 0)) | ((q >= high) & (step > 0))
         if not blocked.any():
             break
         J = np.where(blocked, 0.0, J)
+        step = resolved_rate(J, twist, unit_m)
     return step

@@ -79,7 +79,7 @@ class Job:
             UnreachableError: the robot cannot stand there. ParameterError: no start can be drawn.
         """
         found = self.controller
-        if self.seed in found.unreachable:
+        if self.seed is not None and self.seed in found.unreachable:
             raise UnreachableError("robot.start", found.unreachable[self.seed])
         if found.starts is not None and self.seed is not None:
             return replace(found.starts[self.seed], seed=self.seed)
