@@ -139,10 +139,10 @@ def chosen(
         ScenarioError, ParameterError, PluginError: invalid input.
     """
     settings, axes = absolute_files(settings, Path.cwd()), absolute_files(axes, Path.cwd())
-    path = bundled_comparisons().get(names[0], Path(names[0])) if names else None
+    path = _comparison_among(names)
     options: Marks = {}
     options |= {("set", dotted): "--set" for dotted in settings} | {("axes", dotted): "--vary" for dotted in axes}
-    if path is None or not _is_comparison(path):
+    if path is None:
         own = Comparison(base=tuple(names), set=dict(settings), axes=dict(axes), seeds=seeds, plugins=load_plugins(plugins))
         return changed(own, options)
     read = read_comparison(path, plugins)
@@ -176,6 +176,12 @@ def _after_set(read: Comparison) -> Iterator[list[tuple[Key, Mapping[str, object
         yield [(("axes",), {path: None})]
     if read.tasks:
         yield [(("tasks", name, "each" if task.each else "set"), task.set | task.each) for name, task in read.tasks.items()]
+
+
+def _comparison_among(names: list[str]) -> Path | None:
+    """The file of the comparison that the first name is of; None where it is a scenario's, or there is none."""
+    path = bundled_comparisons().get(names[0], Path(names[0])) if names else None
+    return path if path is not None and _is_comparison(path) else None
 
 
 def _is_comparison(path: Path) -> bool:
