@@ -139,7 +139,7 @@ def chosen(
         ScenarioError, ParameterError, PluginError: invalid input.
     """
     settings, axes = absolute_files(settings, Path.cwd()), absolute_files(axes, Path.cwd())
-    path = _comparison_file(names)
+    path = _comparison_among(names)
     options: Marks = {}
     options |= {("set", dotted): "--set" for dotted in settings} | {("axes", dotted): "--vary" for dotted in axes}
     if path is None:
@@ -152,12 +152,6 @@ def chosen(
     seeds = read.seeds if seeds is None else seeds
     base = tuple(names[1:]) or read.base
     return changed(read, own | options, base=base, set=merged(read.set, settings), axes=read.axes | dict(axes), seeds=seeds)
-
-
-def _comparison_file(names: list[str]) -> Path | None:
-    """The file of the comparison that the first name is; None where it is a scenario."""
-    path = bundled_comparisons().get(names[0], Path(names[0])) if names else None
-    return path if path is not None and _is_comparison(path) else None
 
 
 def _must_have_effect(read: Comparison, path: str) -> None:
@@ -182,6 +176,12 @@ def _after_set(read: Comparison) -> Iterator[list[tuple[Key, Mapping[str, object
         yield [(("axes",), {path: None})]
     if read.tasks:
         yield [(("tasks", name, "each" if task.each else "set"), task.set | task.each) for name, task in read.tasks.items()]
+
+
+def _comparison_among(names: list[str]) -> Path | None:
+    """The file of the comparison that the first name is of; None where it is a scenario's, or there is none."""
+    path = bundled_comparisons().get(names[0], Path(names[0])) if names else None
+    return path if path is not None and _is_comparison(path) else None
 
 
 def _is_comparison(path: Path) -> bool:
