@@ -188,10 +188,12 @@ class Scenario:
         raise ParameterError("robot.start.random", f"gave no start in {TRIES} draws that has the whole target in view; make it smaller")
 
     def _in_view(self, robot: Robot) -> bool:
-        """Whether the robot's start has the whole target in the picture, seen from its front."""
+        """Whether the robot's start has the whole target in the picture, or all of it that counts first, seen from its front."""
         T = inverse(camera_start(robot, self.camera, self.target)) @ target_start(robot, self.target)
         p = self.target.seen_from(inverse(T))
         facing = float(T[:3, 2] @ T[:3, 3]) / max(float(np.linalg.norm(T[:3, 3])), 1e-9)  # cosine of the view on the plane
         turned = T[2, 2] if isinstance(self.camera, Perspective) else facing
         faces = turned > 0.17 or not self.target.one_sided  # within 80 degrees of the target's normal: beyond, discs are slivers
-        return bool(faces and self.camera.whole(p, self.target.marker.radius, VIEW_MARGIN_PX).all())
+        counted = self.goal_views[0].counted
+        whole = self.camera.whole(p, self.target.marker.radius, VIEW_MARGIN_PX)
+        return bool(faces and (whole if counted is None else whole[counted]).all())
