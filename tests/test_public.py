@@ -14,6 +14,8 @@ import vstestbed as vs
 from vstestbed.core.errors import ParameterError
 
 NAMES = {"Outcome", "Recording", "Scenario", "features", "load", "run", "run_into"} | {
+    *("Pose", "GroundPose", "Stop", "Noise", "Timing", "World", "Clock", "Calibration", "Session", "Controller", "compare", "dump"),
+    *("camera", "robots", "targets", "vision", "laws", "tasks"),
     *("Law", "LawBase", "Command", "Observation", "Goal", "Robot", "Allocation", "Feature", "Detector", "spec", "errors", "testing"),
 }
 """To run experiments, and to extend what there is."""
@@ -71,6 +73,15 @@ def test_features_are_reached_from_the_top() -> None:
 
     L = vs.features.Point().interaction(np.zeros((4, 2)), np.ones(4))
     assert L.shape == (8, 6)
+
+
+def test_every_kind_is_a_class_of_its_room() -> None:
+    """So that a scenario in Python needs no name from inside the package."""
+    rooms = {"robots": vs.ROBOTS, "camera": vs.CAMERAS, "targets": vs.TARGETS, "vision": vs.DETECTORS, "laws": vs.LAWS, "tasks": vs.GOALS}
+    for room, kinds in rooms.items():
+        public = getattr(vs, room).__all__
+        ours = [member for member in kinds.members.values() if member.__module__.startswith("vstestbed.")]
+        assert ours and {member.__name__ for member in ours} <= set(public)
 
 
 def test_a_name_in_place_of_a_scenario_is_refused_with_what_to_write() -> None:

@@ -6,6 +6,16 @@
 
 `vs.Session` is the same run, stepped by hand; `vs.Controller` is its controller alone, for a real camera and robot.
 
+A scenario in Python, of parts from the rooms `robots`, `camera`, `targets`, `vision`, `laws`, `tasks`; poses are also spatialmath's SE3:
+
+    scenario = vs.Scenario(
+        robot=vs.robots.Free(start={"nominal": SE3(1, 1, -3) * SE3.Rz(0.6)}),
+        target=vs.targets.Square(side=0.5, pose=SE3(0, 0, 3)),
+        law=vs.laws.IBVS(gain=0.8),
+        goal=vs.tasks.GoalView(T_camera_target=SE3(0, 0, 1)),
+    )
+    vs.dump(scenario, "mine.yaml")  # the file from which `load` makes it
+
 To extend it, a kind is one class and one registration:
 
     @vs.LAWS.add
@@ -25,11 +35,12 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from vstestbed import features, testing
-    from vstestbed.camera import CAMERAS, Camera
+    from vstestbed import camera, features, laws, robots, targets, tasks, testing, vision
+    from vstestbed.camera import CAMERAS, Calibration, Camera
     from vstestbed.core import errors
-    from vstestbed.core.geometry import Array
+    from vstestbed.core.geometry import Array, Pose
     from vstestbed.core.outcome import Outcome
+    from vstestbed.core.planar import GroundPose
     from vstestbed.core.spec import spec
     from vstestbed.experiments.comparison import compare
     from vstestbed.experiments.run_folder import run_into
@@ -41,17 +52,28 @@ if TYPE_CHECKING:
     from vstestbed.loop.run import run
     from vstestbed.loop.session import Session
     from vstestbed.robots import ROBOTS, Allocation, Mount, Reading, Robot, RobotBase
+    from vstestbed.scenario.dump import dump
     from vstestbed.scenario.load import load
-    from vstestbed.scenario.scenario import Scenario
+    from vstestbed.scenario.scenario import Noise, Scenario
+    from vstestbed.sim.clock import Clock
+    from vstestbed.sim.scene.world import World
+    from vstestbed.sim.timing import Timing
     from vstestbed.targets import TARGETS, Target
+    from vstestbed.targets.attached import MOTIONS
+    from vstestbed.targets.motion import MotionBase
     from vstestbed.tasks import GOALS, Task, TaskBase
     from vstestbed.tasks.frame import Cycle, Frame
+    from vstestbed.tasks.metrics import METRICS
+    from vstestbed.tasks.monitors import MONITORS
+    from vstestbed.tasks.stop import Stop
     from vstestbed.vision import DETECTORS, Detection, Detector
+    from vstestbed.vision.perturb import PERTURBATIONS, PerturbationBase
 
 _HOMES = {
-    "vstestbed.camera": ("CAMERAS", "Camera"),
-    "vstestbed.core.geometry": ("Array",),
+    "vstestbed.camera": ("CAMERAS", "Calibration", "Camera"),
+    "vstestbed.core.geometry": ("Array", "Pose"),
     "vstestbed.core.outcome": ("Outcome",),
+    "vstestbed.core.planar": ("GroundPose",),
     "vstestbed.core.spec": ("spec",),
     "vstestbed.experiments.comparison": ("compare",),
     "vstestbed.experiments.run_folder": ("run_into",),
@@ -63,14 +85,25 @@ _HOMES = {
     "vstestbed.loop.run": ("run",),
     "vstestbed.loop.session": ("Session",),
     "vstestbed.robots": ("ROBOTS", "Allocation", "Mount", "Reading", "Robot", "RobotBase"),
+    "vstestbed.scenario.dump": ("dump",),
     "vstestbed.scenario.load": ("load",),
-    "vstestbed.scenario.scenario": ("Scenario",),
+    "vstestbed.scenario.scenario": ("Noise", "Scenario"),
+    "vstestbed.sim.clock": ("Clock",),
+    "vstestbed.sim.scene.world": ("World",),
+    "vstestbed.sim.timing": ("Timing",),
     "vstestbed.targets": ("TARGETS", "Target"),
+    "vstestbed.targets.attached": ("MOTIONS",),
+    "vstestbed.targets.motion": ("MotionBase",),
     "vstestbed.tasks": ("GOALS", "Task", "TaskBase"),
     "vstestbed.tasks.frame": ("Cycle", "Frame"),
+    "vstestbed.tasks.stop": ("Stop",),
+    "vstestbed.tasks.metrics": ("METRICS",),
+    "vstestbed.tasks.monitors": ("MONITORS",),
     "vstestbed.vision": ("DETECTORS", "Detection", "Detector"),
+    "vstestbed.vision.perturb": ("PERTURBATIONS", "PerturbationBase"),
 }
-_MODULES = {"errors": "vstestbed.core.errors", "features": "vstestbed.features", "testing": "vstestbed.testing"}
+_ROOMS = ("camera", "features", "laws", "robots", "targets", "tasks", "testing", "vision")
+_MODULES = {"errors": "vstestbed.core.errors"} | {room: f"vstestbed.{room}" for room in _ROOMS}
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 __all__ = [
@@ -79,11 +112,17 @@ __all__ = [
     "FEATURES",
     "GOALS",
     "LAWS",
+    "METRICS",
+    "MONITORS",
+    "MOTIONS",
+    "PERTURBATIONS",
     "ROBOTS",
     "TARGETS",
     "Allocation",
     "Array",
+    "Calibration",
     "Camera",
+    "Clock",
     "Command",
     "Controller",
     "Cycle",
@@ -92,28 +131,43 @@ __all__ = [
     "Feature",
     "Frame",
     "Goal",
+    "GroundPose",
     "Law",
     "LawBase",
+    "MotionBase",
     "Mount",
+    "Noise",
     "Observation",
     "Outcome",
+    "PerturbationBase",
+    "Pose",
     "Reading",
     "Recording",
     "Robot",
     "RobotBase",
     "Scenario",
     "Session",
+    "Stop",
     "Target",
     "Task",
     "TaskBase",
+    "Timing",
+    "World",
+    "camera",
     "compare",
+    "dump",
     "errors",
     "features",
+    "laws",
     "load",
+    "robots",
     "run",
     "run_into",
     "spec",
+    "targets",
+    "tasks",
     "testing",
+    "vision",
 ]
 
 

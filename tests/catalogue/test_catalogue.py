@@ -11,18 +11,26 @@ import vstestbed as vs
 import vstestbed.testing as suites
 from tests.examples import wrong
 from tests.examples.wrong import Crooked, Displaced, Ghost, Numb, Shifted, Silent, Stateful, Wild
+from tests.examples.wrong_rooms import Backwards, Forgetful, Idle, Impatient, Jumping, Mirrored
 from tests.robots.arms import block
+from vstestbed.camera import CAMERAS
+from vstestbed.core.assets import folder
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose
+from vstestbed.features import FEATURES
 from vstestbed.laws import LAWS
 from vstestbed.robots import ROBOTS, Free
 from vstestbed.robots.free import FreeStart
-from vstestbed.targets import TARGETS, GroundLines, Points, Square
+from vstestbed.targets import TARGETS, GroundLines, MeshTarget, PictureTarget, Points, Square
+from vstestbed.targets.attached import MOTIONS
 from vstestbed.targets.route import Straight
 from vstestbed.tasks import GOALS
+from vstestbed.tasks.metrics import METRICS
+from vstestbed.tasks.monitors import MONITORS, KeepOut
 from vstestbed.tasks.stop import Converged
 from vstestbed.testing.scenarios import quick
 from vstestbed.vision import DETECTORS, Tags
+from vstestbed.vision.perturb import PERTURBATIONS
 
 POLICY = {"file": str(Path(wrong.__file__).with_name("policy.py")) + ":Smooth"}
 LAW_PARAMETERS = {word: {"gain": 1.0} for word in ("partitioned", "pbvs", "hybrid", "ibvs")} | {"policy": POLICY}
@@ -40,6 +48,13 @@ TASKS = {
 TARGET_EXAMPLES = {
     "square": lambda: Square(side=0.4, pose=Pose(xyz=(0, 0, 1))),
     "points": lambda: Points(at=((0, 0, 0), (0.2, 0, 0.1), (0, 0.3, 0)), pose=Pose(xyz=(0, 0, 1))),
+    "picture": lambda: PictureTarget(file=str(folder("scenarios") / "targets" / "page.png"), width=0.6, pose=Pose(xyz=(0, 0, 1))),
+    "mesh": lambda: MeshTarget(
+        file=str(folder("scenarios") / "targets" / "flange.stl"),
+        scale=0.001,
+        at=((85, 85, 18), (-110, 0, 18), (0, 100, 0)),
+        pose=Pose(xyz=(0, 0, 1)),
+    ),
     "lines": lambda: GroundLines(route=Straight(length_m=5.0)),
 }
 
@@ -84,6 +99,49 @@ def test_every_task(kind):
     suites.check_task(TASKS[kind]())
 
 
+MOTION_EXAMPLES = {
+    "still": {},
+    "line": {"velocity_mps": (0.1, 0, 0.2), "from_s": 1.0, "until_s": 3.0},
+    "circle": {"radius_m": 0.2, "frequency_hz": 0.3, "phase_deg": 20.0},
+    "sinusoid": {"amplitude": Pose(xyz=(0.1, 0, 0), rpy_deg=(0, 10, 5)), "frequency_hz": 0.5},
+    "lissajous": {"amplitude_m": (0.1, 0.2, 0), "frequency_hz": (0.3, 0.2, 0.1)},
+    "random_walk": {"rms_m": (0.1, 0.1, 0.05)},
+    "carried": {"route": Straight(length_m=5.0)},
+    "held": {},
+}
+KEEP_OUT = {"corner": (-5, -5, -1), "opposite": (5, 5, 0)}
+
+
+@pytest.mark.parametrize("kind", CAMERAS.members)
+def test_every_camera(kind):
+    suites.check_camera(CAMERAS.members[kind]())
+
+
+@pytest.mark.parametrize("kind", FEATURES.members)
+def test_every_feature(kind):
+    suites.check_feature(FEATURES.members[kind]())
+
+
+@pytest.mark.parametrize("kind", MOTIONS.members)
+def test_every_motion(kind):
+    suites.check_motion(MOTIONS.members[kind](**MOTION_EXAMPLES[kind]))
+
+
+@pytest.mark.parametrize("kind", METRICS.members)
+def test_every_metric(kind):
+    suites.check_metric(METRICS.members[kind]())
+
+
+@pytest.mark.parametrize("kind", PERTURBATIONS.members)
+def test_every_perturbation(kind):
+    suites.check_noise(PERTURBATIONS.members[kind]())
+
+
+def test_every_monitor():
+    assert set(MONITORS.members) == {"keep_out"}
+    suites.check_monitor(KeepOut(**KEEP_OUT), ends=quick("view"))
+
+
 class TestTheSuitesFindWhatIsWrong:
     def test_a_law_that_keeps_state(self, own_kinds):
         with pytest.raises(AssertionError, match="state is passed, not stored"):
@@ -100,6 +158,35 @@ class TestTheSuitesFindWhatIsWrong:
     def test_a_target_seen_where_it_is_not(self):
         with pytest.raises(AssertionError, match="seen_from must be points"):
             suites.check_target(Displaced(side=0.4, pose=Pose()))
+
+    def test_a_lens_that_sees_behind_what_is_before_it(self, own_kinds):
+        with pytest.raises(AssertionError, match="backwards: ray\\(project\\(p\\)\\) must point to p; project must be NaN"):
+            suites.check_camera(CAMERAS.add(Backwards)())
+
+    def test_a_feature_with_a_wrong_sign(self, own_kinds):
+        with pytest.raises(AssertionError, match=r"mirrored: column vx of L is .* from the error's difference quotient"):
+            suites.check_feature(FEATURES.add(Mirrored)())
+
+    def test_a_motion_that_jumps(self, own_kinds):
+        with pytest.raises(AssertionError, match=r"jumping: the path jumps by 0.1 m within 0.001 s at 1.999 s"):
+            suites.check_motion(MOTIONS.add(Jumping)())
+
+    def test_a_metric_that_forgets(self, own_kinds):
+        with pytest.raises(AssertionError, match=r"forgetful: .* keep what the next block needs"):
+            suites.check_metric(METRICS.add(Forgetful)())
+
+    def test_a_perturbation_that_does_nothing(self, own_kinds):
+        with pytest.raises(AssertionError, match="idle: none of 400 draws changed the picture"):
+            suites.check_noise(PERTURBATIONS.add(Idle)())
+
+    def test_a_monitor_that_keeps_state(self, own_kinds):
+        with pytest.raises(AssertionError, match=r"impatient: timed_out and then|belongs into the object that `monitor` makes"):
+            suites.check_monitor(MONITORS.add(Impatient)(), ends=quick("view"))
+
+    def test_a_monitor_that_does_not_end_what_it_must(self):
+        far = KeepOut(corner=(90, 90, 90), opposite=(91, 91, 91))
+        with pytest.raises(AssertionError, match="keep_out: it must end this run, which ended converged"):
+            suites.check_monitor(far, ends=quick("view"))
 
     def test_a_task_that_ends_too_soon(self):
         easy = quick("view")

@@ -59,7 +59,7 @@ def test_no_opengl_is_told_with_its_remedy_and_exit_4(command, monkeypatch: pyte
     lines = ended.out.splitlines()
     at = next(i for i, line in enumerate(lines) if line.startswith("NO "))
     assert ended.code == 4
-    words = "no OpenGL: MUJOCO_GL=disable is set; rays draw the pictures instead, without shadows and textures"
+    words = "no OpenGL: MUJOCO_GL=disable is set; rays draw the pictures instead, without shadows"
     assert lines[at].split(None, 2)[1:] == ["OpenGL", words]
     assert lines[at + 1].strip() == "unset MUJOCO_GL or set MUJOCO_GL=egl"
     assert lines[at + 2].startswith("ok  pixels")

@@ -15,6 +15,7 @@ from gymnasium.utils.env_checker import check_env
 
 import vstestbed as vs
 import vstestbed.env
+from tests.robots.arms import where_installed
 from vstestbed.core.assets import bundled_scenarios
 from vstestbed.core.errors import EnvironmentLackError, ParameterError, ScenarioError, SessionError
 from vstestbed.env.gym_env import GymServo
@@ -50,7 +51,7 @@ def test_gymnasiums_checker_has_nothing_to_say(name: str, mode: str) -> None:
 
 @pytest.mark.study
 @pytest.mark.parametrize("mode", MODES)
-@pytest.mark.parametrize("name", bundled_scenarios())
+@pytest.mark.parametrize("name", where_installed(bundled_scenarios()))
 def test_the_checker_has_nothing_to_say_of_any_scenario(name: str, mode: str) -> None:
     checked_without_a_warning(name, mode)
 
@@ -77,7 +78,7 @@ def test_a_seed_is_that_of_a_run(name: str) -> None:
             frame = session.step(np.zeros(len(env.action_space.low)))
         resting = session.recording()
     assert info["seed"] == 7 and shown["markers"].tobytes() == frame_markers(run, len(shown["seen"])).tobytes()
-    np.testing.assert_allclose(info["truth"]["T_world_camera"], run.poses("camera")[0].A, atol=1e-12)
+    np.testing.assert_allclose(info["truth"]["T_world_camera"], run.camera_poses()[0].A, atol=1e-12)
     over = False
     while not over:
         _, _, terminated, truncated, _ = env.step(np.zeros(env.action_space.shape))

@@ -20,7 +20,8 @@ from vstestbed.experiments.run_folder import run_into
 from vstestbed.laws.base import TwistLimits
 from vstestbed.laws.policy import Policy
 from vstestbed.laws.policy_io import ActionScale, observed
-from vstestbed.scenario.load import dump, parse
+from vstestbed.scenario.dump import dump
+from vstestbed.scenario.load import parse
 from vstestbed.testing.scenarios import quick
 
 EXAMPLE = str(Path(example.__file__))
@@ -186,7 +187,7 @@ class TestWhereItIs:
         lab.mkdir()
         mine = written(lab, Path(EXAMPLE).read_text(encoding="utf-8"))
         made = vs.load(Path(written(lab, SCENARIO.replace("POLICY", "mine.py:act"), "mine.yaml")))
-        assert made.law.file == f"{mine}:act" and parse(dump(made), "x.yaml") == made
+        assert made.law.file == f"{mine}:act" and parse(dump(made, defaults=True), "x.yaml") == made
         monkeypatch.chdir(lab)
         assert vs.load("ibvs_book", {"law": {"kind": "policy", "file": "mine.py:Smooth"}}).law.file == f"{mine}:Smooth"
         (tmp_path / "run").mkdir()

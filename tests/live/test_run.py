@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
+from tests.robots.arms import where_installed
 from vstestbed.core.assets import bundled_scenarios
 from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.live.fields import fields_of
@@ -66,7 +67,7 @@ class TestSettings:
 
 
 class TestFields:
-    @pytest.mark.parametrize("name", sorted(bundled_scenarios()))
+    @pytest.mark.parametrize("name", where_installed(sorted(bundled_scenarios())))
     def test_every_value_in_force_is_accepted_again(self, name: str):
         scenario = vs.load(name)
         fields = fields_of(scenario)

@@ -161,3 +161,36 @@ def test_an_arm_that_holds_the_target_is_pushed_at_its_gripper():
         for _ in range(6):
             frame, other = pushed.step(), twin.step()
         assert np.abs(frame.truth.q - other.truth.q).max() > 1e-3 and pushed.weight_n > 100
+
+
+def test_poses_and_twists_of_spatialmath_do_what_the_numbers_do():
+    from spatialmath import SE3, Twist3
+
+    fast = {"detector": "oracle", "stop.duration_s": 1.0}
+    T, twist = SE3(0.1, 0, 3) * SE3.Rz(0.2), Twist3([0.1, 0, 0.2], [0, 0, 0.3])
+    tables = []
+    for pose, command in ((T, twist), (T.A, [0.1, 0, 0.2, 0, 0, 0.3])):
+        with vs.Session(vs.load("ibvs_book", fast), pictures=True, plate_m=PLATE_M) as session:
+            session.reset()
+            session.move_target(pose)
+            session.hold_plate(pose)
+            session.step(command)
+            session.step(command)
+            recording = session.recording()
+        tables.append(recording.table)
+    np.testing.assert_array_equal(*tables)
+    assert np.abs(recording.target_poses()[-1].A - T.A).max() < 1e-12
+    assert np.abs(recording.camera_twists()[-1].S - twist.S).max() < 1e-12
+
+
+def test_what_is_no_pose_and_no_twist_is_refused():
+    from spatialmath import SE2, SE3
+
+    session = started("ibvs_book", detector="oracle")
+    with pytest.raises(ParameterError, match=r"T_world_target is a place in the plane \(SE2\)"):
+        session.move_target(SE2(1, 2, 3))
+    with pytest.raises(ParameterError, match="T_world_plate must be one pose, and this SE3 holds 2"):
+        session.hold_plate(SE3.Rx([0.1, 0.2]))
+    with pytest.raises(ParameterError, match=r"command must be a twist \(Twist3\) or numbers, got an SE3"):
+        session.step(SE3())
+    session.close()

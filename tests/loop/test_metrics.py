@@ -10,9 +10,9 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.loop.columns import Layout
-from vstestbed.loop.metrics import FIGURES
 from vstestbed.loop.recording import MemoryRows, Recording
 from vstestbed.scenario.scenario import Scenario
+from vstestbed.tasks.metrics import FIGURES
 
 
 @pytest.fixture

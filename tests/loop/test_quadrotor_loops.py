@@ -7,7 +7,7 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.core.outcome import Outcome
-from vstestbed.robots.rotors import HOVER
+from vstestbed.robots.rotors import X4
 from vstestbed.sim.plant import MujocoPlant
 
 ORACLE = {"detector.kind": "oracle", "noise.pixel_sigma_px": 0.1}
@@ -21,8 +21,8 @@ def run(name: str, **given: object):
 def test_it_hovers_from_the_first_instant():
     r = run("quadrotor_hover", robot__start__nominal__xyz=[0, 0, 5], robot__start__nominal__yaw_deg=90, stop__duration_s=1.0)
     assert np.abs(r["cam_z"] - 5).max() < 0.02  # rotors at rest would let it fall .6 m in the .35 s that they take to turn
-    assert r["ctrl_rotor_front"][0] == pytest.approx(HOVER)
-    assert r["speed_rotor_left"][0] == pytest.approx(np.sqrt(HOVER))
+    assert r["ctrl_rotor_front"][0] == pytest.approx(X4.hover)
+    assert r["speed_rotor_left"][0] == pytest.approx(np.sqrt(X4.hover))
 
 
 def test_a_step_by_rendered_pictures():

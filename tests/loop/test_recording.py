@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 import vstestbed as vs
+from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose
 from vstestbed.loop import recording
 from vstestbed.loop.recording import Log, MemoryRows
@@ -50,10 +53,45 @@ def test_columns_and_tables_are_read_once() -> None:
 
 def test_poses_are_those_of_spatialmath() -> None:
     run = vs.run(vs.load("ibvs_book", {"detector": "oracle", "law.depth": "oracle"}))
-    camera, goal = run.poses("camera"), run.scenario.goal_poses[0]
+    camera, goal = run.camera_poses(), run.scenario.goal_poses[0]
     assert len(camera) == len(run.rows)
     start = run.scenario.robot.start.nominal.SE3()
     assert np.allclose(camera[0].A, start.A, atol=1e-12)
     # the relative pose of the last frame is the goal's, by spatialmath's own inverse and product
-    assert np.allclose((camera[-1].inv() * run.poses("target")[-1]).A, goal, atol=1e-2)
+    assert np.allclose((camera[-1].inv() * run.target_poses()[-1]).A, goal, atol=1e-2)
     assert np.allclose(Pose.of(start).T, start.A)
+    assert np.allclose(run.camera_twists()[3].S, [run[f"act_{name}"][3] for name in ("vx", "vy", "vz", "wx", "wy", "wz")])
+
+
+@pytest.mark.parametrize(("name", "moves"), [("ibvs_book", False), ("quadrotor_path", True), ("arm_track_circle", True)])
+def test_the_goal_pose_is_that_from_which_the_log_counts_errors(name: str, moves: bool) -> None:
+    """Of one goal, of a path, behind a target that moves."""
+    run = vs.run(vs.load(name, {"stop.duration_s": 0.6, "detector": "oracle"} | ({"goal.settle_s": 0.1} if moves else {})))
+    left = [at.inv() * goal for at, goal in zip(run.camera_poses(), run.goal_pose(), strict=True)]
+    assert [np.linalg.norm(T.t) for T in left] == pytest.approx(run["position_error_m"], abs=1e-12)
+    assert [T.angvec()[0] for T in left] == pytest.approx(run["rotation_error_rad"], abs=1e-6)
+    assert (np.ptp(run.goal_pose().t, axis=0).max() > 1e-3) == moves
+
+
+def test_a_line_to_follow_has_no_goal_pose_and_no_frames_are_no_poses() -> None:
+    run = vs.run(vs.load("car_line", {"stop.duration_s": 0.1}))
+    with pytest.raises(ParameterError, match="goal of kind line is no single pose of the camera"):
+        run.goal_pose()
+    empty = replace(run, rows=MemoryRows(run.columns))
+    assert len(empty.camera_poses()) == len(empty.camera_twists()) == 0
+
+
+def test_spatialmath_plots_and_animates_the_poses(tmp_path: Path) -> None:
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    poses = vs.run(vs.load("ibvs_book", {"detector": "oracle", "stop.duration_s": 1})).camera_poses()
+    poses.plot(ax=pyplot.figure().add_subplot(projection="3d"), dims=[-1, 2, -1, 2, -3.5, 1])
+    lines = pyplot.gca().lines + pyplot.gca().collections  # pyright: ignore[reportOperatorIssue]
+    assert len(lines) >= 3 * len(poses)
+    pyplot.figure()
+    poses[::5].animate(dims=[-1, 2, -1, 2, -3.5, 1]).save(tmp_path / "a.gif", writer="pillow")
+    assert (tmp_path / "a.gif").read_bytes()[:3] == b"GIF"
+    pyplot.close("all")

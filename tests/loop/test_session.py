@@ -104,7 +104,7 @@ def test_a_robots_own_motions_are_camera_twists_by_its_mount(name: str, motion: 
             other = by_twist.step(twist)
         np.testing.assert_allclose(frame.truth.T_world_camera, other.truth.T_world_camera, atol=1e-9)
     log = by_motion.recording()
-    assert 0.5 * motion[0] < np.linalg.norm(np.ptp(log.poses("camera").t, axis=0)) < 1.6 * motion[0]
+    assert 0.5 * motion[0] < np.linalg.norm(np.ptp(log.camera_poses().t, axis=0)) < 1.6 * motion[0]
     np.testing.assert_allclose([log[f"cmd_{name}"][-1] for name in ("vx", "vy", "vz", "wx", "wy", "wz")], twist)
 
 

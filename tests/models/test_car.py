@@ -12,7 +12,8 @@ from vstestbed.core.planar import moved
 from vstestbed.laws.polar_pose import PolarGains, polar_law
 from vstestbed.robots.allocation import Mount
 from vstestbed.robots.bicycle import drive
-from vstestbed.robots.car import RADIUS, TRACK, WHEELBASE, Car, CarLimits, CarServos
+from vstestbed.robots.car import Car, CarLimits, CarServos
+from vstestbed.robots.car_body import BUGGY
 from vstestbed.robots.reading import Reading
 
 MODELS = Path(__file__).parents[2] / "models"
@@ -91,8 +92,10 @@ def ackermann(steering: float) -> np.ndarray:
     """Angles of the left and the right front wheel: each at right angles to its line to the centre of the turn."""
     if steering == 0:
         return np.zeros(2)
-    radius = WHEELBASE / np.tan(steering)
-    return np.array([np.arctan(WHEELBASE / (radius - TRACK / 2)), np.arctan(WHEELBASE / (radius + TRACK / 2))])
+    radius = BUGGY.wheelbase_m / np.tan(steering)
+    return np.array(
+        [np.arctan(BUGGY.wheelbase_m / (radius - BUGGY.track_m / 2)), np.arctan(BUGGY.wheelbase_m / (radius + BUGGY.track_m / 2))]
+    )
 
 
 @pytest.fixture(scope="module")
@@ -109,11 +112,16 @@ class TestFigures:
     def test_python_and_the_file_have_one_geometry(self, rubber):
         data = Driver(rubber).data
         at = np.array([data.body(f"robot/{name}_wheel").xpos for name in WHEELS])
-        half = TRACK / 2
+        half = BUGGY.track_m / 2
         # Springs at their rest, wheels where they touch the floor.
-        places = [[WHEELBASE, half, RADIUS], [WHEELBASE, -half, RADIUS], [0, half, RADIUS], [0, -half, RADIUS]]
+        places = [
+            [BUGGY.wheelbase_m, half, BUGGY.wheel_radius_m],
+            [BUGGY.wheelbase_m, -half, BUGGY.wheel_radius_m],
+            [0, half, BUGGY.wheel_radius_m],
+            [0, -half, BUGGY.wheel_radius_m],
+        ]
         np.testing.assert_allclose(at, places, atol=1e-12)
-        np.testing.assert_allclose([rubber.geom(f"robot/{name}_contact").size[[0, 2]] for name in WHEELS], RADIUS)
+        np.testing.assert_allclose([rubber.geom(f"robot/{name}_contact").size[[0, 2]] for name in WHEELS], BUGGY.wheel_radius_m)
         assert [rubber.actuator(i).name for i in range(rubber.nu)] == [f"robot/{name}" for name in Car.actuators]
 
     def test_sixty_kilograms(self, rubber):
@@ -218,10 +226,10 @@ class TestSteering:
         places = driver.drive(4.0, speed, steering)
         way = np.linalg.norm(np.diff(places[:, :2], axis=0), axis=1).sum()
         radius = way / (places[-1, 2] - places[0, 2])
-        assert radius * np.sign(speed) == pytest.approx(WHEELBASE / np.tan(steering), rel=within)
+        assert radius * np.sign(speed) == pytest.approx(BUGGY.wheelbase_m / np.tan(steering), rel=within)
         # An open differential: each rear wheel rolls on its own circle.
         left, right = driver.reading.qd[3:5]
-        inner = (WHEELBASE / np.tan(steering) - TRACK / 2) / (WHEELBASE / np.tan(steering) + TRACK / 2)
+        inner = (BUGGY.wheelbase_m / np.tan(steering) - BUGGY.track_m / 2) / (BUGGY.wheelbase_m / np.tan(steering) + BUGGY.track_m / 2)
         assert left / right == pytest.approx(inner, rel=0.01)
 
     def test_straight_stays_straight(self, rubber):
@@ -243,7 +251,7 @@ class TestServos:
         car = Car(limits=CarLimits(acceleration_mps2=1.0, steering_rate_radps=0.5))
         driver, speeds, angles = Driver(rubber, car), [], []
         for _ in driver.go(2.5, lambda _: (1.0, 1.0)):
-            speeds.append(driver.reading.qd[3:5].mean() * RADIUS)
+            speeds.append(driver.reading.qd[3:5].mean() * BUGGY.wheel_radius_m)
             angles.append(driver.joint("steering"))
         slope, rate = np.diff(speeds) / 0.01, np.diff(angles) / 0.01
         # A servo behind a ramp follows with its slope; it may pass it by a little while it catches up.
@@ -322,7 +330,7 @@ def test_under_the_polar_law_it_drives_as_the_ideal_bicycle(rubber, start, way):
             u = np.array(polar_law(driver.place, goal, np.array(way), gains, 1.0))
             order[:] = driver.car.allocate(basis @ u, driver.reading, mount, 0.04).setpoint
         places.append(driver.place)
-    ideal = drive(lambda p: polar_law(p, goal, np.array(way), gains, 1.0), np.array(start), WHEELBASE, limits, 12.0, 0.04)
+    ideal = drive(lambda p: polar_law(p, goal, np.array(way), gains, 1.0), np.array(start), BUGGY.wheelbase_m, limits, 12.0, 0.04)
     apart = np.linalg.norm(np.array(places)[::5, None, :2] - ideal.place[:, :2], axis=2).min(axis=1)
     assert apart.max() < 0.04  # measured .008 and .018: less than a servo's lag of .05 s at 1 m/s
     assert np.linalg.norm(places[-1][:2] - goal[:2]) < 0.03 and abs(places[-1][2] - goal[2]) < np.radians(1)
@@ -334,8 +342,8 @@ def test_its_ends_and_its_tightest_circle_are_what_scenarios_are_checked_against
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     ends = ends_of(model, data)
-    assert ends == pytest.approx(Car.ends_m, abs=1e-3)
-    assert Car().turning_radius_m == pytest.approx(WHEELBASE / np.tan(1.0)) == pytest.approx(0.642, abs=1e-3)
+    assert ends == pytest.approx(Car().ends_m, abs=1e-3)
+    assert Car().turning_radius_m == pytest.approx(BUGGY.wheelbase_m / np.tan(1.0)) == pytest.approx(0.642, abs=1e-3)
 
 
 def ends_of(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[float, float]:

@@ -10,7 +10,8 @@ import pytest
 
 from vstestbed.core.geometry import Pose
 from vstestbed.core.planar import motion_between, moved, place_of
-from vstestbed.robots.omni import PLACES, RADIUS, ROLLERS, SIDES, SPEED_LIMIT, W_INVERSE, WHEELS, Omni, W
+from vstestbed.robots.omni import Omni
+from vstestbed.robots.omni_body import PLATFORM, ROLLERS, SIDES, WHEELS
 
 MODELS = Path(__file__).parents[2] / "models"
 STEP = 0.002
@@ -58,7 +59,7 @@ class Drive:
         return drive
 
     def order(self, motion) -> None:
-        self.data.ctrl[:] = W @ np.asarray(motion, dtype=float)
+        self.data.ctrl[:] = PLATFORM.W @ np.asarray(motion, dtype=float)
 
     def run(self, duration: float) -> None:
         mujoco.mj_step(self.model, self.data, round(duration / STEP))
@@ -123,8 +124,8 @@ class TestFigures:
 
     def test_wheels_stand_where_the_kinematics_have_them(self, wheels):
         model = compose(wheels)
-        for name, place in zip(WHEELS, PLACES, strict=True):
-            np.testing.assert_allclose(model.body(f"robot/{name}").pos, [*place, RADIUS], atol=1e-12)
+        for name, place in zip(WHEELS, PLATFORM.places, strict=True):
+            np.testing.assert_allclose(model.body(f"robot/{name}").pos, [*place, PLATFORM.wheel_radius_m], atol=1e-12)
 
     def test_rollers_are_nine_a_wheel_and_of_the_right_hand(self):
         model = compose("rollers")
@@ -142,13 +143,13 @@ class TestFigures:
         d = -compose("rollers").body("robot/front_left_roller0").pos[2]
         phi = np.linspace(-np.pi / ROLLERS, np.pi / ROLLERS, 1001)
         H = d * np.cos(phi) + np.sqrt(b**2 + (a**2 - b**2) * np.sin(phi) ** 2 / 2)
-        assert H[500] == pytest.approx(RADIUS, abs=1e-9)
-        assert H[0] == pytest.approx(RADIUS, abs=1e-7)  # a is written to the micrometre
+        assert H[500] == pytest.approx(PLATFORM.wheel_radius_m, abs=1e-9)
+        assert H[0] == pytest.approx(PLATFORM.wheel_radius_m, abs=1e-7)  # a is written to the micrometre
         assert np.ptp(H) < 0.1e-3
 
     def test_gears_of_the_planar_one_are_the_kinematics(self):
         model = compose("planar")
-        np.testing.assert_allclose(model.actuator_gear[:, [0, 1, 5]], W, atol=5e-5)  # written with five decimals
+        np.testing.assert_allclose(model.actuator_gear[:, [0, 1, 5]], PLATFORM.W, atol=5e-5)  # written with five decimals
         np.testing.assert_array_equal(model.actuator_gear[:, 2:5], 0)
 
     def test_the_planar_one_carries_its_wheels_spin(self):
@@ -156,7 +157,7 @@ class TestFigures:
         data = mujoco.MjData(rollers)
         mujoco.mj_forward(rollers, data)
         dof = rollers.joint("robot/front_left").dofadr[0]
-        reflected = W.T @ W * mass_matrix(rollers, data)[dof, dof]
+        reflected = PLATFORM.W.T @ PLATFORM.W * mass_matrix(rollers, data)[dof, dof]
         np.testing.assert_allclose(reflected - np.diag(np.diag(reflected)), 0, atol=1e-12)
         # x and y share their mean; all written to three digits.
         want = [*[(reflected[0, 0] + reflected[1, 1]) / 2] * 2, reflected[2, 2]]
@@ -165,7 +166,7 @@ class TestFigures:
     def test_servos(self, wheels):
         model = compose(wheels)
         assert [model.actuator(i).name for i in range(model.nu)] == [f"robot/{name}" for name in WHEELS]
-        np.testing.assert_array_equal(model.actuator_ctrlrange, np.tile([-SPEED_LIMIT, SPEED_LIMIT], (4, 1)))
+        np.testing.assert_array_equal(model.actuator_ctrlrange, np.tile([-PLATFORM.wheel_speed_radps, PLATFORM.wheel_speed_radps], (4, 1)))
         np.testing.assert_array_equal(model.actuator_forcerange, np.tile([-2.0, 2.0], (4, 1)))
 
     def test_only_rollers_and_chassis_can_touch_and_only_the_floor(self):
@@ -190,8 +191,8 @@ def test_its_ends_are_what_scenarios_are_checked_against(wheels):
     R = data.geom_xmat[own].reshape(-1, 3, 3)
     middle = data.geom_xpos[own] + np.einsum("nij,nj->ni", R, model.geom_aabb[own, :3])
     half = np.einsum("nij,nj->ni", np.abs(R), model.geom_aabb[own, 3:])
-    assert ((middle - half)[:, 0].min(), (middle + half)[:, 0].max()) == pytest.approx(Omni.ends_m, abs=1.5e-3)
-    assert Omni().top_speed_mps == pytest.approx(SPEED_LIMIT / W[0, 0])
+    assert ((middle - half)[:, 0].min(), (middle + half)[:, 0].max()) == pytest.approx(Omni().ends_m, abs=1.5e-3)
+    assert Omni().top_speed_mps == pytest.approx(PLATFORM.wheel_speed_radps / PLATFORM.W[0, 0])
 
 
 class TestView:
@@ -284,7 +285,7 @@ class TestMotions:
         drive.order((0.3, -0.2, 0.5))
         drive.run(0.317)
         mujoco.mj_forward(drive.model, drive.data)
-        np.testing.assert_allclose(drive.data.actuator_velocity, W @ drive.motion, atol=1e-4)  # gears: five decimals
+        np.testing.assert_allclose(drive.data.actuator_velocity, PLATFORM.W @ drive.motion, atol=1e-4)  # gears: five decimals
 
     @pytest.mark.parametrize("motion", [(0.3, 0.0, 0.0), (0.0, 0.0, 1.5)])
     def test_both_start_alike(self, motion):
@@ -309,7 +310,7 @@ class TestSlip:
         drive.order(motion)
         for _ in range(25):
             drive.run(0.04)
-            told, angles = moved(told, W_INVERSE @ (drive.wheels - angles) / 0.04, 0.04), drive.wheels
+            told, angles = moved(told, PLATFORM.W_inverse @ (drive.wheels - angles) / 0.04, 0.04), drive.wheels
         return drive.pose - start, told - start
 
     def test_on_a_dry_floor_a_gentle_start_is_told_truly(self):
@@ -347,7 +348,7 @@ class TestRest:
         drive = Drive.at_rest("rollers")
         rng = np.random.default_rng(seed)
         for _ in range(4):
-            drive.data.ctrl[:] = rng.uniform(-SPEED_LIMIT, SPEED_LIMIT, 4)  # four speeds that no motion has
+            drive.data.ctrl[:] = rng.uniform(-PLATFORM.wheel_speed_radps, PLATFORM.wheel_speed_radps, 4)  # four speeds that no motion has
             drive.run(0.3)
         drive.data.ctrl[:] = 0
         drive.run(1.5)

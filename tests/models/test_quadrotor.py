@@ -6,8 +6,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from vstestbed.robots import rotors
 from vstestbed.robots.quadrotor import STANDING_M, Quadrotor
+from vstestbed.robots.rotors import X4
 
 MODELS = Path(__file__).parents[2] / "models"
 G, AIR, DRAG_AREA = 9.81, 1.184, 0.100  # [m/s^2], [kg/m^3], Cd A [m^2] as the file says
@@ -54,20 +54,20 @@ def air() -> mujoco.MjModel:
 class TestFigures:
     def test_the_file_and_the_flight_stack_are_one(self, air):
         base = air.body("robot/base").id
-        assert air.body_mass[base] == rotors.MASS
-        np.testing.assert_allclose(air.body_inertia[base], rotors.INERTIA, rtol=1e-12)
-        np.testing.assert_allclose(air.actuator_dynprm[:, 0], rotors.LAG_S, rtol=1e-12)
-        np.testing.assert_allclose(air.actuator_ctrlrange, [[0, rotors.LIMIT]] * 4, rtol=1e-12)
-        np.testing.assert_allclose(air.actuator_gear[:, 2], rotors.THRUST, rtol=1e-12)
-        np.testing.assert_allclose(air.actuator_gear[:, 5], np.array([-1, 1, -1, 1]) * rotors.DRAG, rtol=1e-12)
+        assert air.body_mass[base] == X4.mass_kg
+        np.testing.assert_allclose(air.body_inertia[base], X4.inertia, rtol=1e-12)
+        np.testing.assert_allclose(air.actuator_dynprm[:, 0], X4.rotor_lag_s, rtol=1e-12)
+        np.testing.assert_allclose(air.actuator_ctrlrange, [[0, X4.limit]] * 4, rtol=1e-12)
+        np.testing.assert_allclose(air.actuator_gear[:, 2], X4.thrust_coefficient, rtol=1e-12)
+        np.testing.assert_allclose(air.actuator_gear[:, 5], np.array([-1, 1, -1, 1]) * X4.drag_coefficient, rtol=1e-12)
         assert [air.actuator(i).name for i in range(air.nu)] == [f"robot/{name}" for name in NAMES]
         places = [air.site(f"robot/{name}").pos[:2] for name in NAMES]
-        np.testing.assert_allclose(places, rotors.ARM * np.array([[1, 0], [0, -1], [-1, 0], [0, 1]]), atol=1e-12)
+        np.testing.assert_allclose(places, X4.arm_m * np.array([[1, 0], [0, -1], [-1, 0], [0, 1]]), atol=1e-12)
 
     def test_the_lag_is_that_of_a_motor_with_efficiency_point_8(self):
-        k_w0 = rotors.DRAG * 861
+        k_w0 = X4.drag_coefficient * 861
         # Three digits are written.
-        assert 6.49e-5 / (k_w0 * (2 + 0.8 / 0.2)) == pytest.approx(rotors.LAG_S, rel=0.005)
+        assert 6.49e-5 / (k_w0 * (2 + 0.8 / 0.2)) == pytest.approx(X4.rotor_lag_s, rel=0.005)
 
     def test_looks_are_grey_and_what_encloses_the_lens_is_in_group_1(self, air):
         rgb = air.mat_rgba[:, :3]
@@ -193,7 +193,7 @@ class TestAir:
     def test_wind_pushes_as_drag_says(self, wind):
         model = compose()
         model.opt.wind[:] = wind
-        data = at(model, 10.0, rotors.HOVER)
+        data = at(model, 10.0, X4.hover)
         speed = np.linalg.norm(wind)
         force = 0.5 * AIR * DRAG_AREA * speed * np.array(wind)
         np.testing.assert_allclose(data.qfrc_passive[:3], force, rtol=0.002, atol=1e-6)
@@ -207,7 +207,7 @@ class TestAir:
     def test_drag_follows_the_air_not_the_ground(self):
         model = compose()
         model.opt.wind[:] = [4, 0, 0]
-        data = at(model, 10.0, rotors.HOVER)
+        data = at(model, 10.0, X4.hover)
         data.qvel[0] = 4
         mujoco.mj_forward(model, data)
         np.testing.assert_allclose(data.qfrc_passive, 0, atol=1e-9)
@@ -253,7 +253,7 @@ class TestGround:
 
 class TestSensors:
     def test_at_hover(self, vacuum):
-        data = at(vacuum, 2.0, rotors.HOVER)
+        data = at(vacuum, 2.0, X4.hover)
         np.testing.assert_allclose(data.sensor("robot/accelerometer").data, [0, 0, G], atol=1e-6)
         np.testing.assert_allclose(data.sensor("robot/gyro").data, 0, atol=1e-12)
         assert data.sensor("robot/range").data[0] == pytest.approx(2.0, abs=1e-9)  # its own legs are left out

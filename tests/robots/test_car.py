@@ -9,7 +9,8 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose, inverse
 from vstestbed.core.planar import GroundPose, moved, pose_on_ground
 from vstestbed.robots.allocation import Mount
-from vstestbed.robots.car import RADIUS, TRACK, WHEELBASE, Car, CarLimits, Compass
+from vstestbed.robots.car import Car, CarLimits, Compass
+from vstestbed.robots.car_body import BUGGY
 from vstestbed.robots.ground import GroundBox, GroundStart
 from vstestbed.robots.reading import Reading
 
@@ -50,7 +51,7 @@ class TestKinematics:
     def test_an_order_within_its_limits_is_made_as_it_is(self, v, w):
         made = CAR.allocate(camera_twist(v, w), reading(), MOUNT, PERIOD)
         speed, steering = made.setpoint
-        assert (speed, speed * np.tan(steering) / WHEELBASE) == (pytest.approx(v), pytest.approx(w))
+        assert (speed, speed * np.tan(steering) / BUGGY.wheelbase_m) == (pytest.approx(v), pytest.approx(w))
         np.testing.assert_allclose(made.twist, camera_twist(v, w), atol=1e-12)
         assert (made.scale, made.limit) == (pytest.approx(1.0), "")
 
@@ -129,7 +130,7 @@ class TestCompass:
 class TestOdometry:
     def test_an_arc_from_its_wheels(self):
         v, w = 0.6, -0.4
-        left, right = ((v + side * w * TRACK / 2) / RADIUS * PERIOD for side in (-1, 1))
+        left, right = ((v + side * w * BUGGY.track_m / 2) / BUGGY.wheel_radius_m * PERIOD for side in (-1, 1))
         before, now = reading(left=3, right=7), reading(left=3 + left, right=7 + right)
         np.testing.assert_allclose(CAR.odometry(before, now, PERIOD), [v, 0, w], atol=1e-12)
         np.testing.assert_allclose(CAR.measured_twist(before, now, PERIOD, np.zeros(6), MOUNT), camera_twist(v, w), atol=1e-12)
@@ -154,23 +155,23 @@ class TestServos:
         np.testing.assert_allclose(np.diff(out[:79, 1]), -0.005, atol=1e-12)
         assert out[-1, 1] == -0.4
         # The integral adds to the ramp what the wheels are behind; at its end nothing is left.
-        np.testing.assert_allclose(np.diff(out[20:99, 0]) * RADIUS, 0.01, rtol=0.1)
-        assert out[-1, 0] * RADIUS == pytest.approx(1.0, abs=0.03)
+        np.testing.assert_allclose(np.diff(out[20:99, 0]) * BUGGY.wheel_radius_m, 0.01, rtol=0.1)
+        assert out[-1, 0] * BUGGY.wheel_radius_m == pytest.approx(1.0, abs=0.03)
 
     def test_setpoints_beyond_the_limits_are_cut(self):
         out = self.run(CAR, [-5.0, 3.0], 400)[-1]
-        assert (out[0] * RADIUS, out[1]) == (pytest.approx(-1.0, abs=1e-3), 1.0)
+        assert (out[0] * BUGGY.wheel_radius_m, out[1]) == (pytest.approx(-1.0, abs=1e-3), 1.0)
 
     def test_the_integral_makes_up_for_a_droop(self):
         out = self.run(CAR, [1.0, 0.0], 400, speed_share=0.97)
-        assert 0.97 * out[-1, 0] * RADIUS == pytest.approx(1.0, abs=1e-3)
+        assert 0.97 * out[-1, 0] * BUGGY.wheel_radius_m == pytest.approx(1.0, abs=1e-3)
 
     def test_against_a_wall_it_does_not_wind_up(self):
         out = self.run(CAR, [1.0, 0.0], 1000, speed_share=0.0)
-        assert out[-1, 0] == pytest.approx(1.0 / RADIUS + 1.0)
+        assert out[-1, 0] == pytest.approx(1.0 / BUGGY.wheel_radius_m + 1.0)
 
     def test_it_turns_its_wheels_by_the_radius_that_it_believes_in(self):
-        assert self.run(Car(wheel_radius_error=0.02), [1.0, 0.0], 400)[-1, 0] == pytest.approx(1 / (1.02 * RADIUS), rel=1e-3)
+        assert self.run(Car(wheel_radius_error=0.02), [1.0, 0.0], 400)[-1, 0] == pytest.approx(1 / (1.02 * BUGGY.wheel_radius_m), rel=1e-3)
 
     def test_at_rest_the_motor_holds(self):
         np.testing.assert_array_equal(self.run(CAR, [0.0, 0.0], 10, speed_share=0.5), 0)

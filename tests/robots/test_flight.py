@@ -10,7 +10,7 @@ from vstestbed.core.geometry import Array
 from vstestbed.robots.attitude import GRAVITY, Filter, level, to_body
 from vstestbed.robots.flight import MAX_TILT_RATE, Gains, aim, attitude_loop, rate_loop
 from vstestbed.robots.flight_reading import HOLD
-from vstestbed.robots.rotors import HOVER, MASS, mix, speed_control
+from vstestbed.robots.rotors import X4, mix, speed_control
 
 
 def inner(duration: float, rates: tuple[float, float, float] | None = None, lean: float = 0.0) -> tuple[Array, Array, Array]:
@@ -19,12 +19,12 @@ def inner(duration: float, rates: tuple[float, float, float] | None = None, lean
     Returns:
         t (n,), body rates (n, 3), angle of the craft's z forward of the vertical (n,).
     """
-    craft, gains, W, trim, rows = Flown(perfect()), Gains(), (HOVER,) * 4, (0.0, 0.0), []
+    craft, gains, W, trim, rows = Flown(perfect()), Gains(), (X4.hover,) * 4, (0.0, 0.0), []
     for _ in range(round(duration / DT)):
         R = level(tuple(craft.R[2].tolist()))
         wanted = rates or (*attitude_loop(to_body(R, (math.sin(lean), 0.0, math.cos(lean))), gains), 0.0)
-        trim, torque = rate_loop(trim, wanted, tuple(craft.data.sensor("robot/gyro").data.tolist()), gains, DT)
-        W, craft.data.ctrl[:] = speed_control(W, mix(MASS * GRAVITY, torque)[0], gains.rotor_s, DT)
+        trim, torque = rate_loop(trim, wanted, tuple(craft.data.sensor("robot/gyro").data.tolist()), gains, X4, DT)
+        W, craft.data.ctrl[:] = speed_control(W, mix(X4.mass_kg * GRAVITY, torque, X4)[0], gains.rotor_s, DT, X4)
         craft.step()
         rows.append([*craft.data.qvel[3:], math.atan2(craft.R[0, 2], craft.R[2, 2])])
     a = np.array(rows)
@@ -142,12 +142,14 @@ class TestTilt:
         assert not log.memory[-1].loops.levelling
 
     def test_aim(self):
-        force, thrust = aim((0.0, 0.0, 0.0), 1.0, Gains())
+        force, thrust = aim((0.0, 0.0, 0.0), 1.0, Gains(), X4.mass_kg)
         assert force == (0.0, 0.0, 1.0)
-        assert thrust == pytest.approx(MASS * GRAVITY, rel=1e-12)  # the true weight, no round 40 N
-        force, _ = aim((100.0, 0.0, 0.0), 1.0, Gains())
+        assert thrust == pytest.approx(X4.mass_kg * GRAVITY, rel=1e-12)  # the true weight, no round 40 N
+        force, _ = aim((100.0, 0.0, 0.0), 1.0, Gains(), X4.mass_kg)
         assert math.degrees(math.atan2(force[0], force[2])) == pytest.approx(30)
-        assert aim((0.0, 0.0, 0.0), math.cos(0.5), Gains())[1] * math.cos(0.5) == pytest.approx(MASS * GRAVITY)  # the vertical part is kept
+        assert aim((0.0, 0.0, 0.0), math.cos(0.5), Gains(), X4.mass_kg)[1] * math.cos(0.5) == pytest.approx(
+            X4.mass_kg * GRAVITY
+        )  # the vertical part is kept
 
     def test_attitude_loop_turns_z_to_the_force(self):
         gains = Gains()

@@ -15,7 +15,7 @@ from tests.robots.arms import BLOCKS, HERE, block
 from vstestbed.core.errors import ScenarioError
 from vstestbed.core.geometry import Pose
 from vstestbed.robots import ROBOTS, Mjcf
-from vstestbed.scenario.load import dump
+from vstestbed.scenario.dump import dump
 from vstestbed.sim.build import scene_files
 
 HAND = {"xyz": [0.06, 0, 0.02]}
@@ -83,6 +83,40 @@ def test_it_converges_from_rendered_pictures_by_yaml_alone(name: str, actuation:
     assert summary["final_error_px"] < 0.3 and summary["final_position_error_m"] < 0.003 and summary["final_rotation_error_deg"] < 0.3
 
 
+def test_a_camera_in_the_room_guides_its_hand(tmp_path: Path) -> None:
+    robot = arm("seven")
+    T = robot.flange_pose(robot.configuration()) @ Pose(xyz=(0, 0, 0.05), rpy_deg=(180, 0, 0)).T @ Pose(xyz=(-0.06, 0.05, -0.75)).T
+    camera = {"xyz": T[:3, 3].tolist(), "rpy_deg": SE3(T, check=False).rpy(unit="deg", order="zyx").tolist()}
+    marker = {"kind": "disc", "radius": 0.01}
+    held = {
+        "kind": "square",
+        "side": 0.16,
+        "pose": {"xyz": [0, 0, 0.05], "rpy_deg": [180, 0, 0]},
+        "marker": marker,
+        "motion": {"kind": "held"},
+    }
+    goal = {"xyz": [0, 0, 0.65], "rpy_deg": [5, -5, 10]}
+    scenario = written(tmp_path, "room", block("seven", actuation="velocity"), held, goal, mount=camera)
+    recording = vs.run(scenario)
+    summary: dict[str, Any] = recording.summary()
+    assert summary["outcome"] == "converged", summary["reason"]
+    assert summary["final_error_px"] < 0.3 and summary["final_position_error_m"] < 0.003 and summary["final_rotation_error_deg"] < 0.3
+    assert np.ptp(recording["cam_x"]) == 0 and np.ptp(recording["q_j1"]) > 0.02  # the camera stands, the arm moves
+
+
+def test_the_gains_of_added_servos_are_in_the_summary(tmp_path: Path) -> None:
+    near = square_before(arm("scara"), (0.0, 0.0, 0.6), (0, 0, 1))
+    for actuation in ("velocity", "ideal"):
+        scenario = written(tmp_path, actuation, block("scara", actuation=actuation), near, {"xyz": [0, 0, 0.6]}, detector="oracle")
+        summary: dict[str, Any] = vs.run(scenario).summary()
+        servos = {servo.joint: servo for servo in scenario.robot.actuator_set.servos}
+        assert summary["servo_kp"] == {name: servo.kp for name, servo in servos.items()}
+        assert summary["servo_kv"] == {name: servo.kv for name, servo in servos.items()}
+        assert summary["servo_torque"]["shoulder"] is None  # no limit
+        assert summary["servo_torque"]["lift"] == (200 if actuation == "velocity" else None)
+    assert arm("seven", actuation="file").actuator_set.gains() == {}
+
+
 def test_two_links_see_one_marker_come_to_the_middle(tmp_path: Path) -> None:
     down = {"xyz": [0, 0, -0.06], "rpy_deg": [180, 0, 0]}
     target = {
@@ -103,7 +137,7 @@ def test_the_file_is_found_beside_the_scenario_and_remembered_whole(tmp_path: Pa
     target = square_before(arm("scara"), *SEEN["flat"])
     scenario = written(tmp_path, "beside", block("scara") | {"file": "mine.xml"}, target, {"xyz": [0, 0, 0.6]})
     assert scenario.robot.model == str(tmp_path / "mine.xml")
-    (tmp_path / "again.yaml").write_text(dump(scenario))
+    (tmp_path / "again.yaml").write_text(dump(scenario, defaults=True))
     assert vs.load(tmp_path / "again.yaml", {"name": scenario.name}) == scenario
 
 
@@ -195,6 +229,7 @@ class TestDoctor:
         assert told.code == 0 and "tool: shoulder, elbow, lift, roll" in told.out
         assert "lift: slide, -0.3 to 0.1 m, at most 200 N [no actuator, line 17]" in told.out
         assert "shoulder: hinge, -150 to 150 deg [no torque limit (actuatorfrcrange); no actuator, line 11]" in told.out
+        assert "lift: kp 5400 N/m, kv 135 N s/m (added by actuation: velocity)" in told.out
         robot = next(line for line in told.out.splitlines() if "robot: {" in line).partition("robot: ")[2]
         import yaml
 

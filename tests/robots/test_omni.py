@@ -8,7 +8,8 @@ from vstestbed.core.geometry import Pose, exp, inverse
 from vstestbed.core.planar import GroundPose, moved, pose_on_ground
 from vstestbed.robots.allocation import Mount
 from vstestbed.robots.ground import GroundBox, GroundStart
-from vstestbed.robots.omni import HALF_BASE, HALF_TRACK, RADIUS, SPEED_LIMIT, W_INVERSE, WHEELS, Omni, W, wheel_matrix
+from vstestbed.robots.omni import Omni
+from vstestbed.robots.omni_body import PLATFORM, WHEELS
 from vstestbed.robots.reading import Reading
 
 BASE = Omni()
@@ -35,23 +36,25 @@ def mount(request) -> Mount:
 class TestKinematics:
     def test_of_print(self):
         # Taheri, Qiao & Ghaeminezhad 2015, wheels front left, front right, rear left, rear right; y to the left.
-        k = HALF_BASE + HALF_TRACK
-        printed = np.array([[1, -1, -k], [1, 1, k], [1, 1, -k], [1, -1, k]]) / RADIUS
-        np.testing.assert_allclose(wheel_matrix(rollers=np.inf), printed, rtol=1e-12)
+        k = PLATFORM.wheelbase_m / 2 + PLATFORM.track_m / 2
+        printed = np.array([[1, -1, -k], [1, 1, k], [1, 1, -k], [1, -1, k]]) / PLATFORM.wheel_radius_m
+        np.testing.assert_allclose(PLATFORM.wheel_matrix(rollers=np.inf), printed, rtol=1e-12)
 
     def test_nine_rollers_carry_it_two_percent_less_far_sideways(self):
         phi = (np.arange(100_000) + 0.5) / 100_000 * np.pi / 9
         kappa = np.cos(phi).mean()  # the mean over half a roller's turn, by the midpoint rule: 1e-11
-        np.testing.assert_allclose(W[:, 0], 1 / RADIUS, rtol=1e-12)
-        np.testing.assert_allclose(np.abs(W[:, 1]), 1 / RADIUS / kappa, rtol=1e-9)
-        np.testing.assert_allclose(np.abs(W[:, 2]), (HALF_BASE / kappa + HALF_TRACK) / RADIUS, rtol=1e-9)
+        np.testing.assert_allclose(PLATFORM.W[:, 0], 1 / PLATFORM.wheel_radius_m, rtol=1e-12)
+        np.testing.assert_allclose(np.abs(PLATFORM.W[:, 1]), 1 / PLATFORM.wheel_radius_m / kappa, rtol=1e-9)
+        np.testing.assert_allclose(
+            np.abs(PLATFORM.W[:, 2]), (PLATFORM.wheelbase_m / 2 / kappa + PLATFORM.track_m / 2) / PLATFORM.wheel_radius_m, rtol=1e-9
+        )
 
     def test_both_ways(self):
-        np.testing.assert_allclose(W_INVERSE @ W, np.eye(3), atol=1e-14)
+        np.testing.assert_allclose(PLATFORM.W_inverse @ PLATFORM.W, np.eye(3), atol=1e-14)
 
     def test_wheels_that_fight_each_other_move_nothing(self):
         # Four speeds, three motions: the front pair against the rear pair is none.
-        np.testing.assert_allclose(W_INVERSE @ [1, 1, -1, -1], np.zeros(3), atol=1e-14)
+        np.testing.assert_allclose(PLATFORM.W_inverse @ [1, 1, -1, -1], np.zeros(3), atol=1e-14)
 
 
 class TestMotionBasis:
@@ -77,7 +80,7 @@ class TestAllocation:
         twist = BASE.motion_basis(mount, BASE.start_joints()) @ motion
         made = BASE.allocate(twist, readings(np.zeros(4)), mount, PERIOD)
         np.testing.assert_allclose(made.twist, twist, atol=1e-12)
-        np.testing.assert_allclose(made.setpoint, W @ motion, atol=1e-10)
+        np.testing.assert_allclose(made.setpoint, PLATFORM.W @ motion, atol=1e-10)
         assert (made.scale, made.limit) == (1.0, "")
 
     @pytest.mark.parametrize("motion", MOTIONS)
@@ -85,7 +88,7 @@ class TestAllocation:
         twist = BASE.motion_basis(mount, BASE.start_joints()) @ (20 * np.array(motion))
         made = BASE.allocate(twist, readings(np.zeros(4)), mount, PERIOD)
         assert made.limit == "speed" and 0 < made.scale < 1
-        assert np.abs(made.setpoint).max() == pytest.approx(SPEED_LIMIT)
+        assert np.abs(made.setpoint).max() == pytest.approx(PLATFORM.wheel_speed_radps)
         np.testing.assert_allclose(made.twist, twist * made.scale, atol=1e-12)  # the direction is kept
 
     def test_what_no_wheel_can_make_is_left_out(self):
@@ -97,7 +100,7 @@ class TestAllocation:
     def test_who_believes_in_larger_wheels_turns_them_slower(self):
         mount, twist = Mount.of(np.eye(4)), np.array([0.2, 0.1, 0, 0, 0, 0.3])
         wrong = Omni(wheel_radius_error=0.02).allocate(twist, readings(np.zeros(4)), mount, PERIOD)
-        np.testing.assert_allclose(W_INVERSE @ wrong.setpoint, np.array([0.2, 0.1, 0.3]) / 1.02, atol=1e-12)
+        np.testing.assert_allclose(PLATFORM.W_inverse @ wrong.setpoint, np.array([0.2, 0.1, 0.3]) / 1.02, atol=1e-12)
         np.testing.assert_allclose(wrong.twist, twist, atol=1e-12)  # what it stands for is what the robot believes
 
 
@@ -105,7 +108,7 @@ class TestOdometry:
     @pytest.mark.parametrize("motion", MOTIONS)
     def test_an_arc_from_the_wheels(self, mount, motion):
         before = np.array([1.0, 2.0, 3.0, 4.0])
-        now = before + W @ motion * PERIOD
+        now = before + PLATFORM.W @ motion * PERIOD
         twist = BASE.measured_twist(readings(before), readings(now), PERIOD, np.full(6, np.nan), mount)
         self.leads_along_the_arc(twist, motion, mount)
 
@@ -128,14 +131,14 @@ class TestOdometry:
         dt = 2 * np.pi / motion[2] / steps
         at, q = np.zeros(3), np.zeros(4)
         for _ in range(steps):
-            q_next = q + W @ motion * dt
+            q_next = q + PLATFORM.W @ motion * dt
             at, q = moved(at, BASE.odometry(readings(q), readings(q_next), dt), dt), q_next
         np.testing.assert_allclose(at, [0, 0, 2 * np.pi], atol=1e-11)
 
     @pytest.mark.parametrize("wheels", ["rollers", "planar"])
     def test_larger_wheels_believed_are_a_longer_way_told(self, wheels):
         motion = np.array([0.2, 0.1, 0.3])
-        now = W @ motion * PERIOD if wheels == "rollers" else moved(np.zeros(3), motion, PERIOD)
+        now = PLATFORM.W @ motion * PERIOD if wheels == "rollers" else moved(np.zeros(3), motion, PERIOD)
         robot = Omni(wheels=wheels, wheel_radius_error=0.02)
         told = robot.odometry(readings(np.zeros(len(now))), readings(now), PERIOD)
         np.testing.assert_allclose(told, 1.02 * motion, atol=1e-12)

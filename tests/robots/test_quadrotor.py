@@ -10,10 +10,11 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose, adjoint, inverse
 from vstestbed.robots.allocation import Mount
 from vstestbed.robots.flight_reading import HOLD, ROTORS_OFF, Instruments, descend
+from vstestbed.robots.flight_start import LOWEST_M, FlightBox, FlightPose, FlightStart
 from vstestbed.robots.groundspeed import Filtered, Flow
 from vstestbed.robots.imu import Imu
-from vstestbed.robots.quadrotor import LOWEST_M, STANDING_M, FlightBox, FlightPose, FlightStart, Quadrotor
-from vstestbed.robots.rotors import HOVER
+from vstestbed.robots.quadrotor import STANDING_M, Quadrotor
+from vstestbed.robots.rotors import X4
 
 DOWN = Mount.of(Pose(xyz=(0.1, 0.0, -0.05), rpy_deg=(180, 0, 90)).T)
 SENSORS = {"gyro": [0.0] * 3, "accelerometer": [0.0, 0.0, 9.81], "velocity": [0.0] * 3, "range": [2.0]}
@@ -149,7 +150,7 @@ class TestHover:
         log = Flown(perfect(height=2.0)).fly(HOLD, 1.0)
         # The whole state stands still: rotors, attitude, estimates.
         assert np.abs(log.position - [0, 0, 2]).max() < 1e-9
-        np.testing.assert_allclose(log.ctrl, HOVER, rtol=1e-9)
+        np.testing.assert_allclose(log.ctrl, X4.hover, rtol=1e-9)
 
     @pytest.mark.parametrize(
         ("velocity", "duration"),

@@ -12,11 +12,13 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
+from tests.robots.arms import where_installed
 from vstestbed.core.assets import bundled_scenarios
 from vstestbed.core.errors import ParameterError, PluginError, ScenarioError
 from vstestbed.core.spec import spec
 from vstestbed.laws import IBVS
-from vstestbed.scenario.load import dump, find, load, parse, schema
+from vstestbed.scenario.dump import dump
+from vstestbed.scenario.load import find, load, parse, schema
 from vstestbed.scenario.plugins import load_plugins
 from vstestbed.scenario.validation import KINDS
 from vstestbed.scenario.yaml_marks import read_value
@@ -348,7 +350,7 @@ class TestSeed:
 
 
 class TestBundled:
-    @pytest.mark.parametrize("name", NAMES)
+    @pytest.mark.parametrize("name", where_installed(NAMES))
     def test_loads_with_its_goal_and_its_start_in_view(self, name: str) -> None:
         scenario = load(name)
         assert scenario.name == name
@@ -359,16 +361,16 @@ class TestBundled:
         if scenario.goal.kind != "line":
             assert scenario._in_view(scenario.robot), "the start does not see the whole target"
 
-    @pytest.mark.parametrize("name", NAMES)
+    @pytest.mark.parametrize("name", where_installed(NAMES))
     def test_what_is_written_reads_back_as_the_same_scenario(self, name: str) -> None:
         scenario = load(name)
-        text = dump(scenario)
+        text = dump(scenario, defaults=True)
         again = parse(text, "again.yaml")
         assert again == scenario
-        assert dump(again) == text
+        assert dump(again, defaults=True) == text
 
     def test_every_default_is_written(self) -> None:
-        written = YAML(typ="safe").load(dump(parse(GOOD, "s.yaml")))
+        written = YAML(typ="safe").load(dump(parse(GOOD, "s.yaml"), defaults=True))
         assert written["stop"] == {
             "duration_s": 30.0,
             "converged": {"error_px": 0.2, "position_m": None, "rotation_deg": None, "hold_s": 0.5},
@@ -380,7 +382,7 @@ class TestBundled:
         assert written["robot"]["actuation"] == "industrial"
         assert written["target"]["marker"] == {"kind": "disc", "radius": 0.02, "lit": True}
         drift = {"brightness": 0.0, "color": 0.0, "period_s": 10.0}
-        assert written["noise"] == {"image_sigma": 0.0, "pixel_sigma_px": 0.0, "dropout": 0.0, "drift": drift}
+        assert written["noise"] == {"image_sigma": 0.0, "pixel_sigma_px": 0.0, "dropout": 0.0, "drift": drift, "perturb": []}
 
 
 def conforms(value: Any, rule: dict[str, Any], whole: dict[str, Any]) -> bool:
@@ -416,9 +418,9 @@ class TestSchema:
         for kinds in KINDS.values():
             assert {member.__name__ for member in kinds.members.values()} <= known
 
-    @pytest.mark.parametrize("name", NAMES)
+    @pytest.mark.parametrize("name", where_installed(NAMES))
     def test_bundled_scenarios_conform_as_they_are_and_as_they_are_written(self, name: str, whole: dict[str, Any]) -> None:
-        for text in (bundled_scenarios()[name].read_text(encoding="utf-8"), dump(load(name))):
+        for text in (bundled_scenarios()[name].read_text(encoding="utf-8"), dump(load(name), defaults=True)):
             assert conforms(YAML(typ="safe").load(text), whole, whole)
 
     @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
+from tests.robots.arms import where_installed
 from vstestbed.core.assets import bundled_scenarios
 from vstestbed.core.geometry import exp
 from vstestbed.core.outcome import Outcome
@@ -46,7 +47,7 @@ class Commands:
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("name", bundled_scenarios())
+@pytest.mark.parametrize("name", where_installed(bundled_scenarios()))
 def test_a_corrupted_truth_changes_no_command(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     honest, lied_to, rng = Commands(), Commands(), np.random.default_rng(0)
     arrive, scenario = Episode._arrive, vs.load(name, {"detector": {"kind": "oracle"}})

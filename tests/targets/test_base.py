@@ -41,7 +41,7 @@ def test_where_a_target_leads_on_the_floor_is_in_the_world():
 
 
 def test_only_a_square_has_a_board_and_with_it_a_front():
-    assert SQUARE.board_half_m == pytest.approx(0.1 + 2.5 * 0.02)  # one and a half marker radii beyond the markers' edges
+    assert SQUARE.board_half_m == pytest.approx((0.15, 0.15))  # one and a half marker radii beyond the markers' edges
     assert SQUARE.one_sided
     for target in (POINTS, LINES):
         assert target.board_half_m is None and not target.one_sided

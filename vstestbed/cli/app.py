@@ -20,7 +20,9 @@ from vstestbed.cli.compare import comparing
 from vstestbed.cli.convergence import convergences
 from vstestbed.cli.delay import delays
 from vstestbed.cli.ending import GOAL_REACHED, INTERRUPTED, NOT_REACHED, STOPS, exit_code
+from vstestbed.cli.export import exports
 from vstestbed.cli.live import lives
+from vstestbed.cli.new import news
 from vstestbed.cli.tools import Json, Plugins, load_scenario, tools
 from vstestbed.core.errors import ParameterError, RunFolderError
 
@@ -214,11 +216,13 @@ def report(
         typer.echo(str(page), err=True)
 
 
+app.add_typer(exports)
 app.add_typer(comparing)
 app.add_typer(basins)
 app.add_typer(delays)
 app.add_typer(convergences)
 app.add_typer(lives)
+app.add_typer(news)
 app.add_typer(tools)
 app.add_typer(benchmarks)
 

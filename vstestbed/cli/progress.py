@@ -103,6 +103,37 @@ class Counter:
         self._bar.stop()
 
 
+class FrameBar:
+    """Progress bar of an export on standard error; hidden if standard error is no terminal.
+
+    Args:
+        total: number of frames. shown: False hides the bar.
+    """
+
+    def __init__(self, total: int, shown: bool):
+        from rich.console import Console
+        from rich.progress import Progress as Bar
+        from rich.progress import TimeRemainingColumn
+
+        console = Console(stderr=True)
+        columns = (*Bar.get_default_columns()[:-1], TimeRemainingColumn())
+        self._bar = Bar(*columns, console=console, disable=not (shown and console.is_terminal), transient=True)
+        self._task = self._bar.add_task("exporting", total=total)
+
+    def frame(self) -> None:
+        """Advance the bar by one frame."""
+        self._bar.update(self._task, advance=1)
+
+    def __enter__(self) -> FrameBar:
+        """Show the bar."""
+        self._bar.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        """Take the bar away."""
+        self._bar.stop()
+
+
 def show_notes(shown: bool) -> None:
     """Print the library's warnings (such as ray casting in place of OpenGL) on standard error, or suppress them."""
     logger = logging.getLogger("vstestbed")

@@ -32,6 +32,12 @@ class Room(str, Enum):
     features = "features"
     laws = "laws"
     detectors = "detectors"
+    markers = "markers"
+    motions = "motions"
+    goals = "goals"
+    metrics = "metrics"
+    monitors = "monitors"
+    perturbations = "perturbations"
 
 
 Plugins = Annotated[list[str] | None, typer.Option("--plugin", metavar="FILE.py|MODULE", help="Load a plugin, which adds kinds.")]
@@ -90,11 +96,12 @@ def list_(room: Annotated[Room | None, typer.Argument(help="What to list. [defau
 def _entries(room: Room) -> list[tuple[str, str]]:
     """Names of the scenarios or kinds in a room, each with its description: for kinds the first line of the class's docstring."""
     from vstestbed.core.assets import bundled_scenarios
-    from vstestbed.scenario.load import load
+    from vstestbed.scenario.load import text_of
     from vstestbed.scenario.validation import KINDS
+    from vstestbed.scenario.yaml_marks import plain_mapping
 
-    if room is Room.scenarios:
-        return [(name, load(name).description) for name in bundled_scenarios()]
+    if room is Room.scenarios:  # as they are written: an arm's file may be in a package that is not installed
+        return [(name, str(plain_mapping(text_of(path), str(path), "")[0]["description"])) for name, path in bundled_scenarios().items()]
     return [(kind, (cls.__doc__ or "").strip().split("\n")[0]) for kind, cls in KINDS[room.value].members.items()]
 
 

@@ -4,6 +4,7 @@
     ├── ScenarioError          a scenario file that cannot be run: all mistakes at once      exit 2
     │   └── PluginError        a plugin that is not there or cannot be imported              exit 2
     ├── ParameterError         one parameter out of its range (also a ValueError)            exit 2
+    │   └── UnreachableError   a start at which the robot cannot stand                       exit 2
     ├── OutputError            a result folder that cannot be written                        exit 2 or 4
     ├── RunFolderError         a folder without a readable run                               exit 2
     ├── SessionError           a session that cannot do what it is asked in its state        exit 2
@@ -49,6 +50,10 @@ class ParameterError(VstestbedError, ValueError):
         self.field, self.problem, self.found = str(field), problem, found
         got = "" if found is None else f", got {found!r}"
         super().__init__(f"{field} {problem}{got}".rstrip())
+
+
+class UnreachableError(ParameterError):
+    """A start at which the robot cannot stand; a comparison tells it as the outcome of a run."""
 
 
 @dataclass(frozen=True)

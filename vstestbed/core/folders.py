@@ -6,12 +6,13 @@ import contextlib
 import os
 import re
 import shlex
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from vstestbed.core.errors import OutputError
-from vstestbed.core.files import writing
+from vstestbed.core.files import temporary, writing
 
 try:
     import fcntl
@@ -128,6 +129,28 @@ def new_folder(parent: Path, out: Path | None, remedy: str = "give a new one") -
     with writing(out):
         out.mkdir(parents=True, exist_ok=True)
     return out
+
+
+@contextmanager
+def whole_folder(out: Path, remedy: str = "give a new one") -> Iterator[Path]:
+    """Make a folder that appears under its name when it is complete, or not at all; what it is given to be filled has a temporary name.
+
+    Raises:
+        OutputError: `out` holds something already, or cannot be made. EnvironmentLackError: see `writing`.
+    """
+    must_be_new(out, remedy)
+    part = temporary(out)
+    with writing(out):
+        part.mkdir(parents=True)
+    try:
+        yield part
+        with writing(out):
+            if out.is_dir():
+                out.rmdir()  # empty, as `must_be_new` has found; where it is not any more, this refuses
+            part.rename(out)
+    except BaseException:
+        shutil.rmtree(part, ignore_errors=True)
+        raise
 
 
 def remove_empty(folder: Path) -> None:

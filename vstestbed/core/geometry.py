@@ -1,7 +1,7 @@
 """Frames, twists and adjoints.
 
 Poses are 4x4 arrays `T_a_b` that map b-coordinates to a (inner names cancel: `T_world_camera @ T_camera_target`).
-Spatialmath's SE3 is what scripts get and give (`Pose.SE3`, `Recording.poses`); it takes .8 s to import, so the loop goes without.
+Spatialmath's SE3 is what scripts give and get (`core.spatial`); it takes .8 s to import, so the loop goes without.
 A twist is (vx, vy, vz, wx, wy, wz) of a frame, expressed in that frame unless the name says otherwise.
 """
 
@@ -12,15 +12,15 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from pydantic import model_validator
 
 from vstestbed.core.quantity import Angles, Position
+from vstestbed.core.rpy import rpy_of
+from vstestbed.core.spatial import Array, as_se3, is_matrix, pose_matrix, tidy_angles, tidy_position
 from vstestbed.core.spec import spec
 
 if TYPE_CHECKING:
     from spatialmath import SE3
-
-Array = NDArray[np.float64]
 
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 """From OpenGL's camera axes (z backward, y up) to those of computer vision (z forward, y down), and back: its own inverse."""
@@ -28,10 +28,18 @@ FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 
 @spec
 class Pose:
-    """A pose in YAML: a translation [m] and roll-pitch-yaw angles [deg], R = Rz(yaw) Ry(pitch) Rx(roll)."""
+    """A pose in YAML: a translation [m] and roll-pitch-yaw angles [deg], R = Rz(yaw) Ry(pitch) Rx(roll).
+
+    In Python every field of this class also takes spatialmath's SE3 or a matrix (4, 4), whose rotation the angles have to 1e-14.
+    """
 
     xyz: Position = (0.0, 0.0, 0.0)
     rpy_deg: Angles = (0.0, 0.0, 0.0)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_matrix(cls, given: Any) -> Any:
+        return pose_block(given) if is_matrix(given) else given
 
     @cached_property
     def T(self) -> Array:
@@ -48,28 +56,23 @@ class Pose:
 
     def SE3(self) -> SE3:
         """The same pose as a spatialmath object, for scripts that compute starts and goals."""
-        from spatialmath import SE3
-
-        return SE3(self.T, check=False)
+        return as_se3(self.T[None])
 
     @classmethod
     def of(cls, T: Array | SE3) -> Pose:
-        """The pose with the homogeneous matrix T (4, 4), or of a spatialmath object; at a pitch of 90 degrees roll is 0."""
-        matrix: Array = T if isinstance(T, np.ndarray) else np.asarray(T.A, dtype=float)
+        """The pose with the homogeneous matrix T (4, 4), or of a spatialmath object; at a pitch of 90 degrees roll is 0.
+
+        Raises:
+            ParameterError: it is no pose (`pose_matrix`).
+        """
+        matrix = pose_matrix(T, "T")
         return cls(xyz=tuple(matrix[:3, 3].tolist()), rpy_deg=rpy_of(matrix[:3, :3].tolist()))
 
 
-def rpy_of(R: list[list[float]]) -> Angles:
-    """Roll, pitch, yaw [deg] of a rotation matrix R = Rz(yaw) Ry(pitch) Rx(roll) of rows; roll is 0 at a pitch of 90 degrees."""
-    (xx, xy, xz), (yx, _, _), (zx, zy, zz) = R
-    if abs(abs(zx) - 1) < 20 * np.finfo(float).eps:
-        yaw = -math.atan2(xy, xz) if zx < 0 else math.atan2(-xy, -xz)
-        return 0.0, -math.asin(min(max(zx, -1.0), 1.0)) * (180 / math.pi), yaw * (180 / math.pi)
-    roll, yaw = math.atan2(zy, zz), math.atan2(yx, xx)
-    # the largest of the four that are the pitch's cosine times a sine or cosine of another angle
-    largest, of_angle = max(((xx, math.cos(yaw)), (yx, math.sin(yaw)), (zy, math.sin(roll)), (zz, math.cos(roll))), key=lambda p: abs(p[0]))
-    rad = roll, -math.atan(zx * of_angle / largest), yaw
-    return tuple(a * (180 / math.pi) for a in rad)  # pyright: ignore[reportReturnType]
+def pose_block(value: Any) -> dict[str, Any]:
+    """The fields of the Pose of an SE3 or a matrix (4, 4), without the last digits of rounding (`pose_matrix`)."""
+    T = pose_matrix(value)
+    return {"xyz": tidy_position(T), "rpy_deg": tidy_angles(rpy_of(T[:3, :3].tolist()))}
 
 
 def all_finite(a: Array) -> bool:
@@ -230,17 +233,6 @@ def direction(theta_phi: Array) -> Array:
     theta, phi = theta_phi[..., 0], theta_phi[..., 1]
     across = np.sin(theta)
     return joined(across * np.cos(phi), across * np.sin(phi), np.cos(theta))
-
-
-def rotation_from_rpy(rpy: Array) -> Array:
-    """R = Rz(yaw) Ry(pitch) Rx(roll) (..., 3, 3) of angles (roll, pitch, yaw) (..., 3) [rad]: the convention of `Pose`."""
-    (cr, cp, cy), (sr, sp, sy) = np.moveaxis(np.cos(rpy), -1, 0), np.moveaxis(np.sin(rpy), -1, 0)
-    rows = [
-        (cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr),
-        (sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr),
-        (-sp, cp * sr, cp * cr),
-    ]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def rotation_angle(R: Array) -> Array:

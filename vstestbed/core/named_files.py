@@ -8,8 +8,10 @@ from pathlib import Path
 
 from vstestbed.core.errors import ParameterError
 
-ENDINGS = re.compile(r"\.(onnx|xml|mjcf|urdf)$|\.py:\w+$")
-"""The end of a value of a field `file`: a network, a model, a function in a Python file."""
+ENDINGS = re.compile(r"\.(onnx|xml|mjcf|urdf|png|jpe?g|stl|obj)$|\.py:\w+$", re.IGNORECASE)
+"""The end of a value of a field of FILE_FIELDS: a network, a model, a picture, a solid, a function in a Python file."""
+FILE_FIELDS = "file", "scenery"
+"""Fields that name a file; the block `scenery` may be its file's name alone."""
 PACKAGE = "package:"
 
 
@@ -46,8 +48,14 @@ def place_of_file(file: str) -> Path:
         except (ImportError, ValueError):  # its parent is not there, or it is no name of a package
             found = None
         if found is None or not found.submodule_search_locations:
-            raise ParameterError("file", f"names the package {name}, which is not installed; pip install it, or give the file's path", file)
+            remedy = f"pip install --no-deps {name} (only its files are read), or give the file's path"
+            raise ParameterError("file", f"names the package {name}, which is not installed; {remedy}", file)
         path = Path(found.submodule_search_locations[0]) / inside
     if not is_there(path):
         raise ParameterError("file", f"is not there ({path}); give its path, absolute or relative to the scenario's file", file)
     return path
+
+
+def kept_at(source: Path) -> str:
+    """Where a run's folder keeps the file that its target was made from."""
+    return f"assets/target/{source.name}"

@@ -22,6 +22,7 @@ class Outcome(Enum):
     rotor_limit = "a rotor stood at its limit for too long"
     law_failed = "the law failed, and the robot was stopped"
     crashed = "the simulation became unstable"
+    unreachable = "the robot cannot stand where the run would begin"
     interrupted = "the run was interrupted"
 
     @property

@@ -4,21 +4,32 @@ from __future__ import annotations
 
 import math
 from functools import cached_property
+from typing import Any
 
 import numpy as np
+from pydantic import model_validator
 
-from vstestbed.core.geometry import Array, joined
+from vstestbed.core.geometry import Array, joined, pose_block
 from vstestbed.core.quantity import Angle, Length
+from vstestbed.core.spatial import class_of, floor_place, is_matrix
 from vstestbed.core.spec import spec
 
 
 @spec
 class GroundPose:
-    """A place on the floor in YAML: x, y [m] and the heading from the x axis, counter-clockwise [deg]."""
+    """A place on the floor in YAML: x, y [m] and the heading from the x axis, counter-clockwise [deg].
+
+    In Python every field of this class also takes spatialmath's SE2, and an SE3 that stands upright at height 0.
+    """
 
     x: Length = 0.0
     y: Length = 0.0
     heading_deg: Angle = 0.0
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_matrix(cls, given: Any) -> Any:
+        return place_block(given) if is_matrix(given) else given
 
     @property
     def heading(self) -> float:
@@ -34,6 +45,22 @@ class GroundPose:
     def T(self) -> Array:
         """T_world_base (4, 4)."""
         return pose_on_ground(self.place)
+
+
+def block_of(value: Any) -> Any:
+    """A pose (SE3 or (4, 4)) or a place (SE2 or (3, 3)) as the plain block of a scenario; any other value as it is.
+
+    Raises:
+        ParameterError: it is none.
+    """
+    if not is_matrix(value) or (isinstance(value, np.ndarray) and value.shape not in ((3, 3), (4, 4))):
+        return value
+    return place_block(value) if class_of(value) == "SE2" or np.shape(value) == (3, 3) else pose_block(value)
+
+
+def place_block(value: Any) -> dict[str, Any]:
+    """The fields of the GroundPose of an SE2, a matrix, or an SE3 on the floor (`floor_place`)."""
+    return dict(zip(("x", "y", "heading_deg"), floor_place(value), strict=True))
 
 
 def pose_on_ground(place: Array) -> Array:

@@ -64,9 +64,9 @@ def _with_our_errors(cls: Any) -> None:
             first = error.errors()[0]
             # A __post_init__ that raised ParameterError has said it better than pydantic, which wraps it.
             inner = first.get("ctx", {}).get("error")
-            if isinstance(inner, ParameterError):
-                raise inner from None
             field = ".".join(str(part) for part in first["loc"]) or cls.__name__
+            if isinstance(inner, ParameterError):
+                raise (inner if inner.field else ParameterError(field, inner.problem, inner.found)) from None
             raise ParameterError(field, first["msg"], first["input"]) from None
 
     cls.__init__ = init
@@ -156,16 +156,20 @@ class OneOf:
             name = getattr(member, "__name__", repr(member))
             raise ParameterError(name, f"is not a spec; a {self.what} is a class with @spec directly above it, below any `add`")
         kind = kind_of(member)
-        if kind in self.members and self.members[kind] is not member:
+        if kind in self.members and self.members[kind] is not member and not _same_cell(self.members[kind], member):
             home = self.members[kind].__module__
             place = home if home.startswith("vstestbed.") else getattr(sys.modules.get(home), "__file__", home)
             taken = f"{kind!r} is already a {self.what} ({place})"
             raise ParameterError("kind", f"{taken}; give {member.__name__} a `kind` of its own")
         if self.contract is not None:
             self.contract.check(member)
-        new = kind not in self.members
+        new = self.members.get(kind) is not member
         self.members[kind] = member
         return new
+
+    def implied(self, block: Mapping[str, Any]) -> str | None:
+        """The kind of a block without `kind`, by one of its fields; None where none tells it."""
+        return next((kind for field, kind in self.fields.items() if field in block), None)
 
     def load_entry_points(self, installed: EntryPoints) -> bool:
         """Register the classes that installed packages offer under `vstestbed.<what>s`; True if any was new."""
@@ -181,8 +185,7 @@ class OneOf:
         block, words = self._expanded(value), ", ".join(sorted(self.members))
         if not isinstance(block, dict):
             raise PydanticCustomError("block", "must be a {what} block or one of the words: {words}", {"what": self.what, "words": words})
-        implied = next((kind for field, kind in self.fields.items() if field in block), self.default)
-        kind = block.get("kind", implied)
+        kind = block.get("kind", self.implied(block) or self.default)
         if kind is None:
             raise PydanticCustomError("no_kind", "needs {words}", {"words": self._needs})
         if not isinstance(kind, str) or kind not in self.members:
@@ -228,6 +231,30 @@ class OneOf:
         return {"anyOf": choices}
 
 
+@dataclasses.dataclass(frozen=True)
+class Shorthand:
+    """For `Annotated` of a spec: a text stands for the block that has it in one field.
+
+    Attributes:
+        field: its name.
+    """
+
+    field: str
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Pydantic's hook: a text is expanded to its block first."""
+        return core_schema.no_info_before_validator_function(lambda v: {self.field: v} if isinstance(v, str) else v, handler(source))
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        """Pydantic's hook for the JSON Schema: the block, or a text."""
+        return {"anyOf": [handler(schema), {"type": "string"}]}
+
+
+def _same_cell(before: type, after: type) -> bool:
+    """Whether two classes are one that was defined again by hand: a notebook's cell, run once more after a change."""
+    return before.__module__ == after.__module__ == "__main__" and before.__qualname__ == after.__qualname__
+
+
 def _needed_fields(cls: type) -> list[str]:
     missing = dataclasses.MISSING
     fields = dataclasses.fields(cls)
@@ -242,14 +269,6 @@ def kind_of(cls: type) -> str:
     raise ParameterError("kind", f"is missing: {cls.__name__} needs `kind: Literal['...'] = '...'`")
 
 
-def to_mapping(value: Any) -> Any:
-    """A spec as plain mappings, lists and scalars with all defaults written out: the content of `scenario.yaml`."""
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        # `kind` first, as people write it; the sort is stable and keeps the order of the others.
-        names = sorted((f.name for f in dataclasses.fields(value) if f.init), key=lambda name: name != "kind")
-        return {name: to_mapping(getattr(value, name)) for name in names}
-    if isinstance(value, tuple | list):
-        return [to_mapping(v) for v in value]
-    if isinstance(value, dict):
-        return {name: to_mapping(v) for name, v in value.items()}
-    return value
+def rooms_of(cls: type) -> list[OneOf]:
+    """The lists of kinds that a spec class is a member of."""
+    return [room for room in _ROOMS if cls in room.members.values()]

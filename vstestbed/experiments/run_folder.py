@@ -18,7 +18,7 @@ from vstestbed.loop.columns import Layout
 from vstestbed.loop.log_file import FolderLog, open_log
 from vstestbed.loop.recording import Recording, Watcher
 from vstestbed.loop.run import run
-from vstestbed.scenario.load import dump
+from vstestbed.scenario.dump import dump_for_folder
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.build import SceneFiles, scene_files
 
@@ -89,7 +89,7 @@ def _run_into(
 ) -> Recording:
     """`run_into` without the report."""
     with _all_or_nothing(folder):
-        write_whole(folder / "scenario.yaml", dump(scenario))
+        write_whole(folder / "scenario.yaml", dump_for_folder(scenario))
         with _filming(folder, scenario, films, tile_px, fine) as filming:
             _write_scene(
                 folder, scene_files(scenario.robot, scenario.camera, scenario.target, scenario.world, scenario.physics, scenario.sights)

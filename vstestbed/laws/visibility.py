@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from vstestbed.camera import Camera
@@ -47,8 +49,10 @@ class Visibility:
         """The fields of an Observation that the field needs besides those of its law: none where it is off."""
         return ("radius_px",) if self.margin_px > 0 else ()
 
-    def check(self, goal: Goal, marker_radius_m: float) -> None:
+    def check(self, goal: Goal, marker_radius_m: float, called: Callable[[int], str] = str) -> None:
         """Refuse a goal with a marker inside the margin: the field would keep the camera away from it.
+
+        called: what messages call a marker.
 
         Raises:
             ParameterError: a marker of the goal view is inside the margin, or the image has no border.
@@ -62,7 +66,8 @@ class Visibility:
         nearest = np.where(goal.counted is None or goal.counted, goal.camera.borders(goal.uv)[0].min(axis=1) - radius, np.inf)
         marker = int(nearest.argmin())
         if nearest[marker] <= self.margin_px:
-            words = f"reaches marker {marker} of the goal view, whose edge is {nearest[marker]:.4g} px from the border, and would keep it"
+            words = f"reaches marker {called(marker)} of the goal view, whose edge is {nearest[marker]:.4g} px from the border"
+            words += ", and would keep it"
             raise ParameterError("law.visibility.margin_px", f"{words} off its goal; use less, or a goal farther back", self.margin_px)
 
     def push(self, observation: Observation, goal: Goal, basis: Array) -> Array:

@@ -114,8 +114,9 @@ class HandPanel:
             on_click(gui.add_button("push the robot"), inbox, lambda: run.push(np.array(force.value), PUSH_S))
             target = gui.add_checkbox("drag the target", False)
             plate = gui.add_checkbox("hold a plate", False)
-            markers = [str(i) for i in range(max(1, len(run.scenario.target.places)))]
-            self._marker = gui.add_dropdown("before marker", markers)
+            shown = run.scenario.target
+            self._called = [shown.called(i) for i in range(len(shown.places))] or ["0"]
+            self._marker = gui.add_dropdown("before marker", self._called)
         self._boxes = {"target": target, "plate": plate}
         for what, box in self._boxes.items():
             box.on_update(self._asked(inbox, what, gizmo))
@@ -124,7 +125,7 @@ class HandPanel:
     @property
     def marker(self) -> int:
         """Number of the marker before which the plate is held."""
-        return int(self._marker.value)
+        return self._called.index(self._marker.value)
 
     def show(self, held: set[str]) -> None:
         """What has a gizmo now."""

@@ -136,14 +136,17 @@ class SceneView:
     def _solids(self) -> dict[int, _Placed]:
         bodies: dict[int, _Placed] = {}
         nowhere = np.full(3, np.nan), np.full(4, np.nan)
-        for i, solid in enumerate(self._replay.solids):
-            if solid.body not in bodies:
-                frame = self._scene.add_frame(f"/body_{solid.body}", show_axes=False)
-                bodies[solid.body] = _Placed(frame, nowhere)
+        solids, panes = self._replay.solids, self._replay.panes
+        for body in dict.fromkeys(part.body for part in (*solids, *panes)):
+            bodies[body] = _Placed(self._scene.add_frame(f"/body_{body}", show_axes=False), nowhere)
+        for i, solid in enumerate(solids):
             color = np.rint(255 * np.array(solid.rgb)).astype(np.uint8)
             self._scene.add_mesh_simple(
                 f"/body_{solid.body}/{i}", solid.vertices, solid.faces, color=color, side="double", flat_shading=True
             )
+        for i, pane in enumerate(panes):
+            shown = self._scene.add_image(f"/body_{pane.body}/print_{i}", pane.image, pane.width, pane.height, cast_shadow=False)
+            _put(shown, pane.T_body_pane)
         return bodies
 
     def _frustum(self, name: str, color: tuple[int, int, int]) -> viser.CameraFrustumHandle:

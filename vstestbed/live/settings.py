@@ -11,7 +11,8 @@ from typing import Any
 from vstestbed.core.errors import Mistake, ScenarioError
 from vstestbed.core.files import write_whole
 from vstestbed.core.folders import folder_name, numbered
-from vstestbed.scenario.load import dump, load
+from vstestbed.scenario.dump import dump
+from vstestbed.scenario.load import load
 from vstestbed.scenario.scenario import Scenario
 
 SEED = "seed"
@@ -91,5 +92,5 @@ class Settings:
         if note:
             scenario = replace(scenario, description=f"{scenario.description} {note}".strip())
         path = numbered(Path("runs") / folder_name(scenario.name) / "live") / "scenario.yaml"
-        write_whole(path, dump(scenario))
+        write_whole(path, dump(scenario, defaults=True))
         return path

@@ -11,9 +11,9 @@ from vstestbed.core.geometry import Array, angles, inverse, quaternion_wxyz, rot
 from vstestbed.core.planar import place_of, relative
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.tasks.frame import Frame
+from vstestbed.tasks.metrics import TWIST
 
 POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
-TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
 Kept = Mapping[str, Any]
 """The numbers and arrays of a frame that enter the log, by name; no picture."""
 Stacked = Mapping[str, Array]

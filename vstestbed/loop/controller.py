@@ -30,6 +30,7 @@ NONE_SEEN, FEW_SEEN, NO_PICTURE = "no marker was in sight", "too few markers wer
 
 
 def _observer(scenario: Scenario) -> Observer:
+    perturbed = scenario.perturbed()
     return Observer(
         camera=scenario.believed_camera,
         target=scenario.target,
@@ -42,6 +43,7 @@ def _observer(scenario: Scenario) -> Observer:
         derotation=scenario.derotation,
         trim_s=scenario.level_trim_s,
         depth_scale=scenario.depth_scale,
+        perturbed=perturbed if perturbed and perturbed.on_pixels else None,
     )
 
 
@@ -160,6 +162,7 @@ class Controller:
         late = now.t - shot.t > self._latest_s
         error = ImageError.of(seen, goal, command.rest_reason)
         blind = command.rest_reason or self._unseen(seen, goal, error) or (f"pictures arrived {now.t - shot.t:.2g} s late" if late else "")
+        blind = blind and blind + self._lacking(seen)
         moved = self._moved(now.t, reading, blind, mount)
         allocation = self._supervised(shot.t, blind, self._allocate(command, reading, mount, rests=late), reading, moved)
         self.ordered.add(now.t_cmd, allocation.twist)
@@ -190,10 +193,7 @@ class Controller:
         return wanted, allocation
 
     def _mount_at(self, q: Array) -> Mount:
-        """The camera's mount; eye to hand, the camera's pose relative to the flange at the joints q."""
-        if not self.scenario.target.on_gripper:
-            return self.mount
-        return Mount.facing(inverse(self.scenario.robot.flange_pose(q)) @ self.mount.T_flange_camera)
+        return mount_at(self.scenario, self.mount, q)
 
     def _own_motion(self, last: Exposure, shot: Exposure, now: Arrival, twist: Array) -> OwnMotion:
         """The camera's motion since the last picture, and since this one's exposure, by the robot's own sensors."""
@@ -228,6 +228,11 @@ class Controller:
         """Why a law that gives no reason has no measurement; "" where it has one."""
         n = len(seen.uv) if error.all_seen and goal.counted is None else np.count_nonzero(seen.seen)
         return "" if n >= self._needed else FEW_SEEN if n else NONE_SEEN
+
+    def _lacking(self, seen: Observation) -> str:
+        """Which markers are not seen, by their names; "" where they have none, or all are seen."""
+        names = [name for name, there in zip(self.scenario.target.names, seen.seen, strict=False) if not there]
+        return f" (not seen: {', '.join(names)})" if names else ""
 
     def _moved(self, t: float, reading: Reading, blind: str, mount: Mount) -> float:
         """Way of the camera since the last call, by the robot's own sensors [m]; 0 where it is not needed, with sight."""
@@ -276,3 +281,10 @@ class Controller:
     def failure(self) -> str:
         """What the law did wrong, in words; "" while it works."""
         return self.guarded.failure
+
+
+def mount_at(scenario: Scenario, mount: Mount, q: Array) -> Mount:
+    """The camera's mount; eye to hand, the camera's pose relative to the flange at the joints q (n,)."""
+    if not scenario.target.on_gripper:
+        return mount
+    return Mount.facing(inverse(scenario.robot.flange_pose(q)) @ mount.T_flange_camera)

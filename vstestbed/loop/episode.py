@@ -26,6 +26,7 @@ from vstestbed.sim.base import Plant
 from vstestbed.sim.build import build_plant
 from vstestbed.sim.timing import DelayLine
 from vstestbed.tasks.frame import Frame
+from vstestbed.tasks.monitors import OwnMonitor
 
 PARTS = ("physics", "render", "detect", "law", "record", "video")
 """Parts of a run's wall time."""
@@ -57,7 +58,8 @@ class Episode:
         self.controller, self._camera = Controller(scenario), CameraClock(scenario, self.plant, pictures)
         supervisor = self.controller.supervisor
         self._witness = Witness(scenario, supervisor)
-        self._judge = Judge(self._witness.task, scenario.stop, scenario.target, supervisor)
+        own = [OwnMonitor(rule, scenario.setup) for rule in scenario.monitors]
+        self._judge = Judge(self._witness.task, scenario.stop, scenario.target, supervisor, own)
         self._commands: DelayLine[Allocation] = DelayLine(round(scenario.timing.command_latency_s / self.plant.step_s))
         self._frames = self._turn()
         if hasattr(scenario.law, "solve"):
@@ -235,6 +237,7 @@ def _plant(scenario: Scenario, pictures: bool, plate_m: float) -> tuple[Plant, s
         sensor_rng=scenario.rng(SENSOR_STREAM),
         motion_rng=scenario.rng(MOTION_STREAM),
         drift=scenario.noise.drift,
+        perturbed=scenario.perturbed(),
         order_s=scenario.timing.order_s(scenario.camera),
         plate_m=plate_m,
     )

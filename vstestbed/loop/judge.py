@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from vstestbed.core.outcome import Outcome, Verdict
 from vstestbed.loop.monitors import Collision, safety_monitors
 from vstestbed.robots.supervisor import Supervisor
@@ -9,6 +11,7 @@ from vstestbed.sim.base import Truth
 from vstestbed.targets import Target
 from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.monitor import TaskMonitor
+from vstestbed.tasks.monitors import Monitor
 from vstestbed.tasks.stop import Stop
 
 
@@ -16,17 +19,17 @@ class Judge:
     """Decides by truth, measurements and commands; nothing of it comes back to the law.
 
     Precedence of several outcomes in one frame: a task aborted by the supervisor (unless the robot touches something), a task
-    that is reached, the safety monitors in their order, a task that is missed.
+    that is reached, the safety monitors in their order, the scenario's own, a task that is missed.
 
     Args:
         task: the task's monitor, which has already measured the frame. stop: time limits.
-        target: the scenario's. supervisor: the robot's.
+        target: the scenario's. supervisor: the robot's. own: the scenario's monitors.
     """
 
-    def __init__(self, task: TaskMonitor, stop: Stop, target: Target, supervisor: Supervisor):
+    def __init__(self, task: TaskMonitor, stop: Stop, target: Target, supervisor: Supervisor, own: Sequence[Monitor] = ()):
         self._task, self._supervisor, self._duration_s = task, supervisor, stop.duration_s
         self._collision = Collision(supervisor)
-        self._monitors = safety_monitors(target, self._collision)
+        self._monitors = (*safety_monitors(target, self._collision), *own)
 
     def verdict(self, frame: Frame) -> Verdict | None:
         """The outcome after this frame with its reason, or None to go on."""

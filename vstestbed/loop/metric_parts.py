@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,22 +12,10 @@ from vstestbed.core.outcome import Outcome
 from vstestbed.loop.columns import TWIST
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.tasks.base import Log as Columns
+from vstestbed.tasks.metrics import Figures
 
 SATURATED = 0.999
 """A command scaled under this counts as saturated."""
-Figures = dict[str, object]
-
-
-class Part(Protocol):
-    """Some of the metrics."""
-
-    def add(self, log: Columns) -> None:
-        """Take the next block, of one row at least."""
-        ...
-
-    def figures(self) -> Figures:
-        """The metrics of the blocks so far."""
-        ...
 
 
 def side_by_side(log: Columns, prefix: str, names: tuple[str, ...]) -> Array:

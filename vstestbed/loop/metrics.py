@@ -10,34 +10,9 @@ import numpy as np
 
 from vstestbed.core.geometry import Array
 from vstestbed.core.outcome import Outcome
-from vstestbed.loop.metric_parts import CameraPath, Convergence, Counts, ImagePaths, Part, Peaks, Tracking
+from vstestbed.loop.metric_parts import CameraPath, Convergence, Counts, ImagePaths, Peaks, Tracking
 from vstestbed.scenario.scenario import Scenario
-
-FIGURES = (
-    "sim_time_s",
-    "frames",
-    "frames_lost",
-    "time_to_converge_s",
-    "final_error_px",
-    "final_position_error_m",
-    "final_rotation_error_deg",
-    "path_length_m",
-    "path_ratio",
-    "max_retreat_m",
-    "max_rotation_deg",
-    "max_feature_excursion_px",
-    "feature_overshoot",
-    "min_border_margin_px",
-    "peak_speed_mps",
-    "peak_rate_radps",
-    "saturated_fraction",
-    "tracking_rms_px",
-    "tracking_max_px",
-    "tracking_rms_m",
-    "tracking_max_m",
-    "judged_error",
-)
-"""The names of a run's figures."""
+from vstestbed.tasks.metrics import FIGURES, Figures, OwnFigures, Part
 
 
 class Blocks(Protocol):
@@ -90,6 +65,7 @@ def summarise(scenario: Scenario, outcome: Outcome, log: Blocks) -> dict[str, ob
     tracking_*: for a moving target (in the gripper, only in continuing tasks), the true error once settled
         (`goal.settle_s`): RMS over all coordinates of the markers and the largest of one frame [px], RMS and largest distance
         of the camera from its goal pose [m].
+    The figures of the scenario's own metrics (`tasks.metrics`) follow.
 
     Args:
         scenario: the experiment. outcome: how it ended. log: its rows, which are read a block at a time.
@@ -102,14 +78,16 @@ def summarise(scenario: Scenario, outcome: Outcome, log: Blocks) -> dict[str, ob
         Peaks(),
         Tracking(scenario),
     ]
+    own = OwnFigures(scenario.metrics, scenario.setup)
     for block in log.blocks():
-        for part in parts:
+        for part in (*parts, own):
             part.add(block)
     figures = {name: value for part in parts for name, value in part.figures().items()}
     columns, before = WholeColumns(log), FIGURES.index("saturated_fraction")  # the task's own figures stand before it
     task = scenario.goal.metrics(columns) | scenario.goal.judged(columns, scenario.stop).summary()
-    ordered = {name: figures[name] for name in FIGURES[:before]} | task
-    return {name: _clean(value) for name, value in (ordered | {n: figures[n] for n in FIGURES[before:] if n in figures}).items()}
+    ordered: Figures = {name: figures[name] for name in FIGURES[:before]} | task
+    ordered |= {name: figures[name] for name in FIGURES[before:] if name in figures}
+    return {name: _clean(value) for name, value in (ordered | own.figures()).items()}
 
 
 def _clean(value: object) -> object:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from operator import mul
-from typing import Protocol
 
 from vstestbed.core.outcome import Outcome, Verdict
 from vstestbed.robots.supervisor import Supervisor
@@ -12,6 +11,7 @@ from vstestbed.sim.base import Truth
 from vstestbed.targets import Target
 from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.monitor import HoldTimer
+from vstestbed.tasks.monitors import Monitor
 
 FAR_M = 200.0
 """Distance from the target beyond which the camera has diverged [m]."""
@@ -21,14 +21,6 @@ BLOCKED_S = 1.0
 """How long a limit must block the robot before the run ends [s]."""
 BLOCKED_SCALE = 0.02
 """A command scaled to less than this is blocked by the limit."""
-
-
-class Monitor(Protocol):
-    """Tests every frame."""
-
-    def update(self, frame: Frame) -> Verdict | None:
-        """The verdict, if this frame ends the run; None to go on."""
-        ...
 
 
 class Collision:

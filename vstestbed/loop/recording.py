@@ -6,20 +6,22 @@ import math
 import time
 from collections.abc import Callable, Container, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import numpy as np
 
-from vstestbed.core.geometry import Array, rotation_from_quaternion
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array, inverse, rotation_from_quaternion
 from vstestbed.core.outcome import Outcome
-from vstestbed.loop.columns import POSE, Kept, Layout, kept
+from vstestbed.core.spatial import as_se3, as_twist3
+from vstestbed.loop.columns import POSE, TWIST, Kept, Layout, kept
 from vstestbed.loop.metrics import WholeColumns, summarise
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.tasks.frame import Frame
 
 if TYPE_CHECKING:
     import polars
-    from spatialmath import SE3
+    from spatialmath import SE3, Twist3
 
 
 class Watcher(Protocol):
@@ -32,8 +34,6 @@ class Watcher(Protocol):
 
 Block = dict[str, Array]
 """Columns by name, of rows that follow each other."""
-PLACED = {"camera": "cam", "target": "tgt"}
-"""Prefix of the columns that hold a true pose."""
 BLOCK = 8_192
 """Rows of a block, and of a row group of `log.parquet`: five minutes at 25 Hz, and 4 MB of 66 columns."""
 
@@ -155,15 +155,45 @@ class Recording:
             raise KeyError(f"no column {name!r} in the log; columns: {', '.join(self.columns)}")
         return WholeColumns(self.rows)[name]
 
-    def poses(self, of: Literal["camera", "target"] = "camera") -> SE3:
-        """The true poses in the world, frame by frame, as one spatialmath object: it multiplies, interpolates, prints and plots them."""
-        from spatialmath import SE3
+    def camera_poses(self) -> SE3:
+        """The camera's true pose T_world_camera in each of the n frames, as one spatialmath SE3 of n.
 
-        columns = [self[f"{PLACED[of]}_{name}"] for name in POSE]
+        Axes of the camera: x right, y down, z forward. Such an object multiplies, interpolates, prints, and has `plot` and `animate`.
+        """
+        return as_se3(self._poses("cam"))
+
+    def target_poses(self) -> SE3:
+        """The target's true pose T_world_target in each of the n frames, as one spatialmath SE3 of n."""
+        return as_se3(self._poses("tgt"))
+
+    def goal_pose(self) -> SE3:
+        """The pose T_world_camera where the camera was to be in each of the n frames, as one spatialmath SE3 of n.
+
+        T_world_target inverse(T_camera_target) with the goal in force: it moves with the target, from one via point to the next and
+        along a path. `camera_poses()[i].inv() * goal_pose()[i]` is what was left to go in frame i. For a camera that stands in the
+        room it is where that would have to stand.
+
+        Raises:
+            ParameterError: the goal is no single pose (a gap or a line to keep).
+        """
+        s, views = self.scenario, self["view"].astype(int) if "view" in self.columns else np.zeros(len(self.rows), dtype=int)
+        goals = [s.goal.goal_pose_at(s.goal_poses, t, view) for t, view in zip(self["t"].tolist(), views.tolist(), strict=True)]
+        known = [T for T in goals if T is not None]
+        if len(known) < len(goals):
+            raise ParameterError("goal", f"of kind {s.goal.kind} is no single pose of the camera")
+        return as_se3(self._poses("tgt") @ inverse(np.array(known).reshape(-1, 4, 4)))
+
+    def camera_twists(self) -> Twist3:
+        """The camera's true velocity in each of the n frames, in its own frame, as one spatialmath Twist3 of n: S = (v, w) [m/s, rad/s]."""
+        return as_twist3(np.column_stack([self[f"act_{name}"] for name in TWIST]))
+
+    def _poses(self, stem: str) -> Array:
+        """The poses (n, 4, 4) in the columns of a stem, `cam` or `tgt`."""
+        columns = [self[f"{stem}_{name}"] for name in POSE]
         T = np.tile(np.eye(4), (len(self.rows), 1, 1))
         T[:, :3, 3] = np.column_stack(columns[:3])
         T[:, :3, :3] = rotation_from_quaternion(np.column_stack(columns[3:]))
-        return SE3(list(T), check=False)
+        return T
 
     def frame(self) -> polars.DataFrame:
         """The log as a polars table in memory, one row a camera frame."""
@@ -174,7 +204,10 @@ class Recording:
         return Recording.shown_by(self)
 
     def summary(self) -> dict[str, object]:
-        """The metrics of the run, as in `summary.json`; `time_ms` is the mean wall time of a frame by part [ms]."""
+        """The metrics of the run, as in `summary.json`; `time_ms` is the mean wall time of a frame by part [ms].
+
+        With the gains of servos that were made for an arm of one's own (`Actuation.gains`).
+        """
         figures = summarise(self.scenario, self.outcome, self.rows)
         last, frames = figures["sim_time_s"], max(int(str(figures["frames"])), 1)
         assert isinstance(last, float)
@@ -186,7 +219,9 @@ class Recording:
             "time_ms": {k: v / frames for k, v in self.time_ms.items()},
             "versions": self.versions,
         }
-        return {"scenario": self.scenario.name} | ended | figures | cost
+        actuators, names = self.scenario.robot.actuator_set, self.scenario.target.names
+        named = {"marker_names": {str(i): name for i, name in enumerate(names)}} if names else {}
+        return {"scenario": self.scenario.name} | ended | named | figures | (actuators.gains() if actuators else {}) | cost
 
 
 def types_of(columns: Container[str]) -> dict[str, polars.DataType]:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from types import TracebackType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from vstestbed.core.errors import ParameterError, SessionError
 from vstestbed.core.geometry import Array
+from vstestbed.core.spatial import pose_matrix, twist_numbers
 from vstestbed.laws import Law
 from vstestbed.loop.episode import Episode
 from vstestbed.loop.recording import Recording, Rows, Watcher
@@ -18,6 +19,9 @@ from vstestbed.robots import Mount
 from vstestbed.scenario.load import seeded
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.tasks.frame import Frame
+
+if TYPE_CHECKING:
+    from spatialmath import SE3, Twist3
 
 
 class Session:
@@ -80,13 +84,14 @@ class Session:
             raise SessionError(f"the run ended before a picture arrived: {self.episode.reason}", "change the camera's timing")
         return frame
 
-    def step(self, command: ArrayLike | None = None) -> Frame:
+    def step(self, command: ArrayLike | Twist3 | None = None) -> Frame:
         """Send the command for the last frame, and simulate until the next picture has arrived.
 
         Args:
             command: in place of the law's command: a camera twist (6,) [m/s, rad/s], or velocities along the robot's motions (n,)
-                (omni: vx, vy, wz; car: v, w; quadrotor: vx, vy, vz, wz). It has the scenario's latency and the robot's limits. The law
-                still computes its own command for every frame, `Frame.command`.
+                (omni: vx, vy, wz; car: v, w; quadrotor: vx, vy, vz, wz). Of spatialmath's Twist3 it is S = (v, w), read as the
+                velocity of the camera in the camera's frame. It has the scenario's latency and the robot's limits. The law still
+                computes its own command for every frame, `Frame.command`.
 
         Returns the next frame, or where the run ended without another picture the last one, with the outcome.
 
@@ -134,24 +139,24 @@ class Session:
         """Weight of the robot [N], to choose a push by; 0 for an ideal camera, and before `reset`."""
         return self.episode.plant.weight_n if self.episode is not None else 0.0
 
-    def move_target(self, T_world_target: Array) -> None:
-        """Put the target at a pose (4, 4) now; one that moves goes on from there.
+    def move_target(self, T_world_target: Array | SE3) -> None:
+        """Put the target at a pose, SE3 or (4, 4), now; one that moves goes on from there.
 
         Raises:
             ParameterError: no pose, or a target that is carried. SessionError: nothing to step.
         """
         episode = self._running()
-        episode.plant.move_target(T_world_target)
+        episode.plant.move_target(pose_matrix(T_world_target, "T_world_target"))
         episode.changed_by_hand("target moved")
 
-    def hold_plate(self, T_world_plate: Array | None) -> None:
-        """Hold an opaque plate at a pose (4, 4) of its middle, across its z axis, or take it away (None). It touches nothing.
+    def hold_plate(self, T_world_plate: Array | SE3 | None) -> None:
+        """Hold an opaque plate at a pose of its middle, SE3 or (4, 4), across its z axis, or take it away (None). It touches nothing.
 
         Raises:
-            ParameterError: the session has no plate (`plate_m`). SessionError: nothing to step.
+            ParameterError: no pose, or the session has no plate (`plate_m`). SessionError: nothing to step.
         """
         episode = self._running()
-        episode.plant.hold_plate(T_world_plate)
+        episode.plant.hold_plate(None if T_world_plate is None else pose_matrix(T_world_plate, "T_world_plate"))
         episode.changed_by_hand("plate held")
 
     def recording(self) -> Recording:
@@ -186,9 +191,9 @@ class Session:
             raise SessionError("the session is closed", "call reset() for another run")
         return episode
 
-    def _checked(self, command: ArrayLike) -> Array:
+    def _checked(self, command: ArrayLike | Twist3) -> Array:
         """A command as numbers of a right shape."""
-        n = self._motions
+        n, command = self._motions, twist_numbers(command)
         try:
             numbers = np.array(command, dtype=float)
         except (TypeError, ValueError):

@@ -34,6 +34,8 @@ class CameraClock:
 
     def __init__(self, scenario: Scenario, plant: Plant, whole: bool = False):
         self.plant, self.whole, self._view = plant, whole, scenario.detector.needs_truth
+        # A perturbation may work on the picture as a whole, so that a part of it would not be changed as the whole is.
+        self._in_parts = not scenario.noise.on_pictures
         rng = scenario.rng(TIMING_STREAM)
         self.shutter = Shutter(scenario.timing, scenario.camera, plant.step_s, plant.steps_per_frame, rng)
         self.line: DelayLine[Exposed] = DelayLine()
@@ -57,7 +59,7 @@ class CameraClock:
             # It is decided once: all images of an exposure show the same part.
             if self.opening == 0:
                 self._takes_whole = self.whole
-                self.look = look_next() if self.line.next_due() is None and not self.whole else None
+                self.look = look_next() if self.line.next_due() is None and self._in_parts and not self.whole else None
             if len(planned.opens) == 1:
                 picture, truth = self.plant.capture(self.look)
                 if picture is not None and planned.arrives > step:

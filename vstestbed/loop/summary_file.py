@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError, create_model
 from vstestbed.core.errors import RunFolderError
 from vstestbed.core.files import read_file
 from vstestbed.core.outcome import Outcome
-from vstestbed.loop.metrics import FIGURES
+from vstestbed.tasks.metrics import FIGURES
 
 LARGEST = 2**63
 """Whole numbers from here on fit no table."""

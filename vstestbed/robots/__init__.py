@@ -3,8 +3,9 @@
 from vstestbed.core.contract import Contract
 from vstestbed.core.spec import OneOf
 from vstestbed.robots.allocation import Actuation, Allocation, Mount
-from vstestbed.robots.base import Robot, RobotBase
+from vstestbed.robots.base import Robot
 from vstestbed.robots.car import Car
+from vstestbed.robots.defaults import RobotBase
 from vstestbed.robots.free import Free
 from vstestbed.robots.mjcf import Mjcf
 from vstestbed.robots.omni import Omni

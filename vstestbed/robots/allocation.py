@@ -93,3 +93,14 @@ class Actuation:
     friction: bool
     gravity_compensated: bool
     servos: tuple[Servo, ...] = ()
+
+    def gains(self) -> dict[str, dict[str, float | None]]:
+        """Of the servos that take the file's place, by joint: `servo_kp` [Nm/rad, N/m], `servo_kv` [Nm s/rad, N s/m], `servo_torque`.
+
+        The largest torque [Nm, N] is None without a limit. Empty where all servos are the file's own.
+        """
+        made = [servo for servo in self.servos if servo.torque is not None]
+        if not made:
+            return {}
+        torques = {s.joint: s.torque if s.torque is not None and np.isfinite(s.torque) else None for s in made}
+        return {"servo_kp": {s.joint: s.kp for s in made}, "servo_kv": {s.joint: s.kv for s in made}, "servo_torque": torques}

@@ -10,7 +10,8 @@ import numpy as np
 
 from vstestbed.core.geometry import Array
 from vstestbed.robots.allocation import ALL_SIX, Allocation, Limit, Mount
-from vstestbed.robots.base import RobotBase
+from vstestbed.robots.defaults import RobotBase
+from vstestbed.robots.inverse import joints_at
 from vstestbed.robots.reading import Reading
 from vstestbed.robots.resolved_rate import resolved_rate, share
 
@@ -61,6 +62,12 @@ class Arm(RobotBase, ABC):
     def flange_pose(self, configuration: Array) -> Array:
         """T_world_flange (4, 4)."""
         return self.kinematics(configuration)[0]
+
+    def configuration_at(self, T_world_flange: Array, near: Array) -> Array:
+        """Joint positions (n,) by Newton steps from `near`, a margin within their limits."""
+        inside = self.joint_limits + [LIMIT_MARGIN, -LIMIT_MARGIN]
+        q = joints_at(self.kinematics, T_world_flange, near, inside, self.unit_m, self._away_from_limits)
+        return np.radians(np.round(np.degrees(q), 4))  # 1.7 um at a metre: machines whose last digits differ begin alike
 
     def motion_basis(self, mount: Mount, q: Array) -> Array:
         """All six degrees of freedom, also near singularities, where `allocate` damps; of fewer joints their own twists (6, n)."""

@@ -2,7 +2,7 @@
 
 Its frame lies on the floor under the middle of the rear axle, x forward. It moves with u = (v, w) of that frame: it can neither go
 sideways nor turn on the spot. The setpoint is (speed [m/s], steering angle [rad]); `actuate` approaches both within their rate limits.
-The body is in models/car.xml; a test compares the dimensions here with that file.
+The body is in models/car.xml, which `parameters` changes (`car_body.CarParameters`).
 """
 
 from __future__ import annotations
@@ -16,16 +16,17 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from annotated_types import Ge, Gt, Le, Lt
 
+from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import Narrower, PositiveRate, PositiveSpeed
 from vstestbed.core.spec import spec
 from vstestbed.robots.allocation import Allocation, Limit, Mount
 from vstestbed.robots.bicycle import STANDSTILL, BicycleLimits, within_limits, yaw_rate
+from vstestbed.robots.body import Change
+from vstestbed.robots.car_body import BUGGY, CarParameters
 from vstestbed.robots.ground import PLANE, GroundStart, Vehicle
 from vstestbed.robots.reading import Reading
 
-WHEELBASE, TRACK, RADIUS = 1.0, 0.6, 0.15
-"""Wheelbase, track and wheel radius [m], as in models/car.xml."""
 SPEED_INTEGRAL = 8.0
 """Integral gain of the speed servo [1/s]. It removes the offset of .005 m/s that rolling resistance leaves in the motor loop, and is
 four times as slow as that loop, whose time constant is .03 s."""
@@ -76,9 +77,10 @@ class CarServos:
 
 @spec
 class Car(Vehicle):
-    """A buggy of 60 kg with Ackermann steering and rear drive.
+    """A buggy, of 60 kg by default, with Ackermann steering and rear drive.
 
     Args:
+        parameters: mass, wheels and motor, which the car knows.
         start: where the middle of its rear axle starts on the floor, and its heading.
         compass: errors of its compass.
         wheel_radius_error: relative error of the calibrated wheel radius, which its speed servo and its odometry use: .02 for 2 %
@@ -87,20 +89,44 @@ class Car(Vehicle):
     """
 
     kind: Literal["car"] = "car"
+    parameters: CarParameters = BUGGY
     start: GroundStart = GroundStart()
     compass: Compass = Compass()
     wheel_radius_error: Annotated[float, Gt(-0.5), Lt(1)] = 0.0
     limits: CarLimits = CarLimits()
     actuators: ClassVar[tuple[str, ...]] = ("drive", "steering")
     sensors: ClassVar[tuple[str, ...]] = ("heading",)
-    ends_m: ClassVar[tuple[float, float]] = (-0.188, 1.208)
-    """x of its rear and its front bumper [m]."""
     control_period_s: ClassVar[float | None] = 0.01
+
+    def __post_init__(self) -> None:
+        """Refuse limits that its wheels and its motor cannot keep."""
+        body, limits = self.parameters, self.limits
+        if limits.steering_rad > body.most_steering_rad:
+            words = f"must be at most {math.floor(1e3 * body.most_steering_rad) / 1e3:g} rad at track_m {body.track_m:g} and wheelbase_m"
+            words = f"{words} {body.wheelbase_m:g}: the inner front wheel would turn beyond 71 degrees, into the chassis"
+            raise ParameterError("limits.steering_rad", words, limits.steering_rad)
+        if (need := body.torque_for(limits.acceleration_mps2)) > body.motor_torque_nm:
+            most = limits.acceleration_mps2 - (need - body.motor_torque_nm) / (body.mass_kg * body.wheel_radius_m)
+            words = (
+                f"must be at least {need:.3g} Nm for limits.acceleration_mps2 {limits.acceleration_mps2:g} with mass_kg {body.mass_kg:g}"
+            )
+            other = f"; or lower that acceleration to {most:.2g} m/s^2" if most > 0.01 else ""
+            raise ParameterError("parameters.motor_torque_nm", f"{words}{other}", body.motor_torque_nm)
 
     @property
     def model(self) -> str:
         """Its file."""
         return "car.xml"
+
+    @property
+    def body_changes(self) -> tuple[Change, ...]:
+        """Those of its parameters."""
+        return self.parameters.changes
+
+    @property
+    def ends_m(self) -> tuple[float, float]:
+        """The x of its rear and its front bumper [m]."""
+        return self.parameters.ends_m
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -113,7 +139,7 @@ class Car(Vehicle):
     @property
     def turning_radius_m(self) -> float:
         """Of its tightest circle, of the middle of the rear axle: L / tan(steering) [m]."""
-        return WHEELBASE / math.tan(self.limits.steering_rad)
+        return self.parameters.wheelbase_m / math.tan(self.limits.steering_rad)
 
     @property
     def top_speed_mps(self) -> float:
@@ -123,7 +149,7 @@ class Car(Vehicle):
     @property
     def believed_radius(self) -> float:
         """The calibrated wheel radius, with its error [m]."""
-        return RADIUS * (1 + self.wheel_radius_error)
+        return self.parameters.wheel_radius_m * (1 + self.wheel_radius_error)
 
     def randomised(self, rng: np.random.Generator) -> Car:
         """The same car with a start drawn from the box. ParameterError when it has none."""
@@ -164,7 +190,7 @@ class Car(Vehicle):
         # Not v tan(steering) / L: the rear wheels roll without side slip while tyres hold, so this is exact however the steering
         # moves between the readings, and the front wheels slip sideways a little.
         left, right = (now.q[_REAR] - before.q[_REAR]) * (self.believed_radius / duration)
-        return np.array([(left + right) / 2, 0.0, (right - left) / TRACK])
+        return np.array([(left + right) / 2, 0.0, (right - left) / self.parameters.track_m])
 
     def measured_twist(self, before: Reading, now: Reading, duration: float, commanded: Array, mount: Mount) -> Array:
         """Mean camera twist (6,) between two readings, from the encoders alone; zero where no time has passed."""
@@ -178,9 +204,9 @@ class Car(Vehicle):
         for a turn on the spot ("singular"); of several the smallest. A car that is to stand keeps its measured steering angle.
         """
         v, w = (PLANE[:, [0, 2]].T @ (mount.to_flange @ twist)).tolist()
-        held = float(reading.q[_STEERING])
-        speed, steering = (float(x) for x in within_limits(v, w, held, WHEELBASE, self.limits.bicycle()))
-        turn = float(yaw_rate(speed, steering, WHEELBASE)) if abs(speed) >= STANDSTILL else 0.0
+        held, wheelbase = float(reading.q[_STEERING]), self.parameters.wheelbase_m
+        speed, steering = (float(x) for x in within_limits(v, w, held, wheelbase, self.limits.bicycle()))
+        turn = float(yaw_rate(speed, steering, wheelbase)) if abs(speed) >= STANDSTILL else 0.0
         scale, limit = 1.0, ""
         if abs(v) < STANDSTILL:
             scale, limit = (1.0, "") if abs(w) < STANDSTILL else (0.0, "singular")

@@ -24,7 +24,7 @@ from vstestbed.core.geometry import clip
 from vstestbed.core.quantity import GainOrZero, Narrower, PositiveAngle, PositiveGain, PositiveTime
 from vstestbed.core.spec import spec
 from vstestbed.robots.attitude import GRAVITY, Level, Vector, to_body
-from vstestbed.robots.rotors import INERTIA, LAG_S, MASS, MAX_YAW_TORQUE
+from vstestbed.robots.rotors import X4, QuadrotorParameters
 
 RECOVER_RAD, RECOVERED_RAD = math.radians(60), math.radians(15)
 """Tilted by more than the first, the craft ignores its setpoint and levels; under the second it takes setpoints again."""
@@ -32,7 +32,7 @@ RECOVER_COSINE, RECOVERED_COSINE = math.cos(RECOVER_RAD), math.cos(RECOVERED_RAD
 MAX_TILT_RATE = 4.0
 """Largest rate that the attitude loop commands [rad/s]. The rotors' torque at hover, 2.2 Nm, stops it in .15 s."""
 MAX_YAW_ACCELERATION = 0.4
-"""Slope of the yaw-rate command [rad/s^2], a little under the .45 that the rotors' share of yaw can realise."""
+"""Slope of the X-4's yaw-rate command [rad/s^2], a little under the .45 that its rotors' share of yaw can realise (`yaw_slope`)."""
 LEAST_LIFT = 0.3 * GRAVITY
 """Least upward part of the commanded force, by mass [m/s^2]."""
 MAX_TRIM = 3.0
@@ -54,7 +54,7 @@ class Gains:
         velocity, velocity_integral: k_v [1/s], k_vi [1/s^2] along x and y of the level frame.
         climb, climb_integral: the same along z.
         tilt_deg: largest commanded tilt [deg].
-        rotor_s: time constant that the speed controllers give the rotors [s]; without them it is .117.
+        rotor_s: time constant that the speed controllers give the rotors [s]; without them it is `rotor_lag_s`, the X-4's .117.
     """
 
     rate: PositiveGain = 14.0
@@ -66,7 +66,7 @@ class Gains:
     climb: PositiveGain = 2.5
     climb_integral: GainOrZero = 1.0
     tilt_deg: Annotated[PositiveAngle, Narrower(le=50)] = 30.0
-    rotor_s: Annotated[PositiveTime, Narrower(le=LAG_S)] = 0.03
+    rotor_s: Annotated[PositiveTime, Narrower(le=X4.rotor_lag_s)] = 0.03
 
     @cached_property
     def slope(self) -> float:
@@ -103,7 +103,15 @@ class Loops(NamedTuple):
 
 
 def fly(
-    memory: Loops, order: Vector, yaw_order: float, velocity: Vector, R: Level, rates: Vector, gains: Gains, dt: float
+    memory: Loops,
+    order: Vector,
+    yaw_order: float,
+    velocity: Vector,
+    R: Level,
+    rates: Vector,
+    gains: Gains,
+    craft: QuadrotorParameters,
+    dt: float,
 ) -> tuple[Loops, float, Vector]:
     """One step of all loops: their state, the commanded thrust [N] along the body's z and torque (3,) [Nm] in body axes.
 
@@ -114,13 +122,14 @@ def fly(
         yaw_order: commanded rate of the heading [rad/s].
         R: R_level_body, estimated.
         rates: body rates, (3,) [rad/s].
+        craft: what is flown.
         dt: [s].
     """
     # Two thresholds (hysteresis): with one, a craft that swings about it would alternate between levelling and its setpoint.
     trim, model, rate_trim, yaw_rate, levelling, _, _ = memory
     _, _, _, _, _, _, zx, zy, zz = R
     levelling = zz < (RECOVERED_COSINE if levelling else RECOVER_COSINE)
-    most = MAX_YAW_ACCELERATION * dt
+    most = yaw_slope(craft) * dt
     yaw_rate += clip((0.0 if levelling else yaw_order) - yaw_rate, -most, most)
     if levelling:
         # Trim and model start anew: integrated upside down, or from the fall, they would throw the craft off again.
@@ -128,10 +137,10 @@ def fly(
     else:
         model = respond(model, order, gains, dt)
         trim, acceleration = velocity_loop(trim, model, order, velocity, yaw_rate, gains, dt)
-    force, thrust = aim(acceleration, zz, gains)
+    force, thrust = aim(acceleration, zz, gains, craft.mass_kg)
     wx, wy = attitude_loop(to_body(R, force), gains)
     ref_rates = wx + yaw_rate * zx, wy + yaw_rate * zy, yaw_rate * zz
-    rate_trim, torque = rate_loop(rate_trim, ref_rates, rates, gains, dt)
+    rate_trim, torque = rate_loop(rate_trim, ref_rates, rates, gains, craft, dt)
     return Loops(trim, model, rate_trim, yaw_rate, levelling, force, ref_rates), thrust, torque
 
 
@@ -159,11 +168,11 @@ def velocity_loop(
     return (x, y, z), acceleration
 
 
-def aim(acceleration: Vector, upright: float, gains: Gains) -> tuple[Vector, float]:
+def aim(acceleration: Vector, upright: float, gains: Gains, mass: float) -> tuple[Vector, float]:
     """The force's direction (3,) in the level frame, unit, and the thrust [N], for a commanded acceleration (3,) [m/s^2].
 
     The vertical part is kept, the horizontal part cut to the tilt limit. The thrust grows with 1 / cos(tilt), to twice at most;
-    upside down it is 0, and the rotors make only the torque that turns the craft over. upright: cos(tilt).
+    upside down it is 0, and the rotors make only the torque that turns the craft over. upright: cos(tilt); mass: of the craft [kg].
     """
     ax, ay, az = acceleration
     # Upward in any dive: a thrust of 0 would have no direction, and its tilt limit would be 0, too.
@@ -172,7 +181,7 @@ def aim(acceleration: Vector, upright: float, gains: Gains) -> tuple[Vector, flo
     if size > most:
         ax, ay = ax * most / size, ay * most / size
     n = 1.0 / math.sqrt(ax * ax + ay * ay + up * up)
-    thrust = MASS * up / (upright if upright > 0.5 else 0.5) if upright > 0 else 0.0
+    thrust = mass * up / (upright if upright > 0.5 else 0.5) if upright > 0 else 0.0
     return (ax * n, ay * n, up * n), thrust
 
 
@@ -190,13 +199,20 @@ def attitude_loop(force: Vector, gains: Gains) -> tuple[float, float]:
     return -share * y, share * x
 
 
-def rate_loop(trim: tuple[float, float], ref_rates: Vector, rates: Vector, gains: Gains, dt: float) -> tuple[tuple[float, float], Vector]:
+def yaw_slope(craft: QuadrotorParameters) -> float:
+    """Slope of the yaw-rate command [rad/s^2]: as much less than what the rotors can realise as the X-4's."""
+    return MAX_YAW_ACCELERATION * ((craft.yaw_torque / craft.inertia[2]) / (X4.yaw_torque / X4.inertia[2]))
+
+
+def rate_loop(
+    trim: tuple[float, float], ref_rates: Vector, rates: Vector, gains: Gains, craft: QuadrotorParameters, dt: float
+) -> tuple[tuple[float, float], Vector]:
     """Integrals [rad/s^2] and torque (3,) [Nm], for body rates (3,) [rad/s]; the yaw torque stays within its share."""
-    (tx, ty), (rx, ry, rz), (wx, wy, wz), (Jx, Jy, Jz) = trim, ref_rates, rates, INERTIA
+    (tx, ty), (rx, ry, rz), (wx, wy, wz), (Jx, Jy, Jz) = trim, ref_rates, rates, craft.inertia
     ex, ey = rx - wx, ry - wy
-    k, i = gains.rate, gains.rate_integral * dt
+    k, i, most = gains.rate, gains.rate_integral * dt, craft.yaw_torque
     tx, ty, z = tx + i * ex, ty + i * ey, Jz * gains.yaw * (rz - wz)
-    if not (-MAX_RATE_TRIM <= tx <= MAX_RATE_TRIM and -MAX_RATE_TRIM <= ty <= MAX_RATE_TRIM and -MAX_YAW_TORQUE <= z <= MAX_YAW_TORQUE):
+    if not (-MAX_RATE_TRIM <= tx <= MAX_RATE_TRIM and -MAX_RATE_TRIM <= ty <= MAX_RATE_TRIM and -most <= z <= most):
         tx, ty = clip(tx, -MAX_RATE_TRIM, MAX_RATE_TRIM), clip(ty, -MAX_RATE_TRIM, MAX_RATE_TRIM)
-        z = clip(z, -MAX_YAW_TORQUE, MAX_YAW_TORQUE)
+        z = clip(z, -most, most)
     return (tx, ty), (Jx * (k * ex + tx), Jy * (k * ey + ty), z)

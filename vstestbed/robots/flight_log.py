@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 
 from vstestbed.core.geometry import Array
-from vstestbed.robots.attitude import level, to_level
+from vstestbed.robots.attitude import level, to_body, to_level
 from vstestbed.robots.flight_reading import FlightReading
 from vstestbed.robots.robot_log import RobotLog, RobotState
 from vstestbed.robots.supervisor import Supervisor
@@ -45,3 +46,12 @@ class FlightLog(RobotLog):
         loops = np.concatenate([estimate.rates, estimate.ref_tilt, estimate.ref_rates])
         speeds = np.sqrt(np.maximum(state.act, 0.0))  # activations are squared speeds
         return np.array([roll, pitch, *velocity, *loops, *state.wind, *speeds, self.supervisor.mode])
+
+    def proprioception(self, log: Mapping[str, Array]) -> dict[str, Array]:
+        """Tilt and body twist; the velocity back from the estimate's level frame into body axes. The range is not in the log."""
+        roll, pitch = log["est_roll"], log["est_pitch"]
+        up = zip((-np.sin(pitch)).tolist(), (np.cos(pitch) * np.sin(roll)).tolist(), (np.cos(pitch) * np.cos(roll)).tolist(), strict=True)
+        velocities = zip(*(log[f"est_v{axis}"].tolist() for axis in "xyz"), strict=True)
+        body = np.array([to_body(level(z), v) for z, v in zip(up, velocities, strict=True)]).reshape(-1, 3)
+        rates = {f"w{axis}": log[f"est_w{axis}"] for axis in "xyz"}
+        return {"roll": roll, "pitch": pitch, **dict(zip(("vx", "vy", "vz"), body.T, strict=True)), **rates}

@@ -12,7 +12,7 @@ from vstestbed.core.geometry import Array, Pose
 from vstestbed.core.quantity import Angles, Position
 from vstestbed.core.spec import spec
 from vstestbed.robots.allocation import ALL_SIX, Allocation, Mount
-from vstestbed.robots.base import RobotBase
+from vstestbed.robots.defaults import RobotBase
 from vstestbed.robots.puma560 import Puma560, PumaStart
 from vstestbed.robots.reading import Reading
 
@@ -77,6 +77,10 @@ class Free(RobotBase):
     def started_at(self, configuration: Array) -> Free:
         """The same camera from another pose, flat (16,)."""
         return Free(start=FreeStart(nominal=Pose.of(configuration.reshape(4, 4)), random=self.start.random))
+
+    def configuration_at(self, T_world_flange: Array, near: Array) -> Array:
+        """The pose itself, flat (16,)."""
+        return T_world_flange.ravel()
 
     def flange_pose(self, configuration: Array) -> Array:
         """The pose itself, (4, 4)."""

@@ -7,6 +7,7 @@ Its motion is u = (vx, vy, wz) of that frame in its own axes, shape (..., 3), [m
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -16,7 +17,8 @@ from vstestbed.core.geometry import Array
 from vstestbed.core.planar import GroundPose, place_of, pose_on_ground, relative, wrapped
 from vstestbed.core.quantity import AngleWidth, Distance, Narrower
 from vstestbed.core.spec import spec
-from vstestbed.robots.base import Base, RobotBase
+from vstestbed.robots.base import Base
+from vstestbed.robots.defaults import RobotBase
 from vstestbed.robots.reading import Reading
 from vstestbed.robots.robot_log import RobotLog, RobotState
 from vstestbed.robots.supervisor import Supervisor
@@ -130,6 +132,12 @@ class VehicleLog(RobotLog):
         slip = (0.0, 0.0) if self._before is None else _slip(self._before, state)
         self._before = state
         return np.concatenate([place_of(state.T_world_base), state.place, dead_reckoning, slip, super().row(state)])
+
+    def proprioception(self, log: Mapping[str, Array]) -> dict[str, Array]:
+        """Dead reckoning from the start: the inverse of what `row` does with it."""
+        x, y, heading = (log[f"odo_{name}"] - at for name, at in zip(("x", "y", "heading"), self._start, strict=True))
+        c, s = self._turn
+        return {"odo_x": c * x + s * y, "odo_y": c * y - s * x, "odo_heading": heading}
 
 
 def _slip(before: RobotState, now: RobotState) -> tuple[float, float]:

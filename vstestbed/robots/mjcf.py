@@ -124,7 +124,7 @@ class Mjcf(Arm):
         if self.actuation == "ideal":
             return [Servo(n, v, np.inf, kv=IDEAL_GAIN * m) for n, v, m in zip(chain.names, speeds, inertia, strict=True)]
         each = zip(chain.names, speeds, torques, inertia, strict=True)
-        return [Servo(name, speed, torque, STIFFNESS * m, STIFFNESS * RATIO_S * m) for name, speed, torque, m in each]
+        return [Servo(name, speed, torque, *servo_gains(m)) for name, speed, torque, m in each]
 
     @property
     def joint_limits(self) -> Array:
@@ -167,6 +167,11 @@ class Mjcf(Arm):
         half = np.where(self.chain.slides, box.slide_m, np.radians(box.q_deg))
         q = self.configuration() + rng.uniform(-1, 1, len(half)) * half
         return self.started_at(np.clip(q, *self.chain.limits.T))
+
+
+def servo_gains(inertia: float) -> tuple[float, float]:
+    """Position and velocity gain (kp, kv) of the servo that `actuation: velocity` gives a joint with this inertia [kg m^2, kg]."""
+    return STIFFNESS * inertia, STIFFNESS * RATIO_S * inertia
 
 
 def _reader() -> ChainReader:

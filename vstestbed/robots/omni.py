@@ -15,7 +15,7 @@ and with kappa = 1 the equations of the textbooks: vx -+ vy -+ (half base + half
 
 Reference: Muir & Neuman 1987, "Kinematic modeling for feedback control of an omnidirectional wheeled mobile robot", ICRA, pp.
 1772-1778; Taheri, Qiao & Ghaeminezhad 2015, doi:10.5120/19804-1586. Any roller angle: Lynch & Park 2017, Modern Robotics, 13.2.
-Bodies are in models/omni.xml and models/omni_planar.xml; a test compares the dimensions here with those files.
+Bodies are in models/omni.xml and models/omni_planar.xml, which `parameters` changes (`omni_body.OmniParameters`).
 """
 
 from __future__ import annotations
@@ -30,37 +30,10 @@ from vstestbed.core.geometry import Array
 from vstestbed.core.planar import motion_between
 from vstestbed.core.spec import spec
 from vstestbed.robots.allocation import Allocation, Mount
+from vstestbed.robots.body import Change
 from vstestbed.robots.ground import PLANE, GroundStart, Vehicle
+from vstestbed.robots.omni_body import PLATFORM, WHEELS, OmniParameters
 from vstestbed.robots.reading import Reading
-
-WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
-RADIUS, HALF_BASE, HALF_TRACK, ROLLERS = 0.05, 0.15, 0.16, 9
-"""Wheel radius, half of wheelbase and track [m], rollers on each wheel, as in models/omni.xml."""
-PLACES = np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]]) * (HALF_BASE, HALF_TRACK)
-"""Places (x, y) of the wheels in the base frame, shape (4, 2) [m]."""
-SIDES = np.array([-1.0, 1.0, 1.0, -1.0])
-"""Axis of the roller on the floor, (1, side), by wheel; with the opposite signs the axes meet at the centre, and yaw is lost."""
-SPEED_LIMIT = 20.0
-"""Of a wheel [rad/s]: a little under the motors' 20.9 rad/s without load (models/omni.xml)."""
-
-
-def wheel_matrix(radius: float = RADIUS, rollers: float = ROLLERS) -> Array:
-    """Wheel speeds of a motion without slip, shape (4, 3): q_dot = W @ (vx, vy, wz), in the order of WHEELS.
-
-    Row: (1, side / kappa, side x / kappa - y) / radius, with kappa = sin(pi/n) / (pi/n).
-
-    Args:
-        radius: of the wheels [m].
-        rollers: n, how many rollers a wheel has; infinity for the textbooks' equations.
-    """
-    kappa = np.sinc(1 / rollers)  # numpy's sinc(x) is sin(pi x) / (pi x)
-    x, y = PLACES.T
-    return np.stack([np.ones(4), SIDES / kappa, SIDES * x / kappa - y], axis=1) / radius
-
-
-W = wheel_matrix()
-W_INVERSE = np.linalg.pinv(W)
-"""Motion from wheel speeds (3, 4). Four wheels overdetermine three velocities: least squares where slip makes them disagree."""
 
 
 @spec
@@ -70,19 +43,22 @@ class Omni(Vehicle):
     Args:
         wheels: `rollers` (default): nine free rollers on each wheel touch the floor, and slip where it is slippery;
             `planar`: ideal wheels without contact, a tenth of the cost.
+        parameters: mass, wheels and motors, which the base knows.
         start: where it starts on the floor.
         wheel_radius_error: relative error of the calibrated wheel radius: .02 for 2 % too large.
     """
 
     kind: Literal["omni"] = "omni"
     wheels: Literal["rollers", "planar"] = "rollers"
+    parameters: OmniParameters = PLATFORM
     start: GroundStart = GroundStart()
     wheel_radius_error: Annotated[float, Gt(-0.5), Lt(1)] = 0.0
     actuators: ClassVar[tuple[str, ...]] = WHEELS
-    stop_s: ClassVar[float] = 0.5
-    """From its top speed, 1 m/s, at 2 m/s^2: rollers hold on a dry floor."""
-    ends_m: ClassVar[tuple[float, float]] = (-0.208, 0.208)
-    """x of the rear and the front edge of its wheels [m]."""
+
+    @property
+    def stop_s(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride] - a property in place of a constant
+        """From its top speed, of 1 m/s by default, at 2 m/s^2: rollers hold on a dry floor [s]."""
+        return self.top_speed_mps / 2.0
 
     @property
     def model(self) -> str:
@@ -90,9 +66,19 @@ class Omni(Vehicle):
         return "omni.xml" if self.wheels == "rollers" else "omni_planar.xml"
 
     @property
+    def body_changes(self) -> tuple[Change, ...]:
+        """Those of its parameters."""
+        return self.parameters.changes(planar=self.wheels == "planar")
+
+    @property
+    def ends_m(self) -> tuple[float, float]:
+        """The x of the rear and the front edge of its wheels [m]."""
+        return self.parameters.ends_m
+
+    @property
     def top_speed_mps(self) -> float:
         """Straight ahead [m/s]."""
-        return SPEED_LIMIT * RADIUS
+        return self.parameters.top_speed_mps
 
     @property
     def slips(self) -> bool:
@@ -107,7 +93,7 @@ class Omni(Vehicle):
 
     def randomised(self, rng: np.random.Generator) -> Omni:
         """The same base with a start drawn from the box. ParameterError when it has none."""
-        return Omni(wheels=self.wheels, start=self.start.drawn(rng), wheel_radius_error=self.wheel_radius_error)
+        return dataclasses.replace(self, start=self.start.drawn(rng))
 
     def started_at(self, configuration: Array) -> Omni:
         """The same base from another place (x, y, heading)."""
@@ -128,7 +114,7 @@ class Omni(Vehicle):
             return np.zeros(3)
         if self.wheels == "planar":
             return belief * motion_between(before.q, now.q, duration)
-        return belief * (W_INVERSE @ (now.q - before.q)) / duration
+        return belief * (self.parameters.W_inverse @ (now.q - before.q)) / duration
 
     def measured_twist(self, before: Reading, now: Reading, duration: float, commanded: Array, mount: Mount) -> Array:
         """Mean camera twist (6,) between two readings, from the encoders alone; zero where no time has passed."""
@@ -141,7 +127,7 @@ class Omni(Vehicle):
         """
         motion = PLANE.T @ (mount.to_flange @ twist)
         # Wheels that the robot takes for larger than they are get less speed, and the base moves by less than `twist` says.
-        speeds = W @ motion / (1 + self.wheel_radius_error)
-        scale = min(1.0, SPEED_LIMIT / max(float(np.abs(speeds).max()), 1e-12))
+        speeds = self.parameters.W @ motion / (1 + self.wheel_radius_error)
+        scale = min(1.0, self.parameters.wheel_speed_radps / max(float(np.abs(speeds).max()), 1e-12))
         limit: Literal["", "speed"] = "speed" if scale < 1.0 else ""
         return Allocation(setpoint=speeds * scale, twist=mount.to_camera @ PLANE @ motion * scale, scale=scale, limit=limit)

@@ -1,10 +1,10 @@
-"""Quadrotor: a 4 kg craft with velocity setpoints in its level frame, flown by its onboard sensors.
+"""Quadrotor: a craft, of 4 kg by default, with velocity setpoints in its level frame, flown by its onboard sensors.
 
 A setpoint is (vx, vy, vz, wz) of the level frame: x the heading, z up, wz the heading's rate. On board, at 1 kHz:
 attitude from the IMU (`attitude`), velocity from its sensor (`groundspeed`), the control loops (`flight`), the rotors (`rotors`).
 All of it reads `Instruments` alone, after `measured` has added noise and bias. The failsafe that may override the law is in
 `failsafe`.
-Mass, rotors, drag and sensors are in `models/quadrotor.xml`.
+Its body and sensors are in `models/quadrotor.xml`, which `parameters` changes (`rotors.QuadrotorParameters`).
 """
 
 from __future__ import annotations
@@ -18,28 +18,29 @@ import numpy as np
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
-from vstestbed.core.quantity import Angle, AngleWidth, Position, PositiveRate, PositiveSpeed, Sigma
+from vstestbed.core.quantity import PositiveRate, PositiveSpeed, Sigma
 from vstestbed.core.spec import spec
 from vstestbed.robots import groundspeed
 from vstestbed.robots.allocation import Allocation, Mount
 from vstestbed.robots.attitude import Attitude, Filter, heading_rate, level, to_body
 from vstestbed.robots.attitude import step as attitude_step
-from vstestbed.robots.base import Base, RobotBase
+from vstestbed.robots.base import Base
+from vstestbed.robots.body import Change
+from vstestbed.robots.defaults import RobotBase
 from vstestbed.robots.failsafe import Failsafe
 from vstestbed.robots.flight import RECOVER_RAD, STILL, Gains, Loops, fly
 from vstestbed.robots.flight_log import FlightLog
 from vstestbed.robots.flight_reading import HOLD, FlightEstimate, FlightReading, Instruments
+from vstestbed.robots.flight_start import LOWEST_M, FlightPose, FlightStart
 from vstestbed.robots.groundspeed import READING_S, Flow, Groundspeed, VelocitySource
 from vstestbed.robots.imu import Imu
 from vstestbed.robots.reading import Reading
 from vstestbed.robots.robot_log import RobotLog
-from vstestbed.robots.rotors import HOVER, Four, mix, speed_control
+from vstestbed.robots.rotors import X4, Four, QuadrotorParameters, mix, speed_control
 from vstestbed.robots.supervisor import Supervisor
 
 STANDING_M = 0.172
 """Height of the centre over the ground when the craft stands on its feet [m], by models/quadrotor.xml."""
-LOWEST_M = 0.2
-"""The lowest start: it hovers there, its feet 3 cm above the ground [m]."""
 STANDING_MARGIN_M = 0.05
 """Within this of STANDING_M the measured range allows for standing: the range finder's noise and a few degrees of tilt [m]."""
 STOPPED_MPS = 0.12
@@ -55,38 +56,13 @@ LEVEL_AXES = [0, 1, 2, 5]
 """Indices of vx, vy, vz and wz in a twist: the four velocities that a level craft can track."""
 
 
-@spec
-class FlightPose:
-    """Where the craft hovers at the start: its centre in the world [m], its heading [deg]."""
-
-    xyz: Position = (0.0, 0.0, 2.0)
-    yaw_deg: Angle = 0.0
-
-
-@spec
-class FlightBox:
-    """Half widths of a box of starts: along world axes [m], in heading [deg]; `about` is its middle, else the nominal start."""
-
-    xyz: Position = (0.0, 0.0, 0.0)
-    yaw_deg: AngleWidth = 0.0
-    about: FlightPose | None = None
-
-
-@spec
-class FlightStart:
-    """Where the craft hovers at the start: `nominal`, and the box from which `random` starts are drawn."""
-
-    nominal: FlightPose = FlightPose()
-    random: FlightBox | None = None
-
-
 class Flight(NamedTuple):
     """Onboard state: estimates, flight loops, squared rotor speeds W, `armed`, and for how long a rotor has been at its limit [s]."""
 
     attitude: Attitude = Attitude()
     ground: Groundspeed = Groundspeed()
     loops: Loops = Loops()
-    W: Four = (HOVER, HOVER, HOVER, HOVER)
+    W: Four = (X4.hover, X4.hover, X4.hover, X4.hover)
     rates: tuple[float, float, float] = (0.0, 0.0, 0.0)
     armed: bool = True
     limited_s: float = 0.0
@@ -99,9 +75,10 @@ class Flight(NamedTuple):
 
 @spec
 class Quadrotor(RobotBase):
-    """A 4 kg quadrotor with four simulated rotors; the camera is mounted relative to its centre (x forward, y left, z up).
+    """A quadrotor with four simulated rotors; the camera is mounted relative to its centre (x forward, y left, z up).
 
     Args:
+        parameters: its mass, arms and rotors, which its flight loops know.
         start: where it hovers at the start.
         imu: noise and bias of gyro and accelerometer.
         velocity: velocity sensor and filter, `flow` or `filtered`, and its noise.
@@ -112,6 +89,7 @@ class Quadrotor(RobotBase):
     """
 
     kind: Literal["quadrotor"] = "quadrotor"
+    parameters: QuadrotorParameters = X4
     start: FlightStart = FlightStart()
     imu: Imu = Imu()
     velocity: VelocitySource = Flow()
@@ -132,15 +110,24 @@ class Quadrotor(RobotBase):
     """The rate loop is tuned at it."""
 
     def __post_init__(self) -> None:
-        """Refuse a start in the ground, or on it: the craft hovers."""
+        """Refuse a start in the ground, or on it, as the craft hovers; and speed controllers slower than the rotors."""
         low = self.start.nominal.xyz[2]
         if low < LOWEST_M:
             raise ParameterError("start.nominal.xyz.2", f"must leave the centre {LOWEST_M:g} m or more above the ground", low)
+        if self.gains.rotor_s > (lag := self.parameters.rotor_lag_s):
+            raise ParameterError(
+                "gains.rotor_s", f"must be at most {lag:g} s, the rotors' own lag (parameters.rotor_lag_s)", self.gains.rotor_s
+            )
 
     @property
     def model(self) -> str:
         """Its MJCF file."""
         return "quadrotor.xml"
+
+    @property
+    def body_changes(self) -> tuple[Change, ...]:
+        """Those of its parameters."""
+        return self.parameters.changes
 
     def configuration(self) -> Array:
         """The nominal start (x, y, z, yaw), [m, rad]."""
@@ -182,7 +169,7 @@ class Quadrotor(RobotBase):
     def rest_ctrl(self) -> Array:
         """Actuator controls, and activations, of the start: rotors that carry the weight, (4,) [(rad/s)^2]."""
         # With activations of 0 the craft would fall while its rotors spin up.
-        return np.full(4, HOVER)
+        return np.full(4, self.parameters.hover)
 
     def flange_pose(self, configuration: Array) -> Array:
         """T_world_base (4, 4) of a level craft at (x, y, z, yaw)."""
@@ -243,7 +230,8 @@ class Quadrotor(RobotBase):
 
     def begin(self) -> Flight:
         """The state of a craft that hovers, level and at rest."""
-        return Flight()
+        hover = self.parameters.hover
+        return Flight(W=(hover, hover, hover, hover))
 
     def actuate(self, memory: Flight, setpoint: Array, reading: Instruments, dt: float) -> tuple[Flight, Four]:
         """One control step: commanded squared rotor speeds (4,) for a setpoint (vx, vy, vz, wz).
@@ -251,7 +239,7 @@ class Quadrotor(RobotBase):
         A setpoint that is not finite means hover; ROTORS_OFF disarms the craft for good, and its rotors run out.
         """
         attitude, ground, loops, W, _, armed, limited_s = memory
-        (gyro, force, speed, _), gains = reading, self.gains
+        (gyro, force, speed, _), gains, craft = reading, self.gains, self.parameters
         vx, vy, vz, wz = setpoint.tolist()
         armed = armed and vz != -math.inf
         if not math.isfinite(vx + vy + vz + wz):
@@ -264,11 +252,11 @@ class Quadrotor(RobotBase):
         rates = gx - bx, gy - by, gz - bz
         ground = groundspeed.step(ground, R, speed, force, heading_rate(R, rates), self.velocity, dt)
         if not armed:  # for good: nothing sets `armed` again
-            W, orders = speed_control(W, (0.0, 0.0, 0.0, 0.0), gains.rotor_s, dt)
+            W, orders = speed_control(W, (0.0, 0.0, 0.0, 0.0), gains.rotor_s, dt, craft)
             return Flight(attitude, ground, Loops(), W, rates, False), orders
-        loops, thrust, torque = fly(loops, (vx, vy, vz), wz, ground.velocity, R, rates, gains, dt)
-        reference, cut = mix(thrust, torque)
-        W, orders = speed_control(W, reference, gains.rotor_s, dt)
+        loops, thrust, torque = fly(loops, (vx, vy, vz), wz, ground.velocity, R, rates, gains, craft, dt)
+        reference, cut = mix(thrust, torque, craft)
+        W, orders = speed_control(W, reference, gains.rotor_s, dt, craft)
         return Flight(attitude, ground, loops, W, rates, True, limited_s + dt if cut else 0.0), orders
 
     def stands(self, memory: Flight, reading: Instruments) -> bool:
@@ -281,7 +269,7 @@ class Quadrotor(RobotBase):
         near = reading.range_m < STANDING_M + STANDING_MARGIN_M
         # By the rotors alone it takes .5 s and more; on a deck that moves, in wind, a craft light on its feet slides off meanwhile.
         stopped = memory.armed and memory.ground.velocity[2] - memory.loops.model[2] > STOPPED_MPS
-        return upright and near and (stopped or sum(memory.W) < 4 * 0.9 * HOVER)
+        return upright and near and (stopped or sum(memory.W) < 4 * 0.9 * self.parameters.hover)
 
     def reported(self, memory: Flight, reading: Instruments) -> FlightReading:
         """The range and the onboard estimate."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,3 +50,7 @@ class RobotLog:
     def row(self, state: RobotState) -> Array:
         """Values of the columns at one exposure, shape (len(columns),)."""
         return np.array([self.supervisor.mode])
+
+    def proprioception(self, log: Mapping[str, Array]) -> dict[str, Array]:
+        """Entries of `Robot.proprioception` by name, shape (frames,) each, as far as the robot's own columns of a log tell them."""
+        return {}

@@ -1,4 +1,4 @@
-"""Four rotors in a plus: mixer with priorities at the rotors' limits, speed controllers, the craft's parameters.
+"""Four rotors in a plus: the craft's parameters, mixer with priorities at the rotors' limits, speed controllers.
 
 With squared speeds W = w^2 of front, right, back and left, arm d, thrust b W and drag torque k W:
 
@@ -7,36 +7,164 @@ With squared speeds W = w^2 of front, right, back and left, arm d, thrust b W an
 
 Solved with a mean t, halves p (pitch) and r (roll) of the pairs' differences and a share y of yaw:
 W_f, W_b = t -+ p - y,  W_r, W_l = t -+ r + y.
-
-Parameters: Pounds 2007 (models/quadrotor.xml has the sources; a test compares the two files).
 """
 
 from __future__ import annotations
 
-from vstestbed.core.geometry import clip
-from vstestbed.robots.attitude import GRAVITY, Vector
+import math
+from functools import cached_property
+from typing import Annotated
 
-MASS, INERTIA = 4.0, (0.082, 0.082, 0.149)
-"""[kg], [kg m^2] about x, y, z."""
-ARM, THRUST, DRAG = 0.315, 1.3234e-5, 1.0697e-7
-"""Centre to rotor [m]; b [N s^2]; k [Nm s^2]."""
-LAG_S = 0.117
-"""Time constant of w^2 behind its command, without a speed controller [s]."""
-LIMIT = 1000.0**2
-"""Largest w^2 [(rad/s)^2]."""
-HOVER = MASS * GRAVITY / (4 * THRUST)
-"""w^2 at hover, of 861 rad/s [(rad/s)^2]."""
+from annotated_types import Ge, Gt, Le, Len
+
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import clip
+from vstestbed.core.quantity import Mass, Narrower, PositiveLength, PositiveRate, PositiveTime
+from vstestbed.core.spec import spec
+from vstestbed.robots.attitude import GRAVITY, Vector
+from vstestbed.robots.body import Change, Set
+
 YAW_SHARE = 0.6
 """Share of the rotors' margin at hover that yaw may use: the rest is for attitude and thrust."""
-MAX_YAW_TORQUE = YAW_SHARE * 4 * DRAG * (LIMIT - HOVER)
-"""[Nm]: .066, which is .45 rad/s^2. Yaw is weak, since only the rotors' drag torques turn the craft about z."""
-PER_PAIR, PER_FOUR, PER_YAW = 2 * ARM * THRUST, 4 * THRUST, 4 * DRAG
-"""Roll or pitch torque [Nm s^2], thrust [N s^2] and yaw torque [Nm s^2] of a unit of r or p, of t and of y."""
+LEAST_THRUST_TO_WEIGHT = 1.3
+"""Under it the rotors' margin over the weight no longer flies the flight loops' tilt of 30 degrees, which takes 1.15 of the weight."""
+LEAST_TURN = 10.0
+"""Least angular acceleration about x and y that the rotors must make at hover [rad/s^2]: the X-4's is 27."""
+HUB_M = 0.075
+"""Radius of the hub, where the arms begin [m]."""
+Inertia = Annotated[tuple[Annotated[float, Gt(0), Le(1e3)], ...], Len(3, 3)]
+"""Moments of inertia about x, y and z [kg m^2]."""
+
+
+@spec
+class QuadrotorParameters:
+    """Physical parameters of a quadrotor, which its flight loops know; the defaults are those of the X-4 Flyer.
+
+    Args:
+        mass_kg: of the whole craft [kg].
+        inertia_kgm2: about x, y and z [kg m^2]; None scales the X-4's, (.082, .082, .149), with mass_kg and the square of arm_m.
+        arm_m: from the centre to each rotor [m].
+        rotor_radius_m: of the discs as drawn and as touched [m]; the thrust is `thrust_coefficient` alone.
+        thrust_coefficient: b, a rotor's thrust over its squared speed [N s^2].
+        drag_coefficient: k, a rotor's drag torque over its squared speed [Nm s^2].
+        rotor_speed_radps: largest speed of a rotor [rad/s].
+        rotor_lag_s: time constant of w^2 behind its command, without a speed controller [s].
+        drag_area_m2: air drag is -1/2 rho A |v| v with this A = C_d times area [m^2].
+
+    Reference: Pounds 2007, PhD thesis, Australian National University; models/quadrotor.xml has the details.
+    """
+
+    mass_kg: Annotated[Mass, Narrower(ge=0.05, le=200)] = 4.0
+    inertia_kgm2: Inertia | None = None
+    arm_m: Annotated[PositiveLength, Narrower(ge=0.1, le=3)] = 0.315
+    rotor_radius_m: Annotated[PositiveLength, Narrower(ge=0.02, le=2)] = 0.165
+    thrust_coefficient: Annotated[float, Ge(1e-9), Le(1.0)] = 1.3234e-5
+    drag_coefficient: Annotated[float, Ge(1e-12), Le(1.0)] = 1.0697e-7
+    rotor_speed_radps: Annotated[PositiveRate, Narrower(ge=10)] = 1000.0
+    rotor_lag_s: Annotated[PositiveTime, Narrower(ge=0.005, le=1)] = 0.117
+    drag_area_m2: Annotated[float, Ge(0), Le(100)] = 0.10
+
+    def __post_init__(self) -> None:
+        """Refuse a craft that cannot be, or cannot fly."""
+        most = self.arm_m / math.sqrt(2)
+        if self.rotor_radius_m >= most:
+            words = f"must be under {most:.3g} m at arm_m {self.arm_m:g}: neighbouring rotors would meet"
+            raise ParameterError("rotor_radius_m", words, self.rotor_radius_m)
+        a, b, c = sorted(self.inertia)
+        if a + b < c:
+            words = f"must have no moment over the sum of the two others, as any body has; {c:g} is over {a + b:.4g}"
+            raise ParameterError("inertia_kgm2", words, list(self.inertia))
+        self._check_thrust()
+        turn = 2 * self.arm_m * self.thrust_coefficient * min(self.hover, self.limit - self.hover) / max(self.inertia[:2])
+        if turn < LEAST_TURN:
+            words = f"lets the rotors turn the craft by {turn:.2g} rad/s^2, which takes {LEAST_TURN:g} to keep it level"
+            raise ParameterError("inertia_kgm2", f"{words}; works: moments up to {max(self.inertia[:2]) * turn / LEAST_TURN:.3g}")
+
+    def _check_thrust(self) -> None:
+        """Refuse rotors that cannot hover with a margin."""
+        weight, thrust = self.mass_kg * GRAVITY, 4 * self.thrust_coefficient * self.limit
+        ratio = thrust / weight
+        if ratio < LEAST_THRUST_TO_WEIGHT:
+            need = LEAST_THRUST_TO_WEIGHT / ratio
+            words = f"leaves a thrust of {ratio:.3g} times the weight; to hover with a margin takes {LEAST_THRUST_TO_WEIGHT:g}. Works:"
+            ways = f"mass_kg up to {self.mass_kg / need:.3g}, or thrust_coefficient from {self.thrust_coefficient * need:.3g}"
+            raise ParameterError("mass_kg", f"{words} {ways}, or rotor_speed_radps from {self.rotor_speed_radps * math.sqrt(need):.4g}")
+
+    @cached_property
+    def inertia(self) -> Vector:
+        """Moments of inertia (3,) about x, y and z [kg m^2]."""
+        if self.inertia_kgm2 is not None:
+            x, y, z = self.inertia_kgm2
+            return x, y, z
+        share = (self.mass_kg / 4.0) * (self.arm_m / 0.315) ** 2
+        return 0.082 * share, 0.082 * share, 0.149 * share
+
+    @cached_property
+    def limit(self) -> float:
+        """Largest w^2 [(rad/s)^2]."""
+        return self.rotor_speed_radps**2
+
+    @cached_property
+    def hover(self) -> float:
+        """w^2 at hover [(rad/s)^2]; the X-4's is that of 861 rad/s."""
+        return self.mass_kg * GRAVITY / (4 * self.thrust_coefficient)
+
+    @cached_property
+    def yaw_torque(self) -> float:
+        """Largest yaw torque [Nm], of the X-4 .066. Yaw is weak, since only the rotors' drag torques turn a craft about z."""
+        return YAW_SHARE * 4 * self.drag_coefficient * (self.limit - self.hover)
+
+    @cached_property
+    def per_pair(self) -> float:
+        """Roll or pitch torque [Nm s^2] of a unit of r or p."""
+        return 2 * self.arm_m * self.thrust_coefficient
+
+    @cached_property
+    def per_four(self) -> float:
+        """Thrust [N s^2] of a unit of t."""
+        return 4 * self.thrust_coefficient
+
+    @cached_property
+    def per_yaw(self) -> float:
+        """Yaw torque [Nm s^2] of a unit of y."""
+        return 4 * self.drag_coefficient
+
+    @property
+    def changes(self) -> tuple[Change, ...]:
+        """What makes the craft of the file, the X-4, this one."""
+        b, k = self.thrust_coefficient, self.drag_coefficient
+        wide, d = self.arm_m / X4.arm_m, self.arm_m
+        found: list[Change] = [Set("body", "base", "mass", self.mass_kg), Set("body", "base", "inertia", self.inertia)]
+        found.append(Set("geom", "air", "fluid_coefs", (1.5915 * (self.drag_area_m2 / X4.drag_area_m2),)))
+        for name, x, y, turn in (("front", 1, 0, -1), ("right", 0, -1, 1), ("back", -1, 0, -1), ("left", 0, 1, 1)):
+            along, half = (d + HUB_M) / 2, (d - HUB_M) / 2
+            found += [
+                Set("actuator", f"rotor_{name}", "gear", (0, 0, b, 0, 0, turn * k)),
+                Set("actuator", f"rotor_{name}", "dynprm", (self.rotor_lag_s,)),
+                Set("actuator", f"rotor_{name}", "ctrlrange", (0, self.limit)),
+                *(Set("geom", f"{part}_{name}", "pos", (x * d, y * d)) for part in ("motor", "disc", "blade")),
+                Set("site", f"rotor_{name}", "pos", (x * d, y * d)),
+                Set("geom", f"arm_{name}", "pos", (x * along, y * along)),
+                Set("geom", f"arm_{name}", "size", (half, 0.011) if x else (0.011, half)),
+                Set("geom", f"disc_{name}", "size", (self.rotor_radius_m,)),
+                Set("geom", f"blade_{name}", "size", (self.rotor_radius_m - 0.005,)),
+                Set("geom", f"foot_{name}", "pos", (x * 0.22 * wide, y * 0.22 * wide)),
+                Set("geom", f"leg_{name}", "fromto", (*_at(x, y, 0.14 * wide, -0.008), *_at(x, y, 0.22 * wide, -0.16))),
+            ]
+        return tuple(found)
+
+
+def _at(x: int, y: int, out: float, z: float) -> Vector:
+    return x * out, y * out, z
+
+
+X4 = QuadrotorParameters()
+"""The X-4 Flyer, of models/quadrotor.xml."""
 
 Four = tuple[float, float, float, float]
 
 
-def mix(thrust: float, torque: Vector) -> tuple[Four, bool]:
+def mix(thrust: float, torque: Vector, craft: QuadrotorParameters) -> tuple[Four, bool]:
     """W (4,) of front, right, back and left within limits, for a thrust [N] and a torque (3,) [Nm]; and whether any of these was cut.
 
     At the limits roll and pitch come first, then thrust, then yaw: the mean is moved until the pairs' differences fit, and yaw gets
@@ -44,40 +172,43 @@ def mix(thrust: float, torque: Vector) -> tuple[Four, bool]:
     """
     # Attitude before thrust: a craft that is level can climb later; one that is not level accelerates sideways. Clipping each rotor
     # by itself would lose roll and pitch torque whenever the thrust is high.
-    half = 0.5 * LIMIT
+    limit = craft.limit
+    half = 0.5 * limit
     x, y, z = torque
-    r, p, t, y = x / PER_PAIR, y / PER_PAIR, thrust / PER_FOUR, z / PER_YAW
+    r, p, t, y = x / craft.per_pair, y / craft.per_pair, thrust / craft.per_four, z / craft.per_yaw
     cut = False
     if not (-half <= r <= half and -half <= p <= half):  # here and below: such a case is rare, and calls take time
         r, p, cut = clip(r, -half, half), clip(p, -half, half), True
     ar, ap = abs(r), abs(p)
     widest = ar if ar > ap else ap
-    if not widest <= t <= LIMIT - widest:
-        t, cut = clip(t, widest, LIMIT - widest), True
-    above, below = LIMIT - t, t
+    if not widest <= t <= limit - widest:
+        t, cut = clip(t, widest, limit - widest), True
+    above, below = limit - t, t
     if not (ap - above <= y <= above - ar and ar - below <= y <= below - ap):
         y, cut = clip(y, max(ap - above, ar - below), min(above - ar, below - ap)), True
     return (t - p - y, t - r + y, t + p - y, t + r + y), cut
 
 
-def speed_control(turning: Four, reference: Four, response_s: float, dt: float) -> tuple[Four, Four]:
-    """Speed controllers: commands that make the rotors reach `reference` with the time constant `response_s` instead of LAG_S.
+def speed_control(turning: Four, reference: Four, response_s: float, dt: float, craft: QuadrotorParameters) -> tuple[Four, Four]:
+    """Speed controllers: commands that make the rotors reach `reference` with the time constant `response_s` instead of their lag.
 
-    u = W + (LAG_S / response_s) (W_wanted - W), within 0 and LIMIT: lead compensation, bounded by full voltage. A real controller
+    u = W + (lag / response_s) (W_wanted - W), within 0 and the limit: lead compensation, bounded by full voltage. A real controller
     measures its rotor's speed by commutation; this one predicts W by the lag's own equation.
 
     Args:
         turning, reference: W of the rotors now and as commanded, (4,).
-        response_s: [s], up to LAG_S.
+        response_s: [s], up to `craft.rotor_lag_s`.
         dt: [s] until the next command.
+        craft: whose rotors these are.
 
     Returns:
         W after dt, and the commands u (4,).
     """
-    lead, ahead = LAG_S / response_s, dt / (LAG_S + 0.5 * dt)  # (1, 1) Pade of 1 - exp(-dt / LAG_S): 1e-7 at 1 ms
+    lag, limit = craft.rotor_lag_s, craft.limit
+    lead, ahead = lag / response_s, dt / (lag + 0.5 * dt)  # (1, 1) Pade of 1 - exp(-dt / lag): 1e-7 at 1 ms
     a, b, c, d = turning
     A, B, C, D = reference
     ua, ub, uc, ud = a + lead * (A - a), b + lead * (B - b), c + lead * (C - c), d + lead * (D - d)
-    if not (0.0 <= ua <= LIMIT and 0.0 <= ub <= LIMIT and 0.0 <= uc <= LIMIT and 0.0 <= ud <= LIMIT):  # as in `mix`
-        ua, ub, uc, ud = clip(ua, 0.0, LIMIT), clip(ub, 0.0, LIMIT), clip(uc, 0.0, LIMIT), clip(ud, 0.0, LIMIT)
+    if not (0.0 <= ua <= limit and 0.0 <= ub <= limit and 0.0 <= uc <= limit and 0.0 <= ud <= limit):  # as in `mix`
+        ua, ub, uc, ud = clip(ua, 0.0, limit), clip(ub, 0.0, limit), clip(uc, 0.0, limit), clip(ud, 0.0, limit)
     return (a + ahead * (ua - a), b + ahead * (ub - b), c + ahead * (uc - c), d + ahead * (ud - d)), (ua, ub, uc, ud)

@@ -14,7 +14,7 @@ from ruamel.yaml import YAML
 
 from vstestbed.core.assets import bundled_scenarios
 from vstestbed.core.errors import Mistake, ParameterError, ScenarioError, nearest
-from vstestbed.core.spec import refresh_specs, to_mapping
+from vstestbed.core.spec import refresh_specs
 from vstestbed.scenario.plugins import absolute, absolute_files, load_named
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.scenario.validation import KINDS, build
@@ -167,9 +167,8 @@ def seeded(scenario: Scenario, seed: int) -> Scenario:
     Raises:
         ParameterError: nothing is random, or no start was found with the target in view.
     """
-    noise = scenario.noise
     # A fixed start with noise is a fair experiment for many seeds; without noise either, every seed would give the same run.
-    if scenario.robot.start.random is None and (noise.image_sigma > 0 or noise.pixel_sigma_px > 0):
+    if scenario.robot.start.random is None and scenario.noise.draws():
         return dataclasses.replace(scenario, seed=seed)
     return scenario.randomised(seed)
 
@@ -197,34 +196,10 @@ def for_another_folder(path: Path) -> str:
     tree = yaml.load(text)
     if isinstance(named, list):
         tree["plugins"] = moved["plugins"]
-    for block in ("law", "robot"):
-        if isinstance(moved.get(block), dict) and "file" in moved[block]:
-            tree[block]["file"] = moved[block]["file"]
+    for block, field in (("law", "file"), ("robot", "file"), ("target", "file"), ("world", "scenery")):
+        if isinstance(moved.get(block), dict) and field in moved[block]:
+            tree[block][field] = moved[block][field]
     yaml.dump(tree, out)
-    return out.getvalue()
-
-
-def dump(scenario: Scenario) -> str:
-    """The scenario as YAML with all defaults; `parse` of it gives the same scenario."""
-    return dump_mapping(scenario)
-
-
-def dump_mapping(spec: object) -> str:
-    """A spec as YAML with all defaults."""
-    import yaml  # here: only runs with a folder write YAML, which libyaml does in a twentieth of ruamel's time
-
-    libyaml: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
-
-    class Dumper(libyaml):
-        """PyYAML writes YAML 1.1, where `1e3` is text; it is read as YAML 1.2, where it is a number."""
-
-    def plain_or_quoted(dumper: Any, text: str) -> Any:
-        return dumper.represent_scalar("tag:yaml.org,2002:str", text, "'" if text[:1] in "+-.0123456789" else None)
-
-    Dumper.add_representer(str, plain_or_quoted)
-    # nested blocks on lines of their own, the innermost mappings and lists on one line
-    out = io.StringIO()
-    yaml.dump(to_mapping(spec), out, Dumper=Dumper, default_flow_style=None, width=120, sort_keys=False, allow_unicode=True)
     return out.getvalue()
 
 

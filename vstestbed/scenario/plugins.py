@@ -16,7 +16,7 @@ from typing import Any
 
 from vstestbed.core.errors import PluginError
 from vstestbed.core.modules import line_of, load_file, module_of
-from vstestbed.core.named_files import ENDINGS, absolute_file, is_there
+from vstestbed.core.named_files import ENDINGS, FILE_FIELDS, absolute_file, is_there
 from vstestbed.core.spec import refresh_specs, undone_on_error
 from vstestbed.scenario.validation import KINDS
 from vstestbed.scenario.yaml_marks import Marks, place_of
@@ -79,13 +79,27 @@ def absolute(name: str, folder: Path) -> str:
 
 
 def absolute_files(value: Any, folder: Path, key: str = "") -> Any:
-    """A scenario's or a comparison's plain values, with the files that they name (fields `file`) without reference to the folder."""
+    """A scenario's or a comparison's plain values, with the files that they name without reference to the folder."""
     if isinstance(value, Mapping):
         return {name: absolute_files(inner, folder, str(name)) for name, inner in value.items()}
     if isinstance(value, list | tuple):
         return type(value)(absolute_files(inner, folder, key) for inner in value)
-    names_file = isinstance(value, str) and key.rpartition(".")[2] == "file" and ENDINGS.search(value)
+    names_file = isinstance(value, str) and key.rpartition(".")[2] in FILE_FIELDS and ENDINGS.search(value)
     return absolute_file(value, folder) if names_file else value
+
+
+def relative_files(plain: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """A scenario's plain values, with the plugins and files (fields `file`) in the folder, or below it, named relative to it."""
+
+    def near(value: Any, names_file: bool) -> Any:
+        if isinstance(value, dict):
+            return {name: near(inner, name in ("file", "plugins")) for name, inner in value.items()}
+        if isinstance(value, list):
+            return [near(inner, names_file) for inner in value]
+        inside = names_file and isinstance(value, str) and Path(value).is_absolute() and Path(value).is_relative_to(folder)
+        return Path(value).relative_to(folder).as_posix() if inside else value
+
+    return near(plain, False)
 
 
 def _loaded(name: str, folder: Path, where: str, beside: Sequence[str], field: str = "") -> str:

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import replace
 from functools import cached_property
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from annotated_types import Ge, Lt
 
 from vstestbed.camera import CAMERAS, Calibration, Camera, Perspective
-from vstestbed.core.errors import ParameterError
-from vstestbed.core.geometry import Array, inverse
+from vstestbed.core.errors import ParameterError, UnreachableError
+from vstestbed.core.geometry import Array, Pose, inverse
 from vstestbed.core.quantity import Narrower, Pixels, Seed, Sigma, Time
 from vstestbed.core.spec import spec
 from vstestbed.features.observation import Goal
@@ -20,13 +21,16 @@ from vstestbed.robots import ROBOTS, Robot
 from vstestbed.scenario.checks import check_carrier, check_floor_depth, check_markers, check_memory, check_robot
 from vstestbed.sim.clock import Clock
 from vstestbed.sim.render.noise import Drift
-from vstestbed.sim.scene.start_pose import camera_start, target_start
+from vstestbed.sim.scene.start_pose import camera_start, flange_for, target_start
 from vstestbed.sim.scene.world import World
 from vstestbed.sim.timing import Timing
 from vstestbed.targets import TARGETS, Target
 from vstestbed.tasks import GOALS, Setup, Task
+from vstestbed.tasks.metrics import METRICS, MetricContract, check_metrics
+from vstestbed.tasks.monitors import MONITORS, MonitorContract
 from vstestbed.tasks.stop import Stop
 from vstestbed.vision import DETECTORS, Blobs, Detector
+from vstestbed.vision.perturb import PERTURBATIONS, Perturbation, Perturbed
 from vstestbed.vision.pose.derotate import Derotation
 
 
@@ -41,19 +45,35 @@ class Noise:
         pixel_sigma_px: standard deviation of Gaussian noise added to each measured coordinate, for every detector [px].
         dropout: probability that a detected marker is not reported, for every detector.
         drift: of the picture's brightness and colour.
+        perturb: further kinds, of the finished picture or of measured coordinates, in this order (`vision.perturb`).
     """
 
     image_sigma: Annotated[Sigma, Narrower(le=255)] = 0.0
     pixel_sigma_px: Pixels = 0.0
     dropout: Annotated[float, Ge(0), Lt(1)] = 0.0
     drift: Drift = Drift()
+    perturb: tuple[Annotated[Perturbation, PERTURBATIONS], ...] = ()
+
+    @property
+    def on_pictures(self) -> bool:
+        """Whether a perturbation changes pictures."""
+        return any("picture" in kind.changes for kind in self.perturb)
+
+    def draws(self, pictures: bool = True) -> bool:
+        """Whether a seed makes a difference; pictures: the detector works on them."""
+        on_pixels = self.pixel_sigma_px > 0 or any("pixels" in kind.changes for kind in self.perturb)
+        return on_pixels or (pictures and (self.image_sigma > 0 or self.on_pictures))
 
 
-START_STREAM, NOISE_STREAM, IMAGE_STREAM, SENSOR_STREAM, TIMING_STREAM, DEPTH_STREAM, MOTION_STREAM = range(7)
+START_STREAM, NOISE_STREAM, IMAGE_STREAM, SENSOR_STREAM, TIMING_STREAM, DEPTH_STREAM, MOTION_STREAM, PERTURB_STREAM = range(8)
 """Independent random streams of one seed: the start, the noise of measured pixels, of pictures, of the robot's own sensors, of timing,
-of depths, and the target's random walk. Their numbers enter the seed: a new stream comes last, or all recorded runs change."""
+of depths, the target's random walk, perturbations. Their numbers enter the seed: a new one comes last, or all recorded runs change."""
 TRIES = 1000
 """Largest number of random starts drawn until the target is in view."""
+DISPLACEMENT_STEPS = 12
+"""Parts of the way from the goal view to a displaced start: of a half turn 15 degrees each, within which Newton's steps keep a posture."""
+POSTURES = 12
+"""Most postures from which the goal's is sought: Newton's steps find the Jaco's from every second one."""
 VIEW_MARGIN_PX = 10.0
 """Margin round each whole marker in the picture of a random start [px]."""
 
@@ -63,6 +83,7 @@ class Scenario:
     """One experiment: robot, camera, target, detector, law, goal, nuisances, end. `name` is its file's name by default.
 
     `plugins`: files or modules that add kinds, loaded before the rest is checked (`scenario.plugins`).
+    `metrics`, `monitors`: figures of the summary and rules of when a run ends, besides those of every run.
     `derotation`: how image features of a tilted craft are rotated into its level frame; `level_trim_s`: time constant with which the
     picture corrects the IMU's roll and pitch for it [s] (0: not at all; `vision.pose.derotate.trimmed`).
 
@@ -83,6 +104,8 @@ class Scenario:
     level_trim_s: Time = 0.0
     stop: Stop = Stop()
     noise: Noise = Noise()
+    metrics: tuple[Annotated[MetricContract, METRICS], ...] = ()
+    monitors: tuple[Annotated[MonitorContract, MONITORS], ...] = ()
     calibration: Calibration = Calibration()
     timing: Timing = Timing()
     world: World = World()
@@ -104,10 +127,11 @@ class Scenario:
         if self.stop.duration_s < self.camera.period:
             raise ParameterError("stop.duration_s", f"must be at least one camera period, {self.camera.period:g} s", self.stop.duration_s)
         check_markers(self.robot, self.camera, self.target, self.detector, self.law, self.goal.needs_pose)
+        check_metrics(self.metrics)
         self.goal.check_views(self.setup, self.goal_views)
         self.law.check(self.target.points, self.goal_view)
         for goal in self.goal_views:
-            self.law.visibility.check(goal, self.target.marker.radius)
+            self.law.visibility.check(goal, self.target.marker.radius, self.target.called)
 
     @property
     def clock(self) -> tuple[float, int]:
@@ -167,6 +191,10 @@ class Scenario:
         """The camera's goal pose in the world (4, 4), for the target at its start."""
         return target_start(self.robot, self.target) @ inverse(self.goal_poses[-1])
 
+    def perturbed(self) -> Perturbed | None:
+        """The perturbations of a run, with what is drawn for it; None where there are none."""
+        return Perturbed(self.noise.perturb, self.rng(PERTURB_STREAM)) if self.noise.perturb else None
+
     def rng(self, stream: int) -> np.random.Generator:
         """The generator of one of the independent streams (START_STREAM, ...)."""
         return np.random.default_rng([self.seed, stream])
@@ -187,11 +215,40 @@ class Scenario:
                 return replace(seeded, robot=robot)
         raise ParameterError("robot.start.random", f"gave no start in {TRIES} draws that has the whole target in view; make it smaller")
 
+    def displaced(self, by: Pose, of: Literal["camera", "target"]) -> Scenario:
+        """The same experiment, begun at a displacement D from its goal view: the robot's start is found by inverse kinematics.
+
+        of: `camera`, displaced in the frame of the camera at its goal, T_camera_target = D^-1 T*; or `target`, seen displaced in
+        its own frame at the goal, T_camera_target = T* D.
+
+        Raises:
+            UnreachableError: the robot does not get there. ParameterError: it is neither an arm nor the free camera.
+        """
+        T = self.goal_poses[-1]
+        q = self._posture_at(flange_for(self.camera, self.target, T))
+        for share in np.linspace(0.0, 1.0, DISPLACEMENT_STEPS + 1):  # in small steps: the arm keeps its posture at the goal
+            xyz, rpy_deg = (tuple((share * np.array(part)).tolist()) for part in (by.xyz, by.rpy_deg))
+            D = Pose(xyz=xyz, rpy_deg=rpy_deg).T
+            seen = inverse(D) @ T if of == "camera" else T @ D
+            q = self.robot.configuration_at(flange_for(self.camera, self.target, seen), q)
+        return replace(self, robot=self.robot.started_at(q))
+
+    def _posture_at(self, T_world_flange: Array) -> Array:
+        """The configuration at a flange pose (4, 4): from the nominal start, else from the first of POSTURES others that gets there."""
+        rng, nominal = np.random.default_rng(0), self.robot.configuration()
+        for _ in range(POSTURES):
+            with contextlib.suppress(UnreachableError):
+                return self.robot.configuration_at(T_world_flange, nominal)
+            nominal = self.robot.configuration() + rng.uniform(-np.pi, np.pi, len(nominal))
+        return self.robot.configuration_at(T_world_flange, nominal)
+
     def _in_view(self, robot: Robot) -> bool:
-        """Whether the robot's start has the whole target in the picture, seen from its front."""
+        """Whether the robot's start has the whole target in the picture, or all of it that counts first, seen from its front."""
         T = inverse(camera_start(robot, self.camera, self.target)) @ target_start(robot, self.target)
         p = self.target.seen_from(inverse(T))
         facing = float(T[:3, 2] @ T[:3, 3]) / max(float(np.linalg.norm(T[:3, 3])), 1e-9)  # cosine of the view on the plane
         turned = T[2, 2] if isinstance(self.camera, Perspective) else facing
         faces = turned > 0.17 or not self.target.one_sided  # within 80 degrees of the target's normal: beyond, discs are slivers
-        return bool(faces and self.camera.whole(p, self.target.marker.radius, VIEW_MARGIN_PX).all())
+        counted = self.goal_views[0].counted
+        whole = self.camera.whole(p, self.target.marker.radius, VIEW_MARGIN_PX) & ~self.target.hides(inverse(T))
+        return bool(faces and (whole if counted is None else whole[counted]).all())

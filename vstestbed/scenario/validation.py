@@ -11,7 +11,8 @@ import pydantic
 
 from vstestbed.camera import CAMERAS
 from vstestbed.core.errors import Mistake, ParameterError, ScenarioError, nearest
-from vstestbed.core.spec import OneOf, refresh_specs, spec_named, to_mapping
+from vstestbed.core.mapping import to_mapping
+from vstestbed.core.spec import OneOf, refresh_specs, spec_named
 from vstestbed.features import FEATURES
 from vstestbed.features.depth import DEPTHS
 from vstestbed.laws import LAWS
@@ -24,7 +25,10 @@ from vstestbed.targets.attached import MOTIONS
 from vstestbed.targets.markers import MARKERS
 from vstestbed.targets.route import ROUTES
 from vstestbed.tasks import GOALS, VIEWS
+from vstestbed.tasks.metrics import METRICS
+from vstestbed.tasks.monitors import MONITORS
 from vstestbed.vision import DETECTORS
+from vstestbed.vision.perturb import PERTURBATIONS
 
 T = TypeVar("T")
 KINDS: dict[str, OneOf] = {
@@ -42,6 +46,9 @@ KINDS: dict[str, OneOf] = {
     "goals": GOALS,
     "views": VIEWS,
     "routes": ROUTES,
+    "metrics": METRICS,
+    "monitors": MONITORS,
+    "perturbations": PERTURBATIONS,
 }
 """Every list of kinds; a plugin may add to each."""
 
@@ -83,7 +90,8 @@ def _finding(detail: Any, plain: dict[str, Any], cls: type) -> tuple[Key, str]:
     key, inner = _key_of(detail["loc"], plain), detail.get("ctx", {}).get("error")
     if isinstance(inner, ParameterError):  # raised by a __post_init__; its field is relative to the block
         got = "" if inner.found is None else f", got {short(inner.found)}"
-        return (*key, *(int(p) if p.isdecimal() else p for p in inner.field.split("."))), f"{inner.problem}{got}"
+        own = inner.field.split(".") if inner.field else []  # without a field it is about the block as a whole
+        return (*key, *(int(p) if p.isdecimal() else p for p in own)), f"{inner.problem}{got}"
     # The error belongs to the block; the mistake stands at its `kind`.
     if detail["type"] == "unknown_kind" and isinstance(detail["input"], dict) and "kind" in detail["input"]:
         return (*key, "kind"), _sentence(detail | {"input": detail["input"]["kind"]}, cls)

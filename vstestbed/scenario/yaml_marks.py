@@ -242,6 +242,6 @@ def marks_under(key: Key, marks: Mapping[Key, str]) -> Marks:
 
 
 def short(found: object) -> str:
-    """A value for a message, cut to 60 characters."""
-    text = repr(found)
+    """A value for a message, on one line, cut to 60 characters."""
+    text = " ".join(repr(found).split("\n"))  # arrays have several
     return text if len(text) <= 60 else text[:57] + "..."

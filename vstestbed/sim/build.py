@@ -8,12 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from vstestbed.camera import Camera
+from vstestbed.core.named_files import kept_at
 from vstestbed.robots import Robot
 from vstestbed.sim.base import Plant
 from vstestbed.sim.clock import Clock
 from vstestbed.sim.render.noise import NO_DRIFT, Drift, ImageNoise
 from vstestbed.sim.scene.world import World
 from vstestbed.targets.base import Target
+from vstestbed.vision.perturb import Perturbed
 
 
 def build_plant(
@@ -30,18 +32,20 @@ def build_plant(
     sensor_rng: np.random.Generator | None = None,
     motion_rng: np.random.Generator | None = None,
     drift: Drift = NO_DRIFT,
+    perturbed: Perturbed | None = None,
     order_s: float = math.inf,
     plate_m: float = 0.0,
 ) -> tuple[Plant, str]:
     """The plant, and the name of its renderer ("none" without pictures).
 
-    Robots with a body are simulated by MuJoCo. The ideal camera needs MuJoCo only for pictures, or for occlusion by plates.
+    Robots with a body are simulated by MuJoCo. The ideal camera needs MuJoCo only for pictures, or for occlusion by plates and scenery.
 
     Args:
         needs_image, needs_truth: whether the detector works on pictures, on truth.
         image_sigma, rng: noise of the pictures [grey levels] and its generator.
         sensor_rng: generator of the robot's sensor noise. motion_rng: generator of a target's random walk.
-        drift: of the camera's gains. order_s: how long a command lasts before the robot stops [s].
+        drift: of the camera's gains. perturbed: further changes of the pictures; None for none.
+        order_s: how long a command lasts before the robot stops [s].
         plate_m: edge of a plate in reserve, for `Plant.hold_plate`; 0 for none [m].
 
     Raises:
@@ -54,7 +58,7 @@ def build_plant(
     parts = Parts(robot, camera, target, world, step, plate_m=plate_m)
     ideal = robot.model is None
     path = target.path(motion_rng or np.random.default_rng(0)) if target.motion.by_itself else None
-    if ideal and not needs_image and not world.plates and not plate_m:
+    if ideal and not needs_image and not plate_m and not _may_hide(target, world):
         from vstestbed.sim.ideal import IdealPlant
 
         return IdealPlant(parts, steps_per_frame, path=path, order_s=order_s), "none"
@@ -66,7 +70,7 @@ def build_plant(
     eye, renderer = None, "none"
     if needs_image:
         drawn_by = servo_renderer(stage, camera, image_sigma > 0)
-        eye, renderer = ImageSensor(stage, drawn_by, ImageNoise(image_sigma, rng), drift), drawn_by.name
+        eye, renderer = ImageSensor(stage, drawn_by, ImageNoise(image_sigma, rng), drift, perturbed), drawn_by.name
     if ideal:
         from vstestbed.sim.ideal import IdealPlant
 
@@ -77,9 +81,14 @@ def build_plant(
     return MujocoPlant(stage, steps_per_frame, eye, needs_truth, noise, path, order_s), renderer
 
 
+def _may_hide(target: Target, world: World) -> bool:
+    """Whether something may come between a free camera and a marker."""
+    return world.hides or target.body is not None
+
+
 @dataclass(frozen=True, slots=True)
 class SceneFiles:
-    """A self-contained scene: its MJCF, and the asset files that it names, by their paths relative to it."""
+    """A self-contained scene: its MJCF, and the asset files that it names and the target's own file, by their paths relative to it."""
 
     xml: str
     assets: dict[str, bytes]
@@ -104,4 +113,6 @@ def scene_files(
         spec.add_key(name="start", qpos=stage.start_qpos(), act=stage.data.act.copy(), ctrl=stage.data.ctrl.copy())
         stage.close()
     spec.compile()
-    return SceneFiles(spec.to_xml(), dict(spec.assets))
+    source = target.source
+    kept = {} if source is None else {kept_at(source): source.read_bytes()}
+    return SceneFiles(spec.to_xml(), dict(spec.assets) | kept)

@@ -48,4 +48,7 @@ class RobotContacts:
     def _name(self, geom: int) -> str:
         """Name of a geom, or of the body it belongs to, without the prefix of its part of the scene."""
         name = self._model.geom(geom).name or self._model.body(self._model.geom_bodyid[geom]).name
-        return name.removeprefix("robot/").strip("/").replace("/", " ").replace("_", " ") or "something without a name"
+        return (
+            name.removeprefix("robot/").removeprefix("scenery/").strip("/").replace("/", " ").replace("_", " ")
+            or "something without a name"
+        )

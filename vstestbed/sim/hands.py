@@ -28,11 +28,8 @@ def moved_path(path: Path | None, parts: Parts, t: float, T_world_target: Array)
     """
     if parts.target.on_gripper or parts.leader is not None:
         raise ParameterError("target", "is carried, and goes where its carrier goes")
-    T = np.asarray(T_world_target, dtype=float)
-    if T.shape != (4, 4) or not np.isfinite(T).all():
-        raise ParameterError("T_world_target", "must be a pose (4, 4)", T_world_target)
     own = path.own if isinstance(path, Displaced) else path or (lambda _: parts.T_world_target)
-    return Displaced(own, T @ inverse(own(t)))
+    return Displaced(own, T_world_target @ inverse(own(t)))
 
 
 @dataclass(frozen=True)
@@ -55,7 +52,7 @@ def hold_plate(stage: Stage | None, T_world_plate: Array | None) -> None:
     """
     if stage is None or stage.hand_plate is None:
         raise ParameterError("plate", "is not in this scene; a session has one with plate_m=0.1")
-    T = np.eye(4) if T_world_plate is None else np.asarray(T_world_plate, dtype=float)
+    T = np.eye(4) if T_world_plate is None else T_world_plate
     stage.data.mocap_pos[stage.hand_plate] = AWAY if T_world_plate is None else T[:3, 3]
     stage.data.mocap_quat[stage.hand_plate] = quaternion_wxyz(T[:3, :3])
 

@@ -16,7 +16,7 @@ from vstestbed.sim.render.pictures import outside_view, servo_renderer
 from vstestbed.sim.render.still import StillView, half_tangents, pixels_per_radian
 from vstestbed.sim.scene.compose import Parts
 from vstestbed.sim.scene.follow import FollowCamera, Things
-from vstestbed.sim.scene.meshes import Solid, solids
+from vstestbed.sim.scene.meshes import Pane, Solid, panes, solids
 from vstestbed.sim.scene.overview import LEAST_REACH
 from vstestbed.sim.scene.stage import Stage
 from vstestbed.sim.scene.world import World
@@ -131,14 +131,19 @@ class Replay:
         return solids(self._stage.model)
 
     @property
+    def panes(self) -> list[Pane]:
+        """The pictures in the scene."""
+        return panes(self._stage.model)
+
+    @property
     def body_names(self) -> list[str]:
         """Names of all bodies, by number."""
-        return [self._stage.model.body(i).name for i in range(self._stage.model.nbody)]
+        return self._stage.body_names
 
     def body_poses(self, t: float, T_world_target: Array, q: Array, T_world_camera: Array) -> tuple[Array, Array]:
         """Positions (B, 3) [m] and quaternions (B, 4), wxyz, of all bodies in a state; valid until the next call."""
         self._stage.place(t, T_world_target, q, T_world_camera)
-        return self._stage.data.xpos, self._stage.data.xquat
+        return self._stage.body_poses
 
     def outside_view(self, t: float, T_world_goal: Array | None) -> tuple[Array, Array, float]:
         """A view from outside of the last placed state that shows robot, target and goal.
@@ -186,9 +191,11 @@ class Replay:
 
 def _repaint(model: mujoco.MjModel) -> None:
     """Colours and lights of films, which must not be those of the servo camera: they show robots, and to that camera markers."""
-    floor, sky = (_texels(model, name) for name in ("floor", "sky"))
+    floor = _texels(model, "floor")
     floor[:] = np.where((floor == floor[0]).all(axis=1, keepdims=True), *np.array(FLOOR, np.uint8))
-    sky[:] = np.rint(sky * np.array(SKY)).astype(np.uint8)
+    if any(model.texture(i).name == "sky" for i in range(model.ntex)):  # scenery may have brought its own
+        sky = _texels(model, "sky")
+        sky[:] = np.rint(sky * np.array(SKY)).astype(np.uint8)
     model.geom("floor").size[:2] = FLOOR_M
     key, fill = model.light("key"), model.light("fill")
     key.diffuse[:], fill.diffuse[:], fill.ambient[:] = KEY, FILL, AMBIENT

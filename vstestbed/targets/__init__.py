@@ -2,10 +2,12 @@
 
 from vstestbed.core.contract import Contract
 from vstestbed.core.spec import OneOf
-from vstestbed.targets.base import Pad, Target, TargetContract
+from vstestbed.targets.base import Name, Pad, Target, TargetContract
 from vstestbed.targets.ground_lines import GroundLines
+from vstestbed.targets.mesh import MeshTarget
+from vstestbed.targets.picture import PictureTarget
 from vstestbed.targets.points import Points, Square
 
-TARGETS = OneOf("target", Square, Points, GroundLines, contract=Contract(TargetContract, base=Target))
+TARGETS = OneOf("target", Square, Points, PictureTarget, MeshTarget, GroundLines, contract=Contract(TargetContract, base=Target))
 
-__all__ = ["TARGETS", "GroundLines", "Pad", "Points", "Square", "Target"]
+__all__ = ["TARGETS", "GroundLines", "MeshTarget", "Name", "Pad", "PictureTarget", "Points", "Square", "Target"]

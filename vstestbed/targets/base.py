@@ -7,11 +7,16 @@ Target frame: the markers of a planar target lie in z = 0, and z points away fro
 from __future__ import annotations
 
 import colorsys
+import pathlib
 from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, ClassVar, Protocol
 
 import numpy as np
+from annotated_types import Len
+from numpy.typing import NDArray
+from pydantic import StringConstraints
 
+from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, inverse, transform
 from vstestbed.core.quantity import Mass, PositiveLength
 from vstestbed.core.spec import spec
@@ -19,6 +24,10 @@ from vstestbed.targets.attached import MOTIONS
 from vstestbed.targets.markers import MARKERS, Disc, Marker
 from vstestbed.targets.motion import Carrier, MotionBase, Path, Still
 from vstestbed.targets.route import Route
+from vstestbed.targets.surfaces import Body, Sheet
+
+Name = Annotated[str, StringConstraints(pattern=r"^[^\W\d][\w .-]{0,31}$")]
+"""Of a marker: it begins with a letter, so that it is no number."""
 
 
 @spec
@@ -53,7 +62,13 @@ class TargetContract(Protocol):
     stripes: tuple[tuple[Array, Array], ...]
     painted_route: Route | None
     floor_path: Array
-    board_half_m: float | None
+    board_half_m: tuple[float, float] | None
+    sheet: Sheet | None
+    body: Body | None
+    shows_markers: bool
+    normals: Array
+    source: pathlib.Path | None
+    names: tuple[str, ...]
     moves: bool
     on_gripper: bool
     carrier: Carrier | None
@@ -69,15 +84,36 @@ class TargetContract(Protocol):
         """Marker centres in the frame of a camera."""
         ...
 
+    def hides(self, T_target_camera: Array) -> NDArray[np.bool_]:
+        """Which markers its own body hides from a camera."""
+        ...
+
+    def called(self, i: int) -> str:
+        """Marker i as messages and figures call it."""
+        ...
+
+    def number(self, marker: int | str) -> int:
+        """The number of a marker, given by its number or its name."""
+        ...
+
 
 @spec
 class Target:
-    """Defaults of a target: pose in the world, marker, motion, landing pad. Subclasses define `points`."""
+    """Defaults of a target: pose in the world, marker, motion, landing pad, names. Subclasses define `points`.
+
+    Args:
+        pose: in the world.
+        marker: at each of its points.
+        motion: how it moves.
+        pad: to land on.
+        names: of its markers, in their order, for messages, figures and `goal.markers`; none: they are numbered.
+    """
 
     pose: Pose
     marker: Annotated[Marker, MARKERS] = Disc()
     motion: Annotated[MotionBase, MOTIONS] = Still()
     pad: Pad | None = None
+    names: Annotated[tuple[Name, ...], Len(0, 24)] = ()
 
     one_sided: ClassVar[bool] = False
     """Whether only its front has markers: seen from behind its plane it counts as lost."""
@@ -110,8 +146,33 @@ class Target:
         return np.empty((0, 2)) if self.motion.carrier is None else self.motion.carrier.route.samples.xy
 
     @property
-    def board_half_m(self) -> float | None:
-        """Half the edge of the board behind the markers [m]; None where there is no board."""
+    def board_half_m(self) -> tuple[float, float] | None:
+        """Half the edges of the board behind the markers, along x and y [m]; None where there is no board."""
+        return None
+
+    @property
+    def sheet(self) -> Sheet | None:
+        """The picture in its plane; None without one."""
+        return None
+
+    @property
+    def body(self) -> Body | None:
+        """The solid that carries the markers; None without one."""
+        return None
+
+    @property
+    def shows_markers(self) -> bool:
+        """Whether its markers are drawn; otherwise its picture or its body shows what is to be seen of them."""
+        return True
+
+    @cached_property
+    def normals(self) -> Array:
+        """Unit normals of flat markers in the target frame, towards their viewers, shape (N, 3)."""
+        return np.tile([0.0, 0.0, -1.0], (len(self.points), 1))
+
+    @property
+    def source(self) -> pathlib.Path | None:
+        """The file that it was made from, its field `file`, which a run's folder keeps; None without one."""
         return None
 
     @property
@@ -144,6 +205,18 @@ class Target:
         """Marker centres in the frame of a camera at a pose (4, 4) in the target's, shape (N, 3) [m]."""
         return transform(inverse(T_target_camera), self.points)
 
+    def hides(self, T_target_camera: Array) -> NDArray[np.bool_]:
+        """Which markers its own body hides from a camera at a pose (4, 4) in the target's frame, shape (N,)."""
+        return np.zeros(len(self.points), bool)
+
+    def called(self, i: int) -> str:
+        """Marker i as messages and figures call it: `2`, or with its name `2 (bolt)`."""
+        return f"{i} ({self.names[i]})" if self.names else str(i)
+
+    def number(self, marker: int | str) -> int:
+        """The number of a marker, given by its number or its name; -1 for a name that no marker has."""
+        return marker if isinstance(marker, int) else self.names.index(marker) if marker in self.names else -1
+
     @cached_property
     def hues_deg(self) -> tuple[float, ...]:
         """One hue for each marker, spread evenly from red on [deg], by which detectors identify the markers."""
@@ -160,3 +233,13 @@ class Target:
         # 1e9 on the diagonal: a marker's distance to itself is no gap, and a single marker has none.
         gaps = np.linalg.norm(p[:, None] - p[None], axis=-1) + np.eye(len(p)) * 1e9
         self.marker.check_spacing(float(gaps.min()), len(p))
+        self._check_names()
+
+    def _check_names(self) -> None:
+        if self.names and len(self.names) != len(self.points):
+            raise ParameterError("names", f"must be {len(self.points)} names, one for each marker, or none", list(self.names))
+        twice = [name for name in self.names if self.names.count(name) > 1]
+        if twice:
+            raise ParameterError(
+                "names", f"must be different: {twice[0]} stands there {self.names.count(twice[0])} times", list(self.names)
+            )

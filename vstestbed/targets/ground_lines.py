@@ -75,6 +75,7 @@ class GroundLines(Target):
         tightest = 1 / max(float(np.abs(self.route.samples.curvature).max()), 1e-9)
         if max(map(abs, self.offsets_m)) + width >= tightest:
             raise ParameterError("offsets_m", f"must be smaller than the way's tightest radius, {tightest:.4g} m", self.offsets_m)
+        self._check_names()
 
     @property
     def way(self) -> Array:

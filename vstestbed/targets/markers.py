@@ -15,6 +15,8 @@ from vstestbed.core.spec import OneOf, spec
 
 HALF_THICKNESS_M = 1e-4
 """Half height of a flat marker [m]: its front face lies at z = 0 of the target frame, its rim adds under 0.02 px at 1 m."""
+HIDDEN_M = 0.002
+"""What comes between camera and marker nearer to the marker than this, besides its own height, does not hide it [m]."""
 Solid = tuple[Literal["cylinder", "sphere", "box"], tuple[float, float, float]]
 """Shape of a marker and its half sizes [m], in MuJoCo's order: (radius, half height, 0), (radius, 0, 0), (x, y, z)."""
 

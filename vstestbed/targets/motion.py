@@ -12,8 +12,9 @@ from typing import Any, ClassVar, Literal, Protocol
 import numpy as np
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.geometry import Array, Pose, rotation_from_rpy
+from vstestbed.core.geometry import Array, Pose
 from vstestbed.core.quantity import Angle, Angles, Frequencies, Frequency, Position, PositiveLength, PositiveTime, Time, Velocity
+from vstestbed.core.rpy import rotation_from_rpy
 from vstestbed.core.spec import OneOf, spec
 from vstestbed.targets.route import Route
 

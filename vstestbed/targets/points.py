@@ -36,9 +36,10 @@ class Square(Target):
         return np.array([[-h, -h, 0], [h, -h, 0], [h, h, 0], [-h, h, 0]])
 
     @property
-    def board_half_m(self) -> float:
+    def board_half_m(self) -> tuple[float, float]:
         """The board reaches BOARD_MARGIN marker radii beyond the markers' edges."""
-        return self.side / 2 + (1 + BOARD_MARGIN) * self.marker.radius
+        half = self.side / 2 + (1 + BOARD_MARGIN) * self.marker.radius
+        return half, half
 
 
 @spec

@@ -64,7 +64,7 @@ class GoalGap(Continuing):
         """The vehicle's front must stay clear of the rear of the vehicle ahead."""
         if target.carrier is None:
             return
-        rear, front = VEHICLES[target.carrier.by].ends_m[0], robot.ends_m[1]
+        rear, front = VEHICLES[target.carrier.by]().ends_m[0], robot.ends_m[1]
         least = target.pose.xyz[0] - rear + front
         if self.gap_m <= least:
             words = f"must be over {least:.4g} m: there the front of robot {robot.kind}, {front:g} m before its origin, touches the"

@@ -15,7 +15,7 @@ from vstestbed.core.spec import OneOf, spec
 from vstestbed.features.observation import Goal
 from vstestbed.robots import Mount
 from vstestbed.robots.base import Base
-from vstestbed.targets import Target
+from vstestbed.targets import Name, Target
 from vstestbed.tasks.base import TaskBase
 from vstestbed.tasks.setup import Setup
 
@@ -26,13 +26,13 @@ class GoalView(TaskBase):
 
     Args:
         T_camera_target: the pose.
-        markers: numbers of the markers that count, from 0; None: all. The others may be out of the picture: near the target an
-            inner set can count, far away an outer one.
+        markers: numbers of the markers that count, from 0, or their names; None: all. The others may be out of the picture: near the
+            target an inner set can count, far away an outer one.
     """
 
     kind: Literal["view"] = "view"
     T_camera_target: Pose
-    markers: Annotated[tuple[Annotated[int, Ge(0), Lt(24)], ...], Len(1, 24)] | None = None
+    markers: Annotated[tuple[Annotated[int, Ge(0), Lt(24)] | Name, ...], Len(1, 24)] | None = None
 
     def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]:
         """The pose, whatever the mount."""
@@ -48,7 +48,8 @@ class GoalView(TaskBase):
         views = super().goal_views(setup)
         if self.markers is None:
             return views
-        return tuple(replace(view, counted=np.isin(np.arange(len(setup.target.points)), self.markers)) for view in views)
+        numbers = [setup.target.number(marker) for marker in self.markers]
+        return tuple(replace(view, counted=np.isin(np.arange(len(setup.target.points)), numbers)) for view in views)
 
     def check_views(self, setup: Setup, views: tuple[Goal, ...]) -> None:
         """The markers that count must exist and be enough for the law."""
@@ -61,9 +62,12 @@ class GoalView(TaskBase):
             return
         robot, n = setup.robot, len(setup.target.points)
         needed = setup.law.markers_needed(robot.motion_basis(Mount.of(setup.camera.mount.T), robot.start_joints()))
-        if max(self.markers) >= n:
-            raise ParameterError(field, f"must be numbers of markers, 0 to {n - 1}", list(self.markers))
-        if len(set(self.markers)) < needed:
+        numbers = [setup.target.number(marker) for marker in self.markers]
+        if not 0 <= min(numbers) <= max(numbers) < n:
+            names = setup.target.names
+            words = f"must be numbers of markers, 0 to {n - 1}{', or names: ' * bool(names)}{', '.join(names)}"
+            raise ParameterError(field, words, list(self.markers))
+        if len(set(numbers)) < needed:
             raise ParameterError(field, f"must name {needed} markers or more for law {setup.law.kind}", list(self.markers))
 
 

@@ -39,10 +39,13 @@ def check_visible(
     p = target.seen_from(inverse(T_camera_target))
     counted = np.ones(len(p), dtype=bool) if counted is None else counted
     if (behind := _behind_image_plane(camera, law, p)).any():
-        raise _not_visible(field, np.flatnonzero(behind), *_behind_words(camera, law))
+        raise _not_visible(field, target, behind, *_behind_words(camera, law))
     if (outside := _outside_picture(camera, detector, p) & counted).any():
         where = f"outside the {camera.width} x {camera.height} picture"
-        raise _not_visible(field, np.flatnonzero(outside), where, "a wider camera")
+        raise _not_visible(field, target, outside, where, "a wider camera")
+    if _limited(detector) and (hidden := target.hides(inverse(T_camera_target)) & counted).any():
+        words = f"is a view in which {_markers(target, hidden)} hidden by the target itself"
+        raise ParameterError(field, f"{words}; move the goal, or let goal.markers name those that are to be seen")
 
 
 def _behind_image_plane(camera: Camera, law: Law[Any], p: Array) -> NDArray[np.bool_]:
@@ -56,7 +59,7 @@ def _outside_picture(camera: Camera, detector: Detector[Any], p: Array) -> NDArr
     """Which markers (N, 3) project outside of the picture, or nowhere."""
     uv = camera.project(p)
     # An oracle may report markers all round, and six panels have no border between them.
-    has_borders = len(camera.panels) == 1 and getattr(detector, "field_of_view", "limited") == "limited"
+    has_borders = len(camera.panels) == 1 and _limited(detector)
     return ~(camera.inside(uv) if has_borders else np.isfinite(uv[:, 0]))
 
 
@@ -67,10 +70,20 @@ def _behind_words(camera: Camera, law: Law[Any]) -> tuple[str, str]:
     return f"behind the camera, where law {law.kind} has no image plane to work in", "a law of rays (feature spherical) or poses"
 
 
-def _not_visible(field: str, bad: NDArray[np.intp], where: str, remedy: str) -> ParameterError:
-    """The error for a goal view whose markers `bad` are not visible."""
-    markers = f"marker {bad[0]} is" if len(bad) == 1 else f"markers {', '.join(map(str, bad))} are"
-    words = f"is a view in which {markers} {where}; move the goal back, or use {remedy} or a smaller target"
+def _limited(detector: Detector[Any]) -> bool:
+    """Whether the detector sees only what is in the picture; an oracle may see all."""
+    return getattr(detector, "field_of_view", "limited") == "limited"
+
+
+def _markers(target: Target, which: NDArray[np.bool_]) -> str:
+    """Markers (N,) with their verb, as `marker 2 is`."""
+    called = [target.called(int(i)) for i in np.flatnonzero(which)]
+    return f"marker {called[0]} is" if len(called) == 1 else f"markers {', '.join(called)} are"
+
+
+def _not_visible(field: str, target: Target, bad: NDArray[np.bool_], where: str, remedy: str) -> ParameterError:
+    """The error for a goal view in which markers (N,) are not visible."""
+    words = f"is a view in which {_markers(target, bad)} {where}; move the goal back, or use {remedy} or a smaller target"
     return ParameterError(field, words)
 
 

@@ -1,17 +1,33 @@
-"""Suites that every kind must pass, bundled or brought along: `check_law`, `check_robot`, `check_target`, `check_detector`, `check_task`.
+"""Suites that every kind must pass, bundled or brought along: `check_law`, `check_robot`, `check_detector`, `check_camera`, ...
 
     import vstestbed.testing
 
     def test_my_law():
         vstestbed.testing.check_law(MyLaw(gain=1.0))
 
-Each raises AssertionError with a sentence that says what was expected and what was found.
+Each raises AssertionError with a sentence that says what was expected and what was found. `vstestbed new` writes files that have one.
 """
 
+from vstestbed.testing.cameras import check_camera
 from vstestbed.testing.detectors import check_detector
+from vstestbed.testing.features import check_feature
 from vstestbed.testing.laws import check_law
+from vstestbed.testing.motions import check_motion
+from vstestbed.testing.nuisances import check_metric, check_monitor, check_noise
 from vstestbed.testing.robots import check_robot
 from vstestbed.testing.targets import check_target
 from vstestbed.testing.tasks import check_task
 
-__all__ = ["check_detector", "check_law", "check_robot", "check_target", "check_task"]
+__all__ = [
+    "check_camera",
+    "check_detector",
+    "check_feature",
+    "check_law",
+    "check_metric",
+    "check_monitor",
+    "check_motion",
+    "check_noise",
+    "check_robot",
+    "check_target",
+    "check_task",
+]

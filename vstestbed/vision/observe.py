@@ -18,6 +18,7 @@ from vstestbed.features.depth import Depth, DepthCues
 from vstestbed.features.observation import Goal, Observation, OwnMotion
 from vstestbed.targets.base import Target
 from vstestbed.vision.base import Detection
+from vstestbed.vision.perturb import Perturbed
 from vstestbed.vision.pose.calibration_error import pose_by_depth
 from vstestbed.vision.pose.dead_reckoning import corrections, fused_place
 from vstestbed.vision.pose.derotate import NO_TRIM, Derotation, Trim, level_from_tilt, level_rays, level_twist, trimmed
@@ -75,8 +76,8 @@ class Observer:
         grounded: the robot is a ground vehicle; its planar pose is estimated where the target stands still.
         derotation: how the measurements of a tilted craft are rotated into its level frame (`derotate`).
         trim_s: time constant with which the goal view corrects the craft's measured tilt [s]; 0 leaves it uncorrected.
-        depth_scale: factor on each marker's reported depth, shape (N,), a calibration error; None for none. The memory stays
-            unscaled.
+        depth_scale: factor on each marker's reported depth, (N,), a calibration error, or None. The memory stays unscaled.
+        perturbed: perturbs the measured coordinates further; None for nothing.
     """
 
     camera: Camera
@@ -90,6 +91,7 @@ class Observer:
     derotation: Derotation = "none"
     trim_s: float = 0.0
     depth_scale: Array | None = None
+    perturbed: Perturbed | None = None
 
     def init(self) -> ObserverMemory:
         """The memory before the first frame."""
@@ -129,7 +131,7 @@ class Observer:
         Raises:
             ParameterError: the oracle's depth is asked for and the detector is not the oracle.
         """
-        uv, T = self._reported(detection, rng)
+        uv, T = self._reported(detection, t, rng)
         xy = self.camera.normalise(uv)
         tilt = tilt if self.derotation != "none" else None
         ray = self.camera.ray(uv) if self._solves(T) or self._always_rays or tilt is not None else None
@@ -144,7 +146,7 @@ class Observer:
         # The pose is kept as it is in the camera's own frame: the next frame's tilt is another.
         return ObserverMemory(t, T, flow, place, odometry, trim), self._observation(t, uv, view, solved, odometry, place)
 
-    def _reported(self, detection: Detection, rng: np.random.Generator) -> tuple[Array, Array | None]:
+    def _reported(self, detection: Detection, t: float, rng: np.random.Generator) -> tuple[Array, Array | None]:
         """The detection's pixels (N, 2) with dropout and noise, and its pose; None where dropout took a marker from under it."""
         uv, T = detection.uv, detection.T_camera_target
         if self.dropout > 0:
@@ -152,6 +154,8 @@ class Observer:
             uv, T = np.where(dropped[:, None], np.nan, uv), None if dropped.any() else T
         if self.pixel_sigma_px > 0:
             uv = uv + rng.normal(0.0, self.pixel_sigma_px, uv.shape)
+        if self.perturbed is not None:
+            uv, T = self.perturbed.pixels(uv, t), None  # the detector's pose is not perturbed
         return uv, T
 
     @cached_property
@@ -169,7 +173,8 @@ class Observer:
 
     @cached_property
     def _always_uses_motion(self) -> bool:
-        return self.depth.estimator is not None or self.dropout > 0 or self.grounded or "motion" in self.required_fields
+        gaps = self.dropout > 0 or self.perturbed is not None
+        return self.depth.estimator is not None or gaps or self.grounded or "motion" in self.required_fields
 
     @cached_property
     def _predictable(self) -> bool:

@@ -23,7 +23,7 @@ from vstestbed.experiments.comparison.pools import RUNNING
 from vstestbed.experiments.comparison.worker import execute, request_of
 from vstestbed.laws import IBVS
 from vstestbed.laws.views import has_batch
-from vstestbed.scenario.load import dump
+from vstestbed.scenario.dump import dump
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.vision import Oracle
 
@@ -67,7 +67,7 @@ def test_a_batch_gives_the_folders_of_single_runs(canonical: dict[str, list[Scen
     for i, files in zip(picked, flown, strict=True):
         single = execute(request_of("a", whole[i], False))
         assert files is not None and single.keys() == files.keys()
-        assert files["scenario.yaml"].decode() == dump(whole[i]) == single["scenario.yaml"].decode()
+        assert files["scenario.yaml"].decode() == dump(whole[i], defaults=True) == single["scenario.yaml"].decode()
         assert files["model.xml"] == single["model.xml"]
         must_agree(json.loads(single["summary.json"]), json.loads(files["summary.json"]), f"{law} {i}")
         one, other = (pl.read_parquet(io.BytesIO(f["log.parquet"])) for f in (single, files))
@@ -155,7 +155,7 @@ def test_a_law_that_overrides_its_step_alone_has_no_batch():
 
 def test_a_resumed_comparison_flies_the_same_batches(quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Whatever is missing, with any number of jobs, the bytes are those of a comparison that was never cut off."""
-    monkeypatch.setattr("vstestbed.experiments.comparison.runs.SIDE_BY_SIDE", 8)
+    monkeypatch.setattr("vstestbed.experiments.comparison.folder_names.SIDE_BY_SIDE", 8)
     monkeypatch.setattr("vstestbed.experiments.comparison.folder.GROUP", 6)
     whole, cut = tmp_path / "whole", tmp_path / "cut"
     seeds = 2 * LEAST

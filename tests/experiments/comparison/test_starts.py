@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,10 +13,13 @@ import pytest
 
 import vstestbed as vs
 from tests.loop.test_golden_loops import ROWS
-from vstestbed.core.errors import ParameterError
-from vstestbed.core.geometry import inverse, rotation_angle
-from vstestbed.experiments.comparison import Comparison, Variant, chosen, compare, controllers, jobs
+from tests.robots.arms import BLOCKS, HERE, NEEDS_PANDA
+from vstestbed.core.errors import ParameterError, UnreachableError
+from vstestbed.core.geometry import Pose, inverse, rotation_angle
+from vstestbed.experiments.comparison import Campaign, Comparison, Variant, chosen, compare, controllers, jobs
+from vstestbed.experiments.comparison.folder import table_of
 from vstestbed.experiments.comparison.plan import merged
+from vstestbed.experiments.comparison.pools import LocalPool
 from vstestbed.experiments.comparison.starts import StartTable
 
 YAML = """
@@ -90,8 +94,9 @@ class TestPlan:
     @pytest.mark.parametrize(
         ("words", "block"),
         [
-            ("each or seeds must say", {}),
-            ("each or seeds must say", {"each": {"a": (1,)}, "seeds": 2}),
+            ("each or camera_from_goal, target_from_goal or seeds must say", {}),
+            ("give one of the four", {"each": {"a": (1,)}, "seeds": 2}),
+            ("give one of the four", {"camera_from_goal": (Pose(),), "target_from_goal": (Pose(),)}),
             ("must have one value or more for each run", {"each": {"a": (1, 2), "b": (1,)}}),
             ("amounts must name each of the 2 runs", {"each": {"a": (1, 2)}, "amounts": (1.0,)}),
         ],
@@ -156,9 +161,9 @@ GOLDEN_LAWS = {
 GOLDEN_STARTS = {("about the axis", "90 deg"): "rotz90", ("about the axis", "180 deg"): "rotz180", ("along the axis", "1 m"): "ztrans"}
 
 
-def tasks_of(comparison: str, law: str, *names: str) -> dict[str, Variant]:
-    """One law's controllers of a comparison, by task."""
-    whole = chosen([comparison], {}, {}, None)
+def tasks_of(comparison: str, law: str, *names: str, base: tuple[str, ...] = (), **settings: object) -> dict[str, Variant]:
+    """One law's controllers of a comparison, by task; base: scenarios in place of its own."""
+    whole = chosen([comparison, *base], settings, {}, None)
     wanted = {name: task for name, task in whole.tasks.items() if name in names}
     found = controllers(replace(whole, cases={"law": {law: whole.cases["law"][law]}}, tasks=wanted))
     return {str(c.values["task"]): c for c in found}
@@ -198,15 +203,25 @@ def amounts_of(controller: Variant) -> list[tuple[float, np.ndarray]]:
     """Each amount with T_goal_camera of its start."""
     made = []
     assert controller.starts is not None
-    for words, s in zip(controller.amounts, controller.starts, strict=True):
-        T = inverse(s.T_world_goal) @ s.robot.flange_pose(s.robot.configuration())
-        made.append((float(words.split()[0]), T))
+    for i, (words, s) in enumerate(zip(controller.amounts, controller.starts, strict=True)):
+        T = inverse(s.T_world_goal) @ s.robot.flange_pose(s.robot.configuration()) @ s.camera.mount.T
+        if i not in controller.unreachable:
+            made.append((float(words.split()[0]), T))
     return made
 
 
-@pytest.mark.parametrize("comparison", ["canonical", "canonical_arm"])
-def test_starts_are_what_their_amounts_say(comparison: str):
-    found = tasks_of(comparison, "points", "about the axis", "along the axis", "camera turned", "target turned")
+@pytest.mark.parametrize(
+    ("comparison", "base"),
+    [
+        ("canonical", ()),
+        ("canonical_arm", ()),
+        ("canonical_arm", ("arm_jaco",)),
+        pytest.param("canonical_arm", ("arm_panda",), marks=NEEDS_PANDA),
+    ],
+)
+def test_starts_are_what_their_amounts_say(comparison: str, base: tuple[str, ...]):
+    found = tasks_of(comparison, "points", "about the axis", "along the axis", "camera turned", "target turned", base=base)
+    goal_m = found["target turned"].scenario.goal_poses[-1][2, 3]
     # Joint angles are written to 1e-4 deg, which over an arm of .9 m is 2 um, and .001 deg.
     for amount, T in amounts_of(found["about the axis"]):
         assert T[:3, 3] == pytest.approx([0, 0, 0], abs=1e-5)
@@ -217,9 +232,38 @@ def test_starts_are_what_their_amounts_say(comparison: str):
         assert T[:3, 3] == pytest.approx([0, 0, 0], abs=1e-5)
         assert math.degrees(rotation_angle(T[:3, :3])) == pytest.approx(amount, abs=1e-3) and abs(T[1, 1] - 1) < 1e-6
     for amount, T in amounts_of(found["target turned"]):
-        to_target = np.array([0, 0, 1.0]) - T[:3, 3]
-        assert np.linalg.norm(to_target) == pytest.approx(1, abs=1e-5) and T[:3, 2] == pytest.approx(to_target, abs=1e-5)
+        to_target = np.array([0, 0, goal_m]) - T[:3, 3]
+        assert np.linalg.norm(to_target) == pytest.approx(goal_m, abs=1e-5) and T[:3, 2] == pytest.approx(to_target / goal_m, abs=1e-5)
         assert math.degrees(rotation_angle(T[:3, :3])) == pytest.approx(amount, abs=1e-3)
+
+
+def test_any_arm_takes_the_place_of_the_puma():
+    block = {"kind": "mjcf", "file": str(HERE / "seven.xml")} | BLOCKS["seven"]
+    wide = {"camera.mount": {"xyz": [0, 0, 0.1]}, "target.pose.xyz": [1.6, 0, 0.7]}
+    for base, settings in ((("arm_jaco",), {}), ((), {"robot": block, **wide})):
+        found = tasks_of("canonical_arm", "points", "along the axis", base=base, **settings)["along the axis"]
+        assert found.starts is not None and found.scenario.robot.kind == "mjcf" and len(found.starts) == 5 and len(found.unreachable) < 5
+    # the Puma itself starts where it always did
+    puma = tasks_of("canonical_arm", "points", "target turned")["target turned"].starts
+    assert puma is not None
+    q_deg = np.degrees(puma[-1].robot.configuration())
+    assert q_deg == pytest.approx([13.6908, -11.3281, -139.5257, 11.8322, 91.5406, -6.6218], abs=2e-4)
+
+
+def test_a_start_out_of_reach_is_told_in_the_table(tmp_path: Path):
+    task = StartTable(camera_from_goal=(Pose(xyz=(0, 0, 0.01)), Pose(xyz=(0, 0, 5))), amounts=(0.01, 5), unit="m")
+    settings = {"detector": {"kind": "oracle"}, "stop.duration_s": 5, "stop.converged.error_px": 3}
+    made = controllers(Comparison(base=("arm_jaco",), set=settings, tasks={"ahead": task}))
+    campaign = Campaign(tmp_path, jobs(made, None))
+    with closing(LocalPool(1, tmp_path)) as pool:
+        campaign.run(pool)
+    table = table_of(tmp_path, campaign.jobs)
+    assert table["outcome"].to_list() == ["converged", "unreachable"] and table["success"].to_list() == [True, False]
+    assert "is out of its reach: it stays" in table["reason"][1]
+    meshes = list((tmp_path / table["folder"][0] / "assets").iterdir())
+    assert len(meshes) == 5 and all(mesh.stat().st_nlink == 2 for mesh in meshes)  # one copy for all runs
+    with pytest.raises(UnreachableError):
+        campaign.jobs[1].scenario()
 
 
 def test_the_ideal_camera_of_realism_starts_where_the_arm_does():

@@ -9,6 +9,7 @@ import pytest
 import vstestbed as vs
 from vstestbed.sim.replay import Replay
 from vstestbed.sim.scene.meshes import solids
+from vstestbed.vision.detect.tag_print import PX_PER_MODULE, tag_picture
 
 SIZES = {"sphere": (".3", 4 / 3 * np.pi * 0.3**3), "box": (".1 .2 .3", 8 * 0.1 * 0.2 * 0.3), "cylinder": (".2 .4", np.pi * 0.04 * 0.8)}
 SIZES |= {"capsule": (".2 .4", np.pi * 0.04 * 0.8 + 4 / 3 * np.pi * 0.008), "ellipsoid": (".1 .2 .3", 4 / 3 * np.pi * 0.006)}
@@ -26,7 +27,10 @@ def test_a_geom_keeps_its_volume_and_faces_outwards(kind: str):
     np.testing.assert_allclose(solid.vertices.mean(axis=0), [1, 2, 3], atol=0.03)
 
 
-@pytest.mark.parametrize("name", ["arm_ibvs", "car_parking", "quadrotor_hover", "omni_ibvs", "arm_tags", "arm_eye_to_hand", "car_line"])
+@pytest.mark.parametrize(
+    "name",
+    ["arm_ibvs", "car_parking", "quadrotor_hover", "omni_ibvs", "arm_tags", "arm_eye_to_hand", "car_line", "arm_picture", "arm_mesh"],
+)
 def test_every_robot_and_target_is_there(name: str):
     s = vs.load(name)
     replay = Replay(s.robot, s.camera, s.target, s.world)
@@ -47,9 +51,25 @@ def test_markers_have_their_colours_and_tags_their_print():
     replay.close()
     s = vs.load("arm_tags")
     replay = Replay(s.robot, s.camera, s.target, s.world)
-    dark = [solid for solid in replay.solids if replay.body_names[solid.body] == "target/frame" and max(solid.rgb) < 0.1]
-    modules = sum(len(solid.faces) for solid in dark) / 2 / len(s.target.points)
-    assert 20 < modules < s.target.marker.modules**2  # about as many dark modules a tag as light ones, and its border
+    prints = replay.panes
+    assert len(prints) == 4 and {replay.body_names[pane.body] for pane in prints} == {"target/frame"}
+    for i, pane in enumerate(prints):
+        size = (s.target.marker.modules + 2) * PX_PER_MODULE
+        np.testing.assert_array_equal(pane.image[..., 0], tag_picture(s.target.marker, i))
+        assert pane.image.shape == (size, size, 3) and pane.width == pytest.approx(s.target.marker.tile)
+        np.testing.assert_allclose(pane.T_body_pane[:3, :3], np.eye(3), atol=1e-9)  # upright for who looks along z
+    replay.close()
+
+
+def test_a_picture_is_there_without_its_margin():
+    s = vs.load("arm_picture")
+    replay = Replay(s.robot, s.camera, s.target, s.world)
+    (pane,) = replay.panes
+    assert (pane.width, pane.height) == pytest.approx((0.6, 0.424)) and pane.image.shape == (896, 1792, 3)
+    corner = pane.image[: 2 * 40, : 2 * 50].mean(), pane.image[-30:, -40:].mean()
+    assert min(corner) > 200  # white paper, as in the file
+    tag = pane.image[round(130 / 848 * 896), round(55 / 1200 * 1792)]
+    assert tag.max() < 40  # the black border of the first tag
     replay.close()
 
 

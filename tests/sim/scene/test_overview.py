@@ -74,7 +74,7 @@ def way(s: Scenario) -> Array:
 def test_way_goals_and_landmarks_are_in_the_picture(name: str):
     s = vs.load(name)
     T, f = overview(compose(Parts(s.robot, s.camera, s.target, s.world, step=0.002, sights=s.sights)).compile())
-    places, size = way(s), extent_of(str(s.robot.model))
+    places, size = way(s), extent_of(s.robot)
     corners = np.array([[i, j, k] for i in (-0.5, 0.5) for j in (-0.5, 0.5) for k in (0, 0.8)]) * size
     vehicle = (np.c_[places, np.zeros(len(places))][:, None] + corners).reshape(-1, 3)
     marks = np.empty((0, 3)) if isinstance(s.target, GroundLines) else transform(s.target.T_world_start, s.target.points)

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.files import write_whole, writing
-from vstestbed.core.geometry import Array, Pose, inverse, rotation_from_rpy, transform
+from vstestbed.core.geometry import Array, Pose, inverse, transform
 from vstestbed.core.outcome import Outcome
+from vstestbed.core.rpy import rotation_from_rpy
 from vstestbed.experiments.basin.batch import Batch, fly
 from vstestbed.experiments.basin.setup import BatchSetup, ideal, start_of, started_at
 from vstestbed.experiments.comparison import Comparison, controllers
@@ -167,7 +168,6 @@ def fixed(scenario: Scenario, x: Axis, y: Axis, at: Mapping[str, float]) -> dict
 
 def starts(scenario: Scenario, x: Axis, y: Axis, at: Mapping[str, float]) -> Array:
     """Start poses T_camera_target (n_y n_x, 4, 4), x fastest; other coordinates as by `fixed`."""
-    T_goal_target = scenario.goal_view.T_camera_target
     place = np.empty((y.n, x.n, 6))
     for name, value in fixed(scenario, x, y, at).items():
         place[..., COORDINATES.index(name)] = value
@@ -176,7 +176,7 @@ def starts(scenario: Scenario, x: Axis, y: Axis, at: Mapping[str, float]) -> Arr
     place = place.reshape(-1, 6)
     T_goal_camera = np.zeros((len(place), 4, 4))
     T_goal_camera[:, :3, :3], T_goal_camera[:, :3, 3], T_goal_camera[:, 3, 3] = rotation_from_rpy(np.radians(place[:, 3:])), place[:, :3], 1
-    return inverse(T_goal_camera) @ T_goal_target
+    return inverse(T_goal_camera) @ scenario.goal_view.T_camera_target
 
 
 def laws(comparison: Comparison, field_of_view: str | None = None, force: bool = False) -> list[tuple[str, Scenario]]:

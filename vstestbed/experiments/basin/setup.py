@@ -78,6 +78,7 @@ class BatchSetup:
         """Refuse what a batch cannot simulate."""
         self._check_law()
         self._check_task()
+        self._check_target()
         self._check_ideal()
 
     def _check_law(self) -> None:
@@ -99,15 +100,24 @@ class BatchSetup:
         if s.stop.converged.error_px is None or s.stop.converged.by_estimate:
             raise ParameterError("stop.converged", "must be judged by error_px alone in a batch")
 
+    def _check_target(self) -> None:
+        s = self.scenario
+        if s.target.body is not None and isinstance(s.detector, Oracle) and s.detector.field_of_view == "limited":
+            words = (
+                "has a solid, and a batch does not know which markers it hides; give an unlimited field of view, or a target without one"
+            )
+            raise ParameterError("target", words)
+
     def _check_ideal(self) -> None:
         s = self.scenario
         noisy = s.noise != Noise() or s.timing != Timing()
         if not (s.calibration.camera_exact and s.calibration.depth_exact):
             raise ParameterError("calibration", "must be exact in a batch, whose poses and depths are true")
-        if not (s.robot.model is None and isinstance(s.detector, Oracle)) or s.camera.latency_s or noisy or s.world.plates:
-            words = (
-                "must have a free camera, detector oracle, no latency, no noise and no plates for a batch; `basin.setup.ideal` makes it so"
-            )
+        if s.monitors:
+            raise ParameterError("monitors", "must be none in a batch, which ends runs by the loop's own alone")
+        if not (s.robot.model is None and isinstance(s.detector, Oracle)) or s.camera.latency_s or noisy or s.world.hides:
+            words = "must have a free camera, detector oracle, no latency, no noise, and no plates or scenery for a batch;"
+            words = f"{words} `basin.setup.ideal` makes it so"
             raise ParameterError("scenario", words)
 
     @cached_property

@@ -115,7 +115,7 @@ def _floor(scenario: Scenario, recording: Recording) -> BaselineCost:
         columns = [recording[f"{kind}_{name}"] for name in names]
         return np.column_stack(columns) if columns else np.zeros((len(recording.table), 0))
 
-    T = np.array(recording.poses("camera").A)  # the floor renders the same views
+    T = np.array(recording.camera_poses().A)  # the floor renders the same views
     return measure_baseline(
         parts, steps_per_frame, joined("ctrl", robot.actuators), joined("q", robot.joints), T, scenario.detector.needs_image
     )

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from vstestbed.core.errors import ParameterError, RunFolderError
 from vstestbed.core.folders import only_writer, study_folder
+from vstestbed.core.planar import block_of
 from vstestbed.core.shares import at_once
 from vstestbed.experiments.comparison.campaign import Campaign, OnDone
 from vstestbed.experiments.comparison.folder import PLAN, read_plan, resumable, table_of, write_plan, write_table
@@ -18,7 +19,7 @@ from vstestbed.experiments.comparison.plan import Comparison, chosen
 from vstestbed.experiments.comparison.pools import clear, must_be_known, pool_of
 from vstestbed.experiments.comparison.results import finish
 from vstestbed.experiments.comparison.runs import Job, Variant, Variants, controllers, jobs
-from vstestbed.scenario.load import dump
+from vstestbed.scenario.dump import dump
 
 if TYPE_CHECKING:
     import polars
@@ -114,7 +115,8 @@ def prepared(
     """Check everything, make or open the folder, write the plan; the folder is held until the block ends."""
     requested = None
     if scenarios:
-        axes = {path: tuple(values) for path, values in vary.items()}
+        settings = {path: block_of(value) for path, value in settings.items()}
+        axes = {path: tuple(map(block_of, values)) for path, values in vary.items()}
         requested = chosen([str(s) for s in scenarios], settings, axes, seeds, plugins)
     with ExitStack() as stack:
         if resume:
@@ -154,7 +156,7 @@ def _same(a: Comparison, of_a: Variants, b: Comparison, of_b: Variants) -> bool:
 
 
 def _essence(c: Variant) -> tuple[object, ...]:
-    return tuple(map(dump, c.starts or (c.scenario,))), c.folder, c.runs
+    return tuple(dump(s, defaults=True) for s in c.starts or (c.scenario,)), c.folder, c.runs
 
 
 def workers(requested: int | None, runs: int) -> int:
@@ -172,11 +174,22 @@ def report_again(folder: Path, plugins: Sequence[str] = ()) -> Path:
     Raises:
         RunFolderError: no run is finished, or a file of one is damaged. ScenarioError, PluginError: see `read_plan`.
     """
-    comparison = read_plan(folder, plugins)
-    # A damaged run is named, and not left out as if it were still to come.
-    table = table_of(folder, jobs(controllers(comparison, force=True), comparison.seeds), damaged=False)
-    if table.is_empty():
-        raise RunFolderError(folder, "has no finished run", f"`vstestbed compare --resume --out {folder}` does what is missing")
+    comparison, table, _ = stored(folder, plugins)
     write_table(folder, table)
     finish(folder, comparison, table, lambda words: None)
     return folder / "report.html"
+
+
+def stored(folder: Path, plugins: Sequence[str] = ()) -> tuple[Comparison, polars.DataFrame, int]:
+    """The comparison of a folder, the table of its finished runs, and how many there are to be; plugins: see `report_again`.
+
+    Raises:
+        RunFolderError: no run is finished, or a file of one is damaged. ScenarioError, PluginError: see `read_plan`.
+    """
+    comparison = read_plan(folder, plugins)
+    every = jobs(controllers(comparison, force=True), comparison.seeds)
+    # A damaged run is named, and not left out as if it were still to come.
+    table = table_of(folder, every, damaged=False)
+    if table.is_empty():
+        raise RunFolderError(folder, "has no finished run", f"`vstestbed compare --resume --out {folder}` does what is missing")
+    return comparison, table, len(every)

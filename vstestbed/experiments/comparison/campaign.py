@@ -11,7 +11,8 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
-from vstestbed.core.errors import VstestbedError
+from vstestbed.core.errors import UnreachableError, VstestbedError
+from vstestbed.core.outcome import Outcome
 from vstestbed.experiments.comparison.flights import BatchRequest, batches, flies_in_batch
 from vstestbed.experiments.comparison.folder import finished, store
 from vstestbed.experiments.comparison.pools import Done, Pool, WorkerLostError
@@ -125,7 +126,9 @@ class Campaign:
         except VstestbedError as error:
             # the scenario without the seed's draw: there is no drawn one
             text = request_of(job.folder, job.controller.scenario, False).text
-            store(self.folder, job, crashed(text, str(error)), attempts=1)
+            unreachable = isinstance(error, UnreachableError)
+            files = crashed(text, error.problem, outcome=Outcome.unreachable) if unreachable else crashed(text, str(error))
+            store(self.folder, job, files, attempts=1)
             self._done.add(job.folder)
             raise
 

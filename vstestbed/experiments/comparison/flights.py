@@ -27,7 +27,8 @@ from vstestbed.loop.monitors import CROSSED_WORDS, FAR_WORDS
 from vstestbed.loop.recording import BLOCK, MemoryRows, Recording, to_frame
 from vstestbed.robots import Robot
 from vstestbed.robots.supervisor import FOLLOWS
-from vstestbed.scenario.load import dump, parse
+from vstestbed.scenario.dump import dump, dump_for_folder
+from vstestbed.scenario.load import parse
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.build import scene_files
 from vstestbed.tasks.reached import at_rest_words, converged_words, timed_out_words
@@ -58,7 +59,8 @@ class BatchRequest:
     @classmethod
     def of(cls, folder: str, scenarios: Sequence[Scenario]) -> BatchRequest:
         """The request for scenarios that differ in their starts alone; folder: of the first run."""
-        return cls(f"{folder} and {len(scenarios) - 1} more", dump(scenarios[0]), pickle.dumps([(s.seed, s.robot) for s in scenarios]))
+        first = dump(scenarios[0], defaults=True)
+        return cls(f"{folder} and {len(scenarios) - 1} more", first, pickle.dumps([(s.seed, s.robot) for s in scenarios]))
 
     def perform(self, place: str | None = None) -> list[Files | None]:
         """The folder of each run; None for one that must fly by itself, and for all where the batch fails.
@@ -224,7 +226,7 @@ def _folder(recording: Recording, place: str | None) -> Files:
     frame.write_parquet(log, compression="zstd", statistics=False, row_group_size=BLOCK)
     scene = scene_files(scenario.robot, scenario.camera, scenario.target, scenario.world, scenario.physics, scenario.sights)
     files = dict(scene.assets) | {
-        "scenario.yaml": dump(scenario).encode(),
+        "scenario.yaml": dump_for_folder(scenario).encode(),
         "model.xml": scene.xml.encode(),
         "log.parquet": log.getvalue(),
         "summary.json": (json.dumps(recording.summary() | {"batch": True}, indent=1) + "\n").encode(),

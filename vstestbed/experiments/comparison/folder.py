@@ -7,6 +7,7 @@ import itertools
 import json
 import os
 import shutil
+import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -14,11 +15,14 @@ from typing import TYPE_CHECKING, Any
 
 from vstestbed.core.errors import ParameterError, RunFolderError
 from vstestbed.core.files import make_folder, temporary, write_whole, writing
+from vstestbed.core.mapping import to_mapping
 from vstestbed.experiments.comparison.plan import AMOUNT, Comparison, read_comparison
 from vstestbed.experiments.comparison.runs import Job
 from vstestbed.experiments.comparison.worker import Files
+from vstestbed.experiments.run_folder import ASSETS
 from vstestbed.loop.summary_file import read_summary
-from vstestbed.scenario.load import dump_mapping, for_another_folder
+from vstestbed.scenario.dump import as_yaml
+from vstestbed.scenario.load import for_another_folder
 
 if TYPE_CHECKING:
     import polars
@@ -27,7 +31,7 @@ PLAN = "comparison.yaml"
 GROUP = 10_000
 """Runs of a row group of the table, and rows that are in memory as dictionaries."""
 DEEPEST = 5
-"""Folders below `runs`: scenario, variant and seed, each of the last two in one of a thousand where there are more (`runs.among`)."""
+"""Folders below `runs`: scenario, variant and seed, each of the last two in one of a thousand where there are more (`among`)."""
 
 
 def resumable(out: Path | None) -> Path:
@@ -51,7 +55,7 @@ def write_plan(folder: Path, comparison: Comparison) -> None:
             write_whole(make_folder(folder / "scenarios") / Path(name).name, for_another_folder(Path(name)))
             name = f"scenarios/{Path(name).name}"
         base.append(name)
-    write_whole(folder / PLAN, dump_mapping(replace(comparison, base=tuple(base))))
+    write_whole(folder / PLAN, as_yaml(to_mapping(replace(comparison, base=tuple(base)))))
 
 
 def read_plan(folder: Path, plugins: Sequence[str] = ()) -> Comparison:
@@ -84,7 +88,8 @@ def store(folder: Path, job: Job, files: Files, attempts: int) -> dict[str, Any]
         part.mkdir(parents=True)
         for name, content in files.items():
             (part / name).parent.mkdir(parents=True, exist_ok=True)
-            write_whole(part / name, content)
+            if not (name.startswith(f"{ASSETS}/") and _linked(folder, part / name, content)):
+                write_whole(part / name, content)
         _sync(part)
         if place.is_symlink():
             place.unlink()
@@ -93,6 +98,19 @@ def store(folder: Path, job: Job, files: Files, attempts: int) -> dict[str, Any]
         part.rename(place)
         _sync(place.parent)
     return summary
+
+
+def _linked(folder: Path, path: Path, content: bytes) -> bool:
+    """Whether a mesh or texture could be stored as a link to the comparison's only copy of it: those of one arm are some 10 MB a run."""
+    kept = folder / ASSETS / f"{zlib.crc32(content):08x}_{path.name}"
+    try:
+        if not kept.exists():
+            kept.parent.mkdir(exist_ok=True)
+            write_whole(kept, content)
+        os.link(kept, path)
+    except OSError:  # a file system without hard links
+        return False
+    return True
 
 
 def _sync(folder: Path) -> None:

@@ -16,11 +16,11 @@ from vstestbed.core.named_files import is_there
 from vstestbed.core.quantity import Narrower, Seed
 from vstestbed.core.spec import spec
 from vstestbed.experiments.comparison.starts import StartTable
-from vstestbed.loop.metrics import FIGURES
 from vstestbed.scenario.load import text_of
 from vstestbed.scenario.plugins import absolute_files, load_named, load_plugins
 from vstestbed.scenario.validation import build
 from vstestbed.scenario.yaml_marks import Key, Marks, place_of, plain_mapping
+from vstestbed.tasks.metrics import FIGURES, own_titles
 
 T = TypeVar("T")
 TASK, AMOUNT = "task", "amount"
@@ -43,7 +43,7 @@ class Comparison:
         tasks: start tables by name, in place of seeds.
         seeds: number of seeds; seed i draws the start, the noise and the delays of run i, the same for every controller.
             None: the nominal start, once.
-        metrics: names of `summary.json` that the report shows; none: those of `report`.
+        metrics: names of `summary.json` that the report shows; none: those of `report`, and the scenarios' own.
     """
 
     description: str = ""
@@ -65,13 +65,13 @@ class Comparison:
             raise ParameterError("base", "must name each scenario once, and no two of one file name", list(self.base))
         self._check_axes()
         for name, cases in self.cases.items():
-            if name in (*self.axes, *OWN_COLUMNS) or not cases:
+            if name in (*self.axes, *OWN_COLUMNS, *own_titles()) or not cases:
                 raise ParameterError(f"cases.{name}", "must have a name of its own, and one case or more")
         if self.tasks and self.seeds is not None:
             raise ParameterError("seeds", "stand beside `tasks`, which have runs of their own; leave one of the two out", self.seeds)
         for name in self.metrics:
-            if name not in FIGURES:
-                raise ParameterError("metrics", f"must be figures of summary.json: {', '.join(FIGURES)}", name)
+            if name not in (known := (*FIGURES, *own_titles())):
+                raise ParameterError("metrics", f"must be figures of summary.json: {', '.join(known)}", name)
 
     def _check_axes(self) -> None:
         for path, values in self.axes.items():
@@ -133,14 +133,16 @@ def chosen(
 ) -> Comparison:
     """The comparison that a command line requests: of scenarios, or a comparison by its file or bundled name, with the options applied.
 
+    Scenarios after a comparison's name take the place of its own.
+
     Raises:
         ScenarioError, ParameterError, PluginError: invalid input.
     """
     settings, axes = absolute_files(settings, Path.cwd()), absolute_files(axes, Path.cwd())
-    path = bundled_comparisons().get(names[0], Path(names[0])) if len(names) == 1 else None
+    path = _comparison_among(names)
     options: Marks = {}
     options |= {("set", dotted): "--set" for dotted in settings} | {("axes", dotted): "--vary" for dotted in axes}
-    if path is None or not _is_comparison(path):
+    if path is None:
         own = Comparison(base=tuple(names), set=dict(settings), axes=dict(axes), seeds=seeds, plugins=load_plugins(plugins))
         return changed(own, options)
     read = read_comparison(path, plugins)
@@ -148,7 +150,8 @@ def chosen(
         _must_have_effect(read, dotted)
     own = {key: where for key, where in read.places.items() if key[:2] not in options}
     seeds = read.seeds if seeds is None else seeds
-    return changed(read, own | options, set=merged(read.set, settings), axes=read.axes | dict(axes), seeds=seeds)
+    base = tuple(names[1:]) or read.base
+    return changed(read, own | options, base=base, set=merged(read.set, settings), axes=read.axes | dict(axes), seeds=seeds)
 
 
 def _must_have_effect(read: Comparison, path: str) -> None:
@@ -173,6 +176,12 @@ def _after_set(read: Comparison) -> Iterator[list[tuple[Key, Mapping[str, object
         yield [(("axes",), {path: None})]
     if read.tasks:
         yield [(("tasks", name, "each" if task.each else "set"), task.set | task.each) for name, task in read.tasks.items()]
+
+
+def _comparison_among(names: list[str]) -> Path | None:
+    """The file of the comparison that the first name is of; None where it is a scenario's, or there is none."""
+    path = bundled_comparisons().get(names[0], Path(names[0])) if names else None
+    return path if path is not None and _is_comparison(path) else None
 
 
 def _is_comparison(path: Path) -> bool:

@@ -31,7 +31,7 @@ def finish(folder: Path, comparison: Comparison, table: polars.DataFrame, stage:
     Raises:
         OutputError, EnvironmentLackError: a file cannot be written.
     """
-    from vstestbed.report.comparison.columns import DEFAULT_METRICS
+    from vstestbed.report.comparison.columns import shown_by_default
     from vstestbed.report.comparison.page import write_comparison_report
 
     call = call or at_once
@@ -47,7 +47,7 @@ def finish(folder: Path, comparison: Comparison, table: polars.DataFrame, stage:
     stage("joining the films")
     film = call(_film, folder, table, axes)  # first: it takes longest
     stage("writing the report")
-    metrics, command = comparison.metrics or DEFAULT_METRICS, command_of(comparison)
+    metrics, command = comparison.metrics or shown_by_default(table), command_of(comparison)
     write_comparison_report(folder, table, axes, metrics, comparison.description, command, film, comparison.plugins, call)
 
 

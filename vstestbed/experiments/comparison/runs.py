@@ -5,15 +5,14 @@ from __future__ import annotations
 import functools
 import itertools
 import math
-import re
 import sys
-import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple, TypeVar, overload
 
-from vstestbed.core.errors import Mistake, ParameterError, ScenarioError
+from vstestbed.core.errors import Mistake, ParameterError, ScenarioError, UnreachableError
+from vstestbed.experiments.comparison.folder_names import among, distinct, file_word
 from vstestbed.experiments.comparison.plan import TASK, Comparison, merged
 from vstestbed.experiments.comparison.starts import StartTable
 from vstestbed.scenario.load import find, load, seeded
@@ -25,8 +24,6 @@ AS_IT_IS = "as_it_is"
 """Name of the variant of a scenario where nothing is varied."""
 MOST_RUNS = 100_000
 """Runs that need no `--force`: over an hour of the quickest scenario (50 ms a run) on one core, and tens of GB of run folders."""
-SIDE_BY_SIDE = 1000
-"""Most folders in one: file browsers, and some file systems, are slow with more."""
 MOST_KEPT = 10_000
 """Variants that are kept in memory (some 15 kB each); of more, each is loaded again when its turn comes."""
 
@@ -54,6 +51,8 @@ class Variant:
     """Labels of the runs of a task: `20 deg`."""
     runs: int | None = None
     """Number of runs of a task; None without a task: the comparison's seeds."""
+    unreachable: Mapping[int, str] = field(default_factory=dict)
+    """Why the robot cannot stand where a run of a task begins, by the run's number."""
 
 
 @dataclass(frozen=True)
@@ -71,17 +70,17 @@ class Job:
         return f"{self.controller.folder}/{'nominal' if self.seed is None else among(self.seed, self.of)}"
 
     def scenario(self) -> Scenario:
-        """The scenario with its start and its noise drawn from the seed."""
+        """The scenario with its start and its noise drawn from the seed.
+
+        Raises:
+            UnreachableError: the robot cannot stand there. ParameterError: no start can be drawn.
+        """
         found = self.controller
+        if self.seed is not None and self.seed in found.unreachable:
+            raise UnreachableError("robot.start", found.unreachable[self.seed])
         if found.starts is not None and self.seed is not None:
             return replace(found.starts[self.seed], seed=self.seed)
         return found.scenario if self.seed is None or not found.draws else seeded(found.scenario, self.seed)
-
-
-def among(number: int, of: int, name: str = "") -> str:
-    """The name of a folder with a number; of more than SIDE_BY_SIDE, in one that holds as many: `12000/12345`."""
-    name = name or str(number)
-    return name if of <= SIDE_BY_SIDE else f"{number // SIDE_BY_SIDE * SIDE_BY_SIDE}/{name}"
 
 
 class Lazy(Sequence[T]):
@@ -107,8 +106,8 @@ class Variants(Lazy[Variant]):
     def __init__(self, comparison: Comparison):
         c = self._comparison = comparison
         axes = [list(cases) for cases in c.cases.values()] + [list(values) for values in c.axes.values()]
-        self._words = [_distinct([_word(str(value)) for value in values]) for values in (*axes, *([list(c.tasks)] if c.tasks else []))]
-        self._bases = _distinct([_word(Path(name).stem) for name in c.base])
+        self._words = [distinct([file_word(str(value)) for value in values]) for values in (*axes, *([list(c.tasks)] if c.tasks else []))]
+        self._bases = distinct([file_word(Path(name).stem) for name in c.base])
         self._sizes = [len(c.base), *map(len, axes), max(len(c.tasks), 1)]
         self.task_runs: tuple[int | None, ...] = tuple(task.runs for task in c.tasks.values()) or (None,)
         """Number of runs of the controllers of each task; controller i is of task i modulo their number."""
@@ -200,11 +199,25 @@ def _controller(
         return Variant(scenario, values, folder, _seeds_draw(scenario, c.seeds or 1))
     task = c.tasks[task_name]
     settings = merged(settings, _settings(c, task.set, ("tasks", task_name, "set")))
+    if task.displacements:
+        return _displaced(_load(c, name, settings), task, values, folder)
     if not task.each:
         scenario = _load(c, name, settings)
         return Variant(scenario, values, folder, _seeds_draw(scenario, task.runs), None, task.labels(), task.runs)
     starts = tuple(_load(c, name, merged(settings, one)) for one in _starts(c, task_name, task))
     return Variant(starts[0], values, folder, _draws(starts[0]), starts, task.labels(), task.runs)
+
+
+def _displaced(scenario: Scenario, task: StartTable, values: Mapping[str, object], folder: str) -> Variant:
+    """A task whose starts are displacements; those that the robot cannot reach are told as their runs' outcome."""
+    starts, unreachable = [], dict[int, str]()
+    for i, by in enumerate(task.displacements):
+        try:
+            starts.append(scenario.displaced(by, "camera" if task.camera_from_goal else "target"))
+        except UnreachableError as error:
+            starts.append(scenario)
+            unreachable[i] = error.problem
+    return Variant(scenario, values, folder, _draws(scenario), tuple(starts), task.labels(), task.runs, unreachable)
 
 
 def _starts(c: Comparison, name: str, task: StartTable) -> Iterator[dict[str, Placed]]:
@@ -220,7 +233,7 @@ def _load(c: Comparison, name: str, settings: Mapping[str, Placed]) -> Scenario:
 
 def _draws(scenario: Scenario) -> bool:
     """Whether anything of a scenario is random: its start, pixel or image noise, delays, or the calibration of depth."""
-    noise = scenario.noise.pixel_sigma_px > 0 or (scenario.noise.image_sigma > 0 and scenario.detector.needs_image)
+    noise = scenario.noise.draws(scenario.detector.needs_image)
     return scenario.robot.start.random is not None or noise or scenario.timing.draws or scenario.calibration.depth_spread > 0
 
 
@@ -231,22 +244,6 @@ def _seeds_draw(scenario: Scenario, runs: int) -> bool:
         problem = "is missing, and there is no noise: every seed would give the same run; add one of them, or leave --seeds out"
         raise ParameterError(f"{scenario.name}: robot.start.random", problem)
     return draws
-
-
-def _word(text: str) -> str:
-    """A text as part of a file name, short enough for file systems (a checksum keeps shortened ones distinct)."""
-    word = re.sub(r"[^\w.+-]+", "_", text).strip("._") or "value"
-    return word if len(word) <= 60 else f"{word[:48]}_{zlib.crc32(text.encode()):08x}"
-
-
-def _distinct(words: list[str]) -> list[str]:
-    """The words, with `_` at the end of those that stand there before: values may differ in what a file name cannot hold alone."""
-    seen: dict[str, None] = {}
-    for word in words:
-        while word in seen:
-            word += "_"
-        seen[word] = None
-    return list(seen)
 
 
 class Jobs(Lazy[Job]):

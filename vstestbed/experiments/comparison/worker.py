@@ -14,7 +14,8 @@ from vstestbed.core.errors import EnvironmentLackError
 from vstestbed.core.outcome import Outcome
 from vstestbed.experiments.run_folder import run_into
 from vstestbed.loop.recording import Rows
-from vstestbed.scenario.load import dump, parse
+from vstestbed.scenario.dump import dump
+from vstestbed.scenario.load import parse
 from vstestbed.scenario.scenario import Scenario
 
 Files = dict[str, bytes]
@@ -90,10 +91,10 @@ def _files(folder: Path) -> Files:
     return {p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.is_file()} if folder.is_dir() else {}
 
 
-def crashed(text: str, reason: str, trace: str = "", rest: Files | None = None) -> Files:
-    """The folder of a crashed run: scenario, summary, traceback, and `rest`, the files that it has left."""
+def crashed(text: str, reason: str, trace: str = "", rest: Files | None = None, outcome: Outcome = Outcome.crashed) -> Files:
+    """The folder of a crashed run, or of one that could not begin: scenario, summary, traceback, and `rest`, the files that it has left."""
     scenario = parse(text, "scenario.yaml")
-    summary = {"scenario": scenario.name, "outcome": Outcome.crashed.name, "success": False, "reason": reason, "seed": scenario.seed}
+    summary = {"scenario": scenario.name, "outcome": outcome.name, "success": False, "reason": reason, "seed": scenario.seed}
     own = {"scenario.yaml": text.encode(), "summary.json": (json.dumps(summary, indent=1) + "\n").encode()}
     return (rest or {}) | own | ({"error.txt": trace.encode()} if trace else {})
 
@@ -108,7 +109,7 @@ def picture_of_the_end(scenario: Scenario, rows: Rows, folder: Path) -> None:
 
 def request_of(folder: str, scenario: Scenario, filmed: bool) -> RunRequest:
     """The request for a run of a scenario."""
-    return RunRequest(folder, dump(scenario), filmed)
+    return RunRequest(folder, dump(scenario, defaults=True), filmed)
 
 
 def begin(parent_must_live: bool) -> None:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from vstestbed.core.geometry import Array
 from vstestbed.report.run import numbers
+from vstestbed.tasks.metrics import own_titles
 
 DEFAULT_METRICS: Final = (
     "time_to_converge_s",
@@ -36,6 +37,11 @@ _FINAL: Final = ("final_error_px", "final_position_error_m", "final_rotation_err
 _ON_THE_WAY: Final = ("feature_overshoot", "worst_task_error_m", *(name for name, _, _ in numbers.TRACKING_ROWS))
 
 
+def shown_by_default(table: pl.DataFrame) -> tuple[str, ...]:
+    """Names of the numbers that are shown of a comparison that names none: the usual ones, and those of the scenarios' own metrics."""
+    return (*DEFAULT_METRICS, *(name for name in own_titles() if name in table.columns))
+
+
 @dataclass(frozen=True)
 class Metric:
     """A number of `summary.json` with its title and display unit.
@@ -56,9 +62,10 @@ class Metric:
     @classmethod
     def of(cls, name: str) -> Metric:
         """The metric of a key of `summary.json`; a key without a title in the run's report is its own title."""
-        title, unit = _TITLES.get(name, (name, ""))
+        own = own_titles()
+        title, unit = _TITLES.get(name) or own.get(name, (name, ""))
         unit, scale = _SCALES.get(name, (unit, 1.0))
-        on_the_way = name in _ON_THE_WAY  # measured while the run goes on: meaningful whatever its outcome
+        on_the_way = name in _ON_THE_WAY or name in own  # measured while the run goes on: meaningful whatever its outcome
         return cls(name, title, unit, scale, on_the_way or name in _FINAL, on_the_way)
 
     @property

@@ -16,7 +16,7 @@ from vstestbed.report.comparison import failures as comparison_failures
 from vstestbed.report.comparison import figures as comparison_figures
 from vstestbed.report.comparison import strip_plots, summary_text
 from vstestbed.report.comparison import tables as comparison_tables
-from vstestbed.report.comparison.columns import DEFAULT_METRICS, ComparisonResults, value_text
+from vstestbed.report.comparison.columns import DEFAULT_METRICS, ComparisonResults, shown_by_default, value_text
 from vstestbed.report.comparison.figures import Data
 from vstestbed.report.comparison.pairs import pairs
 from vstestbed.report.comparison.series import read_series
@@ -142,7 +142,7 @@ def write_comparison_report(
 
 def comparison_cell(folder: Path, table: pl.DataFrame, axes: tuple[str, ...], metrics: tuple[str, ...]) -> str:
     """The result of a comparison as a notebook shows it: who is better, the controllers' numbers, their differences; no figures."""
-    comparison = ComparisonResults(table, axes, metrics or DEFAULT_METRICS)
+    comparison = ComparisonResults(table, axes, metrics or shown_by_default(table))
     paired = pairs(comparison)
     body = [
         summary_text.headline(comparison, paired, gains_alone(differing_fields(folder, comparison))),

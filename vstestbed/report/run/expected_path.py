@@ -61,7 +61,7 @@ def ideal_bicycle_path(scenario: Scenario) -> Array | None:
     from vstestbed.laws import PoseController
     from vstestbed.laws.polar_pose import direction_to, polar_law
     from vstestbed.robots.bicycle import BicycleLimits, drive
-    from vstestbed.robots.car import WHEELBASE, Car
+    from vstestbed.robots.car import Car
 
     law, robot, goal = scenario.law, scenario.robot, scenario.goal_view.place
     # the ideal bicycle is the ideal car: no other robot has its wheelbase and steering
@@ -74,7 +74,7 @@ def ideal_bicycle_path(scenario: Scenario) -> Array | None:
     def command(place: Array) -> tuple[Array, Array]:
         return polar_law(place, goal, np.array(chosen), law.gains, law.speed_mps, law.rest_m)
 
-    way = drive(command, start, WHEELBASE, limits, scenario.stop.duration_s, scenario.camera.period).place[:, :2]
+    way = drive(command, start, robot.parameters.wheelbase_m, limits, scenario.stop.duration_s, scenario.camera.period).place[:, :2]
     return way[: int(np.argmin(np.linalg.norm(way - goal[:2], axis=1))) + 1]
 
 

@@ -31,19 +31,22 @@ def features(tracks: Tracks) -> Chart | None:
     width, height = tracks.setting.width, tracks.setting.height
     chart = Chart()
     (panel,) = chart.panels
-    draw_trails(panel, tracks.pixels(), tracks.pixels("_true"), tracks.pixels("_goal"))
+    draw_trails(panel, tracks.pixels(), tracks.pixels("_true"), tracks.pixels("_goal"), tracks.names)
     _frame_picture(panel, width, height)
     chart.fit(2.1, 5.4)
     return chart
 
 
-def draw_trails(panel: ChartPanel, measured: Array, true: Array, goal: Array) -> None:
-    """Marker trajectories in a plane, each (T, N, 2), first coordinate horizontal, with start, end and goal, and the legend."""
+def draw_trails(panel: ChartPanel, measured: Array, true: Array, goal: Array, names: tuple[str, ...] = ()) -> None:
+    """Marker trajectories in a plane, each (T, N, 2), first coordinate horizontal, with start, end and goal, names, and the legend."""
     for i, color in enumerate(marker_colors(measured.shape[1])):
         panel.plot(*true[:, i].T, color=color, **BAND)
         panel.plot(*measured[:, i].T, color=color, linewidth=1.0)
         for at, look in trail_marks(measured[:, i], goal[:, i], color):
             panel.plot(*at, **look)
+        at = _edge(goal[:, i], -1)
+        if names and at.size:
+            panel.words.append((float(at[0, 0]), float(at[1, 0]), f"\N{NO-BREAK SPACE}\N{NO-BREAK SPACE}{names[i]}", "start", color))
     trail_keys(panel)
 
 
@@ -148,7 +151,7 @@ def depth(tracks: Tracks) -> Chart | None:
     for i, color in enumerate(marker_colors(tracks.markers)):
         if true is not None:
             panel.plot(tracks.t, true[:, i], color=color, **BAND)
-        panel.plot(tracks.t, used[:, i], color=color, linewidth=1.0)
+        panel.plot(tracks.t, used[:, i], color=color, linewidth=1.0, **({"label": tracks.names[i]} if tracks.names else {}))
     panel.least, panel.labels = LEAST_DEPTH * float(np.nanmedian(np.abs(used))), ("", "depth [m]")
     over_time(chart, tracks)
     return chart

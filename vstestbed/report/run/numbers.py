@@ -9,6 +9,7 @@ from typing import Any, Final
 
 from vstestbed.report.html.canvas import LINE_COLORS
 from vstestbed.tasks.judged import MEASURED_BY, in_words_unit
+from vstestbed.tasks.metrics import own_titles
 
 Summary = Mapping[str, Any]
 
@@ -78,13 +79,14 @@ def tiles(summary: Summary) -> str:
 
 
 def table(summary: Summary) -> str:
-    """The other numbers, one per line."""
+    """The other numbers, one per line; those of the scenario's own metrics come last."""
     items = []
-    for key, name, unit in ROWS + tuple(row for row in TRACKING_ROWS if summary.get(row[0]) is not None):
+    own = tuple((key, *title) for key, title in own_titles().items() if key in summary)
+    for key, name, unit in ROWS + tuple(row for row in TRACKING_ROWS if summary.get(row[0]) is not None) + own:
         value = summary.get(key)
         if unit == "%" and isinstance(value, float):  # the summary holds shares
             value = 100 * value
-        items.append(f"<div><dt>{name}</dt><dd>{_with_unit(value, unit)}</dd></div>")
+        items.append(f"<div><dt>{escape(name)}</dt><dd>{_with_unit(value, escape(unit))}</dd></div>")
     return f'<dl class="numbers">{"".join(items)}</dl>'
 
 

@@ -175,10 +175,10 @@ def render_page(
 
 def recording_cell(recording: Recording) -> str:
     """The report of a recording as a notebook shows it, without films."""
-    from vstestbed.scenario.load import dump
+    from vstestbed.scenario.dump import dump
 
     scenario = recording.scenario
-    return cell(render_page(recording.rows, recording.summary(), dump(scenario), {}, Setting.of(scenario)), NOTEBOOK_PX)
+    return cell(render_page(recording.rows, recording.summary(), dump(scenario, defaults=True), {}, Setting.of(scenario)), NOTEBOOK_PX)
 
 
 def _figures(tracks: Tracks) -> str:

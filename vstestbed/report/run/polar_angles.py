@@ -45,7 +45,8 @@ def _plane(tracks: Tracks, feature: Polar | Spherical, label: str) -> Chart | No
     in_pi = np.array([1 / PI, 1 / PI if isinstance(feature, Spherical) else 1.0])
     chart = Chart(3.3)
     (panel,) = chart.panels
-    draw_trails(panel, *(way * in_pi for way in ways))
+    measured, true, goal = (way * in_pi for way in ways)
+    draw_trails(panel, measured, true, goal, tracks.names)
     panel.labels, panel.lowest = ("φ [rad]", label), 0  # from zero, so that what hardly varies does not fill the height
     panel.in_words = _in_pi, _in_pi if isinstance(feature, Spherical) else None
     return chart

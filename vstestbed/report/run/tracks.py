@@ -38,6 +38,7 @@ class Setting:
         camera: the servo camera.
         ground_task: the task of a ground vehicle; None for other robots.
         band_m, settle_s: of a continuing task: error tolerance [m] after this time [s].
+        names: of the markers; () where they have none.
     """
 
     width: int | None = None
@@ -51,6 +52,7 @@ class Setting:
     ground_task: GroundTask | None = None
     band_m: float | None = None
     settle_s: float = 0.0
+    names: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, scenario: Scenario) -> Setting:
@@ -62,6 +64,7 @@ class Setting:
             height=scenario.camera.height,
             threshold_px=getattr(scenario.stop.converged, "error_px", None) if not goal.continuing else None,
             points=scenario.target.places if len(scenario.target.places) else None,
+            names=scenario.target.names,
             T_camera_target=getattr(view, "T", view),
             description=scenario.description,
             feature=scenario.law.feature,
@@ -163,6 +166,11 @@ class Tracks:
     def markers(self) -> int:
         """Number of markers in the log."""
         return sum(re.fullmatch(r"u_\d+", c) is not None for c in self.log.columns)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the markers; () where they have none, or the log is of another target."""
+        return self.setting.names if len(self.setting.names) == self.markers else ()
 
     @cached_property
     def t(self) -> Array:

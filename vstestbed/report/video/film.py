@@ -17,6 +17,7 @@ from vstestbed.core.geometry import inverse
 from vstestbed.core.outcome import Outcome, Verdict
 from vstestbed.loop.recording import Rows
 from vstestbed.loop.summary_file import read_summary
+from vstestbed.report.video.encoded import png_of
 from vstestbed.report.video.film_frame import FilmFrame
 from vstestbed.report.video.outside import Outside, inset_share
 from vstestbed.report.video.overlay import ALARM, GOOD, HOLD_S, Overlay, draw_caption, draw_ending
@@ -237,4 +238,4 @@ def picture_of_the_end(scenario: Scenario, log: Rows, path: Path, quality: Quali
         image = Pictures(scenario, "overview", replay, quality.size).picture(FilmFrame.of_row(last, scenario))
     finally:
         replay.close()
-    write_whole(path, cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))[1].tobytes())
+    write_whole(path, png_of(image))

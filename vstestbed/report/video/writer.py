@@ -6,7 +6,9 @@ import contextlib
 import math
 import os
 from collections.abc import Callable
+from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, BinaryIO, Final
@@ -30,16 +32,38 @@ ENCODER: Final = {"preset": "ultrafast", "crf": "20", "x264-params": "subme=1:mb
 
 Without `threads=1` here, beside the stream's own thread count, one film in a hundred has other bytes on a machine under load."""
 BT709: Final = 1  # code of BT.709 in ISO/IEC 23091-2, the same for primaries, transfer curve and matrix
-LUMA: Final = np.array([0.2126, 0.7152, 0.0722])
-"""Shares of red, green and blue in the brightness (ITU-R BT.709-6, item 3.2)."""
-TO_YUV: Final = np.array(
-    [
-        [*219 / 255 * LUMA, 16],
-        [*224 / 255 * ([0, 0, 1] - LUMA) / (2 * (1 - LUMA[2])), 128],
-        [*224 / 255 * ([1, 0, 0] - LUMA) / (2 * (1 - LUMA[0])), 128],
-    ]
-)
-"""(Y, Cb, Cr) of (R, G, B, 1) in 8 bits, limited range (ITU-R BT.709-6, items 3.3 to 3.5)."""
+
+
+@dataclass(frozen=True)
+class Coding:
+    """How a video codes its pictures.
+
+    Attributes:
+        matrix: code of the matrix between colours and (Y, Cb, Cr) in ISO/IEC 23091-2. luma: shares of red, green and blue in Y.
+        key_every: every how many frames one can be decoded without those before it; None: where the encoder likes.
+    """
+
+    matrix: int
+    luma: tuple[float, float, float]
+    key_every: int | None = None
+
+    @cached_property
+    def to_yuv(self) -> NDArray[np.float64]:
+        """(Y, Cb, Cr) of (R, G, B, 1) in 8 bits, limited range (ITU-R BT.709-6, items 3.3 to 3.5, with these shares)."""
+        luma = np.array(self.luma)
+        blue, red = ([0, 0, 1] - luma) / (2 * (1 - luma[2])), ([1, 0, 0] - luma) / (2 * (1 - luma[0]))
+        return np.array([[*219 / 255 * luma, 16], [*224 / 255 * blue, 128], [*224 / 255 * red, 128]])
+
+    @property
+    def options(self) -> dict[str, str]:
+        """Of the encoder."""
+        return ENCODER if self.key_every is None else ENCODER | {"g": str(self.key_every)}
+
+
+FILM: Final = Coding(BT709, (0.2126, 0.7152, 0.0722))
+"""For players: BT.709, item 3.2."""
+DATASET: Final = Coding(6, (0.299, 0.587, 0.114), key_every=2)
+"""For learners, which read frames in any order, and with libraries that take any video as coded by BT.601 (its item 2.5.1)."""
 
 
 class _Sink(PartFile):
@@ -80,6 +104,7 @@ class VideoWriter:
     Args:
         path: the film's file, ending in `.mp4`; an older file of that name is replaced on `close`.
         rate_hz: frame rate [Hz].
+        coding: of the pictures.
 
     Raises:
         ParameterError: rate_hz is not a positive number, or a frame is not (H, W, 3) uint8 of the first one's size.
@@ -87,17 +112,23 @@ class VideoWriter:
         OutputError: the folder cannot be written.
     """
 
-    def __init__(self, path: Path, rate_hz: float):
+    def __init__(self, path: Path, rate_hz: float, coding: Coding = FILM):
         if not (math.isfinite(rate_hz) and rate_hz > 0):
             raise ParameterError("rate_hz", "must be > 0", rate_hz)
         self.path = Path(path)
         self.rate = _fraction(rate_hz)
         self.frames = 0
+        self._coding = coding
         self._done = self._aborted = False
         self._shape: tuple[int, ...] = ()
         self._sink: _Sink | None = None
         self._container: OutputContainer | None = None
         self._stream: VideoStream | None = None
+
+    @property
+    def bytes(self) -> int:
+        """Size of the unfinished film so far [bytes]; 0 of one that is finished, or has not begun."""
+        return 0 if self._sink is None else self._sink.tell()
 
     def write(self, image: Image) -> None:
         """Append one frame, shape (H, W, 3), uint8, RGB."""
@@ -146,7 +177,7 @@ class VideoWriter:
         if self._container is None:
             self._open(image.shape)
         assert self._container is not None and self._stream is not None and self._sink is not None
-        frame = av.VideoFrame.from_ndarray(_yuv420p(_even(image)), format="yuv420p")
+        frame = av.VideoFrame.from_ndarray(_yuv420p(_even(image), self._coding), format="yuv420p")
         frame.pts, frame.time_base = self.frames, 1 / self.rate  # exact fractions: no drift over a long film
         for packet in self._stream.encode(frame):
             self._container.mux(packet)
@@ -157,12 +188,13 @@ class VideoWriter:
 
         self._sink = sink = _Sink(self.path)  # the encoder gets the open file, and not its name, which may lead elsewhere by then
         self._container = av.open(sink, "w", format="mp4", options={"movflags": "+faststart"}, io_open=sink.reopened)
-        stream = self._container.add_stream("libx264", rate=self.rate, options=ENCODER)
+        stream = self._container.add_stream("libx264", rate=self.rate, options=self._coding.options)
         stream.height, stream.width = shape[0] + shape[0] % 2, shape[1] + shape[1] % 2
         stream.pix_fmt = "yuv420p"
         stream.thread_count = 1
         context = stream.codec_context
-        context.colorspace = context.color_primaries = context.color_trc = BT709
+        context.color_primaries = context.color_trc = BT709
+        context.colorspace = self._coding.matrix
         self._container.start_encoding()  # opens the file: an unwritable folder is reported at the first frame
         self._stream, self._shape = stream, shape
 
@@ -214,10 +246,10 @@ def _even(image: Image) -> Image:
     return np.pad(image, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
 
 
-def _yuv420p(image: Image) -> Image:
+def _yuv420p(image: Image, coding: Coding) -> Image:
     """The planes Y (H, W), Cb and Cr (H/2, W/2) of an image, one after the other as (3 H/2, W): in half of swscale's time."""
     height, width = image.shape[:2]
-    yuv = cv2.transform(image, TO_YUV)
+    yuv = cv2.transform(image, coding.to_yuv)
     halved = cv2.resize(yuv, (width // 2, height // 2), interpolation=cv2.INTER_AREA)
     planes = np.empty((height * 3 // 2, width), np.uint8)
     blue, red = planes[height:].reshape(2, height // 2, width // 2)

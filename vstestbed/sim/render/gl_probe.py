@@ -18,7 +18,7 @@ INSTALL = {
     "suse": "zypper install libglvnd Mesa-libEGL1 Mesa-libGL1 Mesa-dri",
 }
 """The command that installs EGL, OpenGL and Mesa's drivers, by the word in /etc/os-release (ID or ID_LIKE)."""
-RAYS_INSTEAD = "rays draw the pictures instead, without shadows and textures"
+RAYS_INSTEAD = "rays draw the pictures instead, without shadows"
 UNSET_REMEDY = "unset MUJOCO_GL or set MUJOCO_GL=egl"
 LIBRARIES = {"egl": ("libEGL.so.1", "libGL.so.1"), "osmesa": ("libOSMesa.so.8",), "glfw": ("libGL.so.1",)}
 """Shared libraries that each of MuJoCo's backends loads, by its name in MUJOCO_GL."""

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import mujoco
 import numpy as np
 
-from vstestbed.camera import Image, Look, Picture
+from vstestbed.camera import Look, Picture
 from vstestbed.core.geometry import Array
 from vstestbed.sim.base import Renderer
 from vstestbed.sim.render.noise import NO_DRIFT, Drift, ImageNoise, PictureNoise
 from vstestbed.sim.scene.stage import Stage
-
-Images = tuple[Image | None, ...]
+from vstestbed.vision.perturb import Images, Perturbed
 
 
 class ImageSensor:
@@ -25,15 +25,23 @@ class ImageSensor:
     Args:
         stage: the scene, in its state at the time of each call.
         renderer: renders the images.
-        noise: of the sensor; None for none. drift: of its gains.
+        noise: of the sensor; None for none. drift: of its gains. perturbed: further changes of the finished picture; None for none.
     """
 
-    def __init__(self, stage: Stage, renderer: Renderer, noise: ImageNoise | None = None, drift: Drift = NO_DRIFT):
+    def __init__(
+        self,
+        stage: Stage,
+        renderer: Renderer,
+        noise: ImageNoise | None = None,
+        drift: Drift = NO_DRIFT,
+        perturbed: Perturbed | None = None,
+    ):
         self._model, self._data = stage.model, stage.data
         self._renderer, self._noise, self._drift = renderer, noise or ImageNoise(), drift
         self._states: list[mujoco.MjData] = []
         self._present: mujoco.MjData | None = None
-        self._blur, self._latest = MotionBlur(), PictureNoise(0.0, None)
+        self._perturbed = perturbed or Perturbed((), np.random.default_rng(0))
+        self._blur, self._latest = MotionBlur(), (PictureNoise(0.0, None), self._perturbed.next_picture())
 
     @property
     def spent_s(self) -> float:
@@ -54,7 +62,7 @@ class ImageSensor:
         """A picture just taken with the camera's own image: of a lens with panels the present scene, sharp, with the picture's noise."""
         if picture.image is not None:
             return picture
-        drawn = self._developed(picture.t, (self._renderer.full_image(),), self._latest)
+        drawn = self._developed(picture.t, (self._renderer.full_image(),), *self._latest)
         return replace(picture, own=drawn.images[0])
 
     def expose(self, weight: float, look: Look | None = None) -> None:
@@ -76,16 +84,17 @@ class ImageSensor:
         mujoco.mj_copyData(self._states[number], self._model, self._data)
 
     def _picture(self, t: float, clean: Images, whole: bool, weights: tuple[float, ...]) -> Picture:
-        noise = self._latest = self._noise.next()
+        drawn = self._latest = self._noise.next(), self._perturbed.next_picture()
 
         def draw_whole() -> Picture:
-            return self._developed(t, self._drawn_again(weights), noise)
+            return self._developed(t, self._drawn_again(weights), *drawn)
 
-        made = self._developed(t, clean, noise)
+        made = self._developed(t, clean, *drawn)
         return made if whole else Picture(t, made.images, whole, draw_whole)
 
-    def _developed(self, t: float, clean: Images, noise: PictureNoise) -> Picture:
-        return self._drift.of(Picture(t, noise.added(clean)))
+    def _developed(self, t: float, clean: Images, noise: PictureNoise, change: Callable[[float, Images], Images]) -> Picture:
+        made = self._drift.of(Picture(t, noise.added(clean)))
+        return replace(made, images=change(t, made.images))
 
     def _drawn_again(self, weights: tuple[float, ...]) -> Images:
         """The whole images of the exposure whose states are kept. The scene's own state is put back as it was, bit by bit."""

@@ -15,7 +15,7 @@ from vstestbed.camera import Camera, Image, Look, Panel, Perspective, Window
 from vstestbed.core.errors import EnvironmentLackError, ParameterError
 from vstestbed.core.geometry import FLIP, Array
 from vstestbed.sim.render import gl_probe as gl
-from vstestbed.sim.render.cones import cone_of, meets
+from vstestbed.sim.render.cones import angles_to_next, cone_of, meets
 from vstestbed.sim.render.shade import Paint
 from vstestbed.sim.scene.groups import LENS_GROUP, RANGE_GROUP
 from vstestbed.sim.scene.stage import Stage
@@ -55,10 +55,11 @@ class Caster:
         self._endless = stage.model.geom_rbound <= 0
         self._groups = np.array([1, 0, 0, 0, 0, 0], dtype=np.uint8)
 
-    def cast(self, T_world_camera: Array, bundles: list[Array]) -> tuple[Image, NDArray[np.int32]]:
+    def cast(self, T_world_camera: Array, bundles: list[Array], apart: Array) -> tuple[Image, NDArray[np.int32]]:
         """Colours (N, 3) and geoms (N,) of what unit rays in the camera's frame hit, bundle after bundle; -1 is the sky.
 
-        Where there is no ray (NaN) the colour is black, the geom -2. Narrow bundles (n, 3) are culled best.
+        Where there is no ray (NaN) the colour is black, the geom -2. Narrow bundles (n, 3) are culled best. apart: angle from each
+        ray to the next, (N,) [rad].
         """
         turn = np.ascontiguousarray(T_world_camera[:3, :3].T)
         # One product for all bundles would be handed to BLAS threads: 30 times slower.
@@ -78,7 +79,7 @@ class Caster:
                 hit = np.empty(len(at), np.int32), np.empty(len(at)), np.empty((len(at), 3))
                 self._hits(origin, rays[at], *hit)
                 geoms[at], distance[at], normal[at] = hit
-        colours = self.paint.colours(origin, rays, geoms, distance, normal)
+        colours = self.paint.colours(origin, rays, geoms, distance, normal, apart)
         if not whole:
             colours[~seen] = 0
         return colours, geoms
@@ -115,6 +116,7 @@ class Raster:
         grid = np.stack(np.meshgrid(np.arange(self.width), np.arange(self.height)), axis=-1).astype(float)
         grid = (grid + 0.5) / share - 0.5 if share < 1 else grid
         self._rays = np.concatenate([self._of(rows) for rows in np.array_split(grid, max(1, self.height // 64))])
+        self._apart = angles_to_next(self._rays)
 
     def _of(self, uv: Array) -> Array:
         """Rays (..., 3) in the camera's frame of pixels (..., 2)."""
@@ -141,7 +143,8 @@ class Raster:
         grow = 1 if len(self._within) else 0  # an edge is found by a pixel's neighbours
         cut = [(max(0, a - grow), max(0, b - grow), min(self.width, c + grow), min(self.height, d + grow)) for a, b, c, d in tiles]
         parts = [self.rays(window) for window in cut]
-        colours, geoms = caster.cast(T, [part.reshape(-1, 3) for part in parts])
+        apart = np.concatenate([self._apart[top:bottom, left:right].ravel() for left, top, right, bottom in cut])
+        colours, geoms = caster.cast(T, [part.reshape(-1, 3) for part in parts], apart)
         start = 0
         for (a, b, c, d), (left, top, _, _), part in zip(tiles, cut, parts, strict=True):
             end = start + part.shape[0] * part.shape[1]
@@ -155,8 +158,10 @@ class Raster:
         """Antialias: give pixels at the edges of geoms the mean colour of many rays."""
         row, column = np.nonzero(_borders(geoms))
         if len(row):
-            uv = np.stack([column + corner[0], row + corner[1]], axis=-1)[:, None] + self._within
-            colours, _ = caster.cast(T, [self._of(uv).reshape(-1, 3)])
+            at = np.stack([column + corner[0], row + corner[1]], axis=-1)
+            uv, n = at[:, None] + self._within, len(self._within)
+            apart = np.repeat(self._apart[at[:, 1], at[:, 0]] / math.sqrt(n), n)
+            colours, _ = caster.cast(T, [self._of(uv).reshape(-1, 3)], apart)
             drawn[row, column] = (colours.reshape(len(row), -1, 3).mean(axis=1) + 0.5).astype(np.uint8)
 
 
@@ -179,7 +184,7 @@ def _borders(geoms: NDArray[np.int32]) -> NDArray[np.bool_]:
 class RayRenderer:
     """The servo camera's images through any lens, by ray casting; the same as `OpenGLRenderer`'s, where both can render them.
 
-    Only the regions of interest are cast. There are no shadows and no textures (see `refuse`).
+    Only the regions of interest are cast. There are no shadows (see `refuse`); `Paint` says which textures are mapped.
 
     Args:
         stage: the scene.
@@ -193,7 +198,7 @@ class RayRenderer:
 
     def __init__(self, stage: Stage, camera: Camera, noisy: bool = False, share: float = 1.0):
         self._stage, self._camera, self._caster, self._share = stage, camera, Caster(stage), share
-        refuse(camera, self._caster.paint.textured_target)
+        refuse(camera)
         self._noisy = noisy
         self._rasters: dict[int, Raster] = {}
         self.name = RENDERER
@@ -233,17 +238,16 @@ class RayRenderer:
         return image
 
 
-def refuse(camera: Camera, textured_target: bool) -> None:
-    """Refuse textured markers and shadows, which rays cannot draw.
+def refuse(camera: Camera) -> None:
+    """Refuse shadows, which rays cannot draw.
 
     Raises:
         ParameterError: rays were asked for. EnvironmentLackError: they are what is left without OpenGL.
     """
-    lacks = [words for words, asked in (("textured markers need", textured_target), ("shadows need", camera.shadows)) if asked]
-    if lacks and camera.renderer == "rays":
-        raise ParameterError("camera.renderer", f"must be gl or auto: {lacks[0]} OpenGL", camera.renderer)
-    if lacks:
-        raise EnvironmentLackError(f"{lacks[0]} OpenGL", gl.remedy())
+    if camera.shadows and camera.renderer == "rays":
+        raise ParameterError("camera.renderer", "must be gl or auto: shadows need OpenGL", camera.renderer)
+    if camera.shadows:
+        raise EnvironmentLackError("shadows need OpenGL", gl.remedy())
 
 
 class RaySceneCamera:

@@ -1,4 +1,4 @@
-"""Shading of ray hits: MuJoCo's materials under its directional lights, the floor's texture, the sky."""
+"""Shading of ray hits: MuJoCo's materials under its lights, flat textures, the sky."""
 
 from __future__ import annotations
 
@@ -7,18 +7,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vstestbed.core.geometry import Array
-from vstestbed.sim.scene.groups import TARGET_GROUP
+from vstestbed.sim.render.texture import Mipmap
+from vstestbed.sim.scene.meshes import texels_of
 
 RGB_ROLE = int(mujoco.mjtTextureRole.mjTEXROLE_RGB)
 SKYBOX = int(mujoco.mjtTexture.mjTEXTURE_SKYBOX)
-PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
+FLAT_TEXTURE = int(mujoco.mjtTexture.mjTEXTURE_2D)
+DIRECTIONAL, SPOT = int(mujoco.mjtLightType.mjLIGHT_DIRECTIONAL), int(mujoco.mjtLightType.mjLIGHT_SPOT)
+BOX = int(mujoco.mjtGeom.mjGEOM_BOX)
+FLAT = int(mujoco.mjtGeom.mjGEOM_PLANE), BOX
+"""Shapes on whose faces a texture lies flat."""
 
 
 class Paint:
     """Colours of a scene as OpenGL's fixed pipeline makes them, without shadows, reflections and highlights.
 
     colour = min(1, rgb (emission + sum over lights of (ambient + diffuse max(0, n . l)))) texture, l towards the light.
-    A plane may have a flat texture (the floor's checker); any other textured geom has its texture's mean colour.
+    A light that is not directional has l and its brightness by the place: over the attenuation a + b d + c d^2, of a spot light times
+    cos(angle)^exponent within its cutoff. OpenGL has that at the corners of a surface alone, and its mean between them.
+    On planes and boxes a flat texture (`type="2d"`) lies as it is (the floor's checker, tags, pictures); any other textured geom, round,
+    of a mesh or with a cube texture, has its texture's mean colour (`averaged`).
 
     Args:
         model, data: the scene; lights are where `data` has them.
@@ -31,26 +39,35 @@ class Paint:
         rgb = np.where(painted[:, None], model.mat_rgba[material, :3] if model.nmat else 0.0, model.geom_rgba[:, :3])
         emission = np.where(painted, model.mat_emission[material] if model.nmat else 0.0, 0.0)
         texture = np.where(painted, model.mat_texid[material, RGB_ROLE] if model.nmat else -1, -1)
-        self._texels = {i: _texels(model, i) for i in sorted(set(texture[texture >= 0].tolist()))}
-        self._planes = [int(g) for g in np.flatnonzero((texture >= 0) & (model.geom_type == PLANE))]
+        self._printed, self.averaged = _by_texture(model, texture)
+        self._mipmaps = {i: Mipmap(texels_of(model, i)) for i in sorted({int(texture[g]) for g in self._printed})}
         self._texture = texture
-        for g in np.flatnonzero((texture >= 0) & (model.geom_type != PLANE)):
-            rgb[g] *= self._texels[texture[g]].mean(axis=(0, 1))
+        self._local = bool((model.light_type[model.light_active] != DIRECTIONAL).any())
+        for g in self.averaged:
+            rgb[g] *= texels_of(model, int(texture[g])).mean(axis=(0, 1)) / 255
         self._rgb = np.vstack([rgb, [0, 0, 0]]).astype(np.float32)  # the last row: no hit, geom -1
         self._glow = np.append(emission, 0).astype(np.float32)
         self._sky = _sky(model)
-        self.textured_target = bool(((texture >= 0) & (model.geom_group == TARGET_GROUP)).any())
 
-    def colours(self, origin: Array, rays: Array, geom: NDArray[np.int32], distance: Array, normal: Array) -> NDArray[np.uint8]:
-        """Colours (N, 3) uint8 of what unit rays (N, 3) from `origin` (3,) hit: geoms (N,), -1 for the sky, with outward normals (N, 3)."""
+    def colours(
+        self, origin: Array, rays: Array, geom: NDArray[np.int32], distance: Array, normal: Array, apart: Array
+    ) -> NDArray[np.uint8]:
+        """Colours (N, 3) uint8 of what unit rays (N, 3) from `origin` (3,) hit: geoms (N,), -1 for the sky, with outward normals (N, 3).
+
+        apart: angle from each ray to the next (N,) [rad], by which textures are smoothed.
+        """
         light = self._light(normal)
+        if self._local:
+            self._add_local(light, origin + rays * distance[:, None], normal)
         light += self._glow[geom]
         light *= self._rgb.T[:, geom]
         colour = np.minimum(light, 1, out=light)
-        for plane in self._planes:
-            at = np.flatnonzero(geom == plane)
+        for printed in self._printed:
+            at = np.flatnonzero(geom == printed)
             if len(at):
-                colour[:, at] *= self._plane_texture(plane, origin + rays[at] * distance[at, None]).T
+                cosine = np.maximum(np.abs(np.einsum("ni,ni->n", rays[at], normal[at])), 1e-6)
+                pixel = apart[at] * distance[at] / cosine
+                colour[:, at] *= self._print(printed, origin + rays[at] * distance[at, None], normal[at], pixel).T
         sky = np.flatnonzero(geom == -1)
         if len(sky):
             elevation, tints = self._sky
@@ -62,10 +79,10 @@ class Paint:
         return np.ascontiguousarray(colour.T.astype(np.uint8))
 
     def _light(self, normal: Array) -> NDArray[np.float32]:
-        """Irradiance of surfaces with outward normals (N, 3) by the lights: (3, N), 1 for full brightness."""
+        """Irradiance of surfaces with outward normals (N, 3) by directional lights: (3, N), 1 for full brightness."""
         model = self._model
         light = np.empty((3, len(normal)), np.float32)
-        on = np.flatnonzero(model.light_active)
+        on = np.flatnonzero(model.light_active & (model.light_type == DIRECTIONAL))
         light[:] = model.light_ambient[on].sum(axis=0)[:, None]
         # Channels first and single floats: three long contiguous rows, which numpy adds up quickest.
         x, y, z = np.ascontiguousarray(normal.T, dtype=np.float32)
@@ -76,35 +93,55 @@ class Paint:
                 channel += facing * np.float32(brightness)
         return light
 
-    def _plane_texture(self, plane: int, points: Array) -> NDArray[np.float32]:
-        """The texture of a plane at points (N, 3) [m] in the world: (N, 3), 1 for full brightness.
+    def _print(self, geom: int, points: Array, normal: Array, pixel: Array) -> NDArray[np.float32]:
+        """The texture of a plane or a box at points (N, 3) [m] in the world with normals (N, 3): (N, 3), 1 for full brightness.
 
-        One texture covers 2 m, or with texuniform=false the plane, divided by texrepeat; the plane's origin is its middle.
+        On a face with axes i < j it is stretched over its width from the upper left corner on, upright along j. It is repeated texrepeat
+        times, with texuniform as often again as the geom's half sizes x and y have metres. On an endless plane it begins in the middle.
+
+        pixel: size of a pixel there (N,) [m].
         """
         model, data = self._model, self._data
-        local = (points - data.geom_xpos[plane]) @ data.geom_xmat[plane].reshape(3, 3)[:, :2]
-        material = model.geom_matid[plane]
-        half = 1.0 if model.mat_texuniform[material] else np.maximum(model.geom_size[plane, :2], 1e-9)
-        place = local * model.mat_texrepeat[material] / (2 * half) + 0.5
-        texels = self._texels[self._texture[plane]]
-        height, width = texels.shape[:2]
-        column = (np.mod(place[:, 0], 1) * width).astype(int) % width
-        row = (np.mod(-place[:, 1], 1) * height).astype(int) % height
-        return texels[row, column]
+        R, half = data.geom_xmat[geom].reshape(3, 3), model.geom_size[geom]
+        local, k = (points - data.geom_xpos[geom]) @ R, np.arange(len(points))
+        faces = np.abs(normal @ R).argmax(axis=1) if model.geom_type[geom] == BOX else np.full(len(points), 2)
+        i, j = np.array([1, 0, 0])[faces], np.array([2, 2, 1])[faces]
+        size = np.where(half > 0, half, 1.0)
+        times = model.mat_texrepeat[(m := model.geom_matid[geom])] * (size[:2] if model.mat_texuniform[m] else 1.0)
+        begins = np.where(half[:2] > 0, 0.5 * times, 0.5)
+        edges = 2 * np.column_stack([size[i], size[j]])
+        place = np.column_stack([local[k, i], -local[k, j]]) / edges * times + begins
+        mipmap = self._mipmaps[self._texture[geom]]
+        texels = pixel * (times * mipmap.size / edges).max(axis=1)
+        return mipmap.at(place - np.floor(place), texels)
+
+    def _add_local(self, light: NDArray[np.float32], points: Array, normal: Array) -> None:
+        """Add the lights that have a place, at points (N, 3) with outward normals (N, 3), to (3, N)."""
+        model, data = self._model, self._data
+        for i in np.flatnonzero(model.light_active & (model.light_type != DIRECTIONAL)):
+            to = data.light_xpos[i] - points
+            far = np.maximum(np.linalg.norm(to, axis=1), 1e-9)
+            to /= far[:, None]
+            a, b, c = model.light_attenuation[i].tolist()
+            share = 1.0 / np.maximum(a + b * far + c * far * far, 1e-9)
+            if model.light_type[i] == SPOT:
+                along = np.clip(-(to @ data.light_xdir[i]), 0.0, 1.0)
+                share *= np.where(along >= np.cos(np.radians(model.light_cutoff[i])), along ** model.light_exponent[i], 0.0)
+            facing = np.maximum((to * normal).sum(axis=1), 0.0)
+            light += (share * (model.light_ambient[i][:, None] + model.light_diffuse[i][:, None] * facing)).astype(np.float32)
 
 
-def _texels(model: mujoco.MjModel, texture: int) -> NDArray[np.float32]:
-    """A texture's pixels (H, W, 3), 1 for full brightness."""
-    height, width, channels = model.tex_height[texture], model.tex_width[texture], model.tex_nchannel[texture]
-    start = model.tex_adr[texture]
-    pixels = model.tex_data[start : start + height * width * channels].reshape(height, width, channels)
-    return np.broadcast_to(pixels[..., :3], (height, width, 3)).astype(np.float32) / np.float32(255)
+def _by_texture(model: mujoco.MjModel, texture: NDArray[np.int_]) -> tuple[list[int], list[int]]:
+    """Geoms on which their texture (ngeom,) lies as it is, and those that have its mean colour."""
+    flat = (texture >= 0) & (model.tex_type[texture] == FLAT_TEXTURE) if model.ntex else texture >= 0
+    printed = flat & np.isin(model.geom_type, FLAT)
+    return np.flatnonzero(printed).tolist(), np.flatnonzero((texture >= 0) & ~printed).tolist()
 
 
 def _sky(model: mujoco.MjModel) -> tuple[Array, NDArray[np.float32]]:
     """A sky that depends on the elevation alone: sines (M,) of elevations, rising, and colours (M, 3) there; black without a skybox."""
     for texture in np.flatnonzero(model.tex_type == SKYBOX):
-        faces = _texels(model, int(texture))
+        faces = texels_of(model, int(texture)).astype(np.float32) / np.float32(255)
         side = faces.shape[1]
         if len(faces) != 6 * side:  # right, left, up, down, front, back
             continue

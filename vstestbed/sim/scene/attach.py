@@ -12,8 +12,10 @@ from vstestbed.core.assets import model_path
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.robots import Robot
+from vstestbed.robots.body import Change
 from vstestbed.sim.scene.groups import OF_FILES
 from vstestbed.sim.scene.model_files import carry_files
+from vstestbed.sim.scene.reshape import reshape
 from vstestbed.sim.scene.servos import choose_servos
 
 AUTO = mujoco.mjtJacobian.mjJAC_AUTO
@@ -34,7 +36,7 @@ def add_robot(scene: mujoco.MjSpec, robot: Robot, prefix: str, friction: float |
     if robot.model is None:
         return scene.worldbody.add_body(name=f"{prefix}camera", mocap=True), np.eye(4)
     T_body_flange = _flange_pose(robot.model, robot.flange)  # first: it refuses a model that has no flange
-    model = mujoco.MjSpec.from_file(str(model_path(robot.model)))
+    model = _spec(robot.model, robot.body_changes)
     choose_servos(model, robot)
     for geom in model.geoms:
         geom.group = OF_FILES.get(geom.group, geom.group)
@@ -60,10 +62,17 @@ def add_robot(scene: mujoco.MjSpec, robot: Robot, prefix: str, friction: float |
     return site.parent if site else scene.body(f"{prefix}{robot.flange}"), T_body_flange
 
 
-@functools.cache
-def _compiled(model: str) -> mujoco.MjModel:
+def _spec(model: str, changes: tuple[Change, ...]) -> mujoco.MjSpec:
+    """The robot of an MJCF file with its parameters."""
+    spec = mujoco.MjSpec.from_file(str(model_path(model)))
+    reshape(spec, changes)
+    return spec
+
+
+@functools.lru_cache(maxsize=32)
+def _compiled(model: str, changes: tuple[Change, ...] = ()) -> mujoco.MjModel:
     """The robot of an MJCF file on its own."""
-    return mujoco.MjSpec.from_file(str(model_path(model))).compile()
+    return _spec(model, changes).compile()
 
 
 def _flange_pose(model: str, flange: str) -> Array:
@@ -88,6 +97,7 @@ def _flange_pose(model: str, flange: str) -> Array:
     return T
 
 
-def extent_of(model: str) -> float:
-    """Size of the robot of an MJCF file, by MuJoCo's own measure [m]."""
-    return float(_compiled(model).stat.extent)
+def extent_of(robot: Robot) -> float:
+    """Size of a robot with a body, by MuJoCo's own measure [m]."""
+    assert robot.model is not None
+    return float(_compiled(robot.model, robot.body_changes).stat.extent)

@@ -4,8 +4,9 @@ Names: joints and actuators `robot/joint_1`, ..., the servo camera `eye` (site `
 sees more than one pinhole picture holds has `eye_right`, `eye_left`, `eye_up`, `eye_down`, `eye_back` at the same place), the
 outside view `overview`, the target's body `target/frame` (mocap), its markers sites `target/marker_0`, `target/marker_1`, ...
 (of lines on the floor, which have no places of their own, only geoms `target/line_0`, ...), plates `plate_0`, ..., a vehicle
-that carries the target `leader/...`. Geom groups: 0 the room, 1 geoms that enclose the lens (not rendered by the servo camera,
-which in the textbook's scene sits at the wrist's centre, inside the hand), 2 the robot, 3 the target, 5 what range finders alone meet.
+that carries the target `leader/...`, scenery `scenery/...`. Geom groups: 0 the room, 1 geoms that enclose the lens (not rendered by
+the servo camera, which in the textbook's scene sits at the wrist's centre, inside the hand), 2 the robot, 3 the target, 5 what range
+finders alone meet.
 """
 
 from __future__ import annotations
@@ -21,10 +22,11 @@ from vstestbed.core.geometry import FLIP, Array, quaternion_wxyz, transform
 from vstestbed.robots import VEHICLES, Robot
 from vstestbed.sim.lens.cube import drawn_for
 from vstestbed.sim.scene.attach import add_robot, extent_of
-from vstestbed.sim.scene.groups import LENS_GROUP, ROBOT_GROUP, SITE_GROUP, TARGET_GROUP
+from vstestbed.sim.scene.groups import FACE_VIEWER, GLOW, LENS_GROUP, ROBOT_GROUP, SITE_GROUP, TARGET_GROUP
 from vstestbed.sim.scene.model_files import ASSETS
 from vstestbed.sim.scene.overview import frame_drive, frame_flight
-from vstestbed.sim.scene.paint import add_stripe
+from vstestbed.sim.scene.paint import add_body, add_sheet, add_stripe
+from vstestbed.sim.scene.scenery import add_scenery
 from vstestbed.sim.scene.start_pose import camera_start, target_start
 from vstestbed.sim.scene.world import AWAY, World
 from vstestbed.targets import Pad, Target
@@ -33,17 +35,12 @@ from vstestbed.vision.detect.tag_print import printed
 
 HAND_PLATE = "hand_plate"
 """Name of the plate in reserve."""
-FACE_VIEWER = (0, 1, 0, 0)
-"""A half turn about x (wxyz): the face that MuJoCo draws a texture on upright, +z with y up, looks at the viewer, y down."""
 HOUSING_M = 0.03
 """Distance of the camera housing's centre behind the lens [m]."""
 POST_RADIUS_M, POST_GREY = 0.012, [0.5, 0.51, 0.53, 1.0]
 """A tube of 24 mm, anodised."""
 FREE_HOUSING = 6.0
 """The free camera's housing is drawn this many times as large as the arm's: it is seen from farther away."""
-GLOW = 1000.0
-"""Emission of an unlit marker, whose own colour is divided by it: emission gives the exact colour 255 * rgba, and what
-the scene's lights add (the plain colour times their brightness) is under half a grey level."""
 GEOMS = {"cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER, "sphere": mujoco.mjtGeom.mjGEOM_SPHERE, "box": mujoco.mjtGeom.mjGEOM_BOX}
 PAD_HALF_M = 0.01
 """Half of a landing pad's thickness [m]."""
@@ -93,6 +90,7 @@ def compose(parts: Parts) -> mujoco.MjSpec:
     scene.compiler.degree = False
     for plane in ("floor", "ground"):
         scene.geom(plane).pos = [0, 0, parts.world.floor_z]
+    carried = add_scenery(scene, parts.world)
     body, T_body_flange = add_robot(scene, parts.robot, "robot/", parts.world.floor_friction)
     housing = 1.0 if parts.robot.model else FREE_HOUSING
     if parts.target.on_gripper:
@@ -117,6 +115,7 @@ def compose(parts: Parts) -> mujoco.MjSpec:
     for i, decoy in enumerate(parts.world.decoys):
         holder = scene.worldbody.add_body(name=f"decoy_{i}", mocap=True, pos=decoy.xyz)
         _visual(holder, f"decoy_{i}", mujoco.mjtGeom.mjGEOM_SPHERE, [decoy.radius, 0, 0], [*decoy.color, 1], 0)
+    scene.assets = {**scene.assets, **carried}  # last: MuJoCo warns of models that are attached to one with assets
     return scene
 
 
@@ -141,7 +140,7 @@ def _frame_overview(scene: mujoco.MjSpec, parts: Parts) -> None:
     elif robot.base != "fixed":
         start = robot.flange_pose(robot.configuration())[:3, 3]
         sights = transform(target.T_world_start, target.points)
-        frame_drive(scene, np.array([start, *parts.sights]), sights, extent_of(robot.model))
+        frame_drive(scene, np.array([start, *parts.sights]), sights, extent_of(robot))
 
 
 def _add_camera(body: mujoco.MjsBody, T_body_camera: Array, camera: Camera, housing: float) -> None:
@@ -186,7 +185,7 @@ def _add_post(body: mujoco.MjsBody, deck: mujoco.MjsGeom | None, T_body_camera: 
 
 
 def _add_target(scene: mujoco.MjSpec, target: Target, carrier: mujoco.MjsBody | None, T: Array) -> None:
-    """A body with one site and one geom for each marker, its board or pad; of lines on the floor, their paint.
+    """A body with one site and one geom for each marker, its picture, solid, board or pad; of lines on the floor, their paint.
 
     It is a mocap body in the world, or fixed to its carrier, at the pose T (4, 4) there.
     """
@@ -200,26 +199,46 @@ def _add_target(scene: mujoco.MjSpec, target: Target, carrier: mujoco.MjsBody | 
         geom = add_stripe(scene, body, edges, i, TARGET_GROUP)
         geom.rgba, geom.material = rgba, paint.name
     for i, p in enumerate(target.places):
-        _add_marker(scene, body, target, i, p)
+        body.add_site(name=f"target/marker_{i}", pos=p, group=SITE_GROUP, size=[0.005] * 3)
+        if target.shows_markers:
+            _add_marker(scene, body, target, i, p)
+    if target.body is not None:
+        add_body(scene, body, target.body)
+    _add_back(scene, body, target)
+
+
+def _add_back(scene: mujoco.MjSpec, body: mujoco.MjsBody, target: Target) -> None:
+    """What is behind the markers of a planar target: a pad, or a board with its picture."""
     if target.pad:
         _add_pad(body, target.pad)
     elif target.board_half_m is not None:
         half, marker = target.board_half_m, target.marker
-        z = 0.01 + (marker.height_m or 1.5 * HALF_THICKNESS_M)
-        _visual(body, "target/board", mujoco.mjtGeom.mjGEOM_BOX, [half, half, 0.01], [0.86, 0.86, 0.85, 1], TARGET_GROUP, [0, 0, z])
+        front = (marker.height_m or 1.5 * HALF_THICKNESS_M) if target.shows_markers else 0.0
+        if target.sheet is not None:
+            front = add_sheet(scene, body, target.sheet, front)
+        board = [0, 0, front + 0.01]
+        _visual(body, "target/board", mujoco.mjtGeom.mjGEOM_BOX, [*half, 0.01], [0.86, 0.86, 0.85, 1], TARGET_GROUP, board)
 
 
 def _add_marker(scene: mujoco.MjSpec, body: mujoco.MjsBody, target: Target, i: int, p: Array) -> None:
-    """Marker i at p (3,) in the target frame: its site, and its geom with its colour or its print."""
-    marker = target.marker
+    """The geom of marker i at p (3,) in the target frame, with its colour or its print."""
+    marker, normal = target.marker, target.normals[i]
     rgba, paint = _paint(scene, i, np.ones(3) if marker.textured else target.colors[i], marker.lit)
     if marker.textured:
         paint.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = _marker_texture(scene, marker, i)
-    body.add_site(name=f"target/marker_{i}", pos=p, group=SITE_GROUP, size=[0.005] * 3)
     shape, half_sizes = marker.solid
-    centre = p + np.array([0, 0, 0.0 if marker.height_m else HALF_THICKNESS_M])  # the front face of a flat one lies in z = 0
-    geom = _visual(body, f"target/marker_{i}", GEOMS[shape], list(half_sizes), rgba, TARGET_GROUP, centre, FACE_VIEWER)
+    # In a plane the front face of a flat marker lies in z = 0; on a solid it lies on the surface.
+    inwards = 0.0 if marker.height_m else HALF_THICKNESS_M if target.body is None else -HALF_THICKNESS_M
+    geom = _visual(body, f"target/marker_{i}", GEOMS[shape], list(half_sizes), rgba, TARGET_GROUP, p - inwards * normal, _facing(normal))
     geom.material = paint.name
+
+
+def _facing(normal: Array) -> tuple[float, ...]:
+    """Quaternion (wxyz) of a frame whose z axis is a unit normal (3,) of the target; FACE_VIEWER for markers in the target's plane."""
+    if normal[2] < -1 + 1e-9:
+        return FACE_VIEWER
+    turn = np.array([1 + normal[2], -normal[1], normal[0], 0.0])  # the shortest turn of z: (1 + z . n, z x n)
+    return tuple(turn / np.linalg.norm(turn))
 
 
 def _add_pad(body: mujoco.MjsBody, pad: Pad) -> None:

@@ -180,7 +180,8 @@ class FollowCamera:
         eye, target, T_target = self._showing(view, around, beside), self._stage.parts.target, self._stage.target_pose()
         size, at = self._share(eye, view, around), self._stage.camera_pose()[:3, 3]
         seen = [self._sees(eye, p, 2 * target.marker.radius) for p in transform(T_target, target.places)]
-        faces = float((T_target[:3, 2] if len(target.places) else -UP) @ view.ahead) if not target.marker.height_m else 1.0
+        away = -T_target[:3, :3] @ target.normals.mean(axis=0)
+        faces = float((away if len(target.places) else -UP) @ view.ahead) if not target.marker.height_m else 1.0
         if self._moving:
             size, aside = min(size, ENOUGH) + 0.05 * size, 1.0
             size *= 0.8 + 0.2 * min(-float(UP @ view.ahead) / math.sin(ELEVATIONS[0]), 1.0)

@@ -9,12 +9,16 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from vstestbed.core.geometry import Array
+from vstestbed.core.geometry import FLIP, Array
 from vstestbed.sim.scene.compose import HAND_PLATE
-from vstestbed.sim.scene.groups import RANGE_GROUP
+from vstestbed.sim.scene.groups import RANGE_GROUP, TARGET_GROUP
 
 PLAIN_RGBA = (0.5, 0.5, 0.5, 1.0)
 """MuJoCo's default colour of a geom, for which its material's is used."""
+PAPER_RGB = (0.96, 0.96, 0.96)
+PRINT_M = 2e-4
+"""Distance of a print before its box [m]."""
+ENDLESS_M = 20.0
 AROUND, ALONG = 24, 8
 """Facets of round geoms round the axis, and from the equator to a pole."""
 
@@ -33,18 +37,74 @@ class Solid:
     rgb: tuple[float, float, float]
 
 
+@dataclass(frozen=True)
+class Pane:
+    """A picture on a flat geom that is fixed to a body.
+
+    Attributes:
+        body: number of the body. T_body_pane: its middle, x to the picture's right, y down, z away from who sees it, shape (4, 4).
+        width, height: [m]. image: (H, W, 3) uint8 RGB.
+    """
+
+    body: int
+    T_body_pane: Array
+    width: float
+    height: float
+    image: NDArray[np.uint8]
+
+
+def panes(model: mujoco.MjModel) -> list[Pane]:
+    """The pictures of a scene: what is printed on the front of a target's boxes, as tags are."""
+    found = []
+    for i in np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_BOX):
+        texture = _texture(model, int(i))
+        if texture < 0 or not _shows_print(model, int(i)):
+            continue
+        T, R, half = np.eye(4), np.zeros(9), model.geom_size[i].astype(float)
+        mujoco.mju_quat2Mat(R, model.geom_quat[i])
+        T[:3, :3] = R.reshape(3, 3)
+        T[:3, 3] = model.geom_pos[i] + (half[2] + PRINT_M) * T[:3, 2]
+        T = T @ FLIP  # of a geom's texture y is up
+        share = np.minimum(model.mat_texrepeat[model.geom_matid[i]], 1.0)
+        image = texels_of(model, texture)
+        columns, rows = (max(1, round(n * part)) for n, part in zip(image.shape[1::-1], share.tolist(), strict=True))
+        found.append(Pane(int(model.geom_bodyid[i]), T, 2 * float(half[0]), 2 * float(half[1]), image[:rows, :columns].copy()))
+    return found
+
+
+def texels_of(model: mujoco.MjModel, texture: int) -> NDArray[np.uint8]:
+    """A texture's pixels (H, W, 3)."""
+    height, width, channels = model.tex_height[texture], model.tex_width[texture], model.tex_nchannel[texture]
+    start = model.tex_adr[texture]
+    pixels = model.tex_data[start : start + height * width * channels].reshape(height, width, channels)
+    return np.broadcast_to(pixels[..., :3], (height, width, 3))
+
+
+def _shows_print(model: mujoco.MjModel, i: int) -> bool:
+    """Whether geom i is a box of a target, whose texture is a print on its front."""
+    return bool(model.geom_type[i] == mujoco.mjtGeom.mjGEOM_BOX and model.geom_group[i] == TARGET_GROUP)
+
+
+def _texture(model: mujoco.MjModel, i: int) -> int:
+    """The texture of geom i; -1 without one."""
+    material = int(model.geom_matid[i])
+    return int(model.mat_texid[material, mujoco.mjtTextureRole.mjTEXROLE_RGB]) if material >= 0 else -1
+
+
 def solids(model: mujoco.MjModel) -> list[Solid]:
-    """The visible geoms of a scene but infinite planes, joined by body and colour."""
+    """The visible geoms of a scene but its own floor, joined by body and colour; of infinite planes ENDLESS_M to each side.
+
+    What is printed on a target is in `panes`.
+    """
     found: dict[tuple[int, tuple[float, float, float]], list[Array]] = {}
     for i in range(model.ngeom):
         unseen = model.geom_group[i] == RANGE_GROUP or model.geom_rgba[i, 3] == 0 or model.geom(i).name == HAND_PLATE
-        if unseen or model.geom_type[i] == mujoco.mjtGeom.mjGEOM_PLANE:
+        if unseen or (model.geom_type[i] == mujoco.mjtGeom.mjGEOM_PLANE and model.geom(i).name == "floor"):  # viewers have their own
             continue
         R = np.zeros(9)
         mujoco.mju_quat2Mat(R, model.geom_quat[i])
-        for rgb, triangles in _coloured(model, i):
-            placed = triangles @ R.reshape(3, 3).T + model.geom_pos[i]
-            found.setdefault((int(model.geom_bodyid[i]), rgb), []).append(placed)
+        placed = _triangles(model, i) @ R.reshape(3, 3).T + model.geom_pos[i]
+        found.setdefault((int(model.geom_bodyid[i]), _colour(model, i)), []).append(placed)
     return [_joined(body, rgb, parts) for (body, rgb), parts in found.items()]
 
 
@@ -53,38 +113,24 @@ def _joined(body: int, rgb: tuple[float, float, float], parts: list[Array]) -> S
     return Solid(body, vertices, np.arange(len(vertices)).reshape(-1, 3), rgb)
 
 
-def _coloured(model: mujoco.MjModel, i: int) -> list[tuple[tuple[float, float, float], Array]]:
-    """Colours of geom i, each with its triangles (F, 3, 3) in the geom's frame."""
-    triangles, rgba = _triangles(model, i), model.geom_rgba[i].astype(float)
+def _colour(model: mujoco.MjModel, i: int) -> tuple[float, float, float]:
+    """Colour of geom i."""
+    rgba = model.geom_rgba[i].astype(float)
     material = int(model.geom_matid[i])
     if material < 0:
-        return [(_rgb(rgba), triangles)]
-    texture = int(model.mat_texid[material, mujoco.mjtTextureRole.mjTEXROLE_RGB])
-    if texture >= 0 and model.geom_type[i] == mujoco.mjtGeom.mjGEOM_BOX:
-        return [((0.96, 0.96, 0.96), triangles), *_print(model, texture, model.geom_size[i])]
-    colour = model.mat_rgba[material].astype(float) if np.allclose(rgba, PLAIN_RGBA) else rgba
-    return [(_rgb(colour * max(1.0, float(model.mat_emission[material]))), triangles)]
+        return _rgb(rgba)
+    texture = _texture(model, i)
+    if texture >= 0 and _shows_print(model, i):
+        return PAPER_RGB
+    colour = (model.mat_rgba[material] if np.allclose(rgba, PLAIN_RGBA) else rgba).astype(float)
+    if texture >= 0:
+        colour[:3] *= texels_of(model, texture).mean(axis=(0, 1)) / 255
+    return _rgb(colour * max(1.0, float(model.mat_emission[material])))
 
 
 def _rgb(rgba: Array) -> tuple[float, float, float]:
     r, g, b = np.clip(np.round(rgba[:3], 3), 0.0, 1.0).tolist()
     return r, g, b
-
-
-def _print(model: mujoco.MjModel, texture: int, half: Array) -> list[tuple[tuple[float, float, float], Array]]:
-    """The dark fields of a print on the face z = +half[2] of a box, a little before it."""
-    height, width = int(model.tex_height[texture]), int(model.tex_width[texture])
-    start, channels = int(model.tex_adr[texture]), int(model.tex_nchannel[texture])
-    picture = model.tex_data[start : start + height * width * channels].reshape(height, width, channels)[:, :, 0] < 128
-    edges = [np.flatnonzero((picture != np.roll(picture, 1, axis)).any(axis=1 - axis)) for axis in (0, 1)]
-    module = max(1, math.gcd(height, width, *(int(e) for e in np.concatenate(edges))))
-    rows, columns = np.nonzero(picture[module // 2 :: module, module // 2 :: module])
-    dx, dy = 2 * half[0] * module / width, 2 * half[1] * module / height
-    corners = np.array([[0, 0], [0, 1], [1, 1], [0, 0], [1, 1], [1, 0]])  # counter-clockwise seen from +z, y up
-    x = -half[0] + (columns[:, None] + corners[:, 0]) * dx
-    y = half[1] - (rows[:, None] + corners[:, 1]) * dy
-    z = np.full_like(x, half[2] + 2e-4)
-    return [((0.05, 0.05, 0.05), np.stack([x, y, z], axis=-1).reshape(-1, 3, 3))]
 
 
 def _triangles(model: mujoco.MjModel, i: int) -> Array:
@@ -97,6 +143,8 @@ def _triangles(model: mujoco.MjModel, i: int) -> Array:
         return model.mesh_vert[first : first + count].astype(float)[faces]
     if kind == mujoco.mjtGeom.mjGEOM_BOX:
         return _box() * size
+    if kind == mujoco.mjtGeom.mjGEOM_PLANE:
+        return _box()[-2:] * [*np.where(size[:2] > 0, size[:2], ENDLESS_M), 0.0]
     if kind in (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_ELLIPSOID):
         return _turned(*_arc(0.0)) * (size if kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID else size[0])
     if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:

@@ -1,4 +1,4 @@
-"""Meshes and textures of a robot's file, carried into the scene, so that a run's folder holds all of it."""
+"""Meshes and textures of a robot's file, or of scenery, carried into the scene, so that a run's folder holds all of it."""
 
 from __future__ import annotations
 
@@ -24,10 +24,19 @@ def carry_files(model: mujoco.MjSpec, file: Path, scene: mujoco.MjSpec, prefix: 
     for things, folder in folders:
         for thing in things:
             if thing.file:
-                path = model_path(str(file)).parent / folder / thing.file
-                name = f"{prefix.strip('/')}_{len(taken)}_{path.name}"
-                taken[f"{ASSETS}/{name}"] = path.read_bytes()
-                thing.file = name
+                thing.file = _carried(file, folder, thing.file, taken, prefix)
+    for texture in model.textures:
+        texture.cubefiles = [_carried(file, model.texturedir, face, taken, prefix) for face in texture.cubefiles]
     if taken:
         model.meshdir = model.texturedir = scene.meshdir = scene.texturedir = ASSETS
     return taken
+
+
+def _carried(file: Path, folder: str, name: str, taken: dict[str, bytes], prefix: str) -> str:
+    """Take up a file that a model in `file` refers to; its name in the scene's assets, "" for none."""
+    if not name:
+        return ""
+    path = model_path(str(file)).parent / folder / name
+    new = f"{prefix.strip('/')}_{len(taken)}_{path.name}"
+    taken[f"{ASSETS}/{new}"] = path.read_bytes()
+    return new

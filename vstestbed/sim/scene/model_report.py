@@ -1,4 +1,4 @@
-"""What of an arm's file can be used, and what is missing, for `doctor FILE.xml`."""
+"""What of an arm's file, or of scenery, can be used, and what is missing, for `doctor FILE.xml`."""
 
 from __future__ import annotations
 
@@ -9,16 +9,21 @@ import mujoco
 import numpy as np
 
 from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array
 from vstestbed.core.named_files import place_of_file
 from vstestbed.robots.chain import JointChain
-from vstestbed.sim.scene.joint_chain import compiled, joint_chain
+from vstestbed.robots.mjcf import servo_gains
+from vstestbed.sim.scene.joint_chain import compiled, inertia_at, joint_chain
+from vstestbed.sim.scene.scenery import examine_scenery
 
 Line = tuple[str, bool, str, str]
 """What was examined, whether it can be used, what was found, a remedy."""
 
 
 def examine_model(file: str) -> Iterator[Line]:
-    """Examine a model as the robot `mjcf` would use it: flanges, joints, torque limits, servos, and a block to begin with.
+    """Examine a model as the robot `mjcf` would use it: flanges, joints, torque limits, servos and their gains, and a block to begin with.
+
+    A file without joints is examined as scenery (`world.scenery`).
 
     Raises:
         ParameterError: the file is not there.
@@ -28,6 +33,11 @@ def examine_model(file: str) -> Iterator[Line]:
         model = compiled(file)
     except ParameterError as error:
         yield "model", False, error.problem, "correct the file; MuJoCo names the line"
+        return
+    if not model.njnt:
+        for what, found in examine_scenery(file):
+            yield what, True, found, ""
+        yield "scenario", True, f"world: {{scenery: {file}}}", ""
         return
     yield "model", True, f"{model.njnt} joints, {model.nu} actuators, {model.nsite} sites, {model.nmesh} meshes", ""
     usable: list[tuple[str, JointChain]] = []
@@ -45,6 +55,7 @@ def examine_model(file: str) -> Iterator[Line]:
         return
     name, chain = max(usable, key=lambda found: len(found[1].names))
     yield from _of_joints(chain, path.read_text(errors="replace").splitlines())
+    yield from _of_servos(file, chain)
     yield "scenario", True, _block(file, name, chain), ""
 
 
@@ -62,6 +73,14 @@ def _of_joints(chain: JointChain, lines: list[str]) -> Iterator[Line]:
         where = f", line {line}" if missing and (line := _line_of(name, lines)) else ""
         note = f" [{'; '.join(missing)}{where}]" if missing else ""
         yield "joint", True, f"{name}: {_span(chain, i)}{note}", ""
+
+
+def _of_servos(file: str, chain: JointChain) -> Iterator[Line]:
+    """The gains of the servos that `actuation: velocity` adds, at the start that the printed block has."""
+    inertia = inertia_at(file, chain.names, tuple(_middle(chain).tolist()))
+    for name, slides, m in zip(chain.names, chain.slides, inertia, strict=True):
+        (kp, kv), per = servo_gains(m), "N/m" if slides else "Nm/rad"
+        yield "servo", True, f"{name}: kp {kp:.4g} {per}, kv {kv:.4g} {per.replace('/', ' s/')} (added by actuation: velocity)", ""
 
 
 def _span(chain: JointChain, i: int) -> str:
@@ -86,9 +105,14 @@ def _line_of(joint: str, lines: list[str]) -> int:
     return next((number for number, line in enumerate(lines, start=1) if wanted.search(line)), 0)
 
 
+def _middle(chain: JointChain) -> Array:
+    """The middle of each joint's range (n,) [rad, m], 0 of one that turns without end."""
+    return np.where(np.isfinite(chain.limits), chain.limits, 0.0).mean(axis=1)
+
+
 def _block(file: str, flange: str, chain: JointChain) -> str:
     """A robot's block of a scenario, with a start in the middle of each range."""
-    middle = np.where(np.isfinite(chain.limits), chain.limits, 0.0).mean(axis=1)
+    middle = _middle(chain)
     start = np.where(chain.slides, middle, np.degrees(middle)).round(3).tolist()
     speeds = [0.25 if slides else 1.0 for slides in chain.slides]
     return f"robot: {{kind: mjcf, file: {file}, flange: {flange}, speed_limits: {speeds}, start: {{nominal: {{q_deg: {start}}}}}}}"

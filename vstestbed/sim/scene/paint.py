@@ -1,4 +1,4 @@
-"""Paint on the floor: one flat mesh for each line."""
+"""What of a target is drawn besides its markers: paint on the floor, a picture, a solid."""
 
 from __future__ import annotations
 
@@ -6,6 +6,11 @@ import mujoco
 import numpy as np
 
 from vstestbed.core.geometry import Array
+from vstestbed.sim.scene.groups import FACE_VIEWER, GLOW, TARGET_GROUP
+from vstestbed.sim.scene.model_files import ASSETS
+from vstestbed.targets.markers import HALF_THICKNESS_M
+from vstestbed.targets.surfaces import Body, Sheet
+from vstestbed.targets.triangles import as_stl
 
 LIFT_M = 2e-4
 """Height of the paint over the floor, against z-fighting [m]: seen from .3 m up at 60 degrees, it appears .35 mm too far out."""
@@ -29,6 +34,52 @@ def add_stripe(scene: mujoco.MjSpec, body: mujoco.MjsBody, edges: tuple[Array, A
         type=mujoco.mjtGeom.mjGEOM_MESH,
         meshname=f"target/line_{i}",
         group=group,
+        contype=0,
+        conaffinity=0,
+        mass=0,
+    )
+
+
+def add_sheet(scene: mujoco.MjSpec, body: mujoco.MjsBody, sheet: Sheet, front: float) -> float:
+    """A picture with its face at z = front in the target's frame; where its back is [m]."""
+    scene.texturedir = ASSETS
+    scene.assets = {**scene.assets, f"{ASSETS}/target_picture.png": sheet.png}
+    scene.add_texture(name="target/picture", type=mujoco.mjtTexture.mjTEXTURE_2D, file="target_picture.png")
+    grey = 1.0 if sheet.lit else 1 / GLOW
+    rgba = [grey, grey, grey, 1.0]
+    paint = scene.add_material(name="target/picture", rgba=rgba, specular=0, shininess=0, emission=0.0 if sheet.lit else GLOW)
+    paint.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "target/picture"
+    paint.texrepeat = sheet.share
+    body.add_geom(
+        name="target/picture",
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        size=[sheet.width / 2, sheet.height / 2, HALF_THICKNESS_M],
+        pos=[0, 0, front + HALF_THICKNESS_M],
+        quat=FACE_VIEWER,
+        rgba=rgba,
+        material="target/picture",
+        group=TARGET_GROUP,
+        contype=0,
+        conaffinity=0,
+        mass=0,
+    )
+    return front + 2 * HALF_THICKNESS_M
+
+
+def add_body(scene: mujoco.MjSpec, body: mujoco.MjsBody, solid: Body) -> None:
+    """A target's solid, without collisions. MuJoCo smooths the shading of curved surfaces."""
+    scene.meshdir = ASSETS
+    scene.assets = {**scene.assets, f"{ASSETS}/target_solid.stl": as_stl(solid.triangles)}
+    mesh = scene.add_mesh(name="target/solid", file="target_solid.stl")
+    mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # it need not be closed
+    paint = scene.add_material(name="target/solid", rgba=[*solid.rgb, 1.0], specular=0, shininess=0)
+    body.add_geom(
+        name="target/solid",
+        type=mujoco.mjtGeom.mjGEOM_MESH,
+        meshname="target/solid",
+        rgba=[*solid.rgb, 1.0],
+        material=paint.name,
+        group=TARGET_GROUP,
         contype=0,
         conaffinity=0,
         mass=0,

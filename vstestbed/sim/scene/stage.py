@@ -14,6 +14,7 @@ from vstestbed.sim.scene.groups import LENS_GROUP, RANGE_GROUP
 from vstestbed.sim.scene.indices import StateIndices
 from vstestbed.sim.scene.roots import Root
 from vstestbed.sim.scene.world import decoy_path, plate_path
+from vstestbed.targets.markers import HIDDEN_M
 
 
 class Stage:
@@ -135,8 +136,7 @@ class Stage:
     def hidden(self, T_world_camera: Array, p_camera: Array) -> NDArray[np.bool_]:
         """Which marker centres (N, 3) are occluded: a ray from the lens hits something before them. Not those that do not exist (NaN)."""
         marker = self.parts.target.marker
-        # The ray hits the marker itself before its centre, by its height; 2 mm of slack for a flat one.
-        slack = marker.height_m + 0.002
+        slack = marker.height_m + HIDDEN_M  # the ray hits the marker itself before its centre, by its height
         groups = np.ones(6, dtype=np.uint8)
         groups[[LENS_GROUP, RANGE_GROUP]] = 0  # the lens lies inside the former; both are not in the picture either
         p_world = p_camera @ T_world_camera[:3, :3].T
@@ -146,6 +146,16 @@ class Stage:
         rays = np.where(np.isfinite(reach), (p_world / reach[:, None]).T, [[0.0], [0.0], [1.0]]).T
         hits = [mujoco.mj_ray(self.model, self.data, origin, np.ascontiguousarray(d), groups, 1, -1, geom) for d in rays]
         return np.array([0 <= hit < r - slack for hit, r in zip(hits, reach, strict=True)])
+
+    @property
+    def body_names(self) -> list[str]:
+        """Names of all bodies, by number."""
+        return [self.model.body(i).name for i in range(self.model.nbody)]
+
+    @property
+    def body_poses(self) -> tuple[Array, Array]:
+        """Positions (B, 3) [m] and quaternions (B, 4), wxyz, of all bodies in the state; valid until the next one."""
+        return self.data.xpos, self.data.xquat
 
     def start_qpos(self) -> Array:
         """MuJoCo's whole state of positions (nq,) at the nominal start."""

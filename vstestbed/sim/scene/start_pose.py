@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from vstestbed.camera import Camera
-from vstestbed.core.geometry import Array
+from vstestbed.core.geometry import Array, inverse
 from vstestbed.robots import Robot
 from vstestbed.targets.base import Target
 
@@ -20,3 +20,10 @@ def target_start(robot: Robot, target: Target) -> Array:
     if target.on_gripper:
         return robot.flange_pose(robot.configuration()) @ target.pose.T
     return target.T_world_start
+
+
+def flange_for(camera: Camera, target: Target, T_camera_target: Array) -> Array:
+    """Pose of the flange (4, 4) with which the camera sees the target, where it is at the start, at T_camera_target (4, 4)."""
+    if target.on_gripper:
+        return camera.mount.T @ T_camera_target @ inverse(target.pose.T)
+    return target.T_world_start @ inverse(camera.mount.T @ T_camera_target)

@@ -1,9 +1,10 @@
-"""The surroundings: floor, occluding plates, decoys, wind."""
+"""The surroundings: floor, scenery, occluding plates, decoys, wind."""
 
 from __future__ import annotations
 
 import colorsys
 import math
+import pathlib
 from typing import Annotated
 
 import numpy as np
@@ -11,8 +12,9 @@ from annotated_types import Ge, Len, Lt
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose
+from vstestbed.core.named_files import absolute_file
 from vstestbed.core.quantity import Length, Narrower, Position, PositiveGain, PositiveLength, PositiveTime, Speed, Time, Velocity
-from vstestbed.core.spec import spec
+from vstestbed.core.spec import Shorthand, spec
 from vstestbed.targets.motion import PLATE_MOTIONS, MotionBase, Path, Still
 
 
@@ -109,10 +111,30 @@ class Decoy:
 
 
 @spec
+class Scenery:
+    """Tables, walls, floors and lights by an MJCF file, which stand still; `sim/scene/scenery.py` says what becomes of its parts.
+
+    In YAML its file's name alone is enough.
+
+    Args:
+        file: MJCF, absolute, relative to the scenario's file, or `package:NAME/path` inside an installed package.
+        pose: of its origin in the world.
+    """
+
+    file: str
+    pose: Pose = Pose()
+
+    def __post_init__(self) -> None:
+        """Make the name independent of the folder: a run remembers where its scenery is."""
+        object.__setattr__(self, "file", absolute_file(self.file, pathlib.Path.cwd()))
+
+
+@spec
 class World:
     """The surroundings of robot and target.
 
     Args:
+        scenery: an MJCF file round the experiment: its name, or a block with a pose.
         floor_z: height of the floor [m]; scenes in a textbook's coordinates need it out of the way.
         floor_friction: Coulomb friction between the floor and wheels or feet, an upper bound of their own; .05 is ice.
         plates: can occlude markers, or cast a shadow on them (`camera.shadows`).
@@ -120,11 +142,27 @@ class World:
         wind: acts on flying craft.
     """
 
+    scenery: Annotated[Scenery | None, Shorthand("file")] = None
     floor_z: Length = 0.0
     floor_friction: Annotated[PositiveGain, Narrower(le=10)] | None = None
     plates: Annotated[tuple[Plate, ...], Len(0, 100)] = ()
     decoys: Annotated[tuple[Decoy, ...], Len(0, 100)] = ()
     wind: Wind = Wind()
+
+    def __post_init__(self) -> None:
+        """Refuse scenery that cannot stand here."""
+        if self.scenery is not None:
+            from vstestbed.sim.scene.scenery import check_scenery  # here: MuJoCo is imported where there is any
+
+            try:
+                check_scenery(self.scenery.file, self.scenery.pose.T, self.floor_z)
+            except ParameterError as error:
+                raise ParameterError("scenery", error.problem, error.found) from None
+
+    @property
+    def hides(self) -> bool:
+        """Whether there is what can hide a marker: plates, scenery."""
+        return bool(self.plates or self.scenery)
 
 
 AWAY = np.array([0.0, 0.0, -50.0])

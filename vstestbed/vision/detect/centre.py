@@ -45,14 +45,14 @@ class Outlines(NamedTuple):
 def centre_bias(camera: Camera, target: Target, T_camera_target: Array) -> Outlines:
     """Centroid of each marker's image relative to the image of its centre, the image's area, and that of the centre.
 
-    The rim (of a disc: in the target's plane; of a sphere: the circle where the rays touch it, centre p (d^2 - r^2)/d^2,
+    The rim (of a disc: across its normal; of a sphere: the circle where the rays touch it, centre p (d^2 - r^2)/d^2,
     radius r sqrt(1 - r^2/d^2), d = |p|) is projected as a polygon; with its corners q_i relative to the image of the centre,
     a_i = q_i x q_i+1,  area = |sum a_i|/2,  bias = sum (q_i + q_i+1) a_i / (3 sum a_i).
     This holds for any lens. Where the lens does not see a whole rim the result is NaN.
 
     Args:
         camera: the camera.
-        target: marker points, kind and radius.
+        target: marker points, normals, kind and radius.
         T_camera_target: the target's pose, shape (4, 4).
 
     Reference: Heikkila & Silven 1997, doi:10.1109/CVPR.1997.609468 (the bias in closed form for a pinhole and a disc).
@@ -60,7 +60,7 @@ def centre_bias(camera: Camera, target: Target, T_camera_target: Array) -> Outli
     points, radius = target.points, target.marker.radius
     with np.errstate(invalid="ignore", divide="ignore"):
         if not target.marker.height_m:  # flat
-            p = transform(T_camera_target, _disc_rims(points.tobytes(), radius)).reshape(len(points), -1, 3)
+            p = transform(T_camera_target, _disc_rims(points.tobytes(), target.normals.tobytes(), radius)).reshape(len(points), -1, 3)
         else:
             p = _sphere_rims(transform(T_camera_target, points), radius)
         return _of_rims(camera, p)
@@ -93,10 +93,14 @@ def ball_bias(camera: Camera, radius: float, centroid: Array, area: Array) -> Ar
 
 
 @lru_cache(maxsize=256)
-def _disc_rims(points: bytes, radius: float) -> Array:
-    """Each disc's centre and rim in the target's frame, shape (N (CORNERS + 2), 3); points (N, 3) as bytes, which can be hashed."""
+def _disc_rims(points: bytes, normals: bytes, radius: float) -> Array:
+    """Each disc's centre and rim in the target's frame, shape (N (CORNERS + 2), 3).
+
+    points, normals: of the discs, (N, 3) each, as bytes, which can be hashed.
+    """
     centre = np.frombuffer(points).reshape(-1, 1, 3)
-    rim = centre + radius * np.stack([_COS, _SIN, np.zeros_like(_COS)], axis=-1)
+    across = np.array([_across(*normal) for normal in np.frombuffer(normals).reshape(-1, 3).tolist()])
+    rim = centre + radius * (_COS[:, None] * across[:, :1] - _SIN[:, None] * across[:, 1:])
     return np.concatenate([centre, rim], axis=1).reshape(-1, 3)
 
 

@@ -1,0 +1,114 @@
+"""`vstestbed export`: a run's folder, a comparison's, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+from pathlib import Path
+
+import polars as pl
+import pytest
+
+import vstestbed as vs
+from vstestbed.experiments.comparison import chosen, controllers, jobs
+from vstestbed.experiments.comparison.folder import store, write_plan
+from vstestbed.experiments.comparison.worker import execute, request_of
+
+SMALL = {"camera.width": 160, "camera.height": 120, "stop.duration_s": 0.12, "detector": {"kind": "oracle"}}
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a run, `run`, and a comparison, `comparison`, of two runs."""
+    place = tmp_path_factory.mktemp("made")
+    run = place / "run"
+    run.mkdir()
+    vs.run_into(run, vs.load("arm_ibvs", SMALL), "none", report=False)
+    compared = place / "comparison"
+    compared.mkdir()
+    plan = chosen(["arm_ibvs"], SMALL, {}, 2, [])
+    write_plan(compared, plan)
+    for job in jobs(controllers(plan), plan.seeds):  # as `vstestbed compare` does it, without starting workers
+        store(compared, job, execute(request_of(job.folder, job.scenario(), filmed=False)), attempts=1)
+    return place
+
+
+@pytest.fixture
+def place(made: Path, tmp_path: Path) -> Path:
+    """The same in a folder of the test's own."""
+    return Path(shutil.copytree(made, tmp_path / "runs"))
+
+
+def names(folder: Path) -> set[str]:
+    return {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
+
+
+def test_a_run_is_exported_beside_its_folder(command, place):
+    for to in ("mcap", "lerobot", "csv"):
+        ended = command("export", place / "run", "--to", to)
+        assert ended.code == 0, ended.err
+        assert ended.err == f"{place / ('run.mcap' if to == 'mcap' else f'run_{to}')}\n" and ended.out == ""
+    assert (place / "run.mcap").read_bytes().startswith(b"\x89MCAP0\r\n")
+    assert names(place / "run_csv") == {"run.csv", "columns.csv"}
+    assert json.loads((place / "run_lerobot/meta/info.json").read_text())["total_episodes"] == 1
+    assert not list(place.rglob("*.part"))
+
+
+def test_a_comparisons_runs_are_files_or_episodes_in_the_order_of_its_table(command, place):
+    runs = [f"runs/arm_ibvs/as_it_is/{seed}" for seed in (0, 1)]
+    for to in ("mcap", "lerobot", "csv"):
+        assert command("export", place / "comparison", "--to", to, "-q").code == 0
+    assert names(place / "comparison_mcap") == {f"{run}.mcap" for run in runs}
+    assert names(place / "comparison_csv") == {*(f"{run}.csv" for run in runs), "columns.csv", "comparison.csv"}
+    assert pl.read_csv(place / "comparison_csv/comparison.csv")["folder"].to_list() == runs
+    episodes = pl.read_parquet(place / "comparison_lerobot/meta/episodes/*/*.parquet")
+    assert episodes["vstestbed/run"].to_list() == runs and episodes["vstestbed/seed"].to_list() == [0, 1]
+
+
+def test_what_is_left_out_is_told(command, place):
+    runs = place / "comparison/runs/arm_ibvs/as_it_is"
+    (runs / "0/log.parquet").unlink()
+    ended = command("export", place / "comparison", "--to", "csv", "--out", place / "a")
+    assert ended.err == f"1 of 2 runs crashed without a log, and are left out\n{place / 'a'}\n"
+    shutil.rmtree(runs / "0")
+    ended = command("export", place / "comparison", "--to", "csv", "--out", place / "b")
+    assert f"1 of 2 runs are not done yet; vstestbed compare --resume --out {place / 'comparison'} does them" in ended.err
+    (place / "run/summary.json").unlink()
+    ended = command("export", place / "run", "--to", "csv", "--out", place / "c")
+    assert ended.code == 0 and "has no summary: it was cut off, or goes on; its 4 frames so far are exported" in ended.err
+    shutil.rmtree(runs / "1")
+    ended = command("export", place / "comparison", "--to", "csv", "--out", place / "d")
+    assert ended.code == 2 and "has no finished run" in ended.err and not (place / "d").exists()
+
+
+def test_what_is_there_is_never_written_over(command, place):
+    (place / "run.mcap").write_text("mine")
+    ended = command("export", place / "run", "--to", "mcap")
+    assert ended.code == 2 and ended.err == f"{place / 'run.mcap'}: exists; give a new file with --out\n"
+    assert (place / "run.mcap").read_text() == "mine"
+    for to in ("lerobot", "csv"):
+        ended = command("export", place / "run", "--to", to, "--out", place / "run")
+        assert ended.code == 2 and "exists and is not an empty folder; give a new folder with --out" in ended.err
+
+
+def test_bad_input_is_refused_in_a_sentence(command, place):
+    for words, sentence in (
+        ((place / "nowhere", "--to", "csv"), "no such folder"),
+        ((place, "--to", "csv"), "no run here"),
+        ((place / "run", "--to", "csv", "--start", "1"), "--start is for --to mcap"),
+        ((place / "run", "--to", "bag"), "'mcap', 'lerobot', 'csv'"),
+        ((place / "run", "--to", "mcap", "--out", place / "no/where.mcap"), "cannot be written"),
+    ):
+        ended = command("export", *words)
+        assert ended.code == 2 and sentence in ended.err, ended.err
+    (place / "run/log.parquet").write_bytes(b"no parquet")
+    ended = command("export", place / "run", "--to", "csv")
+    assert ended.code == 2 and "cannot be read" in ended.err
+
+
+def test_without_the_extra_the_command_that_installs_it_is_named(command, place, monkeypatch):
+    monkeypatch.setitem(sys.modules, "mcap_protobuf.writer", None)
+    monkeypatch.delitem(sys.modules, "vstestbed.report.export.mcap_file", raising=False)
+    ended = command("export", place / "run", "--to", "mcap")
+    assert ended.code == 4 and "pip install 'vstestbed[export]'" in ended.err and not (place / "run.mcap").exists()

@@ -1,0 +1,155 @@
+"""Pictures and solids of one's own: drawn alike by OpenGL and by rays, upright, in place, and found to a fraction of a pixel."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from vstestbed.camera import Camera, Catadioptric, Fisheye, Image, Perspective, Picture, SphericalCamera
+from vstestbed.core.assets import folder
+from vstestbed.core.geometry import Pose, inverse
+from vstestbed.robots import Free
+from vstestbed.robots.free import FreeStart
+from vstestbed.sim.render.opengl import OpenGLRenderer
+from vstestbed.sim.render.rays import RayRenderer
+from vstestbed.sim.scene.compose import Parts
+from vstestbed.sim.scene.stage import Stage
+from vstestbed.sim.scene.world import World
+from vstestbed.targets import MeshTarget, PictureTarget, Target
+from vstestbed.targets.markers import Disc, Sphere, Tag
+from vstestbed.vision import Blobs, Tags
+
+PAGE = {"file": str(folder("scenarios") / "targets" / "page.png"), "width": 0.6, "pose": Pose(xyz=(0, 0, 1))}
+TAGS = {"at_px": ((129.5, 129.5), (1069.5, 129.5), (1069.5, 717.5), (129.5, 717.5)), "draw_markers": False}
+PRINTED = PictureTarget(**PAGE, **TAGS, marker=Tag(family="aruco_4x4_50", size=0.09))
+PART = {"file": str(folder("scenarios") / "targets" / "flange.stl"), "scale": 0.001}
+FLANGE = MeshTarget(
+    **PART,
+    at=((-85, -85, 18), (85, -85, 18), (85, 85, 18), (-85, 85, 18)),
+    pose=Pose(xyz=(0, 0, 1), rpy_deg=(180, 0, 0)),
+    marker=Disc(radius=0.018),
+)
+VIEWS = (Pose(), Pose(xyz=(0.3, -0.1, -0.2), rpy_deg=(4, -15, 20)), Pose(xyz=(-0.2, 0.1, -0.5), rpy_deg=(-8, 12, 100)))
+
+
+@contextmanager
+def eyes(target: Target, camera: Camera) -> Iterator[Any]:
+    """The servo camera's pictures by both renderers, as a function of the camera's pose."""
+    stage = Stage(Parts(Free(start=FreeStart(nominal=Pose())), camera, target, World(floor_z=-20.0), step=0.002), camera.multisampling)
+    both = OpenGLRenderer(stage, camera), RayRenderer(stage, camera)
+
+    def seen(view: Pose) -> list[Image]:
+        stage.place(0.0, target.pose.T, np.zeros(0), view.T)
+        return [eye.full_image().copy() for eye in both]
+
+    yield seen
+    stage.close()
+
+
+def apart(images: list[Image]) -> np.ndarray:
+    """The largest difference of a channel of each pixel [grey levels]."""
+    return np.abs(np.subtract(*(image.astype(int) for image in images))).max(axis=-1)
+
+
+LENSES = [
+    Perspective(multisampling=4),
+    Fisheye(width=500, height=500),
+    Catadioptric(width=500, height=500),
+    SphericalCamera(width=600, height=300),
+]
+
+
+@pytest.mark.parametrize("lens", LENSES, ids=lambda lens: lens.kind)
+@pytest.mark.parametrize("target", [PRINTED, FLANGE], ids=["picture", "mesh"])
+def test_both_renderers_draw_the_same(target: Target, lens: Camera):
+    with eyes(target, lens) as seen:
+        for view in (VIEWS[1], Pose(xyz=(0, 0, -3))):
+            far = apart(seen(view))
+            assert far.mean() < 0.5 and np.mean(far > 60) < 0.004
+
+
+@pytest.mark.parametrize("view", VIEWS, ids=["frontal", "aslant", "turned"])
+def test_tags_printed_in_a_picture_are_found_where_they_are(view: Pose):
+    camera = Perspective(multisampling=4)
+    true = camera.project(PRINTED.seen_from(inverse(PRINTED.pose.T) @ view.T))
+    with eyes(PRINTED, camera) as seen:
+        for image in seen(view):
+            _, found = Tags().detect(Tags().init(), Picture(0.0, (image,)), None, camera, PRINTED, np.random.default_rng(0))
+            assert np.abs(found.uv - true).max() < 0.06
+
+
+def test_coloured_dots_printed_in_a_picture_are_found_where_they_are(tmp_path: Path):
+    places = [(150, 150), (650, 150), (650, 450), (150, 450)]
+    page = np.full((600, 800, 3), 230, np.uint8)
+    for (u, v), colour in zip(places, ((255, 0, 0), (127, 255, 0), (0, 255, 255), (127, 0, 255)), strict=True):
+        cv2.circle(page, (u * 16, v * 16), 32 * 16, colour[::-1], -1, cv2.LINE_AA, 4)  # 32 px, the hues 0, 90, 180 and 270
+    assert cv2.imwrite(str(tmp_path / "dots.png"), page)
+    own = {"file": str(tmp_path / "dots.png"), "width": 0.8, "pose": Pose(xyz=(0, 0, 1))}
+    target, camera = PictureTarget(**own, at_px=tuple(places), draw_markers=False, marker=Disc(radius=0.032)), Perspective(multisampling=4)
+    with eyes(target, camera) as seen:
+        for view in VIEWS[:2]:
+            true = camera.project(target.seen_from(inverse(target.pose.T) @ view.T))
+            for image in seen(view):
+                _, found = Blobs().detect(Blobs().init(), Picture(0.0, (image,)), None, camera, target, np.random.default_rng(0))
+                assert np.abs(found.uv - true).max() < 0.15
+
+
+def test_a_picture_is_upright_and_as_large_as_said(tmp_path: Path):
+    page = np.full((300, 400, 3), 255, np.uint8)
+    page[:150, :200], page[150:, 200:] = (0, 0, 255), (255, 0, 0)  # red above left, blue below right
+    assert cv2.imwrite(str(tmp_path / "quarters.png"), page)
+    target = PictureTarget(file=str(tmp_path / "quarters.png"), width=0.8, draw_markers=False, lit=False, pose=Pose(xyz=(0, 0, 1)))
+    camera = Perspective(width=401, height=301, fovy_deg=2 * np.degrees(np.arctan(0.5)))  # 301 px to the metre at 1 m
+    with eyes(target, camera) as seen:
+        for image in seen(Pose()):
+            pixels = image.astype(int)
+            for (u, v), colour in {
+                (130, 100): (255, 0, 0),
+                (270, 100): (255,) * 3,
+                (130, 200): (255,) * 3,
+                (270, 200): (0, 0, 255),
+            }.items():
+                assert np.abs(pixels[v, u] - colour).max() <= 2
+            row, column = pixels[100, :, 0] > 250, pixels[:, 130, 0] > 250
+            assert np.abs(np.flatnonzero(row)[[0, -1]] - [200 - 0.4 * 301, 200 + 0.4 * 301]).max() <= 1.5
+            assert np.abs(np.flatnonzero(column)[[0, -1]] - [150 - 0.3 * 301, 150 + 0.3 * 301]).max() <= 1.5
+
+
+def test_from_afar_a_fine_pattern_is_its_mean(tmp_path: Path):
+    checks = (np.indices((512, 512)).sum(axis=0) % 2 * 255).astype(np.uint8)
+    assert cv2.imwrite(str(tmp_path / "checks.png"), checks)
+    target = PictureTarget(file=str(tmp_path / "checks.png"), width=1.0, draw_markers=False, lit=False, pose=Pose(xyz=(0, 0, 4)))
+    camera = Perspective(width=300, height=300)
+    with eyes(target, camera) as seen:
+        for image in seen(Pose(rpy_deg=(0, 0, 20))):  # 8 texels a pixel: without smoothing it would be black and white
+            assert np.ptp(image[140:160, 140:160].astype(int)) <= 6 and abs(image[150, 150, 0] - 127.5) < 8
+
+
+@pytest.mark.parametrize("marker", [Disc(radius=0.018), Sphere(radius=0.015)], ids=["disc", "sphere"])
+@pytest.mark.parametrize("view", VIEWS[:2], ids=["frontal", "aslant"])
+def test_markers_on_a_solid_are_found_where_they_are(marker: Disc | Sphere, view: Pose):
+    target, camera = replace(FLANGE, marker=marker), Perspective(multisampling=4)
+    true = camera.project(target.seen_from(inverse(target.pose.T) @ view.T))
+    with eyes(target, camera) as seen:
+        for image in seen(view):
+            _, found = Blobs().detect(Blobs().init(), Picture(0.0, (image,)), None, camera, target, np.random.default_rng(0))
+            assert np.abs(found.uv - true).max() < 0.15
+
+
+def test_discs_on_all_sides_of_a_solid_are_ellipses_of_their_own_planes():
+    """The side of the neck is seen at the edge; the bias of each disc follows its own normal."""
+    target = replace(FLANGE, at=((0, -100, 18), (100, 0, 18), (-70, 70, 0), (70, -70, 0)))
+    camera, behind = Perspective(multisampling=4, fovy_deg=40), Pose(xyz=(0.2, 0.1, 2.0), rpy_deg=(180, 10, 0))
+    hidden = target.hides(inverse(target.pose.T) @ behind.T)
+    np.testing.assert_array_equal(hidden, [True, True, False, False])
+    with eyes(target, camera) as seen:
+        for image in seen(behind):
+            _, found = Blobs().detect(Blobs().init(), Picture(0.0, (image,)), None, camera, target, np.random.default_rng(0))
+            np.testing.assert_array_equal(np.isnan(found.uv[:, 0]), hidden)

@@ -1,0 +1,193 @@
+"""`world.scenery`: what is drawn, hidden, touched, carried into a run's folder and refused."""
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from PIL import Image
+
+import vstestbed as vs
+from vstestbed.core.errors import ScenarioError
+from vstestbed.scenario.load import for_another_folder
+from vstestbed.sim.build import scene_files
+from vstestbed.sim.render.opengl import OpenGLRenderer
+from vstestbed.sim.render.rays import RayRenderer
+from vstestbed.sim.scene.compose import Parts
+from vstestbed.sim.scene.groups import RANGE_GROUP
+from vstestbed.sim.scene.meshes import solids
+from vstestbed.sim.scene.model_report import examine_model
+from vstestbed.sim.scene.stage import Stage
+
+WORKSHOP = Path(__file__).parents[3] / "scenarios" / "scenery" / "workshop.xml"
+WALL = '<geom name="wall" type="box" size=".02 2 2" pos="1.3 0 1"/>'
+
+
+def mjcf(tmp_path: Path, inside: str, rest: str = "") -> Path:
+    file = tmp_path / "my_scene.xml"
+    file.write_text(f"<mujoco>{rest}\n<worldbody>\n{inside}\n</worldbody></mujoco>")
+    return file
+
+
+def stage_of(file: Path | None, **changes: object) -> Stage:
+    """The stage of arm_ibvs in a scenery, at its start."""
+    s = vs.load("arm_ibvs", ({"world.scenery": str(file)} if file else {}) | changes)
+    stage = Stage(Parts(s.robot, s.camera, s.target, s.world, step=0.002))
+    stage.place(0.0, s.target.pose.T, s.robot.configuration())
+    return stage
+
+
+def test_both_renderers_draw_the_workshop_alike():
+    stage = stage_of(WORKSHOP)
+    camera = stage.parts.camera
+    by_gl, by_rays = (eye.full_image().astype(int) for eye in (OpenGLRenderer(stage, camera), RayRenderer(stage, camera)))
+    stage.close()
+    apart = np.abs(by_gl - by_rays).max(axis=-1)
+    assert np.median(apart) <= 2
+    assert np.mean(apart > 12) < 0.05  # OpenGL smoothes the lines between boards and tiles
+    without = stage_of(None)
+    bare = RayRenderer(without, camera).full_image().astype(int)
+    without.close()
+    assert np.mean(np.abs(bare - by_rays).max(axis=-1) > 12) > 0.5
+
+
+def test_its_floor_its_lights_and_its_sky_take_the_place_of_the_scenes():
+    stage = stage_of(WORKSHOP)
+    model = stage.model
+    stage.close()
+    assert model.geom("floor").group == RANGE_GROUP and model.geom("scenery/floor").group == 0
+    assert not model.geom("scenery/floor").contype and model.geom("floor").contype
+    assert not model.light("key").active and model.light("fill").active and model.light("scenery/windows").active
+    skies = [model.texture(i).name for i in range(model.ntex) if model.tex_type[i] == mujoco.mjtTexture.mjTEXTURE_SKYBOX]
+    assert skies == ["scenery/evening"]
+    assert model.opt.timestep == 0.002
+
+
+def test_the_options_of_the_file_do_not_count(tmp_path: Path, recwarn: pytest.WarningsRecorder):
+    rest = '<option timestep=".01" gravity="0 0 -1" integrator="RK4"/><statistic extent="9"/><keyframe><key name="k"/></keyframe>'
+    stage = stage_of(mjcf(tmp_path, WALL + '<camera name="mine"/>', rest))
+    model = stage.model
+    stage.close()
+    assert (model.opt.timestep, model.opt.gravity[2], model.stat.extent) == (0.002, -9.81, 2)
+    assert model.nkey == 0 and "scenery/mine" not in [model.camera(i).name for i in range(model.ncam)]
+    assert not recwarn.list
+
+
+def test_a_wall_before_the_target_hides_it_from_pictures_and_from_the_oracle(tmp_path: Path):
+    wall = str(mjcf(tmp_path, WALL))
+    for detector in ("blobs", "oracle"):
+        changes = {"world.scenery": wall, "detector": {"kind": detector}, "stop.duration_s": 3.0}
+        run = vs.run(vs.load("arm_ibvs", changes))
+        assert run.outcome.name == "target_lost", detector
+    free = vs.load("ibvs_book")
+    distance = float(np.linalg.norm(free.robot.flange_pose(free.robot.configuration())[:3, 3] - free.target.T_world_start[:3, 3]))
+    behind = vs.load("ibvs_book", {"world.scenery": {"file": wall, "pose": {"xyz": [200, 0, 0]}}, "stop.duration_s": 0.2})
+    assert distance < 100 and vs.run(behind).outcome.name != "target_lost"  # far away it hides nothing
+
+
+def test_to_touch_it_ends_the_run_with_its_name(tmp_path: Path):
+    box = mjcf(tmp_path, '<body name="shelf" pos=".55 0 1.05"><geom name="low_shelf" type="box" size=".25 .5 .02"/></body>')
+    run = vs.run(vs.load("arm_ibvs", {"world.scenery": str(box), "detector": "oracle", "stop.duration_s": 3.0}))
+    assert run.outcome.name == "collided"
+    assert "low shelf" in run.reason and "scenery" not in run.reason
+
+
+def test_wheels_roll_on_its_floor_as_on_the_scenes(tmp_path: Path):
+    file = mjcf(tmp_path, '<geom type="plane" size="30 30 .1" rgba=".5 .5 .5 1"/>')
+    changes = {"detector": "oracle", "stop.duration_s": 1.0}
+    plain, around = (vs.run(vs.load("omni_ibvs", changes | more)) for more in ({}, {"world.scenery": str(file)}))
+    np.testing.assert_array_equal(plain.frame()["base_x"].to_numpy(), around.frame()["base_x"].to_numpy())
+
+
+def test_a_scenario_names_it_relative_to_its_own_file_and_the_run_carries_its_textures(tmp_path: Path):
+    folder = tmp_path / "parts"
+    folder.mkdir()
+    Image.fromarray(np.full((8, 8, 3), 120, np.uint8)).save(folder / "cloth.png")
+    asset = '<asset><texture name="c" type="2d" file="cloth.png"/><material name="c" texture="c"/></asset>'
+    file = mjcf(tmp_path, '<geom type="box" size=".5 .5 .3" pos="0 2 .31" material="c"/>', '<compiler texturedir="parts"/>' + asset)
+    scenario = tmp_path / "mine.yaml"
+    bundled = (WORKSHOP.parents[1] / "arm_workshop.yaml").read_text()
+    scenario.write_text(bundled.replace("scenery/workshop.xml", file.name))
+    s = vs.load(str(scenario))
+    assert s.world.scenery is not None and s.world.scenery.file == str(file)
+    assert str(file) in for_another_folder(scenario)
+    scene = scene_files(s.robot, s.camera, s.target, s.world, s.physics)
+    out = tmp_path / "elsewhere"
+    for name, content in scene.assets.items():
+        (out / name).parent.mkdir(parents=True, exist_ok=True)
+        (out / name).write_bytes(content)
+    (out / "model.xml").write_text(scene.xml)
+    (folder / "cloth.png").unlink()
+    again = mujoco.MjModel.from_xml_path(str(out / "model.xml"))
+    assert "scenery/c" in [again.texture(i).name for i in range(again.ntex)]
+
+
+def test_viewers_without_mujoco_get_its_geoms_and_its_finite_planes():
+    stage = stage_of(WORKSHOP)
+    body = stage.model.body("scenery/bench").id
+    found = solids(stage.model)
+    stage.close()
+    assert any(solid.body == body for solid in found)
+    floor = [s for s in found if s.body == 0 and np.ptp(s.vertices[:, 0]) == pytest.approx(12)]
+    assert floor and max(floor[0].rgb) < 0.7
+
+
+def test_doctor_says_what_becomes_of_it():
+    lines = {what: found for what, works, found, _ in examine_model(str(WORKSHOP)) if works}
+    assert lines["scenery"] == "23 geoms, 22 of which can be touched; 0 meshes, 4 textures"
+    assert "in place of the scene's key light" in lines["lights"]
+    assert lines["scenario"].startswith("world: {scenery: ")
+
+
+@pytest.mark.parametrize(
+    ("inside", "rest", "words"),
+    [
+        ('<body><freejoint name="f"/><geom size=".1"/></body>', "", "has the joint f (line 3), and scenery stands still"),
+        (WALL, '<actuator><motor name="m" site="s"/></actuator>', "cannot be compiled by MuJoCo"),
+        (
+            WALL + '<site name="s"/>',
+            '<actuator><motor name="m" site="s"/></actuator>',
+            "has the actuator m (line 1), and nothing would drive",
+        ),
+        (WALL + "\n" + WALL, "", "repeated name 'wall' in geom"),
+        ('<geom size=".1" colour="red"/>', "", "unrecognized attribute: 'colour' Element 'geom', line 3"),
+        ('<geom type="mesh" mesh="m"/>', '<asset><mesh name="m" file="gone.stl"/></asset>', "Error opening file"),
+        ("", "", "has no geoms"),
+        ('<geom name="low" type="plane" size="1 1 1" pos="0 0 -1"/>', "", "set world.floor_z: -1"),
+        (
+            '<geom name="rug" type="box" size="1 1 .01" pos="0 0 -.01"/>',
+            "",
+            "the geom rug, whose upper face is at the height of the floor",
+        ),
+    ],
+)
+def test_mistakes_are_told(tmp_path: Path, inside: str, rest: str, words: str):
+    with pytest.raises(ScenarioError) as told:
+        vs.load("arm_ibvs", {"world.scenery": str(mjcf(tmp_path, inside, rest))})
+    assert words in str(told.value) and "world.scenery" in str(told.value)
+
+
+def test_a_file_that_is_not_there_is_told():
+    with pytest.raises(ScenarioError, match=r"world\.scenery: is not there .*gone\.xml"):
+        vs.load("arm_ibvs", {"world.scenery": "gone.xml"})
+
+
+def test_rays_shade_a_light_that_has_a_place_by_its_distance_and_angle(tmp_path: Path):
+    lamp = '<light type="spot" pos="0 0 2" dir="0 0 -1" diffuse=".8 .8 .8" attenuation="1 0 .5" cutoff="40" exponent="2"/>'
+    file = mjcf(tmp_path, lamp + '<geom name="floor" type="plane" size="5 5 1" rgba="1 1 1 1"/>')
+    stage = stage_of(file)
+    model = stage.model
+    model.light_active[model.light("fill").id] = 0
+    from vstestbed.sim.render.shade import Paint
+
+    x = np.array([0.0, 0.5, 1.5, 3.0])
+    points = np.stack([x, 0 * x, 0 * x], axis=1)
+    eye = np.array([0.0, 0.0, 4.0])
+    rays, distance = points - eye, np.linalg.norm(points - eye, axis=1)
+    floor = np.full(4, model.geom("scenery/floor").id, np.int32)
+    normal, apart = np.tile([0.0, 0.0, 1.0], (4, 1)), np.full(4, 1e-3)
+    seen = Paint(model, stage.data).colours(eye, rays / distance[:, None], floor, distance, normal, apart)[:, 0]
+    stage.close()
+    d = np.hypot(x, 2.0)
+    expected = 0.8 * (2 / d) * (2 / d) ** 2 / (1 + 0.5 * d**2) * (np.degrees(np.arccos(2 / d)) < 40)
+    np.testing.assert_allclose(seen, 255 * expected, atol=1.0)

@@ -1,0 +1,160 @@
+"""Metrics and monitors that a scenario adds: the numbers, the reports, and what is refused."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import ClassVar, Literal
+
+import numpy as np
+import polars as pl
+import pytest
+
+import vstestbed as vs
+from vstestbed.core.errors import ParameterError, ScenarioError
+from vstestbed.experiments.comparison.flights import BatchRequest
+from vstestbed.experiments.comparison.plan import Comparison
+from vstestbed.report.comparison.columns import DEFAULT_METRICS, Metric, shown_by_default
+from vstestbed.report.run.numbers import table
+from vstestbed.tasks.metrics import METRICS, CommandVariation, ErrorIntegrals
+from vstestbed.tasks.monitors import MONITORS, KeepOut
+
+FAST = {"detector": "oracle", "camera.rate_hz": 25.0}
+BOTH = {"metrics": ["error_integrals", "command_variation"]}
+
+
+def test_integrals_of_a_known_error():
+    """e = 4 exp(-t): the integrals of e, e^2 and t e from 0 to 10 are 4, 8 and 4, but for the rest beyond 10 s."""
+    t = np.arange(0, 10, 1e-3)
+    e = 4 * np.exp(-t)
+    e[100:150] = np.nan  # a gap is bridged
+    part = ErrorIntegrals().part(None)
+    for block in (slice(0, 1), slice(1, 120), slice(120, 5000), slice(5000, None)):
+        part.add({"t": t[block], "error_px": e[block]})
+    assert part.figures() == pytest.approx({"iae_px_s": 4, "ise_px2_s": 8, "itae_px_s2": 4}, abs=5e-3)
+
+
+def test_integrals_of_a_target_never_seen():
+    part = ErrorIntegrals().part(None)
+    part.add({"t": np.arange(3.0), "error_px": np.full(3, np.nan)})
+    assert part.figures() == {"iae_px_s": None, "ise_px2_s": None, "itae_px_s2": None}
+
+
+def test_variation_of_a_known_command():
+    part, steps = CommandVariation().part(None), np.zeros((5, 6))
+    steps[:, 0], steps[:, 5] = [0, 3, 3, 0, 0], [0, 0, 1, 0, 1]
+    for block in (steps[:2], steps[2:]):
+        part.add({f"cmd_{name}": block[:, i] for i, name in enumerate(("vx", "vy", "vz", "wx", "wy", "wz"))})
+    assert part.figures() == {"command_variation_mps": 6.0, "command_variation_radps": 3.0}
+
+
+def test_they_follow_the_figures_of_every_run_and_are_in_the_report():
+    plain = vs.run(vs.load("ibvs_book", FAST)).summary()
+    summary = vs.run(vs.load("ibvs_book", FAST | BOTH)).summary()
+    own = [name for name in summary if name not in plain]
+    assert own == [*ErrorIntegrals.titles, *CommandVariation.titles]
+    assert {name: plain[name] for name in ("path_length_m", "final_error_px")}.items() <= summary.items()
+    assert "<dt>Integral of the squared error</dt><dd>" in table(summary)
+    assert "Integral" not in table(plain)
+
+
+def test_runs_of_one_batch_have_them_too(quick):
+    """As runs that fly by themselves, but for rounding; and a comparison shows them with their titles."""
+    scenarios = [vs.load(quick, BOTH, seed=seed) for seed in range(2)]
+    for scenario, files in zip(scenarios, BatchRequest.of("here", scenarios).perform(), strict=True):
+        alone, batch = vs.run(scenario).summary(), json.loads(files["summary.json"])
+        assert batch["batch"]
+        for name in (*ErrorIntegrals.titles, *CommandVariation.titles):
+            assert batch[name] == pytest.approx(alone[name], rel=1e-6), name
+    assert Metric.of("ise_px2_s").label == "Integral of the squared error [px² s]"
+    assert shown_by_default(pl.DataFrame({"iae_px_s": [1.0]})) == (*DEFAULT_METRICS, "iae_px_s")
+    assert Comparison(base=("quick",), metrics=("iae_px_s",)).metrics == ("iae_px_s",)
+    with pytest.raises(ParameterError, match=r"must be figures of summary.json: .*iae_px_s"):
+        Comparison(base=("quick",), metrics=("iae",))
+
+
+def test_a_name_that_is_taken_is_refused(own_kinds):
+    @METRICS.add
+    @vs.spec
+    class Thief:
+        """It calls its figure as every run does."""
+
+        kind: Literal["thief"] = "thief"
+        titles: ClassVar[Mapping[str, tuple[str, str]]] = {"frames": ("Frames", "")}
+
+        def part(self, setup):
+            raise NotImplementedError
+
+    with pytest.raises(ScenarioError, match=r"metrics.0: of kind thief has a figure 'frames', which every run has already"):
+        vs.load("ibvs_book", FAST | {"metrics": ["thief"]})
+    with pytest.raises(ScenarioError, match=r"metrics.1: of kind error_integrals has a figure 'iae_px_s', which metrics.0 has"):
+        vs.load("ibvs_book", FAST | {"metrics": ["error_integrals", "error_integrals"]})
+
+
+class Three:
+    def __init__(self, found):
+        self.found = found
+
+    def add(self, log):
+        pass
+
+    def figures(self):
+        return self.found
+
+
+@pytest.mark.parametrize(
+    ("found", "words"), [({"three": "3"}, "three must be a number or None"), ({"tree": 3}, "must give three"), (3, "three")]
+)
+def test_figures_that_are_none_are_said(own_kinds, found, words):
+    @METRICS.add
+    @vs.spec
+    class Wrong:
+        """Its figures are not its titles."""
+
+        kind: Literal["wrong_figures"] = "wrong_figures"
+        titles: ClassVar[Mapping[str, tuple[str, str]]] = {"three": ("Three", "")}
+
+        def part(self, setup):
+            return Three(found)
+
+    recording = vs.run(vs.load("ibvs_book", FAST | {"metrics": ["wrong_figures"], "stop.duration_s": 0.2}))
+    with pytest.raises(ParameterError, match=f"metrics: wrong_figures {words}|wrong_figures.*{words}"):
+        recording.summary()
+
+
+class TestKeepOut:
+    def test_the_box_ends_a_run(self):
+        box = {"kind": "keep_out", "corner": [-1, -1, 0.5], "opposite": [1, 1, -0.5]}
+        recording = vs.run(vs.load("ibvs_book", FAST | {"monitors": [box]}))
+        inside = np.abs(recording["cam_z"]) <= 0.5
+        assert recording.outcome is (vs.Outcome.collided if inside.any() else recording.outcome)
+        assert inside[-1] and not inside[:-1].any()
+        assert recording.reason.startswith("the camera entered the forbidden box at x ")
+
+    def test_a_box_beside_the_way_changes_nothing(self):
+        box = {"kind": "keep_out", "corner": [50, 50, 50], "opposite": [51, 51, 51]}
+        with_box, without = (vs.run(vs.load("ibvs_book", FAST | more)) for more in ({"monitors": [box]}, {}))
+        assert with_box.outcome is without.outcome is vs.Outcome.converged
+        assert np.array_equal(with_box.table, without.table, equal_nan=True)
+
+    def test_a_box_without_volume_is_refused(self):
+        with pytest.raises(ParameterError, match="must differ from `corner`"):
+            KeepOut(corner=(0, 0, 0), opposite=(1, 0, 1))
+
+
+def test_a_monitor_with_a_wrong_verdict_is_said(own_kinds):
+    @MONITORS.add
+    @vs.spec
+    class Chatty:
+        """It gives no outcome."""
+
+        kind: Literal["chatty"] = "chatty"
+
+        def monitor(self, setup):
+            return self
+
+        def update(self, frame):
+            return "stop"
+
+    with pytest.raises(ParameterError, match=r"monitors: chatty update must return None or \(Outcome, reason\)|chatty.*Outcome, reason"):
+        vs.run(vs.load("ibvs_book", FAST | {"monitors": ["chatty"]}))

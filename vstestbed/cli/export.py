@@ -1,0 +1,151 @@
+"""The command `export`: runs for other tools. Heavy imports are inside the functions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from vstestbed.cli.tools import Plugins
+from vstestbed.core.errors import OutputError, ParameterError, RunFolderError
+
+if TYPE_CHECKING:
+    import polars
+
+    from vstestbed.report.export.source import RecordedRun
+
+exports = typer.Typer()
+WORKS = "a run's folder holds scenario.yaml, a comparison's comparison.yaml"
+
+
+class Format(str, Enum):
+    """What other tools read."""
+
+    mcap = "mcap"
+    lerobot = "lerobot"
+    csv = "csv"
+
+
+@dataclass(frozen=True)
+class Exported:
+    """What is exported.
+
+    Attributes:
+        folder: a run's, or a comparison's. runs: the folders of its runs. frames: of all. table: of a comparison's runs, None of one run.
+        left_out: what is not exported, or was cut off, in words.
+    """
+
+    folder: Path
+    runs: tuple[Path, ...]
+    frames: int
+    table: polars.DataFrame | None
+    left_out: tuple[str, ...]
+    plugins: tuple[str, ...]
+
+    def opened(self) -> Iterator[RecordedRun]:
+        """The runs, one at a time."""
+        from vstestbed.report.export.source import opened
+
+        return opened(self.runs, self.plugins)
+
+    @property
+    def within(self) -> Path | None:
+        """The comparison's folder; None of one run."""
+        return None if self.table is None else self.folder
+
+
+@exports.command("export")
+def export(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="A run's folder, or a comparison's.")],
+    to: Annotated[Format, typer.Option("--to", help="mcap: Foxglove, PlotJuggler, rerun. lerobot: a dataset v3.0. csv: tables.")],
+    out: Annotated[Path | None, typer.Option(metavar="PATH", help="A new file or folder. [default: beside DIR]")] = None,
+    start: Annotated[float | None, typer.Option(min=0, metavar="SECONDS", help="mcap: what t = 0 is, since 1970. [default: 0]")] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no words.")] = False,
+    plugin: Plugins = None,
+) -> None:
+    """A run, or a comparison's runs, for other tools: with pictures, calibration, poses and time series."""
+    if start is not None and to is not Format.mcap:
+        raise ParameterError("--start", "is for --to mcap; the times of other formats begin at 0")
+    from vstestbed.cli.progress import FrameBar, show_notes
+
+    found = _found(folder, plugin or [])
+    path = out or _beside(found, to)
+    _must_be_new(path, found, to)
+    show_notes(not quiet)
+    with FrameBar(found.frames, shown=not quiet) as bar:
+        _write(found, to, path, start or 0.0, bar.frame)
+    if not quiet:
+        typer.echo("\n".join([*found.left_out, str(path)]), err=True)
+
+
+def _must_be_new(path: Path, found: Exported, to: Format) -> None:
+    """Refuse a place that holds something, before any picture is drawn."""
+    if to is Format.mcap and found.within is None:  # a file
+        if path.exists() or path.is_symlink():
+            raise OutputError(path, "exists", "give a new file with --out")
+        return
+    from vstestbed.core.folders import must_be_new
+
+    must_be_new(path, "give a new folder with --out")
+
+
+def _found(folder: Path, plugins: list[str]) -> Exported:
+    """What a folder holds.
+
+    Raises:
+        RunFolderError: neither a run nor a comparison, a damaged one, or one without a frame.
+    """
+    if (folder / "comparison.yaml").is_file():
+        return _comparison(folder, plugins)
+    from vstestbed.report.export.source import RecordedRun
+
+    run = RecordedRun.of(folder, plugins)
+    frames = len(run.log)
+    cut = () if run.summary else (f"{folder}: the run has no summary: it was cut off, or goes on; its {frames} frames so far are exported",)
+    return Exported(folder, (folder,), frames, None, cut, tuple(plugins))
+
+
+def _comparison(folder: Path, plugins: list[str]) -> Exported:
+    """The finished runs of a comparison; those that crashed without a log are left out."""
+    from vstestbed.experiments.comparison import stored
+
+    comparison, table, total = stored(folder, plugins)
+    places = [folder / name for name in table["folder"].to_list()]
+    runs = tuple(place for place in places if (place / "log.parquet").is_file() or (place / "log.part").is_file())
+    if not runs:
+        raise RunFolderError(folder, "has no run with a log; there is nothing to export", WORKS)
+    words = []
+    if lost := len(places) - len(runs):
+        words.append(f"{lost} of {len(places)} runs crashed without a log, and are left out")
+    if left := total - len(places):
+        words.append(f"{left} of {total} runs are not done yet; vstestbed compare --resume --out {folder} does them")
+    frames = int(table["frames"].sum()) if "frames" in table.columns else 0
+    return Exported(folder, runs, frames, table, tuple(words), comparison.plugins)
+
+
+def _beside(found: Exported, to: Format) -> Path:
+    """The place beside a folder where its export goes by default."""
+    folder = found.folder.resolve()
+    return folder.with_name(f"{folder.name}.mcap" if to is Format.mcap and found.within is None else f"{folder.name}_{to.value}")
+
+
+def _write(found: Exported, to: Format, path: Path, start_s: float, tick: Callable[[], None]) -> None:
+    if to is Format.csv:
+        from vstestbed.report.export.csv_files import write_csv
+
+        write_csv(found.opened(), path, tick, found.within, found.table)
+    elif to is Format.lerobot:
+        from vstestbed.report.export.lerobot import write_dataset
+
+        write_dataset(found.opened(), path, tick, found.within)
+    else:
+        from vstestbed.report.export.mcap_file import write_mcap, write_mcaps
+
+        if found.within is None:
+            write_mcap(next(found.opened()), path, start_s, tick)
+        else:
+            write_mcaps(found.opened(), path, found.within, start_s, tick)

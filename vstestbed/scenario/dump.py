@@ -1,0 +1,172 @@
+"""Scenarios as YAML: short, as people write them, or with every default, as the record of a run."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.metadata
+import io
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.files import write_whole
+from vstestbed.core.mapping import brief_mapping, to_mapping
+from vstestbed.core.modules import module_of
+from vstestbed.core.named_files import kept_at
+from vstestbed.scenario.plugins import absolute, absolute_files, is_file_name, relative_files
+from vstestbed.scenario.scenario import Scenario
+from vstestbed.scenario.validation import KINDS
+
+WIDTH, ON_ONE_LINE = 120, 110
+"""Columns of a line, and of a block that stands on one line."""
+
+
+def dump(scenario: Scenario, path: str | Path | None = None, *, defaults: bool = False) -> str:
+    """The scenario as YAML, which `load` turns into an equal one; a scenario without a name gets that of the file.
+
+    Args:
+        scenario: the experiment.
+        path: a file to write, in place of one that is there; files in its folder, or below, are named relative to it.
+        defaults: write also every default, as the record of a run does.
+
+    Returns the text.
+
+    Raises:
+        ParameterError: `scenario` is not a Scenario, or has a kind of your own that is in no file of `plugins`.
+        OutputError, EnvironmentLackError: the file cannot be written.
+    """
+    if not isinstance(scenario, Scenario):
+        raise ParameterError("scenario", "must be a Scenario: vstestbed.load('arm_ibvs')", scenario)
+    if defaults:
+        plain = to_mapping(scenario)
+    else:
+        check_plugins(scenario)
+        plain = absolute_files(brief_mapping(scenario), Path.cwd())
+        if scenario.plugins:
+            plain["plugins"] = [absolute(name, Path.cwd()) for name in scenario.plugins]
+    if path is not None:
+        if plain.get("name") == Path(path).stem:
+            del plain["name"]
+        plain = relative_files(plain, Path(path).absolute().parent)
+    text = as_yaml(plain, brief=not defaults)
+    if path is not None:
+        write_whole(Path(path), text)
+    return text
+
+
+def dump_for_folder(scenario: Scenario) -> str:
+    """The record of a run, with every default, for its folder, which has a copy of the target's file at `kept_at`."""
+    source = scenario.target.source
+    if source is None:
+        return dump(scenario, defaults=True)
+    plain = to_mapping(scenario)
+    plain["target"]["file"] = kept_at(source)
+    return as_yaml(plain)
+
+
+def as_yaml(plain: Any, brief: bool = False) -> str:
+    """Plain mappings, lists and scalars as YAML.
+
+    brief: each block that fits on one line stands on one; otherwise the innermost alone do.
+    """
+    import yaml  # here: only runs with a folder write YAML, which libyaml does in a twentieth of ruamel's time
+
+    libyaml: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+
+    class Dumper(libyaml):
+        """PyYAML writes YAML 1.1, where `1e3` is text; it is read as YAML 1.2, where it is a number."""
+
+        def represent_mapping(self, tag: Any, mapping: Any, flow_style: Any = None) -> Any:
+            node = super().represent_mapping(tag, mapping, flow_style)
+            return _in_flow(node) if brief else node
+
+        def represent_sequence(self, tag: Any, sequence: Any, flow_style: Any = None) -> Any:
+            node = super().represent_sequence(tag, sequence, flow_style)
+            return _in_flow(node) if brief else node
+
+    def plain_or_quoted(dumper: Any, text: str) -> Any:
+        return dumper.represent_scalar("tag:yaml.org,2002:str", text, "'" if text[:1] in "+-.0123456789" else None)
+
+    Dumper.add_representer(str, plain_or_quoted)
+    # nested blocks on lines of their own, the innermost mappings and lists on one line
+    out = io.StringIO()
+    yaml.dump(plain, out, Dumper=Dumper, default_flow_style=None, width=WIDTH, sort_keys=False, allow_unicode=True)
+    return out.getvalue()
+
+
+def _in_flow(node: Any) -> Any:
+    """A node of PyYAML, on one line if it fits; the whole scenario never."""
+    node.flow_style = _width(node) <= ON_ONE_LINE
+    return node
+
+
+def _width(node: Any) -> int:
+    """Columns that a node of PyYAML takes on one line."""
+    if isinstance(node.value, str):
+        return len(node.value) + 2
+    return 2 + sum(sum(map(_width, item)) if isinstance(item, tuple) else _width(item) for item in node.value)
+
+
+def check_plugins(scenario: Scenario) -> None:
+    """Refuse a scenario with a kind of the user's own that a file of the scenario would lack.
+
+    Raises:
+        ParameterError: it names the class, and how it gets into a file.
+    """
+    foreign = {type(part): field for field, part in _parts(scenario) if not _is_ours(type(part).__module__)}
+    if not foreign:
+        return
+    offered: Any = importlib.metadata.entry_points()
+    installed = {entry.module for room in KINDS for entry in offered.select(group=f"vstestbed.{room}")}
+    for cls, field in foreign.items():
+        if not _is_named(cls, scenario.plugins, installed):
+            raise ParameterError(field, _how_to_name(cls))
+
+
+def _parts(part: Any, field: str = "scenario") -> Iterator[tuple[str, Any]]:
+    """Each spec in a spec, with the dotted path of its field."""
+    if isinstance(part, tuple):
+        for i, item in enumerate(part):
+            yield from _parts(item, f"{field}.{i}")
+    elif dataclasses.is_dataclass(part) and not isinstance(part, type):
+        yield field, part
+        for f in dataclasses.fields(part):
+            if f.init:
+                yield from _parts(getattr(part, f.name), f.name if field == "scenario" else f"{field}.{f.name}")
+
+
+def _is_ours(module: str) -> bool:
+    return module.partition(".")[0] == "vstestbed"
+
+
+def _is_named(cls: type, plugins: tuple[str, ...], installed: set[str]) -> bool:
+    """Whether a class comes with one of the plugins, or with an installed package that offers kinds."""
+    home = sys.modules.get(cls.__module__)
+    packages = {name.partition(".")[0] for name in (*installed, *(p for p in plugins if not is_file_name(p)))}
+    if cls.__module__.partition(".")[0] in packages:
+        return True
+    loaded = [module_of(Path(absolute(name, Path.cwd()))) for name in plugins if is_file_name(name)]
+    return any(m is home or _holds(m, (cls, home)) for m in loaded if m is not None)
+
+
+def _holds(module: ModuleType, wanted: tuple[object, ...]) -> bool:
+    """Whether a module has imported one of these objects."""
+    return any(value is one for value in vars(module).values() for one in wanted)
+
+
+def _file_of(cls: type) -> Path | None:
+    """The file in which a class is defined; None for a notebook, and for the program that runs."""
+    file = getattr(sys.modules.get(cls.__module__), "__file__", None)
+    return None if file is None or cls.__module__ == "__main__" else Path(file).resolve()
+
+
+def _how_to_name(cls: type) -> str:
+    """The rest of the sentence for a class that a file of the scenario would lack."""
+    file = _file_of(cls)
+    if file is None:
+        found = f"is {cls.__name__}, which is defined in the program that runs (a script, a notebook), where no scenario file finds it"
+        return f"{found}; put the class into a file mine.py, import it from there, and give the scenario plugins=('mine.py',)"
+    return f"is {cls.__name__} of {file}, which the file would not name; give the scenario plugins=({str(file)!r},)"

@@ -1,0 +1,76 @@
+"""Gives a robot's model the physical parameters of the scenario."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from vstestbed.robots.body import Change, Couple, Scale, Set, Stretch
+
+
+def reshape(model: mujoco.MjSpec, changes: tuple[Change, ...]) -> None:
+    """Apply the changes of a robot (`Robot.body_changes`) to the model of its file.
+
+    Raises:
+        LookupError: the file has no such element.
+    """
+    for change in changes:
+        match change:
+            case Set():
+                _set(_named(model, change.kind, change.name), change.field, change.value)
+            case Scale():
+                for element in _all(model, change.kind, change.of):
+                    _scale(element, change.field, change.factor)
+            case Stretch():
+                for geom in _named(model, "body", change.body).geoms:
+                    _stretch(model, geom, np.array(change.factors), np.array(change.shift))
+            case Couple():
+                (pair,) = [e for e in model.equalities if e.name1 == change.joint]
+                pair.data[:5] = change.coefficients
+
+
+def _named(model: mujoco.MjSpec, kind: str, name: str) -> Any:
+    element = getattr(model, kind)(name)
+    if element is None:
+        raise LookupError(f"the model {model.modelname} has no {kind} {name}")
+    return element
+
+
+def _all(model: mujoco.MjSpec, kind: str, of: str) -> Iterable[Any]:
+    """All elements of a kind, or those that `Scale.of` names."""
+    if of and kind in ("body", "actuator"):
+        return [_named(model, kind, of)]
+    return getattr(_named(model, "body", of) if of else model, {"body": "bodies"}.get(kind, f"{kind}s"))
+
+
+def _set(element: Any, field: str, value: float | tuple[float, ...]) -> None:
+    if isinstance(value, tuple):
+        getattr(element, field)[: len(value)] = value
+    else:
+        setattr(element, field, value)
+
+
+def _scale(element: Any, field: str, factor: float | tuple[float, ...]) -> None:
+    before = getattr(element, field)
+    if isinstance(factor, tuple):
+        before[: len(factor)] *= factor
+    elif isinstance(before, np.ndarray):
+        before *= factor
+    else:
+        setattr(element, field, before * factor)
+
+
+def _stretch(model: mujoco.MjSpec, geom: mujoco.MjsGeom, factors: np.ndarray, shift: np.ndarray) -> None:
+    if geom.type == mujoco.mjtGeom.mjGEOM_MESH:
+        mesh = model.mesh(geom.meshname)
+        mesh.uservert = (np.array(mesh.uservert).reshape(-1, 3) * factors + shift).ravel()
+        return
+    if np.isfinite(geom.fromto[0]):  # NaN where the file has none
+        geom.fromto = geom.fromto * np.tile(factors, 2) + np.tile(shift, 2)
+    else:
+        geom.pos = geom.pos * factors + shift
+    if geom.type == mujoco.mjtGeom.mjGEOM_BOX:
+        geom.size = geom.size * factors

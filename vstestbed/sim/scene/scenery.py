@@ -1,0 +1,198 @@
+"""Scenery: an MJCF file of one's own round the experiment. It stands still, collides as it says, and all renderers draw it.
+
+Its names stand in the scene under `scenery/`, so that none can clash with the robot's or the target's. What it may have and what becomes
+of it: geoms, meshes, materials and textures are taken as they are (groups 3 and up are for contacts alone, as in a robot's file);
+its lights take the place of the scene's key light, and its skybox that of the scene's; a horizontal plane at the floor's height, or
+a geom named `floor`, is drawn in place of the floor, which stays what wheels and feet stand on. Cameras, sensors, keyframes, equalities,
+`<option>`, `<visual>` and `<statistic>` are left out: the scene has its own. Joints and actuators are refused.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array, quaternion_wxyz
+from vstestbed.core.named_files import place_of_file
+from vstestbed.sim.scene.groups import RANGE_GROUP
+from vstestbed.sim.scene.model_files import carry_files
+from vstestbed.sim.scene.world import World
+
+PREFIX = "scenery/"
+SAME_HEIGHT_M = 1e-3
+"""Faces nearer to one another than this flicker in pictures [m]."""
+LEFT_OUT = "cameras", "sensors", "keys", "equalities", "tendons"
+PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
+FLAT = PLANE, int(mujoco.mjtGeom.mjGEOM_BOX)
+
+
+def check_scenery(file: str, T: Array, floor_z: float) -> None:
+    """Refuse a file that cannot stand round an experiment.
+
+    Args:
+        file: absolute, or inside a package. T: its pose in the world (4, 4). floor_z: height of the floor [m].
+
+    Raises:
+        ParameterError: `file`, with what is wrong, its line where MuJoCo knows it, and what would work.
+    """
+    path = place_of_file(file)
+    model = _checked(str(path), path.stat().st_mtime_ns)
+    _floors(model, T, floor_z)
+
+
+@functools.lru_cache(maxsize=8)
+def _checked(path: str, mtime_ns: int) -> mujoco.MjModel:
+    """The compiled file; mtime_ns: so that a changed file is read again."""
+    try:
+        spec = mujoco.MjSpec.from_file(path)
+        model = spec.compile()
+    except (ValueError, mujoco.FatalError) as error:
+        words = " ".join(str(error).split()).rstrip(".")
+        raise ParameterError("file", f"cannot be compiled by MuJoCo ({words}); works: an MJCF file", path) from None
+    for what, moving in (("actuator", spec.actuators), ("joint", spec.joints)):
+        if moving:
+            name, line = moving[0].name or "without a name", _line(moving[0], path)
+            why = "nothing would drive it" if what == "actuator" else "scenery stands still, as a run's log has no place for its motion"
+            raise ParameterError("file", f"has the {what} {name}{line}, and {why}; remove it from the file", path)
+    if not model.ngeom:
+        raise ParameterError("file", "has no geoms; works: an MJCF file with geoms in its worldbody", path)
+    return model
+
+
+def _line(element: Any, path: str) -> str:
+    """` (line 7)`, where MuJoCo knows it, which it does not of a free joint, or the file itself has the name."""
+    if element.info:
+        return f" ({element.info})"
+    lines = Path(path).read_text(errors="replace").splitlines()
+    numbers = [number for number, text in enumerate(lines, start=1) if element.name and f'name="{element.name}"' in text]
+    return f" (line {numbers[0]})" if numbers else ""
+
+
+def _floors(model: mujoco.MjModel, T: Array, floor_z: float) -> list[int]:
+    """The geoms that are the floor, for a pose (4, 4) of the scenery.
+
+    Raises:
+        ParameterError: a horizontal plane at another height; or a face of a box that would flicker in the floor.
+    """
+    tops = {g: z for g in range(model.ngeom) if (z := _top(model, g, T)) is not None}
+    _check_planes(model, tops, floor_z)
+    level = [g for g, z in tops.items() if abs(z - floor_z) <= SAME_HEIGHT_M]
+    floors = [g for g in level if model.geom_type[g] == PLANE or model.geom(g).name == "floor"]
+    if level and not floors:
+        words = f"has the geom {_name(model, level[0])}, whose upper face is at the height of the floor, where both would flicker"
+        raise ParameterError("file", f"{words}; lift it by 2 mm, or name it floor to have it drawn in place of the floor")
+    return floors
+
+
+def _check_planes(model: mujoco.MjModel, tops: dict[int, float], floor_z: float) -> None:
+    """Refuse a second floor at another height; tops: heights of horizontal faces by geom [m]."""
+    for g, z in tops.items():
+        if model.geom_type[g] == PLANE and abs(z - floor_z) > SAME_HEIGHT_M:
+            words = f"has the horizontal plane {_name(model, g)} at z = {z:g} m, and the floor is at world.floor_z = {floor_z:g} m"
+            raise ParameterError("file", f"{words}; set world.floor_z: {z:g}, or make a box of it")
+
+
+def _top(model: mujoco.MjModel, g: int, T: Array) -> float | None:
+    """Height of the upper face of a plane or a box [m]; None where it has no horizontal one that is drawn."""
+    if int(model.geom_type[g]) not in FLAT or model.geom_group[g] > 2:
+        return None
+    data = _placed(model)
+    normal, at = T[:3, :3] @ data.geom_xmat[g].reshape(3, 3), T[:3, :3] @ data.geom_xpos[g] + T[:3, 3]
+    axis = int(np.abs(normal[2]).argmax())
+    if abs(normal[2, axis]) < 1 - 1e-6:
+        return None
+    if model.geom_type[g] == mujoco.mjtGeom.mjGEOM_PLANE:
+        return float(at[2]) if axis == 2 and normal[2, 2] > 0 else None
+    return float(at[2] + model.geom_size[g, axis])
+
+
+def _placed(model: mujoco.MjModel) -> mujoco.MjData:
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    return data
+
+
+def _name(model: mujoco.MjModel, g: int) -> str:
+    return model.geom(g).name or f"number {g + 1} (without a name)"
+
+
+def add_scenery(scene: mujoco.MjSpec, world: World) -> dict[str, bytes]:
+    """Attach the scenery to the scene, if there is any; returns its meshes and textures, for the scene's assets."""
+    if world.scenery is None:
+        return {}
+    path, T = place_of_file(world.scenery.file), world.scenery.pose.T
+    floors = _floors(_checked(str(path), path.stat().st_mtime_ns), T, world.floor_z)
+    spec = mujoco.MjSpec.from_file(str(path))
+    _take_parts(spec, floors)
+    if floors:
+        scene.geom("floor").group = RANGE_GROUP
+    if spec.lights:
+        scene.light("key").active = False
+    if any(texture.type == mujoco.mjtTexture.mjTEXTURE_SKYBOX for texture in spec.textures):
+        scene.delete(scene.texture("sky"))
+    _same_options(spec, scene)
+    files = carry_files(spec, path, scene, PREFIX)
+    scene.attach(spec, prefix=PREFIX, frame=scene.worldbody.add_frame(pos=T[:3, 3], quat=quaternion_wxyz(T[:3, :3])))
+    return files
+
+
+def _take_parts(spec: mujoco.MjSpec, floors: list[int]) -> None:
+    """Remove what is left out, and give the geoms their groups; `floors`: the numbers of those that are the floor."""
+    for kind in LEFT_OUT:
+        for element in list(getattr(spec, kind)):
+            spec.delete(element)
+    for body in spec.bodies[1:]:
+        body.mocap = False
+    for number, geom in enumerate(spec.geoms):
+        geom.group = RANGE_GROUP if geom.group > 2 else 0
+        if number in floors:  # the scene's floor carries: two in one place would hold a wheel twice
+            geom.contype = geom.conaffinity = 0
+
+
+def _same_options(spec: mujoco.MjSpec, scene: mujoco.MjSpec) -> None:
+    """The scene's options in the file's place, of which MuJoCo would warn."""
+    for name in dir(spec.option):
+        if not name.startswith("_"):
+            setattr(spec.option, name, getattr(scene.option, name))
+
+
+def examine_scenery(file: str) -> Iterator[tuple[str, str]]:
+    """What of a file without joints is used as scenery, in words: each part and what becomes of it.
+
+    Raises:
+        ParameterError: see `check_scenery`.
+    """
+    path = place_of_file(file)
+    model = _checked(str(path), path.stat().st_mtime_ns)
+    spec = mujoco.MjSpec.from_file(str(path))
+    solid = int(np.count_nonzero((model.geom_contype | model.geom_conaffinity) != 0))
+    yield "scenery", f"{model.ngeom} geoms, {solid} of which can be touched; {model.nmesh} meshes, {model.ntex} textures"
+    if spec.lights:
+        yield "lights", f"{len(spec.lights)}, in place of the scene's key light; the fill light stays"
+    if found := _left_out(spec):
+        yield "left out", "; ".join(found)
+    if rays := _in_mean_colour(model):
+        yield "rays", f"draw {', '.join(rays)} in the mean colour of the texture; OpenGL draws it whole"
+
+
+def _left_out(spec: mujoco.MjSpec) -> list[str]:
+    """What of a file is not used, in words."""
+    found = [f"{len(there)} {kind}" for kind in LEFT_OUT if (there := list(getattr(spec, kind)))]
+    plain = mujoco.MjSpec()
+    names = [name for name in dir(spec.option) if not name.startswith("_")]
+    changed = [name for name in names if not np.array_equal(getattr(spec.option, name), getattr(plain.option, name))]
+    return [*found, f"<option> ({', '.join(changed)}), where the scene's own count"] if changed else found
+
+
+def _in_mean_colour(model: mujoco.MjModel) -> list[str]:
+    """The geoms whose textures `sim/render/shade.py` cannot map."""
+    from vstestbed.sim.render.shade import Paint
+
+    paint = Paint(model, _placed(model))
+    return [_name(model, g) for g in paint.averaged]

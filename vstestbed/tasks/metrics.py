@@ -1,0 +1,212 @@
+"""Metrics that a scenario adds to those of every run (`metrics: [...]`), each computed from the log block by block."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from numbers import Real
+from typing import ClassVar, Literal, Protocol
+
+import numpy as np
+
+from vstestbed.core.contract import Contract
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array
+from vstestbed.core.spec import OneOf, spec
+from vstestbed.tasks.base import Log
+from vstestbed.tasks.setup import Setup
+
+FIGURES = (
+    "sim_time_s",
+    "frames",
+    "frames_lost",
+    "time_to_converge_s",
+    "final_error_px",
+    "final_position_error_m",
+    "final_rotation_error_deg",
+    "path_length_m",
+    "path_ratio",
+    "max_retreat_m",
+    "max_rotation_deg",
+    "max_feature_excursion_px",
+    "feature_overshoot",
+    "min_border_margin_px",
+    "peak_speed_mps",
+    "peak_rate_radps",
+    "saturated_fraction",
+    "tracking_rms_px",
+    "tracking_max_px",
+    "tracking_rms_m",
+    "tracking_max_m",
+    "judged_error",
+)
+"""The names of every run's figures."""
+TAKEN = frozenset(
+    (
+        *FIGURES,
+        *("scenario", "outcome", "success", "reason", "seed", "folder", "task", "amount", "attempts", "batch"),
+        *("wall_time_s", "real_time_factor", "time_ms", "versions", "worst_task_error_m", "judged_unit", "judged_limit", "judged_by"),
+    )
+)
+"""Names that a summary or a comparison's table has already."""
+Figures = dict[str, object]
+TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
+
+
+class Part(Protocol):
+    """Some of the metrics of one run."""
+
+    def add(self, log: Log) -> None:
+        """Take the next block of rows, of one row at least."""
+        ...
+
+    def figures(self) -> Figures:
+        """The metrics of the blocks so far."""
+        ...
+
+
+class MetricContract(Protocol):
+    """A metric: its parameters are frozen in the object, and each run has a `Part` of its own.
+
+    Attributes:
+        titles: the figures that it adds to `summary.json`, by name, each with the title and the unit of the reports.
+    """
+
+    titles: ClassVar[Mapping[str, tuple[str, str]]]
+
+    @property
+    def kind(self) -> str:
+        """The word in a scenario."""
+        ...
+
+    def part(self, setup: Setup) -> Part:
+        """What computes the figures of one run; `figures` gives a number for each name of `titles`, or None where it is undefined."""
+        ...
+
+
+@spec
+class ErrorIntegrals:
+    """Integrals of the measured image error e (RMS of the coordinates seen [px]) over the run, by the trapezoidal rule.
+
+    iae_px_s = int e dt,  ise_px2_s = int e^2 dt,  itae_px_s2 = int t e dt.  Frames without a measurement are bridged.
+    Runs are comparable where they last equally long, or converge.
+
+    Reference: Graham & Lathrop 1953, The synthesis of "optimum" transient response, Trans. AIEE 72(5).
+    """
+
+    kind: Literal["error_integrals"] = "error_integrals"
+    titles: ClassVar[Mapping[str, tuple[str, str]]] = {
+        "iae_px_s": ("Integral of the error", "px s"),
+        "ise_px2_s": ("Integral of the squared error", "px² s"),
+        "itae_px_s2": ("Integral of time times error", "px s²"),
+    }
+
+    def part(self, setup: Setup) -> Part:
+        """Sums of trapezoids."""
+        return _ErrorIntegrals()
+
+
+class _ErrorIntegrals:
+    def __init__(self) -> None:
+        self._last: Array = np.empty((0, 2))  # time and error of the last measured frame: trapezoids reach over the blocks' ends
+        self._sums = np.zeros(3)
+
+    def add(self, log: Log) -> None:
+        """See `Part`."""
+        t, e = np.asarray(log["t"], dtype=float), np.asarray(log["error_px"], dtype=float)
+        rows = np.vstack([self._last, np.column_stack([t, e])[np.isfinite(e)]])
+        if len(rows):
+            self._last, (t, e) = rows[-1:], rows.T
+            self._sums = self._sums + [np.trapezoid(y, t) for y in (e, e * e, t * e)]
+
+    def figures(self) -> Figures:
+        """See `Part`."""
+        names = ErrorIntegrals.titles
+        return dict(zip(names, self._sums.tolist(), strict=True)) if len(self._last) else {**dict.fromkeys(names)}
+
+
+@spec
+class CommandVariation:
+    """Total variation of the commanded camera twist, TV = sum_k |v_(k+1) - v_k|, of translation and of rotation: less is smoother.
+
+    Reference: Skogestad 2003, J. Process Control 13(4), doi:10.1016/S0959-1524(02)00062-8 (total variation of the input).
+    """
+
+    kind: Literal["command_variation"] = "command_variation"
+    titles: ClassVar[Mapping[str, tuple[str, str]]] = {
+        "command_variation_mps": ("Total variation of the commanded velocity", "m/s"),
+        "command_variation_radps": ("Total variation of the commanded rate", "rad/s"),
+    }
+
+    def part(self, setup: Setup) -> Part:
+        """Sums of steps."""
+        return _CommandVariation()
+
+
+class _CommandVariation:
+    def __init__(self) -> None:
+        self._last: Array = np.empty((0, 6))
+        self._sums = np.zeros(2)
+
+    def add(self, log: Log) -> None:
+        """See `Part`."""
+        rows = np.vstack([self._last, np.column_stack([log[f"cmd_{name}"] for name in TWIST])])
+        steps = np.diff(rows, axis=0).reshape(-1, 2, 3)
+        self._last, self._sums = rows[-1:], self._sums + np.linalg.norm(steps, axis=2).sum(axis=0)
+
+    def figures(self) -> Figures:
+        """See `Part`."""
+        return dict(zip(CommandVariation.titles, self._sums.tolist(), strict=True))
+
+
+METRICS = OneOf("metric", ErrorIntegrals, CommandVariation, contract=Contract(MetricContract))
+
+
+def own_titles() -> dict[str, tuple[str, str]]:
+    """Title and unit of the figures of all registered metrics, by name."""
+    return {name: title for metric in METRICS.members.values() for name, title in metric.titles.items()}  # pyright: ignore[reportAttributeAccessIssue] - of the contract
+
+
+def check_metrics(metrics: Sequence[MetricContract]) -> None:
+    """Refuse metrics two of which have a figure of one name, or one that every run has.
+
+    Raises:
+        ParameterError: it names the metric, and the figure.
+    """
+    owner: dict[str, str] = dict.fromkeys(TAKEN, "every run")
+    for i, metric in enumerate(metrics):
+        for name in metric.titles:
+            if name in owner:
+                words = f"has a figure {name!r}, which {owner[name]} has already; give it another name in `titles`"
+                raise ParameterError(f"metrics.{i}", f"of kind {metric.kind} {words}")
+            owner[name] = f"metrics.{i}"
+
+
+def figures_of(metric: MetricContract, part: Part) -> Figures:
+    """The figures of a metric of one run.
+
+    Raises:
+        ParameterError: they are not those of its `titles`, or not numbers.
+    """
+    found, names = part.figures(), list(metric.titles)
+    if not isinstance(found, dict) or set(found) != set(names):
+        raise ParameterError(f"metrics: {metric.kind}", f"figures() must give {', '.join(names)}, as its `titles` say", str(found))
+    for name, value in found.items():
+        if isinstance(value, bool) or not isinstance(value, Real | None):
+            raise ParameterError(f"metrics: {metric.kind}", f"{name} must be a number or None", str(value))
+    return {name: float(value) if isinstance(value := found[name], Real) else None for name in names}
+
+
+class OwnFigures:
+    """The part of a scenario's own metrics in one run."""
+
+    def __init__(self, metrics: Sequence[MetricContract], setup: Setup):
+        self._parts = [(metric, metric.part(setup)) for metric in metrics]
+
+    def add(self, log: Log) -> None:
+        """See `Part`."""
+        for _, part in self._parts:
+            part.add(log)
+
+    def figures(self) -> Figures:
+        """See `Part`; ParameterError as `figures_of`."""
+        return {name: value for metric, part in self._parts for name, value in figures_of(metric, part).items()}

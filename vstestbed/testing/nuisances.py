@@ -1,0 +1,136 @@
+"""What every perturbation, metric and outcome monitor must do."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from vstestbed.camera import Image
+from vstestbed.core.geometry import Array
+from vstestbed.loop.recording import Recording
+from vstestbed.loop.run import run
+from vstestbed.scenario.load import load
+from vstestbed.scenario.scenario import Noise, Scenario
+from vstestbed.tasks.metrics import METRICS, MetricContract, check_metrics, figures_of
+from vstestbed.tasks.monitors import MONITORS, MonitorContract
+from vstestbed.testing.scenarios import quick
+from vstestbed.vision.perturb import PERTURBATIONS, Perturbation, Perturbed
+
+DRAWS = 200
+"""Pictures or measurements of which a perturbation must change one at least."""
+SHORT_S = 0.3
+
+
+def check_noise(perturbation: Perturbation) -> None:
+    """A perturbation changes something, returns what it is given in shape and type, and depends on its seed alone.
+
+    Raises:
+        AssertionError, ParameterError: it says what was expected and what was found.
+    """
+    kind = perturbation.kind
+    assert PERTURBATIONS.contract is not None
+    PERTURBATIONS.contract.check(type(perturbation))
+    assert perturbation.changes, f"{kind}: `changes` must name picture, pixels or both"
+    if "picture" in perturbation.changes:
+        _check_draws(kind, "picture", _PICTURE, [_picture(perturbation, seed) for seed in (0, 0, 1)])
+    if "pixels" in perturbation.changes:
+        _check_draws(kind, "pixels", _UV, [_pixels(perturbation, seed) for seed in (0, 0, 1)])
+    loop = load("ibvs_book", {"stop.duration_s": SHORT_S}) if "picture" in perturbation.changes else quick("view")
+    loop = replace(loop, noise=Noise(perturb=(perturbation,)))
+    one, again = run(loop).table, run(loop).table
+    assert np.array_equal(one, again, equal_nan=True), f"{kind}: two runs of one seed have different logs; keep no state in the object"
+
+
+def _check_draws(kind: str, what: str, unchanged: Array | Image, drawn: list[Array]) -> None:
+    """Draws of one seed, of the same again, and of another."""
+    one, again, other = drawn
+    assert np.array_equal(one, again, equal_nan=True), f"{kind}: another change of the {what} for the same seed; draw from `rng` alone"
+    changed = [not np.array_equal(x, unchanged, equal_nan=True) for x in (*one, *other)]
+    assert any(changed), f"{kind}: none of {len(changed)} draws changed the {what}"
+
+
+_PICTURE = np.random.default_rng(0).integers(0, 256, (48, 64, 3), dtype=np.uint8)
+_UV = np.array([[10.0, 20.0], [30.0, 5.0], [np.nan, np.nan], [60.0, 40.0]])
+
+
+def _picture(perturbation: Perturbation, seed: int) -> Array:
+    drawn = Perturbed((perturbation,), np.random.default_rng(seed))
+    return np.array([drawn.next_picture()(0.04 * i, (_PICTURE,))[0] for i in range(DRAWS)])
+
+
+def _pixels(perturbation: Perturbation, seed: int) -> Array:
+    drawn = Perturbed((perturbation,), np.random.default_rng(seed))
+    uv = np.array([drawn.pixels(_UV, 0.04 * i) for i in range(DRAWS)])
+    assert np.isnan(uv[:, 2]).all(), f"{perturbation.kind}: a marker that is not seen (NaN) must stay so"
+    return uv
+
+
+def check_metric(metric: MetricContract, scenario: Scenario | None = None) -> None:
+    """A metric's figures are numbers under names of their own, whatever the blocks in which it gets the log.
+
+    Args:
+        metric: with the parameters to test. scenario: whose run it measures; None: a quick one.
+
+    Raises:
+        AssertionError, ParameterError: it says what was expected and what was found.
+    """
+    kind = metric.kind
+    assert METRICS.contract is not None
+    METRICS.contract.check(type(metric))
+    _check_titles(metric)
+    check_metrics((metric,))
+    loop = replace(scenario or quick("view"), metrics=(metric,))
+    recording = run(loop)
+    whole = {name: recording.summary()[name] for name in metric.titles}
+    for rows in (1, 7):
+        parts = _in_blocks(metric, recording, rows)
+        same = all(_close(whole[name], parts[name]) for name in whole)
+        assert same, f"{kind}: {whole} of the whole log, {parts} of blocks of {rows} rows; keep what the next block needs"
+    empty = figures_of(metric, metric.part(loop.setup))
+    assert set(empty) == set(metric.titles), f"{kind}: the figures of a log without rows must be there, None where undefined"
+
+
+def _check_titles(metric: MetricContract) -> None:
+    for name, title in metric.titles.items():
+        two = isinstance(title, tuple) and len(title) == 2 and all(isinstance(word, str) for word in title)
+        assert two, f"{metric.kind}: titles[{name!r}] must be (title, unit), got {title!r}"
+
+
+def _in_blocks(metric: MetricContract, recording: Recording, rows: int) -> dict[str, object]:
+    part, columns = metric.part(recording.scenario.setup), dict(zip(recording.columns, recording.table.T, strict=True))
+    for start in range(0, len(recording.rows), rows):
+        part.add({name: values[start : start + rows] for name, values in columns.items()})
+    return figures_of(metric, part)
+
+
+def _close(a: object, b: object) -> bool:
+    if isinstance(a, float) and isinstance(b, float):
+        return math.isclose(a, b, rel_tol=1e-9, abs_tol=1e-12) or (math.isnan(a) and math.isnan(b))
+    return a is None and (b is None or (isinstance(b, float) and not math.isfinite(b)))
+
+
+def check_monitor(monitor: MonitorContract, ends: Scenario | None = None) -> None:
+    """A monitor leaves the run as it is until its verdict, and gives the same verdict each time.
+
+    Args:
+        monitor: with the parameters to test. ends: a run that it must end; None: the quick one, which it may leave alone.
+
+    Raises:
+        AssertionError, ParameterError: it says what was expected and what was found.
+    """
+    kind = monitor.kind
+    assert MONITORS.contract is not None
+    MONITORS.contract.check(type(monitor))
+    loop = ends or quick("view")
+    without, one, again = run(replace(loop, monitors=())), *(run(replace(loop, monitors=(monitor,))) for _ in range(2))
+    assert (one.outcome, one.reason) == (again.outcome, again.reason), (
+        f"{kind}: {one.outcome.name} and then {again.outcome.name}; what a run remembers belongs into the object that `monitor` makes"
+    )
+    n = len(one.rows)
+    same = np.array_equal(one.table[: n - 1], without.table[: n - 1], equal_nan=True)  # the last command is not sent any more
+    assert same, f"{kind}: the run before its verdict differs from one without it; a monitor must not write into a frame"
+    ended = (one.outcome, one.reason) != (without.outcome, without.reason)
+    assert ended or ends is None, f"{kind}: it must end this run, which ended {one.outcome.name}: {one.reason}"
+    assert not ended or one.reason, f"{kind}: an outcome needs a reason in words"

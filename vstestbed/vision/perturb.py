@@ -1,0 +1,226 @@
+"""Perturbations that a scenario adds to its noise (`noise.perturb: [...]`): of pictures as the camera delivers them, or of measured pixels.
+
+Each draws from streams of its own, so that one more changes neither the others nor the scenario's other noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Annotated, Any, ClassVar, Literal, Protocol
+
+import numpy as np
+from annotated_types import Ge, Gt, Le, Len, Lt
+
+from vstestbed.camera import Image
+from vstestbed.core.contract import Contract
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array
+from vstestbed.core.quantity import Narrower, PositivePixels
+from vstestbed.core.spec import OneOf, spec
+
+LUMA = np.array([0.299, 0.587, 0.114], np.float32)
+"""Weights of red, green and blue in the grey of a colour (ITU-R BT.601)."""
+GREY = 128.0
+"""The grey level that a change of contrast leaves as it is."""
+Share = Annotated[float, Ge(0), Le(1)]
+Probability = Annotated[float, Ge(0), Lt(1)]
+
+
+class Perturbation(Protocol):
+    """A nuisance: its parameters are frozen in the object. `PerturbationBase` has defaults for all but `kind` and what it changes.
+
+    Attributes:
+        changes: `picture`, `pixels` (measured marker coordinates), or both. Where pictures are changed they are always rendered
+            whole, so that no number depends on where the detector looks.
+    """
+
+    changes: ClassVar[tuple[str, ...]]
+
+    @property
+    def kind(self) -> str:
+        """The word in a scenario."""
+        ...
+
+    def begin(self, rng: np.random.Generator) -> Any:
+        """What is drawn once a run, for `picture` and `pixels`."""
+        ...
+
+    def picture(self, memory: Any, image: Image, t: float, rng: np.random.Generator) -> Image:
+        """The picture (H, W, 3) uint8 RGB of time t [s], changed; `image` is a copy that may be written to.
+
+        rng: of this picture. Of a camera with panels each is changed by itself, with the same random numbers.
+        """
+        ...
+
+    def pixels(self, memory: Any, uv: Array, t: float, rng: np.random.Generator) -> Array:
+        """Measured coordinates uv (N, 2) [px] of time t [s], changed; NaN for a marker that is not seen."""
+        ...
+
+
+class PerturbationBase:
+    """Defaults of a perturbation: of pictures, nothing drawn once a run, nothing changed."""
+
+    changes: ClassVar[tuple[str, ...]] = ("picture",)
+
+    def begin(self, rng: np.random.Generator) -> Any:
+        """Nothing."""
+        return None
+
+    def picture(self, memory: Any, image: Image, t: float, rng: np.random.Generator) -> Image:
+        """As it is."""
+        return image
+
+    def pixels(self, memory: Any, uv: Array, t: float, rng: np.random.Generator) -> Array:
+        """As they are."""
+        return uv
+
+
+@spec
+class Erasing(PerturbationBase):
+    """Random erasing: with a probability, a rectangle of each picture is replaced; a marker in it is lost or wrongly measured.
+
+    Its area is S = U(area) W H, its ratio of height to width r = U(aspect, 1/aspect), its place uniform; a rectangle that does not
+    fit is drawn again.
+
+    Args:
+        probability: of a picture to be changed. area: smallest and largest share of the picture. aspect: r, see above.
+        fill: one `grey` level, drawn for each rectangle, or a `random` level for each channel of each pixel.
+
+    Reference: Zhong, Zheng, Kang, Li & Yang 2020, doi:10.1609/aaai.v34i07.7000 (there the area is .02 to .4, and aspect .3).
+    """
+
+    kind: Literal["erasing"] = "erasing"
+    probability: Share = 0.5
+    area: Annotated[tuple[Annotated[float, Gt(0), Lt(1)], ...], Len(2, 2)] = (0.02, 0.1)
+    aspect: Annotated[float, Gt(0.01), Le(1)] = 0.3
+    fill: Literal["grey", "random"] = "grey"
+    tries: ClassVar[int] = 100
+
+    def __post_init__(self) -> None:
+        """Refuse an empty range of areas."""
+        if self.area[0] > self.area[1]:
+            raise ParameterError("area", "must be the smallest and the largest share, in this order", list(self.area))
+
+    def picture(self, memory: None, image: Image, t: float, rng: np.random.Generator) -> Image:
+        """With the rectangle."""
+        if rng.random() >= self.probability:
+            return image
+        height, width = image.shape[:2]
+        for _ in range(self.tries):
+            (least, most), ratio = self.area, rng.uniform(self.aspect, 1 / self.aspect)
+            area = rng.uniform(least, most) * width * height
+            h, w = round(np.sqrt(area * ratio)), round(np.sqrt(area / ratio))
+            if 0 < h < height and 0 < w < width:
+                v, u = rng.integers(height - h + 1), rng.integers(width - w + 1)
+                size = 1 if self.fill == "grey" else (h, w, 3)
+                image[v : v + h, u : u + w] = rng.integers(0, 256, size, dtype=np.uint8)
+                return image
+        return image
+
+
+@spec
+class ColorJitter(PerturbationBase):
+    """Colour jitter: random brightness b, contrast c and saturation s, each U(1 - x, 1 + x) of its x.
+
+    I' = b (s (I_c - Y_c) + Y_c),  I_c = c (I - 128) + 128,  with the grey Y of a colour by ITU-R BT.601; clipped to 0 to 255.
+
+    Args:
+        brightness, contrast, saturation: largest relative change x of each [1].
+        each: whether they are drawn once a `run`, or anew for each `picture`.
+    """
+
+    kind: Literal["color_jitter"] = "color_jitter"
+    brightness: Probability = 0.2
+    contrast: Probability = 0.2
+    saturation: Probability = 0.2
+    each: Literal["run", "picture"] = "run"
+
+    def begin(self, rng: np.random.Generator) -> Array:
+        """Factors b, c, s of the run (3,)."""
+        return self._factors(rng)
+
+    def picture(self, memory: Array, image: Image, t: float, rng: np.random.Generator) -> Image:
+        """With the run's factors, or with its own."""
+        b, c, s = (memory if self.each == "run" else self._factors(rng)).astype(np.float32)
+        contrasted = c * (image.astype(np.float32) - np.float32(GREY)) + np.float32(GREY)
+        grey = (contrasted @ LUMA)[..., None]
+        return np.clip(b * (s * (contrasted - grey) + grey) + np.float32(0.5), 0, 255).astype(np.uint8)
+
+    def _factors(self, rng: np.random.Generator) -> Array:
+        return 1.0 + rng.uniform(-1, 1, 3) * (self.brightness, self.contrast, self.saturation)
+
+
+@spec
+class Outliers(PerturbationBase):
+    """Gross errors of measured coordinates, as of a marker taken for another thing: displaced uniformly within a disc.
+
+    Args:
+        probability: of each marker in each picture. radius_px: of the disc [px].
+
+    Reference: Comport, Marchand & Chaumette 2006, doi:10.1109/TRO.2006.870666 (servoing that is robust to outliers).
+    """
+
+    kind: Literal["outliers"] = "outliers"
+    probability: Share = 0.05
+    radius_px: Annotated[PositivePixels, Narrower(le=1e4)] = 20.0
+    changes: ClassVar[tuple[str, ...]] = ("pixels",)
+
+    def pixels(self, memory: None, uv: Array, t: float, rng: np.random.Generator) -> Array:
+        """With the errors."""
+        hit = rng.random(len(uv)) < self.probability
+        r, a = self.radius_px * np.sqrt(rng.random(len(uv))), rng.uniform(0, 2 * np.pi, len(uv))
+        return uv + np.where(hit[:, None], np.column_stack([r * np.cos(a), r * np.sin(a)]), 0.0)
+
+
+CONTRACT = Contract(Perturbation, base=PerturbationBase, words={"changes": ("picture", "pixels")})
+PERTURBATIONS = OneOf("perturbation", Erasing, ColorJitter, Outliers, contract=CONTRACT)
+Images = tuple[Image | None, ...]
+
+
+class Perturbed:
+    """The perturbations of one run, with what was drawn for it.
+
+    Args:
+        kinds: in the order in which they act. rng: of the scenario's stream for them.
+    """
+
+    def __init__(self, kinds: Sequence[Perturbation], rng: np.random.Generator):
+        n = len(kinds)
+        streams = rng.spawn(3 * n)  # independent: what is drawn once a run, for pictures, for pixels
+        begun = [(kind, kind.begin(stream)) for kind, stream in zip(kinds, streams, strict=False)]
+        self._pictures = [(*one, s) for one, s in zip(begun, streams[n : 2 * n], strict=True) if "picture" in one[0].changes]
+        self._pixels = [(*one, s) for one, s in zip(begun, streams[2 * n :], strict=True) if "pixels" in one[0].changes]
+
+    @property
+    def on_pixels(self) -> bool:
+        """Whether measured coordinates are changed."""
+        return bool(self._pixels)
+
+    def next_picture(self) -> Callable[[float, Images], Images]:
+        """What changes the next picture: a function of its time [s] and its panels' images, the same however often it is called."""
+        drawn = [(kind, memory, int(rng.integers(2**63))) for kind, memory, rng in self._pictures]
+
+        def changed(t: float, images: Images) -> Images:
+            for kind, memory, seed in drawn:
+                images = tuple(None if i is None else _picture(kind, memory, i.copy(), t, np.random.default_rng(seed)) for i in images)
+            return images
+
+        return changed
+
+    def pixels(self, uv: Array, t: float) -> Array:
+        """Measured coordinates (N, 2) [px] of time t [s], changed."""
+        for kind, memory, rng in self._pixels:
+            after = np.asarray(kind.pixels(memory, uv.copy(), t, rng), dtype=float)
+            if after.shape != uv.shape:
+                raise ParameterError(f"noise.perturb: {kind.kind}", f"pixels must return an array {uv.shape}", after.shape)
+            uv = after
+        return uv
+
+
+def _picture(kind: Perturbation, memory: Any, image: Image, t: float, rng: np.random.Generator) -> Image:
+    """A picture changed by one perturbation, which must return a picture."""
+    shape, after = image.shape, kind.picture(memory, image, t, rng)
+    if not isinstance(after, np.ndarray) or after.shape != shape or after.dtype != np.uint8:
+        found = f"{after.shape} {after.dtype}" if isinstance(after, np.ndarray) else type(after).__name__
+        raise ParameterError(f"noise.perturb: {kind.kind}", f"picture must return an image {shape} uint8", found)
+    return after
