@@ -9,10 +9,10 @@ from vstestbed.core.planar import GroundPose
 from vstestbed.robots import Car, Free, Mount, Omni, Puma560, Quadrotor
 from vstestbed.robots.failsafe import Failsafe
 from vstestbed.robots.flight_reading import HOLD
+from vstestbed.robots.flight_start import FlightBox, FlightPose, FlightStart
 from vstestbed.robots.free import Box, FreeStart
 from vstestbed.robots.ground import GroundBox, GroundStart
 from vstestbed.robots.puma560 import JointAngles, JointBox, PumaStart
-from vstestbed.robots.quadrotor import FlightBox, FlightPose, FlightStart
 from vstestbed.robots.reading import Reading
 from vstestbed.robots.robot_log import RobotLog, RobotState
 from vstestbed.robots.supervisor import Supervisor

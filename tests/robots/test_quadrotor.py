@@ -10,9 +10,10 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose, adjoint, inverse
 from vstestbed.robots.allocation import Mount
 from vstestbed.robots.flight_reading import HOLD, ROTORS_OFF, Instruments, descend
+from vstestbed.robots.flight_start import FlightBox, FlightPose, FlightStart
 from vstestbed.robots.groundspeed import Filtered, Flow
 from vstestbed.robots.imu import Imu
-from vstestbed.robots.quadrotor import LOWEST_M, STANDING_M, FlightBox, FlightPose, FlightStart, Quadrotor
+from vstestbed.robots.quadrotor import LOWEST_M, STANDING_M, Quadrotor
 from vstestbed.robots.rotors import HOVER
 
 DOWN = Mount.of(Pose(xyz=(0.1, 0.0, -0.05), rpy_deg=(180, 0, 90)).T)

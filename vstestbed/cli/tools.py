@@ -32,6 +32,7 @@ class Room(str, Enum):
     features = "features"
     laws = "laws"
     detectors = "detectors"
+    comparisons = "comparisons"
 
 
 Plugins = Annotated[list[str] | None, typer.Option("--plugin", metavar="FILE.py|MODULE", help="Load a plugin, which adds kinds.")]
@@ -89,23 +90,34 @@ def list_(room: Annotated[Room | None, typer.Argument(help="What to list. [defau
 
 def _entries(room: Room) -> list[tuple[str, str]]:
     """Names of the scenarios or kinds in a room, each with its description: for kinds the first line of the class's docstring."""
-    from vstestbed.core.assets import bundled_scenarios
+    from vstestbed.core.assets import bundled_comparisons, bundled_scenarios
     from vstestbed.scenario.load import load
     from vstestbed.scenario.validation import KINDS
 
     if room is Room.scenarios:
         return [(name, load(name).description) for name in bundled_scenarios()]
+    if room is Room.comparisons:
+        from vstestbed.experiments.comparison.plan import read_comparison  # here: a list of kinds need not wait for it
+
+        return [(name, read_comparison(path).description) for name, path in bundled_comparisons().items()]
     return [(kind, (cls.__doc__ or "").strip().split("\n")[0]) for kind, cls in KINDS[room.value].members.items()]
 
 
 @tools.command()
-def schema(plugin: Plugins = None) -> None:
-    """JSON Schema of a scenario, for editors."""
-    from vstestbed.scenario.load import schema as scenario_schema
+def schema(
+    comparison: Annotated[bool, typer.Option("--comparison", help="Of a comparison's file, in place of a scenario's.")] = False,
+    plugin: Plugins = None,
+) -> None:
+    """JSON Schema of a scenario's file for editors: every field with its unit, default and an example."""
+    from vstestbed.scenario.described import schema_of
     from vstestbed.scenario.plugins import load_plugins
 
     load_plugins(plugin or [])
-    typer.echo(json.dumps(scenario_schema(), indent=1))
+    if comparison:
+        from vstestbed.experiments.comparison.plan import Comparison as Block
+    else:
+        from vstestbed.scenario.scenario import Scenario as Block
+    typer.echo(json.dumps(schema_of(Block), indent=1, ensure_ascii=False))
 
 
 @tools.command()

@@ -14,7 +14,12 @@ from vstestbed.core.spec import spec
 
 @spec
 class GroundPose:
-    """A place on the floor in YAML: x, y [m] and the heading from the x axis, counter-clockwise [deg]."""
+    """A place on the floor in YAML.
+
+    Args:
+        x, y: coordinates in the world [m].
+        heading_deg: direction of travel from the world's x axis, counter-clockwise [deg].
+    """
 
     x: Length = 0.0
     y: Length = 0.0

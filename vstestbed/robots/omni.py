@@ -71,7 +71,7 @@ class Omni(Vehicle):
         wheels: `rollers` (default): nine free rollers on each wheel touch the floor, and slip where it is slippery;
             `planar`: ideal wheels without contact, a tenth of the cost.
         start: where it starts on the floor.
-        wheel_radius_error: relative error of the calibrated wheel radius: .02 for 2 % too large.
+        wheel_radius_error: relative error of the calibrated wheel radius [1]: .02 for 2 % too large.
     """
 
     kind: Literal["omni"] = "omni"

@@ -18,7 +18,7 @@ import numpy as np
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
-from vstestbed.core.quantity import Angle, AngleWidth, Position, PositiveRate, PositiveSpeed, Sigma
+from vstestbed.core.quantity import PositiveRate, PositiveSpeed, Sigma
 from vstestbed.core.spec import spec
 from vstestbed.robots import groundspeed
 from vstestbed.robots.allocation import Allocation, Mount
@@ -29,6 +29,7 @@ from vstestbed.robots.failsafe import Failsafe
 from vstestbed.robots.flight import RECOVER_RAD, STILL, Gains, Loops, fly
 from vstestbed.robots.flight_log import FlightLog
 from vstestbed.robots.flight_reading import HOLD, FlightEstimate, FlightReading, Instruments
+from vstestbed.robots.flight_start import FlightPose, FlightStart
 from vstestbed.robots.groundspeed import READING_S, Flow, Groundspeed, VelocitySource
 from vstestbed.robots.imu import Imu
 from vstestbed.robots.reading import Reading
@@ -53,31 +54,6 @@ READINGS_AHEAD = 64
 NO_JOINTS = np.zeros(0)
 LEVEL_AXES = [0, 1, 2, 5]
 """Indices of vx, vy, vz and wz in a twist: the four velocities that a level craft can track."""
-
-
-@spec
-class FlightPose:
-    """Where the craft hovers at the start: its centre in the world [m], its heading [deg]."""
-
-    xyz: Position = (0.0, 0.0, 2.0)
-    yaw_deg: Angle = 0.0
-
-
-@spec
-class FlightBox:
-    """Half widths of a box of starts: along world axes [m], in heading [deg]; `about` is its middle, else the nominal start."""
-
-    xyz: Position = (0.0, 0.0, 0.0)
-    yaw_deg: AngleWidth = 0.0
-    about: FlightPose | None = None
-
-
-@spec
-class FlightStart:
-    """Where the craft hovers at the start: `nominal`, and the box from which `random` starts are drawn."""
-
-    nominal: FlightPose = FlightPose()
-    random: FlightBox | None = None
 
 
 class Flight(NamedTuple):

@@ -33,7 +33,7 @@ class Timing:
         jitter: distribution of the jitters: `uniform` within +- the number given, or `normal` with it as standard deviation.
         exposure_jitter_s: jitter of the time of exposure [s].
         latency_jitter_s: jitter of the latency [s].
-        drop_probability: probability that a picture never arrives.
+        drop_probability: probability that a picture never arrives [1].
         command_latency_s: time from a law's command to the robot's new setpoint [s].
         command_timeout_s: how long a command lasts [s], three camera periods at least. Then, without a new one, the robot stops
             within its limits; a picture that arrives so much later than `camera.latency_s` is none.

@@ -20,7 +20,7 @@ class StartTable:
         set: values by dotted path, for all runs of the task.
         each: lists of values by dotted path, all of the same length, one value per run.
         seeds: in place of `each`: number of random starts.
-        amounts: label of each run, with `unit`: 20 (deg), 40, ...; by default 1, 2, ..., for random starts the seed.
+        amounts: label of each run [unit as in `unit`]: 20 (deg), 40, ...; by default 1, 2, ..., for random starts the seed.
         unit: unit of the amounts.
     """
 

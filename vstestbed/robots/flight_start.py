@@ -1,0 +1,47 @@
+"""Where the quadrotor hovers at the start of a run."""
+
+from __future__ import annotations
+
+from vstestbed.core.quantity import Angle, AngleWidth, Position
+from vstestbed.core.spec import spec
+
+
+@spec
+class FlightPose:
+    """Where the craft hovers at the start.
+
+    Args:
+        xyz: its centre in the world [m].
+        yaw_deg: its heading [deg].
+    """
+
+    xyz: Position = (0.0, 0.0, 2.0)
+    yaw_deg: Angle = 0.0
+
+
+@spec
+class FlightBox:
+    """A box from which random starts are drawn.
+
+    Args:
+        xyz: half widths along world axes [m].
+        yaw_deg: half width in heading [deg].
+        about: the middle of the box; None: the nominal start.
+    """
+
+    xyz: Position = (0.0, 0.0, 0.0)
+    yaw_deg: AngleWidth = 0.0
+    about: FlightPose | None = None
+
+
+@spec
+class FlightStart:
+    """Where the craft hovers at the start: `nominal`, and the box from which `random` starts are drawn.
+
+    Args:
+        nominal: place and heading at the start of a run without a seed.
+        random: the box; None: a seed cannot draw a start.
+    """
+
+    nominal: FlightPose = FlightPose()
+    random: FlightBox | None = None
