@@ -121,6 +121,28 @@ def schema(
 
 
 @tools.command()
+def describe(
+    kind: Annotated[str, typer.Argument(metavar="KIND", help="Such as pbvs, camera.spherical, noise; law: all laws.")],
+    plugin: Plugins = None,
+) -> None:
+    """What a law, a robot, a camera or another block takes: its equation, source, fields and an example."""
+    from rich.console import Console
+
+    from vstestbed.cli.describe import describe_entry
+    from vstestbed.experiments.comparison.plan import Comparison
+    from vstestbed.scenario.catalogue import catalogue, entry_of
+    from vstestbed.scenario.plugins import load_plugins
+    from vstestbed.scenario.scenario import Scenario
+
+    load_plugins(plugin or [])
+    entries = catalogue(scenario=Scenario, comparison=Comparison)
+    console = Console(highlight=False)
+    with console.capture() as text:
+        describe_entry(entry_of(kind, entries), entries, console)
+    typer.echo("\n".join(line.rstrip() for line in text.get().splitlines()), color=True)  # rich has left colours out where none are wanted
+
+
+@tools.command()
 def doctor(
     model: Annotated[str | None, typer.Argument(metavar="[FILE.xml]", help="An arm's MJCF or URDF: what of it can be used.")] = None,
 ) -> None:

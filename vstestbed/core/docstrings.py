@@ -107,6 +107,11 @@ def unit_in(words: str) -> str:
     return next((text for text in reversed(found) if all(_IS_UNIT.fullmatch(part) for part in text.split(", "))), "")
 
 
+def without_unit(words: str) -> str:
+    """A field's sentence without the unit in it, for a table that has a column for it."""
+    return words.replace(f" [{unit_in(words)}]", "")
+
+
 def _unit_of(hint: Any, written: str) -> str:
     """The unit of a field: as written, which can be the finer (px^2 in a type of px), else of its type."""
     numbers = list(_numbers(hint))

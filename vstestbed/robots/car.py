@@ -41,7 +41,7 @@ class Compass:
     """An electronic compass: heading = true heading + bias + noise, white from reading to reading.
 
     Args:
-        bias_deg: constant error [deg].
+        bias_deg: constant error [deg]; e.g. `2`.
         sigma_deg: standard deviation of the noise [deg].
     """
 

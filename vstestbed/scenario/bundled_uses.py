@@ -20,7 +20,8 @@ class Uses:
     """What is written in bundled files.
 
     Attributes:
-        files: names of the files that use a class, by class, in their order. blocks: the field and the block in the first of them.
+        files: names of the files that use a class, by class, in their order.
+        blocks: the field and the block in the first of them; the field is `NAME[]` where the block is one of a list.
         values: what is written in each field, by the name of its class and its own, in the order of the files.
     """
 
@@ -67,7 +68,7 @@ def _in_scenario(key: str, written: Any, built: Any) -> Iterator[tuple[type, str
     """Class, field and text of each block that is written in a scenario, by the object that was built of it."""
     if isinstance(written, list) and isinstance(built, tuple):
         for one, made in zip(written, built, strict=False):
-            yield from _in_scenario(key, one, made)
+            yield from _in_scenario(f"{key}[]", one, made)
     elif dataclasses.is_dataclass(built):
         yield type(built), key, written
         for name, value in written.items() if isinstance(written, Mapping) else ():

@@ -73,7 +73,7 @@ def with_unit(field: FieldText) -> str:
 
 def examples_of(cls: type, name: str, uses: Uses) -> Iterator[Any]:
     """One example of a field, if there is any: one in a bundled file that is not its default; the docstring's; the default."""
-    default = next(_default(f) for f in dataclasses.fields(cls) if f.name == name)
+    default = next(default_of(f) for f in dataclasses.fields(cls) if f.name == name)
     written = [v for v in uses.values.get((cls.__name__, name), []) if v != default and v not in ({}, [], None)]
     short = [v for v in written if len(flow_text(v)) <= LONGEST_EXAMPLE] or sorted(written, key=lambda v: len(flow_text(v)))
     if short:
@@ -87,12 +87,17 @@ def examples_of(cls: type, name: str, uses: Uses) -> Iterator[Any]:
 
 
 def _block_example(hint: Any, uses: Uses) -> Iterator[Any]:
-    """Of a field that holds a block, or a list of them: the block with the fields that it needs, else with its first one."""
+    """Of a field that holds a block, or a list of them."""
     for _, cls in itertools.islice(blocks_in(hint), 1):
-        block = {f.name: next(examples_of(cls, f.name, uses), None) for f in dataclasses.fields(cls) if f.init and f.name != "kind"}
-        first = dict(itertools.islice(block.items(), 1))
-        found = {name: block[name] for name in needed_fields(cls)} or first
-        yield [found] if "tuple[" in str(hint) else found
+        block = example_block(cls, uses)
+        yield [block] if "tuple[" in str(hint) else block
+
+
+def example_block(cls: type, uses: Uses) -> dict[str, Any]:
+    """A block of a class, which need not be used anywhere: its kind and the fields that it needs, else its first field."""
+    names = [f.name for f in dataclasses.fields(cls) if f.init and f.name != "kind"]
+    kind = {"kind": kind_of(cls)} if "kind" in class_text(cls).fields else {}
+    return kind | {name: next(examples_of(cls, name, uses), None) for name in needed_fields(cls) or ([] if kind else names[:1])}
 
 
 def _filled(value: Any) -> Any:
@@ -100,7 +105,7 @@ def _filled(value: Any) -> Any:
     return {name: _filled(inner) for name, inner in value.items() if inner is not None} if isinstance(value, dict) else value
 
 
-def _default(field: dataclasses.Field[Any]) -> Any:
+def default_of(field: dataclasses.Field[Any]) -> Any:
     """A field's default as plain values; None where it has none."""
     if field.default_factory is not dataclasses.MISSING:
         return to_mapping(field.default_factory())

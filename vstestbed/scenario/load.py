@@ -236,9 +236,17 @@ def dump_mapping(spec: object) -> str:
 
 def flow_text(value: object) -> str:
     """Plain values as YAML on one line: `{kind: pbvs, gain: 0.5}`."""
+    return _yaml_text(value, default_flow_style=True, width=10**6).removesuffix("...\n").strip()  # the dots end a single word
+
+
+def block_text(value: object, width: int) -> str:
+    """Plain values as YAML for people: innermost mappings and lists on one line, as far as `width` characters hold them."""
+    return _yaml_text(value, default_flow_style=None, width=width).strip()
+
+
+def _yaml_text(value: object, **style: Any) -> str:
     import yaml
 
-    libyaml: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
-    out = io.StringIO()
-    yaml.dump(value, out, Dumper=libyaml, default_flow_style=True, width=10**6, sort_keys=False, allow_unicode=True)
-    return out.getvalue().removesuffix("...\n").strip()  # the dots end a document that is a single word
+    libyaml, out = getattr(yaml, "CSafeDumper", yaml.SafeDumper), io.StringIO()
+    yaml.dump(value, out, Dumper=libyaml, sort_keys=False, allow_unicode=True, **style)
+    return out.getvalue()

@@ -37,9 +37,9 @@ class Noise:
     Args:
         image_sigma: standard deviation of Gaussian noise on each channel of the picture, of 0 to 255 [grey levels]. Its effect on a
             measured coordinate depends on the detector: with `blobs` and its `grey` moments, a standard deviation of about .0025 px
-            per grey level for discs of 8 px radius. Under 1 it has hardly any effect, above 20 markers get lost.
-        pixel_sigma_px: standard deviation of Gaussian noise added to each measured coordinate, for every detector [px].
-        dropout: probability that a detected marker is not reported, for every detector [1].
+            per grey level for discs of 8 px radius. Under 1 it has hardly any effect, above 20 markers get lost; e.g. `2`.
+        pixel_sigma_px: standard deviation of Gaussian noise added to each measured coordinate, for every detector [px]; e.g. `0.1`.
+        dropout: probability that a detected marker is not reported, for every detector [1]; e.g. `0.05`.
         drift: slow drift of the picture's brightness and colour.
     """
 
