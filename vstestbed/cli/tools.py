@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from vstestbed.cli import complete
 from vstestbed.core.errors import EnvironmentLackError, OutputError, ParameterError
 
 if TYPE_CHECKING:
@@ -36,6 +37,14 @@ class Room(str, Enum):
 
 
 Plugins = Annotated[list[str] | None, typer.Option("--plugin", metavar="FILE.py|MODULE", help="Load a plugin, which adds kinds.")]
+_SET = {"metavar": "a.b=value", "autocompletion": complete.paths}
+Settings = Annotated[list[str] | None, typer.Option("--set", help="Change a field before it is checked.", **_SET)]
+SettingsOfAll = Annotated[list[str] | None, typer.Option("--set", help="Change a field of all scenarios.", **_SET)]
+ScenarioName = Annotated[str, typer.Argument(help="A bundled scenario's name, or a YAML file.", autocompletion=complete.scenarios)]
+Experiments = Annotated[
+    list[str],
+    typer.Argument(metavar="SCENARIO...", help="Scenarios, or one comparison: names or files.", autocompletion=complete.experiments),
+]
 Json = Annotated[bool, typer.Option("--json", help="Print summary.json and nothing else on standard output.")]
 
 Force = Annotated[bool, typer.Option("--force", help="Also more than 100 000 runs (basin: 4 000 000 starts).")]
@@ -122,7 +131,9 @@ def schema(
 
 @tools.command()
 def describe(
-    kind: Annotated[str, typer.Argument(metavar="KIND", help="Such as pbvs, camera.spherical, noise; law: all laws.")],
+    kind: Annotated[
+        str, typer.Argument(metavar="KIND", help="Such as pbvs, camera.spherical, noise; law: all laws.", autocompletion=complete.kinds)
+    ],
     plugin: Plugins = None,
 ) -> None:
     """What a law, a robot, a camera or another block takes: its equation, source, fields and an example."""
