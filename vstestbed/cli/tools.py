@@ -158,12 +158,9 @@ def doctor(
     model: Annotated[str | None, typer.Argument(metavar="[FILE.xml]", help="An arm's MJCF or URDF: what of it can be used.")] = None,
 ) -> None:
     """Versions, OpenGL, codecs, cores: what works here, and the command that mends what does not; or what works of an arm's file."""
-    from vstestbed.cli.doctor import examine, examine_file
+    from vstestbed.cli.doctor import examine, examine_file, show
 
-    sound = True
-    for finding in examine() if model is None else examine_file(model):
-        typer.echo(str(finding))
-        sound = sound and finding.works
+    sound = show(examine() if model is None else examine_file(model))
     raise typer.Exit(0 if sound else EnvironmentLackError.exit_code if model is None else ParameterError.exit_code)
 
 
