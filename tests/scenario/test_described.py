@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, Literal
 
 import pytest
 
 from tests.scenario.test_load import conforms
 from vstestbed.core.assets import bundled_comparisons, bundled_scenarios, folder
 from vstestbed.core.docstrings import class_text, unit_in
+from vstestbed.core.spec import spec
 from vstestbed.experiments.comparison import Comparison
 from vstestbed.laws.pbvs import PBVS
-from vstestbed.scenario.described import schema_of
+from vstestbed.scenario.bundled_uses import bundled_uses
+from vstestbed.scenario.described import examples_of, schema_of
 from vstestbed.scenario.load import for_another_folder
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.tasks.landing import GoalLanding
@@ -103,6 +105,18 @@ def test_the_parts_of_a_docstring() -> None:
     assert "Errata." in words.text and "Args" not in words.text and "Reference" not in words.text
     assert words.fields["translation"].description == "`cdMc`, `cMcd` or `cMo`."
     assert list(words.fields) == ["kind", "gain", "translation", "solve", "limits", "feedforward"]
+
+
+def test_a_class_without_a_docstring_has_no_words() -> None:
+    @spec
+    class Bare:
+        kind: Literal["bare"] = "bare"
+        gain: float = 0.5
+
+    words = class_text(Bare)
+    assert (words.summary, words.text, words.sources) == ("", "", ())
+    assert words.fields["gain"].description == ""
+    assert [*examples_of(Bare, "gain", bundled_uses())] == [0.5]
 
 
 def test_one_line_for_two_fields_has_a_unit_for_each() -> None:

@@ -79,7 +79,7 @@ def _sections(cls: type) -> tuple[tuple[str, ...], tuple[tuple[str, str], ...]]:
     from griffe import Docstring, DocstringSectionParameters, DocstringSectionText  # here: only `schema` and `describe` read docstrings
 
     own = cls.__dict__.get("__doc__")
-    if not own or cls is object:
+    if not own or cls is object or own.startswith(f"{cls.__name__}("):  # dataclasses write a signature where there is none
         return (), ()
     texts, lines = [], []
     for section in Docstring(inspect.cleandoc(own)).parse("google", warnings=False):

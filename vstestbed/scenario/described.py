@@ -56,7 +56,7 @@ class _Described(GenerateJsonSchema):
 def _annotations(cls: type, name: str, words: ClassText, uses: Uses) -> dict[str, Any]:
     """Description, unit and examples of a field, as far as there are any."""
     if name == "kind":
-        return {"description": words.summary, "examples": [kind_of(cls)]}
+        return {"description": words.summary or f"The kind of {cls.__name__}.", "examples": [kind_of(cls)]}
     field = words.fields[name]
     found: dict[str, Any] = {"description": with_unit(field)} if field.description else {}
     if field.unit:
