@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 from vstestbed.core.assets import bundled_comparisons, bundled_scenarios, folder
@@ -43,17 +43,25 @@ def paths(incomplete: str) -> list[str]:
     """Fields of a scenario of any kinds, by their dotted paths; what is in a block once its name stands there."""
     whole = _schema()
     *parts, last = incomplete.split(".")
-    rules, prefix = [whole], ""
+    rules, prefix = [whole], "".join(f"{part}." for part in parts)
     for part in parts:
-        rules = [child for rule in rules for name, child in _children(rule, whole) if name == part]
-        prefix += f"{part}."
+        rules = _named(part, rules, whole)
     while True:
-        found = {name: child for rule in rules for name, child in _children(rule, whole) if name.startswith(last)}
-        inside = [child for child in found.values() if len(found) == 1 and list(_children(child, whole))]
+        found = {name: child for name, child in _within(rules, whole) if name.startswith(last)}
+        inside = dict(_within(found.values(), whole)) if len(found) == 1 else {}
         if not inside:
             return [prefix + name for name in found]
         # A single word would be taken as complete by the shell, which adds a space.
-        prefix, last, rules = f"{prefix}{next(iter(found))}.", "", inside
+        prefix, last, rules = f"{prefix}{next(iter(found))}.", "", list(found.values())
+
+
+def _named(name: str, rules: Iterable[dict[str, Any]], whole: dict[str, Any]) -> list[dict[str, Any]]:
+    return [child for own, child in _within(rules, whole) if own == name]
+
+
+def _within(rules: Iterable[dict[str, Any]], whole: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
+    for rule in rules:
+        yield from _children(rule, whole)
 
 
 def _schema() -> dict[str, Any]:

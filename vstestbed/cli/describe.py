@@ -109,10 +109,11 @@ def _default(cls: type, name: str, hint: Any) -> str:
     value = default_of(next(f for f in dataclasses.fields(cls) if f.name == name))
     if not isinstance(value, dict):
         return "none" if value is None else flow_text(value)
-    room = next((room for room, _ in blocks_in(hint) if room is not None), None)
-    if room is not None and room.number is not None and value["kind"] == room.number[0]:
-        return flow_text(value[room.number[1]])
-    return str(value.get("kind", "")) if room is not None else ""
+    for room, _ in blocks_in(hint):
+        if room is not None:
+            kind, field = room.number or ("", "")
+            return flow_text(value[field]) if value["kind"] == kind else value["kind"]
+    return ""
 
 
 def _words(hint: Any) -> Iterator[Any]:

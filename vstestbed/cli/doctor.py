@@ -37,15 +37,15 @@ class Finding:
     def lines(self, width: int | None) -> Iterator[str]:
         """What was found, and where the check failed the remedy after an arrow; set off and wrapped, None: not wrapped."""
         head = f"{'ok' if self.works else MISSING:{STATUS_WIDTH}}{self.what:{WHAT_WIDTH}}"
-        texts = self.found.splitlines() or [""]
-        texts += [] if self.works or not self.remedy else [f"-> {line}" for line in self.remedy.splitlines()]
-        for text in texts:
-            fits = (
-                [text] if width is None or text.startswith(" ") else textwrap.wrap(text, max(width - len(head), 20), break_on_hyphens=False)
-            )
-            for line in fits or [""]:
+        for text in self._texts():
+            room = None if width is None or text.startswith(" ") else max(width - len(head), 20)
+            for line in [text] if room is None else textwrap.wrap(text, room, break_on_hyphens=False):
                 yield f"{head}{line}".rstrip()
                 head = " " * len(head)
+
+    def _texts(self) -> list[str]:
+        remedy = [] if self.works else self.remedy.splitlines()
+        return [*(self.found or "-").splitlines(), *(f"-> {line}" for line in remedy)]
 
 
 def show(findings: Iterable[Finding]) -> bool:

@@ -60,17 +60,19 @@ class ClassText:
 @functools.cache
 def class_text(cls: type) -> ClassText:
     """The docstring of a dataclass in parts; inherited fields have the text of the class that brings them."""
-    texts, _ = _sections(cls)
+    summary, *rest = [p for text in _sections(cls)[0] for p in text.split("\n\n")] or [""]
+    sources = tuple(" ".join(_SOURCE.sub("", p).split()) for p in rest if _SOURCE.match(p))
+    text = "\n\n".join(p for p in rest if not _SOURCE.match(p) and not p.startswith("Raises ("))
+    return ClassText(" ".join(summary.split()), text, sources, _field_texts(cls))
+
+
+def _field_texts(cls: type) -> dict[str, FieldText]:
     hints = typing.get_type_hints(cls, include_extras=True)
     words: dict[str, FieldText] = {}
     for base in reversed(cls.__mro__):
         words |= dict(_field_lines(_sections(base)[1]))
     own = {f.name: words.get(f.name, FieldText("", "")) for f in dataclasses.fields(cls) if f.init}
-    fields = {name: dataclasses.replace(text, unit=_unit_of(hints[name], text.unit)) for name, text in own.items()}
-    paragraphs = [p for text in texts for p in text.split("\n\n")]
-    sources = tuple(" ".join(_SOURCE.sub("", p).split()) for p in paragraphs if _SOURCE.match(p))
-    rest = [p for p in paragraphs[1:] if not _SOURCE.match(p) and not p.startswith("Raises (")]
-    return ClassText(" ".join(paragraphs[0].split()) if paragraphs else "", "\n\n".join(rest), sources, fields)
+    return {name: dataclasses.replace(text, unit=_unit_of(hints[name], text.unit)) for name, text in own.items()}
 
 
 @functools.cache

@@ -77,15 +77,17 @@ def _in_scenario(key: str, written: Any, built: Any) -> Iterator[tuple[type, str
 
 def _in_comparison(key: str, written: Any) -> Iterator[tuple[type, str, Any]]:
     """The same of a comparison, whose blocks with a `kind` stand anywhere: under a dotted path, or in a list of values."""
-    room = next((one for one in KINDS.values() if one.what == key.rpartition(".")[2]), None)
+    what, kind = key.rpartition(".")[2], written.get("kind") if isinstance(written, Mapping) else written
+    if isinstance(kind, str) and kind in (members := _members(what)):
+        yield members[kind], what, written
     if isinstance(written, Mapping):
-        kind = written.get("kind")
-        if room is not None and isinstance(kind, str) and kind in room.members:
-            yield room.members[kind], room.what, written
         for name, value in written.items():
             yield from _in_comparison(str(name), value)
     elif isinstance(written, list):
         for value in written:
             yield from _in_comparison(key, value)
-    elif room is not None and isinstance(written, str) and written in room.members:
-        yield room.members[written], room.what, written
+
+
+def _members(what: str) -> dict[str, type]:
+    """The kinds of a field; none where it has no kinds."""
+    return next((room.members for room in KINDS.values() if room.what == what), {})

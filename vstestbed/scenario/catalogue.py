@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import typing
 from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from vstestbed.core.errors import ParameterError, nearest
@@ -34,18 +35,32 @@ def catalogue(**roots: type) -> dict[str, Entry]:
     waiting = deque(("" if name == "scenario" else name, cls) for name, cls in roots.items())
     while waiting:
         owner, cls = waiting.popleft()
-        hints = typing.get_type_hints(cls, include_extras=True)
-        for field in (f.name for f in dataclasses.fields(cls) if f.init):
-            for room, inner in blocks_in(hints[field]):
-                name = f"{owner}.{field}".removeprefix(".") if room is None else f"{room.what}.{kind_of(inner)}"
-                if room is None and name in found and found[name].cls is not inner:
-                    name = f"{kind_of(cls)}.{field}" if hasattr(cls, "kind") else f"{name}.{inner.__name__}"  # `robot.start` of many kinds
-                if room is not None:
-                    found.setdefault(room.what, Entry(room.what, None, room))
-                if name not in found:
-                    found[name] = Entry(name, inner, room)
-                    waiting.append((name if room is None else room.what, inner))
+        for field, room, inner in _blocks_of(cls):
+            if room is None:
+                name = _field_name(owner, field, cls, inner, found)
+            else:
+                name = f"{room.what}.{kind_of(inner)}"
+                found.setdefault(room.what, Entry(room.what, None, room))
+            if name not in found:
+                found[name] = Entry(name, inner, room)
+                waiting.append((name if room is None else room.what, inner))
     return found
+
+
+def _blocks_of(cls: type) -> Iterator[tuple[str, OneOf | None, type]]:
+    """Field, room and class of each block that a block may hold."""
+    hints = typing.get_type_hints(cls, include_extras=True)
+    for field in dataclasses.fields(cls):
+        if field.init:
+            yield from ((field.name, room, inner) for room, inner in blocks_in(hints[field.name]))
+
+
+def _field_name(owner: str, field: str, cls: type, inner: type, found: dict[str, Entry]) -> str:
+    """The name of a block in a field: `stop.converged`; `quadrotor.start` where `robot.start` is the block of another kind."""
+    name = f"{owner}.{field}".removeprefix(".")
+    if name not in found or found[name].cls is inner:
+        return name
+    return f"{kind_of(cls)}.{field}" if hasattr(cls, "kind") else f"{name}.{inner.__name__}"
 
 
 def entry_of(word: str, entries: dict[str, Entry]) -> Entry:
@@ -63,7 +78,11 @@ def entry_of(word: str, entries: dict[str, Entry]) -> Entry:
     if things:
         names = sorted(entry.name for entry in things)
         raise ParameterError(word, f"is {', '.join(names[:-1])} and {names[-1]}; give one of these names")
+    raise ParameterError(word, f"is no kind and no block of a scenario; {_hint(word, entries)}")
+
+
+def _hint(word: str, entries: dict[str, Entry]) -> str:
+    """The nearest name, or where to begin: a list of all names would fill a screen."""
     hint = nearest(word, {name.rpartition(".")[2] for name in entries} | set(entries))
-    if not hint.startswith("did you mean"):
-        hint = "there are scenario, comparison, " + ", ".join(sorted(name for name in entries if entries[name].cls is None))
-    raise ParameterError(word, f"is no kind and no block of a scenario; {hint}")
+    rooms = sorted(entry.name for entry in entries.values() if entry.cls is None)
+    return hint if hint.startswith("did you mean") else f"there are scenario, comparison, {', '.join(rooms)}"

@@ -24,6 +24,7 @@ from vstestbed.scenario.yaml_marks import read_value
 
 LONGEST_EXAMPLE = 100
 """Longest example of a field, in characters of its YAML."""
+_NOTHING = ({}, [], "", None)
 
 
 def schema_of(cls: type) -> dict[str, Any]:
@@ -74,13 +75,12 @@ def with_unit(field: FieldText) -> str:
 def examples_of(cls: type, name: str, uses: Uses) -> Iterator[Any]:
     """One example of a field, if there is any: one in a bundled file that is not its default; the docstring's; the default."""
     default = next(default_of(f) for f in dataclasses.fields(cls) if f.name == name)
-    written = [v for v in uses.values.get((cls.__name__, name), []) if v != default and v not in ({}, [], None)]
-    short = [v for v in written if len(flow_text(v)) <= LONGEST_EXAMPLE] or sorted(written, key=lambda v: len(flow_text(v)))
-    if short:
-        yield short[0]
+    written = [v for v in uses.values.get((cls.__name__, name), []) if v != default and v not in _NOTHING]
+    if written:
+        yield min(written, key=lambda v: max(len(flow_text(v)), LONGEST_EXAMPLE))  # the first that is short enough, else the shortest
     elif example := class_text(cls).fields[name].example:
         yield read_value(example)
-    elif (filled := _filled(default)) not in ({}, [], "", None):
+    elif (filled := _filled(default)) not in _NOTHING:
         yield filled
     else:
         yield from _block_example(typing.get_type_hints(cls, include_extras=True)[name], uses)
