@@ -62,7 +62,7 @@ def test_each_runs_to_a_good_end(command, tmp_path: Path, monkeypatch: pytest.Mo
 
 
 def vs_plain(scenario: vs.Scenario):
-    from vstestbed.core.spec import to_mapping
+    from vstestbed.core.mapping import to_mapping
 
     plain = to_mapping(scenario)
     return {name: value for name, value in plain.items() if name != "plugins"}
