@@ -40,6 +40,7 @@ def test_kinds_are_those_that_describe_knows() -> None:
     bundled = {kind for room in KINDS.values() for kind, cls in room.members.items() if cls.__module__.startswith("vstestbed.")}
     assert bundled <= set(complete.kinds(""))
     assert {"law", "stop", "noise"} <= set(complete.kinds(""))
+    assert complete.kinds("metr") == complete.kinds("descr") == []  # a list, which `describe` has as `metric`, and a text
 
 
 @pytest.mark.parametrize(
@@ -54,6 +55,10 @@ def test_kinds_are_those_that_describe_knows() -> None:
 )
 def test_dotted_paths(begun: str, words: list[str]) -> None:
     assert complete.paths(begun) == words
+
+
+def test_a_field_of_several_kinds_is_offered_with_what_is_in_each() -> None:
+    assert {f"robot.parameters.{name}" for name in ("track_m", "wheel_speed_radps", "arm_m")} <= set(complete.paths("robot.par"))
 
 
 def test_a_block_alone_is_offered_with_what_is_in_it() -> None:

@@ -56,6 +56,19 @@ def test_a_block_that_no_bundled_file_has_still_has_an_example() -> None:
     assert any(line.startswith("amplitude_m   required") for line in lines)
 
 
+@pytest.mark.parametrize(
+    ("name", "example"),
+    [
+        ("monitor.keep_out", ["monitors:", "- kind: keep_out", "  corner: [0.4, -0.3, 0.5]", "  opposite: [0.8, 0.3, 1.2]"]),
+        ("perturbation.erasing", ["perturb:", "- {kind: erasing}"]),
+        ("world.scenery", ["scenery: scenery/workshop.xml"]),
+    ],
+)
+def test_an_example_has_the_field_that_holds_it(name: str, example: list[str]) -> None:
+    lines = shown(name).splitlines()
+    assert [line.rstrip().removeprefix("  ") for line in lines[-len(example) :]] == example
+
+
 def test_colours_only_where_they_are_wanted() -> None:
     assert "\x1b[" in shown("law.pbvs", force_terminal=True)
     assert "\x1b[3" not in shown("law.pbvs", force_terminal=True, no_color=True)

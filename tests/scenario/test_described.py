@@ -11,12 +11,13 @@ import pytest
 from tests.scenario.test_load import conforms
 from vstestbed.core.assets import bundled_comparisons, bundled_scenarios, folder
 from vstestbed.core.docstrings import class_text, unit_in
+from vstestbed.core.errors import Mistake, ScenarioError
 from vstestbed.core.spec import spec
 from vstestbed.experiments.comparison import Comparison
 from vstestbed.laws.pbvs import PBVS
 from vstestbed.scenario.bundled_uses import bundled_uses
 from vstestbed.scenario.described import examples_of, schema_of
-from vstestbed.scenario.load import for_another_folder
+from vstestbed.scenario.load import for_another_folder, load
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.tasks.landing import GoalLanding
 
@@ -91,6 +92,23 @@ def test_the_schema_beside_the_bundled_files_is_the_present_one(cls: type) -> No
         first = path.read_text(encoding="utf-8").splitlines()[0]
         assert first.startswith("# yaml-language-server: $schema="), path
         assert (path.parent / first.partition("=")[2]).resolve() == there.resolve()
+
+
+def test_it_is_the_same_without_the_packages_of_arms(monkeypatch: pytest.MonkeyPatch) -> None:
+    def load_others(name: str) -> Scenario:
+        if name == "arm_panda":
+            raise ScenarioError(
+                [Mistake("arm_panda.yaml:10:3", "robot.file", "names the package dm_robotics.panda, which is not installed")]
+            )
+        return load(name)
+
+    monkeypatch.setattr("vstestbed.scenario.bundled_uses.load", load_others)
+    bundled_uses.cache_clear()
+    try:
+        assert "arm_panda" not in str(bundled_uses().files) and "arm_jaco" in str(bundled_uses().files)
+        assert json.loads(json.dumps(schema_of(Scenario))) == WHOLE[Scenario]
+    finally:
+        bundled_uses.cache_clear()
 
 
 def test_a_copy_elsewhere_names_no_schema() -> None:

@@ -34,7 +34,7 @@ def experiments(incomplete: str) -> list[str]:
 def kinds(incomplete: str) -> list[str]:
     """Words that `describe` knows: kinds, and the blocks of a scenario."""
     whole = _schema()
-    words = {name for name, rule in whole["properties"].items() if _children(rule, whole)}
+    words = {name for name, rule in whole["properties"].items() if any(_children(rule, whole))}
     words |= {block["properties"]["kind"]["const"] for block in whole["$defs"].values() if "kind" in block["properties"]}
     return sorted(word for word in words if word.startswith(incomplete))
 
@@ -45,18 +45,23 @@ def paths(incomplete: str) -> list[str]:
     *parts, last = incomplete.split(".")
     rules, prefix = [whole], "".join(f"{part}." for part in parts)
     for part in parts:
-        rules = _named(part, rules, whole)
+        rules = _begun(part, rules, whole).get(part, [])
     while True:
-        found = {name: child for name, child in _within(rules, whole) if name.startswith(last)}
-        inside = dict(_within(found.values(), whole)) if len(found) == 1 else {}
-        if not inside:
+        found = _begun(last, rules, whole)
+        rules = [child for same in found.values() for child in same]
+        if len(found) != 1 or not any(_within(rules, whole)):
             return [prefix + name for name in found]
         # A single word would be taken as complete by the shell, which adds a space.
-        prefix, last, rules = f"{prefix}{next(iter(found))}.", "", list(found.values())
+        prefix, last = f"{prefix}{next(iter(found))}.", ""
 
 
-def _named(name: str, rules: Iterable[dict[str, Any]], whole: dict[str, Any]) -> list[dict[str, Any]]:
-    return [child for own, child in _within(rules, whole) if own == name]
+def _begun(begin: str, rules: Iterable[dict[str, Any]], whole: dict[str, Any]) -> dict[str, list[dict[str, Any]]]:
+    """The fields of these blocks whose names begin so, each with its rule in every block that has it."""
+    found: dict[str, list[dict[str, Any]]] = {}
+    for name, child in _within(rules, whole):
+        if name.startswith(begin):
+            found.setdefault(name, []).append(child)
+    return found
 
 
 def _within(rules: Iterable[dict[str, Any]], whole: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:

@@ -137,7 +137,7 @@ def _use(entry: Entry, console: Console) -> None:
     uses = bundled_uses()
     files = uses.files.get(cls, [])
     console.print()
-    key, block = uses.blocks.get(cls, (entry.room.what if entry.room else entry.name.rpartition(".")[2], None))
+    key, block = uses.blocks.get(cls, (entry.field, None))
     if files:
         _wrapped(f"Used in: {', '.join(files)}", console)
         console.print()
@@ -149,4 +149,5 @@ def _use(entry: Entry, console: Console) -> None:
     while key.endswith("[]"):
         key, shown = key[:-2], [shown]
     console.print(title)
-    console.print(Padding(Text(block_text({key: shown}, console.width - 6), style="green"), (0, 0, 0, 2)), soft_wrap=True)
+    text = block_text({key: shown}, console.width - 6) if isinstance(shown, dict | list) else f"{key}: {flow_text(shown)}"
+    console.print(Padding(Text(text, style="green"), (0, 0, 0, 2)), soft_wrap=True)

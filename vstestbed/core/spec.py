@@ -278,6 +278,11 @@ def blocks_in(hint: Any) -> Iterator[tuple[OneOf | None, type]]:
             yield from blocks_in(inner)
 
 
+def is_list(hint: Any) -> bool:
+    """Whether a field of this type, which holds blocks, holds a list of them."""
+    return "tuple[" in str(hint)
+
+
 def kind_of(cls: type) -> str:
     """The `kind` of a spec class, the word for it in YAML; ParameterError where it has none."""
     for field in dataclasses.fields(cls):

@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from vstestbed.core.assets import bundled_comparisons, bundled_scenarios
+from vstestbed.core.errors import ScenarioError
+from vstestbed.core.named_files import PACKAGE
 from vstestbed.scenario.load import load, text_of
 from vstestbed.scenario.validation import KINDS
 from vstestbed.scenario.yaml_marks import plain_mapping
@@ -45,10 +47,19 @@ class Uses:
 
 @functools.cache
 def bundled_uses() -> Uses:
-    """The uses in all bundled scenarios, and in comparisons of what no scenario has before."""
+    """The uses in all bundled scenarios, and in comparisons of what no scenario has before.
+
+    A scenario with an arm's file inside a package is left out where that package is not installed.
+    """
     uses = Uses()
     for name, path in bundled_scenarios().items():
-        for cls, key, written in _in_scenario("scenario", _plain(path), load(name)):
+        try:
+            built = load(name)
+        except ScenarioError:
+            if PACKAGE in text_of(path):
+                continue
+            raise
+        for cls, key, written in _in_scenario("scenario", _plain(path), built):
             uses.add(cls, name, key, written)
     for name, path in bundled_comparisons().items():
         plain = _plain(path)

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from vstestbed.core.errors import ParameterError, nearest
-from vstestbed.core.spec import OneOf, blocks_in, kind_of
+from vstestbed.core.spec import OneOf, blocks_in, is_list, kind_of
 
 
 @dataclass(frozen=True)
@@ -18,11 +18,13 @@ class Entry:
 
     Attributes:
         name: its full name. cls: its class; None for a list of kinds. room: the list of kinds that it is, or to which its kind belongs.
+        field: the field that holds it, `NAME[]` where it is one of a list.
     """
 
     name: str
     cls: type | None
     room: OneOf | None
+    field: str
 
 
 def catalogue(**roots: type) -> dict[str, Entry]:
@@ -31,28 +33,30 @@ def catalogue(**roots: type) -> dict[str, Entry]:
     Args:
         roots: the blocks that are files of their own, by name; the fields of `scenario` go without that name.
     """
-    found = {name: Entry(name, cls, None) for name, cls in roots.items()}
+    found = {name: Entry(name, cls, None, name) for name, cls in roots.items()}
     waiting = deque(("" if name == "scenario" else name, cls) for name, cls in roots.items())
     while waiting:
         owner, cls = waiting.popleft()
-        for field, room, inner in _blocks_of(cls):
+        for field, listed, room, inner in _blocks_of(cls):
+            place = f"{field}[]" if listed else field
             if room is None:
                 name = _field_name(owner, field, cls, inner, found)
             else:
                 name = f"{room.what}.{kind_of(inner)}"
-                found.setdefault(room.what, Entry(room.what, None, room))
+                found.setdefault(room.what, Entry(room.what, None, room, place))
             if name not in found:
-                found[name] = Entry(name, inner, room)
+                found[name] = Entry(name, inner, room, place)
                 waiting.append((name if room is None else room.what, inner))
     return found
 
 
-def _blocks_of(cls: type) -> Iterator[tuple[str, OneOf | None, type]]:
-    """Field, room and class of each block that a block may hold."""
+def _blocks_of(cls: type) -> Iterator[tuple[str, bool, OneOf | None, type]]:
+    """Field, whether it is a list, room and class of each block that a block may hold."""
     hints = typing.get_type_hints(cls, include_extras=True)
     for field in dataclasses.fields(cls):
         if field.init:
-            yield from ((field.name, room, inner) for room, inner in blocks_in(hints[field.name]))
+            hint = hints[field.name]
+            yield from ((field.name, is_list(hint), room, inner) for room, inner in blocks_in(hint))
 
 
 def _field_name(owner: str, field: str, cls: type, inner: type, found: dict[str, Entry]) -> str:

@@ -18,7 +18,7 @@ from pydantic_core.core_schema import DataclassSchema
 
 from vstestbed.core.docstrings import DIMENSIONLESS, ClassText, FieldText, class_text
 from vstestbed.core.mapping import to_mapping
-from vstestbed.core.spec import blocks_in, kind_of, needed_fields, refresh_specs
+from vstestbed.core.spec import blocks_in, is_list, kind_of, needed_fields, refresh_specs
 from vstestbed.scenario.bundled_uses import Uses, bundled_uses
 from vstestbed.scenario.dump import flow_text
 from vstestbed.scenario.yaml_marks import read_value
@@ -91,7 +91,7 @@ def _block_example(hint: Any, uses: Uses) -> Iterator[Any]:
     """Of a field that holds a block, or a list of them."""
     for _, cls in itertools.islice(blocks_in(hint), 1):
         block = example_block(cls, uses)
-        yield [block] if "tuple[" in str(hint) else block
+        yield [block] if is_list(hint) else block
 
 
 def example_block(cls: type, uses: Uses) -> dict[str, Any]:
