@@ -20,7 +20,14 @@ from vstestbed.laws.visibility import Visibility
 
 NUMBERS: dict[type, dict[str, Any]] = {
     IBVS: {"gain": ConstantGain(value=0.5), "smooth_start_s": 0.0, "redundant": False},
-    Partitioned: {"gain": ConstantGain(value=0.5), "gain_z": 1.0, "gain_turn": 0.5, "turn_limits_deg": None},
+    Partitioned: {
+        "gain": ConstantGain(value=0.5),
+        "gain_z": 1.0,
+        "gain_turn": 0.5,
+        "gain_xy": 0.5,
+        "axes": ("z", "wz"),
+        "turn_limits_deg": None,
+    },
     PBVS: {"gain": ConstantGain(value=0.5)},
     Hybrid: {"gain": ConstantGain(value=0.5)},
     PoseController: {"k_rho": 1.0, "k_alpha": 5.0, "k_beta": -2.0, "rest_m": 0.02, "pass_m": 0.1, "speed_mps": 1.0},
@@ -69,6 +76,7 @@ def test_the_constants_of_a_law():
 POSITIVE = [
     (Partitioned, "gain_z"),
     (Partitioned, "gain_turn"),
+    (Partitioned, "gain_xy"),
     (PoseController, "rest_m"),
     (PoseController, "speed_mps"),
     (Pursuit, "gain"),

@@ -1,4 +1,4 @@
-"""The partitioned law: the book's run, print's two mistakes, errors of size, limits of the turn, markers kept in the picture."""
+"""The partitioned law: the book's run, other partitions, print's two mistakes, errors of size, limits of the turn, repulsion."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from vstestbed.features.depth import OracleDepth
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import IBVS, Law, Partitioned
 from vstestbed.laws.base import ConstantGain, TwistLimits
-from vstestbed.laws.partitioned import XY, Z
 from vstestbed.laws.select import NO_AREA
 from vstestbed.laws.views import Views
 from vstestbed.laws.visibility import Visibility
 from vstestbed.targets.points import Square
 
 TRUE = OracleDepth()
+XY, Z = [0, 1, 3, 4], [2, 5]
 POINTS = Square(side=0.5, pose=Pose()).points
 BOOK = {"gain": ConstantGain(value=0.1), "gain_z": 0.2, "gain_turn": 0.1, "depth": TRUE}
 
@@ -210,3 +210,95 @@ def test_a_batch_rests_only_where_the_markers_span_no_area():
         one, command = law.step(law.init(goal), seen, goal, np.eye(6))
         np.testing.assert_allclose(twist[i], command.twist, rtol=1e-6, atol=1e-9)
         np.testing.assert_allclose(memory[i, 0], one.turn)
+
+
+PARTITIONS = [("z",), ("wz",), ("x", "y"), ("x",), ("x", "y", "wz"), ("x", "y", "z"), ("x", "y", "z", "wz")]
+
+
+class TestOtherPartitions:
+    T = Pose(xyz=(0.12, -0.07, 1.4), rpy_deg=(6, -9, 25)).T
+    GOAL = Goal.from_view(book_camera(), POINTS, Pose(xyz=(0, 0, 1)).T)
+
+    def view(self, T: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        p = transform(T, POINTS)
+        return p[:, :2] / p[:, 2:], p[:, 2]
+
+    def twist(self, law: Partitioned) -> np.ndarray:
+        xy, depth = self.view(self.T)
+        return law.step(law.init(self.GOAL), Observation(0, xy, xy, depth), self.GOAL, np.eye(6))[1].twist
+
+    def flow(self, twist: np.ndarray, h: float = 1e-6) -> np.ndarray:
+        """Speeds of the points (4, 2) under a camera twist, by central differences over its motion."""
+        ahead, back = (self.view(inverse(exp(sign * h * twist)) @ self.T)[0] for sign in (1, -1))
+        return (ahead - back) / (2 * h)
+
+    @pytest.mark.parametrize(("axis", "i"), [("x", 0), ("y", 1)])
+    def test_the_speed_across_brings_the_mean_home_with_its_gain(self, axis: str, i: int):
+        twist = self.twist(Partitioned(axes=(axis,), gain_xy=0.7))  # pyright: ignore[reportArgumentType]
+        alone = np.where(np.arange(6) == i, twist, 0)
+        error = (self.view(self.T)[0] - self.GOAL.xy)[:, i].mean()
+        assert self.flow(alone)[:, i].mean() == pytest.approx(-0.7 * error, rel=1e-6)
+
+    @pytest.mark.parametrize("axes", [("z", "wz"), *PARTITIONS], ids="-".join)
+    def test_the_points_do_the_rest_and_are_told_of_all_motion(self, axes: tuple[str, ...]):
+        """In the directions of the rest the points' whole flow, by differences, is -gain times their error."""
+        law = Partitioned(axes=axes, gain=ConstantGain(value=0.4))  # pyright: ignore[reportArgumentType]
+        rest = [i for i in range(6) if ("x", "y", "z", "wx", "wy", "wz")[i] not in axes]
+        flow, error = self.flow(self.twist(law)), self.view(self.T)[0] - self.GOAL.xy
+        effect = np.stack([self.flow(np.eye(6)[i]) for i in rest], axis=-1)  # (4, 2, rest)
+        for i, axis in enumerate("xy"):
+            if axis in axes:
+                for a in (flow, error, effect):
+                    a[:, i] -= a[:, i].mean(axis=0)
+        made = np.linalg.pinv(effect.reshape(8, -1)) @ np.column_stack([flow.ravel(), error.ravel()])
+        assert made[:, 0] == pytest.approx(-0.4 * made[:, 1], abs=1e-7)
+
+    @pytest.mark.parametrize("axes", [("z", "wz"), *PARTITIONS], ids="-".join)
+    def test_a_batch_is_the_same(self, axes: tuple[str, ...]):
+        law = Partitioned(axes=axes, sigma="log")  # pyright: ignore[reportArgumentType]
+        T = np.stack([self.T, Pose(xyz=(0.3, 0.1, 2), rpy_deg=(-5, 3, -70)).T])
+        _, twists = law.step_batch(np.full((2, 1), np.nan), Views(0.0, transform(T, POINTS), T, self.GOAL, TRUE), self.GOAL)
+        np.testing.assert_allclose(twists[0], self.twist(law), rtol=1e-6, atol=1e-9)
+
+    def test_beside_the_mean_the_points_themselves_would_hardly_let_the_camera_move(self):
+        """Why the coordinates are taken from the mean: the share of its error that is left to decay, by the equation and by matrices."""
+        a = 0.25
+        xy, depth = self.view(Pose(xyz=(0, 0, 1)).T)
+        L = Point().interaction(xy, depth)
+        mean = L[0::2].mean(axis=0)  # row of the mean x
+        for rows, share in ((L, a**4 / ((1 + a * a) ** 2 + a**4)), (L - np.tile([mean, L[1::2].mean(axis=0)], (4, 1)), 1.0)):
+            beside = np.linalg.lstsq(rows[:, 2:], rows[:, 0], rcond=None)[0]  # what the rest answers to v_x = 1
+            assert 1 - (mean[2:] @ beside) / mean[0] == pytest.approx(share, rel=1e-6)
+
+    @pytest.mark.parametrize("axes", [("x", "y", "wz"), ("x", "y"), ("x", "y", "z", "wz")], ids="-".join)
+    def test_arrives(self, axes: tuple[str, ...]):
+        law = Partitioned(axes=axes, gain=ConstantGain(value=0.5), sigma="log", depth=TRUE)  # pyright: ignore[reportArgumentType]
+        r = fly(law, (0.4, -0.3, -2), rpy_deg=(10, -8, 100), norm_px=0.5)
+        assert r.outcome is vs.Outcome.converged and r["position_error_m"][-1] < 0.01
+
+    @pytest.mark.parametrize("axes", [("x", "x"), (), ("wx",), ("x", "y", "z", "wx", "wz")], ids=str)
+    def test_axes_that_no_feature_commands_are_refused(self, axes: tuple[str, ...]):
+        with pytest.raises(ParameterError, match=r"^axes"):
+            Partitioned(axes=axes)  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.study
+@pytest.mark.parametrize(
+    ("axes", "converged", "path_ratio"),
+    [(("z", "wz"), 20, 1.83), (("z",), 20, 1.67), (("x", "y", "wz"), 20, 1.24), (("x", "y"), 20, 1.15), (("x", "y", "z", "wz"), 18, 1.14)],
+    ids=str,
+)
+def test_partitions_from_20_random_starts(axes: tuple[str, ...], converged: int, path_ratio: float):
+    """How many arrive within a minute, and the median of path over straight line."""
+    rng, found = np.random.default_rng(5), []
+    for _ in range(20):
+        xyz = (*rng.uniform(-0.5, 0.5, 2).tolist(), rng.uniform(-2.5, -1.0))
+        rpy_deg = (*rng.uniform(-15, 15, 2).tolist(), rng.uniform(-120, 120))
+        law = Partitioned(axes=axes, gain_z=0.5, sigma="log", depth=TRUE)  # pyright: ignore[reportArgumentType]
+        found.append(fly(law, xyz, rpy_deg=rpy_deg, norm_px=0.5, duration_s=60).summary())
+    arrived = [s for s in found if s["outcome"] == "converged"]
+    print(
+        axes, len(arrived), *(np.median([s[k] for s in arrived]) for k in ("time_to_converge_s", "path_ratio", "max_feature_excursion_px"))
+    )
+    assert len(arrived) == converged
+    assert np.median([s["path_ratio"] for s in arrived]) == pytest.approx(path_ratio, abs=0.02)

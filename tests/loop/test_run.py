@@ -278,7 +278,7 @@ class TestTruthFence:
 
     def test_of_a_task_only_what_judges_reads_the_truth(self):
         """Reference and goal views, which the law is told, are made of an observation and an error in the image."""
-        assert self.readers("tasks", "truth", "T_world_camera", "hidden") == {"Frame", "ToleranceMonitor", "LandingMonitor"}
+        assert self.readers("tasks", "truth", "T_world_camera", "hidden") == {"Frame", "ToleranceMonitor", "LandingMonitor", "_KeepOut"}
         for task in GOALS.members.values():
             for name, arguments in (("reference", ["self", "memory", "seen"]), ("passed", ["self", "memory", "error"])):
                 assert list(inspect.signature(getattr(task, name)).parameters) == arguments

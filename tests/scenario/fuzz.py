@@ -161,13 +161,13 @@ def _change(draw: st.DrawFn, plain: dict[str, Any], cls: type) -> None:
             i = draw(st.integers(0, len(inside) - 1))
             deeper = member_of(item, inside[i]) if isinstance(inside[i], dict) else None
             if deeper is None:
-                inside[i] = draw(values(item))
+                inside[i] = copy.deepcopy(draw(values(item)))  # of `just` every draw is the same object
                 return
             here, hints = inside[i], hints_of(deeper)
             continue
         deeper = member_of(hint, inside) if isinstance(inside, dict) else None
         if deeper is None or not draw(st.integers(0, 3)):
-            here[name] = draw(values(hint))
+            here[name] = copy.deepcopy(draw(values(hint)))
             return
         here, hints = inside, hints_of(deeper)
 

@@ -19,7 +19,7 @@ DEFAULTS: dict[type, dict[str, Any]] = {
     GoalLine: {"offset_m": 0.0, "band_m": 0.05, "settle_s": 5.0},
     GoalPath: {"speed_mps": 0.5, "turn_degps": 20.0, "lead_s": 0.5, "band_m": 0.15, "settle_s": 10.0},
     GoalTrack: {"band_m": 0.05, "settle_s": 5.0},
-    GoalViews: {"threshold_px": 10.0},
+    GoalViews: {"threshold_px": 10.0, "speed_mps": None, "turn_degps": 45.0},
     GoalView: {"markers": None},
     Converged: {"error_px": None, "position_m": None, "rotation_deg": None, "hold_s": 0.5},
     Stop: {"duration_s": 30.0, "converged": Converged(error_px=0.2, hold_s=0.5), "lost_after_s": 1.0, "lost_after_m": 2.0},

@@ -112,6 +112,7 @@ class Goal:
         place: (x, y, heading) where a vehicle is to stand [m, m, rad]. gap_m: distance to keep from the target [m].
         twist: of the camera of a view that moves (6,) [m/s, rad/s], in its own frame.
         counted: which markers count, (N,) bool; None: all. view: number of the view, among several in turn.
+        moves: the view is on its way to that one, and reaching it ends nothing.
     """
 
     uv: Array
@@ -126,6 +127,7 @@ class Goal:
     twist: Array | None = None
     counted: NDArray[np.bool_] | None = None
     view: int = 0
+    moves: bool = False
 
     @cached_property
     def xy(self) -> Array:

@@ -1,4 +1,4 @@
-"""Partitioned (XY/Z) image-based visual servoing."""
+"""Partitioned image-based visual servoing: XY/Z, and other partitions."""
 
 from __future__ import annotations
 
@@ -23,8 +23,9 @@ from vstestbed.laws.solve import Solve, least_squares
 from vstestbed.laws.views import Views
 from vstestbed.laws.visibility import Visibility
 
-XY, Z = [0, 1, 3, 4], [2, 5]
-"""Columns of the twist: across the optical axis, and along and about it."""
+COLUMN = {"x": 0, "y": 1, "z": 2, "wz": 5}
+"""Column of the twist of each motion that a single feature can command."""
+Axis = Literal["x", "y", "z", "wz"]
 _POINT = Point()
 # An angle is known up to a full turn: the candidates beside it are the same orientation, the other way round.
 _ROUND = 2 * np.pi * np.array([-1.0, 0.0, 1.0])
@@ -39,14 +40,24 @@ class PartitionedMemory:
 
 @spec
 class Partitioned(LawBase):
-    """Controls vz and wz by the size and the angle of the markers' polygon, the other four by the points.
+    """Each of the motions `axes` is controlled by one feature of all markers together, the other motions by the points.
 
-    v_z  = -gain_z e_sigma,  w_z = gain_turn e_angle
-    v_xy = pinv(L_xy) (-lambda e - L_z (v_z, w_z))
+    v_z = -gain_z e_sigma,  w_z = gain_turn e_angle,  (v_x, v_y) = gain_xy Z e_middle         those of them in `axes`
+    v_rest = pinv(L_rest) (-lambda e - L_axes v_axes)                                         the others
+
+    By default `axes` are z and wz (the XY/Z partition of print): size and angle of the markers' polygon drive the camera along and
+    about its axis, the points do the rest.
 
     e_sigma is positive where the target appears too large: sigma/sigma* - 1 (`ratio`), log(sigma/sigma*) (`log`: that of the
     depth for a target that faces the camera) or sigma - sigma* (`difference`, of normalised coordinates). e_angle is the angle of the
-    longest segment between two markers from its direction at the goal.
+    longest segment between two markers from its direction at the goal. e_middle is the error of the mean (x, y) of the markers, which
+    changes with v_x by -mean(1/Z); 1/Z in the equation stands for that mean.
+
+    Where x (or y) is in `axes`, the x (y) coordinates in e and L are those from the markers' mean. Else the law would
+    nearly stand still: for a frontal square of half side a, lateral motion and tilt differ in the image by a^4 alone, and the
+    points' tilt would cancel all but a^4/((1 + a^2)^2 + a^4) of the error of the mean that it caused, a 290th at 1 m from a square
+    of .5 m. From their mean the points do not see lateral motion of a frontal target at all, and tell the tilt by its perspective.
+    For the same reason tilt and pan are not among the axes: with the mean commanding them, nothing would be left for x and y.
 
     Errata. Corke 2017, section 16.1, prints w_z = gain (theta* - theta), which is unstable: theta_dot = -w_z. In its
     eq. 16.2 the gain also multiplies L_z (v_z, w_z), so that only a fraction of the actual motion along and about the axis is
@@ -56,11 +67,14 @@ class Partitioned(LawBase):
         gain: lambda, of the points [1/s].
         gain_z: gain of the size [m/s per unit of e_sigma].
         gain_turn: gain of the angle [1/s].
+        gain_xy: gain of the markers' mean, where x or y is in `axes` [1/s].
+        axes: the motions with a feature of their own, among x, y, z and wz.
         sigma: form of the size error.
         turn_limits_deg: bounds (low, high) [deg] of the camera's rotation about its axis, from its start: the shortest rotation
             within them is chosen, which may be the longer way round. Without bounds, the shortest; e.g. `[-200, 160]`.
-        solve: inversion of L_xy (`Solve`). Far from the target its smallest singular value, of lateral motion together with a tilt,
-            is a hundredth of the largest or less, and the default keeps it: errors there grow, and the camera flies metres sideways.
+        solve: inversion of L_rest (`Solve`). Far from the target, with neither x nor y in `axes`, its smallest singular value, of
+            lateral motion together with a tilt, is a hundredth of the largest or less, and the default keeps it: errors there grow,
+            and the camera flies metres sideways.
         depth: source of Z in L.
         limits: largest speed and rate of the commanded twist.
         visibility: repulsive field at the border of the image.
@@ -72,6 +86,8 @@ class Partitioned(LawBase):
     gain: Gain = ConstantGain()
     gain_z: PositiveGain = 1.0
     gain_turn: PositiveGain = 0.5
+    gain_xy: PositiveGain = 0.5
+    axes: Annotated[tuple[Axis, ...], Len(1, 4)] = ("z", "wz")
     sigma: Literal["difference", "ratio", "log"] = "ratio"
     turn_limits_deg: Annotated[tuple[Angle, ...], Len(2, 2)] | None = None
     solve: Solve = Solve()
@@ -80,7 +96,9 @@ class Partitioned(LawBase):
     visibility: Visibility = Visibility()
 
     def __post_init__(self) -> None:
-        """Refuse bounds that exclude the start."""
+        """Refuse bounds that exclude the start, and an axis named twice."""
+        if len(set(self.axes)) < len(self.axes):
+            raise ParameterError("axes", "must name each motion once", list(self.axes))
         if self.turn_limits_deg is not None and not self.turn_limits_deg[0] <= 0 <= self.turn_limits_deg[1]:
             raise ParameterError("turn_limits_deg", "must be [low, high] with low <= 0 <= high", self.turn_limits_deg)
 
@@ -124,8 +142,7 @@ class Partitioned(LawBase):
         if not (spans_area(sigma, d) and spans_area(sigma_star, d_star)):
             return memory, Command.rest(basis, NO_AREA)
         turn = self._turn(memory.turn, angle_error(d, d_star))
-        along = -self.gain_z * size_error(sigma, sigma_star, self.sigma)
-        twist = self._twist(xy, observation.depth[rows], goal_xy, along, self.gain_turn * turn)
+        twist = self._twist(xy, observation.depth[rows], goal_xy, size_error(sigma, sigma_star, self.sigma), turn)
         if self.visibility.margin_px > 0:
             twist = twist + basis @ self.visibility.push(observation, goal, basis)
         # After the visibility field, whose push counts within the limits, too.
@@ -145,21 +162,43 @@ class Partitioned(LawBase):
         first = np.isnan(memory[:, 0])
         angle = angle_error(d, d_star)
         turn = self._turn(None if first.all() else memory[:, 0], angle)
-        along = -self.gain_z * size_error(np.where(flat, sigma_star, sigma), sigma_star, self.sigma)
-        twist = self._twist(views.xy, views.depth, goal.xy, along, self.gain_turn * turn)
+        too_large = size_error(np.where(flat, sigma_star, sigma), sigma_star, self.sigma)
+        twist = self._twist(views.xy, views.depth, goal.xy, too_large, turn)
         twist[flat] = np.nan
         return turn[:, None], self.limits.within(twist)
 
-    def _twist(self, xy: Array, depth: Array, goal_xy: Array, along: Array, about: Array) -> Array:
-        """Camera twists (..., 6) at xy (..., N, 2) and depth (..., N) [m], for given v_z and w_z (...)."""
-        L = _POINT.interaction(xy, depth)
-        across = self.solve.least_squares(L[..., XY], _POINT.error(_POINT.measure(xy), _POINT.measure(goal_xy)))
-        twist = np.empty(across.shape[:-1] + (6,))
-        twist[..., 2], twist[..., 5] = along, about
+    def _twist(self, xy: Array, depth: Array, goal_xy: Array, too_large: Array, turn: Array) -> Array:
+        """Camera twists (..., 6) at xy (..., N, 2) and depth (..., N) [m], for given errors of size and angle (...)."""
+        L, e = _POINT.interaction(xy, depth), _POINT.error(_POINT.measure(xy), _POINT.measure(goal_xy))
+        twist = np.empty(e.shape[:-1] + (6,))
+        for axis in self.axes:
+            twist[..., COLUMN[axis]] = self._speed(axis, xy, depth, goal_xy, too_large, turn)
+        for i, axis in enumerate(("x", "y")):
+            if axis in self.axes:  # the equations of this coordinate, from the markers' mean
+                e[..., i::2] -= e[..., i::2].mean(axis=-1, keepdims=True)
+                L[..., i::2, :] -= L[..., i::2, :].mean(axis=-2, keepdims=True)
+        given, rest = self._columns
+        by_points = self.solve.least_squares(L[..., rest], e)
         # The motion along and about the axis moves the points, too; the gain must not multiply this part (see the errata).
-        carried = (L[..., Z] @ twist[..., Z, None])[..., 0]
-        twist[..., XY] = -self.gain.at(across) * across - self.solve.least_squares(L[..., XY], carried)
+        carried = (L[..., given] @ twist[..., given, None])[..., 0]
+        twist[..., rest] = -self.gain.at(by_points) * by_points - self.solve.least_squares(L[..., rest], carried)
         return twist
+
+    def _speed(self, axis: Axis, xy: Array, depth: Array, goal_xy: Array, too_large: Array, turn: Array) -> Array:
+        """Speeds (...) along one of `axes` by its own feature [m/s, rad/s]."""
+        if axis == "z":
+            return -self.gain_z * too_large
+        if axis == "wz":
+            return self.gain_turn * turn
+        i = COLUMN[axis]
+        aside = (xy[..., i] - goal_xy[..., i]).mean(axis=-1)
+        return np.asarray(self.gain_xy * aside / (1 / depth).mean(axis=-1))
+
+    @property
+    def _columns(self) -> tuple[list[int], list[int]]:
+        """Columns of the twist in `axes`, and the others."""
+        given = sorted(COLUMN[axis] for axis in self.axes)
+        return given, [i for i in range(6) if i not in given]
 
     def _turn(self, last: Array | None, angle: Array) -> Array:
         """The remaining rotations (...) [rad], not wrapped: the way round is chosen at the first frame and kept."""

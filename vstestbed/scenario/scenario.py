@@ -261,11 +261,12 @@ class Scenario:
         return self.robot.configuration_at(T_world_flange, nominal)
 
     def _in_view(self, robot: Robot) -> bool:
-        """Whether the robot's start has the whole target in the picture, seen from its front."""
+        """Whether the robot's start has the whole target in the picture, or all of it that counts first, seen from its front."""
         T = inverse(camera_start(robot, self.camera, self.target)) @ target_start(robot, self.target)
         p = self.target.seen_from(inverse(T))
         facing = float(T[:3, 2] @ T[:3, 3]) / max(float(np.linalg.norm(T[:3, 3])), 1e-9)  # cosine of the view on the plane
         turned = T[2, 2] if isinstance(self.camera, Perspective) else facing
         faces = turned > 0.17 or not self.target.one_sided  # within 80 degrees of the target's normal: beyond, discs are slivers
-        hidden = bool(self.target.hides(inverse(T)).any())
-        return bool(faces and not hidden and self.camera.whole(p, self.target.marker.radius, VIEW_MARGIN_PX).all())
+        counted = self.goal_views[0].counted
+        whole = self.camera.whole(p, self.target.marker.radius, VIEW_MARGIN_PX) & ~self.target.hides(inverse(T))
+        return bool(faces and (whole if counted is None else whole[counted]).all())

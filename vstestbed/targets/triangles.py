@@ -131,7 +131,7 @@ def hidden_by(triangles: Triangles, eye: Array, points: Array, slack: float) -> 
     a, e1, e2 = triangles[:, 0], triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
     off = eye - a
     q = np.cross(off, e1)
-    hidden = np.zeros(len(points), bool)
+    covered = np.zeros(len(points), bool)
     for i, point in enumerate(points):
         way = point - eye
         reach = float(np.linalg.norm(way))
@@ -139,5 +139,5 @@ def hidden_by(triangles: Triangles, eye: Array, points: Array, slack: float) -> 
         with np.errstate(divide="ignore", invalid="ignore"):  # a triangle seen edge on hides nothing
             det = (e1 * p).sum(axis=1)
             u, v, t = (off * p).sum(axis=1) / det, q @ way / det, (e2 * q).sum(axis=1) / det
-            hidden[i] = bool(((u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0) & (t < 1 - slack / max(reach, 1e-9))).any())
-    return hidden
+            covered[i] = bool(((u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0) & (t < 1 - slack / max(reach, 1e-9))).any())
+    return covered

@@ -114,6 +114,18 @@ def _smooth(p: float) -> float:
     return p**3 * (10 - 15 * p + 6 * p * p)
 
 
+def between(a: Array, b: Array, share: float) -> Array:
+    """The pose (4, 4) at a share of the way from pose a to pose b: on a straight line, with a rotation about a fixed axis.
+
+    Of a camera on its way from view to view: its poses T_target_camera. T_camera_target would bend the line while the camera turns.
+    """
+    T = np.eye(4)
+    T[:3, 3] = (1 - share) * a[:3, 3] + share * b[:3, 3]
+    turn = share * _TURN.measure(a[:3, :3].T @ b[:3, :3])
+    T[:3, :3] = a[:3, :3] @ exp(np.concatenate([np.zeros(3), turn]))[:3, :3]
+    return T
+
+
 class Trajectory:
     """The reference poses along a `GoalPath`, as a function of time."""
 
@@ -141,12 +153,7 @@ class Trajectory:
             return inverse(self._ways[-1]), len(self._ways) - 1
         a, b = self._ways[leg], self._ways[leg + 1]
         share = _smooth((t - self._until[leg]) / (self._until[leg + 1] - self._until[leg]))
-        # The camera's pose in the target's frame is interpolated, not T_camera_target: that would bend the line while the camera turns.
-        T = np.eye(4)
-        T[:3, 3] = (1 - share) * a[:3, 3] + share * b[:3, 3]
-        turn = share * _TURN.measure(a[:3, :3].T @ b[:3, :3])
-        T[:3, :3] = a[:3, :3] @ exp(np.concatenate([np.zeros(3), turn]))[:3, :3]
-        return inverse(T), leg + 1
+        return inverse(between(a, b, share)), leg + 1
 
     def twist(self, t: float) -> Array:
         """Velocity of the reference camera at t + lead_s, in its frame at time t (6,) [m/s, rad/s]."""

@@ -47,7 +47,7 @@ class GoalMonitor(TaskMonitor):
 
     def near(self, frame: Frame) -> bool:
         """Whether the conditions hold in this frame."""
-        last = frame.goal.view + 1 == self.views
+        last = frame.goal.view + 1 == self.views and not frame.goal.moves
         return last and not frame.error.lost and self.setup.stop.converged.near(frame.error.all_seen, self.error_px, *self.estimate)
 
     def reached(self, frame: Frame) -> Verdict | None:

@@ -31,7 +31,7 @@ PLAN = "comparison.yaml"
 GROUP = 10_000
 """Runs of a row group of the table, and rows that are in memory as dictionaries."""
 DEEPEST = 5
-"""Folders below `runs`: scenario, variant and seed, each of the last two in one of a thousand where there are more (`runs.among`)."""
+"""Folders below `runs`: scenario, variant and seed, each of the last two in one of a thousand where there are more (`among`)."""
 
 
 def resumable(out: Path | None) -> Path:

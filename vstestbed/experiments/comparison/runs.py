@@ -5,15 +5,14 @@ from __future__ import annotations
 import functools
 import itertools
 import math
-import re
 import sys
-import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple, TypeVar, overload
 
 from vstestbed.core.errors import Mistake, ParameterError, ScenarioError, UnreachableError
+from vstestbed.experiments.comparison.folder_names import among, distinct, file_word
 from vstestbed.experiments.comparison.plan import TASK, Comparison, merged
 from vstestbed.experiments.comparison.starts import StartTable
 from vstestbed.scenario.load import find, load, seeded
@@ -25,8 +24,6 @@ AS_IT_IS = "as_it_is"
 """Name of the variant of a scenario where nothing is varied."""
 MOST_RUNS = 100_000
 """Runs that need no `--force`: over an hour of the quickest scenario (50 ms a run) on one core, and tens of GB of run folders."""
-SIDE_BY_SIDE = 1000
-"""Most folders in one: file browsers, and some file systems, are slow with more."""
 MOST_KEPT = 10_000
 """Variants that are kept in memory (some 15 kB each); of more, each is loaded again when its turn comes."""
 
@@ -86,12 +83,6 @@ class Job:
         return found.scenario if self.seed is None or not found.draws else seeded(found.scenario, self.seed)
 
 
-def among(number: int, of: int, name: str = "") -> str:
-    """The name of a folder with a number; of more than SIDE_BY_SIDE, in one that holds as many: `12000/12345`."""
-    name = name or str(number)
-    return name if of <= SIDE_BY_SIDE else f"{number // SIDE_BY_SIDE * SIDE_BY_SIDE}/{name}"
-
-
 class Lazy(Sequence[T]):
     """A sequence whose items are made when they are asked for."""
 
@@ -115,8 +106,8 @@ class Variants(Lazy[Variant]):
     def __init__(self, comparison: Comparison):
         c = self._comparison = comparison
         axes = [list(cases) for cases in c.cases.values()] + [list(values) for values in c.axes.values()]
-        self._words = [_distinct([_word(str(value)) for value in values]) for values in (*axes, *([list(c.tasks)] if c.tasks else []))]
-        self._bases = _distinct([_word(Path(name).stem) for name in c.base])
+        self._words = [distinct([file_word(str(value)) for value in values]) for values in (*axes, *([list(c.tasks)] if c.tasks else []))]
+        self._bases = distinct([file_word(Path(name).stem) for name in c.base])
         self._sizes = [len(c.base), *map(len, axes), max(len(c.tasks), 1)]
         self.task_runs: tuple[int | None, ...] = tuple(task.runs for task in c.tasks.values()) or (None,)
         """Number of runs of the controllers of each task; controller i is of task i modulo their number."""
@@ -253,22 +244,6 @@ def _seeds_draw(scenario: Scenario, runs: int) -> bool:
         problem = "is missing, and there is no noise: every seed would give the same run; add one of them, or leave --seeds out"
         raise ParameterError(f"{scenario.name}: robot.start.random", problem)
     return draws
-
-
-def _word(text: str) -> str:
-    """A text as part of a file name, short enough for file systems (a checksum keeps shortened ones distinct)."""
-    word = re.sub(r"[^\w.+-]+", "_", text).strip("._") or "value"
-    return word if len(word) <= 60 else f"{word[:48]}_{zlib.crc32(text.encode()):08x}"
-
-
-def _distinct(words: list[str]) -> list[str]:
-    """The words, with `_` at the end of those that stand there before: values may differ in what a file name cannot hold alone."""
-    seen: dict[str, None] = {}
-    for word in words:
-        while word in seen:
-            word += "_"
-        seen[word] = None
-    return list(seen)
 
 
 class Jobs(Lazy[Job]):
