@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from vstestbed.cli.tools import Room
-from vstestbed.core.assets import bundled_scenarios
+from vstestbed.core.assets import bundled_comparisons, bundled_scenarios
 from vstestbed.scenario.validation import KINDS
 from vstestbed.sim.render import gl_probe as gl
 from vstestbed.sim.render import pictures
@@ -259,7 +259,8 @@ class TestListAndSchema:
     @pytest.mark.parametrize("room", [room.value for room in Room])
     def test_a_room_has_one_line_a_member(self, command, room: str) -> None:
         ended = command("list", room)
-        members = bundled_scenarios() if room == "scenarios" else KINDS[room].members
+        files = {"scenarios": bundled_scenarios, "comparisons": bundled_comparisons}
+        members = files[room]() if room in files else KINDS[room].members
         assert ended.code == 0
         assert [line.split()[0] for line in ended.out.splitlines()] == list(members)
         assert all(len(line.split()) > 2 for line in ended.out.splitlines())  # the word, and what it is

@@ -25,10 +25,11 @@ def pixel_errors(monkeypatch: pytest.MonkeyPatch):
 
 def test_everything_works_here_and_is_told_in_a_line_each(command) -> None:
     ended = command("doctor")
-    words = [line[3:16].strip() for line in ended.out.splitlines()]
-    assert words == ["python", "packages", "cores", "scenarios", "OpenGL", "pixels", "video"]
+    *lines, last = ended.out.splitlines()
+    assert [line.split()[1] for line in lines] == ["python", "packages", "cores", "scenarios", "OpenGL", "pixels", "video"]
     assert ended.code == 0, ended.out
-    assert all(line.startswith("ok ") for line in ended.out.splitlines())
+    assert all(line.startswith("ok ") for line in lines)
+    assert last == "all 7 are well"
 
 
 def test_rendered_balls_are_where_the_camera_model_says() -> None:
@@ -57,14 +58,15 @@ def test_no_opengl_is_told_with_its_remedy_and_exit_4(command, monkeypatch: pyte
     monkeypatch.setattr(gl, "_lack", [])
     ended = command("doctor")
     lines = ended.out.splitlines()
-    at = next(i for i, line in enumerate(lines) if line.startswith("NO "))
+    at = next(i for i, line in enumerate(lines) if line.startswith("missing "))
     assert ended.code == 4
     words = "no OpenGL: MUJOCO_GL=disable is set; rays draw the pictures instead, without shadows"
     assert lines[at].split(None, 2)[1:] == ["OpenGL", words]
-    assert lines[at + 1].strip() == "unset MUJOCO_GL or set MUJOCO_GL=egl"
-    assert lines[at + 2].startswith("ok  pixels")
+    assert lines[at + 1].strip() == "-> unset MUJOCO_GL or set MUJOCO_GL=egl"
+    assert lines[at + 2].split()[:2] == ["ok", "pixels"]
     assert lines[at + 2].endswith("by rays (mj_multiRay)")
-    assert lines[-1].startswith("ok  video")  # it goes on after what does not work
+    assert lines[-2].split()[:2] == ["ok", "video"]  # it goes on after what does not work
+    assert lines[-1] == "1 of 7 to mend, see ->"
 
 
 @pytest.mark.parametrize(
@@ -101,7 +103,7 @@ def test_run_doctor_and_an_error_say_the_same(command, quick, monkeypatch: pytes
     lack = "no OpenGL: libEGL.so.1 not found"
     assert warned.splitlines()[0] == f"{lack}; {gl.RAYS_INSTEAD}; {gl.remedy()}"
     assert (refused.code, refused.err) == (4, f"{lack}; {gl.remedy()}\n")
-    assert f"{lack}; {gl.RAYS_INSTEAD}\n{' ' * 17}{gl.remedy()}\n" in examined
+    assert f"{lack}; {gl.RAYS_INSTEAD}\n{' ' * 22}-> {gl.remedy()}\n" in examined
 
 
 def test_the_pair_of_mujoco_and_dm_control_that_does_not_work_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -119,8 +121,17 @@ def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_finding_is_one_line_and_two_where_something_is_to_be_done() -> None:
-    assert str(Finding("cores", True, "2", "buy more")) == "ok  cores        2"
-    assert str(Finding("video", False, "no libx264", "reinstall av")) == "NO  video        no libx264\n" + " " * 17 + "reinstall av"
+    assert list(Finding("cores", True, "2", "buy more").lines(None)) == ["ok       cores        2"]
+    assert list(Finding("video", False, "no libx264", "reinstall av").lines(None)) == [
+        "missing  video        no libx264",
+        " " * 22 + "-> reinstall av",
+    ]
+
+
+def test_a_long_finding_is_wrapped_in_its_column() -> None:
+    lines = list(Finding("packages", True, ", ".join(f"package{i} 1.0" for i in range(12))).lines(80))
+    assert len(lines) == 3 and max(map(len, lines)) <= 80
+    assert [line[:22].strip() for line in lines] == ["ok       packages", "", ""]
 
 
 class TestChoiceOfBackend:

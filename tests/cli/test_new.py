@@ -12,8 +12,10 @@ from pathlib import Path
 import pytest
 
 import vstestbed as vs
-from vstestbed.cli.new import NewKind, commands_of, text_of
+from vstestbed.cli.new import ROOM_OF, NewKind, commands_of, text_of
 from vstestbed.cli.tools import settings_of
+from vstestbed.core.docstrings import class_text
+from vstestbed.scenario.validation import KINDS as ROOMS
 
 KINDS = [kind.value for kind in NewKind]
 SUCCESS = {"motion": "completed"}
@@ -59,6 +61,14 @@ def test_each_runs_to_a_good_end(command, tmp_path: Path, monkeypatch: pytest.Mo
     recording = vs.run(scenario)
     assert recording.outcome.name == SUCCESS.get(kind, "converged"), recording.reason
     assert f"own_{kind}" in json.dumps(vs_plain(scenario))
+    check_words(kind)
+
+
+def check_words(kind: str) -> None:
+    """`describe` has words for each field of the file's own, and a unit for each number."""
+    cls = ROOMS[ROOM_OF.get(kind, f"{kind}s")].members[f"own_{kind}"]
+    own = {name: text for name, text in class_text(cls).fields.items() if name in cls.__annotations__ and name != "kind"}
+    assert all(text.description and text.unit for text in own.values()), own
 
 
 def vs_plain(scenario: vs.Scenario):

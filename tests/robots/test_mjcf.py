@@ -241,5 +241,5 @@ class TestDoctor:
         assert told.code == 2 and "root is a free joint" in told.out
         (tmp_path / "broken.xml").write_text("<mujoco>\n<wordbody/>\n</mujoco>")
         told = command("doctor", str(tmp_path / "broken.xml"))
-        assert told.code == 2 and "NO  model" in told.out and "line 2" in told.out
+        assert told.code == 2 and "missing  model" in told.out and "line 2" in told.out
         assert command("doctor", str(tmp_path / "none.xml")).code == 2

@@ -17,9 +17,11 @@ from vstestbed.core.assets import bundled_scenarios
 from vstestbed.core.errors import ParameterError, PluginError, ScenarioError
 from vstestbed.core.spec import spec
 from vstestbed.laws import IBVS
+from vstestbed.scenario.described import schema_of
 from vstestbed.scenario.dump import dump
-from vstestbed.scenario.load import find, load, parse, schema
+from vstestbed.scenario.load import find, load, parse
 from vstestbed.scenario.plugins import load_plugins
+from vstestbed.scenario.scenario import Scenario
 from vstestbed.scenario.validation import KINDS
 from vstestbed.scenario.yaml_marks import read_value
 
@@ -410,7 +412,7 @@ def conforms(value: Any, rule: dict[str, Any], whole: dict[str, Any]) -> bool:
 class TestSchema:
     @pytest.fixture
     def whole(self) -> dict[str, Any]:
-        return json.loads(json.dumps(schema()))
+        return json.loads(json.dumps(schema_of(Scenario)))
 
     def test_it_knows_every_field_and_kind(self, whole: dict[str, Any]) -> None:
         assert {"robot", "target", "law", "goal"} == set(whole["required"])

@@ -13,8 +13,9 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.core.errors import ParameterError, PluginError, ScenarioError
-from vstestbed.scenario.load import schema
+from vstestbed.scenario.described import schema_of
 from vstestbed.scenario.plugins import load_plugins
+from vstestbed.scenario.scenario import Scenario
 from vstestbed.scenario.validation import KINDS
 
 pytestmark = pytest.mark.usefixtures("own_kinds")
@@ -164,7 +165,7 @@ def test_a_comparison_remembers_plugins_for_workers_resume_and_report(command, q
 
 def test_schema_and_validators_know_what_a_plugin_adds(tmp_path: Path) -> None:
     load_plugins([str(plugin(tmp_path / "mine.py", "newest"))])
-    assert '"newest"' in json.dumps(schema())
+    assert '"newest"' in json.dumps(schema_of(Scenario))
 
 
 @pytest.mark.parametrize("value", ["mine.py", "[1]", "{a: b}", "[[mine.py]]"])

@@ -91,7 +91,7 @@ class Camera(ABC):
         shadows: render shadows in the servo camera's picture (it then costs several times as much).
         renderer: `gl` (OpenGL), `rays` (each pixel's ray cast by MuJoCo: no shadows, no textures) or `auto` (OpenGL where it works,
             else rays).
-        principal_px: (cx, cy) [px], where the optical axis meets the picture; default its middle ((W-1)/2, (H-1)/2).
+        principal_px: (cx, cy) [px], where the optical axis meets the picture; default its middle ((W-1)/2, (H-1)/2); e.g. `[322.5, 238]`.
     """
 
     width: Annotated[int, Ge(8), Le(LARGEST_PX)] = 640

@@ -23,11 +23,11 @@ class Calibration:
 
     Args:
         mount_error: pose of the believed camera in the true one's frame [m, deg].
-        focal_error: relative error of the focal length [1].
-        principal_error_px: error of the principal point (u, v) [px].
+        focal_error: relative error of the focal length [1]; e.g. `0.02`.
+        principal_error_px: error of the principal point (u, v) [px]; e.g. `[3, -2]`.
         ignores_distortion: the distortion is not modelled: a perspective lens is taken for a pinhole, a fisheye for equidistant.
         depth_factor, depth_spread: error of every depth Z_i (and range) given to the law, whatever its source, and of the
-            distance in an estimated pose: Z_i * factor * exp(spread n_i), with one normal number n_i for each marker and run.
+            distance in an estimated pose: Z_i * factor * exp(spread n_i), with one normal number n_i for each marker and run [1].
         goal: how the goal view was given. `told`: as a pose in numbers; the reference pixels are those that the believed
             camera would see there, and the law converges where the true one sees them, off by the calibration's error.
             `shown`: the true camera took the picture at the goal; pose and depth there are estimated from it with the

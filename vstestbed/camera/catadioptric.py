@@ -26,7 +26,7 @@ class Catadioptric(Radial):
     The z axis points from the mirror to the lens; the mirror's reversal of the image is taken as undone (u rises with X).
 
     Args:
-        xi: the mirror's parameter.
+        xi: the mirror's parameter [1].
         fov_deg: full field of view [deg], within the model's validity; without focal_length_px it also sets the scale.
         blind_deg: angle from the axis [deg] within which the mirror shows only the camera itself: NaN.
 

@@ -29,7 +29,7 @@ class Fisheye(Radial):
 
     Args:
         fov_deg: full field of view [deg]; nothing is seen beyond it. Without focal_length_px it also sets the scale.
-        coefficients: (k1, k2, k3, k4), such that m rises all the way to fov/2.
+        coefficients: (k1, k2, k3, k4), such that m rises all the way to fov/2 [1].
 
     Raises (from the constructor): ParameterError for coefficients that fold the picture over itself within fov_deg.
 

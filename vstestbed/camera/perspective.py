@@ -33,7 +33,7 @@ class Perspective(Camera):
     Args:
         fovy_deg: full vertical field of view [deg], f = (H/2) / tan(fovy/2); default 64.
         focal_length_m, pixel_size_m: instead of fovy_deg, lens and pixel pitch [m], f = focal_length / pixel_size.
-        distortion: (k1, k2, p1, p2, k3), applied to the rendered picture.
+        distortion: (k1, k2, p1, p2, k3), applied to the rendered picture [1]; e.g. `[-0.2, 0.05, 0, 0, 0]`.
 
     Reference: Brown 1971; OpenCV's calibration module for the order of the coefficients.
     """

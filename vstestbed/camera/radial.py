@@ -27,7 +27,7 @@ class Radial(Camera):
 
     Args:
         focal_length_px: f [px]; by default such that the image circle, of radius f m(theta_max), touches the borders of the
-            picture's shorter side, as seen from its middle: f = min(W, H) / 2 / m(theta_max).
+            picture's shorter side, as seen from its middle: f = min(W, H) / 2 / m(theta_max); e.g. `150`.
     """
 
     focal_length_px: PositivePixels | None = None

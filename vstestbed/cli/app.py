@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
+from vstestbed.cli import complete
 from vstestbed.cli.basin import basins
 from vstestbed.cli.bench import benchmarks
 from vstestbed.cli.compare import comparing
@@ -23,7 +24,7 @@ from vstestbed.cli.ending import GOAL_REACHED, INTERRUPTED, NOT_REACHED, STOPS, 
 from vstestbed.cli.export import exports
 from vstestbed.cli.live import lives
 from vstestbed.cli.new import news
-from vstestbed.cli.tools import Json, Plugins, load_scenario, tools
+from vstestbed.cli.tools import Json, Plugins, ScenarioName, Settings, load_scenario, tools
 from vstestbed.core.errors import ParameterError, RunFolderError
 
 if TYPE_CHECKING:
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
 app = typer.Typer(
     help="Visual servoing meets real dynamics: run scenarios, film them, look at the results.",
     no_args_is_help=True,
-    add_completion=False,
+    add_completion=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
@@ -70,8 +71,8 @@ def _options(
 
 @app.command()
 def run(
-    scenario: Annotated[str, typer.Argument(help="A bundled scenario's name, or a YAML file.")],
-    set_: Annotated[list[str] | None, typer.Option("--set", metavar="a.b=value", help="Change a field before it is checked.")] = None,
+    scenario: ScenarioName,
+    set_: Settings = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Draw the start and the noise from this seed.")] = None,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of the results. [default: runs/SCENARIO/NUMBER]")] = None,
     video: Annotated[FilmChoice, typer.Option(help="Which films to make.")] = FilmChoice.both,
@@ -230,5 +231,7 @@ app.add_typer(benchmarks)
 def main(argv: list[str] | None = None) -> NoReturn:
     """Run the command line and exit: 0 goal reached, 1 a bug, 2 bad input, 3 not reached, 4 environment, 130 interrupted."""
     arguments = sys.argv[1:] if argv is None else argv
+    if complete.asked(arguments):
+        app(arguments, prog_name="vstestbed")
     given = [argument for argument in arguments if argument != "--debug"]  # --debug may stand anywhere
     sys.exit(exit_code(lambda: app(given, prog_name="vstestbed", standalone_mode=False), debug=len(given) < len(arguments)))

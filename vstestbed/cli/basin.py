@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from vstestbed.cli.tools import Force, Json, Plugins, settings_of
+from vstestbed.cli.tools import Experiments, Force, Json, Plugins, SettingsOfAll, settings_of
 from vstestbed.core.errors import ParameterError
 
 if TYPE_CHECKING:
@@ -29,13 +29,13 @@ class FieldOfView(str, Enum):
 
 @basins.command()
 def basin(
-    scenarios: Annotated[list[str], typer.Argument(metavar="SCENARIO...", help="Scenarios, or one comparison: names or files.")],
+    scenarios: Experiments,
     x: Annotated[str, typer.Option("--x", metavar="NAME=LOW:HIGH", help="First coordinate: x y z [m], roll pitch yaw [deg].")],
     y: Annotated[str, typer.Option("--y", metavar="NAME=LOW:HIGH", help="Second coordinate; both in the frame of the goal camera.")],
     at: Annotated[list[str] | None, typer.Option("--at", metavar="NAME=VALUE", help="Another coordinate. [default: the start's]")] = None,
     n: Annotated[int, typer.Option("--n", min=2, max=2000, help="Places along each axis; 316 make 100 000 starts.")] = 316,
     vary: Annotated[list[str] | None, typer.Option("--vary", metavar="a.b=v1,v2", help="A map for each of these values.")] = None,
-    set_: Annotated[list[str] | None, typer.Option("--set", metavar="a.b=value", help="Change a field of all scenarios.")] = None,
+    set_: SettingsOfAll = None,
     field_of_view: Annotated[
         FieldOfView | None, typer.Option(help="Whether the picture has a border. [default: as the oracle's, or limited]")
     ] = None,

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Protocol
 
 import typer
 
-from vstestbed.cli.tools import Json, Plugins, load_scenario
+from vstestbed.cli import complete
+from vstestbed.cli.tools import Json, Plugins, Settings, load_scenario
 from vstestbed.core.errors import ParameterError
 
 if TYPE_CHECKING:
@@ -24,8 +25,10 @@ class _Result(Protocol):
 
 @benchmarks.command()
 def bench(
-    scenario: Annotated[str | None, typer.Argument(help="A bundled scenario's name, or a YAML file. [default: arm_ibvs]")] = None,
-    set_: Annotated[list[str] | None, typer.Option("--set", metavar="a.b=value", help="Change a field before it is checked.")] = None,
+    scenario: Annotated[
+        str | None, typer.Argument(help="A bundled scenario's name, or a YAML file. [default: arm_ibvs]", autocompletion=complete.scenarios)
+    ] = None,
+    set_: Settings = None,
     repeats: Annotated[int, typer.Option(min=1, help="Runs, each beside its floor.")] = 5,
     ideal: Annotated[bool, typer.Option("--ideal", help="The ideal camera on one core instead: one run, and 1000 at once.")] = False,
     every: Annotated[bool, typer.Option("--all", help="Robots, films, folder, report, comparison, ideal loop, start.")] = False,

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from vstestbed.cli import complete
 from vstestbed.cli.ending import INTERRUPTED
-from vstestbed.cli.tools import Force, Json, Plugins, settings_of
+from vstestbed.cli.tools import Force, Json, Plugins, SettingsOfAll, settings_of
 from vstestbed.core.errors import ParameterError
 
 if TYPE_CHECKING:
@@ -23,10 +24,11 @@ comparing = typer.Typer()
 @comparing.command()
 def compare(
     scenarios: Annotated[
-        list[str] | None, typer.Argument(metavar="SCENARIO...", help="Scenarios, or one comparison: names or files.")
+        list[str] | None,
+        typer.Argument(metavar="SCENARIO...", help="Scenarios, or one comparison: names or files.", autocompletion=complete.experiments),
     ] = None,
     vary: Annotated[list[str] | None, typer.Option("--vary", metavar="a.b=v1,v2", help="Run with each of these values.")] = None,
-    set_: Annotated[list[str] | None, typer.Option("--set", metavar="a.b=value", help="Change a field of all scenarios.")] = None,
+    set_: SettingsOfAll = None,
     seeds: Annotated[int | None, typer.Option(min=1, help="How many random starts. [default: the nominal one]")] = None,
     jobs: Annotated[int | None, typer.Option(min=1, help="Worker processes. [default: one a core]")] = None,
     executor: Annotated[str, typer.Option(metavar="WHERE", help="local, or dask://HOST:PORT.")] = "local",

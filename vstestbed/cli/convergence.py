@@ -9,16 +9,16 @@ from typing import Annotated
 
 import typer
 
-from vstestbed.cli.tools import Force, Json, Plugins, renamed, settings_of
+from vstestbed.cli.tools import Experiments, Force, Json, Plugins, SettingsOfAll, renamed, settings_of
 
 convergences = typer.Typer()
 
 
 @convergences.command("sweep")
 def sweep(
-    scenarios: Annotated[list[str], typer.Argument(metavar="SCENARIO...", help="Scenarios, or one comparison: names or files.")],
+    scenarios: Experiments,
     vary: Annotated[list[str] | None, typer.Option("--vary", metavar="a.b=v1,v2", help="A map's axis: first x, then y.")] = None,
-    set_: Annotated[list[str] | None, typer.Option("--set", metavar="a.b=value", help="Change a field of all scenarios.")] = None,
+    set_: SettingsOfAll = None,
     seeds: Annotated[int | None, typer.Option(min=1, help="How many random starts in each cell.")] = None,
     jobs: Annotated[int | None, typer.Option(min=1, help="Worker processes. [default: one a core]")] = None,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of the results. [default: runs/sweep/NUMBER]")] = None,

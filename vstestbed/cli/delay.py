@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from vstestbed.cli.tools import Json, Plugins, load_scenario, renamed
+from vstestbed.cli import complete
+from vstestbed.cli.tools import Json, Plugins, Settings, load_scenario, renamed
 from vstestbed.core.errors import ParameterError
 
 if TYPE_CHECKING:
@@ -21,9 +22,11 @@ delays = typer.Typer()
 
 @delays.command("gain-limit")
 def gain_limit(
-    scenario: Annotated[str, typer.Argument(help="A bundled scenario's name, or a YAML file; robot free or puma560.")],
+    scenario: Annotated[
+        str, typer.Argument(help="A bundled scenario's name, or a YAML file; robot free or puma560.", autocompletion=complete.scenarios)
+    ],
     frames: Annotated[str, typer.Option(metavar="D1,D2,...", help="Delays, in frames of the camera.")] = "0,1,2,3,4,5",
-    set_: Annotated[list[str] | None, typer.Option("--set", metavar="a.b=value", help="Change a field before it is checked.")] = None,
+    set_: Settings = None,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of the results. [default: runs/gain-limit/NUMBER]")] = None,
     as_json: Json = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No words.")] = False,

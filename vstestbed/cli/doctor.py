@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator
+import textwrap
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from rich.console import Console
+from rich.text import Text
 
 from vstestbed.core.errors import VstestbedError
 from vstestbed.core.geometry import Array
@@ -17,6 +20,9 @@ from vstestbed.core.provenance import versions
 PIXEL_TOLERANCE_PX = 0.1
 """Tolerance between rendered and projected balls [px]: well above the detector's own error (0.02 to 0.04 px on multisampled balls),
 well below the 0.5 px of a wrong pixel convention."""
+
+
+STATUS_WIDTH, WHAT_WIDTH, MISSING = 9, 13, "missing"
 
 
 @dataclass(frozen=True)
@@ -28,10 +34,35 @@ class Finding:
     found: str
     remedy: str = ""
 
-    def __str__(self) -> str:
-        """One line, and a second one with the remedy if the check failed."""
-        line = f"{'ok ' if self.works else 'NO '} {self.what:12} {self.found}"
-        return line if self.works or not self.remedy else f"{line}\n    {'':12} {self.remedy}"
+    def lines(self, width: int | None) -> Iterator[str]:
+        """What was found, and where the check failed the remedy after an arrow; set off and wrapped, None: not wrapped."""
+        head = f"{'ok' if self.works else MISSING:{STATUS_WIDTH}}{self.what:{WHAT_WIDTH}}"
+        for text in self._texts():
+            room = None if width is None or text.startswith(" ") else max(width - len(head), 20)
+            for line in [text] if room is None else textwrap.wrap(text, room, break_on_hyphens=False):
+                yield f"{head}{line}".rstrip()
+                head = " " * len(head)
+
+    def _texts(self) -> list[str]:
+        remedy = [] if self.works else self.remedy.splitlines()
+        return [*(self.found or "-").splitlines(), *(f"-> {line}" for line in remedy)]
+
+
+def show(findings: Iterable[Finding]) -> bool:
+    """Print findings as they come, and a line that counts them; whether all is well. Coloured and wrapped on a terminal alone."""
+    console, works = Console(highlight=False), list[bool]()
+    for finding in findings:
+        works.append(finding.works)
+        for number, line in enumerate(finding.lines(console.width if console.is_terminal else None)):
+            text = Text(line)
+            if number == 0:
+                text.stylize("green" if finding.works else "bold red", 0, STATUS_WIDTH)
+            elif line.lstrip().startswith("-> "):
+                text.stylize("yellow")
+            console.print(text, soft_wrap=True)
+    end = f"all {len(works)} are well" if all(works) else f"{works.count(False)} of {len(works)} to mend, see ->"
+    console.print(Text(end, style="bold"))
+    return all(works)
 
 
 def examine() -> Iterator[Finding]:
@@ -70,7 +101,7 @@ def _data() -> Finding:
         names = list(bundled_scenarios())
     except VstestbedError as error:
         return Finding("scenarios", False, str(error))
-    return Finding("scenarios", bool(names), f"{len(names)} bundled: {', '.join(names)}", "install vstestbed again")
+    return Finding("scenarios", bool(names), f"{len(names)} bundled (vstestbed list scenarios)", "install vstestbed again")
 
 
 def _pictures() -> Iterator[Finding]:

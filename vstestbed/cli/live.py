@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from vstestbed.cli.tools import Plugins, settings_of
+from vstestbed.cli import complete
+from vstestbed.cli.tools import Plugins, Settings, settings_of
 from vstestbed.core.errors import EnvironmentLackError, ParameterError
 
 if TYPE_CHECKING:
@@ -21,8 +22,15 @@ lives = typer.Typer()
 
 @lives.command("live")
 def live(
-    what: Annotated[str, typer.Argument(metavar="SCENARIO|RUN_DIR", help="A bundled scenario's name, a YAML file, or a run's folder.")],
-    set_: Annotated[list[str] | None, typer.Option("--set", metavar="a.b=value", help="Change a field before it is checked.")] = None,
+    what: Annotated[
+        str,
+        typer.Argument(
+            metavar="SCENARIO|RUN_DIR",
+            help="A bundled scenario's name, a YAML file, or a run's folder.",
+            autocompletion=complete.scenarios,
+        ),
+    ],
+    set_: Settings = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Draw the start and the noise from this seed.")] = None,
     port: Annotated[int | None, typer.Option(min=1, max=65535, help="Port on 127.0.0.1. [default: a free one]")] = None,
     no_open: Annotated[bool, typer.Option("--no-open", help="Do not open a browser.")] = False,

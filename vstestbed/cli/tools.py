@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from vstestbed.cli import complete
 from vstestbed.core.errors import EnvironmentLackError, OutputError, ParameterError
 
 if TYPE_CHECKING:
@@ -38,9 +39,18 @@ class Room(str, Enum):
     metrics = "metrics"
     monitors = "monitors"
     perturbations = "perturbations"
+    comparisons = "comparisons"
 
 
 Plugins = Annotated[list[str] | None, typer.Option("--plugin", metavar="FILE.py|MODULE", help="Load a plugin, which adds kinds.")]
+_SET = {"metavar": "a.b=value", "autocompletion": complete.paths}
+Settings = Annotated[list[str] | None, typer.Option("--set", help="Change a field before it is checked.", **_SET)]
+SettingsOfAll = Annotated[list[str] | None, typer.Option("--set", help="Change a field of all scenarios.", **_SET)]
+ScenarioName = Annotated[str, typer.Argument(help="A bundled scenario's name, or a YAML file.", autocompletion=complete.scenarios)]
+Experiments = Annotated[
+    list[str],
+    typer.Argument(metavar="SCENARIO...", help="Scenarios, or one comparison: names or files.", autocompletion=complete.experiments),
+]
 Json = Annotated[bool, typer.Option("--json", help="Print summary.json and nothing else on standard output.")]
 
 Force = Annotated[bool, typer.Option("--force", help="Also more than 100 000 runs (basin: 4 000 000 starts).")]
@@ -95,24 +105,59 @@ def list_(room: Annotated[Room | None, typer.Argument(help="What to list. [defau
 
 def _entries(room: Room) -> list[tuple[str, str]]:
     """Names of the scenarios or kinds in a room, each with its description: for kinds the first line of the class's docstring."""
-    from vstestbed.core.assets import bundled_scenarios
+    from vstestbed.core.assets import bundled_comparisons, bundled_scenarios
     from vstestbed.scenario.load import text_of
     from vstestbed.scenario.validation import KINDS
     from vstestbed.scenario.yaml_marks import plain_mapping
 
     if room is Room.scenarios:  # as they are written: an arm's file may be in a package that is not installed
         return [(name, str(plain_mapping(text_of(path), str(path), "")[0]["description"])) for name, path in bundled_scenarios().items()]
+    if room is Room.comparisons:
+        from vstestbed.experiments.comparison.plan import read_comparison  # here: a list of kinds need not wait for it
+
+        return [(name, read_comparison(path).description) for name, path in bundled_comparisons().items()]
     return [(kind, (cls.__doc__ or "").strip().split("\n")[0]) for kind, cls in KINDS[room.value].members.items()]
 
 
 @tools.command()
-def schema(plugin: Plugins = None) -> None:
-    """JSON Schema of a scenario, for editors."""
-    from vstestbed.scenario.load import schema as scenario_schema
+def schema(
+    comparison: Annotated[bool, typer.Option("--comparison", help="Of a comparison's file, in place of a scenario's.")] = False,
+    plugin: Plugins = None,
+) -> None:
+    """JSON Schema of a scenario's file for editors: every field with its unit, default and an example."""
+    from vstestbed.scenario.described import schema_of
     from vstestbed.scenario.plugins import load_plugins
 
     load_plugins(plugin or [])
-    typer.echo(json.dumps(scenario_schema(), indent=1))
+    if comparison:
+        from vstestbed.experiments.comparison.plan import Comparison as Block
+    else:
+        from vstestbed.scenario.scenario import Scenario as Block
+    typer.echo(json.dumps(schema_of(Block), indent=1, ensure_ascii=False))
+
+
+@tools.command()
+def describe(
+    kind: Annotated[
+        str, typer.Argument(metavar="KIND", help="Such as pbvs, camera.spherical, noise; law: all laws.", autocompletion=complete.kinds)
+    ],
+    plugin: Plugins = None,
+) -> None:
+    """What a law, a robot, a camera or another block takes: its equation, source, fields and an example."""
+    from rich.console import Console
+
+    from vstestbed.cli.describe import describe_entry
+    from vstestbed.experiments.comparison.plan import Comparison
+    from vstestbed.scenario.catalogue import catalogue, entry_of
+    from vstestbed.scenario.plugins import load_plugins
+    from vstestbed.scenario.scenario import Scenario
+
+    load_plugins(plugin or [])
+    entries = catalogue(scenario=Scenario, comparison=Comparison)
+    console = Console(highlight=False)
+    with console.capture() as text:
+        describe_entry(entry_of(kind, entries), entries, console)
+    typer.echo("\n".join(line.rstrip() for line in text.get().splitlines()), color=True)  # rich has left colours out where none are wanted
 
 
 @tools.command()
@@ -120,12 +165,9 @@ def doctor(
     model: Annotated[str | None, typer.Argument(metavar="[FILE.xml]", help="An arm's MJCF or URDF: what of it can be used.")] = None,
 ) -> None:
     """Versions, OpenGL, codecs, cores: what works here, and the command that mends what does not; or what works of an arm's file."""
-    from vstestbed.cli.doctor import examine, examine_file
+    from vstestbed.cli.doctor import examine, examine_file, show
 
-    sound = True
-    for finding in examine() if model is None else examine_file(model):
-        typer.echo(str(finding))
-        sound = sound and finding.works
+    sound = show(examine() if model is None else examine_file(model))
     raise typer.Exit(0 if sound else EnvironmentLackError.exit_code if model is None else ParameterError.exit_code)
 
 

@@ -28,9 +28,13 @@ FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 
 @spec
 class Pose:
-    """A pose in YAML: a translation [m] and roll-pitch-yaw angles [deg], R = Rz(yaw) Ry(pitch) Rx(roll).
+    """A pose in YAML, a translation and a rotation R = Rz(yaw) Ry(pitch) Rx(roll).
 
     In Python every field of this class also takes spatialmath's SE3 or a matrix (4, 4), whose rotation the angles have to 1e-14.
+
+    Args:
+        xyz: translation (x, y, z) [m].
+        rpy_deg: roll, pitch and yaw [deg].
     """
 
     xyz: Position = (0.0, 0.0, 0.0)
@@ -141,7 +145,6 @@ def exp(xi: Array) -> Array:
 
     With theta = |w|:  R = I + a S + b S^2,  t = (I + b S + c S^2) v,
     a = sin(theta)/theta, b = (1 - cos(theta))/theta^2, c = (1 - a)/theta^2 (series below 1e-4 rad).
-
     Reference: Lynch & Park 2017, Modern Robotics, eqs 3.51 and 3.88.
     """
     xi = np.asarray(xi, dtype=float)
@@ -193,7 +196,6 @@ def log(T: Array) -> Array:
     """The twist (6,) with exp(twist) = T (4, 4) and a rotation of at most pi.
 
     w = theta u, v = (I - S/2 + (1 - theta/2 cot(theta/2)) / theta^2 S^2) t with S = [w]x.
-
     Reference: Lynch & Park 2017, Modern Robotics, eq. 3.92.
     """
     q, t = quaternion_wxyz(T[:3, :3]), T[:3, 3]
@@ -207,7 +209,6 @@ def log(T: Array) -> Array:
 
 def adjoint(T_a_b: Array) -> Array:
     """Twist transform [[R, [t]x R], [0, R]] between two frames on one body, twist_a = A twist_b.
-
     Reference: Corke 2017, Robotics, Vision & Control, eq. 3.16 (order (v, w)).
     """
     R = T_a_b[..., :3, :3]

@@ -17,9 +17,13 @@ from vstestbed.core.spec import spec
 
 @spec
 class GroundPose:
-    """A place on the floor in YAML: x, y [m] and the heading from the x axis, counter-clockwise [deg].
+    """A place on the floor in YAML.
 
     In Python every field of this class also takes spatialmath's SE2, and an SE3 that stands upright at height 0.
+
+    Args:
+        x, y: coordinates in the world [m].
+        heading_deg: direction of travel from the world's x axis, counter-clockwise [deg].
     """
 
     x: Length = 0.0

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import dataclasses
 import sys
+import typing
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from importlib.metadata import EntryPoints
@@ -221,7 +222,7 @@ class OneOf:
         needs = {} if self.default or self.fields else {"required": ["kind"]}
         choices: list[dict[str, Any]] = [block | needs for block in blocks]
         # A bare word is a block of defaults only, so it needs a kind without required fields.
-        words = sorted(kind for kind, member in self.members.items() if not _needed_fields(member))
+        words = sorted(kind for kind, member in self.members.items() if not needed_fields(member))
         if words:
             choices.append({"enum": words})
         if self.number:
@@ -255,10 +256,31 @@ def _same_cell(before: type, after: type) -> bool:
     return before.__module__ == after.__module__ == "__main__" and before.__qualname__ == after.__qualname__
 
 
-def _needed_fields(cls: type) -> list[str]:
+def needed_fields(cls: type) -> list[str]:
+    """The fields of a spec class that have no default."""
     missing = dataclasses.MISSING
     fields = dataclasses.fields(cls)
     return [f.name for f in fields if f.init and f.default is missing and f.default_factory is missing]
+
+
+def blocks_in(hint: Any) -> Iterator[tuple[OneOf | None, type]]:
+    """The spec classes that a field of this type may hold, each with the room in which it is a kind; None where it is the only one."""
+    metadata = getattr(hint, "__metadata__", ())
+    rooms = [m for m in metadata if isinstance(m, OneOf)]
+    if rooms:
+        yield from ((rooms[0], member) for member in rooms[0].members.values())
+    elif metadata:
+        yield from blocks_in(hint.__origin__)
+    elif dataclasses.is_dataclass(hint) and isinstance(hint, type):
+        yield None, hint
+    else:
+        for inner in typing.get_args(hint):
+            yield from blocks_in(inner)
+
+
+def is_list(hint: Any) -> bool:
+    """Whether a field of this type, which holds blocks, holds a list of them."""
+    return "tuple[" in str(hint)
 
 
 def kind_of(cls: type) -> str:

@@ -88,7 +88,11 @@ class PnP(FromPose):
 
 @spec
 class Constant(DepthSource):
-    """One fixed depth for all markers [m]."""
+    """One fixed depth for all markers.
+
+    Args:
+        depth_m: the depth [m].
+    """
 
     kind: Literal["constant"] = "constant"
     depth_m: PositiveLength = 1.0

@@ -129,7 +129,11 @@ class Law(Protocol[M]):
 
 @spec
 class ConstantGain:
-    """lambda = value [1/s], whatever the error."""
+    """lambda = value [1/s], whatever the error.
+
+    Args:
+        value: lambda [1/s].
+    """
 
     kind: Literal["constant"] = "constant"
     value: PositiveGain = 0.5
@@ -175,7 +179,12 @@ Gain = Annotated[ConstantGain | AdaptiveGain, GAINS]
 
 @spec
 class TwistLimits:
-    """Largest commanded camera speed [m/s] and rate [rad/s]; the twist is scaled as a whole, which keeps its direction."""
+    """Limits of the commanded camera twist, which is scaled as a whole: that keeps its direction.
+
+    Args:
+        speed_mps: largest speed [m/s]; None: no limit.
+        rate_radps: largest angular rate [rad/s]; None: no limit.
+    """
 
     speed_mps: PositiveSpeed | None = None
     rate_radps: PositiveRate | None = None

@@ -105,7 +105,7 @@ class AlphaBeta:
     """A filter of constant gains: displacement += alpha r, rate += beta r / dt, with r the measured less the predicted displacement.
 
     Args:
-        alpha: gain of the displacement. beta follows: alpha^2 / (2 - alpha).
+        alpha: gain of the displacement [1]; beta follows: alpha^2 / (2 - alpha).
         predict_s: prediction horizon after the exposure [s].
 
     Reference: Benedict & Bordner 1962, doi:10.1109/TAC.1962.1105477 (beta of least noise for a given lag).

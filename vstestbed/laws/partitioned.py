@@ -64,11 +64,14 @@ class Partitioned(LawBase):
     compensated for the points. A test checks both against finite differences.
 
     Args:
-        gain: lambda [1/s], of the points.
-        gain_z: of the size, m/s per unit of e_sigma. gain_turn: of the angle [1/s].
+        gain: lambda, of the points [1/s].
+        gain_z: gain of the size [m/s per unit of e_sigma].
+        gain_turn: gain of the angle [1/s].
+        gain_xy: gain of the markers' mean, where x or y is in `axes` [1/s].
+        axes: the motions with a feature of their own, among x, y, z and wz.
         sigma: form of the size error.
         turn_limits_deg: bounds (low, high) [deg] of the camera's rotation about its axis, from its start: the shortest rotation
-            within them is chosen, which may be the longer way round. Without bounds, the shortest.
+            within them is chosen, which may be the longer way round. Without bounds, the shortest; e.g. `[-200, 160]`.
         solve: inversion of L_rest (`Solve`). Far from the target, with neither x nor y in `axes`, its smallest singular value, of
             lateral motion together with a tilt, is a hundredth of the largest or less, and the default keeps it: errors there grow,
             and the camera flies metres sideways.

@@ -120,10 +120,10 @@ class Solve:
     only slows the motion in them, so that the law converges.
 
     Args:
-        cutoff: least singular value that counts, as a share of the largest. At 1 m from a square of .5 m the smallest is .029
+        cutoff: least singular value that counts, as a share of the largest [1]. At 1 m from a square of .5 m the smallest is .029
             of the largest, for points and for the partitioned law.
-        damping: in the unit of the singular values (for points: motion in m and rad, image coordinates normalised, so that
-            at 1 m from that square they are .086 to 2.9).
+        damping: damping [unit of the singular values]; for points, with motion in m and rad and image coordinates normalised,
+            singular values are .086 to 2.9 at 1 m from that square.
 
     References: Golub & Van Loan 2013, Matrix Computations, section 5.5; damped least squares: Nakamura & Hanafusa 1986,
     doi:10.1115/1.3143764; Wampler 1986, doi:10.1109/TSMC.1986.289285.

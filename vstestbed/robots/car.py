@@ -39,7 +39,12 @@ _STEERING, _REAR = 0, slice(3, 5)
 
 @spec
 class Compass:
-    """An electronic compass: heading = true heading + bias_deg + noise of sigma_deg, white from reading to reading [deg]."""
+    """An electronic compass: heading = true heading + bias + noise, white from reading to reading.
+
+    Args:
+        bias_deg: constant error [deg]; e.g. `2`.
+        sigma_deg: standard deviation of the noise [deg].
+    """
 
     bias_deg: Annotated[float, Ge(-180), Le(180)] = 0.0
     sigma_deg: Annotated[float, Ge(0), Le(90)] = 0.5
@@ -83,7 +88,7 @@ class Car(Vehicle):
         parameters: mass, wheels and motor, which the car knows.
         start: where the middle of its rear axle starts on the floor, and its heading.
         compass: errors of its compass.
-        wheel_radius_error: relative error of the calibrated wheel radius, which its speed servo and its odometry use: .02 for 2 %
+        wheel_radius_error: relative error of the calibrated wheel radius, which its speed servo and its odometry use [1]: .02 for 2 %
             too large.
         limits: of its speed, its steering angle and their rates.
     """

@@ -36,10 +36,10 @@ class CarParameters:
     mass_kg wheel_radius_m^2, so that its time constant stays.
 
     Args:
-        mass_kg: of the whole car [kg].
-        wheelbase_m: L, from the rear to the front axle [m].
-        track_m: between the middles of a pair of wheels, front and rear [m].
-        wheel_radius_m: of all four wheels [m].
+        mass_kg: mass of the whole car [kg].
+        wheelbase_m: L, distance from the rear to the front axle [m].
+        track_m: distance between the middles of a pair of wheels, front and rear [m].
+        wheel_radius_m: radius of all four wheels [m].
         motor_torque_nm: largest torque of the motor at the rear axle [Nm].
     """
 

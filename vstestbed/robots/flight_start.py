@@ -16,7 +16,12 @@ LOWEST_M = 0.2
 
 @spec
 class FlightPose:
-    """Where the craft hovers at the start: its centre in the world [m], its heading [deg]; in Python also an upright SE3."""
+    """Where the craft hovers at the start; in Python also an upright SE3.
+
+    Args:
+        xyz: its centre in the world [m].
+        yaw_deg: its heading [deg].
+    """
 
     xyz: Position = (0.0, 0.0, 2.0)
     yaw_deg: Angle = 0.0
@@ -29,7 +34,13 @@ class FlightPose:
 
 @spec
 class FlightBox:
-    """Half widths of a box of starts: along world axes [m], in heading [deg]; `about` is its middle, else the nominal start."""
+    """A box from which random starts are drawn.
+
+    Args:
+        xyz: half widths along world axes [m].
+        yaw_deg: half width in heading [deg].
+        about: the middle of the box; None: the nominal start.
+    """
 
     xyz: Position = (0.0, 0.0, 0.0)
     yaw_deg: AngleWidth = 0.0
@@ -38,7 +49,12 @@ class FlightBox:
 
 @spec
 class FlightStart:
-    """Where the craft hovers at the start: `nominal`, and the box from which `random` starts are drawn."""
+    """Where the craft hovers at the start: `nominal`, and the box from which `random` starts are drawn.
+
+    Args:
+        nominal: place and heading at the start of a run without a seed.
+        random: the box; None: a seed cannot draw a start.
+    """
 
     nominal: FlightPose = FlightPose()
     random: FlightBox | None = None

@@ -19,7 +19,12 @@ from vstestbed.robots.reading import Reading
 
 @spec
 class Box:
-    """Half widths of a box of start poses round the nominal one: along world axes [m], in roll-pitch-yaw [deg]."""
+    """A box of start poses round the nominal one.
+
+    Args:
+        xyz: half widths along world axes [m].
+        rpy_deg: half widths in roll, pitch and yaw [deg].
+    """
 
     xyz: Position = (0.0, 0.0, 0.0)
     rpy_deg: Angles = (0.0, 0.0, 0.0)
@@ -40,6 +45,10 @@ class FreeStart:
 
     `random` is a box of poses, or an arm's start block (`nominal` and `random` with their q_deg): each seed then starts the
     camera where it starts the arm's flange, so that ideal and real motion can be compared in pairs.
+
+    Args:
+        nominal: the camera's pose in the world at the start of a run without a seed.
+        random: what the start of a run with a seed is drawn from.
     """
 
     nominal: Pose
@@ -48,7 +57,11 @@ class FreeStart:
 
 @spec
 class Free(RobotBase):
-    """A camera without mass; its flange is the camera's body. `start.nominal` is its pose in the world."""
+    """A camera without mass; its flange is the camera's body.
+
+    Args:
+        start: where the camera starts.
+    """
 
     kind: Literal["free"] = "free"
     start: FreeStart

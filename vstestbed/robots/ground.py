@@ -30,7 +30,12 @@ PLANE[[0, 1, 5], [0, 1, 2]] = 1.0
 
 @spec
 class GroundBox:
-    """Half widths of the box from which random starts are drawn: x, y [m], heading_deg [deg]."""
+    """The box round the nominal start from which random starts are drawn.
+
+    Args:
+        x, y: half widths along world axes [m].
+        heading_deg: half width in heading [deg].
+    """
 
     x: Distance = 0.0
     y: Distance = 0.0
@@ -39,7 +44,12 @@ class GroundBox:
 
 @spec
 class GroundStart:
-    """Where a vehicle starts: `nominal`, and the box round it from which `random` starts are drawn."""
+    """Where a vehicle starts: `nominal`, and the box round it from which `random` starts are drawn.
+
+    Args:
+        nominal: place and heading at the start of a run without a seed.
+        random: the box; None: a seed cannot draw a start.
+    """
 
     nominal: GroundPose = GroundPose()
     random: GroundBox | None = None

@@ -32,7 +32,7 @@ class Flow:
 
     Args:
         sigma_mps: noise of a reading of 20 ms on each axis [m/s].
-        scale_error: relative error of the scale (of the range by which a flow is multiplied).
+        scale_error: relative error of the scale, of the range by which a flow is multiplied [1].
         bandwidth: w [1/s], the crossover: the velocity sensor counts below it, the accelerometer above.
     """
 
@@ -47,7 +47,8 @@ class Filtered:
     """A velocity through a low pass.
 
     Args:
-        sigma_mps, scale_error: as for `flow`.
+        sigma_mps: noise of a reading of 20 ms on each axis [m/s].
+        scale_error: relative error of the scale [1].
         tau_s: time constant of the low pass [s].
     """
 

@@ -14,8 +14,10 @@ class Imu:
     the bias that calibration leaves.
 
     Args:
-        gyro_sigma_radps, gyro_bias_radps: [rad/s].
-        accel_sigma_mps2, accel_bias_mps2: [m/s^2].
+        gyro_sigma_radps: standard deviation of the gyro's noise on each axis [rad/s].
+        gyro_bias_radps: the gyro's bias (x, y, z) [rad/s].
+        accel_sigma_mps2: standard deviation of the accelerometer's noise on each axis [m/s^2].
+        accel_bias_mps2: the accelerometer's bias (x, y, z) [m/s^2].
     """
 
     gyro_sigma_radps: Sigma = 0.002

@@ -27,14 +27,23 @@ IDEAL_GAIN = 5000.0
 
 @spec
 class Positions:
-    """Joint positions q_deg, shape (n,) [deg; m for a joint that slides]."""
+    """Joint positions of the arm.
+
+    Args:
+        q_deg: the positions in the order of `joints` [deg; m for a joint that slides].
+    """
 
     q_deg: Annotated[tuple[Angle, ...], Len(2, 7)]
 
 
 @spec
 class PositionBox:
-    """Random starts: each hinge within +- q_deg of the nominal angle [deg], each slide within +- slide_m [m]."""
+    """The box round the nominal positions from which random starts are drawn.
+
+    Args:
+        q_deg: half width for every hinge [deg].
+        slide_m: half width for every joint that slides [m].
+    """
 
     q_deg: Annotated[float, Ge(0), Le(180)] = 15.0
     slide_m: Annotated[float, Ge(0), Le(10)] = 0.05
@@ -42,7 +51,12 @@ class PositionBox:
 
 @spec
 class ArmStart:
-    """Joint positions at the start: `nominal` (q_deg [deg]), and the box from which `random` starts are drawn."""
+    """Joint positions at the start.
+
+    Args:
+        nominal: joint positions at the start of a run without a seed.
+        random: the box; None: a seed cannot draw a start.
+    """
 
     nominal: Positions
     random: PositionBox | None = None
@@ -55,7 +69,7 @@ class Mjcf(Arm):
     Args:
         file: MJCF or URDF, absolute, relative to the scenario's file, or `package:NAME/path` inside an installed package.
         flange: the site, or the body, that carries the camera or the target.
-        joints: those between root and flange, in their order; by default as the file has them.
+        joints: those between root and flange, in their order; by default as the file has them; e.g. `[shoulder, elbow, wrist]`.
         actuation: `velocity` adds a servo to each joint, which integrates the commanded speed to a position that it holds, with
             kp = STIFFNESS times the joint's inertia at the start; `ideal` servos are stiff and without limits, the joints without
             friction and weight; `file` uses the file's own velocity servos, or position servos fed with the integrated speed.

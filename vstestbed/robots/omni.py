@@ -45,7 +45,7 @@ class Omni(Vehicle):
             `planar`: ideal wheels without contact, a tenth of the cost.
         parameters: mass, wheels and motors, which the base knows.
         start: where it starts on the floor.
-        wheel_radius_error: relative error of the calibrated wheel radius: .02 for 2 % too large.
+        wheel_radius_error: relative error of the calibrated wheel radius [1]: .02 for 2 % too large.
     """
 
     kind: Literal["omni"] = "omni"

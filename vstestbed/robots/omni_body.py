@@ -33,10 +33,10 @@ class OmniParameters:
     of the wheels' speed loops grow with what they move, mass_kg R^2 / 4 + 1.6e-3 kg m^2, so that their bandwidth stays.
 
     Args:
-        mass_kg: of the whole base [kg].
-        wheelbase_m: from the rear to the front axles [m].
-        track_m: between the middles of a pair of wheels [m].
-        wheel_radius_m: R [m].
+        mass_kg: mass of the whole base [kg].
+        wheelbase_m: distance from the rear to the front axles [m].
+        track_m: distance between the middles of a pair of wheels [m].
+        wheel_radius_m: R, of all four wheels [m].
         motor_torque_nm: largest torque of each wheel's motor [Nm].
         wheel_speed_radps: largest speed of a wheel [rad/s]; a little under the 20.9 of the default's motors without load.
     """

@@ -121,21 +121,34 @@ Six = Annotated[tuple[Angle, ...], Len(6, 6)]
 
 @spec
 class JointAngles:
-    """Joint angles q_deg, shape (6,) [deg]."""
+    """Joint angles of the arm.
+
+    Args:
+        q_deg: the six angles from the base to the flange [deg].
+    """
 
     q_deg: Six = (0.0, 45.0, -180.0, 0.0, 45.0, -45.0)
 
 
 @spec
 class JointBox:
-    """Random starts: each joint within +- q_deg of the nominal angle [deg]."""
+    """The box round the nominal angles from which random starts are drawn.
+
+    Args:
+        q_deg: half width of the box for every joint [deg].
+    """
 
     q_deg: Annotated[float, Ge(0), Le(180)] = 15.0
 
 
 @spec
 class PumaStart:
-    """Joint angles at the start: `nominal` (q_deg [deg]), and the box from which `random` starts are drawn."""
+    """Joint angles at the start.
+
+    Args:
+        nominal: joint angles at the start of a run without a seed.
+        random: the box; None: a seed cannot draw a start.
+    """
 
     nominal: JointAngles = JointAngles()
     random: JointBox | None = None

@@ -41,10 +41,11 @@ class QuadrotorParameters:
     """Physical parameters of a quadrotor, which its flight loops know; the defaults are those of the X-4 Flyer.
 
     Args:
-        mass_kg: of the whole craft [kg].
-        inertia_kgm2: about x, y and z [kg m^2]; None scales the X-4's, (.082, .082, .149), with mass_kg and the square of arm_m.
-        arm_m: from the centre to each rotor [m].
-        rotor_radius_m: of the discs as drawn and as touched [m]; the thrust is `thrust_coefficient` alone.
+        mass_kg: mass of the whole craft [kg].
+        inertia_kgm2: moments of inertia about x, y and z [kg m^2]; None scales the X-4's, (.082, .082, .149), with mass_kg and the
+            square of arm_m; e.g. `[0.08, 0.08, 0.15]`.
+        arm_m: distance from the centre to each rotor [m].
+        rotor_radius_m: radius of the discs as drawn and as touched [m]; the thrust is `thrust_coefficient` alone.
         thrust_coefficient: b, a rotor's thrust over its squared speed [N s^2].
         drag_coefficient: k, a rotor's drag torque over its squared speed [Nm s^2].
         rotor_speed_radps: largest speed of a rotor [rad/s].

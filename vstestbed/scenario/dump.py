@@ -97,6 +97,24 @@ def as_yaml(plain: Any, brief: bool = False) -> str:
     return out.getvalue()
 
 
+def flow_text(value: object) -> str:
+    """Plain values as YAML on one line: `{kind: pbvs, gain: 0.5}`."""
+    return _yaml_text(value, default_flow_style=True, width=10**6).removesuffix("...\n").strip()  # the dots end a single word
+
+
+def block_text(value: object, width: int) -> str:
+    """Plain values as YAML for people: innermost mappings and lists on one line, as far as `width` characters hold them."""
+    return _yaml_text(value, default_flow_style=None, width=width).strip()
+
+
+def _yaml_text(value: object, **style: Any) -> str:
+    import yaml
+
+    libyaml, out = getattr(yaml, "CSafeDumper", yaml.SafeDumper), io.StringIO()
+    yaml.dump(value, out, Dumper=libyaml, sort_keys=False, allow_unicode=True, **style)
+    return out.getvalue()
+
+
 def _in_flow(node: Any) -> Any:
     """A node of PyYAML, on one line if it fits; the whole scenario never."""
     node.flow_style = _width(node) <= ON_ONE_LINE

@@ -5,16 +5,15 @@ from __future__ import annotations
 import dataclasses
 import io
 import itertools
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import pydantic
 from ruamel.yaml import YAML
 
 from vstestbed.core.assets import bundled_scenarios
 from vstestbed.core.errors import Mistake, ParameterError, ScenarioError, nearest
-from vstestbed.core.spec import refresh_specs
 from vstestbed.scenario.plugins import absolute, absolute_files, load_named
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.scenario.validation import KINDS, build
@@ -22,6 +21,9 @@ from vstestbed.scenario.yaml_marks import FROM_OPTION, Marks, override, place_of
 
 MOST_BYTES = 100_000
 """Largest file that is read: fifty times the largest bundled one, and parsed in 2 s; one of 10 MB would take minutes."""
+
+SCHEMA_LINE = re.compile(r"\A# yaml-language-server: \$schema=.*\n")
+"""The first line of a bundled file, by which editors find its schema beside it."""
 
 
 def find(name: str | Path) -> Path:
@@ -183,8 +185,11 @@ def _required() -> str:
 
 
 def for_another_folder(path: Path) -> str:
-    """The text of a scenario file for a copy elsewhere: its plugins and the files that it names are named absolutely."""
-    text, folder = text_of(path), path.absolute().parent
+    """The text of a scenario file for a copy elsewhere.
+
+    Its plugins and the files that it names are named absolutely; it names no schema, which an editor would not find there.
+    """
+    text, folder = SCHEMA_LINE.sub("", text_of(path)), path.absolute().parent
     plain = plain_mapping(text, str(path), "")[0]
     named, moved = plain.get("plugins"), absolute_files(plain, folder)
     if isinstance(named, list):
@@ -201,9 +206,3 @@ def for_another_folder(path: Path) -> str:
             tree[block][field] = moved[block][field]
     yaml.dump(tree, out)
     return out.getvalue()
-
-
-def schema() -> dict[str, Any]:
-    """JSON Schema of a scenario, for editors; with the kinds that plugins have added until now."""
-    refresh_specs()
-    return pydantic.TypeAdapter(Scenario).json_schema()

@@ -39,13 +39,13 @@ class Noise:
     """Sensor noise.
 
     Args:
-        image_sigma: standard deviation of Gaussian noise on each channel of the picture, in grey levels (of 255). Its effect on a
+        image_sigma: standard deviation of Gaussian noise on each channel of the picture, of 0 to 255 [grey levels]. Its effect on a
             measured coordinate depends on the detector: with `blobs` and its `grey` moments, a standard deviation of about .0025 px
-            per grey level for discs of 8 px radius. Under 1 it has hardly any effect, above 20 markers get lost.
-        pixel_sigma_px: standard deviation of Gaussian noise added to each measured coordinate, for every detector [px].
-        dropout: probability that a detected marker is not reported, for every detector.
-        drift: of the picture's brightness and colour.
-        perturb: further kinds, of the finished picture or of measured coordinates, in this order (`vision.perturb`).
+            per grey level for discs of 8 px radius. Under 1 it has hardly any effect, above 20 markers get lost; e.g. `2`.
+        pixel_sigma_px: standard deviation of Gaussian noise added to each measured coordinate, for every detector [px]; e.g. `0.1`.
+        dropout: probability that a detected marker is not reported, for every detector [1]; e.g. `0.05`.
+        drift: slow drift of the picture's brightness and colour.
+        perturb: further kinds of noise, of the finished picture or of measured coordinates, in this order (`vision.perturb`).
     """
 
     image_sigma: Annotated[Sigma, Narrower(le=255)] = 0.0
@@ -80,12 +80,30 @@ VIEW_MARGIN_PX = 10.0
 
 @spec
 class Scenario:
-    """One experiment: robot, camera, target, detector, law, goal, nuisances, end. `name` is its file's name by default.
+    """One experiment: robot, camera, target, detector, law, goal, nuisances, end.
 
-    `plugins`: files or modules that add kinds, loaded before the rest is checked (`scenario.plugins`).
-    `metrics`, `monitors`: figures of the summary and rules of when a run ends, besides those of every run.
-    `derotation`: how image features of a tilted craft are rotated into its level frame; `level_trim_s`: time constant with which the
-    picture corrects the IMU's roll and pitch for it [s] (0: not at all; `vision.pose.derotate.trimmed`).
+    Args:
+        name: names the folder of its results; by default its file's name; e.g. `my_experiment`.
+        description: one line for lists and reports.
+        plugins: files or modules that add kinds, loaded before the rest is checked (`scenario.plugins`); e.g. `[my_law.py]`.
+        seed: seed of all random numbers of a run.
+        robot: what moves the camera, or the target.
+        camera: lens, size, rate and latency of the pictures, and where the camera is mounted.
+        target: what the camera looks at: markers, or lines on the floor.
+        detector: how markers are found in a picture.
+        law: the control law.
+        goal: what is to be reached or kept.
+        derotation: how image features of a tilted craft are rotated into its level frame (`vision.pose.derotate`).
+        level_trim_s: time constant with which the picture corrects the IMU's roll and pitch for derotation [s]; 0: not at all
+            (`vision.pose.derotate.trimmed`).
+        metrics: figures of the summary besides those of every run.
+        monitors: rules of when a run ends besides those of every run.
+        stop: when a run ends.
+        noise: noise of pictures and of measured coordinates.
+        calibration: errors of the calibration that robot, detector, observer and law work with.
+        timing: exposure, jitter, lost pictures, and latency of the commands.
+        world: floor, scenery, wind, plates and decoys.
+        physics: the clock of the simulation.
 
     Raises (from the constructor): ParameterError where two parts contradict each other.
     """

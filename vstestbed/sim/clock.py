@@ -18,7 +18,7 @@ class Clock:
     """The physics clock, with a whole number of steps between pictures.
 
     Args:
-        step_s: fixed step [s]; without it the largest step that divides the camera's period and is no longer than 2 ms.
+        step_s: fixed step [s]; without it the largest step that divides the camera's period and is no longer than 2 ms; e.g. `0.001`.
     """
 
     step_s: PositiveTime | None = None

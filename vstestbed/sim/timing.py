@@ -28,13 +28,13 @@ class Timing:
     exposure's end, never before an earlier one.
 
     Args:
-        exposure_s: exposure time [s]; the picture is the mean of images rendered during it (motion blur).
+        exposure_s: exposure time [s]; the picture is the mean of images rendered during it (motion blur); e.g. `0.01`.
         exposure_pictures: number of these images, at most one a physics step.
         jitter: distribution of the jitters: `uniform` within +- the number given, or `normal` with it as standard deviation.
-        exposure_jitter_s: jitter of the time of exposure [s].
-        latency_jitter_s: jitter of the latency [s].
-        drop_probability: probability that a picture never arrives.
-        command_latency_s: time from a law's command to the robot's new setpoint [s].
+        exposure_jitter_s: jitter of the time of exposure [s]; e.g. `0.005`.
+        latency_jitter_s: jitter of the latency [s]; e.g. `0.01`.
+        drop_probability: probability that a picture never arrives [1]; e.g. `0.1`.
+        command_latency_s: time from a law's command to the robot's new setpoint [s]; e.g. `0.02`.
         command_timeout_s: how long a command lasts [s], three camera periods at least. Then, without a new one, the robot stops
             within its limits; a picture that arrives so much later than `camera.latency_s` is none.
     """

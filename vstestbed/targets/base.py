@@ -36,7 +36,7 @@ class Pad:
 
     Args:
         side: edge of the square [m].
-        mass: what a vehicle that carries it has to bear [kg]; by default that of an aluminium honeycomb, 4 kg/m^2.
+        mass: what a vehicle that carries it has to bear [kg]; by default that of an aluminium honeycomb, 4 kg/m^2; e.g. `3.2`.
     """
 
     side: PositiveLength = 0.9
@@ -99,14 +99,15 @@ class TargetContract(Protocol):
 
 @spec
 class Target:
-    """Defaults of a target: pose in the world, marker, motion, landing pad, names. Subclasses define `points`.
+    """Defaults of a target. Subclasses define `points`.
 
     Args:
-        pose: in the world.
-        marker: at each of its points.
-        motion: how it moves.
-        pad: to land on.
-        names: of its markers, in their order, for messages, figures and `goal.markers`; none: they are numbered.
+        pose: its place in the world; of one that is carried or held, in the frame of what holds it.
+        marker: what marks each of its points.
+        motion: how it moves from there.
+        pad: a plate to land on; None: no plate; e.g. `{side: 0.9}`.
+        names: names of its markers, in their order, for messages, figures and `goal.markers`; none: they are numbered;
+            e.g. `[top left, top right, bottom right, bottom left]`.
     """
 
     pose: Pose

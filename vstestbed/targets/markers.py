@@ -84,7 +84,12 @@ def _check_radius(radius: float, gap: float) -> None:
 
 @spec
 class Disc(Flat):
-    """A flat disc in the target's plane; radius [m]. Lit: shaded by the scene's lights, else of constant colour."""
+    """A flat disc in the target's plane.
+
+    Args:
+        radius: radius of the disc [m].
+        lit: whether the scene's lights shade it; otherwise its colour is constant.
+    """
 
     kind: Literal["disc"] = "disc"
     radius: PositiveLength = 0.02
@@ -102,7 +107,12 @@ class Disc(Flat):
 
 @spec
 class Sphere(Flat):
-    """A ball round the marker point; radius [m]."""
+    """A ball round the marker point.
+
+    Args:
+        radius: radius of the ball [m].
+        lit: whether the scene's lights shade it; otherwise its colour is constant.
+    """
 
     kind: Literal["sphere"] = "sphere"
     radius: PositiveLength = 0.02
@@ -228,7 +238,12 @@ class Tag(Flat):
 
 @spec
 class Stripe(Flat):
-    """Paint along a line on the floor, `width_m` wide [m]. Lit: shaded by the scene's lights, else of constant colour."""
+    """Paint along a line on the floor.
+
+    Args:
+        width_m: width of the line [m].
+        lit: whether the scene's lights shade it; otherwise its colour is constant.
+    """
 
     kind: Literal["stripe"] = "stripe"
     width_m: Annotated[PositiveLength, Narrower(le=1)] = 0.03

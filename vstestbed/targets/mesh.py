@@ -40,11 +40,11 @@ class MeshTarget(Target):
     The target's frame is that of the file. What the solid hides is not seen, neither in pictures nor by the oracle.
 
     Args:
-        file: STL or OBJ, absolute, relative to the scenario's file, or `package:NAME/path`. Of an OBJ file only the shape counts.
-        scale: metres for one unit of the file; 0.001 for millimetres.
-        at: marker points on the surface, (x, y, z) in units of the file, as a CAD program shows them.
+        file: an STL or OBJ file, absolute, relative to the scenario's file, or `package:NAME/path`. Of an OBJ file only the shape counts.
+        scale: metres for one unit of the file [m]; 0.001 for millimetres.
+        at: marker points on the surface, (x, y, z) as a CAD program shows them [unit of the file].
         draw_markers: draw the markers; false: nothing is to be seen of them, which the oracle does not mind.
-        color: of the solid, (r, g, b) in 0..1.
+        color: colour of the solid, (r, g, b) of 0 to 1 [1].
     """
 
     kind: Literal["mesh"] = "mesh"

@@ -103,7 +103,7 @@ class Line(MotionBase):
     """D = velocity (t - from_s) between two times; it stands before and after.
 
     Args:
-        velocity_mps: along its own axes [m/s].
+        velocity_mps: velocity along its own axes [m/s]; e.g. `[0.1, 0, 0]`.
         from_s, until_s: start and end of the motion [s].
     """
 
@@ -123,7 +123,9 @@ class Circle(MotionBase):
     """D = radius (cos 2 pi f t, sin 2 pi f t, 0): about its place at rest, in its own plane x, y, at a constant speed 2 pi f radius.
 
     Args:
-        radius_m: [m]. frequency_hz: revolutions per second. phase_deg: starting angle, from x towards y [deg].
+        radius_m: radius of the circle [m].
+        frequency_hz: revolutions per second [Hz].
+        phase_deg: starting angle, from x towards y [deg].
     """
 
     kind: Literal["circle"] = "circle"
@@ -142,7 +144,8 @@ class Sinusoid(MotionBase):
     """D = sin(2 pi f t) times a translation and times roll-pitch-yaw angles.
 
     Args:
-        amplitude: translation [m] and angles [deg] at the peak. frequency_hz: f.
+        amplitude: translation and angles at the peak; e.g. `{xyz: [0.1, 0, 0], rpy_deg: [0, 0, 10]}`.
+        frequency_hz: f [Hz]; e.g. `0.2`.
     """
 
     kind: Literal["sinusoid"] = "sinusoid"
@@ -170,7 +173,9 @@ class Lissajous(MotionBase):
     """D_i = amplitude_i sin(2 pi f_i t + phase_i) along each of its own axes; incommensurable frequencies never repeat.
 
     Args:
-        amplitude_m: [m]. frequency_hz, phase_deg: of each axis.
+        amplitude_m: largest displacement along each axis [m]; e.g. `[0.2, 0.1, 0]`.
+        frequency_hz: frequency of each axis; a negative one runs backwards [Hz]; e.g. `[0.1, 0.2, 0]`.
+        phase_deg: phase of each axis [deg].
     """
 
     kind: Literal["lissajous"] = "lissajous"
@@ -198,7 +203,8 @@ class RandomWalk(MotionBase):
     rms_m, that of its speed with W rms_m. It starts at rest with D = 1 and is drawn from the seed of the run.
 
     Args:
-        rms_m: of each axis [m]. corner_hz: above it the power spectrum falls with the fourth power of frequency.
+        rms_m: standard deviation of the displacement along each axis [m].
+        corner_hz: corner frequency [Hz]; above it the power spectrum falls with the fourth power of frequency.
 
     Reference: Papoulis & Pillai 2002, Probability, Random Variables and Stochastic Processes, section 10.2 (the harmonically
     bound particle of Uhlenbeck & Ornstein 1930, doi:10.1103/PhysRev.36.823); exact steps by Van Loan 1978,

@@ -32,10 +32,10 @@ class PictureTarget(Target):
     nothing is to be seen there, which the oracle does not mind.
 
     Args:
-        file: PNG or JPEG, absolute, relative to the scenario's file, or `package:NAME/path`. Above 2048 px a side it is reduced.
-        width: of the picture [m]; its height follows from the file.
-        at_px: marker points in the picture, (u, v) in pixels of the file, the centre of the first pixel (0, 0); none: its corners.
-        draw_markers: draw markers over the picture.
+        file: a PNG or JPEG file, absolute, relative to the scenario's file, or `package:NAME/path`. Above 2048 px a side it is reduced.
+        width: width of the picture [m]; its height follows from the file.
+        at_px: marker points in the picture, (u, v) in pixels of the file [px], the centre of the first one (0, 0); none: its corners.
+        draw_markers: draw markers over the picture; false: it shows them itself.
         lit: shaded by the scene's lights, else of constant brightness.
     """
 

@@ -19,7 +19,11 @@ BOARD_MARGIN = 1.5
 
 @spec
 class Square(Target):
-    """Four markers at the corners of a square in z = 0: (-,-), (+,-), (+,+), (-,+) times side/2."""
+    """Four markers at the corners of a square in z = 0: (-,-), (+,-), (+,+), (-,+) times side/2.
+
+    Args:
+        side: edge of the square, between centres of markers [m].
+    """
 
     kind: Literal["square"] = "square"
     side: PositiveLength
@@ -44,7 +48,11 @@ class Square(Target):
 
 @spec
 class Points(Target):
-    """Markers at any places: `at`, a list of [x, y, z] in the target frame [m]."""
+    """Markers at any places.
+
+    Args:
+        at: the markers' centres in the target frame, a list of [x, y, z] [m].
+    """
 
     kind: Literal["points"] = "points"
     at: Annotated[tuple[Position, ...], Len(1, 24)]

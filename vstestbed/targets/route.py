@@ -130,7 +130,11 @@ class Route(ABC):
 
 @spec
 class Straight(Route):
-    """An endless straight route; `length_m` is the part of it that is painted, drawn and framed."""
+    """An endless straight route.
+
+    Args:
+        length_m: the part of it that is painted, drawn and framed [m].
+    """
 
     kind: Literal["straight"] = "straight"
     length_m: PositiveLength = 10.0
@@ -146,7 +150,11 @@ class Straight(Route):
 
 @spec
 class CircularRoute(Route):
-    """A circle to the left (`radius_m` negative: to the right)."""
+    """A circle that starts at `start`.
+
+    Args:
+        radius_m: its radius; positive: to the left, negative: to the right [m].
+    """
 
     kind: Literal["circle"] = "circle"
     radius_m: Length = 3.0
@@ -171,6 +179,10 @@ class FigureEight(Route):
 
     Its curvature is continuous, so that a vehicle can follow it at constant speed. `start` is the crossing and the direction of the
     first branch.
+
+    Args:
+        length_m: its extent along the direction of `start` [m].
+        width_m: its extent across that direction [m].
     """
 
     kind: Literal["figure_eight"] = "figure_eight"
@@ -201,7 +213,13 @@ class FigureEight(Route):
 
 @spec
 class Piece:
-    """A piece of a track: straight for `length_m`, or a bend by `turn_deg` (positive: to the left) of `radius_m`."""
+    """A piece of a track: straight (`length_m`), or a bend (`turn_deg` and `radius_m`).
+
+    Args:
+        length_m: length of a straight piece [m].
+        turn_deg: angle of a bend, positive to the left [deg].
+        radius_m: radius of a bend [m].
+    """
 
     length_m: PositiveLength | None = None
     turn_deg: Annotated[Angle, Narrower(ge=-720, le=720)] | None = None
@@ -224,7 +242,11 @@ class Piece:
 
 @spec
 class Track(Route):
-    """Straight pieces and bends, one after another; `closed` where the last leads back to the start."""
+    """Straight pieces and bends, one after another; `closed` where the last leads back to the start.
+
+    Args:
+        pieces: the pieces in their order along the route.
+    """
 
     kind: Literal["track"] = "track"
     pieces: Annotated[tuple[Piece, ...], Len(1, 100)]

@@ -36,7 +36,7 @@ class GoalGap(Continuing):
 
     Args:
         gap_m: the distance [m].
-        band_m: tolerance of the distance once settled; a tenth of it by default [m].
+        band_m: tolerance of the distance once settled; a tenth of it by default [m]; e.g. `0.1`.
         settle_s: settling time [s].
     """
 

@@ -43,7 +43,8 @@ class KeepOut:
     Contacts of the robot's body with what stands in the scene end a run anyway; this box is of no substance.
 
     Args:
-        corner, opposite: two opposite corners of the box [m].
+        corner: a corner of the box in the world [m]; e.g. `[0.4, -0.3, 0.5]`.
+        opposite: the corner opposite to it [m]; e.g. `[0.8, 0.3, 1.2]`.
     """
 
     kind: Literal["keep_out"] = "keep_out"

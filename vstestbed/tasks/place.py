@@ -18,7 +18,11 @@ from vstestbed.tasks.setup import Setup
 
 @spec
 class GoalPlace(TaskBase):
-    """The goal as a place of a vehicle: `pose` in the world, reached by landmarks."""
+    """The goal as a place of a vehicle in the world, reached by landmarks.
+
+    Args:
+        pose: the place.
+    """
 
     kind: Literal["pose"] = "pose"
     pose: GroundPose

@@ -52,7 +52,7 @@ class GoalViews(TaskBase):
         views: the views.
         threshold_px: RMS error under which a view that is not the last counts as passed, with all its markers in sight [px].
         speed_mps: speed of the goal on its way to the next view [m/s]; None: it jumps.
-        turn_degps: its largest angular rate; where a leg turns by more, it is slower [deg/s].
+        turn_degps: largest angular rate of the goal on its way [deg/s]; where a leg turns by more, it is slower.
 
     Reference: Taylor 1979, doi:10.1147/rd.234.0424 (straight lines through via points, blended at the corners).
     """

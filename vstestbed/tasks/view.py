@@ -73,7 +73,11 @@ class GoalView(TaskBase):
 
 @spec
 class GoalViewFrom(TaskBase):
-    """The goal as a view: what a vehicle's camera sees of the target from the place `view_from` on the floor."""
+    """The goal as a view: what a vehicle's camera sees of the target from a place on the floor.
+
+    Args:
+        view_from: the place of the vehicle.
+    """
 
     kind: Literal["view_from"] = "view_from"
     view_from: GroundPose

@@ -83,7 +83,9 @@ class Erasing(PerturbationBase):
     fit is drawn again.
 
     Args:
-        probability: of a picture to be changed. area: smallest and largest share of the picture. aspect: r, see above.
+        probability: probability that a picture is changed [1].
+        area: smallest and largest share of the picture that is replaced [1].
+        aspect: smallest ratio of the rectangle's height to its width, the largest is its inverse [1].
         fill: one `grey` level, drawn for each rectangle, or a `random` level for each channel of each pixel.
 
     Reference: Zhong, Zheng, Kang, Li & Yang 2020, doi:10.1609/aaai.v34i07.7000 (there the area is .02 to .4, and aspect .3).
@@ -125,7 +127,7 @@ class ColorJitter(PerturbationBase):
     I' = b (s (I_c - Y_c) + Y_c),  I_c = c (I - 128) + 128,  with the grey Y of a colour by ITU-R BT.601; clipped to 0 to 255.
 
     Args:
-        brightness, contrast, saturation: largest relative change x of each [1].
+        brightness, contrast, saturation: largest relative change x of it [1].
         each: whether they are drawn once a `run`, or anew for each `picture`.
     """
 
@@ -155,7 +157,8 @@ class Outliers(PerturbationBase):
     """Gross errors of measured coordinates, as of a marker taken for another thing: displaced uniformly within a disc.
 
     Args:
-        probability: of each marker in each picture. radius_px: of the disc [px].
+        probability: probability of such an error, of each marker in each picture [1].
+        radius_px: radius of the disc [px].
 
     Reference: Comport, Marchand & Chaumette 2006, doi:10.1109/TRO.2006.870666 (servoing that is robust to outliers).
     """

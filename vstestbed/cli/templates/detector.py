@@ -3,8 +3,7 @@
     pytest my_detector.py
     vstestbed run ibvs_book --plugin my_detector.py --set detector=my_detector
 
-It takes the centre of all pixels of a marker's hue. A learned one loads its network in `init`, which keeps it in the memory,
-and asks it in `detect` in place of the two lines of numpy; seeds and weights belong into the fields.
+It takes the centre of a marker's hue. A learned one loads its network in `init` and asks it in `detect`; weights belong into the fields.
 """
 
 from typing import ClassVar, Literal
@@ -18,10 +17,14 @@ import vstestbed.testing
 @vs.DETECTORS.add
 @vs.spec
 class MyDetector:
-    """The mean of all pixels of each marker's hue, weighted by their chroma."""
+    """The mean of all pixels of each marker's hue, weighted by their chroma.
+
+    Args:
+        chroma: least difference of the largest and the smallest channel [grey levels].
+    """
 
     kind: Literal["my_detector"] = "my_detector"  # its word in a scenario
-    chroma: int = 60  # least difference of the largest and the smallest channel [grey levels]
+    chroma: int = 60
     needs_image: ClassVar[bool] = True
     needs_truth: ClassVar[bool] = False  # only the oracle may have it
     markers: ClassVar[tuple[str, ...]] = ("disc", "sphere")  # the kinds that it can see; empty: any
@@ -35,18 +38,15 @@ class MyDetector:
         return
 
     def detect(self, memory, picture, view, camera, target, rng):
-        """The next memory, and uv (N, 2) [px] in the order of `target.points`, NaN for a marker that is not found.
+        """The next memory, and uv (N, 2) [px] of the markers, whose hues are `target.hues_deg` [deg]; NaN for one that is not found.
 
         picture.images: (H, W, 3) uint8 RGB of each panel of the camera (one, but for spherical); the first pixel's centre is (0, 0).
-        target.hues_deg: the N hues by which the markers are told apart [deg].
         """
         if picture is None or picture.image is None:
             raise vs.errors.ParameterError("picture", "is missing: detector my_detector needs one")
-        rgb = picture.image.astype(float)
-        chroma = rgb.max(axis=2) - rgb.min(axis=2)
+        chroma = np.ptp(picture.image, axis=2)
         v, u = np.nonzero(chroma >= self.chroma)
-        angle = np.exp(1j * np.radians([0.0, 120.0, 240.0]))
-        hue = np.degrees(np.angle(rgb[v, u] @ angle))  # of the colour's projection along the grey axis
+        hue = np.degrees(np.angle(picture.image[v, u] @ np.exp(1j * np.radians([0, 120, 240]))))  # seen along the grey axis
         uv = np.full((len(target.hues_deg), 2), np.nan)
         for i, wanted in enumerate(target.hues_deg):
             own = np.abs((hue - wanted + 180) % 360 - 180) < min(15.0, 180 / len(uv))

@@ -18,10 +18,14 @@ import vstestbed.testing
 @vs.LAWS.add
 @vs.spec
 class MyLaw(vs.LawBase):
-    """u = -gain pinv(L B) (s - s*)."""
+    """u = -gain pinv(L B) (s - s*).
+
+    Args:
+        gain: the error decays as exp(-gain t) [1/s].
+    """
 
     kind: Literal["my_law"] = "my_law"  # its word in a scenario
-    gain: Annotated[float, Gt(0)] = 0.5  # [1/s]; what is annotated is a field in YAML: --set law.gain=1
+    gain: Annotated[float, Gt(0)] = 0.5  # what is annotated is a field in YAML: --set law.gain=1
     inputs = ("xy", "depth")  # what `step` reads of the observation: costly fields are computed only where they are named
 
     def init(self, goal):

@@ -20,10 +20,14 @@ from vstestbed.camera import Radial
 @vs.CAMERAS.add
 @vs.spec
 class MyLens(Radial):
-    """m(theta) = 2 tan(theta / 2); `Radial` has size, rate, mount and focal length, by default such that the picture is filled."""
+    """m(theta) = 2 tan(theta / 2); `Radial` has size, rate, mount and focal length, by default such that the picture is filled.
+
+    Args:
+        fov_deg: full field of view [deg].
+    """
 
     kind: Literal["my_lens"] = "my_lens"  # its word in a scenario
-    fov_deg: float = 180.0  # full field of view [deg]
+    fov_deg: float = 180.0
 
     @property
     def reach(self):

@@ -19,7 +19,11 @@ import vstestbed.testing
 @vs.METRICS.add
 @vs.spec
 class MyMetric:
-    """Mean error, and the time over a limit."""
+    """Mean error, and the time over a limit.
+
+    Args:
+        limit_px: the limit [px].
+    """
 
     kind: Literal["my_metric"] = "my_metric"  # its word in a scenario
     limit_px: Annotated[float, Gt(0)] = 50.0
@@ -48,8 +52,7 @@ class MyMetricPart:
 
     def figures(self):
         """A number for each name of `titles`, None where it is undefined."""
-        mean = self.sum / self.frames if self.frames else None
-        return {"my_metric_mean_px": mean, "my_metric_over_s": self.over * self.period_s}
+        return {"my_metric_mean_px": self.sum / self.frames if self.frames else None, "my_metric_over_s": self.over * self.period_s}
 
 
 def test_my_metric():

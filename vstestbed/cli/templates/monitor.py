@@ -18,7 +18,11 @@ import vstestbed.testing
 @vs.MONITORS.add
 @vs.spec
 class MyMonitor:
-    """It ends a run whose camera retreats."""
+    """It ends a run whose camera retreats.
+
+    Args:
+        margin_m: how much farther than at the start it may be [m].
+    """
 
     kind: Literal["my_monitor"] = "my_monitor"  # its word in a scenario
     margin_m: Annotated[float, Ge(0)] = 0.5

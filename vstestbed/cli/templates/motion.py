@@ -19,11 +19,16 @@ import vstestbed.testing
 @vs.MOTIONS.add
 @vs.spec
 class MyMotion(vs.MotionBase):
-    """D(t) = (a sin wt, a sin wt cos wt, 0)."""
+    """D(t) = (a sin wt, a sin wt cos wt, 0).
+
+    Args:
+        amplitude_m: a [m].
+        frequency_hz: f [Hz].
+    """
 
     kind: Literal["my_motion"] = "my_motion"  # its word in a scenario
-    amplitude_m: Annotated[float, Gt(0)] = 0.08  # a [m]
-    frequency_hz: Annotated[float, Gt(0)] = 0.1  # f [Hz]
+    amplitude_m: Annotated[float, Gt(0)] = 0.08
+    frequency_hz: Annotated[float, Gt(0)] = 0.1
 
     def path(self, rng):
         """The displacement (4, 4) from the pose at rest, along the target's own axes, as a function of time [s].

@@ -18,10 +18,14 @@ import vstestbed.testing
 @vs.PERTURBATIONS.add
 @vs.spec
 class MyNoise(vs.PerturbationBase):
-    """Each pixel is black or white with a probability."""
+    """Each pixel is black or white with a probability.
+
+    Args:
+        share: probability of each pixel [1].
+    """
 
     kind: Literal["my_noise"] = "my_noise"  # its word in a scenario
-    share: Annotated[float, Ge(0), Le(1)] = 0.001  # of the pixels
+    share: Annotated[float, Ge(0), Le(1)] = 0.001
     changes: ClassVar[tuple[str, ...]] = ("picture",)  # or ("pixels",), for the method `pixels`
 
     def picture(self, memory, image, t, rng):

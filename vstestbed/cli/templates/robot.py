@@ -21,10 +21,14 @@ MOTIONS = np.eye(6)[:, [0, 1, 2, 5]]  # (6, 4): the flange twists vx, vy, vz and
 @vs.ROBOTS.add
 @vs.spec
 class MyRobot(Free):
-    """A flying flange with four motions; `Free` has the start block, and places the flange at `start.nominal`."""
+    """A flying flange with four motions; `Free` has the start block, and places the flange at `start.nominal`.
+
+    Args:
+        speed_mps: largest speed of the camera [m/s].
+    """
 
     kind: Literal["my_robot"] = "my_robot"  # pyright: ignore[reportIncompatibleVariableOverride] - a word of its own
-    speed_mps: float = 0.5  # largest speed of the camera [m/s]
+    speed_mps: float = 0.5
 
     def motion_basis(self, mount, q):
         """Camera twists (6, 4) of its motions; `mount.to_camera` (6, 6) maps flange twists to the camera's."""

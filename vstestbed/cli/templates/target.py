@@ -19,11 +19,16 @@ import vstestbed.testing
 @vs.TARGETS.add
 @vs.spec
 class MyTarget(vs.Target):
-    """Markers at the corners of a regular polygon in z = 0, whose first corner lies on the x axis."""
+    """Markers at the corners of a regular polygon in z = 0, whose first corner lies on the x axis.
+
+    Args:
+        corners: number of corners [1].
+        side: length of an edge [m].
+    """
 
     kind: Literal["my_target"] = "my_target"  # its word in a scenario
     corners: Annotated[int, Ge(3), Le(12)] = 5
-    side: Annotated[float, Gt(0)] = 0.4  # [m]
+    side: Annotated[float, Gt(0)] = 0.4
     one_sided: ClassVar[bool] = True  # its markers are seen from the front only: a camera behind its plane has lost it
 
     def __post_init__(self):

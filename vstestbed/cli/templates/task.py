@@ -19,7 +19,12 @@ import vstestbed.testing
 @vs.GOALS.add
 @vs.spec
 class MyTask(vs.TaskBase):
-    """One view; `vs.TaskBase` ends the run when `stop.converged` holds there. Several poses are taken in turn by `kind: views`."""
+    """One view; `vs.TaskBase` ends the run when `stop.converged` holds there. Several poses are taken in turn by `kind: views`.
+
+    Args:
+        distance_m: distance from the camera to the target [m].
+        turn_deg: angle about the optical axis [deg].
+    """
 
     kind: Literal["my_task"] = "my_task"  # its word in a scenario
     distance_m: Annotated[float, Gt(0)] = 1.0

@@ -34,7 +34,8 @@ class Comparison:
     """Every scenario with every combination of the cases and of the axes' values, in each task or from each seed.
 
     Args:
-        plugins: files or modules that add kinds, for all scenarios, besides their own.
+        description: one line for lists and reports.
+        plugins: files or modules that add kinds, for all scenarios, besides their own; e.g. `[my_law.py]`.
         base: scenarios, by path or bundled name.
         set: values by dotted path, for all scenarios.
         cases: named settings of several fields at once: `law: {points: {law: {kind: ibvs}}, pose: {law: {kind: pbvs}}}` is an

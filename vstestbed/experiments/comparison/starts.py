@@ -21,9 +21,10 @@ class StartTable:
         set: values by dotted path, for all runs of the task.
         each: lists of values by dotted path, all of the same length, one value per run.
         camera_from_goal: in place of `each`: poses of the camera in the frame of the camera at its goal, for any arm, whose joints
-            follow by inverse kinematics (`Scenario.displaced`). target_from_goal: the same of the target, as the camera is to see it.
+            follow by inverse kinematics (`Scenario.displaced`).
+        target_from_goal: in place of `each`: poses of the target in its frame at the goal, as the camera is to see it.
         seeds: in place of `each`: number of random starts.
-        amounts: label of each run, with `unit`: 20 (deg), 40, ...; by default 1, 2, ..., for random starts the seed.
+        amounts: label of each run [unit as in `unit`]: 20 (deg), 40, ...; by default 1, 2, ..., for random starts the seed.
         unit: unit of the amounts.
     """
 

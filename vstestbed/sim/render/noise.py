@@ -25,8 +25,8 @@ class Drift:
     Values above 255 are clipped.
 
     Args:
-        brightness: largest relative change of all channels [1].
-        color: largest relative change of red, and the opposite one of blue [1].
+        brightness: largest relative change of all channels [1]; e.g. `0.2`.
+        color: largest relative change of red, and the opposite one of blue [1]; e.g. `0.1`.
         period_s: period of both [s].
     """
 

@@ -23,7 +23,7 @@ class Plate:
     """An opaque plate that stands in the room from `from_s` until `until_s`; it can hide markers, and touches nothing.
 
     Args:
-        pose: its centre in the world; the plate spans its x and y axes.
+        pose: its centre in the world; the plate spans its x and y axes; e.g. `{xyz: [1.2, 0, 0.7], rpy_deg: [0, 90, 0]}`.
         width, height: size along x and y [m].
         from_s, until_s: when it is present [s].
         motion: displacement from its pose, in its own axes; a random walk is the same in all runs.
@@ -96,7 +96,10 @@ class Decoy:
     """A distractor: a ball of a marker's colour, without collisions.
 
     Args:
-        xyz: position [m]. radius: [m]. hue_deg: hue; markers have 0, 360/n, ... [deg]. motion: displacement from there.
+        xyz: position [m]; e.g. `[1.5, 0.3, 0.7]`.
+        radius: radius of the ball [m].
+        hue_deg: its hue; markers have 0, 360/n, ... [deg].
+        motion: displacement from there.
     """
 
     xyz: Position
@@ -117,8 +120,9 @@ class Scenery:
     In YAML its file's name alone is enough.
 
     Args:
-        file: MJCF, absolute, relative to the scenario's file, or `package:NAME/path` inside an installed package.
-        pose: of its origin in the world.
+        file: an MJCF file, absolute, relative to the scenario's file, or `package:NAME/path` inside an installed package;
+            e.g. `scenery/workshop.xml`.
+        pose: place of its origin in the world.
     """
 
     file: str
@@ -136,7 +140,7 @@ class World:
     Args:
         scenery: an MJCF file round the experiment: its name, or a block with a pose.
         floor_z: height of the floor [m]; scenes in a textbook's coordinates need it out of the way.
-        floor_friction: Coulomb friction between the floor and wheels or feet, an upper bound of their own; .05 is ice.
+        floor_friction: Coulomb friction between the floor and wheels or feet, an upper bound of their own [1]; .05 is ice; e.g. `0.3`.
         plates: can occlude markers, or cast a shadow on them (`camera.shadows`).
         decoys: can be taken for markers.
         wind: acts on flying craft.

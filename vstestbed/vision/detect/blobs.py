@@ -51,14 +51,14 @@ class Blobs:
     noise itself may be taken for a marker.
 
     Args:
-        chroma: max - min of r, g, b (0..255) above which a pixel belongs to a marker; scenes keep everything else below it.
+        chroma: max - min of r, g, b (0..255) above which a pixel belongs to a marker [grey levels]; scenes keep everything else below it.
         hue_tolerance_deg: largest difference to the marker's hue; never more than half the step between two markers' hues.
-        least_area_px: smaller blobs are noise.
+        least_area_px: least area of a blob; smaller ones are noise [px^2].
         moments: `binary` weights each pixel 0 or 1; `grey` by coverage, which is finer in images with multisampling and the
             same in images with neither multisampling nor noise, whose markers are of one colour up to the edge.
         correct_centre: subtract the perspective bias from the centroid.
-        area_tolerance: largest relative difference between a blob's area and the predicted one.
-        window_margin_px: margin of a window around the predicted blob, besides half of its last move.
+        area_tolerance: largest relative difference between a blob's area and the predicted one [1].
+        window_margin_px: margin of a window around the predicted blob, besides half of its last move [px].
 
     Reference: Corke 2017, Robotics, Vision & Control, sections 13.1 and 15.2 (blobs, moments, visual servoing with them).
     """

@@ -81,10 +81,10 @@ class Lines:
     suspension displaces the floor, as on a real one.
 
     Args:
-        chroma: max - min of r, g, b (0..255) above which a pixel belongs to a line.
+        chroma: max - min of r, g, b (0..255) above which a pixel belongs to a line [grey levels].
         hue_tolerance_deg: largest difference to the line's hue; never more than half the step between two lines' hues.
         reach_m: half width of the strips, to each side of the vehicle [m].
-        width_tolerance: largest relative difference between the measured width and the stripe's.
+        width_tolerance: largest relative difference between the measured width and the stripe's [1].
 
     Reference: view of a plane from above: Corke 2017, Robotics, Vision & Control, section 14.2 (planar homography); robust fit:
     Huber 1981, Robust Statistics.

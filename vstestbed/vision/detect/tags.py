@@ -60,8 +60,8 @@ class Tags:
         astray_px: largest distance of an edge's point from the edge's line [px].
         misread: how many of a tag's modules may be read wrongly; 3 finds more of the tags under 2 px a module, and also tags
             whose inner modules are occluded.
-        contrast: least step from black to white at an edge's point, as a share of the tag's median step.
-        window_margin_px: margin of a window around the predicted tag and its quiet zone, besides half of its last move.
+        contrast: least step from black to white at an edge's point, as a share of the tag's median step [1].
+        window_margin_px: margin of a window around the predicted tag and its quiet zone, besides half of its last move [px].
 
     Reference: Garrido-Jurado et al. 2014, doi:10.1016/j.patcog.2014.01.005 (finding and reading square tags).
     """

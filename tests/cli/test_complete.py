@@ -1,0 +1,65 @@
+"""Completion: what a shell is offered, through the variables by which it asks."""
+
+from __future__ import annotations
+
+import subprocess
+
+import pytest
+
+from vstestbed.cli import complete
+from vstestbed.scenario.validation import KINDS
+
+
+def offered(process: tuple[list[str], dict[str, str]], *words: str) -> list[str]:
+    command, environment = process
+    asked = {"COMP_WORDS": " ".join(("vstestbed", *words)), "COMP_CWORD": str(len(words)), complete.VARIABLE: "complete_bash"}
+    ended = subprocess.run(command, env=environment | asked, capture_output=True, text=True, timeout=60, check=True)
+    assert ended.stderr == ""
+    return ended.stdout.split()
+
+
+def test_a_shell_is_offered_names(vstestbed_process) -> None:
+    assert offered(vstestbed_process, "run", "arm_pb") == ["arm_pbvs"]
+    assert offered(vstestbed_process, "run", "arm_ibvs", "--set", "stop.dur") == ["stop.duration_s"]
+
+
+def test_a_shell_gets_its_script(vstestbed_process) -> None:
+    command, environment = vstestbed_process
+    ended = subprocess.run([*command, "--show-completion", "bash"], env=environment, capture_output=True, text=True, timeout=60, check=True)
+    assert complete.VARIABLE in ended.stdout
+
+
+def test_scenarios_and_comparisons() -> None:
+    assert complete.scenarios("arm_pbvs") == ["arm_pbvs"]
+    assert complete.experiments("real") == ["realism"]
+    assert complete.scenarios("./mine") == []  # the shell then offers files
+
+
+def test_kinds_are_those_that_describe_knows() -> None:
+    assert complete.kinds("pbv") == ["pbvs"]
+    bundled = {kind for room in KINDS.values() for kind, cls in room.members.items() if cls.__module__.startswith("vstestbed.")}
+    assert bundled <= set(complete.kinds(""))
+    assert {"law", "stop", "noise"} <= set(complete.kinds(""))
+    assert complete.kinds("metr") == complete.kinds("descr") == []  # a list, which `describe` has as `metric`, and a text
+
+
+@pytest.mark.parametrize(
+    ("begun", "words"),
+    [
+        ("camera.lat", ["camera.latency_s"]),
+        ("stop.conv", ["stop.converged.error_px", "stop.converged.position_m", "stop.converged.rotation_deg", "stop.converged.hold_s"]),
+        ("law.no_such", []),
+        ("no_such.field", []),
+        ("see", ["seed"]),
+    ],
+)
+def test_dotted_paths(begun: str, words: list[str]) -> None:
+    assert complete.paths(begun) == words
+
+
+def test_a_field_of_several_kinds_is_offered_with_what_is_in_each() -> None:
+    assert {f"robot.parameters.{name}" for name in ("track_m", "wheel_speed_radps", "arm_m")} <= set(complete.paths("robot.par"))
+
+
+def test_a_block_alone_is_offered_with_what_is_in_it() -> None:
+    assert "law.gain" in complete.paths("la") and "law.gain" in complete.paths("law.")

@@ -1,0 +1,82 @@
+"""What a shell offers after Tab: names of scenarios, comparisons and kinds, and the dotted paths of `--set`.
+
+It reads names of files and the bundled schema alone, since each Tab starts a process; kinds of plugins are therefore missing.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
+
+from vstestbed.core.assets import bundled_comparisons, bundled_scenarios, folder
+
+VARIABLE = "_VSTESTBED_COMPLETE"
+"""Environment variable by which a shell's completion asks."""
+
+
+def asked(arguments: Sequence[str]) -> bool:
+    """Whether a shell asks for words, or a user for its completion: typer does either, and ends the process by itself."""
+    return VARIABLE in os.environ or any(word.startswith(("--install-completion", "--show-completion")) for word in arguments)
+
+
+def scenarios(incomplete: str) -> list[str]:
+    """Names of bundled scenarios; where none fits, the shell offers files."""
+    return [name for name in bundled_scenarios() if name.startswith(incomplete)]
+
+
+def experiments(incomplete: str) -> list[str]:
+    """Names of bundled scenarios and comparisons."""
+    return scenarios(incomplete) + [name for name in bundled_comparisons() if name.startswith(incomplete)]
+
+
+def kinds(incomplete: str) -> list[str]:
+    """Words that `describe` knows: kinds, and the blocks of a scenario."""
+    whole = _schema()
+    words = {name for name, rule in whole["properties"].items() if any(_children(rule, whole))}
+    words |= {block["properties"]["kind"]["const"] for block in whole["$defs"].values() if "kind" in block["properties"]}
+    return sorted(word for word in words if word.startswith(incomplete))
+
+
+def paths(incomplete: str) -> list[str]:
+    """Fields of a scenario of any kinds, by their dotted paths; what is in a block once its name stands there."""
+    whole = _schema()
+    *parts, last = incomplete.split(".")
+    rules, prefix = [whole], "".join(f"{part}." for part in parts)
+    for part in parts:
+        rules = _begun(part, rules, whole).get(part, [])
+    while True:
+        found = _begun(last, rules, whole)
+        rules = [child for same in found.values() for child in same]
+        if len(found) != 1 or not any(_within(rules, whole)):
+            return [prefix + name for name in found]
+        # A single word would be taken as complete by the shell, which adds a space.
+        prefix, last = f"{prefix}{next(iter(found))}.", ""
+
+
+def _begun(begin: str, rules: Iterable[dict[str, Any]], whole: dict[str, Any]) -> dict[str, list[dict[str, Any]]]:
+    """The fields of these blocks whose names begin so, each with its rule in every block that has it."""
+    found: dict[str, list[dict[str, Any]]] = {}
+    for name, child in _within(rules, whole):
+        if name.startswith(begin):
+            found.setdefault(name, []).append(child)
+    return found
+
+
+def _within(rules: Iterable[dict[str, Any]], whole: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
+    for rule in rules:
+        yield from _children(rule, whole)
+
+
+def _schema() -> dict[str, Any]:
+    return json.loads((folder("scenarios") / "scenario.schema.json").read_text(encoding="utf-8"))
+
+
+def _children(rule: dict[str, Any], whole: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """The fields of a block, or of all the kinds that it may be."""
+    if "$ref" in rule:
+        rule = whole["$defs"][rule["$ref"].rpartition("/")[2]]
+    yield from rule.get("properties", {}).items()
+    for choice in rule.get("anyOf", []):
+        yield from _children(choice, whole)

@@ -1,0 +1,153 @@
+"""What `describe` prints: equation, source, fields, use and an example of a kind or a block, in the width of the terminal."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+import textwrap
+import typing
+from collections.abc import Iterator
+from typing import Any, Literal
+
+from rich.console import Console
+from rich.padding import Padding
+from rich.table import Table
+from rich.text import Text
+
+from vstestbed.core.docstrings import DIMENSIONLESS, class_text, unit_in, without_unit
+from vstestbed.core.spec import OneOf, blocks_in, needed_fields
+from vstestbed.scenario.bundled_uses import bundled_uses
+from vstestbed.scenario.catalogue import Entry
+from vstestbed.scenario.described import default_of, example_block
+from vstestbed.scenario.dump import block_text, flow_text
+
+SET_LINE = 100
+"""A line of a docstring that is shorter ends where its writer wanted it to end, as a line of an equation does [characters]."""
+_ITEM = re.compile(r"\S+  ")
+"""The first word of a line in a list, after which the rest of it is set off."""
+
+
+def describe_entry(entry: Entry, entries: dict[str, Entry], console: Console) -> None:
+    """Print all that is known of an entry; `entries`: the whole catalogue, for the names of the blocks in it."""
+    console.print(Text(entry.name, style="bold"))
+    if entry.cls is None:
+        assert entry.room is not None  # an entry has a class, or is a room
+        _kinds(entry.room, console)
+        return
+    words = class_text(entry.cls)
+    for paragraph in filter(None, [words.summary, *words.text.split("\n\n"), *(f"Source: {source}" for source in words.sources)]):
+        console.print()
+        for line in _lines(paragraph):
+            _wrapped(line, console)
+    console.print()
+    names = {e.cls: e.name for e in reversed(entries.values()) if e.cls is not None}
+    console.print(_fields(entry.cls, names))
+    _use(entry, console)
+
+
+def _kinds(room: OneOf, console: Console) -> None:
+    table = _table("kind", "what it is")
+    for kind, cls in room.members.items():
+        table.add_row(Text(kind, style="cyan"), Text(class_text(cls).summary))
+    console.print(table)
+    console.print()
+    _wrapped(f"vstestbed describe {room.what}.{next(iter(room.members))} shows one of them.", console)
+
+
+def _lines(paragraph: str) -> Iterator[str]:
+    """The lines of a paragraph as they are to be wrapped: those that a docstring's width has ended are joined."""
+    whole = ""
+    for line in paragraph.splitlines():
+        if whole and _ITEM.match(line):
+            yield whole
+            whole = ""
+        whole = f"{whole} {line}" if whole else line
+        if len(line) < SET_LINE:
+            yield whole
+            whole = ""
+    if whole:
+        yield whole
+
+
+def _wrapped(line: str, console: Console) -> None:
+    indent = "  " if "  " in line or line.startswith(("Source:", "Used in:")) else ""
+    for part in textwrap.wrap(line, console.width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False):
+        console.print(Text(part), soft_wrap=True)
+
+
+def _table(*columns: str) -> Table:
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="bold")
+    for column in columns:
+        table.add_column(column, overflow="fold")
+    table.columns[0].no_wrap = True
+    return table
+
+
+def _fields(cls: type, names: dict[type, str]) -> Table:
+    """One row a field: name, default, unit, and its sentence with the words that it may be and the name of its block."""
+    table, hints = _table("field", "default", "unit", "what it is"), typing.get_type_hints(cls, include_extras=True)
+    table.columns[1].max_width, table.columns[2].max_width = 16, 14
+    table.columns[3].ratio = 1
+    required = needed_fields(cls)
+    for name, field in class_text(cls).fields.items():
+        if name == "kind":
+            continue
+        default = Text("required", style="yellow") if name in required else Text(_default(cls, name, hints[name]))
+        unit = field.unit or unit_in(field.description)  # of a block that a number may stand for, its sentence has the unit
+        words = Text(without_unit(field.description))
+        choices = [str(word) for word in _words(hints[name])]
+        if not all(word in field.description for word in choices):
+            words.append(f" One of {', '.join(choices)}.")
+        if inner := _inner(hints[name], names):
+            words.append(f" See {inner}.", style="dim")
+        table.add_row(Text(name, style="cyan"), default, Text(unit if unit != DIMENSIONLESS else ""), words)
+    return table
+
+
+def _default(cls: type, name: str, hint: Any) -> str:
+    """A default in few characters: of a block its kind, or the number that is a shorthand for it."""
+    value = default_of(next(f for f in dataclasses.fields(cls) if f.name == name))
+    if not isinstance(value, dict):
+        return "none" if value is None else flow_text(value)
+    for room, _ in blocks_in(hint):
+        if room is not None:
+            kind, field = room.number or ("", "")
+            return flow_text(value[field]) if value["kind"] == kind else value["kind"]
+    return ""
+
+
+def _words(hint: Any) -> Iterator[Any]:
+    """The words of a Literal; none for other fields."""
+    if hasattr(hint, "__metadata__"):
+        yield from _words(hint.__origin__)
+    elif typing.get_origin(hint) is Literal:
+        yield from typing.get_args(hint)
+
+
+def _inner(hint: Any, names: dict[type, str]) -> str:
+    """The entry of the block that a field holds: of its kinds, or of its class."""
+    for room, inner in blocks_in(hint):
+        return room.what if room is not None else names[inner]
+    return ""
+
+
+def _use(entry: Entry, console: Console) -> None:
+    """Which bundled files use it, and an example."""
+    cls = typing.cast(type, entry.cls)
+    uses = bundled_uses()
+    files = uses.files.get(cls, [])
+    console.print()
+    key, block = uses.blocks.get(cls, (entry.field, None))
+    if files:
+        _wrapped(f"Used in: {', '.join(files)}", console)
+        console.print()
+    title = f"Example, from {files[0]}:" if files else "Example:"
+    if key == "scenario":
+        _wrapped("Example: vstestbed list scenarios has them all.", console)
+        return
+    shown = example_block(cls, uses) if block is None else block
+    while key.endswith("[]"):
+        key, shown = key[:-2], [shown]
+    console.print(title)
+    text = block_text({key: shown}, console.width - 6) if isinstance(shown, dict | list) else f"{key}: {flow_text(shown)}"
+    console.print(Padding(Text(text, style="green"), (0, 0, 0, 2)), soft_wrap=True)

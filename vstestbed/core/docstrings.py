@@ -1,0 +1,150 @@
+"""What the docstring of a class says: its sections, and the sentence and unit of each field.
+
+The docstrings are the one source of the descriptions in the JSON Schema and of `describe`. A field's line is
+`name: words [unit]; e.g. `example`.`, where the example is needed of a field that has no default and that no bundled file sets. One
+line may serve several fields, `width, height: picture size [px].`, with a unit each, `a_m, b_deg: ... [m, deg].`
+Griffe reads the sections; it is imported only when somebody asks.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import inspect
+import re
+import typing
+from collections.abc import Iterator
+from dataclasses import dataclass
+from types import UnionType
+from typing import Any, Literal
+
+from vstestbed.core.quantity import Within
+
+DIMENSIONLESS = "1"
+_UNIT = re.compile(r" \[([^\[\]]{1,40})\]")
+_SYMBOL = r"(?:1|rad|deg|m|s|Hz|px|kg|N|Nm|W|V|A|K|%|grey levels)(?:\^[234])?"
+_IS_UNIT = re.compile(rf"{_SYMBOL}(?:[ /]{_SYMBOL})*(?: per [a-z_ ]+)?|unit (?:of|as in) .+")
+_EXAMPLE = re.compile(r"; e\.g\. `([^`]+)`(?=\.$)")
+_SOURCE = re.compile(r"References?: ")
+
+
+@dataclass(frozen=True)
+class FieldText:
+    """What is known of a field in words.
+
+    Attributes:
+        description: its sentence; "" where the docstring has none. unit: "1" for a pure number; "" for what is no number, and where
+            neither the type nor the docstring tells. example: YAML of a value; "" where the docstring has none.
+    """
+
+    description: str
+    unit: str
+    example: str = ""
+
+
+@dataclass(frozen=True)
+class ClassText:
+    """A docstring in parts.
+
+    Attributes:
+        summary: its first paragraph, on one line. text: what follows up to the fields. sources: references, one a line.
+        fields: the text of each field.
+    """
+
+    summary: str
+    text: str
+    sources: tuple[str, ...]
+    fields: dict[str, FieldText]
+
+
+@functools.cache
+def class_text(cls: type) -> ClassText:
+    """The docstring of a dataclass in parts; inherited fields have the text of the class that brings them."""
+    summary, *rest = [p for text in _sections(cls)[0] for p in text.split("\n\n")] or [""]
+    sources = tuple(" ".join(_SOURCE.sub("", p).split()) for p in rest if _SOURCE.match(p))
+    text = "\n\n".join(p for p in rest if not _SOURCE.match(p) and not p.startswith("Raises ("))
+    return ClassText(" ".join(summary.split()), text, sources, _field_texts(cls))
+
+
+def _field_texts(cls: type) -> dict[str, FieldText]:
+    hints = typing.get_type_hints(cls, include_extras=True)
+    words: dict[str, FieldText] = {}
+    for base in reversed(cls.__mro__):
+        words |= dict(_field_lines(_sections(base)[1]))
+    own = {f.name: words.get(f.name, FieldText("", "")) for f in dataclasses.fields(cls) if f.init}
+    return {name: dataclasses.replace(text, unit=_unit_of(hints[name], text.unit)) for name, text in own.items()}
+
+
+@functools.cache
+def _sections(cls: type) -> tuple[tuple[str, ...], tuple[tuple[str, str], ...]]:
+    """The texts of a class's own docstring, and the names and words of its `Args:`."""
+    from griffe import Docstring, DocstringSectionParameters, DocstringSectionText  # here: only `schema` and `describe` read docstrings
+
+    own = cls.__dict__.get("__doc__")
+    if not own or cls is object or own.startswith(f"{cls.__name__}("):  # dataclasses write a signature where there is none
+        return (), ()
+    texts, lines = [], []
+    for section in Docstring(inspect.cleandoc(own)).parse("google", warnings=False):
+        if isinstance(section, DocstringSectionText):
+            texts.append(section.value)
+        elif isinstance(section, DocstringSectionParameters):
+            lines += [(p.name, " ".join(p.description.split())) for p in section.value]
+    return tuple(texts), tuple(lines)
+
+
+def _field_lines(lines: tuple[tuple[str, str], ...]) -> Iterator[tuple[str, FieldText]]:
+    """Name of each field with its words, and the unit and the example in them."""
+    for names, text in lines:
+        example, words = _EXAMPLE.search(text), _EXAMPLE.sub("", text)
+        each = [name.strip() for name in names.split(",")]
+        units = unit_in(words).split(", ")
+        for i, name in enumerate(each):
+            unit = units[i] if len(units) == len(each) else units[0] if len(units) == 1 else ""
+            yield name, FieldText(words, unit, example[1] if example else "")
+
+
+def unit_in(words: str) -> str:
+    """The unit in brackets of a field's sentence, the last one where there are several; "" where there is none."""
+    found = [text.partition(";")[0] for text in _UNIT.findall(words)]
+    return next((text for text in reversed(found) if all(_IS_UNIT.fullmatch(part) for part in text.split(", "))), "")
+
+
+def without_unit(words: str) -> str:
+    """A field's sentence without the unit in it, for a table that has a column for it."""
+    return words.replace(f" [{unit_in(words)}]", "")
+
+
+def _unit_of(hint: Any, written: str) -> str:
+    """The unit of a field: as written, which can be the finer (px^2 in a type of px), else of its type."""
+    numbers = list(_numbers(hint))
+    if not numbers:
+        return ""
+    typed = next((within.unit for within in numbers if within is not None and within.unit), "")
+    # A whole number counts something, unless its sentence has a unit.
+    whole = all(base is int or isinstance(base, int) for base in _bases(hint))
+    return written or typed or (DIMENSIONLESS if whole else "")
+
+
+def _bases(hint: Any) -> Iterator[Any]:
+    """The types of numbers in a hint: float, int, or the words of a Literal that are numbers."""
+    if hasattr(hint, "__metadata__"):
+        yield from _bases(hint.__origin__)
+    elif typing.get_origin(hint) is Literal:
+        yield from (word for word in typing.get_args(hint) if isinstance(word, int | float) and not isinstance(word, bool))
+    elif typing.get_origin(hint) in (typing.Union, UnionType, tuple):
+        for inner in typing.get_args(hint):
+            yield from _bases(inner)
+    elif hint in (int, float):
+        yield hint
+
+
+def _numbers(hint: Any, within: Within | None = None) -> Iterator[Within | None]:
+    """Of each number in a hint the quantity that it is; None where it is none."""
+    if hasattr(hint, "__metadata__"):
+        own = next((m for m in hint.__metadata__ if isinstance(m, Within)), within)
+        yield from _numbers(hint.__origin__, own)
+    elif typing.get_origin(hint) in (typing.Union, UnionType, tuple):
+        for inner in typing.get_args(hint):
+            yield from _numbers(inner, within)
+    else:
+        yield from (within for _ in _bases(hint))

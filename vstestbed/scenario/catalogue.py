@@ -1,0 +1,92 @@
+"""Every block of a scenario by the word that people have for it: `pbvs`, `law.pbvs`, `stop`, `law.solve`, `law` for all its kinds."""
+
+from __future__ import annotations
+
+import dataclasses
+import typing
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from vstestbed.core.errors import ParameterError, nearest
+from vstestbed.core.spec import OneOf, blocks_in, is_list, kind_of
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A block, or a list of kinds.
+
+    Attributes:
+        name: its full name. cls: its class; None for a list of kinds. room: the list of kinds that it is, or to which its kind belongs.
+        field: the field that holds it, `NAME[]` where it is one of a list.
+    """
+
+    name: str
+    cls: type | None
+    room: OneOf | None
+    field: str
+
+
+def catalogue(**roots: type) -> dict[str, Entry]:
+    """All entries by their full names, from the outside in.
+
+    Args:
+        roots: the blocks that are files of their own, by name; the fields of `scenario` go without that name.
+    """
+    found = {name: Entry(name, cls, None, name) for name, cls in roots.items()}
+    waiting = deque(("" if name == "scenario" else name, cls) for name, cls in roots.items())
+    while waiting:
+        owner, cls = waiting.popleft()
+        for field, listed, room, inner in _blocks_of(cls):
+            place = f"{field}[]" if listed else field
+            if room is None:
+                name = _field_name(owner, field, cls, inner, found)
+            else:
+                name = f"{room.what}.{kind_of(inner)}"
+                found.setdefault(room.what, Entry(room.what, None, room, place))
+            if name not in found:
+                found[name] = Entry(name, inner, room, place)
+                waiting.append((name if room is None else room.what, inner))
+    return found
+
+
+def _blocks_of(cls: type) -> Iterator[tuple[str, bool, OneOf | None, type]]:
+    """Field, whether it is a list, room and class of each block that a block may hold."""
+    hints = typing.get_type_hints(cls, include_extras=True)
+    for field in dataclasses.fields(cls):
+        if field.init:
+            hint = hints[field.name]
+            yield from ((field.name, is_list(hint), room, inner) for room, inner in blocks_in(hint))
+
+
+def _field_name(owner: str, field: str, cls: type, inner: type, found: dict[str, Entry]) -> str:
+    """The name of a block in a field: `stop.converged`; `quadrotor.start` where `robot.start` is the block of another kind."""
+    name = f"{owner}.{field}".removeprefix(".")
+    if name not in found or found[name].cls is inner:
+        return name
+    return f"{kind_of(cls)}.{field}" if hasattr(cls, "kind") else f"{name}.{inner.__name__}"
+
+
+def entry_of(word: str, entries: dict[str, Entry]) -> Entry:
+    """The entry of a full name, or of its last part where that is the name of one thing.
+
+    Raises:
+        ParameterError: there is none, or there are several: it has their full names.
+    """
+    if word in entries:
+        return entries[word]
+    same = [entry for name, entry in entries.items() if name.rpartition(".")[2] == word]
+    things = list({entry.cls: entry for entry in reversed(same)}.values())
+    if len(things) == 1:
+        return things[0]
+    if things:
+        names = sorted(entry.name for entry in things)
+        raise ParameterError(word, f"is {', '.join(names[:-1])} and {names[-1]}; give one of these names")
+    raise ParameterError(word, f"is no kind and no block of a scenario; {_hint(word, entries)}")
+
+
+def _hint(word: str, entries: dict[str, Entry]) -> str:
+    """The nearest name, or where to begin: a list of all names would fill a screen."""
+    hint = nearest(word, {name.rpartition(".")[2] for name in entries} | set(entries))
+    rooms = sorted(entry.name for entry in entries.values() if entry.cls is None)
+    return hint if hint.startswith("did you mean") else f"there are scenario, comparison, {', '.join(rooms)}"
