@@ -98,7 +98,9 @@ def moving(name: str, folder: Path) -> bytes:
         shown = film.streams.video[0]
         every = max(1, round(float(shown.average_rate or MOVING_HZ) / MOVING_HZ))
         size = MOVING_WIDTH, MOVING_WIDTH * shown.height // shown.width
-        images = [frame.to_image(width=size[0], height=size[1], interpolation="AREA") for frame in islice(film.decode(shown), 0, None, every)]
+        images = [
+            frame.to_image(width=size[0], height=size[1], interpolation="AREA") for frame in islice(film.decode(shown), 0, None, every)
+        ]
         duration_ms = round(1000 * every / float(shown.average_rate or MOVING_HZ))
     file = io.BytesIO()
     settings = {"duration": duration_ms, "loop": 0, "quality": MOVING_QUALITY, "method": 4}

@@ -1,7 +1,7 @@
 """A page from its source: Jinja templates in `sources/`, laid out as the pages are, with the results of commands in them.
 
-    {{ run("arm_ibvs").time_to_converge_s | n(1) }} s
-    {% set rows = command("compare arm_laws") %} {{ rows | where(scenario="arm_pbvs") | reached }}
+{{ run("arm_ibvs").time_to_converge_s | n(1) }} s
+{% set rows = command("compare arm_laws") %} {{ rows | where(scenario="arm_pbvs") | reached }}
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from ruamel.yaml import YAML
 import vstestbed as vs
 from tests.pages.kept import Kept, Row
 from vstestbed.core.assets import bundled_comparisons, bundled_scenarios
-from vstestbed.report.comparison.tasks import AMOUNT, cells, markdown
 from vstestbed.report.comparison.statistics import paired_difference, spread, success_rate
+from vstestbed.report.comparison.tasks import AMOUNT, cells, markdown
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 SOURCES = Path(__file__).parent / "sources"
