@@ -73,7 +73,8 @@ def test_commands_of_a_page_parse_and_their_scenarios_exist(page: Path) -> None:
 
 def test_short_commands_of_the_pages_do_what_they_say(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    found = {tuple(words) for page in PAGES for words in commands((REPOSITORY / page).read_text(encoding="utf-8")) if words[0] in SHORT and not words[-1].endswith(".xml")}
+    given = {tuple(words) for page in PAGES for words in commands((REPOSITORY / page).read_text(encoding="utf-8"))}
+    found = {words for words in given if words[0] in SHORT and not words[-1].endswith((".xml", ".py"))}
     assert found
     for words in sorted(found):
         done = CliRunner().invoke(app, list(words))
