@@ -109,7 +109,7 @@ def test_a_contradiction_is_told_at_the_value_that_brings_it(quick: Path, tmp_pa
 
 @pytest.mark.parametrize(
     ("name", "field", "where"),
-    [("canonical", "law.gain", "canonical.yaml:20:"), ("canonical", "robot.start.nominal.xyz", "tasks.about the axis.each sets")],
+    [("canonical", "law.gain", "canonical.yaml:21:"), ("canonical", "robot.start.nominal.xyz", "tasks.about the axis.each sets")],
 )
 def test_a_setting_that_the_file_writes_over_is_refused(name: str, field: str, where: str):
     with pytest.raises(ScenarioError, match=rf"^--set: {field}: has no effect: .*--vary {field}=VALUE is applied last") as found:
