@@ -76,13 +76,21 @@ class Kept:
             raise KeptError(f"`vstestbed {command}` has no result in {place.parent.name}/: python -m tests.pages")
         sys.stderr.write(f"vstestbed {command}\n")
         FOLDER.mkdir(exist_ok=True)
-        write_whole(place, json.dumps({"command": command, "result": _columns(measured(command))}, indent=0) + "\n")
+        write_whole(place, _text(command, _columns(measured(command))))
         return _rows(json.loads(place.read_text(encoding="utf-8"))["result"])
 
 
 def place_of(command: str) -> Path:
     """The file of a command's result, named after it."""
     return FOLDER / f"{re.sub(r'[^a-z0-9.=-]+', '_', command.lower()).strip('_')[:120]}.json"
+
+
+def _text(command: str, result: Any) -> str:
+    """JSON with a line for each column, so that a change of one is a line of a diff."""
+    if not (isinstance(result, dict) and "columns" in result):
+        return json.dumps({"command": command, "result": result}, indent=1) + "\n"
+    lines = ",\n".join(f"{json.dumps(name)}: {json.dumps(column)}" for name, column in result["columns"].items())
+    return f'{{"command": {json.dumps(command)}, "result": {{"columns": {{\n{lines}\n}}}}}}\n'
 
 
 def _columns(result: Any) -> Any:

@@ -49,4 +49,4 @@ def _rpy_from_largest(R: list[list[float]]) -> Angles:
     # the largest of the four that are the pitch's cosine times a sine or cosine of another angle
     largest, of_angle = max(((xx, math.cos(yaw)), (yx, math.sin(yaw)), (zy, math.sin(roll)), (zz, math.cos(roll))), key=lambda p: abs(p[0]))
     rad = roll, -math.atan(zx * of_angle / largest), yaw
-    return tuple(a * (180 / math.pi) for a in rad)  # pyright: ignore[reportReturnType]
+    return tuple(a * (180 / math.pi) for a in rad)  # pyright: ignore[reportReturnType] - three, as `rad` has
