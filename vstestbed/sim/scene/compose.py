@@ -22,7 +22,7 @@ from vstestbed.core.geometry import FLIP, Array, quaternion_wxyz, transform
 from vstestbed.robots import VEHICLES, Robot
 from vstestbed.sim.lens.cube import drawn_for
 from vstestbed.sim.scene.attach import add_robot, extent_of
-from vstestbed.sim.scene.groups import FACE_VIEWER, GLOW, LENS_GROUP, ROBOT_GROUP, SITE_GROUP, TARGET_GROUP
+from vstestbed.sim.scene.groups import FACE_VIEWER, GLOW, HAND_PLATE, LENS_GROUP, ROBOT_GROUP, SITE_GROUP, TARGET_GROUP
 from vstestbed.sim.scene.model_files import ASSETS
 from vstestbed.sim.scene.overview import frame_drive, frame_flight
 from vstestbed.sim.scene.paint import add_body, add_sheet, add_stripe
@@ -33,8 +33,6 @@ from vstestbed.targets import Pad, Target
 from vstestbed.targets.markers import HALF_THICKNESS_M, Marker
 from vstestbed.vision.detect.tag_print import printed
 
-HAND_PLATE = "hand_plate"
-"""Name of the plate in reserve."""
 HOUSING_M = 0.03
 """Distance of the camera housing's centre behind the lens [m]."""
 POST_RADIUS_M, POST_GREY = 0.012, [0.5, 0.51, 0.53, 1.0]
@@ -90,7 +88,8 @@ def compose(parts: Parts) -> mujoco.MjSpec:
     scene.compiler.degree = False
     for plane in ("floor", "ground"):
         scene.geom(plane).pos = [0, 0, parts.world.floor_z]
-    carried = add_scenery(scene, parts.world)
+    scenery = parts.world.scenery
+    carried = add_scenery(scene, scenery.file, scenery.pose.T, parts.world.floor_z) if scenery else {}
     body, T_body_flange = add_robot(scene, parts.robot, "robot/", parts.world.floor_friction)
     housing = 1.0 if parts.robot.model else FREE_HOUSING
     if parts.target.on_gripper:

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vstestbed.core.geometry import FLIP, Array
-from vstestbed.sim.scene.compose import HAND_PLATE
-from vstestbed.sim.scene.groups import RANGE_GROUP, TARGET_GROUP
+from vstestbed.sim.scene.groups import HAND_PLATE, RANGE_GROUP, TARGET_GROUP
 
 PLAIN_RGBA = (0.5, 0.5, 0.5, 1.0)
 """MuJoCo's default colour of a geom, for which its material's is used."""

@@ -22,7 +22,6 @@ from vstestbed.core.geometry import Array, quaternion_wxyz
 from vstestbed.core.named_files import place_of_file
 from vstestbed.sim.scene.groups import RANGE_GROUP
 from vstestbed.sim.scene.model_files import carry_files
-from vstestbed.sim.scene.world import World
 
 PREFIX = "scenery/"
 SAME_HEIGHT_M = 1e-3
@@ -122,12 +121,13 @@ def _name(model: mujoco.MjModel, g: int) -> str:
     return model.geom(g).name or f"number {g + 1} (without a name)"
 
 
-def add_scenery(scene: mujoco.MjSpec, world: World) -> dict[str, bytes]:
-    """Attach the scenery to the scene, if there is any; returns its meshes and textures, for the scene's assets."""
-    if world.scenery is None:
-        return {}
-    path, T = place_of_file(world.scenery.file), world.scenery.pose.T
-    floors = _floors(_checked(str(path), path.stat().st_mtime_ns), T, world.floor_z)
+def add_scenery(scene: mujoco.MjSpec, file: str, T: Array, floor_z: float) -> dict[str, bytes]:
+    """Attach the scenery of a file to the scene, at a pose (4, 4); returns its meshes and textures, for the scene's assets.
+
+    floor_z: height of the scene's own floor [m].
+    """
+    path = place_of_file(file)
+    floors = _floors(_checked(str(path), path.stat().st_mtime_ns), T, floor_z)
     spec = mujoco.MjSpec.from_file(str(path))
     _take_parts(spec, floors)
     if floors:

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from vstestbed.core.geometry import Array, inverse, quaternion_wxyz
 from vstestbed.sim.gl_context import Physics
-from vstestbed.sim.scene.compose import HAND_PLATE, Parts, compose
-from vstestbed.sim.scene.groups import LENS_GROUP, RANGE_GROUP
+from vstestbed.sim.scene.compose import Parts, compose
+from vstestbed.sim.scene.groups import HAND_PLATE, LENS_GROUP, RANGE_GROUP
 from vstestbed.sim.scene.indices import StateIndices
 from vstestbed.sim.scene.roots import Root
 from vstestbed.sim.scene.world import decoy_path, plate_path
