@@ -48,7 +48,7 @@ def new_folder(scenario: Scenario, out: Path | None) -> Path:
 
 
 def run_into(
-    folder: Path,
+    folder: str | Path,
     scenario: Scenario,
     films: Films = "both",
     watch: Iterable[Watcher] = (),
@@ -60,7 +60,7 @@ def run_into(
     """Run a scenario and leave its folder: scenario, model, log, summary, films, report.
 
     Args:
-        folder: an empty folder (see `new_folder`).
+        folder: an empty folder, which is made if it is not there.
         films: which films to make.
         watch: further watchers, such as a progress bar.
         stage: called with a description of what is being done after the run.
@@ -72,6 +72,7 @@ def run_into(
         EnvironmentLackError: no OpenGL, no codec, no space.
         OutputError: the folder cannot be written, holds a run already, or another process writes into it.
     """
+    folder = make_folder(Path(folder))
     with folders.only_writer(folder):
         if (folder / "scenario.yaml").exists():  # of a process that ended between the check of `new_folder` and this one
             raise OutputError(folder, "holds a run", REMEDY)
