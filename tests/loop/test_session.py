@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 import threading
+import weakref
 from itertools import pairwise
 
 import numpy as np
@@ -196,6 +198,22 @@ class TestMistakes:
         with pytest.raises(ZeroDivisionError):
             session.step()
         assert session.episode.closed and len(session.recording().table) == 1
+
+
+@pytest.mark.parametrize("name", ["ibvs_book", "quadrotor_hover"])
+def test_a_session_that_is_closed_leaves_its_simulation_to_no_garbage_collector(name: str) -> None:
+    # Memory of a model (100 MB with an arm's meshes) is outside Python, whose collector sees no reason to run for it.
+    gc.collect()
+    gc.disable()
+    try:
+        with vs.Session(vs.load(name, SHORT)) as session:
+            turned(session)
+            assert session.episode is not None
+            plant = weakref.ref(session.episode.plant)
+        del session
+        assert plant() is None
+    finally:
+        gc.enable()
 
 
 def test_a_run_that_ends_without_another_picture_gives_the_last_frame_with_its_outcome() -> None:

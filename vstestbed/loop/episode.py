@@ -94,6 +94,7 @@ class Episode:
                 self._note()
             self._log.flush()
         finally:
+            self._frames.close()  # it holds this object: a cycle, in which the model (100 MB with an arm's meshes) waited for the collector
             self.plant.close()
 
     def recording(self) -> Recording:

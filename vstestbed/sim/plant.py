@@ -245,6 +245,7 @@ class MujocoPlant:
 
     def close(self) -> None:
         """Free pictures and physics."""
+        self._loops = []  # methods of this object: a cycle, which would keep the model until the garbage collector runs
         self._stage.close()
 
 
