@@ -349,11 +349,11 @@ def test_a_start_that_cannot_be_drawn_is_a_run_that_crashed(quick: Path, tmp_pat
 
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[str]:
-    """A dask scheduler and two workers, each a process of its own on the loopback, as `dask scheduler` and `dask worker` start them."""
+    """A dask scheduler and a worker, each a process of its own on the loopback, as `dask scheduler` and `dask worker` start them."""
     pytest.importorskip("distributed")
     import distributed
 
-    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as made:
+    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None) as made:
         yield made.scheduler_address.replace("tcp://", "dask://")
 
 
