@@ -89,8 +89,9 @@ def test_links_of_a_page_lead_somewhere(page: Path) -> None:
         if not link.startswith(("http://", "https://")):
             there = (REPOSITORY / page).parent / file if file else REPOSITORY / page
             assert there.exists(), link
-            headings = re.findall(r"^#+ (.*)$", there.read_text(encoding="utf-8"), re.MULTILINE) if place else []
-            assert not place or place in {re.sub(r"[^\w\- ]", "", h.lower()).replace(" ", "-") for h in headings}, link
+            aim = there.read_text(encoding="utf-8") if place else ""
+            headings = {re.sub(r"[^\w\- ]", "", h.lower()).replace(" ", "-") for h in re.findall(r"^#+ (.*)$", aim, re.MULTILINE)}
+            assert not place or place in headings | set(re.findall(r'<a id="([^"]+)">', aim)), link
 
 
 def test_the_readme_is_short() -> None:

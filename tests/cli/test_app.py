@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 from pathlib import Path
 
@@ -159,10 +160,13 @@ class TestRun:
     def test_the_closing_words(self, command, quick: Path) -> None:
         ended = command("run", "quick.yaml", *NO_FILM)
         assert ended.out == ""
-        head, judged, error, time, results = ended.err.splitlines()
+        head, judged, error, path, time, results = ended.err.splitlines()
         assert head == "converged: RMS error under 0.2 px for 0.5 s"
         assert judged.startswith("  judged    by measured pixels: 0.00") and judged.endswith("limit 0.2 px")
         assert error.startswith("  error     0.00")
+        assert re.fullmatch(
+            r"  path      at the goal from \d+\.\d s on; \d+\.\d\d times the straight line; largest retreat \d+\.\d\d m", path
+        )
         assert "simulated in" in time
         assert results == "  results   runs/quick/001 (open report.html)"
 

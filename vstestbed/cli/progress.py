@@ -153,6 +153,7 @@ def summary_text(recording: Recording, folder: Path, filmed: bool) -> str:
         lines.append(f"  judged    {_judged(s)}")
         if s["judged_by"] != "truth":  # where the truth decided, the pose at the end is that of no goal
             lines.append(f"  error     {_error_text(recording)}")
+            lines.append(f"  path      {_path_text(s)}")
     speed = _number(s, "real_time_factor", "times real time", digits=1) + (" with films and log" if filmed else " with its log")
     lines.append(f"  time      {_number(s, 'sim_time_s', 's')} simulated in {_number(s, 'wall_time_s', 's')}: {speed}")
     lines.append(f"  results   {folder} (open report.html)")
@@ -175,6 +176,14 @@ def _error_text(recording: Recording) -> str:
     error = _number(s, "final_error_px", "px in the image", digits=3) if s["final_error_px"] is not None else "target not in sight"
     pose = f"{_number(s, 'final_position_error_m', 'mm', 1000)} and {_number(s, 'final_rotation_error_deg', 'deg', digits=3)} from the goal"
     return f"{error}; true pose of the {'vehicle' if recording.scenario.robot.base == 'planar' else 'camera'}: {pose}"
+
+
+def _path_text(summary: Mapping[str, Any]) -> str:
+    """When the goal was reached, the path over the straight line, and how far the camera backed off."""
+    since = summary["time_to_converge_s"]
+    reached = "goal not reached" if since is None else f"at the goal from {since:.1f} s on"
+    ratio = "" if summary["path_ratio"] is None else f"; {summary['path_ratio']:.2f} times the straight line"
+    return f"{reached}{ratio}; largest retreat {_number(summary, 'max_retreat_m', 'm')}"
 
 
 def _number(summary: Mapping[str, Any], name: str, unit: str, factor: float = 1.0, digits: int = 2) -> str:

@@ -29,6 +29,8 @@ def test_every_combination_from_every_seed_seed_by_seed(quick: Path):
     ]
     assert found[3].scenario.law.gain.value == 2.0
     assert found[3].scenario.camera.latency_s == 0.1
+    inner_first = controllers(of(quick, law__gain=(0.75,), law=("ibvs", "pbvs")))  # the block is set first all the same
+    assert [(c.scenario.law.kind, c.scenario.law.gain.value) for c in inner_first] == [("ibvs", 0.75), ("pbvs", 0.75)]
     made = jobs(controllers(of(quick, seeds=3, law__gain=(1.0, 2.0))), 3)
     assert [(j.seed, j.controller.values["law.gain"]) for j in made] == [(0, 1.0), (0, 2.0), (1, 1.0), (1, 2.0), (2, 1.0), (2, 2.0)]
     assert made[-1].folder == "runs/quick/law.gain=2.0/2"
@@ -69,6 +71,7 @@ def test_names_that_folders_cannot_have_and_values_that_look_alike(quick: Path):
         ("axes.law.gain must be a list of different values", {"axes": {"law.gain": (1, 1)}}),
         ("axes.law.gain must be a list of different values", {"axes": {"law.gain": (3, 3.0)}}),
         ("axes.law.gain must be a list of different values", {"axes": {"law.gain": ()}}),
+        ("axes.law replaces the whole block, so that law.gain of", {"axes": {"law": ("ibvs", "pbvs")}, "set": {"law.gain": 1}}),
         ("axes.law.gain is also in `set`", {"axes": {"law.gain": (1, 2)}, "set": {"law.gain": 1}}),
         ("metrics must be figures of summary.json: .*got 'speed'", {"metrics": ("speed",)}),
     ],

@@ -40,7 +40,8 @@ class Comparison:
         set: values by dotted path, for all scenarios.
         cases: named settings of several fields at once: `law: {points: {law: {kind: ibvs}}, pose: {law: {kind: pbvs}}}` is an
             axis `law` with the values `points` and `pose`. They are applied after `set`, in their order.
-        axes: lists of values (or of whole blocks) by dotted path; every combination is run. They are applied last.
+        axes: lists of values (or of whole blocks) by dotted path; every combination is run. They are applied last, and a
+            block before the fields within it.
         tasks: start tables by name, in place of seeds.
         seeds: number of seeds; seed i draws the start, the noise and the delays of run i, the same for every controller.
             None: the nominal start, once.
@@ -80,6 +81,9 @@ class Comparison:
                 raise ParameterError(f"axes.{path}", "must be a list of different values", list(values))
             if path in self.set:
                 raise ParameterError(f"axes.{path}", "is also in `set`; leave one of the two out")
+            for inner in (own for own in self.set if own.startswith(f"{path}.")):
+                words = f"replaces the whole block, so that {inner} of `set` has no effect; vary {inner} as well (one value will do)"
+                raise ParameterError(f"axes.{path}", words)
 
     @property
     def varied(self) -> tuple[str, ...]:

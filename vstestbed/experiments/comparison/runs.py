@@ -137,7 +137,8 @@ class Variants(Lazy[Variant]):
         variant = ",".join(f"{path}={word}" for path, word in zip(values, words, strict=True)) or AS_IT_IS
         variants = math.prod(self._sizes[1:])
         place = f"runs/{self._bases[base]}/{among(i % variants, variants, variant)}"
-        return _controller(c, base, merged(*blocks, axes), values, place, task)
+        outer_first = dict(sorted(axes.items(), key=lambda axis: axis[0].count(".")))  # a whole block would overwrite its fields
+        return _controller(c, base, merged(*blocks, outer_first), values, place, task)
 
     def _places(self, i: int) -> list[int]:
         """The place of controller i on each axis."""

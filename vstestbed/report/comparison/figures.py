@@ -214,7 +214,8 @@ def metric_panels(data: Data, width_in: float, panel_in: float, columns: int, na
         axes.set_xlabel(wrapped(metric.label, 18))
         axes.grid(axis="y", visible=False)
         axes.tick_params(axis="y", length=0)
-        axes.locator_params(axis="x", nbins=3)
+        axes.locator_params(axis="x", nbins=2)
+        axes.xaxis.set_major_formatter("{x:g}")  # 0, not 0.0000: numbers of many digits would overlap
     return grid, figure
 
 
