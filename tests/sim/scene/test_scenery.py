@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 import vstestbed as vs
-from vstestbed.core.errors import ScenarioError
+from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.scenario.load import for_another_folder
 from vstestbed.sim.build import scene_files
 from vstestbed.sim.render.opengl import OpenGLRenderer
@@ -21,6 +21,8 @@ from vstestbed.sim.scene.stage import Stage
 
 WORKSHOP = Path(__file__).parents[3] / "scenarios" / "scenery" / "workshop.xml"
 WALL = '<geom name="wall" type="box" size=".02 2 2" pos="1.3 0 1"/>'
+BOARD = '<geom name="board" type="box" size=".005 .06 .06" pos=".7 -.14 .66" contype="0" conaffinity="0"/>'
+"""Near the camera's start: from there it is before all markers, from the goal view beside them."""
 
 
 def mjcf(tmp_path: Path, inside: str, rest: str = "") -> Path:
@@ -65,7 +67,7 @@ def test_its_floor_its_lights_and_its_sky_take_the_place_of_the_scenes():
 
 def test_the_options_of_the_file_do_not_count(tmp_path: Path, recwarn: pytest.WarningsRecorder):
     rest = '<option timestep=".01" gravity="0 0 -1" integrator="RK4"/><statistic extent="9"/><keyframe><key name="k"/></keyframe>'
-    stage = stage_of(mjcf(tmp_path, WALL + '<camera name="mine"/>', rest))
+    stage = stage_of(mjcf(tmp_path, '<geom size=".1" pos="0 3 1"/><camera name="mine"/>', rest))
     model = stage.model
     stage.close()
     assert (model.opt.timestep, model.opt.gravity[2], model.stat.extent) == (0.002, -9.81, 2)
@@ -74,15 +76,37 @@ def test_the_options_of_the_file_do_not_count(tmp_path: Path, recwarn: pytest.Wa
 
 
 def test_a_wall_before_the_target_hides_it_from_pictures_and_from_the_oracle(tmp_path: Path):
-    wall = str(mjcf(tmp_path, WALL))
     for detector in ("blobs", "oracle"):
-        changes = {"world.scenery": wall, "detector": {"kind": detector}, "stop.duration_s": 3.0}
+        changes = {"world.scenery": str(mjcf(tmp_path, BOARD)), "detector": {"kind": detector}, "stop.duration_s": 3.0}
         run = vs.run(vs.load("arm_ibvs", changes))
         assert run.outcome.name == "target_lost", detector
+    wall = str(mjcf(tmp_path, WALL))
     free = vs.load("ibvs_book")
     distance = float(np.linalg.norm(free.robot.flange_pose(free.robot.configuration())[:3, 3] - free.target.T_world_start[:3, 3]))
     behind = vs.load("ibvs_book", {"world.scenery": {"file": wall, "pose": {"xyz": [200, 0, 0]}}, "stop.duration_s": 0.2})
     assert distance < 100 and vs.run(behind).outcome.name != "target_lost"  # far away it hides nothing
+
+
+def test_a_goal_view_and_random_starts_that_it_hides_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    wall, oracle = {"world.scenery": str(mjcf(tmp_path, WALL))}, {"detector": "oracle"}
+    words = r"goal.T_camera_target: is a view in which markers 0, 1, 2, 3 are hidden by the scenery \(geom wall\); move the goal, or"
+    for changes in (wall, wall | oracle):
+        with pytest.raises(ScenarioError, match=words):
+            vs.load("arm_ibvs", changes)
+    vs.load("arm_ibvs", wall | {"detector": {"kind": "oracle", "field_of_view": "unlimited"}})  # it sees through walls
+    shelf = '<body name="shelf" pos="1.3 -.22 .92"><geom type="box" size=".02 .05 .05"/></body>'
+    one = {"world.scenery": str(mjcf(tmp_path, shelf))}
+    with pytest.raises(ScenarioError, match=r"marker 0 is hidden by the scenery \(geom number 1 of the body shelf \(without a name\)\)"):
+        vs.load("arm_ibvs", one)
+    vs.load("arm_ibvs", one | {"goal.markers": [1, 2, 3]})
+    vs.load("arm_ibvs", one | {"world.scenery": {"file": one["world.scenery"], "pose": {"xyz": [1, 0, 0]}}})  # behind the target
+    held = {"world.scenery": str(mjcf(tmp_path, '<geom name="pane" type="box" size=".005 .3 .3" pos="1.2 -.1 .7"/>'))}
+    with pytest.raises(ScenarioError, match="geom pane"):
+        vs.load("arm_eye_to_hand", held)
+    monkeypatch.setattr("vstestbed.scenario.scenario.TRIES", 20)
+    near = vs.load("arm_ibvs", {"world.scenery": str(mjcf(tmp_path, BOARD)), "robot.start.random.q_deg": 1})
+    with pytest.raises(ParameterError, match="gave no start in 20 draws"):
+        near.randomised(1)
 
 
 def test_to_touch_it_ends_the_run_with_its_name(tmp_path: Path):

@@ -111,6 +111,7 @@ def _top(model: mujoco.MjModel, g: int, T: Array) -> float | None:
     return float(at[2] + model.geom_size[g, axis])
 
 
+@functools.lru_cache(maxsize=8)
 def _placed(model: mujoco.MjModel) -> mujoco.MjData:
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -118,7 +119,25 @@ def _placed(model: mujoco.MjModel) -> mujoco.MjData:
 
 
 def _name(model: mujoco.MjModel, g: int) -> str:
-    return model.geom(g).name or f"number {g + 1} (without a name)"
+    body = model.body(model.geom_bodyid[g]).name
+    owner = f" of the body {body}" if model.geom_bodyid[g] and body else ""
+    return model.geom(g).name or f"number {g + 1}{owner} (without a name)"
+
+
+def parts_before(file: str, T_scenery_camera: Array, p_camera: Array, slack: float) -> tuple[str, ...]:
+    """Which geom of a file hides each of points p_camera (N, 3) from a camera at a pose (4, 4) in the scenery's frame; "" for none.
+
+    A ray from the camera hits it more than `slack` [m] before the point. Groups from 3 on are not drawn, and hide nothing.
+    """
+    path = place_of_file(file)
+    model = _checked(str(path), path.stat().st_mtime_ns)
+    data, drawn, hit = _placed(model), np.array([1, 1, 1, 0, 0, 0], np.uint8), np.zeros(1, np.int32)
+    eye, names = np.ascontiguousarray(T_scenery_camera[:3, 3]), []
+    for way in p_camera @ T_scenery_camera[:3, :3].T:
+        reach = float(np.linalg.norm(way))
+        distance = mujoco.mj_ray(model, data, eye, np.ascontiguousarray(way / max(reach, 1e-9)), drawn, 1, -1, hit)
+        names.append(f"geom {_name(model, int(hit[0]))}" if 0 <= distance < reach - slack else "")
+    return tuple(names)
 
 
 def add_scenery(scene: mujoco.MjSpec, file: str, T: Array, floor_z: float) -> dict[str, bytes]:
