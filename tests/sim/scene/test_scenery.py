@@ -160,7 +160,27 @@ def test_doctor_says_what_becomes_of_it():
     lines = {what: found for what, works, found, _ in examine_model(str(WORKSHOP)) if works}
     assert lines["scenery"] == "23 geoms, 22 of which can be touched; 0 meshes, 4 textures"
     assert "in place of the scene's key light" in lines["lights"]
-    assert lines["scenario"].startswith("world: {scenery: ")
+    assert lines["scenario"].startswith("world: {scenery: ") and "colours" not in lines
+
+
+def test_colours_that_a_detector_takes_for_markers_are_told(tmp_path: Path, caplog: pytest.LogCaptureFixture):
+    cloth = '<texture name="c" type="2d" builtin="checker" rgb1=".5 .5 .5" rgb2=".5 .5 .8" width="8" height="8"/>'
+    sky = '<texture name="s" type="skybox" builtin="gradient" rgb1=".6 .6 .8" rgb2=".5 .5 .5" width="8" height="48"/>'
+    paints = f'<asset>{cloth}{sky}<material name="c" texture="c"/><material name="grey" rgba=".5 .5 .6 1"/></asset>'
+    parts = (
+        '<geom name="red" type="box" size=".1 .1 .1" pos="3 0 1" rgba=".9 .1 .1 1" material="grey"/>',  # its own colour counts
+        '<geom name="grey" type="box" size=".1 .1 .1" pos="3 1 1" material="grey"/>',
+        '<geom name="cloth" type="box" size=".1 .1 .1" pos="3 2 1" material="c"/>',
+        '<geom name="bump" type="box" size=".1 .1 .1" pos="3 3 1" rgba="1 0 0 1" group="3"/>',  # not drawn
+    )
+    file = str(mjcf(tmp_path, "\n".join(parts), paints))
+    found = "geom red, geom cloth, the skybox in my_scene.xml have saturated colours (max - min of r, g, b up to 0.8), which detector"
+    assert f"{found} blobs may take for markers; keep max - min under 0.18" in dict(line[::2] for line in examine_model(file))["colours"]
+    for detector in ({"kind": "oracle"}, {"kind": "blobs"}, {"kind": "blobs"}, {"kind": "blobs", "chroma": 120}):
+        vs.run(vs.load("arm_ibvs", {"world.scenery": file, "detector": detector, "stop.duration_s": 0.04}))
+    told = [record.getMessage() for record in caplog.records]
+    assert len(told) == 2 and told[0].startswith(f"world.scenery: {found} blobs")  # once
+    assert told[1].startswith("world.scenery: geom red in my_scene.xml has a saturated colour")
 
 
 @pytest.mark.parametrize(
