@@ -210,7 +210,7 @@ def _saturated(path: Path, chroma: int, who: str) -> str:
 
 
 def _saturations(model: mujoco.MjModel) -> Iterator[tuple[str, float]]:
-    """max - min of r, g, b (0 to 1) of each geom that is drawn, with its texture, and of the sky."""
+    """Largest less smallest of r, g, b (0 to 1) of each geom that is drawn, with its texture, and of the sky."""
     colours = own_colours(model)
     for g in np.flatnonzero((model.geom_group <= 2) & (colours[:, 3] > 0)):
         material, rgb = int(model.geom_matid[g]), colours[g, :3]
@@ -221,7 +221,7 @@ def _saturations(model: mujoco.MjModel) -> Iterator[tuple[str, float]]:
 
 
 def _spread(texels: NDArray[np.uint8], rgb: Array) -> float:
-    """max - min of r, g, b of a texture (H, W, 3) on a colour (3,): all but the most saturated thousandth of its pixels have less."""
+    """Largest less smallest of r, g, b of a texture (H, W, 3) on a colour (3,), which all but a thousandth of it stay under."""
     return float(np.quantile(np.ptp(texels / 255 * rgb, axis=-1), 0.999))
 
 
