@@ -24,6 +24,7 @@ from vstestbed.core.geometry import Array, quaternion_wxyz
 from vstestbed.core.named_files import place_of_file
 from vstestbed.sim.scene.groups import RANGE_GROUP
 from vstestbed.sim.scene.meshes import own_colours, texels_of
+from vstestbed.sim.scene.model_errors import cannot_compile
 from vstestbed.sim.scene.model_files import carry_files
 
 PREFIX = "scenery/"
@@ -61,8 +62,7 @@ def _checked(path: str, mtime_ns: int) -> mujoco.MjModel:
         spec = mujoco.MjSpec.from_file(path)
         model = spec.compile()
     except (ValueError, mujoco.FatalError) as error:
-        words = " ".join(str(error).split()).rstrip(".")
-        raise ParameterError("file", f"cannot be compiled by MuJoCo ({words}); works: an MJCF file", path) from None
+        raise cannot_compile(error, Path(path), "an MJCF file") from None
     for what, moving in (("actuator", spec.actuators), ("joint", spec.joints)):
         if moving:
             name, line = moving[0].name or "without a name", _line(moving[0], path)
