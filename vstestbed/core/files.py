@@ -112,7 +112,8 @@ def make_parents(path: Path) -> Path:
     Raises:
         EnvironmentLackError, OutputError: see `writing`.
     """
-    with writing(path):
+    # where a file stands in the place of a folder, what writes there says so
+    with writing(path), contextlib.suppress(FileExistsError, NotADirectoryError):
         path.parent.mkdir(parents=True, exist_ok=True)
     return path
 

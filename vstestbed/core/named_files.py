@@ -66,15 +66,22 @@ def _no_package(name: str, inside: str) -> str:
     except (metadata.PackageNotFoundError, ValueError):
         remedy = f"pip install --no-deps {name}, if that is its name there (only its files are read), or give the file's path"
         return f"names the package {name}, which is not installed; {remedy}"
-    # the outermost folders with an __init__.py: `packages_distributions` names but the namespace of packages that share one
+    package, at = _inside(files, inside)
+    if not package:
+        return f"names the distribution {name}, which is installed and has no such package; give the file's path"
+    dotted = package.replace("/", ".")
+    return f"names the distribution {name}, which is installed, and is imported as {dotted}; write {PACKAGE}{dotted}/{at}"
+
+
+def _inside(files: list[str], inside: str) -> tuple[str, str]:
+    """The folder of the package, of a distribution's files, that holds the end of a path, and the file's place in it; "" for none.
+
+    It is the outermost folder with an __init__.py, since packages of several distributions may share a namespace.
+    """
     packages = sorted((path.removesuffix("/__init__.py") for path in files if path.endswith("/__init__.py")), key=len)
     there = next((path for path in files if path.endswith(f"/{inside}")), "")
     package = next((one for one in packages if not there or there.startswith(f"{one}/")), "")
-    if not package:
-        return f"names the distribution {name}, which is installed and has no such package; give the file's path"
-    at = there.removeprefix(f"{package}/") or "PATH"
-    dotted = package.replace("/", ".")
-    return f"names the distribution {name}, which is installed, and is imported as {dotted}; write {PACKAGE}{dotted}/{at}"
+    return package, there.removeprefix(f"{package}/") or "PATH"
 
 
 def kept_at(source: Path) -> str:
