@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from vstestbed.features.observation import Observation
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.targets.markers import Marker, Tag
 
 NONE_SEEN, FEW_SEEN, NO_PICTURE = "no marker was in sight", "too few markers were in sight", "no picture arrived"
 """Why there is no measurement, where the law itself gives no reason."""
@@ -27,11 +26,4 @@ def never_found(scenario: Scenario) -> str:
     words = f"detector {scenario.detector.kind} has not found one of {n} marker{'s' * (n != 1)} in any picture"
     if target.shows_markers:
         return f"{words}: at the start they may be outside of it, hidden or too small"
-    return f"{words}: the file {target.source.name if target.source else ''} may not show {_looks(target.marker, n)} there"
-
-
-def _looks(marker: Marker, n: int) -> str:
-    """What markers look like."""
-    if isinstance(marker, Tag):
-        return f"tags of family {marker.family}, number {marker.first_id} to {marker.first_id + n - 1}"
-    return f"{marker.kind}s of the markers' colours"
+    return f"{words}: the file {target.source.name if target.source else ''} may not show {target.marker.looks(n)} there"
