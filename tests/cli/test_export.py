@@ -55,6 +55,16 @@ def test_a_run_is_exported_beside_its_folder(command, place):
     assert not list(place.rglob("*.part"))
 
 
+def test_a_file_of_the_folder_stands_for_it_and_the_folders_of_a_new_place_are_made(command, place):
+    for given, to, out in (
+        ("run/log.parquet", "csv", "a/b/c"),
+        ("comparison/comparison.yaml", "csv", "d/e"),
+        ("run", "mcap", "f/g/h.mcap"),
+    ):
+        ended = command("export", place / given, "--to", to, "--out", place / out, "-q")
+        assert ended.code == 0 and (place / out).exists(), ended.err
+
+
 def test_a_comparisons_runs_are_files_or_episodes_in_the_order_of_its_table(command, place):
     runs = [f"runs/arm_ibvs/as_it_is/{seed}" for seed in (0, 1)]
     for to in ("mcap", "lerobot", "csv"):
@@ -93,12 +103,15 @@ def test_what_is_there_is_never_written_over(command, place):
 
 
 def test_bad_input_is_refused_in_a_sentence(command, place):
+    (place / "note.txt").write_text("mine")
     for words, sentence in (
         ((place / "nowhere", "--to", "csv"), "no such folder"),
         ((place, "--to", "csv"), "no run here"),
         ((place / "run", "--to", "csv", "--start", "1"), "--start is for --to mcap"),
         ((place / "run", "--to", "bag"), "'mcap', 'lerobot', 'csv'"),
-        ((place / "run", "--to", "mcap", "--out", place / "no/where.mcap"), "cannot be written"),
+        ((place / "run", "--to", "mcap", "--out", place / "run/log.parquet/no.mcap"), "cannot be written"),
+        ((place / "run/assets.txt", "--to", "csv"), "no such folder"),
+        ((place / "note.txt", "--to", "csv"), "is a file, and not one of a run's or a comparison's folder; give the folder"),
     ):
         ended = command("export", *words)
         assert ended.code == 2 and sentence in ended.err, ended.err

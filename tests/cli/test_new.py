@@ -118,7 +118,6 @@ class TestRefusals:
                 "NAME is the name of an installed module, which pytest would import in its place; take another, such as my_numpy",
             ),
             (("law", "mine", "--out", "random.py"), "--out is the name of an installed module"),
-            (("law", "mine", "--out", "nowhere/mine.py"), "the folder nowhere does not exist"),
             (("law", "mine", "--out", "mine.txt"), "--out must be a Python file"),
             (("low", "mine"), "'law', 'feature', 'robot', 'detector'"),
         ],

@@ -9,8 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from vstestbed.core.errors import EnvironmentLackError, OutputError, RunFolderError
+from vstestbed.core.errors import EnvironmentLackError, OutputError, ParameterError, RunFolderError
 from vstestbed.core.files import PartFile, make_folder, read_file, temporary, write_whole
+from vstestbed.core.named_files import place_of_file
 from vstestbed.experiments.comparison import compare
 from vstestbed.report.video import VideoWriter
 
@@ -134,3 +135,30 @@ def test_a_full_disk_while_the_film_is_written(tmp_path: Path, monkeypatch: pyte
     with pytest.raises(EnvironmentLackError, match="no room for"):
         film(tmp_path / "a.mp4")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_in_a_package_that_is_named_as_its_distribution(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    inside = ["maker/arm_parts/__init__.py", "maker/arm_parts/models/arm.xml"]
+    about = tmp_path / "maker_arm_parts-1.0.dist-info"
+    for name in (*inside, f"{about.name}/METADATA"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text("Metadata-Version: 2.1\nName: maker-arm-parts\nVersion: 1.0\n" if "METADATA" in name else "")
+    (about / "RECORD").write_text("".join(f"{name},,\n" for name in inside))
+    right = "package:maker.arm_parts/models/arm.xml"
+    for wrong in ("package:maker_arm_parts/models/arm.xml", "package:maker-arm-parts/arm.xml"):
+        with pytest.raises(ParameterError, match=f"is installed, and is imported as maker.arm_parts; write {right}, got"):
+            place_of_file(wrong)
+    with pytest.raises(ParameterError, match=r"write package:maker.arm_parts/PATH"):
+        place_of_file("package:maker-arm-parts/leg.xml")
+    assert place_of_file(right) == tmp_path / inside[1]
+    for wrong in ("package:/arm.xml", "package:maker.arm_parts"):
+        with pytest.raises(ParameterError, match="must be package:NAME/path"):
+            place_of_file(wrong)
+    with pytest.raises(ParameterError, match=r"not installed; pip install --no-deps no_maker, if that is its name there"):
+        place_of_file("package:no_maker/arm.xml")
+    (gone := tmp_path / "arm.xml").write_text("")
+    gone.unlink()
+    with pytest.raises(ParameterError) as told:
+        place_of_file(str(gone))
+    assert str(told.value).count(str(gone)) == 1

@@ -60,6 +60,19 @@ def test_a_name_is_in_the_reason_of_a_run_and_chooses_markers():
         vs.load("arm_mesh", {"goal.markers": ["bolt A", "nut", "bolt C"]})
 
 
+def test_markers_that_no_picture_can_show_are_told():
+    bare = {"target.draw_markers": False}
+    words = "target.draw_markers: may not be false with detector blobs: a mesh without markers shows it nothing to detect; use true, or"
+    with pytest.raises(ScenarioError, match=f"{words} detector oracle"):
+        vs.load("arm_mesh", bare)
+    assert vs.load("arm_mesh", bare | {"detector": "oracle"}).detector.kind == "oracle"
+    lost = {"stop.lost_after_s": 0.2, "stop.duration_s": 1.0}
+    r = vs.run(vs.load("arm_picture", lost | {"target.marker.family": "apriltag_25h9", "target.marker.first_id": 3}))
+    words = "the file page.png may not show tags of family apriltag_25h9, number 3 to 6 there) for 0.2 s, from the start on"
+    assert r.outcome is vs.Outcome.target_lost
+    assert f"(detector tags has not found one of 4 markers in any picture: {words}" in r.reason
+
+
 def test_a_goal_view_from_behind_the_part_is_refused():
     behind = {"goal.T_camera_target": {"xyz": [0, 0, 0.8]}}
     words = r"markers 0 \(bolt A\), 1 \(bolt B\), 2 \(bolt C\), 3 \(bolt D\) are hidden by the target itself; move the goal"

@@ -205,7 +205,7 @@ class TestMistakes:
             ('<joint name="shoulder" range="-150 150"/>', "<freejoint/>", "must be hinges and slides"),
             ('<joint name="elbow" range="-140 140"/>', '<joint name="elbow" type="ball"/>', "elbow is a ball joint"),
             ('<joint name="elbow" range="-140 140"/>', '<joint range="-140 140"/>', "must name each joint before tool; joint 2"),
-            ("<worldbody>", "<wordbody>", "cannot be compiled by MuJoCo"),
+            ("<worldbody>", "<wordbody>", "wrong.xml:8: it is not well-formed XML"),
         ],
     )
     def test_of_the_file(self, old: str, new: str, words: str, tmp_path: Path) -> None:
@@ -241,5 +241,5 @@ class TestDoctor:
         assert told.code == 2 and "root is a free joint" in told.out
         (tmp_path / "broken.xml").write_text("<mujoco>\n<wordbody/>\n</mujoco>")
         told = command("doctor", str(tmp_path / "broken.xml"))
-        assert told.code == 2 and "missing  model" in told.out and "line 2" in told.out
+        assert told.code == 2 and "missing  model" in told.out and "broken.xml:2: " in told.out
         assert command("doctor", str(tmp_path / "none.xml")).code == 2

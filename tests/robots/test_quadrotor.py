@@ -13,7 +13,7 @@ from vstestbed.robots.flight_reading import HOLD, ROTORS_OFF, Instruments, desce
 from vstestbed.robots.flight_start import LOWEST_M, FlightBox, FlightPose, FlightStart
 from vstestbed.robots.groundspeed import Filtered, Flow
 from vstestbed.robots.imu import Imu
-from vstestbed.robots.quadrotor import STANDING_M, Quadrotor
+from vstestbed.robots.quadrotor import Quadrotor
 from vstestbed.robots.rotors import X4
 
 DOWN = Mount.of(Pose(xyz=(0.1, 0.0, -0.05), rpy_deg=(180, 0, 90)).T)
@@ -38,7 +38,7 @@ class TestBlock:
 
     def test_a_start_in_the_ground_is_refused(self):
         with pytest.raises(ParameterError, match=r"start\.nominal\.xyz\.2"):
-            Quadrotor(start=FlightStart(nominal=FlightPose(xyz=(0, 0, STANDING_M))))  # on its feet it does not hover
+            Quadrotor(start=FlightStart(nominal=FlightPose(xyz=(0, 0, Quadrotor.standing_m))))  # on its feet it does not hover
 
     def test_random_starts_fill_their_box_and_stay_above_the_ground(self):
         robot = Quadrotor(start=FlightStart(nominal=FlightPose(xyz=(0, 0, 2.0)), random=FlightBox(xyz=(2, 1, 3), yaw_deg=180)))
@@ -208,7 +208,7 @@ class TestDown:
         assert not craft.robot.stands(craft.memory, craft.reading())
         log = craft.fly(descend(0.3), 3.0)
         assert craft.robot.stands(craft.memory, craft.reading())
-        assert log.position[-1, 2] == pytest.approx(STANDING_M, abs=0.002)
+        assert log.position[-1, 2] == pytest.approx(Quadrotor.standing_m, abs=0.002)
         craft.fly(ROTORS_OFF, 0.1)
         log = craft.fly(descend(0.3), 2.0)  # off is off
         # exp(-2 / .117) of hover is left.

@@ -147,6 +147,7 @@ def render(
 ) -> None:
     """Film a recorded run again, from any camera, without simulating."""
     from vstestbed.cli.progress import show_notes
+    from vstestbed.core.files import make_parents
     from vstestbed.core.folders import only_writer
     from vstestbed.loop.log_file import open_log
     from vstestbed.report.video.film import ending_of, film_log
@@ -159,7 +160,7 @@ def render(
     scenario = load(run_dir / "scenario.yaml", plugins=plugin or [])
     log = open_log(run_dir, scenario)
     show_notes(not quiet)
-    path = out or run_dir / f"{camera}.{'gif' if gif else 'mp4'}"
+    path = make_parents(out or run_dir / f"{camera}.{'gif' if gif else 'mp4'}")
     quality, ending = quality_of(scenario, fine), ending_of(run_dir)
 
     def make(path: Path) -> Path | None:

@@ -71,15 +71,29 @@ def export(
     if start is not None and to is not Format.mcap:
         raise ParameterError("--start", "is for --to mcap; the times of other formats begin at 0")
     from vstestbed.cli.progress import FrameBar, show_notes
+    from vstestbed.core.files import make_parents
 
-    found = _found(folder, plugin or [])
+    found = _found(_folder(folder), plugin or [])
     path = out or _beside(found, to)
     _must_be_new(path, found, to)
     show_notes(not quiet)
     with FrameBar(found.frames, shown=not quiet) as bar:
-        _write(found, to, path, start or 0.0, bar.frame)
+        _write(found, to, make_parents(path), start or 0.0, bar.frame)
     if not quiet:
         typer.echo("\n".join([*found.left_out, str(path)]), err=True)
+
+
+def _folder(given: Path) -> Path:
+    """The folder of a run or a comparison that a person names by itself, or by one of its files.
+
+    Raises:
+        RunFolderError: a file of neither.
+    """
+    if not given.is_file():
+        return given
+    if any((given.parent / name).is_file() for name in ("scenario.yaml", "comparison.yaml")):
+        return given.parent
+    raise RunFolderError(given, "is a file, and not one of a run's or a comparison's folder", f"give the folder: {WORKS}")
 
 
 def _must_be_new(path: Path, found: Exported, to: Format) -> None:

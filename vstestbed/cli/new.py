@@ -48,9 +48,9 @@ def new(
     _check_name(kind, name)
     _check_file(path, out)
     text = text_of(kind.value, name, str(path))
-    from vstestbed.core.files import write_whole
+    from vstestbed.core.files import make_parents, write_whole
 
-    write_whole(path, text)
+    write_whole(make_parents(path), text)
     typer.echo(f"{path} runs as it is. Next:")
     for command in commands_of(text):
         typer.echo(f"  {command}")
@@ -95,8 +95,6 @@ def _check_file(path: Path, given: Path | None) -> None:
         raise ParameterError("--out", f"must be a Python file, such as {re.sub(r'[^0-9A-Za-z_]', '_', path.stem) or 'my'}_.py", str(path))
     if path.exists() or path.is_symlink():
         raise OutputError(path, "is there already, and is not written over", "give another name, or --out FILE.py")
-    if not path.parent.is_dir():
-        raise OutputError(path, f"the folder {path.parent} does not exist", "make it, or give another with --out")
     if importlib.util.find_spec(path.stem) is not None:
         words = f"is the name of an installed module, which pytest would import in its place; take another, such as my_{path.stem}"
         raise ParameterError("NAME" if given is None else "--out", words, path.stem)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from vstestbed.cli import complete
-from vstestbed.core.errors import EnvironmentLackError, OutputError, ParameterError
+from vstestbed.core.errors import EnvironmentLackError, ParameterError
 
 if TYPE_CHECKING:
     from vstestbed.scenario.scenario import Scenario
@@ -178,11 +178,10 @@ def optical_flow(
     out: Annotated[Path | None, typer.Option(metavar="FILE", help="A .png, .svg or .pdf. [default: flow_NAME.png]")] = None,
 ) -> None:
     """Draw the optical flow of the six camera motions, in a feature's own coordinates."""
+    from vstestbed.core.files import make_parents
     from vstestbed.report.studies.flow import write_flow
 
-    if out is not None and not out.parent.is_dir():
-        raise OutputError(out, f"the folder {out.parent} does not exist", "make it, or give another with --out")
-    for path in write_flow(feature, depth, out):
+    for path in write_flow(feature, depth, None if out is None else make_parents(out)):
         typer.echo(str(path))
 
 

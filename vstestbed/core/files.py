@@ -106,6 +106,18 @@ def make_folder(folder: Path) -> Path:
     return folder
 
 
+def make_parents(path: Path) -> Path:
+    """Make the folders above a new file or folder that a person names, where they are not there; returns the path.
+
+    Raises:
+        EnvironmentLackError, OutputError: see `writing`.
+    """
+    # where a file stands in the place of a folder, what writes there says so
+    with writing(path), contextlib.suppress(FileExistsError, NotADirectoryError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    return path
+
+
 def read_file(path: Path, works: str) -> bytes:
     """The content of a file of a results folder; `works`: what would work, for the message.
 

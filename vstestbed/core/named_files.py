@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import re
+from importlib import metadata
 from pathlib import Path
 
 from vstestbed.core.errors import ParameterError
@@ -43,17 +44,44 @@ def place_of_file(file: str) -> Path:
     path = Path(file)
     if file.startswith(PACKAGE):
         name, _, inside = file.removeprefix(PACKAGE).partition("/")
+        if not (name and inside):
+            raise ParameterError("file", "must be package:NAME/path, the name by which Python imports the package and a file in it", file)
         try:
             found = importlib.util.find_spec(name)
         except (ImportError, ValueError):  # its parent is not there, or it is no name of a package
             found = None
         if found is None or not found.submodule_search_locations:
-            remedy = f"pip install --no-deps {name} (only its files are read), or give the file's path"
-            raise ParameterError("file", f"names the package {name}, which is not installed; {remedy}", file)
+            raise ParameterError("file", _no_package(name, inside), file)
         path = Path(found.submodule_search_locations[0]) / inside
     if not is_there(path):
-        raise ParameterError("file", f"is not there ({path}); give its path, absolute or relative to the scenario's file", file)
+        where = f" ({path})" if file.startswith(PACKAGE) else ""  # of others `file` is the path
+        raise ParameterError("file", f"is not there{where}; give its path, absolute or relative to the scenario's file", file)
     return path
+
+
+def _no_package(name: str, inside: str) -> str:
+    """Why there is no package of a name that holds a file, and what to write: a distribution is often imported by another name."""
+    try:
+        files = [path.as_posix() for path in metadata.distribution(name).files or ()]
+    except (metadata.PackageNotFoundError, ValueError):
+        remedy = f"pip install --no-deps {name}, if that is its name there (only its files are read), or give the file's path"
+        return f"names the package {name}, which is not installed; {remedy}"
+    package, at = _inside(files, inside)
+    if not package:
+        return f"names the distribution {name}, which is installed and has no such package; give the file's path"
+    dotted = package.replace("/", ".")
+    return f"names the distribution {name}, which is installed, and is imported as {dotted}; write {PACKAGE}{dotted}/{at}"
+
+
+def _inside(files: list[str], inside: str) -> tuple[str, str]:
+    """The folder of the package, of a distribution's files, that holds the end of a path, and the file's place in it; "" for none.
+
+    It is the outermost folder with an __init__.py, since packages of several distributions may share a namespace.
+    """
+    packages = sorted((path.removesuffix("/__init__.py") for path in files if path.endswith("/__init__.py")), key=len)
+    there = next((path for path in files if path.endswith(f"/{inside}")), "")
+    package = next((one for one in packages if not there or there.startswith(f"{one}/")), "")
+    return package, there.removeprefix(f"{package}/") or "PATH"
 
 
 def kept_at(source: Path) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import json
 import shutil
 from collections.abc import Callable, Iterable, Iterator
@@ -15,12 +16,12 @@ from vstestbed.core import folders
 from vstestbed.core.errors import OutputError, RunFolderError
 from vstestbed.core.files import make_folder, write_whole
 from vstestbed.loop.columns import Layout
-from vstestbed.loop.log_file import FolderLog, open_log
+from vstestbed.loop.log_file import COMPRESSED, FolderLog, open_log
 from vstestbed.loop.recording import Recording, Watcher
 from vstestbed.loop.run import run
 from vstestbed.scenario.dump import dump_for_folder
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.sim.build import SceneFiles, scene_files
+from vstestbed.sim.build import scene_files
 
 if TYPE_CHECKING:
     from vstestbed.report.video.beside import FilmThread
@@ -90,11 +91,10 @@ def _run_into(
 ) -> Recording:
     """`run_into` without the report."""
     with _all_or_nothing(folder):
-        write_whole(folder / "scenario.yaml", dump_for_folder(scenario))
         with _filming(folder, scenario, films, tile_px, fine) as filming:
-            _write_scene(
-                folder, scene_files(scenario.robot, scenario.camera, scenario.target, scenario.world, scenario.physics, scenario.sights)
-            )
+            for name, content in _experiment(scenario):
+                make_folder((folder / name).parent)
+                write_whole(folder / name, content)
             log = FolderLog.create(folder, Layout(scenario).columns)
             try:
                 recording = run(scenario, [*filming, *watch], log)
@@ -103,18 +103,30 @@ def _run_into(
             for film in filming:
                 film.close(None if tile_px else (recording.outcome, recording.reason))  # a film of several runs shows it itself
         recording.time_ms["video"] = 1e3 * sum(film.spent_s for film in filming)
-    summary = json.dumps(recording.summary(), indent=1) + "\n"  # before `log.finish`: log.part is read without decompressing it
+    summary = _summary(recording.summary())  # before `log.finish`: log.part is read without decompressing it
     log.finish()
     write_whole(folder / "summary.json", summary)  # after it: a summary says that the run is finished
     return recording
 
 
-def _write_scene(folder: Path, scene: SceneFiles) -> None:
-    """Write `model.xml` and the files that it refers to."""
-    for name, content in scene.assets.items():
-        make_folder((folder / name).parent)
-        write_whole(folder / name, content)
-    write_whole(folder / "model.xml", scene.xml)
+def _experiment(scenario: Scenario) -> Iterator[tuple[str, bytes]]:
+    """The files of a run's folder that are there before the run, by name: the scenario, the files that `model.xml` refers to, and it."""
+    yield "scenario.yaml", dump_for_folder(scenario).encode()
+    scene = scene_files(scenario.robot, scenario.camera, scenario.target, scenario.world, scenario.physics, scenario.sights)
+    yield from scene.assets.items()
+    yield "model.xml", scene.xml.encode()
+
+
+def _summary(figures: dict[str, object]) -> str:
+    return json.dumps(figures, indent=1) + "\n"
+
+
+def files_of(recording: Recording, more: dict[str, object]) -> dict[str, bytes]:
+    """The files that `run_into` leaves of a run that is over, without films and report, by name; more: figures for its summary."""
+    log = io.BytesIO()
+    recording.frame().write_parquet(log, **COMPRESSED)
+    summary = _summary(recording.summary() | more).encode()
+    return dict(_experiment(recording.scenario)) | {"log.parquet": log.getvalue(), "summary.json": summary}
 
 
 @contextmanager

@@ -174,5 +174,5 @@ def sample(scenario: Scenario, film: FilmFrame, values: dict[str, float], number
     """A frame as pages show it, from a session or a log; values: its `error_px` and own columns."""
     judged = in_a_frame(scenario.goal.judged, scenario.stop, values)
     value, unit = in_words_unit(judged.value, judged.unit)
-    T = scenario.goal.goal_pose_at(scenario.goal_poses, film.t, view)
+    T = scenario.goal_pose_at(film.t, view)
     return Sample(number, film, twist, value, unit, None if T is None else film.T_world_target @ inverse(T), verdict)

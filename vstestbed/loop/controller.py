@@ -19,14 +19,12 @@ from vstestbed.loop.command_history import CommandHistory
 from vstestbed.loop.exposure import Arrival, Exposure
 from vstestbed.loop.guarded_law import GuardedLaw
 from vstestbed.loop.inputs import Inputs, Readings
+from vstestbed.loop.unseen import FEW_SEEN, NO_PICTURE, NONE_SEEN, detail
 from vstestbed.robots import Allocation, Mount, Reading
 from vstestbed.robots.orders import stop_order
 from vstestbed.scenario.scenario import NOISE_STREAM, Scenario
 from vstestbed.tasks.frame import Cycle, FrameTiming, ImageError
 from vstestbed.vision import Detector, Observer
-
-NONE_SEEN, FEW_SEEN, NO_PICTURE = "no marker was in sight", "too few markers were in sight", "no picture arrived"
-"""Why there is no measurement, where the law itself gives no reason."""
 
 
 def _observer(scenario: Scenario) -> Observer:
@@ -90,7 +88,7 @@ class Controller:
         self.law_memory = scenario.law.init(scenario.goal_views[0])
         self.supervisor = scenario.robot.supervisor(scenario.goal.lands, scenario.stop.lost_after_s, scenario.stop.lost_after_m)
         self.before: Exposure | None = None
-        self._failed = False
+        self._failed = self._found = False
         self._needs_motion = "motion" in scenario.law.inputs
         self._needs_own_state = "proprioception" in scenario.law.inputs and bool(scenario.robot.proprioception_names)
         self._latest_s = scenario.timing.latest_s(scenario.camera)
@@ -162,7 +160,7 @@ class Controller:
         late = now.t - shot.t > self._latest_s
         error = ImageError.of(seen, goal, command.rest_reason)
         blind = command.rest_reason or self._unseen(seen, goal, error) or (f"pictures arrived {now.t - shot.t:.2g} s late" if late else "")
-        blind = blind and blind + self._lacking(seen)
+        blind = blind and blind + detail(s, seen, self._found)
         moved = self._moved(now.t, reading, blind, mount)
         allocation = self._supervised(shot.t, blind, self._allocate(command, reading, mount, rests=late), reading, moved)
         self.ordered.add(now.t_cmd, allocation.twist)
@@ -209,6 +207,7 @@ class Controller:
         picture = shot.picture if s.detector.needs_image else None
         detected = self.detector.detect(self.detector_memory, picture, shot.view, self.seen_through, s.target, self.rng)
         self.detector_memory, detection = detected
+        self._found = self._found or bool(detection.seen.any())
         twist, own = np.zeros(6), None
         if shot.t > last.t:  # the mean of the twists commanded since the last exposure, by which a pose is predicted
             twist = (self.ordered.displacement(shot.t) - self.ordered.displacement(last.t)) / (shot.t - last.t)
@@ -228,11 +227,6 @@ class Controller:
         """Why a law that gives no reason has no measurement; "" where it has one."""
         n = len(seen.uv) if error.all_seen and goal.counted is None else np.count_nonzero(seen.seen)
         return "" if n >= self._needed else FEW_SEEN if n else NONE_SEEN
-
-    def _lacking(self, seen: Observation) -> str:
-        """Which markers are not seen, by their names; "" where they have none, or all are seen."""
-        names = [name for name, there in zip(self.scenario.target.names, seen.seen, strict=False) if not there]
-        return f" (not seen: {', '.join(names)})" if names else ""
 
     def _moved(self, t: float, reading: Reading, blind: str, mount: Mount) -> float:
         """Way of the camera since the last call, by the robot's own sensors [m]; 0 where it is not needed, with sight."""

@@ -224,7 +224,12 @@ class Episode:
 
 
 def _plant(scenario: Scenario, pictures: bool, plate_m: float) -> tuple[Plant, str]:
-    """The plant of a scenario, and the name of its renderer."""
+    """The plant of a scenario, and the name of its renderer; warns of scenery that the detector may take for markers."""
+    scenery, chroma = scenario.world.scenery, getattr(scenario.detector, "chroma", None)
+    if scenery is not None and chroma is not None:
+        from vstestbed.sim.scene.scenery import warn_of_colours  # here: MuJoCo is imported where there is any
+
+        warn_of_colours(scenery.file, scenario.detector.kind, chroma)
     return build_plant(
         scenario.robot,
         scenario.camera,

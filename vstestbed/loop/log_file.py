@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 WORKS = "`vstestbed run` of the scenario.yaml beside it writes it again, into another folder"
 PROBE_BYTES = 1_000_000
 """More than polars writes at once: a disk without room for that has none for this."""
+COMPRESSED: Final[dict[str, Any]] = {"compression": "zstd", "statistics": False, "row_group_size": BLOCK}
+"""How `log.parquet` is written."""
 HEAD = "float64: "
 """How `log.part` begins; the names of its columns follow, with commas between them, to the end of the line."""
 
@@ -170,7 +172,7 @@ class FolderLog:
             # a block in memory at a time, and one on its way: polars asks for all columns and all rows
             log = register_io_source(lambda *_: self.frames(), schema=schema)
             try:
-                log.sink_parquet(made.file, compression="zstd", statistics=False, row_group_size=BLOCK)
+                log.sink_parquet(made.file, **COMPRESSED)
             except pl.exceptions.ComputeError:
                 # polars drops the reason why a file could not be written: the next write has it
                 made.file.write(bytes(PROBE_BYTES))

@@ -177,7 +177,7 @@ class Recording:
             ParameterError: the goal is no single pose (a gap or a line to keep).
         """
         s, views = self.scenario, self["view"].astype(int) if "view" in self.columns else np.zeros(len(self.rows), dtype=int)
-        goals = [s.goal.goal_pose_at(s.goal_poses, t, view) for t, view in zip(self["t"].tolist(), views.tolist(), strict=True)]
+        goals = [s.goal_pose_at(t, view) for t, view in zip(self["t"].tolist(), views.tolist(), strict=True)]
         known = [T for T in goals if T is not None]
         if len(known) < len(goals):
             raise ParameterError("goal", f"of kind {s.goal.kind} is no single pose of the camera")

@@ -38,6 +38,8 @@ class Robot(Protocol):
     `floating` (a craft that flies). A base that moves is joint `root` (or `root_x`, `root_y`, `root_yaw`) in its file."""
     feet: ClassVar[tuple[str, ...]]
     """Geoms in its file that may touch the ground while nothing else of it may."""
+    standing_m: ClassVar[float]
+    """Height of its base frame over what its feet stand on [m]; 0 of a robot without feet."""
     flange: Any
     """The name of the site, or the body, in its file that carries the camera."""
     gripper: ClassVar[bool]

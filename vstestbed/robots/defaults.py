@@ -26,6 +26,7 @@ class RobotBase:
     reading: ClassVar[type[Reading]] = Reading
     base: ClassVar[Base] = "fixed"
     feet: ClassVar[tuple[str, ...]] = ()
+    standing_m: ClassVar[float] = 0.0
     flange = "flange"
     gripper: ClassVar[bool] = False
     control_period_s: ClassVar[float | None] = None

@@ -39,10 +39,8 @@ from vstestbed.robots.robot_log import RobotLog
 from vstestbed.robots.rotors import X4, Four, QuadrotorParameters, mix, speed_control
 from vstestbed.robots.supervisor import Supervisor
 
-STANDING_M = 0.172
-"""Height of the centre over the ground when the craft stands on its feet [m], by models/quadrotor.xml."""
 STANDING_MARGIN_M = 0.05
-"""Within this of STANDING_M the measured range allows for standing: the range finder's noise and a few degrees of tilt [m]."""
+"""Within this of `standing_m` the measured range allows for standing: the range finder's noise and a few degrees of tilt [m]."""
 STOPPED_MPS = 0.12
 """Near the ground, a descent slower than the reference by this much is taken to be stopped by it [m/s]; the estimate's noise is .02."""
 STANDING_COSINE = math.cos(math.radians(30))
@@ -105,6 +103,8 @@ class Quadrotor(RobotBase):
     reading: ClassVar[type[Reading]] = FlightReading
     base: ClassVar[Base] = "floating"
     feet: ClassVar[tuple[str, ...]] = ("foot_front", "foot_right", "foot_back", "foot_left")
+    standing_m: ClassVar[float] = 0.172
+    """By models/quadrotor.xml."""
     control_period_s: ClassVar[float | None] = 0.001
     largest_step_s: ClassVar[float] = 0.001
     """The rate loop is tuned at it."""
@@ -266,7 +266,7 @@ class Quadrotor(RobotBase):
         descent, the climb loop has taken thrust away, to under .9 of the weight.
         """
         upright = math.cos(memory.attitude.roll) * math.cos(memory.attitude.pitch) > STANDING_COSINE
-        near = reading.range_m < STANDING_M + STANDING_MARGIN_M
+        near = reading.range_m < self.standing_m + STANDING_MARGIN_M
         # By the rotors alone it takes .5 s and more; on a deck that moves, in wind, a craft light on its feet slides off meanwhile.
         stopped = memory.armed and memory.ground.velocity[2] - memory.loops.model[2] > STOPPED_MPS
         return upright and near and (stopped or sum(memory.W) < 4 * 0.9 * self.parameters.hover)

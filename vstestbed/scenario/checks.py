@@ -10,6 +10,7 @@ import numpy as np
 from vstestbed.camera import Camera
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
+from vstestbed.core.spec import kind_of
 from vstestbed.features.depth import OnFloor, PnP
 from vstestbed.laws import Law
 from vstestbed.robots import VEHICLES, Mount, Robot
@@ -117,6 +118,7 @@ def check_markers(robot: Robot, camera: Camera, target: Target, detector: Detect
         ParameterError: it names the field, and what would work.
     """
     _check_marker_kind(target.marker.kind, detector)
+    _check_shown(target, detector)
     _check_marker_count(robot, camera, target, law)
     if law.depth.needs_pose and not law.depth.on_floor and _leaves_pose_open(target.points):
         raise _open_pose(robot, target.points, law, needs_pose)
@@ -129,6 +131,15 @@ def _check_marker_kind(marker: str, detector: Detector[Any]) -> None:
         words = f"may not be {marker}: detector {detector.kind} sees {', '.join(seen)}; with {marker} use"
         able = [kind for kind, member in DETECTORS.members.items() if not member.markers or marker in member.markers]
         raise ParameterError("target.marker", f"{words} detector {' or '.join(able)}")
+
+
+def _check_shown(target: Target, detector: Detector[Any]) -> None:
+    """Refuse a detector of markers where none are drawn and no picture shows any; a detector that names no kinds may see other things."""
+    if target.shows_markers or target.sheet is not None or not detector.markers:
+        return
+    able = [kind for kind, member in DETECTORS.members.items() if not member.markers]
+    words = f"may not be false with detector {detector.kind}: a {kind_of(type(target))} without markers shows it nothing to detect"
+    raise ParameterError("target.draw_markers", f"{words}; use true, or detector {' or '.join(able)}", False)
 
 
 def _check_marker_count(robot: Robot, camera: Camera, target: Target, law: Law[Any]) -> None:

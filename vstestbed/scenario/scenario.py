@@ -25,6 +25,7 @@ from vstestbed.sim.scene.start_pose import camera_start, flange_for, target_star
 from vstestbed.sim.scene.world import World
 from vstestbed.sim.timing import Timing
 from vstestbed.targets import TARGETS, Target
+from vstestbed.targets.markers import HIDDEN_M
 from vstestbed.tasks import GOALS, Setup, Task
 from vstestbed.tasks.metrics import METRICS, MetricContract, check_metrics
 from vstestbed.tasks.monitors import MONITORS, MonitorContract
@@ -161,7 +162,7 @@ class Scenario:
         """The parts that the task uses."""
         wrong = self.calibration
         shown = wrong.goal == "shown" and not (wrong.camera_exact and wrong.depth_exact)
-        parts = (self.robot, self.camera, self.believed_camera, self.target, self.law, self.detector, self.stop)
+        parts = (self.robot, self.camera, self.believed_camera, self.target, self.law, self.detector, self.stop, self.world)
         return Setup(*parts, depth_scale=self.depth_scale, goal_shown=shown)
 
     @cached_property
@@ -188,6 +189,10 @@ class Scenario:
     def goal_poses(self) -> tuple[Array, ...]:
         """T_camera_target (4, 4) of the true camera at each goal view in turn: for the log, not for the law."""
         return self.goal.goal_poses(self.target, self.camera.mount.T)
+
+    def goal_pose_at(self, t: float, view: int) -> Array | None:
+        """T_camera_target (4, 4) at the goal of a time [s] and a view; None where the goal is no single pose."""
+        return self.goal.goal_pose_at(self.setup, self.goal_poses, t, view)
 
     @cached_property
     def own_columns(self) -> tuple[str, ...]:
@@ -262,11 +267,15 @@ class Scenario:
 
     def _in_view(self, robot: Robot) -> bool:
         """Whether the robot's start has the whole target in the picture, or all of it that counts first, seen from its front."""
-        T = inverse(camera_start(robot, self.camera, self.target)) @ target_start(robot, self.target)
+        T_world_camera = camera_start(robot, self.camera, self.target)
+        T = inverse(T_world_camera) @ target_start(robot, self.target)
         p = self.target.seen_from(inverse(T))
         facing = float(T[:3, 2] @ T[:3, 3]) / max(float(np.linalg.norm(T[:3, 3])), 1e-9)  # cosine of the view on the plane
         turned = T[2, 2] if isinstance(self.camera, Perspective) else facing
         faces = turned > 0.17 or not self.target.one_sided  # within 80 degrees of the target's normal: beyond, discs are slivers
         counted = self.goal_views[0].counted
         whole = self.camera.whole(p, self.target.marker.radius, VIEW_MARGIN_PX) & ~self.target.hides(inverse(T))
+        if self.world.scenery is not None and whole.any():
+            names = self.world.scenery_before(T_world_camera, p, self.target.marker.height_m + HIDDEN_M)
+            whole &= np.array([not name for name in names])
         return bool(faces and (whole if counted is None else whole[counted]).all())

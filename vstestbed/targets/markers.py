@@ -54,6 +54,10 @@ class Marker(Protocol):
         """Whether it has a printed texture (`vision.detect.tag_print`) instead of one colour."""
         ...
 
+    def looks(self, count: int) -> str:
+        """What `count` of them are in a picture, in words."""
+        ...
+
     def check_spacing(self, gap: float, count: int) -> None:
         """Refuse a marker too large for the smallest `gap` between the centres of `count` markers [m].
 
@@ -75,6 +79,10 @@ class Flat:
     def textured(self) -> bool:
         """One colour."""
         return False
+
+    def looks(self, count: int) -> str:
+        """Dots."""
+        return "dots of the markers' colours"
 
 
 def _check_radius(radius: float, gap: float) -> None:
@@ -212,6 +220,10 @@ class Tag(Flat):
     def textured(self) -> bool:
         """A texture with its bits."""
         return True
+
+    def looks(self, count: int) -> str:
+        """Family and numbers."""
+        return f"tags of family {self.family}, number {self.first_id} to {self.first_id + count - 1}"
 
     def check_spacing(self, gap: float, count: int) -> None:
         """Refuse tags that overlap, and numbers beyond the family's last."""

@@ -82,7 +82,7 @@ class Task(Protocol):
         """T_camera_target (4, 4) at each goal view in turn, for a camera at this mount T_base_camera (4, 4)."""
         ...
 
-    def goal_pose_at(self, poses: tuple[Array, ...], t: float, view: int) -> Array | None:
+    def goal_pose_at(self, setup: Setup, poses: tuple[Array, ...], t: float, view: int) -> Array | None:
         """T_camera_target (4, 4) at the goal of a time [s] and a view, of `poses`, the `goal_poses`; None where no single pose is it."""
         ...
 
@@ -180,10 +180,10 @@ class TaskBase:
         poses = self.goal_poses(setup.target, setup.camera.mount.T)
         fields = self.view_fields or ("goal",) * len(poses)
         for field, pose, view in zip(fields, poses, views, strict=True):
-            check_visible(setup.camera, setup.target, setup.law, setup.detector, field, pose, view.counted)
+            check_visible(setup, field, pose, view.counted)
             check_level(setup.robot, setup.camera, setup.target, pose, field)
 
-    def goal_pose_at(self, poses: tuple[Array, ...], t: float, view: int) -> Array | None:
+    def goal_pose_at(self, setup: Setup, poses: tuple[Array, ...], t: float, view: int) -> Array | None:
         """The pose of the view."""
         return poses[view] if np.isfinite(poses[view]).all() else None
 

@@ -8,7 +8,7 @@ from typing import ClassVar, Literal, NamedTuple
 import numpy as np
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.geometry import Array, Pose, rotation_angle
+from vstestbed.core.geometry import Array, Pose, inverse, rotation_angle
 from vstestbed.core.outcome import Outcome, Verdict
 from vstestbed.core.quantity import PositiveAngle, PositiveLength, PositiveSpeed
 from vstestbed.core.spec import spec
@@ -69,10 +69,12 @@ class GoalLanding(TaskBase):
         """The view from which the descent starts."""
         return (self.above.T,)
 
-    def goal_pose_at(self, poses: tuple[Array, ...], t: float, view: int) -> Array:
-        """On the pad, where the descent ends."""
+    def goal_pose_at(self, setup: Setup, poses: tuple[Array, ...], t: float, view: int) -> Array:
+        """Where the craft stands on the pad: the camera over its centre, the base at its standing height."""
         T = poses[view].copy()
         T[:3, 3] = 0.0
+        below_m = float(inverse(setup.camera.mount.T @ T)[2, 3])  # the base in the target's frame, whose z points down
+        T[:3, 3] = (setup.robot.standing_m + below_m) * T[:3, 2]
         return T
 
     @property

@@ -76,7 +76,7 @@ class GoalPath(Continuing):
         """Those of the views on the path."""
         return tuple(view.T_camera_target.T for view in self.way)
 
-    def goal_pose_at(self, poses: tuple[Array, ...], t: float, view: int) -> Array:
+    def goal_pose_at(self, setup: Setup, poses: tuple[Array, ...], t: float, view: int) -> Array:
         """The reference at that time."""
         return self.trajectory.at(t)[0]
 

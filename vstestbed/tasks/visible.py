@@ -1,4 +1,4 @@
-"""Checks of goal views: markers within the picture, a flying robot level."""
+"""Checks of goal views: markers within the picture and not hidden, a flying robot level."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ from vstestbed.core.geometry import Array, inverse
 from vstestbed.laws import Law
 from vstestbed.robots import Robot
 from vstestbed.targets import Target
+from vstestbed.targets.markers import HIDDEN_M
+from vstestbed.tasks.setup import Setup
 from vstestbed.vision import Detector
 
 PLANE_INPUTS = {"xy", "depth", "relative"}
@@ -22,20 +24,17 @@ LEVEL_DEG = 1.0
 """Largest tilt of the craft at a goal view [deg]."""
 
 
-def check_visible(
-    camera: Camera,
-    target: Target,
-    law: Law[Any],
-    detector: Detector[Any],
-    field: str,
-    T_camera_target: Array,
-    counted: NDArray[np.bool_] | None,
-) -> None:
-    """Refuse a goal view with a marker that counts outside the picture, or any behind an image plane.
+def check_visible(setup: Setup, field: str, T_camera_target: Array, counted: NDArray[np.bool_] | None) -> None:
+    """Refuse a goal view with a marker that counts outside the picture or hidden, or any behind an image plane.
+
+    Args:
+        setup: the experiment's parts. field: of the view. T_camera_target: its pose (4, 4). counted: the markers that count (N,);
+            None: all.
 
     Raises:
-        ParameterError: it names the field, the markers, and what would work.
+        ParameterError: it names the field, the markers, what hides them, and what would work.
     """
+    camera, target, law, detector = setup.camera, setup.target, setup.law, setup.detector
     p = target.seen_from(inverse(T_camera_target))
     counted = np.ones(len(p), dtype=bool) if counted is None else counted
     if (behind := _behind_image_plane(camera, law, p)).any():
@@ -43,9 +42,25 @@ def check_visible(
     if (outside := _outside_picture(camera, detector, p) & counted).any():
         where = f"outside the {camera.width} x {camera.height} picture"
         raise _not_visible(field, target, outside, where, "a wider camera")
-    if _limited(detector) and (hidden := target.hides(inverse(T_camera_target)) & counted).any():
+    if _limited(detector):
+        _check_hidden(setup, field, T_camera_target, counted)
+
+
+def _check_hidden(setup: Setup, field: str, T_camera_target: Array, counted: NDArray[np.bool_]) -> None:
+    """Refuse a goal view in which the target itself, or the scenery, hides a marker that counts."""
+    target = setup.target
+    if (hidden := target.hides(inverse(T_camera_target)) & counted).any():
         words = f"is a view in which {_markers(target, hidden)} hidden by the target itself"
         raise ParameterError(field, f"{words}; move the goal, or let goal.markers name those that are to be seen")
+    if target.moves and not target.on_gripper:  # where the goal view is in the room is not known before the run
+        return
+    T_world_camera = setup.camera.mount.T if target.on_gripper else target.T_world_start @ inverse(T_camera_target)
+    names = setup.world.scenery_before(T_world_camera, target.seen_from(inverse(T_camera_target)), target.marker.height_m + HIDDEN_M)
+    if (hidden := np.array([bool(name) for name in names]) & counted).any():
+        what = ", ".join(dict.fromkeys(name for name, counts in zip(names, hidden, strict=True) if counts))
+        words = f"is a view in which {_markers(target, hidden)} hidden by the scenery ({what})"
+        remedy = "move the goal, or the scenery by world.scenery.pose, or let goal.markers name the markers that are to be seen"
+        raise ParameterError(field, f"{words}; {remedy}")
 
 
 def _behind_image_plane(camera: Camera, law: Law[Any], p: Array) -> NDArray[np.bool_]:

@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 import vstestbed as vs
-from vstestbed.core.errors import ScenarioError
+from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.scenario.load import for_another_folder
 from vstestbed.sim.build import scene_files
 from vstestbed.sim.render.opengl import OpenGLRenderer
@@ -21,6 +21,8 @@ from vstestbed.sim.scene.stage import Stage
 
 WORKSHOP = Path(__file__).parents[3] / "scenarios" / "scenery" / "workshop.xml"
 WALL = '<geom name="wall" type="box" size=".02 2 2" pos="1.3 0 1"/>'
+BOARD = '<geom name="board" type="box" size=".005 .06 .06" pos=".7 -.14 .66" contype="0" conaffinity="0"/>'
+"""Near the camera's start: from there it is before all markers, from the goal view beside them."""
 
 
 def mjcf(tmp_path: Path, inside: str, rest: str = "") -> Path:
@@ -65,7 +67,7 @@ def test_its_floor_its_lights_and_its_sky_take_the_place_of_the_scenes():
 
 def test_the_options_of_the_file_do_not_count(tmp_path: Path, recwarn: pytest.WarningsRecorder):
     rest = '<option timestep=".01" gravity="0 0 -1" integrator="RK4"/><statistic extent="9"/><keyframe><key name="k"/></keyframe>'
-    stage = stage_of(mjcf(tmp_path, WALL + '<camera name="mine"/>', rest))
+    stage = stage_of(mjcf(tmp_path, '<geom size=".1" pos="0 3 1"/><camera name="mine"/>', rest))
     model = stage.model
     stage.close()
     assert (model.opt.timestep, model.opt.gravity[2], model.stat.extent) == (0.002, -9.81, 2)
@@ -74,15 +76,37 @@ def test_the_options_of_the_file_do_not_count(tmp_path: Path, recwarn: pytest.Wa
 
 
 def test_a_wall_before_the_target_hides_it_from_pictures_and_from_the_oracle(tmp_path: Path):
-    wall = str(mjcf(tmp_path, WALL))
     for detector in ("blobs", "oracle"):
-        changes = {"world.scenery": wall, "detector": {"kind": detector}, "stop.duration_s": 3.0}
+        changes = {"world.scenery": str(mjcf(tmp_path, BOARD)), "detector": {"kind": detector}, "stop.duration_s": 3.0}
         run = vs.run(vs.load("arm_ibvs", changes))
         assert run.outcome.name == "target_lost", detector
+    wall = str(mjcf(tmp_path, WALL))
     free = vs.load("ibvs_book")
     distance = float(np.linalg.norm(free.robot.flange_pose(free.robot.configuration())[:3, 3] - free.target.T_world_start[:3, 3]))
     behind = vs.load("ibvs_book", {"world.scenery": {"file": wall, "pose": {"xyz": [200, 0, 0]}}, "stop.duration_s": 0.2})
     assert distance < 100 and vs.run(behind).outcome.name != "target_lost"  # far away it hides nothing
+
+
+def test_a_goal_view_and_random_starts_that_it_hides_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    wall, oracle = {"world.scenery": str(mjcf(tmp_path, WALL))}, {"detector": "oracle"}
+    words = r"goal.T_camera_target: is a view in which markers 0, 1, 2, 3 are hidden by the scenery \(geom wall\); move the goal, or"
+    for changes in (wall, wall | oracle):
+        with pytest.raises(ScenarioError, match=words):
+            vs.load("arm_ibvs", changes)
+    vs.load("arm_ibvs", wall | {"detector": {"kind": "oracle", "field_of_view": "unlimited"}})  # it sees through walls
+    shelf = '<body name="shelf" pos="1.3 -.22 .92"><geom type="box" size=".02 .05 .05"/></body>'
+    one = {"world.scenery": str(mjcf(tmp_path, shelf))}
+    with pytest.raises(ScenarioError, match=r"marker 0 is hidden by the scenery \(geom number 1 of the body shelf \(without a name\)\)"):
+        vs.load("arm_ibvs", one)
+    vs.load("arm_ibvs", one | {"goal.markers": [1, 2, 3]})
+    vs.load("arm_ibvs", one | {"world.scenery": {"file": one["world.scenery"], "pose": {"xyz": [1, 0, 0]}}})  # behind the target
+    held = {"world.scenery": str(mjcf(tmp_path, '<geom name="pane" type="box" size=".005 .3 .3" pos="1.2 -.1 .7"/>'))}
+    with pytest.raises(ScenarioError, match="geom pane"):
+        vs.load("arm_eye_to_hand", held)
+    monkeypatch.setattr("vstestbed.scenario.scenario.TRIES", 20)
+    near = vs.load("arm_ibvs", {"world.scenery": str(mjcf(tmp_path, BOARD)), "robot.start.random.q_deg": 1})
+    with pytest.raises(ParameterError, match="gave no start in 20 draws"):
+        near.randomised(1)
 
 
 def test_to_touch_it_ends_the_run_with_its_name(tmp_path: Path):
@@ -136,7 +160,27 @@ def test_doctor_says_what_becomes_of_it():
     lines = {what: found for what, works, found, _ in examine_model(str(WORKSHOP)) if works}
     assert lines["scenery"] == "23 geoms, 22 of which can be touched; 0 meshes, 4 textures"
     assert "in place of the scene's key light" in lines["lights"]
-    assert lines["scenario"].startswith("world: {scenery: ")
+    assert lines["scenario"].startswith("world: {scenery: ") and "colours" not in lines
+
+
+def test_colours_that_a_detector_takes_for_markers_are_told(tmp_path: Path, caplog: pytest.LogCaptureFixture):
+    cloth = '<texture name="c" type="2d" builtin="checker" rgb1=".5 .5 .5" rgb2=".5 .5 .8" width="8" height="8"/>'
+    sky = '<texture name="s" type="skybox" builtin="gradient" rgb1=".6 .6 .8" rgb2=".5 .5 .5" width="8" height="48"/>'
+    paints = f'<asset>{cloth}{sky}<material name="c" texture="c"/><material name="grey" rgba=".5 .5 .6 1"/></asset>'
+    parts = (
+        '<geom name="red" type="box" size=".1 .1 .1" pos="3 0 1" rgba=".9 .1 .1 1" material="grey"/>',  # its own colour counts
+        '<geom name="grey" type="box" size=".1 .1 .1" pos="3 1 1" material="grey"/>',
+        '<geom name="cloth" type="box" size=".1 .1 .1" pos="3 2 1" material="c"/>',
+        '<geom name="bump" type="box" size=".1 .1 .1" pos="3 3 1" rgba="1 0 0 1" group="3"/>',  # not drawn
+    )
+    file = str(mjcf(tmp_path, "\n".join(parts), paints))
+    found = "geom red, geom cloth, the skybox in my_scene.xml have saturated colours (max - min of r, g, b up to 0.8), which detector"
+    assert f"{found} blobs may take for markers; keep max - min under 0.18" in dict(line[::2] for line in examine_model(file))["colours"]
+    for detector in ({"kind": "oracle"}, {"kind": "blobs"}, {"kind": "blobs"}, {"kind": "blobs", "chroma": 120}):
+        vs.run(vs.load("arm_ibvs", {"world.scenery": file, "detector": detector, "stop.duration_s": 0.04}))
+    told = [record.getMessage() for record in caplog.records]
+    assert len(told) == 2 and told[0].startswith(f"world.scenery: {found} blobs")  # once
+    assert told[1].startswith("world.scenery: geom red in my_scene.xml has a saturated colour")
 
 
 @pytest.mark.parametrize(
@@ -150,8 +194,18 @@ def test_doctor_says_what_becomes_of_it():
             "has the actuator m (line 1), and nothing would drive",
         ),
         (WALL + "\n" + WALL, "", "repeated name 'wall' in geom"),
-        ('<geom size=".1" colour="red"/>', "", "unrecognized attribute: 'colour' Element 'geom', line 3"),
-        ('<geom type="mesh" mesh="m"/>', '<asset><mesh name="m" file="gone.stl"/></asset>', "Error opening file"),
+        ('<geom size=".1" colour="red"/>', "", "my_scene.xml:3: geom: unrecognized attribute 'colour'); correct it there"),
+        (
+            '<geom size=".1">',
+            "",
+            "my_scene.xml:3: it is not well-formed XML (mismatched element, near the element geom))",
+        ),
+        ('<include file="gone.xml"/>', "", "line 3 there or in a file that it includes: it names the file gone.xml, which is not there"),
+        (
+            '<geom type="mesh" mesh="m"/>',
+            '<asset><mesh name="m" file="gone.stl"/></asset>',
+            "my_scene.xml:1: it names the file gone.stl",
+        ),
         ("", "", "has no geoms"),
         ('<geom name="low" type="plane" size="1 1 1" pos="0 0 -1"/>', "", "set world.floor_z: -1"),
         (
@@ -165,10 +219,11 @@ def test_mistakes_are_told(tmp_path: Path, inside: str, rest: str, words: str):
     with pytest.raises(ScenarioError) as told:
         vs.load("arm_ibvs", {"world.scenery": str(mjcf(tmp_path, inside, rest))})
     assert words in str(told.value) and "world.scenery" in str(told.value)
+    assert str(told.value).count(str(tmp_path)) <= 1
 
 
 def test_a_file_that_is_not_there_is_told():
-    with pytest.raises(ScenarioError, match=r"world\.scenery: is not there .*gone\.xml"):
+    with pytest.raises(ScenarioError, match=r"world\.scenery: is not there; .*gone\.xml"):
         vs.load("arm_ibvs", {"world.scenery": "gone.xml"})
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import json
 import pickle
 import tempfile
 import time
@@ -20,17 +18,17 @@ from vstestbed.core.provenance import versions
 from vstestbed.experiments.basin.batch import Batch, Instant, fly
 from vstestbed.experiments.basin.setup import BatchSetup, start_of
 from vstestbed.experiments.comparison.worker import Files, picture_of_the_end
+from vstestbed.experiments.run_folder import files_of
 from vstestbed.laws.views import Views
 from vstestbed.loop.columns import Layout
 from vstestbed.loop.episode import PARTS
 from vstestbed.loop.monitors import CROSSED_WORDS, FAR_WORDS
-from vstestbed.loop.recording import BLOCK, MemoryRows, Recording, to_frame
+from vstestbed.loop.recording import MemoryRows, Recording
 from vstestbed.robots import Robot
 from vstestbed.robots.supervisor import FOLLOWS
-from vstestbed.scenario.dump import dump, dump_for_folder
+from vstestbed.scenario.dump import dump
 from vstestbed.scenario.load import parse
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.sim.build import scene_files
 from vstestbed.tasks.reached import at_rest_words, converged_words, timed_out_words
 
 LEAST, MOST = 10, 50
@@ -221,18 +219,9 @@ def _reason(scenario: Scenario, flight: Batch, i: int) -> str:
 
 def _folder(recording: Recording, place: str | None) -> Files:
     """The folder of a run."""
-    scenario, log, columns = recording.scenario, io.BytesIO(), recording.table
-    frame = to_frame(dict(zip(recording.columns, columns.T, strict=True)))
-    frame.write_parquet(log, compression="zstd", statistics=False, row_group_size=BLOCK)
-    scene = scene_files(scenario.robot, scenario.camera, scenario.target, scenario.world, scenario.physics, scenario.sights)
-    files = dict(scene.assets) | {
-        "scenario.yaml": dump_for_folder(scenario).encode(),
-        "model.xml": scene.xml.encode(),
-        "log.parquet": log.getvalue(),
-        "summary.json": (json.dumps(recording.summary() | {"batch": True}, indent=1) + "\n").encode(),
-    }
+    files = files_of(recording, {"batch": True})
     if not recording.outcome.success:
         with tempfile.TemporaryDirectory(prefix="vstestbed_", dir=place) as made:
-            picture_of_the_end(scenario, recording.rows, Path(made))
+            picture_of_the_end(recording.scenario, recording.rows, Path(made))
             files["end.png"] = (Path(made) / "end.png").read_bytes()
     return files

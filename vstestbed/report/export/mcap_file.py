@@ -144,7 +144,7 @@ class Topics:
     def _poses(self, frame: Taken) -> dict[str, Any]:
         """Poses in the world: camera, target, and the camera's goal, where there is one."""
         s, state = self._scenario, frame.state
-        T_goal = s.goal.goal_pose_at(s.goal_poses, state.t, int(frame.row.get("view", 0)))
+        T_goal = s.goal_pose_at(state.t, int(frame.row.get("view", 0)))
         found = {"camera": state.T_world_camera, "target": state.T_world_target}
         return found if T_goal is None else found | {"goal": state.T_world_target @ inverse(T_goal)}
 

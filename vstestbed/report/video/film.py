@@ -54,7 +54,7 @@ class Pictures:
             self._overlay.draw(image, uv, goal_uv, t=frame.t, error=error, lost=frame.lost)
             return image
         if self._outside is not None:
-            T = self._scenario.goal.goal_pose_at(self._scenario.goal_poses, frame.t, int(values.get("view", 0)))
+            T = self._scenario.goal_pose_at(frame.t, int(values.get("view", 0)))
             image = self._outside.picture(frame, None if T is None else frame.T_world_target @ inverse(T))
             self._outside.put_inset(image, frame, self._seen_already(frame), lambda: self._rendered("eye", frame))
         else:

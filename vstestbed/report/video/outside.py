@@ -14,7 +14,7 @@ import numpy as np
 
 from vstestbed.camera import Camera, Perspective
 from vstestbed.core.geometry import Array, inverse, transform
-from vstestbed.report.video.overlay import INK, PAPER, SHIFT, UNIT, Color, Overlay
+from vstestbed.report.video.overlay import INK, PAPER, SHIFT, SMALL, UNIT, Color, Overlay
 from vstestbed.report.video.writer import Image
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.replay import FREE, Replay
@@ -35,6 +35,8 @@ INSET_S: Final = 0.2
 """Time between two pictures of the servo camera in the inset [s]."""
 EDGE: Final = 2
 """Width of the edge of the inset [px]."""
+DRAWN_FOR: Final = 360
+"""Height of a picture in which a plain line is a pixel wide [px]; in a lower one it is no thinner, and has no dark edge (as `SMALL`)."""
 SPACING: Final = 0.006
 """Distance of two points of it over the picture's width, at their place."""
 GHOST_FILL: Final = 0.25
@@ -55,7 +57,7 @@ class Outside:
         self._replay, self._size = replay, size
         self._name, self._moving, self._has_frame = camera, scenario.robot.base != "fixed", len(scenario.target.places) > 0
         self._held = 1.2 * scenario.target.points if scenario.target.on_gripper else None
-        self._line = max(1, round(size[1] / 360))
+        self._line = size[1] / DRAWN_FOR
         self._trail, self._spacing = np.zeros((0, 3)), 0.0
         self._corners = np.vstack([frustum_corners(scenario.camera), np.zeros(3)])
         self._scale = inset_share(scenario.camera, size)
@@ -130,11 +132,17 @@ class Pen:
     """Draws lines and areas of the world on a picture, in place.
 
     Args:
-        image: the picture. lens, T_world_camera: the camera that took it. stroke: width of a line [px].
+        image: the picture. lens, T_world_camera: the camera that took it.
+        stroke: width of a plain line [px]; what is drawn is a pixel wide at least.
     """
 
-    def __init__(self, image: Image, lens: Perspective, T_world_camera: Array, stroke: int):
+    def __init__(self, image: Image, lens: Perspective, T_world_camera: Array, stroke: float):
         self.image, self._lens, self._T, self._stroke = image, lens, inverse(T_world_camera), stroke
+        self._edge = 1 if image.shape[0] > SMALL else 0
+
+    def _pixels_wide(self, width: int) -> int:
+        """Width of a line that is `width` plain lines wide [px]."""
+        return max(1, round(self._stroke * width))
 
     def pixels(self, points: Array) -> Array:
         """Pixels (..., 2) of points (..., 3) in the world; NaN behind the camera, or too far outside for OpenCV's integers."""
@@ -160,8 +168,9 @@ class Pen:
                 part = slice(first, first + len(line))
                 own += [grid[part][seen[part]]] if np.count_nonzero(seen[part]) > 1 else []
                 first += len(line)
-            cv2.polylines(self.image, own, False, INK, self._stroke * width + 1, cv2.LINE_AA, SHIFT)
-            cv2.polylines(self.image, own, False, color, self._stroke * width, cv2.LINE_AA, SHIFT)
+            if self._edge:
+                cv2.polylines(self.image, own, False, INK, self._pixels_wide(width) + self._edge, cv2.LINE_AA, SHIFT)
+            cv2.polylines(self.image, own, False, color, self._pixels_wide(width), cv2.LINE_AA, SHIFT)
 
     def area(self, hulls: Array, color: Color, fill: float) -> None:
         """The union of the convex hulls of points (G, P, 3): a translucent area with an outline."""
@@ -176,7 +185,9 @@ class Pen:
         for points in np.rint((uv - low) * UNIT).astype(np.int32)[:, :, None]:
             cv2.fillConvexPoly(mask, cv2.convexHull(points), 255, cv2.LINE_8, SHIFT)
         cv2.copyTo(cv2.addWeighted(part, 1 - fill, np.full_like(part, color), fill, 0), mask, part)
-        cv2.polylines(part, list(cv2.findContours(mask, cv2.RETR_LIST, cv2.CHAIN_APPROX_SIMPLE)[0]), True, color, self._stroke, cv2.LINE_AA)
+        cv2.polylines(
+            part, list(cv2.findContours(mask, cv2.RETR_LIST, cv2.CHAIN_APPROX_SIMPLE)[0]), True, color, self._pixels_wide(1), cv2.LINE_AA
+        )
 
 
 def inset_share(camera: Camera, size: tuple[int, int]) -> float:

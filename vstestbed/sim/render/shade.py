@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from vstestbed.core.geometry import Array
 from vstestbed.sim.render.texture import Mipmap
-from vstestbed.sim.scene.meshes import texels_of
+from vstestbed.sim.scene.meshes import own_colours, texels_of
 
 RGB_ROLE = int(mujoco.mjtTextureRole.mjTEXROLE_RGB)
 SKYBOX = int(mujoco.mjtTexture.mjTEXTURE_SKYBOX)
@@ -36,7 +36,7 @@ class Paint:
         self._model, self._data = model, data
         material = model.geom_matid
         painted = material >= 0
-        rgb = np.where(painted[:, None], model.mat_rgba[material, :3] if model.nmat else 0.0, model.geom_rgba[:, :3])
+        rgb = own_colours(model)[:, :3]
         emission = np.where(painted, model.mat_emission[material] if model.nmat else 0.0, 0.0)
         texture = np.where(painted, model.mat_texid[material, RGB_ROLE] if model.nmat else -1, -1)
         self._printed, self.averaged = _by_texture(model, texture)

@@ -10,6 +10,7 @@ import numpy as np
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.named_files import place_of_file
 from vstestbed.robots.chain import JointChain
+from vstestbed.sim.scene.model_errors import cannot_compile
 
 MOST_JOINTS = 7
 WORDS = {int(mujoco.mjtJoint.mjJNT_FREE): "a free joint", int(mujoco.mjtJoint.mjJNT_BALL): "a ball joint"}
@@ -26,8 +27,7 @@ def compiled(file: str) -> mujoco.MjModel:
     try:
         return mujoco.MjSpec.from_file(str(path)).compile()
     except (ValueError, mujoco.FatalError) as error:
-        words = " ".join(str(error).split())
-        raise ParameterError("file", f"cannot be compiled by MuJoCo ({words}); works: an MJCF or URDF file", file) from None
+        raise cannot_compile(error, path, "an MJCF or URDF file") from None
 
 
 @functools.lru_cache(maxsize=8)
@@ -91,8 +91,9 @@ def _flange(model: mujoco.MjModel, flange: str) -> tuple[int, np.ndarray]:
     if body > 0:
         return body, np.eye(4)
     there = [model.site(i).name for i in range(model.nsite)] or [model.body(i).name for i in range(1, model.nbody)]
-    kind = "sites" if model.nsite else "bodies"
-    raise ParameterError("flange", f"is no site and no body of the file; its {kind}: {', '.join(filter(None, there))}", flange)
+    kind, names = "sites" if model.nsite else "bodies", ", ".join(filter(None, there))
+    known = f"its {kind}: {names}" if names else f"its {kind} have no names" if there else "it has none"
+    raise ParameterError("flange", f"is no site and no body of the file; {known}", flange)
 
 
 def _joints_to(model: mujoco.MjModel, body: int) -> list[int]:

@@ -112,16 +112,22 @@ def _joined(body: int, rgb: tuple[float, float, float], parts: list[Array]) -> S
     return Solid(body, vertices, np.arange(len(vertices)).reshape(-1, 3), rgb)
 
 
+def own_colours(model: mujoco.MjModel) -> Array:
+    """The colours (G, 4) of the geoms, without light and textures: their own, or where that is the default their material's."""
+    rgba, painted = model.geom_rgba.astype(float), model.geom_matid >= 0
+    plain = painted & np.isclose(rgba, PLAIN_RGBA).all(axis=1)
+    rgba[plain] = model.mat_rgba[model.geom_matid[plain]]
+    return rgba
+
+
 def _colour(model: mujoco.MjModel, i: int) -> tuple[float, float, float]:
     """Colour of geom i."""
-    rgba = model.geom_rgba[i].astype(float)
-    material = int(model.geom_matid[i])
+    colour, material = own_colours(model)[i], int(model.geom_matid[i])
     if material < 0:
-        return _rgb(rgba)
+        return _rgb(colour)
     texture = _texture(model, i)
     if texture >= 0 and _shows_print(model, i):
         return PAPER_RGB
-    colour = (model.mat_rgba[material] if np.allclose(rgba, PLAIN_RGBA) else rgba).astype(float)
     if texture >= 0:
         colour[:3] *= texels_of(model, texture).mean(axis=(0, 1)) / 255
     return _rgb(colour * max(1.0, float(model.mat_emission[material])))

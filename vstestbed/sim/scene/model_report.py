@@ -32,7 +32,8 @@ def examine_model(file: str) -> Iterator[Line]:
     try:
         model = compiled(file)
     except ParameterError as error:
-        yield "model", False, error.problem, "correct the file; MuJoCo names the line"
+        found, _, remedy = error.problem.rpartition("; ")
+        yield "model", False, found, remedy
         return
     if not model.njnt:
         for what, found in examine_scenery(file):

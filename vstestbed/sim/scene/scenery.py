@@ -10,23 +10,33 @@ a geom named `floor`, is drawn in place of the floor, which stays what wheels an
 from __future__ import annotations
 
 import functools
+import logging
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, quaternion_wxyz
 from vstestbed.core.named_files import place_of_file
 from vstestbed.sim.scene.groups import RANGE_GROUP
+from vstestbed.sim.scene.meshes import own_colours, texels_of
+from vstestbed.sim.scene.model_errors import cannot_compile
 from vstestbed.sim.scene.model_files import carry_files
 
 PREFIX = "scenery/"
 SAME_HEIGHT_M = 1e-3
 """Faces nearer to one another than this flicker in pictures [m]."""
+BRIGHTEST = 1.3
+"""Brightness of a surface under the scene's lights, at most: its chroma in a picture is that of its colour times this."""
+CHROMA = 60
+"""Of pictures, from which on detectors by default take a pixel for a marker's [grey levels]."""
+MOST_TOLD = 3
 LEFT_OUT = "cameras", "sensors", "keys", "equalities", "tendons"
+RGB = int(mujoco.mjtTextureRole.mjTEXROLE_RGB)
 PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
 FLAT = PLANE, int(mujoco.mjtGeom.mjGEOM_BOX)
 
@@ -52,8 +62,7 @@ def _checked(path: str, mtime_ns: int) -> mujoco.MjModel:
         spec = mujoco.MjSpec.from_file(path)
         model = spec.compile()
     except (ValueError, mujoco.FatalError) as error:
-        words = " ".join(str(error).split()).rstrip(".")
-        raise ParameterError("file", f"cannot be compiled by MuJoCo ({words}); works: an MJCF file", path) from None
+        raise cannot_compile(error, Path(path), "an MJCF file") from None
     for what, moving in (("actuator", spec.actuators), ("joint", spec.joints)):
         if moving:
             name, line = moving[0].name or "without a name", _line(moving[0], path)
@@ -111,6 +120,7 @@ def _top(model: mujoco.MjModel, g: int, T: Array) -> float | None:
     return float(at[2] + model.geom_size[g, axis])
 
 
+@functools.lru_cache(maxsize=8)
 def _placed(model: mujoco.MjModel) -> mujoco.MjData:
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -118,7 +128,25 @@ def _placed(model: mujoco.MjModel) -> mujoco.MjData:
 
 
 def _name(model: mujoco.MjModel, g: int) -> str:
-    return model.geom(g).name or f"number {g + 1} (without a name)"
+    body = model.body(model.geom_bodyid[g]).name
+    owner = f" of the body {body}" if model.geom_bodyid[g] and body else ""
+    return model.geom(g).name or f"number {g + 1}{owner} (without a name)"
+
+
+def parts_before(file: str, T_scenery_camera: Array, p_camera: Array, slack: float) -> tuple[str, ...]:
+    """Which geom of a file hides each of points p_camera (N, 3) from a camera at a pose (4, 4) in the scenery's frame; "" for none.
+
+    A ray from the camera hits it more than `slack` [m] before the point. Groups from 3 on are not drawn, and hide nothing.
+    """
+    path = place_of_file(file)
+    model = _checked(str(path), path.stat().st_mtime_ns)
+    data, drawn, hit = _placed(model), np.array([1, 1, 1, 0, 0, 0], np.uint8), np.zeros(1, np.int32)
+    eye, names = np.ascontiguousarray(T_scenery_camera[:3, 3]), []
+    for way in p_camera @ T_scenery_camera[:3, :3].T:
+        reach = float(np.linalg.norm(way))
+        distance = mujoco.mj_ray(model, data, eye, np.ascontiguousarray(way / max(reach, 1e-9)), drawn, 1, -1, hit)
+        names.append(f"geom {_name(model, int(hit[0]))}" if 0 <= distance < reach - slack else "")
+    return tuple(names)
 
 
 def add_scenery(scene: mujoco.MjSpec, file: str, T: Array, floor_z: float) -> dict[str, bytes]:
@@ -162,6 +190,41 @@ def _same_options(spec: mujoco.MjSpec, scene: mujoco.MjSpec) -> None:
             setattr(spec.option, name, getattr(scene.option, name))
 
 
+@functools.cache
+def warn_of_colours(file: str, detector: str, chroma: int) -> None:
+    """Warn once of scenery whose colours a detector may take for markers, those above a chroma (max - min of r, g, b) [grey levels]."""
+    if words := _saturated(place_of_file(file), chroma, f"detector {detector}"):
+        logging.getLogger("vstestbed").warning("world.scenery: %s", words)
+
+
+def _saturated(path: Path, chroma: int, who: str) -> str:
+    """What of a file is of a colour above a chroma in pictures, which `who` takes for a marker, and what would not be; "" for nothing."""
+    model, limit = _checked(str(path), path.stat().st_mtime_ns), chroma / 255 / BRIGHTEST
+    found = {name: value for name, value in _saturations(model) if value > limit}
+    if not found:
+        return ""
+    names = ", ".join(list(found)[:MOST_TOLD]) + (f" and {len(found) - MOST_TOLD} more" if len(found) > MOST_TOLD else "")
+    one = "has a saturated colour" if len(found) == 1 else "have saturated colours"
+    words = f"{names} in {path.name} {one} (max - min of r, g, b up to {max(found.values()):.2g})"
+    return f"{words}, which {who} may take for markers; keep max - min under {limit:.2f}, or use detector tags"
+
+
+def _saturations(model: mujoco.MjModel) -> Iterator[tuple[str, float]]:
+    """Largest less smallest of r, g, b (0 to 1) of each geom that is drawn, with its texture, and of the sky."""
+    colours = own_colours(model)
+    for g in np.flatnonzero((model.geom_group <= 2) & (colours[:, 3] > 0)):
+        material, rgb = int(model.geom_matid[g]), colours[g, :3]
+        texture = int(model.mat_texid[material, RGB]) if material >= 0 else -1
+        yield f"geom {_name(model, int(g))}", float(np.ptp(rgb)) if texture < 0 else _spread(texels_of(model, texture), rgb)
+    for texture in np.flatnonzero(model.tex_type == mujoco.mjtTexture.mjTEXTURE_SKYBOX):
+        yield "the skybox", _spread(texels_of(model, int(texture)), np.ones(3))
+
+
+def _spread(texels: NDArray[np.uint8], rgb: Array) -> float:
+    """Largest less smallest of r, g, b of a texture (H, W, 3) on a colour (3,), which all but a thousandth of it stay under."""
+    return float(np.quantile(np.ptp(texels / 255 * rgb, axis=-1), 0.999))
+
+
 def examine_scenery(file: str) -> Iterator[tuple[str, str]]:
     """What of a file without joints is used as scenery, in words: each part and what becomes of it.
 
@@ -177,6 +240,8 @@ def examine_scenery(file: str) -> Iterator[tuple[str, str]]:
         yield "lights", f"{len(spec.lights)}, in place of the scene's key light; the fill light stays"
     if found := _left_out(spec):
         yield "left out", "; ".join(found)
+    if words := _saturated(path, CHROMA, "detector blobs"):
+        yield "colours", words
     if rays := _in_mean_colour(model):
         yield "rays", f"draw {', '.join(rays)} in the mean colour of the texture; OpenGL draws it whole"
 

@@ -11,7 +11,7 @@ import numpy as np
 from annotated_types import Ge, Len, Lt
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.geometry import Array, Pose
+from vstestbed.core.geometry import Array, Pose, inverse
 from vstestbed.core.named_files import absolute_file
 from vstestbed.core.quantity import Length, Narrower, Position, PositiveGain, PositiveLength, PositiveTime, Speed, Time, Velocity
 from vstestbed.core.spec import Shorthand, spec
@@ -167,6 +167,17 @@ class World:
     def hides(self) -> bool:
         """Whether there is what can hide a marker: plates, scenery."""
         return bool(self.plates or self.scenery)
+
+    def scenery_before(self, T_world_camera: Array, p_camera: Array, slack: float) -> tuple[str, ...]:
+        """Which part of the scenery hides each of points p_camera (N, 3) from a camera at a pose (4, 4); "" where none does.
+
+        slack: what is nearer to a point than this does not hide it [m].
+        """
+        if self.scenery is None:
+            return ("",) * len(p_camera)
+        from vstestbed.sim.scene.scenery import parts_before  # here: MuJoCo is imported where there is any
+
+        return parts_before(self.scenery.file, inverse(self.scenery.pose.T) @ T_world_camera, p_camera, slack)
 
 
 AWAY = np.array([0.0, 0.0, -50.0])
