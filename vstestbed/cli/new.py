@@ -86,7 +86,7 @@ def _check_name(kind: NewKind, name: str) -> None:
 
 
 def _check_file(path: Path, given: Path | None) -> None:
-    """Refuse a file that is there, and one that Python would take for a module of another name; given: with --out.
+    """Refuse a file that is there, and one whose name Python finds elsewhere; given: with --out.
 
     Raises:
         ParameterError, OutputError: it says what would work.
@@ -97,6 +97,7 @@ def _check_file(path: Path, given: Path | None) -> None:
         raise OutputError(path, "is there already, and is not written over", "give another name, or --out FILE.py")
     if not path.parent.is_dir():
         raise OutputError(path, f"the folder {path.parent} does not exist", "make it, or give another with --out")
-    if importlib.util.find_spec(path.stem) is not None:
-        words = f"is the name of an installed module, which pytest would import in its place; take another, such as my_{path.stem}"
-        raise ParameterError("NAME" if given is None else "--out", words, path.stem)
+    if (taken := importlib.util.find_spec(path.stem)) is not None:
+        other = f"{path.stem}_2" if path.stem.startswith("my_") else f"my_{path.stem}"
+        words = f"is the name of a module that Python finds already ({taken.origin}), and pytest would import that in its place"
+        raise ParameterError("NAME" if given is None else "--out", f"{words}; take another, such as {other}", path.stem)
