@@ -97,7 +97,12 @@ def _check_file(path: Path, given: Path | None) -> None:
         raise OutputError(path, "is there already, and is not written over", "give another name, or --out FILE.py")
     if not path.parent.is_dir():
         raise OutputError(path, f"the folder {path.parent} does not exist", "make it, or give another with --out")
+    _check_module(path, "NAME" if given is None else "--out")
+
+
+def _check_module(path: Path, option: str) -> None:
+    """Refuse a file that pytest could not import, since Python finds another of its name first; option: that gave the name."""
     if (taken := importlib.util.find_spec(path.stem)) is not None:
         other = f"{path.stem}_2" if path.stem.startswith("my_") else f"my_{path.stem}"
         words = f"is the name of a module that Python finds already ({taken.origin}), and pytest would import that in its place"
-        raise ParameterError("NAME" if given is None else "--out", f"{words}; take another, such as {other}", path.stem)
+        raise ParameterError(option, f"{words}; take another, such as {other}", path.stem)
