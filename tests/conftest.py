@@ -61,7 +61,8 @@ def vstestbed_process() -> tuple[list[str], dict[str, str]]:
 @pytest.fixture
 def own_kinds() -> Iterator[None]:
     """Lets a test add kinds to the rooms' lists, and takes them out again."""
-    from vstestbed.core.spec import _SPECS, rebuild_specs
+    from vstestbed.core.registry import SPECS
+    from vstestbed.core.spec import rebuild_specs
     from vstestbed.scenario.validation import KINDS
 
     before, modules = {room: dict(kinds.members) for room, kinds in KINDS.items()}, set(sys.modules)
@@ -72,7 +73,7 @@ def own_kinds() -> Iterator[None]:
     gone = {n for n in set(sys.modules) - modules if any(p in str(getattr(sys.modules[n], "__file__", "")) for p in places)}
     for name in gone:  # plugins, else a later test that names one finds it loaded and its kind gone
         del sys.modules[name]
-    _SPECS[:] = [cls for cls in _SPECS if cls.__module__ not in gone]
+    SPECS[:] = [cls for cls in SPECS if cls.__module__ not in gone]
     for room, members in before.items():
         KINDS[room].members.clear()
         KINDS[room].members.update(members)

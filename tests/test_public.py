@@ -6,6 +6,7 @@ import importlib
 import re
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -88,6 +89,30 @@ def test_a_name_in_place_of_a_scenario_is_refused_with_what_to_write() -> None:
     """run wants a loaded scenario."""
     with pytest.raises(ParameterError, match=r"vstestbed\.load"):
         vs.run("arm_ibvs")  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: vs.laws.IBVS(gian=1), "IBVS.gian is an unknown field; did you mean 'gain'?"),
+        (lambda: vs.laws.IBVS(gain=-1), "IBVS.gain must be > 0, got -1"),
+        (lambda: vs.laws.IBVS(gain={"kind": "adaptive", "at_zer": 1}), "IBVS.gain.at_zer is an unknown field; did you mean 'at_zero'?"),
+        (lambda: vs.laws.IBVS(depth="npn"), "IBVS.depth is no depth; valid kinds: constant, estimate, floor, goal, oracle, pnp, got 'npn'"),
+        (lambda: vs.robots.Free(), "Free.start is missing: where the camera starts; a block of nominal, random"),
+        (lambda: vs.robots.Free(strat=1), "Free.strat is an unknown field; did you mean 'start'?"),
+        (
+            lambda: vs.targets.Square(side=1, pose=(0, 0, 3)),
+            "Square.pose must be a block (a mapping) of xyz, rpy_deg, got (0, 0, 3); did you mean {xyz: [0, 0, 3]}?",
+        ),
+        (lambda: vs.targets.Square(side=1, pose={"rpy": (0, 0, 3)}), "Square.pose.rpy is an unknown field; did you mean 'rpy_deg'?"),
+        (lambda: vs.Pose(xyz=(0, "1", 3)), "Pose.xyz.1 must be a number, got '1'"),
+        (lambda: vs.Scenario(), "Scenario.robot is missing; valid kinds: "),
+    ],
+)
+def test_a_mistake_in_python_has_the_sentence_of_a_file(call: Callable[[], object], words: str) -> None:
+    with pytest.raises(ParameterError) as refused:
+        call()
+    assert str(refused.value).startswith(words) and isinstance(refused.value, ValueError)
 
 
 def test_the_readme_has_no_blank_left_to_fill() -> None:

@@ -17,6 +17,18 @@ from vstestbed.sim.render import pictures
 
 NO_FILM = ("--video", "none")
 LAW_WORDS = ", ".join(sorted(KINDS["laws"].members))
+FAILS = """\
+from typing import Literal
+import vstestbed as vs
+
+@vs.LAWS.add
+@vs.spec
+class Fails(vs.LawBase):
+    kind: Literal["fails"] = "fails"
+
+    def step(self, memory, observation, goal, basis):
+        raise RuntimeError("no")
+"""
 
 
 class TestBadInput:
@@ -30,7 +42,7 @@ class TestBadInput:
             (["."], ".: is a folder; give a scenario's YAML file"),
             (["empty.yaml"], "empty.yaml:1:1: is empty; a scenario needs robot, target, law and goal"),
             (["list.yaml"], "list.yaml:1:1: must be a mapping"),
-            (["quick.yaml", "--set", "law.gian=1"], "--set: law.gian: unknown field; did you mean 'gain'?"),
+            (["quick.yaml", "--set", "law.gian=1"], "--set: law.gian: is an unknown field; did you mean 'gain'?"),
             (["quick.yaml", "--set", "law.gain=nan"], "--set: law.gain: must be a number, or a block of one of the kinds adaptive"),
             (["quick.yaml", "--set", "law.gain=.nan"], "--set: law.gain: must be a finite number, got nan"),
             (["quick.yaml", "--set", "stop.duration_s=nan"], "--set: stop.duration_s: must be a finite number, got 'nan'"),
@@ -189,6 +201,12 @@ class TestRun:
         assert ended.code == 3
         assert ended.err.startswith("target_lost: ")
         assert "error     target not in sight; true pose of the camera: 3" in ended.err
+
+    @pytest.mark.usefixtures("own_kinds")
+    def test_a_law_that_fails_is_not_told_as_a_lost_target(self, command, quick: Path, tmp_path: Path) -> None:
+        (tmp_path / "fails.py").write_text(FAILS, encoding="utf-8")
+        ended = command("run", "quick.yaml", *NO_FILM, "--plugin", "fails.py", "--set", "law=fails")
+        assert ended.err.startswith("law_failed: ") and "error     not known, since the law failed; true pose" in ended.err
 
     def test_a_seed_draws_the_start_and_is_written_down(self, command, quick: Path) -> None:
         starts = []

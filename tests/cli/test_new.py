@@ -113,11 +113,8 @@ class TestRefusals:
             (("law", "ibvs"), "NAME is a bundled law; take another, such as my_ibvs"),
             (("lens", "fisheye"), "NAME is a bundled lens; take another, such as my_fisheye"),
             (("noise", "erasing"), "NAME is a bundled noise"),
-            (
-                ("law", "numpy"),
-                "NAME is the name of an installed module, which pytest would import in its place; take another, such as my_numpy",
-            ),
-            (("law", "mine", "--out", "random.py"), "--out is the name of an installed module"),
+            (("law", "numpy"), "and pytest would import that in its place; take another, such as my_numpy, got 'numpy'"),
+            (("law", "mine", "--out", "random.py"), "--out is the name of a module that Python finds already ("),
             (("law", "mine", "--out", "mine.txt"), "--out must be a Python file"),
             (("low", "mine"), "'law', 'feature', 'robot', 'detector'"),
         ],

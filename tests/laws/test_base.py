@@ -16,6 +16,7 @@ from vstestbed.features import Point
 from vstestbed.features.depth import PnP
 from vstestbed.laws import IBVS, LAWS, Command, LawBase
 from vstestbed.laws.solve import least_squares
+from vstestbed.testing import check_law
 
 
 def bare() -> type:
@@ -48,6 +49,26 @@ def test_a_bare_law_runs_and_orders_what_ibvs_does() -> None:
     made, bundled = run(own), run(replace(own, law=IBVS(gain=1.0)))  # pyright: ignore[reportArgumentType]
     for column in ("cmd_vx", "cmd_wz"):
         assert np.array_equal(made[column], bundled[column])
+
+
+@pytest.mark.usefixtures("own_kinds")
+def test_the_suite_finds_what_is_read_and_not_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    law = bare()
+    monkeypatch.setattr(law, "inputs", ("xy",))
+    words = r"^bare reads observation\.depth, which its `inputs` do not name; write inputs = \('xy', 'depth'\)$"
+    with pytest.raises(AssertionError, match=words):
+        check_law(law())
+
+    @LAWS.add
+    @spec
+    class Rays(LawBase):
+        kind: Literal["rays"] = "rays"
+
+        def step(self, memory, observation, goal, basis):
+            return memory, Command.rest(basis, str(observation.ray[0]))
+
+    with pytest.raises(AssertionError, match=r"law_failed, .*; its `inputs` do not name ray, which it reads, and which may be None then$"):
+        check_law(Rays())
 
 
 def test_half_as_many_markers_as_motions_by_default() -> None:

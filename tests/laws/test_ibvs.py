@@ -104,7 +104,7 @@ class TestGains:
 
     @pytest.mark.parametrize("gain", [0, -1, float("nan")])
     def test_gains_that_do_not_lead_to_the_goal_are_refused(self, gain: float):
-        with pytest.raises(ParameterError, match=r"greater than 0|finite"):
+        with pytest.raises(ParameterError, match=r"must be > 0|finite"):
             IBVS(gain=gain)
 
     def test_the_command_is_linear_in_the_gain(self):

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import gc
+import pickle
 import threading
 import weakref
 from itertools import pairwise
@@ -234,10 +236,21 @@ def test_who_writes_to_a_frames_goal_is_told_and_later_runs_stay_the_same(what: 
     before = vs.run(scenario)
     with vs.Session(scenario) as session:
         frame = session.reset()
-        for array in (getattr(frame.goal, what), frame.truth.T_world_target):
+        frame = session.step()
+        logged = (frame.observation.uv, frame.command.twist, frame.allocation.setpoint, frame.truth.q, frame.row)
+        for array in (getattr(frame.goal, what), frame.truth.T_world_target, *logged):
             with pytest.raises(ValueError, match="read-only"):
                 array -= 0.3
     assert same(vs.run(scenario), before)
+
+
+def test_a_session_is_not_pickled_and_says_what_is() -> None:
+    session = vs.Session(vs.load("ibvs_book", SHORT))
+    for take in (pickle.dumps, copy.copy, copy.deepcopy):
+        with pytest.raises(
+            SessionError, match=r"a running simulation and cannot be pickled or copied; take its scenario, or its recording"
+        ):
+            take(session)
 
 
 def test_a_twist_beyond_all_bounds_ends_as_crashed() -> None:

@@ -1,4 +1,4 @@
-"""Scenario files: every mistake named at once with its place, changes by --set, and what is written reads back the same."""
+"""Scenario files: every mistake named at once with its place, changes by overrides, and what is written reads back the same."""
 
 from __future__ import annotations
 
@@ -73,12 +73,16 @@ class TestOneMistake:
             (
                 "law: {",
                 "lwa: {",
-                f"s.yaml:1:1: law: is missing; valid kinds: {kinds_of('laws')}\ns.yaml:9:1: lwa: unknown field; did you mean 'law'?",
+                f"s.yaml:1:1: law: is missing; valid kinds: {kinds_of('laws')}\ns.yaml:9:1: lwa: is an unknown field; did you mean 'law'?",
             ),
-            ("gain: 0.5", "gian: 0.5", "s.yaml:9:19: law.gian: unknown field; did you mean 'gain'?"),
-            ("gain: 0.5", "feature: {kind: point, deepth: 1}", "s.yaml:9:42: law.feature.deepth: unknown field; valid: kind"),
-            ("gain: 0.5", "gain: {kind: constant, slope_at_zero: 1}", "law.gain.slope_at_zero: unknown field of constant; adaptive has it"),
-            ("q_deg: [", "qdeg: [", "s.yaml:3:21: robot.start.nominal.qdeg: unknown field; did you mean 'q_deg'?"),
+            ("gain: 0.5", "gian: 0.5", "s.yaml:9:19: law.gian: is an unknown field; did you mean 'gain'?"),
+            ("gain: 0.5", "feature: {kind: point, deepth: 1}", "s.yaml:9:42: law.feature.deepth: is an unknown field; valid: kind"),
+            (
+                "gain: 0.5",
+                "gain: {kind: constant, slope_at_zero: 1}",
+                "law.gain.slope_at_zero: is an unknown field of constant; adaptive has it",
+            ),
+            ("q_deg: [", "qdeg: [", "s.yaml:3:21: robot.start.nominal.qdeg: is an unknown field; did you mean 'q_deg'?"),
             ("side: 0.5", "side: wide", "s.yaml:7:3: target.side: must be a number, got 'wide'"),
             ("side: 0.5", 'side: "0.5"', "s.yaml:7:3: target.side: must be a number, got '0.5'"),
             ("side: 0.5", "side: true", "s.yaml:7:3: target.side: must be a number, got True"),
@@ -154,8 +158,8 @@ class TestOneMistake:
         [
             ("{xyz: [0, 0, 1e9]}", "robot.start.random.xyz.2: must be -1000 to 1000 m"),
             ("{random: {q_deg: -1}}", "s.yaml:3:29: robot.start.random.random.q_deg: must be >= 0, got -1"),
-            ("{nominal: {qdeg: 1}}", "s.yaml:3:30: robot.start.random.nominal.qdeg: unknown field; did you mean 'q_deg'?"),
-            ("3", "s.yaml:3:11: robot.start.random: must be a block (a mapping), got 3"),
+            ("{nominal: {qdeg: 1}}", "s.yaml:3:30: robot.start.random.nominal.qdeg: is an unknown field; did you mean 'q_deg'?"),
+            ("3", "s.yaml:3:11: robot.start.random: must be a block (a mapping) of xyz, rpy_deg, got 3"),
         ],
     )
     def test_of_two_blocks_the_one_that_is_meant(self, random: str, line: str) -> None:
@@ -183,9 +187,9 @@ def test_all_mistakes_are_told_at_once_in_the_order_of_the_file() -> None:
     assert mistakes(text + "physic: {step_s: 1}\n", law__smooth_start_s=-1) == [
         "s.yaml:4:10: camera.rate_hz: must be a number, got 'fast'",
         "s.yaml:7:3: target.side: must be > 0, got -1",
-        "s.yaml:9:19: law.gian: unknown field; did you mean 'gain'?",
-        "s.yaml:11:1: physic: unknown field; did you mean 'physics'?",
-        "--set: law.smooth_start_s: must be >= 0, got -1",
+        "s.yaml:9:19: law.gian: is an unknown field; did you mean 'gain'?",
+        "s.yaml:11:1: physic: is an unknown field; did you mean 'physics'?",
+        "overrides: law.smooth_start_s: must be >= 0, got -1",
     ]
 
 
@@ -280,7 +284,7 @@ class TestSet:
     )
     def test_a_field_a_list_item_a_word_a_new_block(self, field: str, value: object, found: Callable[..., bool] | None) -> None:
         if found is None:  # the bare word that stands there, or the default's kind, does not have this field, and the message knows it
-            assert "--set: " in mistakes(GOOD, **{field.replace(".", "__"): value})[0]
+            assert "overrides: " in mistakes(GOOD, **{field.replace(".", "__"): value})[0]
         else:
             assert found(parse(GOOD, "s.yaml", {field: value}))
 
@@ -297,17 +301,17 @@ class TestSet:
     @pytest.mark.parametrize(
         ("field", "value", "line"),
         [
-            ("law.gian", 1, "--set: law.gian: unknown field; did you mean 'gain'?"),
-            ("law.gain", float("nan"), "--set: law.gain: must be a finite number, got nan"),
-            ("law.kind", "ibv", f"--set: law.kind: is no law; valid kinds: {kinds_of('laws')}, got 'ibv'"),
-            ("law", "ibv", f"--set: law: is no law; valid kinds: {kinds_of('laws')}, got 'ibv'"),
-            ("target.side.x", 1, "--set: target.side.x: target.side is a value, not a block, got 0.5"),
-            ("nope.deeper.still", 1, "--set: nope: unknown field; did you mean"),
+            ("law.gian", 1, "overrides: law.gian: is an unknown field; did you mean 'gain'?"),
+            ("law.gain", float("nan"), "overrides: law.gain: must be a finite number, got nan"),
+            ("law.kind", "ibv", f"overrides: law.kind: is no law; valid kinds: {kinds_of('laws')}, got 'ibv'"),
+            ("law", "ibv", f"overrides: law: is no law; valid kinds: {kinds_of('laws')}, got 'ibv'"),
+            ("target.side.x", 1, "overrides: target.side.x: target.side is a value, not a block, got 0.5"),
+            ("nope.deeper.still", 1, "overrides: nope: is an unknown field; did you mean"),
             ("robot.start.nominal.q_deg.6", 1, "there is no item 6 in a list of 6 (the first is item 0)"),
             ("robot.start.nominal.q_deg.x", 1, "there is no item x in a list of 6 (the first is item 0)"),
             ("robot.start.nominal.q_deg.-1", 1, "there is no item -1 in a list of 6"),
             ("robot.start.nominal.q_deg.2", 180, "robot.start.nominal.q_deg.2: must be within joint 3's limits -225 to 45 deg"),
-            ("law.", 1, "--set: law.: is no path to a field, such as law.gain"),
+            ("law.", 1, "overrides: law.: is no path to a field, such as law.gain"),
             ("", 1, "is no path to a field, such as law.gain"),
         ],
     )
@@ -315,7 +319,7 @@ class TestSet:
         told = mistakes(GOOD, **{field.replace(".", "__"): value})
         assert len(told) == 1
         assert line in told[0]
-        assert told[0].startswith("--set: ")
+        assert told[0].startswith("overrides: ")
 
     @pytest.mark.parametrize(
         ("text", "value"),
@@ -471,10 +475,10 @@ class TestContradictions:
     def test_a_setting_is_blamed_for_its_own_mistake(self) -> None:
         with pytest.raises(ScenarioError) as caught:
             load("arm_ibvs", {"goal.T_camera_target.xyz": [2, 0, 1]})
-        assert str(caught.value).startswith("--set: goal.T_camera_target: is a view in which markers 0, 1, 2, 3 are outside")
+        assert str(caught.value).startswith("overrides: goal.T_camera_target: is a view in which markers 0, 1, 2, 3 are outside")
 
     def test_a_setting_elsewhere_is_blamed_too(self) -> None:
-        with pytest.raises(ScenarioError, match=r"^--set: goal"):
+        with pytest.raises(ScenarioError, match=r"^overrides: goal"):
             load("arm_ibvs", {"camera.width": 100})
 
     @pytest.mark.parametrize(
@@ -492,16 +496,16 @@ class TestContradictions:
             load("arm_ibvs", settings)
 
     def test_a_field_of_another_law_is_told_as_such(self) -> None:
-        with pytest.raises(ScenarioError, match=r"^--set: law.feedforward: unknown field of hybrid; ibvs and pbvs have it$"):
+        with pytest.raises(ScenarioError, match=r"^overrides: law.feedforward: is an unknown field of hybrid; ibvs and pbvs have it$"):
             load("arm_hybrid", {"law.feedforward": "none"})
 
     def test_a_field_within_a_list_has_its_whole_place(self) -> None:
-        with pytest.raises(ScenarioError, match=r"^--set: goal.views.0.marker: unknown field; did you mean 'markers'"):
+        with pytest.raises(ScenarioError, match=r"^overrides: goal.views.0.marker: is an unknown field; did you mean 'markers'"):
             load("arm_docking", {"goal.views.0.marker": [1]})
 
     @pytest.mark.parametrize("name", ["arm_pbvs", "arm_hybrid"])
     def test_a_law_without_a_depth_is_not_told_to_change_it(self, name: str) -> None:
         line = [[-0.2, 0, 0], [0, 0, 0], [0.1, 0, 0], [0.2, 0, 0]]
         target = {"kind": "points", "at": line, "pose": {"xyz": [1.5, 0, 0.7], "rpy_deg": [0, 90, 0]}}
-        with pytest.raises(ScenarioError, match=r"^--set: target: has all markers on one line"):
+        with pytest.raises(ScenarioError, match=r"^overrides: target: has all markers on one line"):
             load(name, {"target": target})

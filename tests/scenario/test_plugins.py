@@ -121,6 +121,16 @@ def test_a_plugin_that_fails_is_named_with_its_line_and_leaves_nothing(command, 
     assert load_plugins([str(tmp_path / "bad.py")])
 
 
+def test_a_plugin_that_adds_no_kind_is_told_until_it_adds_one(tmp_path: Path) -> None:
+    path = tmp_path / "forgot.py"
+    path.write_text("class Forgotten: ...\n", encoding="utf-8")
+    for _ in range(2):
+        with pytest.raises(PluginError, match=r"forgot\.py: adds no kind; write @vs\.LAWS\.add .* and @vs\.spec above its class Forgotten"):
+            load_plugins([str(path)])
+    plugin(path, "remembered")
+    assert load_plugins([str(path)]) == (str(path),)
+
+
 def test_a_plugin_that_is_gone_and_its_new_place(command, quick: Path, tmp_path: Path, vstestbed_process) -> None:
     law = plugin(tmp_path / "old/mine.py")
     assert command("run", "quick.yaml", "--plugin", law, "--set", "law.kind=mine", "--out", "run", *NO_FILM).code == 0

@@ -60,7 +60,7 @@ def test_the_distance_to_go_is_to_the_last_of_them():
     ("views", "words"),
     [
         ([{"view_from": {"x": -2}}], "goal.views: must be a list of 2 or more views; one alone"),
-        ([{"view_from": {"x": -2}}, {"view_from": {"z": 1}}], "goal.views.1.view_from.z: unknown field"),
+        ([{"view_from": {"x": -2}}, {"view_from": {"z": 1}}], "goal.views.1.view_from.z: is an unknown field"),
     ],
 )
 def test_views_that_are_none_are_refused(views, words):

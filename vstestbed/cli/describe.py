@@ -15,7 +15,8 @@ from rich.table import Table
 from rich.text import Text
 
 from vstestbed.core.docstrings import DIMENSIONLESS, class_text, unit_in, without_unit
-from vstestbed.core.spec import OneOf, blocks_in, needed_fields
+from vstestbed.core.registry import Room, blocks_in
+from vstestbed.core.spec import needed_fields
 from vstestbed.scenario.bundled_uses import bundled_uses
 from vstestbed.scenario.catalogue import Entry
 from vstestbed.scenario.described import default_of, example_block
@@ -45,7 +46,7 @@ def describe_entry(entry: Entry, entries: dict[str, Entry], console: Console) ->
     _use(entry, console)
 
 
-def _kinds(room: OneOf, console: Console) -> None:
+def _kinds(room: Room, console: Console) -> None:
     table = _table("kind", "what it is")
     for kind, cls in room.members.items():
         table.add_row(Text(kind, style="cyan"), Text(class_text(cls).summary))

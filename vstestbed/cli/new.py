@@ -86,7 +86,7 @@ def _check_name(kind: NewKind, name: str) -> None:
 
 
 def _check_file(path: Path, given: Path | None) -> None:
-    """Refuse a file that is there, and one that Python would take for a module of another name; given: with --out.
+    """Refuse a file that is there, and one whose name Python finds elsewhere; given: with --out.
 
     Raises:
         ParameterError, OutputError: it says what would work.
@@ -95,6 +95,12 @@ def _check_file(path: Path, given: Path | None) -> None:
         raise ParameterError("--out", f"must be a Python file, such as {re.sub(r'[^0-9A-Za-z_]', '_', path.stem) or 'my'}_.py", str(path))
     if path.exists() or path.is_symlink():
         raise OutputError(path, "is there already, and is not written over", "give another name, or --out FILE.py")
-    if importlib.util.find_spec(path.stem) is not None:
-        words = f"is the name of an installed module, which pytest would import in its place; take another, such as my_{path.stem}"
-        raise ParameterError("NAME" if given is None else "--out", words, path.stem)
+    _check_module(path, "NAME" if given is None else "--out")
+
+
+def _check_module(path: Path, option: str) -> None:
+    """Refuse a file that pytest could not import, since Python finds another of its name first; option: that gave the name."""
+    if (taken := importlib.util.find_spec(path.stem)) is not None:
+        other = f"{path.stem}_2" if path.stem.startswith("my_") else f"my_{path.stem}"
+        words = f"is the name of a module that Python finds already ({taken.origin}), and pytest would import that in its place"
+        raise ParameterError(option, f"{words}; take another, such as {other}", path.stem)

@@ -8,6 +8,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 if TYPE_CHECKING:
     from vstestbed.loop.recording import Recording
     from vstestbed.scenario.scenario import Scenario
@@ -173,7 +175,7 @@ def _judged(summary: Mapping[str, Any]) -> str:
 def _error_text(recording: Recording) -> str:
     """Errors at the end: measured in the image, true of the pose."""
     s = recording.summary()
-    error = _number(s, "final_error_px", "px in the image", digits=3) if s["final_error_px"] is not None else "target not in sight"
+    error = _number(s, "final_error_px", "px in the image", digits=3) if s["final_error_px"] is not None else _why_no_error(recording)
     pose = f"{_number(s, 'final_position_error_m', 'mm', 1000)} and {_number(s, 'final_rotation_error_deg', 'deg', digits=3)} from the goal"
     return f"{error}; true pose of the {'vehicle' if recording.scenario.robot.base == 'planar' else 'camera'}: {pose}"
 
@@ -184,6 +186,16 @@ def _path_text(summary: Mapping[str, Any]) -> str:
     reached = "goal not reached" if since is None else f"at the goal from {since:.1f} s on"
     ratio = "" if summary["path_ratio"] is None else f"; {summary['path_ratio']:.2f} times the straight line"
     return f"{reached}{ratio}; largest retreat {_number(summary, 'max_retreat_m', 'm')}"
+
+
+def _why_no_error(recording: Recording) -> str:
+    """Why there is no measured error at the end."""
+    if recording.outcome.name == "law_failed":
+        return "not known, since the law failed"
+    seen = [name for name in recording.columns if name.startswith("u_") and name[2:].isdecimal()]
+    if any(np.isfinite(recording[name][-1]) for name in seen):
+        return "not known, since the law could not work with what was in sight"
+    return "target not in sight"
 
 
 def _number(summary: Mapping[str, Any], name: str, unit: str, factor: float = 1.0, digits: int = 2) -> str:

@@ -59,8 +59,10 @@ Force = Annotated[bool, typer.Option("--force", help="Also more than 100 000 run
 def load_scenario(name: str, settings: list[str] | None, plugins: list[str] | None, seed: int | None = None) -> Scenario:
     """Load the scenario of a command line, with `--set`, `--seed` and `--plugin` applied."""
     from vstestbed.scenario.load import load
+    from vstestbed.scenario.yaml_marks import from_option
 
-    return load(name, settings_of(settings), seed, plugins=plugins or [])
+    overrides = settings_of(settings)
+    return load(name, overrides, seed, from_option(overrides), plugins or [])
 
 
 def settings_of(settings: list[str] | None) -> dict[str, object]:

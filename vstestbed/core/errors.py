@@ -122,3 +122,9 @@ def nearest(word: str, valid: Iterable[str]) -> str:
     # 0.6 is difflib's default; a list of all words is better than a wrong guess.
     close = difflib.get_close_matches(word, valid, n=1, cutoff=0.6)
     return f"did you mean {close[0]!r}?" if close else f"valid: {', '.join(valid)}"
+
+
+def short(found: object) -> str:
+    """A value for a message, on one line, cut to 60 characters."""
+    text = " ".join(repr(found).split("\n"))  # arrays have several
+    return text if len(text) <= 60 else text[:57] + "..."

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
-from vstestbed.core.spec import OneOf, rooms_of
+from vstestbed.core.registry import Room, rooms_of
 
 
 def to_mapping(value: Any) -> Any:
@@ -48,7 +48,7 @@ def _kept_fields(value: Any) -> list[str]:
     return [f.name for f in own if getattr(value, f.name) != _default(f)] or [f.name for f in own[: not hasattr(value, "kind")]]
 
 
-def _with_kind(kind: str, block: dict[str, Any], rooms: list[OneOf]) -> Any:
+def _with_kind(kind: str, block: dict[str, Any], rooms: list[Room]) -> Any:
     """A block with its kind, where no field tells it; the number or the word that a room has for it."""
     if rooms and all(room.implied(block) == kind for room in rooms):
         return block

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import dataclasses
 import sys
-import typing
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from importlib.metadata import EntryPoints
@@ -30,13 +29,13 @@ from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from vstestbed.core.contract import Contract
 from vstestbed.core.errors import ParameterError
+from vstestbed.core.refusals import refusal, refuse_conversions
+from vstestbed.core.registry import ROOMS, SPECS, Room, fields_of
 
 T = TypeVar("T")
 # Not strict: YAML has lists where a spec has tuples, and integers where it has floats. `scenario.validation` refuses other conversions.
 _CONFIG = ConfigDict(extra="forbid", allow_inf_nan=False, arbitrary_types_allowed=True, strict=False)
 _GROWN: list[str] = []  # rooms that have got a kind since the validators were built
-_ROOMS: list[OneOf] = []
-_SPECS: list[type] = []  # every spec in the order of definition, so that `rebuild_specs` builds parts before what holds them
 
 
 @dataclass_transform(kw_only_default=True, frozen_default=True)
@@ -47,28 +46,26 @@ def spec(cls: type[T]) -> type[T]:
     """
     made: Any = _pydantic_dataclass(cls, frozen=True, kw_only=True, config=_CONFIG)
     _with_our_errors(made)
-    _SPECS.append(made)
+    SPECS.append(made)
     return made
 
 
 def _with_our_errors(cls: Any) -> None:
-    """Let pydantic's constructor of a spec class raise ParameterError."""
+    """Let pydantic's constructor of a spec class raise ParameterError, in the words of a scenario's file."""
     checked_init = cls.__init__
 
-    def init(self: Any, **values: Any) -> None:
+    def init(self: Any, *nameless: Any, **values: Any) -> None:
         if refresh_specs():
-            type(self).__init__(self, **values)
+            type(self).__init__(self, *nameless, **values)
             return
+        if nameless:
+            first = next((name for name in fields_of(cls) if name != "kind"), "kind")
+            raise ParameterError(cls.__name__, f"takes its fields by their names, such as {cls.__name__}({first}=...)", nameless)
         try:
             checked_init(self, **values)
         except pydantic.ValidationError as error:
-            first = error.errors()[0]
-            # A __post_init__ that raised ParameterError has said it better than pydantic, which wraps it.
-            inner = first.get("ctx", {}).get("error")
-            field = ".".join(str(part) for part in first["loc"]) or cls.__name__
-            if isinstance(inner, ParameterError):
-                raise (inner if inner.field else ParameterError(field, inner.problem, inner.found)) from None
-            raise ParameterError(field, first["msg"], first["input"]) from None
+            raise refusal(error, cls, values) from None
+        refuse_conversions(self, values)
 
     cls.__init__ = init
 
@@ -87,24 +84,19 @@ def rebuild_specs() -> None:
     Pydantic compiles a validator when the class is defined, with the kinds known then; without this a plugin's kind is refused.
     """
     _GROWN.clear()
-    for cls in _SPECS:
+    for cls in SPECS:
         rebuild_dataclass(cls, force=True)
         _with_our_errors(cls)  # pydantic has put its own constructor back
-
-
-def spec_named(word: object) -> type | None:
-    """The spec class of a name: pydantic has it in the location of an error where a field may be one of two blocks; None for others."""
-    return next((cls for cls in _SPECS if cls.__name__ == word), None)
 
 
 @contextmanager
 def undone_on_error() -> Iterator[None]:
     """Take back what was defined and registered within where an error ends it: a plugin is there as a whole, or not at all."""
-    specs, members = len(_SPECS), [(room, dict(room.members)) for room in _ROOMS]
+    specs, members = len(SPECS), [(room, dict(room.members)) for room in ROOMS]
     try:
         yield
     except BaseException:
-        del _SPECS[specs:]
+        del SPECS[specs:]
         for room, before in members:
             room.members.clear()
             room.members.update(before)
@@ -112,7 +104,7 @@ def undone_on_error() -> Iterator[None]:
         raise
 
 
-class OneOf:
+class OneOf(Room):
     """The registered kinds of one block, discriminated by `kind`; the only list of a room's members.
 
     Args:
@@ -133,12 +125,10 @@ class OneOf:
         fields: Mapping[str, str] | None = None,
         contract: Contract | None = None,
     ):
-        self.what, self.number, self.default, self.fields = what, number, default, dict(fields or {})
+        super().__init__(what, number, default, fields)
         self.contract = contract
-        self.members: dict[str, type] = {}
         for member in members:
             self._add(member)
-        _ROOMS.append(self)
 
     def add(self, member: type[T]) -> type[T]:
         """Register one more kind (usable as a decorator by a plugin).
@@ -153,7 +143,7 @@ class OneOf:
     def _add(self, member: type) -> bool:
         """Whether the member is new."""
         # By identity: a subclass of a spec is a dataclass, too, but without @spec its own fields would be ignored.
-        if not any(member is known for known in _SPECS):
+        if not any(member is known for known in SPECS):
             name = getattr(member, "__name__", repr(member))
             raise ParameterError(name, f"is not a spec; a {self.what} is a class with @spec directly above it, below any `add`")
         kind = kind_of(member)
@@ -167,10 +157,6 @@ class OneOf:
         new = self.members.get(kind) is not member
         self.members[kind] = member
         return new
-
-    def implied(self, block: Mapping[str, Any]) -> str | None:
-        """The kind of a block without `kind`, by one of its fields; None where none tells it."""
-        return next((kind for field, kind in self.fields.items() if field in block), None)
 
     def load_entry_points(self, installed: EntryPoints) -> bool:
         """Register the classes that installed packages offer under `vstestbed.<what>s`; True if any was new."""
@@ -263,34 +249,9 @@ def needed_fields(cls: type) -> list[str]:
     return [f.name for f in fields if f.init and f.default is missing and f.default_factory is missing]
 
 
-def blocks_in(hint: Any) -> Iterator[tuple[OneOf | None, type]]:
-    """The spec classes that a field of this type may hold, each with the room in which it is a kind; None where it is the only one."""
-    metadata = getattr(hint, "__metadata__", ())
-    rooms = [m for m in metadata if isinstance(m, OneOf)]
-    if rooms:
-        yield from ((rooms[0], member) for member in rooms[0].members.values())
-    elif metadata:
-        yield from blocks_in(hint.__origin__)
-    elif dataclasses.is_dataclass(hint) and isinstance(hint, type):
-        yield None, hint
-    else:
-        for inner in typing.get_args(hint):
-            yield from blocks_in(inner)
-
-
-def is_list(hint: Any) -> bool:
-    """Whether a field of this type, which holds blocks, holds a list of them."""
-    return "tuple[" in str(hint)
-
-
 def kind_of(cls: type) -> str:
     """The `kind` of a spec class, the word for it in YAML; ParameterError where it has none."""
     for field in dataclasses.fields(cls):
         if field.name == "kind" and isinstance(field.default, str):
             return field.default
     raise ParameterError("kind", f"is missing: {cls.__name__} needs `kind: Literal['...'] = '...'`")
-
-
-def rooms_of(cls: type) -> list[OneOf]:
-    """The lists of kinds that a spec class is a member of."""
-    return [room for room in _ROOMS if cls in room.members.values()]

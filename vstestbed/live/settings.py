@@ -14,6 +14,7 @@ from vstestbed.core.folders import folder_name, numbered
 from vstestbed.scenario.dump import dump
 from vstestbed.scenario.load import load
 from vstestbed.scenario.scenario import Scenario
+from vstestbed.scenario.yaml_marks import from_option
 
 SEED = "seed"
 """The setting that draws start and noise as `--seed` does; None for the scenario's own start."""
@@ -39,7 +40,7 @@ class Settings:
     ):
         self._name, self._plugins = name, tuple(plugins)
         self._overrides, self.seed = dict(overrides or {}), seed
-        self.scenario = load(name, self._overrides, seed, plugins=self._plugins)
+        self.scenario = load(name, self._overrides, seed, from_option(self._overrides), self._plugins)
 
     def change(self, path: str, value: object) -> Scenario:
         """Set a field, and load the scenario again; what is refused changes nothing.
@@ -59,7 +60,7 @@ class Settings:
             path, value = self._whole_list(path, value)
             # what was set inside the old value, or round it, is gone; the last setting is applied last
             overrides = {p: v for p, v in overrides.items() if p != path and not p.startswith(f"{path}.")} | {path: value}
-        scenario = load(self._name, overrides, seed, plugins=self._plugins)
+        scenario = load(self._name, overrides, seed, from_option(overrides), self._plugins)
         self._overrides, self.seed, self.scenario = overrides, seed, scenario
         return scenario
 

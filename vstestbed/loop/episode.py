@@ -157,6 +157,8 @@ class Episode:
         start = time.perf_counter()
         self._log.append(self.frame)
         self._record_s += time.perf_counter() - start
+        if self._watchers:
+            self.frame.protected()
         for watcher in self._watchers:
             watcher.frame(self.frame)
 

@@ -64,6 +64,14 @@ class Session:
         robot = scenario.robot
         self._motions = robot.motion_basis(Mount.of(scenario.believed_camera.mount.T), robot.start_joints()).shape[1]
 
+    def __reduce__(self) -> Any:
+        """Neither pickled nor copied.
+
+        Raises:
+            SessionError: always; it says what can be.
+        """
+        raise SessionError("a session holds a running simulation and cannot be pickled or copied", "take its scenario, or its recording()")
+
     def reset(self, seed: int | None = None) -> Frame:
         """Begin an episode and simulate until its first picture has arrived. An episode that is under way ends unfinished.
 
@@ -82,7 +90,7 @@ class Session:
         frame = self.episode.advance()
         if frame is None:
             raise SessionError(f"the run ended before a picture arrived: {self.episode.reason}", "change the camera's timing")
-        return frame
+        return frame.protected()
 
     def step(self, command: ArrayLike | Twist3 | None = None) -> Frame:
         """Send the command for the last frame, and simulate until the next picture has arrived.
@@ -100,7 +108,7 @@ class Session:
             SessionError: before `reset`, or after the end.
         """
         episode = self._running()
-        return episode.advance(None if command is None else self._checked(command)) or episode.ended()
+        return (episode.advance(None if command is None else self._checked(command)) or episode.ended()).protected()
 
     def take_pictures(self, on: bool) -> None:
         """Whether the exposures from now on are whole pictures, where `pictures` was asked for: fewer take less time. No number changes.

@@ -9,7 +9,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from vstestbed.core.errors import ParameterError, nearest
-from vstestbed.core.spec import OneOf, blocks_in, is_list, kind_of
+from vstestbed.core.registry import Room, blocks_in, is_list
+from vstestbed.core.spec import kind_of
 
 
 @dataclass(frozen=True)
@@ -23,7 +24,7 @@ class Entry:
 
     name: str
     cls: type | None
-    room: OneOf | None
+    room: Room | None
     field: str
 
 
@@ -50,7 +51,7 @@ def catalogue(**roots: type) -> dict[str, Entry]:
     return found
 
 
-def _blocks_of(cls: type) -> Iterator[tuple[str, bool, OneOf | None, type]]:
+def _blocks_of(cls: type) -> Iterator[tuple[str, bool, Room | None, type]]:
     """Field, whether it is a list, room and class of each block that a block may hold."""
     hints = typing.get_type_hints(cls, include_extras=True)
     for field in dataclasses.fields(cls):

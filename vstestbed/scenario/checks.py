@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import fields, replace
 from typing import Any
 
@@ -12,6 +13,7 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.spec import kind_of
 from vstestbed.features.depth import OnFloor, PnP
+from vstestbed.features.observation import Goal
 from vstestbed.laws import Law
 from vstestbed.robots import VEHICLES, Mount, Robot
 from vstestbed.sim.scene.world import World
@@ -24,6 +26,34 @@ ON_ONE_LINE = 1e-6
 """Ratio of the second to the first singular value of marker positions under which they count as collinear."""
 MOST_FRAMES, MOST_BYTES = 10_000_000, 4 << 30
 """Most frames of a run: a day at 115 Hz, whose log is a table of some 10 GB. Most bytes of pictures in transit."""
+
+
+MOST_MOUNT_M, MOST_VIEW_M, MOST_TARGET_M = 10.0, 50.0, 100.0
+"""Farthest that a camera is from its flange, a goal view from the target, and the target from the origin: several times what any
+experiment here needs [m]. What lies beyond was meant in millimetres."""
+
+
+def check_metres(camera: Camera, target: Target) -> None:
+    """Refuse a mount and a place of the target that are far beyond an experiment, as lengths in millimetres are.
+
+    Raises:
+        ParameterError: it names the field.
+    """
+    _check_length("camera.mount", camera.mount.T, MOST_MOUNT_M)
+    _check_length("target.pose", target.pose.T, MOST_TARGET_M)
+
+
+def check_views_metres(field: str, views: Sequence[Goal]) -> None:
+    """The same of goal views; field: the field of the goal that has them."""
+    for view in views:
+        _check_length(field, view.T_camera_target, MOST_VIEW_M)
+
+
+def _check_length(field: str, T: Array, most_m: float) -> None:
+    length = float(np.linalg.norm(T[:3, 3]))
+    if length > most_m:
+        words = f"is {length:.4g} m away, and may be at most {most_m:g} m; lengths are in metres: did you mean {length / 1000:.4g} m?"
+        raise ParameterError(field, words)
 
 
 def check_memory(camera: Camera, detector: Detector[Any], timing: Timing, stop: Stop) -> None:

@@ -18,7 +18,8 @@ from pydantic_core.core_schema import DataclassSchema
 
 from vstestbed.core.docstrings import DIMENSIONLESS, ClassText, FieldText, class_text
 from vstestbed.core.mapping import to_mapping
-from vstestbed.core.spec import blocks_in, is_list, kind_of, needed_fields, refresh_specs
+from vstestbed.core.registry import blocks_in, is_list
+from vstestbed.core.spec import kind_of, needed_fields, refresh_specs
 from vstestbed.scenario.bundled_uses import Uses, bundled_uses
 from vstestbed.scenario.dump import flow_text
 from vstestbed.scenario.yaml_marks import read_value

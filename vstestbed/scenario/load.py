@@ -13,11 +13,11 @@ from typing import Any
 from ruamel.yaml import YAML
 
 from vstestbed.core.assets import bundled_scenarios
-from vstestbed.core.errors import Mistake, ParameterError, ScenarioError, nearest
+from vstestbed.core.errors import Mistake, ParameterError, ScenarioError, nearest, short
 from vstestbed.scenario.plugins import absolute, absolute_files, load_named
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.scenario.validation import KINDS, build
-from vstestbed.scenario.yaml_marks import FROM_OPTION, Marks, override, place_of, plain_mapping, short
+from vstestbed.scenario.yaml_marks import FROM_PYTHON, Marks, override, place_of, plain_mapping
 
 MOST_BYTES = 100_000
 """Largest file that is read: fifty times the largest bundled one, and parsed in 2 s; one of 10 MB would take minutes."""
@@ -59,7 +59,7 @@ def load(
         name: path of a YAML file, or the name of a bundled scenario.
         overrides: values by dotted path, such as {"law.gain": 1.0}; they replace what the file says before it is checked.
         seed: draw the start from the robot's random block, and all noise, from this seed.
-        places: for messages, where each override stands: of its value and of the keys in it, relative to it; by default `--set`.
+        places: for messages, where each override stands: of its value and of the keys in it, relative to it; by default `overrides`.
         plugins: files (`mylaw.py`) or modules that add kinds, besides those that the file names under `plugins`.
 
     Raises:
@@ -122,7 +122,7 @@ def _override_all(
     """Apply the overrides of `plugins`, or all others."""
     for dotted, value in overrides.items():
         if (dotted.split(".")[0] == "plugins") == of_plugins:
-            override(plain, dotted, value, marks, _is_kind, places.get(dotted, FROM_OPTION))
+            override(plain, dotted, value, marks, _is_kind, places.get(dotted, FROM_PYTHON))
 
 
 def _blame_settings(
@@ -133,7 +133,7 @@ def _blame_settings(
     A contradiction between two fields names one of them, which may be the file's: so the file is read again with one more override
     at a time.
     """
-    known = {place for dotted in overrides for place in places.get(dotted, FROM_OPTION).values()}
+    known = {place for dotted in overrides for place in places.get(dotted, FROM_PYTHON).values()}
     if all(m.where in known for m in error.mistakes):
         return error
     origins = _origins(text, file, overrides, places)
@@ -146,7 +146,7 @@ def _origins(text: str, file: str, overrides: Mapping[str, object], places: Mapp
     origins = dict.fromkeys(_mistakes(text, file, {}), "")
     for number, dotted in enumerate(overrides, start=1):
         found = _mistakes(text, file, dict(itertools.islice(overrides.items(), number)))
-        origins = dict.fromkeys(found, places.get(dotted, FROM_OPTION)[()]) | origins
+        origins = dict.fromkeys(found, places.get(dotted, FROM_PYTHON)[()]) | origins
     return origins
 
 

@@ -12,14 +12,16 @@ import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from vstestbed.core.errors import PluginError
 from vstestbed.core.modules import line_of, load_file, module_of
 from vstestbed.core.named_files import ENDINGS, FILE_FIELDS, absolute_file, is_there
+from vstestbed.core.registry import ROOMS
 from vstestbed.core.spec import refresh_specs, undone_on_error
 from vstestbed.scenario.validation import KINDS
-from vstestbed.scenario.yaml_marks import Marks, place_of
+from vstestbed.scenario.yaml_marks import FROM_OPTION, FROM_PYTHON, Marks, place_of
 
 _installed: list[str] = []  # rooms whose entry points are loaded
 
@@ -62,7 +64,7 @@ def load_named(plain: dict[str, Any], marks: Marks, file: str, given: Sequence[s
     found = []
     for i, name in enumerate(named):
         where = place_of(("plugins", i), marks, file)
-        folder = Path.cwd() if where == "--set" else Path(file).absolute().parent
+        folder = Path.cwd() if where in (FROM_OPTION[()], FROM_PYTHON[()]) else Path(file).absolute().parent
         found.append(_loaded(name, folder, where, beside, f"plugins.{i}"))
     if found or beside:
         plain["plugins"] = list(dict.fromkeys([*found, *beside]))
@@ -117,12 +119,26 @@ def _loaded(name: str, folder: Path, where: str, beside: Sequence[str], field: s
             return _load_module(name, where, beside, field)
     if not is_there(path):
         return _moved(path.stem, beside) or _refuse(where, f"{path} is not there", f"PLACE/{path.name}", field)
+    known, before = module_of(path), _members()
     with _loading(str(path), path), undone_on_error():
         module = load_file(path)
         refresh_specs()
+    if known is None and _members() == before:
+        del sys.modules[module.__name__]  # to be read again when it is corrected
+        raise PluginError(str(path), "adds no kind", _what_adds(module), field)
     if not is_file_name(name):  # by its own name, too, so that an import of it does not load the file again
         sys.modules.setdefault(name, module)
     return str(path)
+
+
+def _members() -> int:
+    return sum(len(room.members) for room in ROOMS)
+
+
+def _what_adds(module: ModuleType) -> str:
+    """What makes a kind of the first class of a plugin that adds none."""
+    own = [cls.__name__ for cls in vars(module).values() if isinstance(cls, type) and cls.__module__ == module.__name__]
+    return f"write @vs.LAWS.add (ROBOTS, TARGETS, ...) and @vs.spec above {f'its class {own[0]}' if own else 'a class in it'}"
 
 
 def _load_module(name: str, where: str, beside: Sequence[str], field: str) -> str:

@@ -18,7 +18,15 @@ from vstestbed.core.spec import spec
 from vstestbed.features.observation import Goal
 from vstestbed.laws import LAWS, Law
 from vstestbed.robots import ROBOTS, Robot
-from vstestbed.scenario.checks import check_carrier, check_floor_depth, check_markers, check_memory, check_robot
+from vstestbed.scenario.checks import (
+    check_carrier,
+    check_floor_depth,
+    check_markers,
+    check_memory,
+    check_metres,
+    check_robot,
+    check_views_metres,
+)
 from vstestbed.sim.clock import Clock
 from vstestbed.sim.render.noise import Drift
 from vstestbed.sim.scene.start_pose import camera_start, flange_for, target_start
@@ -137,6 +145,7 @@ class Scenario:
             raise ParameterError("law.depth", words)
         self.timing.check(self.camera, self.clock[0])  # first: the clock refuses a step that does not divide the camera's period
         check_memory(self.camera, self.detector, self.timing, self.stop)
+        check_metres(self.camera, self.target)
         self.believed_camera  # noqa: B018 - refuses errors that the lens cannot have
         self.goal.check(self.setup)
         check_robot(self.robot, self.target, self.world, self.derotation, self.level_trim_s)
@@ -147,6 +156,7 @@ class Scenario:
             raise ParameterError("stop.duration_s", f"must be at least one camera period, {self.camera.period:g} s", self.stop.duration_s)
         check_markers(self.robot, self.camera, self.target, self.detector, self.law, self.goal.needs_pose)
         check_metrics(self.metrics)
+        check_views_metres("goal.T_camera_target" if hasattr(self.goal, "T_camera_target") else "goal", self.goal_views)
         self.goal.check_views(self.setup, self.goal_views)
         self.law.check(self.target.points, self.goal_view)
         for goal in self.goal_views:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import lru_cache
 from typing import Any
 
@@ -15,13 +15,15 @@ from ruamel.yaml.constructor import DuplicateKeyError, RoundTripConstructor
 from ruamel.yaml.error import MarkedYAMLError, StreamMark, YAMLError
 from ruamel.yaml.reader import ReaderError
 
-from vstestbed.core.errors import Mistake, ParameterError, ScenarioError
+from vstestbed.core.errors import Mistake, ParameterError, ScenarioError, short
 
 Key = tuple[str | int, ...]
 Marks = dict[Key, str]
-"""The position of each key, `FILE:LINE:COL`, or `--set` for a value from the command line."""
+"""The position of each key, `FILE:LINE:COL`, or the option or argument that it comes from."""
 FROM_OPTION: Mapping[Key, str] = {(): "--set"}
 """Position of a value that comes from the command line."""
+FROM_PYTHON: Mapping[Key, str] = {(): "overrides"}
+"""Position of a value that comes from the argument `overrides` in Python."""
 DEEPEST, MOST_VALUES = 32, 20_000
 """Limits on nesting and on the number of values: far above any scenario, and low enough that a file of aliases of aliases (a
 "billion laughs") cannot fill the memory."""
@@ -171,7 +173,7 @@ def read_value(text: str) -> object:
 
 
 def override(
-    plain: dict[str, Any], dotted: str, value: object, marks: Marks, is_kind: Callable[[str], bool], own: Mapping[Key, str] = FROM_OPTION
+    plain: dict[str, Any], dotted: str, value: object, marks: Marks, is_kind: Callable[[str], bool], own: Mapping[Key, str] = FROM_PYTHON
 ) -> None:
     """Set the value at a dotted path; missing blocks on the path are created, a bare kind becomes a block.
 
@@ -226,6 +228,11 @@ def _step(here: Any, part: str, dotted: str, where: str) -> str | int:
     return int(part)
 
 
+def from_option(paths: Iterable[str]) -> dict[str, Marks]:
+    """The places of overrides that come from the command line, for `load`."""
+    return {path: dict(FROM_OPTION) for path in paths}
+
+
 def place_of(key: Key, marks: Mapping[Key, str], file: str) -> str:
     """The position of a key, or of the nearest block above it."""
     return _nearest(key, marks, f"{file}:1:1")
@@ -239,9 +246,3 @@ def marks_under(key: Key, marks: Mapping[Key, str]) -> Marks:
     """The positions of a value and of the keys in it, relative to it; `--set` where no file has it."""
     inner = {k[len(key) :]: place for k, place in marks.items() if k[: len(key)] == key}
     return {(): _nearest(key, marks, FROM_OPTION[()])} | inner
-
-
-def short(found: object) -> str:
-    """A value for a message, on one line, cut to 60 characters."""
-    text = " ".join(repr(found).split("\n"))  # arrays have several
-    return text if len(text) <= 60 else text[:57] + "..."

@@ -105,6 +105,16 @@ class Frame(Cycle):
     row: Array
     verdict: Verdict | None = field(default=None, kw_only=True)
 
+    def protected(self) -> Frame:
+        """The same frame with its arrays read-only, but for the picture: the log keeps them, and who wrote to one would change a row."""
+        for part in (self.observation, self.goal, self.command, self.allocation, self.truth):
+            for name in part.__dataclass_fields__:
+                value = getattr(part, name)
+                if isinstance(value, np.ndarray):
+                    value.setflags(write=False)
+        self.row.setflags(write=False)
+        return self
+
     @property
     def outcome(self) -> Outcome | None:
         """How the run ended with this frame; None while it goes on."""

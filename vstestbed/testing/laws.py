@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import inspect
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -9,9 +11,10 @@ import numpy as np
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
+from vstestbed.core.outcome import Outcome
 from vstestbed.features.observation import Observation
-from vstestbed.laws import Law
-from vstestbed.laws.base import LAW_CONTRACT
+from vstestbed.laws import Command, Law, Policy
+from vstestbed.laws.base import LAW_CONTRACT, OBSERVATION_FIELDS
 from vstestbed.loop.run import run
 from vstestbed.robots import Mount
 from vstestbed.scenario.scenario import Scenario
@@ -19,6 +22,9 @@ from vstestbed.sim.timing import Timing
 from vstestbed.targets import Points
 from vstestbed.tasks.frame import Frame
 from vstestbed.testing.scenarios import QUICK, quick
+
+FREE = ("t", "uv")
+"""Fields of an observation that are there for every law."""
 
 
 class _Frames:
@@ -35,6 +41,8 @@ class _Frames:
 def check_law(law: Law[Any], scenario: Scenario | None = None) -> None:
     """A law reaches its goal in closed loop, is a function of its memory and its observation, and refuses what it cannot do.
 
+    Of the observation it may read the time, the pixels, and the fields that its `inputs` name.
+
     Args:
         law: with the parameters to test.
         scenario: the closed loop to test it in, its own law is replaced; None: a quick one for the first of `law.tasks`.
@@ -48,7 +56,8 @@ def check_law(law: Law[Any], scenario: Scenario | None = None) -> None:
     loop = replace(loop, law=law, camera=replace(loop.camera, latency_s=0.0), timing=Timing())
     frames = _Frames()
     recording = run(loop, watch=[frames])
-    assert recording.outcome.success, f"{law.kind} must reach its goal in {loop.name}: {recording.outcome.name}, {recording.reason}"
+    words = f"{law.kind} must reach its goal in {loop.name}: {recording.outcome.name}, {recording.reason}"
+    assert recording.outcome.success, words + (_unnamed_in_source(law) if recording.outcome is Outcome.law_failed else "")
     _check_commands(law, loop, frames.kept)
     _check_lost(law, loop, frames.kept[0])
     _check_refusals(law, loop)
@@ -62,8 +71,8 @@ def _check_commands(law: Law[Any], loop: Scenario, frames: list[Frame]) -> None:
             return  # at a via point the loop initialises the law anew
         basis = loop.robot.motion_basis(mount, frame.truth.q)
         before = {name: value.copy() for name, value in _arrays(frame.observation).items()}
-        memory, command = law.step(memory, frame.observation, frame.goal, basis)
         where = f"{law.kind} in frame {frame.timing.number}"
+        given, (memory, command) = memory, law.step(memory, frame.observation, frame.goal, basis)
         same = np.array_equal(command.twist, frame.command.twist)
         assert same, f"{where}: another command for the same memory and observation; state is passed, not stored"
         for name, value in _arrays(frame.observation).items():
@@ -72,6 +81,38 @@ def _check_commands(law: Law[Any], loop: Scenario, frames: list[Frame]) -> None:
         np.testing.assert_allclose(basis @ command.u, command.twist, atol=1e-9, err_msg=f"{where}: twist must be basis @ u")
         within = law.limits.scale(command.twist) > 1 - 1e-9
         assert within, f"{where}: the twist {command.twist} is beyond the law's own limits"
+        if not isinstance(law, Policy):  # whose function may read all that there is without asking
+            _check_inputs(law, given, frame, basis, command)
+
+
+def _check_inputs(law: Law[Any], memory: Any, frame: Frame, basis: Array, command: Command) -> None:
+    """What the law's `inputs` do not name is not read: without it the command is the same."""
+    unnamed = [name for name in OBSERVATION_FIELDS if name not in (*FREE, *law.inputs) and getattr(frame.observation, name) is not None]
+    if not _differs(law, memory, frame, basis, command, unnamed):
+        return
+    read = [name for name in unnamed if _differs(law, memory, frame, basis, command, [name])]
+    words = f"{law.kind} reads observation.{' and observation.'.join(read or unnamed)}, which its `inputs` do not name"
+    raise AssertionError(f"{words}; write inputs = {(*law.inputs, *(read or unnamed))}")
+
+
+def _differs(law: Law[Any], memory: Any, frame: Frame, basis: Array, command: Command, without: list[str]) -> bool:
+    """Whether the command is another one without these fields of the observation."""
+    try:
+        _, again = law.step(memory, replace(frame.observation, **dict.fromkeys(without)), frame.goal, basis)
+    except Exception:  # whatever a law raises that computes with a None
+        return True
+    return not np.array_equal(again.twist, command.twist)
+
+
+def _unnamed_in_source(law: Law[Any]) -> str:
+    """Which fields a law that failed reads without naming them in `inputs`, as far as its text tells; "" where it tells nothing."""
+    name = list(inspect.signature(type(law).step).parameters)[2]
+    try:
+        read = re.findall(rf"\b{name}\.(\w+)", inspect.getsource(type(law)))
+    except (OSError, TypeError):  # a class that was typed in has no file
+        return ""
+    unnamed = [field for field in OBSERVATION_FIELDS if field in read and field not in (*FREE, *law.inputs)]
+    return f"; its `inputs` do not name {', '.join(unnamed)}, which it reads, and which may be None then" if unnamed else ""
 
 
 def _check_lost(law: Law[Any], loop: Scenario, first: Frame) -> None:

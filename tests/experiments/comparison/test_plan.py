@@ -104,7 +104,7 @@ class TestFile:
             read_comparison(path)
         assert str(found.value).splitlines() == [
             f"{path}:2:1: seeds: must be >= 1, got 0",
-            f"{path}:3:1: metrix: unknown field; did you mean 'metrics'?",
+            f"{path}:3:1: metrix: is an unknown field; did you mean 'metrics'?",
         ]
 
     @pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.study] if n in LONG else []) for n in bundled_comparisons()])

@@ -82,7 +82,7 @@ tasks:
         ({"[0, 0, 0.1]": "[0, 0]"}, "12:44: robot.start.nominal.xyz: must be a list of 3"),
         ({"30}": "-30}"}, "2:7: camera.rate_hz: must be > 0, got -30"),
         ({"quick.yaml": "quack.yaml"}, "1:8: base.0: quack.yaml: no such file"),
-        ({"one: {law": "one: {x"}, "5:11: x: unknown field"),
+        ({"one: {law": "one: {x"}, "5:11: x: is an unknown field"),
         ({"one: {law: {kind: ibvs, gain: 2}}": "one: 2"}, "5:5: cases.law.one: must be a block (a mapping), got 2"),
         ({FILE: "# nothing\n"}, "1:1: is empty; a comparison needs base, a scenario robot, target, law and goal"),
     ],

@@ -82,7 +82,7 @@ class TestPlan:
     @pytest.mark.parametrize(
         ("words", "changes"),
         [
-            ("seeds stand beside `tasks`", {"seeds": 3, "tasks": {"a": StartTable(seeds=2)}}),
+            ("seeds may not be given together with `tasks`", {"seeds": 3, "tasks": {"a": StartTable(seeds=2)}}),
             ("cases.outcome must have a name of its own", {"cases": {"outcome": {"a": {}}}}),
             ("cases.law must have a name of its own, and one case or more", {"cases": {"law": {}}}),
         ],

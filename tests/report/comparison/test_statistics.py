@@ -110,7 +110,10 @@ def test_equal_differences_have_an_interval_of_one_point(shift: float) -> None:
 
 def test_rounding_is_no_difference() -> None:
     b = np.random.default_rng(0).uniform(1, 100, SEEDS)
-    assert not paired_difference(np.nextafter(b, np.inf), b).real
+    for same in (np.nextafter(b, np.inf), b * (1 + np.linspace(-1e-12, 2e-12, SEEDS))):  # also as a closed loop has amplified it
+        found = paired_difference(same, b)
+        assert (found.mean, found.low, found.high, found.real) == (0, 0, 0, False)
+    assert paired_difference(1e-14 * b, np.zeros(SEEDS)).mean == 0
 
 
 def test_few_pairs() -> None:

@@ -1,4 +1,4 @@
-"""my_detector: a detector, from a picture to the markers' pixels.
+"""The detector my_detector, from a picture to the markers' pixels.
 
     pytest my_detector.py
     vstestbed run ibvs_book --plugin my_detector.py --set detector=my_detector

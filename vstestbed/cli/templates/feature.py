@@ -1,4 +1,4 @@
-"""my_feature: an image feature, by its values s, its interaction matrix L and its error.
+"""The image feature my_feature, by its values s, its interaction matrix L and its error.
 
     pytest my_feature.py
     vstestbed run ibvs_book --plugin my_feature.py --set law.feature=my_feature

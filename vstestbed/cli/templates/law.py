@@ -1,4 +1,4 @@
-"""my_law: a control law, from what the camera saw to a velocity.
+"""The control law my_law, from what the camera saw to a velocity.
 
     pytest my_law.py
     vstestbed run ibvs_book --plugin my_law.py --set law=my_law
@@ -13,6 +13,7 @@ from annotated_types import Gt
 
 import vstestbed as vs
 import vstestbed.testing
+from vstestbed.features.depth import Depth, PnP
 
 
 @vs.LAWS.add
@@ -22,10 +23,12 @@ class MyLaw(vs.LawBase):
 
     Args:
         gain: the error decays as exp(-gain t) [1/s].
+        depth: source of the markers' depth.
     """
 
     kind: Literal["my_law"] = "my_law"  # its word in a scenario
     gain: Annotated[float, Gt(0)] = 0.5  # what is annotated is a field in YAML: --set law.gain=1
+    depth: Depth = PnP()  # where the markers' depth comes from: --set law.depth=goal, estimate, oracle
     inputs = ("xy", "depth")  # what `step` reads of the observation: costly fields are computed only where they are named
 
     def init(self, goal):

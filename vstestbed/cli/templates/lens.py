@@ -1,4 +1,4 @@
-"""my_lens: a lens, by the picture's radius as a function of the angle from the optical axis.
+"""The lens my_lens, by the picture's radius as a function of the angle from the optical axis.
 
     pytest my_lens.py
     vstestbed run arm_fisheye --plugin my_lens.py --set camera.kind=my_lens

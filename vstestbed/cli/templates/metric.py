@@ -1,4 +1,4 @@
-"""my_metric: a figure of a run, computed from its log, for summary.json, the report and comparisons.
+"""The metric my_metric: a figure of a run, computed from its log, for summary.json, the report and comparisons.
 
     pytest my_metric.py
     vstestbed run ibvs_book --plugin my_metric.py --set "metrics=[my_metric]"

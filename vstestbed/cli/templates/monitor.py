@@ -1,4 +1,4 @@
-"""my_monitor: a rule of when a run ends, and with which outcome.
+"""The monitor my_monitor: a rule of when a run ends, and with which outcome.
 
     pytest my_monitor.py
     vstestbed run ibvs_book --plugin my_monitor.py --set "monitors=[my_monitor]"

@@ -1,4 +1,4 @@
-"""my_motion: the motion of a target, as a displacement in time.
+"""The motion of a target my_motion, as a displacement in time.
 
     pytest my_motion.py
     vstestbed run arm_track_circle --plugin my_motion.py --set target.motion=my_motion

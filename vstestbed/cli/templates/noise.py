@@ -1,4 +1,4 @@
-"""my_noise: a nuisance in the picture, or of the measured pixels.
+"""The nuisance my_noise: in the picture, or of the measured pixels.
 
     pytest my_noise.py
     vstestbed run ibvs_book --plugin my_noise.py --set "noise.perturb=[my_noise]"

@@ -1,4 +1,4 @@
-"""my_robot: a robot, by the camera motions that it can make and its limits.
+"""The robot my_robot, by the camera motions that it can make and its limits.
 
     pytest my_robot.py
     vstestbed run ibvs_book --plugin my_robot.py --set robot.kind=my_robot

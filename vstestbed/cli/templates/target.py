@@ -1,4 +1,4 @@
-"""my_target: a target, by the places of its markers.
+"""The target my_target, by the places of its markers.
 
     pytest my_target.py
     vstestbed run ibvs_book --plugin my_target.py --set target.kind=my_target

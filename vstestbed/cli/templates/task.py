@@ -1,4 +1,4 @@
-"""my_task: a task, by its goal views.
+"""The task my_task, by its goal views.
 
     pytest my_task.py
     vstestbed run ibvs_book --plugin my_task.py --set "goal={kind: my_task}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING
 from vstestbed.core.errors import ParameterError, RunFolderError
 from vstestbed.core.folders import only_writer, study_folder
 from vstestbed.core.planar import block_of
+from vstestbed.core.registry import ROOMS
 from vstestbed.core.shares import at_once
 from vstestbed.experiments.comparison.campaign import Campaign, OnDone
 from vstestbed.experiments.comparison.folder import PLAN, read_plan, resumable, table_of, write_plan, write_table
@@ -19,7 +21,7 @@ from vstestbed.experiments.comparison.plan import Comparison, chosen
 from vstestbed.experiments.comparison.pools import clear, must_be_known, pool_of
 from vstestbed.experiments.comparison.results import finish
 from vstestbed.experiments.comparison.runs import Job, Variant, Variants, controllers, jobs
-from vstestbed.scenario.dump import dump
+from vstestbed.scenario.dump import check_plugins, dump
 
 if TYPE_CHECKING:
     import polars
@@ -127,11 +129,24 @@ def prepared(
             raise ParameterError("SCENARIO", "is missing: name scenarios to compare, or a comparison")
         else:
             comparison, found = requested, controllers(requested, force)  # before the folder is made: bad input leaves no folder
+            _check_workers_find(found)
             folder = stack.enter_context(study_folder("compare", out, "give a new one, or --resume to go on with what is there"))
             write_plan(folder, comparison)
         first = 0 if comparison.seeds is not None else None
         filmed = (first,) if film and not comparison.tasks else ()  # a film of a few starts would not show a task
         yield Campaign(folder, jobs(found, comparison.seeds), filmed), comparison
+
+
+def _check_workers_find(found: Variants) -> None:
+    """Refuse kinds that are defined in a notebook alone, which no worker process can read; a script's are imported by workers.
+
+    Raises:
+        ParameterError: it names the class, and how it gets into a file.
+    """
+    typed_in = not hasattr(sys.modules["__main__"], "__file__")
+    if typed_in and any(cls.__module__ == "__main__" for room in ROOMS for cls in room.members.values()):
+        for variant in found:
+            check_plugins(variant.scenario)
 
 
 def _resumed(folder: Path, requested: Comparison | None, force: bool, plugins: Sequence[str]) -> tuple[Comparison, Variants]:

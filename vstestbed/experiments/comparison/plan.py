@@ -70,7 +70,8 @@ class Comparison:
             if name in (*self.axes, *OWN_COLUMNS, *own_titles()) or not cases:
                 raise ParameterError(f"cases.{name}", "must have a name of its own, and one case or more")
         if self.tasks and self.seeds is not None:
-            raise ParameterError("seeds", "stand beside `tasks`, which have runs of their own; leave one of the two out", self.seeds)
+            words = "may not be given together with `tasks`, which say themselves how many runs there are; leave one of the two out"
+            raise ParameterError("seeds", words, self.seeds)
         for name in self.metrics:
             if name not in (known := (*FIGURES, *own_titles())):
                 raise ParameterError("metrics", f"must be figures of summary.json: {', '.join(known)}", name)

@@ -25,8 +25,11 @@ MOST: Final = 2000
 CHUNK: Final = 1_000_000
 """Values resampled at a time: bounds the memory (about 8 MB an array) whatever the number of pairs."""
 
-ROUNDING: Final = 8 * np.finfo(float).eps
-"""Relative difference under which two values count as equal: the same number reached by another order of operations."""
+ROUNDING: Final = 1e-9
+"""Relative difference under which two values count as equal: the same number reached by another order of operations, of which a closed
+loop has made the 1e-16 of one frame larger."""
+LEAST: Final = 1e-12
+"""The same of values near 0, in the unit in which they are shown (mm, px, s): less than any number of a report tells."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,7 +182,7 @@ def _differences(a: ArrayLike, b: ArrayLike) -> Array:
     known = np.isfinite(a) & np.isfinite(b)
     a, b = a[known], b[known]
     d = np.sort(a - b)
-    rounding = ROUNDING * float(np.abs([a, b]).max(initial=0.0))
+    rounding = max(ROUNDING * float(np.abs([a, b]).max(initial=0.0)), LEAST)
     d[np.abs(d) <= rounding] = 0.0
     if len(d) and d[-1] - d[0] <= rounding:
         d[:] = d[len(d) // 2]
