@@ -58,6 +58,7 @@ def joint_chain(file: str, flange: str, names: tuple[str, ...]) -> JointChain:
         T_0=T_world_body @ T_body_flange,
         limits=np.where(bounded, model.jnt_range[joints], [-np.inf, np.inf]),
         torque=_torque(model, joints),
+        friction=model.dof_frictionloss[model.jnt_dofadr[joints]].copy(),
         drives=tuple(_drive(model, i) for i in joints),
     )
 

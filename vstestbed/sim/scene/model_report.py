@@ -78,8 +78,8 @@ def _of_joints(chain: JointChain, lines: list[str]) -> Iterator[Line]:
 def _of_servos(file: str, chain: JointChain) -> Iterator[Line]:
     """The gains of the servos that `actuation: velocity` adds, at the start that the printed block has."""
     inertia = inertia_at(file, chain.names, tuple(_middle(chain).tolist()))
-    for name, slides, m in zip(chain.names, chain.slides, inertia, strict=True):
-        (kp, kv), per = servo_gains(m), "N/m" if slides else "Nm/rad"
+    for name, slides, m, friction in zip(chain.names, chain.slides, inertia, chain.friction, strict=True):
+        (kp, kv), per = servo_gains(m, float(friction), bool(slides)), "N/m" if slides else "Nm/rad"
         yield "servo", True, f"{name}: kp {kp:.4g} {per}, kv {kv:.4g} {per.replace('/', ' s/')} (added by actuation: velocity)", ""
 
 
