@@ -105,11 +105,7 @@ class Mjcf(Arm):
         names, n = ", ".join(chain.names), len(chain.names)
         object.__setattr__(self, "joints", chain.names)  # frozen: what the file has is part of the scenario from here on
         object.__setattr__(self, "actuators", chain.names)
-        for field in ("speed_limits", "torque_limits", "servo_kp", "servo_kv"):
-            given = getattr(self, field)
-            if len(given) != n and (given or field == "speed_limits"):
-                words = {"speed_limits": "speeds", "torque_limits": "torques"}.get(field, "gains")
-                raise ParameterError(field, f"must be {n} {words}, of {names}", list(given))
+        self._check_lengths(names, n)
         if len(self.start.nominal.q_deg) != n:
             raise ParameterError("start.nominal.q_deg", f"must be {n} positions, of {names}", list(self.start.nominal.q_deg))
         for i, (q, (low, high), slides) in enumerate(zip(self.configuration(), chain.limits, chain.slides, strict=True)):
@@ -121,6 +117,13 @@ class Mjcf(Arm):
             self._check_drives(chain)
         elif self.actuation == "velocity":
             self._settle_gains(chain)
+
+    def _check_lengths(self, names: str, n: int) -> None:
+        for field in ("speed_limits", "torque_limits", "servo_kp", "servo_kv"):
+            given = getattr(self, field)
+            if len(given) != n and (given or field == "speed_limits"):
+                words = {"speed_limits": "speeds", "torque_limits": "torques"}.get(field, "gains")
+                raise ParameterError(field, f"must be {n} {words}, of {names}", list(given))
 
     def _settle_gains(self, chain: JointChain) -> None:
         """Gains that are not given become those of this start: a run's copies, started elsewhere, keep them."""

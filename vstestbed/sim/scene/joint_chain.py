@@ -153,3 +153,10 @@ def _drive(model: mujoco.MjModel, joint: int) -> str:
     if kp == 0:
         return "velocity" if kv < 0 and not integrates else "motor"
     return "velocity" if integrates else "position"
+
+
+def own_gains(model: mujoco.MjModel, joint: int) -> tuple[float, float]:
+    """Position and velocity gain (kp, kv) of the servo that a file has for a joint, the joint's damping not counted."""
+    (a,) = drivers(model, joint)
+    _, kp, kv = model.actuator_biasprm[a, :3]
+    return -float(kp), -float(kv)
