@@ -252,9 +252,10 @@ class TestMistakes:
 
     def test_a_motor_follows_no_speed(self, tmp_path: Path) -> None:
         text = (HERE / "scara.xml").read_text()
-        motors = "".join(f'<motor name="m_{j}" joint="{j}"/>' for j in ("shoulder", "elbow", "lift", "roll"))
+        motors = "".join(f'<motor name="m_{j}" joint="{j}" gear="2" ctrlrange="-7 7"/>' for j in ("shoulder", "elbow", "lift", "roll"))
         (tmp_path / "motors.xml").write_text(text.replace("</mujoco>", f"<actuator>{motors}</actuator></mujoco>"))
         assert "shoulder has a motor actuator there" in self.refused(tmp_path, file="motors.xml", actuation="file")
+        assert "shoulder: hinge, -150 to 150 deg, at most 14 Nm [a motor actuator, line 11]" in told_of(tmp_path / "motors.xml")["joint"]
 
 
 def told_of(file: str | Path) -> dict[str, list[str]]:
@@ -313,6 +314,14 @@ class TestDoctor:
         told = told_of(tmp_path / "hand.xml")
         assert told["as an arm"] == ["robot: {kind: mjcf}, for instance with flange: tool"]
         assert "left: shoulder, elbow, lift, roll, left" in told["flange"]
+
+    def test_links_that_always_touch(self, tmp_path: Path) -> None:
+        text = (HERE / "two_link.xml").read_text().replace('contype="0" conaffinity="0"', "")
+        assert "contact" not in told_of(HERE / "two_link.xml")
+        (tmp_path / "touching.xml").write_text(
+            text.replace('size=".05"/>', 'size=".05"/><geom type="box" pos=".25 0 1" size=".02 .02 .02"/>')
+        )
+        assert told_of(tmp_path / "touching.xml")["contact"] == ["world and upper touch, in the best of 100 postures, too"]
 
     def test_scenery_with_a_door_is_no_arm(self, command: Any, tmp_path: Path) -> None:
         door = '<body name="door"><joint name="hinge"/><geom type="box" size=".4 .02 1"/></body>'

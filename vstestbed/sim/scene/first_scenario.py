@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -54,13 +56,8 @@ def first_scenario(file: str, chain: JointChain, start: Posture) -> str:
     side, radius = start.distance / 3, start.distance / 50
     pose = f"{{xyz: {_listed(target.xyz, 4)}, rpy_deg: {_listed(target.rpy_deg, 3)}}}"
     lines = ["# limits of speed and torque that the file lacks are guessed: the maker's data sheet has them", "robot:"]
-    lines += [
-        "  kind: mjcf",
-        f"  file: {file}",
-        f"  flange: {start.flange}",
-        "  actuation: velocity",
-        f"  speed_limits: {_listed(speeds, 3)}",
-    ]
+    lines += ["  kind: mjcf", f"  file: {_quoted(file)}", f"  flange: {_quoted(start.flange)}"]
+    lines += ["  actuation: velocity", f"  speed_limits: {_listed(speeds, 3)}"]
     if not np.isfinite(chain.torque).all():
         lines += [f"  torque_limits: {_listed(torques(file, chain), 6)}"]
     lines += [f"  start: {{nominal: {{q_deg: {_listed(q, 3)}}}, random: {random}}}"]
@@ -69,6 +66,11 @@ def first_scenario(file: str, chain: JointChain, start: Posture) -> str:
     lines += ["law: {kind: ibvs, gain: 0.8}", f"goal: {{T_camera_target: {{xyz: [0, 0, {start.distance:g}]}}}}"]
     lines += ["stop: {duration_s: 30, converged: {error_px: 0.3, hold_s: 0.5}}"]
     return "\n".join([*lines, f"world: {{floor_z: {start.floor_z:g}}}"] if start.floor_z else lines)
+
+
+def _quoted(text: str) -> str:
+    """A text in YAML, in quotes where it needs them."""
+    return text if re.fullmatch(r"[A-Za-z_/][\w./:+-]*", text) else json.dumps(text, ensure_ascii=False)
 
 
 def _listed(numbers: Iterable[float], digits: int) -> str:
@@ -87,13 +89,14 @@ def first_posture(file: str, flange: str, chain: JointChain) -> Posture:
     """
     ranked = _ranked(chain)[:TRIED]
     views = [(mount, distance) for distance in DISTANCES_M for mount in MOUNTS_M]
+    apart = [q for q in ranked if not touching(file, chain, q)] or [ranked[0]]
     for view in views:
-        for q in ranked:
+        for q in apart:
             found = _placed(file, flange, chain, q, *view)
-            if found.floor_z == 0 and _is_free(file, chain, found):
+            if found.floor_z == 0 and _sees(file, chain, found):
                 return found
-    low = (_placed(file, flange, chain, q, *views[0]) for q in ranked)
-    return next((found for found in low if _is_free(file, chain, found)), _placed(file, flange, chain, ranked[0], *views[0]))
+    low = (_placed(file, flange, chain, q, *views[0]) for q in apart)
+    return next((found for found in low if _sees(file, chain, found)), _placed(file, flange, chain, apart[0], *views[0]))
 
 
 def torques(file: str, chain: JointChain) -> list[float]:
@@ -158,11 +161,15 @@ def _at(file: str, chain: JointChain, q: Array) -> tuple[mujoco.MjModel, mujoco.
     return model, data
 
 
-def _is_free(file: str, chain: JointChain, posture: Posture) -> bool:
-    """Whether nothing touches, and nothing is between the camera and the target's middle and corners."""
+def touching(file: str, chain: JointChain, q: Array) -> str:
+    """The bodies that touch at a posture (n,): `base and link`; "" for none."""
+    model, data = _at(file, chain, q)
+    return " and ".join(model.body(model.geom_bodyid[g]).name or "a body without a name" for g in data.contact.geom[0]) if data.ncon else ""
+
+
+def _sees(file: str, chain: JointChain, posture: Posture) -> bool:
+    """Whether nothing is between the camera and the target's middle and corners."""
     model, data = _at(file, chain, posture.q)
-    if data.ncon:
-        return False
     eye = (chain.kinematics(posture.q)[0] @ Pose(xyz=(0, 0, posture.mount)).T)[:3, 3]
     size, nearest = posture.distance / 6, np.zeros((1, 1), dtype=np.int32)
     for x, y in ((0, 0), (size, size), (size, -size), (-size, size), (-size, -size)):

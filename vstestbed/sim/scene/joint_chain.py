@@ -128,14 +128,17 @@ def drivers(model: mujoco.MjModel, joint: int) -> list[int]:
 
 
 def _torque(model: mujoco.MjModel, joints: list[int]) -> np.ndarray:
-    """Largest torque of each joint: of the joint itself, and of the actuators on it; infinite without one."""
+    """Largest torque of each joint: its own, and that of the actuators on it, by their force or a motor's control; else infinite."""
     torque = np.full(len(joints), np.inf)
     for k, i in enumerate(joints):
         if model.jnt_actfrclimited[i]:
             torque[k] = model.jnt_actfrcrange[i, 1]
         for a in drivers(model, i):
+            gear, motor = abs(model.actuator_gear[a, 0]), model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_NONE
             if model.actuator_forcelimited[a]:
-                torque[k] = min(torque[k], abs(model.actuator_gear[a, 0]) * model.actuator_forcerange[a, 1])
+                torque[k] = min(torque[k], gear * model.actuator_forcerange[a, 1])
+            if motor and model.actuator_ctrllimited[a]:
+                torque[k] = min(torque[k], gear * model.actuator_gainprm[a, 0] * model.actuator_ctrlrange[a, 1])
     return torque
 
 

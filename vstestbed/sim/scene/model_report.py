@@ -13,12 +13,14 @@ from vstestbed.core.geometry import Array
 from vstestbed.core.named_files import place_of_file
 from vstestbed.robots.chain import JointChain
 from vstestbed.robots.mjcf import WIND_UP_M, WIND_UP_RAD, servo_gains
-from vstestbed.sim.scene.first_scenario import first_posture, first_scenario
+from vstestbed.sim.scene.first_scenario import TRIED, first_posture, first_scenario, touching
 from vstestbed.sim.scene.joint_chain import compiled, inertia_at, joint_chain, own_gains
 from vstestbed.sim.scene.scenery import check_scenery, examine_scenery
 
 FLANGE_NAME = re.compile(r"flange|attach|wrist|tool|tcp|hand|grip|end_?eff|(^|_)eef?(_|$)", re.IGNORECASE)
 """Words by which files name the end of an arm."""
+
+EXCLUDE = 'leave the pair out by <contact><exclude body1="..." body2="..."/></contact> in the file'
 
 Line = tuple[str, bool, str, str]
 """What was examined, whether it can be used, what was found, a remedy."""
@@ -65,6 +67,8 @@ def _as_arm(file: str, model: mujoco.MjModel, usable: dict[str, JointChain], lin
     start = first_posture(file, flange, chain)
     yield from _of_joints(chain, lines)
     yield from _of_servos(file, model, chain, start.q)
+    if found := touching(file, chain, start.q):
+        yield "contact", False, f"{found} touch, in the best of {TRIED} postures, too", f"{EXCLUDE}; a run with a contact ends as collided"
     words = "one to begin with; as a file my_arm.yaml it is run by `vstestbed run my_arm.yaml`"
     yield "scenario", True, f"{words}:\n{first_scenario(file, chain, start)}", ""
 
@@ -114,18 +118,17 @@ def _trunk_end(model: mujoco.MjModel) -> int:
 
 
 def likely_flange(model: mujoco.MjModel, usable: dict[str, JointChain]) -> str:
-    """Which of the usable ends carries the camera: at the end of the trunk, with the name of a flange, a site rather than a body, the last.
+    """Which of the usable ends carries the camera: at the end of the trunk, named as a flange, a site rather than a body, farthest out.
 
     The trunk are the joints before they branch. Where no end is at its end, the one with the most joints.
     """
     end = _trunk_end(model)
     trunk = {model.joint(i).name for i in range(model.njnt) if _carries(model, int(model.jnt_bodyid[i]), end)}
-    sites = {model.site(i).name for i in range(model.nsite)}
+    sites = {model.site(i).name: int(model.site_bodyid[i]) for i in range(model.nsite)}
 
     def rank(name: str) -> tuple[bool, int, bool, bool, int]:
-        chain = usable[name]
-        named = FLANGE_NAME.search(name) is not None
-        return set(chain.names) == trunk, len(chain.names), named, name in sites, list(usable).index(name)
+        joints, named = usable[name].names, FLANGE_NAME.search(name) is not None
+        return set(joints) == trunk, len(joints), named, name in sites, sites[name] if name in sites else model.body(name).id
 
     return max(usable, key=rank)
 
