@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import mujoco
@@ -88,15 +89,18 @@ def first_posture(file: str, flange: str, chain: JointChain) -> Posture:
     Reference: Klein & Blaho 1987, doi:10.1177/027836498700600206.
     """
     ranked = _ranked(chain)[:TRIED]
-    views = [(mount, distance) for distance in DISTANCES_M for mount in MOUNTS_M]
     apart = [q for q in ranked if not touching(file, chain, q)] or [ranked[0]]
-    for view in views:
-        for q in apart:
-            found = _placed(file, flange, chain, q, *view)
-            if found.floor_z == 0 and _sees(file, chain, found):
-                return found
-    low = (_placed(file, flange, chain, q, *views[0]) for q in apart)
-    return next((found for found in low if _sees(file, chain, found)), _placed(file, flange, chain, apart[0], *views[0]))
+    seen = (posture for posture in _views(file, flange, chain, apart) if _sees(file, chain, posture))
+    return next(seen, _placed(file, flange, chain, apart[0], MOUNTS_M[0], DISTANCES_M[0]))
+
+
+def _views(file: str, flange: str, chain: JointChain, apart: list[Array]) -> Iterator[Posture]:
+    """Views from postures (n,), the best first: those over a floor at z = 0, then with the floor put lower."""
+    for distance, mount, q in itertools.product(DISTANCES_M, MOUNTS_M, apart):
+        posture = _placed(file, flange, chain, q, mount, distance)
+        if posture.floor_z == 0:
+            yield posture
+    yield from (_placed(file, flange, chain, q, MOUNTS_M[0], DISTANCES_M[0]) for q in apart)
 
 
 def torques(file: str, chain: JointChain) -> list[float]:
