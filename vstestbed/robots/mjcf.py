@@ -76,11 +76,12 @@ class Mjcf(Arm):
             (`servo_kp`); `ideal` servos are stiff and without limits, the joints without friction and weight; `file` uses the file's
             own velocity servos, or position servos fed with the integrated speed.
         speed_limits: largest speed of each joint [rad/s, m/s], which such files do not have.
-        torque_limits: largest torque of each added servo [Nm, N], in place of those of the file; by default the file's; e.g.
-            `[87, 87, 87, 87, 12, 12, 12]`.
-        servo_kp: position gain of each added servo [Nm/rad, N/m]; by default `servo_gains` at the nominal start as it is written, so
-            that random and displaced starts do not change it; e.g. `[2000, 2000, 500]`.
-        servo_kv: velocity gain of each added servo [Nm s/rad, N s/m]; by default servo_kp times 1/40 s; e.g. `[50, 50, 12]`.
+        torque_limits: largest torque of each added servo (force in N where the joint slides), in place of the file's; by default
+            the file's [Nm]; e.g. `[87, 87, 87, 87, 12, 12, 12]`.
+        servo_kp: position gain of each added servo (N/m where the joint slides); by default `servo_gains` at the nominal start, which
+            random and displaced starts keep [Nm/rad]; e.g. `[2000, 2000, 500, 100, 100, 100]`.
+        servo_kv: velocity gain of each added servo (N s/m where the joint slides); by default servo_kp times 1/40 s [Nm s/rad]; e.g.
+            `[50, 50, 12, 3, 3, 3]`.
         start: joint positions at the start.
         avoid_limits: gain of joint-limit avoidance [1/s] in the null space of the law (`law.redundant`) and of a seventh joint.
     """
