@@ -11,13 +11,17 @@ import pytest
 from spatialmath import SE3
 
 import vstestbed as vs
-from tests.robots.arms import BLOCKS, HERE, block
+from tests.robots.arms import BLOCKS, HERE, NEEDS_PANDA, block
 from vstestbed.core.errors import ScenarioError
 from vstestbed.core.geometry import Pose
 from vstestbed.robots import ROBOTS, Mjcf
+from vstestbed.robots.mjcf import servo_gains
 from vstestbed.scenario.dump import dump
+from vstestbed.scenario.load import seeded
 from vstestbed.sim.build import scene_files
+from vstestbed.sim.scene.model_report import examine_model
 
+JACO = "package:dm_control/third_party/kinova/jaco_arm.xml"
 HAND = {"xyz": [0.06, 0, 0.02]}
 SEEN = {"square": [(0.05, -0.04, 0.75), (8, -6, 15)], "flat": [(0.05, -0.04, 0.7), (0, 0, 25)]}
 
@@ -114,6 +118,9 @@ def test_the_gains_of_added_servos_are_in_the_summary(tmp_path: Path) -> None:
         assert summary["servo_kv"] == {name: servo.kv for name, servo in servos.items()}
         assert summary["servo_torque"]["shoulder"] is None  # no limit
         assert summary["servo_torque"]["lift"] == (200 if actuation == "velocity" else None)
+        for started in (seeded(scenario, 3), scenario.displaced(Pose(xyz=(0.02, 0, 0)), "camera")):  # a comparison's runs are alike
+            assert started.robot.configuration() != pytest.approx(scenario.robot.configuration())
+            assert started.robot.actuator_set.gains() == scenario.robot.actuator_set.gains() or actuation == "ideal"
     assert arm("seven", actuation="file").actuator_set.gains() == {}
 
 
@@ -142,10 +149,9 @@ def test_the_file_is_found_beside_the_scenario_and_remembered_whole(tmp_path: Pa
 
 
 def test_jaco_from_an_installed_package_takes_its_meshes_along(tmp_path: Path) -> None:
-    file = "package:dm_control/third_party/kinova/jaco_arm.xml"
     robot = {
         "kind": "mjcf",
-        "file": file,
+        "file": JACO,
         "flange": "wristsite",
         "speed_limits": [0.8] * 6,
         "start": {"nominal": {"q_deg": [0, 194, 90, 63, 96, 0]}},
@@ -168,8 +174,36 @@ def test_servos_follow_a_step_of_speed_with_the_files_torque() -> None:
     servos = {servo.joint: servo for servo in robot.actuator_set.servos}
     assert servos["lift"].torque == 200 and np.isinf(servos["shoulder"].torque or 0) and servos["lift"].speed == 0.4
     assert servos["lift"].kp == pytest.approx(4500 * (0.8 + 0.3 + 0.1), rel=1e-6)  # quill, wrist, armature
-    assert servos["shoulder"].kv == pytest.approx(servos["shoulder"].kp / 40)
+    assert servos["shoulder"].kv == pytest.approx(servos["shoulder"].kp / 40, rel=1e-3)
     assert [s.torque for s in arm("seven", actuation="file").actuator_set.servos] == [None] * 7
+    given = arm("scara", torque_limits=[9, 9, 90, 1], servo_kp=[800, 400, 6000, 40]).actuator_set.servos
+    assert [(s.torque, s.kp, s.kv) for s in given] == [(9, 800, 20), (9, 400, 10), (90, 6000, 150), (1, 40, 1)]
+
+
+@pytest.mark.parametrize("step", [0.002, 0.04])
+def test_the_servo_of_a_joint_with_friction_and_hardly_any_inertia_is_stable(step: float) -> None:
+    """The bound of `servo_gains`, h^2 kp < 4 M + 2 h kv, from both sides."""
+    kp, kv = servo_gains(1e-6, 1.21, False)
+    assert np.degrees(1.21 / kp) == pytest.approx(0.5, rel=1e-3) and servo_gains(0.01, 0.0, False)[0] == 45
+    assert servo_gains(1e-6, 20.0, True)[0] == 20 / 1e-3
+    assert swing(kp, kv, step) <= 0.1 < 1 < swing(kp, 0.45 * step * kp, step)
+
+
+def swing(kp: float, kv: float, step: float) -> float:
+    """How far a hinge of 1e-6 kg m^2 gets within 40 steps after it was let go 0.1 rad from its servo's position [rad]."""
+    spec = mujoco.MjSpec()
+    spec.option.integrator, spec.option.timestep = mujoco.mjtIntegrator.mjINT_IMPLICITFAST, step
+    body = spec.worldbody.add_body(mass=1, inertia=[1e-6] * 3, explicitinertial=True)
+    body.add_joint(name="j")
+    spec.add_actuator(target="j", trntype=mujoco.mjtTrn.mjTRN_JOINT).set_to_intvelocity(kp=kp, kv=kv)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    data.qpos[0] = 0.1
+    farthest = 0.0
+    for _ in range(40):
+        mujoco.mj_step(model, data)
+        farthest = max(farthest, abs(float(data.qpos[0])))
+    return farthest
 
 
 class TestMistakes:
@@ -190,6 +224,8 @@ class TestMistakes:
                 "must be those between the root and tool, in their order: shoulder, elbow, lift, roll",
             ),
             ({"speed_limits": [1, 1, 1]}, "speed_limits: must be 4 speeds, of shoulder, elbow, lift, roll"),
+            ({"torque_limits": [1, 1, 1]}, "torque_limits: must be 4 torques, of shoulder, elbow, lift, roll"),
+            ({"servo_kv": [1, 1, 1]}, "servo_kv: must be 4 gains, of shoulder, elbow, lift, roll"),
             ({"start": {"nominal": {"q_deg": [0, 0, 0]}}}, "must be 4 positions"),
             ({"start": {"nominal": {"q_deg": [0, 0, 0.2, 0]}}}, "must be within lift's range, -0.3 to 0.1 m"),
             ({"start": {"nominal": {"q_deg": [170, 0, 0, 0]}}}, "must be within shoulder's range, -150 to 150 deg"),
@@ -216,25 +252,84 @@ class TestMistakes:
 
     def test_a_motor_follows_no_speed(self, tmp_path: Path) -> None:
         text = (HERE / "scara.xml").read_text()
-        motors = "".join(f'<motor name="m_{j}" joint="{j}"/>' for j in ("shoulder", "elbow", "lift", "roll"))
+        motors = "".join(f'<motor name="m_{j}" joint="{j}" gear="2" ctrlrange="-7 7"/>' for j in ("shoulder", "elbow", "lift", "roll"))
         (tmp_path / "motors.xml").write_text(text.replace("</mujoco>", f"<actuator>{motors}</actuator></mujoco>"))
         assert "shoulder has a motor actuator there" in self.refused(tmp_path, file="motors.xml", actuation="file")
+        assert "shoulder: hinge, -150 to 150 deg, at most 14 Nm [a motor actuator, line 11]" in told_of(tmp_path / "motors.xml")["joint"]
+
+
+def told_of(file: str | Path) -> dict[str, list[str]]:
+    """What `doctor FILE.xml` has found, by what it looked at."""
+    lines: dict[str, list[str]] = {}
+    for what, _, found, _ in examine_model(str(file)):
+        lines.setdefault(what, []).append(found)
+    return lines
 
 
 class TestDoctor:
-    """`doctor FILE.xml` says what of a file can be used; the block that it prints loads."""
+    """`doctor FILE.xml` says what of a file can be used, and for what; the scenario that it prints runs."""
+
+    @pytest.mark.parametrize(
+        ("file", "flange"),
+        [
+            (str(HERE / "two_link.xml"), "flange"),
+            (str(HERE / "scara.xml"), "tool"),
+            (str(HERE / "seven.xml"), "hand"),
+            (JACO, "wristsite"),
+            pytest.param("package:dm_robotics.panda/assets/panda/panda.xml", "wrist_site", marks=NEEDS_PANDA),
+        ],
+    )
+    def test_the_scenario_that_it_prints_converges(self, file: str, flange: str, tmp_path: Path) -> None:
+        (tmp_path / "first.yaml").write_text(told_of(file)["scenario"][0].partition("\n")[2])
+        scenario = vs.load(tmp_path / "first.yaml", {"detector": "oracle"})
+        assert scenario.robot.flange == flange and np.isfinite([s.torque for s in scenario.robot.actuator_set.servos]).all()
+        recording = vs.run(scenario)
+        assert recording.outcome is vs.Outcome.converged, recording.reason
+        assert seeded(scenario, 1).robot != scenario.robot  # and its random starts have the target in view
 
     def test_a_sound_file(self, command: Any, tmp_path: Path) -> None:
         told = command("doctor", str(HERE / "scara.xml"))
         assert told.code == 0 and "tool: shoulder, elbow, lift, roll" in told.out
         assert "lift: slide, -0.3 to 0.1 m, at most 200 N [no actuator, line 17]" in told.out
         assert "shoulder: hinge, -150 to 150 deg [no torque limit (actuatorfrcrange); no actuator, line 11]" in told.out
-        assert "lift: kp 5400 N/m, kv 135 N s/m (added by actuation: velocity)" in told.out
-        robot = next(line for line in told.out.splitlines() if "robot: {" in line).partition("robot: ")[2]
-        import yaml
+        assert "lift: kp 5400 N/m, kv 135 N s/m, added by actuation: velocity" in told.out
+        assert "as scenery   no: has the joint shoulder (line 11), and scenery stands still" in told.out
 
-        scenario = written(tmp_path, "printed", yaml.safe_load(robot), square_before(arm("scara"), *SEEN["flat"]), {"xyz": [0, 0, 0.6]})
-        assert scenario.robot.joints == ("shoulder", "elbow", "lift", "roll")
+    def test_friction_that_winds_servos_up(self, tmp_path: Path) -> None:
+        text = (HERE / "seven.xml").read_text().replace('name="j7"', 'name="j7" frictionloss="70"')
+        (tmp_path / "rough.xml").write_text(text.replace('name="j6"', 'name="j6" frictionloss="0"'))
+        own, added = (line for line in reversed(told_of(tmp_path / "rough.xml")["servo"]) if line.startswith("j7"))
+        assert "winds it up by 0.5 deg, added" in added
+        assert "friction of 70 Nm winds it up by 1 deg (WARNING: over 0.5 deg" in own
+        assert not any("j6" in line and "winds" in line for line in told_of(tmp_path / "rough.xml")["servo"])
+
+    def test_a_gripper_is_no_part_of_the_arm(self, tmp_path: Path) -> None:
+        finger = '<body name="{0}"><joint name="{0}" type="slide" range="0 .04"/><geom size=".01" mass=".05"/></body>'
+        text = (
+            (HERE / "scara.xml")
+            .read_text()
+            .replace('<site name="tool"', finger.format("left") + finger.format("right") + '<site name="tool"')
+        )
+        (tmp_path / "hand.xml").write_text(text)
+        told = told_of(tmp_path / "hand.xml")
+        assert told["as an arm"] == ["robot: {kind: mjcf}, for instance with flange: tool"]
+        assert "left: shoulder, elbow, lift, roll, left" in told["flange"]
+
+    def test_links_that_always_touch(self, tmp_path: Path) -> None:
+        text = (HERE / "two_link.xml").read_text().replace('contype="0" conaffinity="0"', "")
+        assert "contact" not in told_of(HERE / "two_link.xml")
+        (tmp_path / "touching.xml").write_text(
+            text.replace('size=".05"/>', 'size=".05"/><geom type="box" pos=".25 0 1" size=".02 .02 .02"/>')
+        )
+        assert told_of(tmp_path / "touching.xml")["contact"] == ["world and upper touch, in the best of 100 postures, too"]
+
+    def test_scenery_with_a_door_is_no_arm(self, command: Any, tmp_path: Path) -> None:
+        door = '<body name="door"><joint name="hinge"/><geom type="box" size=".4 .02 1"/></body>'
+        (tmp_path / "room.xml").write_text(f"<mujoco><worldbody><geom type='box' size='1 1 .1'/>\n{door}</worldbody></mujoco>")
+        told = command("doctor", str(tmp_path / "room.xml"))
+        assert told.code == 2 and "1 joint, 0 actuators, 0 sites, 2 geoms" in told.out
+        assert "missing  as an arm    door: flange must have 2 to 7 joints before it, and door has 1" in told.out
+        assert "missing  as scenery   has the joint hinge (line 2), and scenery stands still" in told.out and "-> remove it" in told.out
 
     def test_files_that_are_no_arms(self, command: Any, tmp_path: Path) -> None:
         told = command("doctor", "models/quadrotor.xml" if Path("models").is_dir() else str(HERE.parents[2] / "models/quadrotor.xml"))

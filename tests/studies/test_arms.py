@@ -2,9 +2,9 @@
 
     python -m pytest -s -m study tests/studies/test_arms.py
 
-Jaco (dm-control): `ibvs` 20 of 20, `pbvs` 20 of 20, at worst 2.0 and 2.9 mm.
-Panda (dm_robotics_panda): `ibvs` 20 of 20 in 5.8 to 8.0 s, at worst .18 px, 1.5 mm, .11 deg; `pbvs` 20 of 20 in 6.0 to 8.3 s, at worst
-.26 px, 1.9 mm, .17 deg. No frame was lost.
+Jaco (dm-control): `ibvs` 20 of 20 in 4.9 to 6.9 s, at worst .25 px, 2.0 mm, .18 deg; `pbvs` 20 of 20 in 4.8 to 6.9 s, at worst .25 px,
+2.8 mm, .24 deg. Panda (dm_robotics_panda): `ibvs` 20 of 20 in 5.6 to 8.0 s, at worst .27 px, 2.0 mm, .17 deg; `pbvs` 20 of 20 in 6.2 to
+8.5 s, at worst .15 px, 1.5 mm, .15 deg. No frame was lost.
 """
 
 from __future__ import annotations

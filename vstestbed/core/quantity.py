@@ -121,6 +121,12 @@ GainOrZero = Annotated[float, Ge(0), Within(0.0, 1e6, "", _QUICK)]
 PositiveGain = Annotated[float, Gt(0), Within(1e-9, 1e6, "", f"one of 30 years to {_QUICK}")]
 """A gain, in the unit of its field."""
 
+_STRONG = "a micronewton metre to a giganewton metre, more than any joint has"
+Torque = Annotated[float, Gt(0), Within(1e-6, 1e9, "", _STRONG)]
+"""The torque of a hinge [Nm], or the force of a joint that slides [N]."""
+Stiffness = Annotated[float, Gt(0), Within(1e-9, 1e9, "", "more than any servo has")]
+"""A gain of a joint's servo, in the unit of its field."""
+
 _NOISE = "a larger error than any sensor's"
 Sigma = Annotated[float, Ge(0), Within(0.0, 1e3, "", _NOISE)]
 """The standard deviation of a sensor's noise, in the unit of its field."""

@@ -42,6 +42,7 @@ class JointChain:
         T_0: pose (4, 4) of the flange there.
         limits: lowest and highest position (n, 2) [rad, m]; infinite for a joint that turns without end.
         torque: largest torque or force by the file (n,) [Nm, N]; infinite where it says none.
+        friction: Coulomb friction (n,) [Nm, N].
         drives: the file's own actuator of each joint, `velocity`, `position` or another word; "" where it has none.
     """
 
@@ -52,6 +53,7 @@ class JointChain:
     T_0: Array
     limits: Array
     torque: Array
+    friction: Array
     drives: tuple[str, ...]
 
     @cached_property

@@ -12,7 +12,7 @@ from annotated_types import Ge, Le, Len
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.named_files import absolute_file
-from vstestbed.core.quantity import Angle, PositiveSpeed
+from vstestbed.core.quantity import Angle, PositiveSpeed, Stiffness, Torque
 from vstestbed.core.spec import spec
 from vstestbed.robots.allocation import Actuation, Servo
 from vstestbed.robots.arm import Arm
@@ -21,6 +21,8 @@ from vstestbed.robots.chain import READERS, ChainReader, JointChain
 STIFFNESS, RATIO_S = 4500.0, 1 / 40
 """Position gain of a velocity servo over the joint's inertia [1/s^2], and its velocity gain over that [s]. The Puma's servos have 3500 to
 5800 and the same ratio: 40 ms of rise, under 5 % of overshoot."""
+WIND_UP_RAD, WIND_UP_M = float(np.radians(0.5)), 1e-3
+"""Most that friction may wind up an added servo before its joint moves: of a hinge [rad], of a joint that slides [m]."""
 IDEAL_GAIN = 5000.0
 """Velocity gain of an ideal servo over the joint's inertia [1/s]."""
 
@@ -70,10 +72,16 @@ class Mjcf(Arm):
         file: MJCF or URDF, absolute, relative to the scenario's file, or `package:NAME/path` inside an installed package.
         flange: the site, or the body, that carries the camera or the target.
         joints: those between root and flange, in their order; by default as the file has them; e.g. `[shoulder, elbow, wrist]`.
-        actuation: `velocity` adds a servo to each joint, which integrates the commanded speed to a position that it holds, with
-            kp = STIFFNESS times the joint's inertia at the start; `ideal` servos are stiff and without limits, the joints without
-            friction and weight; `file` uses the file's own velocity servos, or position servos fed with the integrated speed.
+        actuation: `velocity` adds a servo to each joint, which integrates the commanded speed to a position that it holds
+            (`servo_kp`); `ideal` servos are stiff and without limits, the joints without friction and weight; `file` uses the file's
+            own velocity servos, or position servos fed with the integrated speed.
         speed_limits: largest speed of each joint [rad/s, m/s], which such files do not have.
+        torque_limits: largest torque of each added servo (force in N where the joint slides), in place of the file's; by default
+            the file's [Nm]; e.g. `[87, 87, 87, 87, 12, 12, 12]`.
+        servo_kp: position gain of each added servo (N/m where the joint slides); by default `servo_gains` at the nominal start, which
+            random and displaced starts keep [Nm/rad]; e.g. `[2000, 2000, 500, 100, 100, 100]`.
+        servo_kv: velocity gain of each added servo (N s/m where the joint slides); by default servo_kp times 1/40 s [Nm s/rad]; e.g.
+            `[50, 50, 12, 3, 3, 3]`.
         start: joint positions at the start.
         avoid_limits: gain of joint-limit avoidance [1/s] in the null space of the law (`law.redundant`) and of a seventh joint.
     """
@@ -84,6 +92,9 @@ class Mjcf(Arm):
     joints: tuple[str, ...] = ()  # pyright: ignore[reportIncompatibleMethodOverride] - a field in place of a property
     actuation: Literal["velocity", "ideal", "file"] = "velocity"
     speed_limits: Annotated[tuple[PositiveSpeed, ...], Len(2, 7)]
+    torque_limits: Annotated[tuple[Torque, ...], Len(0, 7)] = ()
+    servo_kp: Annotated[tuple[Stiffness, ...], Len(0, 7)] = ()
+    servo_kv: Annotated[tuple[Stiffness, ...], Len(0, 7)] = ()
     start: ArmStart
     avoid_limits: Annotated[float, Ge(0), Le(10)] = 0.5
     actuators: ClassVar[tuple[str, ...]]
@@ -95,8 +106,7 @@ class Mjcf(Arm):
         names, n = ", ".join(chain.names), len(chain.names)
         object.__setattr__(self, "joints", chain.names)  # frozen: what the file has is part of the scenario from here on
         object.__setattr__(self, "actuators", chain.names)
-        if len(self.speed_limits) != n:
-            raise ParameterError("speed_limits", f"must be {n} speeds, of {names}", list(self.speed_limits))
+        self._check_lengths(names, n)
         if len(self.start.nominal.q_deg) != n:
             raise ParameterError("start.nominal.q_deg", f"must be {n} positions, of {names}", list(self.start.nominal.q_deg))
         for i, (q, (low, high), slides) in enumerate(zip(self.configuration(), chain.limits, chain.slides, strict=True)):
@@ -106,6 +116,27 @@ class Mjcf(Arm):
                 raise ParameterError(f"start.nominal.q_deg.{i}", words, self.start.nominal.q_deg[i])
         if self.actuation == "file":
             self._check_drives(chain)
+        elif self.actuation == "velocity":
+            self._settle_gains(chain)
+
+    def _check_lengths(self, names: str, n: int) -> None:
+        for field in ("speed_limits", "torque_limits", "servo_kp", "servo_kv"):
+            given = getattr(self, field)
+            if len(given) != n and (given or field == "speed_limits"):
+                words = {"speed_limits": "speeds", "torque_limits": "torques"}.get(field, "gains")
+                raise ParameterError(field, f"must be {n} {words}, of {names}", list(given))
+
+    def _settle_gains(self, chain: JointChain) -> None:
+        """Gains that are not given become those of this start: a run's copies, started elsewhere, keep them."""
+        if not self.servo_kp:
+            each = zip(self._inertia(chain), chain.friction.tolist(), chain.slides, strict=True)
+            object.__setattr__(self, "servo_kp", tuple(servo_gains(*joint)[0] for joint in each))  # frozen, as the joints above
+        if not self.servo_kv:
+            object.__setattr__(self, "servo_kv", tuple(four_digits(kp * RATIO_S) for kp in self.servo_kp))
+
+    def _inertia(self, chain: JointChain) -> tuple[float, ...]:
+        """What each motor moves at the nominal start [kg m^2, kg]."""
+        return _reader().inertia_at(self.file, chain.names, tuple(self.configuration().tolist()))
 
     def _check_drives(self, chain: JointChain) -> None:
         for name, drive in zip(chain.names, chain.drives, strict=True):
@@ -131,14 +162,13 @@ class Mjcf(Arm):
         return Actuation(None, friction=not ideal, gravity_compensated=ideal, servos=tuple(self._servos(chain)))
 
     def _servos(self, chain: JointChain) -> list[Servo]:
-        speeds, torques = self.speed_limits, chain.torque.tolist()
-        inertia = _reader().inertia_at(self.file, chain.names, tuple(self.configuration().tolist()))
+        speeds, torques = self.speed_limits, self.torque_limits or chain.torque.tolist()
         if self.actuation == "file":
             return [Servo(name, speed, None) for name, speed in zip(chain.names, speeds, strict=True)]
         if self.actuation == "ideal":
-            return [Servo(n, v, np.inf, kv=IDEAL_GAIN * m) for n, v, m in zip(chain.names, speeds, inertia, strict=True)]
-        each = zip(chain.names, speeds, torques, inertia, strict=True)
-        return [Servo(name, speed, torque, *servo_gains(m)) for name, speed, torque, m in each]
+            each = zip(chain.names, speeds, self._inertia(chain), strict=True)
+            return [Servo(name, speed, np.inf, kv=IDEAL_GAIN * m) for name, speed, m in each]
+        return [Servo(*joint) for joint in zip(chain.names, speeds, torques, self.servo_kp, self.servo_kv, strict=True)]
 
     @property
     def joint_limits(self) -> Array:
@@ -183,9 +213,33 @@ class Mjcf(Arm):
         return self.started_at(np.clip(q, *self.chain.limits.T))
 
 
-def servo_gains(inertia: float) -> tuple[float, float]:
-    """Position and velocity gain (kp, kv) of the servo that `actuation: velocity` gives a joint with this inertia [kg m^2, kg]."""
-    return STIFFNESS * inertia, STIFFNESS * RATIO_S * inertia
+def servo_gains(inertia: float, friction: float, slides: bool) -> tuple[float, float]:
+    """Position and velocity gain (kp, kv) of the servo that `actuation: velocity` gives a joint, both to four digits.
+
+    kp = max(STIFFNESS M, F / w),  kv = kp RATIO_S
+
+    Where friction sets kp, the joint answers more slowly than its inertia would let it, but with the lag kv / kp of all the others.
+
+    The joint holds still until the servo is wound up by F / kp, hence by w at most. No inertia is too small for this kp: MuJoCo's
+    `implicitfast` takes the force of kp at the beginning of a step of h and that of kv at its end,
+
+        M (q'' - 2 q' + q) = -h^2 kp q' - h kv (q'' - q')    for positions q, q', q'' at successive steps,
+
+    whose two modes decay where h^2 kp < 4 M + 2 h kv (Jury's criterion). kv >= h kp / 2 is enough for that whatever M: with this kv steps
+    up to 50 ms, the physics' own being 2 ms. For a whole arm M, kp and kv are those of each mode x (x^T K x), and the same holds.
+
+    Args:
+        inertia: M, what its motor moves [kg m^2, kg]. friction: F, Coulomb friction [Nm, N]. slides: w is WIND_UP_M, else WIND_UP_RAD.
+
+    Reference: Jury 1964, Theory and Application of the z-Transform Method.
+    """
+    kp = four_digits(max(STIFFNESS * inertia, friction / (WIND_UP_M if slides else WIND_UP_RAD)))
+    return kp, four_digits(kp * RATIO_S)
+
+
+def four_digits(number: float) -> float:
+    """A number as summaries and scenarios show it: the same on all machines, whose sums differ in the last digits."""
+    return float(f"{number:.4g}")
 
 
 def _reader() -> ChainReader:

@@ -160,7 +160,8 @@ def test_doctor_says_what_becomes_of_it():
     lines = {what: found for what, works, found, _ in examine_model(str(WORKSHOP)) if works}
     assert lines["scenery"] == "23 geoms, 22 of which can be touched; 0 meshes, 4 textures"
     assert "in place of the scene's key light" in lines["lights"]
-    assert lines["scenario"].startswith("world: {scenery: ") and "colours" not in lines
+    assert lines["as scenery"].startswith("world: {scenery: ") and lines["as an arm"] == "no: it has no joints"
+    assert "colours" not in lines
 
 
 def test_colours_that_a_detector_takes_for_markers_are_told(tmp_path: Path, caplog: pytest.LogCaptureFixture):

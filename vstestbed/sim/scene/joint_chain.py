@@ -58,6 +58,7 @@ def joint_chain(file: str, flange: str, names: tuple[str, ...]) -> JointChain:
         T_0=T_world_body @ T_body_flange,
         limits=np.where(bounded, model.jnt_range[joints], [-np.inf, np.inf]),
         torque=_torque(model, joints),
+        friction=model.dof_frictionloss[model.jnt_dofadr[joints]].copy(),
         drives=tuple(_drive(model, i) for i in joints),
     )
 
@@ -128,14 +129,17 @@ def drivers(model: mujoco.MjModel, joint: int) -> list[int]:
 
 
 def _torque(model: mujoco.MjModel, joints: list[int]) -> np.ndarray:
-    """Largest torque of each joint: of the joint itself, and of the actuators on it; infinite without one."""
+    """Largest torque of each joint: its own, and that of the actuators on it, by their force or a motor's control; else infinite."""
     torque = np.full(len(joints), np.inf)
     for k, i in enumerate(joints):
         if model.jnt_actfrclimited[i]:
             torque[k] = model.jnt_actfrcrange[i, 1]
         for a in drivers(model, i):
+            gear, motor = abs(model.actuator_gear[a, 0]), model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_NONE
             if model.actuator_forcelimited[a]:
-                torque[k] = min(torque[k], abs(model.actuator_gear[a, 0]) * model.actuator_forcerange[a, 1])
+                torque[k] = min(torque[k], gear * model.actuator_forcerange[a, 1])
+            if motor and model.actuator_ctrllimited[a]:
+                torque[k] = min(torque[k], gear * model.actuator_gainprm[a, 0] * model.actuator_ctrlrange[a, 1])
     return torque
 
 
@@ -153,3 +157,10 @@ def _drive(model: mujoco.MjModel, joint: int) -> str:
     if kp == 0:
         return "velocity" if kv < 0 and not integrates else "motor"
     return "velocity" if integrates else "position"
+
+
+def own_gains(model: mujoco.MjModel, joint: int) -> tuple[float, float]:
+    """Position and velocity gain (kp, kv) of the servo that a file has for a joint, the joint's damping not counted."""
+    (a,) = drivers(model, joint)
+    _, kp, kv = model.actuator_biasprm[a, :3]
+    return -float(kp), -float(kv)

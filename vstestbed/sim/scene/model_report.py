@@ -12,18 +12,24 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.named_files import place_of_file
 from vstestbed.robots.chain import JointChain
-from vstestbed.robots.mjcf import servo_gains
-from vstestbed.sim.scene.joint_chain import compiled, inertia_at, joint_chain
-from vstestbed.sim.scene.scenery import examine_scenery
+from vstestbed.robots.mjcf import WIND_UP_M, WIND_UP_RAD, servo_gains
+from vstestbed.sim.scene.first_scenario import TRIED, first_posture, first_scenario, touching
+from vstestbed.sim.scene.joint_chain import compiled, inertia_at, joint_chain, own_gains
+from vstestbed.sim.scene.scenery import check_scenery, examine_scenery
+
+FLANGE_NAME = re.compile(r"flange|attach|wrist|tool|tcp|hand|grip|end_?eff|(^|_)eef?(_|$)", re.IGNORECASE)
+"""Words by which files name the end of an arm."""
+
+EXCLUDE = 'leave the pair out by <contact><exclude body1="..." body2="..."/></contact> in the file'
 
 Line = tuple[str, bool, str, str]
 """What was examined, whether it can be used, what was found, a remedy."""
 
 
 def examine_model(file: str) -> Iterator[Line]:
-    """Examine a model as the robot `mjcf` would use it: flanges, joints, torque limits, servos and their gains, and a block to begin with.
+    """Examine a model for both of its uses, as the arm of robot `mjcf` and as scenery (`world.scenery`), and what stands against each.
 
-    A file without joints is examined as scenery (`world.scenery`).
+    Of an arm: flanges, joints, torque limits, servos with their gains and their wind-up by friction, and a scenario to begin with.
 
     Raises:
         ParameterError: the file is not there.
@@ -35,36 +41,104 @@ def examine_model(file: str) -> Iterator[Line]:
         found, _, remedy = error.problem.rpartition("; ")
         yield "model", False, found, remedy
         return
-    if not model.njnt:
+    parts = (model.njnt, "joint"), (model.nu, "actuator"), (model.nsite, "site"), (model.ngeom, "geom"), (model.nmesh, "mesh")
+    yield "model", True, ", ".join(f"{n} {word}{'' if n == 1 else 'es' if word == 'mesh' else 's'}" for n, word in parts), ""
+    usable, refused = _flanges(file, model)
+    against = _against_scenery(file)
+    if against and not usable:
+        yield "as an arm", False, refused, "an arm stands on a fixed base and has 2 to 7 hinges and slides before its flange"
+        yield "as scenery", False, *against
+    elif usable:
+        yield from _as_arm(file, model, usable, path.read_text(errors="replace").splitlines())
+        yield "as scenery", True, f"no: {against[0]}" if against else "yes", ""
+    else:
+        yield "as an arm", True, f"no: {refused}", ""
         for what, found in examine_scenery(file):
             yield what, True, found, ""
-        yield "scenario", True, f"world: {{scenery: {file}}}", ""
-        return
-    yield "model", True, f"{model.njnt} joints, {model.nu} actuators, {model.nsite} sites, {model.nmesh} meshes", ""
-    usable: list[tuple[str, JointChain]] = []
+        yield "as scenery", True, f"world: {{scenery: {file}}}", ""
+
+
+def _as_arm(file: str, model: mujoco.MjModel, usable: dict[str, JointChain], lines: list[str]) -> Iterator[Line]:
+    """What robot `mjcf` makes of a file."""
+    flange = likely_flange(model, usable)
+    yield "as an arm", True, f"robot: {{kind: mjcf}}, for instance with flange: {flange}", ""
+    for name, chain in usable.items():
+        yield "flange", True, f"{name}: {', '.join(chain.names)}", ""
+    chain = usable[flange]
+    start = first_posture(file, flange, chain)
+    yield from _of_joints(chain, lines)
+    yield from _of_servos(file, model, chain, start.q)
+    if found := touching(file, chain, start.q):
+        yield "contact", False, f"{found} touch, in the best of {TRIED} postures, too", f"{EXCLUDE}; a run with a contact ends as collided"
+    words = "one to begin with; as a file my_arm.yaml it is run by `vstestbed run my_arm.yaml`"
+    yield "scenario", True, f"{words}:\n{first_scenario(file, chain, start)}", ""
+
+
+def _against_scenery(file: str) -> tuple[str, str] | None:
+    """What stands against a file as scenery, and what would work; None where it can be used."""
+    try:
+        check_scenery(file, np.eye(4), 0.0)
+    except ParameterError as error:
+        problem, _, remedy = error.problem.partition("; ")
+        return problem, remedy
+    return None
+
+
+def _flanges(file: str, model: mujoco.MjModel) -> tuple[dict[str, JointChain], str]:
+    """The sites and bodies that can be the flange of an arm, with the joints before each; and why others cannot, in words."""
+    usable: dict[str, JointChain] = {}
     refusals: dict[str, list[str]] = {}
     for name in _ends(model):
         try:
-            usable.append((name, joint_chain(file, name, ())))
+            usable[name] = joint_chain(file, name, ())
         except ParameterError as error:
             refusals.setdefault(f"{error.field} {error.problem}", []).append(name)
-    for name, chain in usable:
-        yield "flange", True, f"{name}: {', '.join(chain.names)}", ""
-    if not usable:
-        why = "; ".join(f"{', '.join(names)}: {words}" for words, names in refusals.items()) or "it has no bodies"
-        yield "flange", False, why, "an arm stands on a fixed base and has 2 to 7 hinges and slides before its flange"
-        return
-    name, chain = max(usable, key=lambda found: len(found[1].names))
-    yield from _of_joints(chain, path.read_text(errors="replace").splitlines())
-    yield from _of_servos(file, chain)
-    yield "scenario", True, _block(file, name, chain), ""
+    if not model.njnt:
+        return {}, "it has no joints"
+    return usable, "; ".join(f"{', '.join(names)}: {words}" for words, names in refusals.items()) or "no site and no body has a name"
 
 
 def _ends(model: mujoco.MjModel) -> list[str]:
-    """Names that could be a flange: the sites, and the bodies that carry no other body."""
+    """Names that could be a flange: the sites, the bodies that carry no other body, and the one at which an arm ends."""
     parents = set(model.body_parentid.tolist())
-    leaves = [model.body(i).name for i in range(1, model.nbody) if i not in parents]
-    return [name for name in [*(model.site(i).name for i in range(model.nsite)), *leaves] if name]
+    leaves = {i for i in range(1, model.nbody) if i not in parents} | ({_trunk_end(model)} - {0})
+    names = [*(model.site(i).name for i in range(model.nsite)), *(model.body(i).name for i in sorted(leaves))]
+    return list(dict.fromkeys(name for name in names if name))
+
+
+def _trunk_end(model: mujoco.MjModel) -> int:
+    """The body with the last joint before the joints branch, as they do at a gripper's fingers; 0 where they branch at the root."""
+    moves = model.body_jntnum > 0
+    for body in range(model.nbody - 1, 0, -1):  # children come after their parents
+        moves[model.body_parentid[body]] |= moves[body]
+    here = last = 0
+    while len(further := [b for b in range(here + 1, model.nbody) if model.body_parentid[b] == here and moves[b]]) == 1:
+        (here,) = further
+        last = here if model.body_jntnum[here] else last
+    return last
+
+
+def likely_flange(model: mujoco.MjModel, usable: dict[str, JointChain]) -> str:
+    """Which of the usable ends carries the camera: at the end of the trunk, named as a flange, a site rather than a body, farthest out.
+
+    The trunk are the joints before they branch. Where no end is at its end, the one with the most joints.
+    """
+    end = _trunk_end(model)
+    trunk = {model.joint(i).name for i in range(model.njnt) if _carries(model, int(model.jnt_bodyid[i]), end)}
+    sites = {model.site(i).name: int(model.site_bodyid[i]) for i in range(model.nsite)}
+
+    def rank(name: str) -> tuple[bool, int, bool, bool, int]:
+        joints, named = usable[name].names, FLANGE_NAME.search(name) is not None
+        return set(joints) == trunk, len(joints), named, name in sites, sites[name] if name in sites else model.body(name).id
+
+    return max(usable, key=rank)
+
+
+def _carries(model: mujoco.MjModel, body: int, end: int) -> bool:
+    """Whether a body is another one, or between it and the root."""
+    while end > body:
+        end = int(model.body_parentid[end])
+    return end == body
 
 
 def _of_joints(chain: JointChain, lines: list[str]) -> Iterator[Line]:
@@ -76,12 +150,27 @@ def _of_joints(chain: JointChain, lines: list[str]) -> Iterator[Line]:
         yield "joint", True, f"{name}: {_span(chain, i)}{note}", ""
 
 
-def _of_servos(file: str, chain: JointChain) -> Iterator[Line]:
-    """The gains of the servos that `actuation: velocity` adds, at the start that the printed block has."""
-    inertia = inertia_at(file, chain.names, tuple(_middle(chain).tolist()))
-    for name, slides, m in zip(chain.names, chain.slides, inertia, strict=True):
-        (kp, kv), per = servo_gains(m), "N/m" if slides else "Nm/rad"
-        yield "servo", True, f"{name}: kp {kp:.4g} {per}, kv {kv:.4g} {per.replace('/', ' s/')} (added by actuation: velocity)", ""
+def _of_servos(file: str, model: mujoco.MjModel, chain: JointChain, q: Array) -> Iterator[Line]:
+    """The gains of the servos that `actuation: velocity` adds for a start at q (n,), and of the file's own, with friction's effect."""
+    for i, (name, m) in enumerate(zip(chain.names, inertia_at(file, chain.names, tuple(q.tolist())), strict=True)):
+        friction, slides = float(chain.friction[i]), bool(chain.slides[i])
+        yield "servo", True, f"{name}: {_gains(*servo_gains(m, friction, slides), friction, slides)}, added by actuation: velocity", ""
+        if chain.drives[i] in ("velocity", "position"):
+            kp, kv = own_gains(model, model.joint(name).id)
+            yield "servo", True, f"{name}: {_gains(kp, kv, friction, slides)}, its own, used by actuation: file", ""
+
+
+def _gains(kp: float, kv: float, friction: float, slides: bool) -> str:
+    """Gains of a servo in words, and how far friction winds it up before the joint moves, with a warning where that is much."""
+    force, length = ("N", "m") if slides else ("Nm", "rad")
+    gains = f"kp {kp:.4g} {force}/{length}, " * (kp > 0) + f"kv {kv:.4g} {force} s/{length}"
+    if kp == 0:
+        return f"{gains}; it does not move under {friction / kv:.2g} {length}/s" if friction else gains
+    size, unit = (1e3, "mm") if slides else (float(np.degrees(1.0)), "deg")
+    most = size * (WIND_UP_M if slides else WIND_UP_RAD)
+    found = size * friction / kp
+    warning = f" (WARNING: over {most:g} {unit} the joint begins late and turns back late)" if found > 1.01 * most else ""
+    return f"{gains}; friction of {friction:.3g} {force} winds it up by {found:.2g} {unit}{warning}" if friction else gains
 
 
 def _span(chain: JointChain, i: int) -> str:
@@ -104,16 +193,3 @@ def _line_of(joint: str, lines: list[str]) -> int:
     """The line of a file that names a joint; 0 where another file that it includes does."""
     wanted = re.compile(rf'<joint\b[^>]*\bname="{re.escape(joint)}"')
     return next((number for number, line in enumerate(lines, start=1) if wanted.search(line)), 0)
-
-
-def _middle(chain: JointChain) -> Array:
-    """The middle of each joint's range (n,) [rad, m], 0 of one that turns without end."""
-    return np.where(np.isfinite(chain.limits), chain.limits, 0.0).mean(axis=1)
-
-
-def _block(file: str, flange: str, chain: JointChain) -> str:
-    """A robot's block of a scenario, with a start in the middle of each range."""
-    middle = _middle(chain)
-    start = np.where(chain.slides, middle, np.degrees(middle)).round(3).tolist()
-    speeds = [0.25 if slides else 1.0 for slides in chain.slides]
-    return f"robot: {{kind: mjcf, file: {file}, flange: {flange}, speed_limits: {speeds}, start: {{nominal: {{q_deg: {start}}}}}}}"
