@@ -16,8 +16,10 @@ import polars as pl
 from ruamel.yaml import YAML
 
 import vstestbed as vs
+from tests.pages import parameters
 from tests.pages.kept import Kept, Row
 from vstestbed.core.assets import bundled_comparisons, bundled_scenarios
+from vstestbed.experiments.bench.changes import BesideFloor
 from vstestbed.report.comparison.statistics import paired_difference, spread, success_rate
 from vstestbed.report.comparison.tasks import AMOUNT, cells, markdown
 
@@ -41,9 +43,11 @@ def rendered(page: Path, kept: Kept) -> str:
         autoescape=False,
     )
     made.globals.update(command=kept, run=lambda words: kept(f"run {words}"), scenarios=scenarios, comparisons=comparisons)
+    made.globals.update(fields=parameters.fields, puma_links=parameters.puma_links, puma_joints=parameters.puma_joints)
+    made.globals.update(geom=parameters.geom, joint=parameters.joint, actuator=parameters.actuator, mass=parameters.mass)
     made.filters["judged"] = judged
     made.filters.update(n=number, where=where, reached=reached, typical=typical, worst=worst, least=least, range=span, median=median)
-    made.filters.update(differs=differs, failed=failed, tasks=tasks)
+    made.filters.update(differs=differs, failed=failed, failed_seeds=failed_seeds, tasks=tasks, least_gain=least_gain, ratios=ratios)
     return made.get_template(page.as_posix()).render()
 
 
@@ -99,6 +103,11 @@ def failed(rows: Iterable[Row], by: str = "seed") -> str:
     return "; ".join(f"{outcome}: {', '.join(those)}" for outcome, those in outcomes.items())
 
 
+def failed_seeds(rows: Iterable[Row]) -> str:
+    """The seeds that did not reach the goal: `7, 15`."""
+    return ", ".join(str(row["seed"]) for row in rows if not row["success"]) or "none"
+
+
 def typical(rows: Iterable[Row], name: str, places: int = 1, factor: float = 1, every: bool = False) -> str:
     """Median and quartiles over the runs that reached the goal, or over all: `12.7 [11.9, 13.1]`."""
     of = spread(_values(rows, name, factor, every))
@@ -141,6 +150,19 @@ def tasks(rows: Sequence[Row]) -> str:
     names = list(rows[0])
     axes = [name for name in names[1 : names.index("seed")] if name != AMOUNT]
     return markdown(cells(pl.DataFrame(rows, infer_schema_length=None), axes)).rstrip("\n")
+
+
+def least_gain(rows: Iterable[Row], plain: Iterable[Row], name: str) -> float:
+    """The smallest factor by which a seed's value is less than that of the first variant among `plain`."""
+    first: dict[int, float] = {}
+    for row in plain:
+        first.setdefault(row["seed"], row[name])
+    return min(first[row["seed"]] / row[name] for row in rows)
+
+
+def ratios(timing: Row) -> tuple[float, ...]:
+    """Ratios of a benchmark to its floor, pair by pair, the smallest first."""
+    return BesideFloor(**timing).ratios
 
 
 def _values(rows: Iterable[Row], name: str, factor: float, every: bool = False) -> Iterator[float]:
