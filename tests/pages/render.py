@@ -47,7 +47,9 @@ def rendered(page: Path, kept: Kept) -> str:
     made.globals.update(geom=parameters.geom, joint=parameters.joint, actuator=parameters.actuator, mass=parameters.mass)
     made.filters["judged"] = judged
     made.filters.update(n=number, where=where, reached=reached, typical=typical, worst=worst, least=least, range=span, median=median)
-    made.filters.update(differs=differs, failed=failed, failed_seeds=failed_seeds, tasks=tasks, least_gain=least_gain, ratios=ratios)
+    made.filters.update(
+        differs=differs, failed=failed, failed_seeds=failed_seeds, tasks=tasks, least_gain=least_gain, ratios=ratios, each=each
+    )
     return made.get_template(page.as_posix()).render()
 
 
@@ -85,6 +87,11 @@ def where(rows: Iterable[Row], **wanted: Any) -> list[Row]:
     if not found:
         raise ValueError(f"no run has {wanted}")
     return found
+
+
+def each(rows: Iterable[Row], name: str) -> list[Any]:
+    """The values that a column has, in the order of their first rows."""
+    return list(dict.fromkeys(row[name] for row in rows))
 
 
 def reached(rows: Iterable[Row], interval: bool = True) -> str:
