@@ -48,7 +48,14 @@ def rendered(page: Path, kept: Kept) -> str:
     made.filters["judged"] = judged
     made.filters.update(n=number, where=where, reached=reached, typical=typical, worst=worst, least=least, range=span, median=median)
     made.filters.update(
-        differs=differs, failed=failed, failed_seeds=failed_seeds, tasks=tasks, least_gain=least_gain, ratios=ratios, each=each
+        differs=differs,
+        shifted=shifted,
+        failed=failed,
+        failed_seeds=failed_seeds,
+        tasks=tasks,
+        least_gain=least_gain,
+        ratios=ratios,
+        each=each,
     )
     return made.get_template(page.as_posix()).render()
 
@@ -146,10 +153,21 @@ def span(rows: Iterable[Row], name: str, places: int = 1, factor: float = 1, eve
 
 def differs(rows: Iterable[Row], others: Iterable[Row], name: str, places: int = 1, every: bool = False) -> str:
     """Mean of the paired differences of both's successful seeds, or of all, with its 95 % interval: `-0.9 [-1.5, -0.4]`."""
+    found = paired_difference(*_pairs(rows, others, name, every))
+    return f"{number(found.mean, places)} [{number(found.low, places)}, {number(found.high, places)}]"
+
+
+def shifted(rows: Iterable[Row], others: Iterable[Row], name: str, places: int = 1) -> str:
+    """Median and quartiles of the paired differences of both's successful seeds: `-0.20 [-0.24, -0.16]`."""
+    of = spread([a - b for a, b in zip(*_pairs(rows, others, name), strict=True)])
+    return f"{number(of.median, places)} [{number(of.q1, places)}, {number(of.q3, places)}]"
+
+
+def _pairs(rows: Iterable[Row], others: Iterable[Row], name: str, every: bool = False) -> tuple[list[float], list[float]]:
+    """The values of the seeds that both have."""
     a, b = ({row["seed"]: row[name] for row in those if every or row["success"]} for those in (rows, others))
     both = sorted(a.keys() & b.keys())
-    found = paired_difference([a[seed] for seed in both], [b[seed] for seed in both])
-    return f"{number(found.mean, places)} [{number(found.low, places)}, {number(found.high, places)}]"
+    return [a[seed] for seed in both], [b[seed] for seed in both]
 
 
 def tasks(rows: Sequence[Row]) -> str:
