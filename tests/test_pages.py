@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 import vstestbed as vs
 from tests.pages.kept import FOLDER, Kept, place_of
-from tests.pages.render import REPOSITORY, pages, rendered
+from tests.pages.render import REPOSITORY, SOURCES, pages, rendered
 from vstestbed.cli.app import app
 from vstestbed.cli.tools import settings_of
 
@@ -32,6 +32,8 @@ WHOLE = {"list", "schema", "doctor"}
 """Commands that need no more words; others without any are spoken of, not given."""
 SHORT = {"list", "schema", "describe", "doctor"}
 """Commands that take a second; those of the pages are carried out."""
+NOT_LITERAL = re.compile(r"\{\{.*?\}\}|\{%.*?%\}|`[^`]*`|\]\([^)]*\)")
+"""What is no literal number in a line of a source: expressions, statements, code, links."""
 
 
 def commands(text: str) -> Iterator[list[str]]:
@@ -55,7 +57,21 @@ def test_every_kept_result_is_asked_for() -> None:
     kept = Kept(may_run=False)
     for page in pages():
         rendered(page, kept)
-    assert {place_of(command) for command in kept.used} == set(FOLDER.glob("*.json"))
+    places = [place_of(command) for command in kept.used]
+    assert len(places) == len(set(places)) and set(places) == set(FOLDER.glob("*.json"))
+
+
+@pytest.mark.parametrize("page", pages(), ids=str)
+def test_decimals_in_a_table_are_made_by_a_command_or_said_to_be_given(page: Path) -> None:
+    """Above a table with literal decimals its source has `{# given ... #}`: inputs, not results; or `{# held by tests ... #}`."""
+    text = (SOURCES / page).read_text(encoding="utf-8")
+    for paragraph in text.split("\n\n"):
+        rows = [line for line in paragraph.splitlines() if line.startswith("|")]
+        literal = [row for row in rows if re.search(r"(?<![\w.])\d*\.\d", NOT_LITERAL.sub("", row))]
+        assert not literal or "{# given" in paragraph or "{# held by tests" in paragraph, literal
+        for row in rows[2:] if "{# held by tests #}" in paragraph else ():
+            files = re.findall(r"`([\w/]+\.py)`", row)
+            assert files and all((REPOSITORY / "tests" / file).is_file() for file in files), row
 
 
 @pytest.mark.parametrize("page", PAGES, ids=str)

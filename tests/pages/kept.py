@@ -17,8 +17,10 @@ from vstestbed.core.files import write_whole
 FOLDER = Path(__file__).parent / "kept"
 DIGITS = 5
 """Significant digits that are kept of a number: more than any page shows, fewer than another machine's OpenGL may change."""
-UNSTEADY = re.compile(r"^(folder|wall_time_s|real_time_factor|attempts|reason)$|^(time_ms|versions)\b")
+UNSTEADY = re.compile(r"^(folder|wall_time_s|processor_s|real_time_factor|attempts|reason|machine)$|^(time_ms|versions)\b")
 """Columns that differ from run to run, or say nothing that a page shows."""
+WORDS = {"run": ["--quiet", "--video", "none"], "compare": ["--quiet", "--no-film"], "bench": []}
+"""What is added to a command, by its first word; `--quiet` to all others."""
 Row = Mapping[str, Any]
 
 
@@ -27,13 +29,13 @@ class KeptError(RuntimeError):
 
 
 def measured(command: str) -> Any:
-    """What a command prints as JSON now, run in an empty folder as a user runs it: `run arm_ibvs`, `compare arm_laws`.
+    """What a command prints as JSON now, run in an empty folder as a user runs it: `run arm_ibvs`, `compare arm_laws`, `bench --all`.
 
     Raises:
         KeptError: the command failed; with its words.
     """
-    words = [sys.executable, "-m", "vstestbed", *shlex.split(command), "--json", "--quiet"]
-    words += {"run": ["--video", "none"], "compare": ["--no-film"]}.get(shlex.split(command)[0], [])
+    given = shlex.split(command)
+    words = [sys.executable, "-m", "vstestbed", *given, "--json", *WORDS.get(given[0], ["--quiet"])]
     with tempfile.TemporaryDirectory() as empty:
         done = subprocess.run(words, cwd=empty, capture_output=True, text=True, check=False)
     if not done.stdout.strip():

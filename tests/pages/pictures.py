@@ -10,7 +10,6 @@ import argparse
 import contextlib
 import io
 import shlex
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -33,7 +32,7 @@ from vstestbed.report.video.quality import FINE
 from vstestbed.report.video.writer import Image
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-WIDTH, WIDE = 1280, 1080
+WIDTH, WIDE, FIGURE = 1280, 1080, 1300
 EVERY = 8
 """Frames between two pictures that are drawn, so that the view follows and trails grow."""
 FILMS: dict[str, tuple[str, tuple[tuple[str, float], ...]]] = {
@@ -48,6 +47,7 @@ MOVING_WIDTH, MOVING_HZ, MOVING_QUALITY = 480, 12, 70
 STUDIES: dict[str, tuple[str, str]] = {
     "compare_differences": ("compare arm_laws", "figures/differences.png"),
     "compare_arm_laws": ("compare arm_laws --seeds 1", "comparison.mp4"),
+    "canonical_tasks": ("compare canonical", "figures/tasks.png"),
     "canonical_arm_tasks": ("compare canonical_arm", "figures/tasks.png"),
     "basin_canonical": (
         "basin canonical --set camera.rate_hz=5 --x x=-2:2 --y yaw=-180:180 --at y=1 --at z=-1",
@@ -74,7 +74,9 @@ def strip(name: str) -> Image:
     replay = replay_of(scenario, FINE)
     try:
         for camera in {camera for camera, _ in wanted}:
-            size = FINE.eye_size(scenario.camera.width, scenario.camera.height) if camera == "eye" else FINE.size
+            eye = scenario.camera
+            share = FINE.share(eye.width, eye.height)
+            size = (round(share * eye.width), round(share * eye.height)) if camera == "eye" else FINE.size
             pictures = Pictures(scenario, camera, replay, size)
             shares = {round(share * (len(rows) - 1)): share for found_by, share in wanted if found_by == camera}
             for i in sorted({*range(0, max(shares), EVERY), *shares}):
@@ -108,7 +110,7 @@ def moving(name: str, folder: Path) -> bytes:
     return file.getvalue()
 
 
-def study(name: str, folder: Path) -> Path | Image:
+def study(name: str, folder: Path) -> Image:
     """The figure of a study, or a picture of its film."""
     command, file = STUDIES[name]
     words = shlex.split(command)
@@ -118,11 +120,20 @@ def study(name: str, folder: Path) -> Path | Image:
         make_folder(out.parent)
         subprocess.run([sys.executable, "-m", "vstestbed", *words, "--out", str(out)], check=True)
     if not file.endswith(".mp4"):
-        return place / file
+        return figure(place / file)
     with contextlib.closing(FrameReader(place / file)) as reader:
         shown = reader.newest(SHOWN_S)
         assert shown is not None
         return scaled(shown, WIDE, reader.height * WIDE // reader.width)
+
+
+def figure(path: Path) -> Image:
+    """A figure, scaled down to FIGURE pixels where it is wider."""
+    whole = cv2.imread(str(path))
+    assert whole is not None, path
+    share = min(1.0, FIGURE / whole.shape[1])
+    sized = cv2.resize(whole, (round(whole.shape[1] * share), round(whole.shape[0] * share)), interpolation=cv2.INTER_AREA)
+    return np.asarray(cv2.cvtColor(sized, cv2.COLOR_BGR2RGB), np.uint8)
 
 
 def live_page() -> Image:
@@ -172,10 +183,7 @@ def main() -> None:
                 continue
             made = strip(name) if name in FILMS else live_page() if name == LIVE else study(name, Path(folder))
             path = given.out / f"{name}.png"
-            if isinstance(made, Path):
-                shutil.copy(made, path)
-            else:
-                write_whole(path, cv2.imencode(".png", cv2.cvtColor(made, cv2.COLOR_RGB2BGR))[1].tobytes())
+            write_whole(path, cv2.imencode(".png", cv2.cvtColor(made, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_PNG_COMPRESSION, 9])[1].tobytes())
             print(path)
 
 

@@ -16,8 +16,10 @@ import polars as pl
 from ruamel.yaml import YAML
 
 import vstestbed as vs
+from tests.pages import parameters
 from tests.pages.kept import Kept, Row
 from vstestbed.core.assets import bundled_comparisons, bundled_scenarios
+from vstestbed.experiments.bench.changes import BesideFloor
 from vstestbed.report.comparison.statistics import paired_difference, spread, success_rate
 from vstestbed.report.comparison.tasks import AMOUNT, cells, markdown
 
@@ -41,9 +43,20 @@ def rendered(page: Path, kept: Kept) -> str:
         autoescape=False,
     )
     made.globals.update(command=kept, run=lambda words: kept(f"run {words}"), scenarios=scenarios, comparisons=comparisons)
+    made.globals.update(fields=parameters.fields, puma_links=parameters.puma_links, puma_joints=parameters.puma_joints)
+    made.globals.update(geom=parameters.geom, joint=parameters.joint, actuator=parameters.actuator, mass=parameters.mass)
     made.filters["judged"] = judged
     made.filters.update(n=number, where=where, reached=reached, typical=typical, worst=worst, least=least, range=span, median=median)
-    made.filters.update(differs=differs, failed=failed, tasks=tasks)
+    made.filters.update(
+        differs=differs,
+        shifted=shifted,
+        failed=failed,
+        failed_seeds=failed_seeds,
+        tasks=tasks,
+        least_gain=least_gain,
+        ratios=ratios,
+        each=each,
+    )
     return made.get_template(page.as_posix()).render()
 
 
@@ -83,6 +96,11 @@ def where(rows: Iterable[Row], **wanted: Any) -> list[Row]:
     return found
 
 
+def each(rows: Iterable[Row], name: str) -> list[Any]:
+    """The values that a column has, in the order of their first rows."""
+    return list(dict.fromkeys(row[name] for row in rows))
+
+
 def reached(rows: Iterable[Row], interval: bool = True) -> str:
     """Runs that reached the goal, `19 of 20 [76, 99] %`, with the Wilson interval."""
     good = [bool(row["success"]) for row in rows]
@@ -97,6 +115,11 @@ def failed(rows: Iterable[Row], by: str = "seed") -> str:
         if not row["success"]:
             outcomes.setdefault(f"`{row['outcome']}`", []).append(str(row[by]))
     return "; ".join(f"{outcome}: {', '.join(those)}" for outcome, those in outcomes.items())
+
+
+def failed_seeds(rows: Iterable[Row]) -> str:
+    """The seeds that did not reach the goal: `7, 15`."""
+    return ", ".join(str(row["seed"]) for row in rows if not row["success"]) or "none"
 
 
 def typical(rows: Iterable[Row], name: str, places: int = 1, factor: float = 1, every: bool = False) -> str:
@@ -130,10 +153,21 @@ def span(rows: Iterable[Row], name: str, places: int = 1, factor: float = 1, eve
 
 def differs(rows: Iterable[Row], others: Iterable[Row], name: str, places: int = 1, every: bool = False) -> str:
     """Mean of the paired differences of both's successful seeds, or of all, with its 95 % interval: `-0.9 [-1.5, -0.4]`."""
+    found = paired_difference(*_pairs(rows, others, name, every))
+    return f"{number(found.mean, places)} [{number(found.low, places)}, {number(found.high, places)}]"
+
+
+def shifted(rows: Iterable[Row], others: Iterable[Row], name: str, places: int = 1) -> str:
+    """Median and quartiles of the paired differences of both's successful seeds: `-0.20 [-0.24, -0.16]`."""
+    of = spread([a - b for a, b in zip(*_pairs(rows, others, name), strict=True)])
+    return f"{number(of.median, places)} [{number(of.q1, places)}, {number(of.q3, places)}]"
+
+
+def _pairs(rows: Iterable[Row], others: Iterable[Row], name: str, every: bool = False) -> tuple[list[float], list[float]]:
+    """The values of the seeds that both have."""
     a, b = ({row["seed"]: row[name] for row in those if every or row["success"]} for those in (rows, others))
     both = sorted(a.keys() & b.keys())
-    found = paired_difference([a[seed] for seed in both], [b[seed] for seed in both])
-    return f"{number(found.mean, places)} [{number(found.low, places)}, {number(found.high, places)}]"
+    return [a[seed] for seed in both], [b[seed] for seed in both]
 
 
 def tasks(rows: Sequence[Row]) -> str:
@@ -141,6 +175,19 @@ def tasks(rows: Sequence[Row]) -> str:
     names = list(rows[0])
     axes = [name for name in names[1 : names.index("seed")] if name != AMOUNT]
     return markdown(cells(pl.DataFrame(rows, infer_schema_length=None), axes)).rstrip("\n")
+
+
+def least_gain(rows: Iterable[Row], plain: Iterable[Row], name: str) -> float:
+    """The smallest factor by which a seed's value is less than that of the first variant among `plain`."""
+    first: dict[int, float] = {}
+    for row in plain:
+        first.setdefault(row["seed"], row[name])
+    return min(first[row["seed"]] / row[name] for row in rows)
+
+
+def ratios(timing: Row) -> tuple[float, ...]:
+    """Ratios of a benchmark to its floor, pair by pair, the smallest first."""
+    return BesideFloor(**timing).ratios
 
 
 def _values(rows: Iterable[Row], name: str, factor: float, every: bool = False) -> Iterator[float]:

@@ -1,0 +1,130 @@
+"""Physical parameters of the robots for the pages, read from the models and from the classes that the simulator itself uses."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import re
+import typing
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from vstestbed.core.assets import model_path
+from vstestbed.core.docstrings import DIMENSIONLESS, class_text, unit_in, without_unit
+from vstestbed.core.registry import blocks_in
+from vstestbed.robots.car import CarLimits, Compass
+from vstestbed.robots.car_body import CarParameters
+from vstestbed.robots.flight import Gains
+from vstestbed.robots.groundspeed import Flow
+from vstestbed.robots.imu import Imu
+from vstestbed.robots.omni_body import OmniParameters
+from vstestbed.robots.puma560 import DH
+from vstestbed.robots.quadrotor import Quadrotor
+from vstestbed.robots.rotors import QuadrotorParameters
+from vstestbed.scenario.described import default_of
+from vstestbed.scenario.dump import flow_text
+
+CLASSES: dict[str, type] = {
+    cls.__name__: cls for cls in (CarLimits, CarParameters, Compass, Flow, Gains, Imu, OmniParameters, Quadrotor, QuadrotorParameters)
+}
+SERVOS = ("industrial", "raw")
+JOINTS = tuple(f"joint_{i}" for i in range(1, 7))
+
+
+def fields(name: str, only: Sequence[str] = ()) -> Iterable[tuple[str, str, str, str]]:
+    """Name, default, unit and sentence of the numbers of a class, as `vstestbed describe` has them.
+
+    Args:
+        name: of the class. only: the fields that are wanted; none: all but blocks.
+    """
+    cls = CLASSES[name]
+    own = {field.name: field for field in dataclasses.fields(cls)}
+    hints = typing.get_type_hints(cls, include_extras=True)
+    for field, text in class_text(cls).fields.items():
+        value = default_of(own[field])
+        if field == "kind" or (only and field not in only) or (not only and list(blocks_in(hints[field]))):
+            continue
+        unit = text.unit or unit_in(text.description)
+        shown = f"{value:g}" if isinstance(value, float) else "" if value is None else flow_text(value)
+        yield field, shown, "" if unit == DIMENSIONLESS else unit, with_zero(without_unit(text.description)).replace("|", "\\|")
+
+
+def with_zero(text: str) -> str:
+    """A sentence whose decimals have their zero: `.02` becomes `0.02`."""
+    return re.sub(r"(?<![\w.])\.(?=\d)", "0.", text)
+
+
+@functools.cache
+def model(name: str) -> mujoco.MjModel:
+    """A model of models/, compiled as it stands in its file."""
+    return mujoco.MjModel.from_xml_path(str(model_path(name)))
+
+
+def puma_links() -> list[dict[str, Any]]:
+    """Each link of the Puma: its row of the Denavit-Hartenberg table, mass [kg], centre [m], moments of inertia [kg m^2]."""
+    made = model("puma560.xml")
+    links = []
+    for i, (d, a, alpha) in enumerate(DH, 1):
+        body = made.body(f"link_{i}")
+        turned = np.zeros(9)
+        mujoco.mju_quat2Mat(turned, body.iquat)
+        R = turned.reshape(3, 3)
+        inertia = np.diag(R @ np.diag(body.inertia) @ R.T)
+        links.append(
+            {
+                "number": i,
+                "d": d,
+                "a": a,
+                "alpha_deg": np.degrees(alpha),
+                "mass": float(body.mass[0]),
+                "centre": body.ipos.tolist(),
+                "inertia": inertia.tolist(),
+            }
+        )
+    return links
+
+
+def puma_joints() -> list[dict[str, Any]]:
+    """Each joint of the Puma: range [deg], largest speed [rad/s] and torque [Nm], and what its motor brings to the joint's side:
+    armature [kg m^2], damping [Nm s/rad], Coulomb friction [Nm], and the gains of the servos."""
+    made = model("puma560.xml")
+    joints = []
+    for name in JOINTS:
+        joint, servos = made.joint(name), {kind: made.actuator(f"{kind}_{name}") for kind in SERVOS}
+        row = {
+            "number": int(name[-1]),
+            "range_deg": np.degrees(joint.range).tolist(),
+            "speed": float(servos["industrial"].ctrlrange[1]),
+            "torque": float(servos["industrial"].forcerange[1]),
+            "armature": float(joint.armature[0]),
+            "damping": float(joint.damping[0]),
+            "friction": float(joint.frictionloss[0]),
+            "kp": float(servos["industrial"].gainprm[0]),
+            "kv": -float(servos["industrial"].biasprm[2]),
+            "raw_kv": float(servos["raw"].gainprm[0]),
+        }
+        joints.append(row | {"dead_band": row["friction"] / row["raw_kv"]})
+    return joints
+
+
+def geom(name: str, of: str) -> Any:
+    """A geom of a model, with its `size`, `friction` and so on."""
+    return model(of).geom(name)
+
+
+def joint(name: str, of: str) -> Any:
+    """A joint of a model, with its `armature`, `damping`, `frictionloss`, `stiffness`."""
+    return model(of).joint(name)
+
+
+def actuator(name: str, of: str) -> Any:
+    """An actuator of a model, with its `gainprm`, `biasprm`, `forcerange`."""
+    return model(of).actuator(name)
+
+
+def mass(name: str, of: str) -> float:
+    """Mass of a body and of all that hangs on it [kg]."""
+    return float(model(of).body_subtreemass[model(of).body(name).id])
