@@ -5,18 +5,45 @@ from __future__ import annotations
 import logging
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
 import vstestbed.sim  # noqa: F401 - chooses MUJOCO_GL before any test imports mujoco
+from vstestbed.core.errors import EnvironmentLackError
 
 if "PYTEST_XDIST_WORKER" in os.environ:  # tests side by side: Mesa draws with a core each
     os.environ.setdefault("LP_NUM_THREADS", "0")
 
 REPOSITORY = Path(__file__).resolve().parent.parent
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_setup() -> Generator[None]:
+    """Fixtures that draw; see `_skip_without_opengl`."""
+    with _skip_without_opengl():
+        yield
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call() -> Generator[None]:
+    """Tests that draw; see `_skip_without_opengl`."""
+    with _skip_without_opengl():
+        yield
+
+
+@contextmanager
+def _skip_without_opengl() -> Iterator[None]:
+    """On a machine without OpenGL, tests of what only OpenGL can draw are skipped, with the sentence that a user gets; not in CI."""
+    try:
+        yield
+    except EnvironmentLackError as lack:
+        if "CI" in os.environ or not lack.lack.startswith("no OpenGL"):
+            raise
+        pytest.skip(str(lack))
 
 
 @dataclass(frozen=True)

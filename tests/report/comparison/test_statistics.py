@@ -131,7 +131,7 @@ def test_one_pair_of_many_that_differs_is_no_real_difference() -> None:
     assert found.mean == 0.05 and not found.real
     assert found.high == pytest.approx(0.05 + 2.093 * 0.05, abs=1e-4)
     times = np.array([12.8, 12.5, 13.0, 12.9, 12.2])  # four of the differences are 0.2 but for rounding, which is no spread either
-    found = paired_difference(times, times + [0.2, 0.2, 0.45, 0.2, 0.2])
+    found = paired_difference(times, times + [0.2, 0.2 + 1e-11, 0.45, 0.2 - 2e-11, 0.2 + 3e-11])
     assert found.high == pytest.approx(-0.25 + 2.776 * 0.05, abs=1e-4)
 
 

@@ -184,7 +184,7 @@ def _differences(a: ArrayLike, b: ArrayLike) -> Array:
     d = np.sort(a - b)
     rounding = max(ROUNDING * float(np.abs([a, b]).max(initial=0.0)), LEAST)
     d[np.abs(d) <= rounding] = 0.0
-    # Differences that are equal but for rounding have one value: in a resample of them alone the spread would be rounding, a divisor of 1e-15.
+    # Differences that are equal but for rounding get one value: in a resample of them alone the spread would be rounding, as a divisor.
     groups = np.cumsum(np.diff(d, prepend=d[:1]) > rounding)
     first, last = np.searchsorted(groups, np.unique(groups), "left"), np.searchsorted(groups, np.unique(groups), "right") - 1
     return np.repeat((d[first] + d[last]) / 2, last - first + 1)
