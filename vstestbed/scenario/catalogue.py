@@ -68,7 +68,7 @@ def _field_name(owner: str, field: str, cls: type, inner: type, found: dict[str,
 
 
 def entry_of(word: str, entries: dict[str, Entry]) -> Entry:
-    """The entry of a full name, or of its last part where that is the name of one thing.
+    """The entry of a full name, of its last part where that is the name of one thing, or of a field as `--set` calls it: `law.depth`.
 
     Raises:
         ParameterError: there is none, or there are several: it has their full names.
@@ -82,6 +82,10 @@ def entry_of(word: str, entries: dict[str, Entry]) -> Entry:
     if things:
         names = sorted(entry.name for entry in things)
         raise ParameterError(word, f"is {', '.join(names[:-1])} and {names[-1]}; give one of these names")
+    owner, _, field = word.rpartition(".")
+    held = [entry for entry in entries.values() if entry.cls is None and entry.field.removesuffix("[]") == field]
+    if owner in entries and len(held) == 1:
+        return held[0]
     raise ParameterError(word, f"is no kind and no block of a scenario; {_hint(word, entries)}")
 
 
