@@ -34,11 +34,8 @@ def experiments(incomplete: str) -> list[str]:
 def kinds(incomplete: str) -> list[str]:
     """Words that `describe` knows: kinds, the blocks of a scenario, and after `camera.` the kinds and blocks of that block."""
     whole = _schema()
-    owner, dot, _ = incomplete.partition(".")
-    if dot:
-        inner = [*_children(whole["properties"].get(owner, {}), whole)]
-        words = {rule["const"] for name, rule in inner if name == "kind"} | {name for name, rule in inner if _is_block(rule, whole)}
-        return sorted(word for word in (f"{owner}.{name}" for name in words) if word.startswith(incomplete))
+    if "." in incomplete:
+        return sorted({word for word in _kinds_in(incomplete.partition(".")[0], whole) if word.startswith(incomplete)})
     words = {name for name, rule in whole["properties"].items() if any(_children(rule, whole))}
     words |= {block["properties"]["kind"]["const"] for block in whole["$defs"].values() if "kind" in block["properties"]}
     return sorted(word for word in words if word.startswith(incomplete))
@@ -58,6 +55,15 @@ def paths(incomplete: str) -> list[str]:
             return [prefix + name for name in found]
         # A single word would be taken as complete by the shell, which adds a space.
         prefix, last = f"{prefix}{next(iter(found))}.", ""
+
+
+def _kinds_in(owner: str, whole: dict[str, Any]) -> Iterator[str]:
+    """The kinds that a block may be, and the blocks in it, with its name before them."""
+    for name, rule in _children(whole["properties"].get(owner, {}), whole):
+        if name == "kind":
+            yield f"{owner}.{rule['const']}"
+        elif _is_block(rule, whole):
+            yield f"{owner}.{name}"
 
 
 def _is_block(rule: dict[str, Any], whole: dict[str, Any]) -> bool:

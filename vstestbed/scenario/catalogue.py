@@ -82,11 +82,16 @@ def entry_of(word: str, entries: dict[str, Entry]) -> Entry:
     if things:
         names = sorted(entry.name for entry in things)
         raise ParameterError(word, f"is {', '.join(names[:-1])} and {names[-1]}; give one of these names")
-    owner, _, field = word.rpartition(".")
-    held = [entry for entry in entries.values() if entry.cls is None and entry.field.removesuffix("[]") == field]
-    if owner in entries and len(held) == 1:
+    held = _held_in(word, entries)
+    if len(held) == 1:
         return held[0]
     raise ParameterError(word, f"is no kind and no block of a scenario; {_hint(word, entries)}")
+
+
+def _held_in(path: str, entries: dict[str, Entry]) -> list[Entry]:
+    """The lists of kinds of which the last field of a dotted path holds one: `depth` for `law.depth`."""
+    owner, _, field = path.rpartition(".")
+    return [entry for entry in entries.values() if owner in entries and entry.cls is None and entry.field.removesuffix("[]") == field]
 
 
 def _hint(word: str, entries: dict[str, Entry]) -> str:
