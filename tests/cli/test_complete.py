@@ -6,7 +6,9 @@ import subprocess
 
 import pytest
 
+import vstestbed as vs
 from vstestbed.cli import complete
+from vstestbed.scenario.catalogue import catalogue, entry_of
 from vstestbed.scenario.validation import KINDS
 
 
@@ -40,6 +42,11 @@ def test_kinds_are_those_that_describe_knows() -> None:
     bundled = {kind for room in KINDS.values() for kind, cls in room.members.items() if cls.__module__.startswith("vstestbed.")}
     assert bundled <= set(complete.kinds(""))
     assert {"law", "stop", "noise"} <= set(complete.kinds(""))
+    assert complete.kinds("camera.s") == ["camera.spherical"]
+    assert complete.kinds("stop.") == ["stop.converged"]
+    entries = catalogue(scenario=vs.Scenario)
+    assert all(entry_of(word, entries) for owner in complete.kinds("") for word in complete.kinds(f"{owner}."))
+    assert complete.kinds("nope.") == []
     assert complete.kinds("metr") == complete.kinds("descr") == []  # a list, which `describe` has as `metric`, and a text
 
 

@@ -76,7 +76,15 @@ def test_colours_only_where_they_are_wanted() -> None:
 
 @pytest.mark.parametrize(
     ("word", "name"),
-    [("pbvs", "law.pbvs"), ("law.pbvs", "law.pbvs"), ("law", "law"), ("stop", "stop"), ("solve", "law.solve"), ("goal", "goal")],
+    [
+        ("pbvs", "law.pbvs"),
+        ("law.pbvs", "law.pbvs"),
+        ("law", "law"),
+        ("stop", "stop"),
+        ("solve", "law.solve"),
+        ("goal", "goal"),
+        ("law.depth", "depth"),
+    ],
 )
 def test_the_words_for_an_entry(word: str, name: str) -> None:
     assert entry_of(word, ENTRIES).name == name

@@ -32,8 +32,10 @@ def experiments(incomplete: str) -> list[str]:
 
 
 def kinds(incomplete: str) -> list[str]:
-    """Words that `describe` knows: kinds, and the blocks of a scenario."""
+    """Words that `describe` knows: kinds, the blocks of a scenario, and after `camera.` the kinds and blocks of that block."""
     whole = _schema()
+    if "." in incomplete:
+        return sorted({word for word in _kinds_in(incomplete.partition(".")[0], whole) if word.startswith(incomplete)})
     words = {name for name, rule in whole["properties"].items() if any(_children(rule, whole))}
     words |= {block["properties"]["kind"]["const"] for block in whole["$defs"].values() if "kind" in block["properties"]}
     return sorted(word for word in words if word.startswith(incomplete))
@@ -53,6 +55,21 @@ def paths(incomplete: str) -> list[str]:
             return [prefix + name for name in found]
         # A single word would be taken as complete by the shell, which adds a space.
         prefix, last = f"{prefix}{next(iter(found))}.", ""
+
+
+def _kinds_in(owner: str, whole: dict[str, Any]) -> Iterator[str]:
+    """The kinds that a block may be, and the blocks in it, with its name before them."""
+    for name, rule in _children(whole["properties"].get(owner, {}), whole):
+        if name == "kind":
+            yield f"{owner}.{rule['const']}"
+        elif _is_block(rule, whole):
+            yield f"{owner}.{name}"
+
+
+def _is_block(rule: dict[str, Any], whole: dict[str, Any]) -> bool:
+    """Whether a field holds a block of one shape, which `describe` calls by its owner's name; kinds have a name of their own."""
+    names = [name for name, _ in _children(rule, whole)]
+    return bool(names) and "kind" not in names
 
 
 def _begun(begin: str, rules: Iterable[dict[str, Any]], whole: dict[str, Any]) -> dict[str, list[dict[str, Any]]]:

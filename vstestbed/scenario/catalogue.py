@@ -69,7 +69,7 @@ def _field_name(owner: str, field: str, cls: type, inner: type, found: dict[str,
 
 
 def entry_of(word: str, entries: dict[str, Entry]) -> Entry:
-    """The entry of a full name, or of its last part where that is the name of one thing.
+    """The entry of a full name, of its last part where that is the name of one thing, or of a field as `--set` calls it: `law.depth`.
 
     Raises:
         ParameterError: there is none, or there are several: it has their full names.
@@ -83,7 +83,16 @@ def entry_of(word: str, entries: dict[str, Entry]) -> Entry:
     if things:
         names = sorted(entry.name for entry in things)
         raise ParameterError(word, f"is {', '.join(names[:-1])} and {names[-1]}; give one of these names")
+    held = _held_in(word, entries)
+    if len(held) == 1:
+        return held[0]
     raise ParameterError(word, f"is no kind and no block of a scenario; {_hint(word, entries)}")
+
+
+def _held_in(path: str, entries: dict[str, Entry]) -> list[Entry]:
+    """The lists of kinds of which the last field of a dotted path holds one: `depth` for `law.depth`."""
+    owner, _, field = path.rpartition(".")
+    return [entry for entry in entries.values() if owner in entries and entry.cls is None and entry.field.removesuffix("[]") == field]
 
 
 def _hint(word: str, entries: dict[str, Entry]) -> str:

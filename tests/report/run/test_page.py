@@ -37,7 +37,7 @@ def ring(n: int) -> Array:
 
 def setting(markers: int) -> Setting:
     """The facts of the synthetic scenario."""
-    return Setting(WIDTH, HEIGHT, 0.2, ring(markers), Pose(xyz=(0, 0, 1)).T, "A camera nears a ring of markers.")
+    return Setting(WIDTH, HEIGHT, 0.2, ring(markers), Pose(xyz=(0, 0, 1)).T, "A camera nears a ring of markers.", changed=("law.gain=2",))
 
 
 def log(frames: int = 250, markers: int = 4, joints: tuple[str, ...] = ("joint1", "joint2"), lost: slice = slice(60, 70)) -> pl.DataFrame:
@@ -156,6 +156,7 @@ def test_the_page_stands_alone_and_has_it_all(tmp_path: Path) -> None:
         "Converged",
         "RMS error under 0.2 px for 0.5 s. Task error by measured pixels: 0.123 px, limit 0.200 px.",
         "A camera nears a ring of markers.",
+        "Changed in this run: law.gain=2",
         "What the camera sees",
         "threshold 0.2 px",
         "target lost",
@@ -187,7 +188,7 @@ def test_failure_is_told_and_coloured_as_such() -> None:
 
 def test_text_is_escaped() -> None:
     nasty = summary(scenario="<script>alert(1)</script>", reason='a < b & "c"', versions={"<i>": "<u>"})
-    reader = checked(render_page(log(10), nasty, SCENARIO, {}, Setting(description="<img src=x>")))
+    reader = checked(render_page(log(10), nasty, SCENARIO, {}, Setting(description="<img src=x>", changed=("law=<img src=x>",))))
     assert "<script>alert(1)</script>" in reader.text  # as words, not as an element
     assert "# <b>not bold</b> & so on" in reader.text
     assert "<img src=x>" in reader.text

@@ -22,7 +22,7 @@ from vstestbed.report.html.ticks import log_ticks, numerals, ticks
 Pair = tuple[float, float]
 POINT = 10
 """Steps of a coordinate per point (1/72 in): all coordinates of curves are whole numbers."""
-LEFT, RIGHT, BOTTOM, TOP, GAP = 56.0, 9.0, 32.0, 10.0, 13.0
+LEFT, RIGHT, BOTTOM, TOP, GAP = 64.0, 13.0, 32.0, 10.0, 13.0
 """Margins around the panels and between two of them [pt]."""
 DASHES = {"-": (), ":": (1.0, 1.65), "--": (3.7, 1.6)}
 """Lengths of dashes and gaps, in widths of the line."""
@@ -197,7 +197,7 @@ class ChartPanel:
         yield f'<path d="{grid}" stroke="{paint(RULE)}" stroke-width=".6" opacity=".45"/>'
         yield f'<path d="M{left:.1f} {top:.1f}v{height:.1f}h{width:.1f}" fill="none" stroke="{paint(RULE)}" stroke-width=".8"/>'
         middle = top + height / 2
-        yield text(left - 44, middle, self.labels[1], more=f' transform="rotate(-90 {left - 44:.1f} {middle:.1f})"')
+        yield text(left - 53, middle, self.labels[1], more=f' transform="rotate(-90 {left - 53:.1f} {middle:.1f})"')
         yield from (text(left - 5, y, words, "end") for y, words in zip(v, self._numbers(1, at_y), strict=True))
         if last:
             yield from (text(x, top + height + 9, words) for x, words in zip(u, self._numbers(0, at_x), strict=True))

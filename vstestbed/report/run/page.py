@@ -169,6 +169,8 @@ def render_page(
         folded("All numbers (summary.json)", json.dumps(dict(summary), indent=2, default=str)),
     ]
     subtitle = f'<p class="soft">{escape(setting.description)}</p>' if setting.description else ""
+    if setting.changed:
+        subtitle += f'<p class="soft">Changed in this run: {", ".join(f"<code>{escape(one)}</code>" for one in setting.changed)}</p>'
     title = f"{name}: {numbers.outcome_text(summary)}"
     return PAGE.format(title=escape(title), style=STYLE, heading=escape(name), description=subtitle, body="\n".join(filter(None, body)))
 

@@ -39,6 +39,7 @@ class Setting:
         ground_task: the task of a ground vehicle; None for other robots.
         band_m, settle_s: of a continuing task: error tolerance [m] after this time [s].
         names: of the markers; () where they have none.
+        changed: the fields in which the scenario differs from the bundled one of its name, `("law.gain=2",)`.
     """
 
     width: int | None = None
@@ -53,10 +54,13 @@ class Setting:
     band_m: float | None = None
     settle_s: float = 0.0
     names: tuple[str, ...] = ()
+    changed: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, scenario: Scenario) -> Setting:
         """The setting of a loaded scenario; goal view and pixel threshold are None for tasks that have none."""
+        from vstestbed.scenario.changes import changes  # here: the figures themselves need no scenario
+
         ground_task, goal = GroundTask.of(scenario), scenario.goal
         view = getattr(goal, "T_camera_target", None)
         return cls(
@@ -72,6 +76,7 @@ class Setting:
             ground_task=ground_task,
             band_m=goal.tolerance_m,
             settle_s=goal.settle_s,
+            changed=changes(scenario),
         )
 
 

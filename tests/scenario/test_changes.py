@@ -1,0 +1,39 @@
+"""What was changed in a bundled scenario, as the report shows it."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import vstestbed as vs
+from vstestbed.scenario.changes import changes
+from vstestbed.scenario.dump import dump_for_folder
+
+
+@pytest.mark.parametrize(
+    ("name", "settings", "changed"),
+    [
+        ("quadrotor_aggressive", {}, ()),
+        ("quadrotor_aggressive", {"derotation": "none", "seed": 3}, ("derotation=none",)),
+        ("omni_blended", {"goal.speed_mps": None}, ("goal.speed_mps=null",)),
+        ("arm_track_circle", {"law.feedforward": "none"}, ("law.feedforward={kind: none}",)),
+    ],
+)
+def test_changed_fields_are_named_as_set_takes_them(name: str, settings: dict[str, Any], changed: tuple[str, ...]) -> None:
+    assert changes(vs.load(name, settings)) == changed
+
+
+def test_a_copy_of_the_targets_file_is_no_change(tmp_path: Path) -> None:
+    place = tmp_path / "arm_mesh.yaml"
+    place.write_text(dump_for_folder(vs.load("arm_mesh")), encoding="utf-8")
+    copy = tmp_path / "assets" / "target" / "flange.stl"
+    copy.parent.mkdir(parents=True)
+    copy.write_bytes(Path(vs.load("arm_mesh").target.source or "").read_bytes())
+    assert changes(vs.load(place)) == ()
+
+
+def test_a_scenario_of_the_users_own_has_no_changes() -> None:
+    assert changes(dataclasses.replace(vs.load("ibvs_book", {"law.gain": 3}), name="mine")) == ()

@@ -1,0 +1,44 @@
+"""What was changed in a bundled scenario: the fields in which one differs from the bundled one of its name."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from vstestbed.core.assets import bundled_scenarios
+from vstestbed.core.mapping import to_mapping
+from vstestbed.core.named_files import kept_at
+from vstestbed.scenario.dump import flow_text
+from vstestbed.scenario.load import load
+from vstestbed.scenario.scenario import Scenario
+
+OF_THE_RUN = ("name", "description", "plugins", "seed")
+"""Fields that name a run or are shown elsewhere."""
+
+
+def changes(scenario: Scenario) -> tuple[str, ...]:
+    """The changed fields with their values, as `--set` takes them: `("derotation=none",)`; () for one that has no bundled namesake.
+
+    A block whose kind was changed is one field with its whole value.
+    """
+    if scenario.name not in bundled_scenarios():
+        return ()
+    bundled = to_mapping(load(scenario.name))
+    given = {key: value for key, value in to_mapping(scenario).items() if key not in OF_THE_RUN}
+    return tuple(f"{path}={flow_text(value)}" for path, value in _different(given, bundled))
+
+
+def _different(given: Mapping[str, Any], bundled: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Dotted paths and values of what is not the same in the bundled mapping."""
+    for key, value in given.items():
+        other = bundled.get(key)
+        if isinstance(value, dict) and isinstance(other, dict) and value.get("kind") == other.get("kind"):
+            yield from _different(value, other, f"{prefix}{key}.")
+        elif value != other and not _is_copy(value, other):
+            yield prefix + key, value
+
+
+def _is_copy(value: Any, other: Any) -> bool:
+    """Whether a value names the copy of the target's file in a run's folder."""
+    return isinstance(value, str) and isinstance(other, str) and Path(value).as_posix().endswith(kept_at(Path(other)))
