@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 tools = typer.Typer()
 
 
-class Room(str, Enum):
+class Listed(str, Enum):
     """Argument of `list`."""
 
     scenarios = "scenarios"
@@ -91,12 +91,14 @@ def renamed(app: typer.Typer, old: str, new: str, command: Callable[..., None]) 
 
 
 @tools.command("list")
-def list_(room: Annotated[Room | None, typer.Argument(help="What to list. [default: everything]")] = None, plugin: Plugins = None) -> None:
+def list_(
+    room: Annotated[Listed | None, typer.Argument(help="What to list. [default: everything]")] = None, plugin: Plugins = None
+) -> None:
     """What there is, one line each."""
     from vstestbed.scenario.plugins import load_plugins
 
     load_plugins(plugin or [])
-    for name in [room] if room else Room:
+    for name in [room] if room else Listed:
         if room is None:
             typer.echo(f"{name.value}:")
         entries = _entries(name)
@@ -105,16 +107,16 @@ def list_(room: Annotated[Room | None, typer.Argument(help="What to list. [defau
             typer.echo(f"{'' if room else '  '}{entry:{width}}  {text}")
 
 
-def _entries(room: Room) -> list[tuple[str, str]]:
+def _entries(room: Listed) -> list[tuple[str, str]]:
     """Names of the scenarios or kinds in a room, each with its description: for kinds the first line of the class's docstring."""
     from vstestbed.core.assets import bundled_comparisons, bundled_scenarios
     from vstestbed.scenario.load import text_of
     from vstestbed.scenario.validation import KINDS
     from vstestbed.scenario.yaml_marks import plain_mapping
 
-    if room is Room.scenarios:  # as they are written: an arm's file may be in a package that is not installed
+    if room is Listed.scenarios:  # as they are written: an arm's file may be in a package that is not installed
         return [(name, str(plain_mapping(text_of(path), str(path), "")[0]["description"])) for name, path in bundled_scenarios().items()]
-    if room is Room.comparisons:
+    if room is Listed.comparisons:
         from vstestbed.experiments.comparison.plan import read_comparison  # here: a list of kinds need not wait for it
 
         return [(name, read_comparison(path).description) for name, path in bundled_comparisons().items()]

@@ -47,7 +47,7 @@ def test_a_run_that_cannot_start_leaves_no_assets(tmp_path: Path, monkeypatch: p
         (
             "arm_ibvs",
             {"detector": "tags"},
-            r"--set: target.marker: may not be disc: detector tags sees tag; with disc use detector blobs or oracle",
+            r"overrides: target.marker: may not be disc: detector tags sees tag; with disc use detector blobs or oracle",
         ),
         (
             "arm_tags",
