@@ -37,11 +37,12 @@ print(main[:2], {first, main, again} == {main}, in_threads(160, 200) == [main, w
 """
 AT_EXIT = """
 class Started:
-    def frame(self, frame): ready.set()
-ready = threading.Event()
-endless = vs.load("arm_ibvs", {"stop.duration_s": 1000, "stop.converged.error_px": 1e-9})
-threading.Thread(target=lambda: vs.run(endless, [Started()]), daemon=True).start()
-assert ready.wait(60)
+    def __init__(self): self.ready = threading.Event()
+    def frame(self, frame): self.ready.set()
+for changes in ({}, {"camera.renderer": "rays"}, {"detector": "oracle"}):
+    run, started = vs.load("arm_ibvs", {"stop.duration_s": 1000, "stop.converged.error_px": 1e-9} | changes), Started()
+    threading.Thread(target=vs.run, args=(run, [started]), daemon=True).start()
+    assert started.ready.wait(60)
 print("ready")
 """
 INTERRUPTED = """

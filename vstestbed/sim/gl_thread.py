@@ -12,7 +12,6 @@ import os
 import queue
 import sys
 import threading
-import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any
@@ -20,10 +19,9 @@ from typing import Any
 from dm_control import _render
 from dm_control._render import base, executor
 
+from vstestbed.sim.process_end import may_end_here
 from vstestbed.sim.render import gl_probe
 
-REST_S = 1.0
-"""Longest wait for daemon threads at the end of the process [s]."""
 _making = threading.Lock()
 _contexts: list[Any] = []
 
@@ -38,7 +36,6 @@ class RenderingThread(executor.BaseRenderExecutor):
         super().__init__()
         self._mutex = threading.RLock()
         self._jobs: queue.SimpleQueue[tuple[Future[Any], Callable[[], object]] | None] = queue.SimpleQueue()
-        self._daemons: set[threading.Thread] = set()
         self._thread = threading.Thread(target=self._work, name="vstestbed rendering", daemon=True)
         self._thread.start()
 
@@ -64,9 +61,7 @@ class RenderingThread(executor.BaseRenderExecutor):
         return threading.RLock() if threading.current_thread() is self._thread else self._mutex
 
     def _check_not_terminated(self) -> None:
-        if self._terminated and threading.current_thread().daemon:
-            self._daemons.discard(threading.current_thread())
-            threading.Event().wait()  # the process is ending: a daemon thread that still draws ends with it, without a word
+        may_end_here(self._terminated)  # else a daemon thread that still draws while the process ends would raise
         super()._check_not_terminated()
 
     def call(self, func: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
@@ -74,8 +69,6 @@ class RenderingThread(executor.BaseRenderExecutor):
         if threading.current_thread() is self._thread:
             return func(*args, **kwargs)
         self._check_not_terminated()  # again, with the lock: the process may have begun to end while this thread waited for it
-        if threading.current_thread().daemon:
-            self._daemons.add(threading.current_thread())
         future: Future[Any] = Future()
         self._jobs.put((future, lambda: func(*args, **kwargs)))
         try:
@@ -96,17 +89,6 @@ class RenderingThread(executor.BaseRenderExecutor):
                 self._jobs.put(None)
                 if not is_current():
                     self._thread.join()  # the driver unloads at exit: no thread of its own may be left
-        self._let_daemons_rest()
-
-    def _let_daemons_rest(self) -> None:
-        """Give daemon threads that draw the time to come to their next picture, where they wait for the end of the process.
-
-        Python ends a daemon thread where it next takes the interpreter's lock. Within a step of the physics, whose C++ code cannot be
-        left like that, the process would crash.
-        """
-        until = time.monotonic() + REST_S
-        while time.monotonic() < until and any(thread.is_alive() for thread in tuple(self._daemons)):
-            time.sleep(0.002)  # gives them the interpreter's lock
 
     def abandon(self) -> None:
         """Give up the context without freeing it: this process is a fork, in which the rendering thread does not exist."""

@@ -13,6 +13,7 @@ from vstestbed.robots.orders import Orders
 from vstestbed.robots.reading import Reading
 from vstestbed.sim.base import Truth
 from vstestbed.sim.hands import hold_plate, moved_path
+from vstestbed.sim.process_end import may_end_here
 from vstestbed.sim.render.image_sensor import ImageSensor
 from vstestbed.sim.scene.compose import Parts
 from vstestbed.sim.scene.stage import Stage
@@ -121,6 +122,7 @@ class IdealPlant:
 
     def advance(self, steps: int) -> bool:
         """Advance by exact exponentials: no integration error, however many steps each stands for. False beyond all numbers."""
+        may_end_here()
         end = self._steps + steps
         while self._steps < end:
             ahead = self._orders.unchanged(self._steps, end - self._steps)

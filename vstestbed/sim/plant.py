@@ -16,6 +16,7 @@ from vstestbed.robots.reading import Reading
 from vstestbed.sim.base import Truth
 from vstestbed.sim.contacts import RobotContacts
 from vstestbed.sim.hands import Push, hold_plate, moved_path
+from vstestbed.sim.process_end import may_end_here
 from vstestbed.sim.render.image_sensor import ImageSensor
 from vstestbed.sim.scene.lead_vehicle import LeadVehicle
 from vstestbed.sim.scene.stage import Stage
@@ -193,6 +194,7 @@ class MujocoPlant:
 
         Onboard controllers act at fixed multiples of the physics step, however the calls divide the time.
         """
+        may_end_here()
         end = self._steps + steps
         while self._steps < end:
             ahead = end - self._steps
