@@ -1,0 +1,61 @@
+"""Reads a model's file into MuJoCo's spec; of a URDF with the shapes to look at, the links that do not move, and `package://`."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import mujoco
+
+from vstestbed.core.errors import ParameterError
+
+ROOT = re.compile(r"<robot\b[^>]*>")
+XACRO = re.compile(r"<xacro:")
+MESH = re.compile(r'(<mesh\b[^>]*\bfilename=")(package|file)://([^"]*)')
+UNREADABLE = re.compile(
+    r'<visual\b(?:(?!</visual>).)*\bfilename="[^"]*\.(?!stl"|obj")\w+"(?:(?!</visual>).)*</visual>', re.DOTALL | re.IGNORECASE
+)
+"""What is to be seen by a mesh in a format that MuJoCo does not read (dae, glb)."""
+KEEP = '<mujoco><compiler discardvisual="false" fusestatic="false"/></mujoco>'
+"""MuJoCo by default throws away a URDF's `visual` shapes, and the names of links on fixed joints, such as `tool0`."""
+CONTACT_GROUP = 3
+
+
+def read_model(path: Path) -> mujoco.MjSpec:
+    """The spec of an MJCF or URDF file, as the file has it.
+
+    Of a URDF, fixed links keep their names, a link shows its `visual` shapes, and its `collision` shapes only where it has no others.
+    A `<mujoco>` block of its own counts instead. Meshes to look at of other formats than STL and OBJ are left out.
+
+    Raises:
+        ValueError: MuJoCo's, for a file that it cannot read.
+        ParameterError: `file`, where it is a xacro, or names a package whose folder is not found.
+    """
+    text = path.read_text(errors="replace")
+    if (root := ROOT.search(text)) is None:
+        return mujoco.MjSpec.from_file(str(path))
+    if XACRO.search(text):
+        raise ParameterError("file", f"is a xacro, and no URDF yet; `xacro {path.name} > arm.urdf` writes one", str(path))
+    if "<mujoco" not in text:
+        text = text[: root.end()] + KEEP + text[root.end() :]  # in the same line: MuJoCo's errors tell lines
+    text = UNREADABLE.sub(lambda visual: "\n" * visual[0].count("\n"), text)
+    spec = mujoco.MjSpec.from_string(MESH.sub(lambda mesh: mesh[1] + _found(path, mesh[2], mesh[3]), text))
+    spec.meshdir = str(path.parent.resolve() / spec.meshdir)
+    for body in spec.bodies:
+        if any(not geom.contype and not geom.conaffinity for geom in body.geoms):
+            for geom in body.geoms:
+                geom.group = CONTACT_GROUP if geom.contype or geom.conaffinity else geom.group
+    return spec
+
+
+def _found(path: Path, scheme: str, name: str) -> str:
+    """The place of a mesh: of `package://NAME/rest` in the folder NAME beside the URDF or above it."""
+    if scheme == "file":
+        return name
+    for folder in path.resolve().parents:
+        for place in (folder / name, folder.parent / name):
+            if place.is_file():
+                return str(place)
+    package = name.partition("/")[0]
+    words = f"names the mesh package://{name}, and no folder {package} with it is beside the file or above it"
+    raise ParameterError("file", f"{words}; put the package's folder there, or write the mesh's path from the URDF's folder", str(path))
