@@ -276,7 +276,7 @@ class TestUrdf:
     LINK = '<inertial><mass value="1"/><inertia ixx=".01" iyy=".01" izz=".01" ixy="0" ixz="0" iyz="0"/></inertial>'
     SHAPE = '<{0}><origin xyz="0 0 0.15"/><geometry>{1}</geometry></{0}>'
     JOINT = '<joint name="{0}" type="{1}"><parent link="{2}"/><child link="{3}"/>{4}</joint>'
-    HINGE = '<origin xyz="0 0 .3"/><axis xyz="0 {} {}"/><limit lower="-2" upper="2" effort="60" velocity="1"/>'
+    HINGE = '<origin xyz="0 0 .3"/><axis xyz="0 {} {}"/><limit lower="-2" upper="2" effort="60" velocity="0.7"/>'
 
     def written(self, folder: Path, mesh: str) -> Path:
         """Two links, the first to be seen by a box and a mesh, and to be touched by a cylinder; a tool on a fixed joint."""
@@ -300,6 +300,7 @@ class TestUrdf:
         (tmp_path / "my_arm" / "meshes").mkdir()
         (tmp_path / "my_arm" / "meshes" / "one.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
         assert told_of(file)["as an arm"] == ["robot: {kind: mjcf}, for instance with flange: tool0"]
+        assert "speed_limits: [0.7, 0.7]" in told_of(file)["scenario"][0]
         model = compiled(str(file))
         seen = {"one": [1, 1, 3], "two": [0]}  # shapes for contacts alone are in group 3
         assert {name: sorted(model.geom_group[model.geom_bodyid == model.body(name).id].tolist()) for name in seen} == seen

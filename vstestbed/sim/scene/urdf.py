@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from xml.etree import ElementTree
 
 import mujoco
 
@@ -42,10 +43,26 @@ def read_model(path: Path) -> mujoco.MjSpec:
     spec = mujoco.MjSpec.from_string(MESH.sub(lambda mesh: mesh[1] + _found(path, mesh[2], mesh[3]), text))
     spec.meshdir = str(path.parent.resolve() / spec.meshdir)
     for body in spec.bodies:
-        if any(not geom.contype and not geom.conaffinity for geom in body.geoms):
-            for geom in body.geoms:
-                geom.group = CONTACT_GROUP if geom.contype or geom.conaffinity else geom.group
+        _hide_contacts(body)
     return spec
+
+
+def _hide_contacts(body: mujoco.MjsBody) -> None:
+    """Leave a link's shapes for contacts out of pictures where it has others to be seen."""
+    touch = [bool(geom.contype or geom.conaffinity) for geom in body.geoms]
+    if not all(touch):
+        for geom, touches in zip(body.geoms, touch, strict=True):
+            geom.group = CONTACT_GROUP if touches else geom.group
+
+
+def speeds_in(path: Path) -> dict[str, float]:
+    """The `velocity` limits of a URDF's joints by their names [rad/s, m/s], which MuJoCo does not read; {} for an MJCF file."""
+    text = path.read_text(errors="replace")
+    if ROOT.search(text) is None:
+        return {}
+    limits = {joint.get("name", ""): joint.find("limit") for joint in ElementTree.fromstring(text).iter("joint")}
+    found = {name: float(limit.get("velocity", 0)) for name, limit in limits.items() if limit is not None}
+    return {name: speed for name, speed in found.items() if speed > 0}
 
 
 def _found(path: Path, scheme: str, name: str) -> str:
