@@ -10,7 +10,8 @@ import mujoco
 
 from vstestbed.core.errors import ParameterError
 
-ROOT = re.compile(r"<robot\b[^>]*>")
+ROOT = re.compile(r"\A\ufeff?(?:\s|<\?.*?\?>|<!--.*?-->)*<robot\b[^>]*>", re.DOTALL)
+"""The beginning of a URDF: an MJCF file may have the word in a comment."""
 XACRO = re.compile(r"<xacro:")
 MESH = re.compile(r'(<mesh\b[^>]*\bfilename=")(package|file)://([^"]*)')
 UNREADABLE = re.compile(
