@@ -10,7 +10,7 @@ import pytest
 import vstestbed as vs
 import vstestbed.testing as suites
 from tests.examples import wrong
-from tests.examples.wrong import Crooked, Displaced, Ghost, Numb, Shifted, Silent, Stateful, Wild
+from tests.examples.wrong import Bare, Crooked, Displaced, Ghost, Numb, Remembering, Shifted, Silent, Stateful, Wild
 from tests.examples.wrong_rooms import Backwards, Forgetful, Idle, Impatient, Jumping, Mirrored
 from tests.robots.arms import block
 from vstestbed.camera import CAMERAS
@@ -207,6 +207,12 @@ class TestWhatASuiteAsksForIsSaid:
     def test_a_law_whose_step_returns_no_command(self, own_kinds):
         with pytest.raises(ParameterError, match=r"silent: step must return \(memory, Command\), got NoneType"):
             vs.run(replace(quick("view"), law=LAWS.add(Silent)()))
+        with pytest.raises(ParameterError, match=r"bare: step must return \(memory, Command\), got \(NoneType, ndarray\)"):
+            vs.run(replace(quick("view"), law=LAWS.add(Bare)()))
+
+    def test_a_law_that_writes_to_itself_is_told_its_own_line(self, own_kinds):
+        r = vs.run(replace(quick("view"), law=LAWS.add(Remembering)()))
+        assert "FrozenInstanceError" in r.reason and "(wrong.py, line" in r.reason
 
     def test_a_law_whose_twist_is_not_finite(self, own_kinds):
         r = vs.run(replace(quick("view"), law=LAWS.add(Wild)()))

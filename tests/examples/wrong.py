@@ -96,6 +96,28 @@ class Silent(LawBase):
 
 
 @spec
+class Bare(LawBase):
+    """It returns its velocities as they are."""
+
+    kind: Literal["bare"] = "bare"
+
+    def step(self, memory: Any, observation: Any, goal: Any, basis: Any) -> Any:
+        """One frame."""
+        return memory, np.zeros(basis.shape[1])
+
+
+@spec
+class Remembering(LawBase):
+    """It keeps its state in itself."""
+
+    kind: Literal["remembering"] = "remembering"
+
+    def step(self, memory: Any, observation: Any, goal: Any, basis: Any) -> Any:
+        """One frame."""
+        self.last = observation.t  # pyright: ignore[reportAttributeAccessIssue]  # the mistake
+
+
+@spec
 class Wild(LawBase):
     """It divides by zero."""
 

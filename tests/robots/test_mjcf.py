@@ -12,13 +12,14 @@ from spatialmath import SE3
 
 import vstestbed as vs
 from tests.robots.arms import BLOCKS, HERE, NEEDS_PANDA, block
-from vstestbed.core.errors import ScenarioError
+from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.core.geometry import Pose
 from vstestbed.robots import ROBOTS, Mjcf
 from vstestbed.robots.mjcf import servo_gains
 from vstestbed.scenario.dump import dump
 from vstestbed.scenario.load import seeded
 from vstestbed.sim.build import scene_files
+from vstestbed.sim.scene.joint_chain import compiled
 from vstestbed.sim.scene.model_report import examine_model
 
 JACO = "package:dm_control/third_party/kinova/jaco_arm.xml"
@@ -241,7 +242,10 @@ class TestMistakes:
             ('<joint name="shoulder" range="-150 150"/>', "<freejoint/>", "must be hinges and slides"),
             ('<joint name="elbow" range="-140 140"/>', '<joint name="elbow" type="ball"/>', "elbow is a ball joint"),
             ('<joint name="elbow" range="-140 140"/>', '<joint range="-140 140"/>', "must name each joint before tool; joint 2"),
+            ('range="-140 140"', 'range="140 -140"', "must give elbow a range from its lower to its upper end, got 140 to -140"),
+            ('range="-140 140"', 'range="-140 140" frictionloss="-1"', "must give elbow frictionloss of 0 or more, got -1"),
             ("<worldbody>", "<wordbody>", "wrong.xml:8: it is not well-formed XML"),
+            ("</mujoco>", "", "wrong.xml:29: it is not well-formed XML"),
         ],
     )
     def test_of_the_file(self, old: str, new: str, words: str, tmp_path: Path) -> None:
@@ -264,6 +268,52 @@ def told_of(file: str | Path) -> dict[str, list[str]]:
     for what, _, found, _ in examine_model(str(file)):
         lines.setdefault(what, []).append(found)
     return lines
+
+
+class TestUrdf:
+    """A URDF shows its `visual` shapes, has its fixed links as flanges, and finds the meshes of its package."""
+
+    LINK = '<inertial><mass value="1"/><inertia ixx=".01" iyy=".01" izz=".01" ixy="0" ixz="0" iyz="0"/></inertial>'
+    SHAPE = '<{0}><origin xyz="0 0 0.15"/><geometry>{1}</geometry></{0}>'
+    JOINT = '<joint name="{0}" type="{1}"><parent link="{2}"/><child link="{3}"/>{4}</joint>'
+    HINGE = '<origin xyz="0 0 .3"/><axis xyz="0 {} {}"/><limit lower="-2" upper="2" effort="60" velocity="0.7"/>'
+
+    def written(self, folder: Path, mesh: str) -> Path:
+        """Two links, the first to be seen by a box and a mesh, and to be touched by a cylinder; a tool on a fixed joint."""
+        shapes = ("visual", '<box size=".1 .1 .3"/>'), ("visual", f'<mesh filename="{mesh}"/>'), ("collision", '<sphere radius=".1"/>')
+        links = ["base", "one", "two", "tool0"]
+        text = ["<link name='base'/>", f"<link name='one'>{self.LINK}{''.join(self.SHAPE.format(*shape) for shape in shapes)}</link>"]
+        round_end = self.SHAPE.format("collision", '<sphere radius=".05"/>')
+        text += [f"<link name='two'>{self.LINK}{round_end}</link>", "<link name='tool0'/>"]
+        ends = self.HINGE.format(0, 1), self.HINGE.format(1, 0), '<origin xyz="0 0 .2"/>'
+        for name, kind, parent, child, more in zip("abc", ("revolute", "revolute", "fixed"), links, links[1:], ends, strict=False):
+            text.append(self.JOINT.format(name, kind, parent, child, more))
+        (folder / "my_arm" / "urdf").mkdir(parents=True)
+        (folder / "my_arm" / "urdf" / "arm.urdf").write_text("\n".join(['<robot name="arm">', *text, "</robot>"]))
+        return folder / "my_arm" / "urdf" / "arm.urdf"
+
+    def test_what_is_seen_and_where_it_ends(self, tmp_path: Path) -> None:
+        file = self.written(tmp_path, "package://my_arm/meshes/one.obj")
+        absent = r"names the mesh package://my_arm/meshes/one\.obj, and no folder my_arm with it is beside the file or above it"
+        with pytest.raises(ParameterError, match=absent):
+            compiled(str(file))
+        (tmp_path / "my_arm" / "meshes").mkdir()
+        (tmp_path / "my_arm" / "meshes" / "one.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
+        assert told_of(file)["as an arm"] == ["robot: {kind: mjcf}, for instance with flange: tool0"]
+        assert "speed_limits: [0.7, 0.7]" in told_of(file)["scenario"][0]
+        model = compiled(str(file))
+        seen = {"one": [1, 1, 3], "two": [0]}  # shapes for contacts alone are in group 3
+        assert {name: sorted(model.geom_group[model.geom_bodyid == model.body(name).id].tolist()) for name in seen} == seen
+        robot = ROBOTS.members["mjcf"](file=str(file), flange="tool0", speed_limits=[1, 1], start={"nominal": {"q_deg": [0, 30]}})
+        np.testing.assert_allclose(robot.flange_pose(robot.configuration())[:3, 3], [0.1, 0, 0.6 + 0.2 * np.sqrt(0.75)], atol=1e-12)
+
+    def test_a_mesh_that_cannot_be_read_is_not_seen_and_a_xacro_is_none(self, tmp_path: Path) -> None:
+        file = self.written(tmp_path, "one.dae")
+        model = compiled(str(file))
+        assert (model.nmesh, model.ngeom) == (0, 3)
+        file.with_name("x.urdf").write_text('<robot xmlns:xacro="http://ros.org/wiki/xacro"><xacro:include filename="b"/></robot>')
+        with pytest.raises(ParameterError, match=r"is a xacro, and no URDF yet; `xacro x\.urdf > arm\.urdf` writes one"):
+            compiled(str(file.with_name("x.urdf")))
 
 
 class TestDoctor:

@@ -293,6 +293,10 @@ class TestSet:
         assert scenario.law.depth.depth_m == 2.5
         assert parse(GOOD, "s.yaml", {"law.depth": "constant", "law.depth.depth_m": 3}).law.depth.depth_m == 3
 
+    def test_they_are_a_dictionary(self) -> None:
+        with pytest.raises(ScenarioError, match=r"overrides: must be a dictionary, such as \{'law.gain': 1.0\}, got 'law.gain=1'"):
+            load("arm_ibvs", "law.gain=1")  # pyright: ignore[reportArgumentType]  # the mistake
+
     def test_what_is_given_is_not_changed(self) -> None:
         mine = {"kind": "ibvs", "gain": 1.0}
         parse(GOOD, "s.yaml", {"law": mine, "law.gain": 2.0})

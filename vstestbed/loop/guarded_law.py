@@ -48,7 +48,9 @@ class GuardedLaw:
         """What `step` returned, if it is a memory and a command of six numbers."""
         kind = self._law.kind
         if not (isinstance(stepped, tuple) and len(stepped) == 2 and isinstance(stepped[1], Command)):
-            raise ParameterError("law.kind", f"{kind}: step must return (memory, Command), got {type(stepped).__name__}")
+            names = [type(part).__name__ for part in stepped] if isinstance(stepped, tuple) else []
+            got = f"({', '.join(names)})" if names else type(stepped).__name__
+            raise ParameterError("law.kind", f"{kind}: step must return (memory, Command), got {got}")
         twist = stepped[1].twist
         if (twist.shape if isinstance(twist, np.ndarray) else np.shape(twist)) != (6,):
             raise ParameterError("law.kind", f"{kind}: the twist of a Command must be six numbers, got {twist}")
@@ -58,6 +60,8 @@ class GuardedLaw:
         """File and line where the error came from, of the law's module or a file of others; the innermost ones where neither has a part."""
         frames = list(traceback.walk_tb(error.__traceback__))
         names = [str(f.f_globals.get("__name__")) for f, _ in frames]
-        own = [at for at, name in zip(frames, names, strict=True) if name == type(self._law).__module__ or is_file_module(name)]
+        ours = [name == type(self._law).__module__ or is_file_module(name) for name in names]
+        written = [not f.f_code.co_filename.startswith("<string>") for f, _ in frames]  # what dataclasses generate has no line
+        own = [at for at, mine, there in zip(frames, ours, written, strict=True) if mine and there]
         frame, line = (own or frames)[-1]
         return f"{Path(frame.f_code.co_filename).name}, line {line}"

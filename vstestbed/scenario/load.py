@@ -65,6 +65,8 @@ def load(
     Raises:
         ScenarioError: all mistakes at once. PluginError: a plugin is not there or cannot be imported.
     """
+    if not isinstance(overrides or {}, Mapping):
+        raise ScenarioError([Mistake("overrides", "", f"must be a dictionary, such as {{'law.gain': 1.0}}, got {overrides!r}")])
     path = find(name)
     scenario = parse(text_of(path), str(path), overrides, seed, places, plugins)
     return scenario if scenario.name else dataclasses.replace(scenario, name=path.stem)

@@ -17,6 +17,7 @@ from vstestbed.sim.scene.groups import OF_FILES
 from vstestbed.sim.scene.model_files import carry_files
 from vstestbed.sim.scene.reshape import reshape
 from vstestbed.sim.scene.servos import choose_servos
+from vstestbed.sim.scene.urdf import read_model
 
 AUTO = mujoco.mjtJacobian.mjJAC_AUTO
 
@@ -64,7 +65,7 @@ def add_robot(scene: mujoco.MjSpec, robot: Robot, prefix: str, friction: float |
 
 def _spec(model: str, changes: tuple[Change, ...]) -> mujoco.MjSpec:
     """The robot of an MJCF file with its parameters."""
-    spec = mujoco.MjSpec.from_file(str(model_path(model)))
+    spec = read_model(model_path(model))
     reshape(spec, changes)
     return spec
 

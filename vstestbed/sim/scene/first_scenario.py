@@ -13,10 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vstestbed.core.geometry import Array, Pose
+from vstestbed.core.named_files import place_of_file
 from vstestbed.robots.arm import INNER
 from vstestbed.robots.chain import JointChain
 from vstestbed.robots.resolved_rate import unit_scale
 from vstestbed.sim.scene.joint_chain import compiled
+from vstestbed.sim.scene.urdf import speeds_in
 
 DRAWS, TRIED = 400, 100
 """Postures that are drawn, and how many of them, the best first, are looked at more closely."""
@@ -51,7 +53,8 @@ class Posture:
 def first_scenario(file: str, chain: JointChain, start: Posture) -> str:
     """A scenario as YAML that runs as it is: guessed limits of speed and torque, the camera at the flange, a square before it."""
     target = Pose.of(start.T_world_target)
-    speeds = [SLIDE_SPEED if slides else SPEED for slides in chain.slides]
+    own = speeds_in(place_of_file(file))
+    speeds = [own.get(name, SLIDE_SPEED if slides else SPEED) for name, slides in zip(chain.names, chain.slides, strict=True)]
     random = "{q_deg: 5, slide_m: 0.02}" if chain.slides.any() else "{q_deg: 5}"
     q = np.where(chain.slides, start.q, np.degrees(start.q))
     side, radius = start.distance / 3, start.distance / 50

@@ -11,6 +11,7 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.named_files import place_of_file
 from vstestbed.robots.chain import JointChain
 from vstestbed.sim.scene.model_errors import cannot_compile
+from vstestbed.sim.scene.urdf import read_model
 
 MOST_JOINTS = 7
 WORDS = {int(mujoco.mjtJoint.mjJNT_FREE): "a free joint", int(mujoco.mjtJoint.mjJNT_BALL): "a ball joint"}
@@ -25,7 +26,9 @@ def compiled(file: str) -> mujoco.MjModel:
     """
     path = place_of_file(file)
     try:
-        return mujoco.MjSpec.from_file(str(path)).compile()
+        return read_model(path).compile()
+    except ParameterError:
+        raise
     except (ValueError, mujoco.FatalError) as error:
         raise cannot_compile(error, path, "an MJCF or URDF file") from None
 
@@ -120,6 +123,19 @@ def _check(model: mujoco.MjModel, flange: str, joints: list[int], found: tuple[s
         raise ParameterError("flange", f"must have 2 to {MOST_JOINTS} joints before it, and {flange} has {len(found)}")
     if not all(found):
         raise ParameterError("file", f"must name each joint before {flange}; joint {found.index('') + 1} of them has no name")
+    for i, name in zip(joints, found, strict=True):
+        _check_numbers(model, i, name)
+
+
+def _check_numbers(model: mujoco.MjModel, joint: int, name: str) -> None:
+    """Refuse what MuJoCo passes over: a range with its ends exchanged, which is none to it, and friction or inertia under zero."""
+    dof, (low, high) = model.jnt_dofadr[joint], model.jnt_range[joint].tolist()
+    if low > high:
+        raise ParameterError("file", f"must give {name} a range from its lower to its upper end, got {low:.4g} to {high:.4g}")
+    # Damping may be: of the Panda's joint 6 it was identified as -0.013 Nm s/rad.
+    for word, values in {"armature": model.dof_armature, "frictionloss": model.dof_frictionloss}.items():
+        if values[dof] < 0:
+            raise ParameterError("file", f"must give {name} {word} of 0 or more, got {values[dof]:g}")
 
 
 def drivers(model: mujoco.MjModel, joint: int) -> list[int]:

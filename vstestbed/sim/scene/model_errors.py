@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from xml.etree import ElementTree
 
 from vstestbed.core.errors import ParameterError
 
@@ -11,6 +12,8 @@ PARSING = re.compile(r"XML parse error \d+:\s*Error=(?:XML_)?(?:ERROR_)?(\w+).*?
 LINE = re.compile(r",?\s*line (\d+)\s*$")
 ELEMENT = re.compile(r"\s*Element '(\w*)'(?:, id \d+)?\s*$|\s*Element name '([^']*)', id \d+\s*$")
 BEGINS = re.compile(r"^(?:XML )?Error:\s*(?:Schema violation:\s*)?")
+FOREIGN = "could not find decoder", "Unrecognized XML model type"
+"""How MuJoCo says that a file is of another format, such as SDF."""
 MISSING = re.compile(r"Error opening file '([^']*)'")
 
 
@@ -27,7 +30,7 @@ def cannot_compile(error: Exception, path: Path, works: str) -> ParameterError:
         what, line, element = parsed.groups()
         near = f", near the element {element}" if element else ""
         words = f"it is not well-formed XML ({what.replace('_', ' ').lower()}{near})"
-        return _told(_place(path, int(line)), words, f"works: {works}")
+        return _told(_place(path, _ends_at(path) if what == "PARSING" else int(line)), words, f"works: {works}")
     text = BEGINS.sub("", text)
     line = int(found[1]) if (found := LINE.search(text)) else 0
     text = LINE.sub("", text)
@@ -36,7 +39,16 @@ def cannot_compile(error: Exception, path: Path, works: str) -> ParameterError:
     if named := MISSING.search(text):
         line = line or _line_with(path, named[1])
         return _told(_place(path, line), f"it names the file {named[1]}, which is not there", "correct its name, or the folder it is in")
-    return _told(_place(path, line), words, "correct it there")
+    return _told(_place(path, line), words, f"works: {works}" if words.startswith(FOREIGN) else "correct it there")
+
+
+def _ends_at(path: Path) -> int:
+    """The line where a file stops being XML, such as its last one where an element is not closed; MuJoCo tells the element's first."""
+    try:
+        ElementTree.parse(path)
+    except ElementTree.ParseError as error:
+        return error.position[0]
+    return 1
 
 
 def _told(place: str, words: str, remedy: str) -> ParameterError:

@@ -22,6 +22,8 @@ FLANGE_NAME = re.compile(r"flange|attach|wrist|tool|tcp|hand|grip|end_?eff|(^|_)
 
 EXCLUDE = 'leave the pair out by <contact><exclude body1="..." body2="..."/></contact> in the file'
 
+ARM, MEND = "an arm stands on a fixed base and has 2 to 7 hinges and slides before its flange", "correct it in the file"
+
 Line = tuple[str, bool, str, str]
 """What was examined, whether it can be used, what was found, a remedy."""
 
@@ -46,7 +48,7 @@ def examine_model(file: str) -> Iterator[Line]:
     usable, refused = _flanges(file, model)
     against = _against_scenery(file)
     if against and not usable:
-        yield "as an arm", False, refused, "an arm stands on a fixed base and has 2 to 7 hinges and slides before its flange"
+        yield "as an arm", False, refused, _remedy(refused)
         yield "as scenery", False, *against
     elif usable:
         yield from _as_arm(file, model, usable, path.read_text(errors="replace").splitlines())
@@ -56,6 +58,11 @@ def examine_model(file: str) -> Iterator[Line]:
         for what, found in examine_scenery(file):
             yield what, True, found, ""
         yield "as scenery", True, f"world: {{scenery: {file}}}", ""
+
+
+def _remedy(refused: str) -> str:
+    """What would make an arm of a file that is none: a mistake in its numbers is corrected there."""
+    return MEND if ": file must" in refused else ARM
 
 
 def _as_arm(file: str, model: mujoco.MjModel, usable: dict[str, JointChain], lines: list[str]) -> Iterator[Line]:
@@ -177,7 +184,7 @@ def _span(chain: JointChain, i: int) -> str:
     """Kind, range and torque limit of a joint."""
     slides, torque = bool(chain.slides[i]), float(chain.torque[i])
     low, high = (chain.limits[i] * (1.0 if slides else np.degrees(1.0))).tolist()
-    spans = f"{low:.4g} to {high:.4g} {'m' if slides else 'deg'}" if np.isfinite(low) else "turns without end"
+    spans = f"{low:.4g} to {high:.4g} {'m' if slides else 'deg'}" if np.isfinite(low) else "without end" if slides else "turns without end"
     strength = f", at most {torque:.4g} {'N' if slides else 'Nm'}" if np.isfinite(torque) else ""
     return f"{'slide' if slides else 'hinge'}, {spans}{strength}"
 

@@ -26,6 +26,7 @@ from vstestbed.sim.scene.groups import RANGE_GROUP
 from vstestbed.sim.scene.meshes import own_colours, texels_of
 from vstestbed.sim.scene.model_errors import cannot_compile
 from vstestbed.sim.scene.model_files import carry_files
+from vstestbed.sim.scene.urdf import read_model
 
 PREFIX = "scenery/"
 SAME_HEIGHT_M = 1e-3
@@ -59,8 +60,10 @@ def check_scenery(file: str, T: Array, floor_z: float) -> None:
 def _checked(path: str, mtime_ns: int) -> mujoco.MjModel:
     """The compiled file; mtime_ns: so that a changed file is read again."""
     try:
-        spec = mujoco.MjSpec.from_file(path)
+        spec = read_model(Path(path))
         model = spec.compile()
+    except ParameterError:
+        raise
     except (ValueError, mujoco.FatalError) as error:
         raise cannot_compile(error, Path(path), "an MJCF file") from None
     for what, moving in (("actuator", spec.actuators), ("joint", spec.joints)):
@@ -156,7 +159,7 @@ def add_scenery(scene: mujoco.MjSpec, file: str, T: Array, floor_z: float) -> di
     """
     path = place_of_file(file)
     floors = _floors(_checked(str(path), path.stat().st_mtime_ns), T, floor_z)
-    spec = mujoco.MjSpec.from_file(str(path))
+    spec = read_model(path)
     _take_parts(spec, floors)
     if floors:
         scene.geom("floor").group = RANGE_GROUP
@@ -233,7 +236,7 @@ def examine_scenery(file: str) -> Iterator[tuple[str, str]]:
     """
     path = place_of_file(file)
     model = _checked(str(path), path.stat().st_mtime_ns)
-    spec = mujoco.MjSpec.from_file(str(path))
+    spec = read_model(path)
     solid = int(np.count_nonzero((model.geom_contype | model.geom_conaffinity) != 0))
     yield "scenery", f"{model.ngeom} geoms, {solid} of which can be touched; {model.nmesh} meshes, {model.ntex} textures"
     if spec.lights:
