@@ -87,6 +87,7 @@ def test_commands_of_a_page_parse_and_their_scenarios_exist(page: Path) -> None:
             vs.load(plain, settings_of(given.get("set_")))
 
 
+@pytest.mark.opengl
 def test_short_commands_of_the_pages_do_what_they_say(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     given = {tuple(words) for page in PAGES for words in commands((REPOSITORY / page).read_text(encoding="utf-8"))}

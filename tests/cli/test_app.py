@@ -223,6 +223,7 @@ class TestRun:
         assert Path("again/log.parquet").read_bytes() == Path("runs/quick/001/log.parquet").read_bytes()
 
 
+@pytest.mark.opengl
 class TestNoOpenGL:
     def test_switched_off_is_exit_4_with_the_hint_and_no_folder(self, command, quick: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setenv("MUJOCO_GL", "disable")

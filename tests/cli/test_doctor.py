@@ -23,6 +23,7 @@ def pixel_errors(monkeypatch: pytest.MonkeyPatch):
     return set_
 
 
+@pytest.mark.opengl
 def test_everything_works_here_and_is_told_in_a_line_each(command) -> None:
     ended = command("doctor")
     *lines, last = ended.out.splitlines()
@@ -53,6 +54,7 @@ def test_a_ball_that_is_not_drawn_is_counted(pixel_errors) -> None:
     assert pixels.found == "only 10 of 12 rendered balls were found in the picture"
 
 
+@pytest.mark.opengl
 def test_no_opengl_is_told_with_its_remedy_and_exit_4(command, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MUJOCO_GL", "disable")
     monkeypatch.setattr(gl, "_lack", [])
@@ -147,6 +149,7 @@ class TestChoiceOfBackend:
             monkeypatch.delenv(name, raising=False)
 
     @pytest.mark.parametrize("said", ["", "egl", "EGL", "on", "1"])
+    @pytest.mark.opengl
     def test_egl_is_taken(self, said: str, monkeypatch: pytest.MonkeyPatch) -> None:
         import os
 

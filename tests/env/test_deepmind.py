@@ -38,6 +38,7 @@ class TestIdealCamera(Conformance, absltest.TestCase):
     settings = {"scenario": "ibvs_book", "overrides": {"detector": "oracle", "stop.duration_s": 1.0}}  # noqa: RUF012 - a test's
 
 
+@pytest.mark.opengl
 def test_it_is_the_gymnasium_environment_in_other_words() -> None:
     env, gym = vstestbed.env.dm("arm_ibvs"), vstestbed.env.make("arm_ibvs")
     first, (shown, info) = env.reset_to(4), gym.reset(seed=4)

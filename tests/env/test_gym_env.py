@@ -353,6 +353,7 @@ def test_nothing_is_simulated_or_drawn_before_the_first_reset(monkeypatch: pytes
         env.reset()
 
 
+@pytest.mark.opengl
 def test_the_view_from_outside_is_the_films() -> None:
     env = gymnasium.make("vstestbed/arm_ibvs-v0", render_mode="rgb_array")
     env.reset(seed=0)

@@ -89,6 +89,7 @@ class TestWhatARunLeaves:
         assert summary["sim_time_s"] == pytest.approx(0.2, abs=1e-9)
         assert min(summary["time_ms"][part] for part in ("physics", "render", "video")) > 0
 
+    @pytest.mark.opengl
     def test_the_films_are_whole(self, filmed: Path) -> None:
         for name in ("camera", "overview"):
             assert seconds_of(filmed / f"{name}.mp4") == pytest.approx(0.24 + HELD_S, abs=PICTURE_S)
@@ -118,6 +119,7 @@ class TestRenderAndReport:
         return Path("run")
 
     @pytest.mark.parametrize(("camera", "size"), [("overview", (96, 64)), ("eye", (80, 60))])
+    @pytest.mark.opengl
     def test_a_film_again_from_each_camera_in_any_size(self, command, folder: Path, camera: str, size: tuple[int, int]) -> None:
         before = (folder / "overview.mp4").read_bytes()
         ended = command("render", folder, "--camera", camera, "--size", f"{size[0]}x{size[1]}", "--out", "again.mp4")
@@ -127,6 +129,7 @@ class TestRenderAndReport:
         assert seconds_of(Path("again.mp4")) == pytest.approx(0.24 + HELD_S, abs=PICTURE_S)
         assert (folder / "overview.mp4").read_bytes() == before
 
+    @pytest.mark.opengl
     def test_drafts_are_small_and_fine_films_show_every_frame(self, command, folder: Path) -> None:
         def read(name: str) -> tuple[tuple[int, int], float]:
             with av.open(name) as container:
@@ -138,6 +141,7 @@ class TestRenderAndReport:
         assert read("fine.mp4") == ((1280, 720), 25.0)
         assert seconds_of(Path("fine.mp4")) == pytest.approx(0.24 + HELD_S)
 
+    @pytest.mark.opengl
     def test_a_gif(self, command, folder: Path) -> None:
         ended = command("render", folder, "--gif", "--size", "96x54")
         assert (ended.code, ended.err[:52]) == (0, "run/overview.gif (96 x 54, 12.5 pictures a second, 0")
@@ -347,6 +351,7 @@ def start(tmp_path: Path, vstestbed_process: tuple[list[str], dict[str, str]]) -
 
 class TestCutOff:
     @pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.study)])
+    @pytest.mark.opengl
     def test_an_interrupt_leaves_a_whole_folder(self, start: Start, quick: Path, tmp_path: Path, number: signal.Signals) -> None:
         films = ("--set", "detector=blobs") if number == signal.SIGINT else NO_FILM
         process = start(*ENDLESS, *films)
@@ -366,6 +371,7 @@ class TestCutOff:
             assert seconds_of(film) == pytest.approx(frames / 25 + HELD_S, abs=PICTURE_S)
 
     @pytest.mark.parametrize(("more", "frames"), [pytest.param(("--set", "detector=blobs"), 3, marks=pytest.mark.study), (NO_FILM, 40)])
+    @pytest.mark.opengl
     def test_a_kill_leaves_what_there_was_and_nothing_that_looks_finished(
         self, start: Start, quick: Path, tmp_path: Path, command, more: tuple[str, ...], frames: int
     ) -> None:

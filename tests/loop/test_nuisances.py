@@ -122,6 +122,7 @@ class TestDropout:
 
 
 class TestShadows:
+    @pytest.mark.opengl
     def test_a_moving_shadow_is_in_the_picture(self):
         bare = picture({"camera.shadows": True})
         dark = [np.argwhere((bare - picture(SHADOW, t)).sum(axis=2) > 60) for t in (0.0, 0.8)]

@@ -81,6 +81,7 @@ REFUSED = "no OpenGL: this process is a fork of one that has drawn with it; star
     ],
     ids=["thread, main, thread, several at once", "the process ends during a run in a daemon thread", "Ctrl-C", "forks"],
 )
+@pytest.mark.opengl
 def test_any_thread_draws(code: str, said: str, tmp_path: Path):
     """A process for each: how it ends, and what it says then, is a part of the test."""
     done = subprocess.run(

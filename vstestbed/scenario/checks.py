@@ -28,19 +28,21 @@ MOST_FRAMES, MOST_BYTES = 10_000_000, 4 << 30
 """Most frames of a run: a day at 115 Hz, whose log is a table of some 10 GB. Most bytes of pictures in transit."""
 
 
-MOST_MOUNT_M, MOST_VIEW_M, MOST_TARGET_M = 10.0, 50.0, 100.0
-"""Farthest that a camera is from its flange, a goal view from the target, and the target from the origin: several times what any
-experiment here needs [m]. What lies beyond was meant in millimetres."""
+MOST_MOUNT_M, MOST_VIEW_M, MOST_PLACE_M = 10.0, 50.0, 100.0
+"""Farthest that a camera is from its flange, a goal view from the target, and the target and a robot without a foot from the origin:
+several times what any experiment here needs [m]. What lies beyond was meant in millimetres."""
 
 
-def check_metres(camera: Camera, target: Target) -> None:
+def check_metres(robot: Robot, camera: Camera, target: Target) -> None:
     """Refuse a mount and a place of the target that are far beyond an experiment, as lengths in millimetres are.
 
     Raises:
         ParameterError: it names the field.
     """
     _check_length("camera.mount", camera.mount.T, MOST_MOUNT_M)
-    _check_length("target.pose", target.pose.T, MOST_TARGET_M)
+    _check_length("target.pose", target.pose.T, MOST_PLACE_M)
+    if robot.model is None or robot.base != "fixed":
+        _check_length("robot.start", robot.flange_pose(robot.configuration()), MOST_PLACE_M)
 
 
 def check_views_metres(field: str, views: Sequence[Goal]) -> None:

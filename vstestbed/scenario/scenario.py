@@ -145,7 +145,7 @@ class Scenario:
             raise ParameterError("law.depth", words)
         self.timing.check(self.camera, self.clock[0])  # first: the clock refuses a step that does not divide the camera's period
         check_memory(self.camera, self.detector, self.timing, self.stop)
-        check_metres(self.camera, self.target)
+        check_metres(self.robot, self.camera, self.target)
         self.believed_camera  # noqa: B018 - refuses errors that the lens cannot have
         self.goal.check(self.setup)
         check_robot(self.robot, self.target, self.world, self.derotation, self.level_trim_s)

@@ -82,6 +82,7 @@ def test_the_ghost_stands_at_the_goal_pose(name: str) -> None:
         replay.close()
 
 
+@pytest.mark.opengl
 def test_a_part_that_is_drawn_again_fits_into_the_picture() -> None:
     s = vs.load("arm_ibvs")
     replay, other = replay_of(s, DRAFT), replay_of(s, DRAFT)

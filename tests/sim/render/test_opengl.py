@@ -130,6 +130,7 @@ print(hashlib.sha256(r.table.tobytes()).hexdigest())
 """
 
 
+@pytest.mark.opengl
 def test_any_number_of_raster_threads_draws_the_same_bytes():
     # Mesa reads the number before its first context: a process for each.
     started = [

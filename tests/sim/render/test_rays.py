@@ -264,6 +264,7 @@ class TestChoice:
         names = {word: servo_renderer(arm(), replace(camera, renderer=word)).name for word in ("auto", "gl", "rays")}
         assert names["auto"] == names["gl"] != names["rays"] == "rays (mj_multiRay)"
 
+    @pytest.mark.opengl
     def test_auto_takes_rays_without_opengl_and_gl_does_not(self, arm, monkeypatch: pytest.MonkeyPatch):
         from vstestbed.sim.render import gl_probe as gl
 

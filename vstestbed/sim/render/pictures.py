@@ -122,14 +122,16 @@ def _chosen(camera: Camera, by_gl: Callable[[], T], by_rays: Callable[[], T]) ->
         gl.require()
         return by_gl()
     except (EnvironmentLackError, ImportError) as error:
-        lack = gl.explain(error) if isinstance(error, ImportError) else error
-        if camera.renderer == "gl" or lack is None:
+        told = gl.explain(error) if isinstance(error, ImportError) else error
+        if camera.renderer == "gl" or told is None:
             raise
+        lack, remedy = told.lack, told.remedy
+        del told  # its traceback has this frame, and with it the scene: a cycle
     try:
         made = by_rays()
     except EnvironmentLackError as refused:  # what rays cannot draw, and why OpenGL could not draw it
-        raise EnvironmentLackError(f"{refused.lack} ({lack.lack})", lack.remedy) from None
-    _warn_once(lack.lack, lack.remedy)
+        raise EnvironmentLackError(f"{refused.lack} ({lack})", remedy) from None
+    _warn_once(lack, remedy)
     return made
 
 
