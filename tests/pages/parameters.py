@@ -48,8 +48,14 @@ def fields(name: str, only: Sequence[str] = ()) -> Iterable[tuple[str, str, str,
         if field == "kind" or (only and field not in only) or (not only and list(blocks_in(hints[field]))):
             continue
         unit = text.unit or unit_in(text.description)
-        shown = f"{value:g}" if isinstance(value, float) else "" if value is None else flow_text(value)
+        shown = plain(value) if isinstance(value, float) else "none" if value is None else flow_text(value)
         yield field, shown, "" if unit == DIMENSIONLESS else unit, with_zero(without_unit(text.description)).replace("|", "\\|")
+
+
+def plain(value: float, digits: int = 6) -> str:
+    """A number to so many significant digits, without trailing zeros; an exponent has a decimal before it: `4.0e-05`."""
+    mantissa, e, exponent = f"{value:.{digits}g}".partition("e")
+    return mantissa + (".0" if e and "." not in mantissa else "") + e + exponent
 
 
 def with_zero(text: str) -> str:

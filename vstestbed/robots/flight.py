@@ -48,11 +48,11 @@ class Gains:
     """Gains of the flight loops; each outer loop is two to three times as slow as the next inner one.
 
     Args:
-        rate, rate_integral: k_w, k_wi of roll and pitch rates [1/s, 1/s^2].
-        yaw: of the yaw rate [1/s].
-        attitude: k_R, of the tilt [1/s].
-        velocity, velocity_integral: k_v, k_vi along x and y of the level frame [1/s, 1/s^2].
-        climb, climb_integral: the same along z [1/s, 1/s^2].
+        rate, rate_integral: gains k_w and k_wi of the roll and pitch rates [1/s, 1/s^2].
+        yaw: gain of the yaw rate [1/s].
+        attitude: gain k_R of the tilt [1/s].
+        velocity, velocity_integral: gains k_v and k_vi of the velocity along x and y of the level frame [1/s, 1/s^2].
+        climb, climb_integral: gains k_v and k_vi of the velocity along z [1/s, 1/s^2].
         tilt_deg: largest commanded tilt [deg].
         rotor_s: time constant that the speed controllers give the rotors [s]; without them it is `rotor_lag_s`, the X-4's .117.
     """

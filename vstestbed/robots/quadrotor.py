@@ -83,7 +83,7 @@ class Quadrotor(RobotBase):
         range_sigma_m: noise of the downward range finder [m].
         attitude: gains of the attitude filter.
         gains: gains of the flight loops.
-        max_speed_mps, max_climb_mps, max_yaw_rate_radps: limits of a setpoint, scaled as a whole.
+        max_speed_mps, max_climb_mps, max_yaw_rate_radps: largest value in a setpoint; a setpoint beyond a limit is scaled as a whole.
     """
 
     kind: Literal["quadrotor"] = "quadrotor"
