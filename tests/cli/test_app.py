@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from vstestbed.cli.tools import Room
+from vstestbed.cli.tools import Listed
 from vstestbed.core.assets import bundled_comparisons, bundled_scenarios
 from vstestbed.scenario.validation import KINDS
 from vstestbed.sim.render import gl_probe as gl
@@ -279,7 +279,7 @@ class TestNoOpenGL:
 
 
 class TestListAndSchema:
-    @pytest.mark.parametrize("room", [room.value for room in Room])
+    @pytest.mark.parametrize("room", [room.value for room in Listed])
     def test_a_room_has_one_line_a_member(self, command, room: str) -> None:
         ended = command("list", room)
         files = {"scenarios": bundled_scenarios, "comparisons": bundled_comparisons}
@@ -290,7 +290,7 @@ class TestListAndSchema:
 
     def test_without_a_room_it_lists_all(self, command) -> None:
         out = command("list").out
-        assert [line[:-1] for line in out.splitlines() if not line.startswith(" ")] == [room.value for room in Room]
+        assert [line[:-1] for line in out.splitlines() if not line.startswith(" ")] == [room.value for room in Listed]
         assert "  arm_ibvs  " in out
 
     def test_the_schema_is_json(self, command) -> None:

@@ -75,7 +75,6 @@ def test_a_camera_under_the_floor(name, settings, words):
         ("arm_ibvs", {"camera.mount.xyz": [0, 0, 80]}, "camera.mount: is 80 m away, and may be at most 10 m; lengths are in metres"),
         ("arm_ibvs", {"target.pose.xyz": [450, 0, 0]}, "target.pose: is 450 m away, and may be at most 100 m; lengths are in metres"),
         ("ibvs_book", {"robot.start.nominal.xyz": [100, 100, -300]}, "robot.start: is 331.7 m away, and may be at most 100 m"),
-        ("car_pbvs", {"robot.start.nominal.x": 200}, "robot.start: is 200 m away"),
         ("ibvs_book", {"goal.T_camera_target.xyz": [0, 0, 700]}, "metres: did you mean 0.7 m?"),
     ],
 )
