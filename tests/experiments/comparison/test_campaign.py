@@ -270,7 +270,7 @@ class TestResume:
     @pytest.mark.parametrize("moments", [tuple(0.07 * i for i in range(10))])
     def test_killed_again_and_again(self, quick: Path, tmp_path: Path, vstestbed_process: Any, moments: tuple[float, ...]):
         words, environment = vstestbed_process
-        whole = compare([quick], GAINS, seeds=8 * len(moments), jobs=2, out=tmp_path / "whole", film=False, report=False)
+        whole = compare([quick], GAINS, seeds=30 * len(moments), jobs=2, out=tmp_path / "whole", film=False, report=False)
         out, runs = tmp_path / "c", tmp_path / "c" / "runs"
         line = [
             *words,
@@ -279,7 +279,7 @@ class TestResume:
             "--vary",
             "law.gain=3.0,6.0",
             "--seeds",
-            str(8 * len(moments)),
+            str(30 * len(moments)),
             "--no-film",
             "--out",
             str(out),
@@ -288,7 +288,8 @@ class TestResume:
         stamps: dict[str, int] = {}
         for moment in moments:
             process = subprocess.Popen([*line, *(["--resume"] if out.exists() else [])], cwd=tmp_path, env=environment)
-            wait_for(lambda: len(list(runs.glob("*/*/*[0-9]/summary.json"))) > len(stamps))  # noqa: B023 - used at once
+            more = lambda: len(list(runs.glob("*/*/*[0-9]/summary.json"))) > len(stamps)  # noqa: B023, E731 - used at once
+            wait_for(lambda: process.poll() is not None or more())  # noqa: B023 - used at once
             time.sleep(moment)
             process.kill()
             process.wait()
