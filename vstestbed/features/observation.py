@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from vstestbed.camera import Camera
 from vstestbed.core.geometry import Array, transform
+from vstestbed.robots.own_model import OwnModel
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +58,8 @@ class Observation:
         radius_px: apparent radius of each marker (N,) [px], from the target's model and its depth, for laws that ask for it.
         proprioception: what the robot's own sensors tell of its state (k,) at the exposure (`Robot.proprioception`), for laws that ask
             for it.
+        robot: its own velocities, their limits and the camera twist that they make, when the picture has arrived, for laws that ask
+            for it.
 
     Where the scenario derotates, xy, depth, T_camera_target, ray, relative and motion are those of the level camera, which
     shares the craft's place and heading; uv is what the picture shows.
@@ -75,6 +78,7 @@ class Observation:
     motion: OwnMotion | None = None
     radius_px: Array | None = None
     proprioception: Array | None = None
+    robot: OwnModel | None = None
 
     @property
     def seen(self) -> NDArray[np.bool_]:

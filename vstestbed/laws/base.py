@@ -34,6 +34,9 @@ class Command:
         scale: factor in (0, 1] by which the law's own limits shortened the twist.
         null_space: unit twists (6, k) as columns that do not change the features; the robot may use them for a secondary task.
             None where the law does not compute them.
+        rates: the robot's own velocities (m,) (`Observation.robot`) that the law orders, whose camera twist `twist` is; None: the
+            robot finds its own for the twist.
+        mode: number of the word in `Law.modes` for what the law did.
     """
 
     u: Array
@@ -41,6 +44,8 @@ class Command:
     rest_reason: str = ""
     scale: float = 1.0
     null_space: Array | None = None
+    rates: Array | None = None
+    mode: int = 0
 
     @classmethod
     def rest(cls, basis: Array, why: str) -> Command:
@@ -104,6 +109,11 @@ class Law(Protocol[M]):
     @property
     def rest_m(self) -> float:
         """Distance from the goal under which the law stands still for good [m]; 0 for a law that never stops."""
+        ...
+
+    @property
+    def modes(self) -> tuple[str, ...]:
+        """Words for what the law may do in a frame; `Command.mode` is the number of one, the log's `law_mode`."""
         ...
 
     def markers_needed(self, basis: Array) -> int:
@@ -243,6 +253,7 @@ class LawBase:
     feedforward = NoFeedforward()
     cruise_mps = None
     rest_m = 0.0
+    modes = ()
 
     def markers_needed(self, basis: Array) -> int:
         """As many markers as the robot's motions, basis (6, n), need with two equations each."""

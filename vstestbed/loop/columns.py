@@ -47,6 +47,7 @@ def kept(frame: Frame) -> Kept:
         "q": truth.q,
         "qd": truth.qd,
         "ctrl": truth.ctrl,
+        "mode": frame.command.mode,
     }
 
 
@@ -57,7 +58,8 @@ class Layout:
     is in force from t_cmd on, when it reaches the robot. applied_ is the twist after the robot's joint limits
     and singularity damping; scale is the product of the law's own scale factor and the robot's.
     For a camera without an image plane, theta and phi [rad] are the measured ray's angles from the axis and about it.
-    The robot's and the task's own columns follow (`Robot.log`, `Task.monitor`).
+    The robot's and the task's own columns follow (`Robot.log`, `Task.monitor`); last, of a law with `modes`, the number of the one
+    in which it was.
     """
 
     def __init__(self, scenario: Scenario):
@@ -91,6 +93,7 @@ class Layout:
             (_named("q", robot.joints), lambda k: k["q"]),
             (_named("qd", robot.joints), lambda k: k["qd"]),
             (_named("ctrl", robot.actuators), lambda k: k["ctrl"]),
+            *(((("law_mode",), lambda k: k["mode"][:, None]),) if scenario.law.modes else ()),
         )
 
     def rows(self, frames: Sequence[Kept]) -> Array:

@@ -1,4 +1,4 @@
-"""The twists that were ordered, integrated over time: what a robot without sensors of its motion knows about its own way."""
+"""The velocities that were ordered, integrated over time: what a robot without sensors of its motion knows about its own way."""
 
 from __future__ import annotations
 
@@ -13,13 +13,17 @@ REMEMBERED = 500
 
 
 class CommandHistory:
-    """The camera twists ordered so far, each in force from its time on until the next one."""
+    """The velocities ordered so far, each in force from its time on until the next one.
 
-    def __init__(self) -> None:
-        self._orders: deque[tuple[float, Array, Array]] = deque([(0.0, np.zeros(6), np.zeros(6))], maxlen=REMEMBERED)
+    Args:
+        size: number of velocities, 6 for a camera twist.
+    """
+
+    def __init__(self, size: int = 6) -> None:
+        self._orders: deque[tuple[float, Array, Array]] = deque([(0.0, np.zeros(size), np.zeros(size))], maxlen=REMEMBERED)
 
     def add(self, t: float, twist: Array) -> None:
-        """A twist (6,) is in force from t [s] on, which is not before the last order; one of the same time takes its place."""
+        """Velocities (size,) are in force from t [s] on, which is not before the last order; one of the same time takes its place."""
         twist = twist.copy()  # a cycle's, to which its reader may write
         since, before, way = self._orders[-1]
         if t <= since:
@@ -28,7 +32,7 @@ class CommandHistory:
             self._orders.append((t, twist, way + before * (t - since)))
 
     def displacement(self, t: float) -> Array:
-        """The integral of all twists until t, (6,) [m, rad]."""
+        """Their integral until t, (size,) [m, rad]."""
         for since, twist, way in reversed(self._orders):
             if since <= t:
                 return way + twist * (t - since)

@@ -19,6 +19,7 @@ from vstestbed.loop.command_history import CommandHistory
 from vstestbed.loop.exposure import Arrival, Exposure
 from vstestbed.loop.guarded_law import GuardedLaw
 from vstestbed.loop.inputs import Inputs, Readings
+from vstestbed.loop.own_rates import OwnRates
 from vstestbed.loop.unseen import FEW_SEEN, NO_PICTURE, NONE_SEEN, detail
 from vstestbed.robots import Allocation, Mount, Reading
 from vstestbed.robots.orders import stop_order
@@ -90,6 +91,7 @@ class Controller:
         self.before: Exposure | None = None
         self._failed = self._found = False
         self._needs_motion = "motion" in scenario.law.inputs
+        self._own_rates = OwnRates(scenario.robot, scenario.camera.period) if "robot" in scenario.law.inputs else None
         self._needs_own_state = "proprioception" in scenario.law.inputs and bool(scenario.robot.proprioception_names)
         self._latest_s = scenario.timing.latest_s(scenario.camera)
         self.inputs = Inputs(scenario)
@@ -163,7 +165,7 @@ class Controller:
         blind = blind and blind + detail(s, seen, self._found)
         moved = self._moved(now.t, reading, blind, mount)
         allocation = self._supervised(shot.t, blind, self._allocate(command, reading, mount, rests=late), reading, moved)
-        self.ordered.add(now.t_cmd, allocation.twist)
+        self._order(now.t_cmd, allocation)
         self.before = shot
         self.reference_memory, next_goal = s.goal.passed(self.reference_memory, error)
         if next_goal is not None:  # a law's memory belongs to one goal
@@ -187,8 +189,14 @@ class Controller:
         if self._taken_over:
             allocation = replace(allocation, setpoint=cycle.allocation.setpoint)
         self._setpoint = allocation.setpoint
-        self.ordered.add(cycle.timing.t_cmd, allocation.twist)
+        self._order(cycle.timing.t_cmd, allocation)
         return wanted, allocation
+
+    def _order(self, t_cmd: float, allocation: Allocation) -> None:
+        """An allocation takes effect at t_cmd [s]."""
+        self.ordered.add(t_cmd, allocation.twist)
+        if self._own_rates is not None:
+            self._own_rates.order(t_cmd, allocation)
 
     def _mount_at(self, q: Array) -> Mount:
         return mount_at(self.scenario, self.mount, q)
@@ -219,6 +227,8 @@ class Controller:
         heading, tilt = shot.reading.heading, shot.reading.tilt
         observed = self.observer.observe(self.observer_memory, shot.t, detection, twist, self.rng, heading, tilt, own)
         self.observer_memory, seen = observed
+        if self._own_rates is not None:
+            seen = replace(seen, robot=self._own_rates.model(last, shot, now, twist, self._mount_at(now.reading.q)))
         if self._needs_own_state:
             return replace(seen, proprioception=s.robot.proprioception(shot.reading, seen.odometry))
         return seen
@@ -241,11 +251,15 @@ class Controller:
         robot, twist = self.scenario.robot, command.twist
         if command.null_space is not None:
             twist = twist + robot.secondary_task(command.null_space, reading, mount)
-        allocation = robot.allocate(twist, reading, mount, self.scenario.camera.period)
+        period = self.scenario.camera.period
+        if command.rates is None or twist is not command.twist:
+            allocation = robot.allocate(twist, reading, mount, period)
+        else:
+            allocation = robot.allocate_rates(command.rates, reading, mount, period)
         # The command within limits, before the supervisor: a law with feedforward predicts by it (`OwnMotion.commanded`).
         self.last_twist = allocation.twist.copy()  # the cycle's reader may write to it
         if rests or (command.rest_reason and not twist.any()):
-            return replace(allocation, setpoint=stop_order(allocation.setpoint), twist=np.zeros(6))
+            return replace(allocation, setpoint=stop_order(allocation.setpoint), twist=np.zeros(6), rates=None)
         return allocation
 
     def _supervised(self, t: float, blind: str, allocation: Allocation, reading: Reading, moved: float) -> Allocation:

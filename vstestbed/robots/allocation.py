@@ -24,12 +24,14 @@ class Allocation:
         twist: the camera twist (6,) that the setpoint realises by the robot's own model.
         scale: factor in [0, 1] by which the whole command was scaled to stay within limits.
         limit: the limit that scaled it ("" for none).
+        rates: the robot's own velocities (n,) that the setpoint orders (`OwnModel`); None: those of `twist`.
     """
 
     setpoint: Array
     twist: Array
     scale: float = 1.0
     limit: Limit = ""
+    rates: Array | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,6 +12,7 @@ from vstestbed.core.geometry import Array
 from vstestbed.robots.allocation import ALL_SIX, Allocation, Limit, Mount
 from vstestbed.robots.defaults import RobotBase
 from vstestbed.robots.inverse import joints_at
+from vstestbed.robots.own_model import OwnModel
 from vstestbed.robots.reading import Reading
 from vstestbed.robots.resolved_rate import resolved_rate, share
 
@@ -30,6 +31,8 @@ class Arm(RobotBase, ABC):
     """
 
     gripper: ClassVar[bool] = True
+    lag_s: ClassVar[float] = 0.009
+    """Velocity gain of its servos over the inertia: 112 / s for the Puma and for added servos."""
     avoid_limits: float
 
     @property
@@ -81,6 +84,41 @@ class Arm(RobotBase, ABC):
         J = self.kinematics((before.q + now.q) / 2)[1]
         return mount.to_camera @ (J @ ((now.q - before.q) / duration))
 
+    def own_model(self, reading: Reading, mount: Mount) -> OwnModel:
+        """Its joints: encoders, limits, speeds, and the accelerations that stop it from them within `stop_s`."""
+        speeds, n = self.joint_speeds, len(reading.q)
+
+        def jacobian(q: Array) -> Array:
+            return mount.to_camera @ self.kinematics(q)[1]
+
+        return OwnModel(
+            names=self.joints,
+            J=jacobian(reading.q),
+            jacobian=jacobian,
+            q=reading.q,
+            qd=reading.qd,
+            low=self.joint_limits[:, 0],
+            high=self.joint_limits[:, 1],
+            nominal=self.configuration(),
+            speed=speeds,
+            acceleration=speeds / self.stop_s,
+            sums=np.zeros((0, n)),
+            most=np.zeros(0),
+            lag_s=self.lag_s,
+        )
+
+    def displacement(self, before: Reading, now: Reading, duration: float, commanded: Array, mount: Mount) -> Array:
+        """The difference of the encoders."""
+        return now.q - before.q
+
+    def allocate_rates(self, rates: Array, reading: Reading, mount: Mount, period: float) -> Allocation:
+        """Joint speeds, scaled as a whole into speed and position limits."""
+        speed, position = self._allowed(rates, reading.q, max(LIMIT_HORIZON_S, period))
+        scale = min(1.0, speed, position)
+        limit: Limit = "" if scale == 1.0 else "joint_limit" if position < speed else "speed"
+        dq = rates * scale
+        return Allocation(dq, mount.to_camera @ (self.kinematics(reading.q)[1] @ dq), scale, limit, dq)
+
     def secondary_task(self, null_space: Array, reading: Reading, mount: Mount) -> Array:
         """Joint-limit avoidance in the null space of the law.
 
@@ -126,7 +164,7 @@ class Arm(RobotBase, ABC):
         scale = min(1.0, speed, position)
         if scale < 1.0:  # a limit met hides the singularity beside it: `scale` has both
             limit = "joint_limit" if position < speed else "speed"
-        return Allocation(setpoint=dq * scale, twist=mount.to_camera @ realised * scale, scale=scale * along, limit=limit)
+        return Allocation(setpoint=dq * scale, twist=mount.to_camera @ realised * scale, scale=scale * along, limit=limit, rates=dq * scale)
 
     def _allowed(self, dq: Array, q: Array, horizon_s: float) -> tuple[float, float]:
         """Largest factors of the joint speeds dq (n,) within the speed limits, and within the velocity damper at the joints q (n,).

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from vstestbed.core.geometry import Array
 from vstestbed.robots.allocation import Actuation, Allocation, Mount
 from vstestbed.robots.body import Change
+from vstestbed.robots.own_model import OwnModel
 from vstestbed.robots.reading import Reading
 from vstestbed.robots.robot_log import RobotLog
 from vstestbed.robots.supervisor import Supervisor
@@ -164,6 +165,18 @@ class Robot(Protocol):
 
     def allocate(self, twist: Array, reading: Reading, mount: Mount, period: float) -> Allocation:
         """The setpoint for a camera twist (6,), within the robot's limits for one period [s]."""
+        ...
+
+    def own_model(self, reading: Any, mount: Mount) -> OwnModel:
+        """What its controller knows of it: its own velocities, their limits, the camera twist that they make."""
+        ...
+
+    def displacement(self, before: Reading, now: Reading, duration: float, commanded: Array, mount: Mount) -> Array:
+        """How far its own velocities have led (n,) between two readings, of which `commanded` is the camera twist that was commanded."""
+        ...
+
+    def allocate_rates(self, rates: Array, reading: Reading, mount: Mount, period: float) -> Allocation:
+        """The setpoint for its own velocities (n,), within its limits for one period [s]."""
         ...
 
     def secondary_task(self, null_space: Array, reading: Reading, mount: Mount) -> Array:

@@ -25,6 +25,7 @@ from vstestbed.robots.bicycle import STANDSTILL, BicycleLimits, within_limits, y
 from vstestbed.robots.body import Change
 from vstestbed.robots.car_body import BUGGY, CarParameters
 from vstestbed.robots.ground import PLANE, GroundStart, Vehicle
+from vstestbed.robots.own_model import OwnModel
 from vstestbed.robots.reading import Reading
 
 SPEED_INTEGRAL = 8.0
@@ -102,6 +103,7 @@ class Car(Vehicle):
     actuators: ClassVar[tuple[str, ...]] = ("drive", "steering")
     sensors: ClassVar[tuple[str, ...]] = ("heading",)
     control_period_s: ClassVar[float | None] = 0.01
+    motion_names: ClassVar[tuple[str, ...]] = ("v", "w")
 
     def __post_init__(self) -> None:
         """Refuse limits that its wheels and its motor cannot keep."""
@@ -167,6 +169,21 @@ class Car(Vehicle):
     def motion_basis(self, mount: Mount, q: Array) -> Array:
         """Camera twists of (v, w) of the base, shape (6, 2), for any mount."""
         return mount.to_camera @ PLANE[:, [0, 2]]
+
+    @property
+    def motion_speeds(self) -> Array:
+        """Its speed [m/s], and the yaw rate on its tightest circle at that speed [rad/s]."""
+        return self.limits.speed_mps * np.array([1.0, 1 / self.turning_radius_m])
+
+    @property
+    def motion_accelerations(self) -> Array:
+        """Those of its servos; steering turns the yaw rate of a straight way by v / L times its rate [m/s^2, rad/s^2]."""
+        limits = self.limits
+        return np.array([limits.acceleration_mps2, limits.speed_mps * limits.steering_rate_radps / self.parameters.wheelbase_m])
+
+    def own_model(self, reading: Reading, mount: Mount) -> OwnModel:
+        """(v, w), with the tightest circle."""
+        return dataclasses.replace(super().own_model(reading, mount), turning_radius_m=self.turning_radius_m)
 
     def measured(self, q: Array, qd: Array, sensors: Mapping[str, list[float]], noise: np.random.Generator) -> Reading:
         """Exact encoders, and the compass: the direction of the base's true x axis with bias and noise, in [-pi, pi)."""

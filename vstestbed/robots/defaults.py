@@ -3,19 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
-from vstestbed.robots.allocation import Actuation, Mount
+from vstestbed.robots.allocation import Actuation, Allocation, Mount
 from vstestbed.robots.base import Base
 from vstestbed.robots.body import Change
+from vstestbed.robots.own_model import OwnModel
 from vstestbed.robots.reading import Reading
 from vstestbed.robots.robot_log import RobotLog
 from vstestbed.robots.supervisor import Supervisor
+
+
+class _Moves(Protocol):
+    """What the defaults below need of the robot itself."""
+
+    motion_names: ClassVar[tuple[str, ...]]
+    lag_s: ClassVar[float]
+
+    @property
+    def motion_speeds(self) -> Array: ...
+    @property
+    def motion_accelerations(self) -> Array: ...
+    def motion_basis(self, mount: Mount, q: Array) -> Array: ...
+    def measured_twist(self, before: Reading, now: Reading, duration: float, commanded: Array, mount: Mount) -> Array: ...
+    def allocate(self, twist: Array, reading: Reading, mount: Mount, period: float) -> Allocation: ...
 
 
 class RobotBase:
@@ -34,6 +50,11 @@ class RobotBase:
     largest_step_s: ClassVar[float] = 0.002
     stop_s: ClassVar[float] = 0.25
     """How long it takes to stop [s], from any speed: at most a speed limit over it is the deceleration."""
+
+    lag_s: ClassVar[float] = 0.0
+    """Time constant with which its velocities follow their orders [s]."""
+    motion_names: ClassVar[tuple[str, ...]] = ("vx", "vy", "vz", "wx", "wy", "wz")
+    """Names of the columns of `motion_basis`."""
 
     @property
     def model(self) -> str | None:
@@ -106,6 +127,30 @@ class RobotBase:
     def proprioception(self, reading: Any, odometry: Array | None) -> Array:
         """The joints' positions [rad, m]."""
         return reading.q
+
+    @property
+    def motion_speeds(self) -> Array:
+        """Largest speeds along the columns of `motion_basis`, (n,) [m/s, rad/s]: none."""
+        return np.full(len(self.motion_names), np.inf)
+
+    @property
+    def motion_accelerations(self) -> Array:
+        """Largest accelerations along them, (n,) [m/s^2, rad/s^2]: those with which it stops."""
+        return self.motion_speeds / max(self.stop_s, np.finfo(float).tiny)
+
+    def own_model(self: _Moves, reading: Any, mount: Mount) -> OwnModel:
+        """Its motions, with their speeds and accelerations."""
+        limits = self.motion_speeds, self.motion_accelerations
+        return OwnModel.of_motions(self.motion_names, self.motion_basis(mount, reading.q), *limits, lag_s=self.lag_s)
+
+    def displacement(self: _Moves, before: Reading, now: Reading, duration: float, commanded: Array, mount: Mount) -> Array:
+        """That of its measured camera twist."""
+        twist = self.measured_twist(before, now, duration, commanded, mount)
+        return np.asarray(np.linalg.lstsq(self.motion_basis(mount, now.q), twist * duration, rcond=None)[0], dtype=float)
+
+    def allocate_rates(self: _Moves, rates: Array, reading: Reading, mount: Mount, period: float) -> Allocation:
+        """The setpoint of their camera twist."""
+        return self.allocate(self.motion_basis(mount, reading.q) @ rates, reading, mount, period)
 
     def secondary_task(self, null_space: Array, reading: Reading, mount: Mount) -> Array:
         """None."""

@@ -33,6 +33,7 @@ from vstestbed.robots.allocation import Allocation, Mount
 from vstestbed.robots.body import Change
 from vstestbed.robots.ground import PLANE, GroundStart, Vehicle
 from vstestbed.robots.omni_body import PLATFORM, WHEELS, OmniParameters
+from vstestbed.robots.own_model import OwnModel
 from vstestbed.robots.reading import Reading
 
 
@@ -54,6 +55,7 @@ class Omni(Vehicle):
     start: GroundStart = GroundStart()
     wheel_radius_error: Annotated[float, Gt(-0.5), Lt(1)] = 0.0
     actuators: ClassVar[tuple[str, ...]] = WHEELS
+    motion_names: ClassVar[tuple[str, ...]] = ("vx", "vy", "wz")
 
     @property
     def stop_s(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride] - a property in place of a constant
@@ -102,6 +104,17 @@ class Omni(Vehicle):
     def motion_basis(self, mount: Mount, q: Array) -> Array:
         """Camera twists of (vx, vy, wz) of the base, shape (6, 3), for any mount."""
         return mount.to_camera @ PLANE
+
+    @property
+    def motion_speeds(self) -> Array:
+        """Straight ahead, sideways, on the spot: what its wheels' speed allows [m/s, m/s, rad/s]."""
+        return self.parameters.wheel_speed_radps / np.abs(self.parameters.W).max(axis=0)
+
+    def own_model(self, reading: Reading, mount: Mount) -> OwnModel:
+        """Its planar motion, with the speed that each wheel may have."""
+        wheels = self.parameters.W / (1 + self.wheel_radius_error)
+        most = np.full(len(wheels), self.parameters.wheel_speed_radps)
+        return dataclasses.replace(super().own_model(reading, mount), sums=wheels, most=most)
 
     def odometry(self, before: Reading, now: Reading, duration: float) -> Array:
         """Mean motion (vx, vy, wz) of the base between two readings of its encoders, with the calibrated radius.

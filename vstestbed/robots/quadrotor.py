@@ -22,7 +22,7 @@ from vstestbed.core.quantity import PositiveRate, PositiveSpeed, Sigma
 from vstestbed.core.spec import spec
 from vstestbed.robots import groundspeed
 from vstestbed.robots.allocation import Allocation, Mount
-from vstestbed.robots.attitude import Attitude, Filter, heading_rate, level, to_body
+from vstestbed.robots.attitude import GRAVITY, Attitude, Filter, heading_rate, level, to_body
 from vstestbed.robots.attitude import step as attitude_step
 from vstestbed.robots.base import Base
 from vstestbed.robots.body import Change
@@ -34,6 +34,7 @@ from vstestbed.robots.flight_reading import HOLD, FlightEstimate, FlightReading,
 from vstestbed.robots.flight_start import LOWEST_M, FlightPose, FlightStart
 from vstestbed.robots.groundspeed import READING_S, Flow, Groundspeed, VelocitySource
 from vstestbed.robots.imu import Imu
+from vstestbed.robots.own_model import OwnModel
 from vstestbed.robots.reading import Reading
 from vstestbed.robots.robot_log import RobotLog
 from vstestbed.robots.rotors import X4, Four, QuadrotorParameters, mix, speed_control
@@ -106,6 +107,7 @@ class Quadrotor(RobotBase):
     standing_m: ClassVar[float] = 0.172
     """By models/quadrotor.xml."""
     control_period_s: ClassVar[float | None] = 0.001
+    motion_names: ClassVar[tuple[str, ...]] = ("vx", "vy", "vz", "wz")
     largest_step_s: ClassVar[float] = 0.001
     """The rate loop is tuned at it."""
 
@@ -180,6 +182,22 @@ class Quadrotor(RobotBase):
     def motion_basis(self, mount: Mount, q: Array) -> Array:
         """Camera twists (6, 4) of vx, vy, vz and wz of the level craft."""
         return mount.to_camera[:, LEVEL_AXES]
+
+    @property
+    def motion_speeds(self) -> Array:
+        """Its largest setpoints [m/s, m/s, m/s, rad/s]."""
+        return np.array([self.max_speed_mps, self.max_speed_mps, self.max_climb_mps, self.max_yaw_rate_radps])
+
+    @property
+    def motion_accelerations(self) -> Array:
+        """By its largest tilt, g tan(tilt), and by its rotors [m/s^2]; of its heading none."""
+        level, climb = GRAVITY * self.gains.slope, GRAVITY * (self.parameters.limit / self.parameters.hover - 1)
+        return np.array([level, level, min(climb, GRAVITY), np.inf])  # down it has its weight alone
+
+    def own_model(self, reading: Reading, mount: Mount) -> OwnModel:
+        """(vx, vy, vz, wz), with its tilt, and the lag of its velocity loop."""
+        model, lag = super().own_model(reading, mount), 1 / self.gains.velocity
+        return replace(model, tilt=reading.tilt, most_tilt_rad=math.radians(self.gains.tilt_deg), lag_s=lag)
 
     def noise(self, rng: np.random.Generator) -> Iterator[list[float]]:
         """Noise and bias (10,) of gyro, accelerometer, velocity and range, of one reading after the other."""

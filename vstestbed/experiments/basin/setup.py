@@ -135,7 +135,7 @@ class BatchSetup:
         """
         s = self.scenario
         plain = s.law.limits == TwistLimits() and s.goal_view.counted is None and s.own_columns == RobotLog.columns
-        return plain and has_batch(s.law) and self.frames(s.stop.duration_s) < BLOCK
+        return plain and not s.law.modes and has_batch(s.law) and self.frames(s.stop.duration_s) < BLOCK
 
     @cached_property
     def error_px(self) -> float:

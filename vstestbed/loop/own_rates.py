@@ -1,0 +1,64 @@
+"""A robot's own velocities as its controller knows them: the model now, how far they led since the last picture, what was ordered."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from vstestbed.core.geometry import Array
+from vstestbed.loop.command_history import CommandHistory
+from vstestbed.loop.exposure import Arrival, Exposure
+from vstestbed.robots import Allocation, Mount, Robot
+from vstestbed.robots.own_model import OwnModel
+
+
+class OwnRates:
+    """Makes `Observation.robot`, and keeps the velocities that were ordered.
+
+    Args:
+        robot: the robot. period_s: time between pictures [s].
+    """
+
+    def __init__(self, robot: Robot, period_s: float):
+        self._robot, self._period_s = robot, period_s
+        self._ordered: CommandHistory | None = None
+        self._last = np.zeros(0)
+        self._J = np.zeros((6, 0))
+
+    def model(self, last: Exposure, shot: Exposure, now: Arrival, commanded: Array, mount: Mount) -> OwnModel:
+        """What the controller knows of its robot when a picture has arrived.
+
+        last, shot: the last exposure and this one. commanded: the last camera twist (6,). mount: of the camera now.
+        """
+        robot = self._robot
+        model = robot.own_model(now.reading, mount)
+        if self._ordered is None:
+            self._ordered, self._last = CommandHistory(len(model.names)), np.zeros(len(model.names))
+        self._J = model.J
+        since, age = shot.t - last.t, now.t - shot.t
+        moved = underway = np.zeros(len(model.names))
+        if since > 0:
+            moved = robot.displacement(last.reading, shot.reading, since, commanded, mount)
+        if age > 0:
+            underway = robot.displacement(shot.reading, now.reading, age, commanded, mount)
+        if now.t_cmd > now.t:
+            underway = underway + self._ordered.displacement(now.t_cmd) - self._ordered.displacement(now.t)
+        return replace(
+            model,
+            moved=moved,
+            since_s=since,
+            underway=underway,
+            underway_s=now.t_cmd - shot.t,
+            ordered=self._last,
+            period_s=self._period_s,
+        )
+
+    def order(self, t_cmd: float, allocation: Allocation) -> None:
+        """An allocation takes effect at t_cmd [s]."""
+        if self._ordered is not None:
+            rates = allocation.rates
+            if rates is None:
+                rates = np.asarray(np.linalg.lstsq(self._J, allocation.twist, rcond=None)[0], dtype=float)
+            self._last = rates.copy()
+            self._ordered.add(t_cmd, rates)

@@ -1,0 +1,78 @@
+"""What a controller knows of its robot: the velocities that it can order, their limits, and the camera twist that they make."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from vstestbed.core.geometry import Array
+
+NONE = np.zeros(0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OwnModel:
+    """A robot's n own velocities, by its own sensors and its own model, errors of calibration included; nothing of the truth.
+
+    They are the joints' of an arm, and the motions of `Robot.motion_basis` for all others: the twist of an ideal camera, (vx, vy, wz)
+    or (v, w) of a vehicle, (vx, vy, vz, wz) of a level craft. A law orders them by `Command.rates`.
+
+    Attributes:
+        names: of the velocities. J: camera twist (6,) = J @ rates, (6, n), now. jacobian: the same at other positions q (n,).
+        q, qd: positions and measured velocities (n,) [rad, m; per s]; 0 where only the velocities are known (all but arms).
+        low, high: lowest and highest position (n,); infinite without one. nominal: positions at the nominal start (n,).
+        speed, acceleration: largest of each (n,) [rad/s, m/s; per s^2]; infinite where the robot has no such limit.
+        sums, most: |sums @ rates| <= most, (k, n) and (k,), for limits that several velocities share (a wheel's speed).
+        turning_radius_m: of the tightest circle: |w| <= |v| / radius for the last and the first velocity; 0: on the spot.
+        tilt, most_tilt_rad: roll and pitch (2,) of a craft, and the largest it may order; its acceleration needs them.
+        lag_s: time constant with which velocities follow their orders [s].
+        moved: displacement (n,) between the exposures of the last picture and this one, and since_s the time between them [s].
+        underway: displacement (n,) from the exposure until this frame's command takes effect: measured until now, as ordered from then;
+            underway_s: that time [s]. ordered: the velocities ordered last (n,). period_s: time between pictures [s].
+    """
+
+    names: tuple[str, ...]
+    J: Array
+    jacobian: Callable[[Array], Array]
+    q: Array
+    qd: Array
+    low: Array
+    high: Array
+    nominal: Array
+    speed: Array
+    acceleration: Array
+    sums: Array
+    most: Array
+    turning_radius_m: float = 0.0
+    tilt: Array | None = None
+    most_tilt_rad: float = np.inf
+    lag_s: float = 0.0
+    moved: Array = field(default_factory=lambda: NONE)
+    since_s: float = 0.0
+    underway: Array = field(default_factory=lambda: NONE)
+    underway_s: float = 0.0
+    ordered: Array = field(default_factory=lambda: NONE)
+    period_s: float = 0.04
+
+    @classmethod
+    def of_motions(cls, names: tuple[str, ...], J: Array, speed: Array, acceleration: Array, **more: object) -> OwnModel:
+        """Of a robot whose positions along its motions, J (6, n), are unknown or without limits."""
+        n = J.shape[1]
+        zero, endless = np.zeros(n), np.full(n, np.inf)
+        values = {
+            "q": zero,
+            "qd": zero,
+            "low": -endless,
+            "high": endless,
+            "nominal": zero,
+            "sums": np.zeros((0, n)),
+            "most": np.zeros(0),
+            **more,
+        }
+        return cls(names=names, J=J, jacobian=lambda q: J, speed=speed, acceleration=acceleration, **values)  # pyright: ignore[reportArgumentType] - fields by name
+
+    def twist(self, rates: Array) -> Array:
+        """The camera twist (6,) of velocities (n,)."""
+        return self.J @ rates
