@@ -10,13 +10,15 @@ from vstestbed.laws.pbvs import PBVS
 from vstestbed.laws.policy import Policy
 from vstestbed.laws.pose_controller import PoseController
 from vstestbed.laws.pursuit import Pursuit
+from vstestbed.laws.qp import QP
 
-LAWS = OneOf("law", IBVS, Partitioned, PBVS, Hybrid, PoseController, Pursuit, LineFollowing, Policy, contract=LAW_CONTRACT)
+LAWS = OneOf("law", IBVS, Partitioned, PBVS, Hybrid, PoseController, Pursuit, LineFollowing, Policy, QP, contract=LAW_CONTRACT)
 
 __all__ = [
     "IBVS",
     "LAWS",
     "PBVS",
+    "QP",
     "Command",
     "Hybrid",
     "Law",

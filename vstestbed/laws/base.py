@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import Annotated, Any, ClassVar, Literal, Protocol, TypeVar
 
@@ -125,6 +126,16 @@ class Law(Protocol[M]):
 
         Raises:
             ParameterError: it names a field of the scenario (`target`, ...).
+        """
+        ...
+
+    def check_view(self, goal: Goal, marker_radius_m: float, called: Callable[[int], str] = str) -> None:
+        """Refuse a goal view whose markers are too near to the picture's border for this law.
+
+        called: what messages call a marker.
+
+        Raises:
+            ParameterError: it names a field of the law.
         """
         ...
 
@@ -261,6 +272,10 @@ class LawBase:
 
     def check(self, points: Array, goal: Goal) -> None:
         """Accept any markers and any goal view."""
+
+    def check_view(self, goal: Goal, marker_radius_m: float, called: Callable[[int], str] = str) -> None:
+        """What the repulsive field refuses."""
+        self.visibility.check(goal, marker_radius_m, called)
 
     def init(self, goal: Goal) -> Any:  # Any: each law's memory is of a type of its own
         """No memory."""

@@ -62,13 +62,7 @@ class Visibility:
         if len(goal.camera.panels) > 1:
             words = "must be 0 with a camera that sees all round: its image has no border"
             raise ParameterError("law.visibility.margin_px", words, self.margin_px)
-        radius = goal.camera.half_size(goal.ray * goal.range[:, None], marker_radius_m).max(axis=1)
-        nearest = np.where(goal.counted is None or goal.counted, goal.camera.borders(goal.uv)[0].min(axis=1) - radius, np.inf)
-        marker = int(nearest.argmin())
-        if nearest[marker] <= self.margin_px:
-            words = f"reaches marker {called(marker)} of the goal view, whose edge is {nearest[marker]:.4g} px from the border"
-            words += ", and would keep it"
-            raise ParameterError("law.visibility.margin_px", f"{words} off its goal; use less, or a goal farther back", self.margin_px)
+        check_margin("law.visibility.margin_px", self.margin_px, goal, marker_radius_m, called)
 
     def push(self, observation: Observation, goal: Goal, basis: Array) -> Array:
         """The additional motion (n,) [m/s, rad/s] that drives markers off the border; zero if none is near. `goal` has the lens."""
@@ -83,7 +77,7 @@ class Visibility:
         near = speed.any(axis=1)
         if not near.any():
             return nothing
-        L = pixel_interaction(goal.camera, _points(observation)[rows][near])
+        L = pixel_interaction(goal.camera, points_of(observation)[rows][near])
         return least_squares(L.reshape(-1, 6) @ basis, speed[near].ravel())
 
     def _inwards(self, camera: Camera, uv: Array, radius: Array | float) -> Array:
@@ -93,7 +87,22 @@ class Visibility:
         return np.einsum("nb,nbk->nk", self.strength_pxps * (1 / x - 1) / x**2, inwards)
 
 
-def _points(observation: Observation) -> Array:
+def check_margin(field: str, margin_px: float, goal: Goal, marker_radius_m: float, called: Callable[[int], str]) -> None:
+    """Refuse a goal with a marker inside a margin of the border, which would keep it from there.
+
+    Raises:
+        ParameterError: it names the field.
+    """
+    radius = goal.camera.half_size(goal.ray * goal.range[:, None], marker_radius_m).max(axis=1)
+    nearest = np.where(goal.counted is None or goal.counted, goal.camera.borders(goal.uv)[0].min(axis=1) - radius, np.inf)
+    marker = int(nearest.argmin())
+    if nearest[marker] <= margin_px:
+        words = f"reaches marker {called(marker)} of the goal view, whose edge is {nearest[marker]:.4g} px from the border"
+        words += ", and would keep it"
+        raise ParameterError(field, f"{words} off its goal; use less, or a goal farther back", margin_px)
+
+
+def points_of(observation: Observation) -> Array:
     """The markers in the camera frame by the law's own depths or ranges, shape (N, 3) [m]."""
     if observation.ray is not None and observation.range is not None:
         return observation.ray * observation.range[:, None]

@@ -160,7 +160,7 @@ class Scenario:
         self.goal.check_views(self.setup, self.goal_views)
         self.law.check(self.target.points, self.goal_view)
         for goal in self.goal_views:
-            self.law.visibility.check(goal, self.target.marker.radius, self.target.called)
+            self.law.check_view(goal, self.target.marker.radius, self.target.called)
 
     @property
     def clock(self) -> tuple[float, int]:

@@ -1,0 +1,114 @@
+"""Constraints on a robot's own velocities: joint limits, the picture's border, the target's plane, twist limits."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vstestbed.core.geometry import Array
+from vstestbed.features.observation import Goal, Observation
+from vstestbed.laws.base import TwistLimits
+from vstestbed.laws.program import Group
+from vstestbed.laws.select import usable_rows
+from vstestbed.laws.visibility import pixel_interaction, points_of
+from vstestbed.robots.own_model import OwnModel
+
+
+def velocity_bounds(robot: OwnModel, margin: float, damper_s: float, accelerate: bool) -> tuple[Array, Array, bool]:
+    """Bounds low, high (n,) of the velocities by positions, speeds and accelerations, and whether the accelerations had to give way.
+
+    Speed towards a limit: at most (distance - margin) / damper_s (velocity damper), beyond the margin away from it at that rate;
+    |rates| <= speed; |rates - ordered| <= acceleration period. Bounds of position win over those of speed, these over those of
+    acceleration, so that low <= high always.
+
+    Args:
+        margin: distance from a limit at which a velocity comes to rest [rad, m]. damper_s: not under a period [s].
+        accelerate: whether accelerations count.
+
+    Reference: Faverjon & Tournassoud 1987, doi:10.1109/ROBOT.1987.1087982.
+    """
+    ahead = robot.q + robot.underway if robot.low.size and np.isfinite(robot.low).any() else robot.q
+    horizon = max(damper_s, robot.period_s)
+    low = np.clip((robot.low + margin - ahead) / horizon, -robot.speed, robot.speed)
+    high = np.clip((robot.high - margin - ahead) / horizon, -robot.speed, robot.speed)
+    high = np.maximum(high, low)  # a range narrower than twice the margin
+    if not accelerate:
+        return low, high, False
+    step = robot.acceleration * robot.period_s
+    slow, fast = robot.ordered - step, robot.ordered + step
+    gave_way = bool((slow > high).any() or (fast < low).any())
+    return np.clip(slow, low, high), np.clip(fast, low, high), gave_way
+
+
+def shared_limits(robot: OwnModel, forward: float) -> Group:
+    """Limits that several velocities share: sums of them (a platform's wheels), and the tightest circle of a vehicle that drives forward.
+
+    forward: the sign of the wanted speed; the circle is |w| <= v / radius forward, and in reverse with -v.
+    """
+    A, low = np.vstack([robot.sums, -robot.sums]), -np.concatenate([robot.most, robot.most])
+    if robot.turning_radius_m > 0:
+        sign, r = (1.0 if forward >= 0 else -1.0), robot.turning_radius_m
+        n = len(robot.names)
+        circle = np.zeros((2, n))
+        circle[:, 0], circle[:, -1] = sign / r, (1.0, -1.0)
+        A, low = np.vstack([A, circle]), np.concatenate([low, np.zeros(2)])
+    return Group("shared", A, low)
+
+
+def twist_limits(limits: TwistLimits, J: Array) -> Group:
+    """|v_i| <= speed_mps, |w_i| <= rate_radps for each component of the camera twist J @ rates: the box round the sphere of the limit."""
+    rows, low = [np.zeros((0, J.shape[1]))], [np.zeros(0)]
+    for limit, part in ((limits.speed_mps, J[:3]), (limits.rate_radps, J[3:])):
+        if limit is not None:
+            rows += [part, -part]
+            low.append(np.full(6, -limit))
+    return Group("twist", np.vstack(rows), np.concatenate(low))
+
+
+def border(seen: Observation, goal: Goal, robot: OwnModel, margin_px: float, rate: float, target: Array) -> Group:
+    """Barriers h_dot >= -rate h of each visible marker at each border of the picture: h = its edge's distance to it, less the margin [px].
+
+    h_dot = n^T L (J rates + target) with n the border's inward normal, L the interaction matrix of the pixel in this lens, at the place
+    where the marker will be when the command takes effect. A marker outside comes back at the rate.
+
+    Args:
+        margin_px: distance of a marker's edge from the border [px]. rate: of the barrier [1/s].
+        target: camera twist (6,) that would move the markers as the target's own motion does.
+
+    Reference: Ames, Coogan, Egerstedt, Notomista, Sreenath & Tabuada 2019, doi:10.23919/ECC.2019.8796030 (barrier functions).
+    """
+    nothing = Group("border", np.zeros((0, robot.J.shape[1])), np.zeros(0))
+    around = seen.ray is not None and seen.range is not None
+    rows = usable_rows(seen, ("ray", "range") if around else ("xy", "depth"), 1)
+    if isinstance(rows, str) or len(goal.camera.panels) > 1:
+        return nothing
+    uv = seen.uv[rows]
+    L = pixel_interaction(goal.camera, points_of(seen)[rows])
+    uv = uv + L @ (robot.J @ robot.underway + target * robot.underway_s)
+    distance, inwards = goal.camera.borders(uv)
+    radius = 0.0 if seen.radius_px is None else seen.radius_px[rows][:, None]
+    h = (distance - radius - margin_px).ravel()
+    h_dot = np.einsum("nbk,nki->nbi", inwards, L).reshape(len(h), 6)
+    known = np.isfinite(h)
+    return Group("border", (h_dot @ robot.J)[known], (-rate * h - h_dot @ target)[known])
+
+
+def above_plane(seen: Observation, goal: Goal, robot: OwnModel, distance_m: float, rate: float) -> Group:
+    """A barrier of the camera's distance to the plane of the target's markers: h = distance - distance_m [m].
+
+    The markers in sight span the plane, by the law's own depths; of fewer than three, or of markers on one line, it is the one through
+    their mean that faces the camera.
+    """
+    rows = usable_rows(seen, ("xy", "depth"), 1)
+    if isinstance(rows, str):
+        return Group("plane", np.zeros((0, robot.J.shape[1])), np.zeros(0))
+    p = points_of(seen)[rows]
+    middle = p.mean(axis=0)
+    _, s, Vt = np.linalg.svd(p - middle)
+    flat = len(p) > 2 and s[1] > 1e-3 * s[0]
+    normal = Vt[2] if flat else middle / np.linalg.norm(middle)
+    away = float(normal @ middle)
+    normal, away = (normal, away) if away > 0 else (-normal, -away)  # towards the target
+    # The camera's origin moves with v: its distance to a plane that stands still changes by -normal . v.
+    v = robot.J[:3]
+    h = away - float(normal @ v @ robot.underway) - distance_m
+    return Group("plane", -(normal @ v)[None], np.array([-rate * h]))
