@@ -9,10 +9,11 @@ from vstestbed.laws.partitioned import Partitioned
 from vstestbed.laws.pbvs import PBVS
 from vstestbed.laws.policy import Policy
 from vstestbed.laws.pose_controller import PoseController
+from vstestbed.laws.predictive import Predictive
 from vstestbed.laws.pursuit import Pursuit
 from vstestbed.laws.qp import QP
 
-LAWS = OneOf("law", IBVS, Partitioned, PBVS, Hybrid, PoseController, Pursuit, LineFollowing, Policy, QP, contract=LAW_CONTRACT)
+LAWS = OneOf("law", IBVS, Partitioned, PBVS, Hybrid, PoseController, Pursuit, LineFollowing, Policy, QP, Predictive, contract=LAW_CONTRACT)
 
 __all__ = [
     "IBVS",
@@ -27,5 +28,6 @@ __all__ = [
     "Partitioned",
     "Policy",
     "PoseController",
+    "Predictive",
     "Pursuit",
 ]

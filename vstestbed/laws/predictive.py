@@ -1,0 +1,242 @@
+"""Visual predictive control: velocities over a horizon that bring the features to the goal, within what joints and picture allow."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Annotated, Literal
+
+import numpy as np
+from annotated_types import Ge, Le
+
+from vstestbed.core.geometry import Array
+from vstestbed.core.quantity import Pixels, PositiveGain, PositiveTime
+from vstestbed.core.spec import spec
+from vstestbed.features import FEATURES, LineFeature, Point, Polar, Polygon, Spherical
+from vstestbed.features.base import Feature
+from vstestbed.features.depth import Depth, PnP
+from vstestbed.features.observation import Goal, Observation
+from vstestbed.laws.base import Command, LawBase, TwistLimits
+from vstestbed.laws.constraints import shared_limits, twist_limits, velocity_bounds
+from vstestbed.laws.horizon import Blocks, Predicted, predict
+from vstestbed.laws.ibvs import IBVS
+from vstestbed.laws.program import Group, Solution, minimise
+from vstestbed.laws.select import Rows, usable_rows
+from vstestbed.laws.solve import least_squares
+from vstestbed.laws.visibility import check_margin, pixel_interaction, points_of
+from vstestbed.robots.own_model import OwnModel
+
+GIVE_WAY = ("border", "positions", "twist", "shared", "acceleration")
+"""Constraints in the order in which they give way; bounds of the next command by joint limits and speeds never do."""
+LEAST_DEPTH_M = 1e-3
+"""Depth under which no feature is computed [m]."""
+FREE, BOUND, UNSOLVED = 0, 1, 2 + len(GIVE_WAY)
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """The velocities planned in the last frame (B, n); None before the first."""
+
+    rates: Array | None = None
+
+
+@spec
+class Predictive(LawBase):
+    """min over u_1 ... u_B of  sum over k = 1 ... K of |e_k - exp(-gain k T) e_0|^2 + effort |u|^2,   of which u_1 is ordered.
+
+    e_k = s(p_k) - s* is the error at the end of the k-th camera period T, predicted with the robot's model: servos of first order
+    with their lag, the Jacobian at the joints of that time, the markers moved as rigid bodies. e_0 is that at the time when the command takes
+    effect: latency is part of the model. The prediction is made with the plan of the last frame and linearised about it (one step of
+    sequential quadratic programming a frame); plans are constant over `blocks` of growing length.
+
+    Subject to, over the whole horizon: markers' edges `margin_px` inside the picture; joint positions, speeds and accelerations; `limits`
+    of the camera's twist. Where they contradict each other, they give way one after the other: border, positions (of later periods; the
+    next command always stops before a joint limit), twist, shared, acceleration. The log's `law_mode` tells: 0 nothing binds, 1 a
+    constraint binds, 2 to 6 the last of these that gave way, 7 the program was not solved, and the law rests.
+
+    Without a binding constraint, latency and lag, it moves as `ibvs` of the same gain does with the current interaction matrix.
+
+    Args:
+        gain: decay of the wanted error [1/s].
+        feature: the feature s.
+        horizon: K, number of periods that are predicted. blocks: B, number of velocities in a plan.
+        model: `global` takes interaction matrix and Jacobian along the predicted way, `local` those of now throughout.
+        effort: weight of squared velocities, as a share of the features' largest [1].
+        margin_px: distance of the markers' edges from the border of the picture [px]; None: no such constraint.
+        joint_margin: distance from its limit at which a joint comes to rest [rad; m for one that slides].
+        damper_s: in which time a joint may reach that margin [s].
+        accelerations: whether the robot's accelerations count.
+        depth: source of Z (for `spherical`, of the range).
+        limits: largest speed and rate of the camera's twist, here as a constraint.
+
+    References: Allibert, Courtial & Chaumette 2010, doi:10.1109/TRO.2010.2056590; Sauvée, Poignet, Dombre & Courtial 2006,
+    doi:10.1109/CDC.2006.377808; one step of sequential quadratic programming a frame: Diehl, Bock & Schlöder 2005,
+    doi:10.1137/S0363012902400713.
+    """
+
+    kind: Literal["predictive"] = "predictive"
+    gain: PositiveGain = 0.5
+    feature: Annotated[Point | Polar | Spherical | Polygon | LineFeature, FEATURES] = Point()
+    horizon: Annotated[int, Ge(1), Le(50)] = 10
+    blocks: Annotated[int, Ge(1), Le(50)] = 4
+    model: Literal["global", "local"] = "global"
+    effort: Annotated[float, Ge(0), Le(1e3)] = 1e-6
+    margin_px: Pixels | None = 5.0
+    joint_margin: Annotated[float, Ge(0), Le(1)] = 0.035
+    damper_s: PositiveTime = 0.3
+    accelerations: bool = True
+    depth: Depth = PnP()
+    limits: TwistLimits = TwistLimits()
+    modes = ("free", "constrained", *(f"{word} gave way" for word in GIVE_WAY), "not solved")
+
+    @property
+    def inputs(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride] - a property in place of a constant
+        """The inputs of the feature, the robot, and the markers' radii for the border."""
+        return (*self.feature.inputs, "robot", *(("radius_px",) if self.margin_px is not None else ()))
+
+    def markers_needed(self, basis: Array) -> int:
+        """As many as `ibvs` with this feature."""
+        return IBVS(feature=self.feature).markers_needed(basis)
+
+    def check(self, points: Array, goal: Goal) -> None:
+        """What `ibvs` with this feature refuses."""
+        IBVS(feature=self.feature).check(points, goal)
+
+    def check_view(self, goal: Goal, marker_radius_m: float, called: Callable[[int], str] = str) -> None:
+        """Refuse a goal with a marker inside the margin, where the constraint would not let it."""
+        if self.margin_px is not None and len(goal.camera.panels) == 1:
+            check_margin("law.margin_px", self.margin_px, goal, marker_radius_m, called)
+
+    def init(self, goal: Goal) -> Plan:
+        """No plan so far."""
+        return Plan()
+
+    def step(self, memory: Plan, observation: Observation, goal: Goal, basis: Array) -> tuple[Plan, Command]:
+        """One frame with the visible markers; rest when they are too few, or where the program was not solved."""
+        rows = usable_rows(observation, self.feature.inputs, self.markers_needed(basis))
+        if isinstance(rows, str):
+            return Plan(), Command.rest(basis, rows)
+        robot = observation.robot
+        assert robot is not None
+        blocks = Blocks.of(self.horizon, self.blocks)
+        plan = np.tile(robot.ordered, (len(blocks.lengths), 1)) if memory.rates is None else blocks.shifted(memory.rates)
+        solution, gave_way = self._solved(rows, observation, goal, robot, blocks, plan)
+        if solution.x is None:
+            return Plan(), replace(Command.rest(basis, solution.failure), mode=UNSOLVED)
+        plan = solution.x.reshape(plan.shape)
+        mode = 2 + GIVE_WAY.index(gave_way[-1]) if gave_way else BOUND if solution.bound else FREE
+        twist = robot.J @ plan[0]
+        scale = self.limits.scale(twist)
+        rates, twist = plan[0] * scale, twist * scale
+        u = twist if basis.shape == (6, 6) else least_squares(basis, twist)
+        return Plan(plan), Command(u, twist, scale=scale, rates=rates, mode=mode)
+
+    def _solved(
+        self, rows: Rows, seen: Observation, goal: Goal, robot: OwnModel, blocks: Blocks, plan: Array
+    ) -> tuple[Solution, tuple[str, ...]]:
+        """The plan as one vector, and the words of what gave way, in the order of GIVE_WAY."""
+        p = points_of(seen)[rows]
+        ahead = predict(p, robot, blocks, plan, self.model == "global")
+        if not _in_front(ahead.p, self.feature):  # of a plan that flies through the target nothing can be predicted
+            plan = np.zeros_like(plan)
+            ahead = predict(p, robot, blocks, plan, self.model == "global")
+            if not _in_front(ahead.p, self.feature):
+                return Solution(None, failure="a marker is predicted behind the camera"), ()
+        u = plan.ravel()
+        A, b = self._objective(ahead, goal, rows, robot, u)
+        low, high, too_quick = self._bounds(robot, plan)
+        groups = [self._positions(ahead, robot, u), twist_limits_of(self.limits, ahead, blocks)]
+        groups += [_repeated(shared_limits(robot, float(plan[0, 0])), len(plan)), self._slopes(robot, blocks)]
+        if self.margin_px is not None:
+            groups.insert(0, self._border(ahead, seen, goal, rows, u))
+        solution = minimise(A, b, low, high, tuple(groups))
+        return solution, solution.gave_way + (("acceleration",) if too_quick and "acceleration" not in solution.gave_way else ())
+
+    def _objective(self, ahead: Predicted, goal: Goal, rows: Rows, robot: OwnModel, u: Array) -> tuple[Array, Array]:
+        """A and b of the wanted A u = b."""
+        feature = self.feature
+        s_star = feature.measure(getattr(goal, feature.inputs[0])[rows])
+        K = len(ahead.p)
+        x, distance = _inputs(ahead.p, feature.inputs)
+        e = feature.error(feature.measure(x), s_star)
+        L = feature.interaction(x, distance)
+        if self.model == "local":
+            L = np.broadcast_to(L[0], L.shape)
+        change = L @ ahead.D  # (K, rows, B n)
+        start = feature.error(feature.measure(_inputs(ahead.p_begin, feature.inputs)[0]), s_star)
+        wanted = start * np.exp(-self.gain * robot.period_s * np.arange(1, K + 1))[:, None]
+        A, b = change.reshape(-1, len(u)), (wanted - e + change @ u).ravel()
+        weight = np.sqrt(self.effort * float(np.einsum("ij,ij->", A, A)) / len(u))
+        return np.vstack([A, weight * np.eye(len(u))]), np.concatenate([b, np.zeros(len(u))])
+
+    def _bounds(self, robot: OwnModel, plan: Array) -> tuple[Array, Array, bool]:
+        """Bounds of the plan: those of the next command, and the speeds of all."""
+        low, high, too_quick = velocity_bounds(robot, self.joint_margin, self.damper_s, self.accelerations)
+        later = np.tile(robot.speed, len(plan) - 1)
+        return np.concatenate([low, -later]), np.concatenate([high, later]), too_quick
+
+    def _positions(self, ahead: Predicted, robot: OwnModel, u: Array) -> Group:
+        """Joint positions within their limits, less the margin, at the end of each period."""
+        limited = np.isfinite(robot.low) | np.isfinite(robot.high)
+        Q, q = ahead.Q[:, limited], (ahead.q - ahead.Q @ u)[:, limited]
+        below = (robot.low + self.joint_margin)[limited] - q
+        above = q - (robot.high - self.joint_margin)[limited]
+        A: Array = np.concatenate([Q, -Q]).reshape(-1, len(u))
+        low = np.concatenate([below, above]).ravel()
+        return Group("positions", A[known := np.isfinite(low)], low[known])
+
+    def _slopes(self, robot: OwnModel, blocks: Blocks) -> Group:
+        """Accelerations from block to block."""
+        n, B = len(robot.names), len(blocks.lengths)
+        quick = np.isfinite(robot.acceleration)
+        if not self.accelerations or B == 1 or not quick.any():
+            return Group("acceleration", np.zeros((0, B * n)), np.zeros(0))
+        rows = np.kron(np.eye(B)[1:] - np.eye(B)[:-1], np.eye(n)[quick])
+        most = np.concatenate([robot.acceleration[quick] * robot.period_s * length for length in blocks.lengths[:-1]])
+        return Group("acceleration", np.asarray(np.vstack([rows, -rows]), dtype=float), np.concatenate([-most, -most]))
+
+    def _border(self, ahead: Predicted, seen: Observation, goal: Goal, rows: Rows, u: Array) -> Group:
+        """Markers' edges inside the picture, less the margin, at the end of each period."""
+        camera, K = goal.camera, len(ahead.p)
+        nothing = Group("border", np.zeros((0, len(u))), np.zeros(0))
+        if len(camera.panels) > 1:
+            return nothing
+        flat = ahead.p.reshape(-1, 3)
+        L = pixel_interaction(camera, flat)
+        distance, inwards = camera.borders(camera.project(flat))
+        radius = 0.0 if seen.radius_px is None else np.tile(seen.radius_px[rows], K)[:, None]
+        h = (distance - radius - (self.margin_px or 0.0)).reshape(K, -1)
+        change = np.einsum("mbk,mki->mbi", inwards, L).reshape(K, -1, 6) @ ahead.D
+        A, low = change.reshape(-1, len(u)), (change @ u - h).ravel()
+        known = np.isfinite(low)
+        return Group("border", A[known], low[known])
+
+
+def twist_limits_of(limits: TwistLimits, ahead: Predicted, blocks: Blocks) -> Group:
+    """The limits of the camera's twist in each block, at the Jacobian with which it begins."""
+    n, starts = ahead.J.shape[2], np.cumsum((0, *blocks.lengths[:-1]))
+    parts = [twist_limits(limits, ahead.J[start]) for start in starts]
+    A = np.zeros((sum(len(part.A) for part in parts), n * len(parts)))
+    at = 0
+    for i, part in enumerate(parts):
+        A[at : at + len(part.A), i * n : (i + 1) * n] = part.A
+        at += len(part.A)
+    return Group("twist", A, np.concatenate([part.low for part in parts]))
+
+
+def _repeated(group: Group, times: int) -> Group:
+    """The same inequalities for each block of a plan."""
+    return Group(group.word, np.asarray(np.kron(np.eye(times), group.A), dtype=float), np.tile(group.low, times))
+
+
+def _in_front(p: Array, feature: Feature) -> bool:
+    """Whether the feature is defined for points p (K, N, 3) [m]."""
+    return bool((p[..., 2] > LEAST_DEPTH_M).all()) if feature.inputs[0] == "xy" else bool(np.linalg.norm(p, axis=-1).min() > LEAST_DEPTH_M)
+
+
+def _inputs(p: Array, names: tuple[str, ...]) -> tuple[Array, Array]:
+    """The inputs of a feature, xy and depth or ray and range, of points (K, N, 3) [m]."""
+    if names[0] == "xy":
+        return p[..., :2] / p[..., 2:], p[..., 2]
+    reach = np.linalg.norm(p, axis=-1)
+    return p / reach[..., None], reach
