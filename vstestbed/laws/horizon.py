@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vstestbed.core.geometry import Array, adjoint, exp, inverse, transform
+from vstestbed.core.geometry import Array, adjoint, exp, skew, transform
 from vstestbed.robots.own_model import OwnModel
 
 
@@ -69,7 +69,7 @@ class Blocks:
 
 
 def lagged(blocks: Blocks, plan: Array, before: Array, lag: float) -> tuple[Array, Array]:
-    """Mean velocities (K, n) in each period of first-order servos, and their change with the orders of the blocks, (K, B), alike for each n.
+    """Mean velocities (K, n) in each period of first-order servos, and their change with the blocks' orders, (K, B), alike for each n.
 
     With a = exp(-1/lag) and g = lag (1 - a): mean = (1 - g) u + g r, and r' = (1 - a) u + a r at the end of the period.
 
@@ -93,7 +93,8 @@ def predict(p: Array, robot: OwnModel, blocks: Blocks, plan: Array, relinearise:
     """What a plan (B, n) does, from markers p (N, 3) [m] in the camera frame at the exposure.
 
     The camera's pose follows T <- T exp(period J mean) exactly; a small change d of the pose before a period has become
-    Ad(exp(-period J mean)) d at its end, to which period J times the change of the velocity is added.
+    Ad(exp(-period J mean)) d at its end, to which period J times the change of the velocity is added, less half of its bracket with the
+    twist: the derivative of the exponential to second order.
 
     relinearise: J at the predicted positions; else that of now throughout.
     """
@@ -115,9 +116,17 @@ def predict(p: Array, robot: OwnModel, blocks: Blocks, plan: Array, relinearise:
     way = mean * period
     for k in range(steps):
         J = robot.jacobian(q) if relinearise else robot.J
-        step = exp(J @ way[k])
-        back = inverse(step)
-        D = adjoint(back) @ D + J @ each[k]
+        twist = J @ way[k]
+        back, change = exp(-twist), J @ each[k]
+        D = adjoint(back) @ D + change - _bracket(twist) @ change / 2
         p, q, Q = transform(back, p), q + way[k], Q + each[k]
         out.p[k], out.D[k], out.q[k], out.Q[k], out.J[k] = p, D, q, Q, J
+    return out
+
+
+def _bracket(twist: Array) -> Array:
+    """The matrix (6, 6) of the Lie bracket of a twist (v, w) with others."""
+    W, out = skew(twist[3:]), np.zeros((6, 6))
+    out[:3, :3] = out[3:, 3:] = W
+    out[:3, 3:] = skew(twist[:3])
     return out

@@ -45,8 +45,8 @@ class Predictive(LawBase):
     """min over u_1 ... u_B of  sum over k = 1 ... K of |e_k - exp(-gain k T) e_0|^2 + effort |u|^2,   of which u_1 is ordered.
 
     e_k = s(p_k) - s* is the error at the end of the k-th camera period T, predicted with the robot's model: servos of first order
-    with their lag, the Jacobian at the joints of that time, the markers moved as rigid bodies. e_0 is that at the time when the command takes
-    effect: latency is part of the model. The prediction is made with the plan of the last frame and linearised about it (one step of
+    with their lag, the Jacobian at the joints of that time, the markers moved as rigid bodies. e_0 is that at the time when the command
+    takes effect: latency is part of the model. The prediction is made with the plan of the last frame and linearised about it (one step of
     sequential quadratic programming a frame); plans are constant over `blocks` of growing length.
 
     Subject to, over the whole horizon: markers' edges `margin_px` inside the picture; joint positions, speeds and accelerations; `limits`
@@ -57,7 +57,8 @@ class Predictive(LawBase):
     Without a binding constraint, latency and lag, it moves as `ibvs` of the same gain does with the current interaction matrix.
 
     Args:
-        gain: decay of the wanted error [1/s].
+        gain: decay of the wanted error [1/s]. Where gain K T is under .5, the wanted way is little more than its beginning, and the camera
+            retreats from a large rotation about its axis as that of `ibvs` does.
         feature: the feature s.
         horizon: K, number of periods that are predicted. blocks: B, number of velocities in a plan.
         model: `global` takes interaction matrix and Jacobian along the predicted way, `local` those of now throughout.
@@ -75,7 +76,7 @@ class Predictive(LawBase):
     """
 
     kind: Literal["predictive"] = "predictive"
-    gain: PositiveGain = 0.5
+    gain: PositiveGain = 2.0
     feature: Annotated[Point | Polar | Spherical | Polygon | LineFeature, FEATURES] = Point()
     horizon: Annotated[int, Ge(1), Le(50)] = 10
     blocks: Annotated[int, Ge(1), Le(50)] = 4

@@ -19,7 +19,7 @@ VIOLATION_COST = 1e6
 """Cost of a squared violation of a soft constraint, in units of the mean curvature of the objective."""
 ITERATIONS = 500
 """Most iterations of one program. A count and not a time: the same run gives the same commands on every machine."""
-REGULARISATION = 1e-7
+REGULARISATION = 1e-9
 """Added to the diagonal of the objective as a share of its mean: of many solutions the smallest is taken."""
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from annotated_types import Gt, Le
 
 from vstestbed.core.geometry import Array, inverse
-from vstestbed.core.quantity import PositiveGain
+from vstestbed.core.quantity import Angle, PositiveGain
 from vstestbed.core.spec import OneOf, spec
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.program import Group, Solution, minimise
@@ -25,14 +25,17 @@ STEP = 1e-5
 
 @spec
 class Posture:
-    """Joints towards the nominal start: x = gain (q_nominal - q).
+    """Joints towards a posture: x = gain (q* - q).
 
     Args:
-        gain: [1/s]. weight: of the squared difference from that, beside the law's rows.
+        q_deg: the posture [deg; m for a joint that slides]; by default that of the start.
+        gain: of the approach [1/s].
+        weight: of the squared difference from that, beside the law's rows.
         priority: `weighted` beside the law, or `strict`: only motions that the law's features do not see.
     """
 
     kind: Literal["posture"] = "posture"
+    q_deg: tuple[Angle, ...] | None = None
     gain: PositiveGain = 0.5
     weight: Weight = 0.01
     priority: Priority = "strict"
@@ -40,8 +43,8 @@ class Posture:
 
     def rows(self, seen: Observation, goal: Goal, robot: OwnModel) -> tuple[Array, Array]:
         """A (n, n) and b (n,) of the wanted A x = b."""
-        n = len(robot.names)
-        return np.eye(n), self.gain * (robot.nominal - robot.q)
+        wanted = robot.nominal if self.q_deg is None else robot.positions(self.q_deg)
+        return np.eye(len(robot.names)), self.gain * (wanted - robot.q)
 
 
 @spec
@@ -74,7 +77,7 @@ class Manipulability:
     """Away from singularities: up the gradient of sqrt(det(J J^T)), lengths in metres.
 
     Args:
-        gain: velocity per unit of the gradient's direction [rad/s].
+        gain: size of the velocity up the gradient [rad/s].
         weight: of the squared difference from it, beside the law's rows.
         priority: `weighted` beside the law, or `strict`: only motions that the law's features do not see.
 

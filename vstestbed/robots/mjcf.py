@@ -14,9 +14,11 @@ from vstestbed.core.geometry import Array
 from vstestbed.core.named_files import absolute_file
 from vstestbed.core.quantity import Angle, PositiveSpeed, Stiffness, Torque
 from vstestbed.core.spec import spec
-from vstestbed.robots.allocation import Actuation, Servo
+from vstestbed.robots.allocation import Actuation, Mount, Servo
 from vstestbed.robots.arm import Arm
 from vstestbed.robots.chain import READERS, ChainReader, JointChain
+from vstestbed.robots.own_model import OwnModel
+from vstestbed.robots.reading import Reading
 
 STIFFNESS, RATIO_S = 4500.0, 1 / 40
 """Position gain of a velocity servo over the joint's inertia [1/s^2], and its velocity gain over that [s]. The Puma's servos have 3500 to
@@ -184,6 +186,10 @@ class Mjcf(Arm):
     def unit_m(self) -> float:
         """The longest link."""
         return self.chain.unit_m
+
+    def own_model(self, reading: Reading, mount: Mount) -> OwnModel:
+        """Its joints, and which of them slide."""
+        return replace(super().own_model(reading, mount), slides=self.chain.slides)
 
     def kinematics(self, q: Array) -> tuple[Array, Array]:
         """Those of the file."""

@@ -6,7 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
+from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 
 NONE = np.zeros(0)
@@ -27,6 +29,7 @@ class OwnModel:
         sums, most: |sums @ rates| <= most, (k, n) and (k,), for limits that several velocities share (a wheel's speed).
         turning_radius_m: of the tightest circle: |w| <= |v| / radius for the last and the first velocity; 0: on the spot.
         tilt, most_tilt_rad: roll and pitch (2,) of a craft, and the largest it may order; its acceleration needs them.
+        slides: which positions are lengths (n,); empty for none.
         lag_s: time constant with which velocities follow their orders [s].
         moved: displacement (n,) between the exposures of the last picture and this one, and since_s the time between them [s].
         underway: displacement (n,) from the exposure until this frame's command takes effect: measured until now, as ordered from then;
@@ -49,6 +52,7 @@ class OwnModel:
     tilt: Array | None = None
     most_tilt_rad: float = np.inf
     lag_s: float = 0.0
+    slides: NDArray[np.bool_] = field(default_factory=lambda: NONE.astype(bool))
     moved: Array = field(default_factory=lambda: NONE)
     since_s: float = 0.0
     underway: Array = field(default_factory=lambda: NONE)
@@ -73,6 +77,12 @@ class OwnModel:
         }
         return cls(names=names, J=J, jacobian=lambda q: J, speed=speed, acceleration=acceleration, **values)  # pyright: ignore[reportArgumentType] - fields by name
 
-    def twist(self, rates: Array) -> Array:
-        """The camera twist (6,) of velocities (n,)."""
-        return self.J @ rates
+    def positions(self, given: tuple[float, ...]) -> Array:
+        """Positions (n,) given in degrees, in metres where a joint slides.
+
+        Raises:
+            ParameterError: another number of them.
+        """
+        if len(given) != len(self.names):
+            raise ParameterError("q_deg", f"must be {len(self.names)} positions, of {', '.join(self.names)}", list(given))
+        return np.where(self.slides, given, np.radians(given)) if len(self.slides) else np.radians(given)
