@@ -168,7 +168,7 @@ def test_a_strict_posture_moves_what_two_markers_do_not_see() -> None:
         vs.run(replace(two, law=QP(law=within, margin_px=None, secondary=tasks)), watch=[frames])
         away[name] = np.linalg.norm(frames.kept[-1].truth.q - wanted)
         errors[name] = np.array([frame.error.rms_px for frame in frames.kept])
-    assert away["posture"] < 0.95 * away["alone"]
+    assert away["posture"] < away["alone"] - 0.005
     np.testing.assert_allclose(errors["posture"], errors["alone"], rtol=0.03, atol=0.3)  # the features do not see it
 
 
