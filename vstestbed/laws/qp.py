@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from annotated_types import Ge, Le
+from numpy.typing import NDArray
 
 from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import Distance, Pixels, PositiveGain, PositiveTime
@@ -26,7 +27,8 @@ from vstestbed.laws.program import Group, Solution, minimise
 from vstestbed.laws.secondary import Secondary, added, among_solutions
 from vstestbed.laws.select import usable_rows
 from vstestbed.laws.solve import least_squares
-from vstestbed.laws.visibility import check_margin
+from vstestbed.laws.views import Views
+from vstestbed.laws.visibility import check_margin, pixel_interaction
 from vstestbed.robots.own_model import OwnModel
 
 SERVO = OneOf("law", IBVS, Partitioned, PBVS, Hybrid, default="ibvs")
@@ -156,6 +158,39 @@ class QP(LawBase):
         rates, twist = solution.x * scale, twist * scale
         u = twist if basis.shape == (6, 6) else least_squares(basis, twist)
         return QPMemory(kept), Command(u, twist, wanted.rest_reason, scale * wanted.scale, rates=rates, mode=mode)
+
+    @property
+    def state_size(self) -> int:
+        """As that of the law within."""
+        return self.law.state_size
+
+    def step_batch(self, memory: Array, views: Views, goal: Goal) -> tuple[Array, Array]:
+        """One frame of many runs (see `BatchLaw`): where the motion of the law within breaks no constraint, it is the solution.
+
+        Only the programs of the others are solved, one by one; the ideal cameras of a batch have no joints.
+        """
+        memory, twist = self.law.step_batch(memory, views, goal)
+        for i in np.flatnonzero(self._binds(views, twist, goal) & np.isfinite(twist[:, 0])):
+            seen = views.of_run(int(i), self.inputs)
+            assert seen.robot is not None
+            x = self._solved(Command(twist[i], twist[i]), seen, goal, seen.robot)[0].x
+            twist[i] = np.nan if x is None else x
+        return memory, self.limits.within(twist)
+
+    def _binds(self, views: Views, twist: Array, goal: Goal) -> NDArray[np.bool_]:
+        """Which runs' twists (M, 6) break a constraint, (M,)."""
+        if self.secondary or self.plane_m is not None:
+            return np.ones(len(twist), dtype=bool)
+        binds = self.limits.within(twist) != twist
+        if self.margin_px is None or len(goal.camera.panels) > 1:
+            return binds.any(axis=1)
+        M, N, _ = views.p.shape
+        distance, inwards = goal.camera.borders(goal.camera.project(views.p.reshape(-1, 3)))
+        h = (distance - views.radius_px.reshape(-1, 1) - self.margin_px).reshape(M, -1)
+        L = pixel_interaction(goal.camera, (views.ray * views.range[..., None]).reshape(-1, 3)).reshape(M, N, 2, 6)
+        uv_dot = np.einsum("mnki,mi->mnk", L, twist).reshape(-1, 2)
+        h_dot = np.einsum("nbk,nk->nb", inwards, uv_dot).reshape(M, -1)
+        return (h_dot < -self.barrier_per_s * h).any(axis=1) | binds.any(axis=1)
 
     def _solved(self, wanted: Command, seen: Observation, goal: Goal, robot: OwnModel) -> tuple[Solution, tuple[str, ...]]:
         """The velocities, and the words of what gave way, in the order of GIVE_WAY."""

@@ -10,7 +10,8 @@ import numpy as np
 
 from vstestbed.core.geometry import Array
 from vstestbed.features.depth import AtGoal, Constant, Depth
-from vstestbed.features.observation import Goal
+from vstestbed.features.observation import Goal, Observation
+from vstestbed.robots.own_model import OwnModel
 
 
 @dataclass(frozen=True)
@@ -21,6 +22,7 @@ class Views:
         t: time [s].
         p: the markers in the camera frame (M, N, 3) [m]. T_camera_target: poses (M, 4, 4).
         goal: the goal view of these markers. depth_from: the source of depth; `pnp` and `oracle` give the true depth.
+        marker_radius_m: of every marker [m].
     """
 
     t: float
@@ -28,6 +30,7 @@ class Views:
     T_camera_target: Array
     goal: Goal
     depth_from: Depth
+    marker_radius_m: float = 0.0
 
     @cached_property
     def xy(self) -> Array:
@@ -50,6 +53,12 @@ class Views:
         return self._known(self._reach, self.goal.range)
 
     @cached_property
+    def radius_px(self) -> Array:
+        """Apparent radius of each marker by its depth as known to the law (M, N) [px]."""
+        p = self.ray * self.range[..., None]
+        return self.goal.camera.half_size(p.reshape(-1, 3), self.marker_radius_m).max(axis=1).reshape(p.shape[:2])
+
+    @cached_property
     def _reach(self) -> Array:
         return np.sqrt(np.einsum("mni,mni->mn", self.p, self.p))  # the true distance, whatever `depth_from` says
 
@@ -61,6 +70,15 @@ class Views:
                 return np.broadcast_to(at_goal, true.shape)
             case _:
                 return true
+
+    def of_run(self, i: int, inputs: tuple[str, ...], period_s: float = 0.0) -> Observation:
+        """What the law of run i is shown: of the costly fields those that it names."""
+        rays = (self.ray[i], self.range[i]) if "ray" in inputs else (None, None)
+        radius = self.radius_px[i] if "radius_px" in inputs else None
+        robot = OwnModel.of_ideal_camera(period_s) if "robot" in inputs else None
+        uv = self.goal.camera.project(self.p[i])
+        seen = self.xy[i], self.depth[i], self.T_camera_target[i]
+        return Observation(self.t, uv, *seen, *rays, radius_px=radius, robot=robot)
 
 
 @runtime_checkable

@@ -13,7 +13,7 @@ from vstestbed.core.geometry import Array
 from vstestbed.robots.allocation import Actuation, Allocation, Mount
 from vstestbed.robots.base import Base
 from vstestbed.robots.body import Change
-from vstestbed.robots.own_model import OwnModel
+from vstestbed.robots.own_model import CAMERA, OwnModel
 from vstestbed.robots.reading import Reading
 from vstestbed.robots.robot_log import RobotLog
 from vstestbed.robots.supervisor import Supervisor
@@ -53,7 +53,7 @@ class RobotBase:
 
     lag_s: ClassVar[float] = 0.0
     """Time constant with which its velocities follow their orders [s]."""
-    motion_names: ClassVar[tuple[str, ...]] = ("vx", "vy", "vz", "wx", "wy", "wz")
+    motion_names: ClassVar[tuple[str, ...]] = CAMERA
     """Names of the columns of `motion_basis`."""
 
     @property

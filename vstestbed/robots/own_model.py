@@ -12,6 +12,8 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 
 NONE = np.zeros(0)
+CAMERA = ("vx", "vy", "vz", "wx", "wy", "wz")
+"""The motions of a camera that flies freely."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,6 +78,14 @@ class OwnModel:
             **more,
         }
         return cls(names=names, J=J, jacobian=lambda q: J, speed=speed, acceleration=acceleration, **values)  # pyright: ignore[reportArgumentType] - fields by name
+
+    @classmethod
+    def of_ideal_camera(cls, period_s: float, moved: Array | None = None) -> OwnModel:
+        """A camera that follows every twist at once and without limit; moved: displacement since the last picture (6,)."""
+        zero = np.zeros(6)
+        values = {"underway": zero, "ordered": zero, "period_s": period_s, "moved": zero if moved is None else moved}
+        since = 0.0 if moved is None else period_s
+        return cls.of_motions(CAMERA, np.eye(6), np.full(6, np.inf), np.full(6, np.inf), since_s=since, **values)
 
     def positions(self, given: tuple[float, ...]) -> Array:
         """Positions (n,) given in degrees, in metres where a joint slides.

@@ -219,14 +219,14 @@ def _commands(setup: BatchSetup, runs: _Runs, p: Array, seen: NDArray[np.bool_],
     needed = max(setup.needed, FIRST_POSE) if setup.posed and t == 0 else setup.needed
     if isinstance(setup.law, OneByOne):
         enough = np.count_nonzero(usable, axis=1) >= needed
-        views = Views(t, p[enough], runs.T[enough], setup.scenario.goal_view, law.depth)
+        views = Views(t, p[enough], runs.T[enough], setup.scenario.goal_view, law.depth, setup.scenario.target.marker.radius)
         memory[enough], twist[enough] = setup.law.step(memory[enough], views, usable[enough], setup.scenario.goal_view)
         return memory, twist, np.isfinite(twist[:, 0])
     for which, rows in _groups(usable):
         if np.count_nonzero(rows) < needed:
             continue
         goal = setup.goal(slice(None) if rows.all() else rows)
-        views = Views(t, p[which] if rows.all() else p[which][:, rows], runs.T[which], goal, law.depth)
+        views = Views(t, p[which] if rows.all() else p[which][:, rows], runs.T[which], goal, law.depth, setup.scenario.target.marker.radius)
         memory[which], twist[which] = setup.law.step_batch(runs.memory[which], views, goal)
         if law.inputs == ("relative",):
             twist[which] = np.where(_undetermined(views, goal)[:, None], np.nan, twist[which])

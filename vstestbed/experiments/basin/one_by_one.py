@@ -12,6 +12,7 @@ from vstestbed.core.geometry import Array
 from vstestbed.features.observation import Goal, Observation, Relative
 from vstestbed.laws import Law
 from vstestbed.laws.views import Views
+from vstestbed.robots.own_model import OwnModel
 from vstestbed.vision.pose.homography import relative_view
 
 SIX = np.eye(6)
@@ -31,6 +32,7 @@ class OneByOne:
 
     def __init__(self, law: Law[Any], camera: Camera):
         self._law, self._camera, self._memories = law, camera, []
+        self._moved: list[Array] = []
 
     def step(self, memory: Array, views: Views, seen: NDArray[np.bool_], goal: Goal) -> tuple[Array, Array]:
         """One frame of m runs: the next memory (m, 1), and the camera twists (m, 6), NaN where the law orders rest.
@@ -46,13 +48,16 @@ class OneByOne:
             if np.isnan(memory[i, 0]):
                 memory[i, 0] = len(self._memories)
                 self._memories.append(self._law.init(goal))
-            k, observation = int(memory[i, 0]), self._observation(views, i, seen[i], uv[i], goal)
+                self._moved.append(np.zeros(6))
+            k = int(memory[i, 0])
+            observation = self._observation(views, i, seen[i], uv[i], goal, self._moved[k])
             self._memories[k], command = self._law.step(self._memories[k], observation, goal, SIX)
             if not command.rest_reason:
                 twist[i] = command.twist
+                self._moved[k] = command.twist * self._camera.period
         return memory, twist
 
-    def _observation(self, views: Views, i: int, seen: NDArray[np.bool_], uv: Array, goal: Goal) -> Observation:
+    def _observation(self, views: Views, i: int, seen: NDArray[np.bool_], uv: Array, goal: Goal, moved: Array) -> Observation:
         """What the law is shown of run i."""
         inputs = self._law.inputs
         xy, depth, ray, reach = (np.where(seen if a.ndim == 1 else seen[:, None], a, np.nan) for a in _of(views, i))
@@ -60,7 +65,9 @@ class OneByOne:
         relative: Relative | None = relative_view(goal.xy, xy, goal.normal) if "relative" in inputs else None
         if self._law.depth.needs_pose and T is None:
             depth = np.full_like(depth, np.nan)
-        return Observation(views.t, uv, xy, depth, T, ray, reach, relative)
+        radius = views.radius_px[i] if "radius_px" in inputs else None
+        robot = OwnModel.of_ideal_camera(self._camera.period, moved) if "robot" in inputs else None
+        return Observation(views.t, uv, xy, depth, T, ray, reach, relative, radius_px=radius, robot=robot)
 
 
 def _of(views: Views, i: int) -> tuple[Array, Array, Array, Array]:

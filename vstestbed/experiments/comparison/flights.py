@@ -178,7 +178,7 @@ def _stacked(setup: BatchSetup, T: Array, twist: Array, error: Array) -> dict[st
     s, n = setup.scenario, len(T)
     step_s, steps = s.clock
     t, p, goal = np.arange(n) * steps * step_s, transform(T, s.target.points), s.goal_view
-    views = Views(0.0, p, T, goal, s.law.depth)
+    views = Views(0.0, p, T, goal, s.law.depth, s.target.marker.radius)
     return {
         "t": t,
         "frame": np.arange(n),
