@@ -142,7 +142,7 @@ def test_chattering_is_counted_and_hysteresis_or_a_dwell_time_ends_it():
         "hysteresis": {"hysteresis": 0.1, "dwell_s": 0},
         "dwell": {"hysteresis": 0, "dwell_s": 0.4},
     }
-    found = {name: vs.run(half_turned(law | one, **{"stop.duration_s": 6})).summary() for name, one in choices.items()}
+    found: dict[str, Any] = {name: vs.run(half_turned(law | one, **{"stop.duration_s": 6})).summary() for name, one in choices.items()}
     assert found["none"]["law_switches"] > 3 * max(found[name]["law_switches"] for name in ("hysteresis", "dwell"))
     assert found["none"]["law_shortest_stay_s"] == pytest.approx(0.04)
     assert found["dwell"]["law_shortest_stay_s"] > 0.4 - 1e-9

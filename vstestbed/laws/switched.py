@@ -72,7 +72,7 @@ class Switched(LawBase):
     When the active law is barred, the first law of the list that is free takes over. While none is free, the active one goes on. With
     `prefer: first` a law that stands earlier in the list also takes over as soon as it is free. The first free law of the list begins.
 
-    A law takes over with the memory of its first frame (`init`): what it remembered of an earlier turn, such as the start of its
+    A law takes over with the memory of its first frame (`init`). What it remembered of an earlier turn, such as the start of its
     smooth start or the views from which its feedforward estimates a velocity, is of another time. For `blend_s` the command
     crosses over from the last one of the law before:  u = a u_i + (1 - a) u_before,  a = (t - t_before) / blend_s.  It is then ordered
     as a camera twist, also where the law orders joint velocities. A law that orders rest rests at once.
