@@ -29,13 +29,13 @@ class Until:
     """A law is left when one of these holds; none: it is never left.
 
     Args:
-        error_over_px, error_under_px: RMS of the image error over the coordinates seen [px].
-        position_over_m, position_under_m: distance of the camera from its goal, by the estimated pose [m].
-        rotation_over_deg, rotation_under_deg: angle of the camera from its goal, by the estimated pose [deg].
+        error_over_px, error_under_px: RMS of the image error over the coordinates seen [px]; e.g. `20`.
+        position_over_m, position_under_m: distance of the camera from its goal, by the estimated pose [m]; e.g. `0.5`.
+        rotation_over_deg, rotation_under_deg: angle of the camera from its goal, by the estimated pose [deg]; e.g. `40`.
         retreat_over_m: distance from the target's origin beyond that at the start and that at the goal, by the estimated pose [m].
-        border_under_px: distance of the nearest marker's edge from the image border [px]; a marker that is not seen is at the border.
-        joint_margin_under_deg: distance of the nearest joint from its limit [deg], for a joint that slides a radian a metre; never so
-            for a robot whose joints have no limits.
+        border_under_px: distance of the nearest marker's edge from the image border, 0 where a marker is not seen [px].
+        joint_margin_under_deg: distance of the nearest joint from its limit, a joint that slides counting a radian a metre; infinite for
+            a robot whose joints have no limits [deg]; e.g. `10`.
     """
 
     error_over_px: PositivePixels | None = None

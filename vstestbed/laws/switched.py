@@ -90,7 +90,7 @@ class Switched(LawBase):
         laws: in the order of preference, the first being the one to begin with; e.g.
             `[{law: ibvs, until: {border_under_px: 30}}, pbvs]`.
         prefer: what works when several laws are free: the `active` one, or the `first` of the list.
-        hysteresis: share of a limit by which a quantity must be back before it frees a law.
+        hysteresis: share of a limit by which a quantity must be back before it frees a law [1].
         dwell_s: least time between two switches [s].
         blend_s: time in which the command crosses over after a switch [s]; 0: it jumps.
 

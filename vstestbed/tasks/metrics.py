@@ -180,7 +180,7 @@ class ErrorGrowth:
     that grow by less than `least` of the largest one of the run count as noise.
 
     Args:
-        least: share of the largest error until then under which a growth is not counted.
+        least: share of the largest error until then under which a growth is not counted [1].
     """
 
     kind: Literal["error_growth"] = "error_growth"
