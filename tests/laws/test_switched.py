@@ -29,6 +29,7 @@ from vstestbed.targets.points import Square
 from vstestbed.tasks.metrics import ErrorGrowth
 
 NEVER = 900.0
+BROYDEN = Path(__file__).parents[1] / "examples" / "broyden.py"
 POINTS = Square(side=0.5, pose=Pose()).points
 GOAL = Goal.from_view(book_camera(), POINTS, Pose(xyz=(0, 0, 1)).T)
 RETREAT = {"kind": "switched", "laws": [{"law": "ibvs", "until": {"retreat_over_m": 0.3}}, "pbvs"]}
@@ -173,10 +174,19 @@ def test_a_law_that_fails_ends_the_run(monkeypatch: pytest.MonkeyPatch):
     def fails(*_: object) -> None:
         raise ZeroDivisionError("of its own")
 
-    monkeypatch.setattr(PBVS, "step", fails)
+    good = PBVS.step
+    monkeypatch.setattr(PBVS, "step", lambda law, *given: good(law, *given) if given[1].t < 0.5 else fails())
     recording = vs.run(half_turned(RETREAT))
+    assert recording.summary()["law_switches"] == 1  # to fail is none
     assert recording.outcome is vs.Outcome.law_failed
     assert "raised ZeroDivisionError: of its own" in recording.reason
+
+
+def test_a_law_of_ones_own_may_be_one_of_them():
+    own = {"law": {"kind": "broyden", "gain": 1}, "until": {"error_under_px": 100}}
+    changes = {"law": {"kind": "switched", "laws": [own, "pbvs"]}, "detector": "oracle", "stop.duration_s": 6}
+    recording = vs.run(vs.load("ibvs_book", changes, plugins=[str(BROYDEN)]))
+    assert set(recording["law_mode"]) == {0, 1} and recording.scenario.law.modes == ("broyden", "pbvs")
 
 
 def test_a_batch_flies_it_as_a_run_does():
