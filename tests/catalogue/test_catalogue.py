@@ -18,7 +18,9 @@ from vstestbed.core.assets import folder
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose
 from vstestbed.features import FEATURES
-from vstestbed.laws import LAWS
+from vstestbed.laws import IBVS, LAWS, PBVS
+from vstestbed.laws.conditions import Until
+from vstestbed.laws.switched import Part
 from vstestbed.robots import ROBOTS, Free
 from vstestbed.robots.free import FreeStart
 from vstestbed.targets import TARGETS, GroundLines, MeshTarget, PictureTarget, Points, Square
@@ -33,7 +35,11 @@ from vstestbed.vision import DETECTORS, Tags
 from vstestbed.vision.perturb import PERTURBATIONS
 
 POLICY = {"file": str(Path(wrong.__file__).with_name("policy.py")) + ":Smooth"}
-LAW_PARAMETERS = {word: {"gain": 1.0} for word in ("partitioned", "pbvs", "hybrid", "ibvs")} | {"policy": POLICY}
+TURNS = (Part(law=IBVS(gain=1.0), until=Until(error_under_px=20.0)), Part(law=PBVS(gain=1.0)))
+LAW_PARAMETERS = {word: {"gain": 1.0} for word in ("partitioned", "pbvs", "hybrid", "ibvs")} | {
+    "policy": POLICY,
+    "switched": {"laws": TURNS},
+}
 TASKS = {
     "view": lambda: quick("view"),
     "view_from": lambda: scenario("omni_ibvs", {"robot.wheels": "planar"}),

@@ -127,6 +127,7 @@ class OneOf(Room):
     ):
         super().__init__(what, number, default, fields)
         self.contract = contract
+        self._left_out: set[str] = set()  # of each validator that was built from this room, the kind that it leaves out; "" for none
         for member in members:
             self._add(member)
 
@@ -136,9 +137,13 @@ class OneOf(Room):
         Raises:
             ParameterError: the class is no spec, its word is taken, or it breaks the contract of the room.
         """
-        if self._add(member):
+        if self._add(member) and self._left_out - {kind_of(member)}:
             _GROWN.append(self.what)
         return member
+
+    def without(self, kind: str) -> OneOf:
+        """The same room for a field in the block of one of its kinds, which may not hold another of that kind."""
+        return _Without(self, kind)
 
     def _add(self, member: type) -> bool:
         """Whether the member is new."""
@@ -196,10 +201,14 @@ class OneOf(Room):
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         """Pydantic's hook: a union discriminated by `kind`, with bare words expanded to the block of that kind."""
+        self._is_built()
         # Discriminated by `kind`: an error is then one of the block that was meant, not one of each kind.
         choices: dict[Any, CoreSchema] = {k: handler.generate_schema(m) for k, m in self.members.items()}
         union = core_schema.tagged_union_schema(choices, lambda v: v["kind"] if isinstance(v, dict) else v.kind)
         return core_schema.no_info_before_validator_function(self._block, union)
+
+    def _is_built(self) -> None:
+        self._left_out.add("")
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         """Pydantic's hook for the JSON Schema: a block of one of the kinds, or a shorthand (a bare word, a number)."""
@@ -216,6 +225,22 @@ class OneOf(Room):
             block = handler.resolve_ref_schema(blocks[list(self.members).index(kind)])
             choices.append({key: value for key, value in block["properties"][field].items() if key not in ("default", "title")})
         return {"anyOf": choices}
+
+
+class _Without(OneOf):
+    """A room without one of its kinds; what joins the room later is in it, too."""
+
+    def __init__(self, room: OneOf, kind: str):
+        # Not OneOf's: this is no list of its own, and `ROOMS` has the room already.
+        self._room, self._kind = room, kind
+        self.what, self.number, self.default, self.fields = room.what, room.number, room.default, room.fields
+
+    @property
+    def members(self) -> dict[str, type]:  # pyright: ignore[reportIncompatibleVariableOverride] - of the room as it is now
+        return {kind: member for kind, member in self._room.members.items() if kind != self._kind}
+
+    def _is_built(self) -> None:
+        self._room._left_out.add(self._kind)
 
 
 @dataclasses.dataclass(frozen=True)

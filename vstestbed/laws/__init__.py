@@ -1,6 +1,5 @@
 """Control laws: what the camera saw, in; a velocity, out. A law never touches a simulator."""
 
-from vstestbed.core.spec import OneOf
 from vstestbed.laws.base import LAW_CONTRACT, Command, Law, LawBase
 from vstestbed.laws.hybrid import Hybrid
 from vstestbed.laws.ibvs import IBVS
@@ -12,12 +11,15 @@ from vstestbed.laws.pose_controller import PoseController
 from vstestbed.laws.predictive import Predictive
 from vstestbed.laws.pursuit import Pursuit
 from vstestbed.laws.qp import QP
+from vstestbed.laws.single import LAWS
+from vstestbed.laws.switched import Switched
 
-LAWS = OneOf("law", IBVS, Partitioned, PBVS, Hybrid, PoseController, Pursuit, LineFollowing, Policy, QP, Predictive, contract=LAW_CONTRACT)
+LAWS.add(Switched)
 
 __all__ = [
     "IBVS",
     "LAWS",
+    "LAW_CONTRACT",
     "PBVS",
     "QP",
     "Command",
@@ -30,4 +32,5 @@ __all__ = [
     "PoseController",
     "Predictive",
     "Pursuit",
+    "Switched",
 ]

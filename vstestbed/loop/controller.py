@@ -126,12 +126,12 @@ class Controller:
     def retune(self, law: Law[Any]) -> None:
         """Go on with other parameters of the law from the next picture on; the memories of all parts stay.
 
-        law: of the same kind, feature and source of depth, which the memories and the observer belong to.
+        law: of the same kind, feature, modes and source of depth, which the memories and the observer belong to.
 
         Raises:
             ParameterError: of another one, or a law that this scenario refuses.
         """
-        for name in ("kind", "feature", "depth", "inputs"):
+        for name in ("kind", "feature", "depth", "inputs", "modes"):
             before, after = getattr(self.law, name), getattr(law, name)
             if before != after:
                 raise ParameterError(f"law.{name}", "cannot be changed during a run, since the law's memory belongs to it")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import traceback
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ class GuardedLaw:
 
     def __init__(self, law: Law[Any]):
         self._law, self.failure = law, ""
+        self._mode = 0  # in which it failed: to fail is no switch
 
     def step(self, memory: Any, seen: Observation, goal: Goal, basis: Array) -> tuple[Any, Command]:
         """One frame of the law; after a failure rest, with `failure` as its reason.
@@ -39,10 +41,11 @@ class GuardedLaw:
             except BaseException as error:  # also sys.exit: a law must not end the program
                 self.failure = f"law {self._law.kind} raised {type(error).__name__}: {error} ({self._where(error)})"
             else:
+                self._mode = command.mode
                 if all_finite(command.twist):
                     return memory, command
                 self.failure = f"law {self._law.kind} gave a twist that is not finite, {np.round(command.twist, 3)}"
-        return memory, Command.rest(basis, self.failure)
+        return memory, replace(Command.rest(basis, self.failure), mode=self._mode)
 
     def _checked(self, stepped: Any) -> tuple[Any, Command]:
         """What `step` returned, if it is a memory and a command of six numbers."""

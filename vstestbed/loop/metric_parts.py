@@ -210,3 +210,33 @@ class Tracking:
         rms = np.sqrt(self._squares / self._frames)
         values = (rms[0], self._largest[0], rms[1], self._largest[1])
         return {name: float(value) for name, value in zip(names, values, strict=True)}
+
+
+class Modes:
+    """How a law with `modes` was switched: each change of the mode from one frame to the next is a switch."""
+
+    def __init__(self, scenario: Scenario):
+        self._words = scenario.law.modes
+        self._frames = np.zeros(len(self._words), dtype=int)
+        self._last: Array = np.empty((0, 2))  # time and mode of the last frame: a switch may lie between two blocks
+        self._switched_s: list[float] = []
+
+    def add(self, log: Columns) -> None:
+        """See `Part`."""
+        if not self._words:
+            return
+        rows = np.vstack([self._last, np.column_stack([log["t"], log["law_mode"]])])
+        self._switched_s += rows[1:, 0][np.diff(rows[:, 1]) != 0].tolist()
+        self._frames += np.bincount(log["law_mode"].astype(int), minlength=len(self._words))
+        self._last = rows[-1:]
+
+    def figures(self) -> Figures:
+        """See `Part`; none for a law without modes."""
+        if not self._words:
+            return {}
+        frames = max(int(self._frames.sum()), 1)
+        return {
+            "law_switches": len(self._switched_s),
+            "law_shortest_stay_s": float(np.diff(self._switched_s).min()) if len(self._switched_s) > 1 else None,
+            "law_mode_share": {word: int(n) / frames for word, n in zip(self._words, self._frames, strict=True)},
+        }

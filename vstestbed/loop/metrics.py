@@ -10,9 +10,9 @@ import numpy as np
 
 from vstestbed.core.geometry import Array
 from vstestbed.core.outcome import Outcome
-from vstestbed.loop.metric_parts import CameraPath, Convergence, Counts, ImagePaths, Peaks, Tracking
+from vstestbed.loop.metric_parts import CameraPath, Convergence, Counts, ImagePaths, Modes, Peaks, Tracking
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.tasks.metrics import FIGURES, Figures, OwnFigures, Part
+from vstestbed.tasks.metrics import FIGURES, MODE_FIGURES, Figures, OwnFigures, Part
 
 
 class Blocks(Protocol):
@@ -65,6 +65,8 @@ def summarise(scenario: Scenario, outcome: Outcome, log: Blocks) -> dict[str, ob
     tracking_*: for a moving target (in the gripper, only in continuing tasks), the true error once settled
         (`goal.settle_s`): RMS over all coordinates of the markers and the largest of one frame [px], RMS and largest distance
         of the camera from its goal pose [m].
+    law_switches, law_shortest_stay_s, law_mode_share: only of a law with `modes`: how often its mode changed from one frame to the next,
+        the shortest time between two such changes (None with fewer than two), and the share of the frames in each mode.
     The figures of the scenario's own metrics (`tasks.metrics`) follow.
 
     Args:
@@ -77,6 +79,7 @@ def summarise(scenario: Scenario, outcome: Outcome, log: Blocks) -> dict[str, ob
         ImagePaths(scenario),
         Peaks(),
         Tracking(scenario),
+        Modes(scenario),
     ]
     own = OwnFigures(scenario.metrics, scenario.setup)
     for block in log.blocks():
@@ -86,7 +89,7 @@ def summarise(scenario: Scenario, outcome: Outcome, log: Blocks) -> dict[str, ob
     columns, before = WholeColumns(log), FIGURES.index("saturated_fraction")  # the task's own figures stand before it
     task = scenario.goal.metrics(columns) | scenario.goal.judged(columns, scenario.stop).summary()
     ordered: Figures = {name: figures[name] for name in FIGURES[:before]} | task
-    ordered |= {name: figures[name] for name in FIGURES[before:] if name in figures}
+    ordered |= {name: figures[name] for name in (*FIGURES[before:], *MODE_FIGURES, "law_mode_share") if name in figures}
     return {name: _clean(value) for name, value in (ordered | own.figures()).items()}
 
 

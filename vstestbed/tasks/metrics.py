@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from numbers import Real
-from typing import ClassVar, Literal, Protocol
+from typing import Annotated, ClassVar, Literal, Protocol
 
 import numpy as np
 
 from vstestbed.core.contract import Contract
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
+from vstestbed.core.quantity import Within
 from vstestbed.core.spec import OneOf, spec
 from vstestbed.tasks.base import Log
 from vstestbed.tasks.setup import Setup
@@ -40,11 +41,24 @@ FIGURES = (
     "judged_error",
 )
 """The names of every run's figures."""
+MODE_FIGURES = ("law_switches", "law_shortest_stay_s")
+"""Those of a law with modes besides."""
 TAKEN = frozenset(
     (
         *FIGURES,
+        *MODE_FIGURES,
         *("scenario", "outcome", "success", "reason", "seed", "folder", "task", "amount", "attempts", "batch"),
-        *("wall_time_s", "real_time_factor", "time_ms", "versions", "worst_task_error_m", "judged_unit", "judged_limit", "judged_by"),
+        *(
+            "wall_time_s",
+            "real_time_factor",
+            "time_ms",
+            "versions",
+            "worst_task_error_m",
+            "judged_unit",
+            "judged_limit",
+            "judged_by",
+            "law_mode_share",
+        ),
     )
 )
 """Names that a summary or a comparison's table has already."""
@@ -158,7 +172,49 @@ class _CommandVariation:
         return dict(zip(CommandVariation.titles, self._sums.tolist(), strict=True))
 
 
-METRICS = OneOf("metric", ErrorIntegrals, CommandVariation, contract=Contract(MetricContract))
+@spec
+class ErrorGrowth:
+    """Frames in which an error is larger than in the frame before: of the image (RMS [px], measured), and of the true position and angle.
+
+    The error of a law's own features falls in every frame under ideal conditions: its square is a Lyapunov function of the law. Errors
+    that grow by less than `least` of the largest one of the run count as noise.
+
+    Args:
+        least: share of the largest error until then under which a growth is not counted [1].
+    """
+
+    kind: Literal["error_growth"] = "error_growth"
+    least: Annotated[float, Within(0.0, 1.0, "", "a share of the largest error")] = 1e-4
+    titles: ClassVar[Mapping[str, tuple[str, str]]] = {
+        "image_error_growth_frames": ("Frames in which the image error grew", ""),
+        "position_error_growth_frames": ("Frames in which the position error grew", ""),
+        "rotation_error_growth_frames": ("Frames in which the rotation error grew", ""),
+    }
+
+    def part(self, setup: Setup) -> Part:
+        """Counts."""
+        return _ErrorGrowth(self.least)
+
+
+class _ErrorGrowth:
+    def __init__(self, least: float) -> None:
+        self._least, self._last, self._largest = least, np.full(3, np.nan), np.full(3, -np.inf)
+        self._frames = np.zeros(3, dtype=int)
+
+    def add(self, log: Log) -> None:
+        """See `Part`."""
+        errors = np.column_stack([log[name] for name in ("error_px", "position_error_m", "rotation_error_rad")])
+        rows = np.vstack([self._last, errors])
+        largest = np.maximum(self._largest, np.fmax.accumulate(np.nan_to_num(rows, nan=-np.inf), axis=0))
+        self._frames += (np.diff(rows, axis=0) > self._least * largest[1:]).sum(axis=0)
+        self._last, self._largest = rows[-1], largest[-1]
+
+    def figures(self) -> Figures:
+        """See `Part`."""
+        return dict(zip(ErrorGrowth.titles, self._frames.tolist(), strict=True))
+
+
+METRICS = OneOf("metric", ErrorIntegrals, CommandVariation, ErrorGrowth, contract=Contract(MetricContract))
 
 
 def own_titles() -> dict[str, tuple[str, str]]:

@@ -20,12 +20,12 @@ from vstestbed.scenario.load import text_of
 from vstestbed.scenario.plugins import absolute_files, load_named, load_plugins
 from vstestbed.scenario.validation import build
 from vstestbed.scenario.yaml_marks import Key, Marks, place_of, plain_mapping
-from vstestbed.tasks.metrics import FIGURES, own_titles
+from vstestbed.tasks.metrics import FIGURES, MODE_FIGURES, own_titles
 
 T = TypeVar("T")
 TASK, AMOUNT = "task", "amount"
 """Columns that only a comparison with tasks has."""
-OWN_COLUMNS = ("scenario", "seed", "folder", TASK, AMOUNT, "attempts", "outcome", "success", "reason", *FIGURES)
+OWN_COLUMNS = ("scenario", "seed", "folder", TASK, AMOUNT, "attempts", "outcome", "success", "reason", *FIGURES, *MODE_FIGURES)
 """Columns of the table, whose names no case may have."""
 
 
@@ -73,7 +73,7 @@ class Comparison:
             words = "may not be given together with `tasks`, which say themselves how many runs there are; leave one of the two out"
             raise ParameterError("seeds", words, self.seeds)
         for name in self.metrics:
-            if name not in (known := (*FIGURES, *own_titles())):
+            if name not in (known := (*FIGURES, *MODE_FIGURES, *own_titles())):
                 raise ParameterError("metrics", f"must be figures of summary.json: {', '.join(known)}", name)
 
     def _check_axes(self) -> None:

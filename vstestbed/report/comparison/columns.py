@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from vstestbed.core.geometry import Array
 from vstestbed.report.run import numbers
-from vstestbed.tasks.metrics import own_titles
+from vstestbed.tasks.metrics import MODE_FIGURES, own_titles
 
 DEFAULT_METRICS: Final = (
     "time_to_converge_s",
@@ -28,18 +28,17 @@ DEFAULT_METRICS: Final = (
     "saturated_fraction",
 )
 
+_SOMETIMES: Final = (*numbers.TRACKING_ROWS, *numbers.MODE_ROWS)
 # Titles and units are those of the single-run report, so that a number is called the same on both pages.
-_TITLES: Final = {
-    name: (title, unit) for name, title, unit in (*numbers.CONTINUING_TILES, *numbers.TILES, *numbers.ROWS, *numbers.TRACKING_ROWS)
-}
+_TITLES: Final = {name: (title, unit) for name, title, unit in (*numbers.CONTINUING_TILES, *numbers.TILES, *numbers.ROWS, *_SOMETIMES)}
 _SCALES: Final = {"final_position_error_m": ("mm", 1e3), "saturated_fraction": ("%", 1e2)}
 _FINAL: Final = ("final_error_px", "final_position_error_m", "final_rotation_error_deg")
-_ON_THE_WAY: Final = ("feature_overshoot", "worst_task_error_m", *(name for name, _, _ in numbers.TRACKING_ROWS))
+_ON_THE_WAY: Final = ("feature_overshoot", "worst_task_error_m", *(name for name, _, _ in _SOMETIMES))
 
 
 def shown_by_default(table: pl.DataFrame) -> tuple[str, ...]:
-    """Names of the numbers that are shown of a comparison that names none: the usual ones, and those of the scenarios' own metrics."""
-    return (*DEFAULT_METRICS, *(name for name in own_titles() if name in table.columns))
+    """Names of the numbers shown of a comparison that names none: the usual ones, those of laws with modes, the scenarios' own."""
+    return (*DEFAULT_METRICS, *(name for name in (*MODE_FIGURES, *own_titles()) if name in table.columns))
 
 
 @dataclass(frozen=True)

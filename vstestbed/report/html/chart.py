@@ -122,6 +122,7 @@ class ChartPanel:
         words: (x, y, text, anchor, colour) at points [data units]; at y = infinity below the upper border.
         xlim, ylim: limits, in the order left, right and bottom, top. lowest: lower limit of y; least: least span of y.
         equal: whether a unit is as long in x as in y. bare: without axes. log: whether y is logarithmic.
+        share: of the chart's height, as a multiple of another panel's.
         in_words: number of a tick as text, of x and of y; None for `numerals`.
     """
 
@@ -136,6 +137,7 @@ class ChartPanel:
     equal: bool = False
     bare: bool = False
     log: bool = False
+    share: float = 1.0
     in_words: tuple[Callable[[float], str] | None, Callable[[float], str] | None] = (None, None)
 
     def plot(self, x: Any, y: Any, **look: Any) -> None:
@@ -253,9 +255,10 @@ class Chart:
     def svg(self, label: str) -> str:
         """The chart as `<svg>` element with this name for screen readers, and the legend as a list below it."""
         width, (left, right, bottom, top) = 72 * WIDTH_IN, self._margins()
-        each = (self.height - bottom - top + GAP) / len(self.panels)
+        shares = [panel.share for panel in self.panels]
+        each = (self.height - bottom - top + GAP) / sum(shares)
         body = "".join(
-            panel.drawn(left, top + i * each, width - left - right, each - GAP, panel is self.panels[-1])
+            panel.drawn(left, top + sum(shares[:i]) * each, width - left - right, panel.share * each - GAP, panel is self.panels[-1])
             for i, panel in enumerate(self.panels)
         )
         look = f'role="img" aria-label="{escape(label)}" viewBox="0 0 {width:.1f} {self.height:.1f}" font-size="9.5" fill="var(--ink)"'

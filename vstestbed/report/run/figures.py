@@ -83,10 +83,14 @@ def _frame_picture(panel: ChartPanel, width: int | None, height: int | None) -> 
 def error(tracks: Tracks) -> Chart:
     """RMS image error over time, logarithmic, with the threshold and the intervals without target.
 
-    For a tilted craft also the error of the image rotated into its level frame, which decides convergence.
+    For a tilted craft also the error of the image rotated into its level frame, which decides convergence. Below, of a law with
+    modes, the one that it was in.
     """
-    chart = Chart(3.1)
-    (panel,) = chart.panels
+    modes = bool(tracks.setting.modes) and bool(np.isfinite(tracks.column("law_mode")).any())
+    chart = Chart(3.6, 2) if modes else Chart(3.1)
+    panel = chart.panels[0]
+    if modes:
+        _mark_modes(chart.panels[1], tracks)
     panel.log, panel.labels = True, ("", "RMS error [px]")
     value, level = tracks.column("error_px"), tracks.column("level_error_px")
     tilted = bool((level > 0).any())
@@ -102,6 +106,17 @@ def error(tracks: Tracks) -> Chart:
     _mark_views(panel, tracks)
     over_time(chart, tracks)
     return chart
+
+
+def _mark_modes(panel: ChartPanel, tracks: Tracks) -> None:
+    """A strip with the mode of the law over time, a colour for each."""
+    panel.share, panel.ylim, panel.labels, panel.in_words = 0.22, (0.0, 1.0), ("", "mode"), (None, lambda _: "")
+    mode, t = tracks.column("law_mode"), tracks.t
+    starts = np.flatnonzero(np.diff(mode, prepend=np.nan) != 0)
+    for a, b in zip(starts, [*starts[1:], len(t) - 1], strict=True):
+        number = int(np.nan_to_num(mode[a]))
+        word = tracks.setting.modes[number] if number < len(tracks.setting.modes) else f"mode {number}"
+        panel.area((t[a], t[b]), (0.0, 1.0), LINE_COLORS[(number + 1) % len(LINE_COLORS)], 0.75, word)
 
 
 def _mark_views(panel: ChartPanel, tracks: Tracks) -> None:

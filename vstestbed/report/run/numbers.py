@@ -47,6 +47,11 @@ TRACKING_ROWS: Final = (
     ("tracking_max_m", "Camera from its goal, largest", "m"),
 )
 """Rows of a run with a moving target; measured after settling."""
+MODE_ROWS: Final = (
+    ("law_switches", "Switches of the law", ""),
+    ("law_shortest_stay_s", "Shortest time between two switches", "s"),
+)
+"""Rows of a law with modes."""
 
 
 def headline(summary: Summary) -> str:
@@ -82,7 +87,7 @@ def table(summary: Summary) -> str:
     """The other numbers, one per line; those of the scenario's own metrics come last."""
     items = []
     own = tuple((key, *title) for key, title in own_titles().items() if key in summary)
-    for key, name, unit in ROWS + tuple(row for row in TRACKING_ROWS if summary.get(row[0]) is not None) + own:
+    for key, name, unit in ROWS + tuple(row for row in TRACKING_ROWS + MODE_ROWS if summary.get(row[0]) is not None) + own:
         value = summary.get(key)
         if unit == "%" and isinstance(value, float):  # the summary holds shares
             value = 100 * value

@@ -40,6 +40,7 @@ class Setting:
         band_m, settle_s: of a continuing task: error tolerance [m] after this time [s].
         names: of the markers; () where they have none.
         changed: the fields in which the scenario differs from the bundled one of its name, `("law.gain=2",)`.
+        modes: words for what the law does in a frame; () for a law without modes.
     """
 
     width: int | None = None
@@ -55,6 +56,7 @@ class Setting:
     settle_s: float = 0.0
     names: tuple[str, ...] = ()
     changed: tuple[str, ...] = ()
+    modes: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, scenario: Scenario) -> Setting:
@@ -77,6 +79,7 @@ class Setting:
             band_m=goal.tolerance_m,
             settle_s=goal.settle_s,
             changed=changes(scenario),
+            modes=scenario.law.modes,
         )
 
 

@@ -1,0 +1,250 @@
+"""Switching between laws: each works until one of its conditions holds."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Annotated, Any, Literal
+
+from annotated_types import Len
+
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array
+from vstestbed.core.quantity import Narrower, Time, Within
+from vstestbed.core.spec import Shorthand, spec
+from vstestbed.features.base import Feature
+from vstestbed.features.depth import Depth
+from vstestbed.features.observation import Goal, Observation
+from vstestbed.laws.base import Command, Law, LawBase, TwistLimits
+from vstestbed.laws.conditions import INPUTS, Until, quantity, target_distance
+from vstestbed.laws.feedforward import Feedforward
+from vstestbed.laws.single import LAWS
+from vstestbed.laws.visibility import Visibility
+
+SLACK_S = 1e-9
+"""Times of frames are sums of floating-point numbers: a dwell time that is over but for this much is over [s]."""
+
+
+@spec
+class Part:
+    """One of the laws, and when it is left.
+
+    Args:
+        law: a law of a goal view, with its parameters.
+        until: the conditions, any of which bars it; none: it is never left.
+    """
+
+    law: Annotated[Law[Any], LAWS.without("switched")]
+    until: Until = Until()
+
+
+@dataclass(frozen=True, slots=True)
+class SwitchedMemory:
+    """What `switched` keeps from one frame to the next.
+
+    Attributes:
+        inner: memory of the active law. active: its number. since: when it took over [s]; NaN before the first frame.
+        barred: of each law, whether its conditions keep it from working.
+        start_m: distance of the camera from the target at the start [m]; NaN where it is unknown, or not needed.
+        last: time [s] and command of the last frame. left: the same of the last frame before the switch.
+    """
+
+    inner: Any
+    active: int = 0
+    since: float = math.nan
+    barred: tuple[bool, ...] = ()
+    start_m: float = math.nan
+    last: tuple[float, Command] | None = None
+    left: tuple[float, Command] | None = None
+
+
+@spec
+class Switched(LawBase):
+    """Several laws of which one works at a time: u = u_i, with i the active law.
+
+    A law is barred as soon as a quantity is beyond one of its limits (`until`). It is free again when all its quantities are back by the
+    share `hysteresis` of their limits: under (1 - hysteresis) times an `over`, above (1 + hysteresis) times an `under`. A quantity that
+    is unknown in a frame bars and frees nothing.
+
+    When the active law is barred, the first law of the list that is free takes over. While none is free, the active one goes on. With
+    `prefer: first` a law that stands earlier in the list also takes over as soon as it is free. The first free law of the list begins.
+
+    A law takes over with the memory of its first frame (`init`). What it remembered of an earlier turn, such as the start of its
+    smooth start or the views from which its feedforward estimates a velocity, is of another time. For `blend_s` the command
+    crosses over from the last one of the law before:  u = a u_i + (1 - a) u_before,  a = (t - t_before) / blend_s.  It is then ordered
+    as a camera twist, also where the law orders joint velocities. A law that orders rest rests at once.
+
+    State-based switching between an image-based and a position-based law, as in the reference, is the list
+    `[{law: ibvs, until: {retreat_over_m: 0.5}}, {law: pbvs, until: {border_under_px: 30}}]`: the camera's retreat bounds the first, and
+    the image border the second. Switching at random, the other scheme of that literature, is not offered, since a law has no
+    random numbers.
+
+    Stability is not a property of this law. Two laws that are both stable may still not be so together: each may undo the progress of
+    the other for ever. The reference proves it for one scheme and its thresholds. Here it is measured: `law_switches` and
+    `law_shortest_stay_s` of a run tell of chattering, the metric `error_growth` of the frames in which an error grew.
+
+    Args:
+        laws: in the order of preference, the first being the one to begin with; e.g.
+            `[{law: ibvs, until: {border_under_px: 30}}, pbvs]`.
+        prefer: what works when several laws are free: the `active` one, or the `first` of the list.
+        hysteresis: share of a limit by which a quantity must be back before it frees a law [1].
+        dwell_s: least time between two switches [s].
+        blend_s: time in which the command crosses over after a switch [s]; 0: it jumps.
+
+    Reference: Gans & Hutchinson 2007, Stable visual servoing through hybrid switched-system control, doi:10.1109/TRO.2007.895067.
+    """
+
+    kind: Literal["switched"] = "switched"
+    laws: Annotated[tuple[Annotated[Part, Shorthand("law")], ...], Len(2, 16)]
+    prefer: Literal["active", "first"] = "active"
+    hysteresis: Annotated[float, Within(0.0, 0.99, "", "a share of the limit"), Narrower(ge=0)] = 0.2
+    dwell_s: Time = 0.2
+    blend_s: Time = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse laws that cannot work in turn."""
+        for i, part in enumerate(self.laws):
+            if "view" not in part.law.tasks:
+                words = f"may not be {part.law.kind}, which takes {' or '.join(part.law.tasks)}: laws that are switched take a view"
+                raise ParameterError(f"laws.{i}.law.kind", words)
+            if not part.until.limits and i < len(self.laws) - 1:
+                words = "needs a condition, such as {border_under_px: 30}: without one no law after it in the list ever works"
+                raise ParameterError(f"laws.{i}.until", words)
+        depths = [(i, part.law.depth) for i, part in enumerate(self.laws) if _reads_depth(part.law)]
+        for i, depth in depths[1:]:
+            if depth != depths[0][1]:
+                words = f"must be the same as that of laws.{depths[0][0]} ({depths[0][1].kind}): a frame has one source of depth"
+                raise ParameterError(f"laws.{i}.law.depth", words, depth.kind)
+
+    @property
+    def tasks(self) -> tuple[str, ...]:
+        """The goals that all laws take."""
+        return tuple(task for task in self.laws[0].law.tasks if all(task in part.law.tasks for part in self.laws))
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """What any of the laws and of the conditions reads."""
+        read = [name for part in self.laws for name in part.law.inputs]
+        compared = [name for quantity in self._quantities for name in INPUTS.get(quantity, ())]
+        return tuple(dict.fromkeys((*read, *compared)))
+
+    @property
+    def depth(self) -> Depth:
+        """The source of depth of the laws that read it."""
+        return next((part.law.depth for part in self.laws if _reads_depth(part.law)), self.laws[0].law.depth)
+
+    @property
+    def feature(self) -> Feature | None:
+        """The feature of all laws that have one; None where they differ."""
+        found = [part.law.feature for part in self.laws if part.law.feature is not None]
+        return found[0] if found and all(feature == found[0] for feature in found) else None
+
+    @property
+    def limits(self) -> TwistLimits:
+        """The loosest of the laws' limits; each law keeps its own."""
+        speeds, rates = zip(*((part.law.limits.speed_mps, part.law.limits.rate_radps) for part in self.laws), strict=True)
+        return TwistLimits(speed_mps=_loosest(speeds), rate_radps=_loosest(rates))
+
+    @property
+    def visibility(self) -> Visibility:
+        """The field with the largest margin: it keeps the goal from the border for all."""
+        return max((part.law.visibility for part in self.laws), key=lambda field: field.margin_px)
+
+    @property
+    def feedforward(self) -> Feedforward:
+        """That of the first law that has one, else none."""
+        found = [part.law.feedforward for part in self.laws]
+        return next((feedforward for feedforward in found if feedforward.kind != "none"), found[0])
+
+    @cached_property
+    def modes(self) -> tuple[str, ...]:
+        """The laws' words, numbered where a word is there twice; of a law with modes of its own each of them behind its word."""
+        kinds = [part.law.kind for part in self.laws]
+        count: Counter[str] = Counter()
+        words: list[str] = []
+        for kind, part in zip(kinds, self.laws, strict=True):
+            count[kind] += 1
+            word = f"{kind} {count[kind]}" if kinds.count(kind) > 1 else kind
+            words += [f"{word} {mode}" for mode in part.law.modes] or [word]
+        return tuple(words)
+
+    def markers_needed(self, basis: Array) -> int:
+        """As many as the law that needs the most."""
+        return max(part.law.markers_needed(basis) for part in self.laws)
+
+    def check(self, points: Array, goal: Goal) -> None:
+        """Refuse what one of the laws refuses, and a border where the image has none."""
+        for i, part in enumerate(self.laws):
+            part.law.check(points, goal)
+            if "border" in part.until.quantities and len(goal.camera.panels) > 1:
+                words = "must be left out with a camera that sees all round: its image has no border"
+                raise ParameterError(f"law.laws.{i}.until.border_under_px", words, part.until.border_under_px)
+
+    def init(self, goal: Goal) -> SwitchedMemory:
+        """The first law is to begin."""
+        return SwitchedMemory(self.laws[0].law.init(goal), barred=(False,) * len(self.laws))
+
+    def step(self, memory: SwitchedMemory, observation: Observation, goal: Goal, basis: Array) -> tuple[SwitchedMemory, Command]:
+        """One frame of the active law, which the conditions choose first."""
+        memory = self._chosen(memory, observation, goal)
+        inner, command = self.laws[memory.active].law.step(memory.inner, observation, goal, basis)
+        command = self._crossed_over(memory, observation.t, command, basis)
+        command = replace(command, mode=self._first_modes[memory.active] + command.mode)
+        return replace(memory, inner=inner, last=(observation.t, command)), command
+
+    @cached_property
+    def _quantities(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys(name for part in self.laws for name in part.until.quantities))
+
+    @cached_property
+    def _first_modes(self) -> tuple[int, ...]:
+        """Number of the first mode of each law."""
+        counts = [len(part.law.modes) or 1 for part in self.laws]
+        return tuple(sum(counts[:i]) for i in range(len(counts)))
+
+    def _chosen(self, memory: SwitchedMemory, observation: Observation, goal: Goal) -> SwitchedMemory:
+        """The memory with the law that is to work in this frame."""
+        t, first = observation.t, math.isnan(memory.since)
+        start_m = target_distance(observation) if math.isnan(memory.start_m) and "retreat" in self._quantities else memory.start_m
+        values = {name: quantity(name, observation, goal, start_m) for name in self._quantities}
+        barred = self._barred(memory.barred, values)
+        memory = replace(memory, since=t if first else memory.since, barred=barred, start_m=start_m)
+        wanted = self._wanted(memory.active, barred)
+        if wanted == memory.active or not (first or t - memory.since >= self.dwell_s - SLACK_S):
+            return memory
+        return replace(memory, inner=self.laws[wanted].law.init(goal), active=wanted, since=t, left=memory.last)
+
+    def _barred(self, before: tuple[bool, ...], values: Mapping[str, float]) -> tuple[bool, ...]:
+        """Of each law, whether it is barred now."""
+        return tuple(
+            part.until.holds(values) or (was and not part.until.receded(values, self.hysteresis))
+            for part, was in zip(self.laws, before, strict=True)
+        )
+
+    def _wanted(self, active: int, barred: tuple[bool, ...]) -> int:
+        """The number of the law that should work."""
+        if self.prefer == "active" and not barred[active]:
+            return active
+        return next((i for i, out in enumerate(barred) if not out), active)
+
+    def _crossed_over(self, memory: SwitchedMemory, t: float, command: Command, basis: Array) -> Command:
+        """The command, for `blend_s` after a switch mixed with the last one before it."""
+        if memory.left is None or command.rest_reason or t - memory.left[0] >= self.blend_s:
+            return command
+        a, before = (t - memory.left[0]) / self.blend_s, memory.left[1]
+        u = a * command.u + (1 - a) * before.u
+        return replace(command, u=u, twist=basis @ u, rates=None)
+
+
+def _reads_depth(law: Law[Any]) -> bool:
+    """Whether a law uses the markers' depths or ranges."""
+    return bool({"depth", "range"} & set(law.inputs)) or law.visibility.margin_px > 0
+
+
+def _loosest(limits: tuple[float | None, ...]) -> float | None:
+    """The largest limit; None where one is missing."""
+    given = [limit for limit in limits if limit is not None]
+    return max(given) if len(given) == len(limits) else None
