@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.report.comparison.statistics import paired_difference, paired_success, spread, success_rate
+from vstestbed.report.comparison.differences import paired_difference
+from vstestbed.report.comparison.statistics import paired_success, spread, success_rate
 
 SEEDS = 20
 
