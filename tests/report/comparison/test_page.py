@@ -25,7 +25,14 @@ from vstestbed.report.comparison.statistics import success_rate
 from vstestbed.report.run.numbers import number
 
 FAILING = {("slow", 0): "timed_out", ("slow", 5): "timed_out", ("fast", 3): "target_lost", ("fast", 7): "crashed"}
-FIGURES = ["Error over time", "Success over time", "Error of single runs", "All runs in numbers", "Performance profiles", "Paired differences"]
+FIGURES = [
+    "Error over time",
+    "Success over time",
+    "Error of single runs",
+    "All runs in numbers",
+    "Performance profiles",
+    "Paired differences",
+]
 
 
 @pytest.fixture(scope="module")

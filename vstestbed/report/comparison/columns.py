@@ -141,12 +141,14 @@ class ComparisonResults:
         table: one row a run, as in `comparison.parquet`.
         axes: paths of the varied fields, each a column of the table.
         metrics: keys of the numbers that are shown. description: what is compared, in a few words.
+        bare: label the controllers of one scenario and one axis by the value alone: `points`, not `law=points`.
     """
 
     table: pl.DataFrame
     axes: tuple[str, ...] = ()
     metrics: tuple[str, ...] = DEFAULT_METRICS
     description: str = ""
+    bare: bool = False
 
     @cached_property
     def shown(self) -> tuple[Metric, ...]:
@@ -162,6 +164,8 @@ class ComparisonResults:
             rows.setdefault(key, []).append(i)
         several = len({key[0] for key in rows}) > 1  # the scenario is part of a label only where there are several
         names = short_names(self.axes)
+        if self.bare and len(names) == 1 and not several:
+            names = [""]
         labels = [_label((str(key[0]), *map(value_text, key[1:])), names, several) for key in rows]
         if len(set(labels)) < len(labels):  # two values differ only beyond the 6 digits of `:g`
             labels = [_label(tuple(map(str, key)), names, several) for key in rows]
@@ -170,7 +174,7 @@ class ComparisonResults:
 
 def _label(key: tuple[str, ...], names: Sequence[str], several: bool) -> str:
     parts = [key[0]] if several or not names else []  # without varied fields the scenario is all there is to name
-    return ", ".join(parts + [f"{name}={value}" for name, value in zip(names, key[1:], strict=True)])
+    return ", ".join(parts + [f"{name}={value}" if name else value for name, value in zip(names, key[1:], strict=True)])
 
 
 def short_names(paths: Sequence[str]) -> list[str]:

@@ -41,14 +41,14 @@ def interquartiles(comparison: ComparisonResults) -> list[dict[str, Interquartil
     """Of each controller: the interquartile mean of each shown metric over all its runs, in its display unit; the tasks are the strata.
 
     Infinite (minus infinity for a metric of which more is better) where more than a quarter of the runs failed. `n` is 0 where no run that
-    reached the goal has the number, although some did: the robot or the task has none.
+    reached the goal has the number, although some did, and where none has one that failed runs have, too: there is no such number.
     """
     return [{metric.name: _of(controller, metric) for metric in comparison.shown} for controller in comparison.controllers]
 
 
 def _of(controller: ControllerResults, metric: Metric) -> Interquartile:
-    values = controller.values(metric)
-    if not np.isfinite(values[controller.success] if controller.success.any() else values).any():
+    known, reached = np.isfinite(controller.values(metric)), controller.success
+    if (reached.any() and not known[reached].any()) or (metric.every_pair and not known.any()):
         return NOTHING
     found = interquartile_mean(controller.ranked(metric), controller.tasks)
     return replace(found, mean=-found.mean, low=-found.high, high=-found.low) if metric.higher else found

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 from itertools import combinations
+from typing import Literal
 
 import numpy as np
 
@@ -18,6 +19,9 @@ CHANCE = 0.05
 """Significance level of all tests together."""
 SUCCESS = "success"
 """Key of the test on successes among those of a pair."""
+Of = Literal["difference", "improvement"]
+Test = tuple[str, Of]
+"""A test of a pair: of which metric (or of success), and of what."""
 TIME = Metric.of("time_to_converge_s")
 
 
@@ -30,7 +34,7 @@ class Pair:
         differences: b minus a by metric, in its display unit, over the seeds on which both reached the goal (all seeds for `every_pair`).
         means: mean of a by metric over the same seeds, the reference of relative differences.
         improvements: probability by metric that b is better than a on the same seed, over all common seeds (`ControllerResults.ranked`).
-        adjusted: p-values by metric, and of success, after Holm's correction over all tests of all pairs; NaN where there is no test.
+        adjusted: `tests` after Holm's correction over all tests of all pairs.
     """
 
     a: int
@@ -39,16 +43,20 @@ class Pair:
     differences: dict[str, Difference]
     means: dict[str, float]
     improvements: dict[str, Improvement]
-    adjusted: dict[str, float] = field(default_factory=dict)
+    adjusted: dict[Test, float] = field(default_factory=dict)
 
     @property
-    def tests(self) -> dict[str, float]:
-        """P-values by metric, and of success, each by itself."""
-        return {SUCCESS: self.success.p if self.seeds else math.nan} | {name: d.p for name, d in self.differences.items()}
+    def tests(self) -> dict[Test, float]:
+        """P-values, each by itself: of the differences of success and of each metric, and of improvements; NaN where there is no test."""
+        found: dict[Test, float] = {(SUCCESS, "difference"): self.success.p if self.seeds else math.nan}
+        for name, difference in self.differences.items():
+            found[name, "difference"] = difference.p
+            found[name, "improvement"] = self.improvements[name].p
+        return found
 
-    def is_real(self, name: str) -> bool:
-        """Whether a metric, or success, differs significantly after Holm's correction."""
-        return self.adjusted[name] <= CHANCE
+    def is_real(self, name: str, of: Of = "difference") -> bool:
+        """Whether the difference of a metric or of success, or the improvement of a metric, is significant after Holm's correction."""
+        return self.adjusted[name, of] <= CHANCE
 
     @property
     def seeds(self) -> int:
@@ -90,7 +98,7 @@ def pairs(comparison: ComparisonResults) -> list[Pair]:
     chosen = combinations(range(n), 2) if n <= MOST_CONTROLLERS else ((0, b) for b in range(1, n))
     found = [_pair(comparison, a, b) for a, b in chosen]
     adjusted = iter(holm([p for pair in found for p in pair.tests.values()]))
-    return [replace(pair, adjusted={name: next(adjusted) for name in pair.tests}) for pair in found]
+    return [replace(pair, adjusted={test: next(adjusted) for test in pair.tests}) for pair in found]
 
 
 def tests(all_pairs: list[Pair]) -> int:

@@ -10,7 +10,7 @@ from vstestbed.core.geometry import Array
 from vstestbed.report.comparison.columns import ControllerResults, Metric
 from vstestbed.report.comparison.figures import BANDS, Data, legend, legend_height_in, look, wrapped
 from vstestbed.report.comparison.pairs import TIME
-from vstestbed.report.comparison.statistics import wilson
+from vstestbed.report.comparison.statistics import LEAST, wilson
 from vstestbed.report.html.canvas import new_figure
 
 if TYPE_CHECKING:
@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 
 STEPS: Final = 300
 """Most steps of a drawn curve: more cannot be told apart, and each is a part of the page's SVG."""
-COLUMNS: Final = 4
+COLUMNS: Final = 5
+"""Most panels side by side."""
 LOG_RATIO: Final = 30.0
 """Ratio of the 98th to the 2nd percentile of the values above which an axis is logarithmic."""
 
@@ -56,28 +57,31 @@ def success(data: Data, width_in: float) -> Figure:
 
 
 def profiles(data: Data, width_in: float) -> Figure | None:
-    """Performance profile of each other metric that any run has, one panel each; None without one."""
-    controllers = data.comparison.controllers
-    shown = [m for m in data.comparison.shown if m.name != TIME.name and any(len(profile(c, m)[0]) for c in controllers)]
+    """Performance profile of each other metric that any run has, one panel each; None without one, or where its values are all equal."""
+    shown = [m for m in data.comparison.shown if m.name != TIME.name and _differs(data, m)]
     if not shown:
         return None
-    columns = min(len(shown), COLUMNS)
-    rows = -(-len(shown) // columns)
-    figure = new_figure((0.95 * width_in / COLUMNS + 0.25) * rows + legend_height_in(data) + 0.1, width_in)
+    rows = -(-len(shown) // COLUMNS)
+    columns = -(-len(shown) // rows)  # rows of equal length: 6 panels are 3 + 3, not 5 + 1
+    figure = new_figure((0.9 * width_in / max(columns, 3) + 0.25) * rows + legend_height_in(data) + 0.1, width_in)
     grid = list(np.ravel(figure.subplots(rows, columns, sharey=True, squeeze=False)))
     for axes in grid[len(shown) :]:
         axes.set_visible(False)
     for axes, metric in zip(grid, shown, strict=False):
         _draw(axes, data, metric, _limits(axes, data, metric))
-        axes.set_xlabel(wrapped(f"{'at least' if metric.higher else 'at most'} {_lower(metric.label)}", 24))
-        axes.locator_params(axis="x", nbins=3) if axes.get_xscale() == "linear" else None
+        axes.set_xlabel(wrapped(metric.label, 18))
+        if axes.get_xscale() == "linear":
+            axes.locator_params(axis="x", nbins=3)
+            axes.xaxis.set_major_formatter("{x:g}")
     figure.supylabel("runs [%]", fontsize=grid[0].xaxis.label.get_size())
     legend(figure, data)
     return figure
 
 
-def _lower(label: str) -> str:
-    return label[:1].lower() + label[1:]
+def _differs(data: Data, metric: Metric) -> bool:
+    """Whether the runs have different values of a metric: one value alone says no more than the success rate."""
+    found = np.concatenate([profile(c, metric)[0] for c in data.comparison.controllers])
+    return len(found) > 0 and bool(np.ptp(found) > LEAST)
 
 
 def _limits(axes: Axes, data: Data, metric: Metric) -> tuple[float, float]:
@@ -99,7 +103,8 @@ def _limits(axes: Axes, data: Data, metric: Metric) -> tuple[float, float]:
 def _draw(axes: Axes, data: Data, metric: Metric, ends: tuple[float, float]) -> None:
     """Each controller's profile as steps between the ends of the axis, with its pointwise 95 % band (Wilson) for up to BANDS of them.
 
-    The band is not the bootstrap's, which is that of a binomial share and has no width where the share is 0 or 1.
+    The band begins at the first value. The bootstrap of a share is the binomial distribution; its band is nearly the same, but has no
+    width where all runs are as good.
     """
     controllers = data.comparison.controllers
     for i, controller in enumerate(controllers):
@@ -107,9 +112,9 @@ def _draw(axes: Axes, data: Data, metric: Metric, ends: tuple[float, float]) -> 
         if not n:
             continue
         x, y = np.concatenate([ends[:1], tau, ends[1:]]), np.concatenate([[0.0], share, share[-1:] if len(share) else [0.0]])
-        if len(controllers) <= BANDS:
-            low, high = wilson(y, n)
-            axes.fill_between(x, 100 * low, 100 * high, step="post", color=look(i)["color"], alpha=0.15, linewidth=0)
+        if len(tau) and len(controllers) <= BANDS:
+            low, high = wilson(y[1:], n)
+            axes.fill_between(x[1:], 100 * low, 100 * high, step="post", color=look(i)["color"], alpha=0.15, linewidth=0)
         axes.step(x, 100 * y, where="post", **look(i))
     axes.set_xlim(*ends)
     axes.set_ylim(0, 104)

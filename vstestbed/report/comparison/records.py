@@ -32,7 +32,7 @@ _OF_PAIR: Final[dict[str, Any]] = (
     | dict.fromkeys(("difference", "low", "high"), _NUMBER)
     | {"pairs": _COUNT, "skewness": _NUMBER, "p": _NUMBER, "p_holm": _NUMBER, "significant": pl.Boolean()}
     | dict.fromkeys(("improvement", "improvement_low", "improvement_high"), _NUMBER)
-    | {"improvement_pairs": _COUNT}
+    | {"improvement_pairs": _COUNT, "improvement_p": _NUMBER, "improvement_p_holm": _NUMBER, "improvement_significant": pl.Boolean()}
 )
 
 
@@ -92,6 +92,8 @@ def pair_records(comparison: ComparisonResults, all_pairs: Sequence[Pair]) -> pl
                 | {"difference": d.mean, "low": d.low, "high": d.high, "pairs": d.n, "skewness": d.skewness}
                 | _tested(pair, metric.name)
                 | _improved(pair.improvements[metric.name])
+                | {"improvement_p_holm": pair.adjusted[metric.name, "improvement"]}
+                | {"improvement_significant": pair.is_real(metric.name, "improvement")}
             )
     return pl.DataFrame(rows, schema=_OF_PAIR).with_columns(pl.col(pl.Float64).fill_nan(None))
 
@@ -101,12 +103,13 @@ def _named(metric: Metric) -> dict[str, Any]:
 
 
 def _tested(pair: Pair, name: str) -> dict[str, Any]:
-    return {"p": pair.tests[name], "p_holm": pair.adjusted[name], "significant": pair.is_real(name)}
+    test = (name, "difference")
+    return {"p": pair.tests[test], "p_holm": pair.adjusted[test], "significant": pair.is_real(name)}
 
 
 def _improved(found: Improvement) -> dict[str, Any]:
-    names = ("improvement", "improvement_low", "improvement_high", "improvement_pairs")
-    return dict(zip(names, (found.share, found.low, found.high, found.n), strict=True))
+    names = ("improvement", "improvement_low", "improvement_high", "improvement_pairs", "improvement_p")
+    return dict(zip(names, (found.share, found.low, found.high, found.n, found.p), strict=True))
 
 
 def _success_of(pair: Pair) -> dict[str, Any]:

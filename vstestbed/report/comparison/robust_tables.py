@@ -9,7 +9,7 @@ from html import escape
 from vstestbed.report.comparison.columns import ComparisonResults, Metric
 from vstestbed.report.comparison.interquartile import Interquartile
 from vstestbed.report.comparison.pairs import Pair, against
-from vstestbed.report.comparison.tables import Cell, below, labels_of, references, table
+from vstestbed.report.comparison.tables import Cell, below, corrected, labels_of, real, references, table
 from vstestbed.report.run.numbers import number
 
 FAILED = "A run that did not reach the goal counts as worse than any that did"
@@ -39,7 +39,8 @@ def improvements(comparison: ComparisonResults, all_pairs: list[Pair]) -> str:
     parts = [_against(comparison, against(all_pairs, i), labels, i) for i in references(labels)]
     note = (
         "How probably the controller of the line is better than the other from the same start: the share of the common seeds on which it "
-        f"is, with its 95 % interval (Wilson); equal numbers count one half. {FAILED}{_but(comparison)}; two failed runs are equal."
+        f"is, with its 95 % interval (Wilson); equal numbers count one half. {FAILED}{_but(comparison)}; two failed runs are equal. "
+        "Bold with a dot: p, of the sign test and corrected as above, is at most 0.05. This test is exact however skewed the numbers are."
     )
     return f'<section><h2>Probability of improvement</h2>{"".join(parts)}<p class="soft">{note}</p></section>'
 
@@ -77,4 +78,6 @@ def _improvement(pair: Pair, metric: Metric) -> Cell:
     if not found.n:
         return None, "–"
     count = below(f"n = {found.n}") if found.n < pair.seeds else ""
-    return found.share, f"{100 * found.share:.0f} % {below(f'[{100 * found.low:.0f}, {100 * found.high:.0f}]')}{count}"
+    text, interval = f"{100 * found.share:.0f} %", below(f"[{100 * found.low:.0f}, {100 * found.high:.0f}]")
+    p = below(corrected(pair.adjusted[metric.name, "improvement"]))
+    return found.share, f"{real(text) if pair.is_real(metric.name, 'improvement') else text} {interval}{p}{count}"

@@ -58,12 +58,16 @@ class SuccessDifference:
 
 @dataclass(frozen=True, slots=True)
 class Improvement:
-    """Probability in 0..1 that one controller is better than another on the same of `n` seeds, with its interval; NaN for none."""
+    """Probability in 0..1 that one controller is better than another on the same of `n` seeds, with its interval; NaN for none.
+
+    `p`: two-sided p-value of the exact sign test, of the hypothesis that either is better equally often.
+    """
 
     share: float
     low: float
     high: float
     n: int
+    p: float = math.nan
 
 
 def success_rate(successes: int, n: int, confidence: float = 0.95) -> Rate:
@@ -128,21 +132,26 @@ def paired_success(a: ArrayLike, b: ArrayLike) -> SuccessDifference:
     a, b = np.asarray(a, dtype=bool), np.asarray(b, dtype=bool)
     check_pairs(a, b)
     only_a, only_b = int((a & ~b).sum()), int((~a & b).sum())
-    p = 1.0
-    if only_a + only_b:
-        from scipy.stats import binomtest  # imported here: it costs half a second that other commands need not pay
+    return SuccessDifference(only_a, only_b, int((a & b).sum()), int((~a & ~b).sum()), _sign_test(only_a, only_b))
 
-        p = float(binomtest(only_a, only_a + only_b).pvalue)
-    return SuccessDifference(only_a, only_b, int((a & b).sum()), int((~a & ~b).sum()), p)
+
+def _sign_test(one: int, other: int) -> float:
+    """Two-sided p-value of the hypothesis that both counts have the same expectation."""
+    if one + other == 0:
+        return 1.0
+    from scipy.stats import binomtest  # imported here: it costs half a second that other commands need not pay
+
+    return float(binomtest(one, one + other).pvalue)
 
 
 def improvement(a: ArrayLike, b: ArrayLike, confidence: float = 0.95) -> Improvement:
     """Probability that b is better (less) than a on the same seed; ties count one half, and NaN on either side leaves a pair out.
 
-        P(b < a) + P(b = a) / 2
+        P(b < a) + P(b = a) / 2,        p = P(|K - m/2| >= |#{b < a} - m/2|),   K ~ Binomial(m, 1/2), m: seeds without a tie
 
-    Infinity is a run that is worse than any with a number, so that two of them are a tie. The interval is Wilson's, which the bootstrap
-    of a share has in the middle, and which does not shrink to a point where b is better on every seed. Ties make it wider than needed.
+    Infinity is a run that is worse than any with a number, so that two of them are a tie. The test is exact however skewed the numbers
+    are. The interval is Wilson's: the bootstrap's is nearly the same, but shrinks to a point where b is better on every seed. Ties make
+    it wider than needed.
 
     Args:
         a, b: one value a seed, shape (N,), in the same order of seeds; the less the better. confidence: of the interval, in 0..1.
@@ -166,7 +175,8 @@ def improvement(a: ArrayLike, b: ArrayLike, confidence: float = 0.95) -> Improve
     tied[finite] |= np.abs(a[finite] - b[finite]) <= rounding
     share = float(np.where(tied, 0.5, b < a).mean())
     low, high = wilson(share, len(a), confidence)
-    return Improvement(share, float(low), float(high), len(a))
+    better, worse = int((~tied & (b < a)).sum()), int((~tied & (b > a)).sum())
+    return Improvement(share, float(low), float(high), len(a), _sign_test(better, worse))
 
 
 def holm(p: Sequence[float]) -> list[float]:

@@ -154,11 +154,8 @@ def pair_text(pair: Pair, labels: list[str]) -> str:
         where = {0: "on no seed", n: every}.get(s.both, f"on the same {s.both} of {n} seeds")
         goal = f"{b} and {a} reached the goal {where}."
     else:
-        proof = (
-            f"a real difference ({p_text(pair.adjusted[SUCCESS])})"
-            if pair.is_real(SUCCESS)
-            else f"no difference that {runs(n)} could show ({p_text(pair.adjusted[SUCCESS])})"
-        )
+        p = p_text(pair.adjusted[SUCCESS, "difference"])
+        proof = f"a real difference ({p})" if pair.is_real(SUCCESS) else f"no difference that {runs(n)} could show ({p})"
         goal = f"{b} reached the goal on {of_b} of {n} seeds, {a} on {of_a}: {proof}."
     return " ".join(filter(None, (goal, _time_text(pair, a, b), _other_text(pair))))
 
@@ -169,7 +166,9 @@ def _time_text(pair: Pair, a: str, b: str) -> str:
         return "Never on the same seed, so that times cannot be compared." if pair.success.only_a and pair.success.only_b else ""
     if not math.isfinite(time.low):
         return f"{b} took {signed(time.mean)} s against {a} on the only seed that both did: one pair shows nothing."
-    interval = f"95 % interval {signed(time.low)} to {signed(time.high)} s, {time.n} seeds, {p_text(pair.adjusted[TIME.name])}"
+    interval = (
+        f"95 % interval {signed(time.low)} to {signed(time.high)} s, {time.n} seeds, {p_text(pair.adjusted[TIME.name, 'difference'])}"
+    )
     if pair.is_real(TIME.name):
         way = "sooner" if time.mean < 0 else "later"
         return f"{b} converged {number(abs(time.mean))} s{_share(pair)} {way} than {a}, a real difference ({interval})."
@@ -179,14 +178,22 @@ def _time_text(pair: Pair, a: str, b: str) -> str:
 
 def _other_text(pair: Pair) -> str:
     """The other metrics with a significant difference."""
-    named = [f"{m.title.lower()} ({f'{signed(pair.differences[m.name].mean)} {m.unit}'.strip()})" for m in _others(pair)]
+    named = [f"{m.title.lower()} ({_by_how_much(pair, m)})" for m in _others(pair)]
     more = f", and {len(named) - MOST_OTHERS} more" if len(named) > MOST_OTHERS else ""
     return f"They really differ in {', '.join(named[:MOST_OTHERS])}{more}." if named else ""
 
 
+def _by_how_much(pair: Pair, metric: Metric) -> str:
+    """The mean difference `+1.2 px`; where that is not significant, from how many of the starts b is better, or worse."""
+    if pair.is_real(metric.name):
+        return f"{signed(pair.differences[metric.name].mean)} {metric.unit}".strip()
+    share = pair.improvements[metric.name].share
+    return f"{'better' if share > 0.5 else 'worse'} from {100 * max(share, 1 - share):.0f} % of the starts"
+
+
 def _others(pair: Pair) -> list[Metric]:
-    """The metrics other than time whose difference is significant."""
-    return [Metric.of(name) for name in pair.differences if pair.is_real(name) and name != TIME.name]
+    """The metrics other than time whose difference or improvement is significant."""
+    return [Metric.of(name) for name in pair.differences if name != TIME.name and (pair.is_real(name) or pair.is_real(name, "improvement"))]
 
 
 def _share(pair: Pair) -> str:

@@ -104,13 +104,9 @@ def _against(comparison: ComparisonResults, against_reference: list[Pair], label
 def _goals(pair: Pair) -> Cell:
     s = pair.success
     more = signed(s.only_b - s.only_a)
-    counts = "".join(
-        map(
-            below,
-            (_p(pair.adjusted[SUCCESS]), f"only this: {s.only_b}", f"only other: {s.only_a}", f"both: {s.both}", f"neither: {s.neither}"),
-        )
-    )
-    return s.only_b - s.only_a, f"{_real(more) if pair.is_real(SUCCESS) else more} {counts}"
+    counts = (f"only this: {s.only_b}", f"only other: {s.only_a}", f"both: {s.both}", f"neither: {s.neither}")
+    lines = "".join(map(below, (corrected(pair.adjusted[SUCCESS, "difference"]), *counts)))
+    return s.only_b - s.only_a, f"{real(more) if pair.is_real(SUCCESS) else more} {lines}"
 
 
 def _difference(pair: Pair, metric: Metric) -> Cell:
@@ -119,17 +115,19 @@ def _difference(pair: Pair, metric: Metric) -> Cell:
         return None, "–"
     interval = f"[{signed(d.low)},<br>{signed(d.high)}]" if math.isfinite(d.low) else "no interval"
     mean = signed(d.mean)
-    p = below(_p(pair.adjusted[metric.name])) if math.isfinite(d.p) else ""
+    p = below(corrected(pair.adjusted[metric.name, "difference"])) if math.isfinite(d.p) else ""
     count = below(f"n = {d.n}") if d.n < pair.success.both else ""
     skewed = below("skewed") if d.skewed else ""
-    return d.mean, f"{_real(mean) if pair.is_real(metric.name) else mean} {below(interval)}{p}{count}{skewed}"
+    return d.mean, f"{real(mean) if pair.is_real(metric.name) else mean} {below(interval)}{p}{count}{skewed}"
 
 
-def _p(p: float) -> str:
+def corrected(p: float) -> str:
+    """A p-value as HTML."""
     return "no test" if math.isnan(p) else escape(p_text(p))
 
 
-def _real(text: str) -> str:
+def real(text: str) -> str:
+    """A number that differs significantly."""
     return f'<b class="real">● {text}</b>'
 
 

@@ -28,20 +28,28 @@ def statistics_text(folder: Path) -> str:
     every, pairs = (pl.read_parquet(folder / f"{name}.parquet") for name in (CONTROLLERS, PAIRS))
     if not len(pairs):
         return ""
+    lines = _lines(every, pairs)
+    widths = [max(map(len, column)) for column in zip(*lines[: MOST + 1], strict=True)]
+    text = ["  " + "  ".join(map(str.ljust, line, widths)).rstrip() for line in lines[: MOST + 1]]
+    if (more := len(lines) - 1 - MOST) > 0:
+        text.append(f"  and {more} more in report.html")
+    if any(line.endswith("*") or "* " in line for line in text):
+        text.append("  *: differs from the first, p <= 0.05 after Holm's correction")
+    return "\n".join(text)
+
+
+def _lines(every: pl.DataFrame, pairs: pl.DataFrame) -> list[tuple[str, str, str, str]]:
+    """Head and a line for each controller."""
     first = every.row(0, named=True)
     rows = every.filter(pl.col("metric") == first["metric"]).rows(named=True)
-    against = pairs.filter(pl.col("against") == first["controller"])
-    of = {(row["controller"], row["metric"]): row for row in against.rows(named=True)}
-    lines = [("", "reached", _title(first), f"against {first['controller']}")]
-    for row in rows[:MOST]:
-        difference, success = (of.get((row["controller"], name)) for name in (first["metric"], SUCCESS))
-        reached = f"{row['succeeded']} of {row['runs']}{_star(success)}"
-        lines.append((row["controller"], reached, _mean(row), _difference(difference)))
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    text = ["  " + "  ".join(word.ljust(width) for word, width in zip(line, widths, strict=True)).rstrip() for line in lines]
-    more = [f"  and {len(rows) - MOST} more in report.html"] if len(rows) > MOST else []
-    stars = ["  *: differs from the first, p <= 0.05 after Holm's correction"] if any("*" in line[1] + line[3] for line in lines) else []
-    return "\n".join([*text, *more, *stars])
+    of = {(row["controller"], row["metric"]): row for row in pairs.filter(pl.col("against") == first["controller"]).rows(named=True)}
+    head = ("", "reached", _title(first), f"against {first['controller']}")
+    return [head, *(_line(row, of.get((row["controller"], first["metric"])), of.get((row["controller"], SUCCESS))) for row in rows)]
+
+
+def _line(row: dict[str, Any], difference: dict[str, Any] | None, success: dict[str, Any] | None) -> tuple[str, str, str, str]:
+    """Label, successes, interquartile mean, difference from the first controller."""
+    return row["controller"], f"{row['succeeded']} of {row['runs']}{_star(success)}", _mean(row), _difference(difference)
 
 
 def _title(row: dict[str, Any]) -> str:
