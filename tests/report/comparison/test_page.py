@@ -252,4 +252,4 @@ def test_of_very_many_runs_the_page_shows_some_and_says_so(
 def test_intervals_of_very_many_pairs_are_those_of_student() -> None:
     d = np.random.default_rng(0).exponential(size=MOST)
     few, many = (paired_difference(x, np.zeros(len(x))) for x in (d, np.append(d, d.mean())))
-    assert (many.high - many.low) == pytest.approx(few.high - few.low, rel=0.02)
+    assert (many.high - many.low) == pytest.approx(few.high - few.low, rel=0.05)

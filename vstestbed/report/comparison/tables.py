@@ -76,8 +76,8 @@ def _skewed_note(comparison: ComparisonResults, all_pairs: list[Pair]) -> str:
     if not any(p.differences[m.name].skewed for p in all_pairs for m in comparison.shown):
         return ""
     return (
-        "Skewed: a few seeds make the mean, and its interval may miss the true mean in more than 5 of 100 comparisons; more seeds, or the "
-        "probability of improvement, tell more."
+        "Skewed: a few seeds make the mean. The probability of improvement counts every seed alike, and its test is exact for skewed "
+        "numbers, too."
     )
 
 

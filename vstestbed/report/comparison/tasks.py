@@ -271,11 +271,11 @@ def _statistics(folder: Path, laws: ComparisonResults) -> tuple[str, ...]:
     all_pairs, means = pairs(laws), interquartiles(laws)
     write_records(folder, laws, means, all_pairs)
     words = (
-        "Over all tasks. Intervals and p-values are those of starts that are a random sample of each task; where the amounts were chosen, "
+        "Intervals and p-values are those of starts that are a random sample of each task; where the amounts were chosen, "
         "they say how far other amounts of that kind could change the result."
     )
     return (
-        f'<p class="soft">{words}</p>',
+        f"<section><h2>Over all tasks</h2><p>{words}</p></section>",
         robust_tables.interquartile_means(laws, means),
         comparison_tables.differences(laws, all_pairs),
         robust_tables.improvements(laws, all_pairs),
