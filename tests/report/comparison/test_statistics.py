@@ -68,29 +68,30 @@ def equal_controllers(kind: str, rng: np.random.Generator) -> tuple[np.ndarray, 
     return start + draw(), start + draw()
 
 
-def test_p_values_belong_to_their_intervals_and_follow_student_where_no_resample_reaches() -> None:
+def test_p_values_belong_to_their_intervals_and_go_on_where_no_resample_reaches() -> None:
     rng = np.random.default_rng(8)
     for n in (5, 20, 30):
         for x in rng.exponential(1, (8, n)) - 0.6:
             found = paired_difference(x, np.zeros(n))
             assert found.real == (found.p <= 0.05)
-            assert paired_difference(-x, np.zeros(n)).p == found.p
+            assert paired_difference(-x, np.zeros(n)).p == pytest.approx(found.p, rel=1e-9)
     few = rng.normal(1, 1, (2, 4))
     assert paired_difference(*few).p == pytest.approx(stats.ttest_rel(*few).pvalue, rel=1e-9)
     x = rng.normal(0, 1, 40)
     x -= x.mean()
     values = [paired_difference(x + shift, np.zeros(40)).p for shift in np.linspace(0.2, 2.0, 12)]
-    assert (np.diff(values) <= 0).all() and 0 < values[-1] < 1e-9  # no p of 1 / 10,000 however large the effect
+    assert (np.diff(values) <= 0).all() and 0 < values[-1] < 1e-5  # no p of 1 / 10,000 however large the effect
     many = rng.normal(0.1, 1, 3000)
     assert paired_difference(many, np.zeros(3000)).p == pytest.approx(stats.ttest_1samp(many, 0).pvalue, rel=1e-9)
 
 
 @pytest.mark.study
-def test_small_p_values_are_those_of_a_hundred_times_as_many_resamples() -> None:
-    x = np.random.default_rng(6).exponential(1, 20) + 0.1
-    for shift in (-0.15, -0.05, 0.1):
-        few, many = (paired_difference(x + shift, np.zeros(20), resamples=r).p for r in (9999, 999_999))
-        assert 1 / 4 < few / many < 4 and many < 0.02
+def test_small_p_values_are_hardly_smaller_than_of_a_hundred_times_as_many_resamples() -> None:
+    rng = np.random.default_rng(6)
+    for x in (rng.standard_normal(20), rng.standard_exponential(50)):
+        d = x - x.mean() + 5.5 * x.std() / math.sqrt(len(x))  # so many standard errors
+        few, many = (paired_difference(d, np.zeros(len(x)), resamples=r).p for r in (9999, 999_999))
+        assert few > 0.45 * many and many < 0.005
 
 
 @pytest.mark.study
