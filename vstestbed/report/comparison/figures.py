@@ -14,7 +14,6 @@ import numpy as np
 
 from vstestbed.core.geometry import Array
 from vstestbed.report.comparison.columns import ComparisonResults
-from vstestbed.report.comparison.differences import Difference
 from vstestbed.report.comparison.pairs import Pair
 from vstestbed.report.comparison.series import Series
 from vstestbed.report.html.canvas import INK, LINE_COLORS, LOST, RULE, new_figure
@@ -161,7 +160,7 @@ def differences(data: Data, width_in: float) -> Figure | None:
     grid, figure = metric_panels(data, width_in, height, 5, names)
     for axes, metric in zip(grid, data.comparison.shown, strict=False):
         axes.axvline(0, color=INK, linewidth=0.8)
-        reach = [_draw_interval(axes, row, pair.differences[metric.name], pair.is_real(metric.name)) for row, pair in enumerate(rows)]
+        reach = [_draw_interval(axes, row, pair, metric.name) for row, pair in enumerate(rows)]
         if max(reach, default=0.0) <= LEAST_DIFFERENCE:  # otherwise rounding errors would fill the width
             axes.set_xlim(-1, 1)
     return figure
@@ -172,9 +171,13 @@ def _forest_rows(data: Data) -> list[Pair]:
     return data.pairs if len(data.labels) <= BANDS else [p for p in data.pairs if p.a == 0]
 
 
-def _draw_interval(axes: Axes, row: int, d: Difference, real: bool) -> float:
-    """One row of a forest plot: the mean, filled if the difference is real, on its interval; gives the largest value drawn."""
-    color = LINE_COLORS[1] if real else LINE_COLORS[7]
+def _draw_interval(axes: Axes, row: int, pair: Pair, name: str) -> float:
+    """One row of a forest plot: the mean on its interval; gives the largest value drawn.
+
+    It is filled if the difference is real, and in colour also if only the improvement is.
+    """
+    d, real = pair.differences[name], pair.is_real(name)
+    color = LINE_COLORS[1] if real or pair.is_real(name, "improvement") else LINE_COLORS[7]
     if np.isfinite(d.low):
         axes.plot([d.low, d.high], [row, row], color=color, linewidth=1.8)
     axes.plot(d.mean, row, "o" if real else "D", color=color, markersize=4, markerfacecolor=color if real else "none")

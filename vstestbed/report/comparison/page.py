@@ -91,8 +91,8 @@ PLOTS: Final[tuple[Plot, ...]] = (
     (
         "differences",
         "Paired differences",
-        "Mean over the seeds on which both reached the goal, with its 95 % interval. Filled, in colour: the difference is real "
-        "after Holm's correction for all tests of the page.",
+        "Mean over the seeds on which both reached the goal, with its 95 % interval. Filled: the difference is real "
+        "after Holm's correction for all tests of the page. In colour, but not filled: only who is better more often is (sign test).",
         2,
         comparison_figures.differences,
     ),
