@@ -21,8 +21,9 @@ def test_it_leaves_a_whole_folder_and_says_where(command, quick: Path):
     assert first == "4 of 4 runs reached the goal" and last == f"  results   {folder} (open report.html)"
     assert [line.split()[0] for line in statistics] == ["reached", "gain=3", "gain=6"]
     names = {p.name for p in folder.iterdir()}
-    assert names == {"comparison.yaml", "comparison.csv", "comparison.parquet", "figures", "report.html", "runs", "scenarios"}
-    assert len(list((folder / "figures").iterdir())) == 10
+    tables = {f"{name}.{end}" for name in ("comparison", "controllers", "pairs") for end in ("csv", "parquet")}
+    assert names == {*tables, "comparison.yaml", "figures", "report.html", "runs", "scenarios"}
+    assert len(list((folder / "figures").iterdir())) == 12
     assert (folder / "scenarios" / "quick.yaml").read_text() == quick.read_text()
 
 
