@@ -17,10 +17,13 @@ def test_it_leaves_a_whole_folder_and_says_where(command, quick: Path):
     ended = command("compare", "quick.yaml", "--vary", "law.gain=3,6", "--seeds", 2, *NO_FILM)
     folder = Path("runs/compare/001")
     assert (ended.code, ended.out) == (0, "")
-    assert ended.err == f"4 of 4 runs reached the goal\n  results   {folder} (open report.html)\n"
+    first, *statistics, last = ended.err.splitlines()
+    assert first == "4 of 4 runs reached the goal" and last == f"  results   {folder} (open report.html)"
+    assert [line.split()[0] for line in statistics] == ["reached", "gain=3", "gain=6"]
     names = {p.name for p in folder.iterdir()}
-    assert names == {"comparison.yaml", "comparison.csv", "comparison.parquet", "figures", "report.html", "runs", "scenarios"}
-    assert len(list((folder / "figures").iterdir())) == 10
+    tables = {f"{name}.{end}" for name in ("comparison", "controllers", "pairs") for end in ("csv", "parquet")}
+    assert names == {*tables, "comparison.yaml", "figures", "report.html", "runs", "scenarios"}
+    assert len(list((folder / "figures").iterdir())) == 12
     assert (folder / "scenarios" / "quick.yaml").read_text() == quick.read_text()
 
 

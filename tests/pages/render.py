@@ -20,7 +20,8 @@ from tests.pages import parameters
 from tests.pages.kept import Kept, Row
 from vstestbed.core.assets import bundled_comparisons, bundled_scenarios
 from vstestbed.experiments.bench.changes import BesideFloor
-from vstestbed.report.comparison.statistics import paired_difference, spread, success_rate
+from vstestbed.report.comparison.differences import paired_difference
+from vstestbed.report.comparison.statistics import spread, success_rate
 from vstestbed.report.comparison.tasks import AMOUNT, cells, markdown
 
 REPOSITORY = Path(__file__).resolve().parents[2]

@@ -97,6 +97,11 @@ def _values(text: str) -> list[object]:
 
 
 def _summary_text(table: DataFrame, folder: Path) -> str:
+    from vstestbed.report.comparison.terminal import statistics_text
+
     done, good = len(table), int(table["success"].sum())
     failed = f"; {done - good} did not reach the goal" if good < done else ""
-    return f"{good} of {done} runs reached the goal{failed}\n  results   {folder} (open report.html)"
+    statistics = statistics_text(folder)
+    return "\n".join(
+        filter(None, (f"{good} of {done} runs reached the goal{failed}", statistics, f"  results   {folder} (open report.html)"))
+    )

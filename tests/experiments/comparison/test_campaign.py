@@ -23,7 +23,7 @@ from vstestbed.experiments.comparison import Campaign, Comparison, compare, cont
 from vstestbed.experiments.comparison.folder import table_of
 from vstestbed.experiments.comparison.pools import LocalPool, WorkerLostError
 from vstestbed.experiments.comparison.worker import RunRequest, crashed, execute, request_of
-from vstestbed.report.comparison.statistics import paired_difference
+from vstestbed.report.comparison.differences import paired_difference
 
 GAINS = {"law.gain": (3.0, 6.0)}
 BROKEN = '''

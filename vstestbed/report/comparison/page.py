@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from html import escape
 from pathlib import Path
@@ -14,11 +14,13 @@ from vstestbed.core.files import make_folder, write_whole
 from vstestbed.core.shares import Call, at_once
 from vstestbed.report.comparison import failures as comparison_failures
 from vstestbed.report.comparison import figures as comparison_figures
-from vstestbed.report.comparison import strip_plots, summary_text
+from vstestbed.report.comparison import profiles, robust_tables, strip_plots, summary_text
 from vstestbed.report.comparison import tables as comparison_tables
 from vstestbed.report.comparison.columns import DEFAULT_METRICS, ComparisonResults, shown_by_default, value_text
 from vstestbed.report.comparison.figures import Data
-from vstestbed.report.comparison.pairs import pairs
+from vstestbed.report.comparison.interquartile import Interquartile, interquartiles
+from vstestbed.report.comparison.pairs import Pair, pairs
+from vstestbed.report.comparison.records import write_records
 from vstestbed.report.comparison.series import read_series
 from vstestbed.report.comparison.settings import differing_fields, gains_alone
 from vstestbed.report.html.canvas import WIDTH_IN, save, style, to_svg
@@ -56,9 +58,10 @@ PLOTS: Final[tuple[Plot, ...]] = (
     (
         "success",
         "Success over time",
-        "Share of all runs that had come under the threshold for good by a time.",
+        "Share of all runs that had come under the threshold for good by a time, with its pointwise 95 % band (Wilson) for up to four "
+        "controllers: the performance profile of the time to converge.",
         1,
-        comparison_figures.success,
+        profiles.success,
     ),
     (
         "runs",
@@ -78,9 +81,18 @@ PLOTS: Final[tuple[Plot, ...]] = (
         strip_plots.distributions,
     ),
     (
+        "profiles",
+        "Performance profiles",
+        "Share of all runs that are as good as the value on the axis, or better; the good end is on the left. "
+        f"{robust_tables.FAILED}: a curve ends at the share of those that did. Bands as above.",
+        2,
+        profiles.profiles,
+    ),
+    (
         "differences",
         "Paired differences",
-        "Mean over the seeds on which both reached the goal, with its 95 % interval. Filled, in colour: the interval excludes zero.",
+        "Mean over the seeds on which both reached the goal, with its 95 % interval. Filled: the difference is real "
+        "after Holm's correction for all tests of the page. In colour, but not filled: only who is better more often is (sign test).",
         2,
         comparison_figures.differences,
     ),
@@ -98,7 +110,7 @@ def write_comparison_report(
     plugins: Sequence[str] = (),
     call: Call = at_once,
 ) -> Path:
-    """Write `report.html` and `figures/` into a comparison's folder; returns the page's path.
+    """Write `report.html`, `figures/` and the tables `controllers` and `pairs` into a comparison's folder; returns the page's path.
 
     Args:
         folder: the comparison's folder, with the runs' folders that the table names.
@@ -114,11 +126,12 @@ def write_comparison_report(
     """
     comparison = ComparisonResults(table, axes, metrics, description)
     data = Data(comparison, read_series(folder, comparison), pairs(comparison), _threshold(folder, comparison, plugins))
+    means = interquartiles(comparison)
+    write_records(folder, comparison, means, data.pairs)
     figures = _figures(data, make_folder(folder / "figures"), call)
     body = [
         summary_text.headline(comparison, data.pairs, gains_alone(differing_fields(folder, comparison))),
-        comparison_tables.controllers(comparison),
-        comparison_tables.differences(comparison, data.pairs),
+        *_tables(comparison, means, data.pairs),
         f"<section><h2>Figures</h2>{figures}</section>",
         _film(film.result() if isinstance(film, Future) else film),
         comparison_failures.section(folder, comparison),
@@ -146,12 +159,21 @@ def comparison_cell(folder: Path, table: pl.DataFrame, axes: tuple[str, ...], me
     paired = pairs(comparison)
     body = [
         summary_text.headline(comparison, paired, gains_alone(differing_fields(folder, comparison))),
-        comparison_tables.controllers(comparison),
-        comparison_tables.differences(comparison, paired),
+        *_tables(comparison, interquartiles(comparison), paired),
         comparison_tables.SCRIPT,
     ]
     look, where = STYLE + comparison_tables.STYLE, f'<p class="soft">Figures and films: {escape(str(folder / "report.html"))}</p>'
     return cell(PAGE.format(title="Comparison", style=look, heading="Comparison", description=where, body="\n".join(body)), NOTEBOOK_PX)
+
+
+def _tables(comparison: ComparisonResults, means: Sequence[Mapping[str, Interquartile]], all_pairs: list[Pair]) -> tuple[str, ...]:
+    """The controllers' numbers and how they differ."""
+    return (
+        comparison_tables.controllers(comparison),
+        robust_tables.interquartile_means(comparison, means),
+        comparison_tables.differences(comparison, all_pairs),
+        robust_tables.improvements(comparison, all_pairs),
+    )
 
 
 def _paper(data: Data, plot: int, place: Path) -> None:

@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import math
+from dataclasses import dataclass, field, replace
 from itertools import combinations
+from typing import Literal
 
 import numpy as np
 
 from vstestbed.report.comparison.columns import ComparisonResults, ControllerResults, Metric
-from vstestbed.report.comparison.statistics import Difference, SuccessDifference, paired_difference, paired_success
+from vstestbed.report.comparison.differences import Difference, paired_difference
+from vstestbed.report.comparison.statistics import Improvement, SuccessDifference, holm, improvement, paired_success
 
 MOST_CONTROLLERS = 6
 """Up to this many controllers every pair is compared (15 pairs); with more, each controller with the first."""
 CHANCE = 0.05
-"""Significance level of McNemar's test on successes."""
+"""Significance level of all tests together."""
+SUCCESS = "success"
+"""Key of the test on successes among those of a pair."""
+Of = Literal["difference", "improvement"]
+Test = tuple[str, Of]
+"""A test of a pair: of which metric (or of success), and of what."""
 TIME = Metric.of("time_to_converge_s")
 
 
@@ -25,6 +33,8 @@ class Pair:
         success: on how many seeds only a, only b, both, neither reached the goal.
         differences: b minus a by metric, in its display unit, over the seeds on which both reached the goal (all seeds for `every_pair`).
         means: mean of a by metric over the same seeds, the reference of relative differences.
+        improvements: probability by metric that b is better than a on the same seed, over all common seeds (`ControllerResults.ranked`).
+        adjusted: `tests` after Holm's correction over all tests of all pairs.
     """
 
     a: int
@@ -32,6 +42,21 @@ class Pair:
     success: SuccessDifference
     differences: dict[str, Difference]
     means: dict[str, float]
+    improvements: dict[str, Improvement]
+    adjusted: dict[Test, float] = field(default_factory=dict)
+
+    @property
+    def tests(self) -> dict[Test, float]:
+        """P-values, each by itself: of the differences of success and of each metric, and of improvements; NaN where there is no test."""
+        found: dict[Test, float] = {(SUCCESS, "difference"): self.success.p if self.seeds else math.nan}
+        for name, difference in self.differences.items():
+            found[name, "difference"] = difference.p
+            found[name, "improvement"] = self.improvements[name].p
+        return found
+
+    def is_real(self, name: str, of: Of = "difference") -> bool:
+        """Whether the difference of a metric or of success, or the improvement of a metric, is significant after Holm's correction."""
+        return self.adjusted[name, of] <= CHANCE
 
     @property
     def seeds(self) -> int:
@@ -40,21 +65,16 @@ class Pair:
         return s.only_a + s.only_b + s.both + s.neither
 
     @property
-    def success_is_real(self) -> bool:
-        """Whether the success rates differ significantly."""
-        return self.success.p < CHANCE
-
-    @property
     def better(self) -> int | None:
         """The controller that is significantly better in success or in time and not worse in the other; None if there is none.
 
         Success and time to converge vote; where they vote for different controllers (more often, but later) neither is better.
         """
         votes = set()  # one vote each of success and time
-        if self.success_is_real:
+        if self.is_real(SUCCESS):
             votes.add(self.b if self.success.only_b > self.success.only_a else self.a)
         time = self.differences[TIME.name]
-        if time.real:
+        if self.is_real(TIME.name):
             votes.add(self.b if time.mean < 0 else self.a)
         return votes.pop() if len(votes) == 1 else None
 
@@ -62,16 +82,28 @@ class Pair:
         """The same pair with a and b exchanged."""
         s = self.success
         success = replace(s, only_a=s.only_b, only_b=s.only_a)
-        differences = {k: replace(d, mean=-d.mean, low=-d.high, high=-d.low) for k, d in self.differences.items()}
+        differences = {k: d.turned() for k, d in self.differences.items()}
         # the mean of b over the common seeds is the mean of a plus the mean difference
-        return Pair(self.b, self.a, success, differences, {k: m + self.differences[k].mean for k, m in self.means.items()})
+        means = {k: m + self.differences[k].mean for k, m in self.means.items()}
+        improvements = {k: replace(i, share=1 - i.share, low=1 - i.high, high=1 - i.low) for k, i in self.improvements.items()}
+        return Pair(self.b, self.a, success, differences, means, improvements, self.adjusted)
 
 
 def pairs(comparison: ComparisonResults) -> list[Pair]:
-    """Every pair of controllers, the later against the earlier; with more than six controllers each one against the first."""
+    """Every pair of controllers, the later against the earlier; with more than six controllers each one against the first.
+
+    The p-values of all of them are corrected together (Holm).
+    """
     n = len(comparison.controllers)
     chosen = combinations(range(n), 2) if n <= MOST_CONTROLLERS else ((0, b) for b in range(1, n))
-    return [_pair(comparison, a, b) for a, b in chosen]
+    found = [_pair(comparison, a, b) for a, b in chosen]
+    adjusted = iter(holm([p for pair in found for p in pair.tests.values()]))
+    return [replace(pair, adjusted={test: next(adjusted) for test in pair.tests}) for pair in found]
+
+
+def tests(all_pairs: list[Pair]) -> int:
+    """Number of tests over which the p-values are corrected."""
+    return sum(not math.isnan(p) for pair in all_pairs for p in pair.tests.values())
 
 
 def against(all_pairs: list[Pair], reference: int) -> list[Pair]:
@@ -83,7 +115,7 @@ def _pair(comparison: ComparisonResults, a: int, b: int) -> Pair:
     first, second = comparison.controllers[a], comparison.controllers[b]
     rows_a, rows_b = _same_seeds(first, second)
     both = first.success[rows_a] & second.success[rows_b]
-    differences, means = {}, {}
+    differences, means, improvements = {}, {}, {}
     # time to converge decides which controller is better, so that it is needed even where the page does not show it
     for metric in {m.name: m for m in (*comparison.shown, TIME)}.values():
         x, y = first.values(metric)[rows_a], second.values(metric)[rows_b]
@@ -91,11 +123,12 @@ def _pair(comparison: ComparisonResults, a: int, b: int) -> Pair:
         used = (both | metric.every_pair) & np.isfinite(x) & np.isfinite(y)
         differences[metric.name] = paired_difference(y[used], x[used])
         means[metric.name] = float(x[used].mean()) if used.any() else np.nan
-    return Pair(a, b, paired_success(first.success[rows_a], second.success[rows_b]), differences, means)
+        improvements[metric.name] = improvement(first.ranked(metric)[rows_a], second.ranked(metric)[rows_b])
+    return Pair(a, b, paired_success(first.success[rows_a], second.success[rows_b]), differences, means, improvements)
 
 
 def _same_seeds(one: ControllerResults, other: ControllerResults) -> tuple[list[int], list[int]]:
-    """Row indices of the common seeds in both controllers' runs, in the same order of seeds."""
-    where = {seed: i for i, seed in enumerate(other.seeds)}
-    shared = [(i, where[seed]) for i, seed in enumerate(one.seeds) if seed in where]
+    """Row indices of the common starts in both controllers' runs, in the same order."""
+    where = {start: i for i, start in enumerate(other.starts)}
+    shared = [(i, where[start]) for i, start in enumerate(one.starts) if start in where]
     return [i for i, _ in shared], [k for _, k in shared]

@@ -1,4 +1,4 @@
-"""Statistics over many runs: success rates, medians with quartiles, paired differences, each with a confidence interval or p-value.
+"""Statistics over many runs: success rates, medians with quartiles, paired successes, probability of improvement, Holm's correction.
 
 Two controllers that ran from the same seeds are compared pair by pair: the difficulty of a start is common to both and cancels.
 """
@@ -6,8 +6,9 @@ Two controllers that ran from the same seeds are compared pair by pair: the diff
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from statistics import NormalDist
 from typing import Final
 
 import numpy as np
@@ -15,15 +16,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
-
-FEWEST: Final = 5
-"""Fewest pairs for the bootstrap: with 4, one resample in 64 is 4 times the same pair and has no spread."""
-
-MOST: Final = 2000
-"""Most pairs for the bootstrap: of more, Student's t has the same interval to a hundredth of its width, at no cost."""
-
-CHUNK: Final = 1_000_000
-"""Values resampled at a time: bounds the memory (about 8 MB an array) whatever the number of pairs."""
 
 ROUNDING: Final = 1e-9
 """Relative difference under which two values count as equal: the same number reached by another order of operations, of which a closed
@@ -54,17 +46,6 @@ class Spread:
 
 
 @dataclass(frozen=True, slots=True)
-class Difference:
-    """Mean of a - b over `n` pairs and its interval, in the unit of the values; `real`: the interval excludes zero."""
-
-    mean: float
-    low: float
-    high: float
-    n: int
-    real: bool
-
-
-@dataclass(frozen=True, slots=True)
 class SuccessDifference:
     """Numbers of seeds on which only a, only b, both, neither succeeded; `p`: two-sided p-value of McNemar's exact test."""
 
@@ -73,6 +54,20 @@ class SuccessDifference:
     both: int
     neither: int
     p: float
+
+
+@dataclass(frozen=True, slots=True)
+class Improvement:
+    """Probability in 0..1 that one controller is better than another on the same of `n` seeds, with its interval; NaN for none.
+
+    `p`: two-sided p-value of the exact sign test, of the hypothesis that either is better equally often.
+    """
+
+    share: float
+    low: float
+    high: float
+    n: int
+    p: float = math.nan
 
 
 def success_rate(successes: int, n: int, confidence: float = 0.95) -> Rate:
@@ -87,15 +82,28 @@ def success_rate(successes: int, n: int, confidence: float = 0.95) -> Rate:
     Reference: Wilson 1927, doi:10.1080/01621459.1927.10502953; Newcombe 1998, method 3,
         doi:10.1002/(SICI)1097-0258(19980430)17:8<857::AID-SIM777>3.0.CO;2-E.
     """
-    _check_confidence(confidence)
+    check_confidence(confidence)
     if not 0 <= successes <= n:
         raise ParameterError("successes", f"must be in 0..{n}", successes)
     if n == 0:
         return Rate(math.nan, 0.0, 1.0, 0, 0)  # no run excludes no rate
-    from scipy.stats import binomtest  # imported here: it costs half a second that other commands need not pay
+    low, high = wilson(successes / n, n, confidence)
+    return Rate(successes / n, float(low), float(high), int(successes), int(n))
 
-    interval = binomtest(int(successes), int(n)).proportion_ci(confidence, method="wilson")
-    return Rate(successes / n, float(interval.low), float(interval.high), int(successes), int(n))
+
+def wilson(share: ArrayLike, n: ArrayLike, confidence: float = 0.95) -> tuple[Array, Array]:
+    """Both ends of the Wilson score interval of shares p among n, each broadcast; p may also be the mean of any n values in 0..1.
+
+        (p + z^2 / 2n -+ z sqrt(p (1 - p) / n + z^2 / 4n^2)) / (1 + z^2 / n)
+
+    Values between 0 and 1, such as ties that count one half, vary less than p (1 - p), so that the interval is then too wide.
+    """
+    z = NormalDist().inv_cdf((1 + confidence) / 2)
+    p, n = np.asarray(share, dtype=float), np.asarray(n, dtype=float)
+    middle, half = p + z * z / (2 * n), z * np.sqrt(p * (1 - p) / n + (z / (2 * n)) ** 2)
+    # at 0 and at n of n the end is exact, which rounding must not move
+    low = np.where(p <= 0, 0.0, (middle - half) / (1 + z * z / n))
+    return low, np.where(p >= 1, 1.0, (middle + half) / (1 + z * z / n))
 
 
 def spread(values: Iterable[float | None]) -> Spread:
@@ -106,49 +114,6 @@ def spread(values: Iterable[float | None]) -> Spread:
         return Spread(math.nan, math.nan, math.nan, 0)
     q1, median, q3 = (float(q) for q in np.quantile(known, (0.25, 0.5, 0.75)))
     return Spread(median, q1, q3, len(known))
-
-
-def paired_difference(a: ArrayLike, b: ArrayLike, confidence: float = 0.95, seed: int = 0, resamples: int = 9999) -> Difference:
-    """Mean of d = a - b over the pairs that have both values, with a symmetric studentised bootstrap interval.
-
-        mean(d) -+ q s / sqrt(n),   q: quantile over resamples d* of |mean(d*) - mean(d)| / (s* / sqrt(n))
-
-    False positives of the nominal 5 % test at n = 20 pairs, from 4000 synthetic comparisons each (BCa bootstrap in brackets):
-    normal differences 5 % (8 %); symmetric with heavy tails, as two equal controllers have, 1-3 % (10-18 %); exponential
-    6 % (9 %); lognormal, which is as skewed as times to converge get, 9 % (13 %).
-    Under 5 pairs the interval is Student's t, which is exact for normal differences only, and wide. From 5 to 10 pairs the
-    bootstrap is up to twice as wide as Student's t: it rather misses a real difference than reports a false one. Over MOST pairs the
-    interval is Student's t, which by the central limit theorem no longer differs.
-    If nearly all differences are equal, resamples without spread occur: Student's t again. If all are equal up to
-    rounding, as in deterministic runs, then low = high = mean. The order of the pairs does not matter, and exchanging
-    a and b changes the sign and nothing else.
-
-    Args:
-        a, b: one value a seed, shape (N,), in the same order of seeds; NaN or None where a run has none.
-        confidence: of the interval, in 0..1. seed: of the resampling. resamples: how many.
-
-    Returns:
-        The difference; low and high are NaN with fewer than two pairs.
-
-    Raises:
-        ParameterError: a and b differ in shape, or confidence is not between 0 and 1.
-
-    Reference: Efron & Tibshirani 1993, ch. 12.5, doi:10.1201/9780429246593; Hall 1988 (symmetric intervals),
-        doi:10.1111/j.2517-6161.1988.tb01707.x; Hesterberg 2015, doi:10.1080/00031305.2015.1089789.
-    """
-    _check_confidence(confidence)
-    d = _differences(a, b)
-    n = len(d)
-    if n == 0:
-        return Difference(math.nan, math.nan, math.nan, 0, False)
-    if n == 1:
-        return Difference(float(d[0]), math.nan, math.nan, 1, False)
-    if d[0] == d[-1]:  # sorted: all differences are equal, and their standard deviation of 0 is no divisor
-        mean, half = float(d[0]), 0.0
-    else:
-        mean, half = float(d.mean()), float(d.std(ddof=1)) / math.sqrt(n) * _quantile(d, confidence, seed, resamples)
-    low, high = mean - half, mean + half
-    return Difference(mean, low, high, n, low > 0 or high < 0)
 
 
 def paired_success(a: ArrayLike, b: ArrayLike) -> SuccessDifference:
@@ -165,75 +130,79 @@ def paired_success(a: ArrayLike, b: ArrayLike) -> SuccessDifference:
     Reference: McNemar 1947, doi:10.1007/BF02295996.
     """
     a, b = np.asarray(a, dtype=bool), np.asarray(b, dtype=bool)
-    _check_pairs(a, b)
+    check_pairs(a, b)
     only_a, only_b = int((a & ~b).sum()), int((~a & b).sum())
-    p = 1.0
-    if only_a + only_b:
-        from scipy.stats import binomtest
-
-        p = float(binomtest(only_a, only_a + only_b).pvalue)
-    return SuccessDifference(only_a, only_b, int((a & b).sum()), int((~a & ~b).sum()), p)
+    return SuccessDifference(only_a, only_b, int((a & b).sum()), int((~a & ~b).sum()), _sign_test(only_a, only_b))
 
 
-def _differences(a: ArrayLike, b: ArrayLike) -> Array:
-    """Sorted a - b of the pairs with two finite values; differences that are equal up to rounding are set equal."""
+def _sign_test(one: int, other: int) -> float:
+    """Two-sided p-value of the hypothesis that both counts have the same expectation."""
+    if one + other == 0:
+        return 1.0
+    from scipy.special import bdtr  # imported here: it costs time that other commands need not pay
+
+    return min(1.0, 2 * float(bdtr(min(one, other), one + other, 0.5)))  # both tails are equal
+
+
+def improvement(a: ArrayLike, b: ArrayLike, confidence: float = 0.95) -> Improvement:
+    """Probability that b is better (less) than a on the same seed; ties count one half, and NaN on either side leaves a pair out.
+
+        P(b < a) + P(b = a) / 2,        p = P(|K - m/2| >= |#{b < a} - m/2|),   K ~ Binomial(m, 1/2), m: seeds without a tie
+
+    Infinity is a run that is worse than any with a number, so that two of them are a tie. The test is exact however skewed the numbers
+    are. The interval is Wilson's: the bootstrap's is nearly the same, but shrinks to a point where b is better on every seed. Ties make
+    it wider than needed.
+
+    Args:
+        a, b: one value a seed, shape (N,), in the same order of seeds; the less the better. confidence: of the interval, in 0..1.
+
+    Raises:
+        ParameterError: a and b differ in shape, or confidence is not between 0 and 1.
+
+    Reference: Agarwal et al. 2021, Deep reinforcement learning at the edge of the statistical precipice, NeurIPS, arXiv:2108.13264
+        (of unpaired runs there).
+    """
+    check_confidence(confidence)
     a, b = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
-    _check_pairs(a, b)
-    known = np.isfinite(a) & np.isfinite(b)
+    check_pairs(a, b)
+    known = ~np.isnan(a) & ~np.isnan(b)
     a, b = a[known], b[known]
-    d = np.sort(a - b)
-    rounding = max(ROUNDING * float(np.abs([a, b]).max(initial=0.0)), LEAST)
-    d[np.abs(d) <= rounding] = 0.0
-    # Differences that are equal but for rounding get one value: in a resample of them alone the spread would be rounding, as a divisor.
-    groups = np.cumsum(np.diff(d, prepend=d[:1]) > rounding)
-    first, last = np.searchsorted(groups, np.unique(groups), "left"), np.searchsorted(groups, np.unique(groups), "right") - 1
-    return np.repeat((d[first] + d[last]) / 2, last - first + 1)
+    if not len(a):
+        return Improvement(math.nan, math.nan, math.nan, 0)
+    finite = np.isfinite(a) & np.isfinite(b)
+    rounding = max(ROUNDING * float(np.abs([a[finite], b[finite]]).max(initial=0.0)), LEAST)
+    tied = a == b
+    tied[finite] |= np.abs(a[finite] - b[finite]) <= rounding
+    share = float(np.where(tied, 0.5, b < a).mean())
+    low, high = wilson(share, len(a), confidence)
+    better, worse = int((~tied & (b < a)).sum()), int((~tied & (b > a)).sum())
+    return Improvement(share, float(low), float(high), len(a), _sign_test(better, worse))
 
 
-def _quantile(d: Array, confidence: float, seed: int, resamples: int) -> float:
-    """Half-width of the interval in standard errors; d: differences, shape (N,), not all equal."""
-    n = len(d)
-    if FEWEST <= n <= MOST:
-        reach = float(np.quantile(_studentised(d, seed, resamples), confidence, method="higher"))
-        if math.isfinite(reach):  # else at least a share 1 - confidence of the resamples had no spread
-            return reach
-    from scipy.special import stdtrit
+def holm(p: Sequence[float]) -> list[float]:
+    """P-values adjusted for their number m: whoever calls those under 5 % real is wrong in any of them in 5 % of all cases at most.
 
-    return float(stdtrit(n - 1, (1 + confidence) / 2))
+        adjusted p_(k) = max over j <= k of min((m + 1 - j) p_(j), 1),        p_(1) <= p_(2) <= ... <= p_(m)
 
+    NaN is no test: it does not count, and stays.
 
-def _studentised(d: Array, seed: int, resamples: int) -> Array:
-    """|mean(d*) - mean(d)| in standard errors of the resample d*, shape (resamples,); inf where d* has no spread but is off the mean."""
-    rng = np.random.default_rng(seed)
-    n = len(d)
-    centred = d - d.mean()
-    # sorted, and with a sign of its own: neither the order of the pairs nor exchanging a and b may change the resamples
-    centred = np.sort(centred if _heavier_above(centred) else -centred)
-    out = np.empty(resamples)
-    # rows of resamples at a time
-    step = max(1, CHUNK // n)
-    for start in range(0, resamples, step):
-        part = out[start : start + step]
-        sample = centred[rng.integers(0, n, (len(part), n), dtype=np.int32)]
-        mean = np.abs(sample.mean(axis=1))
-        flat = sample.min(axis=1) == sample.max(axis=1)
-        error = sample.std(axis=1, ddof=1) / math.sqrt(n)
-        part[:] = np.where(flat, np.where(mean > 0, np.inf, 0.0), mean / np.where(flat, 1.0, error))
-    return out
+    Reference: Holm 1979, A simple sequentially rejective multiple test procedure, Scand. J. Statist. 6, 65-70.
+    """
+    values = np.asarray(p, dtype=float)
+    order = np.argsort(values, kind="stable")[: int((~np.isnan(values)).sum())]  # NaN is sorted last
+    factors = np.arange(len(order), 0, -1)
+    adjusted = np.full(len(values), np.nan)
+    adjusted[order] = np.maximum.accumulate(np.minimum(factors * values[order], 1.0))
+    return adjusted.tolist()
 
 
-def _heavier_above(d: Array) -> bool:
-    """Whether d rather than -d is resampled: a rule that picks the same of the two for either sign."""
-    up, down = np.sort(d), np.sort(-d)
-    first = np.flatnonzero(up != down)
-    return not len(first) or bool(up[first[0]] > down[first[0]])
-
-
-def _check_pairs(a: NDArray[np.generic], b: NDArray[np.generic]) -> None:
+def check_pairs(a: NDArray[np.generic], b: NDArray[np.generic]) -> None:
+    """Raise a ParameterError where two rows of values cannot be pairs."""
     if a.ndim != 1 or a.shape != b.shape:
         raise ParameterError("a, b", "must be one-dimensional and of the same length", (a.shape, b.shape))
 
 
-def _check_confidence(confidence: float) -> None:
+def check_confidence(confidence: float) -> None:
+    """Raise a ParameterError where a confidence is not between 0 and 1."""
     if not 0 < confidence < 1:
         raise ParameterError("confidence", "must be between 0 and 1", confidence)

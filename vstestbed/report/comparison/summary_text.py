@@ -6,7 +6,7 @@ import math
 from html import escape
 
 from vstestbed.report.comparison.columns import ComparisonResults, ControllerResults, Metric
-from vstestbed.report.comparison.pairs import MOST_CONTROLLERS, TIME, Pair, against
+from vstestbed.report.comparison.pairs import MOST_CONTROLLERS, SUCCESS, TIME, Pair, against
 from vstestbed.report.comparison.statistics import success_rate
 from vstestbed.report.run.numbers import number, plain
 
@@ -87,7 +87,7 @@ def _best_of_all(labels: list[str], all_pairs: list[Pair], wins: list[int]) -> s
 
 def _no_winner(all_pairs: list[Pair]) -> str:
     """No controller is better than any other: either nothing is significant, or success and time contradict each other."""
-    if any(p.success_is_real or p.differences[TIME.name].real for p in all_pairs):
+    if any(p.is_real(SUCCESS) or p.is_real(TIME.name) for p in all_pairs):
         return "None of them is better: who reaches the goal more often does so later."
     what = "of success or of time" if any(map(_others, all_pairs)) else "between them"
     return f"No difference {what} that {runs(max(p.seeds for p in all_pairs))} each could show."
@@ -110,7 +110,7 @@ def _undefeated(labels: list[str], all_pairs: list[Pair]) -> list[int]:
 
 def _of_two(labels: list[str], pair: Pair) -> tuple[str, bool]:
     if pair.better is None:
-        if pair.success_is_real or pair.differences[TIME.name].real:
+        if pair.is_real(SUCCESS) or pair.is_real(TIME.name):
             often = pair.b if pair.success.only_b > pair.success.only_a else pair.a
             other = pair.a + pair.b - often
             return f"{labels[often]} reaches the goal more often, {labels[other]} sooner.", False
@@ -125,9 +125,9 @@ def _of_two(labels: list[str], pair: Pair) -> tuple[str, bool]:
 def _advantages(pair: Pair) -> str:
     """In what b is significantly better than a, and by how much."""
     time, advantages = pair.differences[TIME.name], []
-    if pair.success_is_real:
+    if pair.is_real(SUCCESS):
         advantages.append(f"reaches the goal on {pair.success.only_b - pair.success.only_a} more of {pair.seeds} seeds")
-    if time.real:
+    if pair.is_real(TIME.name):
         advantages.append(f"converges {number(-time.mean)} s{_share(pair)} sooner")
     return " and ".join(advantages)
 
@@ -154,7 +154,8 @@ def pair_text(pair: Pair, labels: list[str]) -> str:
         where = {0: "on no seed", n: every}.get(s.both, f"on the same {s.both} of {n} seeds")
         goal = f"{b} and {a} reached the goal {where}."
     else:
-        proof = f"a real difference ({_p(s.p)})" if pair.success_is_real else f"no difference that {runs(n)} could show ({_p(s.p)})"
+        p = p_text(pair.adjusted[SUCCESS, "difference"])
+        proof = f"a real difference ({p})" if pair.is_real(SUCCESS) else f"no difference that {runs(n)} could show ({p})"
         goal = f"{b} reached the goal on {of_b} of {n} seeds, {a} on {of_a}: {proof}."
     return " ".join(filter(None, (goal, _time_text(pair, a, b), _other_text(pair))))
 
@@ -165,23 +166,34 @@ def _time_text(pair: Pair, a: str, b: str) -> str:
         return "Never on the same seed, so that times cannot be compared." if pair.success.only_a and pair.success.only_b else ""
     if not math.isfinite(time.low):
         return f"{b} took {signed(time.mean)} s against {a} on the only seed that both did: one pair shows nothing."
-    interval = f"95 % interval {signed(time.low)} to {signed(time.high)} s, {time.n} seeds"
-    if time.real:
+    interval = (
+        f"95 % interval {signed(time.low)} to {signed(time.high)} s, {time.n} seeds, {p_text(pair.adjusted[TIME.name, 'difference'])}"
+    )
+    if pair.is_real(TIME.name):
         way = "sooner" if time.mean < 0 else "later"
         return f"{b} converged {number(abs(time.mean))} s{_share(pair)} {way} than {a}, a real difference ({interval})."
-    return f"Their times to converge show no difference that {time.n} seeds could show (mean {signed(time.mean)} s, {interval})."
+    alone = " after correction for all tests" if time.real else ""
+    return f"Their times to converge show no difference that {time.n} seeds could show (mean {signed(time.mean)} s, {interval}{alone})."
 
 
 def _other_text(pair: Pair) -> str:
     """The other metrics with a significant difference."""
-    named = [f"{m.title.lower()} ({f'{signed(pair.differences[m.name].mean)} {m.unit}'.strip()})" for m in _others(pair)]
+    named = [f"{m.title.lower()} ({_by_how_much(pair, m)})" for m in _others(pair)]
     more = f", and {len(named) - MOST_OTHERS} more" if len(named) > MOST_OTHERS else ""
     return f"They really differ in {', '.join(named[:MOST_OTHERS])}{more}." if named else ""
 
 
+def _by_how_much(pair: Pair, metric: Metric) -> str:
+    """The mean difference `+1.2 px`; where that is not significant, from how many of the starts b is better, or worse."""
+    if pair.is_real(metric.name):
+        return f"{signed(pair.differences[metric.name].mean)} {metric.unit}".strip()
+    share = pair.improvements[metric.name].share
+    return f"{'better' if share > 0.5 else 'worse'} from {100 * max(share, 1 - share):.0f} % of the starts"
+
+
 def _others(pair: Pair) -> list[Metric]:
-    """The metrics other than time whose difference is significant."""
-    return [Metric.of(name) for name, d in pair.differences.items() if d.real and name != TIME.name]
+    """The metrics other than time whose difference or improvement is significant."""
+    return [Metric.of(name) for name in pair.differences if name != TIME.name and (pair.is_real(name) or pair.is_real(name, "improvement"))]
 
 
 def _share(pair: Pair) -> str:
@@ -204,7 +216,8 @@ def _count(n: int) -> str:
     return {2: "two", 3: "three", 4: "four", 5: "five"}.get(n, str(n))
 
 
-def _p(p: float) -> str:
+def p_text(p: float) -> str:
+    """`p = 0.012`."""
     return "p < 0.001" if p < 1e-3 else f"p = {p:.2g}"
 
 

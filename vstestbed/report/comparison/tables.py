@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from html import escape
 
 from vstestbed.report.comparison.columns import ComparisonResults, ControllerResults, Metric
-from vstestbed.report.comparison.pairs import MOST_CONTROLLERS, Pair, against
+from vstestbed.report.comparison.pairs import MOST_CONTROLLERS, SUCCESS, Pair, against, tests
 from vstestbed.report.comparison.statistics import spread, success_rate
-from vstestbed.report.comparison.summary_text import signed
+from vstestbed.report.comparison.summary_text import p_text, signed
 from vstestbed.report.run.numbers import number
 
 Cell = tuple[float | str | None, str]
@@ -32,8 +32,8 @@ def _rate(controller: ControllerResults) -> Cell:
     if not len(controller.success):
         return None, "–"
     rate = success_rate(int(controller.success.sum()), len(controller.success))
-    below = f"[{100 * rate.low:.0f}, {100 * rate.high:.0f}]"
-    return rate.rate, f"{100 * rate.rate:.0f} % {_below(below)}{_below(f'{rate.successes} of {rate.n}')}"
+    interval = f"[{100 * rate.low:.0f}, {100 * rate.high:.0f}]"
+    return rate.rate, f"{100 * rate.rate:.0f} % {below(interval)}{below(f'{rate.successes} of {rate.n}')}"
 
 
 def _spread(controller: ControllerResults, metric: Metric) -> Cell:
@@ -41,27 +41,44 @@ def _spread(controller: ControllerResults, metric: Metric) -> Cell:
     if summary.n == 0:
         return None, "–"
     # the number of runs only where it is not all of them
-    count = _below(f"n = {summary.n}") if summary.n < len(controller.runs) else ""
-    return summary.median, f"{number(summary.median)} {_below(f'[{number(summary.q1)}, {number(summary.q3)}]')}{count}"
+    count = below(f"n = {summary.n}") if summary.n < len(controller.runs) else ""
+    return summary.median, f"{number(summary.median)} {below(f'[{number(summary.q1)}, {number(summary.q3)}]')}{count}"
 
 
 def differences(comparison: ComparisonResults, all_pairs: list[Pair]) -> str:
     """Tables of paired differences, one for each reference controller, of which the page shows one; empty for a single controller."""
-    n = len(comparison.controllers)
-    if n < 2:
+    labels = labels_of(comparison)
+    if len(labels) < 2:
         return ""
-    references = range(n) if n <= MOST_CONTROLLERS else range(1)
-    labels = [c.label for c in comparison.controllers]
-    parts = [_against(comparison, against(all_pairs, i), labels, i) for i in references]
+    parts = [_against(comparison, against(all_pairs, i), labels, i) for i in references(labels)]
     note = (
-        "Reached the goal: on how many more seeds; p says how often chance alone would be as lopsided (McNemar). "
-        f"The numbers: the mean of this line minus the other over the seeds on which both reached the goal{_all_seeds_note(comparison)}, "
-        "its 95 % bootstrap interval "
-        "below. Bold with a dot: the interval excludes zero, the difference is real. "
-        f"There are {len(all_pairs) * (1 + len(comparison.shown))} "
-        "tests in all; of tests where nothing differs, one in twenty looks real all the same."
+        "Reached the goal: on how many more seeds (McNemar's test). The numbers: the mean of this line minus the other over the seeds on "
+        f"which both reached the goal{_all_seeds_note(comparison)}, its 95 % bootstrap interval and the p-value below. "
+        f"All p-values are corrected for the {tests(all_pairs)} tests of this page (Holm). Bold with a dot: p is at most 0.05, the "
+        "difference is real. An interval that excludes zero without a dot is what chance gives in one of twenty tests. "
+        f"{_skewed_note(comparison, all_pairs)}"
     )
     return f'<section><h2>Paired differences</h2>{_chooser(labels, len(parts))}{"".join(parts)}<p class="soft">{note}</p></section>'
+
+
+def labels_of(comparison: ComparisonResults) -> list[str]:
+    """The controllers' labels."""
+    return [c.label for c in comparison.controllers]
+
+
+def references(labels: Sequence[str]) -> range:
+    """The controllers with which the others are compared: each of few, the first of many."""
+    return range(len(labels) if len(labels) <= MOST_CONTROLLERS else 1)
+
+
+def _skewed_note(comparison: ComparisonResults, all_pairs: list[Pair]) -> str:
+    """What `skewed` means, where it is written."""
+    if not any(p.differences[m.name].skewed for p in all_pairs for m in comparison.shown):
+        return ""
+    return (
+        "Skewed: a few seeds make the mean. The probability of improvement counts every seed alike, and its test is exact for skewed "
+        "numbers, too."
+    )
 
 
 def _all_seeds_note(comparison: ComparisonResults) -> str:
@@ -87,9 +104,9 @@ def _against(comparison: ComparisonResults, against_reference: list[Pair], label
 def _goals(pair: Pair) -> Cell:
     s = pair.success
     more = signed(s.only_b - s.only_a)
-    p = f"p = {s.p:.2g}" if s.p >= 1e-3 else "p &lt; 0.001"
-    counts = "".join(map(_below, (p, f"only this: {s.only_b}", f"only other: {s.only_a}", f"both: {s.both}", f"neither: {s.neither}")))
-    return s.only_b - s.only_a, f"{_real(more) if pair.success_is_real else more} {counts}"
+    counts = (f"only this: {s.only_b}", f"only other: {s.only_a}", f"both: {s.both}", f"neither: {s.neither}")
+    lines = "".join(map(below, (corrected(pair.adjusted[SUCCESS, "difference"]), *counts)))
+    return s.only_b - s.only_a, f"{real(more) if pair.is_real(SUCCESS) else more} {lines}"
 
 
 def _difference(pair: Pair, metric: Metric) -> Cell:
@@ -98,15 +115,24 @@ def _difference(pair: Pair, metric: Metric) -> Cell:
         return None, "–"
     interval = f"[{signed(d.low)},<br>{signed(d.high)}]" if math.isfinite(d.low) else "no interval"
     mean = signed(d.mean)
-    count = _below(f"n = {d.n}") if d.n < pair.success.both else ""
-    return d.mean, f"{_real(mean) if d.real else mean} {_below(interval)}{count}"
+    p = below(corrected(pair.adjusted[metric.name, "difference"])) if math.isfinite(d.p) else ""
+    count = below(f"n = {d.n}") if d.n < pair.success.both else ""
+    skewed = below("skewed") if d.skewed else ""
+    return d.mean, f"{real(mean) if pair.is_real(metric.name) else mean} {below(interval)}{p}{count}{skewed}"
 
 
-def _real(text: str) -> str:
+def corrected(p: float) -> str:
+    """A p-value as HTML."""
+    return "no test" if math.isnan(p) else escape(p_text(p))
+
+
+def real(text: str) -> str:
+    """A number that differs significantly."""
     return f'<b class="real">● {text}</b>'
 
 
-def _below(text: str) -> str:
+def below(text: str) -> str:
+    """Small print below a cell's number."""
     return f"<small>{text}</small>"
 
 

@@ -19,9 +19,13 @@ from vstestbed.core.files import make_folder, write_whole
 from vstestbed.core.geometry import Array
 from vstestbed.core.shares import Call, at_once
 from vstestbed.report.comparison import failures as comparison_failures
-from vstestbed.report.comparison.columns import ComparisonResults, ControllerResults, Metric
+from vstestbed.report.comparison import robust_tables
+from vstestbed.report.comparison import tables as comparison_tables
+from vstestbed.report.comparison.columns import TASK, ComparisonResults, ControllerResults, Metric
+from vstestbed.report.comparison.interquartile import interquartiles
+from vstestbed.report.comparison.pairs import pairs
+from vstestbed.report.comparison.records import write_records
 from vstestbed.report.comparison.statistics import success_rate
-from vstestbed.report.comparison.tables import STYLE as TABLES
 from vstestbed.report.html.canvas import LINE_COLORS, LOST, new_figure, save, style, to_svg
 from vstestbed.report.html.parts import figure
 from vstestbed.report.html.template import PAGE, STYLE
@@ -30,7 +34,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-TASK, AMOUNT = "task", "amount"
+AMOUNT: Final = "amount"
 TIME: Final = "time_to_converge_s"
 DRAWN: Final = (TIME, "max_retreat_m")
 """Metrics that are drawn where a comparison names none."""
@@ -102,23 +106,17 @@ def _numbers(amounts: Sequence[str]) -> str:
 
 def cells(table: pl.DataFrame, axes: Sequence[str]) -> list[Cell]:
     """Every law in every task, in order of first appearance; the laws are the combinations of all axes but the task."""
-    others = [axis for axis in axes if axis != TASK]
-    comparison = ComparisonResults(table.select(pl.exclude(TASK)), tuple(others))
-    found = []
-    for law in comparison.controllers:
-        # with a single axis `law=points` is just `points`
-        label = law.label if "=" not in law.label or len(others) > 1 else law.label.partition("=")[2]
-        # the rows of one law in all tasks
-        rows = table.filter(pl.all_horizontal(pl.col(c) == law.runs[c][0] for c in ("scenario", *others)))
-        found += [
-            Cell(label, str(task), ControllerResults(label, rows.filter(pl.col(TASK) == task).sort("seed")))
-            for task in _ordered(rows[TASK])
-        ]
-    return found
+    return [
+        Cell(law.label, task, ControllerResults(law.label, law.runs.filter(pl.col(TASK) == task)))
+        for law in over_all_tasks(table, axes).controllers
+        for task in dict.fromkeys(table[TASK].to_list())
+        if task in law.tasks
+    ]
 
 
-def _ordered(values: pl.Series) -> list[str]:
-    return list(dict.fromkeys(map(str, values.to_list())))
+def over_all_tasks(table: pl.DataFrame, axes: Sequence[str], metrics: Sequence[str] = ()) -> ComparisonResults:
+    """Each law with its runs in all tasks, which are the strata of statistics over all of them."""
+    return ComparisonResults(table, tuple(axis for axis in axes if axis != TASK), tuple(metrics) or DRAWN, bare=True)
 
 
 def markdown(found: Sequence[Cell], metrics: Sequence[str] = ()) -> str:
@@ -231,7 +229,7 @@ def _crosses(axes: Axes, at: Array, place: int, of: int) -> None:
 def write_task_report(
     folder: Path, table: pl.DataFrame, axes: tuple[str, ...], metrics: tuple[str, ...], description: str, command: str, call: Call = at_once
 ) -> Path:
-    """Write `report.html`, `tasks.md` and `figures/tasks.pdf` and `.png` into a comparison's folder; returns the page's path.
+    """Write `report.html`, `tasks.md`, `figures/tasks.*`, `controllers.*` and `pairs.*` into a comparison's folder; returns the page.
 
     Args:
         folder: the comparison's folder. table: one row per run, with the columns `task` and `amount`.
@@ -252,19 +250,37 @@ def write_task_report(
         _html(found, _td),
         f'<section><h2>Figure</h2><div class="broad">{figure("Over the amounts", drawn[0].result(), caption)}</div></section>',
         _spreads(found, metrics),
+        *_statistics(folder, over_all_tasks(table, axes, metrics)),
         comparison_failures.section(folder, ComparisonResults(table, axes, metrics)),
         f"<section><h2>How it was made</h2><p>Made again by<br><code>{escape(command)}</code></p></section>",
     ]
     heading = " and ".join(dict.fromkeys(map(str, table["scenario"].to_list())))
     page = PAGE.format(
         title=escape(heading),
-        style=STYLE + TABLES,
+        style=STYLE + comparison_tables.STYLE,
         heading=escape(f"{heading}: tasks"),
         description=f"<p>{escape(description)}</p>",
         body="\n".join(body),
     )
     drawn[1].result()
     return write_whole(folder / "report.html", page)
+
+
+def _statistics(folder: Path, laws: ComparisonResults) -> tuple[str, ...]:
+    """The laws over all tasks, as HTML and as tables for other programs."""
+    all_pairs, means = pairs(laws), interquartiles(laws)
+    write_records(folder, laws, means, all_pairs)
+    words = (
+        "Intervals and p-values are those of starts that are a random sample of each task; where the amounts were chosen, "
+        "they say how far other amounts of that kind could change the result."
+    )
+    return (
+        f"<section><h2>Over all tasks</h2><p>{words}</p></section>",
+        robust_tables.interquartile_means(laws, means),
+        comparison_tables.differences(laws, all_pairs),
+        robust_tables.improvements(laws, all_pairs),
+        comparison_tables.SCRIPT,
+    )
 
 
 def _paper(folder: Path, found: Sequence[Cell], metrics: Sequence[str]) -> None:

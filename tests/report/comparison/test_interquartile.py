@@ -1,0 +1,115 @@
+"""Interquartile means against scipy and by brute force, and how often their intervals hold the truth."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import polars as pl
+import pytest
+from scipy import stats
+
+from vstestbed.core.errors import ParameterError
+from vstestbed.report.comparison.columns import ComparisonResults
+from vstestbed.report.comparison.interquartile import MOST, _levels, _resampled, interquartile_mean, interquartiles
+from vstestbed.report.comparison.resampling import draws
+
+
+def iqm(values: np.ndarray) -> float:
+    return float(stats.trim_mean(values, 0.25))
+
+
+@pytest.mark.parametrize("n", [1, 3, 4, 5, 20, 23])
+def test_the_mean_is_scipys_trimmed_mean(n: int) -> None:
+    x = np.random.default_rng(n).lognormal(0, 1, n)
+    found = interquartile_mean([*x, math.nan])
+    assert found.mean == pytest.approx(iqm(x), rel=1e-12) and found.n == n
+    assert math.isnan(found.low) == (n < 5)
+
+
+def test_the_resamples_are_those_of_brute_force_within_each_stratum() -> None:
+    x = np.random.default_rng(0).normal(0, 1, 11)
+    ordered = np.concatenate([np.sort(x[:7]), np.sort(x[7:])])
+    drawn = draws((7, 4), 50, 3)
+    assert (drawn[:, :7].sum(axis=1) == 7).all() and (drawn[:, 7:].sum(axis=1) == 4).all()
+    brute = [iqm(np.repeat(ordered, counts.astype(int))) for counts in drawn]
+    np.testing.assert_allclose(_resampled(ordered, (7, 4), 3, 50), brute, rtol=1e-12)
+
+
+def test_the_interval_is_scipys_percentile_interval_at_the_expanded_level() -> None:
+    x = np.random.default_rng(4).lognormal(0, 0.5, 20)
+    low, high = _levels(20, 19, 0.95)
+    assert low == pytest.approx(stats.norm.cdf(-math.sqrt(20 / 19) * stats.t.ppf(0.975, 19)), rel=1e-9) and low == pytest.approx(1 - high)
+    level, seed = high - low, np.random.default_rng(1)
+    of = stats.bootstrap(
+        (x,), lambda v, axis: stats.trim_mean(v, 0.25, axis=axis), n_resamples=9999, method="percentile", confidence_level=level, rng=seed
+    )
+    found = interquartile_mean(x, resamples=9999)
+    width = found.high - found.low
+    assert found.low == pytest.approx(of.confidence_interval.low, abs=0.03 * width)
+    assert found.high == pytest.approx(of.confidence_interval.high, abs=0.03 * width)
+
+
+def test_neither_order_nor_the_names_of_strata_matter_and_strata_take_out_what_differs_between_tasks() -> None:
+    rng = np.random.default_rng(1)
+    task = np.repeat(["turn", "shift", "both"], 8)
+    x = rng.normal(0, 1, 24) + 5.0 * np.repeat([0, 1, 2], 8)
+    order = rng.permutation(24)
+    found = interquartile_mean(x, task)
+    assert interquartile_mean(x[order], task[order]) == found
+    plain = interquartile_mean(x)
+    assert plain.mean == found.mean and found.high - found.low < 0.5 * (plain.high - plain.low)
+
+
+def test_failed_runs_are_worse_than_any_with_a_number() -> None:
+    x = np.arange(20.0)
+    five, six = (interquartile_mean(np.where(np.arange(20) >= 20 - failed, np.inf, x)) for failed in (5, 6))
+    assert five.mean == 9.5 and math.isfinite(five.low) and five.high == math.inf
+    assert six.mean == math.inf and math.isfinite(six.low)  # another sample of 20 could have had five
+    none = interquartile_mean(np.full(20, np.inf))
+    assert none.low == none.high == math.inf
+    many = interquartile_mean(np.r_[np.arange(900.0), np.full(100, np.inf)])
+    assert math.isfinite(many.high) and many.mean == iqm(np.r_[np.arange(900.0), np.full(100, 1e9)])
+    quarter = interquartile_mean(np.r_[np.arange(750.0), np.full(250, np.inf)])
+    assert math.isfinite(quarter.mean) and quarter.high == math.inf
+
+
+def test_of_many_runs_the_normal_interval_is_that_of_the_bootstrap() -> None:
+    rng = np.random.default_rng(2)
+    for strata in (None, np.arange(MOST + 100) % 4):
+        x = rng.exponential(1, MOST + 100) + (0 if strata is None else strata)
+        found = interquartile_mean(x, strata)
+        blocks = x if strata is None else np.concatenate([np.sort(x[strata == k]) for k in range(4)])
+        means = _resampled(np.sort(x) if strata is None else blocks, (len(x),) if strata is None else (len(x) // 4,) * 4, 0, 1500)
+        assert found.high - found.low == pytest.approx(2 * 1.96 * means.std(), rel=0.06)
+
+
+def test_a_wrong_confidence_is_refused() -> None:
+    with pytest.raises(ParameterError, match="confidence"):
+        interquartile_mean([1.0], confidence=95)
+
+
+def test_the_runs_of_a_controller_count_as_the_page_says() -> None:
+    rows = {"scenario": ["a"] * 8, "seed": list(range(8)), "success": [True] * 6 + [False] * 2}
+    frame = pl.DataFrame(
+        rows
+        | {"time_to_converge_s": [1.0, 2, 3, 4, 5, 6, None, None], "min_border_margin_px": [10.0, 20, 30, 40, 50, 60, 99, 99]}
+        | {"final_error_px": [0.1] * 6 + [0.0] * 2, "feature_overshoot": [0.5] * 7 + [None], "path_ratio": [None] * 8}
+    )
+    names = ("time_to_converge_s", "min_border_margin_px", "final_error_px", "feature_overshoot", "path_ratio", "tracking_rms_px")
+    (found,) = interquartiles(ComparisonResults(frame, (), names))
+    assert found["time_to_converge_s"].mean == 4.5  # the mean of 3, 4, 5, 6: two failed
+    assert found["min_border_margin_px"].mean == 25.0 and found["min_border_margin_px"].low == -math.inf  # 10, 20, 30, 40
+    assert found["final_error_px"].mean == 0.1  # although both that failed ended nearer
+    assert found["feature_overshoot"].mean == 0.5  # of one that failed its own, of one that crashed the worst
+    assert found["path_ratio"].n == found["tracking_rms_px"].n == 0
+
+
+@pytest.mark.study
+@pytest.mark.parametrize(("n", "least"), [(5, 0.87), (10, 0.94), (20, 0.94), (50, 0.93)])
+def test_the_interval_holds_the_true_mean(n: int, least: float) -> None:
+    rng = np.random.default_rng(n)
+    for draw in (rng.normal, rng.standard_exponential, lambda size: rng.lognormal(0, 1, size), lambda size: rng.standard_t(2, size)):
+        truth = iqm(draw(size=2_000_000))
+        found = [interquartile_mean(draw(size=n)) for _ in range(2000)]
+        assert np.mean([f.low <= truth <= f.high for f in found]) > least
