@@ -12,6 +12,7 @@ from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import Pixels, PositivePixels
 from vstestbed.core.spec import spec
 from vstestbed.features.observation import Goal, Observation
+from vstestbed.laws.carry import points
 from vstestbed.laws.select import usable_rows
 from vstestbed.laws.solve import least_squares
 
@@ -83,7 +84,7 @@ class Visibility:
         near = speed.any(axis=1)
         if not near.any():
             return nothing
-        L = pixel_interaction(goal.camera, _points(observation)[rows][near])
+        L = pixel_interaction(goal.camera, points(observation)[rows][near])
         return least_squares(L.reshape(-1, 6) @ basis, speed[near].ravel())
 
     def _inwards(self, camera: Camera, uv: Array, radius: Array | float) -> Array:
@@ -91,14 +92,6 @@ class Visibility:
         distance, inwards = camera.borders(uv)
         x = np.clip((distance - np.reshape(radius, (-1, 1))) / self.margin_px, NEAREST, 1.0)
         return np.einsum("nb,nbk->nk", self.strength_pxps * (1 / x - 1) / x**2, inwards)
-
-
-def _points(observation: Observation) -> Array:
-    """The markers in the camera frame by the law's own depths or ranges, shape (N, 3) [m]."""
-    if observation.ray is not None and observation.range is not None:
-        return observation.ray * observation.range[:, None]
-    xy = observation.xy
-    return np.column_stack([xy, np.ones(len(xy))]) * observation.depth[:, None]
 
 
 def pixel_interaction(camera: Camera, p: Array) -> Array:
