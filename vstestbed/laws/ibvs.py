@@ -119,7 +119,7 @@ class IBVS(LawBase):
             return IBVSMemory(), Command.rest(basis, rows)  # from rest the next command starts smoothly again
         e, L = self.equations(*self._taken(known, rows), *self._taken(goal, rows))
         solved = self.solve.least_squares(L @ basis, e)  # the remaining motion x = pinv(L B) e
-        change = None if why else change_of_markers(self.feature, before, known, needed, self.solve)
+        change = change_of_markers(self.feature, before, known, needed, self.solve) if observation.seen.any() else None
         followed, solved, tau = feedforward_term(kind, before, known, solved, change, basis, not why)
         u = -self.gain.at(solved) * solved - tau
         if goal.twist is not None:

@@ -182,7 +182,7 @@ class Partitioned(LawBase):
             return before, known, np.zeros(6)
         e, L = _POINT.error(known.xy[rows].ravel(), goal.xy[rows].ravel()), _POINT.interaction(known.xy[rows], known.depth[rows])
         solved = self.solve.least_squares(L @ basis, e)  # the remaining motion by all points, of all motions
-        change = change_of_markers(_POINT, before, known, self.markers_needed(basis), self.solve) if suffices else None
+        change = change_of_markers(_POINT, before, known, self.markers_needed(basis), self.solve) if seen.seen.any() else None
         followed, predicted, tau = feedforward_term(self.feedforward, before, known, solved, change, basis, suffices)
         # The features are no linear function of that motion, so that it moves the markers: by its difference from the horizon's.
         p = transform(exp(-basis @ (predicted - solved)), points(known))
