@@ -13,7 +13,7 @@ from vstestbed.features import LogDepth, Point, ThetaU
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.base import Command, ConstantGain, Gain, LawBase, TwistLimits
 from vstestbed.laws.feedforward import Change, Feedforward, NoFeedforward
-from vstestbed.laws.following import NOTHING, Followed, anti_windup, coasting, completed, feedforward_term, inputs_of
+from vstestbed.laws.following import NOTHING, Followed, anti_windup, coasting, usable_pose, feedforward_term, inputs_of
 from vstestbed.laws.select import NO_POSE, TOO_FEW
 from vstestbed.laws.solve import Solve
 from vstestbed.laws.views import Views
@@ -91,14 +91,14 @@ class Hybrid(LawBase):
         """One frame; rest where the homography or the pose is unknown."""
         few = np.count_nonzero(observation.seen) < self.markers_needed(basis)
         why = TOO_FEW if few else NO_POSE if self._compare(observation, goal) is None else ""
-        known = completed(self.feedforward, memory, observation, goal, basis, why)
+        known = usable_pose(self.feedforward, memory, observation, goal, basis, why)
         compared = None if known is None else self._compare(known, goal)
         if known is None or compared is None:
             return NOTHING, Command.rest(basis, why)
         e, L = self.equations(*compared, goal.middle)
         solved = self.solve.least_squares(L @ basis, e)
-        change = self._change(memory.seen, compared, goal) if memory.seen and not why else None
-        followed, solved, tau = feedforward_term(self.feedforward, memory, known, solved, change, basis, not why)
+        change = self._change(memory.seen, compared, goal) if memory.seen else None
+        followed, solved, tau = feedforward_term(self.feedforward, memory, known, solved, change, basis, why)
         u = -self.gain.at(solved) * solved - tau
         if self.visibility.margin_px > 0:
             u = u + self.visibility.push(observation, goal, basis)

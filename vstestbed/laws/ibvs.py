@@ -114,13 +114,13 @@ class IBVS(LawBase):
     def step(self, memory: IBVSMemory, observation: Observation, goal: Goal, basis: Array) -> tuple[IBVSMemory, Command]:
         """One frame with the visible markers; rest when they are too few for the robot's motions."""
         kind, before, needed = self.feedforward, memory.followed, self.markers_needed(basis)
-        known, rows, why = usable_markers(kind, before, observation, goal, basis, self.feature.inputs, needed)
+        known, rows, why = usable_markers(kind, before, observation, basis, self.feature.inputs, needed)
         if isinstance(rows, str):
             return IBVSMemory(), Command.rest(basis, rows)  # from rest the next command starts smoothly again
         e, L = self.equations(*self._taken(known, rows), *self._taken(goal, rows))
         solved = self.solve.least_squares(L @ basis, e)  # the remaining motion x = pinv(L B) e
-        change = change_of_markers(self.feature, before, known, needed, self.solve) if observation.seen.any() else None
-        followed, solved, tau = feedforward_term(kind, before, known, solved, change, basis, not why)
+        change = change_of_markers(self.feature, before, known, needed, self.solve)
+        followed, solved, tau = feedforward_term(kind, before, known, solved, change, basis, why)
         u = -self.gain.at(solved) * solved - tau
         if goal.twist is not None:
             u = u + least_squares(basis, goal.twist)  # u*, as far as the robot's motions allow

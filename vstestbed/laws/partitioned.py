@@ -153,10 +153,10 @@ class Partitioned(LawBase):
     def step(self, memory: PartitionedMemory, observation: Observation, goal: Goal, basis: Array) -> tuple[PartitionedMemory, Command]:
         """One frame with the visible markers; rest when they are too few or span no area."""
         kind, before, needed = self.feedforward, memory.followed, self.markers_needed(basis)
-        known, rows, why = usable_markers(kind, before, observation, goal, basis, _POINT.inputs, needed)
+        known, rows, why = usable_markers(kind, before, observation, basis, _POINT.inputs, needed)
         if isinstance(rows, str):
             return PartitionedMemory(memory.turn), Command.rest(basis, rows)
-        followed, ahead, tau = self._fed_forward(before, observation, known, rows, goal, basis, not why)
+        followed, ahead, tau = self._fed_forward(before, known, rows, goal, basis, why)
         xy, goal_xy = ahead.xy[rows], goal.xy[rows]
         sigma, d, sigma_star, d_star = size(xy), segments(xy), size(goal_xy), segments(goal_xy)
         if not (spans_area(sigma, d) and spans_area(sigma_star, d_star)):
@@ -171,19 +171,19 @@ class Partitioned(LawBase):
         return PartitionedMemory(turn, anti_windup(before, followed, command)), coasting(command, why)
 
     def _fed_forward(
-        self, before: Followed, seen: Observation, known: Observation, rows: Rows, goal: Goal, basis: Array, suffices: bool
+        self, before: Followed, known: Observation, rows: Rows, goal: Goal, basis: Array, why: str
     ) -> tuple[Followed, Observation, Array]:
         """The next state of the feedforward, the observation with its markers where they are predicted, and the feedforward twist (6,).
 
         Args:
-            seen: as measured. known: `completed`, with the usable markers `rows`. The others as `feedforward_term`.
+            known: the observation with what was carried over. rows: its usable markers. The others as `feedforward_term`.
         """
         if isinstance(self.feedforward, NoFeedforward):
             return before, known, np.zeros(6)
         e, L = _POINT.error(known.xy[rows].ravel(), goal.xy[rows].ravel()), _POINT.interaction(known.xy[rows], known.depth[rows])
         solved = self.solve.least_squares(L @ basis, e)  # the remaining motion by all points, of all motions
-        change = change_of_markers(_POINT, before, known, self.markers_needed(basis), self.solve) if seen.seen.any() else None
-        followed, predicted, tau = feedforward_term(self.feedforward, before, known, solved, change, basis, suffices)
+        change = change_of_markers(_POINT, before, known, self.markers_needed(basis), self.solve)
+        followed, predicted, tau = feedforward_term(self.feedforward, before, known, solved, change, basis, why)
         # The features are no linear function of that motion, so that it moves the markers: by its difference from the horizon's.
         p = transform(exp(-basis @ (predicted - solved)), points(known))
         return followed, moved_markers(known, p, np.ones(len(p), dtype=bool)), basis @ tau

@@ -12,7 +12,7 @@ from vstestbed.features import ThetaU, Translation
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.base import Command, ConstantGain, Gain, LawBase, TwistLimits
 from vstestbed.laws.feedforward import Change, Feedforward, NoFeedforward
-from vstestbed.laws.following import NOTHING, Followed, anti_windup, coasting, completed, feedforward_term, inputs_of
+from vstestbed.laws.following import NOTHING, Followed, anti_windup, coasting, usable_pose, feedforward_term, inputs_of
 from vstestbed.laws.select import NO_POSE, TOO_FEW
 from vstestbed.laws.solve import Solve
 from vstestbed.laws.views import Views
@@ -33,8 +33,7 @@ class PBVS(LawBase):
     The pose comes from the markers' pixels and the known target (perspective-n-point); its errors enter the law.
 
     With `feedforward` a moving target is tracked without lag (`feedforward.py`), for CARRY_S also while it is not visible
-    (`following.py`). Its
-    displacement between two frames is that of the poses, log(T_before T_now^-1), less the camera's own.
+    (`following.py`). Its displacement between two frames is that of the poses, log(T_before T_now^-1), less the camera's own.
 
     Errata. Corke 2017, section 15.1, moves the camera by a fraction of the pose error at each step (SE(3) interpolation), which is
     `cdMc` in finite steps; here the law gives a velocity, and the robot's dynamics lie in between.
@@ -74,14 +73,13 @@ class PBVS(LawBase):
         measured = observation.T_camera_target
         few = np.count_nonzero(observation.seen) < self.markers_needed(basis)
         why = NO_POSE if measured is None else TOO_FEW if few else ""
-        known = completed(self.feedforward, memory, observation, goal, basis, why)
+        known = usable_pose(self.feedforward, memory, observation, goal, basis, why)
         T = None if known is None else known.T_camera_target
         if known is None or T is None:
             return NOTHING, Command.rest(basis, why)
         e, L = self.equations(T, goal.T_camera_target)
         solved = self.solve.least_squares(L @ basis, e)
-        change = None if why else _change(memory.seen, T)
-        followed, solved, tau = feedforward_term(self.feedforward, memory, known, solved, change, basis, not why)
+        followed, solved, tau = feedforward_term(self.feedforward, memory, known, solved, _change(memory.seen, T), basis, why)
         command = self.limits.command(-self.gain.at(solved) * solved - tau, basis)
         return anti_windup(memory, followed, command), coasting(command, why)
 
