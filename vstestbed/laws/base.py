@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
-from typing import Annotated, Any, ClassVar, Literal, Protocol, TypeVar
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
@@ -22,6 +22,18 @@ from vstestbed.laws.visibility import Visibility
 M = TypeVar("M")
 
 
+class FreeMotions(NamedTuple):
+    """Motions that a law leaves to a secondary task of the robot.
+
+    Attributes:
+        share: weight of the secondary task projected on them, 0 to 1; the shares of a command are 1 together.
+        twists: camera twists (6, k) as columns, which span them.
+    """
+
+    share: float
+    twists: Array
+
+
 @dataclass(frozen=True, slots=True)
 class Command:
     """The output of a law: u (n,) in the robot's motion space, and the camera twist (6,) = basis @ u for which it stands.
@@ -32,15 +44,14 @@ class Command:
         rest_reason: why the law orders rest although the goal is not reached; "" while it works. With a motion beside it,
             the law coasts: it cannot measure, and continues on what it knew.
         scale: factor in (0, 1] by which the law's own limits shortened the twist.
-        null_space: unit twists (6, k) as columns that do not change the features; the robot may use them for a secondary task.
-            None where the law does not compute them.
+        free: the motions that the robot may use for a secondary task, none where the law does not compute them.
     """
 
     u: Array
     twist: Array
     rest_reason: str = ""
     scale: float = 1.0
-    null_space: Array | None = None
+    free: tuple[FreeMotions, ...] = ()
 
     @classmethod
     def rest(cls, basis: Array, why: str) -> Command:

@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 
+from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import Time
 from vstestbed.core.spec import spec
@@ -28,6 +29,7 @@ from vstestbed.laws.following import (
     inputs_of,
     usable_markers,
 )
+from vstestbed.laws.projection import Classical, Projection
 from vstestbed.laws.select import ALL, Rows, require_area
 from vstestbed.laws.solve import Solve, least_squares
 from vstestbed.laws.views import Views
@@ -72,6 +74,8 @@ class IBVS(LawBase):
         feedforward: the feedforward term for a moving target.
         redundant: accept fewer markers than determine all of the robot's motions, such as two on an arm. Motions in the null space of
             the task are not made, unless the robot has a secondary task (`robot.avoid_limits`).
+        projection: which motions are left to that task: `classical`, the null space, or `large`, which keeps only the norm of e, so that
+            also features that determine all motions leave some free.
 
     References: Chaumette & Hutchinson 2006, eqs 3-5, doi:10.1109/MRA.2006.250573; mean matrix: Malis 2004,
     doi:10.1109/ROBOT.2004.1308092; moving target: Chaumette & Hutchinson 2007, doi:10.1109/MRA.2007.339609; smooth start:
@@ -90,6 +94,12 @@ class IBVS(LawBase):
     visibility: Visibility = Visibility()
     feedforward: Feedforward = NoFeedforward()
     redundant: bool = False
+    projection: Projection = Classical()
+
+    def __post_init__(self) -> None:
+        """Refuse a projection without a use."""
+        if self.projection != Classical() and not self.redundant:
+            raise ParameterError("projection", "is for law.redundant: true, which leaves motions to the robot", self.projection.kind)
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -132,8 +142,7 @@ class IBVS(LawBase):
             u = u + self.visibility.push(observation, goal, basis)
         command = self.limits.command(u, basis)
         if self.redundant:
-            # Of L B, in the robot's motions, and from there as camera twists.
-            command = replace(command, null_space=basis @ self.solve.null_space(L @ basis))
+            command = replace(command, free=self.projection.free(self.solve, L @ basis, e, solved, basis))
         # Not dataclasses.replace, which takes four times as long: this runs for every frame.
         return IBVSMemory(memory.t0, memory.u0, anti_windup(before, followed, command)), coasting(command, why)
 

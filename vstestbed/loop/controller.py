@@ -239,8 +239,8 @@ class Controller:
     def _allocate(self, command: Command, reading: Reading, mount: Mount, rests: bool) -> Allocation:
         """The setpoint for a command, within the robot's limits; the order to stop where the law has no measurement and no motion."""
         robot, twist = self.scenario.robot, command.twist
-        if command.null_space is not None:
-            twist = twist + robot.secondary_task(command.null_space, reading, mount)
+        for share, free in command.free:
+            twist = twist + share * robot.secondary_task(free, reading, mount)
         allocation = robot.allocate(twist, reading, mount, self.scenario.camera.period)
         # The command within limits, before the supervisor: a law with feedforward predicts by it (`OwnMotion.commanded`).
         self.last_twist = allocation.twist.copy()  # the cycle's reader may write to it
