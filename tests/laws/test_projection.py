@@ -1,4 +1,4 @@
-"""What a law leaves to a secondary task: the norm of the error decreases as without one, and near the goal nothing but the null space is free."""
+"""What a law leaves to a secondary task: the error's norm decreases as without one, near the goal the null space alone is free."""
 
 from __future__ import annotations
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Literal
 
 import numpy as np
@@ -14,7 +15,7 @@ from vstestbed.laws.base import FreeMotions
 from vstestbed.laws.solve import Solve
 
 STEEP = 6.0
-"""Half of the range of the logistic function that is used: from 1/(1 + exp 6) to 1/(1 + exp -6)."""
+"""Slope of the logistic function: that of the paper, 1 / (1 + exp(-12 x + 6)) for x from 0 to 1."""
 
 
 @spec
@@ -63,9 +64,8 @@ class Large:
     def share(self, solved: Array) -> float:
         """The weight of P_|e|, 0 to 1, at a remaining motion (n,) [m, rad]."""
         along = (float(np.abs(solved).max(initial=0.0)) - self.near) / (self.far - self.near)
-        low = 1 / (1 + np.exp(STEEP))
-        logistic = 1 / (1 + np.exp(STEEP - 2 * STEEP * np.clip(along, 0.0, 1.0)))
-        return float((logistic - low) / (1 - 2 * low))
+        along = min(max(along, 0.0), 1.0) - 0.5
+        return (1 + math.tanh(STEEP * along) / math.tanh(STEEP / 2)) / 2  # a logistic function that is 0 and 1 at its ends
 
     def free(self, solve: Solve, A: Array, e: Array, solved: Array, basis: Array) -> tuple[FreeMotions, ...]:
         """The free motions; see `Classical.free`."""
