@@ -1,4 +1,4 @@
-"""The state of a feedforward between frames: integral and its anti-windup, coasting and its end, horizons before and after now."""
+"""The state of a feedforward between frames: integral, anti-windup, what is carried over for how long, horizons before and after now."""
 
 from __future__ import annotations
 
@@ -7,10 +7,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vstestbed.features.observation import Observation, OwnMotion
+from vstestbed.camera import Perspective
+from vstestbed.core.geometry import Pose, exp, transform
+from vstestbed.features.observation import Goal, Observation, OwnMotion
 from vstestbed.laws.base import Command
-from vstestbed.laws.feedforward import AlphaBeta, Integral, KalmanCA, KalmanCV, NoFeedforward, Trend, look_ahead
-from vstestbed.laws.following import NOTHING, Followed, anti_windup, coast, feedforward_term, inputs_of
+from vstestbed.laws.feedforward import AlphaBeta, Change, Integral, KalmanCA, KalmanCV, NoFeedforward, Trend, look_ahead
+from vstestbed.laws.following import (
+    CARRY_S,
+    NOTHING,
+    Followed,
+    anti_windup,
+    coasting,
+    feedforward_term,
+    inputs_of,
+    usable_markers,
+    usable_pose,
+)
+from vstestbed.targets import Square
+from vstestbed.vision.pose.homography import relative_view
 
 SIX, X = np.eye(6), np.array([1.0, 2, 3, 4, 5, 6])
 
@@ -58,26 +72,99 @@ def test_only_estimators_ask_for_the_cameras_motion():
     assert [inputs_of(kind) for kind in (NoFeedforward(), Integral(), AlphaBeta(), KalmanCV(), KalmanCA())] == [(), (), *[("motion",)] * 3]
 
 
-class TestCoasting:
-    KIND = KalmanCV()
+class TestCarrying:
+    """What is not seen goes on by the camera's motion and the target's, for both kinds of laws."""
 
-    def memory(self, t: float = 5.0) -> Followed:
-        return Followed(seen=seen(t), t=t, trend=moving(0.2))
+    KIND, LONG = KalmanCV(), 5.0
+    GOAL = Goal.from_view(Perspective(), Square(side=0.5, pose=Pose()).points, Pose(xyz=(0, 0, 1)).T)
+    T = Pose(xyz=(0.1, -0.05, 1.2), rpy_deg=(5, -8, 20)).T
+    TWIST, RATE = np.array([0.1, -0.2, 0.05, 0.1, 0.05, -0.1]), np.array([-0.05, 0.1, 0.1, 0.02, 0.0, 0.05])
+    POINTS = Square(side=0.5, pose=Pose()).points
 
-    def test_the_estimated_motion_goes_on_for_a_second(self):
-        for t, moves in ((5.04, True), (6.0, True), (6.001, False)):
-            found = coast(self.KIND, self.memory(), seen(t, own()), SIX)
-            assert (found is not None) == moves
-            if found is not None:
-                after, u = found
-                np.testing.assert_allclose(u, -0.2)
-                assert after.seen is None and after.t == 5.0
+    def view(self, T: np.ndarray, t: float, motion: OwnMotion, gone: tuple[int, ...] = (), rays: bool = False) -> Observation:
+        p = transform(T, self.POINTS)
+        uv = self.GOAL.camera.project(p)
+        uv[list(gone)] = np.nan
+        xy, ray = self.GOAL.camera.normalise(uv), self.GOAL.camera.ray(uv)
+        relative = None if gone else relative_view(self.GOAL.xy, xy, self.GOAL.normal)
+        depth = np.where(np.isnan(uv[:, 0]), np.nan, p[:, 2])
+        around = {"ray": ray, "range": np.where(np.isnan(uv[:, 0]), np.nan, np.linalg.norm(p, axis=1))} if rays else {}
+        return Observation(t, uv, xy, depth, None if gone else T, relative=relative, motion=motion, **around)
+
+    def frames(self, gone: tuple[int, ...], dt: float = 0.04, rays: bool = False) -> tuple[Followed, Observation, Observation]:
+        """The state after a frame with all markers, the next with some gone, and what it would be with all."""
+        motion = OwnMotion(self.TWIST, dt, np.zeros(6), 0.0, np.zeros(6))
+        T = exp(-(self.TWIST + self.RATE) * dt) @ self.T
+        trend = Trend(np.stack([np.zeros(6), self.RATE]), np.zeros(6), np.eye(2))
+        memory = Followed(self.view(self.T, self.LONG, motion, rays=rays), self.LONG, np.full(4, self.LONG), trend)
+        now = self.LONG + dt
+        return memory, self.view(T, now, motion, gone, rays), self.view(T, now, motion, rays=rays)
+
+    @pytest.mark.parametrize("rays", [False, True], ids=["plane", "sphere"])
+    @pytest.mark.parametrize("gone", [(0,), (1, 3), (0, 1, 2, 3)], ids=str)
+    def test_all_that_was_seen(self, gone: tuple[int, ...], rays: bool):
+        memory, seen, whole = self.frames(gone, rays=rays)
+        inputs = ("ray", "range") if rays else ("xy", "depth")
+        known, rows, why = usable_markers(self.KIND, memory, seen, SIX, inputs, 3)
+        assert rows == slice(None) and bool(why) == (len(gone) > 1)
+        for name in (*inputs, "xy", "depth"):
+            np.testing.assert_allclose(getattr(known, name), getattr(whole, name), atol=1e-12)
+        np.testing.assert_array_equal(known.seen, seen.seen)  # what the picture shows stays
+        pose = usable_pose(self.KIND, memory, seen, self.GOAL, SIX, "too few")
+        assert pose is not None and pose.T_camera_target is not None and pose.relative is not None and whole.relative is not None
+        np.testing.assert_allclose(pose.T_camera_target, whole.T_camera_target, atol=1e-12)
+        np.testing.assert_allclose(pose.relative.H, whole.relative.H, atol=1e-9)
+        np.testing.assert_allclose(pose.relative.R_camera_goal, whole.relative.R_camera_goal, atol=1e-9)
+
+    def test_one_that_is_hidden_for_long_moves_with_the_others(self):
+        """The target turns aside of what is estimated: three markers tell, and the fourth must fit to them."""
+        memory, seen, _ = self.frames((0,))
+        memory = replace(memory, marker_t=np.array([self.LONG - 0.2, *[self.LONG] * 3]))
+        aside = exp(np.array([0.003, -0.002, 0.001, 0.002, -0.003, 0.004])) @ exp(-(self.TWIST + self.RATE) * 0.04) @ self.T
+        assert seen.motion is not None
+        known, _, why = usable_markers(self.KIND, memory, self.view(aside, seen.t, seen.motion, (0,)), SIX, ("xy", "depth"), 3)
+        assert not why
+        expected = self.view(aside, seen.t, seen.motion).xy[0]
+        assert np.abs(known.xy[0] - expected).max() < 1e-4
+        unmoved = usable_markers(self.KIND, memory, seen, SIX, ("xy", "depth"), 3)[0].xy[0]
+        assert np.abs(unmoved - expected).max() > 2e-3
+
+    def test_it_ends(self):
+        for dt, goes_on in ((CARRY_S - 0.01, True), (CARRY_S + 0.01, False)):
+            memory, seen, _ = self.frames((1, 2), dt)
+            rows = usable_markers(self.KIND, memory, seen, SIX, ("xy", "depth"), 3)[1]
+            assert isinstance(rows, str) != goes_on
+            assert (usable_pose(self.KIND, memory, seen, self.GOAL, SIX, "too few") is not None) == goes_on
+        memory, seen, _ = self.frames((1,), CARRY_S + 0.01)  # enough markers without it
+        known, rows, why = usable_markers(self.KIND, memory, seen, SIX, ("xy", "depth"), 3)
+        assert not why and np.array_equal(rows, [True, False, True, True]) and np.isnan(known.xy[1]).all()
 
     def test_it_needs_an_estimator_an_estimate_and_the_own_motion(self):
-        assert coast(Integral(), self.memory(), seen(5.1, own()), SIX) is None
-        assert coast(self.KIND, replace(self.memory(), trend=None), seen(5.1, own()), SIX) is None
-        assert coast(self.KIND, self.memory(), seen(5.1), SIX) is None
-        assert coast(self.KIND, replace(self.memory(), t=np.nan), seen(5.1, own()), SIX) is None
+        memory, seen, whole = self.frames((1, 2))
+        lacking = (
+            (Integral(), memory, seen),
+            (self.KIND, replace(memory, trend=None), seen),
+            (self.KIND, memory, replace(seen, motion=None)),
+            (self.KIND, NOTHING, seen),
+        )
+        for kind, state, observation in lacking:
+            assert isinstance(usable_markers(kind, state, observation, SIX, ("xy", "depth"), 3)[1], str)
+            assert usable_pose(kind, state, observation, self.GOAL, SIX, "too few") is None
+        assert usable_pose(Integral(), NOTHING, whole, self.GOAL, SIX, "") is whole
+        assert usable_markers(self.KIND, memory, whole, SIX, ("xy", "depth"), 3)[0] is whole
+
+    def test_the_estimate_learns_nothing_from_a_frame_without_enough(self):
+        memory, seen, _ = self.frames((1, 2))
+        change = Change(np.ones(6), SIX)
+        after = feedforward_term(self.KIND, memory, seen, X, change, SIX, "too few")[0]
+        assert after.trend is not None and after.t == self.LONG
+        np.testing.assert_allclose(after.trend.rate, self.RATE)
+        np.testing.assert_array_equal(after.marker_t, [seen.t, self.LONG, self.LONG, seen.t])
+        assert feedforward_term(self.KIND, memory, seen, X, change, SIX)[0].t == seen.t
+
+    def test_a_command_says_what_is_lacking(self):
+        command = Command(u=X, twist=X)
+        assert coasting(command, "") is command and coasting(command, "too few").rest_reason == "too few"
 
 
 class TestHorizon:

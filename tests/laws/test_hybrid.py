@@ -14,6 +14,7 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, exp, inverse, transform
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import Hybrid
+from vstestbed.laws.following import NOTHING
 from vstestbed.laws.select import NO_POSE, TOO_FEW
 from vstestbed.targets.points import Square
 from vstestbed.vision.pose.homography import relative_view
@@ -47,7 +48,7 @@ def test_the_matrix_is_the_derivative_of_the_error():
 def test_homography_and_model_order_the_same(goal_pose: Array):
     goal = Goal.from_view(CAMERA, POINTS, goal_pose)
     o = view(AWAY, goal)
-    twists = [Hybrid(source=source).step(None, o, goal, np.eye(6))[1].twist for source in ("homography", "model")]  # pyright: ignore[reportArgumentType]
+    twists = [Hybrid(source=source).step(NOTHING, o, goal, np.eye(6))[1].twist for source in ("homography", "model")]  # pyright: ignore[reportArgumentType]
     assert twists[0] == pytest.approx(twists[1], abs=1e-6)  # findHomography computes in single precision
 
 
@@ -65,7 +66,7 @@ def test_views_that_cannot_be_compared_bring_rest():
     o = view(AWAY, goal)
     blind = Observation(t=0, uv=o.uv, xy=o.xy, depth=o.depth, T_camera_target=None, relative=None)
     for law in (Hybrid(), Hybrid(source="model")):
-        command = law.step(None, blind, goal, np.eye(6))[1]
+        command = law.step(NOTHING, blind, goal, np.eye(6))[1]
         assert command.rest_reason == NO_POSE and not command.twist.any()
 
 
@@ -120,4 +121,4 @@ class TestFlat:
         o = view(AWAY, goal)
         for visible, reason in ((needed, ""), (needed - 1, TOO_FEW)):
             o.uv[:, 0] = np.where(np.arange(4) < visible, 1.0, np.nan)
-            assert law.step(None, o, goal, np.eye(6))[1].rest_reason == reason
+            assert law.step(NOTHING, o, goal, np.eye(6))[1].rest_reason == reason

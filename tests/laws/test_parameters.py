@@ -13,7 +13,7 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.laws import IBVS, PBVS, Hybrid, LawBase, LineFollowing, Partitioned, PoseController, Pursuit
 from vstestbed.laws.base import AdaptiveGain, ConstantGain, TwistLimits
 from vstestbed.laws.feedforward import AlphaBeta, Integral, KalmanCA, KalmanCV
-from vstestbed.laws.following import COAST_S
+from vstestbed.laws.following import CARRY_S
 from vstestbed.laws.polar_pose import PolarGains
 from vstestbed.laws.solve import Solve
 from vstestbed.laws.visibility import Visibility
@@ -37,7 +37,7 @@ NUMBERS: dict[type, dict[str, Any]] = {
     AdaptiveGain: {"at_zero": 4.0, "at_infinity": 0.4, "slope_at_zero": 30.0},
     TwistLimits: {"speed_mps": None, "rate_radps": None},
     Visibility: {"margin_px": 0.0, "strength_pxps": 20.0},
-    Solve: {"cutoff": 1e-6, "damping": 0.0},
+    Solve: {"cutoff": 1e-6, "damping": 0.0, "levenberg_marquardt": 0.0, "fades_below": 0.0},
     AlphaBeta: {"alpha": 0.8, "predict_s": 0.0},
     KalmanCV: {"bandwidth_hz": 5.0, "predict_s": 0.0},
     KalmanCA: {"bandwidth_hz": 2.0, "predict_s": 0.0},
@@ -57,6 +57,7 @@ NO_NUMBERS = {
     "source",
     "translation",
     "direction",
+    "projection",
 }
 
 
@@ -70,7 +71,7 @@ def test_the_defaults_are_the_documented_ones(cls: type):
 def test_the_constants_of_a_law():
     base = LawBase()
     assert (base.cruise_mps, base.rest_m, base.tasks, base.inputs) == (None, 0.0, ("view",), ("xy", "depth"))
-    assert COAST_S == 1.0
+    assert CARRY_S == 0.3
 
 
 POSITIVE = [
@@ -104,6 +105,8 @@ FROM_ZERO = [
     (Visibility, "margin_px"),
     (Solve, "cutoff"),
     (Solve, "damping"),
+    (Solve, "levenberg_marquardt"),
+    (Solve, "fades_below"),
     *((kind, "predict_s") for kind in (AlphaBeta, KalmanCV, KalmanCA)),
 ]
 
@@ -197,7 +200,7 @@ class TestTwistLimits:
         np.testing.assert_allclose(many, [factor * self.TWIST, 0.01 * self.TWIST, np.zeros(6)], rtol=1e-14)
         basis = np.diag([2.0, 1, 1, 1, 1, 1])
         command = made.command(self.TWIST / [2, 1, 1, 1, 1, 1], basis)
-        assert command.scale == pytest.approx(factor) and command.null_space is None and not command.rest_reason
+        assert command.scale == pytest.approx(factor) and not command.free and not command.rest_reason
         np.testing.assert_allclose(command.twist, factor * self.TWIST, rtol=1e-14)
         np.testing.assert_allclose(basis @ command.u, command.twist, rtol=1e-14)
 

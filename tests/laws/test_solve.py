@@ -16,6 +16,7 @@ from vstestbed.features.depth import OracleDepth
 from vstestbed.features.observation import Goal, Observation, OwnMotion
 from vstestbed.laws import IBVS, PBVS, Hybrid, Law, LineFollowing, Partitioned
 from vstestbed.laws.feedforward import Change, KalmanCV, follow
+from vstestbed.laws.following import Followed, change_of_markers
 from vstestbed.laws.solve import PINV_RCOND, Solve, least_squares
 from vstestbed.robots import Mount
 from vstestbed.targets.points import Square
@@ -105,13 +106,46 @@ class TestParameters:
             expected = linalg.lstsq(np.vstack([a, damping * np.eye(6)]), np.concatenate([e, np.zeros(6)]))[0]
             np.testing.assert_allclose(found, expected, rtol=1e-8, atol=1e-10 * np.abs(x).max())
 
+    @pytest.mark.parametrize(("mu", "fades"), [(0.01, 0.0), (4.0, 0.0), (0.5, 3.0)])
+    def test_levenberg_and_marquardts_step_in_closed_form(self, mu: float, fades: float):
+        A, b = problems(50)
+        b[25:] /= 100
+        x = Solve(levenberg_marquardt=mu, fades_below=fades).least_squares(A, b)
+        many = Solve(levenberg_marquardt=mu, fades_below=fades).least_squares(A[0], b)  # one matrix, many right sides
+        for i, (a, e) in enumerate(zip(A, b, strict=True)):
+            m = mu * min(1.0, np.linalg.norm(e) / fades) if fades else mu
+            for H, g, found in ((a.T @ a, a.T @ e, x[i]), (A[0].T @ A[0], A[0].T @ e, many[i])):
+                np.testing.assert_allclose(found, np.linalg.solve(H + m * np.diag(np.diag(H)), g), rtol=1e-6, atol=1e-8)
+            alone = Solve(levenberg_marquardt=mu, fades_below=fades).least_squares(a, e)
+            np.testing.assert_allclose(alone, x[i], rtol=1e-6, atol=1e-8)
+
+    def test_levenberg_and_marquardts_step_lies_between_newtons_and_the_gradient(self):
+        A, b = problems(20)
+        A[:, :, 5] = 0.0  # a motion that nothing tells is not made, however large mu is
+        for mu in (0.01, 1e6):
+            assert not Solve(levenberg_marquardt=mu).least_squares(A, b)[:, 5].any()
+        pinv = [np.linalg.pinv(a) @ e for a, e in zip(A, b, strict=True)]
+        np.testing.assert_allclose(Solve(levenberg_marquardt=1e-9).least_squares(A, b), pinv, rtol=1e-4, atol=1e-6)
+        gradient = np.einsum("kij,ki->kj", A, b)[:, :5] / (1e6 * np.einsum("kij,kij->kj", A, A)[:, :5])
+        np.testing.assert_allclose(Solve(levenberg_marquardt=1e6).least_squares(A, b)[:, :5], gradient, rtol=1e-4, atol=1e-10)
+
     def test_both_together_by_hand(self):
         # Singular values 10, 1 and .1: the last is left out by .05, the others have s/(s^2 + .25).
         A, b = np.diag([10.0, 1.0, 0.1]), np.array([3.0, 3.0, 3.0])
         x = Solve(cutoff=0.05, damping=0.5).least_squares(A, b)
         np.testing.assert_allclose(x, [3 * 10 / 100.25, 3 / 1.25, 0], rtol=1e-14)
 
-    @pytest.mark.parametrize("solve", [Solve(cutoff=0.1), Solve(damping=0.1), Solve(cutoff=0.05, damping=0.2), Solve(cutoff=0.0)], ids=repr)
+    @pytest.mark.parametrize(
+        "solve",
+        [
+            Solve(cutoff=0.1),
+            Solve(damping=0.1),
+            Solve(cutoff=0.05, damping=0.2),
+            Solve(cutoff=0.0),
+            Solve(damping=0.1, levenberg_marquardt=0.2),
+        ],
+        ids=repr,
+    )
     def test_many_are_the_same_numbers_as_each_alone(self, solve: Solve):
         A, b = problems(40)
         alone = [solve.least_squares(a, e) for a, e in zip(A, b, strict=True)]
@@ -140,7 +174,9 @@ class TestParameters:
         np.testing.assert_allclose(np.abs(N.T), np.eye(4)[::-1][:free][::-1], atol=1e-15)
         assert Solve().null_space(np.zeros((0, 4))).shape == (4, 4)
 
-    @pytest.mark.parametrize("wrong", [{"cutoff": -0.1}, {"cutoff": 1.0}, {"damping": -1e-3}], ids=str)
+    @pytest.mark.parametrize(
+        "wrong", [{"cutoff": -0.1}, {"cutoff": 1.0}, {"damping": -1e-3}, {"levenberg_marquardt": -1.0}, {"fades_below": -1.0}], ids=str
+    )
     def test_what_makes_no_sense_is_refused(self, wrong: dict[str, float]):
         with pytest.raises(ParameterError, match=next(iter(wrong))):
             Solve(**wrong)
@@ -152,7 +188,7 @@ class TestLawsUseIt:
     POINTS, CAMERA = Square(side=0.5, pose=Pose()).points, Perspective()
     GOAL = Goal.from_view(CAMERA, POINTS, Pose(xyz=(0, 0, 1)).T)
     T = Pose(xyz=(0.2, -0.1, 1.6), rpy_deg=(10, -15, 30)).T
-    SOLVES = (Solve(damping=0.3), Solve(cutoff=0.1))
+    SOLVES = (Solve(damping=0.3), Solve(cutoff=0.1), Solve(levenberg_marquardt=0.2))
 
     def observation(self) -> Observation:
         p = transform(self.T, self.POINTS)
@@ -162,6 +198,9 @@ class TestLawsUseIt:
     def solved(self, solve: Solve, A: np.ndarray, b: np.ndarray) -> np.ndarray:
         if solve.damping:
             return linalg.lstsq(np.vstack([A, solve.damping * np.eye(A.shape[1])]), np.concatenate([b, np.zeros(A.shape[1])]))[0]
+        if solve.levenberg_marquardt:
+            H = A.T @ A
+            return np.linalg.solve(H + solve.levenberg_marquardt * np.diag(np.diag(H)), A.T @ b)
         return linalg.lstsq(A, b, cond=solve.cutoff)[0]
 
     def twist(self, law: Law) -> np.ndarray:
@@ -198,14 +237,14 @@ class TestLawsUseIt:
         np.testing.assert_allclose(trend.way, [1, 1, 1, 1, 1, 0], atol=1e-12)
         law = IBVS(solve=Solve(cutoff=0.1), feedforward=KalmanCV())
         seen = self.observation()
-        made = law._change(seen, seen, 3)
+        made = change_of_markers(law.feature, Followed(seen=seen, trend=trend), seen, 3, law.solve)
         assert made is not None and made.solve == law.solve
 
     def test_directions_that_are_left_out_are_free_for_a_secondary_task(self):
         for solve, free in ((Solve(), 0), (Solve(cutoff=0.1), 2)):
             law = IBVS(redundant=True, solve=solve)
             command = law.step(law.init(self.GOAL), self.observation(), self.GOAL, np.eye(6))[1]
-            assert command.null_space is not None and command.null_space.shape == (6, free)
+            assert [f.twists.shape for f in command.free] == [(6, free)]
 
     def test_the_turn_of_a_line_follower(self):
         basis = Mount.of(UNDER.T).to_camera @ CAR

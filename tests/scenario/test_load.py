@@ -500,8 +500,8 @@ class TestContradictions:
             load("arm_ibvs", settings)
 
     def test_a_field_of_another_law_is_told_as_such(self) -> None:
-        with pytest.raises(ScenarioError, match=r"^overrides: law.feedforward: is an unknown field of hybrid; ibvs and pbvs have it$"):
-            load("arm_hybrid", {"law.feedforward": "none"})
+        with pytest.raises(ScenarioError, match=r"^overrides: law.turn_limits_deg: is an unknown field of hybrid; partitioned has it$"):
+            load("arm_hybrid", {"law.turn_limits_deg": "none"})
 
     def test_a_field_within_a_list_has_its_whole_place(self) -> None:
         with pytest.raises(ScenarioError, match=r"^overrides: goal.views.0.marker: is an unknown field; did you mean 'markers'"):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields
-from typing import Annotated, Any, ClassVar, Literal, Protocol, TypeVar
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
@@ -23,6 +23,18 @@ from vstestbed.laws.visibility import Visibility
 M = TypeVar("M")
 
 
+class FreeMotions(NamedTuple):
+    """Motions that a law leaves to a secondary task of the robot.
+
+    Attributes:
+        share: weight of the secondary task projected on them, 0 to 1; the shares of a command are 1 together.
+        twists: camera twists (6, k) as columns, which span them.
+    """
+
+    share: float
+    twists: Array
+
+
 @dataclass(frozen=True, slots=True)
 class Command:
     """The output of a law: u (n,) in the robot's motion space, and the camera twist (6,) = basis @ u for which it stands.
@@ -33,8 +45,7 @@ class Command:
         rest_reason: why the law orders rest although the goal is not reached; "" while it works. With a motion beside it,
             the law coasts: it cannot measure, and continues on what it knew.
         scale: factor in (0, 1] by which the law's own limits shortened the twist.
-        null_space: unit twists (6, k) as columns that do not change the features; the robot may use them for a secondary task.
-            None where the law does not compute them.
+        free: the motions that the robot may use for a secondary task, none where the law does not compute them.
         rates: the robot's own velocities (m,) (`Observation.robot`) that the law orders, whose camera twist `twist` is; None: the
             robot finds its own for the twist.
         mode: number of the word in `Law.modes` for what the law did.
@@ -44,7 +55,7 @@ class Command:
     twist: Array
     rest_reason: str = ""
     scale: float = 1.0
-    null_space: Array | None = None
+    free: tuple[FreeMotions, ...] = ()
     rates: Array | None = None
     mode: int = 0
 

@@ -12,6 +12,8 @@ from vstestbed.core.spec import spec
 from vstestbed.features import LogDepth, Point, ThetaU
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.base import Command, ConstantGain, Gain, LawBase, TwistLimits
+from vstestbed.laws.feedforward import Change, Feedforward, NoFeedforward
+from vstestbed.laws.following import NOTHING, Followed, anti_windup, coasting, feedforward_term, inputs_of, usable_pose
 from vstestbed.laws.select import NO_POSE, TOO_FEW
 from vstestbed.laws.solve import Solve
 from vstestbed.laws.views import Views
@@ -34,6 +36,9 @@ class Hybrid(LawBase):
     The image of the mean moves on a straight line, so that the target stays in view for small rotations, and the law has
     no local minimum and no singularity in front of the target.
 
+    With `feedforward` a moving target is tracked without lag (`feedforward.py`), for CARRY_S also while it is not visible
+    (`following.py`). Its displacement between two frames is that of these six features, less the camera's own.
+
     Args:
         gain: lambda [1/s].
         source: `homography` (default; needs four or more visible markers in one plane, of which not all but one lie on a line)
@@ -41,6 +46,7 @@ class Hybrid(LawBase):
         solve: inversion of L B (`Solve`).
         limits: largest speed and rate of the commanded twist.
         visibility: repulsive field at the border of the image.
+        feedforward: the feedforward term for a moving target.
 
     Reference: Malis, Chaumette & Boudet 1999, doi:10.1109/70.760345.
     """
@@ -51,11 +57,13 @@ class Hybrid(LawBase):
     solve: Solve = Solve()
     limits: TwistLimits = TwistLimits()
     visibility: Visibility = Visibility()
+    feedforward: Feedforward = NoFeedforward()
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """The homography or the pose, and the markers' radii for `visibility`."""
-        return (("relative",) if self.source == "homography" else ("T_camera_target",)) + self.visibility.inputs
+        """The homography or the pose, the camera's own motion for feedforward, and the markers' radii for `visibility`."""
+        source = "relative" if self.source == "homography" else "T_camera_target"
+        return (source, *inputs_of(self.feedforward), *self.visibility.inputs)
 
     def check(self, points: Array, goal: Goal) -> None:
         """Refuse, for a homography, markers not in one plane, or all but one of them on a line."""
@@ -75,19 +83,37 @@ class Hybrid(LawBase):
         """Four determine a homography; three a pose, next to the last one."""
         return 4 if self.source == "homography" else 3
 
-    def step(self, memory: None, observation: Observation, goal: Goal, basis: Array) -> tuple[None, Command]:
+    def init(self, goal: Goal) -> Followed:
+        """The target's motion is unknown."""
+        return NOTHING
+
+    def step(self, memory: Followed, observation: Observation, goal: Goal, basis: Array) -> tuple[Followed, Command]:
         """One frame; rest where the homography or the pose is unknown."""
-        if np.count_nonzero(observation.seen) < self.markers_needed(basis):
-            return None, Command.rest(basis, TOO_FEW)
-        compared = self._compare(observation, goal)
-        if compared is None:
-            return None, Command.rest(basis, NO_POSE)
+        few = np.count_nonzero(observation.seen) < self.markers_needed(basis)
+        why = TOO_FEW if few else NO_POSE if self._compare(observation, goal) is None else ""
+        known = usable_pose(self.feedforward, memory, observation, goal, basis, why)
+        compared = None if known is None else self._compare(known, goal)
+        if known is None or compared is None:
+            return NOTHING, Command.rest(basis, why)
         e, L = self.equations(*compared, goal.middle)
         solved = self.solve.least_squares(L @ basis, e)
-        u = -self.gain.at(solved) * solved
+        change = self._change(memory.seen, compared, goal) if memory.seen else None
+        followed, solved, tau = feedforward_term(self.feedforward, memory, known, solved, change, basis, why)
+        u = -self.gain.at(solved) * solved - tau
         if self.visibility.margin_px > 0:
             u = u + self.visibility.push(observation, goal, basis)
-        return None, self.limits.command(u, basis)
+        command = self.limits.command(u, basis)
+        return anti_windup(memory, followed, command), coasting(command, why)
+
+    def _change(self, before: Observation, now: tuple[Array, Array], goal: Goal) -> Change | None:
+        """Change of the law's features since the last frame: its own equations, with that frame in place of the goal."""
+        last = self._compare(before, goal)
+        if last is None:
+            return None
+        (m0, R0), (m1, R1), middle = last, now, last[0] * goal.middle[2]
+        e, L = self.equations(m1 / m0[2], R0.T @ R1, middle)
+        # The mean of both matrices: with one of them, the change is explained to first order in the motion only.
+        return Change(e, (L + self.equations(m0 / m0[2], np.eye(3), middle)[1]) / 2, self.solve)
 
     def _compare(self, observation: Observation, goal: Goal) -> tuple[Array, Array] | None:
         """The markers' mean over Z* (3,) in the camera frame, and R_goal_camera (3, 3)."""

@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 
+from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import Time
 from vstestbed.core.spec import spec
@@ -17,9 +18,19 @@ from vstestbed.features.base import Feature
 from vstestbed.features.depth import Depth, PnP
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.base import Command, ConstantGain, Gain, LawBase, TwistLimits
-from vstestbed.laws.feedforward import Change, Feedforward, NoFeedforward
-from vstestbed.laws.following import NOTHING, Followed, anti_windup, coast, feedforward_term, inputs_of
-from vstestbed.laws.select import ALL, Rows, require_area, usable_rows
+from vstestbed.laws.feedforward import Feedforward, NoFeedforward
+from vstestbed.laws.following import (
+    NOTHING,
+    Followed,
+    anti_windup,
+    change_of_markers,
+    coasting,
+    feedforward_term,
+    inputs_of,
+    usable_markers,
+)
+from vstestbed.laws.projection import Classical, Projection
+from vstestbed.laws.select import ALL, Rows, require_area
 from vstestbed.laws.solve import Solve, least_squares
 from vstestbed.laws.views import Views
 from vstestbed.laws.visibility import Visibility
@@ -42,7 +53,7 @@ class IBVS(LawBase):
 
     A goal view that moves along a path adds its own velocity u*.
 
-    With `feedforward` a moving target is tracked without lag (`feedforward.py`), for COAST_S also while it is not visible.
+    With `feedforward` a moving target is tracked without lag (`feedforward.py`), for CARRY_S also while it is not visible (`following.py`).
 
     Errata. Chapter 16 of Corke 2017 has polar and spherical features as here (eqs 16.9, 16.15), but theta = asin(r) in
     eq. 16.11, which is wrong behind the camera's equator; see the docstrings of the features. With an exact half turn the
@@ -63,6 +74,8 @@ class IBVS(LawBase):
         feedforward: the feedforward term for a moving target.
         redundant: accept fewer markers than determine all of the robot's motions, such as two on an arm. Motions in the null space of
             the task are not made, unless the robot has a secondary task (`robot.avoid_limits`).
+        projection: which motions are left to that task: `classical`, the null space, or `large`, which keeps only the norm of e, so that
+            also features that determine all motions leave some free.
 
     References: Chaumette & Hutchinson 2006, eqs 3-5, doi:10.1109/MRA.2006.250573; mean matrix: Malis 2004,
     doi:10.1109/ROBOT.2004.1308092; moving target: Chaumette & Hutchinson 2007, doi:10.1109/MRA.2007.339609; smooth start:
@@ -81,6 +94,12 @@ class IBVS(LawBase):
     visibility: Visibility = Visibility()
     feedforward: Feedforward = NoFeedforward()
     redundant: bool = False
+    projection: Projection = Classical()
+
+    def __post_init__(self) -> None:
+        """Refuse a projection without a use."""
+        if self.projection != Classical() and not self.redundant:
+            raise ParameterError("projection", "is for law.redundant: true, which leaves motions to the robot", self.projection.kind)
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -104,13 +123,14 @@ class IBVS(LawBase):
 
     def step(self, memory: IBVSMemory, observation: Observation, goal: Goal, basis: Array) -> tuple[IBVSMemory, Command]:
         """One frame with the visible markers; rest when they are too few for the robot's motions."""
-        rows, before = usable_rows(observation, self.feature.inputs, self.markers_needed(basis)), memory.followed
+        kind, before, needed = self.feedforward, memory.followed, self.markers_needed(basis)
+        known, rows, why = usable_markers(kind, before, observation, basis, self.feature.inputs, needed)
         if isinstance(rows, str):
-            return self._without(memory, observation, basis, rows)
-        e, L = self.equations(*self._taken(observation, rows), *self._taken(goal, rows))
+            return IBVSMemory(), Command.rest(basis, rows)  # from rest the next command starts smoothly again
+        e, L = self.equations(*self._taken(known, rows), *self._taken(goal, rows))
         solved = self.solve.least_squares(L @ basis, e)  # the remaining motion x = pinv(L B) e
-        change = self._change(before.seen, observation, self.markers_needed(basis)) if before.seen and before.trend else None
-        followed, solved, tau = feedforward_term(self.feedforward, before, observation, solved, change, basis)
+        change = change_of_markers(self.feature, before, known, needed, self.solve)
+        followed, solved, tau = feedforward_term(kind, before, known, solved, change, basis, why)
         u = -self.gain.at(solved) * solved - tau
         if goal.twist is not None:
             u = u + least_squares(basis, goal.twist)  # u*, as far as the robot's motions allow
@@ -122,30 +142,9 @@ class IBVS(LawBase):
             u = u + self.visibility.push(observation, goal, basis)
         command = self.limits.command(u, basis)
         if self.redundant:
-            # Of L B, in the robot's motions, and from there as camera twists.
-            command = replace(command, null_space=basis @ self.solve.null_space(L @ basis))
+            command = replace(command, free=self.projection.free(self.solve, L @ basis, e, solved, basis))
         # Not dataclasses.replace, which takes four times as long: this runs for every frame.
-        return IBVSMemory(memory.t0, memory.u0, anti_windup(before, followed, command)), command
-
-    def _change(self, before: Observation, now: Observation, needed: int) -> Change | None:
-        """Change of the feature between two frames, from the markers that are usable in both; None if they are too few."""
-        what, distance = self.feature.inputs
-        both = np.isfinite(getattr(before, what)[:, 0]) & np.isfinite(getattr(now, what)[:, 0])
-        both &= np.isfinite(getattr(before, distance)) & np.isfinite(getattr(now, distance))
-        if np.count_nonzero(both) < needed:
-            return None
-        (x0, d0), (x1, d1) = ((getattr(o, what)[both], getattr(o, distance)[both]) for o in (before, now))
-        # The mean of both matrices: with one of them, the change is explained to first order in the motion only.
-        L = (self.feature.interaction(x0, d0) + self.feature.interaction(x1, d1)) / 2
-        return Change(self.feature.error(self.feature.measure(x1), self.feature.measure(x0)), L, self.solve)
-
-    def _without(self, memory: IBVSMemory, seen: Observation, basis: Array, why: str) -> tuple[IBVSMemory, Command]:
-        """A frame without enough markers: coast with the estimated motion of the target, else rest."""
-        coasting = coast(self.feedforward, memory.followed, seen, basis)
-        if coasting is None:
-            return IBVSMemory(), Command.rest(basis, why)  # from rest the next command starts smoothly again
-        followed, u = coasting
-        return replace(memory, followed=followed), replace(self.limits.command(u, basis), rest_reason=why)
+        return IBVSMemory(memory.t0, memory.u0, anti_windup(before, followed, command)), coasting(command, why)
 
     @property
     def state_size(self) -> int:

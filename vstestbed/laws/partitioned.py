@@ -10,7 +10,7 @@ import numpy as np
 from annotated_types import Len
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.geometry import Array
+from vstestbed.core.geometry import Array, exp, transform
 from vstestbed.core.quantity import Angle, PositiveGain
 from vstestbed.core.spec import spec
 from vstestbed.features import Point
@@ -18,7 +18,19 @@ from vstestbed.features.depth import Depth, PnP
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.features.polygon import angle_error, segments, size, size_error, spans_area
 from vstestbed.laws.base import Command, ConstantGain, Gain, LawBase, TwistLimits
-from vstestbed.laws.select import NO_AREA, require_area, usable_rows
+from vstestbed.laws.carry import moved_markers, points
+from vstestbed.laws.feedforward import Feedforward, NoFeedforward
+from vstestbed.laws.following import (
+    NOTHING,
+    Followed,
+    anti_windup,
+    change_of_markers,
+    coasting,
+    feedforward_term,
+    inputs_of,
+    usable_markers,
+)
+from vstestbed.laws.select import NO_AREA, Rows, require_area
 from vstestbed.laws.solve import Solve, least_squares
 from vstestbed.laws.views import Views
 from vstestbed.laws.visibility import Visibility
@@ -33,9 +45,10 @@ _ROUND = 2 * np.pi * np.array([-1.0, 0.0, 1.0])
 
 @dataclass(frozen=True, slots=True)
 class PartitionedMemory:
-    """The remaining rotation about the optical axis at the last frame [rad], not wrapped; None before the first."""
+    """The remaining rotation about the optical axis at the last frame [rad], not wrapped, None before the first; and the feedforward's."""
 
     turn: Array | None = None
+    followed: Followed = NOTHING
 
 
 @spec
@@ -44,6 +57,9 @@ class Partitioned(LawBase):
 
     v_z = -gain_z e_sigma,  w_z = gain_turn e_angle,  (v_x, v_y) = gain_xy Z e_middle         those of them in `axes`
     v_rest = pinv(L_rest) (-lambda e - L_axes v_axes)                                         the others
+
+    With `feedforward` a moving target is tracked without lag (`feedforward.py`), for CARRY_S also while it is not visible (`following.py`):
+    the features are those of the markers where they are predicted, and the estimated motion of the target is added to the twist.
 
     By default `axes` are z and wz (the XY/Z partition of print): size and angle of the markers' polygon drive the camera along and
     about its axis, the points do the rest.
@@ -78,6 +94,7 @@ class Partitioned(LawBase):
         depth: source of Z in L.
         limits: largest speed and rate of the commanded twist.
         visibility: repulsive field at the border of the image.
+        feedforward: the feedforward term for a moving target.
 
     Reference: Corke & Hutchinson 2001, doi:10.1109/70.954764.
     """
@@ -94,6 +111,7 @@ class Partitioned(LawBase):
     depth: Depth = PnP()
     limits: TwistLimits = TwistLimits()
     visibility: Visibility = Visibility()
+    feedforward: Feedforward = NoFeedforward()
 
     def __post_init__(self) -> None:
         """Refuse bounds that exclude the start, and an axis named twice."""
@@ -104,8 +122,8 @@ class Partitioned(LawBase):
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """Those of the points, and the markers' radii for `visibility`."""
-        return (*_POINT.inputs, *self.visibility.inputs)
+        """Those of the points, the camera's own motion for feedforward, and the markers' radii for `visibility`."""
+        return (*_POINT.inputs, *inputs_of(self.feedforward), *self.visibility.inputs)
 
     def check(self, points: Array, goal: Goal) -> None:
         """Refuse fewer than four markers, and a goal view without an area (`require_area`).
@@ -134,20 +152,41 @@ class Partitioned(LawBase):
 
     def step(self, memory: PartitionedMemory, observation: Observation, goal: Goal, basis: Array) -> tuple[PartitionedMemory, Command]:
         """One frame with the visible markers; rest when they are too few or span no area."""
-        rows = usable_rows(observation, _POINT.inputs, self.markers_needed(basis))
+        kind, before, needed = self.feedforward, memory.followed, self.markers_needed(basis)
+        known, rows, why = usable_markers(kind, before, observation, basis, _POINT.inputs, needed)
         if isinstance(rows, str):
-            return memory, Command.rest(basis, rows)
-        xy, goal_xy = observation.xy[rows], goal.xy[rows]
+            return PartitionedMemory(memory.turn), Command.rest(basis, rows)
+        followed, ahead, tau = self._fed_forward(before, known, rows, goal, basis, why)
+        xy, goal_xy = ahead.xy[rows], goal.xy[rows]
         sigma, d, sigma_star, d_star = size(xy), segments(xy), size(goal_xy), segments(goal_xy)
         if not (spans_area(sigma, d) and spans_area(sigma_star, d_star)):
-            return memory, Command.rest(basis, NO_AREA)
+            return PartitionedMemory(memory.turn), Command.rest(basis, NO_AREA)
         turn = self._turn(memory.turn, angle_error(d, d_star))
-        twist = self._twist(xy, observation.depth[rows], goal_xy, size_error(sigma, sigma_star, self.sigma), turn)
+        twist = self._twist(xy, ahead.depth[rows], goal_xy, size_error(sigma, sigma_star, self.sigma), turn) - tau
         if self.visibility.margin_px > 0:
             twist = twist + basis @ self.visibility.push(observation, goal, basis)
         # After the visibility field, whose push counts within the limits, too.
         twist = twist * (scale := self.limits.scale(twist))
-        return PartitionedMemory(turn), Command(u=least_squares(basis, twist), twist=twist, scale=scale)
+        command = Command(u=least_squares(basis, twist), twist=twist, scale=scale)
+        return PartitionedMemory(turn, anti_windup(before, followed, command)), coasting(command, why)
+
+    def _fed_forward(
+        self, before: Followed, known: Observation, rows: Rows, goal: Goal, basis: Array, why: str
+    ) -> tuple[Followed, Observation, Array]:
+        """The next state of the feedforward, the observation with its markers where they are predicted, and the feedforward twist (6,).
+
+        Args:
+            known: the observation with what was carried over. rows: its usable markers. The others as `feedforward_term`.
+        """
+        if isinstance(self.feedforward, NoFeedforward):
+            return before, known, np.zeros(6)
+        e, L = _POINT.error(known.xy[rows].ravel(), goal.xy[rows].ravel()), _POINT.interaction(known.xy[rows], known.depth[rows])
+        solved = self.solve.least_squares(L @ basis, e)  # the remaining motion by all points, of all motions
+        change = change_of_markers(_POINT, before, known, self.markers_needed(basis), self.solve)
+        followed, predicted, tau = feedforward_term(self.feedforward, before, known, solved, change, basis, why)
+        # The features are no linear function of that motion, so that it moves the markers: by its difference from the horizon's.
+        p = transform(exp(-basis @ (predicted - solved)), points(known))
+        return followed, moved_markers(known, p, np.ones(len(p), dtype=bool)), basis @ tau
 
     @property
     def state_size(self) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -13,7 +12,7 @@ from vstestbed.features import ThetaU, Translation
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.base import Command, ConstantGain, Gain, LawBase, TwistLimits
 from vstestbed.laws.feedforward import Change, Feedforward, NoFeedforward
-from vstestbed.laws.following import NOTHING, Followed, anti_windup, coast, feedforward_term, inputs_of
+from vstestbed.laws.following import NOTHING, Followed, anti_windup, coasting, feedforward_term, inputs_of, usable_pose
 from vstestbed.laws.select import NO_POSE, TOO_FEW
 from vstestbed.laws.solve import Solve
 from vstestbed.laws.views import Views
@@ -33,8 +32,8 @@ class PBVS(LawBase):
     frame to its place at the goal, so that it stays in view.
     The pose comes from the markers' pixels and the known target (perspective-n-point); its errors enter the law.
 
-    With `feedforward` a moving target is tracked without lag (`feedforward.py`), for COAST_S also while it is not visible. Its
-    displacement between two frames is that of the poses, log(T_before T_now^-1), less the camera's own.
+    With `feedforward` a moving target is tracked without lag (`feedforward.py`), for CARRY_S also while it is not visible
+    (`following.py`). Its displacement between two frames is that of the poses, log(T_before T_now^-1), less the camera's own.
 
     Errata. Corke 2017, section 15.1, moves the camera by a fraction of the pose error at each step (SE(3) interpolation), which is
     `cdMc` in finite steps; here the law gives a velocity, and the robot's dynamics lie in between.
@@ -71,22 +70,18 @@ class PBVS(LawBase):
 
     def step(self, memory: Followed, observation: Observation, goal: Goal, basis: Array) -> tuple[Followed, Command]:
         """One frame; rest where no pose is known."""
-        T = observation.T_camera_target
-        if T is None or np.count_nonzero(observation.seen) < self.markers_needed(basis):
-            return self._without(memory, observation, basis, NO_POSE if T is None else TOO_FEW)
+        measured = observation.T_camera_target
+        few = np.count_nonzero(observation.seen) < self.markers_needed(basis)
+        why = NO_POSE if measured is None else TOO_FEW if few else ""
+        known = usable_pose(self.feedforward, memory, observation, goal, basis, why)
+        T = None if known is None else known.T_camera_target
+        if known is None or T is None:
+            return NOTHING, Command.rest(basis, why)
         e, L = self.equations(T, goal.T_camera_target)
         solved = self.solve.least_squares(L @ basis, e)
-        followed, solved, tau = feedforward_term(self.feedforward, memory, observation, solved, _change(memory.seen, T), basis)
+        followed, solved, tau = feedforward_term(self.feedforward, memory, known, solved, _change(memory.seen, T), basis, why)
         command = self.limits.command(-self.gain.at(solved) * solved - tau, basis)
-        return anti_windup(memory, followed, command), command
-
-    def _without(self, memory: Followed, seen: Observation, basis: Array, why: str) -> tuple[Followed, Command]:
-        """A frame without a pose: coast with the estimated motion of the target, else rest."""
-        coasting = coast(self.feedforward, memory, seen, basis)
-        if coasting is None:
-            return NOTHING, Command.rest(basis, why)
-        followed, u = coasting
-        return followed, replace(self.limits.command(u, basis), rest_reason=why)
+        return anti_windup(memory, followed, command), coasting(command, why)
 
     @property
     def state_size(self) -> int:

@@ -148,7 +148,7 @@ class QP(LawBase):
         assert robot is not None
         kept, wanted = self.law.step(memory.servo, observation, goal, basis)
         if wanted.rest_reason and not wanted.twist.any():
-            return QPMemory(kept), replace(wanted, null_space=None)
+            return QPMemory(kept), replace(wanted, free=())
         solution, gave_way = self._solved(wanted, observation, goal, robot)
         if solution.x is None:
             return QPMemory(kept), replace(Command.rest(basis, solution.failure), mode=UNSOLVED)

@@ -119,27 +119,54 @@ class Solve:
     motion is made in them: one that leaves out directions at the goal, too, lets the law rest beside it (`local_minimum`). Damping
     only slows the motion in them, so that the law converges.
 
+    With `levenberg_marquardt` = mu it is
+
+    x = (H + mu diag(H))^-1 A^T b,  H = A^T A,
+
+    which minimises |A x - b|^2 + mu sum of (a_i x_i)^2 with a_i the lengths of the columns of A: between the Gauss-Newton step
+    (mu = 0) and, for a large mu, a step along the gradient A^T b scaled by 1 / (mu diag(H)). Its damping is the same in whatever units the
+    motions are. It reduces the gain to 1 / (1 + mu) or less, also at the goal, unless mu decreases with the error
+    (`fades_below`). The cutoff then refers to A with the rows sqrt(mu) a_i below it.
+
     Args:
         cutoff: least singular value that counts, as a share of the largest [1]. At 1 m from a square of .5 m the smallest is .029
             of the largest, for points and for the partitioned law.
         damping: damping [unit of the singular values]; for points, with motion in m and rad and image coordinates normalised,
             singular values are .086 to 2.9 at 1 m from that square.
+        levenberg_marquardt: mu, damping of each motion relative to the length of its column [1]; for points .01 is usual.
+        fades_below: norm of b (for most laws the features' error) under which mu decreases with it, mu |b| / fades_below [unit of
+            b]; 0 keeps mu constant.
 
     References: Golub & Van Loan 2013, Matrix Computations, section 5.5; damped least squares: Nakamura & Hanafusa 1986,
-    doi:10.1115/1.3143764; Wampler 1986, doi:10.1109/TSMC.1986.289285.
+    doi:10.1115/1.3143764; Wampler 1986, doi:10.1109/TSMC.1986.289285; Levenberg-Marquardt in visual servoing: Malis 2004,
+    doi:10.1109/ROBOT.2004.1308092; Collewet & Marchand 2011, doi:10.1109/TRO.2011.2112593.
     """
 
     cutoff: Annotated[float, Ge(0), Lt(1)] = PINV_RCOND
     damping: Annotated[float, Ge(0), Le(1e3)] = 0.0
+    levenberg_marquardt: Annotated[float, Ge(0), Le(1e6)] = 0.0
+    fades_below: Annotated[float, Ge(0), Le(1e3)] = 0.0
 
     def least_squares(self, A: Array, b: Array) -> Array:
         """The x (..., n) for A (..., m, n) and b (..., m); with the default parameters that of the function `least_squares`."""
+        if self.levenberg_marquardt > 0:
+            A, b = self._with_columns(A, b)
         if self.cutoff == PINV_RCOND and self.damping == 0:
             return least_squares(A, b)
         U, s, Vt = np.linalg.svd(A, full_matrices=False)
         counts = s > self.cutoff * s[..., :1]
         inverse = np.where(counts, s / np.where(counts, s * s + self.damping**2, 1), 0)
         return np.asarray(((b[..., None, :] @ U * inverse[..., None, :]) @ Vt)[..., 0, :])
+
+    def _with_columns(self, A: Array, b: Array) -> tuple[Array, Array]:
+        """A and b with the rows sqrt(mu) a_i x_i = 0: their least squares have the normal equations (H + mu diag(H)) x = A^T b."""
+        mu = np.full(b.shape[:-1], self.levenberg_marquardt)
+        if self.fades_below > 0:
+            mu = mu * np.minimum(np.linalg.norm(b, axis=-1) / self.fades_below, 1.0)
+        size = np.sqrt(mu)[..., None] * np.linalg.norm(A, axis=-2)
+        below = size[..., None] * np.eye(A.shape[-1])
+        above = np.broadcast_to(A, (*below.shape[:-2], *A.shape[-2:]))
+        return np.concatenate([above, below], axis=-2), np.concatenate([b, np.zeros(size.shape)], axis=-1)
 
     def null_space(self, A: Array) -> Array:
         """Orthonormal basis (n, k), as columns, of the directions of x (n,) in which no motion is made, for A (m, n)."""

@@ -12,6 +12,7 @@ from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import Pixels, PositivePixels
 from vstestbed.core.spec import spec
 from vstestbed.features.observation import Goal, Observation
+from vstestbed.laws.carry import points
 from vstestbed.laws.select import usable_rows
 from vstestbed.laws.solve import least_squares
 
@@ -77,7 +78,7 @@ class Visibility:
         near = speed.any(axis=1)
         if not near.any():
             return nothing
-        L = pixel_interaction(goal.camera, points_of(observation)[rows][near])
+        L = pixel_interaction(goal.camera, points(observation)[rows][near])
         return least_squares(L.reshape(-1, 6) @ basis, speed[near].ravel())
 
     def _inwards(self, camera: Camera, uv: Array, radius: Array | float) -> Array:
@@ -100,14 +101,6 @@ def check_margin(field: str, margin_px: float, goal: Goal, marker_radius_m: floa
         words = f"reaches marker {called(marker)} of the goal view, whose edge is {nearest[marker]:.4g} px from the border"
         words += ", and would keep it"
         raise ParameterError(field, f"{words} off its goal; use less, or a goal farther back", margin_px)
-
-
-def points_of(observation: Observation) -> Array:
-    """The markers in the camera frame by the law's own depths or ranges, shape (N, 3) [m]."""
-    if observation.ray is not None and observation.range is not None:
-        return observation.ray * observation.range[:, None]
-    xy = observation.xy
-    return np.column_stack([xy, np.ones(len(xy))]) * observation.depth[:, None]
 
 
 def pixel_interaction(camera: Camera, p: Array) -> Array:

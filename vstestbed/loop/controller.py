@@ -249,8 +249,8 @@ class Controller:
     def _allocate(self, command: Command, reading: Reading, mount: Mount, rests: bool) -> Allocation:
         """The setpoint for a command, within the robot's limits; the order to stop where the law has no measurement and no motion."""
         robot, twist = self.scenario.robot, command.twist
-        if command.null_space is not None:
-            twist = twist + robot.secondary_task(command.null_space, reading, mount)
+        for share, free in command.free:
+            twist = twist + share * robot.secondary_task(free, reading, mount)
         period = self.scenario.camera.period
         if command.rates is None or twist is not command.twist:
             allocation = robot.allocate(twist, reading, mount, period)

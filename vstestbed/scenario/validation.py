@@ -16,6 +16,7 @@ from vstestbed.features.depth import DEPTHS
 from vstestbed.laws import LAWS
 from vstestbed.laws.base import GAINS
 from vstestbed.laws.feedforward import FEEDFORWARDS
+from vstestbed.laws.projection import PROJECTIONS
 from vstestbed.robots import ROBOTS
 from vstestbed.scenario.yaml_marks import Marks, place_of
 from vstestbed.targets import TARGETS
@@ -41,6 +42,7 @@ KINDS: dict[str, OneOf] = {
     "gains": GAINS,
     "depths": DEPTHS,
     "feedforwards": FEEDFORWARDS,
+    "projections": PROJECTIONS,
     "goals": GOALS,
     "views": VIEWS,
     "routes": ROUTES,
