@@ -230,7 +230,10 @@ app.add_typer(benchmarks)
 
 
 def main(argv: list[str] | None = None) -> NoReturn:
-    """Run the command line and exit: 0 goal reached, 1 a bug, 2 bad input, 3 not reached, 4 environment, 130 interrupted."""
+    """Run the command line and exit.
+
+    0 goal reached, 1 a bug, 2 bad input, 3 not reached, 4 environment, 5 worse than the baseline, 130 interrupted.
+    """
     arguments = sys.argv[1:] if argv is None else argv
     if complete.asked(arguments):
         app(arguments, prog_name="vstestbed")

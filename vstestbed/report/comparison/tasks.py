@@ -18,6 +18,7 @@ import polars as pl
 from vstestbed.core.files import make_folder, write_whole
 from vstestbed.core.geometry import Array
 from vstestbed.core.shares import Call, at_once
+from vstestbed.report.comparison import baseline_section
 from vstestbed.report.comparison import failures as comparison_failures
 from vstestbed.report.comparison.columns import ComparisonResults, ControllerResults, Metric
 from vstestbed.report.comparison.statistics import success_rate
@@ -250,6 +251,7 @@ def write_task_report(
         f"<p>{good} of {n} runs reached the goal. Each cell: how many, the median time to converge, the 95 % interval of the rate, "
         "and each failure by its outcome.</p>",
         _html(found, _td),
+        baseline_section.section(folder),
         f'<section><h2>Figure</h2><div class="broad">{figure("Over the amounts", drawn[0].result(), caption)}</div></section>',
         _spreads(found, metrics),
         comparison_failures.section(folder, ComparisonResults(table, axes, metrics)),
