@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -53,34 +54,50 @@ def compare(
     from vstestbed.experiments.comparison import Baseline, must_be_known, prepared
 
     must_be_known(executor)
-    for option in [name for name, given in (("--fail-on-regression", fail), ("--tolerance", tolerance is not None)) if given]:
-        if baseline is None:
-            raise ParameterError(option, "needs the earlier results: --baseline OLD, a comparison's folder")
-    before, settings = None if baseline is None else Baseline.read(baseline), settings_of(set_)
+    gate = _gate(baseline, fail, tolerance)
+    before, settings, shown = None if baseline is None else Baseline.read(baseline), settings_of(set_), not quiet and not as_json
     with prepared(scenarios or [], vary_of(vary), seeds, out, resume, settings, plugin or [], film, force, before) as (campaign, plan):
         show_notes(not quiet)
-        table = _carried_out(campaign, plan, jobs, executor, before, shown=not quiet and not as_json)
+        table = _carried_out(campaign, plan, jobs, executor, before, shown)
     if as_json:
         sys.stdout.write(_as_json(table))
     elif not quiet:
         typer.echo(_summary_text(table, campaign.folder), err=True)
     if table.baseline is not None:
-        _tell_regressions(table.baseline, tolerance, fail, shown=not quiet and not as_json)
+        gate.judge(table.baseline, shown)
 
 
-def _tell_regressions(changes: BaselineChanges, tolerance: float | None, fail: bool, shown: bool) -> None:
-    """Say what changed, and what got worse; with `fail` this ends the command with REGRESSED."""
+@dataclass(frozen=True)
+class _Gate:
+    """What happens where a comparison is worse than its baseline by more than a tolerance."""
+
+    tolerance: float
+    fail: bool
+
+    def judge(self, changes: BaselineChanges, shown: bool) -> None:
+        """Say what changed, and what got worse; with `fail` this ends the command with REGRESSED."""
+        from vstestbed.report.comparison.baseline_section import text
+
+        worse = [f"worse: {words}" for words in changes.regressions(self.tolerance)]
+        lines = [text(changes), *(worse or ["nothing got worse"])] if shown else worse * self.fail  # the reason for 5 is always told
+        for line in lines:
+            typer.echo(line, err=True)
+        if self.fail and worse:
+            raise typer.Exit(REGRESSED)
+
+
+def _gate(baseline: Path | None, fail: bool, tolerance: float | None) -> _Gate:
+    """The gate of the options.
+
+    Raises:
+        ParameterError: there is no baseline to be worse than.
+    """
     from vstestbed.report.comparison.baseline import TOLERANCE
-    from vstestbed.report.comparison.baseline_section import text
 
-    worse = changes.regressions(TOLERANCE if tolerance is None else tolerance)
-    if shown:
-        typer.echo(text(changes), err=True)
-    if shown or fail:  # the reason for the exit code is always told
-        for words in worse or (["nothing got worse"] if shown else []):
-            typer.echo(f"worse: {words}" if worse else words, err=True)
-    if fail and worse:
-        raise typer.Exit(REGRESSED)
+    if baseline is None and (fail or tolerance is not None):
+        option = "--fail-on-regression" if fail else "--tolerance"
+        raise ParameterError(option, "needs the earlier results: --baseline OLD, a comparison's folder")
+    return _Gate(TOLERANCE if tolerance is None else tolerance, fail)
 
 
 def _as_json(table: ComparisonTable) -> str:

@@ -40,10 +40,6 @@ FIGURES = (
     "judged_error",
 )
 """The names of every run's figures."""
-HIGHER_IS_BETTER = frozenset({"min_border_margin_px"})
-"""Figures of which more is better; of all others, also of metrics of one's own, less is."""
-NEITHER_IS_BETTER = frozenset({"sim_time_s", "frames", "max_rotation_deg", "peak_speed_mps", "peak_rate_radps"})
-"""Figures that describe a run and do not judge it."""
 TAKEN = frozenset(
     (
         *FIGURES,

@@ -141,14 +141,19 @@ def prepared(
             raise ParameterError("SCENARIO", "is missing: name scenarios to compare, or a comparison")
         else:
             comparison, found = requested, controllers(requested, force)  # before the folder is made: bad input leaves no folder
-            _check_workers_find(found)
-            if baseline is not None:
-                baseline.must_match(comparison, jobs(found, comparison.seeds))
+            _check_before(comparison, found, baseline)
             folder = stack.enter_context(study_folder("compare", out, "give a new one, or --resume to go on with what is there"))
             write_plan(folder, comparison)
         first = 0 if comparison.seeds is not None else None
         filmed = (first,) if film and not comparison.tasks else ()  # a film of a few starts would not show a task
         yield Campaign(folder, jobs(found, comparison.seeds), filmed), comparison
+
+
+def _check_before(comparison: Comparison, found: Variants, baseline: Baseline | None) -> None:
+    """Refuse what no worker finds, and a baseline that has none of the runs."""
+    _check_workers_find(found)
+    if baseline is not None:
+        baseline.must_match(comparison, jobs(found, comparison.seeds))
 
 
 def _check_workers_find(found: Variants) -> None:

@@ -48,17 +48,11 @@ class Baseline:
         Raises:
             RunFolderError: there is none, it cannot be read, or it is not the table of a comparison.
         """
-        import polars as pl
-
         place = Path(place)
         file = next((place / name for name in TABLES if (place / name).is_file()), place)
         if file.is_dir() or not file.exists():
             raise RunFolderError(place, "holds no comparison's results" if file.is_dir() else "no such folder or file", WORKS)
-        content = io.BytesIO(read_file(file, WORKS))
-        try:
-            table = pl.read_csv(content, infer_schema_length=None) if file.suffix == ".csv" else pl.read_parquet(content)
-        except (pl.exceptions.PolarsError, OSError) as error:
-            raise RunFolderError(file, f"is no table of a comparison ({str(error).splitlines()[0]})", WORKS) from None
+        table = _table_in(file)
         if missing := [name for name in NEEDED if name not in table.columns]:
             raise RunFolderError(file, f"is no table of a comparison (it has no column {missing[0]})", WORKS)
         return cls(place, file, table)
@@ -89,21 +83,21 @@ class Baseline:
 
         results = ComparisonResults(table, comparison.varied, comparison.metrics or shown_by_default(table))
         before = _rows_by_key(self.table, comparison.varied)
-        left = dict(before)
-        only_now, found = list[str](), []
+        left, only_now, found = dict(before), list[str](), []
         for controller in results.controllers:
             keys = [_key(row, comparison.varied) for row in controller.runs.iter_rows(named=True)]
-            here = [i for i, key in enumerate(keys) if key in before]
+            here = [i for i, key in enumerate(keys) if left.pop(key, None) is not None]
             if len(here) < len(keys):
                 only_now.append(f"{controller.label}, {len(keys) - len(here)} of {len(keys)} runs")
             if here:
                 now, then = controller.runs[here], self.table[[before[keys[i]] for i in here]]
                 found.append(change_of(controller.label, then, now, _with_time(results.shown), self._settings(then, folder, now)))
-            for i in here:
-                left.pop(keys[i], None)
-        counted = Counter(map(_words, _controllers(self.table[sorted(left.values())])))
-        only_before = tuple(f"{name}, {n} run{'s' * (n != 1)}" for name, n in counted.items())
-        return BaselineChanges(str(self.place), sum(c.runs for c in found), tuple(only_now), only_before, tuple(found))
+        return BaselineChanges(str(self.place), sum(c.runs for c in found), tuple(only_now), self._named(left.values()), tuple(found))
+
+    def _named(self, rows: Iterable[int]) -> tuple[str, ...]:
+        """The controllers of some rows, each with how many there are."""
+        counted = Counter(map(_words, _controllers(self.table[sorted(rows)])))
+        return tuple(f"{name}, {n} run{'s' * (n != 1)}" for name, n in counted.items())
 
     def _settings(self, then: pl.DataFrame, folder: Path, now: pl.DataFrame) -> tuple[str, ...]:
         """Fields in which the scenario of the first matched run differs; none where one of the two files is not there."""
@@ -112,6 +106,16 @@ class Baseline:
         if "folder" not in then.columns:
             return ()
         return differing([self.file.parent / str(then["folder"][0]) / "scenario.yaml", folder / str(now["folder"][0]) / "scenario.yaml"])
+
+
+def _table_in(file: Path) -> pl.DataFrame:
+    import polars as pl
+
+    content = io.BytesIO(read_file(file, WORKS))
+    try:
+        return pl.read_csv(content, infer_schema_length=None) if file.suffix == ".csv" else pl.read_parquet(content)
+    except (pl.exceptions.PolarsError, OSError) as error:
+        raise RunFolderError(file, f"is no table of a comparison ({str(error).splitlines()[0]})", WORKS) from None
 
 
 def write_changes(folder: Path, changes: BaselineChanges) -> None:

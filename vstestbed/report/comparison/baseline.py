@@ -17,8 +17,7 @@ import polars as pl
 
 from vstestbed.core.errors import RunFolderError
 from vstestbed.report.comparison.columns import ControllerResults, Metric
-from vstestbed.report.comparison.statistics import FEWEST, paired_difference, paired_success
-from vstestbed.tasks.metrics import HIGHER_IS_BETTER, NEITHER_IS_BETTER
+from vstestbed.report.comparison.statistics import paired_difference, paired_success
 
 FILE: Final = "baseline.json"
 """File of a comparison's folder that holds its `BaselineChanges`."""
@@ -28,6 +27,10 @@ digits of pixels, and lets a run converge a frame earlier or later, and 40 ms ar
 fault of a law."""
 LEVEL: Final = 0.05
 """Level of the one-sided test on lost runs."""
+FEWEST: Final = 5
+"""Fewest runs of which that test can find a loss: 1/2^5 is under LEVEL, 1/2^4 is not."""
+NEUTRAL: Final = ("sim_time_s", "frames", "max_rotation_deg", "peak_speed_mps", "peak_rate_radps")
+"""Numbers that describe a run and do not judge it."""
 
 
 @dataclass(frozen=True)
@@ -155,7 +158,7 @@ def _metric_change(old: ControllerResults, new: ControllerResults, metric: Metri
     used = ((old.success & new.success) | metric.every_pair) & np.isfinite(x) & np.isfinite(y)
     d = paired_difference(y[used], x[used])
     before, now = (float(v[used].mean()) if used.any() else math.nan for v in (x, y))
-    better = 1 if metric.name in HIGHER_IS_BETTER else 0 if metric.name in NEITHER_IS_BETTER else -1
+    better = 0 if metric.name in NEUTRAL else 1 if metric.higher else -1
     return MetricChange(metric.name, metric.title, metric.unit, before, now, d.mean, d.low, d.high, d.n, d.real, better)
 
 

@@ -51,21 +51,27 @@ def section(folder: Path) -> str:
     changes = read_changes(folder)
     if changes is None:
         return ""
-    names = dict.fromkeys((m.name, m.title, m.unit) for c in changes.controllers for m in c.metrics)
-    heads = ["Controller", "Reached the goal", *(f"{title} [{unit}]" if unit else title for _, title, unit in names)]
-    lines = [[(c.label, escape(c.label)), _goals(c), *map(_cell, c.metrics)] for c in changes.controllers]
     note = (
         f"{changes.matched} runs are in both. The numbers: the mean now minus the mean then over the runs that reached the goal both "
         "times (what a run has on its way: over all runs), its 95 % interval below. Bold with a dot: the interval excludes zero. "
         "An unchanged program gives 0 everywhere on the same machine."
     )
-    rest = [f"Only now: {words}." for words in changes.only_now] + [f"Only then: {words}." for words in changes.only_before]
-    rest += [f"{c.label}{_settings(c).removeprefix(';').replace(' its', ': its', 1)}." for c in changes.controllers if c.settings]
-    worse = changes.regressions()
-    verdict = "".join(f"<li>{escape(words)}</li>" for words in worse) or "<li>Nothing got worse.</li>"
-    rest_html = "".join(f'<p class="soft">{escape(words)}</p>' for words in rest)
+    verdict = "".join(f"<li>{escape(words)}</li>" for words in changes.regressions() or ["Nothing got worse."])
+    notes = "".join(f'<p class="soft">{escape(words)}</p>' for words in [note, *_notes(changes)])
     head = f"<h2>Against {escape(changes.place)}</h2><p>With a tolerance of {100 * TOLERANCE:g} %:</p><ul>{verdict}</ul>"
-    return f'<section>{head}{table(heads, lines)}<p class="soft">{note}</p>{rest_html}</section>'
+    return f"<section>{head}{_table(changes)}{notes}</section>"
+
+
+def _table(changes: BaselineChanges) -> str:
+    names = dict.fromkeys((m.title, m.unit) for c in changes.controllers for m in c.metrics)
+    heads = ["Controller", "Reached the goal", *(f"{title} [{unit}]" if unit else title for title, unit in names)]
+    return table(heads, [[(c.label, escape(c.label)), _goals(c), *map(_cell, c.metrics)] for c in changes.controllers])
+
+
+def _notes(changes: BaselineChanges) -> list[str]:
+    """What cannot be compared, and where the scenarios differ."""
+    notes = [f"Only now: {words}." for words in changes.only_now] + [f"Only then: {words}." for words in changes.only_before]
+    return notes + [f"{c.label}: its scenario differs in {', '.join(c.settings)}." for c in changes.controllers if c.settings]
 
 
 def _goals(c: ControllerChange) -> Cell:

@@ -35,6 +35,7 @@ _TITLES: Final = {
 _SCALES: Final = {"final_position_error_m": ("mm", 1e3), "saturated_fraction": ("%", 1e2)}
 _FINAL: Final = ("final_error_px", "final_position_error_m", "final_rotation_error_deg")
 _ON_THE_WAY: Final = ("feature_overshoot", "worst_task_error_m", *(name for name, _, _ in numbers.TRACKING_ROWS))
+_HIGHER: Final = ("min_border_margin_px",)
 
 
 def shown_by_default(table: pl.DataFrame) -> tuple[str, ...]:
@@ -50,6 +51,7 @@ class Metric:
         name: key in `summary.json`. title, unit: as printed; scale: factor from the summary's unit to the printed one.
         every_run: the median is over all runs that have the number, not only over those that reached the goal.
         every_pair: paired differences are over all common seeds, too: the number means the same for a run that failed.
+        higher: a higher value is better; of all other numbers (times, errors, paths, speeds) the lower.
     """
 
     name: str
@@ -58,6 +60,7 @@ class Metric:
     scale: float = 1.0
     every_run: bool = False
     every_pair: bool = False
+    higher: bool = False
 
     @classmethod
     def of(cls, name: str) -> Metric:
@@ -66,7 +69,7 @@ class Metric:
         title, unit = _TITLES.get(name) or own.get(name, (name, ""))
         unit, scale = _SCALES.get(name, (unit, 1.0))
         on_the_way = name in _ON_THE_WAY or name in own  # measured while the run goes on: meaningful whatever its outcome
-        return cls(name, title, unit, scale, on_the_way or name in _FINAL, on_the_way)
+        return cls(name, title, unit, scale, on_the_way or name in _FINAL, on_the_way, name in _HIGHER)
 
     @property
     def label(self) -> str:
