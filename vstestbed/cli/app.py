@@ -25,6 +25,7 @@ from vstestbed.cli.export import exports
 from vstestbed.cli.live import lives
 from vstestbed.cli.new import news
 from vstestbed.cli.tools import Json, Plugins, ScenarioName, Settings, load_scenario, tools
+from vstestbed.cli.tune import tunings
 from vstestbed.core.errors import ParameterError, RunFolderError
 
 if TYPE_CHECKING:
@@ -220,6 +221,7 @@ def report(
 
 app.add_typer(exports)
 app.add_typer(comparing)
+app.add_typer(tunings)
 app.add_typer(basins)
 app.add_typer(delays)
 app.add_typer(convergences)

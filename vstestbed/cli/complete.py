@@ -31,6 +31,13 @@ def experiments(incomplete: str) -> list[str]:
     return scenarios(incomplete) + [name for name in bundled_comparisons() if name.startswith(incomplete)]
 
 
+def figures(incomplete: str) -> list[str]:
+    """Names of the numbers of `summary.json`."""
+    from vstestbed.tasks.metrics import FIGURES, own_titles
+
+    return [name for name in (*FIGURES, *own_titles()) if name.startswith(incomplete)]
+
+
 def kinds(incomplete: str) -> list[str]:
     """Words that `describe` knows: kinds, the blocks of a scenario, and after `camera.` the kinds and blocks of that block."""
     whole = _schema()
