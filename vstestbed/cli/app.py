@@ -197,18 +197,22 @@ def _size(text: str | None) -> tuple[int, int] | None:
 
 @app.command()
 def report(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="A run's folder, or a comparison's.")],
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="A run's folder, a comparison's or a search's.")],
     quiet: Quiet = False,
     plugin: Plugins = None,
 ) -> None:
     """Write report.html again."""
     from vstestbed.core.folders import only_writer
 
-    _must_hold(folder, "comparison.yaml", "scenario.yaml")
+    _must_hold(folder, "comparison.yaml", "tuning.yaml", "scenario.yaml")
     with only_writer(folder):
         # each with its own imports: those of a comparison take as long as the report of a run
         if (folder / "comparison.yaml").is_file():
             from vstestbed.experiments.comparison import report_again
+
+            page = report_again(folder, plugin or [])
+        elif (folder / "tuning.yaml").is_file():
+            from vstestbed.experiments.tuning import report_again
 
             page = report_again(folder, plugin or [])
         else:

@@ -16,7 +16,7 @@ from vstestbed.cli.tools import Json, Plugins, Settings, settings_of
 from vstestbed.core.errors import ParameterError
 
 if TYPE_CHECKING:
-    from vstestbed.experiments.tuning import Search, Tuning
+    from vstestbed.experiments.tuning import Search
     from vstestbed.experiments.tuning.result import TuningResult
 
 tunings = typer.Typer()
@@ -90,30 +90,11 @@ def _finished(search: Search, shown: bool) -> TuningResult:
     try:
         with Counter(search.total, 0, shown) as counter:
             search.listener = counter
-            return finished(search, _command(search.plan))
+            return finished(search)
     except KeyboardInterrupt:
         words = f"interrupted: {len(search.trials)} of {search.plan.trials} trials are done; go on with: "
         typer.echo(f"{words}vstestbed tune --resume --out {shlex.quote(str(search.folder))}", err=True)
         raise typer.Exit(INTERRUPTED) from None
-
-
-def _command(plan: Tuning) -> str:
-    """The command that makes the search again."""
-    from vstestbed.scenario.dump import flow_text
-
-    options: list[tuple[str, object]] = [("--plugin", name) for name in plan.plugins]
-    options += [("--set", f"{path}={flow_text(value)}") for path, value in plan.set.items()]
-    options += [("--vary", f"{p.path}={p}") for p in plan.parameters]
-    options += [
-        ("--metric", plan.metric),
-        ("--trials", plan.trials),
-        ("--batch", plan.batch),
-        ("--check", plan.check),
-        ("--seed", plan.seed),
-    ]
-    options += [("--seeds", plan.seeds)] if plan.seeds else []
-    words = [word for option in options for word in map(str, option)] + ["--maximise"] * bool(plan.maximise)
-    return shlex.join(["vstestbed", "tune", plan.scenario, *words])
 
 
 def _text(result: TuningResult) -> str:

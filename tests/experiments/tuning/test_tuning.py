@@ -225,7 +225,14 @@ def test_the_command_and_a_search_in_which_nothing_arrives(command, quick: Path,
     found = json.loads(command("tune", "quick.yaml", "--vary", "law.gain=5:7", *words).out)
     assert found["command"].startswith("vstestbed run quick.yaml --set camera.rate_hz=10 --set law.gain=")
     assert [row["trial"] for row in found["trials"]] == [0, 1] and found["best"] in (0, 1)
-    assert "vstestbed tune quick.yaml" in Path("runs/tune/002/report.html").read_text(encoding="utf-8")
+    page = Path("runs/tune/002/report.html")
+    assert "vstestbed tune quick.yaml" in page.read_text(encoding="utf-8")
+    page.unlink()
+    assert command("report", page.parent).code == 0 and "vstestbed tune runs/tune/002/scenarios/quick.yaml" in page.read_text(
+        encoding="utf-8"
+    )
+    next(page.parent.glob("runs/*/*/0/summary.json")).unlink()
+    assert "holds a search that is not finished; `vstestbed tune --resume" in command("report", page.parent).err
 
 
 def test_without_optuna_the_extra_is_named(quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -22,7 +22,7 @@ from vstestbed.scenario.plugins import absolute_files, load_plugins
 if TYPE_CHECKING:
     from vstestbed.experiments.tuning.result import TuningResult
 
-__all__ = ["Listener", "Search", "Tuning", "begun", "finished", "planned", "tune"]
+__all__ = ["Listener", "Search", "Tuning", "begun", "finished", "planned", "report_again", "tune"]
 
 
 def tune(
@@ -134,13 +134,24 @@ def begun(plan: Tuning | None, out: Path | None, trials: int | None = None, plug
         yield Search(out, found, comparison, space)
 
 
-def finished(search: Search, made_by: str = "") -> TuningResult:
-    """Do what is missing of a search, and write its results; made_by: the command, for the page."""
+def finished(search: Search) -> TuningResult:
+    """Do what is missing of a search, and write its results."""
     from vstestbed.experiments.tuning.result import TuningResult  # here: polars is imported only where there is a table
 
     must_be_known(search.executor)
     check = search.carry_out()
     search.listener.say("writing the report")
     result = TuningResult(search.folder, search.plan, search.space, tuple(search.trials), check)
-    result.write(made_by)
+    result.write()
     return result
+
+
+def report_again(folder: Path, plugins: Sequence[str] = ()) -> Path:
+    """Write the results of a finished search again from its runs; `plugins`: besides those that it remembers.
+
+    Raises:
+        RunFolderError: a run is missing, or a file is damaged.
+    """
+    with begun(None, folder, plugins=plugins) as search:
+        search.stored_alone = True
+        return finished(search).folder / "report.html"

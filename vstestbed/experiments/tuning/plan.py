@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import field
 from pathlib import Path
@@ -17,7 +18,7 @@ from vstestbed.experiments.comparison.plan import Comparison, changed, chosen
 from vstestbed.experiments.comparison.runs import controllers, draws
 from vstestbed.experiments.tuning.space import OPTION, Parameter, Space, checked, parameter
 from vstestbed.report.comparison.columns import Metric
-from vstestbed.scenario.dump import as_yaml
+from vstestbed.scenario.dump import as_yaml, flow_text
 from vstestbed.scenario.load import text_of
 from vstestbed.scenario.plugins import load_named
 from vstestbed.scenario.validation import build
@@ -88,6 +89,17 @@ class Tuning:
         if len(found.base) != 1 or found.cases or found.tasks or set(found.axes) != set(axes):
             raise ParameterError("SCENARIO", "must be one scenario, and no comparison", self.scenario)
         return found
+
+    @property
+    def command(self) -> str:
+        """The command that makes the search again."""
+        options: list[tuple[str, object]] = [("--plugin", name) for name in self.plugins]
+        options += [("--set", f"{path}={flow_text(value)}") for path, value in self.set.items()]
+        options += [(OPTION, f"{p.path}={p}") for p in self.parameters]
+        options += [(f"--{name}", getattr(self, name)) for name in ("metric", "trials", "batch", "check", "seed")]
+        options += [("--seeds", self.seeds)] if self.seeds else []
+        words = [word for option in options for word in map(str, option)] + ["--maximise"] * bool(self.maximise)
+        return shlex.join(["vstestbed", "tune", self.scenario, *words])
 
     @property
     def parameters(self) -> list[Parameter]:

@@ -71,21 +71,22 @@ class TuningResult:
 
     def rows(self) -> list[dict[str, Any]]:
         """As `table`, in plain values."""
-        name = f"mean_{self.plan.metric}"
-        scale = self.plan.shown.scale
-        return [
-            {"trial": t.number}
-            | {p.path: _shown(p, t.values[p.path]) for p in self.space.parameters}
-            | {"runs": len(t.reached), "reached": sum(t.reached), name: t.mean / scale if math.isfinite(t.mean) else None}
-            | {"outcomes": _ended(t), "best": t is self.best}
-            for t in self.trials
-        ]
+        shown = [{p.path: _shown(p, t.values[p.path]) for p in self.space.parameters} for t in self.trials]
+        return [{"trial": t.number, **one, **self._row(t), "best": t is self.best} for t, one in zip(self.trials, shown, strict=True)]
+
+    def _row(self, trial: Trial) -> dict[str, Any]:
+        mean = trial.mean / self.plan.shown.scale if math.isfinite(trial.mean) else None
+        reached = {"runs": len(trial.reached), "reached": sum(trial.reached)}
+        return reached | {f"mean_{self.plan.metric}": mean, "outcomes": _ended(trial)}
 
     def plain(self) -> dict[str, Any]:
         """The result as plain values for JSON."""
         best = self.best
         found = {"scenario": self.plan.scenario, "metric": self.plan.metric, "best": None if best is None else best.number}
-        return found | {"settings": self.settings, "command": self.command, "sentences": self.sentences(), "trials": self.rows()}
+        names = ("best", "as_it_is")
+        check = None if self.check is None else {name: self._row(one) for name, one in zip(names, self.check, strict=True)}
+        words = {"settings": self.settings, "command": self.command, "sentences": self.sentences()}
+        return found | words | {"check": check, "trials": self.rows()}
 
     @property
     def headline(self) -> str:
@@ -142,7 +143,7 @@ class TuningResult:
             )
         return found
 
-    def write(self, made_by: str = "") -> Path:
+    def write(self) -> Path:
         """Write the table of trials, `best.yaml`, the page and its figures; returns the page's path.
 
         Raises:
@@ -154,9 +155,9 @@ class TuningResult:
         write_whole(self.folder / f"{TABLE}.csv", self.table.write_csv())
         if self.best is not None:
             dump(self.scenario, self.folder / BEST)
-        return write_page(self.folder, self._page(made_by))
+        return write_page(self.folder, self._page())
 
-    def _page(self, made_by: str) -> TuningPage:
+    def _page(self) -> TuningPage:
         plan, best = self.plan, self.best
         return TuningPage(
             Path(plan.scenario).stem,
@@ -170,7 +171,7 @@ class TuningResult:
             [_row(t, self.space.parameters) for t in self.trials],
             None if best is None else best.number,
             importances(self.space, self.trials, plan.higher, plan.seeds or 1),
-            made_by,
+            plan.command,
         )
 
 

@@ -9,7 +9,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Protocol
 
-from vstestbed.core.errors import ParameterError, ScenarioError
+from vstestbed.core.errors import ParameterError, RunFolderError, ScenarioError
 from vstestbed.experiments.comparison import Campaign, workers
 from vstestbed.experiments.comparison.folder import summary_of
 from vstestbed.experiments.comparison.plan import Comparison, changed
@@ -58,7 +58,7 @@ class Search:
 
     Args:
         folder: of the search. plan: of the search. comparison: the scenario with its settings. space: what is varied.
-        jobs, executor: as of `compare`. listener: is told of each run.
+        jobs, executor: as of `compare`. stored_alone: do no run. listener: is told of each run.
     """
 
     folder: Path
@@ -67,6 +67,7 @@ class Search:
     space: Space
     jobs: int | None = None
     executor: str = "local"
+    stored_alone: bool = False
     listener: Listener = field(default_factory=NoListener)
     trials: list[Trial] = field(default_factory=list, init=False)
 
@@ -157,6 +158,9 @@ class Search:
         wanted = [job for job in jobs(controllers(comparison), comparison.seeds) if (job.seed or 0) >= first]
         campaign = Campaign(self.folder, wanted)
         self.listener.were_done(campaign.done)
+        if self.stored_alone and campaign.done < len(wanted):
+            works = f"`vstestbed tune --resume --out {self.folder}` does what is missing"
+            raise RunFolderError(self.folder, "holds a search that is not finished", works)
         if campaign.done < len(wanted):
             campaign.run(self._pool, self.listener.run_done)
         found: dict[str, list[dict[str, Any]]] = {name: [] for name in settings}
