@@ -16,7 +16,7 @@ from vstestbed.core.spec import spec
 from vstestbed.experiments.comparison.folder import kept_base
 from vstestbed.experiments.comparison.plan import Comparison, changed, chosen
 from vstestbed.experiments.comparison.runs import controllers, draws
-from vstestbed.experiments.tuning.space import OPTION, Parameter, Space, checked, parameter
+from vstestbed.experiments.tuning.space import OPTION, Parameter, SearchSpace, checked, parameter
 from vstestbed.report.comparison.columns import Metric
 from vstestbed.scenario.dump import as_yaml, flow_text
 from vstestbed.scenario.load import text_of
@@ -128,7 +128,7 @@ def write_plan(folder: Path, plan: Tuning) -> None:
     write_whole(folder / PLAN, as_yaml(to_mapping(plan) | {"scenario": kept_base(folder, plan.scenario)}))
 
 
-def prepared(plan: Tuning, seeds: int | None) -> tuple[Comparison, Space, int | None]:
+def prepared(plan: Tuning, seeds: int | None) -> tuple[Comparison, SearchSpace, int | None]:
     """The comparison of a plan, its space, and the number of random starts of each trial: as asked for, else SEEDS where any are drawn.
 
     Raises:

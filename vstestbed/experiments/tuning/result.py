@@ -16,7 +16,7 @@ import polars as pl
 from vstestbed.core.files import write_whole
 from vstestbed.experiments.tuning.plan import Tuning
 from vstestbed.experiments.tuning.sampler import importances
-from vstestbed.experiments.tuning.space import Choice, Parameter, Range, Space
+from vstestbed.experiments.tuning.space import Choice, Parameter, Range, SearchSpace
 from vstestbed.experiments.tuning.trials import Trial, best_of
 from vstestbed.report.comparison.statistics import paired_difference
 from vstestbed.report.studies.tuning import ParameterAxis, TrialRow, TuningPage, write_page
@@ -38,7 +38,7 @@ class TuningResult:
 
     folder: Path
     plan: Tuning
-    space: Space
+    space: SearchSpace
     trials: tuple[Trial, ...]
     check: tuple[Trial, Trial] | None
 

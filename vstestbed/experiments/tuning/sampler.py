@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vstestbed.core.errors import EnvironmentLackError
-from vstestbed.experiments.tuning.space import Choice, Parameter, Space
+from vstestbed.experiments.tuning.space import Choice, Parameter, SearchSpace
 from vstestbed.experiments.tuning.trials import Trial
 from vstestbed.scenario.dump import flow_text
 
@@ -40,7 +40,7 @@ def must_be_installed() -> Any:
     return optuna
 
 
-def next_settings(space: Space, trials: Sequence[Trial], higher: bool, runs: int, size: int, seed: int) -> list[dict[str, object]]:
+def next_settings(space: SearchSpace, trials: Sequence[Trial], higher: bool, runs: int, size: int, seed: int) -> list[dict[str, object]]:
     """Settings to try next, each different from all before; fewer than `size` where the space has no more.
 
     They depend on the finished trials and the seed alone, and not on how often a search was interrupted, or by how many workers it runs.
@@ -65,7 +65,7 @@ def next_settings(space: Space, trials: Sequence[Trial], higher: bool, runs: int
     return settings
 
 
-def importances(space: Space, trials: Sequence[Trial], higher: bool, runs: int) -> dict[str, float]:
+def importances(space: SearchSpace, trials: Sequence[Trial], higher: bool, runs: int) -> dict[str, float]:
     """Share of each parameter in what tells good trials from the others (PED-ANOVA); none of one parameter, or of few trials.
 
     Reference: Watanabe, Bansal & Hutter 2023, PED-ANOVA, IJCAI, arXiv:2304.10255.
@@ -79,7 +79,7 @@ def importances(space: Space, trials: Sequence[Trial], higher: bool, runs: int) 
     return {str(path): float(share) for path, share in found.items()}
 
 
-def _study(space: Space, trials: Sequence[Trial], higher: bool, runs: int, seed: int, place: int) -> optuna.Study:
+def _study(space: SearchSpace, trials: Sequence[Trial], higher: bool, runs: int, seed: int, place: int) -> optuna.Study:
     """A study with the finished trials, whose sampler begins with a seed of its own at each place of the search."""
     optuna = must_be_installed()
     own = int(np.random.SeedSequence((seed, place)).generate_state(1)[0])
@@ -92,7 +92,7 @@ def _study(space: Space, trials: Sequence[Trial], higher: bool, runs: int, seed:
     return study
 
 
-def _distributions(space: Space) -> dict[str, Any]:
+def _distributions(space: SearchSpace) -> dict[str, Any]:
     from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
 
     found: dict[str, Any] = {}
@@ -109,14 +109,14 @@ def _told(p: Parameter, value: object) -> Any:
     return flow_text(value) if isinstance(p, Choice) else value
 
 
-def _asked(study: optuna.Study, space: Space) -> dict[str, object]:
+def _asked(study: optuna.Study, space: SearchSpace) -> dict[str, object]:
     params = study.ask(_distributions(space)).params
     return {
         p.path: p.values[p.words.index(params[p.path])] if isinstance(p, Choice) else p.rounded(params[p.path]) for p in space.parameters
     }
 
 
-def _drawn(space: Space, random: np.random.Generator) -> dict[str, object]:
+def _drawn(space: SearchSpace, random: np.random.Generator) -> dict[str, object]:
     """Settings drawn evenly from the space."""
     values: dict[str, object] = {}
     for p in space.parameters:
@@ -127,5 +127,5 @@ def _drawn(space: Space, random: np.random.Generator) -> dict[str, object]:
     return values
 
 
-def _key(space: Space, values: dict[str, object]) -> tuple[object, ...]:
+def _key(space: SearchSpace, values: dict[str, object]) -> tuple[object, ...]:
     return tuple(_told(p, values[p.path]) for p in space.parameters)

@@ -17,7 +17,7 @@ from vstestbed.experiments.comparison.pools import Pool, clear, pool_of
 from vstestbed.experiments.comparison.runs import Job, controllers, jobs
 from vstestbed.experiments.tuning.plan import Tuning
 from vstestbed.experiments.tuning.sampler import next_settings
-from vstestbed.experiments.tuning.space import Space
+from vstestbed.experiments.tuning.space import SearchSpace
 from vstestbed.experiments.tuning.trials import Trial, best_of, read_record, write_record
 
 CASE, AS_IT_IS = "trial", "as_it_is"
@@ -64,7 +64,7 @@ class Search:
     folder: Path
     plan: Tuning
     comparison: Comparison
-    space: Space
+    space: SearchSpace
     jobs: int | None = None
     executor: str = "local"
     stored_alone: bool = False

@@ -150,7 +150,7 @@ def _number(text: str) -> float | None:
 
 
 @dataclass(frozen=True)
-class Space:
+class SearchSpace:
     """All that a search varies, checked against the scenario.
 
     Attributes:
@@ -171,7 +171,7 @@ class Space:
         return [p for p in ranges if not EDGE < p.place(values[p.path]) < 1 - EDGE]
 
 
-def checked(plan: Comparison, parameters: Sequence[Parameter]) -> Space:
+def checked(plan: Comparison, parameters: Sequence[Parameter]) -> SearchSpace:
     """The space of a search; each end of each range and each choice is loaded, so that bad input is found before anything runs.
 
     Args:
@@ -191,7 +191,7 @@ def checked(plan: Comparison, parameters: Sequence[Parameter]) -> Space:
         alone = loaded if len(parameters) == 1 else _alone(plan, one)
         if (value := one.current(scenario, alone)) is not None:
             now[one.path] = value
-    return Space(tuple(found), now if len(now) == len(found) else None)
+    return SearchSpace(tuple(found), now if len(now) == len(found) else None)
 
 
 def _alone(plan: Comparison, one: Parameter) -> list[Scenario]:
