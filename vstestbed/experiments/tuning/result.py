@@ -15,7 +15,6 @@ import polars as pl
 
 from vstestbed.core.files import write_whole
 from vstestbed.experiments.tuning.plan import Tuning
-from vstestbed.experiments.tuning.sampler import importances
 from vstestbed.experiments.tuning.space import Choice, Parameter, Range, SearchSpace
 from vstestbed.experiments.tuning.trials import Trial, best_of
 from vstestbed.report.comparison.statistics import paired_difference
@@ -170,7 +169,6 @@ class TuningResult:
             [_axis(p) for p in self.space.parameters],
             [_row(t, self.space.parameters) for t in self.trials],
             None if best is None else best.number,
-            importances(self.space, self.trials, plan.higher, plan.seeds or 1),
             plan.command,
         )
 

@@ -22,8 +22,6 @@ STARTUP = 8
 """Trials that are drawn at random before the estimator has anything to go by."""
 GUIDED, ATTEMPTS = 10, 200
 """Attempts at a setting that was not tried yet: by the estimator, then at random as well."""
-LEAST_FOR_IMPORTANCE = 12
-"""Trials from which the importance of the parameters is estimated."""
 
 
 def must_be_installed() -> Any:
@@ -63,20 +61,6 @@ def next_settings(space: SearchSpace, trials: Sequence[Trial], higher: bool, run
             tried.add(key)
             settings.append(values)
     return settings
-
-
-def importances(space: SearchSpace, trials: Sequence[Trial], higher: bool, runs: int) -> dict[str, float]:
-    """Share of each parameter in what tells good trials from the others (PED-ANOVA); none of one parameter, or of few trials.
-
-    Reference: Watanabe, Bansal & Hutter 2023, PED-ANOVA, IJCAI, arXiv:2304.10255.
-    """
-    if len(space.parameters) < 2 or len(trials) < LEAST_FOR_IMPORTANCE:
-        return {}
-    import optuna
-
-    study = _study(space, trials, higher, runs, 0, 0)
-    found = optuna.importance.get_param_importances(study, evaluator=optuna.importance.PedAnovaImportanceEvaluator())
-    return {str(path): float(share) for path, share in found.items()}
 
 
 def _study(space: SearchSpace, trials: Sequence[Trial], higher: bool, runs: int, seed: int, place: int) -> optuna.Study:

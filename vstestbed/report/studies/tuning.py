@@ -1,10 +1,10 @@
-"""The page of a search for good settings, and its figures: trials over each parameter, the best so far, what matters."""
+"""The page of a search for good settings, and its figures: trials over each parameter, the best so far."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -75,7 +75,7 @@ class TuningPage:
         title: the scenario. headline, sentences: the result in words. command: that takes it. metric: by which trials are compared.
         higher: whether more is better. sure: whether nothing speaks against the result.
         axes: the parameters. trials: in their order. best: number of the best one; None without any.
-        shares: importance of each parameter. made_by: the command that repeats the search.
+        made_by: the command that repeats the search.
     """
 
     title: str
@@ -88,7 +88,6 @@ class TuningPage:
     axes: Sequence[ParameterAxis]
     trials: Sequence[TrialRow]
     best: int | None
-    shares: Mapping[str, float] = field(default_factory=dict)
     made_by: str = ""
 
 
@@ -175,7 +174,7 @@ def write_page(folder: Path, page: TuningPage) -> Path:
     body = [
         f'<div class="outcome{good}"><strong>{escape(page.headline)}</strong><ul>{listed}</ul></div>',
         f"<section><h2>To take it</h2><pre>{escape(page.command)}</pre></section>" if page.command else "",
-        f"<section><h2>Figures</h2>{''.join(parts)}{_importance(page.shares)}</section>",
+        f"<section><h2>Figures</h2>{''.join(parts)}</section>",
         _trials(page),
         f"<section><h2>How it was made</h2><p>Made again by<br><code>{escape(page.made_by)}</code></p></section>" if page.made_by else "",
         SCRIPT,
@@ -186,13 +185,6 @@ def write_page(folder: Path, page: TuningPage) -> Path:
         title=escape(heading), style=STYLE + TABLES, heading=escape(heading), description=described, body="\n".join(filter(None, body))
     )
     return write_whole(folder / "report.html", html)
-
-
-def _importance(shares: Mapping[str, float]) -> str:
-    if not shares:
-        return ""
-    words = ", ".join(f"{path} {100 * share:.0f} %" for path, share in sorted(shares.items(), key=lambda item: -item[1]))
-    return f'<p class="soft">What tells good trials from the others (PED-ANOVA): {escape(words)}.</p>'
 
 
 def _trials(page: TuningPage) -> str:
