@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from vstestbed.core.spec import spec
     from vstestbed.experiments.comparison import compare
     from vstestbed.experiments.run_folder import run_into
+    from vstestbed.experiments.tuning import tune
     from vstestbed.features import FEATURES, Feature
     from vstestbed.features.observation import Goal, Observation
     from vstestbed.laws import LAWS, Command, Law, LawBase
@@ -77,6 +78,7 @@ _HOMES = {
     "vstestbed.core.spec": ("spec",),
     "vstestbed.experiments.comparison": ("compare",),
     "vstestbed.experiments.run_folder": ("run_into",),
+    "vstestbed.experiments.tuning": ("tune",),
     "vstestbed.features": ("FEATURES", "Feature"),
     "vstestbed.features.observation": ("Goal", "Observation"),
     "vstestbed.laws": ("LAWS", "Command", "Law", "LawBase"),
@@ -167,6 +169,7 @@ __all__ = [
     "targets",
     "tasks",
     "testing",
+    "tune",
     "vision",
 ]
 

@@ -34,6 +34,7 @@ def test_a_shell_gets_its_script(vstestbed_process) -> None:
 def test_scenarios_and_comparisons() -> None:
     assert complete.scenarios("arm_pbvs") == ["arm_pbvs"]
     assert complete.experiments("real") == ["realism"]
+    assert complete.figures("time_to") == ["time_to_converge_s"]
     assert complete.scenarios("./mine") == []  # the shell then offers files
 
 

@@ -25,6 +25,7 @@ from vstestbed.cli.export import exports
 from vstestbed.cli.live import lives
 from vstestbed.cli.new import news
 from vstestbed.cli.tools import Json, Plugins, ScenarioName, Settings, load_scenario, tools
+from vstestbed.cli.tune import tunings
 from vstestbed.core.errors import ParameterError, RunFolderError
 
 if TYPE_CHECKING:
@@ -196,18 +197,22 @@ def _size(text: str | None) -> tuple[int, int] | None:
 
 @app.command()
 def report(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="A run's folder, or a comparison's.")],
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="A run's folder, a comparison's or a search's.")],
     quiet: Quiet = False,
     plugin: Plugins = None,
 ) -> None:
     """Write report.html again."""
     from vstestbed.core.folders import only_writer
 
-    _must_hold(folder, "comparison.yaml", "scenario.yaml")
+    _must_hold(folder, "comparison.yaml", "tuning.yaml", "scenario.yaml")
     with only_writer(folder):
         # each with its own imports: those of a comparison take as long as the report of a run
         if (folder / "comparison.yaml").is_file():
             from vstestbed.experiments.comparison import report_again
+
+            page = report_again(folder, plugin or [])
+        elif (folder / "tuning.yaml").is_file():
+            from vstestbed.experiments.tuning import report_again
 
             page = report_again(folder, plugin or [])
         else:
@@ -220,6 +225,7 @@ def report(
 
 app.add_typer(exports)
 app.add_typer(comparing)
+app.add_typer(tunings)
 app.add_typer(basins)
 app.add_typer(delays)
 app.add_typer(convergences)
@@ -230,7 +236,10 @@ app.add_typer(benchmarks)
 
 
 def main(argv: list[str] | None = None) -> NoReturn:
-    """Run the command line and exit: 0 goal reached, 1 a bug, 2 bad input, 3 not reached, 4 environment, 130 interrupted."""
+    """Run the command line and exit.
+
+    0 goal reached, 1 a bug, 2 bad input, 3 not reached, 4 environment, 5 worse than the baseline, 130 interrupted.
+    """
     arguments = sys.argv[1:] if argv is None else argv
     if complete.asked(arguments):
         app(arguments, prog_name="vstestbed")

@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+import json
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from vstestbed.cli import complete
-from vstestbed.cli.ending import INTERRUPTED
+from vstestbed.cli.ending import INTERRUPTED, REGRESSED
 from vstestbed.cli.tools import Force, Json, Plugins, SettingsOfAll, settings_of
 from vstestbed.core.errors import ParameterError
 
 if TYPE_CHECKING:
     from polars import DataFrame
 
-    from vstestbed.experiments.comparison import Campaign, Comparison
+    from vstestbed.experiments.comparison import Baseline, Campaign, Comparison
+    from vstestbed.experiments.comparison.result import ComparisonTable
+    from vstestbed.report.comparison.baseline import BaselineChanges
 
 comparing = typer.Typer()
 
@@ -36,25 +40,76 @@ def compare(
     force: Force = False,
     resume: Annotated[bool, typer.Option("--resume", help="Do what is missing in --out DIR.")] = False,
     film: Annotated[bool, typer.Option("--film/--no-film", help="Film the first seed, side by side.")] = True,
+    baseline: Annotated[Path | None, typer.Option(metavar="OLD", help="An earlier comparison: what changed since, run by run.")] = None,
+    fail: Annotated[bool, typer.Option("--fail-on-regression", help="Exit with 5 where it is worse than --baseline.")] = False,
+    tolerance: Annotated[
+        float | None, typer.Option(min=0, metavar="SHARE", help="By how much a mean may be worse. [default: 0.02]")
+    ] = None,
     as_json: Json = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no words.")] = False,
     plugin: Plugins = None,
 ) -> None:
     """Every scenario, with every value that is varied, from every seed: one table, one report, one film."""
     from vstestbed.cli.progress import show_notes
-    from vstestbed.experiments.comparison import must_be_known, prepared
+    from vstestbed.experiments.comparison import Baseline, must_be_known, prepared
 
     must_be_known(executor)
-    with prepared(scenarios or [], vary_of(vary), seeds, out, resume, settings_of(set_), plugin or [], film, force) as (campaign, plan):
+    gate = _gate(baseline, fail, tolerance)
+    before, settings, shown = None if baseline is None else Baseline.read(baseline), settings_of(set_), not quiet and not as_json
+    with prepared(scenarios or [], vary_of(vary), seeds, out, resume, settings, plugin or [], film, force, before) as (campaign, plan):
         show_notes(not quiet)
-        table = _carried_out(campaign, plan, jobs, executor, shown=not quiet and not as_json)
+        table = _carried_out(campaign, plan, jobs, executor, before, shown)
     if as_json:
-        sys.stdout.write(table.write_json() + "\n")
+        sys.stdout.write(_as_json(table))
     elif not quiet:
         typer.echo(_summary_text(table, campaign.folder), err=True)
+    if table.baseline is not None:
+        gate.judge(table.baseline, shown)
 
 
-def _carried_out(campaign: Campaign, plan: Comparison, jobs: int | None, executor: str, shown: bool) -> DataFrame:
+@dataclass(frozen=True)
+class _Gate:
+    """What happens where a comparison is worse than its baseline by more than a tolerance."""
+
+    tolerance: float
+    fail: bool
+
+    def judge(self, changes: BaselineChanges, shown: bool) -> None:
+        """Say what changed, and what got worse; with `fail` this ends the command with REGRESSED."""
+        from vstestbed.report.comparison.baseline_section import text
+
+        worse = [f"worse: {words}" for words in changes.regressions(self.tolerance)]
+        lines = [text(changes), *(worse or ["nothing got worse"])] if shown else worse * self.fail  # the reason for 5 is always told
+        for line in lines:
+            typer.echo(line, err=True)
+        if self.fail and worse:
+            raise typer.Exit(REGRESSED)
+
+
+def _gate(baseline: Path | None, fail: bool, tolerance: float | None) -> _Gate:
+    """The gate of the options.
+
+    Raises:
+        ParameterError: there is no baseline to be worse than.
+    """
+    from vstestbed.report.comparison.baseline import TOLERANCE
+
+    if baseline is None and (fail or tolerance is not None):
+        option = "--fail-on-regression" if fail else "--tolerance"
+        raise ParameterError(option, "needs the earlier results: --baseline OLD, a comparison's folder")
+    return _Gate(TOLERANCE if tolerance is None else tolerance, fail)
+
+
+def _as_json(table: ComparisonTable) -> str:
+    """The runs; beside a baseline also what changed."""
+    if table.baseline is None:
+        return table.write_json() + "\n"
+    return f'{{"runs": {table.write_json()}, "baseline": {json.dumps(table.baseline.plain())}}}\n'
+
+
+def _carried_out(
+    campaign: Campaign, plan: Comparison, jobs: int | None, executor: str, baseline: Baseline | None, shown: bool
+) -> ComparisonTable:
     """Do the missing runs; an interrupt leaves with the command that goes on."""
     from vstestbed.cli.progress import Counter
     from vstestbed.experiments.comparison import carry_out
@@ -62,7 +117,7 @@ def _carried_out(campaign: Campaign, plan: Comparison, jobs: int | None, executo
     total = len(campaign.jobs)
     try:
         with Counter(total, campaign.done, shown) as counter:
-            return carry_out(campaign, plan, jobs, executor, counter.run_done, counter.say)
+            return carry_out(campaign, plan, jobs, executor, counter.run_done, counter.say, baseline=baseline)
     except KeyboardInterrupt:
         # counted in the folder: finished runs are there in full, others not at all
         words = f"interrupted: {campaign.done} of {total} runs are done; go on with: vstestbed compare --resume --out {campaign.folder}"

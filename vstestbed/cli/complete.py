@@ -1,6 +1,7 @@
 """What a shell offers after Tab: names of scenarios, comparisons and kinds, and the dotted paths of `--set`.
 
-It reads names of files and the bundled schema alone, since each Tab starts a process; kinds of plugins are therefore missing.
+It reads names of files and the bundled schema alone, since each Tab starts a process; kinds of plugins are therefore missing. Names of
+metrics stand in neither, and take half a second.
 """
 
 from __future__ import annotations
@@ -29,6 +30,13 @@ def scenarios(incomplete: str) -> list[str]:
 def experiments(incomplete: str) -> list[str]:
     """Names of bundled scenarios and comparisons."""
     return scenarios(incomplete) + [name for name in bundled_comparisons() if name.startswith(incomplete)]
+
+
+def figures(incomplete: str) -> list[str]:
+    """Names of the numbers of `summary.json` by which runs are compared."""
+    from vstestbed.tasks.metrics import FIGURES, own_titles
+
+    return [name for name in (*FIGURES, *own_titles()) if name.startswith(incomplete)]
 
 
 def kinds(incomplete: str) -> list[str]:

@@ -20,7 +20,7 @@ class Said(int):
     """An exit code of a command that has said why it ends; an equal number need not come from one."""
 
 
-GOAL_REACHED, BUG, BAD_INPUT, NOT_REACHED, INTERRUPTED = 0, 1, 2, 3, Said(130)  # 128 + SIGINT, as shells have it
+GOAL_REACHED, BUG, BAD_INPUT, NOT_REACHED, REGRESSED, INTERRUPTED = 0, 1, 2, 3, 5, Said(130)  # 128 + SIGINT, as shells have it
 LACK = EnvironmentLackError.exit_code
 UsageMistake: type[Exception] = typer.BadParameter.__mro__[2]  # click.ClickException, also where typer brings a copy of click
 STOPS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))

@@ -91,8 +91,12 @@ class Counter:
         self._failed += not summary["success"]  # a bool counts as 0 or 1
         self._bar.update(self._task, advance=1, failed=self._failed)
 
+    def were_done(self, runs: int) -> None:
+        """Advance the bar by runs that were done before."""
+        self._bar.update(self._task, advance=runs)
+
     def say(self, words: str) -> None:
-        """Show what is being done after the runs."""
+        """Show what is being done."""
         self._bar.update(self._task, description=words)
 
     def __enter__(self) -> Counter:

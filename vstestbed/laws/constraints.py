@@ -7,9 +7,10 @@ import numpy as np
 from vstestbed.core.geometry import Array
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.base import TwistLimits
+from vstestbed.laws.carry import points
 from vstestbed.laws.program import Group
 from vstestbed.laws.select import usable_rows
-from vstestbed.laws.visibility import pixel_interaction, points_of
+from vstestbed.laws.visibility import pixel_interaction
 from vstestbed.robots.own_model import OwnModel
 
 
@@ -82,7 +83,7 @@ def border(seen: Observation, goal: Goal, robot: OwnModel, margin_px: float, rat
     if isinstance(rows, str) or len(goal.camera.panels) > 1:
         return nothing
     uv = seen.uv[rows]
-    L = pixel_interaction(goal.camera, points_of(seen)[rows])
+    L = pixel_interaction(goal.camera, points(seen)[rows])
     uv = uv + L @ (robot.J @ robot.underway + target * robot.underway_s)
     distance, inwards = goal.camera.borders(uv)
     radius = 0.0 if seen.radius_px is None else seen.radius_px[rows][:, None]
@@ -101,7 +102,7 @@ def above_plane(seen: Observation, goal: Goal, robot: OwnModel, distance_m: floa
     rows = usable_rows(seen, ("xy", "depth"), 1)
     if isinstance(rows, str):
         return Group("plane", np.zeros((0, robot.J.shape[1])), np.zeros(0))
-    p = points_of(seen)[rows]
+    p = points(seen)[rows]
     middle = p.mean(axis=0)
     _, s, Vt = np.linalg.svd(p - middle)
     flat = len(p) > 2 and s[1] > 1e-3 * s[0]

@@ -17,13 +17,14 @@ from vstestbed.features.base import Feature
 from vstestbed.features.depth import Depth, PnP
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.base import Command, LawBase, TwistLimits
+from vstestbed.laws.carry import points
 from vstestbed.laws.constraints import shared_limits, twist_limits, velocity_bounds
 from vstestbed.laws.horizon import Blocks, Predicted, predict
 from vstestbed.laws.ibvs import IBVS
 from vstestbed.laws.program import Group, Solution, minimise
 from vstestbed.laws.select import Rows, usable_rows
 from vstestbed.laws.solve import least_squares
-from vstestbed.laws.visibility import check_margin, pixel_interaction, points_of
+from vstestbed.laws.visibility import check_margin, pixel_interaction
 from vstestbed.robots.own_model import OwnModel
 
 GIVE_WAY = ("border", "positions", "twist", "shared", "acceleration")
@@ -136,7 +137,7 @@ class Predictive(LawBase):
         self, rows: Rows, seen: Observation, goal: Goal, robot: OwnModel, blocks: Blocks, plan: Array
     ) -> tuple[Solution, tuple[str, ...]]:
         """The plan as one vector, and the words of what gave way, in the order of GIVE_WAY."""
-        p = points_of(seen)[rows]
+        p = points(seen)[rows]
         ahead = predict(p, robot, blocks, plan, self.model == "global")
         if not _in_front(ahead.p, self.feature):  # of a plan that flies through the target nothing can be predicted
             plan = np.zeros_like(plan)

@@ -15,6 +15,7 @@ from vstestbed.core.folders import only_writer, study_folder
 from vstestbed.core.planar import block_of
 from vstestbed.core.registry import ROOMS
 from vstestbed.core.shares import at_once
+from vstestbed.experiments.comparison.baseline import Baseline, write_changes
 from vstestbed.experiments.comparison.campaign import Campaign, OnDone
 from vstestbed.experiments.comparison.folder import PLAN, read_plan, resumable, table_of, write_plan, write_table
 from vstestbed.experiments.comparison.plan import Comparison, chosen
@@ -26,7 +27,9 @@ from vstestbed.scenario.dump import check_plugins, dump
 if TYPE_CHECKING:
     import polars
 
-__all__ = ["PLAN", "Campaign", "Comparison", "Job", "Variant", "chosen", "compare", "controllers", "jobs", "must_be_known"]
+    from vstestbed.experiments.comparison.result import ComparisonTable
+
+__all__ = ["PLAN", "Baseline", "Campaign", "Comparison", "Job", "Variant", "chosen", "compare", "controllers", "jobs", "must_be_known"]
 
 
 def compare(
@@ -43,7 +46,8 @@ def compare(
     report: bool = True,
     on_done: OnDone = lambda job, summary: None,
     force: bool = False,
-) -> polars.DataFrame:
+    baseline: str | Path | None = None,
+) -> ComparisonTable:
     """Run a comparison and write its folder; returns the table with one row per run.
 
     In a script, call it under `if __name__ == "__main__":`, since worker processes import the script.
@@ -56,9 +60,11 @@ def compare(
         set: values by dotted path for all scenarios. plugins: files or modules that add kinds.
         film: whether to film the first seed. report: whether to write the page and the figures.
         on_done: called after every run with the job and its summary. force: allow more than 100,000 runs.
+        baseline: folder, or table, of an earlier comparison: the result's `baseline` then says what changed (`BaselineChanges`).
 
     Raises:
         ScenarioError, ParameterError: bad input, found before anything runs.
+        RunFolderError: the baseline is no comparison, or has none of these runs.
         OutputError: `out` is taken, or another process writes into it.
         EnvironmentLackError: no OpenGL where a run needs it, no space, no cluster.
     """
@@ -66,12 +72,12 @@ def compare(
     if getattr(multiprocessing.current_process(), "_inheriting", False):  # a worker that imports the script
         raise ParameterError("compare", "must stand under `if __name__ == '__main__':` in a script, which worker processes import")
     must_be_known(executor)
-    folder = None if out is None else Path(out)
-    with prepared(scenarios, vary or {}, seeds, folder, resume, set or {}, plugins, film, force) as (
+    folder, earlier = None if out is None else Path(out), None if baseline is None else Baseline.read(baseline)
+    with prepared(scenarios, vary or {}, seeds, folder, resume, set or {}, plugins, film, force, earlier) as (
         campaign,
         comparison,
     ):
-        return carry_out(campaign, comparison, jobs, executor, on_done, report=report)
+        return carry_out(campaign, comparison, jobs, executor, on_done, report=report, baseline=earlier)
 
 
 def carry_out(
@@ -82,7 +88,8 @@ def carry_out(
     on_done: OnDone = lambda job, summary: None,
     stage: Callable[[str], None] = lambda words: None,
     report: bool = True,
-) -> polars.DataFrame:
+    baseline: Baseline | None = None,
+) -> ComparisonTable:
     """Do the missing runs of a comparison, then table, film and report; `stage` is called with what is being done after the runs."""
     with ExitStack() as stack:
         pool = None
@@ -95,11 +102,15 @@ def carry_out(
         finally:  # also an interrupted comparison has its table
             table = table_of(campaign.folder, campaign.jobs)
             write_table(campaign.folder, table)
+        changes = None
+        if baseline is not None:
+            changes = baseline.changes(comparison, table, campaign.folder)
+            write_changes(campaign.folder, changes)  # before the page, which reads it
         if report:
             finish(campaign.folder, comparison, table, stage, at_once if pool is None else pool.call)
     from vstestbed.experiments.comparison.result import ComparisonTable  # here: polars is imported only where there is a table
 
-    return ComparisonTable.of(table, campaign.folder, comparison)
+    return ComparisonTable.of(table, campaign.folder, comparison, changes)
 
 
 @contextmanager
@@ -113,6 +124,7 @@ def prepared(
     plugins: Sequence[str],
     film: bool,
     force: bool = False,
+    baseline: Baseline | None = None,
 ) -> Iterator[tuple[Campaign, Comparison]]:
     """Check everything, make or open the folder, write the plan; the folder is held until the block ends."""
     requested = None
@@ -129,12 +141,19 @@ def prepared(
             raise ParameterError("SCENARIO", "is missing: name scenarios to compare, or a comparison")
         else:
             comparison, found = requested, controllers(requested, force)  # before the folder is made: bad input leaves no folder
-            _check_workers_find(found)
+            _check_before(comparison, found, baseline)
             folder = stack.enter_context(study_folder("compare", out, "give a new one, or --resume to go on with what is there"))
             write_plan(folder, comparison)
         first = 0 if comparison.seeds is not None else None
         filmed = (first,) if film and not comparison.tasks else ()  # a film of a few starts would not show a task
         yield Campaign(folder, jobs(found, comparison.seeds), filmed), comparison
+
+
+def _check_before(comparison: Comparison, found: Variants, baseline: Baseline | None) -> None:
+    """Refuse what no worker finds, and a baseline that has none of the runs."""
+    _check_workers_find(found)
+    if baseline is not None:
+        baseline.must_match(comparison, jobs(found, comparison.seeds))
 
 
 def _check_workers_find(found: Variants) -> None:

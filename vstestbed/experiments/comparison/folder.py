@@ -49,13 +49,16 @@ def resumable(out: Path | None) -> Path:
 
 def write_plan(folder: Path, comparison: Comparison) -> None:
     """Write `comparison.yaml`, with which `vstestbed compare` repeats the comparison, and copies of its scenario files."""
-    base = []
-    for name in comparison.base:
-        if Path(name).is_file():
-            write_whole(make_folder(folder / "scenarios") / Path(name).name, for_another_folder(Path(name)))
-            name = f"scenarios/{Path(name).name}"
-        base.append(name)
-    write_whole(folder / PLAN, as_yaml(to_mapping(replace(comparison, base=tuple(base)))))
+    base = tuple(kept_base(folder, name) for name in comparison.base)
+    write_whole(folder / PLAN, as_yaml(to_mapping(replace(comparison, base=base))))
+
+
+def kept_base(folder: Path, name: str) -> str:
+    """The name of a scenario for a plan in `folder`; one that is a file is copied there."""
+    if not Path(name).is_file():
+        return name
+    write_whole(make_folder(folder / "scenarios") / Path(name).name, for_another_folder(Path(name)))
+    return f"scenarios/{Path(name).name}"
 
 
 def read_plan(folder: Path, plugins: Sequence[str] = ()) -> Comparison:

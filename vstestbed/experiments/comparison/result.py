@@ -7,6 +7,7 @@ from pathlib import Path
 import polars as pl
 
 from vstestbed.experiments.comparison.plan import Comparison
+from vstestbed.report.comparison.baseline import BaselineChanges
 
 
 class ComparisonTable(pl.DataFrame):
@@ -14,16 +15,18 @@ class ComparisonTable(pl.DataFrame):
 
     Attributes:
         folder: of the comparison. comparison: what was compared.
+        baseline: what changed against an earlier comparison; None where none was named.
     """
 
     folder: Path
     comparison: Comparison
+    baseline: BaselineChanges | None
 
     @classmethod
-    def of(cls, table: pl.DataFrame, folder: Path, comparison: Comparison) -> ComparisonTable:
+    def of(cls, table: pl.DataFrame, folder: Path, comparison: Comparison, baseline: BaselineChanges | None = None) -> ComparisonTable:
         """The table of a comparison's folder."""
         made = cls(table)
-        made.folder, made.comparison = folder, comparison
+        made.folder, made.comparison, made.baseline = folder, comparison, baseline
         return made
 
     def _repr_html_(self, **as_polars: bool) -> str:

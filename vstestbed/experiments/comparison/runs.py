@@ -206,7 +206,7 @@ def _controller(
         scenario = _load(c, name, settings)
         return Variant(scenario, values, folder, _seeds_draw(scenario, task.runs), None, task.labels(), task.runs)
     starts = tuple(_load(c, name, merged(settings, one)) for one in _starts(c, task_name, task))
-    return Variant(starts[0], values, folder, _draws(starts[0]), starts, task.labels(), task.runs)
+    return Variant(starts[0], values, folder, draws(starts[0]), starts, task.labels(), task.runs)
 
 
 def _displaced(scenario: Scenario, task: StartTable, values: Mapping[str, object], folder: str) -> Variant:
@@ -218,7 +218,7 @@ def _displaced(scenario: Scenario, task: StartTable, values: Mapping[str, object
         except UnreachableError as error:
             starts.append(scenario)
             unreachable[i] = error.problem
-    return Variant(scenario, values, folder, _draws(scenario), tuple(starts), task.labels(), task.runs, unreachable)
+    return Variant(scenario, values, folder, draws(scenario), tuple(starts), task.labels(), task.runs, unreachable)
 
 
 def _starts(c: Comparison, name: str, task: StartTable) -> Iterator[dict[str, Placed]]:
@@ -232,19 +232,19 @@ def _load(c: Comparison, name: str, settings: Mapping[str, Placed]) -> Scenario:
     return load(name, values, places={path: setting.marks for path, setting in settings.items()}, plugins=c.plugins)
 
 
-def _draws(scenario: Scenario) -> bool:
+def draws(scenario: Scenario) -> bool:
     """Whether anything of a scenario is random: its start, pixel or image noise, delays, or the calibration of depth."""
     noise = scenario.noise.draws(scenario.detector.needs_image)
     return scenario.robot.start.random is not None or noise or scenario.timing.draws or scenario.calibration.depth_spread > 0
 
 
 def _seeds_draw(scenario: Scenario, runs: int) -> bool:
-    """As `_draws`, but an error where several runs would all be the same."""
-    draws = _draws(scenario)
-    if runs > 1 and not draws:
+    """As `draws`, but an error where several runs would all be the same."""
+    drawn = draws(scenario)
+    if runs > 1 and not drawn:
         problem = "is missing, and there is no noise: every seed would give the same run; add one of them, or leave --seeds out"
         raise ParameterError(f"{scenario.name}: robot.start.random", problem)
-    return draws
+    return drawn
 
 
 class Jobs(Lazy[Job]):

@@ -12,9 +12,9 @@ import polars as pl
 
 from vstestbed.core.files import make_folder, write_whole
 from vstestbed.core.shares import Call, at_once
+from vstestbed.report.comparison import baseline_section, profiles, robust_tables, strip_plots, summary_text
 from vstestbed.report.comparison import failures as comparison_failures
 from vstestbed.report.comparison import figures as comparison_figures
-from vstestbed.report.comparison import profiles, robust_tables, strip_plots, summary_text
 from vstestbed.report.comparison import tables as comparison_tables
 from vstestbed.report.comparison.columns import DEFAULT_METRICS, ComparisonResults, shown_by_default, value_text
 from vstestbed.report.comparison.figures import Data
@@ -131,6 +131,7 @@ def write_comparison_report(
     figures = _figures(data, make_folder(folder / "figures"), call)
     body = [
         summary_text.headline(comparison, data.pairs, gains_alone(differing_fields(folder, comparison))),
+        baseline_section.section(folder),
         *_tables(comparison, means, data.pairs),
         f"<section><h2>Figures</h2>{figures}</section>",
         _film(film.result() if isinstance(film, Future) else film),

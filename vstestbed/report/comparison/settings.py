@@ -22,8 +22,13 @@ def differing_fields(folder: Path, comparison: ComparisonResults) -> tuple[str, 
     Args:
         folder: the comparison's folder. comparison: its results; the first run of each controller stands for all of its seeds.
     """
+    return differing([folder / str(c.runs["folder"][0]) / "scenario.yaml" for c in comparison.controllers])
+
+
+def differing(scenarios: Sequence[Path]) -> tuple[str, ...]:
+    """Dotted names of the fields in which scenario files differ, sorted; empty where one of them cannot be read."""
     try:
-        found = [dict(_flat(_scenario(folder / str(c.runs["folder"][0]) / "scenario.yaml"))) for c in comparison.controllers]
+        found = [dict(_flat(_scenario(path))) for path in scenarios]
     except (OSError, UnicodeError, ScenarioError):
         return ()
     names = {name for fields in found for name in fields if name.split(".")[0] not in UNCOMPARED}

@@ -18,8 +18,8 @@ import polars as pl
 from vstestbed.core.files import make_folder, write_whole
 from vstestbed.core.geometry import Array
 from vstestbed.core.shares import Call, at_once
+from vstestbed.report.comparison import baseline_section, robust_tables
 from vstestbed.report.comparison import failures as comparison_failures
-from vstestbed.report.comparison import robust_tables
 from vstestbed.report.comparison import tables as comparison_tables
 from vstestbed.report.comparison.columns import TASK, ComparisonResults, ControllerResults, Metric
 from vstestbed.report.comparison.interquartile import interquartiles
@@ -248,6 +248,7 @@ def write_task_report(
         f"<p>{good} of {n} runs reached the goal. Each cell: how many, the median time to converge, the 95 % interval of the rate, "
         "and each failure by its outcome.</p>",
         _html(found, _td),
+        baseline_section.section(folder),
         f'<section><h2>Figure</h2><div class="broad">{figure("Over the amounts", drawn[0].result(), caption)}</div></section>',
         _spreads(found, metrics),
         *_statistics(folder, over_all_tasks(table, axes, metrics)),

@@ -1,0 +1,229 @@
+"""A comparison beside an earlier one: the same runs then and now, paired, and what got worse.
+
+The physics is deterministic: on one machine an unchanged program gives differences of exactly zero.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import polars as pl
+
+from vstestbed.core.errors import RunFolderError
+from vstestbed.report.comparison.columns import ControllerResults, Metric
+from vstestbed.report.comparison.differences import paired_difference
+from vstestbed.report.comparison.statistics import paired_success
+
+FILE: Final = "baseline.json"
+"""File of a comparison's folder that holds its `BaselineChanges`."""
+TOLERANCE: Final = 0.02
+"""Default share of the earlier mean by which a metric may get worse. Another version of a library or another processor changes the last
+digits of pixels, and lets a run converge a frame earlier or later, and 40 ms are a hundredth of 4 s: a real difference of that size is no
+fault of a law."""
+LEVEL: Final = 0.05
+"""Level of the one-sided test on lost runs."""
+FEWEST: Final = 5
+"""Fewest runs of which that test can find a loss: 1/2^5 is under LEVEL, 1/2^4 is not."""
+NEUTRAL: Final = ("sim_time_s", "frames", "max_rotation_deg", "peak_speed_mps", "peak_rate_radps")
+"""Numbers that describe a run and do not judge it."""
+
+
+@dataclass(frozen=True)
+class MetricChange:
+    """A metric over the matched runs of a controller, in its display unit.
+
+    Attributes:
+        name: key in `summary.json`. title, unit: as printed.
+        before, now: means over the same runs. difference, low, high: mean of now - before with its 95 % interval, NaN where
+            there is none. n: number of these runs.
+        real: the interval excludes zero. better: 1 where more is better, -1 where less is, 0 where neither.
+    """
+
+    name: str
+    title: str
+    unit: str
+    before: float
+    now: float
+    difference: float
+    low: float
+    high: float
+    n: int
+    real: bool
+    better: int
+
+    @property
+    def share(self) -> float:
+        """The difference as a share of the earlier mean; infinite where that is 0."""
+        return self.difference / abs(self.before) if self.before else math.copysign(math.inf, self.difference) if self.difference else 0.0
+
+    def worse(self, tolerance: float) -> bool:
+        """Whether it got worse by more than a share of the earlier mean, with an interval that excludes zero.
+
+        A single run has no interval; its difference counts as it is, since the same run repeats exactly.
+        """
+        return self.better * self.difference < 0 and abs(self.share) > tolerance and (self.real or self.n == 1)
+
+
+@dataclass(frozen=True)
+class ControllerChange:
+    """The matched runs of one controller, then and now.
+
+    Attributes:
+        label: its name. reached_before, reached_now: how many of the `runs` reached the goal.
+        lost, gained: the runs that reached it only then, and only now, each in words: `seed 3: target_lost`.
+        chance: p-value of the one-sided exact sign test, that it reaches the goal less often now.
+        metrics: the metrics. settings: fields of the scenario that differ, of its first run.
+    """
+
+    label: str
+    runs: int
+    reached_before: int
+    reached_now: int
+    lost: tuple[str, ...]
+    gained: tuple[str, ...]
+    chance: float
+    metrics: tuple[MetricChange, ...]
+    settings: tuple[str, ...] = ()
+
+    @property
+    def fails_more(self) -> bool:
+        """Whether it reaches the goal in significantly fewer runs; with fewer than 5 runs no test could tell, and any net loss counts."""
+        fewer = len(self.lost) > len(self.gained)
+        return fewer and (self.chance < LEVEL or self.runs < FEWEST)
+
+    @property
+    def changed(self) -> bool:
+        """Whether anything differs."""
+        return bool(self.lost or self.gained or any(m.difference for m in self.metrics if m.n))
+
+
+@dataclass(frozen=True)
+class BaselineChanges:
+    """A comparison beside an earlier one.
+
+    Attributes:
+        place: of the earlier results. matched: number of runs that both have.
+        only_now, only_before: controllers without a counterpart, or with some runs only; in words.
+        controllers: those with matched runs.
+    """
+
+    place: str
+    matched: int
+    only_now: tuple[str, ...]
+    only_before: tuple[str, ...]
+    controllers: tuple[ControllerChange, ...]
+
+    def regressions(self, tolerance: float = TOLERANCE) -> list[str]:
+        """A sentence for each thing that got worse; none where nothing did.
+
+        Args:
+            tolerance: share of the earlier mean by which a metric may get worse.
+        """
+        return [words for c in self.controllers for words in _regressions(c, tolerance)]
+
+    def plain(self) -> dict[str, Any]:
+        """The changes as plain values for JSON, null where a number is unknown."""
+        return _without_nan(asdict(self))
+
+
+def change_of(label: str, before: pl.DataFrame, now: pl.DataFrame, metrics: Sequence[Metric], settings: Sequence[str]) -> ControllerChange:
+    """The changes of one controller.
+
+    Args:
+        label: its name. before, now: its runs, the same in every row. metrics: those to compare. settings: fields that differ.
+    """
+    old, new = ControllerResults(label, before), ControllerResults(label, now)
+    both = paired_success(old.success, new.success)
+    lost, gained = (_runs(new, old.success & ~new.success), _runs(old, ~old.success & new.success))
+    return ControllerChange(
+        label,
+        len(now),
+        int(old.success.sum()),
+        int(new.success.sum()),
+        lost,
+        gained,
+        _one_sided(both.only_a, both.only_b),
+        tuple(_metric_change(old, new, metric) for metric in metrics),
+        tuple(settings),
+    )
+
+
+def _metric_change(old: ControllerResults, new: ControllerResults, metric: Metric) -> MetricChange:
+    x, y = old.values(metric), new.values(metric)
+    used = ((old.success & new.success) | metric.every_pair) & np.isfinite(x) & np.isfinite(y)
+    d = paired_difference(y[used], x[used])
+    before, now = (float(v[used].mean()) if used.any() else math.nan for v in (x, y))
+    better = 0 if metric.name in NEUTRAL else 1 if metric.higher else -1
+    return MetricChange(metric.name, metric.title, metric.unit, before, now, d.mean, d.low, d.high, d.n, d.real, better)
+
+
+def _runs(ended: ControllerResults, chosen: np.ndarray) -> tuple[str, ...]:
+    """The chosen runs with the outcome that they have in one of the two comparisons, the one in which they failed."""
+    outcomes = ended.runs["outcome"].to_list()
+    return tuple(f"seed {seed}: {outcomes[i]}" for i, seed in enumerate(ended.seeds) if chosen[i])
+
+
+def _one_sided(lost: int, gained: int) -> float:
+    """P(K >= lost), K ~ Binomial(lost + gained, 1/2): the exact sign test on the runs whose success differs."""
+    n = lost + gained
+    return sum(math.comb(n, k) for k in range(lost, n + 1)) / 2**n
+
+
+def _regressions(c: ControllerChange, tolerance: float) -> list[str]:
+    found = []
+    if c.fails_more:
+        why = f"p = {c.chance:.2g}" if c.chance < LEVEL else f"fewer than {FEWEST} runs, so that any loss counts"
+        found.append(f"{c.label}: {c.reached_now} of {c.runs} runs reached the goal, before {c.reached_before} ({why})")
+    for m in c.metrics:
+        if m.worse(tolerance):
+            share = f"{100 * abs(m.share):.3g} %" if math.isfinite(m.share) else "from nothing"
+            found.append(f"{c.label}: {m.title.lower()} {difference_text(m)}, {share} worse (tolerance {100 * tolerance:g} %)")
+    return found
+
+
+def difference_text(m: MetricChange) -> str:
+    """A difference as text: `4.12 s, before 3.64 s: +0.48 [0.3, 0.66]`."""
+    interval = f" [{m.low:+.3g}, {m.high:+.3g}]" if math.isfinite(m.low) else ""
+    unit = f" {m.unit}" if m.unit else ""
+    return f"{m.now:.4g}{unit}, before {m.before:.4g}{unit}: {m.difference:+.3g}{interval}"
+
+
+def read_changes(folder: Path) -> BaselineChanges | None:
+    """What `baseline.json` of a comparison's folder holds; None where there is none.
+
+    Raises:
+        RunFolderError: it is damaged.
+    """
+    path = folder / FILE
+    if not path.is_file():
+        return None
+    try:
+        return _built(json.loads(path.read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError, KeyError) as error:
+        raise RunFolderError(path, f"is damaged ({error})", "remove it, or compare again with --baseline") from None
+
+
+def _built(found: dict[str, Any]) -> BaselineChanges:
+    controllers = []
+    for one in found["controllers"]:
+        plain: list[dict[str, Any]] = [{k: math.nan if v is None else v for k, v in m.items()} for m in one["metrics"]]
+        controllers.append(ControllerChange(**{**_tuples(one), "metrics": tuple(MetricChange(**m) for m in plain)}))
+    return BaselineChanges(**{**_tuples(found), "controllers": tuple(controllers)})
+
+
+def _tuples(plain: dict[str, Any]) -> dict[str, Any]:
+    return {name: tuple(value) if isinstance(value, list) else value for name, value in plain.items()}
+
+
+def _without_nan(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _without_nan(inner) for name, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_nan(inner) for inner in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
