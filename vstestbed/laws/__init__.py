@@ -10,8 +10,9 @@ from vstestbed.laws.pbvs import PBVS
 from vstestbed.laws.policy import Policy
 from vstestbed.laws.pose_controller import PoseController
 from vstestbed.laws.pursuit import Pursuit
+from vstestbed.laws.uncalibrated import Uncalibrated
 
-LAWS = OneOf("law", IBVS, Partitioned, PBVS, Hybrid, PoseController, Pursuit, LineFollowing, Policy, contract=LAW_CONTRACT)
+LAWS = OneOf("law", IBVS, Partitioned, PBVS, Hybrid, Uncalibrated, PoseController, Pursuit, LineFollowing, Policy, contract=LAW_CONTRACT)
 
 __all__ = [
     "IBVS",
@@ -26,4 +27,5 @@ __all__ = [
     "Policy",
     "PoseController",
     "Pursuit",
+    "Uncalibrated",
 ]

@@ -1,0 +1,174 @@
+"""Excitation: each velocity of a robot in turn to one side, to the other and back, by which the image Jacobian is measured."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Annotated
+
+import numpy as np
+from annotated_types import Gt, Le
+
+from vstestbed.core.geometry import Array
+from vstestbed.core.quantity import PositivePixels, PositiveTime
+from vstestbed.core.spec import spec
+from vstestbed.laws.image_jacobian import Samples
+from vstestbed.robots.own_model import OwnModel
+
+FIRST = 0.01
+"""The speed that is tried first [rad/s, m/s], or less where the limits ask for it: slow for any robot and picture."""
+GROWTH = 1.5
+"""Factor on the speed from frame to frame, until the picture moves."""
+VISIBLE = 0.1
+"""Share of the amplitude from which on the motion in the picture tells how much a velocity moves the markers."""
+SLOWEST = 4.0
+"""A side is given up after this many times the time that it should take: a velocity that the markers do not show."""
+NEAREST = 0.02
+"""Distance kept from a joint's limit [rad, m]."""
+RETURNED_PX = 2.0
+"""The way back is over at this distance from its start [px]."""
+OUT, OVER, BACK = range(3)
+LEGS = {OUT: 1.0, OVER: 2.0, BACK: 1.0}
+"""Length of each leg: to one side, over to the other, and back."""
+
+
+@dataclass(frozen=True, slots=True)
+class Excited:
+    """How far an excitation is.
+
+    Attributes:
+        uv: markers at its start (N, 2) [px]. x: displacement since then (m,), of the robot and, as a last column of some laws, of time.
+        samples: all that was measured. known: motion of the markers per unit of each velocity (m,) [px], 0 where unknown. which: number of the velocity that moves. uv_before, x_before: markers and displacement of that
+            velocity when its turn began.
+        leg: out, over or back. side: sign of the way out. speed: magnitude of the velocity. pixels: motion in the picture per
+            displacement, 0 where it is not known yet. elapsed_s: since the leg began.
+    """
+
+    uv: Array
+    x: Array
+    samples: Samples
+    known: Array
+    uv_before: Array
+    x_before: float = 0.0
+    which: int = 0
+    leg: int = OUT
+    side: float = 0.0
+    speed: float = 0.0
+    pixels: float = 0.0
+    elapsed_s: float = 0.0
+
+
+@spec
+class Excitation:
+    """The motion by which an uncalibrated law measures its image Jacobian before it servoes, and again where it makes no progress.
+
+    A velocity begins slowly, and grows until the markers move. From then on it is so fast that its way of twice the amplitude takes
+    `time_s`, and it turns where the markers are expected half the amplitude from where they began, pictures and commands that are
+    underway included; also where a joint nears its limit, or a marker is lost. The two sides cancel the curvature of the markers' ways.
+
+    Args:
+        amplitude_px: mean way of the markers from one side to the other [px].
+        time_s: time for one velocity [s]; a robot's limits may make it longer.
+        speed_share: largest share of a velocity's own limit [1].
+    """
+
+    amplitude_px: PositivePixels = 20.0
+    time_s: PositiveTime = 0.4
+    speed_share: Annotated[float, Gt(0), Le(1)] = 0.2
+
+    def begin(self, uv: Array, columns: int, known: Array) -> Excited:
+        """Before its first motion.
+
+        Args:
+            uv: markers (N, 2) [px]. columns: of the image Jacobian. known: motion of the markers per unit of each (m,) [px], 0: unknown.
+        """
+        return Excited(uv, np.zeros(columns), Samples.none(len(uv), columns), known, uv, pixels=float(known[0]))
+
+    def step(self, state: Excited, uv: Array, moved: Array, robot: OwnModel) -> tuple[Excited, Array | None]:
+        """One frame: the next state, and the velocities (n,) to order; None when all have moved.
+
+        Args:
+            state: so far. uv: markers (N, 2) [px]. moved: displacement (m,) since the last picture, the robot's first. robot: its own.
+        """
+        x = state.x + moved
+        state = replace(state, x=x, samples=state.samples.with_one(x, uv - state.uv), elapsed_s=state.elapsed_s + robot.since_s)
+        state = replace(state, pixels=self._pixels(state, uv))
+        while state.which < len(robot.names) and self._leg_ends(state, uv, robot):
+            state = _next_leg(state, uv)
+        if state.which == len(robot.names):
+            return state, None
+        return self._ordered(state, robot)
+
+    def _pixels(self, state: Excited, uv: Array) -> float:
+        """Mean motion of the markers in the picture per displacement of the velocity that moves; as before where it is too small."""
+        way = np.linalg.norm(uv - state.uv_before, axis=1)
+        way = way[np.isfinite(way)]
+        x = abs(state.x[state.which] - state.x_before)
+        if state.leg != OUT or not len(way) or x == 0 or way.mean() < VISIBLE * self.amplitude_px:
+            return state.pixels
+        return float(way.mean() / x)
+
+    def _leg_ends(self, state: Excited, uv: Array, robot: OwnModel) -> bool:
+        """Whether the velocity that moves has come far enough, cannot go on, or takes too long."""
+        if state.elapsed_s > SLOWEST * LEGS[state.leg] * self.time_s / 4:
+            return True
+        ahead = _ahead(state, robot)
+        if state.leg == BACK:
+            return abs(ahead) * state.pixels <= RETURNED_PX
+        side = _side(state, robot)
+        lost = state.leg == OUT and not np.isfinite(uv[np.isfinite(state.uv_before[:, 0])]).all()
+        return lost or side * ahead * state.pixels >= self.amplitude_px / 2 or _room(state.which, side, robot) <= NEAREST
+
+    def _ordered(self, state: Excited, robot: OwnModel) -> tuple[Excited, Array]:
+        """The velocities to order."""
+        i, side = state.which, _side(state, robot)
+        most = self.speed_share * float(robot.speed[i])
+        speed = max(state.speed, min(FIRST, most))
+        if state.pixels:
+            speed = 2 * self.amplitude_px / (self.time_s * state.pixels)
+        elif state.speed and abs(state.x[i] - state.x_before) >= abs(robot.underway[i]):
+            speed = GROWTH * speed  # not before the picture has shown what was ordered
+        state = replace(state, speed=min(speed, most), side=side if state.leg == OUT else state.side)
+        rates = np.zeros(len(robot.names))
+        if state.leg == BACK:
+            rates[i] = np.clip(-_ahead(state, robot) / robot.period_s / 2, -state.speed, state.speed)
+        else:
+            rates[i] = side * state.speed
+        return state, rates
+
+
+def _next_leg(state: Excited, uv: Array) -> Excited:
+    """The next side, or the next velocity."""
+    if state.leg < BACK:
+        return replace(state, leg=state.leg + 1, elapsed_s=0.0)
+    which = state.which + 1
+    if which == len(state.x):
+        return replace(state, which=which)
+    before = float(state.x[which])
+    return replace(
+        state,
+        which=which,
+        leg=OUT,
+        side=0.0,
+        speed=state.speed / 8,
+        pixels=float(state.known[which]),
+        elapsed_s=0.0,
+        uv_before=uv,
+        x_before=before,
+    )
+
+
+def _ahead(state: Excited, robot: OwnModel) -> float:
+    """Displacement of the velocity that moves, since its turn began, when this frame's command will take effect."""
+    return float(state.x[state.which] - state.x_before + robot.underway[state.which])
+
+
+def _side(state: Excited, robot: OwnModel) -> float:
+    """The direction of this leg; at first to where a joint has more room."""
+    i = state.which
+    side = state.side or (1.0 if _room(i, 1.0, robot) >= _room(i, -1.0, robot) else -1.0)
+    return side if state.leg == OUT else -side
+
+
+def _room(i: int, side: float, robot: OwnModel) -> float:
+    """Distance of a velocity's position from its limit on one side [rad, m]."""
+    return float(robot.high[i] - robot.q[i] if side > 0 else robot.q[i] - robot.low[i])
