@@ -16,12 +16,12 @@ from vstestbed.robots.own_model import OwnModel
 
 FIRST = 0.01
 """The speed that is tried first [rad/s, m/s], or less where the limits ask for it: slow for any robot and picture."""
-GROWTH = 1.5
+GROWTH = 2.5
 """Factor on the speed from frame to frame, until the picture moves."""
 VISIBLE = 0.1
 """Share of the amplitude from which on the motion in the picture tells how much a velocity moves the markers."""
 SLOWEST = 4.0
-"""A side is given up after this many times the time that it should take: a velocity that the markers do not show."""
+"""A leg is given up after this many times the time that it should take, latency included: a velocity that the markers do not show."""
 NEAREST = 0.02
 """Distance kept from a joint's limit [rad, m]."""
 RETURNED_PX = 2.0
@@ -36,16 +36,19 @@ class Excited:
     """How far an excitation is.
 
     Attributes:
-        uv: markers at its start (N, 2) [px]. x: displacement since then (m,), of the robot and, as a last column of some laws, of time.
-        samples: all that was measured. known: motion of the markers per unit of each velocity (m,) [px], 0 where unknown. which: number of the velocity that moves. uv_before, x_before: markers and displacement of that
-            velocity when its turn began.
-        leg: out, over or back. side: sign of the way out. speed: magnitude of the velocity. pixels: motion in the picture per
-            displacement, 0 where it is not known yet. elapsed_s: since the leg began.
+        uv: markers (N, 2) [px] at its start; with a target that moves, in the last picture.
+        x: displacement since its start (m,), of the robot and, with a target that moves, of time.
+        samples: all that was measured. turn: of the velocity that moves, with time (2 columns), where the target may move, too.
+        known: motion of the markers per unit of each velocity (m,) [px], 0 where it is unknown.
+        uv_before, x_before: markers and displacement of the velocity that moves when its turn began.
+        which: its number. leg: out, over or back. side: sign of the way out. speed: its magnitude. pixels: motion of the markers per
+            unit of it [px], 0 where it is not known yet. elapsed_s: since the leg began.
     """
 
     uv: Array
     x: Array
     samples: Samples
+    turn: Samples
     known: Array
     uv_before: Array
     x_before: float = 0.0
@@ -81,7 +84,7 @@ class Excitation:
         Args:
             uv: markers (N, 2) [px]. columns: of the image Jacobian. known: motion of the markers per unit of each (m,) [px], 0: unknown.
         """
-        return Excited(uv, np.zeros(columns), Samples.none(len(uv), columns), known, uv, pixels=float(known[0]))
+        return Excited(uv, np.zeros(columns), Samples.none(len(uv), columns), Samples.none(len(uv), 2), known, uv, pixels=float(known[0]))
 
     def step(self, state: Excited, uv: Array, moved: Array, robot: OwnModel) -> tuple[Excited, Array | None]:
         """One frame: the next state, and the velocities (n,) to order; None when all have moved.
@@ -89,31 +92,45 @@ class Excitation:
         Args:
             state: so far. uv: markers (N, 2) [px]. moved: displacement (m,) since the last picture, the robot's first. robot: its own.
         """
-        x = state.x + moved
-        state = replace(state, x=x, samples=state.samples.with_one(x, uv - state.uv), elapsed_s=state.elapsed_s + robot.since_s)
-        state = replace(state, pixels=self._pixels(state, uv))
+        state = self._sampled(state, uv, moved, len(robot.names))
+        state = replace(state, elapsed_s=state.elapsed_s + robot.since_s, pixels=self._pixels(state, uv, len(robot.names)))
         while state.which < len(robot.names) and self._leg_ends(state, uv, robot):
             state = _next_leg(state, uv)
         if state.which == len(robot.names):
             return state, None
         return self._ordered(state, robot)
 
-    def _pixels(self, state: Excited, uv: Array) -> float:
-        """Mean motion of the markers in the picture per displacement of the velocity that moves; as before where it is too small."""
-        way = np.linalg.norm(uv - state.uv_before, axis=1)
-        way = way[np.isfinite(way)]
-        x = abs(state.x[state.which] - state.x_before)
-        if state.leg != OUT or not len(way) or x == 0 or way.mean() < VISIBLE * self.amplitude_px:
+    def _sampled(self, state: Excited, uv: Array, moved: Array, n: int) -> Excited:
+        """The state with one more sample: since the start, where noise counts least, or from picture to picture, where a target moves."""
+        x = state.x + moved
+        if len(x) == n:
+            return replace(state, x=x, samples=state.samples.with_one(x, uv - state.uv))
+        y = uv - state.uv
+        turn = state.turn.with_one(moved[[state.which, n]], y)
+        return replace(state, x=x, samples=state.samples.with_one(moved, y), turn=turn, uv=uv)
+
+    def _pixels(self, state: Excited, uv: Array, n: int) -> float:
+        """Mean motion of the markers per unit of the velocity that moves [px]; as before where it is too small to tell."""
+        x = abs(float(state.x[state.which]) - state.x_before)
+        if state.leg != OUT or x == 0:
             return state.pixels
-        return float(way.mean() / x)
+        if len(state.x) == n:
+            per_unit = np.linalg.norm(uv - state.uv_before, axis=1) / x
+        else:
+            per_unit = np.linalg.norm(state.turn.jacobian()[:, :, 0], axis=1)
+        per_unit = per_unit[np.isfinite(per_unit)]
+        if not len(per_unit) or per_unit.mean() * x < VISIBLE * self.amplitude_px:
+            return state.pixels
+        return float(per_unit.mean())
 
     def _leg_ends(self, state: Excited, uv: Array, robot: OwnModel) -> bool:
         """Whether the velocity that moves has come far enough, cannot go on, or takes too long."""
-        if state.elapsed_s > SLOWEST * LEGS[state.leg] * self.time_s / 4:
+        if state.elapsed_s > SLOWEST * (LEGS[state.leg] * self.time_s / 4 + robot.underway_s):
             return True
         ahead = _ahead(state, robot)
         if state.leg == BACK:
-            return abs(ahead) * state.pixels <= RETURNED_PX
+            # Also in the picture, or the rest of this way would count as the next velocity's.
+            return max(abs(ahead), abs(float(robot.underway[state.which]))) * state.pixels <= RETURNED_PX
         side = _side(state, robot)
         lost = state.leg == OUT and not np.isfinite(uv[np.isfinite(state.uv_before[:, 0])]).all()
         return lost or side * ahead * state.pixels >= self.amplitude_px / 2 or _room(state.which, side, robot) <= NEAREST
@@ -142,14 +159,14 @@ def _next_leg(state: Excited, uv: Array) -> Excited:
         return replace(state, leg=state.leg + 1, elapsed_s=0.0)
     which = state.which + 1
     if which == len(state.x):
-        return replace(state, which=which)
+        return replace(state, which=which)  # all have moved
     before = float(state.x[which])
     return replace(
         state,
         which=which,
         leg=OUT,
         side=0.0,
-        speed=state.speed / 8,
+        speed=state.speed / 4,
         pixels=float(state.known[which]),
         elapsed_s=0.0,
         uv_before=uv,
