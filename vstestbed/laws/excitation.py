@@ -16,16 +16,19 @@ from vstestbed.robots.own_model import OwnModel
 
 FIRST = 0.01
 """The speed that is tried first [rad/s, m/s], or less where the limits ask for it: slow for any robot and picture."""
-GROWTH = 2.5
+GROWTH = 2.0
 """Factor on the speed from frame to frame, until the picture moves."""
-VISIBLE = 0.1
-"""Share of the amplitude from which on the motion in the picture tells how much a velocity moves the markers."""
+VISIBLE = 0.2
+"""Share of the amplitude from which on the motion in the picture tells how much a velocity moves the markers: well over `RETURNED_PX`, the
+rest of the way of the velocity before."""
 SLOWEST = 4.0
 """A leg is given up after this many times the time that it should take, latency included: a velocity that the markers do not show."""
 NEAREST = 0.02
 """Distance kept from a joint's limit [rad, m]."""
 RETURNED_PX = 2.0
 """The way back is over at this distance from its start [px]."""
+APPROACH = 4.0
+"""The way back ends by an approach with this time constant [periods], which a servo can follow."""
 OUT, OVER, BACK = range(3)
 LEGS = {OUT: 1.0, OVER: 2.0, BACK: 1.0}
 """Length of each leg: to one side, over to the other, and back."""
@@ -147,7 +150,7 @@ class Excitation:
         state = replace(state, speed=min(speed, most), side=side if state.leg == OUT else state.side)
         rates = np.zeros(len(robot.names))
         if state.leg == BACK:
-            rates[i] = np.clip(-_ahead(state, robot) / robot.period_s / 2, -state.speed, state.speed)
+            rates[i] = np.clip(-_ahead(state, robot) / (APPROACH * robot.period_s), -state.speed, state.speed)
         else:
             rates[i] = side * state.speed
         return state, rates

@@ -80,6 +80,8 @@ class Uncalibrated(LawBase):
     tell, y what the picture shows between the same two exposures. While the robot stands still nothing is learnt, so that noise does not
     replace J. A marker that is not seen keeps its rows, and one that was not seen in the excitation has none until the next.
 
+    The damping of the inverse is error / `trust_px`, and not less than that of `solve` (Levenberg 1944, Marquardt 1963).
+
     Inside, velocities are scaled by how far they move the markers, and so `solve` and `estimator` are the same for all robots.
 
     With `predict` the error is that of when the command will take effect, e + J q, q the displacement underway. With `dynamic` a target
@@ -98,6 +100,8 @@ class Uncalibrated(LawBase):
         solve: inversion of J, scaled to pixels per pixel. Without damping, errors of J in the directions that the markers hardly show
             would be multiplied.
         step_px: least mean motion of the markers, by the estimated J, from which it is corrected [px].
+        trust_px: error at which the damping is 1, if proportional to it. J was measured elsewhere, the farther away the larger the error,
+            and so directions that the markers hardly show are left until the end [px].
         most_pxps: largest mean speed of the markers that is ordered [px/s].
         predict: predict the error over the latency of picture and command.
         dynamic: estimate the target's own motion in the picture.
@@ -118,6 +122,7 @@ class Uncalibrated(LawBase):
     solve: Solve = Solve(damping=0.01)
     step_px: PositivePixels = 3.0
     most_pxps: PositivePixels = 200.0
+    trust_px: PositivePixels = 1000.0
     predict: bool = True
     dynamic: bool = False
     patience_s: Time = 3.0
@@ -182,10 +187,11 @@ class Uncalibrated(LawBase):
         if self.predict:
             ahead = np.append(robot.underway, robot.underway_s * np.ones(int(self.dynamic)))
             e = e + J @ (scale * ahead)
-        solved = self.solve.least_squares(J[:, :n], e) / scale[:n]
+        solve = replace(self.solve, damping=max(self.solve.damping, _mean(e) / self.trust_px))
+        solved = solve.least_squares(J[:, :n], e) / scale[:n]
         u = -self.gain.at(solved) * solved
         if self.dynamic:
-            u = u - self.solve.least_squares(J[:, :n], J[:, n] * scale[n]) / scale[:n]
+            u = u - solve.least_squares(J[:, :n], J[:, n] * scale[n]) / scale[:n]
         return u * min(1.0, self.most_pxps / max(_mean(J[:, :n] @ (scale[:n] * u)), np.finfo(float).tiny))
 
     def _corrected(self, known: Estimate, uv: Array, moved: Array) -> Estimate:
