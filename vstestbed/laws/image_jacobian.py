@@ -120,4 +120,4 @@ class Samples:
 
     def known(self, least_share: float) -> NDArray[np.bool_]:
         """Which markers were seen in at least this share of each velocity's displacements, (N,)."""
-        return (np.diagonal(self.xx, axis1=1, axis2=2) >= least_share * np.diagonal(self.taken)).all(axis=1)
+        return np.asarray((np.diagonal(self.xx, axis1=1, axis2=2) >= least_share * np.diagonal(self.taken)).all(axis=1))
