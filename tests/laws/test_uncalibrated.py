@@ -13,7 +13,7 @@ from vstestbed.core.geometry import inverse, transform
 from vstestbed.features.depth import AtGoal
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import Command, Uncalibrated
-from vstestbed.laws.image_jacobian import Broyden, RecursiveLeastSquares, Samples
+from vstestbed.laws.image_jacobian import Broyden, RecursiveLeastSquares, MotionSums
 from vstestbed.laws.select import TOO_FEW
 from vstestbed.laws.uncalibrated import EXCITES, NO_CIRCLE, SERVOES, TILTS, UncalibratedMemory
 from vstestbed.robots.own_model import OwnModel
@@ -36,7 +36,7 @@ def test_recursive_least_squares_without_forgetting_are_those_of_all_data() -> N
     expected = np.linalg.lstsq(xs, ys.reshape(30, 8), rcond=None)[0].T.reshape(4, 2, 3)
     np.testing.assert_allclose(J, expected, atol=1e-7)
     np.testing.assert_allclose(P[0], np.linalg.inv(xs.T @ xs), rtol=1e-5)
-    samples = Samples.none(4, 3)
+    samples = MotionSums.none(4, 3)
     for x, y in zip(xs, ys, strict=True):
         samples = samples.with_one(x, y)
     np.testing.assert_allclose(samples.jacobian(), expected, atol=1e-9)
@@ -72,7 +72,7 @@ def test_the_covariance_does_not_wind_up_where_nothing_is_excited() -> None:
 
 
 def test_a_marker_that_was_not_seen_in_one_velocitys_turn_has_no_rows() -> None:
-    samples = Samples.none(2, 2)
+    samples = MotionSums.none(2, 2)
     for i in (0, 1):
         y = np.array([[1.0, 2.0], [np.nan, np.nan] if i else [3.0, 4.0]])
         samples = samples.with_one(np.eye(2)[i], y)

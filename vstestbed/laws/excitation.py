@@ -11,7 +11,7 @@ from annotated_types import Gt, Le
 from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import PositivePixels, PositiveTime
 from vstestbed.core.spec import spec
-from vstestbed.laws.image_jacobian import Samples
+from vstestbed.laws.image_jacobian import MotionSums
 from vstestbed.robots.own_model import OwnModel
 
 FIRST = 0.01
@@ -50,8 +50,8 @@ class Excited:
 
     uv: Array
     x: Array
-    samples: Samples
-    turn: Samples
+    samples: MotionSums
+    turn: MotionSums
     known: Array
     uv_before: Array
     x_before: float = 0.0
@@ -87,7 +87,9 @@ class Excitation:
         Args:
             uv: markers (N, 2) [px]. columns: of the image Jacobian. known: motion of the markers per unit of each (m,) [px], 0: unknown.
         """
-        return Excited(uv, np.zeros(columns), Samples.none(len(uv), columns), Samples.none(len(uv), 2), known, uv, pixels=float(known[0]))
+        return Excited(
+            uv, np.zeros(columns), MotionSums.none(len(uv), columns), MotionSums.none(len(uv), 2), known, uv, pixels=float(known[0])
+        )
 
     def step(self, state: Excited, uv: Array, moved: Array, robot: OwnModel) -> tuple[Excited, Array | None]:
         """One frame: the next state, and the velocities (n,) to order; None when all have moved.

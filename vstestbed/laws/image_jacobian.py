@@ -83,7 +83,7 @@ ESTIMATORS = OneOf("estimator", Broyden, RecursiveLeastSquares)
 Estimator = Annotated[Broyden | RecursiveLeastSquares, ESTIMATORS]
 
 
-class Samples:
+class MotionSums:
     """Sums of displacements and of the motion in the picture that they made, for J by least squares; a value, never changed.
 
     Attributes:
@@ -96,15 +96,15 @@ class Samples:
         self.xx, self.yx, self.taken = xx, yx, taken
 
     @classmethod
-    def none(cls, markers: int, columns: int) -> Samples:
+    def none(cls, markers: int, columns: int) -> MotionSums:
         """No samples of N markers and m velocities."""
         return cls(np.zeros((markers, columns, columns)), np.zeros((markers, 2, columns)), np.zeros((columns, columns)))
 
-    def with_one(self, x: Array, y: Array) -> Samples:
+    def with_one(self, x: Array, y: Array) -> MotionSums:
         """One more displacement x (m,) with its motion in the picture y (N, 2), NaN for markers that are not seen."""
         seen, one = np.isfinite(y[:, 0]), np.outer(x, x)
         y = np.where(seen[:, None], y, 0.0)
-        return Samples(self.xx + seen[:, None, None] * one, self.yx + y[..., None] * x, self.taken + one)
+        return MotionSums(self.xx + seen[:, None, None] * one, self.yx + y[..., None] * x, self.taken + one)
 
     def jacobian(self, least_share: float = 0.5) -> Array:
         """J (N, 2, m) that minimises the sum of |y - J x|^2; NaN for markers that were seen in too small a share of some velocity.

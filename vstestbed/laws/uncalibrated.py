@@ -33,7 +33,7 @@ PROGRESS = 0.8
 
 
 @dataclass(frozen=True, slots=True)
-class Estimate:
+class ImageJacobian:
     """The image Jacobian and what it is corrected by.
 
     Attributes:
@@ -60,7 +60,7 @@ class UncalibratedMemory:
     """
 
     excited: Excited | None = None
-    estimate: Estimate | None = None
+    estimate: ImageJacobian | None = None
     least_px: float = math.inf
     t: float = 0.0
     patience_s: float = math.nan
@@ -156,7 +156,7 @@ class Uncalibrated(LawBase):
         known = np.zeros(columns) if memory.estimate is None else memory.estimate.scale
         return replace(memory, excited=self.excitation.begin(uv, columns, known), excitations=memory.excitations + 1)
 
-    def _measured(self, excited: Excited, uv: Array) -> Estimate:
+    def _measured(self, excited: Excited, uv: Array) -> ImageJacobian:
         """The estimate after an excitation."""
         J = excited.samples.jacobian()
         with np.errstate(invalid="ignore"):
@@ -165,7 +165,7 @@ class Uncalibrated(LawBase):
             scale[-1] = TIME_PXPS
         scale = np.maximum(scale, LEAST_COLUMN * max(scale.max(), np.finfo(float).tiny))
         P = np.repeat(np.eye(len(scale))[None] / self.step_px**2, len(uv), axis=0)
-        return Estimate(J / scale, P, scale, uv, np.zeros(len(scale)))
+        return ImageJacobian(J / scale, P, scale, uv, np.zeros(len(scale)))
 
     def _servo(
         self, memory: UncalibratedMemory, seen: Observation, goal: Goal, basis: Array, robot: OwnModel, moved: Array
@@ -194,7 +194,7 @@ class Uncalibrated(LawBase):
             u = u - solve.least_squares(J[:, :n], J[:, n] * scale[n]) / scale[:n]
         return u * min(1.0, self.most_pxps / max(_mean(J[:, :n] @ (scale[:n] * u)), np.finfo(float).tiny))
 
-    def _corrected(self, known: Estimate, uv: Array, moved: Array) -> Estimate:
+    def _corrected(self, known: ImageJacobian, uv: Array, moved: Array) -> ImageJacobian:
         """The estimate after a displacement (m,) since the last picture."""
         x = known.x + known.scale * moved
         if x @ x < self.step_px**2:
@@ -203,7 +203,7 @@ class Uncalibrated(LawBase):
         both = np.isfinite(y[:, 0]) & np.isfinite(known.J[:, 0, 0])
         J, P = known.J.copy(), known.P.copy()
         J[both], P[both] = self.estimator.corrected(J[both], P[both], x, y[both], 1 / self.step_px**2)
-        return Estimate(J, P, known.scale, uv, np.zeros(len(x)))
+        return ImageJacobian(J, P, known.scale, uv, np.zeros(len(x)))
 
     def _judged(self, memory: UncalibratedMemory, error_px: float, seen: Observation) -> UncalibratedMemory:
         """The memory with the progress noted, or with an excitation begun where there was none for too long."""
