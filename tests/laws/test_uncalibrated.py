@@ -176,6 +176,21 @@ def test_a_marker_out_of_sight_keeps_its_rows_and_too_few_are_rest() -> None:
     assert plant.error_px() < 0.3
 
 
+@pytest.mark.parametrize("dynamic", [False, True])
+def test_an_excitation_that_loses_the_markers_goes_back_by_the_sensors(dynamic: bool) -> None:
+    plant = Plant(Uncalibrated(dynamic=dynamic))
+    while plant.q[1] == 0:
+        plant.step()
+    while np.linalg.norm(plant.J @ (plant.q * [0, 1, 0]), axis=1).mean() < 8:
+        plant.step()
+    blind = [plant.step(hide=(0, 1, 2)) for _ in range(8)]
+    assert all(command.rest_reason == TOO_FEW and command.mode == EXCITES for command in blind) and blind[0].rates is not None
+    assert np.linalg.norm(plant.J @ (plant.q * [0, 1, 0]), axis=1).mean() < 3
+    for _ in range(500):
+        plant.step()
+    assert plant.error_px() < 0.5 and plant.memory.excitations == 1
+
+
 @pytest.mark.parametrize(("model", "why"), [({"turning_radius_m": 1.0}, NO_CIRCLE), ({"tilt": np.zeros(2)}, TILTS)])
 def test_a_robot_whose_velocities_are_not_free_rests_and_says_why(model: dict[str, Any], why: str) -> None:
     assert Plant(Uncalibrated(), **model).step().rest_reason == why

@@ -105,6 +105,14 @@ class Excitation:
             return state, None
         return self._ordered(state, robot)
 
+    def retreat(self, state: Excited, moved: Array, robot: OwnModel) -> tuple[Excited, Array]:
+        """A frame that shows too few markers: back to where the velocity's turn began and they were in sight, by the robot's sensors.
+
+        Args and result are those of `step`.
+        """
+        uv = state.uv if len(state.x) == len(robot.names) else np.full_like(state.uv, np.nan)  # of a target that moves: what comes next
+        return self._ordered(replace(state, uv=uv, x=state.x + moved, leg=BACK), robot)
+
     def _sampled(self, state: Excited, uv: Array, moved: Array, n: int) -> Excited:
         """The state with one more sample: since the start, where noise counts least, or from picture to picture, where a target moves."""
         x = state.x + moved
@@ -137,7 +145,7 @@ class Excitation:
             # Also in the picture, or the rest of this way would count as the next velocity's.
             return max(abs(ahead), abs(float(robot.underway[state.which]))) * state.pixels <= RETURNED_PX
         side = _side(state, robot)
-        lost = state.leg == OUT and not np.isfinite(uv[np.isfinite(state.uv_before[:, 0])]).all()
+        lost = side * ahead > 0 and not np.isfinite(uv[np.isfinite(state.uv_before[:, 0])]).all()
         return lost or side * ahead * state.pixels >= self.amplitude_px / 2 or _room(state.which, side, robot) <= NEAREST
 
     def _ordered(self, state: Excited, robot: OwnModel) -> tuple[Excited, Array]:

@@ -133,7 +133,7 @@ class Uncalibrated(LawBase):
         return UncalibratedMemory(patience_s=self.patience_s)
 
     def step(self, memory: UncalibratedMemory, observation: Observation, goal: Goal, basis: Array) -> tuple[UncalibratedMemory, Command]:
-        """One frame; rest where too few markers are seen, or too few of them are known."""
+        """One frame; rest where too few markers are seen, or too few of them are known. An excitation that loses them goes back first."""
         robot, uv = observation.robot, observation.uv
         if robot is None:
             raise RuntimeError("the law needs observation.robot, which its inputs name")
@@ -141,7 +141,7 @@ class Uncalibrated(LawBase):
             return memory, Command.rest(basis, why)
         moved = np.append(robot.moved, robot.since_s * np.ones(int(self.dynamic)))
         if np.count_nonzero(observation.seen) < self.markers_needed(basis):
-            return _passed(memory, moved), Command.rest(basis, TOO_FEW)
+            return self._blind(memory, moved, robot, basis)
         if memory.excited is None and memory.estimate is None:
             memory = self._begun(memory, uv, len(moved))
         if memory.excited is not None:
@@ -151,6 +151,16 @@ class Uncalibrated(LawBase):
             memory = replace(memory, excited=None, estimate=self._measured(excited, uv), least_px=math.inf, t=observation.t)
             moved = np.zeros(len(moved))
         return self._servo(memory, observation, goal, basis, robot, moved)
+
+    def _blind(self, memory: UncalibratedMemory, moved: Array, robot: OwnModel, basis: Array) -> tuple[UncalibratedMemory, Command]:
+        """A frame that shows too few markers: an excitation goes back by the robot's sensors; else rest, and the displacement is kept."""
+        if memory.excited is not None:
+            excited, rates = self.excitation.retreat(memory.excited, moved, robot)
+            return replace(memory, excited=excited), replace(_command(rates, robot, basis, EXCITES), rest_reason=TOO_FEW)
+        if memory.estimate is not None:
+            known = memory.estimate
+            memory = replace(memory, estimate=replace(known, x=known.x + known.scale * moved))
+        return memory, Command.rest(basis, TOO_FEW)
 
     def _begun(self, memory: UncalibratedMemory, uv: Array, columns: int) -> UncalibratedMemory:
         known = np.zeros(columns) if memory.estimate is None else memory.estimate.scale
@@ -218,15 +228,6 @@ class Uncalibrated(LawBase):
 def _refused(robot: OwnModel) -> str:
     """Why a robot's velocities cannot be excited one by one; "" where they can."""
     return NO_CIRCLE if robot.turning_radius_m else TILTS if robot.tilt is not None else ""
-
-
-def _passed(memory: UncalibratedMemory, moved: Array) -> UncalibratedMemory:
-    """The memory after a frame that shows too little: the displacement is kept."""
-    if memory.excited is not None:
-        return replace(memory, excited=replace(memory.excited, x=memory.excited.x + moved))
-    if memory.estimate is None:
-        return memory
-    return replace(memory, estimate=replace(memory.estimate, x=memory.estimate.x + memory.estimate.scale * moved))
 
 
 def _mean(values: Array) -> float:
