@@ -1,5 +1,7 @@
 """Image-based servoing with an estimated Jacobian (Broyden), as a plugin.
 
+The smallest of its kind, whose first Jacobian is still that of a calibrated camera; the law `uncalibrated` needs none.
+
 From this folder: `vstestbed run arm_ibvs --plugin broyden --set law=broyden`.
 
 Reference: Jagersand, Fuentes & Nelson 1997, doi:10.1109/ROBOT.1997.606723; Broyden 1965, doi:10.1090/S0025-5718-1965-0198670-6.

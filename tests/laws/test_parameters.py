@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.laws import IBVS, PBVS, Hybrid, LawBase, LineFollowing, Partitioned, PoseController, Pursuit
+from vstestbed.laws import IBVS, PBVS, Hybrid, LawBase, LineFollowing, Partitioned, PoseController, Pursuit, Uncalibrated
 from vstestbed.laws.base import AdaptiveGain, ConstantGain, TwistLimits
+from vstestbed.laws.excitation import Excitation
 from vstestbed.laws.feedforward import AlphaBeta, Integral, KalmanCA, KalmanCV
 from vstestbed.laws.following import CARRY_S
+from vstestbed.laws.image_jacobian import Broyden, RecursiveLeastSquares
 from vstestbed.laws.polar_pose import PolarGains
 from vstestbed.laws.solve import Solve
 from vstestbed.laws.visibility import Visibility
@@ -30,6 +32,19 @@ NUMBERS: dict[type, dict[str, Any]] = {
     },
     PBVS: {"gain": ConstantGain(value=0.5)},
     Hybrid: {"gain": ConstantGain(value=0.5)},
+    Uncalibrated: {
+        "gain": ConstantGain(value=0.5),
+        "step_px": 3.0,
+        "most_pxps": 200.0,
+        "trust_px": 1000.0,
+        "predict": True,
+        "dynamic": False,
+        "patience_s": 3.0,
+        "settled_px": 0.2,
+    },
+    Broyden: {"rate": 0.5},
+    RecursiveLeastSquares: {"forgetting": 0.8},
+    Excitation: {"amplitude_px": 20.0, "time_s": 0.4, "speed_share": 0.2},
     PoseController: {"k_rho": 1.0, "k_alpha": 5.0, "k_beta": -2.0, "rest_m": 0.02, "pass_m": 0.1, "speed_mps": 1.0},
     Pursuit: {"gain": 1.0, "filter_s": 0.5, "coast_s": 0.5},
     LineFollowing: {"gain": 3.0, "cruise_mps": 0.8, "approach_deg": 25.0, "coast_s": 0.2},
@@ -58,6 +73,8 @@ NO_NUMBERS = {
     "translation",
     "direction",
     "projection",
+    "estimator",
+    "excitation",
 }
 
 
@@ -96,12 +113,16 @@ POSITIVE = [
     (KalmanCV, "bandwidth_hz"),
     (KalmanCA, "bandwidth_hz"),
     (Integral, "rate_per_s2"),
+    (Broyden, "rate"),
+    *((Uncalibrated, name) for name in ("step_px", "most_pxps", "trust_px", "settled_px")),
+    *((Excitation, name) for name in ("amplitude_px", "time_s", "speed_share")),
 ]
 FROM_ZERO = [
     (IBVS, "smooth_start_s"),
     (PoseController, "pass_m"),
     (Pursuit, "coast_s"),
     (LineFollowing, "coast_s"),
+    (Uncalibrated, "patience_s"),
     (Visibility, "margin_px"),
     (Solve, "cutoff"),
     (Solve, "damping"),
@@ -138,6 +159,8 @@ def test_zero_is_accepted_and_less_is_not(cls: type, name: str):
         (LineFollowing, "approach_deg", 79.99, 80.0),
         (Solve, "cutoff", 0.999, 1.0),
         (AdaptiveGain, "at_infinity", 3.999, 4.0),
+        (Broyden, "rate", 1.0, 1.001),
+        (RecursiveLeastSquares, "forgetting", 1.0, 1.001),
     ],
 )
 def test_the_largest_that_is_accepted(cls: type, name: str, most: float, too_much: float):

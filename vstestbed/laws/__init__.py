@@ -13,6 +13,7 @@ from vstestbed.laws.pursuit import Pursuit
 from vstestbed.laws.qp import QP
 from vstestbed.laws.single import LAWS
 from vstestbed.laws.switched import Switched
+from vstestbed.laws.uncalibrated import Uncalibrated
 
 LAWS.add(Switched)
 
@@ -33,4 +34,5 @@ __all__ = [
     "Predictive",
     "Pursuit",
     "Switched",
+    "Uncalibrated",
 ]

@@ -14,6 +14,7 @@ from vstestbed.laws.pose_controller import PoseController
 from vstestbed.laws.predictive import Predictive
 from vstestbed.laws.pursuit import Pursuit
 from vstestbed.laws.qp import QP
+from vstestbed.laws.uncalibrated import Uncalibrated
 
 LAWS = OneOf(
     "law",
@@ -23,6 +24,7 @@ LAWS = OneOf(
     Hybrid,
     QP,
     Predictive,
+    Uncalibrated,
     PoseController,
     Pursuit,
     LineFollowing,
