@@ -72,7 +72,10 @@ def test_bounds_never_give_way() -> None:
     both = Group("border", one, np.array([3.0])), Group("twist", one, np.array([2.0]))
     found = minimise(np.eye(6), np.zeros(6), -high, high, both)
     assert found.gave_way == ("border", "twist") and found.x is not None and found.x[0] == pytest.approx(0.5)
-    assert minimise(np.eye(6), np.zeros(6), high, -high, ()).failure == "its bounds contradict each other"
+    assert (
+        minimise(np.eye(6), np.zeros(6), high, -high, ()).failure
+        == "the quadratic program was not solved: its bounds contradict each other"
+    )
 
 
 def test_a_solver_that_gives_up_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -80,7 +83,7 @@ def test_a_solver_that_gives_up_is_told(monkeypatch: pytest.MonkeyPatch) -> None
     rng = np.random.default_rng(0)
     groups = (Group("border", rng.normal(size=(40, 6)), np.ones(40) * 0.1),)
     found = minimise(*problem(1), -ENDLESS, ENDLESS, groups)
-    assert found.x is None and found.failure == "the solver stopped with code -4"
+    assert found.x is None and found.failure == "the quadratic program was not solved: the solver stopped with code -4"
 
 
 def test_an_objective_of_zeros_gives_rest() -> None:

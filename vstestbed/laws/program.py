@@ -68,22 +68,26 @@ def minimise(A: Array, b: Array, low: Array, high: Array, groups: tuple[Group, .
         return Solution(np.clip(np.zeros(len(H)), low, high))
     H, f = H / mean, -(A.T @ b) / mean
     H[np.diag_indices_from(H)] += REGULARISATION
+    groups = tuple(group for group in groups if len(group.A))
     rows, floor = _normalised(groups, len(H))
-    counts = [len(group.A) for group in groups]
-    upper = np.concatenate([high, np.full(len(rows), np.inf)])
-    lower = np.concatenate([low, floor])
+    upper, lower = np.concatenate([high, np.full(len(rows), np.inf)]), np.concatenate([low, floor])
+    firm = len(low)
+    sense, code = np.zeros(len(upper), dtype=np.int32), INFEASIBLE
     for level in range(len(groups) + 1):
-        if level and not counts[level - 1]:
-            continue
-        sense = np.zeros(len(upper), dtype=np.int32)
-        sense[len(low) : len(low) + sum(counts[:level])] = SOFT
+        if level:
+            sense[firm : firm + len(groups[level - 1].A)] = SOFT
+            firm += len(groups[level - 1].A)
         x, _, code, info = _daqp()(H, f, rows, upper, lower, sense, iter_limit=ITERATIONS, rho_soft=1 / VIOLATION_COST)
         if code in SOLVED:
-            gave_way = tuple(group.word for group in groups[:level] if len(group.A) and _violated(group, x))
+            gave_way = tuple(group.word for group in groups[:level] if _violated(group, x))
             return Solution(np.clip(x, low, high), gave_way, bool(np.any(info["lam"])))
         if code != INFEASIBLE:
-            return Solution(None, failure=f"the solver stopped with code {code}")
-    return Solution(None, failure="its bounds contradict each other")
+            break
+    return Solution(None, failure=f"the quadratic program was not solved: {_named(code)}")
+
+
+def _named(code: int) -> str:
+    return "its bounds contradict each other" if code == INFEASIBLE else f"the solver stopped with code {code}"
 
 
 def _normalised(groups: tuple[Group, ...], n: int) -> tuple[Array, Array]:

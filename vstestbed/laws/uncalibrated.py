@@ -237,5 +237,5 @@ def _mean(values: Array) -> float:
 
 def _command(rates: Array, robot: OwnModel, basis: Array, mode: int) -> Command:
     """The command of own velocities; the camera twist that they make by the robot's model is told, and nothing follows from it."""
-    twist = robot.twist(rates)
+    twist = robot.J @ rates
     return Command(np.asarray(np.linalg.lstsq(basis, twist, rcond=None)[0], dtype=float), twist, rates=rates, mode=mode)

@@ -171,15 +171,11 @@ class Car(Vehicle):
         return mount.to_camera @ PLANE[:, [0, 2]]
 
     @property
-    def motion_speeds(self) -> Array:
-        """Its speed [m/s], and the yaw rate on its tightest circle at that speed [rad/s]."""
-        return self.limits.speed_mps * np.array([1.0, 1 / self.turning_radius_m])
-
-    @property
-    def motion_accelerations(self) -> Array:
-        """Those of its servos; steering turns the yaw rate of a straight way by v / L times its rate [m/s^2, rad/s^2]."""
-        limits = self.limits
-        return np.array([limits.acceleration_mps2, limits.speed_mps * limits.steering_rate_radps / self.parameters.wheelbase_m])
+    def motion_limits(self) -> tuple[Array, Array]:
+        """Its speed, and the yaw rate on its tightest circle; its servos' acceleration, and v / L times the rate of its steering."""
+        v, limits = self.limits.speed_mps, self.limits
+        turn = v * limits.steering_rate_radps / self.parameters.wheelbase_m
+        return np.array([v, v / self.turning_radius_m]), np.array([limits.acceleration_mps2, turn])
 
     def own_model(self, reading: Reading, mount: Mount) -> OwnModel:
         """(v, w), with the tightest circle."""

@@ -26,9 +26,7 @@ class _Moves(Protocol):
     lag_s: ClassVar[float]
 
     @property
-    def motion_speeds(self) -> Array: ...
-    @property
-    def motion_accelerations(self) -> Array: ...
+    def motion_limits(self) -> tuple[Array, Array]: ...
     def motion_basis(self, mount: Mount, q: Array) -> Array: ...
     def measured_twist(self, before: Reading, now: Reading, duration: float, commanded: Array, mount: Mount) -> Array: ...
     def allocate(self, twist: Array, reading: Reading, mount: Mount, period: float) -> Allocation: ...
@@ -129,19 +127,14 @@ class RobotBase:
         return reading.q
 
     @property
-    def motion_speeds(self) -> Array:
-        """Largest speeds along the columns of `motion_basis`, (n,) [m/s, rad/s]: none."""
-        return np.full(len(self.motion_names), np.inf)
-
-    @property
-    def motion_accelerations(self) -> Array:
-        """Largest accelerations along them, (n,) [m/s^2, rad/s^2]: those with which it stops."""
-        return self.motion_speeds / max(self.stop_s, np.finfo(float).tiny)
+    def motion_limits(self) -> tuple[Array, Array]:
+        """Largest speeds and accelerations along the columns of `motion_basis`, (n,) each [m/s, rad/s; per s]: none."""
+        endless = np.full(len(self.motion_names), np.inf)
+        return endless, endless
 
     def own_model(self: _Moves, reading: Any, mount: Mount) -> OwnModel:
         """Its motions, with their speeds and accelerations."""
-        limits = self.motion_speeds, self.motion_accelerations
-        return OwnModel.of_motions(self.motion_names, self.motion_basis(mount, reading.q), *limits, lag_s=self.lag_s)
+        return OwnModel.of_motions(self.motion_names, self.motion_basis(mount, reading.q), *self.motion_limits, lag_s=self.lag_s)
 
     def displacement(self: _Moves, before: Reading, now: Reading, duration: float, commanded: Array, mount: Mount) -> Array:
         """That of its measured camera twist."""

@@ -106,9 +106,10 @@ class Omni(Vehicle):
         return mount.to_camera @ PLANE
 
     @property
-    def motion_speeds(self) -> Array:
-        """Straight ahead, sideways, on the spot: what its wheels' speed allows [m/s, m/s, rad/s]."""
-        return self.parameters.wheel_speed_radps / np.abs(self.parameters.W).max(axis=0)
+    def motion_limits(self) -> tuple[Array, Array]:
+        """Straight ahead, sideways, on the spot, as its wheels' speed allows; it stops from these within `stop_s`."""
+        speeds = self.parameters.wheel_speed_radps / np.abs(self.parameters.W).max(axis=0)
+        return speeds, speeds / self.stop_s
 
     def own_model(self, reading: Reading, mount: Mount) -> OwnModel:
         """Its planar motion, with the speed that each wheel may have."""

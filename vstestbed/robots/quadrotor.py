@@ -50,7 +50,6 @@ FAR_M = 100.0
 """A measured range beyond this, or none, is given to a learned policy as this [m]."""
 READINGS_AHEAD = 64
 """For how many readings noise is drawn at once."""
-NO_JOINTS = np.zeros(0)
 LEVEL_AXES = [0, 1, 2, 5]
 """Indices of vx, vy, vz and wz in a twist: the four velocities that a level craft can track."""
 
@@ -184,20 +183,16 @@ class Quadrotor(RobotBase):
         return mount.to_camera[:, LEVEL_AXES]
 
     @property
-    def motion_speeds(self) -> Array:
-        """Its largest setpoints [m/s, m/s, m/s, rad/s]."""
-        return np.array([self.max_speed_mps, self.max_speed_mps, self.max_climb_mps, self.max_yaw_rate_radps])
-
-    @property
-    def motion_accelerations(self) -> Array:
-        """By its largest tilt, g tan(tilt), and by its rotors [m/s^2]; of its heading none."""
-        level, climb = GRAVITY * self.gains.slope, GRAVITY * (self.parameters.limit / self.parameters.hover - 1)
-        return np.array([level, level, min(climb, GRAVITY), np.inf])  # down it has its weight alone
+    def motion_limits(self) -> tuple[Array, Array]:
+        """Its largest setpoints; accelerations by its largest tilt, g tan(tilt), and its rotors: down it has its weight alone."""
+        level, climb = GRAVITY * self.gains.slope, GRAVITY * min(1.0, self.parameters.limit / self.parameters.hover - 1)
+        speeds = np.array([self.max_speed_mps, self.max_speed_mps, self.max_climb_mps, self.max_yaw_rate_radps])
+        return speeds, np.array([level, level, climb, np.inf])
 
     def own_model(self, reading: Reading, mount: Mount) -> OwnModel:
         """(vx, vy, vz, wz), with its tilt, and the lag of its velocity loop."""
-        model, lag = super().own_model(reading, mount), 1 / self.gains.velocity
-        return replace(model, tilt=reading.tilt, most_tilt_rad=math.radians(self.gains.tilt_deg), lag_s=lag)
+        own = {"tilt": reading.tilt, "most_tilt_rad": math.radians(self.gains.tilt_deg), "lag_s": 1 / self.gains.velocity}
+        return replace(super().own_model(reading, mount), **own)
 
     def noise(self, rng: np.random.Generator) -> Iterator[list[float]]:
         """Noise and bias (10,) of gyro, accelerometer, velocity and range, of one reading after the other."""
@@ -302,4 +297,4 @@ class Quadrotor(RobotBase):
             overturned=memory.overturned,
             stands=self.stands(memory, reading),
         )
-        return FlightReading(NO_JOINTS, NO_JOINTS, tilt=tilt, range_m=reading.range_m, estimate=estimate)
+        return FlightReading(*np.zeros((2, 0)), tilt=tilt, range_m=reading.range_m, estimate=estimate)
