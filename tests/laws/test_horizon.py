@@ -10,15 +10,15 @@ import pytest
 import vstestbed as vs
 from tests.laws.test_constraints import POINTS, arm
 from vstestbed.core.geometry import exp, inverse, log, transform
-from vstestbed.laws.horizon import Blocks, lagged, predict
+from vstestbed.laws.horizon import PlanBlocks, lagged, predict
 
 P = POINTS + [0.1, 0.0, 1.2]
-BLOCKS = Blocks.of(10, 4)
+BLOCKS = PlanBlocks.of(10, 4)
 
 
 @pytest.mark.parametrize(("horizon", "blocks"), [(10, 4), (10, 10), (3, 5), (25, 5), (1, 1), (7, 3)])
 def test_blocks_fill_the_horizon_and_grow(horizon: int, blocks: int) -> None:
-    made = Blocks.of(horizon, blocks)
+    made = PlanBlocks.of(horizon, blocks)
     assert made.horizon == horizon and len(made.lengths) == min(horizon, blocks)
     assert list(made.lengths) == sorted(made.lengths) and made.lengths[0] >= 1
     each = np.arange(len(made.lengths), dtype=float)[:, None]

@@ -15,7 +15,7 @@ from vstestbed.experiments.basin.setup import started_at
 from vstestbed.features.depth import Constant
 from vstestbed.laws import IBVS, PBVS, QP, Hybrid, Law, Partitioned, Predictive, program
 from vstestbed.laws.base import TwistLimits
-from vstestbed.laws.secondary import Manipulability, Posture, Straight, manipulability
+from vstestbed.laws.secondary import Manipulability, PosturePull, StraightPath, manipulability
 from vstestbed.testing import check_law
 
 
@@ -163,7 +163,7 @@ def test_a_strict_posture_moves_what_two_markers_do_not_see() -> None:
     two = vs.load("arm_avoid_limits", {"detector": "oracle", "stop.duration_s": 1.0})
     within, wanted = IBVS(redundant=True, depth=Constant(depth_m=1.0)), two.robot.start_joints() + np.radians([0, 0, 0, 30, 0, 30])
     away, errors = {}, {}
-    for name, tasks in (("alone", ()), ("posture", (Posture(gain=1.0, q_deg=tuple(np.degrees(wanted).tolist())),))):
+    for name, tasks in (("alone", ()), ("posture", (PosturePull(gain=1.0, q_deg=tuple(np.degrees(wanted).tolist())),))):
         frames = Frames()
         vs.run(replace(two, law=QP(law=within, margin_px=None, secondary=tasks)), watch=[frames])
         away[name] = np.linalg.norm(frames.kept[-1].truth.q - wanted)
@@ -174,7 +174,7 @@ def test_a_strict_posture_moves_what_two_markers_do_not_see() -> None:
 
 def test_a_straight_path_is_straighter() -> None:
     straight = {}
-    for name, tasks in (("alone", ()), ("straight", (Straight(),))):
+    for name, tasks in (("alone", ()), ("straight", (StraightPath(),))):
         recording, _ = flown(QP(law=IBVS(interaction="mean"), secondary=tasks))
         straight[name] = recording.summary()["path_ratio"]
     assert straight["straight"] < 1.002 < 1.02 < straight["alone"]

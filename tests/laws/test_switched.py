@@ -20,7 +20,7 @@ from vstestbed.experiments.basin.setup import start_of
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import IBVS, PBVS, Switched
 from vstestbed.laws.conditions import Until, quantity
-from vstestbed.laws.switched import Part
+from vstestbed.laws.switched import Turn
 from vstestbed.loop.controller import Controller
 from vstestbed.report.run import figures
 from vstestbed.report.run.numbers import table
@@ -42,7 +42,7 @@ def half_turned(law: object, **changes: object) -> vs.Scenario:
 
 def of(first: Until, *others: object, **fields: object) -> Switched:
     """IBVS until that, then the others."""
-    return Switched(laws=(Part(law=IBVS(), until=first), *others), **fields)  # pyright: ignore[reportArgumentType]
+    return Switched(laws=(Turn(law=IBVS(), until=first), *others), **fields)  # pyright: ignore[reportArgumentType]
 
 
 def seen(T: np.ndarray, t: float = 0.0, **more: object) -> Observation:
@@ -74,7 +74,7 @@ numbers = st.sampled_from([1.0, 7.9, 8.0, 8.1, 10.0, 12.0, 12.1, 15.0, np.nan])
 def test_the_choice_is_that_of_a_state_machine(errors: list[float], prefer: Any, hysteresis: float, dwell: int, other: Until):
     """Three laws with thresholds on the image error; the machine is written down once more, by states and thresholds."""
     law = of(
-        Until(error_over_px=10.0), Part(law=PBVS(), until=other), Part(law=IBVS()), prefer=prefer, hysteresis=hysteresis, dwell_s=dwell / 25
+        Until(error_over_px=10.0), Turn(law=PBVS(), until=other), Turn(law=IBVS()), prefer=prefer, hysteresis=hysteresis, dwell_s=dwell / 25
     )
     low, high = other.error_under_px or -np.inf, other.error_over_px or np.inf
     memory, basis = law.init(GOAL), np.eye(6)
@@ -235,7 +235,7 @@ def test_laws_that_cannot_work_in_turn_are_refused(laws: list[object], words: st
 
 
 def test_what_it_tells_of_itself():
-    law = of(Until(border_under_px=30.0, retreat_over_m=1.0), Part(law=PBVS()))
+    law = of(Until(border_under_px=30.0, retreat_over_m=1.0), Turn(law=PBVS()))
     assert law.tasks == ("view",) and law.modes == ("ibvs", "pbvs")
     assert law.inputs == ("xy", "depth", "T_camera_target", "radius_px")
     assert law.feature == IBVS().feature and law.limits.speed_mps is None

@@ -250,5 +250,5 @@ def test_commands_follow_from_pixels_and_sensors_alone() -> None:
         goal = replace(frame.goal, depth=np.full(n, np.nan), T_camera_target=np.zeros((4, 4)), camera=fisheye)
         memory, command = law.step(memory, replace(frame.observation, robot=wrong, **garbage), goal, np.eye(6))
         np.testing.assert_array_equal(command.rates, frame.command.rates)
-        np.testing.assert_allclose(frame.command.twist, robot.twist(frame.command.rates))
+        np.testing.assert_allclose(frame.command.twist, robot.J @ frame.command.rates)
     assert law.depth == AtGoal() and law.inputs == ("robot",)

@@ -31,7 +31,7 @@ class Predicted:
 
 
 @dataclass(frozen=True, slots=True)
-class Blocks:
+class PlanBlocks:
     """A plan's blocks: velocities are constant over each, of `lengths` periods, which the horizon consists of.
 
     Reference: Cagienard, Grieder, Kerrigan & Morari 2007, doi:10.1016/j.jprocont.2007.01.001 (move blocking).
@@ -40,7 +40,7 @@ class Blocks:
     lengths: tuple[int, ...]
 
     @classmethod
-    def of(cls, horizon: int, blocks: int) -> Blocks:
+    def of(cls, horizon: int, blocks: int) -> PlanBlocks:
         """Blocks that grow: the first periods matter most."""
         left, lengths = horizon, []
         for i in range(min(blocks, horizon)):
@@ -68,7 +68,7 @@ class Blocks:
         return later[starts]
 
 
-def lagged(blocks: Blocks, plan: Array, before: Array, lag: float) -> tuple[Array, Array]:
+def lagged(blocks: PlanBlocks, plan: Array, before: Array, lag: float) -> tuple[Array, Array]:
     """Mean velocities (K, n) in each period of first-order servos, and their change with the blocks' orders, (K, B), alike for each n.
 
     With a = exp(-1/lag) and g = lag (1 - a): mean = (1 - g) u + g r, and r' = (1 - a) u + a r at the end of the period.
@@ -89,7 +89,7 @@ def lagged(blocks: Blocks, plan: Array, before: Array, lag: float) -> tuple[Arra
     return np.array(means), np.array(changes)
 
 
-def predict(p: Array, robot: OwnModel, blocks: Blocks, plan: Array, relinearise: bool) -> Predicted:
+def predict(p: Array, robot: OwnModel, blocks: PlanBlocks, plan: Array, relinearise: bool) -> Predicted:
     """What a plan (B, n) does, from markers p (N, 3) [m] in the camera frame at the exposure.
 
     The camera's pose follows T <- T exp(period J mean) exactly; a small change d of the pose before a period has become

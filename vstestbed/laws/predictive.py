@@ -19,7 +19,7 @@ from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.base import Command, LawBase, TwistLimits
 from vstestbed.laws.carry import points
 from vstestbed.laws.constraints import shared_limits, twist_limits, velocity_bounds
-from vstestbed.laws.horizon import Blocks, Predicted, predict
+from vstestbed.laws.horizon import PlanBlocks, Predicted, predict
 from vstestbed.laws.ibvs import IBVS
 from vstestbed.laws.program import Group, Solution, minimise
 from vstestbed.laws.select import Rows, usable_rows
@@ -120,7 +120,7 @@ class Predictive(LawBase):
             return Plan(), Command.rest(basis, rows)
         robot = observation.robot
         assert robot is not None
-        blocks = Blocks.of(self.horizon, self.blocks)
+        blocks = PlanBlocks.of(self.horizon, self.blocks)
         plan = np.tile(robot.ordered, (len(blocks.lengths), 1)) if memory.rates is None else blocks.shifted(memory.rates)
         solution, gave_way = self._solved(rows, observation, goal, robot, blocks, plan)
         if solution.x is None:
@@ -134,7 +134,7 @@ class Predictive(LawBase):
         return Plan(plan), Command(u, twist, scale=scale, rates=rates, mode=mode)
 
     def _solved(
-        self, rows: Rows, seen: Observation, goal: Goal, robot: OwnModel, blocks: Blocks, plan: Array
+        self, rows: Rows, seen: Observation, goal: Goal, robot: OwnModel, blocks: PlanBlocks, plan: Array
     ) -> tuple[Solution, tuple[str, ...]]:
         """The plan as one vector, and the words of what gave way, in the order of GIVE_WAY."""
         p = points(seen)[rows]
@@ -187,7 +187,7 @@ class Predictive(LawBase):
         low = np.concatenate([below, above]).ravel()
         return Group("positions", A[known := np.isfinite(low)], low[known])
 
-    def _slopes(self, robot: OwnModel, blocks: Blocks) -> Group:
+    def _slopes(self, robot: OwnModel, blocks: PlanBlocks) -> Group:
         """Accelerations from block to block."""
         n, B = len(robot.names), len(blocks.lengths)
         quick = np.isfinite(robot.acceleration)
@@ -214,7 +214,7 @@ class Predictive(LawBase):
         return Group("border", A[known], low[known])
 
 
-def twist_limits_of(limits: TwistLimits, ahead: Predicted, blocks: Blocks) -> Group:
+def twist_limits_of(limits: TwistLimits, ahead: Predicted, blocks: PlanBlocks) -> Group:
     """The limits of the camera's twist in each block, at the Jacobian with which it begins."""
     n, starts = ahead.J.shape[2], np.cumsum((0, *blocks.lengths[:-1]))
     parts = [twist_limits(limits, ahead.J[start]) for start in starts]

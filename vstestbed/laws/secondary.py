@@ -24,7 +24,7 @@ STEP = 1e-5
 
 
 @spec
-class Posture:
+class PosturePull:
     """Joints towards a posture: x = gain (q* - q).
 
     Args:
@@ -48,7 +48,7 @@ class Posture:
 
 
 @spec
-class Straight:
+class StraightPath:
     """The camera's origin on the straight line to its goal: no velocity across it.
 
     Args:
@@ -99,8 +99,8 @@ class Manipulability:
         return np.eye(n), self.gain * gradient / size if size > 1e-9 else np.zeros(n)
 
 
-SECONDARY = OneOf("secondary", Posture, Straight, Manipulability)
-Secondary = Annotated[Posture | Straight | Manipulability, SECONDARY]
+SECONDARY = OneOf("secondary", PosturePull, StraightPath, Manipulability)
+Secondary = Annotated[PosturePull | StraightPath | Manipulability, SECONDARY]
 
 
 def manipulability(J: Array) -> float:

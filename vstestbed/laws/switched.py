@@ -29,7 +29,7 @@ SLACK_S = 1e-9
 
 
 @spec
-class Part:
+class Turn:
     """One of the laws, and when it is left.
 
     Args:
@@ -98,7 +98,7 @@ class Switched(LawBase):
     """
 
     kind: Literal["switched"] = "switched"
-    laws: Annotated[tuple[Annotated[Part, Shorthand("law")], ...], Len(2, 16)]
+    laws: Annotated[tuple[Annotated[Turn, Shorthand("law")], ...], Len(2, 16)]
     prefer: Literal["active", "first"] = "active"
     hysteresis: Annotated[float, Within(0.0, 0.99, "", "a share of the limit"), Narrower(ge=0)] = 0.2
     dwell_s: Time = 0.2
