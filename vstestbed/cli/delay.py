@@ -59,6 +59,8 @@ def _numbers(text: str) -> list[int]:
 
 def _summary_line(limit: Limit) -> str:
     row = limit.row()
+    if limit.unlimited:
+        return f"{limit.delay_frames} frames: stable up to {limit.gain:.4g} 1/s, the largest gain that was tried"
     line = f"{row['delay_frames']} frames: unstable from {row['gain_limit']:.4g} 1/s, {row['measured_to_theory']:.3f} of theory"
     if row["measured_to_lag"] is None:
         return line

@@ -106,14 +106,14 @@ class AlphaBeta:
 
     Args:
         alpha: gain of the displacement [1]; beta follows: alpha^2 / (2 - alpha).
-        predict_s: prediction horizon after the exposure [s].
+        predict_s: prediction horizon after the exposure [s]; null: until the picture has arrived, whatever its latency.
 
     Reference: Benedict & Bordner 1962, doi:10.1109/TAC.1962.1105477 (beta of least noise for a given lag).
     """
 
     kind: Literal["alpha_beta"] = "alpha_beta"
     alpha: Annotated[PositiveGain, Narrower(le=1)] = 0.8
-    predict_s: Ahead = 0.0
+    predict_s: Ahead | None = 0.0
 
     def update(self, trend: Trend | None, step: Array | None, dt: float, size: int) -> Trend:
         """Take in the target's displacement `step` (n,) during dt, None where it was not seen."""
@@ -160,7 +160,7 @@ class KalmanCV(_Kalman):
     Args:
         bandwidth_hz: corner frequency; the estimated rate lags by sqrt(2) / (2 pi bandwidth). A higher one tracks faster and
             passes more pixel noise.
-        predict_s: prediction horizon after the exposure [s].
+        predict_s: prediction horizon after the exposure [s]; null: until the picture has arrived, whatever its latency.
 
     Reference: Kalata 1984, doi:10.1109/TAES.1984.310438 (its steady state is an alpha-beta filter).
     """
@@ -168,7 +168,7 @@ class KalmanCV(_Kalman):
     kind: Literal["kalman_cv"] = "kalman_cv"
     order = 2
     bandwidth_hz: Bandwidth = 5.0
-    predict_s: Ahead = 0.0
+    predict_s: Ahead | None = 0.0
 
 
 @spec
@@ -177,18 +177,38 @@ class KalmanCA(_Kalman):
 
     Args:
         bandwidth_hz: corner frequency.
-        predict_s: prediction horizon after the exposure [s].
+        predict_s: prediction horizon after the exposure [s]; null: until the picture has arrived, whatever its latency.
     """
 
     kind: Literal["kalman_ca"] = "kalman_ca"
     order = 3
     bandwidth_hz: Bandwidth = 2.0
-    predict_s: Ahead = 0.0
+    predict_s: Ahead | None = 0.0
 
 
-FEEDFORWARDS = OneOf("feedforward", NoFeedforward, Integral, AlphaBeta, KalmanCV, KalmanCA, default="none")
-Feedforward = Annotated[NoFeedforward | Integral | AlphaBeta | KalmanCV | KalmanCA, FEEDFORWARDS]
-Estimator = AlphaBeta | KalmanCV | KalmanCA
+@spec
+class Smith:
+    """Prediction of the camera's own motion alone, for a target that stands still: latency no longer limits the gain.
+
+    The others estimate the target's motion, too; errors of the robot's own motion then come back as motion of the target.
+
+    Args:
+        predict_s: prediction horizon after the exposure [s]; null: until the picture has arrived, whatever its latency.
+
+    Reference: Smith 1957, Closer control of loops with dead time, Chem. Eng. Prog. 53(5), 217-219.
+    """
+
+    kind: Literal["smith"] = "smith"
+    predict_s: Ahead | None = None
+
+    def update(self, trend: Trend | None, step: Array | None, dt: float, size: int) -> Trend:
+        """No motion."""
+        return Trend(np.zeros((2, size)), np.zeros(size), np.zeros((2, 2)))
+
+
+FEEDFORWARDS = OneOf("feedforward", NoFeedforward, Integral, AlphaBeta, KalmanCV, KalmanCA, Smith, default="none")
+Feedforward = Annotated[NoFeedforward | Integral | AlphaBeta | KalmanCV | KalmanCA | Smith, FEEDFORWARDS]
+Estimator = AlphaBeta | KalmanCV | KalmanCA | Smith
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,7 +238,8 @@ def look_ahead(kind: Estimator, trend: Trend, basis: Array, motion: OwnMotion) -
 
     The camera's own motion is the measured one until now, and the last command from then on.
     """
-    p, age = kind.predict_s, motion.age_s
+    age = motion.age_s
+    p = age if kind.predict_s is None else kind.predict_s
     shift, rate = trend.ahead(p)
     own = motion.moved * min(p / age, 1.0) if age > 0 else motion.moved  # a horizon before now takes its share of the way
     own = own + motion.commanded * max(p - age, 0.0)

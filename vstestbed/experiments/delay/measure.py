@@ -31,6 +31,10 @@ loop to be linear and its actuators unsaturated; for joints with friction large 
 GROWN = 20.0
 """Growth of the error that counts as unstable whatever follows; so do actuators that still saturate in
 the second half of the run."""
+MOST_G = 8.0
+"""A loop that is stable at this gain * period has no limit that matters: two are deadbeat control with overshoot of the whole error."""
+SETTLED = 0.01
+"""A run whose error has fallen to this share of its start is stable, however friction or rounding move what is left."""
 UNSATURATED = 0.999
 # The error did not oscillate: the run came to rest.
 CALM = (Outcome.converged, Outcome.local_minimum)
@@ -42,7 +46,8 @@ class Limit:
 
     Attributes:
         delay_frames: d. latency_s: the same delay [s].
-        gain: largest stable gain, measured [1/s]; g: gain * period [1].
+        gain: largest stable gain, measured [1/s]; g: gain * period [1]; of an `unlimited` loop, which no gain up to MOST_G makes
+            unstable, the largest one that was tried.
         g_theory: g of a robot without lag. g_lag: g with the measured lag of the joint that becomes unstable first; None for a
             robot without joints.
         lags: lag of each joint at the frequency of the limit. runs: number of runs that the search took.
@@ -56,6 +61,7 @@ class Limit:
     g_lag: float | None
     lags: tuple[Lag, ...]
     runs: int
+    unlimited: bool = False
 
     @property
     def joint(self) -> str | None:
@@ -97,7 +103,7 @@ def prepared(scenario: Scenario) -> Scenario:
     law = scenario.law
     names = {field.name for field in fields(law)}
     if "gain" not in names or "gain_z" in names:
-        raise ParameterError("law.kind", "must have one gain for all directions: ibvs, pbvs or hybrid", law.kind)
+        raise ParameterError("law.kind", "must have one gain for all directions: ibvs, pbvs, hybrid or predictive", law.kind)
     plain = {"limits": TwistLimits(), "smooth_start_s": 0.0, "visibility": Visibility(), "gain": 2.0}
     settled = replace(
         scenario,
@@ -160,7 +166,7 @@ def growth(at_start: Scenario, gain: float, delay_frames: int) -> float:
         return math.inf
     # peak over one period at the beginning and at the end of the second half
     early, late = np.nanmax(size[half : half + swing]), np.nanmax(size[-swing:])
-    return float(late / early) if early > 0 else 0.0
+    return float(late / early) if late > SETTLED * size[0] else 0.0
 
 
 def find_limit(at_goal: Scenario, delay_frames: int) -> Limit:
@@ -179,12 +185,15 @@ def find_limit(at_goal: Scenario, delay_frames: int) -> Limit:
     expected, count = (theory if g_lag is None else g_lag), 0
     low, high = 0.5 * expected, 1.5 * expected
     # a bracket without the limit would make the bisection converge to one of its ends
-    for g, unstable in ((low, False), (high, True)):
-        count += 1
-        if (growth(at_start, g / period, delay_frames) > 1) is not unstable:
-            state = "stable" if unstable else "unstable"
-            words = f"is still {state} at {g / period:.3g} 1/s with {delay_frames} frames of delay, {g / expected:.2g} of what is expected"
-            raise ParameterError("law.gain", words)
+    count += 1
+    if growth(at_start, low / period, delay_frames) > 1:
+        words = f"is still unstable at {low / period:.3g} 1/s with {delay_frames} frames of delay, half of what is expected"
+        raise ParameterError("law.gain", words)
+    count += 1
+    while growth(at_start, high / period, delay_frames) <= 1:  # a law that predicts is stable beyond the theory of one that does not
+        low, high, count = high, 2 * high, count + 1
+        if high > MOST_G:
+            return Limit(delay_frames, delay_frames * period, low / period, low, theory, g_lag, lags, count, unlimited=True)
     for _ in range(HALVINGS):
         middle = (low + high) / 2
         count += 1
