@@ -12,6 +12,7 @@ from vstestbed.laws.program import Group
 from vstestbed.laws.select import usable_rows
 from vstestbed.laws.visibility import pixel_interaction
 from vstestbed.robots.own_model import OwnModel
+from vstestbed.robots.resolved_rate import singularity_damping2
 
 
 def velocity_bounds(robot: OwnModel, margin: float, damper_s: float, accelerate: bool) -> tuple[Array, Array, bool]:
@@ -38,6 +39,16 @@ def velocity_bounds(robot: OwnModel, margin: float, damper_s: float, accelerate:
     slow, fast = robot.ordered - step, robot.ordered + step
     gave_way = bool((slow > high).any() or (fast < low).any())
     return np.clip(slow, low, high), np.clip(fast, low, high), gave_way
+
+
+def damped(robot: OwnModel, weight: float) -> Array:
+    """Rows (n, n) of an objective whose wanted value is 0: the damping of velocities near singularities, none (0, n) away from them.
+
+    weight: of a squared twist in the objective, to which the damping of `resolved_rate` is in proportion.
+    """
+    damping2 = singularity_damping2(robot.J, robot.unit_m) if len(robot.names) >= 6 else 0.0
+    n = len(robot.names)
+    return np.sqrt(damping2 * weight) * np.eye(n) if damping2 > 0 else np.zeros((0, n))
 
 
 def shared_limits(robot: OwnModel, forward: float) -> Group:

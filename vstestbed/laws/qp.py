@@ -17,7 +17,7 @@ from vstestbed.features.base import Feature
 from vstestbed.features.depth import Depth
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.base import Command, LawBase, TwistLimits
-from vstestbed.laws.constraints import above_plane, border, shared_limits, twist_limits, velocity_bounds
+from vstestbed.laws.constraints import above_plane, border, damped, shared_limits, twist_limits, velocity_bounds
 from vstestbed.laws.feedforward import Feedforward
 from vstestbed.laws.hybrid import Hybrid
 from vstestbed.laws.ibvs import IBVS
@@ -61,6 +61,7 @@ class QP(LawBase):
 
     With W the law's interaction matrix L, the rows of the features count, as in least squares of the task itself: without a binding
     constraint the command is that of the law. Laws without an image feature (`pbvs`, `hybrid`, `partitioned`) have W = I in m and rad.
+    Near singularities of an arm the velocities are damped as those of all other laws are (`resolved_rate`).
     A law alone is scaled as a whole when a joint reaches its stop, and ends there; here the other joints go on.
 
     Where constraints contradict each other, they give way one after the other: border, plane, twist, shared, acceleration; positions
@@ -198,7 +199,9 @@ class QP(LawBase):
         groups = self._groups(wanted, seen, goal, robot)
         W = self._metric(seen)
         main = W @ robot.J, W @ wanted.twist
-        solution = minimise(*added(*main, self.secondary, seen, goal, robot), low, high, groups)
+        calm = damped(robot, float(np.einsum("ij,ij->", W, W)) / 6)
+        A, b = added(*main, self.secondary, seen, goal, robot)
+        solution = minimise(np.vstack([A, calm]), np.concatenate([b, np.zeros(len(calm))]), low, high, groups)
         if solution.x is not None:
             solution = among_solutions(solution, main[0], self.secondary, seen, goal, robot, low, high, groups)
         return solution, solution.gave_way + (("acceleration",) if too_quick else ())

@@ -1,4 +1,8 @@
-"""Secondary tasks of a quadratic program: posture, a straight path of the camera, manipulability; weighted, or strictly below the law's."""
+"""Secondary tasks of a quadratic program: posture, a straight path of the camera, manipulability.
+
+A weighted one competes with the law's motion: where it is not fulfilled at the goal, the camera comes to rest beside it. A strict one has
+only the motions that the law's features do not see.
+"""
 
 from __future__ import annotations
 

@@ -105,6 +105,7 @@ class Arm(RobotBase, ABC):
             sums=np.zeros((0, n)),
             most=np.zeros(0),
             lag_s=self.lag_s,
+            unit_m=self.unit_m,
         )
 
     def displacement(self, before: Reading, now: Reading, duration: float, commanded: Array, mount: Mount) -> Array:

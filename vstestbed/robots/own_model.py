@@ -31,6 +31,7 @@ class OwnModel:
         sums, most: |sums @ rates| <= most, (k, n) and (k,), for limits that several velocities share (a wheel's speed).
         turning_radius_m: of the tightest circle: |w| <= |v| / radius for the last and the first velocity; 0: on the spot.
         tilt, most_tilt_rad: roll and pitch (2,) of a craft, and the largest it may order; its acceleration needs them.
+        unit_m: length that makes metres and radians comparable [m].
         slides: which positions are lengths (n,); empty for none.
         lag_s: time constant with which velocities follow their orders [s].
         moved: displacement (n,) between the exposures of the last picture and this one, and since_s the time between them [s].
@@ -54,6 +55,7 @@ class OwnModel:
     tilt: Array | None = None
     most_tilt_rad: float = np.inf
     lag_s: float = 0.0
+    unit_m: float = 1.0
     slides: NDArray[np.bool_] = field(default_factory=lambda: NONE.astype(bool))
     moved: Array = field(default_factory=lambda: NONE)
     since_s: float = 0.0

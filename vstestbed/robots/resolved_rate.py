@@ -35,8 +35,17 @@ def resolved_rate(J: Array, twist: Array, unit_m: float, threshold: float = THRE
     """
     scale = unit_scale(unit_m)
     U, s, Vt = np.linalg.svd(J * scale[:, None], full_matrices=False)
-    damping2 = max(0.0, threshold**2 - s[-1] ** 2)
+    damping2 = _damping2(s, threshold)
     return Vt.T @ (s / (s**2 + damping2) * (U.T @ (twist * scale)))
+
+
+def singularity_damping2(J: Array, unit_m: float, threshold: float = THRESHOLD) -> float:
+    """The lambda^2 of `resolved_rate`: 0 away from singularities."""
+    return _damping2(np.linalg.svd(J * unit_scale(unit_m)[:, None], compute_uv=False), threshold)
+
+
+def _damping2(s: Array, threshold: float) -> float:
+    return max(0.0, threshold**2 - float(s[-1]) ** 2)
 
 
 @functools.cache
