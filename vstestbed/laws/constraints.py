@@ -12,7 +12,12 @@ from vstestbed.laws.program import Group
 from vstestbed.laws.select import usable_rows
 from vstestbed.laws.visibility import pixel_interaction
 from vstestbed.robots.own_model import OwnModel
-from vstestbed.robots.resolved_rate import singularity_damping2
+from vstestbed.robots.resolved_rate import singularity_damping2, unit_scale
+
+NEARLY = 4.0
+"""Smallest singular values beyond this multiple of the least allowed have no barrier: it could not bind within a frame."""
+STEP = 1e-6
+"""Step of finite differences of the Jacobian [rad, m]."""
 
 
 def velocity_bounds(robot: OwnModel, margin: float, damper_s: float, accelerate: bool) -> tuple[Array, Array, bool]:
@@ -49,6 +54,23 @@ def damped(robot: OwnModel, weight: float) -> Array:
     damping2 = singularity_damping2(robot.J, robot.unit_m) if len(robot.names) >= 6 else 0.0
     n = len(robot.names)
     return np.sqrt(damping2 * weight) * np.eye(n) if damping2 > 0 else np.zeros((0, n))
+
+
+def off_singularities(robot: OwnModel, least: float, rate: float) -> Group:
+    """A barrier of the smallest singular value s of the arm's Jacobian, lengths in its own unit: h = s - least, h_dot = u^T (dJ/dq x) v.
+
+    It keeps an arm in its branch: beyond a singularity of the wrist the goal may need a joint position beyond a limit.
+
+    Reference: the derivative of a simple singular value: Stewart & Sun 1990, Matrix Perturbation Theory, section IV.2.
+    """
+    n = len(robot.names)
+    scale = unit_scale(robot.unit_m)[:, None]
+    U, s, Vt = np.linalg.svd(robot.J * scale)
+    if n < 6 or s[-1] > NEARLY * least:
+        return Group("singularity", np.zeros((0, n)), np.zeros(0))
+    u, v = U[:, len(s) - 1], Vt[len(s) - 1]
+    slopes = [u @ (scale * (robot.jacobian(robot.q + d) - robot.J)) @ v / STEP for d in STEP * np.eye(n)]
+    return Group("singularity", np.array([slopes]), np.array([-rate * (s[-1] - least)]))
 
 
 def shared_limits(robot: OwnModel, forward: float) -> Group:

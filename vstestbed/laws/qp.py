@@ -17,7 +17,7 @@ from vstestbed.features.base import Feature
 from vstestbed.features.depth import Depth
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.base import Command, LawBase, TwistLimits
-from vstestbed.laws.constraints import above_plane, border, damped, shared_limits, twist_limits, velocity_bounds
+from vstestbed.laws.constraints import above_plane, border, damped, off_singularities, shared_limits, twist_limits, velocity_bounds
 from vstestbed.laws.feedforward import Feedforward
 from vstestbed.laws.hybrid import Hybrid
 from vstestbed.laws.ibvs import IBVS
@@ -33,7 +33,7 @@ from vstestbed.robots.own_model import OwnModel
 
 SERVO = OneOf("law", IBVS, Partitioned, PBVS, Hybrid, default="ibvs")
 """Laws whose motion a quadratic program may take."""
-GIVE_WAY = ("border", "plane", "twist", "shared", "acceleration")
+GIVE_WAY = ("singularity", "border", "plane", "twist", "shared", "acceleration")
 """Constraints in the order in which they give way; those of joint position and joint speed never do."""
 FREE, BOUND, UNSOLVED = 0, 1, 2 + len(GIVE_WAY)
 
@@ -56,6 +56,7 @@ class QP(LawBase):
     accelerations     |x_i - x_i before| <= its largest times the period
     shared            wheels' speeds of a platform, the tightest circle of a car
     twist             `limits` of the camera's twist
+    singularity       the arm's smallest singular value stays over `least_singular_value` (barrier)
     plane             the camera stays `plane_m` from the target's plane          (barrier)
     border            markers stay `margin_px` within the picture                 (barrier)
 
@@ -64,9 +65,9 @@ class QP(LawBase):
     Near singularities of an arm the velocities are damped as those of all other laws are (`resolved_rate`).
     A law alone is scaled as a whole when a joint reaches its stop, and ends there; here the other joints go on.
 
-    Where constraints contradict each other, they give way one after the other: border, plane, twist, shared, acceleration; positions
-    and speeds of the joints never do. The log's `law_mode` tells: 0 nothing binds, 1 a constraint binds, 2 to 6 the last of these that gave
-    way, 7 the program was not solved, and the law rests.
+    Where constraints contradict each other, they give way one after the other: singularity, border, plane, twist, shared, acceleration;
+    positions and speeds of the joints never do. The log's `law_mode` tells: 0 nothing binds, 1 a constraint binds, 2 to 7 the last of these
+    that gave way, 8 the program was not solved, and the law rests.
 
     The law's gain, feature, depth, feedforward and inversion are those of `law`. Constraints hold where the command takes effect: latency
     is bridged by the robot's own measured motion.
@@ -76,6 +77,8 @@ class QP(LawBase):
         margin_px: distance of the markers' edges from the border of the picture [px]; None: no such constraint.
         barrier_per_s: rate of the barriers [1/s]: a marker may approach the border no faster than the distance times it.
         plane_m: least distance of the camera from the plane of the target's markers [m]; None: no such constraint.
+        least_singular_value: of the Jacobian, lengths in the arm's own unit; under .05 all laws' velocities are damped. The arm does not
+            leave its branch through a singularity of the wrist. 0: no such constraint.
         joint_margin: distance from its limit at which a joint comes to rest [rad; m for one that slides].
         damper_s: in which time a joint may reach that margin [s].
         accelerations: whether the robot's accelerations count.
@@ -91,6 +94,7 @@ class QP(LawBase):
     margin_px: Pixels | None = 5.0
     barrier_per_s: PositiveGain = 3.0
     plane_m: Distance | None = None
+    least_singular_value: Annotated[float, Ge(0), Le(1)] = 0.05
     joint_margin: Annotated[float, Ge(0), Le(1)] = 0.035
     damper_s: PositiveTime = 0.3
     accelerations: bool = True
@@ -209,6 +213,8 @@ class QP(LawBase):
     def _groups(self, wanted: Command, seen: Observation, goal: Goal, robot: OwnModel) -> tuple[Group, ...]:
         """The inequalities, the softest first."""
         groups = []
+        if self.least_singular_value > 0:
+            groups.append(off_singularities(robot, self.least_singular_value, self.barrier_per_s))
         if self.margin_px is not None:
             groups.append(border(seen, goal, robot, self.margin_px, self.barrier_per_s, np.zeros(6)))
         if self.plane_m is not None:
