@@ -12,7 +12,7 @@ from vstestbed.camera import Fisheye, Perspective
 from vstestbed.core.geometry import exp, transform
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.base import TwistLimits
-from vstestbed.laws.constraints import above_plane, border, shared_limits, twist_limits, velocity_bounds
+from vstestbed.laws.constraints import above_plane, border, off_singularities, shared_limits, twist_limits, velocity_bounds
 from vstestbed.robots import Car, Mount
 from vstestbed.robots.own_model import OwnModel
 
@@ -129,3 +129,26 @@ def test_a_car_keeps_its_tightest_circle_forward_and_in_reverse() -> None:
         for w in (0.5, -0.5):
             assert (group.A @ [sign * 0.5 * radius * 1.001, w] >= group.low).all()
             assert (group.A @ [sign * 0.5 * radius * 0.999, w] < group.low).any()
+
+
+def test_the_smallest_singular_value_keeps_its_distance() -> None:
+    scenario = vs.load("arm_ibvs")
+    q = scenario.robot.start_joints()
+    q[4] = 0.08  # the wrist is aligned at 0
+    mount = Mount.of(scenario.camera.mount.T)
+
+    def model(at: np.ndarray) -> OwnModel:
+        return replace(scenario.robot.own_model(vs.Reading(at, 0 * at), mount), underway=np.zeros(6))
+
+    def least(at: np.ndarray) -> float:
+        robot = model(at)
+        return float(np.linalg.svd(robot.J / np.array([robot.unit_m] * 3 + [1.0] * 3)[:, None])[1][-1])
+
+    group = off_singularities(model(q), 0.05, 3.0)
+    assert group.low[0] == pytest.approx(-3.0 * (least(q) - 0.05))
+    for i in range(6):
+        step = 1e-6 * np.eye(6)[i]
+        assert group.A[0, i] == pytest.approx((least(q + step) - least(q - step)) / 2e-6, abs=1e-5)
+    away, aligned = q.copy(), q.copy()
+    away[4], aligned[4] = 0.8, 0.001
+    assert len(off_singularities(model(away), 0.05, 3.0).A) == 0 and len(off_singularities(model(aligned), 0.05, 3.0).A) == 0

@@ -139,7 +139,7 @@ def test_contradicting_constraints_give_way_and_the_log_tells() -> None:
     # Nearer to the plane than allowed: it must go back faster than the twist limit lets it.
     law = QP(law=PBVS(), plane_m=1.2, limits=TwistLimits(speed_mps=0.05), barrier_per_s=3.0)
     recording, frames = flown(law, changes={"stop.duration_s": 1.0})
-    assert law.modes[3] == "plane gave way" and 3 in {frame.command.mode for frame in frames}
+    assert law.modes[4] == "plane gave way" and 4 in {frame.command.mode for frame in frames}
     np.testing.assert_array_equal(recording.frame()["law_mode"], [frame.command.mode for frame in frames])
     assert all(np.linalg.norm(frame.command.twist[:3]) < 0.05 + 1e-6 for frame in frames)
 

@@ -16,6 +16,8 @@ from vstestbed.robots.resolved_rate import singularity_damping2, unit_scale
 
 NEARLY = 4.0
 """Smallest singular values beyond this multiple of the least allowed have no barrier: it could not bind within a frame."""
+INSIDE = 0.5
+"""Smallest singular values under this share of the least allowed have none either."""
 STEP = 1e-6
 """Step of finite differences of the Jacobian [rad, m]."""
 
@@ -59,14 +61,15 @@ def damped(robot: OwnModel, weight: float) -> Array:
 def off_singularities(robot: OwnModel, least: float, rate: float) -> Group:
     """A barrier of the smallest singular value s of the arm's Jacobian, lengths in its own unit: h = s - least, h_dot = u^T (dJ/dq x) v.
 
-    It keeps an arm in its branch: beyond a singularity of the wrist the goal may need a joint position beyond a limit.
+    It keeps an arm in its branch: beyond a singularity of the wrist the goal may need a joint position beyond a limit. Of an arm that
+    starts at a singularity nobody knows which branch is the right one: there is no barrier under half of `least`.
 
     Reference: the derivative of a simple singular value: Stewart & Sun 1990, Matrix Perturbation Theory, section IV.2.
     """
     n = len(robot.names)
     scale = unit_scale(robot.unit_m)[:, None]
     U, s, Vt = np.linalg.svd(robot.J * scale)
-    if n < 6 or s[-1] > NEARLY * least:
+    if n < 6 or not INSIDE * least < s[-1] < NEARLY * least:
         return Group("singularity", np.zeros((0, n)), np.zeros(0))
     u, v = U[:, len(s) - 1], Vt[len(s) - 1]
     slopes = [u @ (scale * (robot.jacobian(robot.q + d) - robot.J)) @ v / STEP for d in STEP * np.eye(n)]
