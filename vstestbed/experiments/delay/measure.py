@@ -89,6 +89,7 @@ class Limit:
             "joint_lag_s": None if first is None else first.lag_s,
             "joint_gain": None if first is None else first.gain,
             "runs": self.runs,
+            "unlimited": self.unlimited,
         }
 
 
