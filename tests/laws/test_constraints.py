@@ -26,7 +26,7 @@ def arm(**more: object) -> OwnModel:
     scenario = vs.load("arm_ibvs")
     q = scenario.robot.start_joints()
     model = scenario.robot.own_model(vs.Reading(q, 0 * q), Mount.of(scenario.camera.mount.T))
-    return replace(model, **({"underway": np.zeros(6), "ordered": np.zeros(6), "moved": np.zeros(6)} | more))
+    return replace(model, **({"underway": np.zeros(6), "coming": np.zeros(6), "ordered": np.zeros(6), "moved": np.zeros(6)} | more))
 
 
 def seen(camera: Perspective | Fisheye, T: np.ndarray) -> tuple[Observation, Goal]:
@@ -57,8 +57,8 @@ def test_barriers_hold_where_the_command_takes_effect() -> None:
     camera, T = Perspective(), exp(np.array([0.1, -0.05, 1.0, 0.2, -0.1, 0.3]))
     observation, goal = seen(camera, T)
     way = np.array([0.01, -0.005, 0.01, 0.0, 0.01, 0.02])
-    robot = arm(underway=way)
-    later, _ = seen(camera, exp(-(robot.J @ way)) @ T)
+    robot = arm(underway=way, coming=way)  # by commands that are still to take effect
+    later, _ = seen(camera, exp(-robot.way) @ T)
     group = border(observation, goal, robot, 12.0, 3.0, REST)
     h = camera.borders(later.uv)[0].ravel() - 7.0 - 12.0
     np.testing.assert_allclose(group.low, -3.0 * h, atol=5.0)  # px/s, of barriers 100 to 900 px away
@@ -138,7 +138,7 @@ def test_the_smallest_singular_value_keeps_its_distance() -> None:
     mount = Mount.of(scenario.camera.mount.T)
 
     def model(at: np.ndarray) -> OwnModel:
-        return replace(scenario.robot.own_model(vs.Reading(at, 0 * at), mount), underway=np.zeros(6))
+        return replace(scenario.robot.own_model(vs.Reading(at, 0 * at), mount), underway=np.zeros(6), coming=np.zeros(6))
 
     def least(at: np.ndarray) -> float:
         robot = model(at)

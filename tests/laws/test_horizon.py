@@ -50,15 +50,16 @@ def test_markers_and_joints_go_where_the_arm_takes_them(seed: int) -> None:
     rng = np.random.default_rng(seed)
     scenario = vs.load("arm_ibvs")
     mount = scenario.camera.mount.T
-    robot = replace(arm(underway=0.01 * rng.normal(size=6)), lag_s=0.0)
+    way = 0.03 * rng.normal(size=6)
+    robot = replace(arm(underway=way, coming=way / 3), lag_s=0.0)
     plan = 0.3 * rng.normal(size=(4, 6))
     ahead = predict(P, robot, BLOCKS, plan, relinearise=True)
-    here = scenario.robot.flange_pose(robot.q) @ mount
+    here = scenario.robot.flange_pose(robot.q + way / 3 - way) @ mount  # at the exposure
     for k in (0, 4, 9):
         there = scenario.robot.flange_pose(ahead.q[k]) @ mount
         # the Jacobian of each period is that of its beginning: an error of second order in the way of a period
         np.testing.assert_allclose(ahead.p[k], transform(inverse(there) @ here, P), atol=4e-3)
-    np.testing.assert_allclose(ahead.q[-1], robot.q + robot.underway + 0.04 * plan[BLOCKS.of_period].sum(axis=0))
+    np.testing.assert_allclose(ahead.q[-1], robot.q + way / 3 + 0.04 * plan[BLOCKS.of_period].sum(axis=0))
 
 
 @pytest.mark.parametrize("lag_s", [0.0, 0.05])
@@ -82,7 +83,7 @@ def test_derivatives_of_the_prediction(lag_s: float) -> None:
 def test_an_ideal_camera_flies_exactly_as_predicted() -> None:
     scenario = vs.load("ibvs_book")
     model = scenario.robot.own_model(vs.Reading(np.zeros(0), np.zeros(0)), vs.Controller(scenario).mount)
-    robot = replace(model, underway=np.zeros(6), ordered=np.zeros(6))
+    robot = replace(model, underway=np.zeros(6), coming=np.zeros(6), ordered=np.zeros(6))
     plan = np.random.default_rng(0).normal(size=(4, 6))
     T = np.eye(4)
     for b in BLOCKS.of_period:

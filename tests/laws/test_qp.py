@@ -70,12 +70,12 @@ def test_it_does_what_every_law_must() -> None:
 ROTATED = {"stop.duration_s": 20, "camera.latency_s": 0.04}
 
 
-def start_turned(deg: float) -> dict[str, Any]:
-    """The Puma's start from which the camera must turn about its axis by an angle to its goal."""
+def start_turned(deg: float, nearer_m: float = 0.0) -> dict[str, Any]:
+    """The Puma's start turned about the camera's axis by an angle from its goal, and that much nearer to the target."""
     scenario = vs.load("arm_ibvs")
     mount, robot = scenario.camera.mount.T, scenario.robot
     goal = scenario.target.pose.T @ np.linalg.inv(scenario.goal_view.T_camera_target)
-    at = goal @ exp(np.array([0, 0, 0, 0, 0, np.radians(deg)])) @ np.linalg.inv(mount)
+    at = goal @ exp(np.array([0, 0, nearer_m, 0, 0, np.radians(deg)])) @ np.linalg.inv(mount)
     q = robot.configuration_at(at, robot.configuration())
     return {"robot.start.nominal.q_deg": np.degrees(q).tolist()}
 
@@ -137,8 +137,8 @@ def test_a_twist_limit_is_kept_by_what_remains_of_the_motion() -> None:
 
 def test_contradicting_constraints_give_way_and_the_log_tells() -> None:
     # Nearer to the plane than allowed: it must go back faster than the twist limit lets it.
-    law = QP(law=PBVS(), plane_m=1.2, limits=TwistLimits(speed_mps=0.05), barrier_per_s=3.0)
-    recording, frames = flown(law, changes={"stop.duration_s": 1.0})
+    law = QP(law=PBVS(), plane_m=0.95, limits=TwistLimits(speed_mps=0.05), barrier_per_s=3.0)
+    recording, frames = flown(law, changes={"stop.duration_s": 1.0} | start_turned(0.0, 0.2))
     assert law.modes[4] == "plane gave way" and 4 in {frame.command.mode for frame in frames}
     np.testing.assert_array_equal(recording.frame()["law_mode"], [frame.command.mode for frame in frames])
     assert all(np.linalg.norm(frame.command.twist[:3]) < 0.05 + 1e-6 for frame in frames)
@@ -151,6 +151,11 @@ def test_a_program_that_is_not_solved_gives_a_rest_with_its_reason(law: Any, mon
     assert all(frame.command.rest_reason.endswith("the solver stopped with code -4") for frame in frames)
     assert {frame.command.mode for frame in frames} == {law.modes.index("not solved")}
     assert recording.outcome.name == "timed_out"
+
+
+def test_a_goal_beyond_the_plane_is_refused() -> None:
+    with pytest.raises(ScenarioError, match=r"law.plane_m: must be under 1 m"):
+        vs.load("arm_ibvs", {"law": {"kind": "qp", "plane_m": 5.0}})
 
 
 def test_a_goal_inside_the_margin_is_refused() -> None:

@@ -76,6 +76,8 @@ def test_displacements_are_those_of_the_joints_in_the_log() -> None:
     ahead = np.array([model.underway for model in models[4:-2]])
     np.testing.assert_allclose(ahead, q[6 : 4 + len(ahead) + 2] - q[4 : 4 + len(ahead)], atol=2e-3)
     assert np.abs(ahead).max() > 0.01
+    then = np.array([model.q_then for model in models[4:-2]])
+    np.testing.assert_allclose(then, q[6 : 6 + len(then)], atol=2e-3)
 
 
 def test_the_joints_ordered_are_those_of_the_last_command() -> None:

@@ -35,7 +35,7 @@ def velocity_bounds(robot: OwnModel, margin: float, damper_s: float, accelerate:
 
     Reference: Faverjon & Tournassoud 1987, doi:10.1109/ROBOT.1987.1087982.
     """
-    ahead = robot.q + robot.underway if robot.low.size and np.isfinite(robot.low).any() else robot.q
+    ahead = robot.q_then
     horizon = max(damper_s, robot.period_s)
     low = np.clip((robot.low + margin - ahead) / horizon, -robot.speed, robot.speed)
     high = np.clip((robot.high - margin - ahead) / horizon, -robot.speed, robot.speed)
@@ -120,7 +120,7 @@ def border(seen: Observation, goal: Goal, robot: OwnModel, margin_px: float, rat
         return nothing
     uv = seen.uv[rows]
     L = pixel_interaction(goal.camera, points(seen)[rows])
-    uv = uv + L @ (robot.J @ robot.underway + target * robot.underway_s)
+    uv = uv + L @ (robot.way + target * robot.underway_s)
     distance, inwards = goal.camera.borders(uv)
     radius = 0.0 if seen.radius_px is None else seen.radius_px[rows][:, None]
     h = (distance - radius - margin_px).ravel()
@@ -147,5 +147,5 @@ def above_plane(seen: Observation, goal: Goal, robot: OwnModel, distance_m: floa
     normal, away = (normal, away) if away > 0 else (-normal, -away)  # towards the target
     # The camera's origin moves with v: its distance to a plane that stands still changes by -normal . v.
     v = robot.J[:3]
-    h = away - float(normal @ v @ robot.underway) - distance_m
+    h = away - float(normal @ robot.way[:3]) - distance_m
     return Group("plane", -(normal @ v)[None], np.array([-rate * h]))

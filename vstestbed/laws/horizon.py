@@ -101,7 +101,7 @@ def predict(p: Array, robot: OwnModel, blocks: PlanBlocks, plan: Array, relinear
     n, period = len(robot.names), robot.period_s
     mean, change = lagged(blocks, plan, robot.ordered, robot.lag_s / period)
     steps, size = len(mean), plan.size
-    p, q = transform(exp(-(robot.J @ robot.underway)), p), robot.q + robot.underway
+    p, q = transform(exp(-robot.way), p), robot.q_then
     D, Q = np.zeros((6, size)), np.zeros((n, size))
     out = Predicted(
         np.empty((steps, *p.shape)),

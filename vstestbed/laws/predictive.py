@@ -29,6 +29,8 @@ from vstestbed.robots.own_model import OwnModel
 
 GIVE_WAY = ("border", "positions", "twist", "shared", "acceleration")
 """Constraints in the order in which they give way; bounds of the next command by joint limits and speeds never do."""
+TRUST = 0.1
+"""Most motion in a period for which the prediction is linearised, in distances of the nearest marker and in rad."""
 LEAST_DEPTH_M = 1e-3
 """Depth under which no feature is computed [m]."""
 FREE, BOUND, UNSOLVED = 0, 1, 2 + len(GIVE_WAY)
@@ -54,6 +56,9 @@ class Predictive(LawBase):
     of the camera's twist. Where they contradict each other, they give way one after the other: border, positions (of later periods; the
     next command always stops before a joint limit), twist, shared, acceleration. The log's `law_mode` tells: 0 nothing binds, 1 a
     constraint binds, 2 to 6 the last of these that gave way, 7 the program was not solved, and the law rests.
+
+    One linearisation a frame holds for small motions: in a period the camera turns by 0.1 rad at most, and moves by 0.1 of its distance
+    from the nearest marker. A robot without limits of its own needs that.
 
     Without a binding constraint, latency and lag, it moves as `ibvs` of the same gain does with the current interaction matrix.
 
@@ -147,12 +152,18 @@ class Predictive(LawBase):
         u = plan.ravel()
         A, b = self._objective(ahead, goal, rows, robot, u)
         low, high, too_quick = self._bounds(robot, plan)
-        groups = [self._positions(ahead, robot, u), twist_limits_of(self.limits, ahead, blocks)]
+        groups = [self._positions(ahead, robot, u), twist_limits_of(self._trusted(p, robot.period_s), ahead, blocks)]
         groups += [_repeated(shared_limits(robot, float(plan[0, 0])), len(plan)), self._slopes(robot, blocks)]
         if self.margin_px is not None:
             groups.insert(0, self._border(ahead, seen, goal, rows, u))
         solution = minimise(A, b, low, high, tuple(groups))
         return solution, solution.gave_way + (("acceleration",) if too_quick and "acceleration" not in solution.gave_way else ())
+
+    def _trusted(self, p: Array, period_s: float) -> TwistLimits:
+        """The limits of the twist, and those within which the linearisation holds (TRUST)."""
+        speed, rate = TRUST * float(np.linalg.norm(p, axis=-1).min()) / period_s, TRUST / period_s
+        given = self.limits
+        return TwistLimits(speed_mps=min(speed, given.speed_mps or speed), rate_radps=min(rate, given.rate_radps or rate))
 
     def _objective(self, ahead: Predicted, goal: Goal, rows: Rows, robot: OwnModel, u: Array) -> tuple[Array, Array]:
         """A and b of the wanted A u = b."""

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from vstestbed.core.geometry import Array
+from vstestbed.core.geometry import Array, all_finite
 
 SOLVED = (1, 2)
 """Exit codes of the solver: solved, and solved with soft constraints violated."""
@@ -62,6 +62,8 @@ def minimise(A: Array, b: Array, low: Array, high: Array, groups: tuple[Group, .
     References: Arnström, Bemporad & Axehill 2022, doi:10.1109/TAC.2022.3176430 (the solver, DAQP); for the order in which constraints give
     way Escande, Mansard & Wieber 2014, doi:10.1177/0278364914521306.
     """
+    if not all(all_finite(part) for part in (A, b, *(part for group in groups for part in (group.A, group.low)))):
+        return Solution(None, failure="the quadratic program was not solved: it has numbers that are not finite")
     H = A.T @ A
     mean = float(np.trace(H)) / len(H)
     if mean <= 0:

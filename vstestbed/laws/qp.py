@@ -10,6 +10,7 @@ import numpy as np
 from annotated_types import Ge, Le
 from numpy.typing import NDArray
 
+from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import Distance, Pixels, PositiveGain, PositiveTime
 from vstestbed.core.spec import OneOf, spec
@@ -142,6 +143,9 @@ class QP(LawBase):
         self.law.check_view(goal, marker_radius_m, called)
         if self.margin_px is not None and len(goal.camera.panels) == 1:
             check_margin("law.margin_px", self.margin_px, goal, marker_radius_m, called)
+        if self.plane_m is not None and (distance := float(goal.normal @ goal.middle)) <= self.plane_m:
+            words = f"must be under {distance:.4g} m, the distance of the goal from the target's plane, which it would keep the camera off"
+            raise ParameterError("law.plane_m", words, self.plane_m)
 
     def init(self, goal: Goal) -> QPMemory:
         """The memory of the law within."""

@@ -17,12 +17,11 @@ from vstestbed.core.quantity import Angle, PositiveGain
 from vstestbed.core.spec import OneOf, spec
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.program import Group, Solution, minimise
+from vstestbed.laws.solve import PINV_RCOND
 from vstestbed.robots.own_model import OwnModel
 
 Weight = Annotated[float, Gt(0), Le(1e3)]
 Priority = Literal["weighted", "strict"]
-UNSEEN = 1e-3
-"""Singular values of the task under this share of the largest leave their direction to a strict secondary task."""
 STEP = 1e-5
 """Step of finite differences of the manipulability [rad, m]."""
 
@@ -145,7 +144,7 @@ def among_solutions(
     if not len(A):
         return solution
     _, s, Vt = np.linalg.svd(main)
-    N = Vt[int(np.count_nonzero(s > UNSEEN * s[0])) :].T
+    N = Vt[int(np.count_nonzero(s > PINV_RCOND * s[0])) :].T
     if N.shape[1] == 0:
         return solution
     # The bounds of x as inequalities of z, which z = 0 satisfies; rounding may have put x on the wrong side.

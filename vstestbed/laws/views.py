@@ -71,11 +71,11 @@ class Views:
             case _:
                 return true
 
-    def of_run(self, i: int, inputs: tuple[str, ...], period_s: float = 0.0) -> Observation:
+    def of_run(self, i: int, inputs: tuple[str, ...]) -> Observation:
         """What the law of run i is shown: of the costly fields those that it names."""
         rays = (self.ray[i], self.range[i]) if "ray" in inputs else (None, None)
         radius = self.radius_px[i] if "radius_px" in inputs else None
-        robot = OwnModel.of_ideal_camera(period_s) if "robot" in inputs else None
+        robot = OwnModel.of_ideal_camera(self.goal.camera.period) if "robot" in inputs else None
         uv = self.goal.camera.project(self.p[i])
         seen = self.xy[i], self.depth[i], self.T_camera_target[i]
         return Observation(self.t, uv, *seen, *rays, radius_px=radius, robot=robot)

@@ -37,18 +37,19 @@ class OwnRates:
             self._ordered, self._last = CommandHistory(len(model.names)), np.zeros(len(model.names))
         self._J = model.J
         since, age = shot.t - last.t, now.t - shot.t
-        moved = underway = np.zeros(len(model.names))
+        moved = underway = coming = np.zeros(len(model.names))
         if since > 0:
             moved = robot.displacement(last.reading, shot.reading, since, commanded, mount)
         if age > 0:
             underway = robot.displacement(shot.reading, now.reading, age, commanded, mount)
         if now.t_cmd > now.t:
-            underway = underway + self._ordered.displacement(now.t_cmd) - self._ordered.displacement(now.t)
+            coming = self._ordered.displacement(now.t_cmd) - self._ordered.displacement(now.t)
         return replace(
             model,
             moved=moved,
             since_s=since,
-            underway=underway,
+            underway=underway + coming,
+            coming=coming,
             underway_s=now.t_cmd - shot.t,
             ordered=self._last,
             period_s=self._period_s,

@@ -36,7 +36,8 @@ class OwnModel:
         lag_s: time constant with which velocities follow their orders [s].
         moved: displacement (n,) between the exposures of the last picture and this one, and since_s the time between them [s].
         underway: displacement (n,) from the exposure until this frame's command takes effect: measured until now, as ordered from then;
-            underway_s: that time [s]. ordered: the velocities ordered last (n,). period_s: time between pictures [s].
+            underway_s: that time [s]. coming: the part of it from now on (n,).
+        ordered: the velocities ordered last (n,). period_s: time between pictures [s].
     """
 
     names: tuple[str, ...]
@@ -61,6 +62,7 @@ class OwnModel:
     since_s: float = 0.0
     underway: Array = field(default_factory=lambda: NONE)
     underway_s: float = 0.0
+    coming: Array = field(default_factory=lambda: NONE)
     ordered: Array = field(default_factory=lambda: NONE)
     period_s: float = 0.04
 
@@ -85,9 +87,19 @@ class OwnModel:
     def of_ideal_camera(cls, period_s: float, moved: Array | None = None) -> OwnModel:
         """A camera that follows every twist at once and without limit; moved: displacement since the last picture (6,)."""
         zero = np.zeros(6)
-        values = {"underway": zero, "ordered": zero, "period_s": period_s, "moved": zero if moved is None else moved}
+        values = {"underway": zero, "coming": zero, "ordered": zero, "period_s": period_s, "moved": zero if moved is None else moved}
         since = 0.0 if moved is None else period_s
         return cls.of_motions(CAMERA, np.eye(6), np.full(6, np.inf), np.full(6, np.inf), since_s=since, **values)
+
+    @property
+    def q_then(self) -> Array:
+        """Positions (n,) when this frame's command takes effect."""
+        return self.q + self.coming
+
+    @property
+    def way(self) -> Array:
+        """The camera's own displacement (6,) from the exposure until this frame's command takes effect [m, rad], by J halfway."""
+        return self.jacobian(self.q_then - self.underway / 2) @ self.underway
 
     def positions(self, given: tuple[float, ...]) -> Array:
         """Positions (n,) given in degrees, in metres where a joint slides.
@@ -96,5 +108,5 @@ class OwnModel:
             ParameterError: another number of them.
         """
         if len(given) != len(self.names):
-            raise ParameterError("q_deg", f"must be {len(self.names)} positions, of {', '.join(self.names)}", list(given))
+            raise ParameterError("law.secondary.q_deg", f"must be {len(self.names)} positions, of {', '.join(self.names)}", list(given))
         return np.where(self.slides, given, np.radians(given)) if len(self.slides) else np.radians(given)

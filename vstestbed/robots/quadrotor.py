@@ -50,6 +50,7 @@ FAR_M = 100.0
 """A measured range beyond this, or none, is given to a learned policy as this [m]."""
 READINGS_AHEAD = 64
 """For how many readings noise is drawn at once."""
+NO_JOINTS = np.zeros(0)
 LEVEL_AXES = [0, 1, 2, 5]
 """Indices of vx, vy, vz and wz in a twist: the four velocities that a level craft can track."""
 
@@ -190,9 +191,8 @@ class Quadrotor(RobotBase):
         return speeds, np.array([level, level, climb, np.inf])
 
     def own_model(self, reading: Reading, mount: Mount) -> OwnModel:
-        """(vx, vy, vz, wz), with its tilt, and the lag of its velocity loop."""
-        own = {"tilt": reading.tilt, "most_tilt_rad": math.radians(self.gains.tilt_deg), "lag_s": 1 / self.gains.velocity}
-        return replace(super().own_model(reading, mount), **own)
+        """(vx, vy, vz, wz), with its tilt; a lag of first order would not describe its flight loops."""
+        return replace(super().own_model(reading, mount), tilt=reading.tilt, most_tilt_rad=math.radians(self.gains.tilt_deg))
 
     def noise(self, rng: np.random.Generator) -> Iterator[list[float]]:
         """Noise and bias (10,) of gyro, accelerometer, velocity and range, of one reading after the other."""
@@ -297,4 +297,4 @@ class Quadrotor(RobotBase):
             overturned=memory.overturned,
             stands=self.stands(memory, reading),
         )
-        return FlightReading(*np.zeros((2, 0)), tilt=tilt, range_m=reading.range_m, estimate=estimate)
+        return FlightReading(NO_JOINTS, NO_JOINTS, tilt=tilt, range_m=reading.range_m, estimate=estimate)

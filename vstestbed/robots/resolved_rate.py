@@ -35,17 +35,17 @@ def resolved_rate(J: Array, twist: Array, unit_m: float, threshold: float = THRE
     """
     scale = unit_scale(unit_m)
     U, s, Vt = np.linalg.svd(J * scale[:, None], full_matrices=False)
-    damping2 = _damping2(s, threshold)
+    damping2 = _damping2(float(s[-1]), threshold)
     return Vt.T @ (s / (s**2 + damping2) * (U.T @ (twist * scale)))
 
 
 def singularity_damping2(J: Array, unit_m: float, threshold: float = THRESHOLD) -> float:
     """The lambda^2 of `resolved_rate`: 0 away from singularities."""
-    return _damping2(np.linalg.svd(J * unit_scale(unit_m)[:, None], compute_uv=False), threshold)
+    return _damping2(float(np.linalg.svd(J * unit_scale(unit_m)[:, None], compute_uv=False)[-1]), threshold)
 
 
-def _damping2(s: Array, threshold: float) -> float:
-    return max(0.0, threshold**2 - float(s[-1]) ** 2)
+def _damping2(least: float, threshold: float) -> float:
+    return max(0.0, threshold**2 - least**2)
 
 
 @functools.cache

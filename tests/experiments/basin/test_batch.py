@@ -17,7 +17,7 @@ from vstestbed.experiments.basin.batch import fly
 from vstestbed.experiments.basin.setup import ideal, start_of, started_at
 from vstestbed.features import FEATURES, LineFeature, Polar, Polygon
 from vstestbed.features.depth import AtGoal, Constant, Estimate, OracleDepth
-from vstestbed.laws import IBVS, LAWS, PBVS, Hybrid, Law, Partitioned
+from vstestbed.laws import IBVS, LAWS, PBVS, QP, Hybrid, Law, Partitioned
 from vstestbed.laws.base import AdaptiveGain, ConstantGain, TwistLimits
 from vstestbed.laws.solve import Solve
 from vstestbed.laws.visibility import Visibility
@@ -90,6 +90,8 @@ EVERY = {
         if kind != "polygon"
     },
     "ibvs_current": IBVS(gain=FAST),
+    "qp_desired": QP(law=IBVS(gain=FAST, interaction="desired")),
+    "qp_pose": QP(law=PBVS(gain=FAST), margin_px=20.0),
     "ibvs_desired": IBVS(gain=FAST, interaction="desired"),
     "ibvs_adaptive": IBVS(gain=AdaptiveGain(at_zero=3, at_infinity=1, slope_at_zero=10)),
     "ibvs_smooth": IBVS(gain=FAST, smooth_start_s=0.3),
