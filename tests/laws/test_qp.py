@@ -137,7 +137,7 @@ def test_a_twist_limit_is_kept_by_what_remains_of_the_motion() -> None:
 
 def test_contradicting_constraints_give_way_and_the_log_tells() -> None:
     # Nearer to the plane than allowed: it must go back faster than the twist limit lets it.
-    law = QP(law=PBVS(), plane_m=0.95, limits=TwistLimits(speed_mps=0.05), barrier_per_s=3.0)
+    law = QP(law=PBVS(), plane_m=0.95, limits=TwistLimits(speed_mps=0.05), barrier_gain=3.0)
     recording, frames = flown(law, changes={"stop.duration_s": 1.0} | start_turned(0.0, 0.2))
     assert law.modes[4] == "plane gave way" and 4 in {frame.command.mode for frame in frames}
     np.testing.assert_array_equal(recording.frame()["law_mode"], [frame.command.mode for frame in frames])

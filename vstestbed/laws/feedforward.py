@@ -193,7 +193,7 @@ class Smith:
     The others estimate the target's motion, too; errors of the robot's own motion then come back as motion of the target.
 
     Args:
-        predict_s: prediction horizon after the exposure [s]; null: until the picture has arrived, whatever its latency.
+        predict_s: prediction horizon after the exposure [s]; null: until the picture has arrived, whatever its latency; e.g. `0.04`.
 
     Reference: Smith 1957, Closer control of loops with dead time, Chem. Eng. Prog. 53(5), 217-219.
     """

@@ -66,7 +66,8 @@ class Predictive(LawBase):
         gain: decay of the wanted error [1/s]. Where gain K T is under .5, the wanted way is little more than its beginning, and the camera
             retreats from a large rotation about its axis as that of `ibvs` does.
         feature: the feature s.
-        horizon: K, number of periods that are predicted. blocks: B, number of velocities in a plan.
+        horizon: K, number of periods that are predicted [1].
+        blocks: B, number of velocities in a plan, at most the horizon [1].
         model: `global` takes interaction matrix and Jacobian along the predicted way, `local` those of now throughout.
         effort: weight of squared velocities, as a share of the features' largest [1].
         margin_px: distance of the markers' edges from the border of the picture [px]; None: no such constraint.

@@ -45,8 +45,8 @@ class Large:
     The projections are orthogonal in the joint space of the robot, which takes its secondary task as near as it can to the one wanted.
 
     Args:
-        near: remaining motion under which the operator is the classical one [m or rad].
-        far: remaining motion above which it is P_|e| alone [m or rad], over `near`.
+        near: remaining motion under which the operator is the classical one [rad; m for translations].
+        far: remaining motion above which it is P_|e| alone, over `near` [rad; m for translations].
 
     Reference: Marey & Chaumette 2010, doi:10.1109/ROBOT.2010.5509296 (the operator; there the share is a function of |e|) and
     doi:10.1109/IROS.2010.5650967 (for joint limits).

@@ -76,10 +76,10 @@ class QP(LawBase):
     Args:
         law: whose motion is wanted: ibvs, pbvs, hybrid or partitioned, with its parameters.
         margin_px: distance of the markers' edges from the border of the picture [px]; None: no such constraint.
-        barrier_per_s: rate of the barriers [1/s]: a marker may approach the border no faster than the distance times it.
-        plane_m: least distance of the camera from the plane of the target's markers [m]; None: no such constraint.
-        least_singular_value: of the Jacobian, lengths in the arm's own unit; under .05 all laws' velocities are damped. The arm does not
-            leave its branch through a singularity of the wrist. 0: no such constraint.
+        barrier_gain: rate of the barriers [1/s]: a marker may approach the border no faster than the distance times it.
+        plane_m: least distance of the camera from the plane of the target's markers [m]; None: no such constraint; e.g. `0.3`.
+        least_singular_value: of the Jacobian, lengths in the arm's own unit [1]; under .05 all laws' velocities are damped. The arm
+            does not leave its branch through a singularity of the wrist. 0: no such constraint.
         joint_margin: distance from its limit at which a joint comes to rest [rad; m for one that slides].
         damper_s: in which time a joint may reach that margin [s].
         accelerations: whether the robot's accelerations count.
@@ -93,7 +93,7 @@ class QP(LawBase):
     kind: Literal["qp"] = "qp"
     law: Annotated[IBVS | Partitioned | PBVS | Hybrid, SERVO] = IBVS()
     margin_px: Pixels | None = 5.0
-    barrier_per_s: PositiveGain = 3.0
+    barrier_gain: PositiveGain = 3.0
     plane_m: Distance | None = None
     least_singular_value: Annotated[float, Ge(0), Le(1)] = 0.05
     joint_margin: Annotated[float, Ge(0), Le(1)] = 0.035
@@ -199,7 +199,7 @@ class QP(LawBase):
         L = pixel_interaction(goal.camera, (views.ray * views.range[..., None]).reshape(-1, 3)).reshape(M, N, 2, 6)
         uv_dot = np.einsum("mnki,mi->mnk", L, twist).reshape(-1, 2)
         h_dot = np.einsum("nbk,nk->nb", inwards, uv_dot).reshape(M, -1)
-        return (h_dot < -self.barrier_per_s * h).any(axis=1) | binds.any(axis=1)
+        return (h_dot < -self.barrier_gain * h).any(axis=1) | binds.any(axis=1)
 
     def _solved(self, wanted: Command, seen: Observation, goal: Goal, robot: OwnModel) -> tuple[Solution, tuple[str, ...]]:
         """The velocities, and the words of what gave way, in the order of GIVE_WAY."""
@@ -218,11 +218,11 @@ class QP(LawBase):
         """The inequalities, the softest first."""
         groups = []
         if self.least_singular_value > 0:
-            groups.append(off_singularities(robot, self.least_singular_value, self.barrier_per_s))
+            groups.append(off_singularities(robot, self.least_singular_value, self.barrier_gain))
         if self.margin_px is not None:
-            groups.append(border(seen, goal, robot, self.margin_px, self.barrier_per_s, np.zeros(6)))
+            groups.append(border(seen, goal, robot, self.margin_px, self.barrier_gain, np.zeros(6)))
         if self.plane_m is not None:
-            groups.append(above_plane(seen, goal, robot, self.plane_m, self.barrier_per_s))
+            groups.append(above_plane(seen, goal, robot, self.plane_m, self.barrier_gain))
         return (*groups, twist_limits(self.limits, robot.J), shared_limits(robot, float(robot.J[:, 0] @ wanted.twist)))
 
     def _metric(self, seen: Observation) -> Array:

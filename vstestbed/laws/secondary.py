@@ -31,9 +31,9 @@ class PosturePull:
     """Joints towards a posture: x = gain (q* - q).
 
     Args:
-        q_deg: the posture [deg; m for a joint that slides]; by default that of the start.
+        q_deg: the posture [deg; m for a joint that slides]; by default that of the start; e.g. `[0, 45, -180, 0, 45, -45]`.
         gain: of the approach [1/s].
-        weight: of the squared difference from that, beside the law's rows.
+        weight: of the squared difference from that, beside the law's rows [1].
         priority: `weighted` beside the law, or `strict`: only motions that the law's features do not see.
     """
 
@@ -55,7 +55,7 @@ class StraightPath:
     """The camera's origin on the straight line to its goal: no velocity across it.
 
     Args:
-        weight: of the squared velocity across [per m^2/s^2], beside the law's rows.
+        weight: of the squared velocity across, beside the law's rows [1].
         priority: `weighted` beside the law, or `strict`: only motions that the law's features do not see.
     """
 
@@ -81,7 +81,7 @@ class Manipulability:
 
     Args:
         gain: size of the velocity up the gradient [rad/s].
-        weight: of the squared difference from it, beside the law's rows.
+        weight: of the squared difference from it, beside the law's rows [1].
         priority: `weighted` beside the law, or `strict`: only motions that the law's features do not see.
 
     Reference: Yoshikawa 1985, doi:10.1177/027836498500400201.
