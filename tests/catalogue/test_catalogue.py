@@ -20,7 +20,7 @@ from vstestbed.core.geometry import Pose
 from vstestbed.features import FEATURES
 from vstestbed.laws import IBVS, LAWS, PBVS
 from vstestbed.laws.conditions import Until
-from vstestbed.laws.switched import Part
+from vstestbed.laws.switched import Turn
 from vstestbed.robots import ROBOTS, Free
 from vstestbed.robots.free import FreeStart
 from vstestbed.targets import TARGETS, GroundLines, MeshTarget, PictureTarget, Points, Square
@@ -35,7 +35,7 @@ from vstestbed.vision import DETECTORS, Tags
 from vstestbed.vision.perturb import PERTURBATIONS
 
 POLICY = {"file": str(Path(wrong.__file__).with_name("policy.py")) + ":Smooth"}
-TURNS = (Part(law=IBVS(gain=1.0), until=Until(error_under_px=20.0)), Part(law=PBVS(gain=1.0)))
+TURNS = (Turn(law=IBVS(gain=1.0), until=Until(error_under_px=20.0)), Turn(law=PBVS(gain=1.0)))
 LAW_PARAMETERS = {word: {"gain": 1.0} for word in ("partitioned", "pbvs", "hybrid", "ibvs")} | {
     "policy": POLICY,
     "switched": {"laws": TURNS},

@@ -43,7 +43,7 @@ def draw(place: Path) -> None:
         for at, row in zip(d, limits, strict=True):
             if row.get("unlimited"):
                 right.annotate("", (at, 1.5 * row["gain_limit"]), (at, row["gain_limit"]), arrowprops={"arrowstyle": "->", "color": colour})
-    left.set(xlabel="latency [ms]", ylabel="time to converge [s], gain 4 1/s", ylim=(0, None))
+    left.set(xlabel="latency [ms]", ylabel="time to converge [s], gain 4 1/s", ylim=(0, 26))
     right.set(xlabel="delay [ms]", ylabel="gain limit [1/s]", yscale="log", ylim=(4, 300))
     for axes in (left, right):
         axes.grid(alpha=0.3)
