@@ -60,7 +60,7 @@ def test_points_retreat_to_infinity_only_near_the_half_turn():
 def test_a_comparison_names_its_laws():
     found = laws(chosen(["canonical"], {"camera.rate_hz": 5}, {}, None))
     assert [label for label, _ in found][:3] == ["points", "points_desired", "points_mean"]
-    assert len(found) == 14 and all(s.camera.rate_hz == 5 for _, s in found)
+    assert len(found) == 15 and all(s.camera.rate_hz == 5 for _, s in found)
     found = laws(chosen(["ibvs_book"], {}, {"law.interaction": ("current", "mean")}, None), "unlimited")
     assert [label for label, _ in found] == ["interaction=current", "interaction=mean"]
 
