@@ -15,6 +15,7 @@ from vstestbed.experiments.basin.setup import started_at
 from vstestbed.features.depth import Constant
 from vstestbed.laws import IBVS, PBVS, QP, Hybrid, Law, Partitioned, Predictive, program
 from vstestbed.laws.base import TwistLimits
+from vstestbed.laws.feedforward import KalmanCA
 from vstestbed.laws.secondary import Manipulability, PosturePull, StraightPath, manipulability
 from vstestbed.testing import check_law
 
@@ -193,3 +194,11 @@ def test_manipulability_grows_along_its_task() -> None:
     np.testing.assert_array_equal(rows, np.eye(6))
     assert np.linalg.norm(wanted) == pytest.approx(0.1)
     assert manipulability(model.jacobian(q + 0.05 * wanted)) > manipulability(model.J)
+
+
+def test_prediction_follows_a_target_that_moves() -> None:
+    off = {}
+    for name, law in (("without", Predictive()), ("with", Predictive(feedforward=KalmanCA()))):
+        _, frames = flown(law, "arm_track_circle", {"stop.duration_s": 4.0})
+        off[name] = float(np.median([frame.error.rms_px for frame in frames[50:]]))
+    assert off["with"] < 0.4 * off["without"]

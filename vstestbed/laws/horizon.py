@@ -10,6 +10,9 @@ import numpy as np
 from vstestbed.core.geometry import Array, adjoint, exp, skew, transform
 from vstestbed.robots.own_model import OwnModel
 
+STILL = np.zeros(6)
+"""The motion of a target that stands still."""
+
 
 @dataclass(frozen=True, slots=True)
 class Predicted:
@@ -89,19 +92,20 @@ def lagged(blocks: PlanBlocks, plan: Array, before: Array, lag: float) -> tuple[
     return np.array(means), np.array(changes)
 
 
-def predict(p: Array, robot: OwnModel, blocks: PlanBlocks, plan: Array, relinearise: bool) -> Predicted:
+def predict(p: Array, robot: OwnModel, blocks: PlanBlocks, plan: Array, relinearise: bool, target: Array = STILL) -> Predicted:
     """What a plan (B, n) does, from markers p (N, 3) [m] in the camera frame at the exposure.
 
     The camera's pose follows T <- T exp(period J mean) exactly; a small change d of the pose before a period has become
     Ad(exp(-period J mean)) d at its end, to which period J times the change of the velocity is added, less half of its bracket with the
     twist: the derivative of the exponential to second order.
 
-    relinearise: J at the predicted positions; else that of now throughout.
+    relinearise: J at the predicted positions; else that of now throughout. target: camera twist (6,) that would move the markers as the
+        target's own motion does.
     """
     n, period = len(robot.names), robot.period_s
     mean, change = lagged(blocks, plan, robot.ordered, robot.lag_s / period)
     steps, size = len(mean), plan.size
-    p, q = transform(exp(-robot.way), p), robot.q_then
+    p, q = transform(exp(-(robot.way + target * robot.underway_s)), p), robot.q_then
     D, Q = np.zeros((6, size)), np.zeros((n, size))
     out = Predicted(
         np.empty((steps, *p.shape)),
@@ -116,7 +120,7 @@ def predict(p: Array, robot: OwnModel, blocks: PlanBlocks, plan: Array, relinear
     way = mean * period
     for k in range(steps):
         J = robot.jacobian(q) if relinearise else robot.J
-        twist = J @ way[k]
+        twist = J @ way[k] + target * period
         back, change = exp(-twist), J @ each[k]
         D = adjoint(back) @ D + change - _bracket(twist) @ change / 2
         p, q, Q = transform(back, p), q + way[k], Q + each[k]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Literal
 
 import numpy as np
@@ -19,8 +19,10 @@ from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.base import Command, LawBase, TwistLimits
 from vstestbed.laws.carry import points
 from vstestbed.laws.constraints import shared_limits, twist_limits, velocity_bounds
-from vstestbed.laws.horizon import PlanBlocks, Predicted, predict
-from vstestbed.laws.ibvs import IBVS
+from vstestbed.laws.feedforward import Feedforward, NoFeedforward
+from vstestbed.laws.following import inputs_of
+from vstestbed.laws.horizon import STILL, PlanBlocks, Predicted, predict
+from vstestbed.laws.ibvs import IBVS, IBVSMemory
 from vstestbed.laws.program import Group, Solution, minimise
 from vstestbed.laws.select import Rows, usable_rows
 from vstestbed.laws.solve import least_squares
@@ -38,9 +40,10 @@ FREE, BOUND, UNSOLVED = 0, 1, 2 + len(GIVE_WAY)
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """The velocities planned in the last frame (B, n); None before the first."""
+    """The velocities planned in the last frame (B, n), None before the first, and the state of the target's estimated motion."""
 
     rates: Array | None = None
+    tracked: IBVSMemory = field(default_factory=IBVSMemory)
 
 
 @spec
@@ -76,6 +79,7 @@ class Predictive(LawBase):
         accelerations: whether the robot's accelerations count.
         depth: source of Z (for `spherical`, of the range).
         limits: largest speed and rate of the camera's twist, here as a constraint.
+        feedforward: estimates the motion of the target, as that of `ibvs` does; it goes on over the horizon.
 
     References: Allibert, Courtial & Chaumette 2010, doi:10.1109/TRO.2010.2056590; Sauvée, Poignet, Dombre & Courtial 2006,
     doi:10.1109/CDC.2006.377808; one step of sequential quadratic programming a frame: Diehl, Bock & Schlöder 2005,
@@ -95,12 +99,13 @@ class Predictive(LawBase):
     accelerations: bool = True
     depth: Depth = PnP()
     limits: TwistLimits = TwistLimits()
+    feedforward: Feedforward = NoFeedforward()
     modes = ("free", "constrained", *(f"{word} gave way" for word in GIVE_WAY), "not solved")
 
     @property
     def inputs(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride] - a property in place of a constant
         """The inputs of the feature, the robot, and the markers' radii for the border."""
-        return (*self.feature.inputs, "robot", *(("radius_px",) if self.margin_px is not None else ()))
+        return (*self.feature.inputs, "robot", *(("radius_px",) if self.margin_px is not None else ()), *inputs_of(self.feedforward))
 
     def markers_needed(self, basis: Array) -> int:
         """As many as `ibvs` with this feature."""
@@ -126,9 +131,10 @@ class Predictive(LawBase):
             return Plan(), Command.rest(basis, rows)
         robot = observation.robot
         assert robot is not None
+        tracked, target = self._target(memory.tracked, observation, goal, basis)
         blocks = PlanBlocks.of(self.horizon, self.blocks)
         plan = np.tile(robot.ordered, (len(blocks.lengths), 1)) if memory.rates is None else blocks.shifted(memory.rates)
-        solution, gave_way = self._solved(rows, observation, goal, robot, blocks, plan)
+        solution, gave_way = self._solved(rows, observation, goal, robot, blocks, plan, target)
         if solution.x is None:
             return Plan(), replace(Command.rest(basis, solution.failure), mode=UNSOLVED)
         plan = solution.x.reshape(plan.shape)
@@ -137,17 +143,25 @@ class Predictive(LawBase):
         scale = self.limits.scale(twist)
         rates, twist = plan[0] * scale, twist * scale
         u = twist if basis.shape == (6, 6) else least_squares(basis, twist)
-        return Plan(plan), Command(u, twist, scale=scale, rates=rates, mode=mode)
+        return Plan(plan, tracked), Command(u, twist, scale=scale, rates=rates, mode=mode)
+
+    def _target(self, memory: IBVSMemory, seen: Observation, goal: Goal, basis: Array) -> tuple[IBVSMemory, Array]:
+        """The next state of the estimate, and the camera twist (6,) that would move the markers as the target's own motion does."""
+        if not inputs_of(self.feedforward):
+            return memory, STILL
+        memory, _ = IBVS(feature=self.feature, depth=self.depth, feedforward=self.feedforward).step(memory, seen, goal, basis)
+        trend = memory.followed.trend
+        return memory, STILL if trend is None else basis @ trend.rate
 
     def _solved(
-        self, rows: Rows, seen: Observation, goal: Goal, robot: OwnModel, blocks: PlanBlocks, plan: Array
+        self, rows: Rows, seen: Observation, goal: Goal, robot: OwnModel, blocks: PlanBlocks, plan: Array, target: Array
     ) -> tuple[Solution, tuple[str, ...]]:
         """The plan as one vector, and the words of what gave way, in the order of GIVE_WAY."""
         p = points(seen)[rows]
-        ahead = predict(p, robot, blocks, plan, self.model == "global")
+        ahead = predict(p, robot, blocks, plan, self.model == "global", target)
         if not _in_front(ahead.p, self.feature):  # of a plan that flies through the target nothing can be predicted
             plan = np.zeros_like(plan)
-            ahead = predict(p, robot, blocks, plan, self.model == "global")
+            ahead = predict(p, robot, blocks, plan, self.model == "global", target)
             if not _in_front(ahead.p, self.feature):
                 return Solution(None, failure="a marker is predicted behind the camera"), ()
         u = plan.ravel()

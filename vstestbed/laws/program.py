@@ -62,7 +62,7 @@ def minimise(A: Array, b: Array, low: Array, high: Array, groups: tuple[Group, .
     References: Arnström, Bemporad & Axehill 2022, doi:10.1109/TAC.2022.3176430 (the solver, DAQP); for the order in which constraints give
     way Escande, Mansard & Wieber 2014, doi:10.1177/0278364914521306.
     """
-    if not all(all_finite(part) for part in (A, b, *(part for group in groups for part in (group.A, group.low)))):
+    if not _finite(A, b, groups):
         return Solution(None, failure="the quadratic program was not solved: it has numbers that are not finite")
     H = A.T @ A
     mean = float(np.trace(H)) / len(H)
@@ -70,7 +70,7 @@ def minimise(A: Array, b: Array, low: Array, high: Array, groups: tuple[Group, .
         return Solution(np.clip(np.zeros(len(H)), low, high))
     H, f = H / mean, -(A.T @ b) / mean
     H[np.diag_indices_from(H)] += REGULARISATION
-    groups = tuple(group for group in groups if len(group.A))
+    groups = _given(groups)
     rows, floor = _normalised(groups, len(H))
     upper, lower = np.concatenate([high, np.full(len(rows), np.inf)]), np.concatenate([low, floor])
     firm = len(low)
@@ -86,6 +86,14 @@ def minimise(A: Array, b: Array, low: Array, high: Array, groups: tuple[Group, .
         if code != INFEASIBLE:
             break
     return Solution(None, failure=f"the quadratic program was not solved: {_named(code)}")
+
+
+def _finite(A: Array, b: Array, groups: tuple[Group, ...]) -> bool:
+    return all(all_finite(part) for part in (A, b, *(part for group in groups for part in (group.A, group.low))))
+
+
+def _given(groups: tuple[Group, ...]) -> tuple[Group, ...]:
+    return tuple(group for group in groups if len(group.A))
 
 
 def _named(code: int) -> str:
