@@ -182,11 +182,13 @@ def test_a_law_that_fails_ends_the_run(monkeypatch: pytest.MonkeyPatch):
     assert "raised ZeroDivisionError: of its own" in recording.reason
 
 
-def test_a_law_of_ones_own_may_be_one_of_them():
-    own = {"law": {"kind": "broyden", "gain": 1}, "until": {"error_under_px": 100}}
+def test_a_law_of_ones_own_may_be_one_of_them(tmp_path: Path):
+    plugin = tmp_path / "nested.py"  # a word of its own: kinds stay registered in this process, and another test loads the example
+    plugin.write_text(BROYDEN.read_text(encoding="utf-8").replace('"broyden"', '"nested_broyden"'), encoding="utf-8")
+    own = {"law": {"kind": "nested_broyden", "gain": 1}, "until": {"error_under_px": 100}}
     changes = {"law": {"kind": "switched", "laws": [own, "pbvs"]}, "detector": "oracle", "stop.duration_s": 6}
-    recording = vs.run(vs.load("ibvs_book", changes, plugins=[str(BROYDEN)]))
-    assert set(recording["law_mode"]) == {0, 1} and recording.scenario.law.modes == ("broyden", "pbvs")
+    recording = vs.run(vs.load("ibvs_book", changes, plugins=[str(plugin)]))
+    assert set(recording["law_mode"]) == {0, 1} and recording.scenario.law.modes == ("nested_broyden", "pbvs")
 
 
 def test_a_batch_flies_it_as_a_run_does():
