@@ -80,6 +80,15 @@ def test_displacements_are_those_of_the_joints_in_the_log() -> None:
     np.testing.assert_allclose(then, q[6 : 6 + len(then)], atol=2e-3)
 
 
+def test_a_camera_without_sensors_knows_its_way_by_its_orders() -> None:
+    models, frames = models_of("ibvs_book", {"camera.latency_s": 0.04, "camera.rate_hz": 25, "law.gain": 0.2})
+    T = [frame.truth.T_world_camera for frame in frames]
+    for k in range(4, len(models)):
+        np.testing.assert_allclose(models[k].moved, log(inverse(T[k - 1]) @ T[k]), atol=2e-4)
+    for k in range(4, len(models) - 1):  # the latency is one frame
+        np.testing.assert_allclose(models[k].underway, log(inverse(T[k]) @ T[k + 1]), atol=2e-4)
+
+
 def test_the_joints_ordered_are_those_of_the_last_command() -> None:
     models, frames = models_of("arm_ibvs", {})
     for model, before in zip(models[1:], frames, strict=False):

@@ -228,7 +228,7 @@ class Controller:
         observed = self.observer.observe(self.observer_memory, shot.t, detection, twist, self.rng, heading, tilt, own)
         self.observer_memory, seen = observed
         if self._own_rates is not None:
-            seen = replace(seen, robot=self._own_rates.model(last, shot, now, twist, self._mount_at(now.reading.q)))
+            seen = replace(seen, robot=self._own_rates.model(last, shot, now, self._mount_at(now.reading.q)))
         if self._needs_own_state:
             return replace(seen, proprioception=s.robot.proprioception(shot.reading, seen.odometry))
         return seen

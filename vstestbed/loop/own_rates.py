@@ -9,7 +9,7 @@ import numpy as np
 from vstestbed.core.geometry import Array
 from vstestbed.loop.command_history import CommandHistory
 from vstestbed.loop.exposure import Arrival, Exposure
-from vstestbed.robots import Allocation, Mount, Robot
+from vstestbed.robots import Allocation, Mount, Reading, Robot
 from vstestbed.robots.own_model import OwnModel
 
 
@@ -26,34 +26,36 @@ class OwnRates:
         self._last = np.zeros(0)
         self._J = np.zeros((6, 0))
 
-    def model(self, last: Exposure, shot: Exposure, now: Arrival, commanded: Array, mount: Mount) -> OwnModel:
+    def model(self, last: Exposure, shot: Exposure, now: Arrival, mount: Mount) -> OwnModel:
         """What the controller knows of its robot when a picture has arrived.
 
-        last, shot: the last exposure and this one. commanded: the last camera twist (6,). mount: of the camera now.
+        last, shot: the last exposure and this one. mount: of the camera now.
         """
-        robot = self._robot
-        model = robot.own_model(now.reading, mount)
+        model = self._robot.own_model(now.reading, mount)
         if self._ordered is None:
             self._ordered, self._last = CommandHistory(len(model.names)), np.zeros(len(model.names))
         self._J = model.J
-        since, age = shot.t - last.t, now.t - shot.t
-        moved = underway = coming = np.zeros(len(model.names))
-        if since > 0:
-            moved = robot.displacement(last.reading, shot.reading, since, commanded, mount)
-        if age > 0:
-            underway = robot.displacement(shot.reading, now.reading, age, commanded, mount)
-        if now.t_cmd > now.t:
-            coming = self._ordered.displacement(now.t_cmd) - self._ordered.displacement(now.t)
+        moved = self._displacement(last.t, last.reading, shot.t, shot.reading, mount)
+        underway = self._displacement(shot.t, shot.reading, now.t, now.reading, mount)
+        coming = self._ordered.displacement(now.t_cmd) - self._ordered.displacement(now.t)
         return replace(
             model,
             moved=moved,
-            since_s=since,
+            since_s=shot.t - last.t,
             underway=underway + coming,
             coming=coming,
             underway_s=now.t_cmd - shot.t,
             ordered=self._last,
             period_s=self._period_s,
         )
+
+    def _displacement(self, since: float, before: Reading, until: float, after: Reading, mount: Mount) -> Array:
+        """How far the velocities have led (n,) between two readings; as ordered where the robot has no sensors of its motion."""
+        assert self._ordered is not None
+        ordered, duration = self._ordered.displacement(until) - self._ordered.displacement(since), until - since
+        if duration <= 0:
+            return np.zeros(len(ordered))
+        return self._robot.displacement(before, after, duration, self._J @ ordered / duration, mount)
 
     def order(self, t_cmd: float, allocation: Allocation) -> None:
         """An allocation takes effect at t_cmd [s]."""
