@@ -9,7 +9,6 @@ from typing import Any, Literal
 
 import numpy as np
 
-from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.features.rated import Rated
 
@@ -17,8 +16,6 @@ Of = Literal["points", "region"]
 """Moments are sums over points, or integrals over the region within a closed outline."""
 LEAST_AREA = 1e-12
 """Area of a region in normalised coordinates that counts instead of a smaller one: a thousandth of a pixel wide."""
-UNEVEN = 0.01
-"""Scatter of points off their plane, as a share of their largest scatter in it, from which they count as not in one plane."""
 FLAT = 1e-9
 """Ratio of the scatters of points across and along a line under which they do not tell how a plane is tilted about it."""
 
@@ -72,18 +69,6 @@ def fitted_plane(xy: Array, depth: Array) -> Array:
     AB = np.linalg.pinv(scatter, FLAT, hermitian=True) @ (np.swapaxes(d, -1, -2) @ (inverse - mean[..., None])[..., None])
     C = mean - np.einsum("...k,...k->...", AB[..., 0], middle)
     return np.concatenate([AB[..., 0], C[..., None]], axis=-1)
-
-
-def require_plane(xy: Array, depth: Array, kind: str) -> None:
-    """Refuse points xy (N, 2) at depths (N,) [m] that do not lie in one plane, which a feature of this kind takes them to do.
-
-    Raises:
-        ParameterError: it names the target.
-    """
-    p = np.column_stack([xy, np.ones(len(xy))]) * np.asarray(depth)[:, None]
-    spread = np.linalg.svd(p - p.mean(axis=0), compute_uv=False)
-    if spread[-1] > UNEVEN * spread[0]:
-        raise ParameterError("target", f"must have its markers in one plane for the feature {kind}; use point, or another target")
 
 
 @dataclass(frozen=True)
@@ -211,3 +196,11 @@ class MomentSet:
         wy = wy + p * n20 * mu(p - 1, q) + q * n11 * mu(p, q - 1)
         vx, vy = -(p + d) * A * here - p * B * over, -q * A * under - (q + d) * B * here
         return np.stack([vx, vy, -A * wy + B * wx + (p + q + 2 * d) * C * here, wx, wy, p * over - q * under], axis=-1)
+
+
+def place(m: MomentSet, row: str) -> Any:
+    """The row xg, yg, area, an = 1/sqrt(area), xn = xg an or yn = yg an, as an array (...) or as a Rated."""
+    plain = {"g": 1.0, "n": m.area**-0.5}
+    if row in ("area", "an"):
+        return m.area if row == "area" else plain["n"]
+    return (m.xg if row[0] == "x" else m.yg) * plain[row[1]]

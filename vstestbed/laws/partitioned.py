@@ -30,7 +30,7 @@ from vstestbed.laws.following import (
     inputs_of,
     usable_markers,
 )
-from vstestbed.laws.select import NO_AREA, Rows, require_area
+from vstestbed.laws.select import NO_AREA, Rows, check_goal
 from vstestbed.laws.solve import Solve, least_squares
 from vstestbed.laws.views import Views
 from vstestbed.laws.visibility import Visibility
@@ -126,14 +126,14 @@ class Partitioned(LawBase):
         return (*_POINT.inputs, *inputs_of(self.feedforward), *self.visibility.inputs)
 
     def check(self, points: Array, goal: Goal) -> None:
-        """Refuse fewer than four markers, and a goal view without an area (`require_area`).
+        """Refuse fewer than four markers, and a goal view without an area (`Polygon.check_goal`).
 
         Three have the same image from up to four poses: there the points' error vanishes, and with it those of size and angle.
         """
         if len(points) < 4:
             words = f"has {len(points)} markers, and law partitioned needs 4 or more: three look as at the goal from up to four poses"
             raise ParameterError("target", words)
-        require_area(goal)
+        check_goal(_POLYGON, goal)
 
     def init(self, goal: Goal) -> PartitionedMemory:
         """No rotation chosen so far."""
