@@ -27,14 +27,15 @@ class Ellipse:
                    n20 = (A^2 cos^2 t + B^2 sin^2 t)/4, n11 = (A^2 - B^2) sin t cos t/4, n02 = (A^2 sin^2 t + B^2 cos^2 t)/4
     xn, yn, an     xg/sqrt(a), yg/sqrt(a), 1/sqrt(a), a = pi A B = 4 pi sqrt(n20 n02 - n11^2), as those of `moments`
 
-    The ellipse is the conic that fits the markers best (`fitted_ellipse`). Where all lie on one ellipse, it is exact, wherever they lie on it.
+    The ellipse is the conic that fits the markers best (`fitted_ellipse`). Where all lie on one ellipse, it is exact, wherever they are
+    on it.
 
-    L is that of the region's moments (`MomentSet`), whose third order vanishes, with the plane of the outline, 1/Z = A x + B y + C, from the
-    markers' depths. The outline of a ball is the circle in which the cone of its tangents touches it: for its centre P and radius R
-    1/Z = P . (x, y, 1) / (|P|^2 - R^2).
+    L is that of the region's moments (`MomentSet`), whose third order vanishes, with the plane of the outline, 1/Z = A x + B y + C,
+    from the depths of the markers. The outline of a ball is the circle in which the cone of its tangents touches it: for its centre P
+    and radius R 1/Z = P . (x, y, 1) / (|P|^2 - R^2).
 
-    A ball tells three motions, and so does a disc that is seen face on: rows [xn, yn, an]. Only a disc seen at a slant in the goal view tells
-    five. On a robot with more motions than that, `law.redundant` leaves the others alone.
+    A ball tells three motions, and so does a disc that is seen face on: rows [xn, yn, an]. A disc tells five only where the goal view is at
+    a slant to it. On a robot with more motions than that, `law.redundant` leaves the others alone.
 
     Args:
         rows: features, in this order.
@@ -86,10 +87,11 @@ class Ellipse:
             words = "must have its markers on the outline of an ellipse for the feature ellipse (a disc, or a ball); use moments or point"
             raise ParameterError("target", words)
         m = ellipse_moments(s)
-        unit = dict.fromkeys(("n20", "n11", "n02"), s[2] + s[4]) | dict.fromkeys(("xn", "yn", "an"), place(m, "an"))
-        scale = np.array([unit.get(row, 1.0) for row in self.rows])
+        scale = np.array([s[2] + s[4] if row[0] == "n" else place(m, "an") if row[1] == "n" else 1.0 for row in self.rows])
         words = f"may not be {', '.join(self.rows)} at this goal, where they depend on one another: a ball, and a disc seen face on, tell"
-        require_independent(self.interaction(xy, depth), scale, depth, f"{words} three motions; use [xn, yn, an], or a goal at a slant to a disc")
+        require_independent(
+            self.interaction(xy, depth), scale, depth, f"{words} three motions; use [xn, yn, an], or a goal at a slant to a disc"
+        )
 
 
 def _row(m: MomentSet, row: str) -> Any:
@@ -110,7 +112,10 @@ def ellipse_moments(s: Array) -> MomentSet:
 def fitted_ellipse(xy: Array) -> Array:
     """The ellipse (xg, yg, n20, n11, n02) (..., 5) that fits points xy (..., N, 2) best; NaN where the conic is no ellipse.
 
-    About the points' mean, in units of their distance from it, it is the least squares of x^2 + y^2 + a (x^2 - y^2) + 2 b x y + c x + d y + e:
+    About the points' mean, in units of their distance from it, it is the least squares of
+
+    x^2 + y^2 + a (x^2 - y^2) + 2 b x y + c x + d y + e = 0;
+
     any ellipse has such an equation.
     """
     xy = np.asarray(xy, dtype=float)

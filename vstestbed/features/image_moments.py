@@ -27,8 +27,8 @@ def image_moments(xy: Array, of: Of, order: int) -> Array:
         xy: points, or the vertices of the outline in order, either way round (..., N, 2). of: which of the two.
         order: highest p + q; elements beyond are 0.
 
-    Green's theorem makes the integral one along the edges, m_pq = 1/(p+q+2) sum over edges of (x_i y_i+1 - x_i+1 y_i) times the mean of x^p y^q
-    on the edge, and Gauss-Legendre nodes on each edge give that mean without error: the result is exact for polygons.
+    Green's theorem makes the integral one along the edges: m_pq = 1/(p+q+2) times the sum over the edges of x_i y_i+1 - x_i+1 y_i times the
+    mean of x^p y^q on the edge. Gauss-Legendre nodes on each edge give that mean without error: the result is exact for polygons.
 
     Reference: Steger 1996, "On the calculation of arbitrary moments of polygons", Technische Universität München, FGBV-96-05.
     """
@@ -159,12 +159,12 @@ class MomentSet:
         return self.mu[..., p, q] if min(p, q) >= 0 else np.zeros(self.mu.shape[:-2])
 
     def _normalised(self) -> tuple[Array, Array, Array]:
-        """k n20, k n11, k n02: the terms by which the centroid moves otherwise than a point would."""
+        """The terms k n20, k n11, k n02, by which the centroid moves otherwise than a point would."""
         share = (4 if self.of == "region" else 1) / np.maximum(self._at(0, 0), LEAST_AREA)
         return share * self._at(2, 0), share * self._at(1, 1), share * self._at(0, 2)
 
     def _coordinate(self, axis: int) -> Any:
-        """xg or yg: -1/Zg along its axis, the flow of a point at the centroid else, and the terms of second order."""
+        """The centroid's xg or yg; its rate is the flow of a point there, and terms of second order."""
         value = self.centre[..., axis]
         if self.plane is None:
             return value

@@ -37,28 +37,29 @@ class Moments:
 
     m_pq is the sum of x^p y^q over the points, or its integral over the region; mu_pq the same about the centroid (xg, yg).
 
-    xg, yg   the centroid, m10/m00 and m01/m00                  xn, yn   xg/sqrt(a) and yg/sqrt(a)
-    area     a = m00 of a region, mu20 + mu02 of points         an       1/sqrt(a)
-    alpha    angle of the principal axis, atan2(2 mu11, mu20 - mu02)/2
-    sx, sy, px, py, c1 to c10   functions that do not change with size, place (and, but for sx and sy, rotation): they tell the tilt.
-             Their equations: `describe law.feature` and `features/invariants.py`.
+    xg, yg       the centroid, m10/m00 and m01/m00              xn, yn    xg/sqrt(a) and yg/sqrt(a)
+    area         a = m00 of a region, mu20 + mu02 of points     an        1/sqrt(a)
+    alpha        angle of the principal axis, atan2(2 mu11, mu20 - mu02)/2
+    sx, sy, px, py, c1 to c10                                   ratios that tell the tilt; equations in `features/invariants.py`
 
-    For a target that faces the camera at the depth Z, xn, yn and an move as the camera does along x, y and z, by 1/(Z sqrt(a)), which does not
-    depend on Z. (In print they have the factor Z* sqrt(a*) of the goal, which makes them metres.)
+    Where the target faces the camera at the depth Z, xn, yn and an move by 1/(Z sqrt(a)) times the camera's motion along x, y and z, a
+    factor that does not depend on Z. (In print they have the factor Z* sqrt(a*) of the goal, which makes them metres.)
 
-    Of the pairs for the tilt, sx and sy suit any elongated shape, also one symmetric about its centre (a rectangle). px and py, c1 and c2, c4 and
-    c6 need a shape without such a symmetry, and one that is not mirrored in an axis either for px, py and c1, c2; px and py then converge from
-    farther away, and are some four times as sensitive to noise. An ellipse or a disc tells less than six motions: feature `ellipse`. With
-    these rows `law.interaction: mean` converges from the most starts: the current matrix is singular at some views on the way.
+    Of the pairs for the tilt, sx and sy suit any elongated shape, also one that is symmetric about its centre (a rectangle). px and py, c1
+    and c2, c4 and c6 need a shape without that symmetry, and px, py and c1, c2 one that is not its own mirror image either. There px and py
+    converge from farther away than sx and sy, and are some four times as sensitive to noise. An ellipse tells less than six motions:
+    use the feature `ellipse`. Of the matrices, the mean (`law.interaction`) converges from the most starts; the current one is singular
+    at some views.
 
-    alpha is an axis without a direction. Where third-order moments are large enough in both views, they tell its two ends apart, and the error
-    is within half a turn; else within a quarter. To this end s has the vector t = c21 sqrt(m00)/c11^(3/2) behind the rows, where alpha is one.
+    alpha is an axis without a direction. Where third-order moments are large enough in both views, they tell its two ends apart, and its
+    error is within half a turn, else within a quarter. To this end s has t = c21 sqrt(m00)/c11^(3/2) behind the rows where alpha is one.
 
-    L follows from that of the moments (`MomentSet`), with the plane 1/Z = A x + B y + C that fits the markers' depths best: they must lie in a plane.
+    L follows from that of the moments (`MomentSet`), with the plane 1/Z = A x + B y + C that fits the depths of the markers best. They must
+    lie in one plane.
 
     Args:
-        of: `points`, sums over the markers; `region`, integrals over the region whose outline the markers are, in order either way round: the
-            polygon of the markers, without error by Green's theorem.
+        of: `points`, sums over the markers; `region`, integrals over the region whose outline the markers are, in order, either way
+            round. It is the polygon of the markers, integrated without error (Green's theorem).
         rows: features, in this order. Six determine all motions of a camera: three places, two for the tilt, alpha.
 
     References: Chaumette 2004, doi:10.1109/TRO.2004.829463; Tahri & Chaumette 2005, doi:10.1109/TRO.2005.853500.
@@ -115,17 +116,29 @@ class Moments:
             words = "encloses no area in the goal view, which moments {of: region} need; its markers must be in order around an outline"
             raise ParameterError("target", words)
         m = MomentSet.measured(xy, self.of, 3)
-        unit = m.complex(1, 1).real ** 1.5 / m.central(0, 0) ** 0.5
-        if axial := self._named("alpha", "sx", "sy", "c1") * bool(np.abs(m.complex(2, 0)) < ROUND * m.complex(1, 1).real):
-            words = "to the target in the goal view: it is as wide as long (a disc, a square, a regular polygon), and has no principal axis;"
-            raise ParameterError("law.feature.rows", f"may not have {axial} {words} leave them out, or use an elongated target")
-        odd = self._named("py", "c2", "c3", "c4", "c5", "c6")
-        if odd and max(abs(m.complex(3, 0)), abs(m.complex(2, 1))) < SYMMETRIC * unit:
-            words = "of a target that is symmetric about its centre in the goal view: their moments of third order vanish; use sx and sy"
-            raise ParameterError("law.feature.rows", f"may not have {odd} {words}")
-        words = f"{', '.join(self.rows)} depend on one another in the goal view: its shape may be symmetric in an axis, or an ellipse;"
+        self._check_symmetry(m)
+        shape = (
+            "may be an ellipse; use fewer rows, feature ellipse," if "sx" in self.rows else "may be its own mirror image; use sx and sy,"
+        )
+        words = (
+            f"may not be {', '.join(self.rows)}: they depend on one another in the goal view, where the target {shape} or another target"
+        )
         scale = np.abs([place(m, row) if row in ("an", "area") else place(m, "an") if row in ("xn", "yn") else 1.0 for row in self.rows])
-        require_independent(self.interaction(xy, depth), scale, depth, f"{words} use other rows, such as sx and sy, or another target")
+        require_independent(self.interaction(xy, depth), scale, depth, words)
+
+    def _check_symmetry(self, m: MomentSet) -> None:
+        """Refuse rows that a symmetry of the shape leaves undefined."""
+        c11 = m.complex(1, 1).real
+        axial = self._named("alpha", "sx", "sy", "c1")
+        if axial and np.abs(m.complex(2, 0)) < ROUND * c11:
+            words = (
+                f"may not have {axial}: the target is as wide as long in the goal view (a disc, a square, a regular polygon), and has no"
+            )
+            raise ParameterError("law.feature.rows", f"{words} principal axis; leave them out, or use an elongated target")
+        odd = self._named("py", "c2", "c3", "c4", "c5", "c6")
+        if odd and max(abs(m.complex(3, 0)), abs(m.complex(2, 1))) < SYMMETRIC * c11**1.5 / m.central(0, 0) ** 0.5:
+            words = f"may not have {odd}: the target is symmetric about its centre in the goal view, where moments of third order vanish"
+            raise ParameterError("law.feature.rows", f"{words}; use sx and sy")
 
     @property
     def _order(self) -> int:
@@ -135,7 +148,7 @@ class Moments:
 
     def _named(self, *words: str) -> str:
         """Those of the words that are rows, for a message; "" for none."""
-        return " and ".join(word for word in words if word in self.rows)
+        return ", ".join(word for word in words if word in self.rows)
 
     def _row(self, m: MomentSet, row: str) -> Any:
         """One row as an array (...), or as a Rated."""
@@ -147,7 +160,7 @@ class Moments:
 
 
 def skewness(m: MomentSet) -> Any:
-    """t = c21 sqrt(m00) / c11^(3/2), complex: it turns with the shape, and does not change with its size and place."""
+    """The vector t = c21 sqrt(m00)/c11^(3/2), complex: it turns with the shape, and does not change with its size and place."""
     return m.complex(2, 1) * m.central(0, 0) ** 0.5 / m.complex(1, 1).real ** 1.5
 
 

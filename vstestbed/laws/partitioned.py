@@ -13,7 +13,7 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, exp, transform
 from vstestbed.core.quantity import Angle, PositiveGain
 from vstestbed.core.spec import spec
-from vstestbed.features import Point
+from vstestbed.features import Point, Polygon
 from vstestbed.features.depth import Depth, PnP
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.features.polygon import angle_error, segments, size, size_error, spans_area
@@ -38,7 +38,7 @@ from vstestbed.laws.visibility import Visibility
 COLUMN = {"x": 0, "y": 1, "z": 2, "wz": 5}
 """Column of the twist of each motion that a single feature can command."""
 Axis = Literal["x", "y", "z", "wz"]
-_POINT = Point()
+_POINT, _POLYGON = Point(), Polygon()
 # An angle is known up to a full turn: the candidates beside it are the same orientation, the other way round.
 _ROUND = 2 * np.pi * np.array([-1.0, 0.0, 1.0])
 

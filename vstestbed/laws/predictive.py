@@ -12,7 +12,7 @@ from annotated_types import Ge, Le
 from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import Pixels, PositiveGain, PositiveTime
 from vstestbed.core.spec import spec
-from vstestbed.features import FEATURES, Point, Spherical
+from vstestbed.features import FEATURES, Point
 from vstestbed.features.base import Feature
 from vstestbed.features.depth import Depth, PnP
 from vstestbed.features.observation import Goal, Observation

@@ -187,6 +187,34 @@ def _check_marker_count(robot: Robot, camera: Camera, target: Target, detector: 
         raise ParameterError("target", words + (f"; with law.depth floor {less} will do" if enough else ""))
 
 
+def check_determined(robot: Robot, camera: Camera, law: Law[Any], goal: Goal) -> None:
+    """Refuse a feature of all markers together that tells fewer motions than the robot has, where the law does not leave motions open.
+
+    Raises:
+        ParameterError: it names the feature, and what would work.
+    """
+    basis = robot.motion_basis(Mount.of(camera.mount.T), robot.start_joints())
+    for servo in _image_based(law):
+        feature, known = servo.feature, np.isfinite(goal.uv[:, 0])
+        if goal.counted is not None:
+            known &= goal.counted
+        if feature.rows_per_marker or servo.redundant or np.count_nonzero(known) < feature.least_markers:
+            continue
+        x, distance = (getattr(goal, name)[known] for name in feature.inputs)
+        told = int(np.linalg.matrix_rank(feature.interaction(x, distance) @ basis, rtol=servo.solve.cutoff))
+        if told < basis.shape[1]:
+            words = f"{feature.kind} tells {told} of this robot's {basis.shape[1]} motions at the goal"
+            more = ", or more rows (law.feature.rows)" if hasattr(feature, "rows") else ""
+            raise ParameterError("law.feature", f"{words}; use law.redundant: true, which leaves the others alone{more}")
+
+
+def _image_based(law: Any) -> list[Any]:
+    """The laws with a feature that may leave motions open: this law, or those within it."""
+    within = [law.law] if hasattr(law, "law") else [part.law for part in getattr(law, "laws", ())]
+    own = [law] if law.feature is not None and hasattr(law, "redundant") else []
+    return own + [servo for part in within for servo in _image_based(part)]
+
+
 def _leaves_pose_open(points: Array) -> bool:
     """Whether points (N, 3) do not determine a pose: fewer than three, or collinear."""
     # Rotation about their common line is not observable: the scatter round the centroid has rank one.

@@ -19,6 +19,7 @@ from vstestbed.laws import LAWS, Law
 from vstestbed.robots import ROBOTS, Robot
 from vstestbed.scenario.checks import (
     check_carrier,
+    check_determined,
     check_floor_depth,
     check_markers,
     check_memory,
@@ -156,6 +157,7 @@ class Scenario:
         check_views_metres("goal.T_camera_target" if hasattr(self.goal, "T_camera_target") else "goal", self.goal_views)
         self.goal.check_views(self.setup, self.goal_views)
         self.law.check(self.target.points, self.goal_view)
+        check_determined(self.robot, self.camera, self.law, self.goal_view)
         for goal in self.goal_views:
             self.law.check_view(goal, self.target.marker.radius, self.target.called)
 
