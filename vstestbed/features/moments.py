@@ -37,10 +37,12 @@ class Moments:
 
     m_pq is the sum of x^p y^q over the points, or its integral over the region; mu_pq the same about the centroid (xg, yg).
 
-    xg, yg       the centroid, m10/m00 and m01/m00              xn, yn    xg/sqrt(a) and yg/sqrt(a)
-    area         a = m00 of a region, mu20 + mu02 of points     an        1/sqrt(a)
-    alpha        angle of the principal axis, atan2(2 mu11, mu20 - mu02)/2
-    sx, sy, px, py, c1 to c10                                   ratios that tell the tilt; equations in `features/invariants.py`
+    xg, yg     the centroid, m10/m00 and m01/m00
+    area       a = m00 of a region, mu20 + mu02 of points
+    xn, yn     xg/sqrt(a) and yg/sqrt(a)
+    an         1/sqrt(a)
+    alpha      angle of the principal axis, atan2(2 mu11, mu20 - mu02)/2
+    sx to c10  ratios that tell the tilt; `features/invariants.py` has their equations
 
     Where the target faces the camera at the depth Z, xn, yn and an move by 1/(Z sqrt(a)) times the camera's motion along x, y and z, a
     factor that does not depend on Z. (In print they have the factor Z* sqrt(a*) of the goal, which makes them metres.)
