@@ -37,7 +37,7 @@ def usable_rows(observation: Observation, inputs: tuple[str, ...], needed: int) 
 
 
 def at_goal(feature: Feature, goal: Goal) -> tuple[Array, Array] | None:
-    """Both inputs of a feature in a goal view, of the markers that count and are in it; None where they are fewer than the feature needs."""
+    """Both inputs of a feature in a goal view, of the markers that count and are in it; None where the feature needs more."""
     x, distance = (getattr(goal, name) for name in feature.inputs)
     known = np.isfinite(x[:, 0]) if goal.counted is None else np.isfinite(x[:, 0]) & goal.counted
     return (x[known], distance[known]) if np.count_nonzero(known) >= feature.least_markers else None
