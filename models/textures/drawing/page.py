@@ -9,12 +9,14 @@ from drawing.canvas import FONT, Image, blend, letters, noise, rgb, width_of
 HEIGHT, WIDTH = 1200, 900
 MARGIN, GUTTER, SIZE, LEADING = 60, 36, 11.0, 25
 INK = "22201e"
-WORDS = (
-    "the of and in a to is that which with by for as on are from at this it be one has not or its where each all two image camera point line "
-    "motion robot error velocity frame feature depth plane axis angle light surface matrix gain goal view sensor lens pixel picture marker "
-    "measure follow estimate converge rotate translate observe control align move turn reach compute project match track mean small large "
-    "same other first last between near far left right under over through without before after while time distance place order noise number"
-).split()
+TEXT = """
+the of and in a to is that which with by for as on are from at this it be one has not or its where each all two image
+camera point line motion robot error velocity frame feature depth plane axis angle light surface matrix gain goal view
+sensor lens pixel picture marker measure follow estimate converge rotate translate observe control align move turn reach
+compute project match track mean small large same other first last between near far left right under over through
+without before after while time distance place order noise number
+"""
+WORDS = TEXT.split()
 
 
 def draw(rng: np.random.Generator) -> Image:
@@ -50,17 +52,27 @@ def _paragraph(rng: np.random.Generator, image: Image, left: float, base: float,
 def _line(rng: np.random.Generator, image: Image, left: float, base: float, column: float, first: bool, last: bool) -> None:
     """One line of words, the spaces between them stretched so that it is full; the last of a paragraph ends with a stop."""
     start = left + (24 if first else 0)
-    room, words, used = column - (start - left), [], 0.0
-    while used < room * (0.6 if last else 1):
-        word = str(rng.choice(WORDS))
-        word = word.capitalize() if first and not words else word + ("," if rng.random() < 0.1 else "")
+    room = column - (start - left)
+    words = _words(rng, room, first, room * (0.6 if last else 1))
+    longs = [width_of(word, SIZE, FONT) for word in words]
+    gap = 8.0 if last else max(7.0, (room - sum(longs)) / max(len(words) - 1, 1))
+    if last and words:
+        words[-1] = words[-1].rstrip(",") + "."
+    x = start
+    for word, long in zip(words, longs, strict=True):
+        letters(image, word, x, base, SIZE, rgb(INK), 0.1)
+        x += long + gap
+
+
+def _words(rng: np.random.Generator, room: float, first: bool, enough: float) -> list[str]:
+    """Words that fit into a line [px], until there are enough [px]; the first of a paragraph begins with a capital."""
+    words, used = [], 0.0
+    while used < enough:
+        word = str(rng.choice(WORDS)) + ("," if rng.random() < 0.1 else "")
+        word = word.capitalize() if first and not words else word
         long = width_of(word, SIZE, FONT)
         if used + long > room:
             break
-        words.append((word, long))
+        words.append(word)
         used += long + 7
-    gap = 8.0 if last else max(7.0, (room - sum(long for _, long in words)) / max(len(words) - 1, 1))
-    x = start
-    for k, (word, long) in enumerate(words):
-        letters(image, word + ("." if last and k == len(words) - 1 else ""), x, base, SIZE, rgb(INK), 0.1)
-        x += long + gap
+    return words
