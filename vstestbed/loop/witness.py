@@ -36,8 +36,8 @@ class Witness:
     def frame(self, cycle: Cycle, shot: Exposure, truth: Truth, image: Image | None) -> Frame:
         """The cycle with the truth at its exposure, and the robot's and the task's own columns."""
         row = np.empty(self._own)
-        c = cycle
-        frame = Frame(c.timing, c.observation, c.goal, c.error, c.command, c.allocation, truth, image, row)
+        c, depth = cycle, shot.picture.depth if shot.picture else None
+        frame = Frame(c.timing, c.observation, c.goal, c.error, c.command, c.allocation, truth, image, row, depth_image=depth)
         values = self.task.measure(frame)
         row[:] = (*self._robot_row(frame, shot), *values)
         return frame

@@ -159,11 +159,11 @@ class MujocoPlant:
         """A picture just taken with the camera's own image, where it has none."""
         return self._eye.with_own(picture) if self._eye else picture
 
-    def expose(self, weight: float, look: Look | None = None) -> None:
+    def expose(self, weight: float, look: Look | None = None, middle: bool = False) -> None:
         """Add an image of the exposure, where a detector needs pictures."""
         self._move_scenery()
         if self._eye is not None:
-            self._eye.expose(weight, look)
+            self._eye.expose(weight, look, middle)
 
     def developed(self, t: float) -> Picture | None:
         """The picture of all images added since the last one."""
