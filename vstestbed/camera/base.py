@@ -70,7 +70,8 @@ class Picture:
 
     def copy(self) -> Picture:
         """The same with copies of the images, which the renderer does not overwrite."""
-        return replace(self, images=tuple(None if image is None else image.copy() for image in self.images))
+        depth = None if self.depth is None else self.depth.copy()
+        return replace(self, images=tuple(None if image is None else image.copy() for image in self.images), depth=depth)
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,6 +22,8 @@ DepthImage = NDArray[np.float32]
 """Depth Z of each pixel (H, W) [m]; NaN where nothing was measured."""
 EDGE = 0.03
 """Depths of neighbouring pixels that differ by more than this share belong to two surfaces: one surface is seen at over 85 degrees then."""
+NEAREST_M = 0.05
+"""What is nearer casts a shadow as from here [m]: the width of a shadow has no bound otherwise."""
 STEEPEST = math.radians(89.9)
 """Largest angle for which a noise is computed: the formulas grow without bound towards 90 degrees [rad]."""
 
@@ -78,29 +80,27 @@ class DepthSensor(ABC):
         one = np.ones((1, 1), np.float32)
         return self.flies or self.lateral_px > 0 or self.sigma(one, 0 * one, 500.0) is not None
 
-    def measured(self, z: DepthImage, xy: Array, f: float, rng: np.random.Generator) -> DepthImage:
+    def measured(self, z: DepthImage, xy: Array, f: float, rng: np.random.Generator | None) -> DepthImage:
         """The depth picture (H, W) [m], NaN in holes.
 
         Args:
             z: true depths (H, W) [m], inf where there is nothing. xy: normalised coordinates of the pixels, (H, W, 2).
-            f: focal length [px]. rng: of this picture.
+            f: focal length [px]. rng: of this picture; None for its holes and steps without noise.
         """
-        z = np.asarray(z, np.float32)
-        hole = self._unseen(z, f) | self._out_of_range(z)
-        theta = incidence(z, xy, f)
-        z = self._ragged(z, rng)
         with np.errstate(invalid="ignore", divide="ignore"):
-            hole |= theta > math.radians(self.grazing_deg)
-            if self.flies:
-                z = _flying(z, rng)
-            sigma = self.sigma(z, np.minimum(theta, STEEPEST), f)
-            if sigma is not None:
-                z = z + sigma * correlated(z.shape, self.correlation_px, rng)
+            theta = incidence(z, xy, f)
+            hole = self._unseen(z, f) | (theta > math.radians(self.grazing_deg))
+            z = z if rng is None else self._ragged(z, rng)
+            hole |= self._out_of_range(z)  # of the true depth, too: noise must not bring what is far beyond the range back into it
+            if rng is not None:
+                z = _flying(z, rng) if self.flies else z
+                sigma = self.sigma(z, np.minimum(theta, STEEPEST), f)
+                z = z if sigma is None else z + sigma * correlated(z.shape, self.correlation_px, rng)
             if self.quantum_px and self.baseline_m:
-                unit = f * self.baseline_m / self.quantum_px
-                z = unit / np.round(unit / z)
+                unit = np.float32(f * self.baseline_m / self.quantum_px)
+                z = np.asarray(unit / np.round(unit / z), np.float32)
             hole |= self._out_of_range(z)
-        return np.where(hole, np.float32(np.nan), z).astype(np.float32, copy=False)
+        return np.where(hole, np.float32(np.nan), z)
 
     def _out_of_range(self, z: DepthImage) -> NDArray[np.bool_]:
         """Pixels (H, W) with no depth within the range."""
@@ -110,8 +110,7 @@ class DepthSensor(ABC):
         """Pixels (H, W) that the second view does not see."""
         if not self.baseline_m:
             return np.zeros(z.shape, bool)
-        with np.errstate(divide="ignore"):
-            disparity = np.float32(f * self.baseline_m) / np.maximum(z, np.float32(max(self.near_m, 1e-3)))
+        disparity = np.asarray(f * self.baseline_m / np.maximum(z, NEAREST_M), np.float32)
         hidden = shadowed(disparity)
         return hidden | (np.arange(z.shape[1]) < disparity) if self.two_pictures else hidden
 
@@ -240,9 +239,7 @@ def incidence(z: DepthImage, xy: Array, f: float) -> DepthImage:
     w, x, y = (np.asarray(part, np.float32) for part in (1 / z, xy[..., 0], xy[..., 1]))
     a, b = (np.float32(f) * _slope(w, axis) for axis in (1, 0))
     c = w - a * x - b * y
-    with np.errstate(invalid="ignore", divide="ignore"):
-        cosine = w / np.sqrt((a * a + b * b + c * c) * (1 + x * x + y * y))
-    return np.arccos(np.minimum(cosine, 1.0))
+    return np.arccos(np.minimum(w / np.sqrt((a * a + b * b + c * c) * (1 + x * x + y * y)), 1.0))
 
 
 def _slope(w: DepthImage, axis: int) -> DepthImage:
@@ -285,8 +282,7 @@ def correlated(shape: tuple[int, ...], side: int, rng: np.random.Generator) -> D
 
 def _apart(z: DepthImage, other: DepthImage) -> NDArray[np.bool_]:
     """Where two depths (H, W) are of different surfaces."""
-    with np.errstate(invalid="ignore"):
-        return np.maximum(z, other) > (1 + EDGE) * np.minimum(z, other)
+    return np.maximum(z, other) > (1 + EDGE) * np.minimum(z, other)
 
 
 def _flying(z: DepthImage, rng: np.random.Generator) -> DepthImage:

@@ -208,7 +208,8 @@ class Sensed(DepthSource):
     """Each marker's depth as the depth camera measures it: the median of the valid pixels in a square round the marker's pixel.
 
     It is the depth of the surface that is seen, of a ball that of its front. Where fewer than half of the square's pixels are valid there
-    is no depth: the law does without that marker, unless `missing_m` says which depth to take.
+    is no depth: the law does without that marker, unless `missing_m` says which depth to take. The markers' depths in the goal view are
+    those of its geometry; only points that a detector finds in the goal's picture have theirs from its depth picture.
 
     Args:
         window_px: side of the square, odd [px].
@@ -227,7 +228,7 @@ class Sensed(DepthSource):
 
     def read(self, depth_image: NDArray[np.float32] | None, uv: Array) -> Array | None:
         """The medians (N,) [m]; NaN where too few pixels are valid, and for markers that are not seen."""
-        return None if depth_image is None else medians(depth_image, uv, self.window_px)
+        return None if depth_image is None else depth_at(depth_image, uv, self.window_px)
 
     def depths(self, cues: DepthCues) -> Array:
         """The measured depths; `missing_m` for markers that are seen and not measured."""
@@ -241,7 +242,7 @@ class Sensed(DepthSource):
         return self.depths(cues) * np.sqrt(1 + (cues.xy**2).sum(axis=1))
 
 
-def medians(depth_image: NDArray[np.float32], uv: Array, side: int) -> Array:
+def depth_at(depth_image: NDArray[np.float32], uv: Array, side: int = 1) -> Array:
     """Median (N,) [m] of the valid pixels in squares of odd `side` [px] round pixels uv (N, 2); NaN where under half of a square is valid.
 
     What lies outside of the picture (H, W) is not valid.

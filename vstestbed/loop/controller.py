@@ -13,37 +13,21 @@ from vstestbed.camera import DepthImage, Image, Look, Picture
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, inverse
 from vstestbed.core.outcome import Outcome
-from vstestbed.features.observation import Goal, Observation, OwnMotion
+from vstestbed.features.observation import Goal, Observation, OwnMotion, Sight
 from vstestbed.laws import Command, Law
 from vstestbed.loop.command_history import CommandHistory
 from vstestbed.loop.exposure import Arrival, Exposure
+from vstestbed.loop.goal_image import sight_of, with_images
 from vstestbed.loop.guarded_law import GuardedLaw
 from vstestbed.loop.inputs import Inputs, Readings
 from vstestbed.loop.own_rates import OwnRates
+from vstestbed.loop.scenario_observer import observer_of
 from vstestbed.loop.unseen import FEW_SEEN, NO_PICTURE, NONE_SEEN, detail
 from vstestbed.robots import Allocation, Mount, Reading
 from vstestbed.robots.orders import stop_order
 from vstestbed.scenario.scenario import NOISE_STREAM, Scenario
 from vstestbed.tasks.frame import Cycle, FrameTiming, ImageError
-from vstestbed.vision import Detector, Observer
-
-
-def _observer(scenario: Scenario) -> Observer:
-    perturbed = scenario.perturbed()
-    return Observer(
-        camera=scenario.believed_camera,
-        target=scenario.target,
-        goal=scenario.goal_view,
-        depth=scenario.law.depth,
-        pixel_sigma_px=scenario.noise.pixel_sigma_px,
-        dropout=scenario.noise.dropout,
-        required_fields=scenario.law.inputs,
-        grounded=scenario.robot.base == "planar",
-        derotation=scenario.derotation,
-        trim_s=scenario.level_trim_s,
-        depth_scale=scenario.depth_scale,
-        perturbed=perturbed if perturbed and perturbed.on_pixels else None,
-    )
+from vstestbed.vision import Detector
 
 
 class Controller:
@@ -60,12 +44,13 @@ class Controller:
 
     Args:
         scenario: the experiment.
+        goal_images: pictures taken at its goal views, for a law or a detector that compares with them.
 
     Raises:
-        ParameterError: `scenario` is not a Scenario.
+        ParameterError: `scenario` is not a Scenario, or it needs pictures of its goal views that are not given.
     """
 
-    def __init__(self, scenario: Scenario):
+    def __init__(self, scenario: Scenario, goal_images: Sequence[Sight] = ()):
         if not isinstance(scenario, Scenario):
             raise ParameterError("scenario", "must be a Scenario: vstestbed.load('arm_ibvs')", scenario)
         self.scenario = scenario
@@ -79,18 +64,21 @@ class Controller:
         # an oracle looks with the true lens; a real detector knows only the calibrated one
         self.seen_through = scenario.camera if scenario.detector.needs_truth else scenario.believed_camera
         self.rng = scenario.rng(NOISE_STREAM)
-        self.observer = _observer(scenario)
+        self.observer = observer_of(scenario)
         self.detector: Detector[Any] = scenario.detector
         self.law: Law[Any] = scenario.law
         self.guarded = GuardedLaw(scenario.law)
         self._needed = scenario.law.markers_needed(scenario.robot.motion_basis(self._mount_at(at_start), at_start))
-        self.detector_memory, self.observer_memory = scenario.detector.init(), self.observer.init()
-        self.reference_memory = scenario.goal.begin(scenario.setup, scenario.goal_views)
-        self.law_memory = scenario.law.init(scenario.goal_views[0])
+        views = with_images(scenario, goal_images)
+        self.detector_memory = scenario.detector.begin(views[0], self.seen_through, scenario.target)
+        self.observer_memory = self.observer.init()
+        self.reference_memory = scenario.goal.begin(scenario.setup, views)
+        self.law_memory = scenario.law.init(views[0])
         self.supervisor = scenario.robot.supervisor(scenario.goal.lands, scenario.stop.lost_after_s, scenario.stop.lost_after_m)
         self.before: Exposure | None = None
         self._failed = self._found = False
-        self._needs_motion = "motion" in scenario.law.inputs
+        self._own_goal: Goal | None = None  # of a detector's own points, which are others in every picture
+        self._needs_motion, self._needs_sight = "motion" in scenario.law.inputs, "image" in scenario.law.inputs
         self._own_rates = OwnRates(scenario.robot, scenario.camera.period) if "robot" in scenario.law.inputs else None
         self._needs_own_state = "proprioception" in scenario.law.inputs and bool(scenario.robot.proprioception_names)
         self._latest_s = scenario.timing.latest_s(scenario.camera)
@@ -161,6 +149,8 @@ class Controller:
         began = time.perf_counter()
         seen = self._observe(shot, last, now)
         self.reference_memory, goal = s.goal.reference(self.reference_memory, seen)
+        if self._own_goal is not None:
+            goal = goal.of(self._own_goal)
         seen = seen.only(goal.counted)
         detected = time.perf_counter()
         # The robot as it is now, not as it was at the exposure: the command acts from here on.
@@ -224,7 +214,7 @@ class Controller:
         picture = shot.picture if s.detector.needs_image else None
         detected = self.detector.detect(self.detector_memory, picture, shot.view, self.seen_through, s.target, self.rng)
         self.detector_memory, detection = detected
-        self._found = self._found or bool(detection.seen.any())
+        self._found, self._own_goal = self._found or bool(detection.seen.any()), detection.goal
         twist, own = np.zeros(6), None
         if shot.t > last.t:  # the mean of the twists commanded since the last exposure, by which a pose is predicted
             twist = (self.ordered.displacement(shot.t) - self.ordered.displacement(last.t)) / (shot.t - last.t)
@@ -240,7 +230,9 @@ class Controller:
         if self._own_rates is not None:
             seen = replace(seen, robot=self._own_rates.model(last, shot, now, self._mount_at(now.reading.q)))
         if self._needs_own_state:
-            return replace(seen, proprioception=s.robot.proprioception(shot.reading, seen.odometry))
+            seen = replace(seen, proprioception=s.robot.proprioception(shot.reading, seen.odometry))
+        if self._needs_sight and shot.picture is not None:
+            seen = replace(seen, image=sight_of(shot.picture))
         return seen
 
     def _unseen(self, seen: Observation, goal: Goal, error: ImageError) -> str:

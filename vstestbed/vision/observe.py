@@ -13,16 +13,17 @@ from numpy.typing import NDArray
 from vstestbed.camera import Camera
 from vstestbed.camera.base import FORWARD_COSINE
 from vstestbed.core.geometry import Array, adjoint, all_finite, exp, inverse, transform
-from vstestbed.core.planar import arc, composed, place_of, pose_on_ground
+from vstestbed.core.planar import arc, composed
 from vstestbed.features.depth import Depth, DepthCues
 from vstestbed.features.observation import Goal, Observation, OwnMotion
 from vstestbed.targets.base import Target
 from vstestbed.vision.base import Detection
+from vstestbed.vision.goal_points import points_of
 from vstestbed.vision.perturb import Perturbed
-from vstestbed.vision.pose.calibration_error import pose_by_depth
+from vstestbed.vision.pose.calibration_error import scaled
 from vstestbed.vision.pose.dead_reckoning import corrections, fused_place
 from vstestbed.vision.pose.derotate import NO_TRIM, Derotation, Trim, level_from_tilt, level_rays, level_twist, trimmed
-from vstestbed.vision.pose.floor_pose import solve_place
+from vstestbed.vision.pose.floor_pose import pose_on_floor
 from vstestbed.vision.pose.flow_depth import FlowMemory, init_flow, update_flow
 from vstestbed.vision.pose.homography import relative_view
 from vstestbed.vision.pose.pnp import solve_pose_from_rays
@@ -78,6 +79,7 @@ class Observer:
         trim_s: time constant with which the goal view corrects the craft's measured tilt [s]; 0 leaves it uncorrected.
         depth_scale: factor on each marker's reported depth, (N,), a calibration error, or None. The memory stays unscaled.
         perturbed: perturbs the measured coordinates further; None for nothing.
+        points: what is measured (N, 3), in the target's frame [m]; None: the target's markers.
     """
 
     camera: Camera
@@ -92,10 +94,15 @@ class Observer:
     trim_s: float = 0.0
     depth_scale: Array | None = None
     perturbed: Perturbed | None = None
+    points: Array | None = None
+
+    @property
+    def _points(self) -> Array:
+        return self.target.points if self.points is None else self.points
 
     def init(self) -> ObserverMemory:
         """The memory before the first frame."""
-        flow = None if self.depth.estimator is None else init_flow(len(self.target.points))
+        flow = None if self.depth.estimator is None else init_flow(len(self._points))
         return ObserverMemory(flow=flow, odometry=np.zeros(3) if self.grounded else None)
 
     def uses_motion(self, detection: Detection) -> bool:
@@ -133,6 +140,9 @@ class Observer:
         Raises:
             ParameterError: the oracle's depth is asked for and the detector is not the oracle.
         """
+        if detection.goal is not None:  # other points in every picture
+            own_points = replace(self, goal=detection.goal, points=points_of(detection.goal))
+            return own_points.observe(memory, t, replace(detection, goal=None), twist, rng, compass, tilt, own, depth_image)
         uv, T = self._reported(detection, t, rng)
         xy = self.camera.normalise(uv)
         tilt = tilt if self.derotation != "none" else None
@@ -140,7 +150,7 @@ class Observer:
         T, solved = self._pose(ray, t, memory, T, twist)
         flow = self._flow(memory.flow, t, ray, twist)
         by_flow = None if flow is None else (flow.ray, 1 / flow.inverse_range)
-        p = transform(T, self.target.points) if T is not None and self.depth.needs_pose else None
+        p = transform(T, self._points) if T is not None and self.depth.needs_pose else None
         cues = DepthCues(self.goal, xy, p, detection.p_camera, by_flow, self.depth.read(depth_image, uv))
         view = _View(ray, xy, self.depth.depths(cues), self.depth.ranges(cues) if self._needs_ranges else None, T, own)
         trim = memory.trim
@@ -213,21 +223,14 @@ class Observer:
 
     def _solved_pose(self, rays: Array, seen: NDArray[np.bool_], predicted: Array | None) -> Array | None:
         """The pose solved from the rays (n, 3) of those markers that are `seen` (N,); None where they do not determine it."""
+        points, mount, place = self._points[seen], self.camera.mount.T, self.target.pose.T
         if self.depth.on_floor:
-            return self._pose_on_floor(rays, seen, predicted)
-        points = self.target.points[seen]
+            return pose_on_floor(rays, points, mount, place, predicted)
         found = solve_pose_from_rays(rays, points, predicted)
         if found is None and predicted is None and self.grounded:
             # Three markers leave up to four poses; of a vehicle's, one has the base upright on the floor.
-            found = solve_pose_from_rays(rays, points, self._pose_on_floor(rays, seen, None))
+            found = solve_pose_from_rays(rays, points, pose_on_floor(rays, points, mount, place, None))
         return found
-
-    def _pose_on_floor(self, rays: Array, seen: NDArray[np.bool_], predicted: Array | None) -> Array | None:
-        """As `_solved_pose`, for a base that stands upright on the floor."""
-        mount, pose = self.camera.mount.T, self.target.pose.T
-        before = None if predicted is None else place_of(pose @ inverse(mount @ predicted))
-        place = solve_place(rays, transform(pose, self.target.points[seen]), mount, before)
-        return None if place is None else inverse(pose_on_ground(place) @ mount) @ pose
 
     def _flow(self, flow: FlowMemory | None, t: float, ray: Array | None, twist: Array) -> FlowMemory | None:
         """The depth estimator's next state; None without one."""
@@ -276,7 +279,8 @@ class Observer:
     def _observation(self, t: float, uv: Array, view: _View, solved: bool, odometry: Array | None, place: Array | None) -> Observation:
         """What the law is given: the required fields alone, distances with the calibration's error."""
         required = self.required_fields
-        depth, reach, pose = self._scaled(view.depth, view.range, view.T_camera_target if solved or self._predictable else None)
+        pose = view.T_camera_target if solved or self._predictable else None
+        depth, reach, pose = scaled(view.depth, view.range, pose, self._points, self.depth_scale)
         rays = (view.ray, reach) if "ray" in required else (None, None)
         relative = relative_view(self.goal.xy, view.xy, self.goal.normal) if "relative" in required else None
         motion = view.motion if "motion" in required else None
@@ -288,11 +292,3 @@ class Observer:
         ray = self.camera.ray(uv)
         p = ray * (depth / ray[:, 2] if reach is None else reach)[:, None]
         return self.camera.half_size(p, self.target.marker.radius).max(axis=1)
-
-    def _scaled(self, depth: Array, reach: Array | None, pose: Array | None) -> tuple[Array, Array | None, Array | None]:
-        """Depths, ranges and pose with the calibration's error of depth."""
-        scale = self.depth_scale
-        if scale is None:
-            return depth, reach, pose
-        wrong = None if pose is None else pose_by_depth(pose, self.target.points, scale)
-        return depth * scale, None if reach is None else reach * scale, wrong

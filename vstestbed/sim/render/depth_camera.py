@@ -30,6 +30,8 @@ class DepthCamera:
     def measured(self, true: DepthImage | None) -> DepthImage | None:
         """The depth picture (H, W) [m] of the true depths (H, W) [m] of the next picture, NaN in holes."""
         seed = int(self._rng.integers(2**63))
-        if true is None:
-            return None
-        return self._sensor.measured(true, self._xy, self._camera.f, np.random.default_rng(seed))
+        return None if true is None else self._sensor.measured(true, self._xy, self._camera.f, np.random.default_rng(seed))
+
+    def clean(self, true: DepthImage | None) -> DepthImage | None:
+        """The same without noise, as the mean of many pictures at rest would be; nothing is drawn for it."""
+        return None if true is None else self._sensor.measured(true, self._xy, self._camera.f, None)
