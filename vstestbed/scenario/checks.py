@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from vstestbed.camera import Camera
+from vstestbed.camera import DEPTH_SENSORS, Camera
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.spec import kind_of
@@ -58,8 +58,8 @@ def _check_length(field: str, T: Array, most_m: float) -> None:
         raise ParameterError(field, words)
 
 
-def check_memory(camera: Camera, detector: Detector[Any], timing: Timing, stop: Stop) -> None:
-    """Refuse runs whose log, or pictures in transit to the law, would not fit into memory.
+def check_memory(camera: Camera, pictures: bool, timing: Timing, stop: Stop) -> None:
+    """Refuse runs whose log, or pictures in transit to the law, would not fit into memory. pictures: whether any are taken.
 
     Raises:
         ParameterError: with the limit.
@@ -68,9 +68,10 @@ def check_memory(camera: Camera, detector: Detector[Any], timing: Timing, stop: 
         most = f"{MOST_FRAMES / camera.rate_hz:g} s, {MOST_FRAMES} pictures at {camera.rate_hz:g} Hz"
         words = f"must be at most {most}: a longer log is a table of more than 10 GB"
         raise ParameterError("stop.duration_s", words, stop.duration_s)
-    if not detector.needs_image:
+    if not pictures:
         return
-    size = sum(3 * panel.lens.width * panel.lens.height for panel in camera.panels)
+    each = 3 if camera.depth_sensor is None else 7  # bytes of a pixel
+    size = sum(each * panel.lens.width * panel.lens.height for panel in camera.panels)
     transit_s = MOST_BYTES / size / camera.rate_hz
     if camera.latency_s + timing.latency_jitter_s > transit_s:
         words = f"may be at most {transit_s:.4g} s with its jitter: more of these pictures in transit do not fit into memory"
@@ -111,12 +112,18 @@ def _check_without_flight(robot: Robot, world: World, derotation: str) -> None:
         raise ParameterError("world.wind", f"acts only on a craft that flies (robot quadrotor), not on robot {robot.kind}")
 
 
-def check_floor_depth(robot: Robot, law: Law[Any]) -> None:
-    """Refuse depth from the place on the floor for a robot that is no vehicle.
+def check_depth(robot: Robot, camera: Camera, detector: Detector[Any], law: Law[Any]) -> None:
+    """Refuse a source of depth that this scenario has not got: the truth, a depth camera, or a vehicle's place on the floor.
 
     Raises:
         ParameterError: it names the field, and what would work.
     """
+    if law.depth.true and not detector.needs_truth:
+        words = "may be oracle only with detector: {kind: oracle}; with pixels use pnp, constant, goal, estimate or sensor"
+        raise ParameterError("law.depth", words)
+    if law.depth.measured and camera.depth_sensor is None:
+        words = "may be sensor only with a depth camera: add camera.depth_sensor"
+        raise ParameterError("law.depth", f"{words} ({', '.join(DEPTH_SENSORS.members)}), or use pnp, constant, goal or estimate")
     if law.depth.on_floor and robot.base != "planar":
         words = f"may be floor only for a vehicle, and robot {robot.kind} is none; use pnp, goal or estimate"
         raise ParameterError("law.depth", words)

@@ -20,7 +20,7 @@ from vstestbed.robots import ROBOTS, Robot
 from vstestbed.scenario.checks import (
     check_carrier,
     check_determined,
-    check_floor_depth,
+    check_depth,
     check_markers,
     check_memory,
     check_metres,
@@ -74,9 +74,10 @@ class Noise:
         return on_pixels or (pictures and (self.image_sigma > 0 or self.on_pictures))
 
 
-START_STREAM, NOISE_STREAM, IMAGE_STREAM, SENSOR_STREAM, TIMING_STREAM, DEPTH_STREAM, MOTION_STREAM, PERTURB_STREAM = range(8)
+START_STREAM, NOISE_STREAM, IMAGE_STREAM, SENSOR_STREAM, TIMING_STREAM, DEPTH_STREAM, MOTION_STREAM, PERTURB_STREAM, RGBD_STREAM = range(9)
 """Independent random streams of one seed: the start, the noise of measured pixels, of pictures, of the robot's own sensors, of timing,
-of depths, the target's random walk, perturbations. Their numbers enter the seed: a new one comes last, or all recorded runs change."""
+of the calibration of depths, the target's random walk, perturbations, the depth camera. Their numbers enter the seed: a new one comes
+last, or all recorded runs change."""
 TRIES = 1000
 """Largest number of random starts drawn until the target is in view."""
 DISPLACEMENT_STEPS = 12
@@ -138,16 +139,13 @@ class Scenario:
 
     def __post_init__(self) -> None:
         """Refuse parts that do not belong together."""
-        if self.law.depth.true and not self.detector.needs_truth:
-            words = "may be oracle only with detector: {kind: oracle}; with pixels use pnp, constant, goal or estimate"
-            raise ParameterError("law.depth", words)
+        check_depth(self.robot, self.camera, self.detector, self.law)
         self.timing.check(self.camera, self.clock[0])  # first: the clock refuses a step that does not divide the camera's period
-        check_memory(self.camera, self.detector, self.timing, self.stop)
+        check_memory(self.camera, self.needs_image, self.timing, self.stop)
         check_metres(self.robot, self.camera, self.target)
         self.believed_camera  # noqa: B018 - refuses errors that the lens cannot have
         self.goal.check(self.setup)
         check_robot(self.robot, self.target, self.world, self.derotation, self.level_trim_s)
-        check_floor_depth(self.robot, self.law)
         self.robot.check_mount(self.camera.mount.xyz)
         check_carrier(self.target)
         if self.stop.duration_s < self.camera.period:
@@ -160,6 +158,12 @@ class Scenario:
         check_determined(self.robot, self.camera, self.law, self.goal_view)
         for goal in self.goal_views:
             self.law.check_view(goal, self.target.marker.radius, self.target.called)
+
+    @property
+    def draws_noise(self) -> bool:
+        """Whether a seed makes a difference to what is measured in the pictures."""
+        sensor = self.camera.depth_sensor if self.law.depth.measured else None
+        return self.noise.draws(self.detector.needs_image) or (sensor is not None and sensor.draws)
 
     @property
     def clock(self) -> tuple[float, int]:
@@ -192,7 +196,7 @@ class Scenario:
     @property
     def needs_image(self) -> bool:
         """Whether pictures are taken: the detector, or the law, works on them."""
-        return self.detector.needs_image or "image" in self.law.inputs
+        return self.detector.needs_image or "image" in self.law.inputs or self.law.depth.measured
 
     @property
     def needs_goal_image(self) -> bool:

@@ -90,8 +90,8 @@ class BatchSetup:
             raise ParameterError("law.visibility.margin_px", "must be 0 in a batch", s.law.visibility.margin_px)
         if s.law.feedforward.kind != "none":
             raise ParameterError("law.feedforward", "must be none in a batch")
-        if isinstance(s.law.depth, Estimate):
-            raise ParameterError("law.depth", "may not be estimate in a batch; valid: pnp, constant, goal, oracle")
+        if isinstance(s.law.depth, Estimate) or s.law.depth.measured:
+            raise ParameterError("law.depth", f"may not be {s.law.depth.kind} in a batch; valid: pnp, constant, goal, oracle")
 
     def _check_task(self) -> None:
         s = self.scenario
