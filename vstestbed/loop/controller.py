@@ -44,6 +44,7 @@ def _observer(scenario: Scenario) -> Observer:
         trim_s=scenario.level_trim_s,
         depth_scale=scenario.depth_scale,
         perturbed=perturbed if perturbed and perturbed.on_pixels else None,
+        rows=scenario.detector.rows,
     )
 
 
