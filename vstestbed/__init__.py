@@ -113,6 +113,7 @@ __all__ = [
     "DETECTORS",
     "FEATURES",
     "GOALS",
+    "KEYPOINTS",
     "LAWS",
     "METRICS",
     "MONITORS",

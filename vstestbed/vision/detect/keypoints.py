@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, cast
 
 import numpy as np
 from annotated_types import Ge, Gt, Le, Lt
@@ -18,7 +18,7 @@ from vstestbed.features.observation import Goal
 from vstestbed.targets.base import Target
 from vstestbed.vision.base import Detection, DetectorBase, TruthView
 from vstestbed.vision.goal_points import goal_of_points, points_of
-from vstestbed.vision.match.features import KEYPOINTS, Features, Sift, extracted, grey, matched
+from vstestbed.vision.match.features import KEYPOINTS, Extractor, Features, Matcher, Sift, extracted, grey, matched
 from vstestbed.vision.match.flow import Klt, NoTracking, Tracking, followed
 from vstestbed.vision.match.mutual import mutual_matches
 from vstestbed.vision.match.patches import refined, smooth
@@ -80,7 +80,7 @@ class Keypoints(DetectorBase):
         ransac: which matches count: those on one plane (`homography`), or all (`none`), as in a scene of several planes.
         ransac_px: how far a match may be from where the homography maps it [px].
         subpixel: measure places below a pixel by patches; needs eight matches on one plane, without which places stay as they are.
-        within: which part of the goal's picture is used: all of it (`picture`), or that which shows the target's board or picture (`board`).
+        within: which part of the goal's picture is used: all of it (`picture`), or that which shows the target's board (`board`).
         track: whether points are followed from picture to picture: `none` or `klt`.
     """
 
@@ -104,9 +104,14 @@ class Keypoints(DetectorBase):
             raise ParameterError("least", f"must be at most best = {self.best}", self.least)
         if isinstance(self.track, Klt) and self.track.keep > self.best:
             raise ParameterError("track.keep", f"must be at most best = {self.best}", self.track.keep)
-        if self.ratio is not None and hasattr(self.features, "match"):
+        if self.ratio is not None and self._extractor is None:
             words = f"compares descriptors, and features {self.features.kind} match pictures by themselves; leave it out"
             raise ParameterError("ratio", words, self.ratio)
+
+    @property
+    def _extractor(self) -> Extractor | None:
+        """The features, if they describe key points; None of those that match pictures by themselves."""
+        return None if hasattr(self.features, "match") else cast(Extractor, self.features)
 
     @property
     def rows(self) -> int:
@@ -126,12 +131,13 @@ class Keypoints(DetectorBase):
         """
         if goal.image is None:
             raise ParameterError("goal.image", "is missing: detector keypoints compares with the picture taken at the goal")
-        learned = None if hasattr(self.features, "match") else self._learned(goal, target)
+        learned = self._learned(goal, target) if self._extractor else None
         return KeypointsMemory(goal, learned, smooth(grey(goal.image.image)), Slots.empty(self.best))
 
     def _learned(self, goal: Goal, target: Target) -> tuple[Array, NDArray[Any]]:
         assert goal.image is not None
-        uv, descriptors = extracted(self.features, goal.image.image)
+        assert self._extractor is not None
+        uv, descriptors = extracted(self._extractor, goal.image.image)
         there = self._usable(goal, target, uv)
         if np.count_nonzero(there) < self.least:
             where = "on the target's board" if self.within == "board" else "at a known depth"
@@ -188,7 +194,7 @@ class Keypoints(DetectorBase):
     def _due(self, slots: Slots, since: int) -> bool:
         """Whether points that were followed are to be matched with the goal's picture."""
         assert isinstance(self.track, Klt)
-        return since >= self.track.redetect_every or np.count_nonzero(slots.taken) < self.track.keep
+        return since >= self.track.redetect_every or int(np.count_nonzero(slots.taken)) < self.track.keep
 
     def _followed(self, memory: KeypointsMemory, dim: Image, camera: Camera) -> Slots | None:
         """The last picture's points where they are now, without those that are lost; None where points are not followed."""
@@ -209,28 +215,26 @@ class Keypoints(DetectorBase):
 
     def _matches(self, memory: KeypointsMemory, image: Image, target: Target) -> Pairs:
         """All matches with the goal's picture, the best first."""
-        if memory.learned is not None:
-            uv, descriptors = extracted(self.features, image)
+        if self._extractor is not None and memory.learned is not None:
+            uv, descriptors = extracted(self._extractor, image)
             i, j, _ = mutual_matches(memory.learned[1], descriptors, self.ratio)
             return memory.learned[0][i], uv[j]
         assert memory.goal.image is not None
-        uv_goal, uv, distance = matched(self.features, memory.goal.image.image, image)
+        uv_goal, uv, distance = matched(cast(Matcher, self.features), memory.goal.image.image, image)
         order = np.argsort(distance, kind="stable")
         order = order[self._usable(memory.goal, target, uv_goal)[order]]
         return uv_goal[order], uv[order]
 
     def _chosen(self, memory: KeypointsMemory, pairs: Pairs, kept: Pairs | None, dim: Image, camera: Camera) -> Pairs:
         """The pairs that are reported: those that were followed, then others by distance or spread."""
+        first = 0 if kept is None else len(kept[0])
         if kept is not None:
-            new = ~(pairs[0][:, None] == kept[0]).all(axis=2).any(axis=1) if len(kept[0]) else np.ones(len(pairs[0]), dtype=bool)
+            new = ~_among(pairs[0], kept[0])
             pairs = np.concatenate([kept[0], pairs[0][new]]), np.concatenate([kept[1], pairs[1][new]])
         found = planar_map(camera, *pairs, self.ransac_px) if self.ransac == "homography" or self.subpixel else None
         if self.ransac == "homography":
             agree = np.zeros(len(pairs[0]), dtype=bool) if found is None else found[1]
-            first = 0 if kept is None else int(np.count_nonzero(agree[: len(kept[0])]))
-            pairs = pairs[0][agree], pairs[1][agree]
-        else:
-            first = 0 if kept is None else len(kept[0])
+            first, pairs = int(np.count_nonzero(agree[:first])), (pairs[0][agree], pairs[1][agree])
         index = spread_out(pairs[0], self.best, first) if self.choose == "spread" else np.arange(min(self.best, len(pairs[0])))
         pairs = pairs[0][index], pairs[1][index]
         if found is None or not self.subpixel:
@@ -244,3 +248,8 @@ class Keypoints(DetectorBase):
         found = refined(memory.smooth, smooth(dim), uv_goal, uv, plane.derivatives(uv_goal))
         better = planar_map(plane.camera, uv_goal, found, SLIPPED_PX) if self.ransac == "homography" else None
         return found if better is None else np.where(better[1][:, None], found, np.nan)
+
+
+def _among(uv: Array, others: Array) -> NDArray[np.bool_]:
+    """Which of the points uv (M, 2) are among others (N, 2)."""
+    return np.asarray((uv[:, None] == others).all(axis=2).any(axis=1))

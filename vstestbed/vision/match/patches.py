@@ -24,7 +24,7 @@ SMOOTH_PX = 0.8
 
 def smooth(grey: NDArray[np.uint8]) -> NDArray[np.float32]:
     """A picture (H, W) as `refined` takes it."""
-    return np.asarray(cv2.GaussianBlur(grey.astype(np.float32), (0, 0), SMOOTH_PX))
+    return np.asarray(cv2.GaussianBlur(grey.astype(np.float32), (0, 0), SMOOTH_PX), np.float32)
 
 
 def refined(goal: NDArray[np.float32], image: NDArray[np.float32], uv_goal: Array, uv: Array, A: Array) -> Array:
@@ -65,7 +65,10 @@ def refined(goal: NDArray[np.float32], image: NDArray[np.float32], uv_goal: Arra
 
 
 def _sampled(image: NDArray[np.float32], uv: Array) -> Array:
-    """Brightness (K, P) at uv (K, P, 2), linear between pixels; outside, that of the border. (OpenCV rounds places to a 32nd of a pixel.)"""
+    """Brightness (K, P) at uv (K, P, 2), linear between pixels; outside, that of the border.
+
+    OpenCV's own rounds places to a 32nd of a pixel.
+    """
     height, width = image.shape
     u, v = np.clip(uv[..., 0], 0, width - 1.001), np.clip(uv[..., 1], 0, height - 1.001)
     i, j = u.astype(np.intp), v.astype(np.intp)
