@@ -128,6 +128,11 @@ class Law(Protocol[M]):
         """Words for what the law may do in a frame; `Command.mode` is the number of one, the log's `law_mode`."""
         ...
 
+    @property
+    def needs_same_markers(self) -> bool:
+        """Whether each row must show the same marker in every picture, in the target's order."""
+        ...
+
     def markers_needed(self, basis: Array) -> int:
         """The least number of visible markers with which `step` can control the robot's motions, basis (6, n)."""
         ...
@@ -276,6 +281,7 @@ class LawBase:
     cruise_mps = None
     rest_m = 0.0
     modes = ()
+    needs_same_markers = False
 
     def markers_needed(self, basis: Array) -> int:
         """As many markers as the robot's motions, basis (6, n), need with two equations each."""

@@ -106,6 +106,11 @@ class IBVS(LawBase):
         """The inputs of the feature, the camera's own motion for feedforward, and the markers' radii for `visibility`."""
         return self.feature.inputs + inputs_of(self.feedforward) + self.visibility.inputs
 
+    @property
+    def needs_same_markers(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride] - a property in place of a constant
+        """The features that are made of the markers in their order do."""
+        return isinstance(self.feature, Polygon | LineFeature)
+
     def check(self, points: Array, goal: Goal) -> None:
         """Refuse a goal view at which the feature cannot work, by its `check_goal`."""
         check_goal(self.feature, goal)

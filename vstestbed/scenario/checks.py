@@ -163,6 +163,30 @@ def check_markers(robot: Robot, camera: Camera, target: Target, detector: Detect
         raise _open_pose(robot, target.points, law, needs_pose)
 
 
+def check_own_points(camera: Camera, detector: Detector[Any], law: Law[Any], views: Sequence[Goal]) -> None:
+    """Refuse what a detector of other points than the target's markers cannot serve; nothing for a detector of markers.
+
+    Raises:
+        ParameterError: it names the field, and what would work.
+    """
+    if not detector.needs_goal:
+        return
+    if len(camera.panels) > 1:
+        words = f"may not be {detector.kind} with a camera that sees all round: it compares single pictures; use perspective or fisheye"
+        raise ParameterError("detector", words)
+    if len(views) > 1:
+        words = f"may not be {detector.kind} with {len(views)} goal views in turn: it compares with the picture of one; use goal: view"
+        raise ParameterError("detector", words)
+    if not detector.changing:
+        return
+    if law.depth.estimator is not None:
+        words = f"estimates each point's depth from its motion, and detector {detector.kind} shows other points in every picture"
+        raise ParameterError("law.depth", f"{words}; use pnp or goal, or let it follow its points (track: klt)")
+    if law.needs_same_markers:
+        words = f"needs the same markers in every picture, and detector {detector.kind} shows other points; use ibvs, pbvs or hybrid"
+        raise ParameterError("law", f"{law.kind} {words}")
+
+
 def _check_marker_kind(marker: str, detector: Detector[Any]) -> None:
     """Refuse a kind of marker that the detector cannot detect; a detector that names none detects all."""
     seen = detector.markers

@@ -24,6 +24,7 @@ from vstestbed.scenario.checks import (
     check_markers,
     check_memory,
     check_metres,
+    check_own_points,
     check_robot,
     check_views_metres,
 )
@@ -153,6 +154,7 @@ class Scenario:
         check_markers(self.robot, self.camera, self.target, self.detector, self.law, self.goal.needs_pose)
         check_metrics(self.metrics)
         check_views_metres("goal.T_camera_target" if hasattr(self.goal, "T_camera_target") else "goal", self.goal_views)
+        check_own_points(self.camera, self.detector, self.law, self.goal_views)
         self.goal.check_views(self.setup, self.goal_views)
         self.law.check(self.target.points, self.goal_view)
         check_determined(self.robot, self.camera, self.law, self.goal_view)

@@ -10,22 +10,26 @@ from vstestbed.core.spec import OneOf
 from vstestbed.vision.base import Detection, Detector, DetectorBase, TruthView
 from vstestbed.vision.detect.blobs import Blobs
 from vstestbed.vision.detect.centre import centre_bias
+from vstestbed.vision.detect.keypoints import Keypoints
 from vstestbed.vision.detect.lines import Lines
 from vstestbed.vision.detect.oracle import Oracle
 from vstestbed.vision.detect.tags import Tags
+from vstestbed.vision.match.features import KEYPOINTS
 from vstestbed.vision.observe import Observer, ObserverMemory
 from vstestbed.vision.pose.pnp import solve_pose, solve_pose_from_rays
 
 cv2.setNumThreads(1)
 
-DETECTORS = OneOf("detector", Blobs, Tags, Lines, Oracle, default="blobs", contract=Contract(Detector, base=DetectorBase))
+DETECTORS = OneOf("detector", Blobs, Tags, Lines, Keypoints, Oracle, default="blobs", contract=Contract(Detector, base=DetectorBase))
 
 __all__ = [
     "DETECTORS",
+    "KEYPOINTS",
     "Blobs",
     "Detection",
     "Detector",
     "DetectorBase",
+    "Keypoints",
     "Lines",
     "Observer",
     "ObserverMemory",
