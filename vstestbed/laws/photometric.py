@@ -25,7 +25,7 @@ BLANK = "the picture shows next to nothing of what the goal's shows"
 NO_PIXEL = "no pixel of the picture fits the goal's"
 LEAST_CONTRAST = 0.1
 """Least standard deviation of the picture's grey levels over that of the goal's: under it a wall or the floor fills the picture."""
-FINER_PX, COARSER_PX = 0.5, 4.0
+FINER_PX, COARSER_PX = 0.25, 4.0
 """The law goes to a finer level where the remaining motion in the picture is under FINER_PX pixels of its own, and back to a coarser one
 where it is over COARSER_PX: linear are grey levels over about a pixel."""
 LEAST_SIDE = 12
@@ -82,7 +82,8 @@ class Photometric(LawBase):
         interaction: L of the current picture, of the goal's (the matrix of the printed example), or the mean of both, whose steps are of
             second order (Malis 2004).
         damping: mu.
-        robust: W, the weights of an M-estimator with the scale of the median absolute deviation: `none`, `huber` or `tukey`.
+        robust: W, the weights of an M-estimator with the scale of the median absolute deviation, at the finest level: `none`, `huber` or
+            `tukey`.
         depth: Z of the pixels: `goal`, the markers' plane as seen at the goal; `constant`; or `sensor`, a depth camera's.
         levels: levels of a Gaussian pyramid, from coarse to fine; 1: full pictures alone.
         margin_px: border of the picture that is left out [px].
@@ -142,7 +143,9 @@ class Photometric(LawBase):
         level, grey, near = memory.pyramid[memory.level], self._at_level(sight.image, memory.level), self._measured(sight, memory)
         if float(grey.std()) < LEAST_CONTRAST * float(level.grey.std()):
             return memory, Command.rest(basis, BLANK)
-        normal = level.normal(grey, self.interaction, self.robust, near)
+        # Far from the goal most pixels differ, and those that differ most tell where it is: only near it are they outliers.
+        robust = self.robust if memory.level == 0 else "none"
+        normal = level.normal(grey, self.interaction, robust, near)
         step = self._solved(normal, basis, self.damping.at(observation.t - memory.t0))
         if step is None:
             return memory, Command.rest(basis, NO_PIXEL)

@@ -12,7 +12,7 @@ HUBER, TUKEY = 1.345, 4.685
 """Tuning constants with which either has 95 % of the efficiency of least squares on Gaussian errors."""
 TO_SIGMA = 1.4826
 """Standard deviation over the median absolute deviation, of Gaussian errors."""
-LEAST_SIGMA = 1.0
+LEAST_SIGMA = 5.0
 """Least scale of grey levels, which are whole numbers: of errors that are nearly all 0, the median would make an outlier of each 1."""
 SAMPLE = 20_000
 """Errors of which the median is taken, evenly spread over all: of 300,000 the whole partition would cost as much as the law."""
