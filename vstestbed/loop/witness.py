@@ -53,6 +53,8 @@ class Witness:
 
     def _true_points(self, goal: Goal, truth: Truth) -> Array:
         """True places in the camera frame (K, 3) [m] of a goal's points, in the target's plane where the true lens saw them."""
+        if not len(goal.uv):  # a law that works on whole pictures
+            return np.empty((0, 3))
         at_goal = goal_of_points(replace(self._goal, image=None), goal.uv)
         return transform(inverse(truth.T_world_camera) @ truth.T_world_target, points_of(at_goal))
 

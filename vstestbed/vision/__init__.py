@@ -11,6 +11,7 @@ from vstestbed.vision.base import Detection, Detector, DetectorBase, TruthView
 from vstestbed.vision.detect.blobs import Blobs
 from vstestbed.vision.detect.centre import centre_bias
 from vstestbed.vision.detect.lines import Lines
+from vstestbed.vision.detect.none import NoDetector
 from vstestbed.vision.detect.oracle import Oracle
 from vstestbed.vision.detect.tags import Tags
 from vstestbed.vision.observe import Observer, ObserverMemory
@@ -18,7 +19,7 @@ from vstestbed.vision.pose.pnp import solve_pose, solve_pose_from_rays
 
 cv2.setNumThreads(1)
 
-DETECTORS = OneOf("detector", Blobs, Tags, Lines, Oracle, default="blobs", contract=Contract(Detector, base=DetectorBase))
+DETECTORS = OneOf("detector", Blobs, Tags, Lines, Oracle, NoDetector, default="blobs", contract=Contract(Detector, base=DetectorBase))
 
 __all__ = [
     "DETECTORS",
@@ -27,6 +28,7 @@ __all__ = [
     "Detector",
     "DetectorBase",
     "Lines",
+    "NoDetector",
     "Observer",
     "ObserverMemory",
     "Oracle",
