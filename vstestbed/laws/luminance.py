@@ -19,15 +19,21 @@ Grey = NDArray[np.float32]
 Which = Literal["current", "desired", "mean"]
 BAND_PX = 16384
 """Pixels whose rows of L are held at a time: six float32 columns of them fit into a core's cache."""
+DIFFERENCE, ONE = np.array([1.0, -8.0, 0.0, 8.0, -1.0]) / 12, np.array([1.0])
+"""Kernels of a central difference of fourth order, and of none."""
 PROBES = 5
 """Points along each side of the picture by whose mean motion a step of the camera is measured in pixels."""
 SLOPE_PX = 0.5
 """Step of the finite differences of the lens [px]; the distortion's second derivative cancels in central ones."""
 
 
-def luminance(image: NDArray[np.uint8]) -> Grey:
-    """The luminance Y = 0.299 R + 0.587 G + 0.114 B (ITU-R BT.601) of a picture (H, W, 3) RGB, shape (H, W)."""
-    return np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.float32)
+def luminance(image: NDArray[np.uint8], smooth_px: float = 0.0) -> Grey:
+    """The luminance Y = 0.299 R + 0.587 G + 0.114 B (ITU-R BT.601) of a picture (H, W, 3) RGB, shape (H, W).
+
+    smooth_px: standard deviation of a Gaussian that smooths it [px].
+    """
+    grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.float32)
+    return np.asarray(cv2.GaussianBlur(grey, (0, 0), smooth_px), np.float32) if smooth_px > 0 else grey
 
 
 def coarser(grey: Grey) -> Grey:
@@ -36,8 +42,12 @@ def coarser(grey: Grey) -> Grey:
 
 
 def gradient(grey: Grey) -> tuple[Grey, Grey]:
-    """(dI/du, dI/dv) [grey levels/px], by Sobel's central differences."""
-    return tuple(np.asarray(cv2.Sobel(grey, cv2.CV_32F, du, 1 - du, ksize=3, scale=1 / 8), np.float32) for du in (1, 0))
+    """(dI/du, dI/dv) [grey levels/px], by central differences of fourth order.
+
+    Of a rendered picture Sobel's, which smooth across, are 20 to 25 % too small, and plain ones 15 %; these are within 5 %.
+    """
+    along, across = np.asarray(cv2.sepFilter2D(grey, cv2.CV_32F, DIFFERENCE, ONE)), cv2.sepFilter2D(grey, cv2.CV_32F, ONE, DIFFERENCE)
+    return np.asarray(along, np.float32), np.asarray(across, np.float32)
 
 
 class Normal(NamedTuple):
@@ -55,7 +65,7 @@ class Normal(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Pixels:
+class LevelPixels:
     """The pixels of one level of the pyramid that enter the error: all but a border, every `stride`-th in both directions.
 
     Attributes:
@@ -70,11 +80,10 @@ class Pixels:
     slope: tuple[Grey | float, ...]
 
     @classmethod
-    def of(cls, camera: Perspective, level: int, margin_px: int, stride: int) -> Pixels:
+    def of(cls, camera: Perspective, level: int, margin_px: int, stride: int) -> LevelPixels:
         """The pixels of a camera's picture, halved `level` times; margin_px: border left out [px of the full picture]."""
         scale = 2**level
-        # A pixel that neighbours the border has no central difference.
-        edge = max(1, -(-margin_px // scale))
+        edge = max(len(DIFFERENCE) // 2, -(-margin_px // scale))
         h, w = (-(-n // scale) for n in (camera.height, camera.width))
         at = slice(edge, h - edge, stride), slice(edge, w - edge, stride)
         v, u = np.meshgrid(np.arange(h)[at[0]] * scale, np.arange(w)[at[1]] * scale, indexing="ij")
@@ -126,7 +135,7 @@ class Level:
         inverse_depth: 1/Z of the pixels in the goal view (h, w) [1/m]; 0 where the depth is not known.
     """
 
-    pixels: Pixels
+    pixels: LevelPixels
     grey: Grey
     inverse_depth: Grey
 
@@ -189,7 +198,7 @@ class Level:
 
 
 def _summed(a: Grey, b: Grey) -> Array:
-    """a b^T of (m, n) and (k, n): the products in float32 band by band, their sum in float64."""
+    """Products a b^T of (m, n) and (k, n): in float32 band by band, their sum in float64."""
     return np.sum([a[:, i : i + BAND_PX] @ b[:, i : i + BAND_PX].T for i in range(0, a.shape[1], BAND_PX)], axis=0, dtype=float)
 
 

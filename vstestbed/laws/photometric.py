@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from vstestbed.camera import Perspective
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
-from vstestbed.core.quantity import GainOrZero, Time
+from vstestbed.core.quantity import GainOrZero, Narrower, Pixels, Time
 from vstestbed.core.spec import spec
 from vstestbed.features.depth import AtGoal, Constant, Depth
 from vstestbed.features.observation import Goal, Observation, Sight
 from vstestbed.laws.base import Command, ConstantGain, Gain, LawBase, TwistLimits
-from vstestbed.laws.luminance import Grey, Level, Normal, Pixels, Which, coarser, luminance, motion_px
+from vstestbed.laws.luminance import Grey, Level, LevelPixels, Normal, Which, coarser, luminance, motion_px
 from vstestbed.laws.robust import Robust
 
 NO_PICTURE = "the law has no picture"
@@ -49,7 +49,7 @@ class LevenbergMarquardt:
     after_s: Time = 3.6
 
     def at(self, since_s: float) -> float:
-        """mu at a time after the first picture [s]."""
+        """The damping at a time after the first picture [s]."""
         return self.mu if since_s < self.after_s else self.mu_then
 
 
@@ -85,6 +85,8 @@ class Photometric(LawBase):
         robust: W, the weights of an M-estimator with the scale of the median absolute deviation, at the finest level: `none`, `huber` or
             `tukey`.
         depth: Z of the pixels: `goal`, the markers' plane as seen at the goal; `constant`; or `sensor`, a depth camera's.
+        smooth_px: standard deviation of the Gaussian that smooths both pictures first [px]; 0: none. It widens the basin, and makes L the
+            true one of the pictures, whose differences from pixel to pixel are then small.
         levels: levels of a Gaussian pyramid, from coarse to fine; 1: full pictures alone.
         margin_px: border of the picture that is left out [px].
         stride: every how many-th pixel of a row and column of a level counts [1].
@@ -100,6 +102,7 @@ class Photometric(LawBase):
     damping: LevenbergMarquardt = LevenbergMarquardt()
     robust: Robust = "none"
     depth: Depth = AtGoal()
+    smooth_px: Annotated[Pixels, Narrower(le=50)] = 1.5
     levels: Annotated[int, Ge(1), Le(8)] = 1
     margin_px: Annotated[int, Ge(0), Le(1000)] = 10
     stride: Annotated[int, Ge(1), Le(64)] = 1
@@ -176,7 +179,7 @@ class Photometric(LawBase):
         return min(memory.level + 1, len(memory.pyramid) - 1) if moved > COARSER_PX else memory.level
 
     def _at_level(self, image: NDArray[np.uint8], level: int) -> Grey:
-        grey = luminance(image)
+        grey = luminance(image, self.smooth_px)
         for _ in range(level):
             grey = coarser(grey)
         return grey
@@ -189,14 +192,14 @@ class Photometric(LawBase):
         """
         if goal.image is None or not isinstance(goal.camera, Perspective):
             raise ParameterError("goal", "has no picture, which law photometric compares with; give goal_image to the Controller")
-        made, grey = [], luminance(goal.image.image)
+        made, grey = [], luminance(goal.image.image, self.smooth_px)
         for number in range(self.levels):
-            pixels = Pixels.of(goal.camera, number, self.margin_px, self.stride)
+            pixels = LevelPixels.of(goal.camera, number, self.margin_px, self.stride)
             made.append(Level(pixels, grey, self._inverse_depth(pixels, goal, number)))
             grey = coarser(grey)
         return tuple(made)
 
-    def _inverse_depth(self, pixels: Pixels, goal: Goal, level: int) -> Grey:
+    def _inverse_depth(self, pixels: LevelPixels, goal: Goal, level: int) -> Grey:
         """1/Z of pixels in the goal view [1/m], 0 where it is not known."""
         depth: Any = self.depth
         if isinstance(depth, Constant):
@@ -213,7 +216,7 @@ class Photometric(LawBase):
         return _inverse(sight, memory.pyramid[memory.level].pixels, memory.level)
 
 
-def _inverse(sight: Sight | None, pixels: Pixels, level: int) -> Grey:
+def _inverse(sight: Sight | None, pixels: LevelPixels, level: int) -> Grey:
     """1/Z of the pixels of a level by a depth picture [1/m], 0 in its holes."""
     if sight is None or sight.depth is None:
         raise ParameterError("law.depth", "may be sensor only with a depth camera, camera.depth_sensor; else use goal or constant")

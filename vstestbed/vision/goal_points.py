@@ -25,6 +25,8 @@ def goal_of_points(goal: Goal, uv: Array) -> Goal:
     z = np.where(z > 0, z, np.nan)
     p = ray * (z / ray[:, 2])[:, None]
     known = np.isfinite(p[:, 0])
+    if not known.any():  # none at all: a law that works on whole pictures
+        return replace(goal.rows(np.full(len(uv), -1)), uv=uv, ray=ray, counted=None)
     made = Goal.of_picture(goal.camera, uv[known], p[known], goal.T_camera_target)
     full = made.rows(np.where(known, np.cumsum(known) - 1, -1)) if not known.all() else made
     return replace(goal, uv=uv, depth=full.depth, ray=ray, range=full.range, plane=made.plane, counted=None)

@@ -19,7 +19,7 @@ class NoDetector(DetectorBase):
 
     kind: Literal["none"] = "none"
     needs_image: ClassVar[bool] = False
-    rows: ClassVar[int] = 0
+    rows = 0
 
     def begin(self, goal: Goal, camera: Camera, target: Target) -> Goal:
         """The goal without its markers."""
