@@ -49,6 +49,7 @@ class Command:
         rates: the robot's own velocities (m,) (`Observation.robot`) that the law orders, whose camera twist `twist` is; None: the
             robot finds its own for the twist.
         mode: number of the word in `Law.modes` for what the law did.
+        error_grey: RMS of the difference between picture and goal picture, of a law that works on grey levels; NaN else.
     """
 
     u: Array
@@ -58,6 +59,7 @@ class Command:
     free: tuple[FreeMotions, ...] = ()
     rates: Array | None = None
     mode: int = 0
+    error_grey: float = math.nan
 
     @classmethod
     def rest(cls, basis: Array, why: str) -> Command:

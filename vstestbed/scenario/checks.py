@@ -187,6 +187,22 @@ def check_own_points(camera: Camera, detector: Detector[Any], law: Law[Any], vie
         raise ParameterError("law", f"{law.kind} {words}")
 
 
+def check_judged(stop: Stop, detector: Detector[Any], law: Law[Any]) -> None:
+    """Refuse conditions of convergence on what is not measured: markers without a detector, grey levels with a law of markers.
+
+    Raises:
+        ParameterError: it names the condition, and what would work.
+    """
+    goal, in_grey = stop.converged, "image" in law.inputs
+    if goal.error_grey is not None and not in_grey:
+        words = f"is of a law that works on grey levels (photometric), and law {law.kind} does not; use error_px"
+        raise ParameterError("stop.converged.error_grey", words)
+    if detector.rows == 0 and (goal.error_px is not None or goal.by_estimate):
+        field = "error_px" if goal.error_px is not None else "position_m" if goal.position_m is not None else "rotation_deg"
+        words = f"needs markers, and detector {detector.kind} finds none; use stop: {{converged: {{error_grey: 1}}}}"
+        raise ParameterError(f"stop.converged.{field}", words)
+
+
 def _check_marker_kind(marker: str, detector: Detector[Any]) -> None:
     """Refuse a kind of marker that the detector cannot detect; a detector that names none detects all."""
     seen = detector.markers
@@ -210,6 +226,9 @@ def _check_marker_count(robot: Robot, camera: Camera, target: Target, detector: 
     points, basis = target.points, robot.motion_basis(Mount.of(camera.mount.T), robot.start_joints())
     # One at least: a robot whose motions need none would still have nothing to look at.
     needed = max(law.markers_needed(basis), 1)
+    if detector.rows is not None and detector.rows < law.markers_needed(basis):
+        words = f"may not be {detector.kind}: it reports {detector.rows} points, and law {law.kind} needs {needed} or more; use"
+        raise ParameterError("detector", f"{words} another one, or law photometric")
     if detector.rows is None and len(points) < needed:
         markers = f"{len(points)} marker{'s' * (len(points) != 1)}"
         words = f"has {markers}, and law {law.kind} needs {needed} or more for this robot's motions"

@@ -21,6 +21,7 @@ from vstestbed.scenario.checks import (
     check_carrier,
     check_determined,
     check_depth,
+    check_judged,
     check_markers,
     check_memory,
     check_metres,
@@ -152,6 +153,7 @@ class Scenario:
         if self.stop.duration_s < self.camera.period:
             raise ParameterError("stop.duration_s", f"must be at least one camera period, {self.camera.period:g} s", self.stop.duration_s)
         check_markers(self.robot, self.camera, self.target, self.detector, self.law, self.goal.needs_pose)
+        check_judged(self.stop, self.detector, self.law)
         check_metrics(self.metrics)
         check_views_metres("goal.T_camera_target" if hasattr(self.goal, "T_camera_target") else "goal", self.goal_views)
         check_own_points(self.camera, self.detector, self.law, self.goal_views)

@@ -12,6 +12,7 @@ from vstestbed.vision.detect.blobs import Blobs
 from vstestbed.vision.detect.centre import centre_bias
 from vstestbed.vision.detect.keypoints import Keypoints
 from vstestbed.vision.detect.lines import Lines
+from vstestbed.vision.detect.none import NoDetector
 from vstestbed.vision.detect.oracle import Oracle
 from vstestbed.vision.detect.tags import Tags
 from vstestbed.vision.match.features import KEYPOINTS
@@ -20,7 +21,9 @@ from vstestbed.vision.pose.pnp import solve_pose, solve_pose_from_rays
 
 cv2.setNumThreads(1)
 
-DETECTORS = OneOf("detector", Blobs, Tags, Lines, Keypoints, Oracle, default="blobs", contract=Contract(Detector, base=DetectorBase))
+DETECTORS = OneOf(
+    "detector", Blobs, Tags, Lines, Keypoints, Oracle, NoDetector, default="blobs", contract=Contract(Detector, base=DetectorBase)
+)
 
 __all__ = [
     "DETECTORS",
@@ -31,6 +34,7 @@ __all__ = [
     "DetectorBase",
     "Keypoints",
     "Lines",
+    "NoDetector",
     "Observer",
     "ObserverMemory",
     "Oracle",
