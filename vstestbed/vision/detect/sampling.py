@@ -1,0 +1,83 @@
+"""Grey pictures in several sizes, sampled where a plane is projected by any lens."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vstestbed.camera import Camera, Picture, Window
+from vstestbed.core.geometry import Array
+
+Grey = NDArray[np.float32]
+
+OUTSIDE = -1e4
+"""A pixel far outside of every picture."""
+GRID = np.linspace(-1, 1, 9)
+"""Places along a template's sides at which its size in the picture is measured."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """A rectangle of one panel's image in several sizes, each half of the one before (`cv2.pyrDown`), and where it begins [px]."""
+
+    panel: int
+    sizes: list[Grey]
+    begin: Array
+
+
+class GreyPicture:
+    """A picture's grey levels, in the camera's panels, or in one rectangle of its image alone.
+
+    Args:
+        picture: the exposure. camera: its calibrated lens. window: the rectangle that counts; None for everything.
+    """
+
+    def __init__(self, picture: Picture, camera: Camera, window: Window | None = None):
+        self.camera = camera
+        self.images: list[NDArray[np.uint8] | None] = []
+        self._parts: list[_Part] = []
+        for k, image in enumerate(picture.images):
+            if image is None:
+                self.images.append(None)
+                continue
+            left, top, right, bottom = window or (0, 0, image.shape[1], image.shape[0])
+            grey = np.asarray(cv2.cvtColor(np.ascontiguousarray(image[top:bottom, left:right]), cv2.COLOR_RGB2GRAY), np.uint8)
+            self.images.append(grey)
+            self._parts.append(_Part(k, [grey.astype(np.float32)], np.array([left, top], float)))
+
+    def sampled(self, rays: Array, halvings: int) -> Grey:
+        """Grey levels (n,) in the directions (n, 3), from the picture halved so many times; NaN where it shows nothing."""
+        out = np.full(len(rays), np.nan, np.float32)
+        for part in self._parts:
+            panel = self.camera.panels[part.panel]
+            turned = rays if len(self.camera.panels) == 1 else rays @ panel.R_camera_panel
+            uv = (panel.lens.project(turned) - part.begin) / 2**halvings
+            image = self._size(part, halvings)
+            within = (uv >= 0).all(axis=1) & (uv <= [image.shape[1] - 1, image.shape[0] - 1]).all(axis=1)
+            at = np.where(within[:, None], uv, OUTSIDE).astype(np.float32)
+            found = cv2.remap(image, at.reshape(-1, 1, 2), None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
+            np.copyto(out, np.asarray(found, np.float32).ravel(), where=within)
+        return out
+
+    def _size(self, part: _Part, halvings: int) -> Grey:
+        while len(part.sizes) <= halvings:
+            part.sizes.append(np.asarray(cv2.pyrDown(part.sizes[-1]), np.float32))
+        return part.sizes[halvings]
+
+
+def pixels_per_unit(camera: Camera, G: Array, half: tuple[float, float]) -> float:
+    """Pixels of a camera's image (of its panels) along the unit of a template: the root of the ratio of areas; NaN where it is not seen."""
+    x, y = np.meshgrid(GRID * half[0], GRID * half[1])
+    rays = np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3) @ G.T
+    areas: list[float] = []
+    for panel in camera.panels:
+        uv = panel.lens.project(rays @ panel.R_camera_panel).reshape(len(GRID), len(GRID), 2)
+        a, b = uv[1:, 1:] - uv[:-1, :-1], uv[1:, :-1] - uv[:-1, 1:]
+        area = np.abs(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]) / 2
+        area = area[np.isfinite(area) & panel.lens.inside(uv[1:, 1:])]
+        areas.extend(area.tolist())
+    cell = (GRID[1] - GRID[0]) ** 2 * half[0] * half[1]
+    return float(np.sqrt(np.median(areas) / cell)) if areas else float("nan")
