@@ -27,6 +27,10 @@ MOST_ROUNDS = (12, 8, 8)
 """Most iterations on the smallest copy, the next one and the largest."""
 STILL_PX = 0.01
 """The iterations end when no corner moves by more than this in the picture [px]."""
+EARLIER = 8.0
+"""In the smaller copies they end so many times earlier."""
+PART = 2000
+"""Texels in one product of matrices."""
 LEAST_TEXELS = 100
 """Fewest texels within the picture from which an alignment is attempted."""
 COARSEST = 4.0
@@ -69,7 +73,8 @@ def align(template: Template, picture: GreyPicture, G: Array, least_correlation:
     sizes = _sizes(template, picture, G)
     blocks: NDArray[np.bool_] | None = None
     for (level, halvings), rounds in zip(sizes, MOST_ROUNDS[-len(sizes) :], strict=True):
-        G, residual = _aligned(level, picture, halvings, G, rounds, blocks, template)
+        still = STILL_PX * (1 if level is sizes[-1][0] else EARLIER)
+        G, residual = _aligned(level, picture, halvings, G, rounds, still, blocks, template.corners)
         if residual is None:
             return None
         alike, correlation = _compared(level, residual, least_correlation)
@@ -104,11 +109,18 @@ def _sampled(level: Level, picture: GreyPicture, halvings: int, G: Array) -> Gre
 
 
 def _aligned(
-    level: Level, picture: GreyPicture, halvings: int, G: Array, rounds: int, blocks: NDArray[np.bool_] | None, template: Template
+    level: Level,
+    picture: GreyPicture,
+    halvings: int,
+    G: Array,
+    rounds: int,
+    still: float,
+    blocks: NDArray[np.bool_] | None,
+    corners: Array,
 ) -> tuple[Array, Grey | None]:
     """G aligned in one size, and the grey levels (n,) sampled there; None where too little of the plane is in the picture."""
     counts = level.inner if blocks is None else level.inner & blocks[level.block]
-    before = picture.camera.project(template.corners @ G.T)
+    before = picture.camera.project(corners @ G.T)
     for _ in range(rounds):
         grey = _sampled(level, picture, halvings, G)
         seen = counts & np.isfinite(grey)
@@ -117,10 +129,10 @@ def _aligned(
         G = normalised(G @ _step(level, grey, seen))
         if not np.isfinite(G).all() or np.linalg.det(G) <= 0:
             return G, None
-        now = picture.camera.project(template.corners @ G.T)
+        now = picture.camera.project(corners @ G.T)
         moved = np.abs(now - before)
         before = now
-        if not (moved > STILL_PX).any():
+        if not (moved > still).any():
             break
     return G, _sampled(level, picture, halvings, G)
 
@@ -138,12 +150,16 @@ def _step(level: Level, grey: Grey, seen: NDArray[np.bool_]) -> Array:
     gx, gy = 0.5 * (gain * slopes(known.reshape(h, w), level.texel) + level.slopes)
     x, y = level.x, level.y
     along = gx * x + gy * y
-    J = np.stack([gx, gy, gx * y, gy * x, gx * x - gy * y, -along - gy * y, -x * along, -y * along, known / LIGHT, np.ones_like(x)])
-    weighted = J * weights
-    N = (weighted @ J.T).astype(float)
-    N[np.diag_indices(10)] += RIDGE * np.trace(N) / 10
-    z = -np.linalg.solve(N, (weighted @ residual).astype(float))
+    columns = (gx, gy, gx * y, gy * x, gx * x - gy * y, -along - gy * y, -x * along, -y * along, known / LIGHT, np.ones_like(x), residual)
+    N = _products(np.stack(columns) * np.sqrt(weights))
+    normal = N[:10, :10] + RIDGE * np.trace(N[:10, :10]) / 10 * np.eye(10)
+    z = -np.linalg.solve(normal, N[:10, 10])
     return _exponential(z[:8])
+
+
+def _products(rows: Grey) -> Array:
+    """rows rows^T of (m, n), in parts so small that a linear algebra library does not share them out among threads."""
+    return np.add.reduce([(part := rows[:, k : k + PART]) @ part.T for k in range(0, rows.shape[1], PART)]).astype(float)
 
 
 def _weights(residual: Grey, seen: NDArray[np.bool_]) -> Grey:

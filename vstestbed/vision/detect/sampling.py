@@ -56,9 +56,9 @@ class GreyPicture:
             turned = rays if len(self.camera.panels) == 1 else rays @ panel.R_camera_panel
             uv = (panel.lens.project(turned) - part.begin) / 2**halvings
             image = self._size(part, halvings)
-            within = (uv >= 0).all(axis=1) & (uv <= [image.shape[1] - 1, image.shape[0] - 1]).all(axis=1)
-            at = np.where(within[:, None], uv, OUTSIDE).astype(np.float32)
-            found = cv2.remap(image, at.reshape(-1, 1, 2), None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
+            u, v = np.nan_to_num(uv.T.astype(np.float32), nan=OUTSIDE)
+            within = (u >= 0) & (v >= 0) & (u <= image.shape[1] - 1) & (v <= image.shape[0] - 1)
+            found = cv2.remap(image, u[:, None], v[:, None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
             np.copyto(out, np.asarray(found, np.float32).ravel(), where=within)
         return out
 
