@@ -151,7 +151,7 @@ def check_markers(robot: Robot, camera: Camera, target: Target, detector: Detect
     """
     _check_marker_kind(target.marker.kind, detector)
     _check_shown(target, detector)
-    _check_marker_count(robot, camera, target, law)
+    _check_marker_count(robot, camera, target, detector, law)
     if law.depth.needs_pose and not law.depth.on_floor and _leaves_pose_open(target.points):
         raise _open_pose(robot, target.points, law, needs_pose)
 
@@ -174,12 +174,12 @@ def _check_shown(target: Target, detector: Detector[Any]) -> None:
     raise ParameterError("target.draw_markers", f"{words}; use true, or detector {' or '.join(able)}", False)
 
 
-def _check_marker_count(robot: Robot, camera: Camera, target: Target, law: Law[Any]) -> None:
+def _check_marker_count(robot: Robot, camera: Camera, target: Target, detector: Detector[Any], law: Law[Any]) -> None:
     """Refuse fewer markers than the law needs for the motions that the robot can make."""
     points, basis = target.points, robot.motion_basis(Mount.of(camera.mount.T), robot.start_joints())
     # One at least: a robot whose motions need none would still have nothing to look at.
     needed = max(law.markers_needed(basis), 1)
-    if len(points) < needed:
+    if detector.rows is None and len(points) < needed:
         markers = f"{len(points)} marker{'s' * (len(points) != 1)}"
         words = f"has {markers}, and law {law.kind} needs {needed} or more for this robot's motions"
         less = _needed_on_floor(robot, law, basis)
