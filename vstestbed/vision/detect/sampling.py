@@ -48,6 +48,10 @@ class GreyPicture:
             self.images.append(grey)
             self._parts.append(_Part(k, [grey.astype(np.float32)], np.array([left, top], float)))
 
+    def begin(self, panel: int) -> Array:
+        """The pixel (u, v) of a panel's image at which its part here begins."""
+        return next(part.begin for part in self._parts if part.panel == panel)
+
     def sampled(self, rays: Array, halvings: int) -> Grey:
         """Grey levels (n,) in the directions (n, 3), from the picture halved so many times; NaN where it shows nothing."""
         out = np.full(len(rays), np.nan, np.float32)
