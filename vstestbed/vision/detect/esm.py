@@ -33,6 +33,10 @@ PART = 2000
 """Texels in one product of matrices."""
 LEAST_TEXELS = 100
 """Fewest texels within the picture from which an alignment is attempted."""
+INSIDE = 0.5
+"""Share of a block that must be in the picture for it to count."""
+ENOUGH = 0.15
+"""Share of the textured blocks that must be alike before the others are left out; fewer may be alike by chance."""
 COARSEST = 4.0
 """The smallest copy is that whose texels are up to so many times those of the largest."""
 SHARP = 0.7
@@ -53,6 +57,15 @@ class Fit:
     visible: float
 
 
+@dataclass(frozen=True, slots=True)
+class Blocks:
+    """Which blocks (B,) of a template are aligned; their correlation, and the share of the textured blocks that are in the picture and alike."""
+
+    counted: NDArray[np.bool_]
+    correlation: float
+    share: float
+
+
 def normalised(G: Array) -> Array:
     """The same homography with determinant 1, whatever its factor; zero where it is singular."""
     det = np.linalg.det(G)
@@ -63,24 +76,21 @@ def align(template: Template, picture: GreyPicture, G: Array, least_correlation:
     """The homography near G that aligns a template with a picture; None where the plane leaves the picture.
 
     From the template's small copies to a large one, each against the picture in a similar size, the residuals
-    r = a I(w(G exp(A(z)) q)) + b - T(q) over its texels q are minimised over z in sl(3) and the light's gain a and offset b. ESM takes
-    the mean of the derivatives in the picture and in the template, which makes the convergence quadratic. Weights of Tukey, and zero for
-    blocks that did not correlate in the size before, leave out what hides the plane.
+    r = (a . l) I(w(G exp(A(z)) q)) + b . l - T(q), l = (1, x, y), over its texels q are minimised over z in sl(3) and the light's gain and
+    offset, which change linearly over the plane. ESM takes the mean of the derivatives in the picture and in the template, which makes the
+    convergence quadratic. Weights of Tukey, and zero for blocks that do not correlate, leave out what hides the plane.
 
     References: Benhimane & Malis 2007, doi:10.1177/0278364907080252; Malis & Marchand 2006, doi:10.1109/IROS.2006.281831 (weights).
     """
-    fit: Fit | None = None
+    blocks = None
     sizes = _sizes(template, picture, G)
-    blocks: NDArray[np.bool_] | None = None
     for (level, halvings), rounds in zip(sizes, MOST_ROUNDS[-len(sizes) :], strict=True):
         still = STILL_PX * (1 if level is sizes[-1][0] else EARLIER)
-        G, residual = _aligned(level, picture, halvings, G, rounds, still, blocks, template.corners)
-        if residual is None:
+        found = _aligned(level, picture, halvings, G, rounds, still, least_correlation, template.corners)
+        if found is None:
             return None
-        alike, correlation = _compared(level, residual, least_correlation)
-        blocks = alike if alike.any() else None
-        fit = Fit(G, correlation, np.count_nonzero(alike) / max(1, np.count_nonzero(level.textured)))
-    return fit
+        G, blocks = found
+    return None if blocks is None else Fit(G, blocks.correlation, blocks.share)
 
 
 def compared(template: Template, picture: GreyPicture, G: Array, least_correlation: float) -> Fit | None:
@@ -89,8 +99,8 @@ def compared(template: Template, picture: GreyPicture, G: Array, least_correlati
     if not sizes:
         return None
     level, halvings = sizes[0]
-    alike, correlation = _compared(level, _sampled(level, picture, halvings, G), least_correlation)
-    return Fit(G, correlation, np.count_nonzero(alike) / max(1, np.count_nonzero(level.textured)))
+    blocks = _compared(level, _sampled(level, picture, halvings, G), least_correlation)
+    return Fit(G, blocks.correlation, blocks.share)
 
 
 def _sizes(template: Template, picture: GreyPicture, G: Array) -> list[tuple[Level, int]]:
@@ -105,56 +115,62 @@ def _sizes(template: Template, picture: GreyPicture, G: Array) -> list[tuple[Lev
 
 
 def _sampled(level: Level, picture: GreyPicture, halvings: int, G: Array) -> Grey:
-    return picture.sampled(level.homogeneous @ G.T, halvings)
+    return picture.sampled(level.homogeneous @ G.T, halvings).ravel()
 
 
 def _aligned(
-    level: Level,
-    picture: GreyPicture,
-    halvings: int,
-    G: Array,
-    rounds: int,
-    still: float,
-    blocks: NDArray[np.bool_] | None,
-    corners: Array,
-) -> tuple[Array, Grey | None]:
-    """G aligned in one size, and the grey levels (n,) sampled there; None where too little of the plane is in the picture."""
-    counts = level.inner if blocks is None else level.inner & blocks[level.block]
+    level: Level, picture: GreyPicture, halvings: int, G: Array, rounds: int, still: float, least: float, corners: Array
+) -> tuple[Array, Blocks] | None:
+    """G aligned in one size, and how well each block fits there; None where too little of the plane is in the picture."""
     before = picture.camera.project(corners @ G.T)
+    counted = light = None
     for _ in range(rounds):
         grey = _sampled(level, picture, halvings, G)
-        seen = counts & np.isfinite(grey)
+        if counted is None:
+            counted = _compared(level, grey, least).counted
+        seen = counted[level.block] & level.inner & np.isfinite(grey)
         if np.count_nonzero(seen) < LEAST_TEXELS:
-            return G, None
-        G = normalised(G @ _step(level, grey, seen))
+            return None
+        warp, light = _step(level, grey, seen, light)
+        G = normalised(G @ warp)
         if not np.isfinite(G).all() or np.linalg.det(G) <= 0:
-            return G, None
+            return None
         now = picture.camera.project(corners @ G.T)
-        moved = np.abs(now - before)
-        before = now
+        moved, before = np.abs(now - before), now
         if not (moved > still).any():
-            break
-    return G, _sampled(level, picture, halvings, G)
+            counted, last = _compared(level, _sampled(level, picture, halvings, G), least).counted, counted
+            if (counted == last).all():
+                break
+    return G, _compared(level, _sampled(level, picture, halvings, G), least)
 
 
-def _step(level: Level, grey: Grey, seen: NDArray[np.bool_]) -> Array:
-    """exp(A(z)), the warp in the template's plane by which its homography changes in one iteration, (3, 3)."""
-    h, w = level.grey.shape
-    template = level.grey.ravel()
-    known = np.where(np.isfinite(grey), grey, 0)
-    i, t = known[seen], template[seen]
-    gain = t.std() / max(float(i.std()), 1e-3)
-    offset = t.mean() - gain * i.mean()
-    residual = gain * known + offset - template
-    weights = _weights(residual, seen)
-    gx, gy = 0.5 * (gain * slopes(known.reshape(h, w), level.texel) + level.slopes)
-    x, y = level.x, level.y
+def _step(level: Level, grey: Grey, seen: NDArray[np.bool_], light: Array | None) -> tuple[Array, Array]:
+    """exp(A(z)), the warp in the template's plane by which its homography changes in one iteration, (3, 3), and the light (6,) after it.
+
+    light: gain and offset, each (1, x, y); None at first.
+    """
+    template, x, y = level.grey.ravel(), level.x, level.y
+    known = np.where(seen, grey, 0)
+    a = _first_light(grey[seen], template[seen]) if light is None else light
+    gain = (a[0] + a[1] * x + a[2] * y).astype(np.float32)
+    residual = gain * known + (a[3] + a[4] * x + a[5] * y).astype(np.float32) - template
+    shape = level.grey.shape
+    gx, gy = 0.5 * (gain * slopes(np.where(np.isfinite(grey), grey, 0).reshape(shape), level.texel) + level.slopes)
     along = gx * x + gy * y
-    columns = (gx, gy, gx * y, gy * x, gx * x - gy * y, -along - gy * y, -x * along, -y * along, known / LIGHT, np.ones_like(x), residual)
-    N = _products(np.stack(columns) * np.sqrt(weights))
-    normal = N[:10, :10] + RIDGE * np.trace(N[:10, :10]) / 10 * np.eye(10)
-    z = -np.linalg.solve(normal, N[:10, 10])
-    return _exponential(z[:8])
+    scaled = known / LIGHT
+    lit = (scaled, scaled * x, scaled * y, np.ones_like(x), x, y)
+    rows = np.stack([gx, gy, gx * y, gy * x, gx * x - gy * y, -along - gy * y, -x * along, -y * along, *lit, residual])
+    rows *= np.sqrt(_weights(residual, seen))
+    N = _products(rows)
+    n = len(N) - 1
+    z = -np.linalg.solve(N[:n, :n] + RIDGE * np.trace(N[:n, :n]) / n * np.eye(n), N[:n, n])
+    return _exponential(z[:8]), a + z[8:] / [LIGHT, LIGHT, LIGHT, 1, 1, 1]
+
+
+def _first_light(grey: Grey, template: Grey) -> Array:
+    """Gain and offset (6,), the same everywhere, by which the grey levels have the template's mean and spread."""
+    gain = template.std() / max(float(grey.std()), 1e-3)
+    return np.array([gain, 0, 0, template.mean() - gain * grey.mean(), 0, 0])
 
 
 def _products(rows: Grey) -> Array:
@@ -181,17 +197,15 @@ def _exponential(z: Array) -> Array:
     return out
 
 
-def _compared(level: Level, grey: Grey, least: float) -> tuple[NDArray[np.bool_], float]:
-    """Which textured blocks (B,) correlate with the template by at least `least`, and the correlation over all of those."""
+def _compared(level: Level, grey: Grey, least: float) -> Blocks:
+    """How well each textured block of a template fits the grey levels (n,): by its zero-mean normalised correlation with them."""
     seen = level.inner & np.isfinite(grey)
-    block, template = level.block, level.grey.ravel()
-    i, t = np.where(seen, grey, 0).astype(float), np.where(seen, template, 0).astype(float)
-    n = len(level.textured)
-    s, si, st, sii, stt, sit = (np.bincount(block, values, n) for values in (seen.astype(float), i, t, i * i, t * t, i * t))
-    many = np.maximum(s, 1)
-    cov, vi, vt = sit - si * st / many, np.maximum(sii - si * si / many, 0), np.maximum(stt - st * st / many, 0)
-    each = cov / np.maximum(np.sqrt(vi * vt), 1e-6)
-    inside = s >= 0.5 * np.bincount(block, level.inner.astype(float), n)
-    alike = level.textured & inside & (each >= least) & (s > 3)
-    total = float(cov[alike].sum() / max(np.sqrt(vi[alike].sum() * vt[alike].sum()), 1e-6)) if alike.any() else 0.0
-    return alike, total
+    i, t = np.where(seen, grey, 0), np.where(seen, level.grey.ravel(), 0)
+    s, si, st, sii, stt, sit = (level.by_block(values) for values in (seen.astype(np.float32), i, t, i * i, t * t, i * t))
+    some = np.maximum(s, 1e-3)
+    cov, vi, vt = sit - si * st / some, np.maximum(sii - si * si / some, 0), np.maximum(stt - st * st / some, 0)
+    inside = level.textured & (s >= INSIDE * level.by_block(level.inner.astype(np.float32)))
+    alike = inside & (cov >= least * np.sqrt(vi * vt)) & (cov > 0)
+    total = float(cov[alike].sum() / max(np.sqrt(vi[alike].sum() * vt[alike].sum()), 1e-6))
+    share = np.count_nonzero(alike) / max(1, np.count_nonzero(level.textured))
+    return Blocks(alike if share >= ENOUGH else inside, total, share)

@@ -67,7 +67,7 @@ class Patch(DetectorBase):
     least_correlation: Annotated[float, Gt(0), Lt(1)] = 0.6
     least_visible: Annotated[float, Gt(0), Le(1)] = 0.2
     search_s: PositiveTime = 0.2
-    texels: Annotated[int, Ge(1000), Le(1000000)] = 15000
+    texels: Annotated[int, Ge(1000), Le(1000000)] = 30000
     window_margin_px: Annotated[int, Ge(2), Le(8192)] = 12
     needs_image: ClassVar[bool] = True
     needs_sheet: ClassVar[bool] = True

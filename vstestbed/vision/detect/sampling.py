@@ -53,17 +53,17 @@ class GreyPicture:
         return next(part.begin for part in self._parts if part.panel == panel)
 
     def sampled(self, rays: Array, halvings: int) -> Grey:
-        """Grey levels (n,) in the directions (n, 3), from the picture halved so many times; NaN where it shows nothing."""
-        out = np.full(len(rays), np.nan, np.float32)
+        """Grey levels (h, w) in the directions (h, w, 3), from the picture halved so many times; NaN where it shows nothing."""
+        out = np.full(rays.shape[:2], np.nan, np.float32)
         for part in self._parts:
             panel = self.camera.panels[part.panel]
             turned = rays if len(self.camera.panels) == 1 else rays @ panel.R_camera_panel
             uv = (panel.lens.project(turned) - part.begin) / 2**halvings
             image = self._size(part, halvings)
-            u, v = np.nan_to_num(uv.T.astype(np.float32), nan=OUTSIDE)
+            u, v = np.nan_to_num(np.moveaxis(uv, -1, 0).astype(np.float32), nan=OUTSIDE)
             within = (u >= 0) & (v >= 0) & (u <= image.shape[1] - 1) & (v <= image.shape[0] - 1)
-            found = cv2.remap(image, u[:, None], v[:, None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-            np.copyto(out, np.asarray(found, np.float32).ravel(), where=within)
+            found = cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+            np.copyto(out, np.asarray(found, np.float32), where=within)
         return out
 
     def _size(self, part: _Part, halvings: int) -> Grey:

@@ -32,11 +32,12 @@ class Level:
     Attributes:
         grey: grey levels (h, w).
         x, y: texel centres in units of half the template's longer side, from its middle, right and down, (n,).
-        homogeneous: (x, y, 1), shape (n, 3).
+        homogeneous: (x, y, 1), shape (h, w, 3).
         slopes: derivatives of the grey levels by x and y, (2, n).
         texel: width and height of a texel, in the same units.
         inner: which texels count, (n,); those at the border do not.
         block: number of each texel's block, (n,). textured: which blocks are not flat, (B,).
+        blocks: how many there are along x and y.
     """
 
     grey: Grey
@@ -48,6 +49,11 @@ class Level:
     inner: NDArray[np.bool_]
     block: NDArray[np.intp]
     textured: NDArray[np.bool_]
+    blocks: tuple[int, int]
+
+    def by_block(self, values: Grey) -> Grey:
+        """Means of values (n,) over each block, (B,)."""
+        return np.asarray(cv2.resize(values.reshape(self.grey.shape), self.blocks, interpolation=cv2.INTER_AREA), np.float32).ravel()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,8 +114,8 @@ def _level(grey: Grey, size: tuple[int, int], half: tuple[float, float]) -> Leve
     n = np.bincount(block)
     mean = np.bincount(block, small.ravel()) / n
     spread = np.sqrt(np.maximum(np.bincount(block, small.ravel() ** 2) / n - mean**2, 0))
-    homogeneous = np.column_stack([x, y, np.ones(w * h)])
-    return Level(small, _f(x), _f(y), homogeneous, slopes(small, texel), texel, inner, block, spread > FLAT)
+    homogeneous = np.stack([x, y, np.ones(w * h)], axis=-1).reshape(h, w, 3)
+    return Level(small, _f(x), _f(y), homogeneous, slopes(small, texel), texel, inner, block, spread > FLAT, (across, down))
 
 
 def _f(a: Array) -> Grey:
