@@ -37,6 +37,8 @@ INSIDE = 0.5
 """Share of a block that must be in the picture for it to count."""
 ENOUGH = 0.15
 """Share of the textured blocks that must be alike before the others are left out; fewer may be alike by chance."""
+PARTLY = 0.8
+"""Share of the alike blocks' median correlation below which a block is taken to be hidden in part."""
 COARSEST = 4.0
 """The smallest copy is that whose texels are up to so many times those of the largest."""
 SHARP = 0.7
@@ -205,7 +207,10 @@ def _compared(level: Level, grey: Grey, least: float) -> Blocks:
     some = np.maximum(s, 1e-3)
     cov, vi, vt = sit - si * st / some, np.maximum(sii - si * si / some, 0), np.maximum(stt - st * st / some, 0)
     inside = level.textured & (s >= INSIDE * level.by_block(level.inner.astype(np.float32)))
-    alike = inside & (cov >= least * np.sqrt(vi * vt)) & (cov > 0)
+    each = cov / np.maximum(np.sqrt(vi * vt), 1e-6)
+    alike = inside & (each >= least)
     total = float(cov[alike].sum() / max(np.sqrt(vi[alike].sum() * vt[alike].sum()), 1e-6))
     share = np.count_nonzero(alike) / max(1, np.count_nonzero(level.textured))
-    return Blocks(alike if share >= ENOUGH else inside, total, share)
+    # A block that is hidden in part lets its alignment slip, and has less correlation than the others.
+    counted = alike & (each >= PARTLY * np.median(each[alike])) if share >= ENOUGH else inside
+    return Blocks(counted, total, share)
