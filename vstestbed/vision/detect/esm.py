@@ -25,7 +25,7 @@ RIDGE = 1e-6
 """Added to the normal equations' diagonal, as a share of its mean: what a template leaves open stays where it is."""
 MOST_ROUNDS = (12, 8, 8)
 """Most iterations on the smallest copy, the next one and the largest."""
-STILL_PX = 0.01
+STILL_PX = 0.03
 """The iterations end when no corner moves by more than this in the picture [px]."""
 EARLIER = 8.0
 """In the smaller copies they end so many times earlier."""
@@ -95,14 +95,14 @@ def align(template: Template, picture: GreyPicture, G: Array, least_correlation:
     return None if blocks is None else Fit(G, blocks.correlation, blocks.share)
 
 
-def compared(template: Template, picture: GreyPicture, G: Array, least_correlation: float) -> Fit | None:
-    """How a template fits a picture at G as it is, by its smallest copy that `align` would use."""
+def similarity(template: Template, picture: GreyPicture, G: Array, least_correlation: float) -> tuple[float, float]:
+    """How well a template fits a picture at G as it is, in its smallest copy that `align` would use: share visible, correlation."""
     sizes = _sizes(template, picture, G)
     if not sizes:
-        return None
+        return 0.0, 0.0
     level, halvings = sizes[0]
     blocks = _compared(level, _sampled(level, picture, halvings, G), least_correlation)
-    return Fit(G, blocks.correlation, blocks.share)
+    return blocks.share, blocks.correlation
 
 
 def _sizes(template: Template, picture: GreyPicture, G: Array) -> list[tuple[Level, int]]:
@@ -117,7 +117,7 @@ def _sizes(template: Template, picture: GreyPicture, G: Array) -> list[tuple[Lev
 
 
 def _sampled(level: Level, picture: GreyPicture, halvings: int, G: Array) -> Grey:
-    return picture.sampled(level.homogeneous @ G.T, halvings).ravel()
+    return picture.sampled(G @ level.to_plane, level.grey.shape, halvings).ravel()
 
 
 def _aligned(
@@ -140,9 +140,10 @@ def _aligned(
         now = picture.camera.project(corners @ G.T)
         moved, before = np.abs(now - before), now
         if not (moved > still).any():
-            counted, last = _compared(level, _sampled(level, picture, halvings, G), least).counted, counted
-            if (counted == last).all():
-                break
+            blocks = _compared(level, _sampled(level, picture, halvings, G), least)
+            if (blocks.counted == counted).all():
+                return G, blocks
+            counted = blocks.counted
     return G, _compared(level, _sampled(level, picture, halvings, G), least)
 
 

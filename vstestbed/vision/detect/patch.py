@@ -16,7 +16,7 @@ from vstestbed.core.quantity import PositiveTime
 from vstestbed.core.spec import spec
 from vstestbed.targets.base import Target
 from vstestbed.vision.base import Detection, DetectorBase, TruthView
-from vstestbed.vision.detect.esm import Fit, align, compared, normalised
+from vstestbed.vision.detect.esm import Fit, align, normalised, similarity
 from vstestbed.vision.detect.plane_search import found
 from vstestbed.vision.detect.sampling import GreyPicture
 from vstestbed.vision.detect.template import Template, template_of
@@ -65,7 +65,7 @@ class Patch(DetectorBase):
 
     kind: Literal["patch"] = "patch"
     least_correlation: Annotated[float, Gt(0), Lt(1)] = 0.6
-    least_visible: Annotated[float, Gt(0), Le(1)] = 0.2
+    least_visible: Annotated[float, Gt(0), Le(1)] = 0.3
     search_s: PositiveTime = 0.2
     texels: Annotated[int, Ge(1000), Le(1000000)] = 30000
     window_margin_px: Annotated[int, Ge(2), Le(8192)] = 12
@@ -118,15 +118,18 @@ class Patch(DetectorBase):
         return fit
 
     def _aligned(self, memory: PatchMemory, grey: GreyPicture, template: Template) -> Fit | None:
-        """Aligned from the more similar one of the last homography and the one predicted at constant velocity."""
-        starts = [memory.G] if memory.G is not None else []
-        if memory.G is not None and memory.before is not None:
-            starts.insert(0, normalised(memory.G @ np.linalg.inv(memory.before) @ memory.G))
-        fits = [fit for G in starts if (fit := compared(template, grey, G, self.least_correlation)) is not None]
-        if not fits:
+        """Aligned from the last homography and the one predicted at constant velocity, from the more similar one first."""
+        if memory.G is None:
             return None
-        best = max(fits, key=lambda fit: (fit.visible, fit.correlation))
-        return self._good(align(template, grey, best.G, self.least_correlation))
+        starts = [memory.G]
+        if memory.before is not None:
+            starts.append(normalised(memory.G @ np.linalg.inv(memory.before) @ memory.G))
+            starts.sort(key=lambda G: similarity(template, grey, G, self.least_correlation))
+        for G in reversed(starts):
+            fit = self._good(align(template, grey, G, self.least_correlation))
+            if fit is not None:
+                return fit
+        return None
 
     def _found(self, picture: Picture, template: Template, camera: Camera) -> Fit | None:
         """The template found by keypoints and aligned."""

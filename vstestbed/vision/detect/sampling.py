@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vstestbed.camera import Camera, Picture, Window
+from vstestbed.camera import Camera, Perspective, Picture, Window
 from vstestbed.core.geometry import Array
 
 Grey = NDArray[np.float32]
@@ -52,24 +53,47 @@ class GreyPicture:
         """The pixel (u, v) of a panel's image at which its part here begins."""
         return next(part.begin for part in self._parts if part.panel == panel)
 
-    def sampled(self, rays: Array, halvings: int) -> Grey:
-        """Grey levels (h, w) in the directions (h, w, 3), from the picture halved so many times; NaN where it shows nothing."""
-        out = np.full(rays.shape[:2], np.nan, np.float32)
-        for part in self._parts:
-            panel = self.camera.panels[part.panel]
-            turned = rays if len(self.camera.panels) == 1 else rays @ panel.R_camera_panel
-            uv = (panel.lens.project(turned) - part.begin) / 2**halvings
-            image = self._size(part, halvings)
-            u, v = np.nan_to_num(np.moveaxis(uv, -1, 0).astype(np.float32), nan=OUTSIDE)
-            within = (u >= 0) & (v >= 0) & (u <= image.shape[1] - 1) & (v <= image.shape[0] - 1)
-            found = cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-            np.copyto(out, np.asarray(found, np.float32), where=within)
+    def sampled(self, rays: Array, shape: tuple[int, int], halvings: int) -> Grey:
+        """Grey levels (h, w) of a grid in a plane, from the picture halved so many times; NaN where it shows nothing.
+
+        rays: (3, 3), from a grid's place (column, row, 1) to its direction in the camera's frame. shape: h and w of the grid.
+        """
+        parts = [self._sampled(part, rays, shape, halvings) for part in self._parts]
+        out = parts[0]
+        for more in parts[1:]:
+            np.copyto(out, more, where=np.isnan(out))
         return out
+
+    def _sampled(self, part: _Part, rays: Array, shape: tuple[int, int], halvings: int) -> Grey:
+        """The same from one panel's image."""
+        panel, image = self.camera.panels[part.panel], self._size(part, halvings)
+        turned, lens = panel.R_camera_panel.T @ rays, panel.lens
+        h, w = shape
+        ahead = turned[2] @ [[0, w - 1, 0, w - 1], [0, 0, h - 1, h - 1], [1, 1, 1, 1]]
+        if isinstance(lens, Perspective) and lens.distortion is None and ahead.min() > 0:
+            to_part = np.array([[1, 0, -part.begin[0]], [0, 1, -part.begin[1]], [0, 0, 2**halvings]]) @ lens.K @ turned
+            flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+            found = cv2.warpPerspective(image, to_part, (w, h), flags=flags, borderMode=cv2.BORDER_CONSTANT, borderValue=np.nan)
+            return np.asarray(found, np.float32)
+        u, v = np.moveaxis(lens.project(_grid(shape) @ turned.T), -1, 0)
+        u, v = ((at - begin) / 2**halvings for at, begin in ((u, part.begin[0]), (v, part.begin[1])))
+        u, v = (np.nan_to_num(at.astype(np.float32), nan=OUTSIDE) for at in (u, v))
+        found = cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=np.nan)
+        return np.asarray(found, np.float32)
 
     def _size(self, part: _Part, halvings: int) -> Grey:
         while len(part.sizes) <= halvings:
             part.sizes.append(np.asarray(cv2.pyrDown(part.sizes[-1]), np.float32))
         return part.sizes[halvings]
+
+
+@lru_cache(maxsize=16)
+def _grid(shape: tuple[int, int]) -> Array:
+    """(column, row, 1) of a grid, (h, w, 3)."""
+    v, u = np.mgrid[: shape[0], : shape[1]].astype(float)
+    grid = np.stack([u, v, np.ones(shape)], axis=-1)
+    grid.setflags(write=False)  # kept
+    return grid
 
 
 def pixels_per_unit(camera: Camera, G: Array, half: tuple[float, float]) -> float:

@@ -32,7 +32,7 @@ class Level:
     Attributes:
         grey: grey levels (h, w).
         x, y: texel centres in units of half the template's longer side, from its middle, right and down, (n,).
-        homogeneous: (x, y, 1), shape (h, w, 3).
+        to_plane: (3, 3), from (column, row, 1) to (x, y, 1).
         slopes: derivatives of the grey levels by x and y, (2, n).
         texel: width and height of a texel, in the same units.
         inner: which texels count, (n,); those at the border do not.
@@ -43,7 +43,7 @@ class Level:
     grey: Grey
     x: Grey
     y: Grey
-    homogeneous: Array
+    to_plane: Array
     slopes: Grey
     texel: tuple[float, float]
     inner: NDArray[np.bool_]
@@ -114,8 +114,8 @@ def _level(grey: Grey, size: tuple[int, int], half: tuple[float, float]) -> Leve
     n = np.bincount(block)
     mean = np.bincount(block, small.ravel()) / n
     spread = np.sqrt(np.maximum(np.bincount(block, small.ravel() ** 2) / n - mean**2, 0))
-    homogeneous = np.stack([x, y, np.ones(w * h)], axis=-1).reshape(h, w, 3)
-    return Level(small, _f(x), _f(y), homogeneous, slopes(small, texel), texel, inner, block, spread > FLAT, (across, down))
+    to_plane = np.array([[texel[0], 0, x[0]], [0, texel[1], y[0]], [0, 0, 1]])
+    return Level(small, _f(x), _f(y), to_plane, slopes(small, texel), texel, inner, block, spread > FLAT, (across, down))
 
 
 def _f(a: Array) -> Grey:
