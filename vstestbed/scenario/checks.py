@@ -171,7 +171,9 @@ def _check_shown(target: Target, detector: Detector[Any]) -> None:
     Refuse also a detector of the target's picture where there is none.
     """
     if detector.needs_sheet and target.sheet is None:
-        words = f"must be a picture for detector {detector.kind}, which tracks it: `target: {{kind: picture, file: poster.png, width: 0.6}}`"
+        words = (
+            f"must be a picture for detector {detector.kind}, which tracks it: `target: {{kind: picture, file: poster.png, width: 0.6}}`"
+        )
         raise ParameterError("target", words, kind_of(type(target)))
     if target.shows_markers or target.sheet is not None or not detector.markers:
         return

@@ -7,12 +7,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from vstestbed.core.geometry import Array
-from vstestbed.vision.detect.sampling import GreyPicture, Grey, pixels_per_unit
+from vstestbed.vision.detect.sampling import Grey, GreyPicture, pixels_per_unit
 from vstestbed.vision.detect.template import Level, Template, slopes
 
 TUKEY = 4.685
@@ -61,7 +60,7 @@ class Fit:
 
 @dataclass(frozen=True, slots=True)
 class Blocks:
-    """Which blocks (B,) of a template are aligned; their correlation, and the share of the textured blocks that are in the picture and alike."""
+    """Which blocks (B,) of a template count; the correlation of those that are alike, and their share of the textured ones."""
 
     counted: NDArray[np.bool_]
     correlation: float
@@ -148,7 +147,7 @@ def _aligned(
 
 
 def _step(level: Level, grey: Grey, seen: NDArray[np.bool_], light: Array | None) -> tuple[Array, Array]:
-    """exp(A(z)), the warp in the template's plane by which its homography changes in one iteration, (3, 3), and the light (6,) after it.
+    """The warp exp(A(z)) (3, 3) of the template's plane by which its homography changes in one iteration, and the light (6,) after it.
 
     light: gain and offset, each (1, x, y); None at first.
     """
@@ -177,7 +176,7 @@ def _first_light(grey: Grey, template: Grey) -> Array:
 
 
 def _products(rows: Grey) -> Array:
-    """rows rows^T of (m, n), in parts so small that a linear algebra library does not share them out among threads."""
+    """The product rows rows^T of (m, n), in parts so small that a linear algebra library does not share them out among threads."""
     return np.add.reduce([(part := rows[:, k : k + PART]) @ part.T for k in range(0, rows.shape[1], PART)]).astype(float)
 
 
@@ -190,7 +189,7 @@ def _weights(residual: Grey, seen: NDArray[np.bool_]) -> Grey:
 
 
 def _exponential(z: Array) -> Array:
-    """exp of the matrix of sl(3) with coordinates z (8,), by its series: it is small."""
+    """The exponential of the matrix of sl(3) with coordinates z (8,), by its series: it is small."""
     A = np.array([[z[4], z[2], z[0]], [z[3], -z[4] - z[5], z[1]], [z[6], z[7], z[5]]])
     A *= min(1.0, 1.0 / max(np.abs(A).max(), 1e-12))
     out, term = np.eye(3), np.eye(3)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from vstestbed.camera import Camera
 from vstestbed.core.geometry import Array
 from vstestbed.vision.detect.esm import normalised
-from vstestbed.vision.detect.sampling import GreyPicture
+from vstestbed.vision.detect.sampling import Grey, GreyPicture
 from vstestbed.vision.detect.template import Template, keypoints
 
 RATIO = 0.8
@@ -49,7 +49,7 @@ def found(template: Template, picture: GreyPicture) -> Array | None:
     return G if G.any() and (template.corners @ (R.T @ G)[2] > 0).all() else None
 
 
-def _matched(panel: int, picture: GreyPicture, descriptors: Array) -> tuple[Array, NDArray[np.intp]]:
+def _matched(panel: int, picture: GreyPicture, descriptors: Grey) -> tuple[Array, NDArray[np.intp]]:
     """Unit rays (M, 3) in the camera's frame of a panel's keypoints that match one of the descriptors (K, 128), and its number (M,)."""
     grey = picture.images[panel]
     nothing = np.empty((0, 3)), np.empty(0, np.intp)
@@ -58,7 +58,7 @@ def _matched(panel: int, picture: GreyPicture, descriptors: Array) -> tuple[Arra
     px, seen = keypoints(grey)
     if not len(px):
         return nothing
-    distance, number = cv2.batchDistance(seen, np.asarray(descriptors, np.float32), cv2.CV_32F, normType=cv2.NORM_L2, K=2)
+    distance, number = cv2.batchDistance(seen, descriptors, cv2.CV_32F, normType=cv2.NORM_L2, K=2)
     good = distance[:, 0] < RATIO * distance[:, 1]
     own = picture.camera.panels[panel]
     rays = own.lens.ray(px[good] + picture.begin(panel)) @ own.R_camera_panel.T

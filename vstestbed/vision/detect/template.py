@@ -115,11 +115,18 @@ def _level(grey: Grey, size: tuple[int, int], half: tuple[float, float]) -> Leve
     mean = np.bincount(block, small.ravel()) / n
     spread = np.sqrt(np.maximum(np.bincount(block, small.ravel() ** 2) / n - mean**2, 0))
     to_plane = np.array([[texel[0], 0, x[0]], [0, texel[1], y[0]], [0, 0, 1]])
-    return Level(small, _f(x), _f(y), to_plane, slopes(small, texel), texel, inner, block, spread > FLAT, (across, down))
-
-
-def _f(a: Array) -> Grey:
-    return a.astype(np.float32)
+    return Level(
+        small,
+        x.astype(np.float32),
+        y.astype(np.float32),
+        to_plane,
+        slopes(small, texel),
+        texel,
+        inner,
+        block,
+        spread > FLAT,
+        (across, down),
+    )
 
 
 def slopes(grey: Grey, texel: tuple[float, float]) -> Grey:
@@ -150,7 +157,7 @@ def keypoints(grey: NDArray[np.uint8]) -> tuple[Array, Grey]:
 
     Reference: Lowe 2004, doi:10.1023/B:VISI.0000029664.99615.94.
     """
-    found, descriptors = cv2.SIFT_create(nfeatures=MOST_KEYPOINTS).detectAndCompute(grey, None)
+    found, descriptors = cv2.SIFT.create(nfeatures=MOST_KEYPOINTS).detectAndCompute(grey, None)
     if not found:
         return np.empty((0, 2)), np.empty((0, 128), np.float32)
     return np.array([k.pt for k in found]), np.asarray(descriptors, np.float32)
