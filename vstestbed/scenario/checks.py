@@ -213,7 +213,15 @@ def _check_marker_kind(marker: str, detector: Detector[Any]) -> None:
 
 
 def _check_shown(target: Target, detector: Detector[Any]) -> None:
-    """Refuse a detector of markers where none are drawn and no picture shows any; a detector that names no kinds may see other things."""
+    """Refuse a detector of markers where none are drawn and no picture shows any; a detector that names no kinds may see other things.
+
+    Refuse also a detector of the target's picture where there is none.
+    """
+    if detector.needs_sheet and target.sheet is None:
+        words = (
+            f"must be a picture for detector {detector.kind}, which tracks it: `target: {{kind: picture, file: poster.png, width: 0.6}}`"
+        )
+        raise ParameterError("target", words, kind_of(type(target)))
     if target.shows_markers or target.sheet is not None or not detector.markers:
         return
     able = [kind for kind, member in DETECTORS.members.items() if not member.markers]

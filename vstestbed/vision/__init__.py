@@ -14,6 +14,7 @@ from vstestbed.vision.detect.keypoints import Keypoints
 from vstestbed.vision.detect.lines import Lines
 from vstestbed.vision.detect.none import NoDetector
 from vstestbed.vision.detect.oracle import Oracle
+from vstestbed.vision.detect.patch import Patch
 from vstestbed.vision.detect.tags import Tags
 from vstestbed.vision.match.features import KEYPOINTS
 from vstestbed.vision.observe import Observer, ObserverMemory
@@ -21,9 +22,8 @@ from vstestbed.vision.pose.pnp import solve_pose, solve_pose_from_rays
 
 cv2.setNumThreads(1)
 
-DETECTORS = OneOf(
-    "detector", Blobs, Tags, Lines, Keypoints, Oracle, NoDetector, default="blobs", contract=Contract(Detector, base=DetectorBase)
-)
+_KINDS = Blobs, Tags, Lines, Keypoints, Patch, Oracle, NoDetector
+DETECTORS = OneOf("detector", *_KINDS, default="blobs", contract=Contract(Detector, base=DetectorBase))
 
 __all__ = [
     "DETECTORS",
@@ -38,6 +38,7 @@ __all__ = [
     "Observer",
     "ObserverMemory",
     "Oracle",
+    "Patch",
     "Tags",
     "TruthView",
     "centre_bias",
