@@ -26,6 +26,7 @@ class DepthCues(NamedTuple):
         p_estimated: markers in the camera frame by the estimated pose, shape (N, 3) [m]; None without a pose.
         p_true: true markers in the camera frame, shape (N, 3) [m]; None without the oracle.
         by_flow: unit rays (N, 3) and ranges (N,) [m] of the recursive estimate; None where there is none.
+        p_by_size: markers in the camera frame by the target's known size, shape (N, 3) [m]; None where that is not asked for.
     """
 
     goal: Goal
@@ -33,6 +34,7 @@ class DepthCues(NamedTuple):
     p_estimated: Array | None = None
     p_true: Array | None = None
     by_flow: tuple[Array, Array] | None = None
+    p_by_size: Array | None = None
 
 
 class DepthSource(ABC):
@@ -41,6 +43,8 @@ class DepthSource(ABC):
     kind: Any  # the word in a scenario: a field of each
     needs_pose: ClassVar[bool] = False
     """The target's pose must be estimated."""
+    needs_size: ClassVar[bool] = False
+    """The target's known size must tell its place."""
     true: ClassVar[bool] = False
     """Depths are the simulator's truth."""
     on_floor: ClassVar[bool] = False
@@ -160,6 +164,22 @@ class Estimate(DepthSource):
 
 
 @spec
+class BySize(DepthSource):
+    """For a ball: depth from its known radius. The rays that touch it lie on a cone whose angle is the ball's distance."""
+
+    kind: Literal["size"] = "size"
+    needs_size: ClassVar[bool] = True
+
+    def depths(self, cues: DepthCues) -> Array:
+        """Z of the points of the outline."""
+        return np.full(len(cues.xy), np.nan) if cues.p_by_size is None else cues.p_by_size[:, 2]
+
+    def ranges(self, cues: DepthCues) -> Array:
+        """Distance of the points of the outline."""
+        return np.full(len(cues.xy), np.nan) if cues.p_by_size is None else lengths(cues.p_by_size)[:, 0]
+
+
+@spec
 class OracleDepth(DepthSource):
     """The simulator's true depth; only with `detector: {kind: oracle}`."""
 
@@ -192,5 +212,5 @@ class OnFloor(FromPose):
     on_floor: ClassVar[bool] = True
 
 
-DEPTHS = OneOf("depth", PnP, Constant, AtGoal, Estimate, OnFloor, OracleDepth)
+DEPTHS = OneOf("depth", PnP, Constant, AtGoal, Estimate, OnFloor, BySize, OracleDepth)
 Depth = Annotated[DepthSource, DEPTHS]

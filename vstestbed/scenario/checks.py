@@ -152,6 +152,7 @@ def check_markers(robot: Robot, camera: Camera, target: Target, detector: Detect
     _check_marker_kind(target.marker.kind, detector)
     _check_shown(target, detector)
     _check_marker_count(robot, camera, target, law)
+    _check_outline(target, law, needs_pose)
     if law.depth.needs_pose and not law.depth.on_floor and _leaves_pose_open(target.points):
         raise _open_pose(robot, target.points, law, needs_pose)
 
@@ -172,6 +173,18 @@ def _check_shown(target: Target, detector: Detector[Any]) -> None:
     able = [kind for kind, member in DETECTORS.members.items() if not member.markers]
     words = f"may not be false with detector {detector.kind}: a {kind_of(type(target))} without markers shows it nothing to detect"
     raise ParameterError("target.draw_markers", f"{words}; use true, or detector {' or '.join(able)}", False)
+
+
+def _check_outline(target: Target, law: Law[Any], needs_pose: bool) -> None:
+    """Refuse depths by a ball's size for another target, and poses of an outline that runs along a body as the camera moves."""
+    sized = target.by_size(np.zeros((len(target.points), 3))) is not None
+    if law.depth.needs_size and not sized:
+        raise ParameterError("law.depth", "may be size only with target ball, whose outline tells its distance; use pnp, goal or estimate")
+    if not target.outlined or len(target.places) or not (law.depth.needs_pose or needs_pose):
+        return
+    what = "a ball" if sized else "a disc"
+    words = f"may not be {law.depth.kind}: the outline of {what} does not tell how it is turned, and so has no pose"
+    raise ParameterError("law.depth", f"{words}; use {'size or ' if sized else ''}goal" if _has_depth(law) else f"{words}, which law {law.kind} needs")
 
 
 def _check_marker_count(robot: Robot, camera: Camera, target: Target, law: Law[Any]) -> None:

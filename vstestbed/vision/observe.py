@@ -137,7 +137,7 @@ class Observer:
         ray = self.camera.ray(uv) if self._solves(T) or self._always_rays or tilt is not None else None
         T, solved = self._pose(ray, t, memory, T, twist)
         flow = self._flow(memory.flow, t, ray, twist)
-        view = _View(ray, xy, *self._distances(detection, T, flow, xy), T, own)
+        view = _View(ray, xy, *self._distances(detection, T, flow, xy, ray), T, own)
         trim = memory.trim
         if tilt is not None:
             trim = self._trim(memory, t, tilt, T if solved else None)
@@ -169,7 +169,7 @@ class Observer:
     @cached_property
     def _always_rays(self) -> bool:
         """Whether rays are computed even where no pose is solved."""
-        return "ray" in self.required_fields or self.depth.estimator is not None
+        return "ray" in self.required_fields or self.depth.estimator is not None or self.depth.needs_size
 
     @cached_property
     def _always_uses_motion(self) -> bool:
@@ -229,11 +229,12 @@ class Observer:
         estimator = self.depth.estimator
         return flow if estimator is None or flow is None or ray is None else update_flow(estimator, flow, t, ray, twist)
 
-    def _distances(self, detection: Detection, T: Array | None, flow: FlowMemory | None, xy: Array) -> tuple[Array, Array | None]:
+    def _distances(self, detection: Detection, T: Array | None, flow: FlowMemory | None, xy: Array, ray: Array | None) -> tuple[Array, Array | None]:
         """Depths (N,) and, where they are needed, ranges (N,) [m]; NaN where not known."""
-        p = transform(T, self.target.points) if T is not None and self.depth.needs_pose else None
+        p = self.target.points_at(T) if T is not None and self.depth.needs_pose else None
         by_flow = None if flow is None else (flow.ray, 1 / flow.inverse_range)
-        cues = DepthCues(self.goal, xy, p, detection.p_camera, by_flow)
+        sized = None if ray is None or not self.depth.needs_size else self.target.by_size(ray)
+        cues = DepthCues(self.goal, xy, p, detection.p_camera, by_flow, sized)
         return self.depth.depths(cues), self.depth.ranges(cues) if self._needs_ranges else None
 
     def _trim(self, memory: ObserverMemory, t: float, tilt: Array, T: Array | None) -> Trim:

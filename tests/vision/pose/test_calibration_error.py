@@ -45,7 +45,7 @@ def test_points_on_a_line_keep_the_rotation() -> None:
 
 
 def test_the_goal_of_a_right_calibration_is_the_true_view_and_of_a_wrong_one_its_own_pose() -> None:
-    exact = shown_goal(CAMERA, CAMERA, SQUARE, T)
+    exact = shown_goal(CAMERA, CAMERA, TARGET, T)
     assert rigid_error(exact.T_camera_target, T) == pytest.approx((0, 0), abs=1e-9)
     np.testing.assert_allclose(exact.uv, CAMERA.project(transform(T, SQUARE)))
     wrong = shown_goal(CAMERA, Perspective(width=640, height=480, fovy_deg=50), SQUARE, T)

@@ -132,7 +132,7 @@ def _fly(setup: BatchSetup, start: Array, watch: Watch) -> Batch:
     outcome, steps, near = np.full(m, None, dtype=object), np.zeros(m, dtype=int), np.full(m, -1)
     final, farthest, errors, crossed, done = start.copy(), np.zeros(m), np.full(m, np.nan), np.zeros(m, dtype=bool), 0
     for step in range(last + 1):
-        p = transform(runs.T, setup.scenario.target.points)
+        p = setup.scenario.target.points_at(runs.T)
         now = _frame(setup, runs, p, step, last)
         watch(now)
         twist, code = now.twist, now.code

@@ -102,7 +102,7 @@ class BatchSetup:
 
     def _check_target(self) -> None:
         s = self.scenario
-        if s.target.body is not None and isinstance(s.detector, Oracle) and s.detector.field_of_view == "limited":
+        if s.target.body is not None and not s.target.outlined and isinstance(s.detector, Oracle) and s.detector.field_of_view == "limited":
             words = (
                 "has a solid, and a batch does not know which markers it hides; give an unlimited field of view, or a target without one"
             )
