@@ -67,7 +67,7 @@ if TYPE_CHECKING:
     from vstestbed.tasks.metrics import METRICS
     from vstestbed.tasks.monitors import MONITORS
     from vstestbed.tasks.stop import Stop
-    from vstestbed.vision import DETECTORS, Detection, Detector
+    from vstestbed.vision import DETECTORS, Detection, Detector, DetectorBase
     from vstestbed.vision.perturb import PERTURBATIONS, PerturbationBase
 
 _HOMES = {
@@ -101,7 +101,7 @@ _HOMES = {
     "vstestbed.tasks.stop": ("Stop",),
     "vstestbed.tasks.metrics": ("METRICS",),
     "vstestbed.tasks.monitors": ("MONITORS",),
-    "vstestbed.vision": ("DETECTORS", "Detection", "Detector"),
+    "vstestbed.vision": ("DETECTORS", "Detection", "Detector", "DetectorBase"),
     "vstestbed.vision.perturb": ("PERTURBATIONS", "PerturbationBase"),
 }
 _ROOMS = ("camera", "features", "laws", "robots", "targets", "tasks", "testing", "vision")
@@ -130,6 +130,7 @@ __all__ = [
     "Cycle",
     "Detection",
     "Detector",
+    "DetectorBase",
     "Feature",
     "Frame",
     "Goal",

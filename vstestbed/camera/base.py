@@ -40,6 +40,7 @@ class Picture:
         whole: the images are complete; otherwise they may be blank outside of the regions of interest.
         draw_whole: draws the whole picture of the same exposure; None where nobody can.
         own: of a lens that has panels, the camera's own image, which no detector works on; None unless it was asked for.
+        depth: as a depth camera measures it, (H, W) [m] along the optical axis, NaN where it measures nothing; None without one.
     """
 
     t: float
@@ -47,6 +48,7 @@ class Picture:
     whole: bool = True
     draw_whole: Callable[[], Picture] | None = field(default=None, compare=False, repr=False)
     own: Image | None = None
+    depth: NDArray[np.float32] | None = None
 
     @property
     def image(self) -> Image | None:
@@ -67,7 +69,8 @@ class Picture:
 
     def copy(self) -> Picture:
         """The same with copies of the images, which the renderer does not overwrite."""
-        return replace(self, images=tuple(None if image is None else image.copy() for image in self.images))
+        depth = None if self.depth is None else self.depth.copy()
+        return replace(self, images=tuple(None if image is None else image.copy() for image in self.images), depth=depth)
 
 
 @dataclass(frozen=True, slots=True)

@@ -104,7 +104,7 @@ class Rollout:
 
     def bounds(self) -> dict[str, Bounds]:
         """The entries of an observation."""
-        camera, n = self.scenario.camera, len(self.scenario.goal_view.uv)
+        camera, n = self.scenario.camera, self.scenario.rows
         found = {"goal": Bounds((n, 2), np.float64, -MOST_PX, MOST_PX)}
         if self._mode != "pixels":
             found |= {"markers": Bounds((n, 2), np.float64, -MOST_PX, MOST_PX), "seen": Bounds((n,), np.float64, 0.0, 1.0)}

@@ -15,6 +15,18 @@ from vstestbed.robots.own_model import OwnModel
 
 
 @dataclass(frozen=True, slots=True)
+class Sight:
+    """A whole picture, for laws and detectors that compare it with the goal's.
+
+    Attributes:
+        image: (H, W, 3) uint8 RGB. depth: (H, W) [m] along the optical axis, NaN where nothing was measured; None without a depth camera.
+    """
+
+    image: NDArray[np.uint8]
+    depth: NDArray[np.float32] | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class Relative:
     """This view against the goal's, from the image of one plane: the homography H (3, 3) with Z/Z* m = H m*, and R_camera_goal."""
 
@@ -60,6 +72,7 @@ class Observation:
             for it.
         robot: its own velocities, their limits and the camera twist that they make, when the picture has arrived, for laws that ask
             for it.
+        image: the whole picture, for laws that ask for it.
 
     Where the scenario derotates, xy, depth, T_camera_target, ray, relative and motion are those of the level camera, which
     shares the craft's place and heading; uv is what the picture shows.
@@ -79,6 +92,7 @@ class Observation:
     radius_px: Array | None = None
     proprioception: Array | None = None
     robot: OwnModel | None = None
+    image: Sight | None = None
 
     @property
     def seen(self) -> NDArray[np.bool_]:
@@ -117,6 +131,7 @@ class Goal:
         twist: of the camera of a view that moves (6,) [m/s, rad/s], in its own frame.
         counted: which markers count, (N,) bool; None: all. view: number of the view, among several in turn.
         moves: the view is on its way to that one, and reaching it ends nothing.
+        image: the picture taken there, for laws and detectors that work with it.
     """
 
     uv: Array
@@ -132,6 +147,7 @@ class Goal:
     counted: NDArray[np.bool_] | None = None
     view: int = 0
     moves: bool = False
+    image: Sight | None = None
 
     @cached_property
     def xy(self) -> Array:
@@ -178,6 +194,20 @@ class Goal:
         """The view in a picture with markers at uv (N, 2), taken to be at p (N, 3) in the camera's frame [m]."""
         reach = np.linalg.norm(p, axis=-1)
         return cls(uv, p[:, 2], camera.ray(uv), reach, T_camera_target, camera, _plane(p))
+
+    def rows(self, index: NDArray[np.intp]) -> Goal:
+        """The same view with its points `index` (K,) in this order; -1 for a row without a point, which does not count."""
+        there = index >= 0
+        taken = {name: np.where(there if a.ndim == 1 else there[:, None], a[index], np.nan) for name, a in self._of_points.items()}
+        return replace(self, **taken, counted=there)
+
+    def of(self, points: Goal) -> Goal:
+        """This view, of the points of another goal for the same view."""
+        return replace(self, **points._of_points, plane=points.plane, counted=points.counted)
+
+    @property
+    def _of_points(self) -> dict[str, Array]:
+        return {"uv": self.uv, "depth": self.depth, "ray": self.ray, "range": self.range}
 
     def deepened(self, scale: Array) -> Goal:
         """The same view with each marker's depth and range times `scale` (N,), their middle's times the mean of it."""

@@ -77,7 +77,7 @@ class Layout:
         robot = scenario.robot
         rays = len(scenario.camera.panels) > 1
         per_marker = ("u", "v", "u_true", "v_true", "u_goal", "v_goal", "depth") + (("theta", "phi") if rays else ())
-        markers = tuple(f"{name}_{i}" for i in range(len(scenario.target.points)) for name in per_marker)
+        markers = tuple(f"{name}_{i}" for i in range(scenario.rows) for name in per_marker)
         return (
             (("t", "frame", "lost"), lambda k: np.column_stack([k["t"], k["frame"], k["lost"]])),
             (markers, self._markers_and_rays if rays else self._markers),

@@ -13,10 +13,11 @@ from vstestbed.camera import Image, Look, Picture
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, inverse
 from vstestbed.core.outcome import Outcome
-from vstestbed.features.observation import Goal, Observation, OwnMotion
+from vstestbed.features.observation import Goal, Observation, OwnMotion, Sight
 from vstestbed.laws import Command, Law
 from vstestbed.loop.command_history import CommandHistory
 from vstestbed.loop.exposure import Arrival, Exposure
+from vstestbed.loop.goal_image import sight_of, with_images
 from vstestbed.loop.guarded_law import GuardedLaw
 from vstestbed.loop.inputs import Inputs, Readings
 from vstestbed.loop.own_rates import OwnRates
@@ -60,12 +61,13 @@ class Controller:
 
     Args:
         scenario: the experiment.
+        goal_images: pictures taken at its goal views, for a law or a detector that compares with them.
 
     Raises:
-        ParameterError: `scenario` is not a Scenario.
+        ParameterError: `scenario` is not a Scenario, or it needs pictures of its goal views that are not given.
     """
 
-    def __init__(self, scenario: Scenario):
+    def __init__(self, scenario: Scenario, goal_images: Sequence[Sight] = ()):
         if not isinstance(scenario, Scenario):
             raise ParameterError("scenario", "must be a Scenario: vstestbed.load('arm_ibvs')", scenario)
         self.scenario = scenario
@@ -84,13 +86,15 @@ class Controller:
         self.law: Law[Any] = scenario.law
         self.guarded = GuardedLaw(scenario.law)
         self._needed = scenario.law.markers_needed(scenario.robot.motion_basis(self._mount_at(at_start), at_start))
-        self.detector_memory, self.observer_memory = scenario.detector.init(), self.observer.init()
-        self.reference_memory = scenario.goal.begin(scenario.setup, scenario.goal_views)
-        self.law_memory = scenario.law.init(scenario.goal_views[0])
+        views = with_images(scenario, goal_images)
+        self.detector_memory = scenario.detector.begin(views[0], self.seen_through, scenario.target)
+        self.observer_memory = self.observer.init()
+        self.reference_memory = scenario.goal.begin(scenario.setup, views)
+        self.law_memory = scenario.law.init(views[0])
         self.supervisor = scenario.robot.supervisor(scenario.goal.lands, scenario.stop.lost_after_s, scenario.stop.lost_after_m)
         self.before: Exposure | None = None
         self._failed = self._found = False
-        self._needs_motion = "motion" in scenario.law.inputs
+        self._needs_motion, self._needs_sight = "motion" in scenario.law.inputs, "image" in scenario.law.inputs
         self._own_rates = OwnRates(scenario.robot, scenario.camera.period) if "robot" in scenario.law.inputs else None
         self._needs_own_state = "proprioception" in scenario.law.inputs and bool(scenario.robot.proprioception_names)
         self._latest_s = scenario.timing.latest_s(scenario.camera)
@@ -150,8 +154,10 @@ class Controller:
         """One control step: detect, observe, reference, law, allocation."""
         s, last = self.scenario, self.before or shot
         began = time.perf_counter()
-        seen = self._observe(shot, last, now)
+        seen, matched = self._observe(shot, last, now)
         self.reference_memory, goal = s.goal.reference(self.reference_memory, seen)
+        if matched is not None:  # the detector's own points, which are others in every picture
+            goal = goal.of(matched)
         seen = seen.only(goal.counted)
         detected = time.perf_counter()
         # The robot as it is now, not as it was at the exposure: the command acts from here on.
@@ -209,8 +215,8 @@ class Controller:
             moved = self.scenario.robot.measured_twist(shot.reading, reading, age, moved / age, self._mount_at(reading.q)) * age
         return OwnMotion(twist, shot.t - last.t, moved, age, self.last_twist)
 
-    def _observe(self, shot: Exposure, last: Exposure, now: Arrival) -> Observation:
-        """The law's measurement from this picture."""
+    def _observe(self, shot: Exposure, last: Exposure, now: Arrival) -> tuple[Observation, Goal | None]:
+        """The law's measurement from this picture, and the goal's view of its points, where they are not the target's markers."""
         s = self.scenario
         picture = shot.picture if s.detector.needs_image else None
         detected = self.detector.detect(self.detector_memory, picture, shot.view, self.seen_through, s.target, self.rng)
@@ -230,8 +236,10 @@ class Controller:
         if self._own_rates is not None:
             seen = replace(seen, robot=self._own_rates.model(last, shot, now, self._mount_at(now.reading.q)))
         if self._needs_own_state:
-            return replace(seen, proprioception=s.robot.proprioception(shot.reading, seen.odometry))
-        return seen
+            seen = replace(seen, proprioception=s.robot.proprioception(shot.reading, seen.odometry))
+        if self._needs_sight and shot.picture is not None:
+            seen = replace(seen, image=sight_of(shot.picture))
+        return seen, detection.goal
 
     def _unseen(self, seen: Observation, goal: Goal, error: ImageError) -> str:
         """Why a law that gives no reason has no measurement; "" where it has one."""

@@ -16,6 +16,7 @@ from vstestbed.laws.solve import load_lapack
 from vstestbed.loop.columns import Layout
 from vstestbed.loop.controller import Controller
 from vstestbed.loop.exposure import Arrival
+from vstestbed.loop.goal_image import take_goal_images
 from vstestbed.loop.judge import Judge
 from vstestbed.loop.recording import Log, MemoryRows, Recording, Rows, Watcher
 from vstestbed.loop.shutter import CameraClock, Exposed
@@ -55,7 +56,8 @@ class Episode:
         self._waits = self._commanded = self.closed = False
         self._physics_s = self._record_s = self._redrawn_s = 0.0
         self.plant, self._renderer = _plant(scenario, pictures, plate_m)
-        self.controller, self._camera = Controller(scenario), CameraClock(scenario, self.plant, pictures)
+        self.controller = Controller(scenario, take_goal_images(scenario, self.plant))
+        self._camera = CameraClock(scenario, self.plant, pictures or "image" in scenario.law.inputs)
         supervisor = self.controller.supervisor
         self._witness = Witness(scenario, supervisor)
         own = [OwnMonitor(rule, scenario.setup) for rule in scenario.monitors]
@@ -238,7 +240,7 @@ def _plant(scenario: Scenario, pictures: bool, plate_m: float) -> tuple[Plant, s
         scenario.target,
         scenario.world,
         scenario.physics,
-        needs_image=scenario.detector.needs_image or pictures,
+        needs_image=scenario.needs_image or pictures,
         needs_truth=scenario.detector.needs_truth,
         image_sigma=scenario.noise.image_sigma,
         rng=scenario.rng(IMAGE_STREAM),

@@ -76,8 +76,9 @@ class Convergence:
 def _converged_frames(scenario: Scenario, log: Columns) -> NDArray[np.bool_]:
     """Frames in which the conditions of `stop.converged` hold at the last goal view, shape (frames,) bool."""
     counted = scenario.goal_view.counted
-    markers = range(len(scenario.target.points)) if counted is None else np.flatnonzero(counted)
-    whole = np.all([np.isfinite(log[f"u_{i}"]) for i in markers], axis=0)
+    markers = range(scenario.rows) if counted is None else np.flatnonzero(counted)
+    # A detector of other points leaves rows empty, in the goal's columns, too.
+    whole = np.all([np.isfinite(log[f"u_{i}"]) | np.isnan(log[f"u_goal_{i}"]) for i in markers], axis=0)
     reached, none = scenario.stop.converged, np.full(len(log["t"]), np.nan)
     estimate = [log[name] if reached.by_estimate else none for name in ("est_position_m", "est_rotation_rad")]
     error = log.get("level_error_px", log["error_px"])  # of a craft that tilts, the error by which the judge decides
@@ -133,13 +134,16 @@ class ImagePaths:
 
     def __init__(self, scenario: Scenario):
         self._camera, self._goal = scenario.camera, scenario.goal_view.uv
-        self._names = tuple(str(i) for i in range(len(scenario.target.points)))
+        # Of points that are others in every picture there are no paths.
+        self._names = tuple(str(i) for i in range(scenario.rows)) if scenario.detector.rows is None else ()
         self._start: Array | None = None
         self._excursion = self._beyond = -math.inf
         self._margin = math.inf
 
     def add(self, log: Columns) -> None:
         """See `Part`."""
+        if not self._names:
+            return
         uv = np.stack([side_by_side(log, "u_true", self._names), side_by_side(log, "v_true", self._names)], axis=-1)
         self._start = start = uv[0] if self._start is None else self._start
         along = self._goal - start
@@ -187,7 +191,7 @@ class Tracking:
     def __init__(self, scenario: Scenario):
         # A target that the robot itself moves is not tracked.
         self._asked = scenario.target.moves and (scenario.goal.continuing or not scenario.target.on_gripper)
-        self._settle_s, self._names = scenario.goal.settle_s, tuple(str(i) for i in range(len(scenario.target.points)))
+        self._settle_s, self._names = scenario.goal.settle_s, tuple(str(i) for i in range(scenario.rows))
         self._frames, self._squares, self._largest = 0, np.zeros(2), np.zeros(2)
 
     def add(self, log: Columns) -> None:
@@ -196,7 +200,7 @@ class Tracking:
         if not (self._asked and settled.any()):
             return
         uv = np.stack([log[f"{c}_true_{i}"] - log[f"{c}_goal_{i}"] for i in self._names for c in "uv"], axis=1)[settled]
-        errors = np.sqrt(np.mean(uv**2, axis=1)), log["position_error_m"][settled]
+        errors = np.sqrt(np.nanmean(uv**2, axis=1)), log["position_error_m"][settled]
         self._frames += len(uv)
         self._squares = self._squares + [(error**2).sum() for error in errors]
         self._largest = np.maximum(self._largest, [error.max() for error in errors])

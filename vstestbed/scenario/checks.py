@@ -151,7 +151,7 @@ def check_markers(robot: Robot, camera: Camera, target: Target, detector: Detect
     """
     _check_marker_kind(target.marker.kind, detector)
     _check_shown(target, detector)
-    _check_marker_count(robot, camera, target, law)
+    _check_marker_count(robot, camera, target, detector, law)
     _check_outline(target, law, needs_pose)
     if law.depth.needs_pose and not law.depth.on_floor and _leaves_pose_open(target.points):
         raise _open_pose(robot, target.points, law, needs_pose)
@@ -184,15 +184,17 @@ def _check_outline(target: Target, law: Law[Any], needs_pose: bool) -> None:
         return
     what = "a ball" if sized else "a disc"
     words = f"may not be {law.depth.kind}: the outline of {what} does not tell how it is turned, and so has no pose"
-    raise ParameterError("law.depth", f"{words}; use {'size or ' if sized else ''}goal" if _has_depth(law) else f"{words}, which law {law.kind} needs")
+    raise ParameterError(
+        "law.depth", f"{words}; use {'size or ' if sized else ''}goal" if _has_depth(law) else f"{words}, which law {law.kind} needs"
+    )
 
 
-def _check_marker_count(robot: Robot, camera: Camera, target: Target, law: Law[Any]) -> None:
+def _check_marker_count(robot: Robot, camera: Camera, target: Target, detector: Detector[Any], law: Law[Any]) -> None:
     """Refuse fewer markers than the law needs for the motions that the robot can make."""
     points, basis = target.points, robot.motion_basis(Mount.of(camera.mount.T), robot.start_joints())
     # One at least: a robot whose motions need none would still have nothing to look at.
     needed = max(law.markers_needed(basis), 1)
-    if len(points) < needed:
+    if detector.rows is None and len(points) < needed:
         markers = f"{len(points)} marker{'s' * (len(points) != 1)}"
         words = f"has {markers}, and law {law.kind} needs {needed} or more for this robot's motions"
         less = _needed_on_floor(robot, law, basis)

@@ -185,6 +185,21 @@ class Scenario:
         """The last goal for the law."""
         return self.goal_views[-1]
 
+    @property
+    def rows(self) -> int:
+        """Number of points in an observation: the target's markers, or as many as a detector of other points reports."""
+        return len(self.target.points) if self.detector.rows is None else self.detector.rows
+
+    @property
+    def needs_image(self) -> bool:
+        """Whether pictures are taken: the detector, or the law, works on them."""
+        return self.detector.needs_image or "image" in self.law.inputs
+
+    @property
+    def needs_goal_image(self) -> bool:
+        """Whether a picture must be taken at the goal before the run."""
+        return self.detector.needs_goal or "image" in self.law.inputs
+
     @cached_property
     def believed_camera(self) -> Camera:
         """The camera as calibrated, known to robot, detector, observer and law; `camera` is the true one."""
@@ -193,7 +208,7 @@ class Scenario:
     @cached_property
     def depth_scale(self) -> Array | None:
         """Ratio of each marker's assumed depth to the true one in this run, shape (N,); None for exact depths."""
-        return self.calibration.depth_scale(len(self.target.points), self.rng(DEPTH_STREAM))
+        return self.calibration.depth_scale(self.rows, self.rng(DEPTH_STREAM))
 
     @cached_property
     def goal_poses(self) -> tuple[Array, ...]:
@@ -258,7 +273,7 @@ class Scenario:
             UnreachableError: the robot does not get there. ParameterError: it is neither an arm nor the free camera.
         """
         T = self.goal_poses[-1]
-        q = self._posture_at(flange_for(self.camera, self.target, T))
+        q = self.posture_at(flange_for(self.camera, self.target, T))
         for share in np.linspace(0.0, 1.0, DISPLACEMENT_STEPS + 1):  # in small steps: the arm keeps its posture at the goal
             xyz, rpy_deg = (tuple((share * np.array(part)).tolist()) for part in (by.xyz, by.rpy_deg))
             D = Pose(xyz=xyz, rpy_deg=rpy_deg).T
@@ -266,7 +281,7 @@ class Scenario:
             q = self.robot.configuration_at(flange_for(self.camera, self.target, seen), q)
         return replace(self, robot=self.robot.started_at(q))
 
-    def _posture_at(self, T_world_flange: Array) -> Array:
+    def posture_at(self, T_world_flange: Array) -> Array:
         """The configuration at a flange pose (4, 4): from the nominal start, else from the first of POSTURES others that gets there."""
         rng, nominal = np.random.default_rng(0), self.robot.configuration()
         for _ in range(POSTURES):
@@ -279,6 +294,8 @@ class Scenario:
         """Whether the robot's start has the whole target in the picture, or all of it that counts first, seen from its front."""
         T_world_camera = camera_start(robot, self.camera, self.target)
         T = inverse(T_world_camera) @ target_start(robot, self.target)
+        if self.detector.rows is not None:  # points that are not its markers: its middle must be seen from the front
+            return bool(T[2, 2] > 0.17 and self.camera.whole(T[None, :3, 3], 0.0, VIEW_MARGIN_PX).all())
         p = self.target.seen_from(inverse(T))
         facing = float(T[:3, 2] @ T[:3, 3]) / max(float(np.linalg.norm(T[:3, 3])), 1e-9)  # cosine of the view on the plane
         turned = T[2, 2] if isinstance(self.camera, Perspective) else facing

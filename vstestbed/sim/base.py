@@ -89,6 +89,13 @@ class Plant(Protocol):
         """A picture just taken with the camera's own image, where it has none: that of a lens with panels, `Picture.own`."""
         ...
 
+    def picture_from(self, T_world_flange: Array, q: Array | None = None) -> Picture:
+        """A whole picture without noise with the flange at another pose (4, 4), an arm in its configuration q there.
+
+        The plant keeps its state. Only of a plant that takes pictures.
+        """
+        ...
+
     def expose(self, weight: float, look: Look | None = None) -> None:
         """Add an image, as a share `weight` of one exposure; nothing where no detector needs pictures.
 

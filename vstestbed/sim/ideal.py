@@ -93,6 +93,13 @@ class IdealPlant:
         """A picture just taken with the camera's own image, where it has none."""
         return self._eye.with_own(picture) if self._eye else picture
 
+    def picture_from(self, T_world_flange: Array, q: Array | None = None) -> Picture:
+        """A whole picture without noise with the flange at another pose (4, 4)."""
+        assert self._stage is not None and self._eye is not None
+        with self._stage.kept():
+            self._stage.place(self._t, self._T_world_target, NONE, T_world_flange @ self._parts.camera.mount.T)
+            return self._eye.clean(self._t)
+
     def expose(self, weight: float, look: Look | None = None) -> None:
         """Add an image of the exposure, where a detector needs pictures."""
         self._move_target()

@@ -159,6 +159,15 @@ class MujocoPlant:
         """A picture just taken with the camera's own image, where it has none."""
         return self._eye.with_own(picture) if self._eye else picture
 
+    def picture_from(self, T_world_flange: Array, q: Array | None = None) -> Picture:
+        """A whole picture without noise with the flange at another pose (4, 4), an arm in its configuration q there."""
+        stage = self._stage
+        assert self._eye is not None
+        with stage.kept():
+            joints = stage.data.qpos[stage.at.qpos] if q is None else q
+            stage.place(stage.data.time, stage.target_pose(), joints, T_world_flange @ stage.parts.camera.mount.T)
+            return self._eye.clean(self._steps * self.step_s)
+
     def expose(self, weight: float, look: Look | None = None) -> None:
         """Add an image of the exposure, where a detector needs pictures."""
         self._move_scenery()

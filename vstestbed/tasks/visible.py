@@ -39,6 +39,8 @@ def check_visible(setup: Setup, field: str, T_camera_target: Array, counted: NDA
     counted = np.ones(len(p), dtype=bool) if counted is None else counted
     if (behind := _behind_image_plane(camera, law, p)).any():
         raise _not_visible(field, target, behind, *_behind_words(camera, law))
+    if detector.rows is not None:  # it finds other points than the target's markers
+        return
     if (outside := _outside_picture(camera, detector, p) & counted).any():
         where = f"outside the {camera.width} x {camera.height} picture"
         raise _not_visible(field, target, outside, where, "a wider camera")

@@ -7,7 +7,7 @@ import cv2
 
 from vstestbed.core.contract import Contract
 from vstestbed.core.spec import OneOf
-from vstestbed.vision.base import Detection, Detector, TruthView
+from vstestbed.vision.base import Detection, Detector, DetectorBase, TruthView
 from vstestbed.vision.detect.blobs import Blobs
 from vstestbed.vision.detect.centre import centre_bias
 from vstestbed.vision.detect.lines import Lines
@@ -18,13 +18,14 @@ from vstestbed.vision.pose.pnp import solve_pose, solve_pose_from_rays
 
 cv2.setNumThreads(1)
 
-DETECTORS = OneOf("detector", Blobs, Tags, Lines, Oracle, default="blobs", contract=Contract(Detector))
+DETECTORS = OneOf("detector", Blobs, Tags, Lines, Oracle, default="blobs", contract=Contract(Detector, base=DetectorBase))
 
 __all__ = [
     "DETECTORS",
     "Blobs",
     "Detection",
     "Detector",
+    "DetectorBase",
     "Lines",
     "Observer",
     "ObserverMemory",

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Protocol, TypeVar
+from typing import Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vstestbed.camera import Camera, Look, Picture
 from vstestbed.core.geometry import Array
+from vstestbed.features.observation import Goal
 from vstestbed.targets.base import Target
 
 M = TypeVar("M")
@@ -36,11 +37,13 @@ class Detection:
         uv: images of the marker centres, shape (N, 2) [px], NaN where a marker is not seen.
         p_camera: true marker centres in the camera frame, shape (N, 3) [m]; only the oracle has them.
         T_camera_target: pose of the target, shape (4, 4), if the detector solves it anyway.
+        goal: the goal's view of the very points in these rows, where they are not the target's markers.
     """
 
     uv: Array
     p_camera: Array | None = None
     T_camera_target: Array | None = None
+    goal: Goal | None = None
 
     @property
     def seen(self) -> NDArray[np.bool_]:
@@ -51,7 +54,7 @@ class Detection:
 class Detector(Protocol[M]):
     """A detector: its parameters are frozen in the object; its state, such as the last positions, is passed through.
 
-    The caller gives `picture` only if `needs_image` is set, and `view` only if `needs_truth` is.
+    The caller gives `picture` only if `needs_image` is set, and `view` only if `needs_truth` is. `DetectorBase` has the defaults.
     """
 
     @property
@@ -65,9 +68,20 @@ class Detector(Protocol[M]):
     """It reads the ground truth: the oracle."""
     markers: ClassVar[tuple[str, ...]]
     """Kinds of markers that it can detect; empty: any."""
+    needs_goal: ClassVar[bool]
+    """It finds the goal picture's points, not the target's markers."""
+
+    @property
+    def rows(self) -> int | None:
+        """How many points it reports, where they are not the target's markers; None: one for each marker."""
+        ...
 
     def init(self) -> M:
         """The state before the first picture."""
+        ...
+
+    def begin(self, goal: Goal, camera: Camera, target: Target) -> M:
+        """The state before the first picture of a run to a goal, with the picture taken there where `needs_goal` is set."""
         ...
 
     def look(self, memory: M, camera: Camera, target: Target) -> Look | None:
@@ -79,3 +93,24 @@ class Detector(Protocol[M]):
     ) -> tuple[M, Detection]:
         """One picture: the next state and the marker positions."""
         ...
+
+
+class DetectorBase:
+    """Defaults: a detector of the target's markers, which needs no picture of the goal. Its subclasses define the rest of `Detector`."""
+
+    needs_truth: ClassVar[bool] = False
+    markers: ClassVar[tuple[str, ...]] = ()
+    needs_goal: ClassVar[bool] = False
+    rows: Any = None  # without a type, as in `LawBase`: a subclass may have a field or a property in its place
+
+    def init(self) -> Any:
+        """No state."""
+        return None
+
+    def begin(self, goal: Goal, camera: Camera, target: Target) -> Any:
+        """As `init`."""
+        return self.init()
+
+    def look(self, memory: Any, camera: Camera, target: Target) -> Look | None:
+        """The whole picture."""
+        return None

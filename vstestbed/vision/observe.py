@@ -18,6 +18,7 @@ from vstestbed.features.depth import Depth, DepthCues
 from vstestbed.features.observation import Goal, Observation, OwnMotion
 from vstestbed.targets.base import Target
 from vstestbed.vision.base import Detection
+from vstestbed.vision.goal_points import points_of
 from vstestbed.vision.perturb import Perturbed
 from vstestbed.vision.pose.calibration_error import pose_by_depth
 from vstestbed.vision.pose.dead_reckoning import corrections, fused_place
@@ -78,6 +79,7 @@ class Observer:
         trim_s: time constant with which the goal view corrects the craft's measured tilt [s]; 0 leaves it uncorrected.
         depth_scale: factor on each marker's reported depth, (N,), a calibration error, or None. The memory stays unscaled.
         perturbed: perturbs the measured coordinates further; None for nothing.
+        points: what is measured (N, 3), in the target's frame [m]; None: the target's markers.
     """
 
     camera: Camera
@@ -92,10 +94,15 @@ class Observer:
     trim_s: float = 0.0
     depth_scale: Array | None = None
     perturbed: Perturbed | None = None
+    points: Array | None = None
+
+    @property
+    def _points(self) -> Array:
+        return self.target.points if self.points is None else self.points
 
     def init(self) -> ObserverMemory:
         """The memory before the first frame."""
-        flow = None if self.depth.estimator is None else init_flow(len(self.target.points))
+        flow = None if self.depth.estimator is None else init_flow(len(self._points))
         return ObserverMemory(flow=flow, odometry=np.zeros(3) if self.grounded else None)
 
     def uses_motion(self, detection: Detection) -> bool:
@@ -131,6 +138,9 @@ class Observer:
         Raises:
             ParameterError: the oracle's depth is asked for and the detector is not the oracle.
         """
+        if detection.goal is not None:  # other points in every picture
+            own_points = replace(self, goal=detection.goal, points=points_of(detection.goal))
+            return own_points.observe(memory, t, replace(detection, goal=None), twist, rng, compass, tilt, own)
         uv, T = self._reported(detection, t, rng)
         xy = self.camera.normalise(uv)
         tilt = tilt if self.derotation != "none" else None
@@ -210,7 +220,7 @@ class Observer:
         """The pose solved from the rays (n, 3) of those markers that are `seen` (N,); None where they do not determine it."""
         if self.depth.on_floor:
             return self._pose_on_floor(rays, seen, predicted)
-        points = self.target.points[seen]
+        points = self._points[seen]
         found = solve_pose_from_rays(rays, points, predicted)
         if found is None and predicted is None and self.grounded:
             # Three markers leave up to four poses; of a vehicle's, one has the base upright on the floor.
@@ -221,7 +231,7 @@ class Observer:
         """As `_solved_pose`, for a base that stands upright on the floor."""
         mount, pose = self.camera.mount.T, self.target.pose.T
         before = None if predicted is None else place_of(pose @ inverse(mount @ predicted))
-        place = solve_place(rays, transform(pose, self.target.points[seen]), mount, before)
+        place = solve_place(rays, transform(pose, self._points[seen]), mount, before)
         return None if place is None else inverse(pose_on_ground(place) @ mount) @ pose
 
     def _flow(self, flow: FlowMemory | None, t: float, ray: Array | None, twist: Array) -> FlowMemory | None:
@@ -229,9 +239,11 @@ class Observer:
         estimator = self.depth.estimator
         return flow if estimator is None or flow is None or ray is None else update_flow(estimator, flow, t, ray, twist)
 
-    def _distances(self, detection: Detection, T: Array | None, flow: FlowMemory | None, xy: Array, ray: Array | None) -> tuple[Array, Array | None]:
+    def _distances(
+        self, detection: Detection, T: Array | None, flow: FlowMemory | None, xy: Array, ray: Array | None
+    ) -> tuple[Array, Array | None]:
         """Depths (N,) and, where they are needed, ranges (N,) [m]; NaN where not known."""
-        p = self.target.points_at(T) if T is not None and self.depth.needs_pose else None
+        p = transform(T, self._points) if T is not None and self.depth.needs_pose else None
         by_flow = None if flow is None else (flow.ray, 1 / flow.inverse_range)
         sized = None if ray is None or not self.depth.needs_size else self.target.by_size(ray)
         cues = DepthCues(self.goal, xy, p, detection.p_camera, by_flow, sized)
@@ -297,5 +309,5 @@ class Observer:
         scale = self.depth_scale
         if scale is None:
             return depth, reach, pose
-        wrong = None if pose is None else pose_by_depth(pose, self.target.points, scale)
+        wrong = None if pose is None else pose_by_depth(pose, self._points, scale)
         return depth * scale, None if reach is None else reach * scale, wrong

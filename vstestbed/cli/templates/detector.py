@@ -16,7 +16,7 @@ import vstestbed.testing
 
 @vs.DETECTORS.add
 @vs.spec
-class MyDetector:
+class MyDetector(vs.DetectorBase):
     """The mean of all pixels of each marker's hue, weighted by their chroma.
 
     Args:

@@ -41,7 +41,7 @@ SENSOR_UNITS = {
 
 def features_of(scenario: Scenario, state: tuple[str, ...]) -> Features:
     """The features of a scenario's dataset as `meta/info.json` has them; state: names of what is known of the robot's own sensors."""
-    camera, n = scenario.camera, len(scenario.target.points)
+    camera, n = scenario.camera, scenario.rows
     even = (camera.height + camera.height % 2, camera.width + camera.width % 2)  # as films are
     pixels = [f"{axis}_{i} [px]" for i in range(n) for axis in "uv"]
     found: Features = {IMAGE: {"dtype": "video", "shape": [*even, 3], "names": ["height", "width", "channels"], "info": _video(scenario)}}
@@ -64,7 +64,7 @@ def numbers_of(run: RecordedRun) -> tuple[Numbers, tuple[str, ...]]:
     s = run.scenario
     blocks = list(run.log.blocks(_columns(run)))
     log = {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
-    n, frames = len(s.target.points), len(log["t"])
+    n, frames = s.rows, len(log["t"])
     state = _state(s, log)
     uv, goal = (np.stack([log[f"{axis}{at}_{i}"] for i in range(n) for axis in "uv"], axis=1) for at in ("", "_goal"))
     last = np.arange(frames) == frames - 1
@@ -93,7 +93,7 @@ def actions(scenario: Scenario, log: dict[str, Array]) -> Array:
 def _columns(run: RecordedRun) -> list[str]:
     """The columns of the log that are read."""
     s = run.scenario
-    markers = [f"{axis}{at}_{i}" for i in range(len(s.target.points)) for axis in "uv" for at in ("", "_goal")]
+    markers = [f"{axis}{at}_{i}" for i in range(s.rows) for axis in "uv" for at in ("", "_goal")]
     return ["t", *markers, *(f"cmd_{name}" for name in TWIST), *(f"q_{name}" for name in s.robot.joints), *s.own_columns]
 
 

@@ -41,7 +41,7 @@ class FilmFrame:
     @classmethod
     def of_row(cls, row: dict[str, float], scenario: Scenario) -> FilmFrame:
         """The frame of one row of a log."""
-        joints, markers = scenario.robot.joints, len(scenario.target.points)
+        joints, markers = scenario.robot.joints, scenario.rows
         camera, target = (np.array([row[f"{who}_{name}"] for name in POSE]) for who in ("cam", "tgt"))
         return cls(
             t=row["t"],

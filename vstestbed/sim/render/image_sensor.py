@@ -58,6 +58,10 @@ class ImageSensor:
         self._keep_state(0, look)
         return self._picture(t, images, self._renderer.whole, (1.0,))
 
+    def clean(self, t: float) -> Picture:
+        """A whole picture of the present scene without noise; a copy that the caller may keep. The noise of later pictures is the same."""
+        return Picture(t, self._renderer.images()).copy()
+
     def with_own(self, picture: Picture) -> Picture:
         """A picture just taken with the camera's own image: of a lens with panels the present scene, sharp, with the picture's noise."""
         if picture.image is not None:

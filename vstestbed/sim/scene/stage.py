@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
+
 import mujoco
 import numpy as np
 from dm_control.mujoco import wrapper
@@ -83,6 +86,16 @@ class Stage:
             self.root.put(self.data.qpos, T_world_camera @ self.mount_inverse)
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_camlight(self.model, self.data)
+
+    @contextlib.contextmanager
+    def kept(self) -> Iterator[None]:
+        """Put the state back as it was, bit by bit, after something else was drawn."""
+        present = mujoco.MjData(self.model)
+        mujoco.mj_copyData(present, self.model, self.data)
+        try:
+            yield
+        finally:
+            mujoco.mj_copyData(self.data, self.model, present)
 
     def rest(self) -> None:
         """Set the controls and activations of a craft that hovers at its start; nothing for other robots."""

@@ -13,7 +13,7 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.quantity import Narrower, Pixels, PositiveAngle
 from vstestbed.core.spec import spec
 from vstestbed.targets.base import Target
-from vstestbed.vision.base import Detection, TruthView
+from vstestbed.vision.base import Detection, DetectorBase, TruthView
 from vstestbed.vision.detect.assign import assign_blobs
 from vstestbed.vision.detect.colour_blobs import Blob, Region, Rim, find_blobs, noise_level
 from vstestbed.vision.detect.moments import MarkerFit
@@ -29,7 +29,7 @@ Found = tuple[int, Blob] | None
 
 
 @spec
-class Blobs:
+class Blobs(DetectorBase):
     """Markers by colour: chroma mask, contours, moments; identified by the hue at the centroid.
 
     Tracking: a marker is searched in a window around its predicted position (constant velocity); when one is not found there, the

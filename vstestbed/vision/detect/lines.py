@@ -18,7 +18,7 @@ from vstestbed.core.quantity import Narrower, PositiveAngle, PositiveLength
 from vstestbed.core.spec import spec
 from vstestbed.targets.base import Target
 from vstestbed.targets.ground_lines import GroundLines, on_foot
-from vstestbed.vision.base import Detection, TruthView
+from vstestbed.vision.base import Detection, DetectorBase, TruthView
 from vstestbed.vision.detect.colour_blobs import chroma
 
 ROWS = 9
@@ -69,7 +69,7 @@ class LinesMemory:
 
 
 @spec
-class Lines:
+class Lines(DetectorBase):
     """Lines on the floor by colour, where they cross the target's look distances.
 
     The camera's mount and lens are calibrated and the vehicle is upright on a level floor, so each pixel is a point of the floor

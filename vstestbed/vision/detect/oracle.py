@@ -11,11 +11,11 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import all_finite
 from vstestbed.core.spec import spec
 from vstestbed.targets.base import Target
-from vstestbed.vision.base import Detection, TruthView
+from vstestbed.vision.base import Detection, DetectorBase, TruthView
 
 
 @spec
-class Oracle:
+class Oracle(DetectorBase):
     """True projections and true depths; pixel noise is the scenario's `noise.pixel_sigma_px`, added by the `Observer`.
 
     Directions that the lens cannot project are never seen: with a perspective lens, all behind the camera. With a limited

@@ -18,7 +18,7 @@ from vstestbed.core.quantity import PositivePixels
 from vstestbed.core.spec import spec
 from vstestbed.targets.base import Target
 from vstestbed.targets.markers import Tag
-from vstestbed.vision.base import Detection, TruthView
+from vstestbed.vision.base import Detection, DetectorBase, TruthView
 from vstestbed.vision.detect.colour_blobs import Image
 from vstestbed.vision.detect.tag_edges import measure_edges
 from vstestbed.vision.detect.tag_print import dictionary
@@ -43,7 +43,7 @@ class TagsMemory:
 
 
 @spec
-class Tags:
+class Tags(DetectorBase):
     """Markers that are fiducial tags, identified by their number; a marker's pixel is the image of its tag's centre.
 
     OpenCV finds and decodes the tags, with corners good to a pixel. From there each edge is measured in the grey image and the
