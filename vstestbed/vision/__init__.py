@@ -12,13 +12,14 @@ from vstestbed.vision.detect.blobs import Blobs
 from vstestbed.vision.detect.centre import centre_bias
 from vstestbed.vision.detect.lines import Lines
 from vstestbed.vision.detect.oracle import Oracle
+from vstestbed.vision.detect.region import RegionDetector
 from vstestbed.vision.detect.tags import Tags
 from vstestbed.vision.observe import Observer, ObserverMemory
 from vstestbed.vision.pose.pnp import solve_pose, solve_pose_from_rays
 
 cv2.setNumThreads(1)
 
-DETECTORS = OneOf("detector", Blobs, Tags, Lines, Oracle, default="blobs", contract=Contract(Detector, base=DetectorBase))
+DETECTORS = OneOf("detector", Blobs, Tags, Lines, RegionDetector, Oracle, default="blobs", contract=Contract(Detector, base=DetectorBase))
 
 __all__ = [
     "DETECTORS",
@@ -30,6 +31,7 @@ __all__ = [
     "Observer",
     "ObserverMemory",
     "Oracle",
+    "RegionDetector",
     "Tags",
     "TruthView",
     "centre_bias",

@@ -12,7 +12,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from vstestbed.core.geometry import Array, exp, transform
+from vstestbed.core.geometry import Array, exp
 from vstestbed.core.outcome import Outcome
 from vstestbed.experiments.basin.one_by_one import OneByOne
 from vstestbed.experiments.basin.setup import BatchSetup

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from vstestbed.core.errors import EnvironmentLackError, ParameterError
-from vstestbed.core.geometry import Array, exp, inverse, transform
+from vstestbed.core.geometry import Array, exp, inverse
 from vstestbed.core.outcome import Outcome
 from vstestbed.core.provenance import versions
 from vstestbed.experiments.basin.batch import Batch, Instant, fly
