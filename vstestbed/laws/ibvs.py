@@ -13,7 +13,7 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import Time
 from vstestbed.core.spec import spec
-from vstestbed.features import FEATURES, LineFeature, Point, Polar, Polygon, Spherical
+from vstestbed.features import FEATURES, Point, Polygon
 from vstestbed.features.base import Feature
 from vstestbed.features.depth import Depth, PnP
 from vstestbed.features.observation import Goal, Observation
@@ -85,7 +85,7 @@ class IBVS(LawBase):
     kind: Literal["ibvs"] = "ibvs"
     tasks = ("view", "path", "landing")
     gain: Gain = ConstantGain()
-    feature: Annotated[Point | Polar | Spherical | Polygon | LineFeature, FEATURES] = Point()
+    feature: Annotated[Feature, FEATURES] = Point()
     interaction: Literal["current", "desired", "mean"] = "current"
     solve: Solve = Solve()
     depth: Depth = PnP()
