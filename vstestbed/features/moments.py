@@ -68,11 +68,18 @@ class Moments:
             c11 = (c11.value if isinstance(c11, Rated) else c11).real
             return 0.5 * angle(m.complex(2, 0), ROUND * c11)
         size = m.area**-0.5
-        return {"xg": lambda: m.xg, "yg": lambda: m.yg, "area": lambda: m.area, "xn": lambda: m.xg * size, "yn": lambda: m.yg * size, "an": lambda: size}[row]()
+        return {
+            "xg": lambda: m.xg,
+            "yg": lambda: m.yg,
+            "area": lambda: m.area,
+            "xn": lambda: m.xg * size,
+            "yn": lambda: m.yg * size,
+            "an": lambda: size,
+        }[row]()
 
 
 def skewness(m: MomentSet) -> Any:
-    return m.complex(2, 1) * m.central(0, 0)**.5 / m.complex(1, 1).real ** 1.5
+    return m.complex(2, 1) * m.central(0, 0) ** 0.5 / m.complex(1, 1).real ** 1.5
 
 
 def turned(e: Array, t: Array, t_star: Array) -> Array:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from functools import cached_property
-from typing import Annotated, Literal, Protocol
+from typing import TYPE_CHECKING, Annotated, Literal, Protocol
 
 import numpy as np
 from annotated_types import Len
@@ -47,7 +47,13 @@ class Cornered:
     """A figure that is a polygon."""
 
     round = False
-    corners: Array
+
+    if TYPE_CHECKING:  # each figure has its own
+
+        @cached_property
+        def corners(self) -> Array:
+            """Corners of the polygon, (E, 2) [m], clockwise as seen."""
+            ...
 
     def outline(self, count: int) -> Array:
         """The corners, and points on the sides between them, where those are longest."""

@@ -101,17 +101,21 @@ class Shape(OneRegion):
         ahead = centre[..., 2] > radius * np.hypot(T[..., 2, 0], T[..., 2, 1])
         return np.where(ahead[..., None, None], ray * reach[..., None], np.nan)
 
-    @cached_property
+    @property
     def body(self) -> Body:
         """The region, a sheet without thickness."""
+        return Body(self._triangles, self._rgb, self.marker.lit)
+
+    @cached_property
+    def _triangles(self) -> Array:
         corners = self.figure.corners
         if len(corners) == 3:  # MuJoCo takes no mesh of three vertices
             corners = self.figure.outline(4)
         at = np.column_stack([corners, np.zeros(len(corners))])
         # Corners run clockwise as seen from the front, where z points away: from outside triangles are counter-clockwise.
-        return Body(at[[(a, c, b) for a, b, c in triangulated(corners)]], self._rgb, self.marker.lit)
+        return at[[(a, c, b) for a, b, c in triangulated(corners)]]
 
-    @cached_property
+    @property
     def board_half_m(self) -> tuple[float, float]:
         """It reaches BOARD_MARGIN of the longer side beyond the outline, on all sides of the origin."""
         corners = self.figure.corners
@@ -177,7 +181,7 @@ class Ball(OneRegion):
         """
         if len(ray) < LEAST_SEEN:
             return None
-        n = np.linalg.lstsq(ray, np.ones(len(ray)), rcond=None)[0]
+        n: Array = np.linalg.lstsq(ray, np.ones(len(ray)), rcond=None)[0].astype(float)
         size2 = float(n @ n)
         if not size2 > 1:
             return None

@@ -54,7 +54,7 @@ def edge_points(cover: NDArray[np.floating]) -> Array:
     inside to outside, add up to the way from the beginning of the first to the border. That is exact for straight borders that are
     steeper than 45 degrees, since a pixel's coverage is the mean over its height; flatter ones are measured along columns.
     """
-    c = cv2.copyMakeBorder(np.asarray(cover, np.float32), REACH, REACH, REACH, REACH, cv2.BORDER_CONSTANT, value=0)
+    c = np.pad(cover.astype(np.float32), REACH)
     du, dv = (np.abs(cv2.Sobel(c, cv2.CV_32F, *order, ksize=3)) for order in ((1, 0), (0, 1)))
     along_rows = _crossings(c, du >= dv)
     along_columns = _crossings(np.ascontiguousarray(c.T), np.ascontiguousarray((dv > du).T))

@@ -57,7 +57,7 @@ def fit_polygon(
         turns: rotations to begin with [rad]; empty: all round. expected: the rotation that is taken where several fit alike.
     """
     whiten, colour = roundness(spread), _root(plane[1])
-    e, q = (edge - middle) @ whiten, (corners - plane[0]) @ np.linalg.inv(colour)
+    e, q = (edge - middle) @ whiten, (corners - plane[0]) @ inverted(colour)
     best: PolygonFit | None = None
     for turn in turns or _likely(e, q, expected):
         found = _refined(e, q, turn)
@@ -67,8 +67,8 @@ def fit_polygon(
         size = float(np.sqrt(np.mean(np.minimum(off, 0.5) ** 2)))
         if best is not None and not _better(size, turn, best, expected):
             continue
-        to_plane = _affine(colour, plane[0]) @ G @ np.linalg.inv(_affine(np.linalg.inv(whiten), middle))
-        best = PolygonFit(np.linalg.inv(to_plane), left, off)
+        to_plane = _affine(colour, plane[0]) @ G @ inverted(_affine(inverted(whiten), middle))
+        best = PolygonFit(inverted(to_plane), left, off)
     return best
 
 
@@ -141,9 +141,14 @@ def _foot(p: Array, q: Array) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
     return normal, h[k, side], np.sqrt(distance[k, side]), beyond[k, side] == 0
 
 
+def inverted(A: Array) -> Array:
+    """The inverse (n, n) of a matrix."""
+    return np.linalg.inv(A).astype(float)
+
+
 def roundness(S: Array) -> Array:
     """The matrix (2, 2) that makes a region with covariance S (2, 2) round, of unit variance: S^-1/2."""
-    return _root(np.linalg.inv(S))
+    return _root(inverted(S))
 
 
 def _root(S: Array) -> Array:
