@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+from cv2.typing import MatLike
 from numpy.typing import NDArray
 
 from vstestbed.camera import Image
@@ -14,6 +15,7 @@ FULL, NONE = 0.85, 0.15
 measured."""
 REACH = 2
 """Pixels to each side of the border that are added up."""
+NEIGHBOURS = np.ones((3, 3), np.uint8)
 NEAR = (7, 7)
 """A pixel's neighbours whose mean gives the colours that meet at a border: of those wholly covered, and of those not covered at all."""
 
@@ -29,22 +31,21 @@ def coverage(part: Image, alone: NDArray[np.uint8]) -> NDArray[np.float32]:
 
     Reference: Smith & Blinn 1996, Blue screen matting, doi:10.1145/237170.237263 (the mixture at a border).
     """
-    cross = np.ones((3, 3), np.uint8)
-    near, inner = cv2.dilate(alone, cross), cv2.erode(alone, cross)
-    colour = part.astype(np.float32)
-    F, B = _mean_near(colour, inner > 0), _mean_near(colour, near == 0)
+    near, inner = cv2.dilate(alone, NEIGHBOURS), cv2.erode(alone, NEIGHBOURS)
+    out = (inner > 0).astype(np.float32)
+    border = (near > 0) & (inner == 0)  # the colours are worked out there alone: most of a region is its inside
+    F, B = _mean_near(part, inner, border), _mean_near(part, cv2.bitwise_not(near), border)
     span = F - B
-    share = cv2.multiply(colour - B, span).sum(axis=2) / np.maximum((span * span).sum(axis=2), 1.0)
-    return np.where(near > 0, np.where(inner > 0, 1, share), 0).astype(np.float32)
+    out[border] = ((part[border] - B) * span).sum(axis=1) / np.maximum((span * span).sum(axis=1), 1.0)
+    return out
 
 
-def _mean_near(colour: NDArray[np.float32], which: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Mean of the colours (H, W, 3) of `which` pixels (H, W) near each pixel; where there are none, of all of them."""
-    weight = which.astype(np.float32)
-    total = cv2.boxFilter(colour * weight[..., None], cv2.CV_32F, NEAR, normalize=False, borderType=cv2.BORDER_CONSTANT)
-    count = cv2.boxFilter(weight, cv2.CV_32F, NEAR, normalize=False, borderType=cv2.BORDER_CONSTANT)[..., None]
-    overall = colour[which].mean(axis=0) if which.any() else np.zeros(3, np.float32)
-    return np.where(count > 0, total / np.maximum(count, 1), overall).astype(np.float32)
+def _mean_near(part: Image, which: MatLike, at: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Mean colours (K, 3) of the pixels of `which` (255 there) near each of K pixels `at`; where there are none, of all of them."""
+    total = cv2.boxFilter(cv2.bitwise_and(part, part, mask=which), cv2.CV_32F, NEAR, normalize=False, borderType=cv2.BORDER_CONSTANT)
+    count = cv2.boxFilter(which, cv2.CV_32F, NEAR, normalize=False, borderType=cv2.BORDER_CONSTANT)[at][:, None] / 255
+    overall = np.array(cv2.mean(part, which)[:3], np.float32)
+    return np.where(count > 0, total[at] / np.maximum(count, 1), overall).astype(np.float32)
 
 
 def edge_points(cover: NDArray[np.floating]) -> Array:
