@@ -140,11 +140,7 @@ class Law(Protocol[M]):
         ...
 
     def check(self, points: Array, goal: Goal) -> None:
-        """Refuse markers (N, 3) in the target frame [m], or a goal view of them, with which the law cannot work.
-
-        Raises:
-            ParameterError: it names a field of the scenario (`target`, ...).
-        """
+        """Refuse markers (N, 3) in the target frame [m], or a goal view of them, with which the law cannot work, by a ParameterError."""
         ...
 
     def check_view(self, goal: Goal, marker_radius_m: float, called: Callable[[int], str] = str) -> None:
@@ -260,11 +256,8 @@ class TwistLimits:
 class LawBase:
     """Defaults for all members of `Law` but `kind` and `step`: the base class for a law of one's own.
 
-        @LAWS.add
-        @spec
-        class Mine(LawBase):
+        class Mine(LawBase):  # with @LAWS.add and @spec
             kind: Literal["mine"] = "mine"
-            gain: float = 0.5
 
             def step(self, memory, observation, goal, basis): ...
 

@@ -13,7 +13,7 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import Time
 from vstestbed.core.spec import spec
-from vstestbed.features import FEATURES, Point
+from vstestbed.features import FEATURES, LineFeature, Point
 from vstestbed.features.base import Feature
 from vstestbed.features.depth import Depth, PnP
 from vstestbed.features.observation import Goal, Observation
@@ -108,8 +108,8 @@ class IBVS(LawBase):
 
     @property
     def needs_same_markers(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride] - a property in place of a constant
-        """The features that are made of the markers in their order do."""
-        return isinstance(self.feature, Polygon | LineFeature)
+        """The features that describe the markers as a set do, and lines, which are made of two each."""
+        return self.feature.rows_per_marker == 0 or isinstance(self.feature, LineFeature)
 
     def check(self, points: Array, goal: Goal) -> None:
         """Refuse a goal view at which the feature cannot work, by its `check_goal`."""

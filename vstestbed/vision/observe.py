@@ -154,7 +154,8 @@ class Observer:
         flow = self._flow(memory.flow if memory.flow is None else memory.flow.of(detection.ids), t, ray, twist)
         by_flow = None if flow is None else (flow.ray, 1 / flow.inverse_range)
         p = transform(T, self._points) if T is not None and self.depth.needs_pose else None
-        cues = DepthCues(self.goal, xy, p, detection.p_camera, by_flow, self.depth.read(depth_image, uv))
+        sized = None if ray is None or not self.depth.needs_size else self.target.by_size(ray)
+        cues = DepthCues(self.goal, xy, p, detection.p_camera, by_flow, self.depth.read(depth_image, uv), sized)
         view = _View(ray, xy, self.depth.depths(cues), self.depth.ranges(cues) if self._needs_ranges else None, T, own)
         trim = memory.trim
         if tilt is not None:
@@ -187,7 +188,7 @@ class Observer:
     @cached_property
     def _always_rays(self) -> bool:
         """Whether rays are computed even where no pose is solved."""
-        return "ray" in self.required_fields or self.depth.estimator is not None
+        return "ray" in self.required_fields or self.depth.estimator is not None or self.depth.needs_size
 
     @cached_property
     def _always_uses_motion(self) -> bool:
