@@ -13,7 +13,7 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import Time
 from vstestbed.core.spec import spec
-from vstestbed.features import FEATURES, Point
+from vstestbed.features import FEATURES, LineFeature, Point
 from vstestbed.features.base import Feature
 from vstestbed.features.depth import Depth, PnP
 from vstestbed.features.observation import Goal, Observation
@@ -105,6 +105,11 @@ class IBVS(LawBase):
     def inputs(self) -> tuple[str, ...]:
         """The inputs of the feature, the camera's own motion for feedforward, and the markers' radii for `visibility`."""
         return self.feature.inputs + inputs_of(self.feedforward) + self.visibility.inputs
+
+    @property
+    def needs_same_markers(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride] - a property in place of a constant
+        """The features that describe the markers as a set do, and lines, which are made of two each."""
+        return self.feature.rows_per_marker == 0 or isinstance(self.feature, LineFeature)
 
     def check(self, points: Array, goal: Goal) -> None:
         """Refuse a goal view at which the feature cannot work, by its `check_goal`."""

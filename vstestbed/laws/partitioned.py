@@ -100,6 +100,7 @@ class Partitioned(LawBase):
     """
 
     kind: Literal["partitioned"] = "partitioned"
+    needs_same_markers = True  # their polygon's size and angle
     gain: Gain = ConstantGain()
     gain_z: PositiveGain = 1.0
     gain_turn: PositiveGain = 0.5

@@ -107,6 +107,11 @@ class Predictive(LawBase):
         """The inputs of the feature, the robot, and the markers' radii for the border."""
         return (*self.feature.inputs, "robot", *(("radius_px",) if self.margin_px is not None else ()), *inputs_of(self.feedforward))
 
+    @property
+    def needs_same_markers(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride] - a property in place of a constant
+        """As `ibvs` with this feature."""
+        return IBVS(feature=self.feature).needs_same_markers
+
     def markers_needed(self, basis: Array) -> int:
         """As many as `ibvs` with this feature."""
         return IBVS(feature=self.feature).markers_needed(basis)
