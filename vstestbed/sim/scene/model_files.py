@@ -9,6 +9,7 @@ import mujoco
 from vstestbed.core.assets import model_path
 from vstestbed.targets.picture_file import as_png
 
+JPEG = ".jpg", ".jpeg"
 ASSETS = "assets"
 """Folder beside model.xml for its asset files."""
 
@@ -25,33 +26,32 @@ def carry_files(model: mujoco.MjSpec, file: Path, scene: mujoco.MjSpec, prefix: 
     for things, folder in folders:
         for thing in things:
             if thing.file:
-                thing.file = _carried(model, file, folder, thing.file, taken, prefix)
+                thing.file = _carried(file, folder, thing.file, taken, prefix)
     for texture in model.textures:
-        texture.cubefiles = [_carried(model, file, model.texturedir, face, taken, prefix) for face in texture.cubefiles]
+        texture.cubefiles = [_carried(file, model.texturedir, face, taken, prefix) for face in texture.cubefiles]
     if taken:
         model.meshdir = model.texturedir = scene.meshdir = scene.texturedir = ASSETS
     return taken
 
 
 def take_jpeg(model: mujoco.MjSpec, file: Path) -> None:
-    """The textures of a model in `file` that are JPEG files, which MuJoCo does not read, as PNG among the model's assets.
+    """The textures of a model in `file` that are JPEG files, which MuJoCo does not read, as PNG among the model's assets, to compile it.
 
     Raises:
         ParameterError: one is no picture.
     """
     for number, texture in enumerate(model.textures):
         path = file.parent / model.texturedir / texture.file
-        if path.suffix.lower() in (".jpg", ".jpeg") and path.is_file():
+        if path.suffix.lower() in JPEG and path.is_file():
             texture.file = f"{number}_{path.stem}.png"
             model.assets = {**model.assets, str(Path(model.texturedir) / texture.file): as_png(path)}
 
 
-def _carried(model: mujoco.MjSpec, file: Path, folder: str, name: str, taken: dict[str, bytes], prefix: str) -> str:
+def _carried(file: Path, folder: str, name: str, taken: dict[str, bytes], prefix: str) -> str:
     """Take up a file that a model in `file` refers to; its name in the scene's assets, "" for none."""
     if not name:
         return ""
     path = model_path(str(file)).parent / folder / name
-    new = f"{prefix.strip('/')}_{len(taken)}_{path.name}"
-    own = model.assets.get(str(Path(folder) / name))
-    taken[f"{ASSETS}/{new}"] = path.read_bytes() if own is None else own
+    new = f"{prefix.strip('/')}_{len(taken)}_{path.with_suffix('.png').name if path.suffix.lower() in JPEG else path.name}"
+    taken[f"{ASSETS}/{new}"] = as_png(path) if path.suffix.lower() in JPEG else path.read_bytes()
     return new

@@ -9,7 +9,6 @@ from xml.etree import ElementTree
 import mujoco
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.sim.scene.model_files import take_jpeg
 
 ROOT = re.compile(r"\A\ufeff?(?:\s|<\?.*?\?>|<!--.*?-->)*<robot\b[^>]*>", re.DOTALL)
 """The beginning of a URDF: an MJCF file may have the word in a comment."""
@@ -28,8 +27,7 @@ def read_model(path: Path) -> mujoco.MjSpec:
     """The spec of an MJCF or URDF file, as the file has it.
 
     Of a URDF, fixed links keep their names, a link shows its `visual` shapes, and its `collision` shapes only where it has no others.
-    A `<mujoco>` block of its own counts instead. Meshes to look at of other formats than STL and OBJ are left out. Of an MJCF file,
-    textures may be JPEG files, too.
+    A `<mujoco>` block of its own counts instead. Meshes to look at of other formats than STL and OBJ are left out.
 
     Raises:
         ValueError: MuJoCo's, for a file that it cannot read.
@@ -37,9 +35,7 @@ def read_model(path: Path) -> mujoco.MjSpec:
     """
     text = path.read_text(errors="replace")
     if (root := ROOT.search(text)) is None:
-        spec = mujoco.MjSpec.from_file(str(path))
-        take_jpeg(spec, path)
-        return spec
+        return mujoco.MjSpec.from_file(str(path))
     if XACRO.search(text):
         raise ParameterError("file", f"is a xacro, and no URDF yet; `xacro {path.name} > arm.urdf` writes one", str(path))
     if "<mujoco" not in text:
