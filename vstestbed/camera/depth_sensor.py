@@ -90,12 +90,12 @@ class DepthSensor(ABC):
         with np.errstate(invalid="ignore", divide="ignore"):
             theta = incidence(z, xy, f)
             hole = self._unseen(z, f) | (theta > math.radians(self.grazing_deg))
-            z = z if rng is None else self._ragged(z, rng)
+            z = np.asarray(z if rng is None else self._ragged(z, rng), np.float32)
             hole |= self._out_of_range(z)  # of the true depth, too: noise must not bring what is far beyond the range back into it
             if rng is not None:
                 z = _flying(z, rng) if self.flies else z
                 sigma = self.sigma(z, np.minimum(theta, STEEPEST), f)
-                z = z if sigma is None else z + sigma * correlated(z.shape, self.correlation_px, rng)
+                z = z if sigma is None else np.asarray(z + sigma * correlated(z.shape, self.correlation_px, rng), np.float32)
             if self.quantum_px and self.baseline_m:
                 unit = np.float32(f * self.baseline_m / self.quantum_px)
                 z = np.asarray(unit / np.round(unit / z), np.float32)
