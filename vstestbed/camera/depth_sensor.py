@@ -165,9 +165,9 @@ class Stereo(DepthSensor):
 
 @spec
 class StructuredLight(DepthSensor):
-    """A camera and a projector of a pattern (the first Kinect):
+    """A camera and a projector of a pattern (the first Kinect). With Z and sigma in metres and theta in radians
 
-    sigma = 0.0012 + 0.0019 (Z - 0.4)^2 + 0.0001 theta^2 / (sqrt(Z) (pi/2 - theta)^2) [m],
+    sigma = 0.0012 + 0.0019 (Z - 0.4)^2 + 0.0001 theta^2 / (sqrt(Z) (pi/2 - theta)^2),
 
     an edge's place has a standard deviation of 0.8 px, and disparities have steps of 1/8 px (its own focal length is 580 px).
 
@@ -197,9 +197,9 @@ class StructuredLight(DepthSensor):
 
 @spec
 class TimeOfFlight(DepthSensor):
-    """The phase of modulated light (the second Kinect), from one point of view:
+    """The phase of modulated light (the second Kinect), from one point of view. With Z in metres, theta in radians and sigma in millimetres
 
-    sigma = (1.5 - 0.5 Z + 0.3 Z^2 + 0.1 Z^(3/2) theta^2 / (pi/2 - theta)^2) mm with Z in m.
+    sigma = 1.5 - 0.5 Z + 0.3 Z^2 + 0.1 Z^(3/2) theta^2 / (pi/2 - theta)^2.
 
     A pixel at an edge receives light of both surfaces: its depth lies anywhere between (flying pixels). Light that arrives over several
     reflections, and the harmonic error of the phase, are left out.
