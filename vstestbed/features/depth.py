@@ -29,6 +29,7 @@ class DepthCues(NamedTuple):
         p_true: true markers in the camera frame, shape (N, 3) [m]; None without the oracle.
         by_flow: unit rays (N, 3) and ranges (N,) [m] of the recursive estimate; None where there is none.
         measured: depths by the depth camera (N,) [m], NaN in its holes (`DepthSource.read`); None without one.
+        p_by_size: markers in the camera frame by the target's known size, shape (N, 3) [m]; None where that is not asked for.
     """
 
     goal: Goal
@@ -37,6 +38,7 @@ class DepthCues(NamedTuple):
     p_true: Array | None = None
     by_flow: tuple[Array, Array] | None = None
     measured: Array | None = None
+    p_by_size: Array | None = None
 
 
 class DepthSource(ABC):
@@ -45,6 +47,8 @@ class DepthSource(ABC):
     kind: Any  # the word in a scenario: a field of each
     needs_pose: ClassVar[bool] = False
     """The target's pose must be estimated."""
+    needs_size: ClassVar[bool] = False
+    """The target's known size must tell its place."""
     true: ClassVar[bool] = False
     """Depths are the simulator's truth."""
     on_floor: ClassVar[bool] = False
@@ -171,6 +175,22 @@ class Estimate(DepthSource):
 
 
 @spec
+class BySize(DepthSource):
+    """For a ball: depth from its known radius. The rays that touch it lie on a cone whose angle is the ball's distance."""
+
+    kind: Literal["size"] = "size"
+    needs_size: ClassVar[bool] = True
+
+    def depths(self, cues: DepthCues) -> Array:
+        """Z of the points of the outline."""
+        return np.full(len(cues.xy), np.nan) if cues.p_by_size is None else cues.p_by_size[:, 2]
+
+    def ranges(self, cues: DepthCues) -> Array:
+        """Distance of the points of the outline."""
+        return np.full(len(cues.xy), np.nan) if cues.p_by_size is None else lengths(cues.p_by_size)[:, 0]
+
+
+@spec
 class OracleDepth(DepthSource):
     """The simulator's true depth; only with `detector: {kind: oracle}`."""
 
@@ -260,5 +280,5 @@ def depth_at(depth_image: NDArray[np.float32], uv: Array, side: int = 1) -> Arra
     return np.where(enough, middle / 2, np.nan)
 
 
-DEPTHS = OneOf("depth", PnP, Constant, AtGoal, Estimate, OnFloor, Sensed, OracleDepth)
+DEPTHS = OneOf("depth", PnP, Constant, AtGoal, Estimate, OnFloor, BySize, Sensed, OracleDepth)
 Depth = Annotated[DepthSource, DEPTHS]

@@ -88,7 +88,7 @@ def build_plant(
 
 def _may_hide(target: Target, world: World) -> bool:
     """Whether something may come between a free camera and a marker."""
-    return world.hides or target.body is not None
+    return world.hides or (target.body is not None and not target.outlined)
 
 
 @dataclass(frozen=True, slots=True)

@@ -35,7 +35,7 @@ class ImageError:
 
     Attributes:
         lost: the law had no measurement to work with. all_seen: every marker that counts is seen.
-        rms_px: RMS of goal minus measured over the coordinates seen [px], NaN when lost.
+        rms_px: RMS of goal minus measured over the coordinates seen [px], NaN when lost, and without markers.
     """
 
     lost: bool
@@ -50,8 +50,9 @@ class ImageError:
         if not all_seen:  # the costlier masks only where something is missing: this runs for every frame
             error = error[seen.seen]
             all_seen = goal.counted is not None and bool(seen.seen[goal.counted].all())
-        lost = bool(rest_reason) or not error.size  # a law may command motion although it sees nothing (coasting)
-        return cls(lost, all_seen, math.nan if lost else math.sqrt(float(np.vdot(error, error)) / error.size))
+        # A law may command motion although it sees nothing (coasting), and one that works on whole pictures needs no marker.
+        lost = bool(rest_reason) or not (error.size or seen.image is not None)
+        return cls(lost, all_seen, math.nan if lost or not error.size else math.sqrt(float(np.vdot(error, error)) / error.size))
 
 
 @dataclass(frozen=True, slots=True)

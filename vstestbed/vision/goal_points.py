@@ -25,9 +25,12 @@ def goal_of_points(goal: Goal, uv: Array) -> Goal:
     z = np.where(z > 0, z, np.nan)
     p = ray * (z / ray[:, 2])[:, None]
     known = np.isfinite(p[:, 0])
+    if np.count_nonzero(known) < 3:  # they span no plane
+        reach = np.where(known, np.linalg.norm(p, axis=1), np.nan)
+        return replace(goal, uv=uv, depth=p[:, 2], ray=ray, range=reach, counted=known if len(uv) else None)
     made = Goal.of_picture(goal.camera, uv[known], p[known], goal.T_camera_target)
     full = made.rows(np.where(known, np.cumsum(known) - 1, -1)) if not known.all() else made
-    return replace(goal, uv=uv, depth=full.depth, ray=ray, range=full.range, plane=made.plane, counted=None)
+    return replace(goal, uv=uv, depth=full.depth, ray=ray, range=full.range, plane=made.plane, counted=None if known.all() else known)
 
 
 def points_of(goal: Goal) -> Array:

@@ -79,6 +79,7 @@ class Observer:
         trim_s: time constant with which the goal view corrects the craft's measured tilt [s]; 0 leaves it uncorrected.
         depth_scale: factor on each marker's reported depth, (N,), a calibration error, or None. The memory stays unscaled.
         perturbed: perturbs the measured coordinates further; None for nothing.
+        rows: number of points that the detector reports; None: the target's markers.
         points: what is measured (N, 3), in the target's frame [m]; None: the target's markers.
     """
 
@@ -94,6 +95,7 @@ class Observer:
     trim_s: float = 0.0
     depth_scale: Array | None = None
     perturbed: Perturbed | None = None
+    rows: int | None = None
     points: Array | None = None
 
     @property
@@ -102,7 +104,7 @@ class Observer:
 
     def init(self) -> ObserverMemory:
         """The memory before the first frame."""
-        flow = None if self.depth.estimator is None else init_flow(len(self._points))
+        flow = None if self.depth.estimator is None else init_flow(len(self.target.points) if self.rows is None else self.rows)
         return ObserverMemory(flow=flow, odometry=np.zeros(3) if self.grounded else None)
 
     def uses_motion(self, detection: Detection) -> bool:
@@ -142,16 +144,18 @@ class Observer:
         """
         if detection.goal is not None:  # other points in every picture
             own_points = replace(self, goal=detection.goal, points=points_of(detection.goal))
-            return own_points.observe(memory, t, replace(detection, goal=None), twist, rng, compass, tilt, own, depth_image)
+            memory, seen = own_points.observe(memory, t, replace(detection, goal=None), twist, rng, compass, tilt, own, depth_image)
+            return memory, replace(seen, ids=detection.ids)
         uv, T = self._reported(detection, t, rng)
         xy = self.camera.normalise(uv)
         tilt = tilt if self.derotation != "none" else None
         ray = self.camera.ray(uv) if self._solves(T) or self._always_rays or tilt is not None else None
         T, solved = self._pose(ray, t, memory, T, twist)
-        flow = self._flow(memory.flow, t, ray, twist)
+        flow = self._flow(memory.flow if memory.flow is None else memory.flow.of(detection.ids), t, ray, twist)
         by_flow = None if flow is None else (flow.ray, 1 / flow.inverse_range)
         p = transform(T, self._points) if T is not None and self.depth.needs_pose else None
-        cues = DepthCues(self.goal, xy, p, detection.p_camera, by_flow, self.depth.read(depth_image, uv))
+        sized = None if ray is None or not self.depth.needs_size else self.target.by_size(ray)
+        cues = DepthCues(self.goal, xy, p, detection.p_camera, by_flow, self.depth.read(depth_image, uv), sized)
         view = _View(ray, xy, self.depth.depths(cues), self.depth.ranges(cues) if self._needs_ranges else None, T, own)
         trim = memory.trim
         if tilt is not None:
@@ -184,7 +188,7 @@ class Observer:
     @cached_property
     def _always_rays(self) -> bool:
         """Whether rays are computed even where no pose is solved."""
-        return "ray" in self.required_fields or self.depth.estimator is not None
+        return "ray" in self.required_fields or self.depth.estimator is not None or self.depth.needs_size
 
     @cached_property
     def _always_uses_motion(self) -> bool:

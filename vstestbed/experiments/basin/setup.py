@@ -21,7 +21,8 @@ from vstestbed.loop.recording import BLOCK
 from vstestbed.robots import Free, Mount
 from vstestbed.robots.free import FreeStart
 from vstestbed.robots.robot_log import RobotLog
-from vstestbed.scenario.scenario import Noise, Scenario
+from vstestbed.scenario.noise import Noise
+from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.scene.world import World
 from vstestbed.sim.timing import Timing
 from vstestbed.vision import Oracle
@@ -102,7 +103,7 @@ class BatchSetup:
 
     def _check_target(self) -> None:
         s = self.scenario
-        if s.target.body is not None and isinstance(s.detector, Oracle) and s.detector.field_of_view == "limited":
+        if s.target.body is not None and not s.target.outlined and isinstance(s.detector, Oracle) and s.detector.field_of_view == "limited":
             words = (
                 "has a solid, and a batch does not know which markers it hides; give an unlimited field of view, or a target without one"
             )
