@@ -19,6 +19,7 @@ from vstestbed.robots import VEHICLES, Mount, Robot
 from vstestbed.sim.scene.world import World
 from vstestbed.sim.timing import Timing
 from vstestbed.targets import Target
+from vstestbed.tasks.base import Task
 from vstestbed.tasks.stop import Stop
 from vstestbed.vision import DETECTORS, Detector
 
@@ -154,6 +155,27 @@ def check_markers(robot: Robot, camera: Camera, target: Target, detector: Detect
     _check_marker_count(robot, camera, target, detector, law)
     if law.depth.needs_pose and not law.depth.on_floor and _leaves_pose_open(target.points):
         raise _open_pose(robot, target.points, law, needs_pose)
+
+
+def check_goal_pictures(goal: Task, camera: Camera, needed: bool, law: Law[Any], detector: Detector[Any]) -> None:
+    """Refuse pictures of the goal that nobody looks at, that cannot be read, and that lack the depth that the law needs.
+
+    Raises:
+        ParameterError: it names the field, and what would work.
+    """
+    for i, said in enumerate(goal.pictures):
+        field = "goal.picture" if len(goal.pictures) == 1 else f"goal.views.{i}.picture"
+        if not needed and (said.file is not None or said.other_light):
+            words = f"is looked at by neither law {law.kind} nor detector {detector.kind}; it is for law photometric, or detector keypoints"
+            raise ParameterError(field, words)
+        if said.file is None:
+            continue
+        if law.depth.kind == "sensor" and "image" in law.inputs:
+            raise ParameterError("law.depth", "may not be sensor with goal.picture, a file without depth; use goal or constant", "sensor")
+        try:
+            said.read(camera)
+        except ParameterError as error:
+            raise ParameterError(field, error.problem, error.found) from None
 
 
 def check_judged(stop: Stop, detector: Detector[Any], law: Law[Any]) -> None:

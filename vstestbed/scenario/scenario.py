@@ -20,6 +20,7 @@ from vstestbed.robots import ROBOTS, Robot
 from vstestbed.scenario.checks import (
     check_carrier,
     check_floor_depth,
+    check_goal_pictures,
     check_judged,
     check_markers,
     check_memory,
@@ -74,9 +75,9 @@ class Noise:
         return on_pixels or (pictures and (self.image_sigma > 0 or self.on_pictures))
 
 
-START_STREAM, NOISE_STREAM, IMAGE_STREAM, SENSOR_STREAM, TIMING_STREAM, DEPTH_STREAM, MOTION_STREAM, PERTURB_STREAM = range(8)
+START_STREAM, NOISE_STREAM, IMAGE_STREAM, SENSOR_STREAM, TIMING_STREAM, DEPTH_STREAM, MOTION_STREAM, PERTURB_STREAM, GOAL_STREAM = range(9)
 """Independent random streams of one seed: the start, the noise of measured pixels, of pictures, of the robot's own sensors, of timing,
-of depths, the target's random walk, perturbations. Their numbers enter the seed: a new one comes last, or all recorded runs change."""
+of depths, the target's random walk, perturbations, the goal's picture. Their numbers enter the seed: a new one comes last, or all recorded runs change."""
 TRIES = 1000
 """Largest number of random starts drawn until the target is in view."""
 DISPLACEMENT_STEPS = 12
@@ -153,6 +154,7 @@ class Scenario:
         if self.stop.duration_s < self.camera.period:
             raise ParameterError("stop.duration_s", f"must be at least one camera period, {self.camera.period:g} s", self.stop.duration_s)
         check_markers(self.robot, self.camera, self.target, self.detector, self.law, self.goal.needs_pose)
+        check_goal_pictures(self.goal, self.camera, self.needs_goal_image, self.law, self.detector)
         check_judged(self.stop, self.detector, self.law)
         check_metrics(self.metrics)
         check_views_metres("goal.T_camera_target" if hasattr(self.goal, "T_camera_target") else "goal", self.goal_views)
