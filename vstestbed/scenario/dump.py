@@ -58,7 +58,7 @@ def dump(scenario: Scenario, path: str | Path | None = None, *, defaults: bool =
 
 
 def dump_for_folder(scenario: Scenario) -> str:
-    """The record of a run, with every default, for its folder, which has copies of the target's file and the goal's pictures (`kept_at`)."""
+    """The record of a run, with every default, for its folder, with copies of the target's file and the goal's pictures (`kept_at`)."""
     if not kept_files(scenario):
         return dump(scenario, defaults=True)
     plain, source = to_mapping(scenario), scenario.target.source

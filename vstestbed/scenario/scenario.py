@@ -77,7 +77,8 @@ class Noise:
 
 START_STREAM, NOISE_STREAM, IMAGE_STREAM, SENSOR_STREAM, TIMING_STREAM, DEPTH_STREAM, MOTION_STREAM, PERTURB_STREAM, GOAL_STREAM = range(9)
 """Independent random streams of one seed: the start, the noise of measured pixels, of pictures, of the robot's own sensors, of timing,
-of depths, the target's random walk, perturbations, the goal's picture. Their numbers enter the seed: a new one comes last, or all recorded runs change."""
+of depths, the target's random walk, perturbations, the goal's picture. Their numbers enter the seed: a new one comes last, or all
+recorded runs change."""
 TRIES = 1000
 """Largest number of random starts drawn until the target is in view."""
 DISPLACEMENT_STEPS = 12
