@@ -50,7 +50,8 @@ def sight_of(picture: Picture) -> Sight:
     whole = picture.completed()
     if whole.image is None:
         raise ParameterError("camera", "must have a single image, of which a law or a detector takes all; use a perspective camera")
-    return Sight(whole.image, whole.depth)
+    # The renderer overwrites its picture, and a law may keep one to compare the next with.
+    return Sight(whole.image.copy(), whole.depth)
 
 
 def with_images(scenario: Scenario, images: Sequence[Sight]) -> tuple[Goal, ...]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from vstestbed.camera import Image
+from vstestbed.camera import DepthImage, Image
 from vstestbed.core.geometry import Array, all_finite
 from vstestbed.core.outcome import Outcome, Verdict
 from vstestbed.features.observation import Goal, Observation
@@ -99,12 +99,14 @@ class Frame(Cycle):
             part of it drawn.
         row: values of the columns that only this robot and this task have (`Scenario.own_columns`).
         verdict: how the run ended with this frame, and why; None while it goes on.
+        depth_image: what the depth camera measured (H, W) [m], NaN in its holes; None without one.
     """
 
     truth: Truth
     image: Image | None
     row: Array
     verdict: Verdict | None = field(default=None, kw_only=True)
+    depth_image: DepthImage | None = field(default=None, kw_only=True)
 
     def protected(self) -> Frame:
         """The same frame with its arrays read-only, but for the picture: the log keeps them, and who wrote to one would change a row."""
