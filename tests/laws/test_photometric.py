@@ -12,7 +12,7 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.camera import Perspective
-from vstestbed.core.errors import ParameterError
+from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.core.geometry import exp, inverse, rigid_error
 from vstestbed.features.depth import Constant, PnP
 from vstestbed.features.observation import Goal, Observation, Sight
@@ -202,14 +202,14 @@ def test_runs_converges_and_knows_it_by_grey_levels(file: Path) -> None:
 @pytest.mark.parametrize(
     ("changed", "words"),
     [
-        ({"stop": {"converged": {"error_px": 0.2}}}, "error_px needs markers, and detector none finds none"),
-        ({"law": {"kind": "ibvs"}}, "detector may not be none"),
+        ({"stop": {"converged": {"error_px": 0.2}}}, "error_px: needs markers, and detector none finds none"),
+        ({"law": {"kind": "ibvs"}}, "detector: may not be none"),
         ({"law": {"kind": "photometric", "depth": "pnp"}}, "needs it of pixels"),
         ({"law": {"kind": "photometric", "levels": 6}}, "at the coarsest level"),
         ({"camera": {"kind": "fisheye", "width": 160, "height": 120}}, "needs a camera of kind perspective"),
         (
             {"law": {"kind": "ibvs", "depth": "oracle"}, "detector": {"kind": "oracle"}},
-            "error_grey is of a law that works on grey levels",
+            "error_grey: is of a law that works on grey levels",
         ),
         ({"goal": {"T_camera_target": {"xyz": [0, 0, 1]}, "picture": "nowhere.png"}}, "is not there"),
         (
@@ -220,7 +220,7 @@ def test_runs_converges_and_knows_it_by_grey_levels(file: Path) -> None:
 )
 def test_refusals(file: Path, changed: dict[str, object], words: str) -> None:
     """Each names what is wrong and what works."""
-    with pytest.raises((ParameterError, vs.ScenarioError), match=words):
+    with pytest.raises((ParameterError, ScenarioError), match=words):
         scenario_of(file, **changed)
 
 
