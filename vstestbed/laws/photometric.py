@@ -13,7 +13,7 @@ from vstestbed.camera import Perspective
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import GainOrZero, Narrower, Pixels, Time
-from vstestbed.core.spec import spec
+from vstestbed.core.spec import kind_of, spec
 from vstestbed.features.depth import AtGoal, Constant, Depth
 from vstestbed.features.observation import Goal, Observation, Sight
 from vstestbed.laws.base import Command, ConstantGain, Gain, LawBase, TwistLimits
@@ -123,7 +123,7 @@ class Photometric(LawBase):
         """Refuse a lens that is not perspective, and a border or levels that leave no picture."""
         camera = goal.camera
         if not isinstance(camera, Perspective):
-            raise ParameterError("law", "of kind photometric needs a camera of kind perspective", camera.kind)
+            raise ParameterError("law", "of kind photometric needs a camera of kind perspective", kind_of(type(camera)))
         least = min(camera.width, camera.height)
         inner = (least - 2 * self.margin_px) / 2 ** (self.levels - 1) / self.stride
         if inner < LEAST_SIDE:

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from vstestbed.camera import Camera, Perspective
-from vstestbed.core.named_files import kept_at
 from vstestbed.robots import Robot
 from vstestbed.sim.base import Plant
 from vstestbed.sim.clock import Clock
@@ -93,7 +92,7 @@ def _may_hide(target: Target, world: World) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class SceneFiles:
-    """A self-contained scene: its MJCF, and the asset files that it names and the target's own file, by their paths relative to it."""
+    """A self-contained scene: its MJCF, and the asset files that it names, by their paths relative to it."""
 
     xml: str
     assets: dict[str, bytes]
@@ -118,6 +117,4 @@ def scene_files(
         spec.add_key(name="start", qpos=stage.start_qpos(), act=stage.data.act.copy(), ctrl=stage.data.ctrl.copy())
         stage.close()
     spec.compile()
-    source = target.source
-    kept = {} if source is None else {kept_at(source): source.read_bytes()}
-    return SceneFiles(spec.to_xml(), dict(spec.assets) | kept)
+    return SceneFiles(spec.to_xml(), dict(spec.assets))

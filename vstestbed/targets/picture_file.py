@@ -74,6 +74,15 @@ def read_picture(path: Path) -> PictureFile:
     return _read(path, path.stat().st_mtime_ns)
 
 
+def read_rgb(path: Path) -> NDArray[np.uint8]:
+    """Pixels (H, W, 3) of a PNG or JPEG file, red first, as `read_picture` reads them, at the file's own size.
+
+    Raises:
+        ParameterError: `file` is no picture.
+    """
+    return np.ascontiguousarray(decoded(path)[..., ::-1])
+
+
 @functools.lru_cache(maxsize=8)
 def _read(path: Path, changed: int) -> PictureFile:
     size = path.stat().st_size
