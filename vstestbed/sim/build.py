@@ -62,7 +62,7 @@ def build_plant(
         from vstestbed.sim.ideal import IdealPlant
 
         return IdealPlant(parts, steps_per_frame, path=path, order_s=order_s), "none"
-    from vstestbed.sim.render.depth_camera import DepthCamera
+    from vstestbed.sim.render.depth_camera import depth_camera
     from vstestbed.sim.render.image_sensor import ImageSensor
     from vstestbed.sim.render.pictures import servo_renderer
     from vstestbed.sim.scene.stage import Stage
@@ -71,9 +71,7 @@ def build_plant(
     eye, renderer = None, "none"
     if needs_image:
         drawn_by = servo_renderer(stage, camera, image_sigma > 0)
-        depth = None
-        if camera.depth_sensor is not None and isinstance(camera, Perspective):
-            depth = DepthCamera(camera, camera.depth_sensor, depth_rng or np.random.default_rng(0))
+        depth = depth_camera(camera, depth_rng)
         eye, renderer = ImageSensor(stage, drawn_by, ImageNoise(image_sigma, rng), drift, perturbed, depth), drawn_by.name
     if ideal:
         from vstestbed.sim.ideal import IdealPlant

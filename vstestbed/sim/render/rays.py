@@ -221,7 +221,9 @@ class RayRenderer:
             windows = None if look is None else look[i]
             images.append(None if windows == () else self._draw(panel, i, windows))
         if with_depth:
-            self.depth = ray_depth(self._caster, self._rasters[0], self._stage.camera_pose())
+            self.depth = ray_depth(
+                self._rasters[0].rays((0, 0, self._camera.width, self._camera.height)), self._stage.camera_pose(), self._caster.hits
+            )
         self.whole = look is None
         self.spent_s += time.perf_counter() - start
         return tuple(images)
