@@ -161,7 +161,9 @@ def _check_marker_kind(marker: str, detector: Detector[Any]) -> None:
     seen = detector.markers
     if seen and marker not in seen:
         words = f"may not be {marker}: detector {detector.kind} sees {', '.join(seen)}; with {marker} use"
-        able = [kind for kind, member in DETECTORS.members.items() if not member.markers or marker in member.markers]
+        able = [
+            kind for kind, member in DETECTORS.members.items() if not (member.markers or member.needs_sheet) or marker in member.markers
+        ]
         raise ParameterError("target.marker", f"{words} detector {' or '.join(able)}")
 
 
@@ -177,7 +179,7 @@ def _check_shown(target: Target, detector: Detector[Any]) -> None:
         raise ParameterError("target", words, kind_of(type(target)))
     if target.shows_markers or target.sheet is not None or not detector.markers:
         return
-    able = [kind for kind, member in DETECTORS.members.items() if not member.markers]
+    able = [kind for kind, member in DETECTORS.members.items() if not (member.markers or member.needs_sheet)]
     words = f"may not be false with detector {detector.kind}: a {kind_of(type(target))} without markers shows it nothing to detect"
     raise ParameterError("target.draw_markers", f"{words}; use true, or detector {' or '.join(able)}", False)
 

@@ -162,8 +162,7 @@ def _step(level: Level, grey: Grey, seen: NDArray[np.bool_], light: Array | None
     scaled = known / LIGHT
     lit = (scaled, scaled * x, scaled * y, np.ones_like(x), x, y)
     rows = np.stack([gx, gy, gx * y, gy * x, gx * x - gy * y, -along - gy * y, -x * along, -y * along, *lit, residual])
-    rows *= np.sqrt(_weights(residual, seen))
-    N = _products(rows)
+    N = _products(np.asarray(rows * np.sqrt(_weights(residual, seen)), np.float32))
     n = len(N) - 1
     z = -np.linalg.solve(N[:n, :n] + RIDGE * np.trace(N[:n, :n]) / n * np.eye(n), N[:n, n])
     return _exponential(z[:8]), a + z[8:] / [LIGHT, LIGHT, LIGHT, 1, 1, 1]

@@ -140,6 +140,9 @@ def slopes(grey: Grey, texel: tuple[float, float]) -> Grey:
 LONGEST_PX = 640
 """Longest side of the template in which keypoints are detected [px]: a picture shows no finer ones."""
 MOST_KEYPOINTS = 800
+"""The strongest ones."""
+CONTRAST = 0.01
+"""Least contrast of a keypoint, a quarter of what is usual: a picture may be in shadow, and wrong matches are found out."""
 
 
 def _features(grey: Grey, half: tuple[float, float]) -> tuple[Array, Grey]:
@@ -157,7 +160,7 @@ def keypoints(grey: NDArray[np.uint8]) -> tuple[Array, Grey]:
 
     Reference: Lowe 2004, doi:10.1023/B:VISI.0000029664.99615.94.
     """
-    found, descriptors = cv2.SIFT.create(nfeatures=MOST_KEYPOINTS).detectAndCompute(grey, None)
+    found, descriptors = cv2.SIFT.create(nfeatures=MOST_KEYPOINTS, contrastThreshold=CONTRAST, enable_precise_upscale=True).detectAndCompute(grey, None)
     if not found:
         return np.empty((0, 2)), np.empty((0, 128), np.float32)
     return np.array([k.pt for k in found]), np.asarray(descriptors, np.float32)
