@@ -16,8 +16,8 @@ from vstestbed.vision.detect.template import Level, Template, slopes
 
 TUKEY = 4.685
 """Residuals beyond this many standard deviations have no weight (95 % efficiency on Gaussian noise)."""
-LEAST_SIGMA = 2.0
-"""Least standard deviation that residuals are taken to have, in grey levels."""
+LEAST_SIGMA = 0.5
+"""Least standard deviation that residuals are taken to have, in units of `Level.spread`."""
 LIGHT = 64.0
 """Grey levels that count as one in the normal equations, so that their columns are of similar size."""
 RIDGE = 1e-6
@@ -162,7 +162,7 @@ def _step(level: Level, grey: Grey, seen: NDArray[np.bool_], light: Array | None
     scaled = known / LIGHT
     lit = (scaled, scaled * x, scaled * y, np.ones_like(x), x, y)
     rows = np.stack([gx, gy, gx * y, gy * x, gx * x - gy * y, -along - gy * y, -x * along, -y * along, *lit, residual])
-    N = _products(np.asarray(rows * np.sqrt(_weights(residual, seen)), np.float32))
+    N = _products(np.asarray(rows * np.sqrt(_weights(residual, level, seen)), np.float32))
     n = len(N) - 1
     z = -np.linalg.solve(N[:n, :n] + RIDGE * np.trace(N[:n, :n]) / n * np.eye(n), N[:n, n])
     return _exponential(z[:8]), a + z[8:] / [LIGHT, LIGHT, LIGHT, 1, 1, 1]
@@ -179,9 +179,9 @@ def _products(rows: Grey) -> Array:
     return np.add.reduce([(part := rows[:, k : k + PART]) @ part.T for k in range(0, rows.shape[1], PART)]).astype(float)
 
 
-def _weights(residual: Grey, seen: NDArray[np.bool_]) -> Grey:
+def _weights(residual: Grey, level: Level, seen: NDArray[np.bool_]) -> Grey:
     """Tukey's weights of residuals (n,), zero where not seen; their scale by the median of their sizes."""
-    size = np.abs(residual)
+    size = np.abs(residual) / level.spread
     sigma = max(1.4826 * float(np.median(size[seen])), LEAST_SIGMA)
     part = np.minimum(size / (TUKEY * sigma), 1.0)
     return np.where(seen, (1 - part * part) ** 2, 0).astype(np.float32)

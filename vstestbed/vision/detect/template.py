@@ -21,6 +21,12 @@ BLOCKS = 6
 """Blocks along a template's longer side, each of which is compared with the picture by itself."""
 FLAT = 6.0
 """Standard deviation of a block's grey levels below which its correlation would be one of noise alone."""
+BLUR = 0.8
+"""Standard deviation of the filter over template and picture [texel], [px], without which sampling between pixels shifts fine detail."""
+NOISE = 4.0
+"""Grey levels by which a flat texel may differ from the picture, ..."""
+SHIFT = 0.3
+"""... and texels by which an edge may seem to be shifted in it."""
 EDGE = 2
 """Outermost texels that are left out: what the picture shows there mixes with what is behind the template."""
 
@@ -36,6 +42,7 @@ class Level:
         slopes: derivatives of the grey levels by x and y, (2, n).
         texel: width and height of a texel, in the same units.
         inner: which texels count, (n,); those at the border do not.
+        spread: what a residual is measured by at each texel (n,), in grey levels: at edges two samplings differ more.
         block: number of each texel's block, (n,). textured: which blocks are not flat, (B,).
         blocks: how many there are along x and y.
     """
@@ -47,6 +54,7 @@ class Level:
     slopes: Grey
     texel: tuple[float, float]
     inner: NDArray[np.bool_]
+    spread: Grey
     block: NDArray[np.intp]
     textured: NDArray[np.bool_]
     blocks: tuple[int, int]
@@ -104,6 +112,7 @@ def _template(path: Path, changed: int, width_m: float, most_texels: int) -> Tem
 def _level(grey: Grey, size: tuple[int, int], half: tuple[float, float]) -> Level:
     """The template reduced to a size (w, h) by averaging, so that its texels' places stay where they are."""
     small = grey if size == grey.shape[::-1] else np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.float32)
+    small = np.asarray(cv2.GaussianBlur(small, (0, 0), BLUR), np.float32)
     w, h = size
     texel = 2 * half[0] / w, 2 * half[1] / h
     u, v = np.meshgrid(np.arange(w), np.arange(h))
@@ -115,18 +124,10 @@ def _level(grey: Grey, size: tuple[int, int], half: tuple[float, float]) -> Leve
     mean = np.bincount(block, small.ravel()) / n
     spread = np.sqrt(np.maximum(np.bincount(block, small.ravel() ** 2) / n - mean**2, 0))
     to_plane = np.array([[texel[0], 0, x[0]], [0, texel[1], y[0]], [0, 0, 1]])
-    return Level(
-        small,
-        x.astype(np.float32),
-        y.astype(np.float32),
-        to_plane,
-        slopes(small, texel),
-        texel,
-        inner,
-        block,
-        spread > FLAT,
-        (across, down),
-    )
+    slope = slopes(small, texel)
+    sampled = np.hypot(NOISE, SHIFT * np.hypot(slope[0] * texel[0], slope[1] * texel[1])).astype(np.float32)
+    x, y = x.astype(np.float32), y.astype(np.float32)
+    return Level(small, x, y, to_plane, slope, texel, inner, sampled, block, spread > FLAT, (across, down))
 
 
 def slopes(grey: Grey, texel: tuple[float, float]) -> Grey:
