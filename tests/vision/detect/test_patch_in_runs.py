@@ -48,6 +48,8 @@ def test_from_ten_random_starts(name: str, capsys: pytest.CaptureFixture[str]):
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("law", [{"kind": "pbvs", "gain": 0.5}, {"kind": "hybrid", "gain": 0.5, "source": "homography"}], ids=["pbvs", "hybrid"])
+@pytest.mark.parametrize(
+    "law", [{"kind": "pbvs", "gain": 0.5}, {"kind": "hybrid", "gain": 0.5, "source": "homography"}], ids=["pbvs", "hybrid"]
+)
 def test_laws_of_other_kinds(law: dict[str, object]):
     assert vs.run(vs.load("arm_patch", {"law": law})).outcome is vs.Outcome.converged

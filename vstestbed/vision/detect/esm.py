@@ -36,6 +36,8 @@ INSIDE = 0.5
 """Share of a block that must be in the picture for it to count."""
 ENOUGH = 0.15
 """Share of the textured blocks that must be alike before the others are left out; fewer may be alike by chance."""
+FAINT = 1.0
+"""Least standard deviation of a block that correlates, in grey levels: that of a plain surface is noise."""
 PARTLY = 0.8
 """Share of the alike blocks' median correlation below which a block is taken to be hidden in part."""
 COARSEST = 4.0
@@ -201,12 +203,13 @@ def _exponential(z: Array) -> Array:
 def _compared(level: Level, grey: Grey, least: float) -> Blocks:
     """How well each textured block of a template fits the grey levels (n,): by its zero-mean normalised correlation with them."""
     seen = level.inner & np.isfinite(grey)
-    i, t = np.where(seen, grey, 0), np.where(seen, level.grey.ravel(), 0)
+    # About their means, which single precision would otherwise keep too few digits beside.
+    i, t = (np.where(seen, of - of[seen].mean(), 0) if seen.any() else np.zeros_like(of) for of in (grey, level.grey.ravel()))
     s, si, st, sii, stt, sit = (level.by_block(values) for values in (seen.astype(np.float32), i, t, i * i, t * t, i * t))
     some = np.maximum(s, 1e-3)
     cov, vi, vt = sit - si * st / some, np.maximum(sii - si * si / some, 0), np.maximum(stt - st * st / some, 0)
     inside = level.textured & (s >= INSIDE * level.by_block(level.inner.astype(np.float32)))
-    each = cov / np.maximum(np.sqrt(vi * vt), 1e-6)
+    each = cov / np.sqrt(np.maximum(vi, FAINT**2) * np.maximum(vt, FAINT**2))
     alike = inside & (each >= least)
     total = float(cov[alike].sum() / max(np.sqrt(vi[alike].sum() * vt[alike].sum()), 1e-6))
     share = np.count_nonzero(alike) / max(1, np.count_nonzero(level.textured))

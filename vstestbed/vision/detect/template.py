@@ -161,7 +161,9 @@ def keypoints(grey: NDArray[np.uint8]) -> tuple[Array, Grey]:
 
     Reference: Lowe 2004, doi:10.1023/B:VISI.0000029664.99615.94.
     """
-    found, descriptors = cv2.SIFT.create(nfeatures=MOST_KEYPOINTS, contrastThreshold=CONTRAST, enable_precise_upscale=True).detectAndCompute(grey, None)
+    found, descriptors = cv2.SIFT.create(
+        nfeatures=MOST_KEYPOINTS, contrastThreshold=CONTRAST, enable_precise_upscale=True
+    ).detectAndCompute(grey, None)
     if not found:
         return np.empty((0, 2)), np.empty((0, 128), np.float32)
     return np.array([k.pt for k in found]), np.asarray(descriptors, np.float32)
