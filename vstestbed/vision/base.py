@@ -38,12 +38,14 @@ class Detection:
         p_camera: true marker centres in the camera frame, shape (N, 3) [m]; only the oracle has them.
         T_camera_target: pose of the target, shape (4, 4), if the detector solves it anyway.
         goal: the goal's view of the very points in these rows, where they are not the target's markers.
+        ids: then, the number of the point in each row (N,), the same as long as the row shows the same point; -1 in an empty row.
     """
 
     uv: Array
     p_camera: Array | None = None
     T_camera_target: Array | None = None
     goal: Goal | None = None
+    ids: NDArray[np.intp] | None = None
 
     @property
     def seen(self) -> NDArray[np.bool_]:
@@ -78,6 +80,11 @@ class Detector(Protocol[M]):
         """How many points it reports, where they are not the target's markers; None: one for each marker."""
         ...
 
+    @property
+    def changing(self) -> bool:
+        """Whether its rows may show other points in every picture (`Detection.ids`)."""
+        ...
+
     def init(self) -> M:
         """The state before the first picture."""
         ...
@@ -105,6 +112,7 @@ class DetectorBase:
     needs_sheet: ClassVar[bool] = False
     needs_goal: ClassVar[bool] = False
     rows: Any = None  # without a type, as in `LawBase`: a subclass may have a field or a property in its place
+    changing: Any = False
 
     def init(self) -> Any:
         """No state."""

@@ -40,20 +40,13 @@ class GreyPicture:
 
     def __init__(self, picture: Picture, camera: Camera, window: Window | None = None):
         self.camera = camera
-        self.images: list[NDArray[np.uint8] | None] = []
         self._parts: list[_Part] = []
         for k, image in enumerate(picture.images):
             if image is None:
-                self.images.append(None)
                 continue
             left, top, right, bottom = window or (0, 0, image.shape[1], image.shape[0])
             grey = np.asarray(cv2.cvtColor(np.ascontiguousarray(image[top:bottom, left:right]), cv2.COLOR_RGB2GRAY), np.uint8)
-            self.images.append(grey)
             self._parts.append(_Part(k, [grey.astype(np.float32)], {}, np.array([left, top], float)))
-
-    def begin(self, panel: int) -> Array:
-        """The pixel (u, v) of a panel's image at which its part here begins."""
-        return next(part.begin for part in self._parts if part.panel == panel)
 
     def sampled(self, rays: Array, shape: tuple[int, int], halvings: int) -> Grey:
         """Grey levels (h, w) of a grid in a plane, from the picture halved so many times; NaN where it shows nothing.

@@ -10,8 +10,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from vstestbed.camera import Image
 from vstestbed.core.geometry import Array
 from vstestbed.targets.picture_file import decoded
+from vstestbed.vision.match.features import Descriptors, Sift
 
 Grey = NDArray[np.float32]
 
@@ -76,7 +78,7 @@ class Template:
     levels: tuple[Level, ...]
     unit_m: float
     half: tuple[float, float]
-    features: tuple[Array, Grey]
+    features: tuple[Array, Descriptors]
 
     @property
     def corners(self) -> Array:
@@ -106,7 +108,7 @@ def _template(path: Path, changed: int, width_m: float, most_texels: int) -> Tem
     while min(height, width) * share >= LEAST_SIDE or not levels:
         levels.append(_level(grey, (max(4, round(width * share)), max(4, round(height * share))), half))
         share /= 2
-    return Template(tuple(levels), width_m / 2 / half[0], half, _features(grey, half))
+    return Template(tuple(levels), width_m / 2 / half[0], half, _features(image, half))
 
 
 def _level(grey: Grey, size: tuple[int, int], half: tuple[float, float]) -> Level:
@@ -140,30 +142,15 @@ def slopes(grey: Grey, texel: tuple[float, float]) -> Grey:
 
 LONGEST_PX = 640
 """Longest side of the template in which keypoints are detected [px]: a picture shows no finer ones."""
-MOST_KEYPOINTS = 800
-"""The strongest ones."""
-CONTRAST = 0.01
-"""Least contrast of a keypoint, a quarter of what is usual: a picture may be in shadow, and wrong matches are found out."""
+SIFT = Sift(most=800, contrast=0.01)
+"""Its contrast is a quarter of what is usual: a picture may be in shadow, and wrong matches are found out."""
 
 
-def _features(grey: Grey, half: tuple[float, float]) -> tuple[Array, Grey]:
-    """Places (K, 2) in the template's unit and SIFT descriptors (K, 128)."""
-    longest = max(grey.shape)
-    share = min(1.0, LONGEST_PX / longest)
-    w, h = round(grey.shape[1] * share), round(grey.shape[0] * share)
-    small = np.asarray(cv2.resize(grey, (w, h), interpolation=cv2.INTER_AREA), np.uint8)
-    px, descriptors = keypoints(small)
+def _features(image: Image, half: tuple[float, float]) -> tuple[Array, Descriptors]:
+    """Places (K, 2) in the template's unit and SIFT descriptors (K, 128) of a picture (H, W, 3), blue first."""
+    height, width = image.shape[:2]
+    share = min(1.0, LONGEST_PX / max(height, width))
+    w, h = round(width * share), round(height * share)
+    small = cv2.cvtColor(cv2.resize(image, (w, h), interpolation=cv2.INTER_AREA), cv2.COLOR_BGR2RGB)
+    px, descriptors = SIFT.extract(np.asarray(small, np.uint8))
     return ((px + 0.5) / [w, h] * 2 - 1) * half, descriptors
-
-
-def keypoints(grey: NDArray[np.uint8]) -> tuple[Array, Grey]:
-    """Keypoints of an image: pixels (K, 2) and SIFT descriptors (K, 128).
-
-    Reference: Lowe 2004, doi:10.1023/B:VISI.0000029664.99615.94.
-    """
-    found, descriptors = cv2.SIFT.create(
-        nfeatures=MOST_KEYPOINTS, contrastThreshold=CONTRAST, enable_precise_upscale=True
-    ).detectAndCompute(grey, None)
-    if not found:
-        return np.empty((0, 2)), np.empty((0, 128), np.float32)
-    return np.array([k.pt for k in found]), np.asarray(descriptors, np.float32)
