@@ -197,6 +197,7 @@ RUNS = {
     "arm_ibvs": {"law.gain": 2},
     "ibvs_book": {},
     "arm_track_circle": {},
+    "arm_patch": {},
     "car_pbvs": {},
     "omni_ibvs": {},
     "car_line": {},
@@ -283,7 +284,7 @@ class TestCorruptedTruth:
 
             monkeypatch.setattr(plant, "truth", lie)
 
-    @pytest.mark.parametrize("name", ["arm_ibvs", "arm_depth", "car_pbvs", "quadrotor_path"])
+    @pytest.mark.parametrize("name", ["arm_ibvs", "arm_depth", "arm_patch", "car_pbvs", "quadrotor_path"])
     def test_no_command_changes(self, name: str, monkeypatch: pytest.MonkeyPatch):
         scenario = vs.load(name, {"stop.duration_s": 0.3})
         honest = self.commands(scenario)

@@ -133,9 +133,9 @@ class Patch(DetectorBase):
 
     def _found(self, picture: Picture, template: Template, camera: Camera) -> Fit | None:
         """The template found by keypoints and aligned."""
-        grey = GreyPicture(picture.completed(), camera)
-        G = found(template, grey)
-        return None if G is None else self._good(align(template, grey, G, self.least_correlation))
+        whole = picture.completed()
+        G = found(template, whole, camera)
+        return None if G is None else self._good(align(template, GreyPicture(whole, camera), G, self.least_correlation))
 
     def _good(self, fit: Fit | None) -> Fit | None:
         return fit if fit is not None and fit.visible >= self.least_visible else None
