@@ -170,9 +170,9 @@ class Ball(OneRegion):
             right = np.array([1.0, 0.0, 0.0]) - axis[..., :1] * axis
             right = right / lengths(right)
             rim = self.radius * np.sqrt(shrink)
-        down = np.cross(axis, right)
-        across = np.stack([rim * right, rim * down], axis=-2)
-        return (centre * shrink)[..., None, :] + unit_circle(self.count) @ across
+            down = np.cross(axis, right)
+            across = np.stack([rim * right, rim * down], axis=-2)
+            return (centre * shrink)[..., None, :] + unit_circle(self.count) @ across
 
     def centre_of(self, ray: Array) -> Array | None:
         """The ball's centre (3,) in the camera's frame [m] from unit rays (K, 3) that touch it; None where they are on no cone.
