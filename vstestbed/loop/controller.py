@@ -21,30 +21,13 @@ from vstestbed.loop.goal_image import sight_of, with_images
 from vstestbed.loop.guarded_law import GuardedLaw
 from vstestbed.loop.inputs import Inputs, Readings
 from vstestbed.loop.own_rates import OwnRates
+from vstestbed.loop.scenario_observer import observer_of
 from vstestbed.loop.unseen import FEW_SEEN, NO_PICTURE, NONE_SEEN, detail
 from vstestbed.robots import Allocation, Mount, Reading
 from vstestbed.robots.orders import stop_order
 from vstestbed.scenario.scenario import NOISE_STREAM, Scenario
 from vstestbed.tasks.frame import Cycle, FrameTiming, ImageError
-from vstestbed.vision import Detector, Observer
-
-
-def _observer(scenario: Scenario) -> Observer:
-    perturbed = scenario.perturbed()
-    return Observer(
-        camera=scenario.believed_camera,
-        target=scenario.target,
-        goal=scenario.goal_view,
-        depth=scenario.law.depth,
-        pixel_sigma_px=scenario.noise.pixel_sigma_px,
-        dropout=scenario.noise.dropout,
-        required_fields=scenario.law.inputs,
-        grounded=scenario.robot.base == "planar",
-        derotation=scenario.derotation,
-        trim_s=scenario.level_trim_s,
-        depth_scale=scenario.depth_scale,
-        perturbed=perturbed if perturbed and perturbed.on_pixels else None,
-    )
+from vstestbed.vision import Detector
 
 
 class Controller:
@@ -81,7 +64,7 @@ class Controller:
         # an oracle looks with the true lens; a real detector knows only the calibrated one
         self.seen_through = scenario.camera if scenario.detector.needs_truth else scenario.believed_camera
         self.rng = scenario.rng(NOISE_STREAM)
-        self.observer = _observer(scenario)
+        self.observer = observer_of(scenario)
         self.detector: Detector[Any] = scenario.detector
         self.law: Law[Any] = scenario.law
         self.guarded = GuardedLaw(scenario.law)
@@ -94,6 +77,7 @@ class Controller:
         self.supervisor = scenario.robot.supervisor(scenario.goal.lands, scenario.stop.lost_after_s, scenario.stop.lost_after_m)
         self.before: Exposure | None = None
         self._failed = self._found = False
+        self._own_goal: Goal | None = None  # of a detector's own points, which are others in every picture
         self._needs_motion, self._needs_sight = "motion" in scenario.law.inputs, "image" in scenario.law.inputs
         self._own_rates = OwnRates(scenario.robot, scenario.camera.period) if "robot" in scenario.law.inputs else None
         self._needs_own_state = "proprioception" in scenario.law.inputs and bool(scenario.robot.proprioception_names)
@@ -154,10 +138,10 @@ class Controller:
         """One control step: detect, observe, reference, law, allocation."""
         s, last = self.scenario, self.before or shot
         began = time.perf_counter()
-        seen, matched = self._observe(shot, last, now)
+        seen = self._observe(shot, last, now)
         self.reference_memory, goal = s.goal.reference(self.reference_memory, seen)
-        if matched is not None:  # the detector's own points, which are others in every picture
-            goal = goal.of(matched)
+        if self._own_goal is not None:
+            goal = goal.of(self._own_goal)
         seen = seen.only(goal.counted)
         detected = time.perf_counter()
         # The robot as it is now, not as it was at the exposure: the command acts from here on.
@@ -215,13 +199,13 @@ class Controller:
             moved = self.scenario.robot.measured_twist(shot.reading, reading, age, moved / age, self._mount_at(reading.q)) * age
         return OwnMotion(twist, shot.t - last.t, moved, age, self.last_twist)
 
-    def _observe(self, shot: Exposure, last: Exposure, now: Arrival) -> tuple[Observation, Goal | None]:
-        """The law's measurement from this picture, and the goal's view of its points, where they are not the target's markers."""
+    def _observe(self, shot: Exposure, last: Exposure, now: Arrival) -> Observation:
+        """The law's measurement from this picture."""
         s = self.scenario
         picture = shot.picture if s.detector.needs_image else None
         detected = self.detector.detect(self.detector_memory, picture, shot.view, self.seen_through, s.target, self.rng)
         self.detector_memory, detection = detected
-        self._found = self._found or bool(detection.seen.any())
+        self._found, self._own_goal = self._found or bool(detection.seen.any()), detection.goal
         twist, own = np.zeros(6), None
         if shot.t > last.t:  # the mean of the twists commanded since the last exposure, by which a pose is predicted
             twist = (self.ordered.displacement(shot.t) - self.ordered.displacement(last.t)) / (shot.t - last.t)
@@ -239,7 +223,7 @@ class Controller:
             seen = replace(seen, proprioception=s.robot.proprioception(shot.reading, seen.odometry))
         if self._needs_sight and shot.picture is not None:
             seen = replace(seen, image=sight_of(shot.picture))
-        return seen, detection.goal
+        return seen
 
     def _unseen(self, seen: Observation, goal: Goal, error: ImageError) -> str:
         """Why a law that gives no reason has no measurement; "" where it has one."""

@@ -11,7 +11,7 @@ from vstestbed.core.geometry import Array
 from vstestbed.features.observation import Goal, Sight
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.base import Plant
-from vstestbed.sim.scene.start_pose import flange_for
+from vstestbed.sim.scene.start_pose import flange_for, posture_at
 
 
 def take_goal_images(scenario: Scenario, plant: Plant) -> tuple[Sight, ...]:
@@ -27,7 +27,7 @@ def take_goal_images(scenario: Scenario, plant: Plant) -> tuple[Sight, ...]:
 def _taken(scenario: Scenario, plant: Plant, T_camera_target: Array) -> Sight:
     """The picture from T_camera_target (4, 4), of the target where it is at the start; an arm stands as it will at the goal."""
     T_world_flange = flange_for(scenario.camera, scenario.target, T_camera_target)
-    q = scenario.posture_at(T_world_flange) if scenario.robot.base == "fixed" else None
+    q = posture_at(scenario.robot, T_world_flange) if scenario.robot.base == "fixed" else None
     return sight_of(plant.picture_from(T_world_flange, q))
 
 

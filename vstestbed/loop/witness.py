@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from vstestbed.camera import Image
-from vstestbed.core.geometry import Array, inverse, transform
+from vstestbed.core.geometry import inverse, transform
 from vstestbed.features.observation import Goal
 from vstestbed.loop.exposure import Exposure
 from vstestbed.robots.robot_log import RobotLog, RobotState
@@ -35,26 +35,23 @@ class Witness:
     def __init__(self, scenario: Scenario, supervisor: Supervisor):
         self.task, self._supervisor = scenario.goal.monitor(scenario.setup, supervisor), supervisor
         self._robot_log = scenario.robot.log(supervisor)
-        self._others = scenario.detector.rows is not None
-        camera = scenario.camera
-        self._goal = Goal.from_view(camera, scenario.target.points, scenario.goal_poses[-1])
+        # Of points that are not the target's markers, by the true lens: they lie in the target's plane where it saw them at the goal.
+        self._goal = (
+            Goal.from_view(scenario.camera, scenario.target.points, scenario.goal_poses[-1]) if scenario.detector.rows is not None else None
+        )
         self._own = len(self._robot_log.columns) + len(self.task.columns)
 
     def frame(self, cycle: Cycle, shot: Exposure, truth: Truth, image: Image | None) -> Frame:
         """The cycle with the truth at its exposure, and the robot's and the task's own columns."""
         row = np.empty(self._own)
         c = cycle
-        if self._others:
-            truth = replace(truth, p_camera=self._true_points(c.goal, truth))
+        if self._goal is not None:
+            points = points_of(goal_of_points(self._goal, c.goal.uv))
+            truth = replace(truth, p_camera=transform(inverse(truth.T_world_camera) @ truth.T_world_target, points))
         frame = Frame(c.timing, c.observation, c.goal, c.error, c.command, c.allocation, truth, image, row)
         values = self.task.measure(frame)
         row[:] = (*self._robot_row(frame, shot), *values)
         return frame
-
-    def _true_points(self, goal: Goal, truth: Truth) -> Array:
-        """True places in the camera frame (K, 3) [m] of a goal's points, in the target's plane where the true lens saw them."""
-        at_goal = goal_of_points(replace(self._goal, image=None), goal.uv)
-        return transform(inverse(truth.T_world_camera) @ truth.T_world_target, points_of(at_goal))
 
     def _robot_row(self, frame: Frame, shot: Exposure) -> Iterable[float]:
         """Values of the robot's own columns."""

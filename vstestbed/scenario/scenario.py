@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from dataclasses import replace
 from functools import cached_property
 from typing import Annotated, Any, Literal
@@ -11,7 +10,7 @@ import numpy as np
 from annotated_types import Ge, Lt
 
 from vstestbed.camera import CAMERAS, Calibration, Camera, Perspective
-from vstestbed.core.errors import ParameterError, UnreachableError
+from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, inverse
 from vstestbed.core.quantity import Narrower, Pixels, Seed, Sigma, Time
 from vstestbed.core.spec import spec
@@ -29,7 +28,7 @@ from vstestbed.scenario.checks import (
 )
 from vstestbed.sim.clock import Clock
 from vstestbed.sim.render.noise import Drift
-from vstestbed.sim.scene.start_pose import camera_start, flange_for, target_start
+from vstestbed.sim.scene.start_pose import camera_start, flange_for, posture_at, target_start
 from vstestbed.sim.scene.world import World
 from vstestbed.sim.timing import Timing
 from vstestbed.targets import TARGETS, Target
@@ -81,8 +80,6 @@ TRIES = 1000
 """Largest number of random starts drawn until the target is in view."""
 DISPLACEMENT_STEPS = 12
 """Parts of the way from the goal view to a displaced start: of a half turn 15 degrees each, within which Newton's steps keep a posture."""
-POSTURES = 12
-"""Most postures from which the goal's is sought: Newton's steps find the Jaco's from every second one."""
 VIEW_MARGIN_PX = 10.0
 """Margin round each whole marker in the picture of a random start [px]."""
 
@@ -273,22 +270,13 @@ class Scenario:
             UnreachableError: the robot does not get there. ParameterError: it is neither an arm nor the free camera.
         """
         T = self.goal_poses[-1]
-        q = self.posture_at(flange_for(self.camera, self.target, T))
+        q = posture_at(self.robot, flange_for(self.camera, self.target, T))
         for share in np.linspace(0.0, 1.0, DISPLACEMENT_STEPS + 1):  # in small steps: the arm keeps its posture at the goal
             xyz, rpy_deg = (tuple((share * np.array(part)).tolist()) for part in (by.xyz, by.rpy_deg))
             D = Pose(xyz=xyz, rpy_deg=rpy_deg).T
             seen = inverse(D) @ T if of == "camera" else T @ D
             q = self.robot.configuration_at(flange_for(self.camera, self.target, seen), q)
         return replace(self, robot=self.robot.started_at(q))
-
-    def posture_at(self, T_world_flange: Array) -> Array:
-        """The configuration at a flange pose (4, 4): from the nominal start, else from the first of POSTURES others that gets there."""
-        rng, nominal = np.random.default_rng(0), self.robot.configuration()
-        for _ in range(POSTURES):
-            with contextlib.suppress(UnreachableError):
-                return self.robot.configuration_at(T_world_flange, nominal)
-            nominal = self.robot.configuration() + rng.uniform(-np.pi, np.pi, len(nominal))
-        return self.robot.configuration_at(T_world_flange, nominal)
 
     def _in_view(self, robot: Robot) -> bool:
         """Whether the robot's start has the whole target in the picture, or all of it that counts first, seen from its front."""

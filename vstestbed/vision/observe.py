@@ -13,17 +13,17 @@ from numpy.typing import NDArray
 from vstestbed.camera import Camera
 from vstestbed.camera.base import FORWARD_COSINE
 from vstestbed.core.geometry import Array, adjoint, all_finite, exp, inverse, transform
-from vstestbed.core.planar import arc, composed, place_of, pose_on_ground
+from vstestbed.core.planar import arc, composed
 from vstestbed.features.depth import Depth, DepthCues
 from vstestbed.features.observation import Goal, Observation, OwnMotion
 from vstestbed.targets.base import Target
 from vstestbed.vision.base import Detection
 from vstestbed.vision.goal_points import points_of
 from vstestbed.vision.perturb import Perturbed
-from vstestbed.vision.pose.calibration_error import pose_by_depth
+from vstestbed.vision.pose.calibration_error import scaled
 from vstestbed.vision.pose.dead_reckoning import corrections, fused_place
 from vstestbed.vision.pose.derotate import NO_TRIM, Derotation, Trim, level_from_tilt, level_rays, level_twist, trimmed
-from vstestbed.vision.pose.floor_pose import solve_place
+from vstestbed.vision.pose.floor_pose import pose_on_floor
 from vstestbed.vision.pose.flow_depth import FlowMemory, init_flow, update_flow
 from vstestbed.vision.pose.homography import relative_view
 from vstestbed.vision.pose.pnp import solve_pose_from_rays
@@ -218,21 +218,14 @@ class Observer:
 
     def _solved_pose(self, rays: Array, seen: NDArray[np.bool_], predicted: Array | None) -> Array | None:
         """The pose solved from the rays (n, 3) of those markers that are `seen` (N,); None where they do not determine it."""
+        points, mount, place = self._points[seen], self.camera.mount.T, self.target.pose.T
         if self.depth.on_floor:
-            return self._pose_on_floor(rays, seen, predicted)
-        points = self._points[seen]
+            return pose_on_floor(rays, points, mount, place, predicted)
         found = solve_pose_from_rays(rays, points, predicted)
         if found is None and predicted is None and self.grounded:
             # Three markers leave up to four poses; of a vehicle's, one has the base upright on the floor.
-            found = solve_pose_from_rays(rays, points, self._pose_on_floor(rays, seen, None))
+            found = solve_pose_from_rays(rays, points, pose_on_floor(rays, points, mount, place, None))
         return found
-
-    def _pose_on_floor(self, rays: Array, seen: NDArray[np.bool_], predicted: Array | None) -> Array | None:
-        """As `_solved_pose`, for a base that stands upright on the floor."""
-        mount, pose = self.camera.mount.T, self.target.pose.T
-        before = None if predicted is None else place_of(pose @ inverse(mount @ predicted))
-        place = solve_place(rays, transform(pose, self._points[seen]), mount, before)
-        return None if place is None else inverse(pose_on_ground(place) @ mount) @ pose
 
     def _flow(self, flow: FlowMemory | None, t: float, ray: Array | None, twist: Array) -> FlowMemory | None:
         """The depth estimator's next state; None without one."""
@@ -291,7 +284,8 @@ class Observer:
     def _observation(self, t: float, uv: Array, view: _View, solved: bool, odometry: Array | None, place: Array | None) -> Observation:
         """What the law is given: the required fields alone, distances with the calibration's error."""
         required = self.required_fields
-        depth, reach, pose = self._scaled(view.depth, view.range, view.T_camera_target if solved or self._predictable else None)
+        pose = view.T_camera_target if solved or self._predictable else None
+        depth, reach, pose = scaled(view.depth, view.range, pose, self._points, self.depth_scale)
         rays = (view.ray, reach) if "ray" in required else (None, None)
         relative = relative_view(self.goal.xy, view.xy, self.goal.normal) if "relative" in required else None
         motion = view.motion if "motion" in required else None
@@ -303,11 +297,3 @@ class Observer:
         ray = self.camera.ray(uv)
         p = ray * (depth / ray[:, 2] if reach is None else reach)[:, None]
         return self.camera.half_size(p, self.target.marker.radius).max(axis=1)
-
-    def _scaled(self, depth: Array, reach: Array | None, pose: Array | None) -> tuple[Array, Array | None, Array | None]:
-        """Depths, ranges and pose with the calibration's error of depth."""
-        scale = self.depth_scale
-        if scale is None:
-            return depth, reach, pose
-        wrong = None if pose is None else pose_by_depth(pose, self._points, scale)
-        return depth * scale, None if reach is None else reach * scale, wrong

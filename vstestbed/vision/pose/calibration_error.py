@@ -50,3 +50,13 @@ def pose_by_depth(T: Array, points: Array, scale: Array) -> Array:
     out = np.eye(4)
     out[:3, :3], out[:3, 3] = R, to - R @ at
     return out
+
+
+def scaled(
+    depth: Array, reach: Array | None, pose: Array | None, points: Array, scale: Array | None
+) -> tuple[Array, Array | None, Array | None]:
+    """Depths and ranges (N,) [m] of points (N, 3) in the target's frame and its pose (4, 4), with depths wrong by `scale` (N,)."""
+    if scale is None:
+        return depth, reach, pose
+    wrong = None if pose is None else pose_by_depth(pose, points, scale)
+    return depth * scale, None if reach is None else reach * scale, wrong

@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from vstestbed.core.geometry import Array, lengths
+from vstestbed.core.geometry import Array, inverse, lengths, transform
+from vstestbed.core.planar import place_of, pose_on_ground
 from vstestbed.vision.all_round import AT_THE_LENS
 
 ROUNDS = 12
@@ -109,3 +110,15 @@ def _errors(d: Array, across: Array, points: Array, origin: Array, place: Array)
     if behind.any():  # the orthogonal component is small there too
         e[behind] = np.sign(unit[behind])
     return e.ravel(), (across @ dunit).reshape(-1, 3)
+
+
+def pose_on_floor(rays: Array, points: Array, T_base_camera: Array, T_world_target: Array, predicted: Array | None) -> Array | None:
+    """The pose T_camera_target (4, 4) for a base that stands upright on the floor; None where the rays do not determine it.
+
+    Args:
+        rays, points: as `solve_place`, but points (n, 3) in the target's frame [m]. T_base_camera: the mount (4, 4).
+        T_world_target: the target's pose (4, 4). predicted: T_camera_target (4, 4), or None.
+    """
+    before = None if predicted is None else place_of(T_world_target @ inverse(T_base_camera @ predicted))
+    place = solve_place(rays, transform(T_world_target, points), T_base_camera, before)
+    return None if place is None else inverse(pose_on_ground(place) @ T_base_camera) @ T_world_target
