@@ -158,7 +158,7 @@ class Overlay:
         seen: NDArray[np.bool_] = np.isfinite(uv[:, 0]) & np.isfinite(uv[:, 1])
         lines = np.rint((uv[seen, None, None] + shape * size) * UNIT).astype(np.int32)
         cv2.polylines(image, list(lines.reshape(-1, shape.shape[1], 2)), closed, INK, self._figure_stroke + self._edge, cv2.LINE_AA, SHIFT)
-        for color, figure in zip((c for c, s in zip(self._light, seen, strict=True) if s), lines, strict=True):
+        for color, figure in zip((c for c, s in zip(self._light[: len(uv)], seen, strict=True) if s), lines, strict=True):
             cv2.polylines(image, list(figure), closed, color, self._figure_stroke, cv2.LINE_AA, SHIFT)
 
 
