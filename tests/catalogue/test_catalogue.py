@@ -25,6 +25,7 @@ from vstestbed.robots import ROBOTS, Free
 from vstestbed.robots.free import FreeStart
 from vstestbed.targets import TARGETS, Ball, GroundLines, MeshTarget, PictureTarget, Points, Shape, Square
 from vstestbed.targets.attached import MOTIONS
+from vstestbed.targets.figures import Whale
 from vstestbed.targets.route import Straight
 from vstestbed.tasks import GOALS
 from vstestbed.tasks.metrics import METRICS
@@ -62,7 +63,7 @@ TARGET_EXAMPLES = {
         pose=Pose(xyz=(0, 0, 1)),
     ),
     "lines": lambda: GroundLines(route=Straight(length_m=5.0)),
-    "shape": lambda: Shape(figure={"kind": "whale", "length": 0.4}, pose=Pose(xyz=(0, 0, 1))),
+    "shape": lambda: Shape(figure=Whale(length=0.4), pose=Pose(xyz=(0, 0, 1))),
     "ball": lambda: Ball(radius=0.1, pose=Pose(xyz=(0, 0, 1))),
 }
 

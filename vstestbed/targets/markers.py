@@ -275,33 +275,4 @@ class Stripe(Flat):
         return self.width_m / 2
 
 
-@spec
-class Outline(Flat):
-    """The edge of a region of one colour, which is the target's body: its points have no geoms of their own.
-
-    Args:
-        lit: whether the scene's lights shade the region; otherwise its colour is constant.
-    """
-
-    kind: Literal["outline"] = "outline"
-    lit: bool = True
-
-    @property
-    def solid(self) -> None:
-        """None: the target's body is drawn."""
-        return None
-
-    @property
-    def radius(self) -> float:
-        """A point of an outline has no extent [m]."""
-        return 0.0
-
-    def looks(self, count: int) -> str:
-        """The region."""
-        return "a region of the target's colour"
-
-    def check_spacing(self, gap: float, count: int) -> None:
-        """Nothing: the points of an outline may be as near as they like."""
-
-
 MARKERS = OneOf("marker", Disc, Sphere, Tag, default="disc")

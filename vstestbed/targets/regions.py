@@ -16,14 +16,44 @@ from vstestbed.core.quantity import Angle, PositiveLength
 from vstestbed.core.spec import spec
 from vstestbed.targets.base import Target
 from vstestbed.targets.conic import circle_conic, ellipse_points, unit_circle
-from vstestbed.targets.figures import FIGURES, Figure, triangulated
-from vstestbed.targets.markers import Outline
+from vstestbed.targets.figures import FIGURES, Figure
+from vstestbed.targets.markers import Flat
+from vstestbed.targets.polygons import triangulated
 from vstestbed.targets.surfaces import Body, Globe
 
 BOARD_MARGIN = 0.25
 """The board behind a shape reaches this share of the shape's longer side beyond it."""
 LEAST_SEEN = 3
 """Fewest points of an outline from which a ball's place is found."""
+
+
+@spec
+class Outline(Flat):
+    """The edge of a region of one colour, which is the target's body: its points have no geoms of their own.
+
+    Args:
+        lit: whether the scene's lights shade the region; otherwise its colour is constant.
+    """
+
+    kind: Literal["outline"] = "outline"
+    lit: bool = True
+
+    @property
+    def solid(self) -> None:
+        """None: the target's body is drawn."""
+        return None
+
+    @property
+    def radius(self) -> float:
+        """A point of an outline has no extent [m]."""
+        return 0.0
+
+    def looks(self, count: int) -> str:
+        """The region."""
+        return "a region of the target's colour"
+
+    def check_spacing(self, gap: float, count: int) -> None:
+        """Nothing: the points of an outline may be as near as they like."""
 
 
 @spec
@@ -84,6 +114,11 @@ class Shape(OneRegion):
         xy = self.figure.outline(self.count)
         return np.column_stack([xy, np.zeros(len(xy))])
 
+    @cached_property
+    def corners(self) -> Array:
+        """Corners of the figure as it is drawn, (E, 2) [m], clockwise as seen."""
+        return self.figure.corners
+
     @property
     def places(self) -> Array:
         """The points; none of a disc, whose measured points depend on the camera's place."""
@@ -108,7 +143,7 @@ class Shape(OneRegion):
 
     @cached_property
     def _triangles(self) -> Array:
-        corners = self.figure.corners
+        corners = self.corners
         if len(corners) == 3:  # MuJoCo takes no mesh of three vertices
             corners = self.figure.outline(4)
         at = np.column_stack([corners, np.zeros(len(corners))])
@@ -118,7 +153,7 @@ class Shape(OneRegion):
     @property
     def board_half_m(self) -> tuple[float, float]:
         """It reaches BOARD_MARGIN of the longer side beyond the outline, on all sides of the origin."""
-        corners = self.figure.corners
+        corners = self.corners
         x, y = (np.abs(corners).max(axis=0) + BOARD_MARGIN * float(np.ptp(corners, axis=0).max())).tolist()
         return x, y
 

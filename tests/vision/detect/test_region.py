@@ -8,6 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from tests.vision.parts import in_windows
 from vstestbed.camera import Perspective, Picture
@@ -15,7 +16,8 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, transform
 from vstestbed.features.observation import Goal
 from vstestbed.targets import Ball, Shape, Square, Target
-from vstestbed.targets.figures import centroid, signed_area
+from vstestbed.targets.figures import FIGURES
+from vstestbed.targets.polygons import centroid, signed_area
 from vstestbed.vision import Detection, RegionDetector
 from vstestbed.vision.detect.edges import edge_points
 
@@ -35,7 +37,7 @@ def shape(kind: str = "whale", **more: Any) -> Shape:
         "disc": {"radius": 0.2},
         "polygon": {"at": SQUARE},
     }
-    return Shape(pose=Pose(), figure={"kind": kind} | sizes[kind], **more)
+    return Shape(pose=Pose(), figure=FIGURES.members[kind](**sizes[kind]), **more)
 
 
 def border_of(target: Target, T: Array, camera: Perspective = CAMERA) -> Array:
@@ -47,7 +49,7 @@ def border_of(target: Target, T: Array, camera: Perspective = CAMERA) -> Array:
     return camera.project(replace(target, count=96).points_at(T))
 
 
-def filled(border: Array) -> Array:
+def filled(border: Array) -> NDArray[np.bool_]:
     """Whether the middle of each fine pixel is inside a polygon (E, 2) [px], by the crossings to its left (OpenCV's fill is too wide)."""
     a = (border + 0.5) * FINE - 0.5
     b, rows = np.roll(a, -1, axis=0), np.arange(FINE * CAMERA.height)[:, None]
