@@ -9,7 +9,6 @@ from typing import Any, Literal
 
 import numpy as np
 
-from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.features.rated import Rated
 
@@ -17,8 +16,6 @@ Of = Literal["points", "region"]
 """Moments are sums over points, or integrals over the region within a closed outline."""
 LEAST_AREA = 1e-12
 """Area of a region in normalised coordinates that counts instead of a smaller one: a thousandth of a pixel wide."""
-UNEVEN = 0.01
-"""Scatter of points off their plane, as a share of their largest scatter in it, from which they count as not in one plane."""
 FLAT = 1e-9
 """Ratio of the scatters of points across and along a line under which they do not tell how a plane is tilted about it."""
 
@@ -30,8 +27,8 @@ def image_moments(xy: Array, of: Of, order: int) -> Array:
         xy: points, or the vertices of the outline in order, either way round (..., N, 2). of: which of the two.
         order: highest p + q; elements beyond are 0.
 
-    Green's theorem makes the integral one along the edges, m_pq = 1/(p+q+2) sum over edges of (x_i y_i+1 - x_i+1 y_i) times the mean of x^p y^q
-    on the edge, and Gauss-Legendre nodes on each edge give that mean without error: the result is exact for polygons.
+    Green's theorem makes the integral one along the edges: m_pq = 1/(p+q+2) times the sum over the edges of x_i y_i+1 - x_i+1 y_i times the
+    mean of x^p y^q on the edge. Gauss-Legendre nodes on each edge give that mean without error: the result is exact for polygons.
 
     Reference: Steger 1996, "On the calculation of arbitrary moments of polygons", Technische Universität München, FGBV-96-05.
     """
@@ -72,18 +69,6 @@ def fitted_plane(xy: Array, depth: Array) -> Array:
     AB = np.linalg.pinv(scatter, FLAT, hermitian=True) @ (np.swapaxes(d, -1, -2) @ (inverse - mean[..., None])[..., None])
     C = mean - np.einsum("...k,...k->...", AB[..., 0], middle)
     return np.concatenate([AB[..., 0], C[..., None]], axis=-1)
-
-
-def require_plane(xy: Array, depth: Array, kind: str) -> None:
-    """Refuse points xy (N, 2) at depths (N,) [m] that do not lie in one plane, which a feature of this kind takes them to do.
-
-    Raises:
-        ParameterError: it names the target.
-    """
-    p = np.column_stack([xy, np.ones(len(xy))]) * np.asarray(depth)[:, None]
-    spread = np.linalg.svd(p - p.mean(axis=0), compute_uv=False)
-    if spread[-1] > UNEVEN * spread[0]:
-        raise ParameterError("target", f"must have its markers in one plane for the feature {kind}; use point, or another target")
 
 
 @dataclass(frozen=True)
@@ -174,12 +159,12 @@ class MomentSet:
         return self.mu[..., p, q] if min(p, q) >= 0 else np.zeros(self.mu.shape[:-2])
 
     def _normalised(self) -> tuple[Array, Array, Array]:
-        """k n20, k n11, k n02: the terms by which the centroid moves otherwise than a point would."""
+        """The terms k n20, k n11, k n02, by which the centroid moves otherwise than a point would."""
         share = (4 if self.of == "region" else 1) / np.maximum(self._at(0, 0), LEAST_AREA)
         return share * self._at(2, 0), share * self._at(1, 1), share * self._at(0, 2)
 
     def _coordinate(self, axis: int) -> Any:
-        """xg or yg: -1/Zg along its axis, the flow of a point at the centroid else, and the terms of second order."""
+        """The centroid's xg or yg; its rate is the flow of a point there, and terms of second order."""
         value = self.centre[..., axis]
         if self.plane is None:
             return value
@@ -211,3 +196,11 @@ class MomentSet:
         wy = wy + p * n20 * mu(p - 1, q) + q * n11 * mu(p, q - 1)
         vx, vy = -(p + d) * A * here - p * B * over, -q * A * under - (q + d) * B * here
         return np.stack([vx, vy, -A * wy + B * wx + (p + q + 2 * d) * C * here, wx, wy, p * over - q * under], axis=-1)
+
+
+def place(m: MomentSet, row: str) -> Any:
+    """The row xg, yg, area, an = 1/sqrt(area), xn = xg an or yn = yg an, as an array (...) or as a Rated."""
+    plain = {"g": 1.0, "n": m.area**-0.5}
+    if row in ("area", "an"):
+        return m.area if row == "area" else plain["n"]
+    return (m.xg if row[0] == "x" else m.yg) * plain[row[1]]

@@ -14,18 +14,18 @@ Invariant = Callable[[MomentSet], Any]
 
 
 def over(a: Any, b: Any) -> Any:
-    """a / b, and 0/0 as a finite number: of a shape whose moments vanish by symmetry."""
+    """The ratio a/b, and 0/0 as a finite number: of a shape whose moments vanish by symmetry."""
     below = b.value if isinstance(b, Rated) else b
     return a / (b + np.where(below == 0, np.finfo(float).tiny, 0.0))
 
 
 def c1(m: MomentSet) -> Any:
-    """c1 = (mu11^2 - mu20 mu02) / |c20|^2."""
+    """The row c1 = (mu11^2 - mu20 mu02) / |c20|^2."""
     return over(0.25 * (square(m.complex(2, 0)) - square(m.complex(1, 1))), square(m.complex(2, 0)))
 
 
 def c2(m: MomentSet) -> Any:
-    """c2 = |c30|^2 / |c21|^2."""
+    """The row c2 = |c30|^2 / |c21|^2."""
     return over(square(m.complex(3, 0)), square(m.complex(2, 1)))
 
 
@@ -37,25 +37,25 @@ def _third(m: MomentSet) -> tuple[Any, Any, Any, Any]:
 
 
 def c3(m: MomentSet) -> Any:
-    """c3 = (a^2 - 6 a b - 3 b^2 + 8 Re z) / D, with a = |c30|^2, b = |c21|^2, z = c30 conj(c21)^3, D = (a + 3 b)^2 - 16 Re z."""
+    """The row c3 = (a^2 - 6 a b - 3 b^2 + 8 Re z) / D, with a = |c30|^2, b = |c21|^2, z = c30 conj(c21)^3, D = (a + 3 b)^2 - 16 Re z."""
     a, b, z, below = _third(m)
     return over(a * a - 6 * a * b - 3 * b * b + 8 * z.real, below)
 
 
 def c4(m: MomentSet) -> Any:
-    """c4 = 16 Im z / D, with z and D as in c3."""
+    """The row c4 = 16 Im z / D, with z and D as in c3."""
     _, _, z, below = _third(m)
     return over(16 * z.imag, below)
 
 
 def c5(m: MomentSet) -> Any:
-    """c5 = (b - a) (a - 9 b) / D, with a, b and D as in c3."""
+    """The row c5 = (b - a) (a - 9 b) / D, with a, b and D as in c3."""
     a, b, _, below = _third(m)
     return over((b - a) * (a - 9 * b), below)
 
 
 def c6(m: MomentSet) -> Any:
-    """c6 = (a - 9 b)^2 / D, with a, b and D as in c3."""
+    """The row c6 = (a - 9 b)^2 / D, with a, b and D as in c3."""
     a, b, _, below = _third(m)
     return over((a - 9 * b) ** 2, below)
 
@@ -67,24 +67,24 @@ def _fourth(m: MomentSet) -> tuple[Any, Any, Any, Any]:
 
 
 def c7(m: MomentSet) -> Any:
-    """c7 = (|c40|^2 + 8 |c31|^2 - 9 |c22|^2) / (|c40|^2 - 4 |c31|^2 + 3 |c22|^2)."""
+    """The row c7 = (|c40|^2 + 8 |c31|^2 - 9 |c22|^2) / (|c40|^2 - 4 |c31|^2 + 3 |c22|^2)."""
     a, b, c, below = _fourth(m)
     return over(a + 8 * b - 9 * c, below)
 
 
 def c8(m: MomentSet) -> Any:
-    """c8 = 4 (9 |c22|^2 + 4 |c31|^2 - |c40|^2) / (|c40|^2 - 4 |c31|^2 + 3 |c22|^2)."""
+    """The row c8 = 4 (9 |c22|^2 + 4 |c31|^2 - |c40|^2) / (|c40|^2 - 4 |c31|^2 + 3 |c22|^2)."""
     a, b, c, below = _fourth(m)
     return over(4 * (9 * c + 4 * b - a), below)
 
 
 def c9(m: MomentSet) -> Any:
-    """c9 = |c32|^2 / |c50|^2."""
+    """The row c9 = |c32|^2 / |c50|^2."""
     return over(square(m.complex(3, 2)), square(m.complex(5, 0)))
 
 
 def c10(m: MomentSet) -> Any:
-    """c10 = |c41|^2 / |c50|^2."""
+    """The row c10 = |c41|^2 / |c50|^2."""
     return over(square(m.complex(4, 1)), square(m.complex(5, 0)))
 
 
@@ -94,22 +94,22 @@ def _s(m: MomentSet) -> Any:
 
 
 def sx(m: MomentSet) -> Any:
-    """sx = Re S, S = i c30 conj(c20)^2 sqrt(a) / (|c20|^2 c11^(3/2)); S is 0 for a symmetric shape, and its rate is not."""
+    """The row sx = Re S, S = i c30 conj(c20)^2 sqrt(a) / (|c20|^2 c11^(3/2)); S is 0 for a symmetric shape, and its rate is not."""
     return _s(m).real
 
 
 def sy(m: MomentSet) -> Any:
-    """sy = Im S, with S as in sx."""
+    """The row sy = Im S, with S as in sx."""
     return _s(m).imag
 
 
 def px(m: MomentSet) -> Any:
-    """px = |c20|^2 / c11^2."""
+    """The row px = |c20|^2 / c11^2."""
     return over(square(m.complex(2, 0)), square(m.complex(1, 1)))
 
 
 def py(m: MomentSet) -> Any:
-    """py = a |c30|^2 / c11^3."""
+    """The row py = a |c30|^2 / c11^3."""
     return over(m.area * square(m.complex(3, 0)), m.complex(1, 1).real ** 3)
 
 

@@ -63,12 +63,12 @@ class Rated:
     @property
     def real(self) -> Rated:
         """The real part."""
-        return Rated(self.value.real, self.rate.real)
+        return Rated(np.real(self.value), np.real(self.rate))
 
     @property
     def imag(self) -> Rated:
         """The imaginary part."""
-        return Rated(self.value.imag, self.rate.imag)
+        return Rated(np.imag(self.value), np.imag(self.rate))
 
     def conj(self) -> Rated:
         """The complex conjugate."""
@@ -81,7 +81,7 @@ def square(z: Any) -> Any:
 
 
 def angle(z: Any, floor: Any = 0.0) -> Any:
-    """arg z in (-pi, pi] rad of a complex array or Rated; its rate fades to zero where |z| falls under `floor`, and is zero at z = 0."""
+    """The angle of z in (-pi, pi] rad, a complex array or Rated; its rate fades to zero with |z| where that is under `floor`."""
     if not isinstance(z, Rated):
         return np.angle(z)
     size, least = np.abs(z.value), np.maximum(floor, np.finfo(float).tiny)

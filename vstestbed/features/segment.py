@@ -67,5 +67,5 @@ class Segment:
         """The four rows, of arrays (...) or of Rated."""
         along = (x1 - x2) + 1j * (y1 - y2)
         xc, yc, alpha = 0.5 * (x1 + x2), 0.5 * (y1 + y2), angle(along, FLOOR)
-        l = at_least(square(along), FLOOR**2) ** 0.5
-        return [xc / l, yc / l, l**-1, alpha] if self.normalised else [xc, yc, l, alpha]
+        length = at_least(square(along), FLOOR**2) ** 0.5
+        return [xc / length, yc / length, length**-1, alpha] if self.normalised else [xc, yc, length, alpha]

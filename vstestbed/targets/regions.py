@@ -17,7 +17,7 @@ from vstestbed.core.spec import spec
 from vstestbed.targets.base import Target
 from vstestbed.targets.conic import circle_conic, ellipse_points, unit_circle
 from vstestbed.targets.figures import FIGURES, Figure
-from vstestbed.targets.markers import Flat
+from vstestbed.targets.outline_edge import Outline
 from vstestbed.targets.polygons import triangulated
 from vstestbed.targets.surfaces import Body, Globe
 
@@ -25,35 +25,6 @@ BOARD_MARGIN = 0.25
 """The board behind a shape reaches this share of the shape's longer side beyond it."""
 LEAST_SEEN = 3
 """Fewest points of an outline from which a ball's place is found."""
-
-
-@spec
-class Outline(Flat):
-    """The edge of a region of one colour, which is the target's body: its points have no geoms of their own.
-
-    Args:
-        lit: whether the scene's lights shade the region; otherwise its colour is constant.
-    """
-
-    kind: Literal["outline"] = "outline"
-    lit: bool = True
-
-    @property
-    def solid(self) -> None:
-        """None: the target's body is drawn."""
-        return None
-
-    @property
-    def radius(self) -> float:
-        """A point of an outline has no extent [m]."""
-        return 0.0
-
-    def looks(self, count: int) -> str:
-        """The region."""
-        return "a region of the target's colour"
-
-    def check_spacing(self, gap: float, count: int) -> None:
-        """Nothing: the points of an outline may be as near as they like."""
 
 
 @spec
