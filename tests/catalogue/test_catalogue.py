@@ -23,8 +23,9 @@ from vstestbed.laws.conditions import Until
 from vstestbed.laws.switched import Turn
 from vstestbed.robots import ROBOTS, Free
 from vstestbed.robots.free import FreeStart
-from vstestbed.targets import TARGETS, GroundLines, MeshTarget, PictureTarget, Points, Square
+from vstestbed.targets import TARGETS, Ball, GroundLines, MeshTarget, PictureTarget, Points, Shape, Square
 from vstestbed.targets.attached import MOTIONS
+from vstestbed.targets.figures import Whale
 from vstestbed.targets.route import Straight
 from vstestbed.tasks import GOALS
 from vstestbed.tasks.metrics import METRICS
@@ -62,6 +63,8 @@ TARGET_EXAMPLES = {
         pose=Pose(xyz=(0, 0, 1)),
     ),
     "lines": lambda: GroundLines(route=Straight(length_m=5.0)),
+    "shape": lambda: Shape(figure=Whale(length=0.4), pose=Pose(xyz=(0, 0, 1))),
+    "ball": lambda: Ball(radius=0.1, pose=Pose(xyz=(0, 0, 1))),
 }
 
 

@@ -284,7 +284,7 @@ class TestCorruptedTruth:
 
             monkeypatch.setattr(plant, "truth", lie)
 
-    @pytest.mark.parametrize("name", ["arm_ibvs", "arm_depth", "arm_patch", "car_pbvs", "quadrotor_path"])
+    @pytest.mark.parametrize("name", ["arm_ibvs", "arm_depth", "arm_patch", "arm_region", "car_pbvs", "quadrotor_path"])
     def test_no_command_changes(self, name: str, monkeypatch: pytest.MonkeyPatch):
         scenario = vs.load(name, {"stop.duration_s": 0.3})
         honest = self.commands(scenario)

@@ -16,8 +16,9 @@ from vstestbed.core.quantity import Angle, PositiveLength
 from vstestbed.core.spec import spec
 from vstestbed.targets.base import Target
 from vstestbed.targets.conic import circle_conic, ellipse_points, unit_circle
-from vstestbed.targets.figures import FIGURES, Figure, triangulated
+from vstestbed.targets.figures import FIGURES, Figure
 from vstestbed.targets.outline_edge import Outline
+from vstestbed.targets.polygons import triangulated
 from vstestbed.targets.surfaces import Body, Globe
 
 BOARD_MARGIN = 0.25
@@ -84,6 +85,11 @@ class Shape(OneRegion):
         xy = self.figure.outline(self.count)
         return np.column_stack([xy, np.zeros(len(xy))])
 
+    @cached_property
+    def corners(self) -> Array:
+        """Corners of the figure as it is drawn, (E, 2) [m], clockwise as seen."""
+        return self.figure.corners
+
     @property
     def places(self) -> Array:
         """The points; none of a disc, whose measured points depend on the camera's place."""
@@ -108,7 +114,7 @@ class Shape(OneRegion):
 
     @cached_property
     def _triangles(self) -> Array:
-        corners = self.figure.corners
+        corners = self.corners
         if len(corners) == 3:  # MuJoCo takes no mesh of three vertices
             corners = self.figure.outline(4)
         at = np.column_stack([corners, np.zeros(len(corners))])
@@ -118,7 +124,7 @@ class Shape(OneRegion):
     @property
     def board_half_m(self) -> tuple[float, float]:
         """It reaches BOARD_MARGIN of the longer side beyond the outline, on all sides of the origin."""
-        corners = self.figure.corners
+        corners = self.corners
         x, y = (np.abs(corners).max(axis=0) + BOARD_MARGIN * float(np.ptp(corners, axis=0).max())).tolist()
         return x, y
 
@@ -170,9 +176,9 @@ class Ball(OneRegion):
             right = np.array([1.0, 0.0, 0.0]) - axis[..., :1] * axis
             right = right / lengths(right)
             rim = self.radius * np.sqrt(shrink)
-        down = np.cross(axis, right)
-        across = np.stack([rim * right, rim * down], axis=-2)
-        return (centre * shrink)[..., None, :] + unit_circle(self.count) @ across
+            down = np.cross(axis, right)
+            across = np.stack([rim * right, rim * down], axis=-2)
+            return (centre * shrink)[..., None, :] + unit_circle(self.count) @ across
 
     def centre_of(self, ray: Array) -> Array | None:
         """The ball's centre (3,) in the camera's frame [m] from unit rays (K, 3) that touch it; None where they are on no cone.

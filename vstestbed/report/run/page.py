@@ -42,7 +42,7 @@ PLOTS: Final[tuple[Plot, ...]] = (
     (
         "features",
         "Features in the image",
-        "The path of each marker through the image; the frame is the image border.",
+        "The path of each marker, or of a region's middle, through the image; the frame is the image border.",
         figures.features,
     ),
     (

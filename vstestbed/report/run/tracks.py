@@ -40,6 +40,7 @@ class Setting:
         band_m, settle_s: of a continuing task: error tolerance [m] after this time [s].
         names: of the markers; () where they have none.
         changed: the fields in which the scenario differs from the bundled one of its name, `("law.gain=2",)`.
+        outlined: the markers are the outline of one region.
         modes: words for what the law does in a frame; () for a law without modes.
     """
 
@@ -56,6 +57,7 @@ class Setting:
     settle_s: float = 0.0
     names: tuple[str, ...] = ()
     changed: tuple[str, ...] = ()
+    outlined: bool = False
     modes: tuple[str, ...] = ()
 
     @classmethod
@@ -79,6 +81,7 @@ class Setting:
             band_m=goal.tolerance_m,
             settle_s=goal.settle_s,
             changed=changes(scenario),
+            outlined=scenario.target.outlined,
             modes=scenario.law.modes,
         )
 

@@ -12,7 +12,7 @@ from vstestbed.core.geometry import Array
 from vstestbed.features.observation import Goal
 from vstestbed.targets import Ball, Shape, Target
 from vstestbed.targets.conic import distance_to_conic, ellipse_points, fitted_conic
-from vstestbed.targets.figures import centroid, covariance
+from vstestbed.targets.polygons import centroid, covariance
 from vstestbed.vision.detect.polygon_fit import fit_polygon, roundness
 
 LEAST_AHEAD = 0.05
@@ -109,7 +109,7 @@ def _disc(border: Border, xy: Array, target: Shape) -> OutlineFit | None:
 
 def _polygon(border: Border, xy: Array, target: Shape, turn: float | None, expected: float) -> OutlineFit | None:
     """The polygon's image that fits points (K, 2)."""
-    corners = target.figure.corners
+    corners = target.corners
     middle, J = _linearised(border)
     plane, turns = (centroid(corners), covariance(corners)), () if turn is None else (turn,)
     found = fit_polygon(xy, middle, J @ border.spread @ J.T, corners, plane, turns, expected)
