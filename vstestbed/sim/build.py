@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vstestbed.camera import Camera, Perspective
+from vstestbed.camera import Camera
 from vstestbed.robots import Robot
 from vstestbed.sim.base import Plant
 from vstestbed.sim.clock import Clock
