@@ -22,7 +22,7 @@ from vstestbed.sim.scene.stage import Stage
 from vstestbed.sim.scene.world import Plate, World
 from vstestbed.targets.picture import PictureTarget
 from vstestbed.targets.points import Square
-from vstestbed.vision import Detection, Patch
+from vstestbed.vision import Detection, PatchDetector
 from vstestbed.vision.detect.esm import normalised
 from vstestbed.vision.detect.patch import PatchMemory
 from vstestbed.vision.detect.template import template_of
@@ -36,12 +36,14 @@ TakePicture = Callable[..., Picture]
 def poster(tmp_path_factory: pytest.TempPathFactory) -> PictureTarget:
     """Noise at many scales with discs and bars over it, .6 m wide."""
     rng = np.random.default_rng(0)
-    image = sum(cv2.resize(rng.normal(size=(3 * 2**k, 4 * 2**k, 3)), (800, 600), interpolation=cv2.INTER_CUBIC) for k in range(6))
+    image = np.zeros((600, 800, 3))
+    for k in range(6):
+        image += cv2.resize(rng.normal(size=(3 * 2**k, 4 * 2**k, 3)), (800, 600), interpolation=cv2.INTER_CUBIC)
     for _ in range(120):
         (x, y, r), colour = rng.integers([0, 0, 8], [800, 600, 50]).tolist(), rng.uniform(-3, 3, 3).tolist()
         cv2.circle(image, (x, y), r, colour, -1) if rng.random() < 0.5 else cv2.rectangle(image, (x, y), (x + 2 * r, y + r), colour, -1)
     path = tmp_path_factory.mktemp("poster") / "poster.png"
-    cv2.imwrite(str(path), np.clip(128 + 32 * np.asarray(image), 0, 255).astype(np.uint8))
+    cv2.imwrite(str(path), np.clip(128 + 32 * image, 0, 255).astype(np.uint8))
     return PictureTarget(pose=Pose(), file=str(path), width=0.6, draw_markers=False)
 
 
@@ -75,12 +77,12 @@ FRONT = _view(0.3, 0.2, (0.02, -0.03, 0.8))
 
 
 def _detect(poster: PictureTarget, seen: Picture, camera: Camera = CAMERA, memory: PatchMemory | None = None) -> Detection:
-    return Patch().detect(memory or Patch().init(), seen, None, camera, poster, RNG)[1]
+    return PatchDetector().detect(memory or PatchDetector().init(), seen, None, camera, poster, RNG)[1]
 
 
 def _known(poster: PictureTarget, T: Array, before: Array | None = None) -> PatchMemory:
     """The memory after a picture from a pose, and one before it."""
-    unit = template_of(poster.source, poster.width, Patch().texels).unit_m
+    unit = template_of(poster.source, poster.width, PatchDetector().texels).unit_m
     G, G_before = (None if at is None else normalised(at[:3][:, [0, 1, 3]] @ np.diag([unit, unit, 1])) for at in (T, before))
     return PatchMemory(G, G_before, True, 0.0)
 
@@ -141,7 +143,7 @@ def test_out_of_the_picture_corners_are_extrapolated_until_too_little_is_seen(po
 
 
 def test_lost_and_found_again_at_the_next_search(poster: PictureTarget, picture: TakePicture):
-    there, d = picture(poster, FRONT), Patch(search_s=0.2)
+    there, d = picture(poster, FRONT), PatchDetector(search_s=0.2)
     elsewhere = picture(poster, _view(0.3, 1.8, (0.1, 0.05, 1.1)))
     memory, found = d.detect(d.init(), there, None, CAMERA, poster, RNG)
     assert found.seen.all()
@@ -177,7 +179,7 @@ def test_every_lens(poster: PictureTarget, picture: TakePicture, camera: Camera)
 def test_in_its_window_it_finds_the_same(poster: PictureTarget, picture: TakePicture):
     far = _view(0.3, 0.2, (0.05, 0, 1.6))
     memory, whole, asked = _known(poster, far), picture(poster, far), []
-    look = Patch().look(memory, CAMERA, poster)
+    look = PatchDetector().look(memory, CAMERA, poster)
     assert look is not None
     found = _detect(poster, in_windows(whole, look, asked), memory=memory)
     assert np.abs(found.uv - _detect(poster, whole, memory=memory).uv).max() < 0.02 and not asked
@@ -188,7 +190,8 @@ def test_in_its_window_it_finds_the_same(poster: PictureTarget, picture: TakePic
 def test_what_cannot_be_tracked_is_refused(poster: PictureTarget):
     with pytest.raises(ScenarioError, match=r"target: must be a picture for detector patch, which tracks it.*got 'square'"):
         vs.load("arm_ibvs", {"detector": "patch"})
+    d, black = PatchDetector(), Picture(0.0, (np.zeros((480, 640, 3), np.uint8),))
     with pytest.raises(ParameterError, match="must be a picture"):
-        Patch().detect(Patch().init(), Picture(0.0, (np.zeros((480, 640, 3), np.uint8),)), None, CAMERA, Square(pose=Pose(), side=0.3), RNG)
+        d.detect(d.init(), black, None, CAMERA, Square(pose=Pose(), side=0.3), RNG)
     with pytest.raises(ParameterError, match="detector patch needs one"):
-        Patch().detect(Patch().init(), None, None, CAMERA, poster, RNG)
+        d.detect(d.init(), None, None, CAMERA, poster, RNG)

@@ -17,7 +17,7 @@ def _off(r: vs.Recording) -> Array:
 
 
 def test_the_suite_of_detectors():
-    vs.testing.check_detector(vs.vision.Patch(), within_px=0.15)
+    vs.testing.check_detector(vs.vision.PatchDetector(), within_px=0.15)
 
 
 def test_a_plate_hides_the_poster_for_a_while():

@@ -84,11 +84,19 @@ class Overlay:
         width, height: image size [px]; all sizes scale with the height.
         colors: the markers' colours, shape (N, 3) in 0..1.
         title: text in the lower right corner.
+<<<<<<< HEAD
         outlined: the markers are the outline of a region (`Target.outlined`).
     """
 
     def __init__(self, width: int, height: int, colors: Array, title: str = "", outlined: bool = False):
+=======
+        joined: draw the polygon through the measured markers, the outline of a plane tracked whole.
+    """
+
+    def __init__(self, width: int, height: int, colors: Array, title: str = "", joined: bool = False):
+>>>>>>> dedab137c51f16f5cce696f40c985084709fa143
         self.size = (width, height)
+        self._joined = joined
         self.title = title
         self._colors = _bytes(colors)
         self._light = _bytes(0.7 * np.asarray(colors) + 0.3)  # lighter, or blue and violet would not stand out from their dark borders
@@ -129,6 +137,10 @@ class Overlay:
         for trail, color, point in zip(self._trails, self._colors, uv, strict=True):
             trail.add(point)
             cv2.polylines(image, trail.polylines(), False, color, self._stroke, cv2.LINE_AA, SHIFT)
+        if self._joined and np.isfinite(uv).all():
+            outline = [np.rint(uv * UNIT).astype(np.int32)]
+            cv2.polylines(image, outline, True, INK, self._stroke + 2, cv2.LINE_AA, SHIFT)
+            cv2.polylines(image, outline, True, PAPER, self._stroke, cv2.LINE_AA, SHIFT)
         if goal_uv is not None:
             self._strokes(image, self._drawable(goal_uv), _DIAMOND, max(self._least, self.size[1] / 36), closed=True)
         self._strokes(image, uv, _CROSS, max(self._least, self.size[1] / 40), closed=False)

@@ -41,7 +41,7 @@ class PatchMemory:
 
 
 @spec
-class Patch(DetectorBase):
+class PatchDetector(DetectorBase):
     """The target's own picture, tracked whole; its corners, or the points `at_px`, are the markers.
 
     The template is the target's picture file. Its homography to the picture is aligned by efficient second-order minimisation (ESM) from

@@ -34,7 +34,7 @@ EDGE = 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Level:
+class TemplateSize:
     """A template in one size, (h, w) texels; n = h w.
 
     Attributes:
@@ -75,7 +75,7 @@ class Template:
         features: its keypoints' places in that unit (K, 2) and their SIFT descriptors (K, 128).
     """
 
-    levels: tuple[Level, ...]
+    levels: tuple[TemplateSize, ...]
     unit_m: float
     half: tuple[float, float]
     features: tuple[Array, Descriptors]
@@ -104,14 +104,14 @@ def _template(path: Path, changed: int, width_m: float, most_texels: int) -> Tem
     longer = max(height, width)
     half = width / longer, height / longer
     share = min(1.0, (most_texels / grey.size) ** 0.5)
-    levels: list[Level] = []
+    levels: list[TemplateSize] = []
     while min(height, width) * share >= LEAST_SIDE or not levels:
         levels.append(_level(grey, (max(4, round(width * share)), max(4, round(height * share))), half))
         share /= 2
     return Template(tuple(levels), width_m / 2 / half[0], half, _features(image, half))
 
 
-def _level(grey: Grey, size: tuple[int, int], half: tuple[float, float]) -> Level:
+def _level(grey: Grey, size: tuple[int, int], half: tuple[float, float]) -> TemplateSize:
     """The template reduced to a size (w, h) by averaging, so that its texels' places stay where they are."""
     small = grey if size == grey.shape[::-1] else np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.float32)
     small = np.asarray(cv2.GaussianBlur(small, (0, 0), BLUR), np.float32)
@@ -129,7 +129,7 @@ def _level(grey: Grey, size: tuple[int, int], half: tuple[float, float]) -> Leve
     slope = slopes(small, texel)
     sampled = np.hypot(NOISE, SHIFT * np.hypot(slope[0] * texel[0], slope[1] * texel[1])).astype(np.float32)
     x, y = x.astype(np.float32), y.astype(np.float32)
-    return Level(small, x, y, to_plane, slope, texel, inner, sampled, block, spread > FLAT, (across, down))
+    return TemplateSize(small, x, y, to_plane, slope, texel, inner, sampled, block, spread > FLAT, (across, down))
 
 
 def slopes(grey: Grey, texel: tuple[float, float]) -> Grey:
