@@ -41,12 +41,8 @@ class Pictures:
         self._scenario, self._camera, self._replay, self._size = scenario, camera, replay, size
         law, name = scenario.law.kind, scenario.name
         self._title = f"{name} \u00b7 {law}" if name else law
-<<<<<<< HEAD
         colors, outlined = scenario.target.colors[: scenario.rows], scenario.target.outlined
-        self._overlay = Overlay(*size, colors, title=self._title, outlined=outlined)
-=======
-        self._overlay = Overlay(*size, scenario.target.colors[: scenario.rows], self._title, joined=scenario.detector.needs_sheet)
->>>>>>> dedab137c51f16f5cce696f40c985084709fa143
+        self._overlay = Overlay(*size, colors, self._title, outlined, joined=scenario.detector.needs_sheet)
         self._scale = np.array(size) / (scenario.camera.width, scenario.camera.height)
         self._residual = Residual(scenario, replay) if "image" in scenario.law.inputs else None
         self._outside = Outside(scenario, replay, camera, size) if camera == "overview" else None

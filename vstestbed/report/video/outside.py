@@ -63,11 +63,8 @@ class Outside:
         self._scale = inset_share(scenario.camera, size)
         inset = round(scenario.camera.width * self._scale), round(scenario.camera.height * self._scale)
         self._inset_t, self._inset = -np.inf, np.full((inset[1] + EDGE, inset[0] + EDGE, 3), PAPER, np.uint8)
-<<<<<<< HEAD
-        self._overlay = Overlay(*inset, scenario.target.colors[: scenario.rows], outlined=scenario.target.outlined)
-=======
-        self._overlay = Overlay(*inset, scenario.target.colors[: scenario.rows], joined=scenario.detector.needs_sheet)
->>>>>>> dedab137c51f16f5cce696f40c985084709fa143
+        colors, outlined = scenario.target.colors[: scenario.rows], scenario.target.outlined
+        self._overlay = Overlay(*inset, colors, outlined=outlined, joined=scenario.detector.needs_sheet)
 
     def picture(self, frame: FilmFrame, T_world_goal: Array | None) -> Image:
         """One picture (H, W, 3); T_world_goal: the servo camera's pose (4, 4) at its goal, if it has one."""

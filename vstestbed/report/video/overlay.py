@@ -84,17 +84,13 @@ class Overlay:
         width, height: image size [px]; all sizes scale with the height.
         colors: the markers' colours, shape (N, 3) in 0..1.
         title: text in the lower right corner.
-<<<<<<< HEAD
         outlined: the markers are the outline of a region (`Target.outlined`).
-    """
-
-    def __init__(self, width: int, height: int, colors: Array, title: str = "", outlined: bool = False):
-=======
         joined: draw the polygon through the measured markers, the outline of a plane tracked whole.
     """
 
-    def __init__(self, width: int, height: int, colors: Array, title: str = "", joined: bool = False):
->>>>>>> dedab137c51f16f5cce696f40c985084709fa143
+    def __init__(
+        self, width: int, height: int, colors: Array, title: str = "", outlined: bool = False, joined: bool = False
+    ):
         self.size = (width, height)
         self._joined = joined
         self.title = title
