@@ -97,6 +97,7 @@ class Keypoints(DetectorBase):
     track: Tracking = NoTracking()
     needs_image: ClassVar[bool] = True
     needs_goal: ClassVar[bool] = True
+    changing: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         """Refuse numbers that contradict each other, and a ratio where no descriptors are compared."""
@@ -119,7 +120,7 @@ class Keypoints(DetectorBase):
         return self.best
 
     @property
-    def changing(self) -> bool:
+    def fleeting(self) -> bool:
         """Without tracking, others are found in every picture."""
         return isinstance(self.track, NoTracking)
 
@@ -150,7 +151,7 @@ class Keypoints(DetectorBase):
         if len(uv) == 0:
             return np.zeros(0, dtype=bool)
         p = points_of(goal_of_points(goal, uv))
-        there: NDArray[np.bool_] = np.isfinite(p).all(axis=1)
+        there = np.asarray(np.isfinite(p).all(axis=1))
         half = target.board_half_m
         if self.within == "board" and half is not None:
             with np.errstate(invalid="ignore"):
