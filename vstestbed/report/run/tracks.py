@@ -57,6 +57,7 @@ class Setting:
     names: tuple[str, ...] = ()
     changed: tuple[str, ...] = ()
     modes: tuple[str, ...] = ()
+    changing: bool = False
 
     @classmethod
     def of(cls, scenario: Scenario) -> Setting:
@@ -80,6 +81,7 @@ class Setting:
             settle_s=goal.settle_s,
             changed=changes(scenario),
             modes=scenario.law.modes,
+            changing=scenario.detector.changing,
         )
 
 

@@ -25,7 +25,7 @@ from vstestbed.vision.match.patches import refined, smooth
 from vstestbed.vision.match.planar_map import PlanarMap, planar_map, spread_out
 from vstestbed.vision.match.slots import Slots
 
-SLIPPED_PX = 0.5
+SLIPPED_PX = 0.25
 """A patch that is farther than this from where the other patches' homography maps it has slipped [px]."""
 Pairs = tuple[Array, Array]
 """Places (M, 2) in the goal's picture and in this one [px]."""
