@@ -41,6 +41,7 @@ class Setting:
         names: of the markers; () where they have none.
         changed: the fields in which the scenario differs from the bundled one of its name, `("law.gain=2",)`.
         modes: words for what the law does in a frame; () for a law without modes.
+        changing: whether a row of the log may come to show another point.
     """
 
     width: int | None = None

@@ -25,6 +25,8 @@ from vstestbed.vision.match.patches import refined, smooth
 from vstestbed.vision.match.planar_map import PlanarMap, planar_map, spread_out
 from vstestbed.vision.match.slots import Slots
 
+SPARE = 1.5
+"""Points whose places are measured below a pixel, as a multiple of those that are reported: some are not found."""
 SLIPPED_PX = 0.25
 """A patch that is farther than this from where the other patches' homography maps it has slipped [px]."""
 Pairs = tuple[Array, Array]
@@ -236,13 +238,17 @@ class Keypoints(DetectorBase):
         if self.ransac == "homography":
             agree = np.zeros(len(pairs[0]), dtype=bool) if found is None else found[1]
             first, pairs = int(np.count_nonzero(agree[:first])), (pairs[0][agree], pairs[1][agree])
-        index = spread_out(pairs[0], self.best, first) if self.choose == "spread" else np.arange(min(self.best, len(pairs[0])))
-        pairs = pairs[0][index], pairs[1][index]
         if found is None or not self.subpixel:
-            return pairs
+            return self._best(pairs, first, self.best)
+        pairs = self._best(pairs, first, round(SPARE * self.best))
         uv = self._refined(memory, *pairs, dim, found[0])
-        there = np.isfinite(uv[:, 0])
+        there = np.flatnonzero(np.isfinite(uv[:, 0]))[: self.best]
         return pairs[0][there], uv[there]
+
+    def _best(self, pairs: Pairs, first: int, most: int) -> Pairs:
+        """At most `most` of the pairs, which are in the order of their distance; the `first` ones are among them."""
+        index = spread_out(pairs[0], most, first) if self.choose == "spread" else np.arange(min(most, len(pairs[0])))
+        return pairs[0][index], pairs[1][index]
 
     def _refined(self, memory: KeypointsMemory, uv_goal: Array, uv: Array, dim: Image, plane: PlanarMap) -> Array:
         """Places (M, 2) below a pixel; NaN where the pictures are not alike, or a patch has slipped off the plane."""
