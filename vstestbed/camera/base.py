@@ -91,6 +91,8 @@ class Camera(ABC):
         latency_s: time from the exposure until the law has the picture [s].
         mount: pose of the camera in the robot's flange (or body) frame.
         multisampling: samples per pixel of the rendered picture (0: one sample, cheap, jagged marker borders).
+        anisotropy: samples of a texture along the longer side of what a pixel covers, at most; 1: of what is seen aslant, fine
+            structure is as blurred along both axes as along the longer one. Graphics cards usually have 8 or 16.
         shadows: render shadows in the servo camera's picture (it then costs several times as much).
         renderer: `gl` (OpenGL), `rays` (each pixel's ray cast by MuJoCo: no shadows, no textures) or `auto` (OpenGL where it works,
             else rays).
@@ -103,6 +105,7 @@ class Camera(ABC):
     latency_s: Annotated[Time, Narrower(le=60)] = 0.0
     mount: Pose = Pose()
     multisampling: Literal[0, 2, 4, 8, 16] = 0
+    anisotropy: Literal[1, 2, 4, 8, 16] = 1
     shadows: bool = False
     renderer: Literal["auto", "gl", "rays"] = "auto"
     principal_px: Pixel | None = None

@@ -17,6 +17,7 @@ class Sheet:
             and then, since textures repeat themselves, of the left (upper) one.
         share: of the file's width and height that the picture takes up, without the margin.
         lit: shaded by the scene's lights, else of constant brightness.
+        gloss: share of a light that it mirrors as a highlight, 0 to 1.
     """
 
     width: float
@@ -24,6 +25,7 @@ class Sheet:
     png: bytes
     share: tuple[float, float]
     lit: bool
+    gloss: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

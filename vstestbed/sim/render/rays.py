@@ -50,7 +50,7 @@ class Caster:
         self._data = stage.data
         self._model = copy.copy(stage.model)
         self._model.body_bvhadr[:] = -1
-        self.paint = Paint(stage.model, stage.data)
+        self.paint = Paint(stage.model, stage.data, stage.parts.camera.anisotropy)
         self._shown = ~np.isin(stage.model.geom_group, [RANGE_GROUP] if outside else [RANGE_GROUP, LENS_GROUP])
         self._endless = stage.model.geom_rbound <= 0
         self._groups = np.array([1, 0, 0, 0, 0, 0], dtype=np.uint8)

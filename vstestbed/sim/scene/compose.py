@@ -23,6 +23,7 @@ from vstestbed.robots import VEHICLES, Robot
 from vstestbed.sim.lens.cube import drawn_for
 from vstestbed.sim.scene.attach import add_robot, extent_of
 from vstestbed.sim.scene.groups import FACE_VIEWER, GLOW, HAND_PLATE, LENS_GROUP, ROBOT_GROUP, SITE_GROUP, TARGET_GROUP
+from vstestbed.sim.scene.light import light_scene
 from vstestbed.sim.scene.model_files import ASSETS
 from vstestbed.sim.scene.overview import frame_drive, frame_flight
 from vstestbed.sim.scene.paint import add_body, add_sheet, add_stripe
@@ -70,6 +71,11 @@ class Parts:
         return None if self.target.carrier is None else VEHICLES[self.target.carrier.by]()
 
     @property
+    def glossy(self) -> bool:
+        """Whether the target is a picture that shows highlights."""
+        return self.target.sheet is not None and self.target.sheet.gloss > 0
+
+    @property
     def T_world_target(self) -> Array:
         """Pose of the target at the start (4, 4)."""
         return target_start(self.robot, self.target)
@@ -103,6 +109,14 @@ def compose(parts: Parts) -> mujoco.MjSpec:
         carrier = add_robot(scene, parts.leader, "leader/", parts.world.floor_friction)[0] if parts.leader else None
         _add_target(scene, parts.target, carrier, parts.target.pose.T)
     _frame_overview(scene, parts)
+    _add_plates(scene, parts)
+    light_scene(scene, parts.world.light, parts.glossy)
+    scene.assets = {**scene.assets, **carried}  # last: MuJoCo warns of models that are attached to one with assets
+    return scene
+
+
+def _add_plates(scene: mujoco.MjSpec, parts: Parts) -> None:
+    """Plates and decoys, and the plate in reserve."""
     for i, plate in enumerate(parts.world.plates):
         # Mocap bodies are moved by writing their pose: no joint, no dynamics. Until it is present, a plate is out of sight.
         holder = scene.worldbody.add_body(name=f"plate_{i}", mocap=True, pos=AWAY, quat=quaternion_wxyz(plate.pose.T[:3, :3]))
@@ -114,8 +128,6 @@ def compose(parts: Parts) -> mujoco.MjSpec:
     for i, decoy in enumerate(parts.world.decoys):
         holder = scene.worldbody.add_body(name=f"decoy_{i}", mocap=True, pos=decoy.xyz)
         _visual(holder, f"decoy_{i}", mujoco.mjtGeom.mjGEOM_SPHERE, [decoy.radius, 0, 0], [*decoy.color, 1], 0)
-    scene.assets = {**scene.assets, **carried}  # last: MuJoCo warns of models that are attached to one with assets
-    return scene
 
 
 def _show_hand(scene: mujoco.MjSpec) -> None:
