@@ -28,7 +28,7 @@ def smooth(grey: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 
 def refined(goal: NDArray[np.float32], image: NDArray[np.float32], uv_goal: Array, uv: Array, A: Array) -> Array:
-    """Places uv (K, 2) at which the patches round uv_goal (K, 2) of the goal's picture are found in this one; NaN where not alike, or cut by a border.
+    """Places (K, 2) at which the patches round uv_goal (K, 2) of the goal's picture are found; NaN where not alike, or cut by a border.
 
     Minimises over d the squared difference of I(uv + A (x + d)) and I*(uv_goal + x) over the patch's pixels x, both less their mean and
     over their standard deviation, so that brightness and contrast may differ: Gauss-Newton with the goal's gradient (inverse
