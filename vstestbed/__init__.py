@@ -55,7 +55,8 @@ if TYPE_CHECKING:
     from vstestbed.robots import ROBOTS, Allocation, Mount, Reading, Robot, RobotBase
     from vstestbed.scenario.dump import dump
     from vstestbed.scenario.load import load
-    from vstestbed.scenario.scenario import Noise, Scenario
+    from vstestbed.scenario.noise import Noise
+    from vstestbed.scenario.scenario import Scenario
     from vstestbed.sim.clock import Clock
     from vstestbed.sim.scene.world import World
     from vstestbed.sim.timing import Timing
@@ -89,7 +90,8 @@ _HOMES = {
     "vstestbed.robots": ("ROBOTS", "Allocation", "Mount", "Reading", "Robot", "RobotBase"),
     "vstestbed.scenario.dump": ("dump",),
     "vstestbed.scenario.load": ("load",),
-    "vstestbed.scenario.scenario": ("Noise", "Scenario"),
+    "vstestbed.scenario.noise": ("Noise",),
+    "vstestbed.scenario.scenario": ("Scenario",),
     "vstestbed.sim.clock": ("Clock",),
     "vstestbed.sim.scene.world": ("World",),
     "vstestbed.sim.timing": ("Timing",),

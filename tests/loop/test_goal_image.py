@@ -8,12 +8,13 @@ import pytest
 import vstestbed as vs
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import transform
+from vstestbed.features.depth import depth_at
 from vstestbed.features.observation import Sight
 from vstestbed.laws.ibvs import IBVS
 from vstestbed.loop.controller import Controller
 from vstestbed.loop.episode import Episode
 from vstestbed.loop.goal_image import take_goal_images
-from vstestbed.vision.goal_points import depth_at, goal_of_points, points_of
+from vstestbed.vision.goal_points import goal_of_points, points_of
 
 
 class Looking(IBVS):

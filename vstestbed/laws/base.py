@@ -49,6 +49,7 @@ class Command:
         rates: the robot's own velocities (m,) (`Observation.robot`) that the law orders, whose camera twist `twist` is; None: the
             robot finds its own for the twist.
         mode: number of the word in `Law.modes` for what the law did.
+        error_grey: RMS of the difference between picture and goal picture, of a law that works on grey levels; NaN else.
     """
 
     u: Array
@@ -58,6 +59,7 @@ class Command:
     free: tuple[FreeMotions, ...] = ()
     rates: Array | None = None
     mode: int = 0
+    error_grey: float = math.nan
 
     @classmethod
     def rest(cls, basis: Array, why: str) -> Command:
@@ -135,11 +137,7 @@ class Law(Protocol[M]):
         ...
 
     def check(self, points: Array, goal: Goal) -> None:
-        """Refuse markers (N, 3) in the target frame [m], or a goal view of them, with which the law cannot work.
-
-        Raises:
-            ParameterError: it names a field of the scenario (`target`, ...).
-        """
+        """Refuse markers (N, 3) in the target frame [m], or a goal view of them, with which the law cannot work, by a ParameterError."""
         ...
 
     def check_view(self, goal: Goal, marker_radius_m: float, called: Callable[[int], str] = str) -> None:
@@ -255,10 +253,9 @@ class TwistLimits:
 class LawBase:
     """Defaults for all members of `Law` but `kind` and `step`: the base class for a law of one's own.
 
-        @LAWS.add
-        @spec
-        class Mine(LawBase):
+        class Mine(LawBase):  # with @LAWS.add and @spec
             kind: Literal["mine"] = "mine"
+
             def step(self, memory, observation, goal, basis): ...
 
     In a spec, an annotated attribute is a parameter in YAML, and one without annotation is a constant of the class: a law with

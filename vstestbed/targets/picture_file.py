@@ -79,7 +79,7 @@ def _read(path: Path, changed: int) -> PictureFile:
     size = path.stat().st_size
     if size > MOST_BYTES:
         raise ParameterError("file", f"has {size / 1e6:.0f} MB; a picture may have {MOST_BYTES / 1e6:.0f}: save it smaller", str(path))
-    image = _decoded(path)
+    image = decoded(path)
     height, width = image.shape[:2]
     for axis in (0, 1):
         image = _stretched(image, axis)
@@ -105,8 +105,12 @@ def _stretched(image: NDArray[np.uint8], axis: int) -> NDArray[np.uint8]:
     return np.roll(np.pad(image, margins, mode="edge"), -edge, axis)
 
 
-def _decoded(path: Path) -> NDArray[np.uint8]:
-    """Pixels (H, W, 3), blue first."""
+def decoded(path: Path) -> NDArray[np.uint8]:
+    """The pixels (H, W, 3) of a picture file, blue first, upright as its EXIF data says; what is transparent is white.
+
+    Raises:
+        ParameterError: `file` is no picture.
+    """
     raw = np.frombuffer(path.read_bytes(), np.uint8)
     try:
         plain = cv2.imdecode(raw, cv2.IMREAD_COLOR)

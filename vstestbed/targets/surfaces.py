@@ -30,7 +30,20 @@ class Sheet:
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A solid in the target's frame: corners of its triangles (F, 3, 3) [m], counter-clockwise from outside, and its colour in 0..1."""
+    """A solid in the target's frame: corners of its triangles (F, 3, 3) [m], counter-clockwise from outside, and its colour in 0..1.
+
+    lit: shaded by the scene's lights, else of constant brightness.
+    """
 
     triangles: Array
     rgb: tuple[float, float, float]
+    lit: bool = True
+
+
+@dataclass(frozen=True)
+class Globe:
+    """A sphere about the target's origin: its radius [m], its colour in 0..1; lit: as of a `Body`."""
+
+    radius: float
+    rgb: tuple[float, float, float]
+    lit: bool = True

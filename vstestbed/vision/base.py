@@ -70,6 +70,8 @@ class Detector(Protocol[M]):
     """It reads the ground truth: the oracle."""
     markers: ClassVar[tuple[str, ...]]
     """Kinds of markers that it can detect; empty: any."""
+    needs_sheet: ClassVar[bool]
+    """It finds the picture of a target `picture`."""
     needs_goal: ClassVar[bool]
     """It finds the goal picture's points, not the target's markers."""
 
@@ -112,6 +114,7 @@ class DetectorBase:
 
     needs_truth: ClassVar[bool] = False
     markers: ClassVar[tuple[str, ...]] = ()
+    needs_sheet: ClassVar[bool] = False
     needs_goal: ClassVar[bool] = False
     rows: Any = None  # without a type, as in `LawBase`: a subclass may have a field or a property in its place
     changing: Any = False

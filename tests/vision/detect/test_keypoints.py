@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -67,7 +68,7 @@ def test_points_are_followed_and_matched_again_now_and_then():
         ids.append(detection.ids)
         error = np.linalg.norm(detection.uv - places(H, detection.goal.uv), axis=1)
         assert detection.seen.sum() > 12 and np.nanmedian(error) < 0.06, k
-    stays = [np.mean(np.isin(a[a >= 0], b)) for a, b in zip(ids, ids[1:], strict=False)]
+    stays = [np.mean(np.isin(a[a >= 0], b)) for a, b in pairwise(ids)]
     assert min(stays) > 0.7 and (ids[1] == np.where(ids[1] >= 0, ids[0], -1)).all()
 
 

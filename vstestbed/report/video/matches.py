@@ -56,6 +56,6 @@ class MatchOverlay(Overlay):
 
 def overlay_of(scenario: Scenario, size: tuple[int, int], title: str = "") -> Overlay:
     """The overlay for what a scenario's detector reports; size: (width, height) of the image [px]."""
-    if scenario.detector.rows is not None:
+    if scenario.detector.changing:
         return MatchOverlay(*size, scenario.rows, title)
-    return Overlay(*size, scenario.target.colors, title)
+    return Overlay(*size, scenario.target.colors[: scenario.rows], title)
