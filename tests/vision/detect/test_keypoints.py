@@ -77,7 +77,7 @@ def test_an_empty_picture_shows_nothing_and_keeps_what_the_rows_were():
     memory, before = seen(detector, begun(detector), GOAL_H)
     empty = Picture(0.0, (np.full((240, 320, 3), 128, np.uint8),))
     memory, detection = detector.detect(memory, empty, None, CAMERA, TARGET, RNG)
-    assert np.isnan(detection.uv).all()
+    assert detection.goal is not None and np.isnan(detection.uv).all()
     np.testing.assert_array_equal(detection.ids, before.ids)
     np.testing.assert_array_equal(detection.goal.uv, before.goal.uv)
     assert seen(detector, memory, GOAL_H)[1].seen.sum() > 12
@@ -85,12 +85,13 @@ def test_an_empty_picture_shows_nothing_and_keeps_what_the_rows_were():
 
 def test_only_the_board_s_points_count_where_that_is_asked_for():
     near = replace(TARGET, width=0.2)  # of the poster in the picture its middle alone
-    for within, outside in (("board", False), ("picture", True)):
-        detector = Keypoints(features=Orb(most=400), within=within, best=100)
+    on_board, anywhere = Keypoints(features=Orb(most=400), within="board", best=100), Keypoints(features=Orb(most=400), best=100)
+    for detector, outside in ((on_board, False), (anywhere, True)):
         memory = detector.begin(replace(Goal.from_view(CAMERA, near.points, T_GOAL), image=Sight(goal())), CAMERA, near)
         _, detection = detector.detect(memory, Picture(0.0, (goal(),)), None, CAMERA, near, RNG)
+        assert detection.goal is not None
         xy = (detection.goal.ray * detection.goal.range[:, None])[detection.seen, :2]
-        assert (np.abs(xy) > [0.1, 0.075]).any() == outside, within
+        assert (np.abs(xy) > [0.1, 0.075]).any() == outside
 
 
 def test_what_cannot_work_is_refused_with_a_sentence():
@@ -99,9 +100,10 @@ def test_what_cannot_work_is_refused_with_a_sentence():
         Keypoints().begin(flat, CAMERA, TARGET)
     with pytest.raises(ParameterError, match="compares with the picture taken at the goal"):
         Keypoints().begin(replace(the_goal(), image=None), CAMERA, TARGET)
-    for wrong, words in (({"least": 30}, "at most best = 24"), ({"best": 8, "track": Klt()}, "at most best = 8")):
-        with pytest.raises(ParameterError, match=words):
-            Keypoints(**wrong)
+    with pytest.raises(ParameterError, match="at most best = 24"):
+        Keypoints(least=30)
+    with pytest.raises(ParameterError, match="at most best = 8"):
+        Keypoints(best=8, track=Klt())
     with pytest.raises(ParameterError, match="needs one whole picture"):
         Keypoints().detect(begun(Keypoints()), None, None, CAMERA, TARGET, RNG)
 

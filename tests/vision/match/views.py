@@ -14,7 +14,8 @@ from vstestbed.core.geometry import Array
 from vstestbed.core.rpy import rotation_from_rpy
 
 WIDTH, HEIGHT, FINER = 320, 240, 3
-CAMERA = Perspective(width=WIDTH, height=HEIGHT, fovy_deg=51.1)
+FOVY_DEG = 51.1
+CAMERA = Perspective(width=WIDTH, height=HEIGHT, fovy_deg=FOVY_DEG)
 POSTER_M = 0.8
 
 
@@ -22,7 +23,8 @@ POSTER_M = 0.8
 def poster() -> NDArray[np.uint8]:
     """The bundled poster, 1000 px wide, RGB."""
     image = cv2.imread(str(folder("models") / "textures" / "poster.jpg"))
-    return cv2.cvtColor(cv2.resize(image, (1000, 750), interpolation=cv2.INTER_AREA), cv2.COLOR_BGR2RGB)
+    assert image is not None
+    return np.asarray(cv2.cvtColor(cv2.resize(image, (1000, 750), interpolation=cv2.INTER_AREA), cv2.COLOR_BGR2RGB), np.uint8)
 
 
 def homography_of(xyz: tuple[float, float, float], rpy_deg: tuple[float, float, float]) -> Array:
@@ -32,7 +34,7 @@ def homography_of(xyz: tuple[float, float, float], rpy_deg: tuple[float, float, 
     place = np.array([[scale, 0, -scale * (w - 1) / 2], [0, scale, -scale * (h - 1) / 2], [0, 0, 0]])
     place[:, 2] -= xyz
     R = rotation_from_rpy(np.radians(rpy_deg))
-    middle, f = CAMERA.centre, (HEIGHT / 2) / np.tan(np.radians(CAMERA.fovy_deg / 2))
+    middle, f = CAMERA.centre, (HEIGHT / 2) / np.tan(np.radians(FOVY_DEG / 2))
     return np.array([[f, 0, middle[0]], [0, f, middle[1]], [0, 0, 1]]) @ R.T @ place
 
 

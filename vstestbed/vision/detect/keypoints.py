@@ -99,7 +99,7 @@ class Keypoints(DetectorBase):
     track: Tracking = NoTracking()
     needs_image: ClassVar[bool] = True
     needs_goal: ClassVar[bool] = True
-    changing: ClassVar[bool] = True
+    changing = True
 
     def __post_init__(self) -> None:
         """Refuse numbers that contradict each other, and a ratio where no descriptors are compared."""
