@@ -16,12 +16,17 @@ def detail(scenario: Scenario, seen: Observation, found: bool) -> str:
     """
     if not found and scenario.detector.needs_image:
         return f" ({never_found(scenario)})"
+    if scenario.detector.changing:
+        return ""
     names = [name for name, there in zip(scenario.target.names, seen.seen, strict=False) if not there]
     return f" (not seen: {', '.join(names)})" if names else ""
 
 
 def never_found(scenario: Scenario) -> str:
     """That a detector of pictures has found nothing from the start on, and the likely causes."""
+    if scenario.detector.changing:
+        words = f"detector {scenario.detector.kind} has found nothing of the goal's picture in any picture"
+        return f"{words}: the start may show too little of it, or from too far aside"
     target, n = scenario.target, len(scenario.target.points)
     words = f"detector {scenario.detector.kind} has not found one of {n} marker{'s' * (n != 1)} in any picture"
     if scenario.detector.needs_sheet:

@@ -151,7 +151,7 @@ class Observer:
         tilt = tilt if self.derotation != "none" else None
         ray = self.camera.ray(uv) if self._solves(T) or self._always_rays or tilt is not None else None
         T, solved = self._pose(ray, t, memory, T, twist)
-        flow = self._flow(memory.flow if memory.flow is None else memory.flow.of(detection.ids), t, ray, twist)
+        flow = self._flow(memory.flow, detection.ids, t, ray, twist)
         cues = DepthCues(self.goal, xy, p_true=detection.p_camera, measured=self.depth.read(depth_image, uv))
         view, trim = self._view(ray, T, flow, cues, own), memory.trim
         if tilt is not None:
@@ -238,10 +238,10 @@ class Observer:
             found = solve_pose_from_rays(rays, points, pose_on_floor(rays, points, mount, place, None))
         return found
 
-    def _flow(self, flow: FlowMemory | None, t: float, ray: Array | None, twist: Array) -> FlowMemory | None:
+    def _flow(self, flow: FlowMemory | None, ids: NDArray[np.intp] | None, t: float, ray: Array | None, twist: Array) -> FlowMemory | None:
         """The depth estimator's next state; None without one."""
         estimator = self.depth.estimator
-        return flow if estimator is None or flow is None or ray is None else update_flow(estimator, flow, t, ray, twist)
+        return flow if estimator is None or flow is None or ray is None else update_flow(estimator, flow.of(ids), t, ray, twist)
 
     def _trim(self, memory: ObserverMemory, t: float, tilt: Array, T: Array | None) -> Trim:
         """The correction of the measured tilt (2,), updated where the pose (4, 4) is measured."""

@@ -36,8 +36,13 @@ def features(tracks: Tracks) -> Chart | None:
     width, height = tracks.setting.width, tracks.setting.height
     chart = Chart()
     (panel,) = chart.panels
+    measured, true, goal = (tracks.pixels(suffix) for suffix in ("", "_true", "_goal"))
+    if tracks.setting.changing:  # a row goes on with another point where its goal is another
+        other = np.zeros(goal.shape[:2], dtype=bool)
+        other[1:] = (goal[1:] != goal[:-1]).any(axis=2)
+        measured, true = (np.where(other[..., None], np.nan, uv) for uv in (measured, true))
     draw = draw_outlines if tracks.setting.outlined else draw_trails
-    draw(panel, tracks.pixels(), tracks.pixels("_true"), tracks.pixels("_goal"), tracks.names)
+    draw(panel, measured, true, goal, tracks.names)
     _frame_picture(panel, width, height)
     chart.fit(2.1, 5.4)
     return chart

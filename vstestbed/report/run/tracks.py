@@ -42,6 +42,7 @@ class Setting:
         changed: the fields in which the scenario differs from the bundled one of its name, `("law.gain=2",)`.
         outlined: the markers are the outline of one region.
         modes: words for what the law does in a frame; () for a law without modes.
+        changing: whether a row of the log may come to show another point.
     """
 
     width: int | None = None
@@ -59,6 +60,7 @@ class Setting:
     changed: tuple[str, ...] = ()
     outlined: bool = False
     modes: tuple[str, ...] = ()
+    changing: bool = False
 
     @classmethod
     def of(cls, scenario: Scenario) -> Setting:
@@ -83,6 +85,7 @@ class Setting:
             changed=changes(scenario),
             outlined=scenario.target.outlined,
             modes=scenario.law.modes,
+            changing=scenario.detector.changing,
         )
 
 

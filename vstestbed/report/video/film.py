@@ -19,8 +19,9 @@ from vstestbed.loop.recording import Rows
 from vstestbed.loop.summary_file import read_summary
 from vstestbed.report.video.encoded import png_of
 from vstestbed.report.video.film_frame import FilmFrame
+from vstestbed.report.video.matches import overlay_of
 from vstestbed.report.video.outside import Outside, inset_share
-from vstestbed.report.video.overlay import ALARM, GOOD, HOLD_S, Overlay, draw_caption, draw_ending
+from vstestbed.report.video.overlay import ALARM, GOOD, HOLD_S, draw_caption, draw_ending
 from vstestbed.report.video.quality import FINE, Pace, Quality
 from vstestbed.report.video.residual import Residual
 from vstestbed.report.video.writer import Image, VideoWriter
@@ -41,8 +42,7 @@ class Pictures:
         self._scenario, self._camera, self._replay, self._size = scenario, camera, replay, size
         law, name = scenario.law.kind, scenario.name
         self._title = f"{name} \u00b7 {law}" if name else law
-        colors, outlined = scenario.target.colors[: scenario.rows], scenario.target.outlined
-        self._overlay = Overlay(*size, colors, self._title, outlined, joined=scenario.detector.needs_sheet)
+        self._overlay = overlay_of(scenario, size, self._title)
         self._scale = np.array(size) / (scenario.camera.width, scenario.camera.height)
         self._residual = Residual(scenario, replay) if "image" in scenario.law.inputs else None
         self._outside = Outside(scenario, replay, camera, size) if camera == "overview" else None

@@ -88,9 +88,7 @@ class Overlay:
         joined: draw the polygon through the measured markers, the outline of a plane tracked whole.
     """
 
-    def __init__(
-        self, width: int, height: int, colors: Array, title: str = "", outlined: bool = False, joined: bool = False
-    ):
+    def __init__(self, width: int, height: int, colors: Array, title: str = "", outlined: bool = False, joined: bool = False):
         self.size = (width, height)
         self._joined = joined
         self.title = title
