@@ -63,9 +63,7 @@ def with_images(scenario: Scenario, images: Sequence[Sight]) -> tuple[Goal, ...]
     views, camera = scenario.goal_views, scenario.camera
     if not scenario.needs_goal_image:
         return views
-    said = scenario.goal.pictures
-    if not images and said and all(one.file is not None for one in said):
-        images = tuple(Sight(one.read(camera)) for one in said)
+    images = images or _from_files(scenario)
     if len(images) != len(views):
         words = (
             f"must be {len(views)}, one of each goal view: detector {scenario.detector.kind} or law {scenario.law.kind} compares with it"
@@ -75,3 +73,9 @@ def with_images(scenario: Scenario, images: Sequence[Sight]) -> tuple[Goal, ...]
         if sight.image.shape != (camera.height, camera.width, 3):
             raise ParameterError("goal_images", f"must be of shape {(camera.height, camera.width, 3)}", sight.image.shape)
     return tuple(replace(view, image=sight) for view, sight in zip(views, images, strict=True))
+
+
+def _from_files(scenario: Scenario) -> tuple[Sight, ...]:
+    """The pictures of the goal views that are files; none unless all are."""
+    said = scenario.goal.pictures
+    return tuple(Sight(one.read(scenario.camera)) for one in said) if all(one.file is not None for one in said) else ()

@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
-from vstestbed.features.observation import Observation
+import numpy as np
+
+from vstestbed.features.observation import Goal, Observation
 from vstestbed.scenario.scenario import Scenario
+from vstestbed.tasks.frame import ImageError
 
 NONE_SEEN, FEW_SEEN, NO_PICTURE = "no marker was in sight", "too few markers were in sight", "no picture arrived"
 """Why there is no measurement, where the law itself gives no reason."""
+
+
+def unseen(seen: Observation, goal: Goal, error: ImageError, needed: int) -> str:
+    """Why a law that gives no reason has no measurement; "" where it has as many markers as it needs."""
+    n = len(seen.uv) if error.all_seen and goal.counted is None else np.count_nonzero(seen.seen)
+    return "" if n >= needed else FEW_SEEN if n else NONE_SEEN
 
 
 def detail(scenario: Scenario, seen: Observation, found: bool) -> str:

@@ -68,12 +68,11 @@ class Caster:
         n = len(rays)
         geoms, distance, normal = np.full(n, NO_RAY, np.int32), np.zeros(n), np.zeros((n, 3))
         origin = np.ascontiguousarray(T_world_camera[:3, 3])
-        seen = np.isfinite(rays[:, 0])
-        whole, start = bool(seen.all()), 0
+        seen, start = np.isfinite(rays[:, 0]), 0
         for bundle in bundles:
             part = slice(start, start + len(bundle))
             start = part.stop
-            if whole:
+            if seen[part].all():
                 self.hits(origin, rays[part], geoms[part], distance[part], normal[part])
             elif seen[part].any():
                 at = part.start + np.flatnonzero(seen[part])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -47,8 +49,11 @@ def found(template: Template, picture: Picture, camera: Camera) -> Array | None:
         return None
     f = _focal_px(camera)
     H, inliers = cv2.findHomography(places[index[ahead]], f * xy, cv2.RANSAC, WITHIN_PX, maxIters=TRIALS, confidence=0.999)
-    if H is None or np.count_nonzero(inliers) < LEAST_MATCHES:
-        return None
+    return None if H is None or np.count_nonzero(inliers) < LEAST_MATCHES else _in_front(H, R, f, template)
+
+
+def _in_front(H: NDArray[Any], R: Array, f: float, template: Template) -> Array | None:
+    """The homography to directions from one to the pixels of a virtual camera turned by R (3, 3); None of a plane seen from behind."""
     G = normalised(R @ np.diag([1 / f, 1 / f, 1]) @ H)
     # A plane seen from behind, or points on both sides of the camera, come of wrong matches.
     return G if G.any() and (template.corners @ (R.T @ G)[2] > 0).all() else None
