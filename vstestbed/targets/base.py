@@ -247,7 +247,7 @@ class Target:
         return None
 
     @property
-    def corners(self) -> Array | None:
+    def figure_corners(self) -> Array | None:
         """Corners of the polygon whose outline its points are, (E, 2) in z = 0 of the target frame [m]; None for other targets."""
         return None
 

@@ -93,7 +93,7 @@ class Shape(OneRegion):
         return self.figure.corners
 
     @property
-    def corners(self) -> Array | None:
+    def figure_corners(self) -> Array | None:
         """The figure's corners; None of a disc."""
         return None if self.figure.round else self._drawn
 

@@ -80,7 +80,7 @@ class Caster:
                 self.hits(origin, rays[at], *hit)
                 geoms[at], distance[at], normal[at] = hit
         colours = self.paint.colours(origin, rays, geoms, distance, normal, apart)
-        if not whole:
+        if not seen.all():
             colours[~seen] = 0
         return colours, geoms
 

@@ -63,8 +63,8 @@ def fit_outline(border: Border, target: Target, turn: float | None, expected: fl
         expected: the rotation that is taken where several fit alike [rad].
     """
     rays = border.rays(border.edge)
-    if target.corners is not None:
-        return _polygon(border, rays, target, target.corners, turn, expected)
+    if target.figure_corners is not None:
+        return _polygon(border, rays, target, target.figure_corners, turn, expected)
     # A round region of pixels with standard deviation s has the radius 2 s.
     found = target.round_outline(rays)
     return None if found is None else OutlineFit(found.p, found.off * 2 * border.size_px)
@@ -72,7 +72,7 @@ def fit_outline(border: Border, target: Target, turn: float | None, expected: fl
 
 def turn_at(goal: Goal, target: Target) -> float:
     """How a shape is turned in the goal view [rad]; 0 for what is round."""
-    if target.corners is None or not np.isfinite(goal.xy).all():
+    if target.figure_corners is None or not np.isfinite(goal.xy).all():
         return 0.0
     seen, flat = goal.xy, target.points[:, :2]
     # The affine map that fits best, without what makes both shapes round: a rotation.
