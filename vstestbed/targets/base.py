@@ -75,7 +75,7 @@ class TargetContract(Protocol):
     board_half_m: tuple[float, float] | None
     sheet: Sheet | None
     body: Body | Globe | None
-    corners: Array | None
+    figure_corners: Array | None
     shows_markers: bool
     normals: Array
     source: pathlib.Path | None
