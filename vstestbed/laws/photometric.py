@@ -17,7 +17,7 @@ from vstestbed.core.spec import kind_of, spec
 from vstestbed.features.depth import AtGoal, Constant, Depth
 from vstestbed.features.observation import Goal, Observation, Sight
 from vstestbed.laws.base import Command, ConstantGain, Gain, LawBase, TwistLimits
-from vstestbed.laws.luminance import Grey, GoalLevel, LevelPixels, Normal, Which, coarser, luminance, motion_px
+from vstestbed.laws.luminance import GoalLevel, Grey, LevelPixels, Normal, Which, coarser, luminance, motion_px
 from vstestbed.laws.robust import Robust
 
 NO_PICTURE = "the law has no picture"
