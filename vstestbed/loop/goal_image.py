@@ -54,6 +54,12 @@ def sight_of(picture: Picture) -> Sight:
     return Sight(whole.image.copy(), whole.depth)
 
 
+def _from_files(scenario: Scenario) -> tuple[Sight, ...]:
+    """The pictures of all goal views from their files; () where one has none."""
+    said = scenario.goal.pictures
+    return tuple(Sight(one.read(scenario.camera)) for one in said) if all(one.file is not None for one in said) else ()
+
+
 def with_images(scenario: Scenario, images: Sequence[Sight]) -> tuple[Goal, ...]:
     """The goal views with their pictures.
 
@@ -63,9 +69,7 @@ def with_images(scenario: Scenario, images: Sequence[Sight]) -> tuple[Goal, ...]
     views, camera = scenario.goal_views, scenario.camera
     if not scenario.needs_goal_image:
         return views
-    said = scenario.goal.pictures
-    if not images and said and all(one.file is not None for one in said):
-        images = tuple(Sight(one.read(camera)) for one in said)
+    images = images or _from_files(scenario)
     if len(images) != len(views):
         words = (
             f"must be {len(views)}, one of each goal view: detector {scenario.detector.kind} or law {scenario.law.kind} compares with it"
