@@ -68,6 +68,14 @@ TARGET_EXAMPLES = {
 }
 
 
+SMALL_PICTURES = {
+    "camera.width": 160,
+    "camera.height": 120,
+    "camera.focal_length_m": 0.00435,
+    "robot.start.nominal": {"xyz": [0.02, 0, -1.05], "rpy_deg": [0, 0, 4]},
+}
+
+
 def scenario(name, changes):
     return vs.load(name, {"detector": {"kind": "oracle"}, **changes})
 
@@ -85,7 +93,8 @@ def test_the_catalogue_is_whole():
 
 @pytest.mark.parametrize("kind", LAWS.members)
 def test_every_law(kind):
-    suites.check_law(LAWS.members[kind](**LAW_PARAMETERS.get(kind, {})))
+    loop = vs.load("camera_photometric", SMALL_PICTURES) if kind == "photometric" else None  # which needs a picture with structure
+    suites.check_law(loop.law if loop else LAWS.members[kind](**LAW_PARAMETERS.get(kind, {})), loop)
 
 
 @pytest.mark.parametrize("kind", ROBOTS.members)
@@ -98,7 +107,7 @@ def test_every_target(kind):
     suites.check_target(TARGET_EXAMPLES[kind]())
 
 
-@pytest.mark.parametrize("kind", DETECTORS.members)
+@pytest.mark.parametrize("kind", [kind for kind in DETECTORS.members if kind != "none"])  # which detects nothing
 def test_every_detector(kind):
     suites.check_detector(DETECTORS.members[kind]())
 

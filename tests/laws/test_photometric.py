@@ -17,7 +17,7 @@ from vstestbed.core.geometry import exp, inverse, rigid_error
 from vstestbed.features.depth import Constant, PnP
 from vstestbed.features.observation import Goal, Observation, Sight
 from vstestbed.laws.base import Command, ConstantGain
-from vstestbed.laws.luminance import LevelPixels, coarser, gradient, luminance, motion_px
+from vstestbed.laws.luminance import LevelPixels, Which, coarser, gradient, luminance, motion_px
 from vstestbed.laws.photometric import BLANK, NO_PICTURE, LevenbergMarquardt, Photometric
 from vstestbed.laws.robust import LEAST_SIGMA, scale, weights
 from vstestbed.scenario.load import parse
@@ -51,7 +51,8 @@ def seen(texture: np.ndarray, T: np.ndarray, fine: int = 2) -> Sight:
     plane = np.array([[s, 0, -s * (texture.shape[1] - 1) / 2], [0, s, -s * (texture.shape[0] - 1) / 2], [0, 0, 1]])
     H = np.array([[f, 0, cx], [0, f, cy], [0, 0, 1.0]]) @ T[:3, [0, 1, 3]] @ plane
     grey = cv2.warpPerspective(texture, H, (CAMERA.width * fine, CAMERA.height * fine), borderValue=90)
-    return Sight(cv2.cvtColor(cv2.resize(grey, (CAMERA.width, CAMERA.height), interpolation=cv2.INTER_AREA), cv2.COLOR_GRAY2RGB))
+    small = cv2.resize(grey, (CAMERA.width, CAMERA.height), interpolation=cv2.INTER_AREA)
+    return Sight(np.asarray(cv2.cvtColor(small, cv2.COLOR_GRAY2RGB), np.uint8))
 
 
 def goal_of(texture: np.ndarray) -> Goal:
@@ -114,7 +115,7 @@ def test_interaction_matrix_is_that_of_rendered_pictures(file: Path, distortion:
 
 
 @pytest.mark.parametrize("interaction", ["current", "desired", "mean"])
-def test_converges_with_each_matrix(texture: np.ndarray, interaction: str) -> None:
+def test_converges_with_each_matrix(texture: np.ndarray, interaction: Which) -> None:
     """From 3 cm and 3 degrees to under a millimetre."""
     law = Photometric(gain=ConstantGain(value=12.0), interaction=interaction, margin_px=4, damping=LevenbergMarquardt(after_s=1.0))
     distance, angle = flown(law, texture, [0.01, -0.01, 0.03, 0.01, 0.01, 0.05])

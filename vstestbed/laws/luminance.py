@@ -128,7 +128,7 @@ def rows(gx: Grey, gy: Grey, x: Grey, y: Grey, inverse_depth: Grey) -> Grey:
 
 
 @dataclass(frozen=True)
-class Level:
+class GoalLevel:
     """One level of the goal's pyramid.
 
     Attributes:

@@ -54,6 +54,12 @@ def sight_of(picture: Picture) -> Sight:
     return Sight(whole.image.copy(), whole.depth)
 
 
+def _from_files(scenario: Scenario) -> tuple[Sight, ...]:
+    """The pictures of all goal views from their files; () where one has none."""
+    said = scenario.goal.pictures
+    return tuple(Sight(one.read(scenario.camera)) for one in said) if all(one.file is not None for one in said) else ()
+
+
 def with_images(scenario: Scenario, images: Sequence[Sight]) -> tuple[Goal, ...]:
     """The goal views with their pictures.
 
@@ -73,9 +79,3 @@ def with_images(scenario: Scenario, images: Sequence[Sight]) -> tuple[Goal, ...]
         if sight.image.shape != (camera.height, camera.width, 3):
             raise ParameterError("goal_images", f"must be of shape {(camera.height, camera.width, 3)}", sight.image.shape)
     return tuple(replace(view, image=sight) for view, sight in zip(views, images, strict=True))
-
-
-def _from_files(scenario: Scenario) -> tuple[Sight, ...]:
-    """The pictures of the goal views that are files; none unless all are."""
-    said = scenario.goal.pictures
-    return tuple(Sight(one.read(scenario.camera)) for one in said) if all(one.file is not None for one in said) else ()
