@@ -9,8 +9,8 @@ from pathlib import Path
 
 from vstestbed.core.errors import ParameterError
 
-ENDINGS = re.compile(r"\.(onnx|xml|mjcf|urdf|png|jpe?g|stl|obj)$|\.py:\w+$", re.IGNORECASE)
-"""The end of a value of a field of FILE_FIELDS: a network, a model, a picture, a solid, a function in a Python file."""
+ENDINGS = re.compile(r"\.(onnx|xml|mjcf|urdf|png|jpe?g|stl|obj|json)$|\.py:\w+$", re.IGNORECASE)
+"""The end of a value of a field of FILE_FIELDS: a network, a model, a picture, a solid, a list of starts, a function in Python."""
 FILE_FIELDS = "file", "scenery"
 """Fields that name a file; the block `scenery` may be its file's name alone."""
 PACKAGE = "package:"
