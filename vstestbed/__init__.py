@@ -55,7 +55,8 @@ if TYPE_CHECKING:
     from vstestbed.robots import ROBOTS, Allocation, Mount, Reading, Robot, RobotBase
     from vstestbed.scenario.dump import dump
     from vstestbed.scenario.load import load
-    from vstestbed.scenario.scenario import Noise, Scenario
+    from vstestbed.scenario.noise import Noise
+    from vstestbed.scenario.scenario import Scenario
     from vstestbed.sim.clock import Clock
     from vstestbed.sim.scene.world import World
     from vstestbed.sim.timing import Timing
@@ -67,7 +68,7 @@ if TYPE_CHECKING:
     from vstestbed.tasks.metrics import METRICS
     from vstestbed.tasks.monitors import MONITORS
     from vstestbed.tasks.stop import Stop
-    from vstestbed.vision import DETECTORS, Detection, Detector, DetectorBase
+    from vstestbed.vision import DETECTORS, KEYPOINTS, Detection, Detector, DetectorBase
     from vstestbed.vision.perturb import PERTURBATIONS, PerturbationBase
 
 _HOMES = {
@@ -89,7 +90,8 @@ _HOMES = {
     "vstestbed.robots": ("ROBOTS", "Allocation", "Mount", "Reading", "Robot", "RobotBase"),
     "vstestbed.scenario.dump": ("dump",),
     "vstestbed.scenario.load": ("load",),
-    "vstestbed.scenario.scenario": ("Noise", "Scenario"),
+    "vstestbed.scenario.noise": ("Noise",),
+    "vstestbed.scenario.scenario": ("Scenario",),
     "vstestbed.sim.clock": ("Clock",),
     "vstestbed.sim.scene.world": ("World",),
     "vstestbed.sim.timing": ("Timing",),
@@ -101,7 +103,7 @@ _HOMES = {
     "vstestbed.tasks.stop": ("Stop",),
     "vstestbed.tasks.metrics": ("METRICS",),
     "vstestbed.tasks.monitors": ("MONITORS",),
-    "vstestbed.vision": ("DETECTORS", "Detection", "Detector", "DetectorBase"),
+    "vstestbed.vision": ("DETECTORS", "KEYPOINTS", "Detection", "Detector", "DetectorBase"),
     "vstestbed.vision.perturb": ("PERTURBATIONS", "PerturbationBase"),
 }
 _ROOMS = ("camera", "features", "laws", "robots", "targets", "tasks", "testing", "vision")
@@ -113,6 +115,7 @@ __all__ = [
     "DETECTORS",
     "FEATURES",
     "GOALS",
+    "KEYPOINTS",
     "LAWS",
     "METRICS",
     "MONITORS",

@@ -36,8 +36,8 @@ def worst(measured: np.ndarray, L: np.ndarray) -> float:
     return float((np.linalg.norm(measured - L, axis=(-2, -1)) / np.linalg.norm(L, axis=(-2, -1))).max())
 
 
-def in_front(rng: np.random.Generator) -> np.ndarray:
-    """Four markers near the corners of a square of 0.5 m, turned at will, tilted up to 56 degrees, 0.8 to 2.5 m away: (200, 4, 3)."""
+def views(rng: np.random.Generator) -> np.ndarray:
+    """Poses T_camera_target (200, 4, 4): turned at will, tilted up to 56 degrees, 0.8 to 2.5 m away."""
     w = np.zeros((CASES, 6))
     w[:, 3:] = rng.uniform(-1, 1, (CASES, 3)) * [0.7, 0.7, 0]
     turn = np.zeros((CASES, 6))
@@ -45,7 +45,31 @@ def in_front(rng: np.random.Generator) -> np.ndarray:
     depth = rng.uniform(0.8, 2.5, (CASES, 1))
     T = exp(w) @ exp(turn)
     T[:, :3, 3] = np.hstack([rng.uniform(-0.4, 0.4, (CASES, 2)), np.ones((CASES, 1))]) * depth
+    return T
+
+
+def in_front(rng: np.random.Generator) -> np.ndarray:
+    """Four markers near the corners of a square of 0.5 m: (200, 4, 3)."""
+    T = views(rng)
     return transform(T, SQUARE + rng.uniform(-0.05, 0.05, (CASES, 4, 3)))
+
+
+def in_a_plane(rng: np.random.Generator) -> np.ndarray:
+    """Seven markers of a plane, within 0.3 m of its middle, in order around a star: (200, 7, 3)."""
+    angle, radius = 2 * np.pi * np.arange(7) / 7, rng.uniform(0.1, 0.3, (CASES, 7))
+    flat = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.zeros_like(radius)], axis=-1)
+    return transform(views(rng), flat)
+
+
+def on_a_disc(rng: np.random.Generator) -> np.ndarray:
+    """Seven markers on the outline of a disc of 0.1 to 0.3 m: (200, 7, 3)."""
+    angle, radius = rng.uniform(0, 2 * np.pi, (CASES, 7)), rng.uniform(0.1, 0.3, (CASES, 1))
+    flat = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.zeros_like(angle)], axis=-1)
+    return transform(views(rng), flat)
+
+
+SETS = {"moments": in_a_plane, "ellipse": on_a_disc}
+"""Markers of the features that take them to lie in a plane."""
 
 
 def all_around(rng: np.random.Generator) -> np.ndarray:
@@ -67,7 +91,7 @@ def seen(p: np.ndarray, inputs: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray
 def test_features_of_markers(kind):
     feature = FEATURES.members[kind]()
     around = feature.inputs == ("ray", "range")
-    p = (all_around if around else in_front)(np.random.default_rng(0))
+    p = (all_around if around else SETS.get(kind, in_front))(np.random.default_rng(0))
     assert around == bool((p[..., 2] < 0).any())  # a sphere's markers are behind the camera too
     x, distance = seen(p, feature.inputs)
     L = feature.interaction(x, distance)
@@ -81,21 +105,22 @@ def test_features_of_markers(kind):
 @pytest.mark.parametrize("kind", list(FEATURES.members))
 def test_lists_will_do(kind):
     feature = FEATURES.members[kind]()
-    x = seen(in_front(np.random.default_rng(0))[0], feature.inputs)[0]
+    x = seen(SETS.get(kind, in_front)(np.random.default_rng(0))[0], feature.inputs)[0]
     s = feature.measure(x.tolist())
     np.testing.assert_array_equal(s, feature.measure(x))
-    np.testing.assert_array_equal(feature.interaction(x.tolist(), [1] * 4), feature.interaction(x, np.ones(4)))
+    np.testing.assert_array_equal(feature.interaction(x.tolist(), [1] * len(x)), feature.interaction(x, np.ones(len(x))))
     np.testing.assert_array_equal(feature.error(s.tolist(), s.tolist()), feature.error(s, s))
 
 
 @pytest.mark.parametrize("n", [2, 3])
-@pytest.mark.parametrize("kind", ["line", "polygon"])
+@pytest.mark.parametrize("kind", ["line", "polygon", "segment"])
 def test_features_of_fewer_markers(kind, n):
     feature, p = FEATURES.members[kind](), in_front(np.random.default_rng(1))[:, :n]
     L = feature.interaction(*seen(p, feature.inputs))
     after = transform(moved(np.broadcast_to(np.eye(4), (CASES, 4, 4))), p)
     x, later = seen(p, feature.inputs)[0], seen(after, feature.inputs)[0]
-    assert L.shape == (CASES, 6 if (kind, n) == ("line", 3) else 2, 6)
+    rows = {"segment": 4, "line": 6 if n == 3 else 2, "polygon": 2}[kind]
+    assert L.shape == (CASES, rows, 6)
     assert worst(differences(feature.measure(later), feature.measure(x), feature.error), L) < 1e-6
 
 

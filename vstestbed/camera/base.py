@@ -12,6 +12,7 @@ import numpy as np
 from annotated_types import Ge, Le
 from numpy.typing import NDArray
 
+from vstestbed.camera.depth_sensor import DEPTH_SENSORS, DepthImage, DepthSensor
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose
 from vstestbed.core.quantity import Frequency, Narrower, Pixel, Time
@@ -40,7 +41,7 @@ class Picture:
         whole: the images are complete; otherwise they may be blank outside of the regions of interest.
         draw_whole: draws the whole picture of the same exposure; None where nobody can.
         own: of a lens that has panels, the camera's own image, which no detector works on; None unless it was asked for.
-        depth: as a depth camera measures it, (H, W) [m] along the optical axis, NaN where it measures nothing; None without one.
+        depth: what the depth camera measured (H, W) [m], at the middle of the exposure, NaN in its holes; None without one.
     """
 
     t: float
@@ -48,7 +49,7 @@ class Picture:
     whole: bool = True
     draw_whole: Callable[[], Picture] | None = field(default=None, compare=False, repr=False)
     own: Image | None = None
-    depth: NDArray[np.float32] | None = None
+    depth: DepthImage | None = None
 
     @property
     def image(self) -> Image | None:
@@ -91,9 +92,13 @@ class Camera(ABC):
         latency_s: time from the exposure until the law has the picture [s].
         mount: pose of the camera in the robot's flange (or body) frame.
         multisampling: samples per pixel of the rendered picture (0: one sample, cheap, jagged marker borders).
+        anisotropy: samples of a texture along the longer side of what a pixel covers, at most; 1: of what is seen aslant, fine
+            structure is as blurred along both axes as along the longer one. Graphics cards usually have 8 or 16.
         shadows: render shadows in the servo camera's picture (it then costs several times as much).
         renderer: `gl` (OpenGL), `rays` (each pixel's ray cast by MuJoCo: no shadows, no textures) or `auto` (OpenGL where it works,
             else rays).
+        depth_sensor: makes it an RGB-D camera, which measures the depth of each pixel with each picture (`camera.depth_sensor`); only
+            with `perspective`; e.g. `stereo`.
         principal_px: (cx, cy) [px], where the optical axis meets the picture; default its middle ((W-1)/2, (H-1)/2); e.g. `[322.5, 238]`.
     """
 
@@ -103,20 +108,26 @@ class Camera(ABC):
     latency_s: Annotated[Time, Narrower(le=60)] = 0.0
     mount: Pose = Pose()
     multisampling: Literal[0, 2, 4, 8, 16] = 0
+    anisotropy: Literal[1, 2, 4, 8, 16] = 1
     shadows: bool = False
     renderer: Literal["auto", "gl", "rays"] = "auto"
     principal_px: Pixel | None = None
+    depth_sensor: Annotated[DepthSensor, DEPTH_SENSORS] | None = None
     sees_all: ClassVar[bool] = False
     """Whether each pixel of its picture has a ray: a wide lens has an image circle."""
+    with_depth: ClassVar[bool] = False
+    """Whether it may have a depth sensor: depth cameras have perspective lenses."""
 
     def __post_init__(self) -> None:
-        """Refuse more samples than fit into memory, and a principal point outside the picture."""
+        """Refuse more samples than fit into memory, a principal point outside the picture, and a depth sensor behind a wide lens."""
         if self.width * self.height * self.multisampling > MOST_SAMPLES:
             most = MOST_SAMPLES // (self.width * self.height)
             words = f"must be at most {most} for a {self.width} x {self.height} picture, whose samples would not fit into the memory"
             raise ParameterError("multisampling", words, self.multisampling)
         if self.principal_px is not None and not self.inside(np.array(self.principal_px)):
             raise ParameterError("principal_px", f"must lie in the {self.width} x {self.height} picture", self.principal_px)
+        if self.depth_sensor is not None and not self.with_depth:
+            raise ParameterError("depth_sensor", "is for camera perspective, with distortion or without: depth cameras have no wide lenses")
 
     @property
     def period(self) -> float:

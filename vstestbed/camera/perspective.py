@@ -44,6 +44,7 @@ class Perspective(Camera):
     pixel_size_m: PositiveLength | None = None
     distortion: Annotated[tuple[Coefficient, ...], Len(5, 5)] | None = None
     sees_all: ClassVar[bool] = True
+    with_depth: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         """Refuse contradictory intrinsics and a distortion that folds the picture over itself."""

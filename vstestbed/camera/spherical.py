@@ -47,6 +47,7 @@ class SphericalCamera(Radial):
             fovy_deg=FACE_DEG,
             rate_hz=self.rate_hz,
             multisampling=self.multisampling,
+            anisotropy=self.anisotropy,
             shadows=self.shadows,
         )
         return tuple(Panel(lens, R) for R in CUBE.values())

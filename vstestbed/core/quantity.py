@@ -138,6 +138,8 @@ Pixels = Annotated[float, Ge(0), Within(0.0, 1e5, "px", _WIDE)]
 """A length in a picture that may be 0 [px], an area [px^2], or a speed in it [px/s]."""
 PositivePixels = Annotated[float, Gt(0), Within(1e-12, 1e5, "px", f"far under what can be measured to {_WIDE}")]
 """A tolerance or a length in a picture [px], or a speed in it [px/s]."""
+PositiveGrey = Annotated[float, Gt(0), Within(1e-6, 255.0, "", "the range of a picture's grey levels")]
+"""A tolerance of a picture's luminance [grey levels]."""
 Pixel = Annotated[tuple[Annotated[float, Within(-1e5, 1e5, "px", _WIDE)], ...], Len(2, 2)]
 """A place in a picture (u, v), or the distance of two [px]."""
 

@@ -5,12 +5,15 @@ from dataclasses import fields
 from vstestbed.core.contract import Contract
 from vstestbed.core.spec import OneOf
 from vstestbed.features.base import Feature
+from vstestbed.features.ellipse import Ellipse
 from vstestbed.features.line import LineFeature
 from vstestbed.features.log_depth import LogDepth
+from vstestbed.features.moments import Moments
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.features.point import Point
 from vstestbed.features.polar import Polar
 from vstestbed.features.polygon import Polygon
+from vstestbed.features.segment import Segment
 from vstestbed.features.spherical import Spherical
 from vstestbed.features.theta_u import ThetaU
 from vstestbed.features.translation import Translation
@@ -18,8 +21,25 @@ from vstestbed.features.translation import Translation
 # A feature is computed for the current view and for the goal view: its inputs must be fields of both.
 _VIEW_FIELDS = sorted(f.name for f in fields(Observation) if hasattr(Goal, f.name) or f.name in Goal.__dataclass_fields__)
 FEATURES = OneOf(
-    "feature", Point, Polar, Spherical, Polygon, LineFeature, default="point", contract=Contract(Feature, words={"inputs": _VIEW_FIELDS})
+    "feature",
+    *(Point, Polar, Spherical, Polygon, LineFeature, Segment, Moments, Ellipse),
+    default="point",
+    contract=Contract(Feature, words={"inputs": _VIEW_FIELDS}),
 )
 """Features of image points, for `ibvs`; LogDepth, ThetaU and Translation take a depth or a pose, and other laws combine them."""
 
-__all__ = ["FEATURES", "Feature", "LineFeature", "LogDepth", "Point", "Polar", "Polygon", "Spherical", "ThetaU", "Translation"]
+__all__ = [
+    "FEATURES",
+    "Ellipse",
+    "Feature",
+    "LineFeature",
+    "LogDepth",
+    "Moments",
+    "Point",
+    "Polar",
+    "Polygon",
+    "Segment",
+    "Spherical",
+    "ThetaU",
+    "Translation",
+]

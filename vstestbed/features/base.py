@@ -9,12 +9,19 @@ import numpy as np
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 
+UNEVEN = 0.01
+"""Scatter of points off their plane, as a share of their largest scatter in it, from which they count as not in one plane."""
+DEPENDENT = 1e-4
+"""Ratio of the smallest to the largest singular value of L under which its rows count as dependent."""
+
 
 class Feature(Protocol):
     """A feature s(x) of N markers, with e_dot = L v for a static target and v the camera twist in the camera frame.
 
     s may have more numbers than e has rows (a polygon's s has all segments, for example). L is the derivative of e: of
     error(s(t), s*) at s* = s.
+
+    It may also have `check_goal(x, distance)`, which raises a ParameterError for both inputs in a goal view at which it cannot work.
 
     Attributes:
         inputs: the two fields of an observation and of a goal that it takes: mostly ("xy", "depth"), for features of wide lenses
@@ -68,3 +75,31 @@ def checked(x: Array, distance: Array, inputs: tuple[str, ...], least: int = 1) 
         behind = ": a point at or behind the lens has no image" if of == "depth" else ""
         raise ParameterError(of, f"must be > 0 m for every point{behind}")
     return x, distance
+
+
+def require_plane(xy: Array, depth: Array, kind: str) -> None:
+    """Refuse points xy (N, 2) at depths (N,) [m] that do not lie in one plane, for a feature of this kind.
+
+    Raises:
+        ParameterError: it names the target.
+    """
+    p = np.column_stack([xy, np.ones(len(xy))]) * np.asarray(depth)[:, None]
+    spread = np.linalg.svd(p - p.mean(axis=0), compute_uv=False)
+    if spread[-1] > UNEVEN * spread[0]:
+        raise ParameterError("target", f"must have its markers in one plane for the feature {kind}; use point, or another target")
+
+
+def require_independent(L: Array, scale: Array, depth: Array, words: str) -> None:
+    """Refuse an L (rows, 6) whose rows depend on one another, or on nothing; of more than six rows, six must not.
+
+    Args:
+        L: at the goal view. scale: size of each row's quantity (rows,), by which the row is divided. depth: of the markers (N,) [m].
+        words: the message.
+
+    Raises:
+        ParameterError: it names the feature.
+    """
+    A = L / np.asarray(scale)[:, None] * np.array([np.mean(depth)] * 3 + [1.0] * 3)
+    singular = np.linalg.svd(A, compute_uv=False)
+    if not singular[-1] > DEPENDENT * singular[0]:
+        raise ParameterError("law.feature.rows", words)

@@ -6,6 +6,8 @@ from abc import ABC, abstractmethod
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
+from annotated_types import Ge, Le
+from numpy.typing import NDArray
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, lengths
@@ -26,6 +28,8 @@ class DepthCues(NamedTuple):
         p_estimated: markers in the camera frame by the estimated pose, shape (N, 3) [m]; None without a pose.
         p_true: true markers in the camera frame, shape (N, 3) [m]; None without the oracle.
         by_flow: unit rays (N, 3) and ranges (N,) [m] of the recursive estimate; None where there is none.
+        measured: depths by the depth camera (N,) [m], NaN in its holes (`DepthSource.read`); None without one.
+        p_by_size: markers in the camera frame by the target's known size, shape (N, 3) [m]; None where that is not asked for.
     """
 
     goal: Goal
@@ -33,6 +37,8 @@ class DepthCues(NamedTuple):
     p_estimated: Array | None = None
     p_true: Array | None = None
     by_flow: tuple[Array, Array] | None = None
+    measured: Array | None = None
+    p_by_size: Array | None = None
 
 
 class DepthSource(ABC):
@@ -41,6 +47,8 @@ class DepthSource(ABC):
     kind: Any  # the word in a scenario: a field of each
     needs_pose: ClassVar[bool] = False
     """The target's pose must be estimated."""
+    needs_size: ClassVar[bool] = False
+    """The target's known size must tell its place."""
     true: ClassVar[bool] = False
     """Depths are the simulator's truth."""
     on_floor: ClassVar[bool] = False
@@ -48,9 +56,16 @@ class DepthSource(ABC):
     preset: ClassVar[bool] = False
     """Depths are given numbers, not measured: derotation leaves them as they are."""
 
+    measured: ClassVar[bool] = False
+    """Depths are read from the picture of a depth camera (`camera.depth_sensor`)."""
+
     @property
     def estimator(self) -> Estimate | None:
         """Parameters of the recursive estimate from motion; None where depths come from elsewhere."""
+        return None
+
+    def read(self, depth_image: NDArray[np.float32] | None, uv: Array) -> Array | None:
+        """Measured depths (N,) [m] at pixels uv (N, 2) of a depth picture (H, W) [m]; None for a source that needs none."""
         return None
 
     @abstractmethod
@@ -160,6 +175,22 @@ class Estimate(DepthSource):
 
 
 @spec
+class BySize(DepthSource):
+    """For a ball: depth from its known radius. The rays that touch it lie on a cone whose angle is the ball's distance."""
+
+    kind: Literal["size"] = "size"
+    needs_size: ClassVar[bool] = True
+
+    def depths(self, cues: DepthCues) -> Array:
+        """Z of the points of the outline."""
+        return np.full(len(cues.xy), np.nan) if cues.p_by_size is None else cues.p_by_size[:, 2]
+
+    def ranges(self, cues: DepthCues) -> Array:
+        """Distance of the points of the outline."""
+        return np.full(len(cues.xy), np.nan) if cues.p_by_size is None else lengths(cues.p_by_size)[:, 0]
+
+
+@spec
 class OracleDepth(DepthSource):
     """The simulator's true depth; only with `detector: {kind: oracle}`."""
 
@@ -176,7 +207,7 @@ class OracleDepth(DepthSource):
 
     def _true(self, cues: DepthCues) -> Array:
         if cues.p_true is None:
-            raise ParameterError("depth", "oracle is only with detector {kind: oracle}; valid here: pnp, constant, goal, estimate")
+            raise ParameterError("depth", "oracle is only with detector {kind: oracle}; valid here: pnp, constant, goal, estimate, sensor")
         return cues.p_true
 
 
@@ -192,5 +223,62 @@ class OnFloor(FromPose):
     on_floor: ClassVar[bool] = True
 
 
-DEPTHS = OneOf("depth", PnP, Constant, AtGoal, Estimate, OnFloor, OracleDepth)
+@spec
+class Sensed(DepthSource):
+    """Each marker's depth as the depth camera measures it: the median of the valid pixels in a square round the marker's pixel.
+
+    It is the depth of the surface that is seen, of a ball that of its front. Where fewer than half of the square's pixels are valid there
+    is no depth: the law does without that marker, unless `missing_m` says which depth to take. The markers' depths in the goal view are
+    those of its geometry; only points that a detector finds in the goal's picture have theirs from its depth picture.
+
+    Args:
+        window_px: side of the square, odd [px].
+        missing_m: depth of a marker that was not measured [m]; None leaves it out; e.g. `100`.
+    """
+
+    kind: Literal["sensor"] = "sensor"
+    window_px: Annotated[int, Ge(1), Le(31)] = 5
+    missing_m: PositiveLength | None = None
+    measured: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        """Refuse a square without a middle."""
+        if self.window_px % 2 == 0:
+            raise ParameterError("window_px", "must be odd: the marker's pixel is in the middle", self.window_px)
+
+    def read(self, depth_image: NDArray[np.float32] | None, uv: Array) -> Array | None:
+        """The medians (N,) [m]; NaN where too few pixels are valid, and for markers that are not seen."""
+        return None if depth_image is None else depth_at(depth_image, uv, self.window_px)
+
+    def depths(self, cues: DepthCues) -> Array:
+        """The measured depths; `missing_m` for markers that are seen and not measured."""
+        z = np.full(len(cues.xy), np.nan) if cues.measured is None else cues.measured
+        if self.missing_m is None:
+            return z
+        return np.where(np.isnan(z) & np.isfinite(cues.xy[:, 0]), self.missing_m, z)
+
+    def ranges(self, cues: DepthCues) -> Array:
+        """Ranges at these depths, Z sqrt(1 + x^2 + y^2)."""
+        return self.depths(cues) * np.sqrt(1 + (cues.xy**2).sum(axis=1))
+
+
+def depth_at(depth_image: NDArray[np.float32], uv: Array, side: int = 1) -> Array:
+    """Median (N,) [m] of the valid pixels in squares of odd `side` [px] round pixels uv (N, 2); NaN where under half of a square is valid.
+
+    What lies outside of the picture (H, W) is not valid.
+    """
+    half, (height, width) = side // 2, depth_image.shape
+    known = np.isfinite(uv[:, 0]) & np.isfinite(uv[:, 1])
+    at = np.rint(np.clip(np.where(known[:, None], uv, -1e6), -1e6, 1e6)).astype(int)
+    v, u = (at[:, i, None] + np.arange(-half, half + 1) for i in (1, 0))
+    inside = ((v >= 0) & (v < height))[:, :, None] & ((u >= 0) & (u < width))[:, None, :]
+    values = depth_image[np.clip(v, 0, height - 1)[:, :, None], np.clip(u, 0, width - 1)[:, None, :]].astype(float)
+    values = np.sort(np.where(inside, values, np.nan).reshape(len(uv), side * side), axis=1)  # NaN last
+    n = np.isfinite(values).sum(axis=1)
+    rows, enough = np.arange(len(uv)), 2 * n > side * side
+    middle = values[rows, np.maximum(n - 1, 0) // 2] + values[rows, n // 2]
+    return np.where(enough, middle / 2, np.nan)
+
+
+DEPTHS = OneOf("depth", PnP, Constant, AtGoal, Estimate, OnFloor, BySize, Sensed, OracleDepth)
 Depth = Annotated[DepthSource, DEPTHS]

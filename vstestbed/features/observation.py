@@ -73,6 +73,8 @@ class Observation:
         robot: its own velocities, their limits and the camera twist that they make, when the picture has arrived, for laws that ask
             for it.
         image: the whole picture, for laws that ask for it.
+        ids: number of the point in each row (N,), the same as long as the row shows the same point, -1 in an empty row; None: row i is
+            always marker i.
 
     Where the scenario derotates, xy, depth, T_camera_target, ray, relative and motion are those of the level camera, which
     shares the craft's place and heading; uv is what the picture shows.
@@ -93,11 +95,18 @@ class Observation:
     proprioception: Array | None = None
     robot: OwnModel | None = None
     image: Sight | None = None
+    ids: NDArray[np.intp] | None = None
 
     @property
     def seen(self) -> NDArray[np.bool_]:
         """Which markers are seen, shape (N,)."""
         return np.isfinite(self.uv[:, 0])
+
+    def same(self, before: Observation) -> NDArray[np.bool_]:
+        """Which rows show the point that they showed in another observation, shape (N,)."""
+        if self.ids is None or before.ids is None:
+            return np.ones(len(self.uv), dtype=bool)
+        return np.asarray((self.ids == before.ids) & (self.ids >= 0))
 
     def only(self, counted: NDArray[np.bool_] | None) -> Observation:
         """The same without the markers that do not count, (N,) bool; all count where that is None."""

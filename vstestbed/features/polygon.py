@@ -66,6 +66,16 @@ class Polygon:
         turned = angle_error(d, d_star)
         return np.stack([np.broadcast_to(size_error(s[..., 0], s_star[..., 0]), turned.shape), turned], axis=-1)
 
+    def check_goal(self, xy: Array, depth: Array) -> None:
+        """Refuse a goal view xy (N, 2) in which three or more markers span no area.
+
+        Raises:
+            ParameterError: the markers lie on one line, or the polygon crosses itself so that its loops cancel.
+        """
+        if len(xy) > 2 and not spans_area(size(xy), segments(xy)):
+            words = "spans no area in the goal view, by which the law measures size; the markers must not lie on one line, and must be in"
+            raise ParameterError("target", f"{words} order around the polygon: the areas of a bow tie's two loops cancel")
+
 
 def size(xy: Array) -> Array:
     """Sigma (...), the square root of the area of the polygon with vertices xy (..., N, 2) in order."""

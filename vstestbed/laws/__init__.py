@@ -6,6 +6,7 @@ from vstestbed.laws.ibvs import IBVS
 from vstestbed.laws.line_following import LineFollowing
 from vstestbed.laws.partitioned import Partitioned
 from vstestbed.laws.pbvs import PBVS
+from vstestbed.laws.photometric import Photometric
 from vstestbed.laws.policy import Policy
 from vstestbed.laws.pose_controller import PoseController
 from vstestbed.laws.predictive import Predictive
@@ -29,6 +30,7 @@ __all__ = [
     "LawBase",
     "LineFollowing",
     "Partitioned",
+    "Photometric",
     "Policy",
     "PoseController",
     "Predictive",

@@ -49,6 +49,7 @@ class Command:
         rates: the robot's own velocities (m,) (`Observation.robot`) that the law orders, whose camera twist `twist` is; None: the
             robot finds its own for the twist.
         mode: number of the word in `Law.modes` for what the law did.
+        error_grey: RMS of the difference between picture and goal picture, of a law that works on grey levels; NaN else.
     """
 
     u: Array
@@ -58,6 +59,7 @@ class Command:
     free: tuple[FreeMotions, ...] = ()
     rates: Array | None = None
     mode: int = 0
+    error_grey: float = math.nan
 
     @classmethod
     def rest(cls, basis: Array, why: str) -> Command:
@@ -128,16 +130,17 @@ class Law(Protocol[M]):
         """Words for what the law may do in a frame; `Command.mode` is the number of one, the log's `law_mode`."""
         ...
 
+    @property
+    def needs_same_markers(self) -> bool:
+        """Whether each row must show the same marker in every picture, in the target's order."""
+        ...
+
     def markers_needed(self, basis: Array) -> int:
         """The least number of visible markers with which `step` can control the robot's motions, basis (6, n)."""
         ...
 
     def check(self, points: Array, goal: Goal) -> None:
-        """Refuse markers (N, 3) in the target frame [m], or a goal view of them, with which the law cannot work.
-
-        Raises:
-            ParameterError: it names a field of the scenario (`target`, ...).
-        """
+        """Refuse markers (N, 3) in the target frame [m], or a goal view of them, with which the law cannot work, by a ParameterError."""
         ...
 
     def check_view(self, goal: Goal, marker_radius_m: float, called: Callable[[int], str] = str) -> None:
@@ -253,11 +256,8 @@ class TwistLimits:
 class LawBase:
     """Defaults for all members of `Law` but `kind` and `step`: the base class for a law of one's own.
 
-        @LAWS.add
-        @spec
-        class Mine(LawBase):
+        class Mine(LawBase):  # with @LAWS.add and @spec
             kind: Literal["mine"] = "mine"
-            gain: float = 0.5
 
             def step(self, memory, observation, goal, basis): ...
 
@@ -276,6 +276,7 @@ class LawBase:
     cruise_mps = None
     rest_m = 0.0
     modes = ()
+    needs_same_markers = False
 
     def markers_needed(self, basis: Array) -> int:
         """As many markers as the robot's motions, basis (6, n), need with two equations each."""

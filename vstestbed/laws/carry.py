@@ -52,7 +52,7 @@ def carried_markers(
         basis: the robot's motions (6, n), or None where too few markers are seen to correct the others by.
     """
     p = transform(way, points(last))
-    known = np.isfinite(p[:, 0])
+    known = np.isfinite(p[:, 0]) & seen.same(last)
     kept = known & (unseen_s <= longest_s)
     if basis is None:
         return moved_markers(seen, p, kept)

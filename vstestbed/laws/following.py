@@ -132,7 +132,7 @@ def change_of_markers(feature: Feature, memory: Followed, now: Observation, need
         return None
     what, distance = feature.inputs
     both = np.isfinite(getattr(before, what)[:, 0]) & np.isfinite(getattr(now, what)[:, 0])
-    both &= np.isfinite(getattr(before, distance)) & np.isfinite(getattr(now, distance))
+    both &= np.isfinite(getattr(before, distance)) & np.isfinite(getattr(now, distance)) & now.same(before)
     if np.count_nonzero(both) < needed:
         return None
     (x0, d0), (x1, d1) = ((getattr(o, what)[both], getattr(o, distance)[both]) for o in (before, now))

@@ -13,7 +13,7 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import Time
 from vstestbed.core.spec import spec
-from vstestbed.features import FEATURES, LineFeature, Point, Polar, Polygon, Spherical
+from vstestbed.features import FEATURES, LineFeature, Point
 from vstestbed.features.base import Feature
 from vstestbed.features.depth import Depth, PnP
 from vstestbed.features.observation import Goal, Observation
@@ -30,7 +30,7 @@ from vstestbed.laws.following import (
     usable_markers,
 )
 from vstestbed.laws.projection import Classical, Projection
-from vstestbed.laws.select import ALL, Rows, require_area
+from vstestbed.laws.select import ALL, Rows, check_goal
 from vstestbed.laws.smoothing import BEGIN, CommandShape, Shaped
 from vstestbed.laws.solve import Solve, least_squares
 from vstestbed.laws.views import Views
@@ -88,7 +88,7 @@ class IBVS(LawBase):
     kind: Literal["ibvs"] = "ibvs"
     tasks = ("view", "path", "landing")
     gain: Gain = ConstantGain()
-    feature: Annotated[Point | Polar | Spherical | Polygon | LineFeature, FEATURES] = Point()
+    feature: Annotated[Feature, FEATURES] = Point()
     interaction: Literal["current", "desired", "mean"] = "current"
     solve: Solve = Solve()
     depth: Depth = PnP()
@@ -111,10 +111,14 @@ class IBVS(LawBase):
         """The inputs of the feature, the camera's own motion for feedforward, and the markers' radii for `visibility`."""
         return self.feature.inputs + inputs_of(self.feedforward) + self.visibility.inputs
 
+    @property
+    def needs_same_markers(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride] - a property in place of a constant
+        """The features that describe the markers as a set do, and lines, which are made of two each."""
+        return self.feature.rows_per_marker == 0 or isinstance(self.feature, LineFeature)
+
     def check(self, points: Array, goal: Goal) -> None:
-        """Refuse, for the feature `polygon`, a goal view in which three or more markers span no area."""
-        if isinstance(self.feature, Polygon) and len(points) > 2:
-            require_area(goal)
+        """Refuse a goal view at which the feature cannot work, by its `check_goal`."""
+        check_goal(self.feature, goal)
 
     def init(self, goal: Goal) -> IBVSMemory:
         """No command so far."""

@@ -13,7 +13,7 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, exp, transform
 from vstestbed.core.quantity import Angle, PositiveGain
 from vstestbed.core.spec import spec
-from vstestbed.features import Point
+from vstestbed.features import Point, Polygon
 from vstestbed.features.depth import Depth, PnP
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.features.polygon import angle_error, segments, size, size_error, spans_area
@@ -30,7 +30,7 @@ from vstestbed.laws.following import (
     inputs_of,
     usable_markers,
 )
-from vstestbed.laws.select import NO_AREA, Rows, require_area
+from vstestbed.laws.select import NO_AREA, Rows, check_goal
 from vstestbed.laws.solve import Solve, least_squares
 from vstestbed.laws.views import Views
 from vstestbed.laws.visibility import Visibility
@@ -38,7 +38,7 @@ from vstestbed.laws.visibility import Visibility
 COLUMN = {"x": 0, "y": 1, "z": 2, "wz": 5}
 """Column of the twist of each motion that a single feature can command."""
 Axis = Literal["x", "y", "z", "wz"]
-_POINT = Point()
+_POINT, _POLYGON = Point(), Polygon()
 # An angle is known up to a full turn: the candidates beside it are the same orientation, the other way round.
 _ROUND = 2 * np.pi * np.array([-1.0, 0.0, 1.0])
 
@@ -100,6 +100,7 @@ class Partitioned(LawBase):
     """
 
     kind: Literal["partitioned"] = "partitioned"
+    needs_same_markers = True  # their polygon's size and angle
     gain: Gain = ConstantGain()
     gain_z: PositiveGain = 1.0
     gain_turn: PositiveGain = 0.5
@@ -126,14 +127,14 @@ class Partitioned(LawBase):
         return (*_POINT.inputs, *inputs_of(self.feedforward), *self.visibility.inputs)
 
     def check(self, points: Array, goal: Goal) -> None:
-        """Refuse fewer than four markers, and a goal view without an area (`require_area`).
+        """Refuse fewer than four markers, and a goal view without an area (`Polygon.check_goal`).
 
         Three have the same image from up to four poses: there the points' error vanishes, and with it those of size and angle.
         """
         if len(points) < 4:
             words = f"has {len(points)} markers, and law partitioned needs 4 or more: three look as at the goal from up to four poses"
             raise ParameterError("target", words)
-        require_area(goal)
+        check_goal(_POLYGON, goal)
 
     def init(self, goal: Goal) -> PartitionedMemory:
         """No rotation chosen so far."""

@@ -57,6 +57,7 @@ class Policy(LawBase):
     depth: Depth = AtGoal()
     limits: TwistLimits = TwistLimits()
     tasks = ("view", "path", "landing", "pose", "gap", "line")
+    needs_same_markers = True
 
     def __post_init__(self) -> None:
         """Load the policy, so that a mistake in `file` is told before anything runs."""

@@ -12,7 +12,7 @@ from annotated_types import Ge, Le
 from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import Pixels, PositiveGain, PositiveTime
 from vstestbed.core.spec import spec
-from vstestbed.features import FEATURES, LineFeature, Point, Polar, Polygon, Spherical
+from vstestbed.features import FEATURES, Point
 from vstestbed.features.base import Feature
 from vstestbed.features.depth import Depth, PnP
 from vstestbed.features.observation import Goal, Observation
@@ -88,7 +88,7 @@ class Predictive(LawBase):
 
     kind: Literal["predictive"] = "predictive"
     gain: PositiveGain = 2.0
-    feature: Annotated[Point | Polar | Spherical | Polygon | LineFeature, FEATURES] = Point()
+    feature: Annotated[Feature, FEATURES] = Point()
     horizon: Annotated[int, Ge(1), Le(50)] = 10
     blocks: Annotated[int, Ge(1), Le(50)] = 4
     model: Literal["global", "local"] = "global"
@@ -106,6 +106,11 @@ class Predictive(LawBase):
     def inputs(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride] - a property in place of a constant
         """The inputs of the feature, the robot, and the markers' radii for the border."""
         return (*self.feature.inputs, "robot", *(("radius_px",) if self.margin_px is not None else ()), *inputs_of(self.feedforward))
+
+    @property
+    def needs_same_markers(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride] - a property in place of a constant
+        """As `ibvs` with this feature."""
+        return IBVS(feature=self.feature).needs_same_markers
 
     def markers_needed(self, basis: Array) -> int:
         """As many as `ibvs` with this feature."""

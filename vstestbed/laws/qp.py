@@ -130,6 +130,11 @@ class QP(LawBase):
         """That of the law within."""
         return self.law.feedforward
 
+    @property
+    def needs_same_markers(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride] - a property in place of a constant
+        """Those of the law within."""
+        return self.law.needs_same_markers
+
     def markers_needed(self, basis: Array) -> int:
         """As many as the law within."""
         return self.law.markers_needed(basis)

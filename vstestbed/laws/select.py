@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import all_finite
+from vstestbed.features.base import Feature
 from vstestbed.features.observation import Goal, Observation
-from vstestbed.features.polygon import segments, size, spans_area
 
 Rows = slice | NDArray[np.bool_]
 """Selection of markers along the first axis of an array."""
@@ -37,12 +36,16 @@ def usable_rows(observation: Observation, inputs: tuple[str, ...], needed: int) 
     return TOO_FEW if np.count_nonzero(seen) < needed else NO_DEPTH
 
 
-def require_area(goal: Goal) -> None:
-    """Refuse a goal view in which the markers' polygon has no area.
+def check_goal(feature: Feature, goal: Goal) -> None:
+    """Refuse a goal view at which a feature cannot work, as the feature's own `check_goal` says of the markers that count.
 
     Raises:
-        ParameterError: the markers lie on one line, or the polygon crosses itself so that its loops cancel.
+        ParameterError: it names a field of the scenario.
     """
-    if not spans_area(size(goal.xy), segments(goal.xy)):
-        words = "spans no area in the goal view, by which the law measures size; the markers must not lie on one line, and must be in"
-        raise ParameterError("target", f"{words} order around the polygon: the areas of a bow tie's two loops cancel")
+    check = getattr(feature, "check_goal", None)
+    if check is None:
+        return
+    x, distance = (getattr(goal, name) for name in feature.inputs)
+    known = np.isfinite(x[:, 0]) if goal.counted is None else np.isfinite(x[:, 0]) & goal.counted
+    if np.count_nonzero(known) >= feature.least_markers:
+        check(x[known], distance[known])

@@ -9,6 +9,7 @@ from vstestbed.laws.ibvs import IBVS
 from vstestbed.laws.line_following import LineFollowing
 from vstestbed.laws.partitioned import Partitioned
 from vstestbed.laws.pbvs import PBVS
+from vstestbed.laws.photometric import Photometric
 from vstestbed.laws.policy import Policy
 from vstestbed.laws.pose_controller import PoseController
 from vstestbed.laws.predictive import Predictive
@@ -28,6 +29,7 @@ LAWS = OneOf(
     PoseController,
     Pursuit,
     LineFollowing,
+    Photometric,
     Policy,
     contract=LAW_CONTRACT,
 )

@@ -171,6 +171,11 @@ class Switched(LawBase):
             words += [f"{word} {mode}" for mode in part.law.modes] or [word]
         return tuple(words)
 
+    @property
+    def needs_same_markers(self) -> bool:
+        """Whether one of the laws does."""
+        return any(part.law.needs_same_markers for part in self.laws)
+
     def markers_needed(self, basis: Array) -> int:
         """As many as the law that needs the most."""
         return max(part.law.markers_needed(basis) for part in self.laws)

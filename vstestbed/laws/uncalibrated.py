@@ -116,6 +116,7 @@ class Uncalibrated(LawBase):
     inputs = ("robot",)
     depth = AtGoal()
     modes = ("excites", "servoes")
+    needs_same_markers = True
     gain: Gain = ConstantGain()
     estimator: Estimator = RecursiveLeastSquares()
     excitation: Excitation = Excitation()

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from vstestbed.camera import Image, Look, Picture
+from vstestbed.camera import DepthImage, Image, Look, Picture
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, inverse
 from vstestbed.core.outcome import Outcome
@@ -86,7 +86,14 @@ class Controller:
         self._cycle: Cycle | None = None
         self.spent = {"detect": 0.0, "law": 0.0}
 
-    def step(self, picture: Image | Sequence[Image], t: float, readings: Reading | Readings, arrived: float | None = None) -> Cycle:
+    def step(
+        self,
+        picture: Image | Sequence[Image],
+        t: float,
+        readings: Reading | Readings,
+        arrived: float | None = None,
+        depth: DepthImage | None = None,
+    ) -> Cycle:
         """One control step for a picture of a real camera.
 
         Args:
@@ -94,6 +101,7 @@ class Controller:
             t: time of the exposure's middle [s], on a clock that starts with the task.
             readings: of the robot's sensors, at the exposure and now; one where there is no difference.
             arrived: the time now [s]; by default `camera.latency_s` after the exposure.
+            depth: of a depth camera, (H, W) of the picture's size [m], NaN or 0 in holes; only `law.depth: sensor` needs it.
 
         Returns the cycle, with `twist` and `setpoint`, which is due `timing.command_latency_s` later; `notes` tell of pictures that
         came late or twice, or did not come. A picture that comes twice changes nothing: the last cycle is returned again.
@@ -102,12 +110,13 @@ class Controller:
             ParameterError: a picture of another size or kind, a reading of another robot, a time that goes back, a detector that
                 needs the simulator's truth.
         """
+        depth = self.inputs.depth(depth)
         (at_exposure, now), notes = self.inputs.given(picture, t, readings, arrived)
         if self._cycle is not None and t == self._cycle.t:
             return replace(self._cycle, notes=notes)
         at = t + self.scenario.camera.latency_s if arrived is None else arrived
         images = (picture,) if isinstance(picture, np.ndarray) else tuple(picture)
-        shot = Exposure(self.inputs.taken, t, Picture(t, images), at_exposure)
+        shot = Exposure(self.inputs.taken, t, Picture(t, images, depth=depth), at_exposure)
         self._cycle = replace(self.arrive(shot, Arrival(at, at + self.scenario.timing.command_latency_s, now)), notes=notes)
         return self._cycle
 
@@ -215,7 +224,8 @@ class Controller:
         if self._needs_motion:
             own = self._own_motion(last, shot, now, twist)
         heading, tilt = shot.reading.heading, shot.reading.tilt
-        observed = self.observer.observe(self.observer_memory, shot.t, detection, twist, self.rng, heading, tilt, own)
+        depth = shot.picture.depth if shot.picture else None
+        observed = self.observer.observe(self.observer_memory, shot.t, detection, twist, self.rng, heading, tilt, own, depth)
         self.observer_memory, seen = observed
         if self._own_rates is not None:
             seen = replace(seen, robot=self._own_rates.model(last, shot, now, self._mount_at(now.reading.q)))

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from vstestbed.camera import Image
+from vstestbed.camera import DepthImage, Image
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.robots import Reading
@@ -31,7 +31,7 @@ class Inputs:
     def __init__(self, scenario: Scenario):
         self._camera, self._robot, self._detector = scenario.camera, scenario.robot, scenario.detector
         self._latest_s = scenario.timing.latest_s(scenario.camera)
-        self._reading = scenario.robot.reading
+        self._reading, self._reads_depth = scenario.robot.reading, scenario.law.depth.measured
         self._t: float | None = None
         self._arrived: float | None = None
         self.taken = -1
@@ -52,6 +52,20 @@ class Inputs:
         if reading.tilt is not None:
             _finite("readings.tilt", "must be roll and pitch in radians, or None", reading.tilt, (2,))
         return replace(copy.deepcopy(reading), q=q, qd=qd)
+
+    def depth(self, image: DepthImage | None) -> DepthImage | None:
+        """A depth picture as float32 in metres, NaN in its holes, in an array of its own.
+
+        Raises:
+            ParameterError: it is missing where the law reads it, or of another size or kind.
+        """
+        if image is None and not self._reads_depth:
+            return None
+        wanted = self._camera.height, self._camera.width
+        if not isinstance(image, np.ndarray) or image.shape != wanted or image.dtype.kind != "f":
+            found = f"{image.shape} {image.dtype}" if isinstance(image, np.ndarray) else type(image).__name__
+            raise ParameterError("depth", f"must be {wanted} of floats, in metres, NaN or 0 where nothing was measured", found)
+        return np.where(image > 0, image, np.nan).astype(np.float32)
 
     def now(self, t: float) -> float:
         """A time [s] at which no picture has come, which is not before the last picture's."""

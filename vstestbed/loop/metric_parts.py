@@ -82,8 +82,8 @@ def _converged_frames(scenario: Scenario, log: Columns) -> NDArray[np.bool_]:
     reached, none = scenario.stop.converged, np.full(len(log["t"]), np.nan)
     estimate = [log[name] if reached.by_estimate else none for name in ("est_position_m", "est_rotation_rad")]
     error = log.get("level_error_px", log["error_px"])  # of a craft that tilts, the error by which the judge decides
-    rows = zip(whole, error, *estimate, strict=True)
-    last_view = log["view"] == len(scenario.goal_views) - 1 if len(scenario.goal_views) > 1 else np.ones(len(whole), dtype=bool)
+    rows = zip(np.broadcast_to(whole, len(none)), error, *estimate, log.get("error_grey", none), strict=True)
+    last_view = log["view"] == len(scenario.goal_views) - 1 if len(scenario.goal_views) > 1 else np.ones(len(none), dtype=bool)
     return np.array([reached.near(*row) for row in rows]) & last_view & ~log["lost"].astype(bool)
 
 

@@ -22,4 +22,5 @@ def observer_of(scenario: Scenario) -> Observer:
         trim_s=scenario.level_trim_s,
         depth_scale=scenario.depth_scale,
         perturbed=perturbed if perturbed and perturbed.on_pixels else None,
+        rows=scenario.detector.rows,
     )

@@ -70,9 +70,10 @@ class CameraClock:
 
     def _expose(self, planned: Planned, step: int) -> None:
         # Truth, time stamp and reading are those of the exposure's middle: a symmetric smear leaves a marker's centre there.
-        if step >= planned.middle and self.middle is None:
+        is_middle = step >= planned.middle and self.middle is None
+        if is_middle:
             self.middle = self._shot(step, self.plant.truth())
-        self.plant.expose(planned.weights[self.opening], self.look)
+        self.plant.expose(planned.weights[self.opening], self.look, is_middle)
         self.opening += 1
         if self.opening == len(planned.opens) and self.middle is not None:
             self._send(planned, self.plant.developed(self.middle.shot.t), self.middle)

@@ -24,6 +24,8 @@ def never_found(scenario: Scenario) -> str:
     """That a detector of pictures has found nothing from the start on, and the likely causes."""
     target, n = scenario.target, len(scenario.target.points)
     words = f"detector {scenario.detector.kind} has not found one of {n} marker{'s' * (n != 1)} in any picture"
+    if scenario.detector.needs_sheet:
+        return f"{words}: at the start the picture may be outside of it, too small, too oblique or without structure"
     if target.shows_markers:
         return f"{words}: at the start they may be outside of it, hidden or too small"
     return f"{words}: the file {target.source.name if target.source else ''} may not show {target.marker.looks(n)} there"

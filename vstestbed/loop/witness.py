@@ -44,11 +44,11 @@ class Witness:
     def frame(self, cycle: Cycle, shot: Exposure, truth: Truth, image: Image | None) -> Frame:
         """The cycle with the truth at its exposure, and the robot's and the task's own columns."""
         row = np.empty(self._own)
-        c = cycle
+        c, depth = cycle, shot.picture.depth if shot.picture else None
         if self._goal is not None:
             points = points_of(goal_of_points(self._goal, c.goal.uv))
             truth = replace(truth, p_camera=transform(inverse(truth.T_world_camera) @ truth.T_world_target, points))
-        frame = Frame(c.timing, c.observation, c.goal, c.error, c.command, c.allocation, truth, image, row)
+        frame = Frame(c.timing, c.observation, c.goal, c.error, c.command, c.allocation, truth, image, row, depth_image=depth)
         values = self.task.measure(frame)
         row[:] = (*self._robot_row(frame, shot), *values)
         return frame

@@ -3,27 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
 
-from vstestbed.camera import Camera
+from vstestbed.camera import DEPTH_SENSORS, Camera
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
-from vstestbed.core.spec import kind_of
-from vstestbed.features.depth import OnFloor, PnP
 from vstestbed.features.observation import Goal
 from vstestbed.laws import Law
-from vstestbed.robots import VEHICLES, Mount, Robot
+from vstestbed.robots import VEHICLES, Robot
 from vstestbed.sim.scene.world import World
 from vstestbed.sim.timing import Timing
 from vstestbed.targets import Target
 from vstestbed.tasks.stop import Stop
-from vstestbed.vision import DETECTORS, Detector
+from vstestbed.vision import Detector
 
-ON_ONE_LINE = 1e-6
-"""Ratio of the second to the first singular value of marker positions under which they count as collinear."""
 MOST_FRAMES, MOST_BYTES = 10_000_000, 4 << 30
 """Most frames of a run: a day at 115 Hz, whose log is a table of some 10 GB. Most bytes of pictures in transit."""
 
@@ -58,8 +53,8 @@ def _check_length(field: str, T: Array, most_m: float) -> None:
         raise ParameterError(field, words)
 
 
-def check_memory(camera: Camera, detector: Detector[Any], timing: Timing, stop: Stop) -> None:
-    """Refuse runs whose log, or pictures in transit to the law, would not fit into memory.
+def check_memory(camera: Camera, pictures: bool, timing: Timing, stop: Stop) -> None:
+    """Refuse runs whose log, or pictures in transit to the law, would not fit into memory. pictures: whether any are taken.
 
     Raises:
         ParameterError: with the limit.
@@ -68,9 +63,10 @@ def check_memory(camera: Camera, detector: Detector[Any], timing: Timing, stop: 
         most = f"{MOST_FRAMES / camera.rate_hz:g} s, {MOST_FRAMES} pictures at {camera.rate_hz:g} Hz"
         words = f"must be at most {most}: a longer log is a table of more than 10 GB"
         raise ParameterError("stop.duration_s", words, stop.duration_s)
-    if not detector.needs_image:
+    if not pictures:
         return
-    size = sum(3 * panel.lens.width * panel.lens.height for panel in camera.panels)
+    each = 3 if camera.depth_sensor is None else 7  # bytes of a pixel
+    size = sum(each * panel.lens.width * panel.lens.height for panel in camera.panels)
     transit_s = MOST_BYTES / size / camera.rate_hz
     if camera.latency_s + timing.latency_jitter_s > transit_s:
         words = f"may be at most {transit_s:.4g} s with its jitter: more of these pictures in transit do not fit into memory"
@@ -111,12 +107,18 @@ def _check_without_flight(robot: Robot, world: World, derotation: str) -> None:
         raise ParameterError("world.wind", f"acts only on a craft that flies (robot quadrotor), not on robot {robot.kind}")
 
 
-def check_floor_depth(robot: Robot, law: Law[Any]) -> None:
-    """Refuse depth from the place on the floor for a robot that is no vehicle.
+def check_depth(robot: Robot, camera: Camera, detector: Detector[Any], law: Law[Any]) -> None:
+    """Refuse a source of depth that this scenario has not got: the truth, a depth camera, or a vehicle's place on the floor.
 
     Raises:
         ParameterError: it names the field, and what would work.
     """
+    if law.depth.true and not detector.needs_truth:
+        words = "may be oracle only with detector: {kind: oracle}; with pixels use pnp, constant, goal, estimate or sensor"
+        raise ParameterError("law.depth", words)
+    if law.depth.measured and camera.depth_sensor is None:
+        words = "may be sensor only with a depth camera: add camera.depth_sensor"
+        raise ParameterError("law.depth", f"{words} ({', '.join(DEPTH_SENSORS.members)}), or use pnp, constant, goal or estimate")
     if law.depth.on_floor and robot.base != "planar":
         words = f"may be floor only for a vehicle, and robot {robot.kind} is none; use pnp, goal or estimate"
         raise ParameterError("law.depth", words)
@@ -138,80 +140,3 @@ def check_carrier(target: Target) -> None:
     if speed > leader.top_speed_mps:
         words = f"must be at most {leader.top_speed_mps:g} m/s, the top speed of the {by} that carries the target"
         raise ParameterError("target.motion.speed_mps", words, speed)
-
-
-def check_markers(robot: Robot, camera: Camera, target: Target, detector: Detector[Any], law: Law[Any], needs_pose: bool) -> None:
-    """Refuse markers that the detector cannot detect, too few markers, and arrangements that do not determine the pose.
-
-    Args:
-        needs_pose: the task needs the target's pose, which not every depth source estimates.
-
-    Raises:
-        ParameterError: it names the field, and what would work.
-    """
-    _check_marker_kind(target.marker.kind, detector)
-    _check_shown(target, detector)
-    _check_marker_count(robot, camera, target, detector, law)
-    if law.depth.needs_pose and not law.depth.on_floor and _leaves_pose_open(target.points):
-        raise _open_pose(robot, target.points, law, needs_pose)
-
-
-def _check_marker_kind(marker: str, detector: Detector[Any]) -> None:
-    """Refuse a kind of marker that the detector cannot detect; a detector that names none detects all."""
-    seen = detector.markers
-    if seen and marker not in seen:
-        words = f"may not be {marker}: detector {detector.kind} sees {', '.join(seen)}; with {marker} use"
-        able = [kind for kind, member in DETECTORS.members.items() if not member.markers or marker in member.markers]
-        raise ParameterError("target.marker", f"{words} detector {' or '.join(able)}")
-
-
-def _check_shown(target: Target, detector: Detector[Any]) -> None:
-    """Refuse a detector of markers where none are drawn and no picture shows any; a detector that names no kinds may see other things."""
-    if target.shows_markers or target.sheet is not None or not detector.markers:
-        return
-    able = [kind for kind, member in DETECTORS.members.items() if not member.markers]
-    words = f"may not be false with detector {detector.kind}: a {kind_of(type(target))} without markers shows it nothing to detect"
-    raise ParameterError("target.draw_markers", f"{words}; use true, or detector {' or '.join(able)}", False)
-
-
-def _check_marker_count(robot: Robot, camera: Camera, target: Target, detector: Detector[Any], law: Law[Any]) -> None:
-    """Refuse fewer markers than the law needs for the motions that the robot can make."""
-    points, basis = target.points, robot.motion_basis(Mount.of(camera.mount.T), robot.start_joints())
-    # One at least: a robot whose motions need none would still have nothing to look at.
-    needed = max(law.markers_needed(basis), 1)
-    if detector.rows is None and len(points) < needed:
-        markers = f"{len(points)} marker{'s' * (len(points) != 1)}"
-        words = f"has {markers}, and law {law.kind} needs {needed} or more for this robot's motions"
-        less = _needed_on_floor(robot, law, basis)
-        enough = less is not None and len(points) >= less
-        raise ParameterError("target", words + (f"; with law.depth floor {less} will do" if enough else ""))
-
-
-def _leaves_pose_open(points: Array) -> bool:
-    """Whether points (N, 3) do not determine a pose: fewer than three, or collinear."""
-    # Rotation about their common line is not observable: the scatter round the centroid has rank one.
-    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    return len(points) < 3 or bool(spread[1] < ON_ONE_LINE * spread[0])
-
-
-def _open_pose(robot: Robot, points: Array, law: Law[Any], needs_pose: bool) -> ParameterError:
-    """The error for markers that do not determine the pose."""
-    if not _has_depth(law):
-        words = f"has all markers on one line, which leaves the pose open that law {law.kind} works with; use other places"
-        return ParameterError("target", words)
-    # Only what this robot and task would accept: `floor` needs a vehicle, a task with a pose needs a source that estimates one.
-    depths = "floor" if needs_pose else "floor, goal or estimate" if robot.base == "planar" else "goal or estimate"
-    which = "all markers lie on one line" if len(points) > 1 else "there is a single marker"
-    return ParameterError("law.depth", f"may not be pnp: {which}, which leaves the pose open; use {depths}")
-
-
-def _has_depth(law: Law[Any]) -> bool:
-    """Whether the source of depth is a parameter of the law."""
-    return any(field.name == "depth" for field in fields(law))
-
-
-def _needed_on_floor(robot: Robot, law: Law[Any], basis: Array) -> int | None:
-    """Markers that the law would need with depth `floor`, as a remedy in a message; None where `floor` is no alternative to `pnp`."""
-    if robot.base != "planar" or not isinstance(law.depth, PnP) or not _has_depth(law):
-        return None
-    return replace(law, depth=OnFloor()).markers_needed(basis)  # pyright: ignore[reportCallIssue] - it has the field

@@ -172,7 +172,7 @@ def seeded(scenario: Scenario, seed: int) -> Scenario:
         ParameterError: nothing is random, or no start was found with the target in view.
     """
     # A fixed start with noise is a fair experiment for many seeds; without noise either, every seed would give the same run.
-    if scenario.robot.start.random is None and scenario.noise.draws():
+    if scenario.robot.start.random is None and (scenario.noise.draws() or scenario.draws_noise):
         return dataclasses.replace(scenario, seed=seed)
     return scenario.randomised(seed)
 

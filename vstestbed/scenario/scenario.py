@@ -7,27 +7,26 @@ from functools import cached_property
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from annotated_types import Ge, Lt
 
 from vstestbed.camera import CAMERAS, Calibration, Camera, Perspective
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, inverse
-from vstestbed.core.quantity import Narrower, Pixels, Seed, Sigma, Time
+from vstestbed.core.quantity import Seed, Time
 from vstestbed.core.spec import spec
 from vstestbed.features.observation import Goal
 from vstestbed.laws import LAWS, Law
 from vstestbed.robots import ROBOTS, Robot
+from vstestbed.scenario.check_points import check_determined, check_judged, check_markers, check_own_points
 from vstestbed.scenario.checks import (
     check_carrier,
-    check_floor_depth,
-    check_markers,
+    check_depth,
     check_memory,
     check_metres,
     check_robot,
     check_views_metres,
 )
+from vstestbed.scenario.noise import Noise
 from vstestbed.sim.clock import Clock
-from vstestbed.sim.render.noise import Drift
 from vstestbed.sim.scene.start_pose import camera_start, flange_for, posture_at, target_start
 from vstestbed.sim.scene.world import World
 from vstestbed.sim.timing import Timing
@@ -38,44 +37,13 @@ from vstestbed.tasks.metrics import METRICS, MetricContract, check_metrics
 from vstestbed.tasks.monitors import MONITORS, MonitorContract
 from vstestbed.tasks.stop import Stop
 from vstestbed.vision import DETECTORS, Blobs, Detector
-from vstestbed.vision.perturb import PERTURBATIONS, Perturbation, Perturbed
+from vstestbed.vision.perturb import Perturbed
 from vstestbed.vision.pose.derotate import Derotation
 
-
-@spec
-class Noise:
-    """Sensor noise.
-
-    Args:
-        image_sigma: standard deviation of Gaussian noise on each channel of the picture, of 0 to 255 [grey levels]. Its effect on a
-            measured coordinate depends on the detector: with `blobs` and its `grey` moments, a standard deviation of about .0025 px
-            per grey level for discs of 8 px radius. Under 1 it has hardly any effect, above 20 markers get lost; e.g. `2`.
-        pixel_sigma_px: standard deviation of Gaussian noise added to each measured coordinate, for every detector [px]; e.g. `0.1`.
-        dropout: probability that a detected marker is not reported, for every detector [1]; e.g. `0.05`.
-        drift: slow drift of the picture's brightness and colour.
-        perturb: further kinds of noise, of the finished picture or of measured coordinates, in this order (`vision.perturb`).
-    """
-
-    image_sigma: Annotated[Sigma, Narrower(le=255)] = 0.0
-    pixel_sigma_px: Pixels = 0.0
-    dropout: Annotated[float, Ge(0), Lt(1)] = 0.0
-    drift: Drift = Drift()
-    perturb: tuple[Annotated[Perturbation, PERTURBATIONS], ...] = ()
-
-    @property
-    def on_pictures(self) -> bool:
-        """Whether a perturbation changes pictures."""
-        return any("picture" in kind.changes for kind in self.perturb)
-
-    def draws(self, pictures: bool = True) -> bool:
-        """Whether a seed makes a difference; pictures: the detector works on them."""
-        on_pixels = self.pixel_sigma_px > 0 or any("pixels" in kind.changes for kind in self.perturb)
-        return on_pixels or (pictures and (self.image_sigma > 0 or self.on_pictures))
-
-
-START_STREAM, NOISE_STREAM, IMAGE_STREAM, SENSOR_STREAM, TIMING_STREAM, DEPTH_STREAM, MOTION_STREAM, PERTURB_STREAM = range(8)
+START_STREAM, NOISE_STREAM, IMAGE_STREAM, SENSOR_STREAM, TIMING_STREAM, DEPTH_STREAM, MOTION_STREAM, PERTURB_STREAM, RGBD_STREAM = range(9)
 """Independent random streams of one seed: the start, the noise of measured pixels, of pictures, of the robot's own sensors, of timing,
-of depths, the target's random walk, perturbations. Their numbers enter the seed: a new one comes last, or all recorded runs change."""
+of the calibration of depths, the target's random walk, perturbations, the depth camera. Their numbers enter the seed: a new one comes
+last, or all recorded runs change."""
 TRIES = 1000
 """Largest number of random starts drawn until the target is in view."""
 DISPLACEMENT_STEPS = 12
@@ -137,27 +105,33 @@ class Scenario:
 
     def __post_init__(self) -> None:
         """Refuse parts that do not belong together."""
-        if self.law.depth.true and not self.detector.needs_truth:
-            words = "may be oracle only with detector: {kind: oracle}; with pixels use pnp, constant, goal or estimate"
-            raise ParameterError("law.depth", words)
+        check_depth(self.robot, self.camera, self.detector, self.law)
         self.timing.check(self.camera, self.clock[0])  # first: the clock refuses a step that does not divide the camera's period
-        check_memory(self.camera, self.detector, self.timing, self.stop)
+        check_memory(self.camera, self.needs_image, self.timing, self.stop)
         check_metres(self.robot, self.camera, self.target)
         self.believed_camera  # noqa: B018 - refuses errors that the lens cannot have
         self.goal.check(self.setup)
         check_robot(self.robot, self.target, self.world, self.derotation, self.level_trim_s)
-        check_floor_depth(self.robot, self.law)
         self.robot.check_mount(self.camera.mount.xyz)
         check_carrier(self.target)
         if self.stop.duration_s < self.camera.period:
             raise ParameterError("stop.duration_s", f"must be at least one camera period, {self.camera.period:g} s", self.stop.duration_s)
         check_markers(self.robot, self.camera, self.target, self.detector, self.law, self.goal.needs_pose)
+        check_judged(self.stop, self.detector, self.law)
         check_metrics(self.metrics)
         check_views_metres("goal.T_camera_target" if hasattr(self.goal, "T_camera_target") else "goal", self.goal_views)
+        check_own_points(self.camera, self.detector, self.law, self.goal_views)
         self.goal.check_views(self.setup, self.goal_views)
         self.law.check(self.target.points, self.goal_view)
+        check_determined(self.robot, self.camera, self.law, self.goal_view)
         for goal in self.goal_views:
             self.law.check_view(goal, self.target.marker.radius, self.target.called)
+
+    @property
+    def draws_noise(self) -> bool:
+        """Whether a seed makes a difference to what is measured in the pictures."""
+        sensor = self.camera.depth_sensor if self.law.depth.measured else None
+        return self.noise.draws(self.detector.needs_image) or (sensor is not None and sensor.draws)
 
     @property
     def clock(self) -> tuple[float, int]:
@@ -190,7 +164,7 @@ class Scenario:
     @property
     def needs_image(self) -> bool:
         """Whether pictures are taken: the detector, or the law, works on them."""
-        return self.detector.needs_image or "image" in self.law.inputs
+        return self.detector.needs_image or "image" in self.law.inputs or self.law.depth.measured
 
     @property
     def needs_goal_image(self) -> bool:

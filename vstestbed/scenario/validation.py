@@ -26,7 +26,7 @@ from vstestbed.targets.route import ROUTES
 from vstestbed.tasks import GOALS, VIEWS
 from vstestbed.tasks.metrics import METRICS
 from vstestbed.tasks.monitors import MONITORS
-from vstestbed.vision import DETECTORS
+from vstestbed.vision import DETECTORS, KEYPOINTS
 from vstestbed.vision.perturb import PERTURBATIONS
 
 T = TypeVar("T")
@@ -37,6 +37,7 @@ KINDS: dict[str, OneOf] = {
     "markers": MARKERS,
     "motions": MOTIONS,
     "detectors": DETECTORS,
+    "keypoints": KEYPOINTS,
     "features": FEATURES,
     "laws": LAWS,
     "gains": GAINS,

@@ -7,7 +7,7 @@ from typing import Protocol
 
 from numpy.typing import NDArray
 
-from vstestbed.camera import Image, Look, Picture
+from vstestbed.camera import DepthImage, Image, Look, Picture
 from vstestbed.core.geometry import Array
 from vstestbed.robots.reading import Reading
 
@@ -48,20 +48,22 @@ class Renderer(Protocol):
         name: of the renderer, such as OpenGL's GL_RENDERER string.
         spent_s: wall time spent on images so far [s].
         whole: the last images are complete; no part was left blank.
+        depth: true depth of each pixel (H, W) [m] of the last images that were asked for with it, inf where there is nothing.
     """
 
     name: str
     spent_s: float
     whole: bool
+    depth: DepthImage | None
 
     def full_image(self) -> Image:
         """The camera's own image now, shape (H, W, 3) uint8 RGB, as a copy that the caller may keep."""
         ...
 
-    def images(self, look: Look | None = None) -> tuple[Image | None, ...]:
+    def images(self, look: Look | None = None, with_depth: bool = False) -> tuple[Image | None, ...]:
         """The images now without noise, one for each panel, valid until the next call.
 
-        look: regions of interest, None for everything; the rest may be blank.
+        look: regions of interest, None for everything; the rest may be blank. with_depth: of a perspective camera, `depth` as well.
         """
         ...
 
@@ -96,10 +98,10 @@ class Plant(Protocol):
         """
         ...
 
-    def expose(self, weight: float, look: Look | None = None) -> None:
+    def expose(self, weight: float, look: Look | None = None, middle: bool = False) -> None:
         """Add an image, as a share `weight` of one exposure; nothing where no detector needs pictures.
 
-        look: as `capture`'s, and the same for all images of an exposure.
+        look: as `capture`'s, and the same for all images of an exposure. middle: it is that of the exposure's middle.
         """
         ...
 

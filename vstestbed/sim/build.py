@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vstestbed.camera import Camera
+from vstestbed.camera import Camera, Perspective
 from vstestbed.core.named_files import kept_at
 from vstestbed.robots import Robot
 from vstestbed.sim.base import Plant
@@ -29,6 +29,7 @@ def build_plant(
     needs_truth: bool,
     image_sigma: float = 0.0,
     rng: np.random.Generator | None = None,
+    depth_rng: np.random.Generator | None = None,
     sensor_rng: np.random.Generator | None = None,
     motion_rng: np.random.Generator | None = None,
     drift: Drift = NO_DRIFT,
@@ -43,7 +44,7 @@ def build_plant(
     Args:
         needs_image, needs_truth: whether the detector works on pictures, on truth.
         image_sigma, rng: noise of the pictures [grey levels] and its generator.
-        sensor_rng: generator of the robot's sensor noise. motion_rng: generator of a target's random walk.
+        depth_rng, sensor_rng, motion_rng: generators of the depth camera's noise, of the robot's sensor noise, of a target's random walk.
         drift: of the camera's gains. perturbed: further changes of the pictures; None for none.
         order_s: how long a command lasts before the robot stops [s].
         plate_m: edge of a plate in reserve, for `Plant.hold_plate`; 0 for none [m].
@@ -62,6 +63,7 @@ def build_plant(
         from vstestbed.sim.ideal import IdealPlant
 
         return IdealPlant(parts, steps_per_frame, path=path, order_s=order_s), "none"
+    from vstestbed.sim.render.depth_camera import DepthCamera
     from vstestbed.sim.render.image_sensor import ImageSensor
     from vstestbed.sim.render.pictures import servo_renderer
     from vstestbed.sim.scene.stage import Stage
@@ -70,7 +72,10 @@ def build_plant(
     eye, renderer = None, "none"
     if needs_image:
         drawn_by = servo_renderer(stage, camera, image_sigma > 0)
-        eye, renderer = ImageSensor(stage, drawn_by, ImageNoise(image_sigma, rng), drift, perturbed), drawn_by.name
+        depth = None
+        if camera.depth_sensor is not None and isinstance(camera, Perspective):
+            depth = DepthCamera(camera, camera.depth_sensor, depth_rng or np.random.default_rng(0))
+        eye, renderer = ImageSensor(stage, drawn_by, ImageNoise(image_sigma, rng), drift, perturbed, depth), drawn_by.name
     if ideal:
         from vstestbed.sim.ideal import IdealPlant
 
@@ -83,7 +88,7 @@ def build_plant(
 
 def _may_hide(target: Target, world: World) -> bool:
     """Whether something may come between a free camera and a marker."""
-    return world.hides or target.body is not None
+    return world.hides or (target.body is not None and not target.outlined)
 
 
 @dataclass(frozen=True, slots=True)

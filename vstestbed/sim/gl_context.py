@@ -28,7 +28,12 @@ class Physics(dm.Physics):
 
     A rendering context holds what is uploaded to the graphics memory: textures, shadow map, buffers, no state of the scene. It
     takes .1 to .5 s to make, which a worker process pays once for all of its runs.
+
+    Attributes:
+        anisotropy: samples of a texture in a pixel that sees it aslant, see `Camera`; set before the first picture.
     """
+
+    anisotropy: int = 1
 
     @property
     def contexts(self) -> Contexts | None:
@@ -62,7 +67,7 @@ class Physics(dm.Physics):
         """Take the cached rendering context of a model that looks the same, or make one."""
         gl = gl_thread.context()
         with gl.make_current() as thread:
-            self._contexts = Contexts(gl=gl, mujoco=thread.call(_rendering_context, self.model, gl))
+            self._contexts = Contexts(gl=gl, mujoco=thread.call(_rendering_context, self.model, gl, self.anisotropy))
 
     def _free_rendering_contexts(self) -> None:
         """Return the context to the cache; the least recently used one is dropped."""
@@ -73,13 +78,15 @@ class Physics(dm.Physics):
                 thread.call(_drop_surplus)
 
 
-def _rendering_context(model: wrapper.MjModel, gl: object) -> wrapper.MjrContext:
+def _rendering_context(model: wrapper.MjModel, gl: object, anisotropy: int) -> wrapper.MjrContext:
     """The cached rendering context of a model that looks the same, or a new one. On the rendering thread."""
-    key = _looks(model.ptr)
+    key = (anisotropy, *_looks(model.ptr))
     if key not in _kept:
         _kept[key] = wrapper.MjrContext(model, gl)
         _target[0] = _kept[key]  # MuJoCo makes the buffer of a new context current
         _plain_sky(_kept[key].ptr)
+        if anisotropy > 1:
+            _sample_aslant(_kept[key].ptr, anisotropy)
     _kept.move_to_end(key)
     return _kept[key]
 
@@ -100,6 +107,17 @@ def _plain_sky(context: mujoco.MjrContext) -> None:
         if kind == mujoco.mjtTexture.mjTEXTURE_SKYBOX:
             GL_1_1.glBindTexture(GL_1_3.GL_TEXTURE_CUBE_MAP, texture)
             GL_1_0.glTexParameteri(GL_1_3.GL_TEXTURE_CUBE_MAP, GL_1_0.GL_TEXTURE_MIN_FILTER, GL_1_0.GL_LINEAR)
+
+
+def _sample_aslant(context: mujoco.MjrContext, samples: int) -> None:
+    """Let flat textures be sampled several times along the longer side of what a pixel covers, as often as the driver can."""
+    from OpenGL.raw.GL.EXT import texture_filter_anisotropic as aslant
+    from OpenGL.raw.GL.VERSION import GL_1_0, GL_1_1
+
+    for kind, texture in zip(context.textureType, context.texture, strict=True):
+        if kind == mujoco.mjtTexture.mjTEXTURE_2D:
+            GL_1_1.glBindTexture(GL_1_0.GL_TEXTURE_2D, texture)
+            GL_1_0.glTexParameterf(GL_1_0.GL_TEXTURE_2D, aslant.GL_TEXTURE_MAX_ANISOTROPY_EXT, samples)
 
 
 def _looks(model: mujoco.MjModel) -> tuple[object, ...]:

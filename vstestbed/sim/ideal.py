@@ -100,13 +100,13 @@ class IdealPlant:
             self._stage.place(self._t, self._T_world_target, NONE, T_world_flange @ self._parts.camera.mount.T)
             return self._eye.clean(self._t)
 
-    def expose(self, weight: float, look: Look | None = None) -> None:
+    def expose(self, weight: float, look: Look | None = None, middle: bool = False) -> None:
         """Add an image of the exposure, where a detector needs pictures."""
         self._move_target()
         if self._stage is not None:
             self._stage.place(self._t, self._T_world_target, NONE, self._T)
         if self._eye is not None:
-            self._eye.expose(weight, look)
+            self._eye.expose(weight, look, middle)
 
     def developed(self, t: float) -> Picture | None:
         """The picture of all images added since the last one."""

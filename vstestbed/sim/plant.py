@@ -168,11 +168,11 @@ class MujocoPlant:
             stage.place(stage.data.time, stage.target_pose(), joints, T_world_flange @ stage.parts.camera.mount.T)
             return self._eye.clean(self._steps * self.step_s)
 
-    def expose(self, weight: float, look: Look | None = None) -> None:
+    def expose(self, weight: float, look: Look | None = None, middle: bool = False) -> None:
         """Add an image of the exposure, where a detector needs pictures."""
         self._move_scenery()
         if self._eye is not None:
-            self._eye.expose(weight, look)
+            self._eye.expose(weight, look, middle)
 
     def developed(self, t: float) -> Picture | None:
         """The picture of all images added since the last one."""

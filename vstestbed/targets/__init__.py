@@ -7,7 +7,10 @@ from vstestbed.targets.ground_lines import GroundLines
 from vstestbed.targets.mesh import MeshTarget
 from vstestbed.targets.picture import PictureTarget
 from vstestbed.targets.points import Points, Square
+from vstestbed.targets.regions import Ball, Shape
 
-TARGETS = OneOf("target", Square, Points, PictureTarget, MeshTarget, GroundLines, contract=Contract(TargetContract, base=Target))
+TARGETS = OneOf(
+    "target", Square, Points, PictureTarget, MeshTarget, GroundLines, Shape, Ball, contract=Contract(TargetContract, base=Target)
+)
 
-__all__ = ["TARGETS", "GroundLines", "MeshTarget", "Name", "Pad", "PictureTarget", "Points", "Square", "Target"]
+__all__ = ["TARGETS", "Ball", "GroundLines", "MeshTarget", "Name", "Pad", "PictureTarget", "Points", "Shape", "Square", "Target"]

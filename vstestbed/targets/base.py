@@ -24,7 +24,7 @@ from vstestbed.targets.attached import MOTIONS
 from vstestbed.targets.markers import MARKERS, Disc, Marker
 from vstestbed.targets.motion import Carrier, MotionBase, Path, Still
 from vstestbed.targets.route import Route
-from vstestbed.targets.surfaces import Body, Sheet
+from vstestbed.targets.surfaces import Body, Globe, Sheet
 
 Name = Annotated[str, StringConstraints(pattern=r"^[^\W\d][\w .-]{0,31}$")]
 """Of a marker: it begins with a letter, so that it is no number."""
@@ -57,6 +57,7 @@ class TargetContract(Protocol):
     motion: MotionBase
     pad: Pad | None
     one_sided: ClassVar[bool]
+    outlined: ClassVar[bool]
     points: Array
     places: Array
     stripes: tuple[tuple[Array, Array], ...]
@@ -64,7 +65,7 @@ class TargetContract(Protocol):
     floor_path: Array
     board_half_m: tuple[float, float] | None
     sheet: Sheet | None
-    body: Body | None
+    body: Body | Globe | None
     shows_markers: bool
     normals: Array
     source: pathlib.Path | None
@@ -80,8 +81,16 @@ class TargetContract(Protocol):
         """Its pose in the world as a function of time."""
         ...
 
+    def points_at(self, T_camera_target: Array) -> Array:
+        """Marker centres in the frame of a camera that sees the target at a pose."""
+        ...
+
     def seen_from(self, T_target_camera: Array) -> Array:
         """Marker centres in the frame of a camera."""
+        ...
+
+    def by_size(self, ray: Array) -> Array | None:
+        """Marker centres in the camera's frame from their directions and the target's known size."""
         ...
 
     def hides(self, T_target_camera: Array) -> NDArray[np.bool_]:
@@ -118,6 +127,9 @@ class Target:
 
     one_sided: ClassVar[bool] = False
     """Whether only its front has markers: seen from behind its plane it counts as lost."""
+
+    outlined: ClassVar[bool] = False
+    """Whether its points are the outline of one region of one colour, in order, and not markers that can be told apart."""
 
     if TYPE_CHECKING:  # each target has its own; not at run time, where the contract misses it
 
@@ -157,8 +169,8 @@ class Target:
         return None
 
     @property
-    def body(self) -> Body | None:
-        """The solid that carries the markers; None without one."""
+    def body(self) -> Body | Globe | None:
+        """The solid that carries the markers, or whose outline they are; None without one."""
         return None
 
     @property
@@ -202,9 +214,23 @@ class Target:
         """Its pose in the world at the start (4, 4); in the gripper, the pose relative to the flange (`sim.scene.start_pose`)."""
         return self.motion.start(self.pose.T)
 
+    def points_at(self, T_camera_target: Array) -> Array:
+        """Marker centres (..., N, 3) in the frame of a camera that sees the target at a pose (..., 4, 4) [m].
+
+        NaN for one that the camera cannot see from there, of a target whose measured points depend on the camera's place.
+        """
+        return transform(T_camera_target, self.points)
+
     def seen_from(self, T_target_camera: Array) -> Array:
         """Marker centres in the frame of a camera at a pose (4, 4) in the target's, shape (N, 3) [m]."""
-        return transform(inverse(T_target_camera), self.points)
+        return self.points_at(inverse(T_target_camera))
+
+    def by_size(self, ray: Array) -> Array | None:
+        """Marker centres (N, 3) in the camera's frame [m] from their unit rays (N, 3), NaN where one is not seen, and its known size.
+
+        None where the size alone does not tell: markers with places of their own have a pose (`depth: pnp`).
+        """
+        return None
 
     def hides(self, T_target_camera: Array) -> NDArray[np.bool_]:
         """Which markers its own body hides from a camera at a pose (4, 4) in the target's frame, shape (N,)."""

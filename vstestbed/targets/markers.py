@@ -40,8 +40,8 @@ class Marker(Protocol):
         ...
 
     @property
-    def solid(self) -> Solid:
-        """Shape and half sizes of its geom."""
+    def solid(self) -> Solid | None:
+        """Shape and half sizes of its geom; None for one that is the edge of the target's body."""
         ...
 
     @property

@@ -7,19 +7,16 @@ from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from annotated_types import Len
+from annotated_types import Ge, Le, Len
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
-from vstestbed.core.named_files import absolute_file, place_of_file
 from vstestbed.core.quantity import Pixel, PositiveLength
 from vstestbed.core.spec import spec
 from vstestbed.targets.base import Target
-from vstestbed.targets.picture_file import PictureFile, read_picture
+from vstestbed.targets.picture_file import PictureFile, picture_name, place_of_picture, read_picture
 from vstestbed.targets.points import BOARD_MARGIN
 from vstestbed.targets.surfaces import Sheet
-
-KINDS = (".png", ".jpg", ".jpeg")
 
 
 @spec
@@ -32,11 +29,15 @@ class PictureTarget(Target):
     nothing is to be seen there, which the oracle does not mind.
 
     Args:
-        file: a PNG or JPEG file, absolute, relative to the scenario's file, or `package:NAME/path`. Above 2048 px a side it is reduced.
+        file: a PNG or JPEG file, absolute, relative to the scenario's file, or `package:NAME/path`; or a bundled one: `texture:poster`
+            (structure at all scales), `texture:brick`, `texture:text`, `texture:flat` (hardly any structure) or `texture:repetitive`
+            (tiles that are all the same). Above 2048 px a side it is reduced.
         width: width of the picture [m]; its height follows from the file.
         at_px: marker points in the picture, (u, v) in pixels of the file [px], the centre of the first one (0, 0); none: its corners.
         draw_markers: draw markers over the picture; false: it shows them itself.
         lit: shaded by the scene's lights, else of constant brightness.
+        gloss: share of a light that its surface mirrors as a highlight; 0 is matte paper, 1 a picture behind varnish [1]. The lamps'
+            images are `world.light`'s and those of scenery; with the room's own light a highlight has 38 grey levels at most.
     """
 
     kind: Literal["picture"] = "picture"
@@ -45,19 +46,20 @@ class PictureTarget(Target):
     at_px: Annotated[tuple[Pixel, ...], Len(0, 24)] = ()
     draw_markers: bool = True
     lit: bool = True
+    gloss: Annotated[float, Ge(0), Le(1)] = 0.0
     one_sided: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         """Read the picture; refuse points beyond it, and markers that overlap."""
-        object.__setattr__(self, "file", absolute_file(self.file, Path.cwd()))  # frozen; a run remembers where its picture is
-        if not self.file.lower().endswith(KINDS):
-            raise ParameterError("file", "must be a picture, FILE.png or FILE.jpg", self.file)
+        object.__setattr__(self, "file", picture_name(self.file))  # frozen; a run remembers where its picture is
         if self.pad:
             raise ParameterError("pad", "has no place behind a picture, which has a board of its own; works: target square or points")
         found = self._found
         for i, (u, v) in enumerate(self.at_px):
             if not (-0.5 <= u <= found.width - 0.5 and -0.5 <= v <= found.height - 0.5):
                 raise ParameterError(f"at_px.{i}", f"must be in the picture, which has {found.width} x {found.height} px", [u, v])
+        if self.gloss and not self.lit:
+            raise ParameterError("gloss", "must be 0 with lit: false, where no light acts on the picture", self.gloss)
         self._check_markers()
 
     @cached_property
@@ -67,7 +69,7 @@ class PictureTarget(Target):
     @property
     def source(self) -> Path:
         """The picture's file."""
-        return place_of_file(self.file)
+        return place_of_picture(self.file)
 
     @property
     def height(self) -> float:
@@ -87,7 +89,7 @@ class PictureTarget(Target):
     @property
     def sheet(self) -> Sheet:
         """The picture."""
-        return Sheet(self.width, self.height, self._found.png, self._found.share, self.lit)
+        return Sheet(self.width, self.height, self._found.png, self._found.share, self.lit, self.gloss)
 
     @property
     def shows_markers(self) -> bool:

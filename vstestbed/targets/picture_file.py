@@ -10,7 +10,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from vstestbed.core.assets import folder
 from vstestbed.core.errors import ParameterError
+from vstestbed.core.named_files import absolute_file, place_of_file
 
 MOST_PX = 2048
 """Longest side of a texture, with its margin [px]."""
@@ -18,6 +20,9 @@ MARGIN = 16
 """The margin is two sixteenths of the texture, one for the edges on each side: OpenGL repeats textures, and without it a picture's right
 edge would shine through at its left edge, from afar most."""
 MOST_BYTES = 64_000_000
+KINDS = (".png", ".jpg", ".jpeg")
+TEXTURE = "texture:"
+"""Before the name of a bundled texture, in place of a file's."""
 
 
 @dataclass(frozen=True)
@@ -28,6 +33,36 @@ class PictureFile:
     height: int
     png: bytes
     share: tuple[float, float]
+
+
+def textures() -> dict[str, Path]:
+    """The file of each bundled texture, by its name."""
+    return {path.stem: path for path in sorted((folder("models") / "textures").iterdir()) if path.suffix in KINDS}
+
+
+def picture_name(file: str) -> str:
+    """A picture's name that does not depend on the folder: its absolute path, `package:NAME/path`, or `texture:NAME` as it is.
+
+    Raises:
+        ParameterError: `file` names no kind of picture, or no bundled texture.
+    """
+    if file.startswith(TEXTURE):
+        if file.removeprefix(TEXTURE) not in textures():
+            names = ", ".join(f"{TEXTURE}{name}" for name in textures())
+            raise ParameterError("file", f"names no bundled texture; there are {names}", file)
+        return file
+    if not file.lower().endswith(KINDS):
+        raise ParameterError("file", f"must be a picture, FILE.png or FILE.jpg, or {TEXTURE}NAME ({', '.join(textures())})", file)
+    return absolute_file(file, Path.cwd())
+
+
+def place_of_picture(file: str) -> Path:
+    """The path of a picture of a name by `picture_name`.
+
+    Raises:
+        ParameterError: it is not there.
+    """
+    return textures()[file.removeprefix(TEXTURE)] if file.startswith(TEXTURE) else place_of_file(file)
 
 
 def read_picture(path: Path) -> PictureFile:
@@ -44,7 +79,7 @@ def _read(path: Path, changed: int) -> PictureFile:
     size = path.stat().st_size
     if size > MOST_BYTES:
         raise ParameterError("file", f"has {size / 1e6:.0f} MB; a picture may have {MOST_BYTES / 1e6:.0f}: save it smaller", str(path))
-    image = _decoded(path)
+    image = decoded(path)
     height, width = image.shape[:2]
     for axis in (0, 1):
         image = _stretched(image, axis)
@@ -70,8 +105,12 @@ def _stretched(image: NDArray[np.uint8], axis: int) -> NDArray[np.uint8]:
     return np.roll(np.pad(image, margins, mode="edge"), -edge, axis)
 
 
-def _decoded(path: Path) -> NDArray[np.uint8]:
-    """Pixels (H, W, 3), blue first."""
+def decoded(path: Path) -> NDArray[np.uint8]:
+    """The pixels (H, W, 3) of a picture file, blue first, upright as its EXIF data says; what is transparent is white.
+
+    Raises:
+        ParameterError: `file` is no picture.
+    """
     raw = np.frombuffer(path.read_bytes(), np.uint8)
     try:
         plain = cv2.imdecode(raw, cv2.IMREAD_COLOR)

@@ -17,6 +17,7 @@ class Sheet:
             and then, since textures repeat themselves, of the left (upper) one.
         share: of the file's width and height that the picture takes up, without the margin.
         lit: shaded by the scene's lights, else of constant brightness.
+        gloss: share of a light that it mirrors as a highlight, 0 to 1.
     """
 
     width: float
@@ -24,11 +25,25 @@ class Sheet:
     png: bytes
     share: tuple[float, float]
     lit: bool
+    gloss: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A solid in the target's frame: corners of its triangles (F, 3, 3) [m], counter-clockwise from outside, and its colour in 0..1."""
+    """A solid in the target's frame: corners of its triangles (F, 3, 3) [m], counter-clockwise from outside, and its colour in 0..1.
+
+    lit: shaded by the scene's lights, else of constant brightness.
+    """
 
     triangles: Array
     rgb: tuple[float, float, float]
+    lit: bool = True
+
+
+@dataclass(frozen=True)
+class Globe:
+    """A sphere about the target's origin: its radius [m], its colour in 0..1; lit: as of a `Body`."""
+
+    radius: float
+    rgb: tuple[float, float, float]
+    lit: bool = True

@@ -231,11 +231,12 @@ def view_from(setup: Setup, pose_with: Callable[[Array], Array], number: int = 0
             wrong calibration of the mount displaces the believed goal view.
         number: of the view, among several in turn.
     """
-    points, scale = setup.target.points, setup.depth_scale
+    target, points, scale = setup.target, setup.target.points, setup.depth_scale
     if setup.goal_shown:
-        made = shown_goal(setup.camera, setup.believed_camera, points, pose_with(setup.camera.mount.T))
+        made = shown_goal(setup.camera, setup.believed_camera, target, pose_with(setup.camera.mount.T))
     else:
-        made = Goal.from_view(setup.believed_camera, points, pose_with(setup.believed_camera.mount.T))
+        T = pose_with(setup.believed_camera.mount.T)
+        made = Goal.of_points(setup.believed_camera, target.points_at(T), T)
     if scale is not None:
         # A shown goal is known by its picture alone, so that its pose is estimated with the wrong depths, too.
         pose = pose_by_depth(made.T_camera_target, points, scale) if setup.goal_shown else made.T_camera_target

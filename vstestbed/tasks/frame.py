@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from vstestbed.camera import Image
+from vstestbed.camera import DepthImage, Image
 from vstestbed.core.geometry import Array, all_finite
 from vstestbed.core.outcome import Outcome, Verdict
 from vstestbed.features.observation import Goal, Observation
@@ -35,7 +35,7 @@ class ImageError:
 
     Attributes:
         lost: the law had no measurement to work with. all_seen: every marker that counts is seen.
-        rms_px: RMS of goal minus measured over the coordinates seen [px], NaN when lost.
+        rms_px: RMS of goal minus measured over the coordinates seen [px], NaN when lost, and without markers.
     """
 
     lost: bool
@@ -50,8 +50,9 @@ class ImageError:
         if not all_seen:  # the costlier masks only where something is missing: this runs for every frame
             error = error[seen.seen]
             all_seen = goal.counted is not None and bool(seen.seen[goal.counted].all())
-        lost = bool(rest_reason) or not error.size  # a law may command motion although it sees nothing (coasting)
-        return cls(lost, all_seen, math.nan if lost else math.sqrt(float(np.vdot(error, error)) / error.size))
+        # A law may command motion although it sees nothing (coasting), and one that works on whole pictures needs no marker.
+        lost = bool(rest_reason) or not (error.size or seen.image is not None)
+        return cls(lost, all_seen, math.nan if lost or not error.size else math.sqrt(float(np.vdot(error, error)) / error.size))
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,12 +99,14 @@ class Frame(Cycle):
             part of it drawn.
         row: values of the columns that only this robot and this task have (`Scenario.own_columns`).
         verdict: how the run ended with this frame, and why; None while it goes on.
+        depth_image: what the depth camera measured (H, W) [m], NaN in its holes; None without one.
     """
 
     truth: Truth
     image: Image | None
     row: Array
     verdict: Verdict | None = field(default=None, kw_only=True)
+    depth_image: DepthImage | None = field(default=None, kw_only=True)
 
     def protected(self) -> Frame:
         """The same frame with its arrays read-only, but for the picture: the log keeps them, and who wrote to one would change a row."""

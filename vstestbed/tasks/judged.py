@@ -11,11 +11,12 @@ import numpy as np
 from vstestbed.core.geometry import Array
 from vstestbed.tasks.stop import Converged, Stop
 
-By = Literal["pixels", "level pixels", "estimate", "truth"]
+By = Literal["pixels", "level pixels", "grey levels", "estimate", "truth"]
 """Who measured the error."""
 MEASURED_BY: dict[By, str] = {
     "pixels": "measured pixels",
     "level pixels": "measured pixels after derotation",
+    "grey levels": "the difference of the pictures",
     "estimate": "the robot's own estimate",
     "truth": "the simulator's truth",
 }
@@ -32,12 +33,12 @@ class JudgedError(NamedTuple):
 
     Attributes:
         value: at the end of the run, in `unit`; NaN where it is unknown.
-        unit: px, m, rad, or m/s (the speed of a touch-down). limit: the task is reached under it.
+        unit: px, grey levels, m, rad, or m/s (the speed of a touch-down). limit: the task is reached under it.
         by: who measured it.
     """
 
     value: float
-    unit: Literal["px", "m", "rad", "m/s"]
+    unit: Literal["px", "grey levels", "m", "rad", "m/s"]
     limit: float
     by: By
 
@@ -57,6 +58,8 @@ def by_convergence(log: Mapping[str, Array], converged: Converged) -> JudgedErro
                 _last(log, "level_error_px" if level else "error_px"), "px", converged.error_px, "level pixels" if level else "pixels"
             )
         )
+    if converged.error_grey is not None:
+        found.append(JudgedError(_last(log, "error_grey"), "grey levels", converged.error_grey, "grey levels"))
     if converged.position_m is not None:
         found.append(JudgedError(_last(log, "est_position_m"), "m", converged.position_m, "estimate"))
     if converged.rotation_deg is not None:

@@ -36,7 +36,8 @@ class TaskMonitor:
 
     Columns of the log: `view`, the number of the current goal view, where there are several; the task's own (`error_columns`);
     `est_position_m`, `est_rotation_rad`, the robot's estimated distance from its goal, where `stop.converged` uses it;
-    `level_error_px` of a craft that tilts: as `error_px`, after derotation.
+    `level_error_px` of a craft that tilts: as `error_px`, after derotation; `error_grey` of a law that works on grey levels: the RMS
+    difference between picture and goal picture, with the law's weights.
 
     Args:
         setup: the experiment's parts. views: how many goal views there are. supervisor: the robot's.
@@ -49,7 +50,8 @@ class TaskMonitor:
         self.mount_inverse = inverse(setup.camera.mount.T)
         self._by_estimate, self._leans = setup.stop.converged.by_estimate, setup.robot.base == "floating"
         self.estimate = math.nan, math.nan
-        self.error_px = math.nan
+        self.error_px = self.error_grey = math.nan
+        self._in_grey = "image" in setup.law.inputs
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -59,12 +61,14 @@ class TaskMonitor:
             *self.error_columns,
             *(("est_position_m", "est_rotation_rad") if self._by_estimate else ()),
             *(("level_error_px",) if self._leans else ()),
+            *(("error_grey",) if self._in_grey else ()),
         )
 
     def measure(self, frame: Frame) -> tuple[float, ...]:
         """The columns' values, by which `reached` and `missed` also decide."""
         seen, goal = frame.observation, frame.goal
         self.error_px = level_error(seen, goal) if self._leans else frame.error.rms_px
+        self.error_grey = frame.command.error_grey
         if self._by_estimate:
             self.estimate = estimated_error(seen, goal)
         return (
@@ -72,6 +76,7 @@ class TaskMonitor:
             *self.task_error(frame),
             *(self.estimate if self._by_estimate else ()),
             *((self.error_px,) if self._leans else ()),
+            *((self.error_grey,) if self._in_grey else ()),
         )
 
     def task_error(self, frame: Frame) -> tuple[float, ...]:

@@ -22,11 +22,15 @@ def converged_words(goal: Converged) -> str:
     return f"{goal.summary} for {goal.hold_s:g} s"
 
 
-def at_rest_words(goal: Converged, error_px: float, estimate: tuple[float, float] = (math.nan, math.nan)) -> str:
+def at_rest_words(
+    goal: Converged, error_px: float, estimate: tuple[float, float] = (math.nan, math.nan), error_grey: float = math.nan
+) -> str:
     """Why a run is in a local minimum: it rests so far from the goal, by the quantities that `stop.converged` tests."""
     said = []
     if goal.error_px is not None:
         said.append(f"at an RMS error of {error_px:.3g} px")
+    if goal.error_grey is not None:
+        said.append(f"at an RMS error of {error_grey:.3g} grey levels")
     if goal.by_estimate:
         distance, angle = estimate
         said.append(f"{distance:.3g} m and {math.degrees(angle):.3g} deg from the goal by the robot's own estimate")
@@ -48,7 +52,8 @@ class GoalMonitor(TaskMonitor):
     def near(self, frame: Frame) -> bool:
         """Whether the conditions hold in this frame."""
         last = frame.goal.view + 1 == self.views and not frame.goal.moves
-        return last and not frame.error.lost and self.setup.stop.converged.near(frame.error.all_seen, self.error_px, *self.estimate)
+        errors = self.error_px, *self.estimate, self.error_grey
+        return last and not frame.error.lost and self.setup.stop.converged.near(frame.error.all_seen, *errors)
 
     def reached(self, frame: Frame) -> Verdict | None:
         """Converged, when the conditions have held for long enough."""
@@ -63,7 +68,7 @@ class GoalMonitor(TaskMonitor):
         # Rest of a law that sees nothing is no minimum: the supervisor ends such a run.
         at_rest = not frame.error.lost and not self._near and max(map(abs, frame.command.twist.tolist())) < REST
         if self._rest.lasting(at_rest, frame.t) >= REST_S:
-            return Outcome.local_minimum, at_rest_words(self.setup.stop.converged, self.error_px, self.estimate)
+            return Outcome.local_minimum, at_rest_words(self.setup.stop.converged, self.error_px, self.estimate, self.error_grey)
         # After the local minimum: of a law that rests in the last frame, the more telling reason counts.
         duration = self.setup.stop.duration_s
         return (Outcome.timed_out, timed_out_words(duration)) if frame.t >= duration - 1e-9 else None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from vstestbed.core.quantity import Duration, PositiveAngle, PositiveLength, PositivePixels, Time
+from vstestbed.core.quantity import Duration, PositiveAngle, PositiveGrey, PositiveLength, PositivePixels, Time
 from vstestbed.core.spec import spec
 
 
@@ -16,17 +16,20 @@ class Converged:
         error_px: all markers are seen, and their RMS error is under this [px].
         position_m, rotation_deg: largest distance from the goal by the law's own estimate (the pose from the markers; a vehicle's
             place) [m, deg].
+        error_grey: RMS difference between picture and goal picture, of a law that works on grey levels (`photometric`), is under this
+            [grey levels]; e.g. `1`.
         hold_s: how long all conditions must hold [s].
     """
 
     error_px: PositivePixels | None = None
     position_m: PositiveLength | None = None
     rotation_deg: PositiveAngle | None = None
+    error_grey: PositiveGrey | None = None
     hold_s: Time = 0.5
 
     def __post_init__(self) -> None:
         """Without a condition, 0.2 px."""
-        if self.error_px is None and self.position_m is None and self.rotation_deg is None:
+        if self.error_px is None and not self.by_estimate and self.error_grey is None:
             # Past the frozen dataclass: whether there is a default depends on the other fields.
             object.__setattr__(self, "error_px", 0.2)
 
@@ -35,9 +38,11 @@ class Converged:
         """Whether the robot's own estimate counts."""
         return self.position_m is not None or self.rotation_deg is not None
 
-    def near(self, all_seen: bool, error_px: float, position_m: float, rotation_rad: float) -> bool:
+    def near(self, all_seen: bool, error_px: float, position_m: float, rotation_rad: float, error_grey: float = math.nan) -> bool:
         """Whether the conditions hold; an unknown quantity (NaN) does not satisfy its condition."""
         if self.error_px is not None and not (all_seen and error_px < self.error_px):
+            return False
+        if self.error_grey is not None and not error_grey < self.error_grey:
             return False
         if self.position_m is not None and not position_m < self.position_m:
             return False
@@ -46,9 +51,10 @@ class Converged:
     @property
     def summary(self) -> str:
         """The conditions in words."""
-        given = ((self.error_px, "RMS error under {:g} px"), (self.position_m, "under {:g} m"), (self.rotation_deg, "under {:g} deg"))
-        said = ", ".join(form.format(value) for value, form in given if value is not None)
-        return said if self.error_px is not None else f"by its own estimate {said} off"
+        in_picture = ((self.error_px, "RMS error under {:g} px"), (self.error_grey, "RMS error under {:g} grey levels"))
+        by_estimate = ((self.position_m, "under {:g} m"), (self.rotation_deg, "under {:g} deg"))
+        said = ", ".join(form.format(value) for value, form in (*in_picture, *by_estimate) if value is not None)
+        return said if self.error_px is not None or self.error_grey is not None else f"by its own estimate {said} off"
 
 
 @spec

@@ -60,6 +60,8 @@ class GoalView(TaskBase):
         """Refuse numbers of markers that do not exist, and fewer markers than the law needs."""
         if self.markers is None:
             return
+        if setup.target.outlined:
+            raise ParameterError(field, "must be left out: the points of an outline count together", list(self.markers))
         robot, n = setup.robot, len(setup.target.points)
         needed = setup.law.markers_needed(robot.motion_basis(Mount.of(setup.camera.mount.T), robot.start_joints()))
         numbers = [setup.target.number(marker) for marker in self.markers]

@@ -12,14 +12,16 @@ from vstestbed.features.observation import Goal
 STEP = 1e-6
 """Motion of the camera for a difference quotient [m, rad], which then has 9 digits."""
 VIEWS = 20
-SQUARE = 0.25 * np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+RADIUS_M = 0.35
 
 
 def check_feature(feature: Feature, seed: int = 0) -> None:
     """L is the derivative of the error over motions of the camera; shapes are right; leading axes are taken.
 
+    The markers lie on a circle: four, or as many as the feature needs.
+
     Args:
-        feature: with the parameters to test. seed: of the views of a square of .5 m that are tried.
+        feature: with the parameters to test. seed: of the views that are tried.
 
     Raises:
         AssertionError: it says what was expected and what was found.
@@ -27,11 +29,12 @@ def check_feature(feature: Feature, seed: int = 0) -> None:
     assert FEATURES.contract is not None
     FEATURES.contract.check(type(feature))
     rng, many = np.random.default_rng(seed), []
+    markers = _on_a_circle(max(4, feature.least_markers))
     for _ in range(VIEWS):
         twist = rng.uniform(-1, 1, 6) * [0.2, 0.2, 0, 0.6, 0.6, 3.0]
         T = np.eye(4)
         T[2, 3] = rng.uniform(0.8, 2.0)
-        p = transform(T @ exp(twist), SQUARE)
+        p = transform(T @ exp(twist), markers)
         many.append(_inputs(feature, p))
         _check_derivative(feature, p)
     one = np.stack([feature.interaction(*inputs) for inputs in many])
@@ -39,8 +42,15 @@ def check_feature(feature: Feature, seed: int = 0) -> None:
     assert np.allclose(one, together), f"{feature.kind}: interaction must take leading axes: {VIEWS} views at once differ from one by one"
 
 
+def _on_a_circle(n: int) -> Array:
+    """Points (n, 3) on a circle [m], at uneven distances: the symmetries of a regular polygon leave some features undefined."""
+    i = np.arange(n)
+    angle = 2 * np.pi * i / n + 0.4 * np.sin(2 * i)
+    return RADIUS_M * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(n)])
+
+
 def _inputs(feature: Feature, p: Array) -> tuple[Array, Array]:
-    """The feature's two inputs, for points p (4, 3) in the camera's frame."""
+    """The feature's two inputs, for points p (N, 3) in the camera's frame."""
     view = Goal.of_points(Perspective(), p, np.eye(4))
     first, second = (np.asarray(getattr(view, name)) for name in feature.inputs)
     return first, second

@@ -12,7 +12,8 @@ from vstestbed.core.geometry import Array
 from vstestbed.loop.recording import Recording
 from vstestbed.loop.run import run
 from vstestbed.scenario.load import load
-from vstestbed.scenario.scenario import Noise, Scenario
+from vstestbed.scenario.noise import Noise
+from vstestbed.scenario.scenario import Scenario
 from vstestbed.tasks.metrics import METRICS, MetricContract, check_metrics, figures_of
 from vstestbed.tasks.monitors import MONITORS, MonitorContract
 from vstestbed.testing.scenarios import quick

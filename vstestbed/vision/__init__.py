@@ -10,26 +10,37 @@ from vstestbed.core.spec import OneOf
 from vstestbed.vision.base import Detection, Detector, DetectorBase, TruthView
 from vstestbed.vision.detect.blobs import Blobs
 from vstestbed.vision.detect.centre import centre_bias
+from vstestbed.vision.detect.keypoints import Keypoints
 from vstestbed.vision.detect.lines import Lines
+from vstestbed.vision.detect.none import NoDetector
 from vstestbed.vision.detect.oracle import Oracle
+from vstestbed.vision.detect.patch import Patch
+from vstestbed.vision.detect.region import RegionDetector
 from vstestbed.vision.detect.tags import Tags
+from vstestbed.vision.match.features import KEYPOINTS
 from vstestbed.vision.observe import Observer, ObserverMemory
 from vstestbed.vision.pose.pnp import solve_pose, solve_pose_from_rays
 
 cv2.setNumThreads(1)
 
-DETECTORS = OneOf("detector", Blobs, Tags, Lines, Oracle, default="blobs", contract=Contract(Detector, base=DetectorBase))
+_KINDS = Blobs, Tags, Lines, Keypoints, Patch, RegionDetector, Oracle, NoDetector
+DETECTORS = OneOf("detector", *_KINDS, default="blobs", contract=Contract(Detector, base=DetectorBase))
 
 __all__ = [
     "DETECTORS",
+    "KEYPOINTS",
     "Blobs",
     "Detection",
     "Detector",
     "DetectorBase",
+    "Keypoints",
     "Lines",
+    "NoDetector",
     "Observer",
     "ObserverMemory",
     "Oracle",
+    "Patch",
+    "RegionDetector",
     "Tags",
     "TruthView",
     "centre_bias",

@@ -38,12 +38,14 @@ class Detection:
         p_camera: true marker centres in the camera frame, shape (N, 3) [m]; only the oracle has them.
         T_camera_target: pose of the target, shape (4, 4), if the detector solves it anyway.
         goal: the goal's view of the very points in these rows, where they are not the target's markers.
+        ids: then, the number of the point in each row (N,), the same as long as the row shows the same point; -1 in an empty row.
     """
 
     uv: Array
     p_camera: Array | None = None
     T_camera_target: Array | None = None
     goal: Goal | None = None
+    ids: NDArray[np.intp] | None = None
 
     @property
     def seen(self) -> NDArray[np.bool_]:
@@ -68,12 +70,19 @@ class Detector(Protocol[M]):
     """It reads the ground truth: the oracle."""
     markers: ClassVar[tuple[str, ...]]
     """Kinds of markers that it can detect; empty: any."""
+    needs_sheet: ClassVar[bool]
+    """It finds the picture of a target `picture`."""
     needs_goal: ClassVar[bool]
     """It finds the goal picture's points, not the target's markers."""
 
     @property
     def rows(self) -> int | None:
         """How many points it reports, where they are not the target's markers; None: one for each marker."""
+        ...
+
+    @property
+    def changing(self) -> bool:
+        """Whether its rows may show other points in every picture (`Detection.ids`)."""
         ...
 
     def init(self) -> M:
@@ -100,8 +109,10 @@ class DetectorBase:
 
     needs_truth: ClassVar[bool] = False
     markers: ClassVar[tuple[str, ...]] = ()
+    needs_sheet: ClassVar[bool] = False
     needs_goal: ClassVar[bool] = False
     rows: Any = None  # without a type, as in `LawBase`: a subclass may have a field or a property in its place
+    changing: Any = False
 
     def init(self) -> Any:
         """No state."""

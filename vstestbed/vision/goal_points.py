@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vstestbed.core.geometry import Array, inverse, transform
+from vstestbed.features.depth import depth_at
 from vstestbed.features.observation import Goal
 
 
@@ -25,18 +25,12 @@ def goal_of_points(goal: Goal, uv: Array) -> Goal:
     z = np.where(z > 0, z, np.nan)
     p = ray * (z / ray[:, 2])[:, None]
     known = np.isfinite(p[:, 0])
+    if np.count_nonzero(known) < 3:  # they span no plane
+        reach = np.where(known, np.linalg.norm(p, axis=1), np.nan)
+        return replace(goal, uv=uv, depth=p[:, 2], ray=ray, range=reach, counted=known if len(uv) else None)
     made = Goal.of_picture(goal.camera, uv[known], p[known], goal.T_camera_target)
     full = made.rows(np.where(known, np.cumsum(known) - 1, -1)) if not known.all() else made
-    return replace(goal, uv=uv, depth=full.depth, ray=ray, range=full.range, plane=made.plane, counted=None)
-
-
-def depth_at(depth: NDArray[np.float32], uv: Array) -> Array:
-    """The measured depth (K,) [m] at the pixels nearest to uv (K, 2); NaN in holes and outside."""
-    height, width = depth.shape
-    known: NDArray[np.bool_] = np.isfinite(uv[:, 0])
-    u, v = np.round(np.where(known[:, None], uv, -1)).astype(int).T
-    inside = known & (u >= 0) & (u < width) & (v >= 0) & (v < height)
-    return np.where(inside, depth[np.where(inside, v, 0), np.where(inside, u, 0)], np.nan).astype(float)
+    return replace(goal, uv=uv, depth=full.depth, ray=ray, range=full.range, plane=made.plane, counted=None if known.all() else known)
 
 
 def points_of(goal: Goal) -> Array:

@@ -79,6 +79,7 @@ class Observer:
         trim_s: time constant with which the goal view corrects the craft's measured tilt [s]; 0 leaves it uncorrected.
         depth_scale: factor on each marker's reported depth, (N,), a calibration error, or None. The memory stays unscaled.
         perturbed: perturbs the measured coordinates further; None for nothing.
+        rows: number of points that the detector reports; None: the target's markers.
         points: what is measured (N, 3), in the target's frame [m]; None: the target's markers.
     """
 
@@ -94,6 +95,7 @@ class Observer:
     trim_s: float = 0.0
     depth_scale: Array | None = None
     perturbed: Perturbed | None = None
+    rows: int | None = None
     points: Array | None = None
 
     @property
@@ -102,7 +104,7 @@ class Observer:
 
     def init(self) -> ObserverMemory:
         """The memory before the first frame."""
-        flow = None if self.depth.estimator is None else init_flow(len(self._points))
+        flow = None if self.depth.estimator is None else init_flow(len(self.target.points) if self.rows is None else self.rows)
         return ObserverMemory(flow=flow, odometry=np.zeros(3) if self.grounded else None)
 
     def uses_motion(self, detection: Detection) -> bool:
@@ -119,6 +121,7 @@ class Observer:
         compass: float | None = None,
         tilt: Array | None = None,
         own: OwnMotion | None = None,
+        depth_image: NDArray[np.float32] | None = None,
     ) -> tuple[ObserverMemory, Observation]:
         """What a law may know of one frame.
 
@@ -134,20 +137,26 @@ class Observer:
             compass: a vehicle's measured heading [rad]; None without a compass.
             tilt: a craft's estimated roll and pitch (2,) at the exposure [rad]; None for robots that do not tilt.
             own: the camera's own motion, passed on to a law that requires it.
+            depth_image: the depth camera's picture (H, W) [m], NaN in its holes; None without one.
 
         Raises:
             ParameterError: the oracle's depth is asked for and the detector is not the oracle.
         """
         if detection.goal is not None:  # other points in every picture
             own_points = replace(self, goal=detection.goal, points=points_of(detection.goal))
-            return own_points.observe(memory, t, replace(detection, goal=None), twist, rng, compass, tilt, own)
+            memory, seen = own_points.observe(memory, t, replace(detection, goal=None), twist, rng, compass, tilt, own, depth_image)
+            return memory, replace(seen, ids=detection.ids)
         uv, T = self._reported(detection, t, rng)
         xy = self.camera.normalise(uv)
         tilt = tilt if self.derotation != "none" else None
         ray = self.camera.ray(uv) if self._solves(T) or self._always_rays or tilt is not None else None
         T, solved = self._pose(ray, t, memory, T, twist)
-        flow = self._flow(memory.flow, t, ray, twist)
-        view = _View(ray, xy, *self._distances(detection, T, flow, xy), T, own)
+        flow = self._flow(memory.flow if memory.flow is None else memory.flow.of(detection.ids), t, ray, twist)
+        by_flow = None if flow is None else (flow.ray, 1 / flow.inverse_range)
+        p = transform(T, self._points) if T is not None and self.depth.needs_pose else None
+        sized = None if ray is None or not self.depth.needs_size else self.target.by_size(ray)
+        cues = DepthCues(self.goal, xy, p, detection.p_camera, by_flow, self.depth.read(depth_image, uv), sized)
+        view = _View(ray, xy, self.depth.depths(cues), self.depth.ranges(cues) if self._needs_ranges else None, T, own)
         trim = memory.trim
         if tilt is not None:
             trim = self._trim(memory, t, tilt, T if solved else None)
@@ -179,7 +188,7 @@ class Observer:
     @cached_property
     def _always_rays(self) -> bool:
         """Whether rays are computed even where no pose is solved."""
-        return "ray" in self.required_fields or self.depth.estimator is not None
+        return "ray" in self.required_fields or self.depth.estimator is not None or self.depth.needs_size
 
     @cached_property
     def _always_uses_motion(self) -> bool:
@@ -231,13 +240,6 @@ class Observer:
         """The depth estimator's next state; None without one."""
         estimator = self.depth.estimator
         return flow if estimator is None or flow is None or ray is None else update_flow(estimator, flow, t, ray, twist)
-
-    def _distances(self, detection: Detection, T: Array | None, flow: FlowMemory | None, xy: Array) -> tuple[Array, Array | None]:
-        """Depths (N,) and, where they are needed, ranges (N,) [m]; NaN where not known."""
-        p = transform(T, self._points) if T is not None and self.depth.needs_pose else None
-        by_flow = None if flow is None else (flow.ray, 1 / flow.inverse_range)
-        cues = DepthCues(self.goal, xy, p, detection.p_camera, by_flow)
-        return self.depth.depths(cues), self.depth.ranges(cues) if self._needs_ranges else None
 
     def _trim(self, memory: ObserverMemory, t: float, tilt: Array, T: Array | None) -> Trim:
         """The correction of the measured tilt (2,), updated where the pose (4, 4) is measured."""

@@ -15,7 +15,7 @@ from vstestbed.camera import Image
 from vstestbed.core.contract import Contract
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
-from vstestbed.core.quantity import Narrower, PositivePixels
+from vstestbed.core.quantity import Narrower, PositivePixels, PositiveTime
 from vstestbed.core.spec import OneOf, spec
 
 LUMA = np.array([0.299, 0.587, 0.114], np.float32)
@@ -153,6 +153,51 @@ class ColorJitter(PerturbationBase):
 
 
 @spec
+class Shadow(PerturbationBase):
+    """A soft shadow that moves over the picture, again and again: of a band, or of a blob.
+
+    I' = I (1 - darkness s(d)), with d the distance from the band's middle line or the blob's centre in widths W of the picture:
+    s falls from 1 to 0 between d = (width - edge)/2 and (width + edge)/2, as 3x^2 - 2x^3. In `period_s` the shadow moves once from
+    beyond one side of the picture to beyond the other. Its direction, its place at t = 0 and a blob's distance from the picture's
+    middle, at most W/4, are drawn once a run. It belongs to the picture, not to the room: `world.plates` with `camera.shadows` cast
+    shadows on things.
+
+    Args:
+        shape: `band` or `blob`.
+        darkness: share of the light that it takes in its middle [1].
+        width: of the band, or diameter of the blob, in widths of the picture [1].
+        edge: how wide its soft edge is, in widths of the picture [1].
+        period_s: from one crossing to the next [s].
+    """
+
+    kind: Literal["shadow"] = "shadow"
+    shape: Literal["band", "blob"] = "band"
+    darkness: Share = 0.6
+    width: Annotated[float, Gt(0), Le(2)] = 0.3
+    edge: Annotated[float, Gt(0), Le(1)] = 0.1
+    period_s: PositiveTime = 4.0
+
+    def begin(self, rng: np.random.Generator) -> Array:
+        """Direction [rad], place at the start as a share of the way, and distance from the middle, (3,)."""
+        return rng.random(3) * [2 * np.pi, 1, 0.5] - [0, 0, 0.25]
+
+    def picture(self, memory: Array, image: Image, t: float, rng: np.random.Generator) -> Image:
+        """With the shadow."""
+        height, width = image.shape[:2]
+        angle, begun, beside = memory
+        reach = (np.hypot(1, height / width) + self.width + self.edge) / 2
+        at = reach * (2 * ((t / self.period_s + begun) % 1) - 1)
+        x = ((np.arange(width, dtype=np.float32) - (width - 1) / 2) / width)[None]
+        y = ((np.arange(height, dtype=np.float32) - (height - 1) / 2) / width)[:, None]
+        c, s = np.float32(np.cos(angle)), np.float32(np.sin(angle))
+        along = c * x + s * y - np.float32(at)
+        far = np.abs(along) if self.shape == "band" else np.hypot(along, c * y - s * x - np.float32(beside))
+        inside = np.clip(((self.width + self.edge) / 2 - far) / self.edge, 0, 1)
+        light = 1 - self.darkness * inside * inside * (3 - 2 * inside)
+        return (image * light[..., None].astype(np.float32) + np.float32(0.5)).astype(np.uint8)
+
+
+@spec
 class Outliers(PerturbationBase):
     """Gross errors of measured coordinates, as of a marker taken for another thing: displaced uniformly within a disc.
 
@@ -176,7 +221,7 @@ class Outliers(PerturbationBase):
 
 
 CONTRACT = Contract(Perturbation, base=PerturbationBase, words={"changes": ("picture", "pixels")})
-PERTURBATIONS = OneOf("perturbation", Erasing, ColorJitter, Outliers, contract=CONTRACT)
+PERTURBATIONS = OneOf("perturbation", Erasing, ColorJitter, Shadow, Outliers, contract=CONTRACT)
 Images = tuple[Image | None, ...]
 
 

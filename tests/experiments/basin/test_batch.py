@@ -23,7 +23,8 @@ from vstestbed.laws.solve import Solve
 from vstestbed.laws.visibility import Visibility
 from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart
-from vstestbed.scenario.scenario import Noise, Scenario
+from vstestbed.scenario.noise import Noise
+from vstestbed.scenario.scenario import Scenario
 from vstestbed.targets.points import Points, Square
 from vstestbed.tasks import GoalView
 from vstestbed.tasks.stop import Converged, Stop

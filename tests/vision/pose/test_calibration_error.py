@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from vstestbed.camera import Perspective
 from vstestbed.core.geometry import Pose, rigid_error, transform
+from vstestbed.targets import Points
 from vstestbed.vision.pose.calibration_error import pose_by_depth, shown_goal
 
 SQUARE = np.array([[-0.25, -0.25, 0], [0.25, -0.25, 0], [0.25, 0.25, 0], [-0.25, 0.25, 0]])
 T = Pose(xyz=(0.1, -0.05, 1.2), rpy_deg=(10, 20, 30)).T
+TARGET = Points(at=tuple(map(tuple, SQUARE.tolist())), pose=Pose())
 CAMERA = Perspective(width=640, height=480, fovy_deg=60)
 
 
@@ -45,13 +49,13 @@ def test_points_on_a_line_keep_the_rotation() -> None:
 
 
 def test_the_goal_of_a_right_calibration_is_the_true_view_and_of_a_wrong_one_its_own_pose() -> None:
-    exact = shown_goal(CAMERA, CAMERA, SQUARE, T)
+    exact = shown_goal(CAMERA, CAMERA, TARGET, T)
     assert rigid_error(exact.T_camera_target, T) == pytest.approx((0, 0), abs=1e-9)
     np.testing.assert_allclose(exact.uv, CAMERA.project(transform(T, SQUARE)))
-    wrong = shown_goal(CAMERA, Perspective(width=640, height=480, fovy_deg=50), SQUARE, T)
+    wrong = shown_goal(CAMERA, Perspective(width=640, height=480, fovy_deg=50), TARGET, T)
     # A longer focal length puts the target farther away, nearly in its ratio.
     ratio = np.tan(np.radians(30)) / np.tan(np.radians(25))
     assert wrong.T_camera_target[2, 3] / T[2, 3] == pytest.approx(ratio, rel=0.03)
     np.testing.assert_allclose(wrong.depth, transform(wrong.T_camera_target, SQUARE)[:, 2])
-    two = shown_goal(CAMERA, CAMERA, SQUARE[:2], T)  # leave the pose open: the true one
+    two = shown_goal(CAMERA, CAMERA, replace(TARGET, at=TARGET.at[:2]), T)  # leave the pose open: the true one
     np.testing.assert_array_equal(two.T_camera_target, T)

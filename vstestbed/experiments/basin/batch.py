@@ -12,7 +12,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from vstestbed.core.geometry import Array, exp, transform
+from vstestbed.core.geometry import Array, exp
 from vstestbed.core.outcome import Outcome
 from vstestbed.experiments.basin.one_by_one import OneByOne
 from vstestbed.experiments.basin.setup import BatchSetup
@@ -132,7 +132,7 @@ def _fly(setup: BatchSetup, start: Array, watch: Watch) -> Batch:
     outcome, steps, near = np.full(m, None, dtype=object), np.zeros(m, dtype=int), np.full(m, -1)
     final, farthest, errors, crossed, done = start.copy(), np.zeros(m), np.full(m, np.nan), np.zeros(m, dtype=bool), 0
     for step in range(last + 1):
-        p = transform(runs.T, setup.scenario.target.points)
+        p = setup.scenario.target.points_at(runs.T)
         now = _frame(setup, runs, p, step, last)
         watch(now)
         twist, code = now.twist, now.code

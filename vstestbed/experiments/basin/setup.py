@@ -21,7 +21,8 @@ from vstestbed.loop.recording import BLOCK
 from vstestbed.robots import Free, Mount
 from vstestbed.robots.free import FreeStart
 from vstestbed.robots.robot_log import RobotLog
-from vstestbed.scenario.scenario import Noise, Scenario
+from vstestbed.scenario.noise import Noise
+from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.scene.world import World
 from vstestbed.sim.timing import Timing
 from vstestbed.vision import Oracle
@@ -90,8 +91,8 @@ class BatchSetup:
             raise ParameterError("law.visibility.margin_px", "must be 0 in a batch", s.law.visibility.margin_px)
         if s.law.feedforward.kind != "none":
             raise ParameterError("law.feedforward", "must be none in a batch")
-        if isinstance(s.law.depth, Estimate):
-            raise ParameterError("law.depth", "may not be estimate in a batch; valid: pnp, constant, goal, oracle")
+        if isinstance(s.law.depth, Estimate) or s.law.depth.measured:
+            raise ParameterError("law.depth", f"may not be {s.law.depth.kind} in a batch; valid: pnp, constant, goal, oracle")
 
     def _check_task(self) -> None:
         s = self.scenario
@@ -102,7 +103,7 @@ class BatchSetup:
 
     def _check_target(self) -> None:
         s = self.scenario
-        if s.target.body is not None and isinstance(s.detector, Oracle) and s.detector.field_of_view == "limited":
+        if s.target.body is not None and not s.target.outlined and isinstance(s.detector, Oracle) and s.detector.field_of_view == "limited":
             words = (
                 "has a solid, and a batch does not know which markers it hides; give an unlimited field of view, or a target without one"
             )

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from vstestbed.core.errors import EnvironmentLackError, ParameterError
-from vstestbed.core.geometry import Array, exp, inverse, transform
+from vstestbed.core.geometry import Array, exp, inverse
 from vstestbed.core.outcome import Outcome
 from vstestbed.core.provenance import versions
 from vstestbed.experiments.basin.batch import Batch, Instant, fly
@@ -177,7 +177,7 @@ def _stacked(setup: BatchSetup, T: Array, twist: Array, error: Array) -> dict[st
     """The numbers of all frames of a run (`loop.columns.kept`), from its poses (n, 4, 4), twists (n, 6) and errors (n,)."""
     s, n = setup.scenario, len(T)
     step_s, steps = s.clock
-    t, p, goal = np.arange(n) * steps * step_s, transform(T, s.target.points), s.goal_view
+    t, p, goal = np.arange(n) * steps * step_s, s.target.points_at(T), s.goal_view
     views = Views(0.0, p, T, goal, s.law.depth, s.target.marker.radius)
     return {
         "t": t,

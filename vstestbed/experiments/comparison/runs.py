@@ -266,7 +266,7 @@ def _load(c: Comparison, name: str, settings: Mapping[str, Placed]) -> Scenario:
 
 def draws(scenario: Scenario) -> bool:
     """Whether anything of a scenario is random: its start, pixel or image noise, delays, or the calibration of depth."""
-    noise = scenario.noise.draws(scenario.detector.needs_image)
+    noise = scenario.draws_noise
     return scenario.robot.start.random is not None or noise or scenario.timing.draws or scenario.calibration.depth_spread > 0
 
 

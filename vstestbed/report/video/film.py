@@ -40,7 +40,7 @@ class Pictures:
         self._scenario, self._camera, self._replay, self._size = scenario, camera, replay, size
         law, name = scenario.law.kind, scenario.name
         self._title = f"{name} \u00b7 {law}" if name else law
-        self._overlay = Overlay(*size, scenario.target.colors, title=self._title)
+        self._overlay = Overlay(*size, scenario.target.colors[: scenario.rows], title=self._title)
         self._scale = np.array(size) / (scenario.camera.width, scenario.camera.height)
         self._outside = Outside(scenario, replay, camera, size) if camera == "overview" else None
 

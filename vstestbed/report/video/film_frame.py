@@ -48,9 +48,9 @@ class FilmFrame:
             T_world_target=pose_from(target[:3], target[3:]),
             T_world_camera=pose_from(camera[:3], camera[3:]),
             q=np.array([row[f"q_{name}"] for name in joints]),
-            uv=np.array([[row[f"u_{i}"], row[f"v_{i}"]] for i in range(markers)]),
+            uv=np.array([[row[f"u_{i}"], row[f"v_{i}"]] for i in range(markers)]).reshape(markers, 2),
             error_px=row["error_px"],
             lost=bool(row["lost"]),
-            goal_uv=np.array([[row[f"u_goal_{i}"], row[f"v_goal_{i}"]] for i in range(markers)]),
+            goal_uv=np.array([[row[f"u_goal_{i}"], row[f"v_goal_{i}"]] for i in range(markers)]).reshape(markers, 2),
             own=np.array([row[name] for name in scenario.own_columns]),
         )

@@ -63,7 +63,7 @@ class Outside:
         self._scale = inset_share(scenario.camera, size)
         inset = round(scenario.camera.width * self._scale), round(scenario.camera.height * self._scale)
         self._inset_t, self._inset = -np.inf, np.full((inset[1] + EDGE, inset[0] + EDGE, 3), PAPER, np.uint8)
-        self._overlay = Overlay(*inset, scenario.target.colors)
+        self._overlay = Overlay(*inset, scenario.target.colors[: scenario.rows])
 
     def picture(self, frame: FilmFrame, T_world_goal: Array | None) -> Image:
         """One picture (H, W, 3); T_world_goal: the servo camera's pose (4, 4) at its goal, if it has one."""

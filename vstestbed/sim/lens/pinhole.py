@@ -71,6 +71,6 @@ def resampling_maps(camera: Perspective, pinhole: Pinhole) -> tuple[NDArray[np.f
     return px[..., 0].astype(np.float32), px[..., 1].astype(np.float32)
 
 
-def pixel_grid(camera: Camera) -> Array:
+def pixel_grid(camera: Camera | Pinhole) -> Array:
     """The pixels (u, v) of a camera's image, shape (H, W, 2)."""
     return np.stack(np.meshgrid(np.arange(camera.width), np.arange(camera.height)), axis=-1).astype(float)

@@ -8,9 +8,10 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
-from vstestbed.camera import Look, Picture
+from vstestbed.camera import DepthImage, Look, Picture
 from vstestbed.core.geometry import Array
 from vstestbed.sim.base import Renderer
+from vstestbed.sim.render.depth_camera import DepthCamera
 from vstestbed.sim.render.noise import NO_DRIFT, Drift, ImageNoise, PictureNoise
 from vstestbed.sim.scene.stage import Stage
 from vstestbed.vision.perturb import Images, Perturbed
@@ -26,6 +27,7 @@ class ImageSensor:
         stage: the scene, in its state at the time of each call.
         renderer: renders the images.
         noise: of the sensor; None for none. drift: of its gains. perturbed: further changes of the finished picture; None for none.
+        depth: the depth camera, whose pictures are always whole; None without one.
     """
 
     def __init__(
@@ -35,9 +37,12 @@ class ImageSensor:
         noise: ImageNoise | None = None,
         drift: Drift = NO_DRIFT,
         perturbed: Perturbed | None = None,
+        depth: DepthCamera | None = None,
     ):
         self._model, self._data = stage.model, stage.data
         self._renderer, self._noise, self._drift = renderer, noise or ImageNoise(), drift
+        self._depth = depth
+        self._true_depth: DepthImage | None = None
         self._states: list[mujoco.MjData] = []
         self._present: mujoco.MjData | None = None
         self._perturbed = perturbed or Perturbed((), np.random.default_rng(0))
@@ -54,13 +59,15 @@ class ImageSensor:
         look: regions of interest; None for everything. A copy of a picture of which only they were drawn can be completed until
         the next such picture is taken.
         """
-        images = self._renderer.images(look)
+        look = None if self._depth else look
+        images = self._render(look, with_depth=True)
         self._keep_state(0, look)
         return self._picture(t, images, self._renderer.whole, (1.0,))
 
     def clean(self, t: float) -> Picture:
         """A whole picture of the present scene without noise; a copy that the caller may keep. The noise of later pictures is the same."""
-        return Picture(t, self._renderer.images()).copy()
+        images, depth = self._renderer.images(with_depth=self._depth is not None), self._depth
+        return Picture(t, images, depth=None if depth is None else depth.clean(self._renderer.depth)).copy()
 
     def with_own(self, picture: Picture) -> Picture:
         """A picture just taken with the camera's own image: of a lens with panels the present scene, sharp, with the picture's noise."""
@@ -69,15 +76,27 @@ class ImageSensor:
         drawn = self._developed(picture.t, (self._renderer.full_image(),), *self._latest)
         return replace(picture, own=drawn.images[0])
 
-    def expose(self, weight: float, look: Look | None = None) -> None:
-        """Add an image of the present scene to the running exposure, with a share `weight`; `look` is the same for all its images."""
-        self._blur.add(self._renderer.images(look), weight, self._renderer.whole)
+    def expose(self, weight: float, look: Look | None = None, middle: bool = False) -> None:
+        """Add an image of the present scene to the running exposure, with a share `weight`; `look` is the same for all its images.
+
+        middle: it is the one whose depth counts: a mean of depths would be a place at which nothing is.
+        """
+        look = None if self._depth else look
+        self._blur.add(self._render(look, middle), weight, self._renderer.whole)
         self._keep_state(len(self._blur.weights) - 1, look)
 
     def developed(self, t: float) -> Picture:
         """The picture of all images added since the last one, with time stamp t [s]; valid as `capture`'s."""
         blur, self._blur = self._blur, MotionBlur()
         return self._picture(t, blur.mean(), blur.whole, tuple(blur.weights))
+
+    def _render(self, look: Look | None, with_depth: bool) -> Images:
+        """The images now; with their depth where there is a depth camera."""
+        with_depth = with_depth and self._depth is not None
+        images = self._renderer.images(look, with_depth)
+        if with_depth:
+            self._true_depth = self._renderer.depth
+        return images
 
     def _keep_state(self, number: int, look: Look | None) -> None:
         """Keep the scene's state at an exposure's image of that number, if a part of it may have been left out."""
@@ -94,6 +113,8 @@ class ImageSensor:
             return self._developed(t, self._drawn_again(weights), *drawn)
 
         made = self._developed(t, clean, *drawn)
+        if self._depth is not None:
+            made = replace(made, depth=self._depth.measured(self._true_depth))
         return made if whole else Picture(t, made.images, whole, draw_whole)
 
     def _developed(self, t: float, clean: Images, noise: PictureNoise, change: Callable[[float, Images], Images]) -> Picture:

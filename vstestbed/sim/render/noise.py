@@ -12,6 +12,7 @@ from annotated_types import Ge, Lt
 from vstestbed.camera import Image, Picture
 from vstestbed.core.quantity import PositiveTime
 from vstestbed.core.spec import spec
+from vstestbed.vision.perturb import GREY
 
 
 @spec
@@ -22,16 +23,18 @@ class Drift:
     green (1 + brightness sin a)
     blue  (1 + brightness sin a) (1 - color cos a)
 
-    Values above 255 are clipped.
+    then the contrast of all, I' = (1 + contrast sin a) (I - 128) + 128. Values beyond 0 to 255 are clipped.
 
     Args:
         brightness: largest relative change of all channels [1]; e.g. `0.2`.
         color: largest relative change of red, and the opposite one of blue [1]; e.g. `0.1`.
-        period_s: period of both [s].
+        contrast: largest relative change of the contrast [1]; e.g. `0.2`.
+        period_s: period of all of them [s].
     """
 
     brightness: Annotated[float, Ge(0), Lt(1)] = 0.0
     color: Annotated[float, Ge(0), Lt(1)] = 0.0
+    contrast: Annotated[float, Ge(0), Lt(1)] = 0.0
     period_s: PositiveTime = 10.0
 
     def gains(self, t: float) -> tuple[float, float, float]:
@@ -42,13 +45,14 @@ class Drift:
 
     def of(self, picture: Picture) -> Picture:
         """The picture with the gains of its time; the same object where nothing drifts."""
-        if self.brightness == 0 and self.color == 0:
+        if self.brightness == self.color == self.contrast == 0:
             return picture
         return replace(picture, images=tuple(None if image is None else self._of_image(image, picture.t) for image in picture.images))
 
     def _of_image(self, image: Image, t: float) -> Image:
         # A lookup table of 256 entries for each channel is quicker than arithmetic on every pixel.
-        tables = [np.clip(np.arange(256) * gain + 0.5, 0, 255).astype(np.uint8) for gain in self.gains(t)]
+        c = 1 + self.contrast * math.sin(2 * math.pi * t / self.period_s)
+        tables = [np.clip(c * np.arange(256) * gain + (1 - c) * GREY + 0.5, 0, 255).astype(np.uint8) for gain in self.gains(t)]
         return np.stack([table[image[..., i]] for i, table in enumerate(tables)], axis=-1)
 
 

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import time
+from functools import cached_property
 from typing import Literal
 
 import cv2
 import mujoco
 import numpy as np
 from dm_control.mujoco import wrapper
+from numpy.typing import NDArray
 
-from vstestbed.camera import Camera, Image, Look, Perspective, Window
+from vstestbed.camera import Camera, DepthImage, Image, Look, Perspective, Window
+from vstestbed.camera.depth_sensor import EDGE
 from vstestbed.core.errors import EnvironmentLackError
+from vstestbed.core.geometry import Array
 from vstestbed.sim.lens.cube import cube_of, drawn_for
-from vstestbed.sim.lens.pinhole import resampling_maps
+from vstestbed.sim.lens.pinhole import pixel_grid, resampling_maps
 from vstestbed.sim.render import gl_probe as gl
 from vstestbed.sim.render.window import PartCamera, part_round
 from vstestbed.sim.scene.groups import LENS_GROUP, RANGE_GROUP
@@ -25,6 +29,9 @@ DISC_FACETS = 96, 2
 """Facets round an axis and along it, where all that is round are discs and cylinders: as much work as MuJoCo's 28 and 16.
 
 With 28 a disc of 8 px radius lacks 2 of its 224 pixels, and its centroid is off by .03 px; with 96 by .01 px."""
+
+SKY = 0.69
+"""Least distance of the sky, as a share of the distance at which MuJoCo's picture ends (measured: 0.699)."""
 
 
 class SceneCamera:
@@ -70,14 +77,19 @@ class SceneCamera:
         """The image now, valid within a window until the next call; None with shadows, which move elsewhere as well."""
         return None if self._flags["shadow"] else self.raw(window)
 
-    def raw(self, window: Window | None = None) -> Image:
+    def raw(self, window: Window | None = None, with_depth: bool = False) -> Image:
         """The image now as a view of dm_control's buffer, which the next call overwrites.
 
         Args:
             window: the part to be drawn; the rest is black. None draws the whole image.
+            with_depth: of a whole image, read its depth as well (`depth`).
         """
-        self._camera.window = window
+        self._camera.window, self._camera.reads_depth = window, with_depth
         return self._camera.render(scene_option=self._option, render_flag_overrides=self._flags)
+
+    def depth(self) -> DepthImage:
+        """Depth (H, W) [m] of the last image that was drawn with it; inf where there is nothing."""
+        return self._camera.depth()
 
 
 class OpenGLRenderer:
@@ -96,12 +108,14 @@ class OpenGLRenderer:
         name: the OpenGL renderer's name.
         spent_s: wall time spent on images so far [s].
         whole: the last images are complete; no part was left blank.
+        depth: see `Renderer`.
     """
 
     def __init__(self, stage: Stage, camera: Camera, noisy: bool = False, share: float = 1.0):
         drawn = drawn_for(camera)
         self._maps = resampling_maps(camera, drawn[0]) if isinstance(camera, Perspective) else None
         self._cube = None if isinstance(camera, Perspective) else cube_of(camera)
+        self._model, self._pinhole_lens = stage.model, drawn[0]
         self._panels = len(camera.panels)
         self._size = camera.width, camera.height
         # Resampling needs pixels from beyond a window.
@@ -112,6 +126,14 @@ class OpenGLRenderer:
         self.name = self._views[0].renderer
         self.spent_s = 0.0
         self.whole = True
+        self.depth: DepthImage | None = None
+
+    @cached_property
+    def _sky_m(self) -> Array:
+        """Depth of the sky (H, W) [m], which MuJoCo draws as a solid; beyond it nothing is drawn."""
+        model, xy = self._model, (pixel_grid(self._pinhole_lens) - self._pinhole_lens.centre) / self._pinhole_lens.f
+        reach = SKY * float(model.vis.map.zfar * model.stat.extent)
+        return reach / np.sqrt(1 + (xy**2).sum(axis=-1))
 
     def full_image(self) -> Image:
         """The camera's own image now, shape (H, W, 3) uint8 RGB, as a copy; the panels of a lens that has them are composed."""
@@ -119,24 +141,32 @@ class OpenGLRenderer:
             return self._cube.compose(dict(enumerate(image for image in self.images() if image is not None)))
         return np.ascontiguousarray(self.images()[0])
 
-    def images(self, look: Look | None = None) -> tuple[Image | None, ...]:
+    def images(self, look: Look | None = None, with_depth: bool = False) -> tuple[Image | None, ...]:
         """The images now, one for each panel; they may share the renderer's buffer and are valid until the next call.
 
         Args:
             look: regions of interest, None for everything. Of a pinhole camera the rectangle around all windows is drawn; of a
                 camera with panels every panel with a window; of any other lens the cube's faces that reach into the windows.
                 What is not drawn is black, or None for a whole panel.
+            with_depth: of a perspective camera, draw everything, and set `depth`.
         """
         start = time.perf_counter()
-        images = self._pinhole(look) if self._cube is None else self._panel_images(look) if self._panels > 1 else self._composed(look)
+        if self._cube is None:
+            images = self._pinhole(None if with_depth else look, with_depth)
+        else:
+            images = self._panel_images(look) if self._panels > 1 else self._composed(look)
         self.spent_s += time.perf_counter() - start
         return images
 
-    def _pinhole(self, look: Look | None) -> tuple[Image]:
+    def _pinhole(self, look: Look | None, with_depth: bool) -> tuple[Image]:
         """The image of a perspective lens, drawn at least in the rectangle around the windows."""
         window = part_round(look[0], *self._size) if look is not None and self._parts else None
         self.whole = window is None
-        image = self._views[0].raw(window)
+        image = self._views[0].raw(window, with_depth)
+        if with_depth:
+            depth = self._views[0].depth()
+            seen = np.where(depth < self._sky_m, depth, np.float32(np.inf))
+            self.depth = seen if self._maps is None else _resampled(seen, self._maps)
         if self._maps is None:
             return (image,)
         still = np.ascontiguousarray(image)
@@ -153,3 +183,18 @@ class OpenGLRenderer:
         faces = range(len(self._views)) if look is None else self._cube.needed(look[0])
         self.whole = len(faces) == len(self._views)
         return (self._cube.compose({i: self._views[i].raw() for i in faces}),)
+
+
+def _resampled(depth: DepthImage, maps: tuple[NDArray[np.float32], NDArray[np.float32]]) -> DepthImage:
+    """A depth picture with the distortion of a lens; at an edge it has the depth of one surface, and no mean of two.
+
+    Within a surface 1/Z is interpolated, which is linear in a plane's picture.
+    """
+    w, square = 1 / depth, np.ones((3, 3), np.uint8)
+    smooth = (cv2.dilate(w, square) <= (1 + EDGE) * cv2.erode(w, square)).astype(np.uint8)
+    nearest, linear, within = (
+        cv2.remap(a, *maps, way, borderMode=cv2.BORDER_REPLICATE)
+        for a, way in ((w, cv2.INTER_NEAREST), (w, cv2.INTER_LINEAR), (smooth, cv2.INTER_NEAREST))
+    )
+    with np.errstate(divide="ignore"):
+        return np.asarray(1 / np.where(within > 0, linear, nearest), np.float32)

@@ -11,11 +11,12 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from vstestbed.camera import Camera, Image, Look, Panel, Perspective, Window
+from vstestbed.camera import Camera, DepthImage, Image, Look, Panel, Perspective, Window
 from vstestbed.core.errors import EnvironmentLackError, ParameterError
 from vstestbed.core.geometry import FLIP, Array
 from vstestbed.sim.render import gl_probe as gl
 from vstestbed.sim.render.cones import angles_to_next, cone_of, meets
+from vstestbed.sim.render.ray_depth import ray_depth
 from vstestbed.sim.render.shade import Paint
 from vstestbed.sim.scene.groups import LENS_GROUP, RANGE_GROUP
 from vstestbed.sim.scene.stage import Stage
@@ -50,7 +51,7 @@ class Caster:
         self._data = stage.data
         self._model = copy.copy(stage.model)
         self._model.body_bvhadr[:] = -1
-        self.paint = Paint(stage.model, stage.data)
+        self.paint = Paint(stage.model, stage.data, stage.parts.camera.anisotropy)
         self._shown = ~np.isin(stage.model.geom_group, [RANGE_GROUP] if outside else [RANGE_GROUP, LENS_GROUP])
         self._endless = stage.model.geom_rbound <= 0
         self._groups = np.array([1, 0, 0, 0, 0, 0], dtype=np.uint8)
@@ -73,18 +74,18 @@ class Caster:
             part = slice(start, start + len(bundle))
             start = part.stop
             if whole:
-                self._hits(origin, rays[part], geoms[part], distance[part], normal[part])
+                self.hits(origin, rays[part], geoms[part], distance[part], normal[part])
             elif seen[part].any():
                 at = part.start + np.flatnonzero(seen[part])
                 hit = np.empty(len(at), np.int32), np.empty(len(at)), np.empty((len(at), 3))
-                self._hits(origin, rays[at], *hit)
+                self.hits(origin, rays[at], *hit)
                 geoms[at], distance[at], normal[at] = hit
         colours = self.paint.colours(origin, rays, geoms, distance, normal, apart)
         if not whole:
             colours[~seen] = 0
         return colours, geoms
 
-    def _hits(self, origin: Array, rays: Array, geoms: NDArray[np.int32], distance: Array, normal: Array) -> None:
+    def hits(self, origin: Array, rays: Array, geoms: NDArray[np.int32], distance: Array, normal: Array) -> None:
         """Fill in the geoms, distances and normals that one bundle of rays (n, 3) hits."""
         model, n = self._model, len(rays)
         model.geom_group[:] = np.where(self._shown & self._within_reach(origin, cone_of(rays)), 0, 1)
@@ -201,25 +202,26 @@ class RayRenderer:
         refuse(camera)
         self._noisy = noisy
         self._rasters: dict[int, Raster] = {}
-        self.name = RENDERER
-        self.spent_s = 0.0
-        self.whole = True
+        self.name, self.spent_s, self.whole = RENDERER, 0.0, True
+        self.depth: DepthImage | None = None
 
     def full_image(self) -> Image:
         """The camera's own image now, shape (H, W, 3) uint8 RGB, as a copy."""
         # A lens with panels is cast through its own projection here; number -1 keeps that raster beside those of the panels.
         return self._draw(Panel(self._camera, np.eye(3)), -1 if self._camera.panels[0].lens is not self._camera else 0, None)
 
-    def images(self, look: Look | None = None) -> tuple[Image | None, ...]:
+    def images(self, look: Look | None = None, with_depth: bool = False) -> tuple[Image | None, ...]:
         """The images now, one for each panel, as copies.
 
         look: regions of interest, None for everything; a panel without a window is None, others are blank outside of theirs.
+        with_depth: of a perspective camera, draw everything, and set `depth`.
         """
-        start = time.perf_counter()
-        images = []
+        start, images, look = time.perf_counter(), [], None if with_depth else look
         for i, panel in enumerate(self._camera.panels):
             windows = None if look is None else look[i]
             images.append(None if windows == () else self._draw(panel, i, windows))
+        if with_depth:
+            self.depth = ray_depth(self._caster, self._rasters[0], self._stage.camera_pose())
         self.whole = look is None
         self.spent_s += time.perf_counter() - start
         return tuple(images)

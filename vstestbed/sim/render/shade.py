@@ -30,10 +30,11 @@ class Paint:
 
     Args:
         model, data: the scene; lights are where `data` has them.
+        anisotropy: samples of a texture in a pixel that sees it aslant, see `Camera`.
     """
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData):
-        self._model, self._data = model, data
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, anisotropy: int = 1):
+        self._model, self._data, self._anisotropy = model, data, anisotropy
         material = model.geom_matid
         painted = material >= 0
         rgb = own_colours(model)[:, :3]
@@ -65,9 +66,8 @@ class Paint:
         for printed in self._printed:
             at = np.flatnonzero(geom == printed)
             if len(at):
-                cosine = np.maximum(np.abs(np.einsum("ni,ni->n", rays[at], normal[at])), 1e-6)
-                pixel = apart[at] * distance[at] / cosine
-                colour[:, at] *= self._print(printed, origin + rays[at] * distance[at, None], normal[at], pixel).T
+                points = origin + rays[at] * distance[at, None]
+                colour[:, at] *= self._print(printed, points, rays[at], normal[at], apart[at] * distance[at]).T
         sky = np.flatnonzero(geom == -1)
         if len(sky):
             elevation, tints = self._sky
@@ -93,13 +93,13 @@ class Paint:
                 channel += facing * np.float32(brightness)
         return light
 
-    def _print(self, geom: int, points: Array, normal: Array, pixel: Array) -> NDArray[np.float32]:
-        """The texture of a plane or a box at points (N, 3) [m] in the world with normals (N, 3): (N, 3), 1 for full brightness.
+    def _print(self, geom: int, points: Array, rays: Array, normal: Array, across: Array) -> NDArray[np.float32]:
+        """The texture of a plane or a box at points (N, 3) [m] in the world with normals (N, 3), seen by unit rays (N, 3): colours (N, 3).
 
         On a face with axes i < j it is stretched over its width from the upper left corner on, upright along j. It is repeated texrepeat
         times, with texuniform as often again as the geom's half sizes x and y have metres. On an endless plane it begins in the middle.
 
-        pixel: size of a pixel there (N,) [m].
+        across: size of a pixel there, across the ray (N,) [m].
         """
         model, data = self._model, self._data
         R, half = data.geom_xmat[geom].reshape(3, 3), model.geom_size[geom]
@@ -112,8 +112,18 @@ class Paint:
         edges = 2 * np.column_stack([size[i], size[j]])
         place = np.column_stack([local[k, i], -local[k, j]]) / edges * times + begins
         mipmap = self._mipmaps[self._texture[geom]]
-        texels = pixel * (times * mipmap.size / edges).max(axis=1)
-        return mipmap.at(place - np.floor(place), texels)
+        cosine = np.maximum(np.abs(np.einsum("ni,ni->n", rays, normal)), 1e-6)
+        if self._anisotropy == 1:
+            texels = across / cosine * (times * mipmap.size / edges).max(axis=1)
+            return mipmap.at(place - np.floor(place), texels)
+        # A pixel covers `across` / cosine along the ray's shadow on the face, and `across` at a right angle to it.
+        shadow = rays - np.einsum("ni,ni->n", rays, normal)[:, None] * normal
+        steep = np.linalg.norm(shadow, axis=1) < 1e-9  # seen at a right angle: any direction on the face will do
+        shadow[steep] = R.T[i[steep]]
+        shadow /= np.linalg.norm(shadow, axis=1)[:, None]
+        two = (shadow * (across / cosine)[:, None]) @ R, (np.cross(normal, shadow) * across[:, None]) @ R
+        first, second = (np.column_stack([step[k, i], -step[k, j]]) / edges * times for step in two)
+        return mipmap.aslant(place, (first, second), self._anisotropy)
 
     def _add_local(self, light: NDArray[np.float32], points: Array, normal: Array) -> None:
         """Add the lights that have a place, at points (N, 3) with outward normals (N, 3), to (3, N)."""

@@ -45,6 +45,27 @@ class Mipmap:
             colours[mixed] = (1 - share) * colours[mixed] + share * self._between(place[mixed], fine[mixed] + 1)
         return colours
 
+    def aslant(self, place: Array, steps: tuple[Array, Array], most: int) -> NDArray[np.float32]:
+        """Colours (N, 3) of pixels that cover a long strip of the texture: means of up to `most` samples along it, each by `at`.
+
+        steps: from one pixel to the next along two axes, as shares of the texture's width and height, (N, 2) each.
+
+        Reference: McCormack, Perry, Farkas & Jouppi 1999, Feline: fast elliptical lines for anisotropic texture mapping,
+        doi:10.1145/311535.311562.
+        """
+        lengths = [np.hypot(step[:, 0] * self.size[0], step[:, 1] * self.size[1]) for step in steps]
+        first = (lengths[0] >= lengths[1])[:, None]
+        along = np.where(first, *steps)
+        longer, shorter = np.maximum(*lengths), np.minimum(*lengths)
+        samples = np.clip(np.ceil(longer / np.maximum(shorter, 1e-9) - 0.01), 1, most).astype(int)
+        texels, colours = np.maximum(longer / samples, shorter), np.zeros((len(place), 3), np.float32)
+        for k in range(int(samples.max(initial=0))):
+            on = np.flatnonzero(samples > k)
+            n = samples[on]
+            there = place[on] + along[on] * ((k + 0.5) / n - 0.5)[:, None]
+            colours[on] += self.at(there - np.floor(there), texels[on]) / n[:, None].astype(np.float32)
+        return colours
+
     def _between(self, place: Array, level: NDArray[np.int_]) -> NDArray[np.float32]:
         """Linear interpolation between the four texels round places (N, 2), each at its level (N,)."""
         width, height, start = self._width[level], self._height[level], self._start[level]

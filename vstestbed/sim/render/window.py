@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from dm_control import mujoco as dm
 
-from vstestbed.camera import Window
+from vstestbed.camera import DepthImage, Window
 
 REACH = 0.05
 """Margin around the windows, as a share of the image's width: a marker a little outside of its window is still rendered."""
@@ -23,9 +23,11 @@ class PartCamera(dm.Camera):
 
     Attributes:
         window: the part (left, top, right, bottom) [px] of the next image; None for all of it.
+        reads_depth: with the next image, which is a whole one, its depth is read (`depth`).
     """
 
     window: Window | None = None
+    reads_depth: bool = False
     _drawn: tuple[slice, slice] = (slice(None), slice(None))
 
     def update(self, scene_option: Any = None) -> None:
@@ -43,6 +45,8 @@ class PartCamera(dm.Camera):
         if self.window is None:
             self._drawn = slice(None), slice(None)
             super()._render_on_gl_thread(depth, overlays)
+            if self.reads_depth:
+                self._read_depth()
             return
         left, top, right, bottom = self.window
         for camera in self._scene.ptr.camera:
@@ -56,6 +60,25 @@ class PartCamera(dm.Camera):
         self._rgb_buffer[self._drawn] = 0  # only what was drawn last: the rest is black already
         self._drawn = slice(self._height - bottom, self._height - top), slice(left, right)
         self._rgb_buffer[self._drawn] = part
+
+    def _read_depth(self) -> None:
+        """Read the depth buffer of the image just drawn, while it is there."""
+        contexts = self._physics.contexts
+        assert contexts is not None and contexts.mujoco is not None
+        context = contexts.mujoco.ptr
+        # Far is 0: floats are finest there, where the depths are coarsest.
+        context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
+        mujoco.mjr_readPixels(None, self._depth_buffer, self._rect, context)
+
+    def depth(self) -> DepthImage:
+        """Depth Z (H, W) [m] along the optical axis of the last image drawn with `reads_depth`; inf where nothing was drawn.
+
+        With near and far planes at n and f the buffer holds b = n (f - Z) / (Z (f - n)).
+        """
+        model = self._physics.model
+        near, far = (float(plane) * model.stat.extent for plane in (model.vis.map.znear, model.vis.map.zfar))
+        b = self._depth_buffer[::-1].astype(float)
+        return np.where(b > 0, near * far / (near + b * (far - near)), np.inf).astype(np.float32)
 
 
 def _narrow(camera: mujoco.MjvGLCamera, window: Window, width: int, height: int) -> None:

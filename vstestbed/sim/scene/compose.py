@@ -23,6 +23,7 @@ from vstestbed.robots import VEHICLES, Robot
 from vstestbed.sim.lens.cube import drawn_for
 from vstestbed.sim.scene.attach import add_robot, extent_of
 from vstestbed.sim.scene.groups import FACE_VIEWER, GLOW, HAND_PLATE, LENS_GROUP, ROBOT_GROUP, SITE_GROUP, TARGET_GROUP
+from vstestbed.sim.scene.light import light_scene
 from vstestbed.sim.scene.model_files import ASSETS
 from vstestbed.sim.scene.overview import frame_drive, frame_flight
 from vstestbed.sim.scene.paint import add_body, add_sheet, add_stripe
@@ -30,7 +31,7 @@ from vstestbed.sim.scene.scenery import add_scenery
 from vstestbed.sim.scene.start_pose import camera_start, target_start
 from vstestbed.sim.scene.world import AWAY, World
 from vstestbed.targets import Pad, Target
-from vstestbed.targets.markers import HALF_THICKNESS_M, Marker
+from vstestbed.targets.markers import HALF_THICKNESS_M, Marker, Solid
 from vstestbed.vision.detect.tag_print import printed
 
 HOUSING_M = 0.03
@@ -44,6 +45,8 @@ PAD_HALF_M = 0.01
 """Half of a landing pad's thickness [m]."""
 PAD_FRICTION = [0.8, 0.005, 0.0001]
 """Rubber feet on a painted plate, as on a hard floor."""
+BEHIND_SHEET_M = 1e-3
+"""How far a board is behind a flat region, which has no thickness [m]: nearer, OpenGL could mix the two far away."""
 PITCH_M = 1e-5
 """Pixel pitch that MuJoCo's camera is given [m]; it drops out, since focal length and principal point are in pixels."""
 
@@ -103,6 +106,14 @@ def compose(parts: Parts) -> mujoco.MjSpec:
         carrier = add_robot(scene, parts.leader, "leader/", parts.world.floor_friction)[0] if parts.leader else None
         _add_target(scene, parts.target, carrier, parts.target.pose.T)
     _frame_overview(scene, parts)
+    _add_plates(scene, parts)
+    light_scene(scene, parts.world.light, glossy=parts.target.sheet is not None and parts.target.sheet.gloss > 0)
+    scene.assets = {**scene.assets, **carried}  # last: MuJoCo warns of models that are attached to one with assets
+    return scene
+
+
+def _add_plates(scene: mujoco.MjSpec, parts: Parts) -> None:
+    """Plates and decoys, and the plate in reserve."""
     for i, plate in enumerate(parts.world.plates):
         # Mocap bodies are moved by writing their pose: no joint, no dynamics. Until it is present, a plate is out of sight.
         holder = scene.worldbody.add_body(name=f"plate_{i}", mocap=True, pos=AWAY, quat=quaternion_wxyz(plate.pose.T[:3, :3]))
@@ -114,8 +125,6 @@ def compose(parts: Parts) -> mujoco.MjSpec:
     for i, decoy in enumerate(parts.world.decoys):
         holder = scene.worldbody.add_body(name=f"decoy_{i}", mocap=True, pos=decoy.xyz)
         _visual(holder, f"decoy_{i}", mujoco.mjtGeom.mjGEOM_SPHERE, [decoy.radius, 0, 0], [*decoy.color, 1], 0)
-    scene.assets = {**scene.assets, **carried}  # last: MuJoCo warns of models that are attached to one with assets
-    return scene
 
 
 def _show_hand(scene: mujoco.MjSpec) -> None:
@@ -199,8 +208,8 @@ def _add_target(scene: mujoco.MjSpec, target: Target, carrier: mujoco.MjsBody | 
         geom.rgba, geom.material = rgba, paint.name
     for i, p in enumerate(target.places):
         body.add_site(name=f"target/marker_{i}", pos=p, group=SITE_GROUP, size=[0.005] * 3)
-        if target.shows_markers:
-            _add_marker(scene, body, target, i, p)
+        if target.shows_markers and (solid := target.marker.solid):
+            _add_marker(scene, body, target, i, p, solid)
     if target.body is not None:
         add_body(scene, body, target.body)
     _add_back(scene, body, target)
@@ -213,19 +222,20 @@ def _add_back(scene: mujoco.MjSpec, body: mujoco.MjsBody, target: Target) -> Non
     elif target.board_half_m is not None:
         half, marker = target.board_half_m, target.marker
         front = (marker.height_m or 1.5 * HALF_THICKNESS_M) if target.shows_markers else 0.0
+        front = BEHIND_SHEET_M if target.body is not None else front
         if target.sheet is not None:
             front = add_sheet(scene, body, target.sheet, front)
         board = [0, 0, front + 0.01]
         _visual(body, "target/board", mujoco.mjtGeom.mjGEOM_BOX, [*half, 0.01], [0.86, 0.86, 0.85, 1], TARGET_GROUP, board)
 
 
-def _add_marker(scene: mujoco.MjSpec, body: mujoco.MjsBody, target: Target, i: int, p: Array) -> None:
+def _add_marker(scene: mujoco.MjSpec, body: mujoco.MjsBody, target: Target, i: int, p: Array, solid: Solid) -> None:
     """The geom of marker i at p (3,) in the target frame, with its colour or its print."""
     marker, normal = target.marker, target.normals[i]
     rgba, paint = _paint(scene, i, np.ones(3) if marker.textured else target.colors[i], marker.lit)
     if marker.textured:
         paint.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = _marker_texture(scene, marker, i)
-    shape, half_sizes = marker.solid
+    shape, half_sizes = solid
     # In a plane the front face of a flat marker lies in z = 0; on a solid it lies on the surface.
     inwards = 0.0 if marker.height_m else HALF_THICKNESS_M if target.body is None else -HALF_THICKNESS_M
     geom = _visual(body, f"target/marker_{i}", GEOMS[shape], list(half_sizes), rgba, TARGET_GROUP, p - inwards * normal, _facing(normal))

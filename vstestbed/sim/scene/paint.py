@@ -9,11 +9,15 @@ from vstestbed.core.geometry import Array
 from vstestbed.sim.scene.groups import FACE_VIEWER, GLOW, TARGET_GROUP
 from vstestbed.sim.scene.model_files import ASSETS
 from vstestbed.targets.markers import HALF_THICKNESS_M
-from vstestbed.targets.surfaces import Body, Sheet
+from vstestbed.targets.surfaces import Body, Globe, Sheet
 from vstestbed.targets.triangles import as_stl
 
+SHININESS = 0.5
+"""Of a glossy picture, in MuJoCo's unit: the highlight of a lamp falls as cos^64, to a half at 8 degrees."""
 LIFT_M = 2e-4
 """Height of the paint over the floor, against z-fighting [m]: seen from .3 m up at 60 degrees, it appears .35 mm too far out."""
+FACETS = 90
+"""Facets of a ball from pole to pole, and twice as many round it: its outline is within 2e-4 of its radius."""
 SEGMENT = 4
 """Samples of the route, a centimetre apart, in a segment: its chord deviates from a bend of 2 m radius by .1 mm."""
 
@@ -47,7 +51,9 @@ def add_sheet(scene: mujoco.MjSpec, body: mujoco.MjsBody, sheet: Sheet, front: f
     scene.add_texture(name="target/picture", type=mujoco.mjtTexture.mjTEXTURE_2D, file="target_picture.png")
     grey = 1.0 if sheet.lit else 1 / GLOW
     rgba = [grey, grey, grey, 1.0]
-    paint = scene.add_material(name="target/picture", rgba=rgba, specular=0, shininess=0, emission=0.0 if sheet.lit else GLOW)
+    paint = scene.add_material(
+        name="target/picture", rgba=rgba, specular=sheet.gloss, shininess=SHININESS, emission=0.0 if sheet.lit else GLOW
+    )
     paint.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "target/picture"
     paint.texrepeat = sheet.share
     body.add_geom(
@@ -66,21 +72,18 @@ def add_sheet(scene: mujoco.MjSpec, body: mujoco.MjsBody, sheet: Sheet, front: f
     return front + 2 * HALF_THICKNESS_M
 
 
-def add_body(scene: mujoco.MjSpec, body: mujoco.MjsBody, solid: Body) -> None:
+def add_body(scene: mujoco.MjSpec, body: mujoco.MjsBody, solid: Body | Globe) -> None:
     """A target's solid, without collisions. MuJoCo smooths the shading of curved surfaces."""
+    rgba = [*(c if solid.lit else c / GLOW for c in solid.rgb), 1.0]
+    paint = scene.add_material(name="target/solid", rgba=rgba, specular=0, shininess=0, emission=0.0 if solid.lit else GLOW)
+    geom = body.add_geom(name="target/solid", rgba=rgba, material=paint.name, group=TARGET_GROUP, contype=0, conaffinity=0, mass=0)
+    if isinstance(solid, Globe):
+        # Its outline is measured: with MuJoCo's own 28 facets round the equator it would be a polygon .6 % of the radius too small.
+        scene.visual.quality.numslices, scene.visual.quality.numstacks = 2 * FACETS, FACETS
+        geom.type, geom.size = mujoco.mjtGeom.mjGEOM_SPHERE, [solid.radius, 0, 0]
+        return
     scene.meshdir = ASSETS
     scene.assets = {**scene.assets, f"{ASSETS}/target_solid.stl": as_stl(solid.triangles)}
     mesh = scene.add_mesh(name="target/solid", file="target_solid.stl")
     mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # it need not be closed
-    paint = scene.add_material(name="target/solid", rgba=[*solid.rgb, 1.0], specular=0, shininess=0)
-    body.add_geom(
-        name="target/solid",
-        type=mujoco.mjtGeom.mjGEOM_MESH,
-        meshname="target/solid",
-        rgba=[*solid.rgb, 1.0],
-        material=paint.name,
-        group=TARGET_GROUP,
-        contype=0,
-        conaffinity=0,
-        mass=0,
-    )
+    geom.type, geom.meshname = mujoco.mjtGeom.mjGEOM_MESH, "target/solid"

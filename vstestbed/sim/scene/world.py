@@ -8,7 +8,7 @@ import pathlib
 from typing import Annotated
 
 import numpy as np
-from annotated_types import Ge, Len, Lt
+from annotated_types import Ge, Le, Len, Lt
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, inverse
@@ -114,6 +114,30 @@ class Decoy:
 
 
 @spec
+class Light:
+    """One lamp and an even light from all sides, in place of the room's own light and of the lights of scenery.
+
+    A surface of colour c with normal n has c (ambient + brightness max(0, n . l)), l towards the lamp, at most 1.
+
+    Args:
+        direction: along its rays in the world, of any length; the room's own comes from behind the robots' side, from above [1].
+        xyz: place of the lamp, which shines into the half space along `direction`, equally far [m]; none: it is as far as the sun;
+            e.g. `[0.5, 1.2, 2]`.
+        brightness: of what faces the lamp [1]. ambient: of what does not [1].
+    """
+
+    direction: Annotated[tuple[float, ...], Len(3, 3)] = (0.45, 0.45, -1.0)
+    xyz: Position | None = None
+    brightness: Annotated[float, Ge(0), Le(5)] = 0.6
+    ambient: Annotated[float, Ge(0), Le(5)] = 0.5
+
+    def __post_init__(self) -> None:
+        """Refuse a direction of no length."""
+        if not 1e-6 < math.hypot(*self.direction) < 1e6:
+            raise ParameterError("direction", "must be a vector along the lamp's rays, not zero", list(self.direction))
+
+
+@spec
 class Scenery:
     """Tables, walls, floors and lights by an MJCF file, which stand still; `sim/scene/scenery.py` says what becomes of its parts.
 
@@ -144,6 +168,7 @@ class World:
         plates: can occlude markers, or cast a shadow on them (`camera.shadows`).
         decoys: can be taken for markers.
         wind: acts on flying craft.
+        light: in place of the room's own light; none: that light.
     """
 
     scenery: Annotated[Scenery | None, Shorthand("file")] = None
@@ -152,6 +177,7 @@ class World:
     plates: Annotated[tuple[Plate, ...], Len(0, 100)] = ()
     decoys: Annotated[tuple[Decoy, ...], Len(0, 100)] = ()
     wind: Wind = Wind()
+    light: Light | None = None
 
     def __post_init__(self) -> None:
         """Refuse scenery that cannot stand here."""

@@ -7,26 +7,31 @@ import numpy as np
 from vstestbed.camera import Camera
 from vstestbed.core.geometry import Array, transform
 from vstestbed.features.observation import Goal
+from vstestbed.targets.base import Target
 from vstestbed.vision.pose.pnp import solve_pose_from_rays
 
 
-def shown_goal(true: Camera, believed: Camera, points: Array, T_camera_target: Array) -> Goal:
+def shown_goal(true: Camera, believed: Camera, target: Target, T_camera_target: Array) -> Goal:
     """The goal view recorded by the true camera and interpreted with the believed calibration (teach by showing).
 
     The pixels are those of the true camera; the pose, and with it every depth, is solved from them and the target's dimensions
-    with the believed calibration. Where the pixels leave the pose open, the true one is kept.
+    with the believed calibration. Where the pixels leave the pose open, the true one is kept. (Of a ball the depths follow from its size.)
 
     Args:
         true: the camera that took the picture.
         believed: its calibration as known to the robot.
-        points: markers in the target's frame, shape (N, 3) [m].
+        target: its markers.
         T_camera_target: true pose where the picture was taken, shape (4, 4).
     """
-    uv = true.project(transform(T_camera_target, points))
+    points = target.points
+    uv = true.project(target.points_at(T_camera_target))
     ray = believed.ray(uv)
-    solved = solve_pose_from_rays(ray, points, T_camera_target) if len(points) > 2 and np.isfinite(ray).all() else None
+    if (sized := target.by_size(ray)) is not None:
+        return Goal.of_picture(believed, uv, sized, T_camera_target)
+    placed = len(target.places) > 2 and bool(np.isfinite(ray).all())
+    solved = solve_pose_from_rays(ray, points, T_camera_target) if placed else None
     T = T_camera_target if solved is None else solved
-    return Goal.of_picture(believed, uv, transform(T, points), T)
+    return Goal.of_picture(believed, uv, target.points_at(T), T)
 
 
 def pose_by_depth(T: Array, points: Array, scale: Array) -> Array:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vstestbed.core.geometry import Array
 from vstestbed.features.depth import Estimate
@@ -31,12 +32,22 @@ class FlowMemory:
         information: sum of phi.phi with forgetting, shape (N,) [(m/s)^2].
         ray: unit rays at the last frame, shape (N, 3).
         t: time of the last frame [s].
+        ids: number of the point in each row, shape (N,), where they are not always the same markers.
     """
 
     inverse_range: Array
     information: Array
     ray: Array
     t: float
+    ids: NDArray[np.intp] | None = None
+
+    def of(self, ids: NDArray[np.intp] | None) -> FlowMemory:
+        """The state for rows with points `ids` (N,): of a point that was not in its row nothing is known."""
+        if ids is None or self.ids is None:
+            return self if ids is None else replace(self, ids=ids)
+        same = ids == self.ids
+        theta, ray = np.where(same, self.inverse_range, np.nan), np.where(same[:, None], self.ray, np.nan)
+        return FlowMemory(theta, np.where(same, self.information, 0.0), ray, self.t, ids)
 
 
 def init_flow(n: int) -> FlowMemory:
@@ -69,7 +80,7 @@ def update_flow(estimate: Estimate, memory: FlowMemory, t: float, ray: Array, tw
     begin = np.where(ray[:, 2] > BESIDE, ray[:, 2], 1.0) / estimate.initial_m
     theta = np.where(np.isnan(memory.inverse_range) & np.isfinite(ray[:, 0]), begin, memory.inverse_range)
     if not dt > 0:  # also the first frame, whose dt is NaN
-        return FlowMemory(theta, memory.information, np.where(np.isfinite(ray), ray, memory.ray), t)
+        return FlowMemory(theta, memory.information, np.where(np.isfinite(ray), ray, memory.ray), t, memory.ids)
     known = np.isfinite(ray[:, 0]) & np.isfinite(memory.ray[:, 0])
     # Lost markers get any unit ray, so that no NaN spreads; `known` masks the result.
     middle = np.where(known[:, None], ray + memory.ray, _AHEAD)
@@ -89,7 +100,7 @@ def update_flow(estimate: Estimate, memory: FlowMemory, t: float, ray: Array, tw
     theta = theta + np.where(teaches, innovation / information, 0.0)
     low, high = 1 / (RANGE * estimate.initial_m), RANGE / estimate.initial_m
     theta = np.clip(_advance(np.clip(theta, low, high), nearing, dt / 2), low, high)
-    return FlowMemory(theta, information, ray, t)
+    return FlowMemory(theta, information, ray, t, memory.ids)
 
 
 def _advance(theta: Array, nearing: Array, dt: float) -> Array:

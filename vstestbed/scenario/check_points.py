@@ -1,0 +1,195 @@
+"""Checks of what is measured against what the law and the task need: markers, a detector's own points, depths."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+
+from vstestbed.camera import Camera
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array
+from vstestbed.core.spec import kind_of
+from vstestbed.features.depth import OnFloor, PnP
+from vstestbed.features.observation import Goal
+from vstestbed.laws import Law
+from vstestbed.robots import Mount, Robot
+from vstestbed.targets import Target
+from vstestbed.tasks.stop import Stop
+from vstestbed.vision import DETECTORS, Detector
+
+ON_ONE_LINE = 1e-6
+"""Ratio of the second to the first singular value of marker positions under which they count as collinear."""
+
+
+def check_markers(robot: Robot, camera: Camera, target: Target, detector: Detector[Any], law: Law[Any], needs_pose: bool) -> None:
+    """Refuse markers that the detector cannot detect, too few markers, and arrangements that do not determine the pose.
+
+    Args:
+        needs_pose: the task needs the target's pose, which not every depth source estimates.
+
+    Raises:
+        ParameterError: it names the field, and what would work.
+    """
+    _check_marker_kind(target.marker.kind, detector)
+    _check_shown(target, detector)
+    _check_marker_count(robot, camera, target, detector, law)
+    _check_outline(target, law, needs_pose)
+    if law.depth.needs_pose and not law.depth.on_floor and _leaves_pose_open(target.points):
+        raise _open_pose(robot, target.points, law, needs_pose)
+
+
+def check_own_points(camera: Camera, detector: Detector[Any], law: Law[Any], views: Sequence[Goal]) -> None:
+    """Refuse what a detector of other points than the target's markers cannot serve; nothing for a detector of markers.
+
+    Raises:
+        ParameterError: it names the field, and what would work.
+    """
+    if not detector.needs_goal:
+        return
+    if len(camera.panels) > 1:
+        words = f"may not be {detector.kind} with a camera that sees all round: it compares single pictures; use perspective or fisheye"
+        raise ParameterError("detector", words)
+    if len(views) > 1:
+        words = f"may not be {detector.kind} with {len(views)} goal views in turn: it compares with the picture of one; use goal: view"
+        raise ParameterError("detector", words)
+    if not detector.changing:
+        return
+    if law.depth.estimator is not None:
+        words = f"estimates each point's depth from its motion, and detector {detector.kind} shows other points in every picture"
+        raise ParameterError("law.depth", f"{words}; use pnp or goal, or let it follow its points (track: klt)")
+    if law.needs_same_markers:
+        words = f"needs the same markers in every picture, and detector {detector.kind} shows other points; use ibvs, pbvs or hybrid"
+        raise ParameterError("law", f"{law.kind} {words}")
+
+
+def check_judged(stop: Stop, detector: Detector[Any], law: Law[Any]) -> None:
+    """Refuse conditions of convergence on what is not measured: markers without a detector, grey levels with a law of markers.
+
+    Raises:
+        ParameterError: it names the condition, and what would work.
+    """
+    goal, in_grey = stop.converged, "image" in law.inputs
+    if goal.error_grey is not None and not in_grey:
+        words = f"is of a law that works on grey levels (photometric), and law {law.kind} does not; use error_px"
+        raise ParameterError("stop.converged.error_grey", words)
+    if detector.rows == 0 and (goal.error_px is not None or goal.by_estimate):
+        field = "error_px" if goal.error_px is not None else "position_m" if goal.position_m is not None else "rotation_deg"
+        words = f"needs markers, and detector {detector.kind} finds none; use stop: {{converged: {{error_grey: 1}}}}"
+        raise ParameterError(f"stop.converged.{field}", words)
+
+
+def _check_marker_kind(marker: str, detector: Detector[Any]) -> None:
+    """Refuse a kind of marker that the detector cannot detect; a detector that names none detects all."""
+    seen = detector.markers
+    if seen and marker not in seen:
+        words = f"may not be {marker}: detector {detector.kind} sees {', '.join(seen)}; with {marker} use"
+        able = [kind for kind, member in DETECTORS.members.items() if not member.markers or marker in member.markers]
+        raise ParameterError("target.marker", f"{words} detector {' or '.join(able)}")
+
+
+def _check_shown(target: Target, detector: Detector[Any]) -> None:
+    """Refuse a detector of markers where none are drawn and no picture shows any; a detector that names no kinds may see other things.
+
+    Refuse also a detector of the target's picture where there is none.
+    """
+    if detector.needs_sheet and target.sheet is None:
+        words = (
+            f"must be a picture for detector {detector.kind}, which tracks it: `target: {{kind: picture, file: poster.png, width: 0.6}}`"
+        )
+        raise ParameterError("target", words, kind_of(type(target)))
+    if target.shows_markers or target.sheet is not None or not detector.markers:
+        return
+    able = [kind for kind, member in DETECTORS.members.items() if not member.markers]
+    words = f"may not be false with detector {detector.kind}: a {kind_of(type(target))} without markers shows it nothing to detect"
+    raise ParameterError("target.draw_markers", f"{words}; use true, or detector {' or '.join(able)}", False)
+
+
+def _check_outline(target: Target, law: Law[Any], needs_pose: bool) -> None:
+    """Refuse depths by a ball's size for another target, and poses of an outline that runs along a body as the camera moves."""
+    sized = target.by_size(np.zeros((len(target.points), 3))) is not None
+    if law.depth.needs_size and not sized:
+        raise ParameterError("law.depth", "may be size only with target ball, whose outline tells its distance; use pnp, goal or estimate")
+    if not target.outlined or len(target.places) or not (law.depth.needs_pose or needs_pose):
+        return
+    what = "a ball" if sized else "a disc"
+    words = f"may not be {law.depth.kind}: the outline of {what} does not tell how it is turned, and so has no pose"
+    raise ParameterError(
+        "law.depth", f"{words}; use {'size or ' if sized else ''}goal" if _has_depth(law) else f"{words}, which law {law.kind} needs"
+    )
+
+
+def _check_marker_count(robot: Robot, camera: Camera, target: Target, detector: Detector[Any], law: Law[Any]) -> None:
+    """Refuse fewer markers than the law needs for the motions that the robot can make."""
+    points, basis = target.points, robot.motion_basis(Mount.of(camera.mount.T), robot.start_joints())
+    # One at least: a robot whose motions need none would still have nothing to look at.
+    needed = max(law.markers_needed(basis), 1)
+    if detector.rows is not None and detector.rows < law.markers_needed(basis):
+        words = f"may not be {detector.kind}: it reports {detector.rows} points, and law {law.kind} needs {needed} or more; use"
+        raise ParameterError("detector", f"{words} another one, or law photometric")
+    if detector.rows is None and len(points) < needed:
+        markers = f"{len(points)} marker{'s' * (len(points) != 1)}"
+        words = f"has {markers}, and law {law.kind} needs {needed} or more for this robot's motions"
+        less = _needed_on_floor(robot, law, basis)
+        enough = less is not None and len(points) >= less
+        raise ParameterError("target", words + (f"; with law.depth floor {less} will do" if enough else ""))
+
+
+def check_determined(robot: Robot, camera: Camera, law: Law[Any], goal: Goal) -> None:
+    """Refuse a feature of all markers together that tells fewer motions than the robot has, where the law does not leave motions open.
+
+    Raises:
+        ParameterError: it names the feature, and what would work.
+    """
+    basis = robot.motion_basis(Mount.of(camera.mount.T), robot.start_joints())
+    for servo in _image_based(law):
+        feature, known = servo.feature, np.isfinite(goal.uv[:, 0])
+        if goal.counted is not None:
+            known &= goal.counted
+        if feature.rows_per_marker or servo.redundant or np.count_nonzero(known) < feature.least_markers:
+            continue
+        x, distance = (getattr(goal, name)[known] for name in feature.inputs)
+        told = int(np.linalg.matrix_rank(feature.interaction(x, distance) @ basis, rtol=servo.solve.cutoff))
+        if told < basis.shape[1]:
+            words = f"{feature.kind} tells {told} of this robot's {basis.shape[1]} motions at the goal"
+            more = ", or more rows (law.feature.rows)" if hasattr(feature, "rows") else ""
+            raise ParameterError("law.feature", f"{words}; use law.redundant: true, which leaves the others alone{more}")
+
+
+def _image_based(law: Any) -> list[Any]:
+    """The laws with a feature that may leave motions open: this law, or those within it."""
+    within = [law.law] if hasattr(law, "law") else [part.law for part in getattr(law, "laws", ())]
+    own = [law] if law.feature is not None and hasattr(law, "redundant") else []
+    return own + [servo for part in within for servo in _image_based(part)]
+
+
+def _leaves_pose_open(points: Array) -> bool:
+    """Whether points (N, 3) do not determine a pose: fewer than three, or collinear."""
+    # Rotation about their common line is not observable: the scatter round the centroid has rank one.
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return len(points) < 3 or bool(spread[1] < ON_ONE_LINE * spread[0])
+
+
+def _open_pose(robot: Robot, points: Array, law: Law[Any], needs_pose: bool) -> ParameterError:
+    """The error for markers that do not determine the pose."""
+    if not _has_depth(law):
+        words = f"has all markers on one line, which leaves the pose open that law {law.kind} works with; use other places"
+        return ParameterError("target", words)
+    # Only what this robot and task would accept: `floor` needs a vehicle, a task with a pose needs a source that estimates one.
+    depths = "floor" if needs_pose else "floor, goal or estimate" if robot.base == "planar" else "goal or estimate"
+    which = "all markers lie on one line" if len(points) > 1 else "there is a single marker"
+    return ParameterError("law.depth", f"may not be pnp: {which}, which leaves the pose open; use {depths}")
+
+
+def _has_depth(law: Law[Any]) -> bool:
+    """Whether the source of depth is a parameter of the law."""
+    return any(field.name == "depth" for field in fields(law))
+
+
+def _needed_on_floor(robot: Robot, law: Law[Any], basis: Array) -> int | None:
+    """Markers that the law would need with depth `floor`, as a remedy in a message; None where `floor` is no alternative to `pnp`."""
+    if robot.base != "planar" or not isinstance(law.depth, PnP) or not _has_depth(law):
+        return None
+    return replace(law, depth=OnFloor()).markers_needed(basis)  # pyright: ignore[reportCallIssue] - it has the field

@@ -1,0 +1,133 @@
+"""From the border of a region in a picture to the points of the target's outline, in the target's order."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from vstestbed.camera import Panel
+from vstestbed.core.geometry import Array
+from vstestbed.features.observation import Goal
+from vstestbed.targets import Ball, Shape, Target
+from vstestbed.targets.conic import distance_to_conic, ellipse_points, fitted_conic
+from vstestbed.targets.figures import centroid, covariance
+from vstestbed.vision.detect.polygon_fit import fit_polygon, roundness
+
+LEAST_AHEAD = 0.05
+"""Least Z of a unit ray to the border of a flat region: 87 degrees off the axis."""
+
+
+@dataclass(frozen=True, slots=True)
+class Border:
+    """The border of a region found in one panel of a camera.
+
+    Attributes:
+        edge: points on it (K, 2) [px]. middle: the region's centroid (2,) [px]. spread: covariance of its area (2, 2) [px^2].
+    """
+
+    edge: Array
+    middle: Array
+    spread: Array
+    panel: Panel
+
+    @property
+    def size_px(self) -> float:
+        """Standard deviation of the region's pixels, the geometric mean of both axes [px]."""
+        return math.sqrt(math.sqrt(max(float(np.linalg.det(self.spread)), 0.0)))
+
+    def rays(self, uv: Array) -> Array:
+        """Unit rays (K, 3) in the camera's frame of pixels (K, 2) of the panel."""
+        return self.panel.lens.ray(uv) @ self.panel.R_camera_panel.T
+
+
+@dataclass(frozen=True, slots=True)
+class OutlineFit:
+    """The outline that fits a border best.
+
+    Attributes:
+        p: its points as directions in the camera's frame, shape (M, 3), in the target's order.
+        off_px: distance of each point of the border from it, shape (K,) [px].
+        turn: how the target is turned in the picture (`PolygonFit.turn`) [rad]; 0 for what is round.
+    """
+
+    p: Array
+    off_px: Array
+    turn: float = 0.0
+
+
+def fit_outline(border: Border, target: Target, turn: float | None, expected: float) -> OutlineFit | None:
+    """The fit of the target's outline to the border; None where there is none.
+
+    Args:
+        border: in the picture. target: a ball or a shape.
+        turn: the rotation in the last picture [rad]; None where it is to be sought all round.
+        expected: the rotation that is taken where several fit alike [rad].
+    """
+    rays = border.rays(border.edge)
+    if isinstance(target, Ball):
+        return _ball(border, rays, target)
+    if not isinstance(target, Shape) or not (rays[:, 2] > LEAST_AHEAD).all():
+        return None
+    xy = rays[:, :2] / rays[:, 2:]
+    return _disc(border, xy, target) if target.figure.round else _polygon(border, xy, target, turn, expected)
+
+
+def turn_at(goal: Goal, target: Target) -> float:
+    """How a shape is turned in the goal view [rad]; 0 for what is round."""
+    if not isinstance(target, Shape) or target.figure.round or not np.isfinite(goal.xy).all():
+        return 0.0
+    seen, flat = goal.xy, target.points[:, :2]
+    # The affine map that fits best, without what makes both shapes round: a rotation.
+    to, _, _, _ = np.linalg.lstsq(np.column_stack([flat, np.ones(len(flat))]), seen, rcond=None)
+    R = roundness(covariance(seen)) @ to[:2].T @ np.linalg.inv(roundness(covariance(flat)))
+    return math.atan2(R[1, 0] - R[0, 1], R[0, 0] + R[1, 1])
+
+
+def _ball(border: Border, rays: Array, target: Ball) -> OutlineFit | None:
+    """The ball whose rim the rays (K, 3) touch best."""
+    centre = target.centre_of(rays)
+    if centre is None:
+        return None
+    far = float(np.linalg.norm(centre))
+    theta = math.asin(target.radius / far)
+    off = np.abs(np.arccos(np.clip(rays @ centre / far, -1.0, 1.0)) - theta)
+    # A round region of pixels with standard deviation s has the radius 2 s.
+    return OutlineFit(target.outline_of(centre), off * 2 * border.size_px / theta)
+
+
+def _disc(border: Border, xy: Array, target: Shape) -> OutlineFit | None:
+    """The ellipse that fits points (K, 2)."""
+    conic = fitted_conic(xy)
+    found = ellipse_points(conic, len(target.points))
+    if not np.isfinite(found).all():
+        return None
+    off = np.abs(distance_to_conic(conic, xy)) / _unit(border)
+    return OutlineFit(np.column_stack([found, np.ones(len(found))]), off)
+
+
+def _polygon(border: Border, xy: Array, target: Shape, turn: float | None, expected: float) -> OutlineFit | None:
+    """The polygon's image that fits points (K, 2)."""
+    corners = target.figure.corners
+    middle, J = _linearised(border)
+    plane, turns = (centroid(corners), covariance(corners)), () if turn is None else (turn,)
+    found = fit_polygon(xy, middle, J @ border.spread @ J.T, corners, plane, turns, expected)
+    if found is None:
+        return None
+    p = np.column_stack([target.points[:, :2], np.ones(len(target.points))]) @ found.H.T
+    p = p * np.sign(p[:, 2:])  # before the camera
+    return OutlineFit(p, found.off * border.size_px, found.turn)
+
+
+def _linearised(border: Border) -> tuple[Array, Array]:
+    """Normalised coordinates (2,) of the region's centroid, and their derivative (2, 2) by pixels."""
+    uv = border.middle + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    ray = border.rays(uv)
+    xy = ray[:, :2] / ray[:, 2:]
+    return xy[0], (xy[1:] - xy[0]).T
+
+
+def _unit(border: Border) -> float:
+    """Size of a pixel at the region in normalised coordinates, the geometric mean of both directions."""
+    return math.sqrt(abs(float(np.linalg.det(_linearised(border)[1]))))
