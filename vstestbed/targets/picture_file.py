@@ -86,6 +86,15 @@ def _read(path: Path, changed: int) -> PictureFile:
     return PictureFile(width, height, cv2.imencode(".png", image)[1].tobytes(), (1 - 2 / MARGIN, 1 - 2 / MARGIN))
 
 
+def as_png(path: Path) -> bytes:
+    """A picture file as PNG, the only kind that MuJoCo reads.
+
+    Raises:
+        ParameterError: `file` is no picture.
+    """
+    return cv2.imencode(".png", _decoded(path))[1].tobytes()
+
+
 def _stretched(image: NDArray[np.uint8], axis: int) -> NDArray[np.uint8]:
     """An image (H, W, 3) made longer, so that with its margin it has a power of two of pixels along an axis; MOST_PX at the most.
 
