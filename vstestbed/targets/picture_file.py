@@ -92,7 +92,7 @@ def as_png(path: Path) -> bytes:
     Raises:
         ParameterError: `file` is no picture.
     """
-    return cv2.imencode(".png", _decoded(path))[1].tobytes()
+    return cv2.imencode(".png", decoded(path))[1].tobytes()
 
 
 def _stretched(image: NDArray[np.uint8], axis: int) -> NDArray[np.uint8]:
