@@ -103,6 +103,24 @@ def test_markers_that_leave_the_pose_open(name, settings, words):
 
 
 @pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        (
+            {"law.feature": "segment"},
+            "law.feature: segment tells 4 of this robot's 6 motions at the goal; use law.redundant: true, which leaves",
+        ),
+        ({"law": {"kind": "qp", "law": {"kind": "ibvs", "feature": "polygon"}}}, "law.feature: polygon tells 2 of this robot's 6 motions"),
+        ({"law.feature": {"kind": "moments", "rows": ["xn", "yn", "an"]}}, "the others alone, or more rows (law.feature.rows)"),
+        ({"law.feature": "moments"}, "law.feature.rows: may not have alpha, sx, sy: the target is as wide as long in the goal view"),
+    ],
+)
+def test_features_that_leave_motions_open(settings, words):
+    refused("arm_ibvs", settings, words)
+    if "law.feature" in settings and settings["law.feature"] != "moments":
+        vs.load("arm_ibvs", settings | {"law.redundant": True})
+
+
+@pytest.mark.parametrize(
     ("name", "settings"),
     [
         ("car_pursuit", {ROUTE: circle(0.65)}),

@@ -97,7 +97,7 @@ class MomentSet:
     centre: Array
     of: Of
     plane: Array | None = None
-    _known: dict[tuple[int, int], Any] = field(default_factory=dict)
+    _known: dict[tuple[Any, ...], Any] = field(default_factory=dict)
 
     @classmethod
     def measured(cls, xy: Array, of: Of, order: int) -> MomentSet:
@@ -148,12 +148,14 @@ class MomentSet:
 
         Reference: Flusser 2000, doi:10.1016/S0031-3203(99)00127-2.
         """
-        total: Any = None
-        for a in range(p + 1):
-            for b in range(q + 1):
-                part = comb(p, a) * comb(q, b) * 1j ** (p - a) * (-1j) ** (q - b) * self.central(a + b, p + q - a - b)
-                total = part if total is None else total + part
-        return total
+        if ("c", p, q) not in self._known:
+            terms = [
+                comb(p, a) * comb(q, b) * 1j ** (p - a) * (-1j) ** (q - b) * self.central(a + b, p + q - a - b)
+                for a in range(p + 1)
+                for b in range(q + 1)
+            ]
+            self._known["c", p, q] = sum(terms[1:], start=terms[0])
+        return self._known["c", p, q]
 
     def _at(self, p: int, q: int) -> Array:
         return self.mu[..., p, q] if min(p, q) >= 0 else np.zeros(self.mu.shape[:-2])

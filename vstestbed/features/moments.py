@@ -37,10 +37,12 @@ class Moments:
 
     m_pq is the sum of x^p y^q over the points, or its integral over the region; mu_pq the same about the centroid (xg, yg).
 
-    xg, yg       the centroid, m10/m00 and m01/m00              xn, yn    xg/sqrt(a) and yg/sqrt(a)
-    area         a = m00 of a region, mu20 + mu02 of points     an        1/sqrt(a)
-    alpha        angle of the principal axis, atan2(2 mu11, mu20 - mu02)/2
-    sx, sy, px, py, c1 to c10                                   ratios that tell the tilt; equations in `features/invariants.py`
+    xg, yg     the centroid, m10/m00 and m01/m00
+    area       a = m00 of a region, mu20 + mu02 of points
+    xn, yn     xg/sqrt(a) and yg/sqrt(a)
+    an         1/sqrt(a)
+    alpha      angle of the principal axis, atan2(2 mu11, mu20 - mu02)/2
+    sx to c10  ratios that tell the tilt; `features/invariants.py` has their equations
 
     Where the target faces the camera at the depth Z, xn, yn and an move by 1/(Z sqrt(a)) times the camera's motion along x, y and z, a
     factor that does not depend on Z. (In print they have the factor Z* sqrt(a*) of the goal, which makes them metres.)
@@ -48,8 +50,8 @@ class Moments:
     Of the pairs for the tilt, sx and sy suit any elongated shape, also one that is symmetric about its centre (a rectangle). px and py, c1
     and c2, c4 and c6 need a shape without that symmetry, and px, py and c1, c2 one that is not its own mirror image either. There px and py
     converge from farther away than sx and sy, and are some four times as sensitive to noise. An ellipse tells less than six motions:
-    use the feature `ellipse`. Of the matrices, the mean (`law.interaction`) converges from the most starts; the current one is singular
-    at some views.
+    use the feature `ellipse`. All four of sx, sy, px and py converge from the most starts, and so does, of the matrices, the mean
+    (`law.interaction`): at some views the current one is singular, and six rows can vanish at another pose than the goal.
 
     alpha is an axis without a direction. Where third-order moments are large enough in both views, they tell its two ends apart, and its
     error is within half a turn, else within a quarter. To this end s has t = c21 sqrt(m00)/c11^(3/2) behind the rows where alpha is one.

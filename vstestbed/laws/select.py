@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from vstestbed.core.geometry import all_finite
+from vstestbed.core.geometry import Array, all_finite
 from vstestbed.features.base import Feature
 from vstestbed.features.observation import Goal, Observation
 
@@ -36,16 +36,19 @@ def usable_rows(observation: Observation, inputs: tuple[str, ...], needed: int) 
     return TOO_FEW if np.count_nonzero(seen) < needed else NO_DEPTH
 
 
+def at_goal(feature: Feature, goal: Goal) -> tuple[Array, Array] | None:
+    """Both inputs of a feature in a goal view, of the markers that count and are in it; None where the feature needs more."""
+    x, distance = (getattr(goal, name) for name in feature.inputs)
+    known = np.isfinite(x[:, 0]) if goal.counted is None else np.isfinite(x[:, 0]) & goal.counted
+    return (x[known], distance[known]) if np.count_nonzero(known) >= feature.least_markers else None
+
+
 def check_goal(feature: Feature, goal: Goal) -> None:
-    """Refuse a goal view at which a feature cannot work, as the feature's own `check_goal` says of the markers that count.
+    """Refuse a goal view at which a feature cannot work, as its own `check_goal` says, where it has one.
 
     Raises:
         ParameterError: it names a field of the scenario.
     """
-    check = getattr(feature, "check_goal", None)
-    if check is None:
-        return
-    x, distance = (getattr(goal, name) for name in feature.inputs)
-    known = np.isfinite(x[:, 0]) if goal.counted is None else np.isfinite(x[:, 0]) & goal.counted
-    if np.count_nonzero(known) >= feature.least_markers:
-        check(x[known], distance[known])
+    check, inputs = getattr(feature, "check_goal", None), at_goal(feature, goal)
+    if check is not None and inputs is not None:
+        check(*inputs)

@@ -15,6 +15,7 @@ from vstestbed.core.spec import kind_of
 from vstestbed.features.depth import OnFloor, PnP
 from vstestbed.features.observation import Goal
 from vstestbed.laws import Law
+from vstestbed.laws.select import at_goal
 from vstestbed.robots import Mount, Robot
 from vstestbed.targets import Target
 from vstestbed.tasks.stop import Stop
@@ -145,13 +146,10 @@ def check_determined(robot: Robot, camera: Camera, law: Law[Any], goal: Goal) ->
     """
     basis = robot.motion_basis(Mount.of(camera.mount.T), robot.start_joints())
     for servo in _image_based(law):
-        feature, known = servo.feature, np.isfinite(goal.uv[:, 0])
-        if goal.counted is not None:
-            known &= goal.counted
-        if feature.rows_per_marker or servo.redundant or np.count_nonzero(known) < feature.least_markers:
+        feature, inputs = servo.feature, at_goal(servo.feature, goal)
+        if feature.rows_per_marker or servo.redundant or inputs is None:
             continue
-        x, distance = (getattr(goal, name)[known] for name in feature.inputs)
-        told = int(np.linalg.matrix_rank(feature.interaction(x, distance) @ basis, rtol=servo.solve.cutoff))
+        told = int(np.linalg.matrix_rank(feature.interaction(*inputs) @ basis, rtol=servo.solve.cutoff))
         if told < basis.shape[1]:
             words = f"{feature.kind} tells {told} of this robot's {basis.shape[1]} motions at the goal"
             more = ", or more rows (law.feature.rows)" if hasattr(feature, "rows") else ""
