@@ -6,26 +6,24 @@ import functools
 import itertools
 import math
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple, TypeVar, overload
+from typing import NamedTuple
 
 from vstestbed.core.errors import Mistake, ParameterError, ScenarioError, UnreachableError
 from vstestbed.experiments.comparison.folder_names import among, distinct, file_word
+from vstestbed.experiments.comparison.lazy import Lazy, Starts
 from vstestbed.experiments.comparison.plan import TASK, Comparison, merged
 from vstestbed.experiments.comparison.starts import StartTable
 from vstestbed.scenario.load import find, load, seeded
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.scenario.yaml_marks import Key, Marks, marks_under
 
-T = TypeVar("T")
 AS_IT_IS = "as_it_is"
 """Name of the variant of a scenario where nothing is varied."""
 MOST_RUNS = 100_000
 """Runs that need no `--force`: over an hour of the quickest scenario (50 ms a run) on one core, and tens of GB of run folders."""
-STARTS_KEPT = 100
-"""Scenarios of a task's runs that are kept in memory; of more, each is made again when its turn comes."""
 MOST_KEPT = 10_000
 """Variants that are kept in memory (some 15 kB each); of more, each is loaded again when its turn comes."""
 
@@ -87,46 +85,6 @@ class Job:
                 raise UnreachableError("robot.start", why)
             return replace(found.starts[self.seed], seed=self.seed)
         return found.scenario if self.seed is None or not found.draws else seeded(found.scenario, self.seed)
-
-
-class Lazy(Sequence[T]):
-    """A sequence whose items are made when they are asked for."""
-
-    def item(self, i: int) -> T:
-        """Item i, 0 <= i < len."""
-        raise NotImplementedError
-
-    @overload
-    def __getitem__(self, i: int) -> T: ...
-    @overload
-    def __getitem__(self, i: slice) -> list[T]: ...
-    def __getitem__(self, i: int | slice) -> T | list[T]:
-        """Item i, or a list of the items of a slice."""
-        places = range(len(self))[i]
-        return self.item(places) if isinstance(places, int) else [self.item(place) for place in places]
-
-
-class Starts(Lazy[Scenario]):
-    """The scenarios of a task's runs, each made when it is asked for.
-
-    Args:
-        make: the scenario of run i, and why the robot cannot stand where it begins, "" where it can.
-        runs: how many there are.
-    """
-
-    def __init__(self, make: Callable[[int], tuple[Scenario, str]], runs: int):
-        self._made, self._runs = functools.lru_cache(maxsize=STARTS_KEPT)(make), runs
-
-    def __len__(self) -> int:
-        return self._runs
-
-    def item(self, i: int) -> Scenario:
-        """The scenario of run i; one that cannot begin as it is without its displacement."""
-        return self._made(i)[0]
-
-    def why_not(self, i: int) -> str:
-        """Why the robot cannot stand where run i begins; "" where it can."""
-        return self._made(i)[1]
 
 
 class Variants(Lazy[Variant]):
@@ -299,10 +257,13 @@ class Jobs(Lazy[Job]):
         every = range(len(self._found))
         if None in self._numbers:
             yield from (Job(self._found[i], None) for i in every if self._numbers_of(i) is None)
-        for turn in range(max((len(n) for n in self._numbers if n is not None), default=0)):
-            yield from (
-                Job(self._found[i], n[turn], self._found[i].runs or len(n)) for i in every if turn < len(n := self._numbers_of(i) or ())
-            )
+        for turn in range(max(map(len, filter(None, self._numbers)), default=0)):
+            yield from (job for i in every if (job := self._job(i, turn)))
+
+    def _job(self, i: int, turn: int) -> Job | None:
+        """The run of controller i in a turn; None where it has no more."""
+        numbers = self._numbers_of(i) or ()
+        return Job(self._found[i], numbers[turn], self._found[i].runs or len(numbers)) if turn < len(numbers) else None
 
     def _numbers_of(self, i: int) -> Sequence[int] | None:
         return self._numbers[i % len(self._numbers)]
