@@ -70,6 +70,11 @@ class TestSettles:
         run = frames([0.5, 0.004, 0.5, *[0.004] * 20], [1.0] * 23)
         assert ended(Settles(early=0.1), run) == (Outcome.converged, 3 + EARLY_PICTURES)
 
+    def test_ends_where_it_comes_no_nearer(self):
+        """The smallest distance in picture 3; one that is no more than 2 % smaller counts as none."""
+        run = frames([0.5, 0.4, 0.2, 0.3, *[0.197] * 20], [1.0] * 24)
+        assert ended(Settles(stuck=6), run) == (Outcome.timed_out, 3 + 6)
+
     def test_what_is_refused(self):
         with pytest.raises(ParameterError, match="goes with or_rotation_deg"):
             Settles(or_position_m=0.01)

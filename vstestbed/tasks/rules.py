@@ -24,6 +24,9 @@ Away = tuple[float, float]
 EARLY_PICTURES = 10
 """In so many pictures in turn both errors must be under `early` of their limits: one alone may be there on its way through."""
 
+NEARER = 0.98
+"""A run comes nearer where the larger of both errors falls under this share of its smallest value so far."""
+
 
 def away_from_goal(frame: Frame) -> Away:
     """True distance [m] and angle [rad] between the camera and its goal, the law's goal view of the target as it truly stands."""
@@ -41,6 +44,19 @@ class _Early:
         """Whether the errors have been under the share of their limits for long enough; near: the larger one over its limit."""
         self._count = self._count + 1 if self._share is not None and near < self._share else 0
         return self._count >= EARLY_PICTURES
+
+
+class _Stuck:
+    """Whether a run may be ended because it does not come nearer any more."""
+
+    def __init__(self, pictures: int | None):
+        self._pictures, self._nearest, self._since = pictures, math.inf, 0
+
+    def hopeless(self, near: float) -> bool:
+        """Whether the errors have not been smaller than before for long enough; near: the larger one over its limit."""
+        nearer = near < NEARER * self._nearest
+        self._nearest, self._since = (near, 0) if nearer else (self._nearest, self._since + 1)
+        return self._pictures is not None and self._since >= self._pictures and near > 1
 
 
 @spec
@@ -65,7 +81,9 @@ class Settles:
         or_rotation_deg: the angle that goes with it [deg]; e.g. `1`.
         diverged: how many times the start's distance is too far [1].
         early: end a run as converged once both errors have been under this share of their limits for EARLY_PICTURES pictures in turn, also
-            before it has settled [1]; None: never. It saves half of the pictures; the errors at the end are then larger.
+            before it has settled [1]; None: never. It saves two thirds of their pictures; the errors at the end are then larger.
+        stuck: end a run as not converged once the larger error, over its limit, has not been smaller than before for so many pictures [1];
+            None: never. No law of the protocol has been seen to find back after 400, but one could; e.g. `400`.
     """
 
     kind: Literal["settles"] = "settles"
@@ -79,6 +97,7 @@ class Settles:
     or_rotation_deg: PositiveAngle | None = None
     diverged: Annotated[float, Gt(1), Le(1000)] = 5.0
     early: Share | None = None
+    stuck: Pictures | None = None
 
     def __post_init__(self) -> None:
         """Refuse half of the alternative, and an end before the beginning."""
@@ -101,7 +120,7 @@ class Settles:
 
 class _Settles:
     def __init__(self, rule: Settles):
-        self._rule, self._early = rule, _Early(rule.early)
+        self._rule, self._early, self._stuck = rule, _Early(rule.early), _Stuck(rule.stuck)
         self._speeds: deque[tuple[float, float]] = deque(maxlen=2 * rule.window)
         self._start: Away | None = None
         self._pictures = 0
@@ -118,6 +137,8 @@ class _Settles:
         near = rule.near(away, start)
         if self._early.certain(near):
             return Outcome.converged, self._words("within", near, "before it settled")
+        if self._stuck.hopeless(near):
+            return Outcome.timed_out, self._words("not within", near, f"no nearer for {rule.stuck} pictures")
         ended = self._pictures >= rule.most
         if not (ended or self._settled()):
             return None
