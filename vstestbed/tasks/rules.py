@@ -83,7 +83,7 @@ class Settles:
         early: end a run as converged once both errors have been under this share of their limits for EARLY_PICTURES pictures in turn, also
             before it has settled [1]; None: never. It saves two thirds of their pictures; the errors at the end are then larger.
         stuck: end a run as not converged once the larger error, over its limit, has not been smaller than before for so many pictures [1];
-            None: never. No law of the protocol has been seen to find back after 400, but one could; e.g. `400`.
+            None: never. A run that would have found its way later counts as lost then, so that it must be long; e.g. `400`.
     """
 
     kind: Literal["settles"] = "settles"
