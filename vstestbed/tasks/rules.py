@@ -81,7 +81,8 @@ class Settles:
         or_rotation_deg: the angle that goes with it [deg]; e.g. `1`.
         diverged: how many times the start's distance is too far [1].
         early: end a run as converged once both errors have been under this share of their limits for EARLY_PICTURES pictures in turn, also
-            before it has settled [1]; None: never. It saves two thirds of their pictures; the errors at the end are then larger.
+            before it has settled [1]; None: never. It saves two thirds of their pictures; the errors at the end are then larger;
+            e.g. `0.1`.
         stuck: end a run as not converged once the larger error, over its limit, has not been smaller than before for so many pictures [1];
             None: never. A run that would have found its way later counts as lost then, so that it must be long; e.g. `400`.
     """
@@ -171,7 +172,7 @@ class AfterPictures:
         pictures: after how many pictures the run is judged [1].
         share: of the distance between camera and target at the goal, within which the camera must be from its goal [1].
         rotation_deg: angle within which it must be [deg].
-        early: as of `settles` [1].
+        early: as of `settles` [1]; e.g. `0.1`.
     """
 
     kind: Literal["after_pictures"] = "after_pictures"
