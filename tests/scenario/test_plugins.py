@@ -33,6 +33,15 @@ class Mine(IBVS):
 """
 
 
+ONE_FIGURE = """\
+from vstestbed.cli.app import main
+from vstestbed.report.comparison import page
+page.PLOTS = page.PLOTS[:1]
+main()
+"""
+"""The command `vstestbed`, whose reports of comparisons have one figure."""
+
+
 def plugin(path: Path, kind: str = "mine", more: str = "") -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(LAW.replace("KIND", kind) + more, encoding="utf-8")
@@ -152,10 +161,10 @@ def test_a_comparison_remembers_plugins_for_workers_resume_and_report(quick: Pat
     plugin(tmp_path / "a/mine.py", "one"), plugin(tmp_path / "b/mine.py", "two")
     quick.write_text(quick.read_text() + "plugins: [a/mine.py]  # beside\n")
     laws = {"law.kind": ["one", "two"]}
-    vs.compare([quick], laws, seeds=1, jobs=2, plugins=[str(tmp_path / "b/mine.py")], out=tmp_path / "c", film=False, report=False)
+    vs.compare([quick], laws, seeds=1, jobs=1, plugins=[str(tmp_path / "b/mine.py")], out=tmp_path / "c", film=False, report=False)
     shutil.rmtree(tmp_path / "c/runs/quick/law.kind=two")
     words, environment = vstestbed_process
-    line = [*words, "compare", "--resume", "--out", "../c", "--jobs", "1", "--no-film", "--quiet"]
+    line = [words[0], "-c", ONE_FIGURE, "compare", "--resume", "--out", "../c", "--jobs", "1", "--no-film", "--quiet"]
     done = subprocess.run(line, cwd=tmp_path / "a", env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert len((tmp_path / "c/comparison.csv").read_text().splitlines()) == 3

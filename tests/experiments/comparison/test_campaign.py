@@ -18,6 +18,7 @@ import polars as pl
 import pytest
 
 import vstestbed as vs
+from tests.shortcuts import Here
 from vstestbed.core.errors import EnvironmentLackError, ParameterError
 from vstestbed.experiments.comparison import Campaign, Comparison, compare, controllers, jobs
 from vstestbed.experiments.comparison.folder import table_of
@@ -116,7 +117,7 @@ def test_one_job_two_jobs_and_dask_give_the_same(quick: Path, tmp_path: Path, cl
     assert alone.equals(pl.read_parquet(tmp_path / "one/runs/quick/law.gain=6.0/1/log.parquet"))
 
 
-def test_the_table_says_what_the_summaries_say(quick: Path, tmp_path: Path):
+def test_the_table_says_what_the_summaries_say(quick: Path, tmp_path: Path, here: None):
     table = compare([quick], GAINS, seeds=2, jobs=1, out=tmp_path / "c", film=False, report=False)
     assert table.columns[:5] == ["scenario", "law.gain", "seed", "folder", "outcome"]
     assert table.columns[-1] == "attempts"
@@ -243,7 +244,7 @@ def gone(pid: int) -> None:
 
 
 class TestResume:
-    def test_what_is_there_is_not_run_again(self, quick: Path, tmp_path: Path):
+    def test_what_is_there_is_not_run_again(self, quick: Path, tmp_path: Path, here: None):
         out, done = tmp_path / "c", []
         whole = compare([quick], GAINS, seeds=2, jobs=1, out=out, film=False, report=False)
         (out / "runs/quick/law.gain=3.0/1").rename(tmp_path / "taken")
@@ -256,7 +257,7 @@ class TestResume:
         assert timeless(again).equals(timeless(whole))
         assert not list(out.glob("**/*.part"))
 
-    def test_it_goes_on_with_what_the_folder_compares(self, quick: Path, tmp_path: Path):
+    def test_it_goes_on_with_what_the_folder_compares(self, quick: Path, tmp_path: Path, here: None):
         out = tmp_path / "c"
         compare([quick], GAINS, seeds=1, jobs=1, out=out, film=False, report=False)
         assert len(compare([quick], GAINS, seeds=1, jobs=1, out=out, resume=True, film=False, report=False)) == 2
@@ -341,8 +342,7 @@ def test_a_start_that_cannot_be_drawn_is_a_run_that_crashed(quick: Path, tmp_pat
     away = {"robot.start.random": {"xyz": [0, 0, 0], "rpy_deg": [0, 0, 0]}, "robot.start.nominal.xyz": [3, 0, 0]}
     comparison = Comparison(base=(str(quick),), set=away, seeds=2)
     campaign = Campaign(tmp_path, jobs(controllers(comparison), 2))
-    with closing(LocalPool(1, tmp_path)) as pool:
-        campaign.run(pool)
+    campaign.run(Here())
     table = table_of(tmp_path, campaign.jobs)
     assert table["outcome"].to_list() == ["crashed", "crashed"]
     assert "has the whole target in view" in table["reason"][0]

@@ -59,9 +59,9 @@ LAWS += ("pose", "pose_origin", "hybrid")
 
 @pytest.mark.parametrize("law", LAWS)
 def test_a_batch_gives_the_folders_of_single_runs(canonical: dict[str, list[Scenario]], law: str):
-    """A run of each task; the study below compares all."""
+    """A run of each task by two of the laws, of two tasks by the others; the study below compares all."""
     whole = canonical[law]
-    picked = [0, 1, 2, 3, 4]  # seed by seed: the first of each task
+    picked = [0, 1, 2, 3, 4] if law in ("points", "pose") else [3, 4]  # seed by seed: the first of each task
     flown = BatchRequest.of("a", [whole[i] for i in picked]).perform()
     assert [i for i, files in zip(picked, flown, strict=True) if files is None] == []
     for i, files in zip(picked, flown, strict=True):
