@@ -16,6 +16,7 @@ import pytest
 
 import vstestbed as vs
 from tests.experiments.comparison.test_campaign import logs, timeless
+from tests.shortcuts import run_here
 from vstestbed.experiments.comparison import Comparison, chosen, compare, controllers, jobs
 from vstestbed.experiments.comparison.flights import LEAST, MOST, BatchRequest, batches, flies_in_batch
 from vstestbed.experiments.comparison.folder import table_of
@@ -159,7 +160,9 @@ def test_a_resumed_comparison_flies_the_same_batches(quick: Path, tmp_path: Path
     monkeypatch.setattr("vstestbed.experiments.comparison.folder.GROUP", 6)
     whole, cut = tmp_path / "whole", tmp_path / "cut"
     seeds = 2 * LEAST
-    table = compare([quick], seeds=seeds, jobs=1, out=whole, film=False, report=False)
+    with monkeypatch.context() as patch:
+        run_here(patch)
+        table = compare([quick], seeds=seeds, out=whole, film=False, report=False)
     assert table["batch"].to_list() == [None] + [True] * (seeds - 1)  # the first may be filmed
     shutil.copytree(whole, cut)
     every = jobs(controllers(Comparison(base=(str(quick),), seeds=seeds)), seeds)
