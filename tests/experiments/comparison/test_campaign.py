@@ -226,7 +226,7 @@ def test_a_script_without_a_main_guard_is_told_so(quick: Path, tmp_path: Path, v
 def test_workers_end_with_the_pool(quick: Path, tmp_path: Path):
     pool = LocalPool(2, tmp_path)
     pool.submit(request_of("runs/a", vs.load(quick, {"stop.duration_s": 30000, "law.gain": 1e-4}), False))
-    pids = [slot.pid.result() for slot in pool._free]
+    pids = [slot.pid.result() for slot in pool._slots]
     pool.close()
     for pid in pids:
         gone(pid)
