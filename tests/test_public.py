@@ -97,7 +97,10 @@ def test_a_name_in_place_of_a_scenario_is_refused_with_what_to_write() -> None:
         (lambda: vs.laws.IBVS(gian=1), "IBVS.gian is an unknown field; did you mean 'gain'?"),
         (lambda: vs.laws.IBVS(gain=-1), "IBVS.gain must be > 0, got -1"),
         (lambda: vs.laws.IBVS(gain={"kind": "adaptive", "at_zer": 1}), "IBVS.gain.at_zer is an unknown field; did you mean 'at_zero'?"),
-        (lambda: vs.laws.IBVS(depth="npn"), "IBVS.depth is no depth; valid kinds: constant, estimate, floor, goal, oracle, pnp, got 'npn'"),
+        (
+            lambda: vs.laws.IBVS(depth="npn"),
+            "IBVS.depth is no depth; valid kinds: constant, estimate, floor, goal, oracle, pnp, sensor, size, got 'npn'",
+        ),
         (lambda: vs.robots.Free(), "Free.start is missing: where the camera starts; a block of nominal, random"),
         (lambda: vs.robots.Free(strat=1), "Free.strat is an unknown field; did you mean 'start'?"),
         (

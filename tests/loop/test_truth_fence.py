@@ -165,7 +165,7 @@ def watched(monkeypatch: pytest.MonkeyPatch, scenario: vs.Scenario, every: int =
     supervisor = type(scenario.robot.supervisor(False, 1.0, 1.0))
     parts = (
         (type(scenario.law), ("init", "step")),
-        (type(scenario.detector), ("look", "detect")),
+        (type(scenario.detector), ("begin", "look", "detect")),
         (Observer, ("observe",)),
         (type(scenario.goal), ("reference", "passed")),
         (supervisor, ("filter",)),
@@ -193,15 +193,18 @@ def watched(monkeypatch: pytest.MonkeyPatch, scenario: vs.Scenario, every: int =
     return found
 
 
+SMALL = {"camera.width": 320, "camera.height": 240}
 RUNS = {
     "arm_ibvs": {"law.gain": 2},
     "ibvs_book": {},
     "arm_track_circle": {},
+    "arm_patch": {},
     "car_pbvs": {},
     "omni_ibvs": {},
     "car_line": {},
     "quadrotor_path": {},
     "quadrotor_land": {},
+    "arm_keypoints": SMALL,
 }
 
 
@@ -283,9 +286,9 @@ class TestCorruptedTruth:
 
             monkeypatch.setattr(plant, "truth", lie)
 
-    @pytest.mark.parametrize("name", ["arm_ibvs", "car_pbvs", "quadrotor_path"])
+    @pytest.mark.parametrize("name", ["arm_ibvs", "arm_depth", "arm_patch", "arm_region", "car_pbvs", "quadrotor_path", "arm_keypoints"])
     def test_no_command_changes(self, name: str, monkeypatch: pytest.MonkeyPatch):
-        scenario = vs.load(name, {"stop.duration_s": 0.3})
+        scenario = vs.load(name, {"stop.duration_s": 0.3} | (SMALL if name == "arm_keypoints" else {}))
         honest = self.commands(scenario)
         self.corrupt(monkeypatch)
         np.testing.assert_array_equal(self.commands(scenario), honest)

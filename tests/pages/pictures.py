@@ -60,6 +60,8 @@ STUDIES: dict[str, tuple[str, str]] = {
 }
 """The command, and the file in its folder; of a film the picture at SHOWN_S."""
 SHOWN_S = Fraction(18, 5)
+DEPTH, CUT, DEPTHS_M = "depth_sensors", np.s_[40:460, 60:480], (0.4, 2.4)
+"""What depth cameras measure: the part of the picture that is shown, and the depths of the first and the last colour [m]."""
 LIVE, LATE_S, QUIET, SWINGS, TURNED_S, SHOT_S = "live", 0.4, 0.4, 3.6, 4.0, 8.5
 """The page of `vstestbed live`, which needs a Chromium: pictures that come so late [s], the gain before and after TURNED_S [1/s, s], and
 when it is shown [s]."""
@@ -108,6 +110,23 @@ def moving(name: str, folder: Path) -> bytes:
     settings = {"duration": duration_ms, "loop": 0, "quality": MOVING_QUALITY, "method": 4}
     images[0].save(file, "webp", save_all=True, append_images=images[1:], **settings)
     return file.getvalue()
+
+
+def depth_sensors() -> Image:
+    """The first picture of `arm_depth` with balls as markers, and the depth that each kind of sensor measures of it; black in holes."""
+    shown: list[Image] = []
+    for kind in ("ideal", "stereo", "structured_light", "time_of_flight"):
+        changes = {"camera.depth_sensor": kind, "target.marker": {"kind": "sphere", "radius": 0.04}}
+        with vs.Session(vs.load("arm_depth", changes), pictures=True) as session:
+            frame = session.reset()
+        assert frame.image is not None and frame.depth_image is not None
+        share = np.clip((frame.depth_image - DEPTHS_M[0]) / (DEPTHS_M[1] - DEPTHS_M[0]), 0, 1)
+        colours = cv2.applyColorMap((255 * np.nan_to_num(share)).astype(np.uint8), cv2.COLORMAP_TURBO)[..., ::-1]
+        shown += [frame.image.copy()] if not shown else []
+        shown.append(np.where(np.isnan(frame.depth_image)[..., None], 0, colours).astype(np.uint8))
+    gap = np.full((CUT[0].stop - CUT[0].start, 6, 3), 255, np.uint8)
+    wide = np.hstack([part for image in shown for part in (image[CUT], gap)][:-1])
+    return np.asarray(cv2.resize(wide, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def study(name: str, folder: Path) -> Image:
@@ -171,17 +190,18 @@ def live_page() -> Image:
 def main() -> None:
     """Make them."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("names", nargs="*", metavar="NAME", help=f"{', '.join([*FILMS, *MOVING, LIVE, *STUDIES])}")
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"{', '.join([*FILMS, *MOVING, LIVE, DEPTH, *STUDIES])}")
     parser.add_argument("--studies", action="store_true")
     parser.add_argument("--out", type=Path, default=REPOSITORY / ".media")
     given = parser.parse_args()
-    names = given.names or [*FILMS, *MOVING, LIVE, *(STUDIES if given.studies else ())]
+    names = given.names or [*FILMS, *MOVING, LIVE, DEPTH, *(STUDIES if given.studies else ())]
     with tempfile.TemporaryDirectory() as folder:
         for name in names:
             if name in MOVING:
                 write_whole(given.out / f"{name}.webp", moving(name, Path(folder)))
                 continue
-            made = strip(name) if name in FILMS else live_page() if name == LIVE else study(name, Path(folder))
+            own = {LIVE: live_page, DEPTH: depth_sensors}.get(name)
+            made = own() if own else strip(name) if name in FILMS else study(name, Path(folder))
             path = given.out / f"{name}.png"
             write_whole(path, cv2.imencode(".png", cv2.cvtColor(made, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_PNG_COMPRESSION, 9])[1].tobytes())
             print(path)

@@ -9,7 +9,7 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.core.errors import ParameterError, ScenarioError
-from vstestbed.vision.perturb import PERTURBATIONS, ColorJitter, Erasing, Outliers, PerturbationBase, Perturbed
+from vstestbed.vision.perturb import PERTURBATIONS, ColorJitter, Erasing, Outliers, PerturbationBase, Perturbed, Shadow
 
 IMAGE = np.arange(60 * 80 * 3, dtype=np.uint32).reshape(60, 80, 3).astype(np.uint8)
 FAST = {"detector": "oracle", "camera.rate_hz": 25.0, "stop.duration_s": 1.0}
@@ -54,6 +54,24 @@ class TestColorJitter:
     def test_no_saturation_is_grey(self):
         image = ColorJitter().picture(np.array([1.0, 1.0, 0.0]), IMAGE.copy(), 0.0, np.random.default_rng(0))
         assert np.ptp(image.astype(int), axis=2).max() == 0
+
+
+class TestShadow:
+    @pytest.mark.parametrize("shape", ["band", "blob"])
+    def test_it_crosses_the_picture_again_and_again(self, shape: Literal["band", "blob"]):
+        kind, white = Shadow(shape=shape, darkness=0.6, period_s=2.0), np.full((60, 80, 3), 200, np.uint8)
+        memory = kind.begin(np.random.default_rng(1))
+        seen = np.array([kind.picture(memory, white, t, np.random.default_rng(0)) for t in np.arange(0, 4, 0.1)], int)
+        assert np.array_equal(seen[:20], seen[20:])
+        assert seen.max() == 200 and seen.min() == 80  # 40 % of 200, in its middle
+        assert (seen.min(axis=(1, 2, 3)) == 200).any()  # between two crossings it is beyond the picture
+        deep = [np.mean(image[..., 0] < 200) for image in seen[:20]]
+        assert 0.15 < max(deep) < 0.6
+        assert np.abs(np.diff(seen[int(np.argmax(deep))], axis=1)).max() < 40  # its edge is soft
+
+    def test_each_seed_has_its_own(self):
+        one, other = (pictures(Shadow(darkness=1.0), 1, seed)[0] for seed in (0, 1))
+        assert not np.array_equal(one, other)
 
 
 def test_outliers_hit_their_share_of_markers_within_the_radius():

@@ -90,12 +90,12 @@ class DepthSensor(ABC):
         with np.errstate(invalid="ignore", divide="ignore"):
             theta = incidence(z, xy, f)
             hole = self._unseen(z, f) | (theta > math.radians(self.grazing_deg))
-            z = z if rng is None else self._ragged(z, rng)
+            z = np.asarray(z if rng is None else self._ragged(z, rng), np.float32)
             hole |= self._out_of_range(z)  # of the true depth, too: noise must not bring what is far beyond the range back into it
             if rng is not None:
                 z = _flying(z, rng) if self.flies else z
                 sigma = self.sigma(z, np.minimum(theta, STEEPEST), f)
-                z = z if sigma is None else z + sigma * correlated(z.shape, self.correlation_px, rng)
+                z = z if sigma is None else np.asarray(z + sigma * correlated(z.shape, self.correlation_px, rng), np.float32)
             if self.quantum_px and self.baseline_m:
                 unit = np.float32(f * self.baseline_m / self.quantum_px)
                 z = np.asarray(unit / np.round(unit / z), np.float32)
@@ -165,9 +165,9 @@ class Stereo(DepthSensor):
 
 @spec
 class StructuredLight(DepthSensor):
-    """A camera and a projector of a pattern (the first Kinect):
+    """A camera and a projector of a pattern (the first Kinect). With Z and sigma in metres and theta in radians
 
-    sigma = 0.0012 + 0.0019 (Z - 0.4)^2 + 0.0001 theta^2 / (sqrt(Z) (pi/2 - theta)^2) [m],
+    sigma = 0.0012 + 0.0019 (Z - 0.4)^2 + 0.0001 theta^2 / (sqrt(Z) (pi/2 - theta)^2),
 
     an edge's place has a standard deviation of 0.8 px, and disparities have steps of 1/8 px (its own focal length is 580 px).
 
@@ -197,9 +197,9 @@ class StructuredLight(DepthSensor):
 
 @spec
 class TimeOfFlight(DepthSensor):
-    """The phase of modulated light (the second Kinect), from one point of view:
+    """The phase of modulated light (the second Kinect), from one point of view. With Z in metres, theta in radians and sigma in millimetres
 
-    sigma = (1.5 - 0.5 Z + 0.3 Z^2 + 0.1 Z^(3/2) theta^2 / (pi/2 - theta)^2) mm with Z in m.
+    sigma = 1.5 - 0.5 Z + 0.3 Z^2 + 0.1 Z^(3/2) theta^2 / (pi/2 - theta)^2.
 
     A pixel at an edge receives light of both surfaces: its depth lies anywhere between (flying pixels). Light that arrives over several
     reflections, and the harmonic error of the phase, are left out.

@@ -180,6 +180,8 @@ def _error_text(recording: Recording) -> str:
     """Errors at the end: measured in the image, true of the pose."""
     s = recording.summary()
     error = _number(s, "final_error_px", "px in the image", digits=3) if s["final_error_px"] is not None else _why_no_error(recording)
+    if "error_grey" in recording.columns and np.isfinite(recording["error_grey"][-1]):
+        error = f"{recording['error_grey'][-1]:.3f} grey levels in the picture"
     pose = f"{_number(s, 'final_position_error_m', 'mm', 1000)} and {_number(s, 'final_rotation_error_deg', 'deg', digits=3)} from the goal"
     return f"{error}; true pose of the {'vehicle' if recording.scenario.robot.base == 'planar' else 'camera'}: {pose}"
 

@@ -11,8 +11,8 @@ from vstestbed.core.errors import ParameterError
 
 ENDINGS = re.compile(r"\.(onnx|xml|mjcf|urdf|png|jpe?g|stl|obj)$|\.py:\w+$", re.IGNORECASE)
 """The end of a value of a field of FILE_FIELDS: a network, a model, a picture, a solid, a function in a Python file."""
-FILE_FIELDS = "file", "scenery"
-"""Fields that name a file; the block `scenery` may be its file's name alone."""
+FILE_FIELDS = "file", "scenery", "picture"
+"""Fields that name a file; the blocks `scenery` and `picture` may be their file's name alone."""
 PACKAGE = "package:"
 
 
@@ -84,6 +84,6 @@ def _inside(files: list[str], inside: str) -> tuple[str, str]:
     return package, there.removeprefix(f"{package}/") or "PATH"
 
 
-def kept_at(source: Path) -> str:
-    """Where a run's folder keeps the file that its target was made from."""
-    return f"assets/target/{source.name}"
+def kept_at(source: Path, what: str = "target") -> str:
+    """Where a run's folder keeps the file that its target was made from, or another `what`."""
+    return f"assets/{what}/{source.name}"

@@ -19,7 +19,7 @@ from vstestbed.loop.columns import Layout
 from vstestbed.loop.log_file import COMPRESSED, FolderLog, open_log
 from vstestbed.loop.recording import Recording, Watcher
 from vstestbed.loop.run import run
-from vstestbed.scenario.dump import dump_for_folder
+from vstestbed.scenario.dump import dump_for_folder, kept_files
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.build import scene_files
 
@@ -105,6 +105,8 @@ def _run_into(
         recording.time_ms["video"] = 1e3 * sum(film.spent_s for film in filming)
     summary = _summary(recording.summary())  # before `log.finish`: log.part is read without decompressing it
     log.finish()
+    for name, content in _goal_pictures(recording):
+        write_whole(folder / name, content)
     write_whole(folder / "summary.json", summary)  # after it: a summary says that the run is finished
     return recording
 
@@ -112,9 +114,22 @@ def _run_into(
 def _experiment(scenario: Scenario) -> Iterator[tuple[str, bytes]]:
     """The files of a run's folder that are there before the run, by name: the scenario, the files that `model.xml` refers to, and it."""
     yield "scenario.yaml", dump_for_folder(scenario).encode()
+    for name, path in kept_files(scenario).items():
+        yield name, path.read_bytes()
     scene = scene_files(scenario.robot, scenario.camera, scenario.target, scenario.world, scenario.physics, scenario.sights)
     yield from scene.assets.items()
     yield "model.xml", scene.xml.encode()
+
+
+def _goal_pictures(recording: Recording) -> Iterator[tuple[str, bytes]]:
+    """The pictures taken at the goal views as PNG files: `goal.png`, or `goal_0.png`, ... of several."""
+    images = recording.goal_images
+    if not images:
+        return
+    from vstestbed.report.video.encoded import png_of  # imported only if there is one
+
+    for i, image in enumerate(images):
+        yield "goal.png" if len(images) == 1 else f"goal_{i}.png", png_of(image)
 
 
 def _summary(figures: dict[str, object]) -> str:
@@ -126,7 +141,9 @@ def files_of(recording: Recording, more: dict[str, object]) -> dict[str, bytes]:
     log = io.BytesIO()
     recording.frame().write_parquet(log, **COMPRESSED)
     summary = _summary(recording.summary() | more).encode()
-    return dict(_experiment(recording.scenario)) | {"log.parquet": log.getvalue(), "summary.json": summary}
+    return (
+        dict(_experiment(recording.scenario)) | dict(_goal_pictures(recording)) | {"log.parquet": log.getvalue(), "summary.json": summary}
+    )
 
 
 @contextmanager

@@ -68,10 +68,7 @@ class Command:
 
 
 class Law(Protocol[M]):
-    """A control law: parameters frozen in the object, memory passed through. `LawBase` has defaults for all but `kind` and `step`.
-
-    This is all that the loop, the checks of a scenario, the observer and the studies read of a law.
-    """
+    """A control law: parameters frozen in the object, memory passed through. All that other parts read of a law; see `LawBase`."""
 
     __dataclass_fields__: ClassVar[dict[str, Any]]  # it is a @spec: `dataclasses.replace` makes variants of it
 

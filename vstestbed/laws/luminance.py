@@ -89,7 +89,8 @@ class LevelPixels:
         v, u = np.meshgrid(np.arange(h)[at[0]] * scale, np.arange(w)[at[1]] * scale, indexing="ij")
         uv = np.stack([u, v], axis=-1).astype(float)
         xy = camera.normalise(uv)
-        return cls(at, *(np.ascontiguousarray(xy[..., i], np.float32) for i in (0, 1)), _slope(camera, xy, scale))
+        x, y = (np.ascontiguousarray(xy[..., i], np.float32) for i in (0, 1))
+        return cls(at, x, y, _slope(camera, xy, scale))
 
     def normalised(self, along: tuple[Grey, Grey]) -> tuple[Grey, Grey]:
         """The gradient of these pixels in normalised coordinates, of one in pixels of the level, (h, w) each."""
@@ -97,7 +98,7 @@ class LevelPixels:
         ux, uy, vx, vy = self.slope
         if isinstance(ux, float):
             return gu * np.float32(ux), gv * np.float32(vy)
-        return gu * ux + gv * vx, gu * uy + gv * vy
+        return np.asarray(gu * ux + gv * vx, np.float32), np.asarray(gu * uy + gv * vy, np.float32)
 
     def interaction(self, along: tuple[Grey, Grey], inverse_depth: Grey) -> Grey:
         """Rows of L transposed, (6, pixels), as `rows` has them, of the gradient (dI/du, dI/dv) of the level's picture."""
@@ -127,7 +128,7 @@ def rows(gx: Grey, gy: Grey, x: Grey, y: Grey, inverse_depth: Grey) -> Grey:
 
 
 @dataclass(frozen=True)
-class Level:
+class GoalLevel:
     """One level of the goal's pyramid.
 
     Attributes:

@@ -13,11 +13,11 @@ from vstestbed.camera import Perspective
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import GainOrZero, Narrower, Pixels, Time
-from vstestbed.core.spec import spec
+from vstestbed.core.spec import kind_of, spec
 from vstestbed.features.depth import AtGoal, Constant, Depth
 from vstestbed.features.observation import Goal, Observation, Sight
 from vstestbed.laws.base import Command, ConstantGain, Gain, LawBase, TwistLimits
-from vstestbed.laws.luminance import Grey, Level, LevelPixels, Normal, Which, coarser, luminance, motion_px
+from vstestbed.laws.luminance import GoalLevel, Grey, LevelPixels, Normal, Which, coarser, luminance, motion_px
 from vstestbed.laws.robust import Robust
 
 NO_PICTURE = "the law has no picture"
@@ -62,7 +62,7 @@ class PhotometricMemory:
         level: number of the current level. t0: time of the first picture [s]. goal: whose pyramid it is.
     """
 
-    pyramid: tuple[Level, ...] | None = None
+    pyramid: tuple[GoalLevel, ...] | None = None
     level: int = 0
     t0: float = 0.0
     goal: Sight | None = None
@@ -123,7 +123,7 @@ class Photometric(LawBase):
         """Refuse a lens that is not perspective, and a border or levels that leave no picture."""
         camera = goal.camera
         if not isinstance(camera, Perspective):
-            raise ParameterError("law", "of kind photometric needs a camera of kind perspective", camera.kind)
+            raise ParameterError("law", "of kind photometric needs a camera of kind perspective", kind_of(type(camera)))
         least = min(camera.width, camera.height)
         inner = (least - 2 * self.margin_px) / 2 ** (self.levels - 1) / self.stride
         if inner < LEAST_SIDE:
@@ -184,7 +184,7 @@ class Photometric(LawBase):
             grey = coarser(grey)
         return grey
 
-    def _pyramid(self, goal: Goal) -> tuple[Level, ...]:
+    def _pyramid(self, goal: Goal) -> tuple[GoalLevel, ...]:
         """The goal's picture, level by level.
 
         Raises:
@@ -195,7 +195,7 @@ class Photometric(LawBase):
         made, grey = [], luminance(goal.image.image, self.smooth_px)
         for number in range(self.levels):
             pixels = LevelPixels.of(goal.camera, number, self.margin_px, self.stride)
-            made.append(Level(pixels, grey, self._inverse_depth(pixels, goal, number)))
+            made.append(GoalLevel(pixels, grey, self._inverse_depth(pixels, goal, number)))
             grey = coarser(grey)
         return tuple(made)
 

@@ -35,6 +35,6 @@ def weights(kind: Robust, e: NDArray[np.float32]) -> NDArray[np.float32] | None:
         return None
     bound = np.float32((HUBER if kind == "huber" else TUKEY) * scale(e))
     if kind == "huber":
-        return bound / np.maximum(np.abs(e), bound)
+        return np.asarray(bound / np.maximum(np.abs(e), bound), np.float32)
     ratio = np.minimum(np.square(e / bound), np.float32(1))
     return np.square(np.float32(1) - ratio)

@@ -22,7 +22,7 @@ from vstestbed.loop.guarded_law import GuardedLaw
 from vstestbed.loop.inputs import Inputs, Readings
 from vstestbed.loop.own_rates import OwnRates
 from vstestbed.loop.scenario_observer import observer_of
-from vstestbed.loop.unseen import FEW_SEEN, NO_PICTURE, NONE_SEEN, detail
+from vstestbed.loop.unseen import NO_PICTURE, detail, unseen
 from vstestbed.robots import Allocation, Mount, Reading
 from vstestbed.robots.orders import stop_order
 from vstestbed.scenario.scenario import NOISE_STREAM, Scenario
@@ -160,7 +160,8 @@ class Controller:
         self.law_memory, command = self.guarded.step(self.law_memory, seen, goal, basis)
         late = now.t - shot.t > self._latest_s
         error = ImageError.of(seen, goal, command.rest_reason)
-        blind = command.rest_reason or self._unseen(seen, goal, error) or (f"pictures arrived {now.t - shot.t:.2g} s late" if late else "")
+        why = f"pictures arrived {now.t - shot.t:.2g} s late" if late else ""
+        blind = command.rest_reason or unseen(seen, goal, error, self._needed) or why
         blind = blind and blind + detail(s, seen, self._found)
         moved = self._moved(now.t, reading, blind, mount)
         allocation = self._supervised(shot.t, blind, self._allocate(command, reading, mount, rests=late), reading, moved)
@@ -227,18 +228,17 @@ class Controller:
         depth = shot.picture.depth if shot.picture else None
         observed = self.observer.observe(self.observer_memory, shot.t, detection, twist, self.rng, heading, tilt, own, depth)
         self.observer_memory, seen = observed
+        return self._completed(seen, shot, last, now)
+
+    def _completed(self, seen: Observation, shot: Exposure, last: Exposure, now: Arrival) -> Observation:
+        """The observation with what the law asks for besides the markers."""
         if self._own_rates is not None:
             seen = replace(seen, robot=self._own_rates.model(last, shot, now, self._mount_at(now.reading.q)))
         if self._needs_own_state:
-            seen = replace(seen, proprioception=s.robot.proprioception(shot.reading, seen.odometry))
+            seen = replace(seen, proprioception=self.scenario.robot.proprioception(shot.reading, seen.odometry))
         if self._needs_sight and shot.picture is not None:
             seen = replace(seen, image=sight_of(shot.picture))
         return seen
-
-    def _unseen(self, seen: Observation, goal: Goal, error: ImageError) -> str:
-        """Why a law that gives no reason has no measurement; "" where it has one."""
-        n = len(seen.uv) if error.all_seen and goal.counted is None else np.count_nonzero(seen.seen)
-        return "" if n >= self._needed else FEW_SEEN if n else NONE_SEEN
 
     def _moved(self, t: float, reading: Reading, blind: str, mount: Mount) -> float:
         """Way of the camera since the last call, by the robot's own sensors [m]; 0 where it is not needed, with sight."""

@@ -56,7 +56,8 @@ class Episode:
         self._waits = self._commanded = self.closed = False
         self._physics_s = self._record_s = self._redrawn_s = 0.0
         self.plant, self._renderer = _plant(scenario, pictures, plate_m)
-        self.controller = Controller(scenario, take_goal_images(scenario, self.plant))
+        taken = take_goal_images(scenario, self.plant)
+        self.controller, self._goal_images = Controller(scenario, taken), tuple(sight.image for sight in taken)
         self._camera = CameraClock(scenario, self.plant, pictures or "image" in scenario.law.inputs)
         supervisor = self.controller.supervisor
         self._witness = Witness(scenario, supervisor)
@@ -117,6 +118,7 @@ class Episode:
             time_ms={part: 1e3 * seconds for part, seconds in zip(PARTS, took, strict=True)},
             versions=versions() | {"renderer": self._renderer},
             ended_s=self.ended_s,
+            goal_images=self._goal_images,
         )
 
     def take_pictures(self, on: bool) -> None:

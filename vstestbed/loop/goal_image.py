@@ -5,23 +5,37 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from vstestbed.camera import Picture
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.features.observation import Goal, Sight
-from vstestbed.scenario.scenario import Scenario
+from vstestbed.scenario.scenario import GOAL_STREAM, Scenario
 from vstestbed.sim.base import Plant
 from vstestbed.sim.scene.start_pose import flange_for, posture_at
+from vstestbed.tasks.goal_picture import GoalPicture
 
 
 def take_goal_images(scenario: Scenario, plant: Plant) -> tuple[Sight, ...]:
-    """The picture at each goal view, through the true lens, without noise and at rest; none where neither law nor detector needs them.
+    """The picture at each goal view; none where neither law nor detector needs them.
 
-    The plant is left in its state.
+    It is taken through the true lens, without noise and at rest, unless the scenario names a file, or other light (`GoalPicture`). The
+    plant is left in its state.
     """
     if not scenario.needs_goal_image:
         return ()
-    return tuple(_taken(scenario, plant, T) for T in scenario.goal_poses)
+    said = scenario.goal.pictures or (GoalPicture(),) * len(scenario.goal_poses)
+    rng = scenario.rng(GOAL_STREAM)
+    return tuple(_pictured(scenario, plant, T, one, rng) for T, one in zip(scenario.goal_poses, said, strict=True))
+
+
+def _pictured(scenario: Scenario, plant: Plant, T_camera_target: Array, said: GoalPicture, rng: np.random.Generator) -> Sight:
+    """The file's picture, or the one from T_camera_target (4, 4) under the light of teaching."""
+    if said.source is not None:
+        return Sight(said.read(scenario.camera))
+    taken = _taken(scenario, plant, T_camera_target)
+    return replace(taken, image=said.under_its_light(taken.image, rng))
 
 
 def _taken(scenario: Scenario, plant: Plant, T_camera_target: Array) -> Sight:
@@ -36,7 +50,14 @@ def sight_of(picture: Picture) -> Sight:
     whole = picture.completed()
     if whole.image is None:
         raise ParameterError("camera", "must have a single image, of which a law or a detector takes all; use a perspective camera")
-    return Sight(whole.image, whole.depth)
+    # The renderer overwrites its picture, and a law may keep one to compare the next with.
+    return Sight(whole.image.copy(), whole.depth)
+
+
+def _from_files(scenario: Scenario) -> tuple[Sight, ...]:
+    """The pictures of all goal views from their files; () where one has none."""
+    said = scenario.goal.pictures
+    return tuple(Sight(one.read(scenario.camera)) for one in said) if all(one.file is not None for one in said) else ()
 
 
 def with_images(scenario: Scenario, images: Sequence[Sight]) -> tuple[Goal, ...]:
@@ -48,6 +69,7 @@ def with_images(scenario: Scenario, images: Sequence[Sight]) -> tuple[Goal, ...]
     views, camera = scenario.goal_views, scenario.camera
     if not scenario.needs_goal_image:
         return views
+    images = images or _from_files(scenario)
     if len(images) != len(views):
         words = (
             f"must be {len(views)}, one of each goal view: detector {scenario.detector.kind} or law {scenario.law.kind} compares with it"

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import numpy as np
 
+from vstestbed.camera import Image
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, inverse, rotation_from_quaternion
 from vstestbed.core.outcome import Outcome
@@ -125,6 +126,7 @@ class Recording:
         wall_time_s: wall time of the run [s]; loop_s: of its loop alone, without building and closing the scene [s].
         versions: of the packages and the renderer used.
         ended_s: simulated time of the verdict [s], which is after the last frame where pictures stayed away.
+        goal_images: the pictures taken at the goal views, (H, W, 3) RGB each, where law or detector compared with them.
     """
 
     scenario: Scenario
@@ -136,6 +138,7 @@ class Recording:
     time_ms: dict[str, float] = field(default_factory=dict)
     versions: dict[str, str] = field(default_factory=dict)
     ended_s: float = 0.0
+    goal_images: tuple[Image, ...] = ()
     shown_by: ClassVar[Callable[[Recording], str | None]] = staticmethod(lambda recording: None)
     """Makes HTML of a recording for notebooks: the package sets the report here, whose room is above this one."""
 

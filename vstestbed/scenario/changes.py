@@ -40,5 +40,8 @@ def _different(given: Mapping[str, Any], bundled: Mapping[str, Any], prefix: str
 
 
 def _is_copy(value: Any, other: Any) -> bool:
-    """Whether a value names the copy of the target's file in a run's folder."""
-    return isinstance(value, str) and isinstance(other, str) and Path(value).as_posix().endswith(kept_at(Path(other)))
+    """Whether a value names the copy of the target's file, or of a goal's picture, in a run's folder."""
+    if not (isinstance(value, str) and isinstance(other, str)):
+        return False
+    path = Path(value)
+    return path.as_posix().endswith(kept_at(Path(other), path.parent.name)) and path.parent.parent.name == "assets"

@@ -56,14 +56,17 @@ def check_own_points(camera: Camera, detector: Detector[Any], law: Law[Any], vie
     if len(views) > 1:
         words = f"may not be {detector.kind} with {len(views)} goal views in turn: it compares with the picture of one; use goal: view"
         raise ParameterError("detector", words)
-    if not detector.changing:
-        return
-    if law.depth.estimator is not None:
+    if detector.fleeting and law.depth.estimator is not None:
         words = f"estimates each point's depth from its motion, and detector {detector.kind} shows other points in every picture"
         raise ParameterError("law.depth", f"{words}; use pnp or goal, or let it follow its points (track: klt)")
+    if not detector.changing:
+        return
     if law.needs_same_markers:
         words = f"needs the same markers in every picture, and detector {detector.kind} shows other points; use ibvs, pbvs or hybrid"
         raise ParameterError("law", f"{law.kind} {words}")
+    if "radius_px" in law.inputs:
+        words = f"may not keep points from the border or a plane with detector {detector.kind}, whose points are all over the picture"
+        raise ParameterError("law", f"{law.kind} {words}; leave out margin_px and plane_m (null)")
 
 
 def check_judged(stop: Stop, detector: Detector[Any], law: Law[Any]) -> None:

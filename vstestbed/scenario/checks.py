@@ -16,6 +16,7 @@ from vstestbed.robots import VEHICLES, Robot
 from vstestbed.sim.scene.world import World
 from vstestbed.sim.timing import Timing
 from vstestbed.targets import Target
+from vstestbed.tasks.base import Task
 from vstestbed.tasks.stop import Stop
 from vstestbed.vision import Detector
 
@@ -140,3 +141,24 @@ def check_carrier(target: Target) -> None:
     if speed > leader.top_speed_mps:
         words = f"must be at most {leader.top_speed_mps:g} m/s, the top speed of the {by} that carries the target"
         raise ParameterError("target.motion.speed_mps", words, speed)
+
+
+def check_goal_pictures(goal: Task, camera: Camera, needed: bool, law: Law[Any], detector: Detector[Any]) -> None:
+    """Refuse pictures of the goal that nobody looks at, that cannot be read, and that lack the depth that the law needs.
+
+    Raises:
+        ParameterError: it names the field, and what would work.
+    """
+    for i, said in enumerate(goal.pictures):
+        field = "goal.picture" if len(goal.pictures) == 1 else f"goal.views.{i}.picture"
+        if not needed and (said.file is not None or said.other_light):
+            words = f"is looked at by neither law {law.kind} nor detector {detector.kind}; it is for law photometric, or detector keypoints"
+            raise ParameterError(field, words)
+        if said.file is None:
+            continue
+        if law.depth.kind == "sensor" and "image" in law.inputs:
+            raise ParameterError("law.depth", "may not be sensor with goal.picture, a file without depth; use goal or constant", "sensor")
+        try:
+            said.read(camera)
+        except ParameterError as error:
+            raise ParameterError(field, error.problem, error.found) from None

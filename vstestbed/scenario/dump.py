@@ -58,13 +58,23 @@ def dump(scenario: Scenario, path: str | Path | None = None, *, defaults: bool =
 
 
 def dump_for_folder(scenario: Scenario) -> str:
-    """The record of a run, with every default, for its folder, which has a copy of the target's file at `kept_at`."""
-    source = scenario.target.source
-    if source is None:
+    """The record of a run, with every default, for its folder, with copies of the target's file and the goal's pictures (`kept_at`)."""
+    if not kept_files(scenario):
         return dump(scenario, defaults=True)
-    plain = to_mapping(scenario)
-    plain["target"]["file"] = kept_at(source)
+    plain, source = to_mapping(scenario), scenario.target.source
+    if source is not None:
+        plain["target"]["file"] = kept_at(source)
+    views = plain["goal"].get("views", [plain["goal"]])
+    for i, (view, said) in enumerate(zip(views, scenario.goal.pictures, strict=False)):
+        if said.source is not None:
+            view["picture"]["file"] = kept_at(said.source, f"goal_{i}")
     return as_yaml(plain)
+
+
+def kept_files(scenario: Scenario) -> dict[str, Path]:
+    """The files that a run's folder has a copy of, by their names there: the target's, and those of the goal's pictures."""
+    goal = {f"goal_{i}": said.source for i, said in enumerate(scenario.goal.pictures)}
+    return {kept_at(path, what): path for what, path in ({"target": scenario.target.source} | goal).items() if path is not None}
 
 
 def as_yaml(plain: Any, brief: bool = False) -> str:

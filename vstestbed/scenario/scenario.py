@@ -20,6 +20,7 @@ from vstestbed.scenario.check_points import check_determined, check_judged, chec
 from vstestbed.scenario.checks import (
     check_carrier,
     check_depth,
+    check_goal_pictures,
     check_memory,
     check_metres,
     check_robot,
@@ -40,10 +41,11 @@ from vstestbed.vision import DETECTORS, Blobs, Detector
 from vstestbed.vision.perturb import Perturbed
 from vstestbed.vision.pose.derotate import Derotation
 
-START_STREAM, NOISE_STREAM, IMAGE_STREAM, SENSOR_STREAM, TIMING_STREAM, DEPTH_STREAM, MOTION_STREAM, PERTURB_STREAM, RGBD_STREAM = range(9)
+START_STREAM, NOISE_STREAM, IMAGE_STREAM, SENSOR_STREAM, TIMING_STREAM, DEPTH_STREAM, MOTION_STREAM, PERTURB_STREAM = range(8)
+RGBD_STREAM, GOAL_STREAM = 8, 9
 """Independent random streams of one seed: the start, the noise of measured pixels, of pictures, of the robot's own sensors, of timing,
-of the calibration of depths, the target's random walk, perturbations, the depth camera. Their numbers enter the seed: a new one comes
-last, or all recorded runs change."""
+of the calibration of depths, the target's random walk, perturbations, the depth camera, the goal's picture. Their numbers enter the seed:
+a new one comes last, or all recorded runs change."""
 TRIES = 1000
 """Largest number of random starts drawn until the target is in view."""
 DISPLACEMENT_STEPS = 12
@@ -117,6 +119,7 @@ class Scenario:
         if self.stop.duration_s < self.camera.period:
             raise ParameterError("stop.duration_s", f"must be at least one camera period, {self.camera.period:g} s", self.stop.duration_s)
         check_markers(self.robot, self.camera, self.target, self.detector, self.law, self.goal.needs_pose)
+        check_goal_pictures(self.goal, self.camera, self.needs_goal_image, self.law, self.detector)
         check_judged(self.stop, self.detector, self.law)
         check_metrics(self.metrics)
         check_views_metres("goal.T_camera_target" if hasattr(self.goal, "T_camera_target") else "goal", self.goal_views)

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vstestbed.camera import Camera, Perspective
-from vstestbed.core.named_files import kept_at
+from vstestbed.camera import Camera
 from vstestbed.robots import Robot
 from vstestbed.sim.base import Plant
 from vstestbed.sim.clock import Clock
@@ -63,7 +62,7 @@ def build_plant(
         from vstestbed.sim.ideal import IdealPlant
 
         return IdealPlant(parts, steps_per_frame, path=path, order_s=order_s), "none"
-    from vstestbed.sim.render.depth_camera import DepthCamera
+    from vstestbed.sim.render.depth_camera import depth_camera
     from vstestbed.sim.render.image_sensor import ImageSensor
     from vstestbed.sim.render.pictures import servo_renderer
     from vstestbed.sim.scene.stage import Stage
@@ -72,9 +71,7 @@ def build_plant(
     eye, renderer = None, "none"
     if needs_image:
         drawn_by = servo_renderer(stage, camera, image_sigma > 0)
-        depth = None
-        if camera.depth_sensor is not None and isinstance(camera, Perspective):
-            depth = DepthCamera(camera, camera.depth_sensor, depth_rng or np.random.default_rng(0))
+        depth = depth_camera(camera, depth_rng)
         eye, renderer = ImageSensor(stage, drawn_by, ImageNoise(image_sigma, rng), drift, perturbed, depth), drawn_by.name
     if ideal:
         from vstestbed.sim.ideal import IdealPlant
@@ -93,7 +90,7 @@ def _may_hide(target: Target, world: World) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class SceneFiles:
-    """A self-contained scene: its MJCF, and the asset files that it names and the target's own file, by their paths relative to it."""
+    """A self-contained scene: its MJCF, and the asset files that it names, by their paths relative to it."""
 
     xml: str
     assets: dict[str, bytes]
@@ -118,6 +115,4 @@ def scene_files(
         spec.add_key(name="start", qpos=stage.start_qpos(), act=stage.data.act.copy(), ctrl=stage.data.ctrl.copy())
         stage.close()
     spec.compile()
-    source = target.source
-    kept = {} if source is None else {kept_at(source): source.read_bytes()}
-    return SceneFiles(spec.to_xml(), dict(spec.assets) | kept)
+    return SceneFiles(spec.to_xml(), dict(spec.assets))

@@ -20,6 +20,8 @@ MOST_KEPT = 4
 """Rendering contexts kept: those of the servo camera and of the outside view, for two scenarios in turn."""
 _target: list[object] = [None]
 """The rendering context whose buffer is current. This and `_kept` are used on the rendering thread alone, and need no lock."""
+_glossy = [False]
+"""How OpenGL now draws highlights, see `Physics.glossy`; on the rendering thread alone."""
 _kept: OrderedDict[tuple[object, ...], wrapper.MjrContext] = OrderedDict()
 
 
@@ -31,9 +33,11 @@ class Physics(dm.Physics):
 
     Attributes:
         anisotropy: samples of a texture in a pixel that sees it aslant, see `Camera`; set before the first picture.
+        glossy: highlights lie over the textures; else they are multiplied by their colours, as OpenGL does by itself.
     """
 
     anisotropy: int = 1
+    glossy: bool = False
 
     @property
     def contexts(self) -> Contexts | None:
@@ -46,6 +50,8 @@ class Physics(dm.Physics):
         if contexts is not None and contexts.gl.thread is threading.current_thread() and _target[0] is not contexts.mujoco:
             mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, contexts.mujoco.ptr)
             _target[0] = contexts.mujoco
+        if contexts is not None and contexts.gl.thread is threading.current_thread() and _glossy[0] != self.glossy:
+            _add_highlights(self.glossy)
         return contexts
 
     def with_context(self, job: Callable[[], T]) -> T:
@@ -107,6 +113,14 @@ def _plain_sky(context: mujoco.MjrContext) -> None:
         if kind == mujoco.mjtTexture.mjTEXTURE_SKYBOX:
             GL_1_1.glBindTexture(GL_1_3.GL_TEXTURE_CUBE_MAP, texture)
             GL_1_0.glTexParameteri(GL_1_3.GL_TEXTURE_CUBE_MAP, GL_1_0.GL_TEXTURE_MIN_FILTER, GL_1_0.GL_LINEAR)
+
+
+def _add_highlights(over: bool) -> None:
+    """Let OpenGL add highlights after the texture's colour, or before."""
+    from OpenGL.raw.GL.VERSION import GL_1_1, GL_1_2
+
+    GL_1_1.glLightModeli(GL_1_2.GL_LIGHT_MODEL_COLOR_CONTROL, GL_1_2.GL_SEPARATE_SPECULAR_COLOR if over else GL_1_2.GL_SINGLE_COLOR)
+    _glossy[0] = over
 
 
 def _sample_aslant(context: mujoco.MjrContext, samples: int) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import colorsys
 import pathlib
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, ClassVar, Protocol
+from typing import TYPE_CHECKING, Annotated, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 from annotated_types import Len
@@ -28,6 +28,15 @@ from vstestbed.targets.surfaces import Body, Globe, Sheet
 
 Name = Annotated[str, StringConstraints(pattern=r"^[^\W\d][\w .-]{0,31}$")]
 """Of a marker: it begins with a letter, so that it is no number."""
+
+
+class RoundOutline(NamedTuple):
+    """The outline of a disc or a ball: directions of its points in the camera's frame, (N, 3), and how far each of K rays to which it was
+    fitted is off it, (K,), as a share of its apparent radius.
+    """
+
+    p: Array
+    off: Array
 
 
 @spec
@@ -66,6 +75,7 @@ class TargetContract(Protocol):
     board_half_m: tuple[float, float] | None
     sheet: Sheet | None
     body: Body | Globe | None
+    figure_corners: Array | None
     shows_markers: bool
     normals: Array
     source: pathlib.Path | None
@@ -91,6 +101,10 @@ class TargetContract(Protocol):
 
     def by_size(self, ray: Array) -> Array | None:
         """Marker centres in the camera's frame from their directions and the target's known size."""
+        ...
+
+    def round_outline(self, ray: Array) -> RoundOutline | None:
+        """The outline that fits rays to the border of a round region."""
         ...
 
     def hides(self, T_target_camera: Array) -> NDArray[np.bool_]:
@@ -229,6 +243,18 @@ class Target:
         """Marker centres (N, 3) in the camera's frame [m] from their unit rays (N, 3), NaN where one is not seen, and its known size.
 
         None where the size alone does not tell: markers with places of their own have a pose (`depth: pnp`).
+        """
+        return None
+
+    @property
+    def figure_corners(self) -> Array | None:
+        """Corners of the polygon whose outline its points are, (E, 2) in z = 0 of the target frame [m]; None for other targets."""
+        return None
+
+    def round_outline(self, ray: Array) -> RoundOutline | None:
+        """The outline that fits unit rays (K, 3) in the camera's frame best, which touch the border of a round region at any places.
+
+        None where none fits, or the target's outline is not round.
         """
         return None
 

@@ -36,8 +36,8 @@ class PictureTarget(Target):
         at_px: marker points in the picture, (u, v) in pixels of the file [px], the centre of the first one (0, 0); none: its corners.
         draw_markers: draw markers over the picture; false: it shows them itself.
         lit: shaded by the scene's lights, else of constant brightness.
-        gloss: share of a light that its surface mirrors as a highlight; 0 is matte paper, 1 a picture behind varnish [1]. The lamps'
-            images are `world.light`'s and those of scenery; with the room's own light a highlight has 38 grey levels at most.
+        gloss: share of a light that its surface mirrors as a highlight; 0 is matte paper, 1 a picture behind varnish [1]. The room's
+            own light gives one of 38 grey levels at most, `world.light` one as bright as its lamp.
     """
 
     kind: Literal["picture"] = "picture"

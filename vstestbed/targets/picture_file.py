@@ -74,6 +74,15 @@ def read_picture(path: Path) -> PictureFile:
     return _read(path, path.stat().st_mtime_ns)
 
 
+def read_rgb(path: Path) -> NDArray[np.uint8]:
+    """Pixels (H, W, 3) of a PNG or JPEG file, red first, as `read_picture` reads them, at the file's own size.
+
+    Raises:
+        ParameterError: `file` is no picture.
+    """
+    return np.ascontiguousarray(decoded(path)[..., ::-1])
+
+
 @functools.lru_cache(maxsize=8)
 def _read(path: Path, changed: int) -> PictureFile:
     size = path.stat().st_size
@@ -84,6 +93,15 @@ def _read(path: Path, changed: int) -> PictureFile:
     for axis in (0, 1):
         image = _stretched(image, axis)
     return PictureFile(width, height, cv2.imencode(".png", image)[1].tobytes(), (1 - 2 / MARGIN, 1 - 2 / MARGIN))
+
+
+def as_png(path: Path) -> bytes:
+    """A picture file as PNG, the only kind that MuJoCo reads.
+
+    Raises:
+        ParameterError: `file` is no picture.
+    """
+    return cv2.imencode(".png", decoded(path))[1].tobytes()
 
 
 def _stretched(image: NDArray[np.uint8], axis: int) -> NDArray[np.uint8]:

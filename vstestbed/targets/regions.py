@@ -14,14 +14,17 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, lengths
 from vstestbed.core.quantity import Angle, PositiveLength
 from vstestbed.core.spec import spec
-from vstestbed.targets.base import Target
-from vstestbed.targets.conic import circle_conic, ellipse_points, unit_circle
-from vstestbed.targets.figures import FIGURES, Figure, triangulated
+from vstestbed.targets.base import RoundOutline, Target
+from vstestbed.targets.conic import circle_conic, distance_to_conic, ellipse_points, fitted_conic, unit_circle
+from vstestbed.targets.figures import FIGURES, Figure
 from vstestbed.targets.outline_edge import Outline
+from vstestbed.targets.polygons import signed_area, triangulated
 from vstestbed.targets.surfaces import Body, Globe
 
 BOARD_MARGIN = 0.25
 """The board behind a shape reaches this share of the shape's longer side beyond it."""
+LEAST_AHEAD = 0.05
+"""Least Z of a unit ray to the border of a flat region: 87 degrees off the axis."""
 LEAST_SEEN = 3
 """Fewest points of an outline from which a ball's place is found."""
 
@@ -84,6 +87,28 @@ class Shape(OneRegion):
         xy = self.figure.outline(self.count)
         return np.column_stack([xy, np.zeros(len(xy))])
 
+    @cached_property
+    def _drawn(self) -> Array:
+        """Corners of the figure as it is drawn, (E, 2) [m], clockwise as seen."""
+        return self.figure.corners
+
+    @property
+    def figure_corners(self) -> Array | None:
+        """The figure's corners; None of a disc."""
+        return None if self.figure.round else self._drawn
+
+    def round_outline(self, ray: Array) -> RoundOutline | None:
+        """Of a disc the ellipse that fits the rays in the picture's plane."""
+        if not self.figure.round or not (ray[:, 2] > LEAST_AHEAD).all():
+            return None
+        xy = ray[:, :2] / ray[:, 2:]
+        conic = fitted_conic(xy)
+        found = ellipse_points(conic, len(self.points))
+        if not np.isfinite(found).all():
+            return None
+        off = np.abs(distance_to_conic(conic, xy)) / math.sqrt(abs(signed_area(found)) / math.pi)
+        return RoundOutline(np.column_stack([found, np.ones(len(found))]), off)
+
     @property
     def places(self) -> Array:
         """The points; none of a disc, whose measured points depend on the camera's place."""
@@ -108,7 +133,7 @@ class Shape(OneRegion):
 
     @cached_property
     def _triangles(self) -> Array:
-        corners = self.figure.corners
+        corners = self._drawn
         if len(corners) == 3:  # MuJoCo takes no mesh of three vertices
             corners = self.figure.outline(4)
         at = np.column_stack([corners, np.zeros(len(corners))])
@@ -118,7 +143,7 @@ class Shape(OneRegion):
     @property
     def board_half_m(self) -> tuple[float, float]:
         """It reaches BOARD_MARGIN of the longer side beyond the outline, on all sides of the origin."""
-        corners = self.figure.corners
+        corners = self._drawn
         x, y = (np.abs(corners).max(axis=0) + BOARD_MARGIN * float(np.ptp(corners, axis=0).max())).tolist()
         return x, y
 
@@ -170,9 +195,9 @@ class Ball(OneRegion):
             right = np.array([1.0, 0.0, 0.0]) - axis[..., :1] * axis
             right = right / lengths(right)
             rim = self.radius * np.sqrt(shrink)
-        down = np.cross(axis, right)
-        across = np.stack([rim * right, rim * down], axis=-2)
-        return (centre * shrink)[..., None, :] + unit_circle(self.count) @ across
+            down = np.cross(axis, right)
+            across = np.stack([rim * right, rim * down], axis=-2)
+            return (centre * shrink)[..., None, :] + unit_circle(self.count) @ across
 
     def centre_of(self, ray: Array) -> Array | None:
         """The ball's centre (3,) in the camera's frame [m] from unit rays (K, 3) that touch it; None where they are on no cone.
@@ -187,6 +212,16 @@ class Ball(OneRegion):
             return None
         sine = math.sqrt(1 - 1 / size2)
         return n / math.sqrt(size2) * (self.radius / sine)
+
+    def round_outline(self, ray: Array) -> RoundOutline | None:
+        """That of the ball which the rays touch best."""
+        centre = self.centre_of(ray)
+        if centre is None:
+            return None
+        far = float(np.linalg.norm(centre))
+        theta = math.asin(self.radius / far)
+        off = np.abs(np.arccos(np.clip(ray @ centre / far, -1.0, 1.0)) - theta) / theta
+        return RoundOutline(self.outline_of(centre), off)
 
     def by_size(self, ray: Array) -> Array | None:
         """The outline (count, 3) [m] from its unit rays (count, 3): the ball's place follows from its size."""

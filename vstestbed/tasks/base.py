@@ -20,6 +20,7 @@ from vstestbed.robots.base import Base
 from vstestbed.robots.supervisor import Supervisor
 from vstestbed.targets import Target
 from vstestbed.tasks.frame import ImageError
+from vstestbed.tasks.goal_picture import GoalPicture
 from vstestbed.tasks.judged import JudgedError, by_convergence
 from vstestbed.tasks.monitor import TaskMonitor
 from vstestbed.tasks.reached import GoalMonitor
@@ -88,6 +89,11 @@ class Task(Protocol):
 
     def goal_views(self, setup: Setup) -> tuple[Goal, ...]:
         """The goals for the law: one view, or several in turn."""
+        ...
+
+    @property
+    def pictures(self) -> tuple[GoalPicture, ...]:
+        """What is said of the picture at each goal view; () where nothing can be."""
         ...
 
     def begin(self, setup: Setup, views: tuple[Goal, ...]) -> Any:
@@ -169,6 +175,11 @@ class TaskBase:
         if self.bases == {"floating"}:
             raise ParameterError("goal", f"of kind {self.kind} is for a craft that flies (robot quadrotor)")
         raise ParameterError("goal", f"of kind {self.kind} is for a vehicle; robot {robot.kind} takes T_camera_target")
+
+    @property
+    def pictures(self) -> tuple[GoalPicture, ...]:
+        """None: the simulated camera takes them."""
+        return ()
 
     @property
     def view_fields(self) -> tuple[str, ...]:

@@ -18,6 +18,7 @@ from vstestbed.robots import Robot
 from vstestbed.targets import Target
 from vstestbed.tasks.base import Log, TaskBase, view_from
 from vstestbed.tasks.frame import ImageError
+from vstestbed.tasks.goal_picture import GoalPicture
 from vstestbed.tasks.judged import JudgedError, by_convergence
 from vstestbed.tasks.path import between
 from vstestbed.tasks.setup import Setup
@@ -86,6 +87,11 @@ class GoalViews(TaskBase):
     def goal_views(self, setup: Setup) -> tuple[Goal, ...]:
         """Each view, with its number."""
         return tuple(replace(goal, view=i) for i, view in enumerate(self.views) for goal in view.goal_views(setup))
+
+    @property
+    def pictures(self) -> tuple[GoalPicture, ...]:
+        """Of each view."""
+        return tuple(picture for view in self.views for picture in view.pictures)
 
     @property
     def view_fields(self) -> tuple[str, ...]:

@@ -11,12 +11,13 @@ from annotated_types import Ge, Len, Lt
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, inverse
 from vstestbed.core.planar import GroundPose
-from vstestbed.core.spec import OneOf, spec
+from vstestbed.core.spec import OneOf, Shorthand, spec
 from vstestbed.features.observation import Goal
 from vstestbed.robots import Mount
 from vstestbed.robots.base import Base
 from vstestbed.targets import Name, Target
 from vstestbed.tasks.base import TaskBase
+from vstestbed.tasks.goal_picture import GoalPicture
 from vstestbed.tasks.setup import Setup
 
 
@@ -28,15 +29,22 @@ class GoalView(TaskBase):
         T_camera_target: the pose.
         markers: numbers of the markers that count, from 0, or their names; None: all. The others may be out of the picture: near the
             target an inner set can count, far away an outer one.
+        picture: the picture taken there, for a law or a detector that compares with it: a file's name, or a block.
     """
 
     kind: Literal["view"] = "view"
     T_camera_target: Pose
     markers: Annotated[tuple[Annotated[int, Ge(0), Lt(24)] | Name, ...], Len(1, 24)] | None = None
+    picture: Annotated[GoalPicture, Shorthand("file")] = GoalPicture()
 
     def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]:
         """The pose, whatever the mount."""
         return (self.T_camera_target.T,)
+
+    @property
+    def pictures(self) -> tuple[GoalPicture, ...]:
+        """The picture taken at the pose."""
+        return (self.picture,)
 
     @property
     def view_fields(self) -> tuple[str, ...]:
@@ -79,10 +87,12 @@ class GoalViewFrom(TaskBase):
 
     Args:
         view_from: the place of the vehicle.
+        picture: the picture taken there, for a law or a detector that compares with it: a file's name, or a block.
     """
 
     kind: Literal["view_from"] = "view_from"
     view_from: GroundPose
+    picture: Annotated[GoalPicture, Shorthand("file")] = GoalPicture()
     bases: ClassVar[frozenset[Base]] = frozenset({"planar"})
     needs_still: ClassVar[bool] = True
 
@@ -93,6 +103,11 @@ class GoalViewFrom(TaskBase):
     def goal_views(self, setup: Setup) -> tuple[Goal, ...]:
         """The view with the vehicle's place."""
         return tuple(replace(view, place=self.view_from.place) for view in super().goal_views(setup))
+
+    @property
+    def pictures(self) -> tuple[GoalPicture, ...]:
+        """The picture taken from the place."""
+        return (self.picture,)
 
     @property
     def view_fields(self) -> tuple[str, ...]:

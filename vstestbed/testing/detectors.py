@@ -20,6 +20,7 @@ SCENES: dict[str, tuple[str, dict[str, object]]] = {
     "tag": ("arm_tags", {}),
     "stripe": ("omni_line", {}),
     "sphere": ("car_parking", {}),
+    "outline": ("arm_region", {}),
 }
 """A bundled scenario with each kind of marker in the picture at its start."""
 MARGIN_PX = 10.0

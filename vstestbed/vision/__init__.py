@@ -14,7 +14,7 @@ from vstestbed.vision.detect.keypoints import Keypoints
 from vstestbed.vision.detect.lines import Lines
 from vstestbed.vision.detect.none import NoDetector
 from vstestbed.vision.detect.oracle import Oracle
-from vstestbed.vision.detect.patch import Patch
+from vstestbed.vision.detect.patch import PatchDetector
 from vstestbed.vision.detect.region import RegionDetector
 from vstestbed.vision.detect.tags import Tags
 from vstestbed.vision.match.features import KEYPOINTS
@@ -23,7 +23,7 @@ from vstestbed.vision.pose.pnp import solve_pose, solve_pose_from_rays
 
 cv2.setNumThreads(1)
 
-_KINDS = Blobs, Tags, Lines, Keypoints, Patch, RegionDetector, Oracle, NoDetector
+_KINDS = Blobs, Tags, Lines, Keypoints, PatchDetector, RegionDetector, Oracle, NoDetector
 DETECTORS = OneOf("detector", *_KINDS, default="blobs", contract=Contract(Detector, base=DetectorBase))
 
 __all__ = [
@@ -39,7 +39,7 @@ __all__ = [
     "Observer",
     "ObserverMemory",
     "Oracle",
-    "Patch",
+    "PatchDetector",
     "RegionDetector",
     "Tags",
     "TruthView",

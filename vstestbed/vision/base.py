@@ -82,7 +82,12 @@ class Detector(Protocol[M]):
 
     @property
     def changing(self) -> bool:
-        """Whether its rows may show other points in every picture (`Detection.ids`)."""
+        """Whether its rows may come to show other points (`Detection.ids`)."""
+        ...
+
+    @property
+    def fleeting(self) -> bool:
+        """Whether they do so in most pictures, so that nothing can be learnt of a point over time."""
         ...
 
     def init(self) -> M:
@@ -113,6 +118,7 @@ class DetectorBase:
     needs_goal: ClassVar[bool] = False
     rows: Any = None  # without a type, as in `LawBase`: a subclass may have a field or a property in its place
     changing: Any = False
+    fleeting: Any = False
 
     def init(self) -> Any:
         """No state."""

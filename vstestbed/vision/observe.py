@@ -151,19 +151,21 @@ class Observer:
         tilt = tilt if self.derotation != "none" else None
         ray = self.camera.ray(uv) if self._solves(T) or self._always_rays or tilt is not None else None
         T, solved = self._pose(ray, t, memory, T, twist)
-        flow = self._flow(memory.flow if memory.flow is None else memory.flow.of(detection.ids), t, ray, twist)
-        by_flow = None if flow is None else (flow.ray, 1 / flow.inverse_range)
-        p = transform(T, self._points) if T is not None and self.depth.needs_pose else None
-        sized = None if ray is None or not self.depth.needs_size else self.target.by_size(ray)
-        cues = DepthCues(self.goal, xy, p, detection.p_camera, by_flow, self.depth.read(depth_image, uv), sized)
-        view = _View(ray, xy, self.depth.depths(cues), self.depth.ranges(cues) if self._needs_ranges else None, T, own)
-        trim = memory.trim
+        flow = self._flow(memory.flow, detection.ids, t, ray, twist)
+        cues = DepthCues(self.goal, xy, p_true=detection.p_camera, measured=self.depth.read(depth_image, uv))
+        view, trim = self._view(ray, T, flow, cues, own), memory.trim
         if tilt is not None:
             trim = self._trim(memory, t, tilt, T if solved else None)
             view = self._leveled(view, tilt + trim.angles)
         odometry, place = self._driven(memory, t, twist, view.T_camera_target if solved else None, compass)
         # The pose is kept as it is in the camera's own frame: the next frame's tilt is another.
         return ObserverMemory(t, T, flow, place, odometry, trim), self._observation(t, uv, view, solved, odometry, place)
+
+    def _view(self, ray: Array | None, T: Array | None, flow: FlowMemory | None, cues: DepthCues, own: OwnMotion | None) -> _View:
+        p = transform(T, self._points) if T is not None and self.depth.needs_pose else None
+        sized = self.target.by_size(ray) if ray is not None and self.depth.needs_size else None
+        cues = cues._replace(p_estimated=p, p_by_size=sized, by_flow=None if flow is None else (flow.ray, 1 / flow.inverse_range))
+        return _View(ray, cues.xy, self.depth.depths(cues), self.depth.ranges(cues) if self._needs_ranges else None, T, own)
 
     def _reported(self, detection: Detection, t: float, rng: np.random.Generator) -> tuple[Array, Array | None]:
         """The detection's pixels (N, 2) with dropout and noise, and its pose; None where dropout took a marker from under it."""
@@ -236,10 +238,10 @@ class Observer:
             found = solve_pose_from_rays(rays, points, pose_on_floor(rays, points, mount, place, None))
         return found
 
-    def _flow(self, flow: FlowMemory | None, t: float, ray: Array | None, twist: Array) -> FlowMemory | None:
+    def _flow(self, flow: FlowMemory | None, ids: NDArray[np.intp] | None, t: float, ray: Array | None, twist: Array) -> FlowMemory | None:
         """The depth estimator's next state; None without one."""
         estimator = self.depth.estimator
-        return flow if estimator is None or flow is None or ray is None else update_flow(estimator, flow, t, ray, twist)
+        return flow if estimator is None or flow is None or ray is None else update_flow(estimator, flow.of(ids), t, ray, twist)
 
     def _trim(self, memory: ObserverMemory, t: float, tilt: Array, T: Array | None) -> Trim:
         """The correction of the measured tilt (2,), updated where the pose (4, 4) is measured."""

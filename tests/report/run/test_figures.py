@@ -41,3 +41,16 @@ def test_real_changes_have_the_axis_that_fits_them() -> None:
     assert 0.9 < low < 1 and 2 < high < 2.1
     low, high = figures.twist(run).panels[0].limits()[1]
     assert -0.01 < low < 0 and 0.1 < high < 0.11
+
+
+def test_of_a_region_the_outlines_at_start_end_and_goal_are_drawn() -> None:
+    corners, s = [(100.0, 50.0), (160.0, 50.0), (160.0, 90.0)], np.linspace(0, 40, T)
+    columns = {"t": np.arange(T) / 10}
+    for i, corner in enumerate(corners):
+        for name, x, way in zip("uv", corner, (s, 0 * s), strict=True):
+            columns |= {f"{name}_{i}": x + way, f"{name}_true_{i}": x + way, f"{name}_goal_{i}": x + 0 * s}
+    chart = figures.features(Tracks(pl.DataFrame(columns), Setting(outlined=True)))
+    assert chart is not None
+    lines = {line.label: line for line in chart.panels[0].curves if line.label in ("start", "end", "goal")}
+    for label, way in (("start", 0.0), ("end", 40.0), ("goal", 0.0)):
+        np.testing.assert_allclose(np.column_stack([lines[label].x, lines[label].y]), np.array([*corners, corners[0]]) + [way, 0])

@@ -191,6 +191,22 @@ def test_crosses_and_diamonds_stand_where_they_should() -> None:
     assert touched(image, 90, 110, 111, 131) > 50
 
 
+def test_of_a_region_both_outlines_are_drawn_and_the_trail_of_its_middle() -> None:
+    square = np.array([[100.0, 100.0], [200.0, 100.0], [200.0, 200.0], [100.0, 200.0]])
+    overlay = Overlay(640, 480, np.tile([1.0, 0.0, 0.0], (4, 1)), outlined=True)
+    for step in (0, 40):
+        image = np.full((480, 640, 3), 128, np.uint8)
+        overlay.draw(image, square + [step, 0], square + [250, 0], t=0.0, error="")
+    assert image[100, 190].min() > 200 and image[150, 140].min() > 200  # white, as measured
+    at_goal = image[100, 400].astype(int)
+    assert at_goal[0] > 200 and at_goal[1] < 120  # in the region's colour
+    assert image[150, 170, 0] > 230 and image[150, 170, 1] < 30  # from the middle before to that now
+    assert (image[110:140, 210:230] == 128).all()  # no crosses but at the first point
+    lost = np.full((480, 640, 3), 128, np.uint8)
+    overlay.draw(lost, np.full((4, 2), np.nan), None, t=0.0, error="")
+    assert (lost[90:210, 250:600] == 128).all()
+
+
 def test_the_centre_of_a_cross_follows_fractions_of_a_pixel() -> None:
     def centroid(u: float) -> float:
         weight = np.abs(drawn([[u, 120.0], [300.0, 200.0]], None)[100:140, 60:140, 1].astype(float) - 128).sum(axis=0)

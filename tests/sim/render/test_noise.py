@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vstestbed.camera import Image
-from vstestbed.sim.render.noise import ImageNoise
+from vstestbed.camera import Image, Picture
+from vstestbed.sim.render.noise import Drift, ImageNoise
 
 GREY: Image = np.full((200, 160, 3), 128, np.uint8)
 SIGMA = 3.0
@@ -43,3 +43,9 @@ def test_it_depends_on_pixel_and_panel_alone():
 def test_without_noise_nothing_is_copied():
     for none in (ImageNoise(), ImageNoise(0.0, np.random.default_rng(0))):
         assert none.next().added((GREY,))[0] is GREY
+
+
+def test_contrast_drifts_about_the_middle_grey():
+    levels: Image = np.repeat(np.array([[28, 128, 228]], np.uint8)[..., None], 3, axis=2)
+    after = Drift(contrast=0.5, period_s=4.0).of(Picture(3.0, (levels,))).images[0]  # a quarter of a period before the end: -1
+    assert after is not None and after[0, :, 1].tolist() == [78, 128, 178]

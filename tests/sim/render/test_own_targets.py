@@ -40,9 +40,11 @@ VIEWS = (Pose(), Pose(xyz=(0.3, -0.1, -0.2), rpy_deg=(4, -15, 20)), Pose(xyz=(-0
 
 
 @contextmanager
-def eyes(target: Target, camera: Camera, world: World = World(floor_z=-20.0)) -> Iterator[Any]:
+def eyes(target: Target, camera: Camera, light: Light | None = None) -> Iterator[Any]:
     """The servo camera's pictures by both renderers, as a function of the camera's pose."""
-    stage = Stage(Parts(Free(start=FreeStart(nominal=Pose())), camera, target, world, step=0.002), camera.multisampling)
+    stage = Stage(
+        Parts(Free(start=FreeStart(nominal=Pose())), camera, target, World(floor_z=-20.0, light=light), step=0.002), camera.multisampling
+    )
     both = OpenGLRenderer(stage, camera), RayRenderer(stage, camera)
 
     def seen(view: Pose) -> list[Image]:
@@ -150,18 +152,18 @@ def area_mean(target: PictureTarget, lens: Perspective, T_camera_target: np.ndar
 @pytest.mark.parametrize(
     ("at", "most_rms"),
     [
-        (Pose(xyz=(0, 0, 0.25)), 2.5),
-        (Pose(xyz=(0.05, -0.03, 1.5), rpy_deg=(0, 0, 20)), 13),
-        (Pose(xyz=(0, 0, 1), rpy_deg=(0, 65, 10)), 11),
-        (Pose(xyz=(0, 0, 1.2), rpy_deg=(0, 80, 0)), 12),
+        (Pose(xyz=(0, 0, 0.25)), 5.5),
+        (Pose(xyz=(0.05, -0.03, 1.5), rpy_deg=(0, 0, 20)), 12),
+        (Pose(xyz=(0, 0, 1), rpy_deg=(0, 65, 10)), 13),
+        (Pose(xyz=(0, 0, 1.2), rpy_deg=(0, 80, 0)), 11),
     ],
     ids=["near", "far", "aslant", "grazing"],
 )
 def test_a_poster_is_sharp_and_in_its_place(at: Pose, most_rms: float):
-    """Without anisotropic sampling the last two have an RMS of 12 to 25 grey levels."""
+    """Without anisotropic sampling the last one has an RMS of 20 grey levels and is shifted by half a pixel."""
     camera = Perspective(width=320, height=240, fovy_deg=51, anisotropy=8)
     true = area_mean(POSTER, camera, at.T, 6)
-    inside = cv2.erode(np.isfinite(true[..., 0]).astype(np.uint8), np.ones((3, 3), np.uint8))
+    inside = cv2.erode(np.isfinite(true[..., 0]).astype(np.uint8), np.ones((5, 5), np.uint8))
     grey = np.where(inside, true.mean(axis=-1), 0).astype(np.float32)
     with eyes(POSTER, camera) as seen:
         for image in seen(Pose.of(POSTER.pose.T @ inverse(at.T))):
@@ -183,7 +185,7 @@ def test_a_picture_is_lit_by_the_lamp(tmp_path: Path, light: Light):
     x = (np.arange(160) - 79.5) / camera.f  # of the middle row, 1 m away
     to = np.column_stack([-0.6 - x, 0 * x, 0 * x - 0.5]) if light.xyz else np.tile([-1.0, 0, -1], (160, 1))
     facing = -to[:, 2] / np.linalg.norm(to, axis=1)
-    with eyes(target, camera, World(floor_z=-20.0, light=light)) as seen:
+    with eyes(target, camera, light) as seen:
         for image in seen(Pose()):
             assert np.abs(image[60, :, 0] - 200 * np.minimum(1, light.ambient + light.brightness * facing)).max() < 2
 
@@ -192,10 +194,12 @@ def test_a_highlight_is_where_the_lamp_is_mirrored(tmp_path: Path):
     assert cv2.imwrite(str(tmp_path / "grey.png"), np.full((60, 80, 3), 120, np.uint8))
     glossy = PictureTarget(file=str(tmp_path / "grey.png"), width=1.0, draw_markers=False, gloss=0.8, pose=Pose(xyz=(0, 0, 1)))
     light = Light(direction=(0.2, 0, 1), brightness=0.6, ambient=0.1)
-    with eyes(glossy, Perspective(width=160, height=120, fovy_deg=40), World(floor_z=-20.0, light=light)) as seen:
-        by_gl, matte = (image[60, :, 0].astype(int) for image in seen(Pose()))
+    with eyes(glossy, Perspective(width=160, height=120, fovy_deg=40), light) as seen:
+        by_gl, by_rays = (image[60, :, 0].astype(int) for image in seen(Pose()))
     f = 60 / np.tan(np.radians(20))
-    assert abs(int(by_gl.argmax()) - (79.5 - 0.2 * f)) < 6 and (by_gl - matte).max() > 30 and np.abs(by_gl - matte)[-20:].max() < 8
+    matte = 120 * (0.1 + 0.6 / np.hypot(1, 0.2))
+    assert abs(int(by_gl.argmax()) - (79.5 - 0.2 * f)) < 4 and np.abs(by_gl - by_rays).max() < 4
+    assert by_gl.max() == pytest.approx(matte + 0.8 * 0.6 * 255, abs=3)  # on whatever colour
 
 
 @pytest.mark.parametrize("marker", [Disc(radius=0.018), Sphere(radius=0.015)], ids=["disc", "sphere"])

@@ -1,5 +1,6 @@
 """`world.scenery`: what is drawn, hidden, touched, carried into a run's folder and refused."""
 
+import sys
 from pathlib import Path
 
 import mujoco
@@ -20,6 +21,7 @@ from vstestbed.sim.scene.model_report import examine_model
 from vstestbed.sim.scene.stage import Stage
 
 WORKSHOP = Path(__file__).parents[3] / "scenarios" / "scenery" / "workshop.xml"
+BOXES = WORKSHOP.with_name("boxes.xml")
 WALL = '<geom name="wall" type="box" size=".02 2 2" pos="1.3 0 1"/>'
 BOARD = '<geom name="board" type="box" size=".005 .06 .06" pos=".7 -.14 .66" contype="0" conaffinity="0"/>'
 """Near the camera's start: from there it is before all markers, from the goal view beside them."""
@@ -247,3 +249,18 @@ def test_rays_shade_a_light_that_has_a_place_by_its_distance_and_angle(tmp_path:
     d = np.hypot(x, 2.0)
     expected = 0.8 * (2 / d) * (2 / d) ** 2 / (1 + 0.5 * d**2) * (np.degrees(np.arccos(2 / d)) < 40)
     np.testing.assert_allclose(seen, 255 * expected, atol=1.0)
+
+
+def test_jpeg_textures_of_a_file_are_drawn_and_kept(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.syspath_prepend(str(BOXES.parent))
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    import make_boxes  # type: ignore[import-not-found]  # a script beside the scenery
+
+    assert BOXES.read_text() == make_boxes.boxes(0)
+    stage = stage_of(BOXES)
+    model = stage.model
+    assert model.texture("scenery/poster").width[0] == 1600
+    assert sum(data[1:4] == b"PNG" for data in stage.spec.assets.values()) == 4
+    half, at = (np.array([getattr(model.geom(f"scenery/box_{i}"), name) for i in range(6)]) for name in ("size", "pos"))
+    np.testing.assert_allclose(at[:, 2] - half[:, 2], 0, atol=1e-9)  # they stand on the board in z = 0
+    stage.close()

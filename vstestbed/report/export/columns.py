@@ -61,6 +61,7 @@ _PATTERNS: tuple[tuple[str, Meaning], ...] = (
     (r"speed_.*", Meaning("rad/s", "truth", "speed of a rotor")),
     ("task_error_m", Meaning("m", "truth", "distance from where the task wants the robot now")),
     ("touch_mps", Meaning("m/s", "truth", "speed of the touch-down")),
+    ("error_grey", Meaning("grey levels", "measured", "RMS difference of picture and goal picture, with the law's weights")),
     ("level_error_px", Meaning("px", "measured", "error of the markers after derotation")),
 )
 _SUFFIXES = {"px": "px", "m": "m", "mm": "mm", "rad": "rad", "deg": "deg", "s": "s", "mps": "m/s", "radps": "rad/s", "n": "N", "nm": "Nm"}

@@ -114,7 +114,7 @@ class Topics:
         self._scenario, self._noisy = run.scenario, run.noisy
         self._start_ns = round(start_s * messages.NS)
         self._series = dict(_series(run.scenario, run.log.columns))
-        colors = run.scenario.target.colors
+        colors = np.resize(run.scenario.target.colors, (run.scenario.rows, 3))  # of more points than markers: over again
         self._goal_colors = np.column_stack([colors, np.ones(len(colors))]).tolist()
 
     def time_ns(self, t: float) -> int:

@@ -20,6 +20,11 @@ def film(title: str, path: Path, embedded: bool) -> str:
     return f'<figure><h3>{escape(title)}</h3><video controls muted playsinline preload="metadata" src="{source}"></video>{caption}</figure>'
 
 
+def picture(title: str, png: bytes) -> str:
+    """A PNG picture, embedded in the page."""
+    return f'<figure><h3>{escape(title)}</h3><img alt="{escape(title)}" style="width:100%" src="{data_url("image/png", png)}"></figure>'
+
+
 def data_url(kind: str, content: bytes) -> str:
     """The content of a file as a `data:` URL of the given MIME type."""
     return f"data:{kind};base64," + base64.b64encode(content).decode("ascii")

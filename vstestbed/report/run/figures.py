@@ -19,6 +19,11 @@ BAND: dict[str, Any] = {"linewidth": 4.0, "alpha": 0.28}
 START: dict[str, Any] = {"marker": "o", "markersize": 5, "linestyle": "none"}
 END: dict[str, Any] = {"marker": "x", "markersize": 6, "linewidth": 1.6, "linestyle": "none"}
 AIM: dict[str, Any] = {"marker": "D", "markersize": 8, "linestyle": "none"}
+OUTLINES: tuple[dict[str, Any], ...] = (
+    {"label": "start", "color": INK, "linewidth": 1.0, "linestyle": ":"},
+    {"label": "end", "color": INK, "linewidth": 1.6},
+    {"label": "goal", "color": GOAL, "linewidth": 1.0},
+)
 LEAST_TWIST, LEAST_DEPTH = 2e-3, 0.02
 """Least span of the axis of twists [m/s, rad/s] and of depths (relative to the depth): below it there is only noise."""
 PARTS = (("v", "translation [m/s]"), ("w", "rotation [rad/s]"))
@@ -31,7 +36,13 @@ def features(tracks: Tracks) -> Chart | None:
     width, height = tracks.setting.width, tracks.setting.height
     chart = Chart()
     (panel,) = chart.panels
-    draw_trails(panel, tracks.pixels(), tracks.pixels("_true"), tracks.pixels("_goal"), tracks.names)
+    measured, true, goal = (tracks.pixels(suffix) for suffix in ("", "_true", "_goal"))
+    if tracks.setting.changing:  # a row goes on with another point where its goal is another
+        other = np.zeros(goal.shape[:2], dtype=bool)
+        other[1:] = (goal[1:] != goal[:-1]).any(axis=2)
+        measured, true = (np.where(other[..., None], np.nan, uv) for uv in (measured, true))
+    draw = draw_outlines if tracks.setting.outlined else draw_trails
+    draw(panel, measured, true, goal, tracks.names)
     _frame_picture(panel, width, height)
     chart.fit(2.1, 5.4)
     return chart
@@ -48,6 +59,19 @@ def draw_trails(panel: ChartPanel, measured: Array, true: Array, goal: Array, na
         if names and at.size:
             panel.words.append((float(at[0, 0]), float(at[1, 0]), f"\N{NO-BREAK SPACE}\N{NO-BREAK SPACE}{names[i]}", "start", color))
     trail_keys(panel)
+
+
+def draw_outlines(panel: ChartPanel, measured: Array, true: Array, goal: Array, names: tuple[str, ...] = ()) -> None:
+    """The outline of a region (T, N, 2) at start, end and goal, and the trail of its middle, measured and true, with the legend."""
+    color = marker_colors(1)[0]
+    panel.plot(*true.mean(axis=1).T, color=color, **BAND)
+    panel.plot(*measured.mean(axis=1).T, color=color, linewidth=1.0)
+    seen = measured[np.isfinite(measured).all(axis=(1, 2))]
+    for outline, look in zip((seen[:1], seen[-1:], goal[-1:]), OUTLINES, strict=True):
+        if len(outline):
+            panel.plot(*np.vstack([outline[0], outline[0, :1]]).T, **look)
+    panel.plot([], [], label="measured", color=INK, linewidth=1.0)
+    panel.plot([], [], label="true", color=INK, **BAND)
 
 
 def trail_marks(measured: Array, goal: Array, color: str) -> list[tuple[Array, dict[str, Any]]]:

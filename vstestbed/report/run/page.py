@@ -16,7 +16,7 @@ from vstestbed.loop.log_file import open_log
 from vstestbed.loop.summary_file import read_summary
 from vstestbed.report.html.chart import Chart
 from vstestbed.report.html.notebook import cell
-from vstestbed.report.html.parts import figure, film, folded
+from vstestbed.report.html.parts import figure, film, folded, picture
 from vstestbed.report.html.template import PAGE, STYLE
 from vstestbed.report.run import figures, flight, numbers, path3d, vehicle
 from vstestbed.report.run import floor_plan as plane
@@ -42,7 +42,7 @@ PLOTS: Final[tuple[Plot, ...]] = (
     (
         "features",
         "Features in the image",
-        "The path of each marker through the image; the frame is the image border.",
+        "The path of each marker, or of a region's middle, through the image; the frame is the image border.",
         figures.features,
     ),
     (
@@ -140,11 +140,17 @@ def write_report(
         scenario = load(path, plugins=plugins)
         setting = setting or Setting.of(scenario)
         log = _in_reach(run_dir, open_log(run_dir, scenario)) if log is None else log
-    return write_whole(run_dir / "report.html", render_page(log, summary, scenario_text, videos, setting))
+    goals = [path.read_bytes() for path in sorted(run_dir.glob("goal*.png"), key=lambda path: (len(path.name), path.name))]
+    return write_whole(run_dir / "report.html", render_page(log, summary, scenario_text, videos, setting, goals))
 
 
 def render_page(
-    log: Rows | pl.DataFrame, summary: Mapping[str, Any], scenario_text: str, videos: Mapping[str, Path], setting: Setting | None = None
+    log: Rows | pl.DataFrame,
+    summary: Mapping[str, Any],
+    scenario_text: str,
+    videos: Mapping[str, Path],
+    setting: Setting | None = None,
+    goal_pictures: Sequence[bytes] = (),
 ) -> str:
     """The report as HTML that refers to nothing outside itself (films of more than 30 MB together excepted).
 
@@ -154,6 +160,7 @@ def render_page(
         scenario_text: the scenario as run, shown verbatim.
         videos: films by name (`camera`, `overview`).
         setting: scenario data for the figures.
+        goal_pictures: PNG files of the pictures taken at the goal views.
     """
     setting = setting or Setting()
     name = str(summary.get("scenario") or "Run")
@@ -163,6 +170,7 @@ def render_page(
         numbers.table(summary),
         f'<section><h2>Figures</h2><div class="plots">{_figures(Tracks.of(log, setting))}</div></section>',
         _films(videos),
+        _goal_pictures(goal_pictures),
         numbers.timing(summary),
         folded("Scenario", scenario_text),
         numbers.provenance(summary),
@@ -199,6 +207,12 @@ def _films(videos: Mapping[str, Path]) -> str:
         left -= size if embedded else 0
         films.append(film(FILMS.get(name, name), path, embedded))
     return f'<section class="films"><h2>Films</h2><div class="grid">{"".join(films)}</div></section>' if films else ""
+
+
+def _goal_pictures(pictures: Sequence[bytes]) -> str:
+    """The pictures with which law or detector compared."""
+    cards = "".join(picture("Goal" if len(pictures) == 1 else f"View {i + 1}", png) for i, png in enumerate(pictures))
+    return f'<section class="films"><h2>Picture of the goal</h2><div class="grid">{cards}</div></section>' if cards else ""
 
 
 def _in_reach(run_dir: Path, log: Rows) -> Rows:

@@ -40,7 +40,9 @@ class Setting:
         band_m, settle_s: of a continuing task: error tolerance [m] after this time [s].
         names: of the markers; () where they have none.
         changed: the fields in which the scenario differs from the bundled one of its name, `("law.gain=2",)`.
+        outlined: the markers are the outline of one region.
         modes: words for what the law does in a frame; () for a law without modes.
+        changing: whether a row of the log may come to show another point.
     """
 
     width: int | None = None
@@ -56,7 +58,9 @@ class Setting:
     settle_s: float = 0.0
     names: tuple[str, ...] = ()
     changed: tuple[str, ...] = ()
+    outlined: bool = False
     modes: tuple[str, ...] = ()
+    changing: bool = False
 
     @classmethod
     def of(cls, scenario: Scenario) -> Setting:
@@ -79,7 +83,9 @@ class Setting:
             band_m=goal.tolerance_m,
             settle_s=goal.settle_s,
             changed=changes(scenario),
+            outlined=scenario.target.outlined,
             modes=scenario.law.modes,
+            changing=scenario.detector.changing,
         )
 
 

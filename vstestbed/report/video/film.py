@@ -19,9 +19,11 @@ from vstestbed.loop.recording import Rows
 from vstestbed.loop.summary_file import read_summary
 from vstestbed.report.video.encoded import png_of
 from vstestbed.report.video.film_frame import FilmFrame
+from vstestbed.report.video.matches import overlay_of
 from vstestbed.report.video.outside import Outside, inset_share
-from vstestbed.report.video.overlay import ALARM, GOOD, HOLD_S, Overlay, draw_caption, draw_ending
+from vstestbed.report.video.overlay import ALARM, GOOD, HOLD_S, draw_caption, draw_ending
 from vstestbed.report.video.quality import FINE, Pace, Quality
+from vstestbed.report.video.residual import Residual
 from vstestbed.report.video.writer import Image, VideoWriter
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.replay import Replay
@@ -40,8 +42,9 @@ class Pictures:
         self._scenario, self._camera, self._replay, self._size = scenario, camera, replay, size
         law, name = scenario.law.kind, scenario.name
         self._title = f"{name} \u00b7 {law}" if name else law
-        self._overlay = Overlay(*size, scenario.target.colors[: scenario.rows], title=self._title)
+        self._overlay = overlay_of(scenario, size, self._title)
         self._scale = np.array(size) / (scenario.camera.width, scenario.camera.height)
+        self._residual = Residual(scenario, replay) if "image" in scenario.law.inputs else None
         self._outside = Outside(scenario, replay, camera, size) if camera == "overview" else None
 
     def picture(self, frame: FilmFrame) -> Image:
@@ -52,6 +55,8 @@ class Pictures:
             image = np.array(scaled(self._seen(frame), self._size))  # a copy: the detector and other films use it
             uv, goal_uv = ((uv + 0.5) * self._scale - 0.5 for uv in (frame.uv, frame.goal_uv))
             self._overlay.draw(image, uv, goal_uv, t=frame.t, error=error, lost=frame.lost)
+            if self._residual is not None:
+                self._residual.put(image, self._seen(frame), frame, int(values.get("view", 0)))
             return image
         if self._outside is not None:
             T = self._scenario.goal_pose_at(frame.t, int(values.get("view", 0)))

@@ -17,7 +17,8 @@ from vstestbed.tasks.frame import Frame
 class FilmFrame:
     """State of one frame as a film shows it.
 
-    `own`: values of the robot's and the task's own columns; `image`: the servo camera's image, if it was rendered already.
+    `own`: values of the robot's and the task's own columns; `image`: the servo camera's image, if it was rendered already;
+    `goal_image`: the picture taken at the goal, if law or detector compare with one.
     """
 
     t: float
@@ -30,13 +31,15 @@ class FilmFrame:
     goal_uv: Array
     own: Array
     image: Image | None = None
+    goal_image: Image | None = None
 
     @classmethod
     def of_frame(cls, frame: Frame) -> FilmFrame:
         """A frame of a running loop."""
         truth, error = frame.truth, frame.error
+        shown = None if frame.goal.image is None else frame.goal.image.image
         scene = (truth.T_world_target, truth.T_world_camera, truth.q)
-        return cls(frame.t, *scene, frame.observation.uv, error.rms_px, error.lost, frame.goal.uv, frame.row, frame.image)
+        return cls(frame.t, *scene, frame.observation.uv, error.rms_px, error.lost, frame.goal.uv, frame.row, frame.image, shown)
 
     @classmethod
     def of_row(cls, row: dict[str, float], scenario: Scenario) -> FilmFrame:

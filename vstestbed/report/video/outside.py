@@ -14,7 +14,8 @@ import numpy as np
 
 from vstestbed.camera import Camera, Perspective
 from vstestbed.core.geometry import Array, inverse, transform
-from vstestbed.report.video.overlay import INK, PAPER, SHIFT, SMALL, UNIT, Color, Overlay
+from vstestbed.report.video.matches import overlay_of
+from vstestbed.report.video.overlay import INK, PAPER, SHIFT, SMALL, UNIT, Color
 from vstestbed.report.video.writer import Image
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.replay import FREE, Replay
@@ -63,7 +64,7 @@ class Outside:
         self._scale = inset_share(scenario.camera, size)
         inset = round(scenario.camera.width * self._scale), round(scenario.camera.height * self._scale)
         self._inset_t, self._inset = -np.inf, np.full((inset[1] + EDGE, inset[0] + EDGE, 3), PAPER, np.uint8)
-        self._overlay = Overlay(*inset, scenario.target.colors[: scenario.rows])
+        self._overlay = overlay_of(scenario, inset)
 
     def picture(self, frame: FilmFrame, T_world_goal: Array | None) -> Image:
         """One picture (H, W, 3); T_world_goal: the servo camera's pose (4, 4) at its goal, if it has one."""

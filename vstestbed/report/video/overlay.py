@@ -77,14 +77,20 @@ class Trail:
 class Overlay:
     """Draws on the servo camera's images: a cross at each measured marker, its trail, and a diamond at its goal.
 
+    Of a region both outlines: white as measured, in its colour at the goal, with a cross and a diamond where they begin, and the trail of
+    its middle.
+
     Args:
         width, height: image size [px]; all sizes scale with the height.
         colors: the markers' colours, shape (N, 3) in 0..1.
         title: text in the lower right corner.
+        outlined: the markers are the outline of a region (`Target.outlined`).
+        joined: draw the polygon through the measured markers, the outline of a plane tracked whole.
     """
 
-    def __init__(self, width: int, height: int, colors: Array, title: str = ""):
+    def __init__(self, width: int, height: int, colors: Array, title: str = "", outlined: bool = False, joined: bool = False):
         self.size = (width, height)
+        self._joined = joined
         self.title = title
         self._colors = _bytes(colors)
         self._light = _bytes(0.7 * np.asarray(colors) + 0.3)  # lighter, or blue and violet would not stand out from their dark borders
@@ -92,7 +98,8 @@ class Overlay:
         self._edge = self._stroke if height > SMALL else 0
         self._least = LEAST[height > SMALL]
         self._figure_stroke = math.ceil(height / 240)  # yuv420p stores colour for blocks of 2 x 2 pixels: thinner lines turn grey
-        self._trails = [Trail(max(2.0, height / 240)) for _ in self._colors]
+        self._outlined = outlined
+        self._trails = [Trail(max(2.0, height / 240)) for _ in (self._colors[:1] if outlined else self._colors)]
 
     def draw(self, image: Image, uv: Array, goal_uv: Array | None, *, t: float, error: str, lost: bool = False) -> None:
         """Draw one frame's state on `image`, in place.
@@ -118,12 +125,34 @@ class Overlay:
     def marks(self, image: Image, uv: Array, goal_uv: Array | None) -> None:
         """Draw trails, goals and measured markers alone."""
         uv = self._drawable(uv)
+        if self._outlined:
+            self._outlines(image, uv, goal_uv)
+            return
         for trail, color, point in zip(self._trails, self._colors, uv, strict=True):
             trail.add(point)
             cv2.polylines(image, trail.polylines(), False, color, self._stroke, cv2.LINE_AA, SHIFT)
+        if self._joined and np.isfinite(uv).all():
+            outline = [np.rint(uv * UNIT).astype(np.int32)]
+            cv2.polylines(image, outline, True, INK, self._stroke + 2, cv2.LINE_AA, SHIFT)
+            cv2.polylines(image, outline, True, PAPER, self._stroke, cv2.LINE_AA, SHIFT)
         if goal_uv is not None:
             self._strokes(image, self._drawable(goal_uv), _DIAMOND, max(self._least, self.size[1] / 36), closed=True)
         self._strokes(image, uv, _CROSS, max(self._least, self.size[1] / 40), closed=False)
+
+    def _outlines(self, image: Image, uv: Array, goal_uv: Array | None) -> None:
+        """Draw the outline (N, 2) as measured and at the goal, and the trail of its middle."""
+        trail = self._trails[0]
+        trail.add(uv.mean(axis=0))
+        cv2.polylines(image, trail.polylines(), False, self._colors[0], self._stroke, cv2.LINE_AA, SHIFT)
+        goal = None if goal_uv is None else self._drawable(goal_uv)
+        for points, color in ((goal, self._light[0]), (uv, PAPER)):
+            if points is not None and np.isfinite(points).all():
+                line = [np.rint(points * UNIT).astype(np.int32)]
+                cv2.polylines(image, line, True, INK, self._figure_stroke + self._edge, cv2.LINE_AA, SHIFT)
+                cv2.polylines(image, line, True, color, self._figure_stroke, cv2.LINE_AA, SHIFT)
+        if goal is not None:
+            self._strokes(image, goal[:1], _DIAMOND, max(self._least, self.size[1] / 36), closed=True)
+        self._strokes(image, uv[:1], _CROSS, max(self._least, self.size[1] / 40), closed=False)
 
     def _drawable(self, uv: Array) -> Array:
         """The pixels, NaN where they are so far outside that OpenCV's fixed-point integers would overflow."""
@@ -135,7 +164,7 @@ class Overlay:
         seen: NDArray[np.bool_] = np.isfinite(uv[:, 0]) & np.isfinite(uv[:, 1])
         lines = np.rint((uv[seen, None, None] + shape * size) * UNIT).astype(np.int32)
         cv2.polylines(image, list(lines.reshape(-1, shape.shape[1], 2)), closed, INK, self._figure_stroke + self._edge, cv2.LINE_AA, SHIFT)
-        for color, figure in zip((c for c, s in zip(self._light, seen, strict=True) if s), lines, strict=True):
+        for color, figure in zip((c for c, s in zip(self._light[: len(uv)], seen, strict=True) if s), lines, strict=True):
             cv2.polylines(image, list(figure), closed, color, self._figure_stroke, cv2.LINE_AA, SHIFT)
 
 

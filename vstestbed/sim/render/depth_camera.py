@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from vstestbed.camera import DepthImage, DepthSensor, Perspective
+from vstestbed.camera import Camera, DepthImage, DepthSensor, Perspective
 from vstestbed.core.geometry import Array
 from vstestbed.sim.lens.pinhole import pixel_grid
 
@@ -35,3 +35,10 @@ class DepthCamera:
     def clean(self, true: DepthImage | None) -> DepthImage | None:
         """The same without noise, as the mean of many pictures at rest would be; nothing is drawn for it."""
         return None if true is None else self._sensor.measured(true, self._xy, self._camera.f, None)
+
+
+def depth_camera(camera: Camera, rng: np.random.Generator | None) -> DepthCamera | None:
+    """The depth camera of a lens that has a sensor of depth; None for any other."""
+    if camera.depth_sensor is None or not isinstance(camera, Perspective):
+        return None
+    return DepthCamera(camera, camera.depth_sensor, rng or np.random.default_rng(0))

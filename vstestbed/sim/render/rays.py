@@ -68,12 +68,11 @@ class Caster:
         n = len(rays)
         geoms, distance, normal = np.full(n, NO_RAY, np.int32), np.zeros(n), np.zeros((n, 3))
         origin = np.ascontiguousarray(T_world_camera[:3, 3])
-        seen = np.isfinite(rays[:, 0])
-        whole, start = bool(seen.all()), 0
+        seen, start = np.isfinite(rays[:, 0]), 0
         for bundle in bundles:
             part = slice(start, start + len(bundle))
             start = part.stop
-            if whole:
+            if seen[part].all():
                 self.hits(origin, rays[part], geoms[part], distance[part], normal[part])
             elif seen[part].any():
                 at = part.start + np.flatnonzero(seen[part])
@@ -81,7 +80,7 @@ class Caster:
                 self.hits(origin, rays[at], *hit)
                 geoms[at], distance[at], normal[at] = hit
         colours = self.paint.colours(origin, rays, geoms, distance, normal, apart)
-        if not whole:
+        if not seen.all():
             colours[~seen] = 0
         return colours, geoms
 
@@ -221,7 +220,9 @@ class RayRenderer:
             windows = None if look is None else look[i]
             images.append(None if windows == () else self._draw(panel, i, windows))
         if with_depth:
-            self.depth = ray_depth(self._caster, self._rasters[0], self._stage.camera_pose())
+            self.depth = ray_depth(
+                self._rasters[0].rays((0, 0, self._camera.width, self._camera.height)), self._stage.camera_pose(), self._caster.hits
+            )
         self.whole = look is None
         self.spent_s += time.perf_counter() - start
         return tuple(images)

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from vstestbed.core.geometry import Array
 from vstestbed.sim.render.texture import Mipmap
+from vstestbed.sim.scene.groups import TARGET_GROUP
 from vstestbed.sim.scene.meshes import own_colours, texels_of
 
 RGB_ROLE = int(mujoco.mjtTextureRole.mjTEXROLE_RGB)
@@ -20,7 +21,7 @@ FLAT = int(mujoco.mjtGeom.mjGEOM_PLANE), BOX
 
 
 class Paint:
-    """Colours of a scene as OpenGL's fixed pipeline makes them, without shadows, reflections and highlights.
+    """Colours of a scene as OpenGL's fixed pipeline makes them, without shadows, reflections and highlights but those of pictures.
 
     colour = min(1, rgb (emission + sum over lights of (ambient + diffuse max(0, n . l)))) texture, l towards the light.
     A light that is not directional has l and its brightness by the place: over the attenuation a + b d + c d^2, of a spot light times
@@ -43,6 +44,7 @@ class Paint:
         self._printed, self.averaged = _by_texture(model, texture)
         self._mipmaps = {i: Mipmap(texels_of(model, i)) for i in sorted({int(texture[g]) for g in self._printed})}
         self._texture = texture
+        self._glossy = {g for g in self._printed if model.geom_group[g] == TARGET_GROUP and model.mat_specular[material[g]] > 0}
         self._local = bool((model.light_type[model.light_active] != DIRECTIONAL).any())
         for g in self.averaged:
             rgb[g] *= texels_of(model, int(texture[g])).mean(axis=(0, 1)) / 255
@@ -68,6 +70,8 @@ class Paint:
             if len(at):
                 points = origin + rays[at] * distance[at, None]
                 colour[:, at] *= self._print(printed, points, rays[at], normal[at], apart[at] * distance[at]).T
+                if printed in self._glossy:
+                    colour[:, at] = np.minimum(1, colour[:, at] + self._highlight(printed, points, rays[at], normal[at]))
         sky = np.flatnonzero(geom == -1)
         if len(sky):
             elevation, tints = self._sky
@@ -127,18 +131,46 @@ class Paint:
 
     def _add_local(self, light: NDArray[np.float32], points: Array, normal: Array) -> None:
         """Add the lights that have a place, at points (N, 3) with outward normals (N, 3), to (3, N)."""
-        model, data = self._model, self._data
+        model = self._model
         for i in np.flatnonzero(model.light_active & (model.light_type != DIRECTIONAL)):
-            to = data.light_xpos[i] - points
-            far = np.maximum(np.linalg.norm(to, axis=1), 1e-9)
-            to /= far[:, None]
-            a, b, c = model.light_attenuation[i].tolist()
-            share = 1.0 / np.maximum(a + b * far + c * far * far, 1e-9)
-            if model.light_type[i] == SPOT:
-                along = np.clip(-(to @ data.light_xdir[i]), 0.0, 1.0)
-                share *= np.where(along >= np.cos(np.radians(model.light_cutoff[i])), along ** model.light_exponent[i], 0.0)
+            to, share = self._towards(int(i), points)
             facing = np.maximum((to * normal).sum(axis=1), 0.0)
             light += (share * (model.light_ambient[i][:, None] + model.light_diffuse[i][:, None] * facing)).astype(np.float32)
+
+    def _towards(self, i: int, points: Array) -> tuple[Array, Array]:
+        """Unit vectors (N, 3) from points (N, 3) to light i, which has a place, and what share of its light gets there (N,)."""
+        model, data = self._model, self._data
+        to = data.light_xpos[i] - points
+        far = np.maximum(np.linalg.norm(to, axis=1), 1e-9)
+        to /= far[:, None]
+        a, b, c = model.light_attenuation[i].tolist()
+        share = 1.0 / np.maximum(a + b * far + c * far * far, 1e-9)
+        if model.light_type[i] == SPOT:
+            along = np.clip(-(to @ data.light_xdir[i]), 0.0, 1.0)
+            share *= np.where(along >= np.cos(np.radians(model.light_cutoff[i])), along ** model.light_exponent[i], 0.0)
+        return to, share
+
+    def _highlight(self, geom: int, points: Array, rays: Array, normal: Array) -> NDArray[np.float32]:
+        """What a glossy geom mirrors of the lights at points (N, 3) with normals (N, 3), seen by unit rays (N, 3): (3, N).
+
+        specular (h . n)^(128 shininess), with h halfway between the directions to the light and to the camera.
+
+        Reference: Blinn 1977, Models of light reflection for computer synthesized pictures, doi:10.1145/563858.563893.
+        """
+        model, total = self._model, np.zeros((3, len(points)))
+        material = model.geom_matid[geom]
+        for i in np.flatnonzero(model.light_active & (model.light_specular > 0).any(axis=1)):
+            sun = model.light_type[i] == DIRECTIONAL
+            to, share = (-self._data.light_xdir[i], np.ones(len(points))) if sun else self._towards(int(i), points)
+            half = to - rays
+            half /= np.maximum(np.linalg.norm(half, axis=1), 1e-9)[:, None]
+            lit = (
+                share
+                * ((to * normal).sum(axis=-1) > 0)
+                * np.clip((half * normal).sum(axis=1), 0, 1) ** (128 * model.mat_shininess[material])
+            )
+            total += model.mat_specular[material] * model.light_specular[i][:, None] * lit
+        return total.astype(np.float32)
 
 
 def _by_texture(model: mujoco.MjModel, texture: NDArray[np.int_]) -> tuple[list[int], list[int]]:

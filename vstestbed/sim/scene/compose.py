@@ -73,6 +73,11 @@ class Parts:
         return None if self.target.carrier is None else VEHICLES[self.target.carrier.by]()
 
     @property
+    def glossy(self) -> bool:
+        """Whether the target is a picture that shows highlights."""
+        return self.target.sheet is not None and self.target.sheet.gloss > 0
+
+    @property
     def T_world_target(self) -> Array:
         """Pose of the target at the start (4, 4)."""
         return target_start(self.robot, self.target)
@@ -107,7 +112,7 @@ def compose(parts: Parts) -> mujoco.MjSpec:
         _add_target(scene, parts.target, carrier, parts.target.pose.T)
     _frame_overview(scene, parts)
     _add_plates(scene, parts)
-    light_scene(scene, parts.world.light, glossy=parts.target.sheet is not None and parts.target.sheet.gloss > 0)
+    light_scene(scene, parts.world.light, parts.glossy)
     scene.assets = {**scene.assets, **carried}  # last: MuJoCo warns of models that are attached to one with assets
     return scene
 

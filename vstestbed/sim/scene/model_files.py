@@ -7,7 +7,9 @@ from pathlib import Path
 import mujoco
 
 from vstestbed.core.assets import model_path
+from vstestbed.targets.picture_file import as_png
 
+JPEG = ".jpg", ".jpeg"
 ASSETS = "assets"
 """Folder beside model.xml for its asset files."""
 
@@ -32,11 +34,24 @@ def carry_files(model: mujoco.MjSpec, file: Path, scene: mujoco.MjSpec, prefix: 
     return taken
 
 
+def take_jpeg(model: mujoco.MjSpec, file: Path) -> None:
+    """The textures of a model in `file` that are JPEG files, which MuJoCo does not read, as PNG among the model's assets, to compile it.
+
+    Raises:
+        ParameterError: one is no picture.
+    """
+    for number, texture in enumerate(model.textures):
+        path = file.parent / model.texturedir / texture.file
+        if path.suffix.lower() in JPEG and path.is_file():
+            texture.file = f"{number}_{path.stem}.png"
+            model.assets = {**model.assets, str(Path(model.texturedir) / texture.file): as_png(path)}
+
+
 def _carried(file: Path, folder: str, name: str, taken: dict[str, bytes], prefix: str) -> str:
     """Take up a file that a model in `file` refers to; its name in the scene's assets, "" for none."""
     if not name:
         return ""
     path = model_path(str(file)).parent / folder / name
-    new = f"{prefix.strip('/')}_{len(taken)}_{path.name}"
-    taken[f"{ASSETS}/{new}"] = path.read_bytes()
+    new = f"{prefix.strip('/')}_{len(taken)}_{path.with_suffix('.png').name if path.suffix.lower() in JPEG else path.name}"
+    taken[f"{ASSETS}/{new}"] = as_png(path) if path.suffix.lower() in JPEG else path.read_bytes()
     return new

@@ -25,7 +25,7 @@ from vstestbed.core.named_files import place_of_file
 from vstestbed.sim.scene.groups import RANGE_GROUP
 from vstestbed.sim.scene.meshes import own_colours, texels_of
 from vstestbed.sim.scene.model_errors import cannot_compile
-from vstestbed.sim.scene.model_files import carry_files
+from vstestbed.sim.scene.model_files import carry_files, take_jpeg
 from vstestbed.sim.scene.urdf import read_model
 
 PREFIX = "scenery/"
@@ -61,6 +61,7 @@ def _checked(path: str, mtime_ns: int) -> mujoco.MjModel:
     """The compiled file; mtime_ns: so that a changed file is read again."""
     try:
         spec = read_model(Path(path))
+        take_jpeg(spec, Path(path))
         model = spec.compile()
     except ParameterError:
         raise

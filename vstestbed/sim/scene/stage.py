@@ -42,6 +42,7 @@ class Stage:
         model.vis.quality.offsamples = samples
         self.physics = Physics.from_model(wrapper.MjModel(model))
         self.physics.anisotropy = parts.camera.anisotropy
+        self.physics.glossy = parts.glossy
         self.model, self.data = self.physics.model.ptr, self.physics.data.ptr
         self._target = self.model.body("target/frame")
         self._turned = np.zeros((4, 4)), np.zeros(4)

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from vstestbed.core.geometry import Array
 from vstestbed.vision.detect.sampling import Grey, GreyPicture, pixels_per_unit
-from vstestbed.vision.detect.template import Level, Template, slopes
+from vstestbed.vision.detect.template import Template, TemplateSize, slopes
 
 TUKEY = 4.685
 """Residuals beyond this many standard deviations have no weight (95 % efficiency on Gaussian noise)."""
-LEAST_SIGMA = 2.0
-"""Least standard deviation that residuals are taken to have, in grey levels."""
+LEAST_SIGMA = 0.5
+"""Least standard deviation that residuals are taken to have, in units of `TemplateSize.spread`."""
 LIGHT = 64.0
 """Grey levels that count as one in the normal equations, so that their columns are of similar size."""
 RIDGE = 1e-6
@@ -36,6 +36,8 @@ INSIDE = 0.5
 """Share of a block that must be in the picture for it to count."""
 ENOUGH = 0.15
 """Share of the textured blocks that must be alike before the others are left out; fewer may be alike by chance."""
+FAINT = 1.0
+"""Least standard deviation of a block that correlates, in grey levels: that of a plain surface is noise."""
 PARTLY = 0.8
 """Share of the alike blocks' median correlation below which a block is taken to be hidden in part."""
 COARSEST = 4.0
@@ -59,7 +61,7 @@ class Fit:
 
 
 @dataclass(frozen=True, slots=True)
-class Blocks:
+class BlockFits:
     """Which blocks (B,) of a template count; the correlation of those that are alike, and their share of the textured ones."""
 
     counted: NDArray[np.bool_]
@@ -104,7 +106,7 @@ def similarity(template: Template, picture: GreyPicture, G: Array, least_correla
     return blocks.share, blocks.correlation
 
 
-def _sizes(template: Template, picture: GreyPicture, G: Array) -> list[tuple[Level, int]]:
+def _sizes(template: Template, picture: GreyPicture, G: Array) -> list[tuple[TemplateSize, int]]:
     """The template's copies to align with, smallest first, each with how often the picture is halved for it; empty where not seen."""
     scale = pixels_per_unit(picture.camera, G, template.half)
     if not scale > 0:
@@ -115,13 +117,13 @@ def _sizes(template: Template, picture: GreyPicture, G: Array) -> list[tuple[Lev
     return [(template.levels[k], max(0, round(float(np.log2(px[k]))))) for k in reversed(used)]
 
 
-def _sampled(level: Level, picture: GreyPicture, halvings: int, G: Array) -> Grey:
+def _sampled(level: TemplateSize, picture: GreyPicture, halvings: int, G: Array) -> Grey:
     return picture.sampled(G @ level.to_plane, level.grey.shape, halvings).ravel()
 
 
 def _aligned(
-    level: Level, picture: GreyPicture, halvings: int, G: Array, rounds: int, still: float, least: float, corners: Array
-) -> tuple[Array, Blocks] | None:
+    level: TemplateSize, picture: GreyPicture, halvings: int, G: Array, rounds: int, still: float, least: float, corners: Array
+) -> tuple[Array, BlockFits] | None:
     """G aligned in one size, and how well each block fits there; None where too little of the plane is in the picture."""
     before = picture.camera.project(corners @ G.T)
     counted = light = None
@@ -146,7 +148,7 @@ def _aligned(
     return G, _compared(level, _sampled(level, picture, halvings, G), least)
 
 
-def _step(level: Level, grey: Grey, seen: NDArray[np.bool_], light: Array | None) -> tuple[Array, Array]:
+def _step(level: TemplateSize, grey: Grey, seen: NDArray[np.bool_], light: Array | None) -> tuple[Array, Array]:
     """The warp exp(A(z)) (3, 3) of the template's plane by which its homography changes in one iteration, and the light (6,) after it.
 
     light: gain and offset, each (1, x, y); None at first.
@@ -162,8 +164,7 @@ def _step(level: Level, grey: Grey, seen: NDArray[np.bool_], light: Array | None
     scaled = known / LIGHT
     lit = (scaled, scaled * x, scaled * y, np.ones_like(x), x, y)
     rows = np.stack([gx, gy, gx * y, gy * x, gx * x - gy * y, -along - gy * y, -x * along, -y * along, *lit, residual])
-    rows *= np.sqrt(_weights(residual, seen))
-    N = _products(rows)
+    N = _products(np.asarray(rows * np.sqrt(_weights(residual, level, seen)), np.float32))
     n = len(N) - 1
     z = -np.linalg.solve(N[:n, :n] + RIDGE * np.trace(N[:n, :n]) / n * np.eye(n), N[:n, n])
     return _exponential(z[:8]), a + z[8:] / [LIGHT, LIGHT, LIGHT, 1, 1, 1]
@@ -180,9 +181,9 @@ def _products(rows: Grey) -> Array:
     return np.add.reduce([(part := rows[:, k : k + PART]) @ part.T for k in range(0, rows.shape[1], PART)]).astype(float)
 
 
-def _weights(residual: Grey, seen: NDArray[np.bool_]) -> Grey:
+def _weights(residual: Grey, level: TemplateSize, seen: NDArray[np.bool_]) -> Grey:
     """Tukey's weights of residuals (n,), zero where not seen; their scale by the median of their sizes."""
-    size = np.abs(residual)
+    size = np.abs(residual) / level.spread
     sigma = max(1.4826 * float(np.median(size[seen])), LEAST_SIGMA)
     part = np.minimum(size / (TUKEY * sigma), 1.0)
     return np.where(seen, (1 - part * part) ** 2, 0).astype(np.float32)
@@ -199,18 +200,19 @@ def _exponential(z: Array) -> Array:
     return out
 
 
-def _compared(level: Level, grey: Grey, least: float) -> Blocks:
+def _compared(level: TemplateSize, grey: Grey, least: float) -> BlockFits:
     """How well each textured block of a template fits the grey levels (n,): by its zero-mean normalised correlation with them."""
     seen = level.inner & np.isfinite(grey)
-    i, t = np.where(seen, grey, 0), np.where(seen, level.grey.ravel(), 0)
+    # About their means, which single precision would otherwise keep too few digits beside.
+    i, t = (np.where(seen, of - of[seen].mean(), 0) if seen.any() else np.zeros_like(of) for of in (grey, level.grey.ravel()))
     s, si, st, sii, stt, sit = (level.by_block(values) for values in (seen.astype(np.float32), i, t, i * i, t * t, i * t))
     some = np.maximum(s, 1e-3)
     cov, vi, vt = sit - si * st / some, np.maximum(sii - si * si / some, 0), np.maximum(stt - st * st / some, 0)
     inside = level.textured & (s >= INSIDE * level.by_block(level.inner.astype(np.float32)))
-    each = cov / np.maximum(np.sqrt(vi * vt), 1e-6)
+    each = cov / np.sqrt(np.maximum(vi, FAINT**2) * np.maximum(vt, FAINT**2))
     alike = inside & (each >= least)
     total = float(cov[alike].sum() / max(np.sqrt(vi[alike].sum() * vt[alike].sum()), 1e-6))
     share = np.count_nonzero(alike) / max(1, np.count_nonzero(level.textured))
     # A block that is hidden in part lets its alignment slip, and has less correlation than the others.
     counted = alike & (each >= PARTLY * np.median(each[alike])) if share >= ENOUGH else inside
-    return Blocks(counted, total, share)
+    return BlockFits(counted, total, share)

@@ -25,7 +25,9 @@ from vstestbed.vision.match.patches import refined, smooth
 from vstestbed.vision.match.planar_map import PlanarMap, planar_map, spread_out
 from vstestbed.vision.match.slots import Slots
 
-SLIPPED_PX = 0.5
+SPARE = 1.5
+"""Points whose places are measured below a pixel, as a multiple of those that are reported: some are not found."""
+SLIPPED_PX = 0.25
 """A patch that is farther than this from where the other patches' homography maps it has slipped [px]."""
 Pairs = tuple[Array, Array]
 """Places (M, 2) in the goal's picture and in this one [px]."""
@@ -97,6 +99,7 @@ class Keypoints(DetectorBase):
     track: Tracking = NoTracking()
     needs_image: ClassVar[bool] = True
     needs_goal: ClassVar[bool] = True
+    changing = True
 
     def __post_init__(self) -> None:
         """Refuse numbers that contradict each other, and a ratio where no descriptors are compared."""
@@ -119,7 +122,7 @@ class Keypoints(DetectorBase):
         return self.best
 
     @property
-    def changing(self) -> bool:
+    def fleeting(self) -> bool:
         """Without tracking, others are found in every picture."""
         return isinstance(self.track, NoTracking)
 
@@ -150,7 +153,7 @@ class Keypoints(DetectorBase):
         if len(uv) == 0:
             return np.zeros(0, dtype=bool)
         p = points_of(goal_of_points(goal, uv))
-        there: NDArray[np.bool_] = np.isfinite(p).all(axis=1)
+        there = np.asarray(np.isfinite(p).all(axis=1))
         half = target.board_half_m
         if self.within == "board" and half is not None:
             with np.errstate(invalid="ignore"):
@@ -235,13 +238,17 @@ class Keypoints(DetectorBase):
         if self.ransac == "homography":
             agree = np.zeros(len(pairs[0]), dtype=bool) if found is None else found[1]
             first, pairs = int(np.count_nonzero(agree[:first])), (pairs[0][agree], pairs[1][agree])
-        index = spread_out(pairs[0], self.best, first) if self.choose == "spread" else np.arange(min(self.best, len(pairs[0])))
-        pairs = pairs[0][index], pairs[1][index]
         if found is None or not self.subpixel:
-            return pairs
+            return self._best(pairs, first, self.best)
+        pairs = self._best(pairs, first, round(SPARE * self.best))
         uv = self._refined(memory, *pairs, dim, found[0])
-        there = np.isfinite(uv[:, 0])
+        there = np.flatnonzero(np.isfinite(uv[:, 0]))[: self.best]
         return pairs[0][there], uv[there]
+
+    def _best(self, pairs: Pairs, first: int, most: int) -> Pairs:
+        """At most `most` of the pairs, which are in the order of their distance; the `first` ones are among them."""
+        index = spread_out(pairs[0], most, first) if self.choose == "spread" else np.arange(min(most, len(pairs[0])))
+        return pairs[0][index], pairs[1][index]
 
     def _refined(self, memory: KeypointsMemory, uv_goal: Array, uv: Array, dim: Image, plane: PlanarMap) -> Array:
         """Places (M, 2) below a pixel; NaN where the pictures are not alike, or a patch has slipped off the plane."""

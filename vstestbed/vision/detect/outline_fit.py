@@ -10,13 +10,10 @@ import numpy as np
 from vstestbed.camera import Panel
 from vstestbed.core.geometry import Array
 from vstestbed.features.observation import Goal
-from vstestbed.targets import Ball, Shape, Target
-from vstestbed.targets.conic import distance_to_conic, ellipse_points, fitted_conic
-from vstestbed.targets.figures import centroid, covariance
+from vstestbed.targets import Target
+from vstestbed.targets.polygons import centroid, covariance
+from vstestbed.targets.regions import LEAST_AHEAD
 from vstestbed.vision.detect.polygon_fit import fit_polygon, roundness
-
-LEAST_AHEAD = 0.05
-"""Least Z of a unit ray to the border of a flat region: 87 degrees off the axis."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,17 +63,16 @@ def fit_outline(border: Border, target: Target, turn: float | None, expected: fl
         expected: the rotation that is taken where several fit alike [rad].
     """
     rays = border.rays(border.edge)
-    if isinstance(target, Ball):
-        return _ball(border, rays, target)
-    if not isinstance(target, Shape) or not (rays[:, 2] > LEAST_AHEAD).all():
-        return None
-    xy = rays[:, :2] / rays[:, 2:]
-    return _disc(border, xy, target) if target.figure.round else _polygon(border, xy, target, turn, expected)
+    if target.figure_corners is not None:
+        return _polygon(border, rays, target, target.figure_corners, turn, expected)
+    # A round region of pixels with standard deviation s has the radius 2 s.
+    found = target.round_outline(rays)
+    return None if found is None else OutlineFit(found.p, found.off * 2 * border.size_px)
 
 
 def turn_at(goal: Goal, target: Target) -> float:
     """How a shape is turned in the goal view [rad]; 0 for what is round."""
-    if not isinstance(target, Shape) or target.figure.round or not np.isfinite(goal.xy).all():
+    if target.figure_corners is None or not np.isfinite(goal.xy).all():
         return 0.0
     seen, flat = goal.xy, target.points[:, :2]
     # The affine map that fits best, without what makes both shapes round: a rotation.
@@ -85,31 +81,11 @@ def turn_at(goal: Goal, target: Target) -> float:
     return math.atan2(R[1, 0] - R[0, 1], R[0, 0] + R[1, 1])
 
 
-def _ball(border: Border, rays: Array, target: Ball) -> OutlineFit | None:
-    """The ball whose rim the rays (K, 3) touch best."""
-    centre = target.centre_of(rays)
-    if centre is None:
+def _polygon(border: Border, rays: Array, target: Target, corners: Array, turn: float | None, expected: float) -> OutlineFit | None:
+    """The image of a polygon with `corners` (E, 2) that fits rays (K, 3)."""
+    if not (rays[:, 2] > LEAST_AHEAD).all():
         return None
-    far = float(np.linalg.norm(centre))
-    theta = math.asin(target.radius / far)
-    off = np.abs(np.arccos(np.clip(rays @ centre / far, -1.0, 1.0)) - theta)
-    # A round region of pixels with standard deviation s has the radius 2 s.
-    return OutlineFit(target.outline_of(centre), off * 2 * border.size_px / theta)
-
-
-def _disc(border: Border, xy: Array, target: Shape) -> OutlineFit | None:
-    """The ellipse that fits points (K, 2)."""
-    conic = fitted_conic(xy)
-    found = ellipse_points(conic, len(target.points))
-    if not np.isfinite(found).all():
-        return None
-    off = np.abs(distance_to_conic(conic, xy)) / _unit(border)
-    return OutlineFit(np.column_stack([found, np.ones(len(found))]), off)
-
-
-def _polygon(border: Border, xy: Array, target: Shape, turn: float | None, expected: float) -> OutlineFit | None:
-    """The polygon's image that fits points (K, 2)."""
-    corners = target.figure.corners
+    xy = rays[:, :2] / rays[:, 2:]
     middle, J = _linearised(border)
     plane, turns = (centroid(corners), covariance(corners)), () if turn is None else (turn,)
     found = fit_polygon(xy, middle, J @ border.spread @ J.T, corners, plane, turns, expected)
@@ -126,8 +102,3 @@ def _linearised(border: Border) -> tuple[Array, Array]:
     ray = border.rays(uv)
     xy = ray[:, :2] / ray[:, 2:]
     return xy[0], (xy[1:] - xy[0]).T
-
-
-def _unit(border: Border) -> float:
-    """Size of a pixel at the region in normalised coordinates, the geometric mean of both directions."""
-    return math.sqrt(abs(float(np.linalg.det(_linearised(border)[1]))))

@@ -41,7 +41,7 @@ class PatchMemory:
 
 
 @spec
-class Patch(DetectorBase):
+class PatchDetector(DetectorBase):
     """The target's own picture, tracked whole; its corners, or the points `at_px`, are the markers.
 
     The template is the target's picture file. Its homography to the picture is aligned by efficient second-order minimisation (ESM) from
@@ -133,9 +133,9 @@ class Patch(DetectorBase):
 
     def _found(self, picture: Picture, template: Template, camera: Camera) -> Fit | None:
         """The template found by keypoints and aligned."""
-        grey = GreyPicture(picture.completed(), camera)
-        G = found(template, grey)
-        return None if G is None else self._good(align(template, grey, G, self.least_correlation))
+        whole = picture.completed()
+        G = found(template, whole, camera)
+        return None if G is None else self._good(align(template, GreyPicture(whole, camera), G, self.least_correlation))
 
     def _good(self, fit: Fit | None) -> Fit | None:
         return fit if fit is not None and fit.visible >= self.least_visible else None

@@ -137,20 +137,26 @@ class RegionDetector(DetectorBase):
             raise ParameterError("picture", "is missing: detector region needs one; use detector oracle where there is none")
         if not target.outlined:
             raise ParameterError("target", "must be a shape or a ball for detector region")
-        window, found = self._window(memory, camera, self.window_margin_px), None
-        if window is not None and picture.images[0] is not None:
-            found = self._largest(picture.images[0], 0, window, memory, camera, target)
-        if found is None:
-            picture = picture.completed()
-            for panel, image in enumerate(picture.images):
-                if image is not None and found is None:
-                    lens = camera.panels[panel].lens
-                    found = self._largest(image, panel, (0, 0, lens.width, lens.height), memory, camera, target)
+        found = self._tracked(picture, memory, camera, target) or self._searched(picture.completed(), memory, camera, target)
         if found is None:
             return RegionMemory(memory.expected), Detection(uv=np.full((len(target.points), 2), np.nan))
         du, dv = (0.0, 0.0) if memory.middle is None else (found.middle - memory.middle).tolist()
         after = RegionMemory(memory.expected, found.box, found.middle, (du, dv), found.fit.turn)
         return after, Detection(uv=camera.project(found.fit.p))
+
+    def _tracked(self, picture: Picture, memory: RegionMemory, camera: Camera, target: Target) -> Found | None:
+        """The region in a window round its predicted place; None where it is not whole there."""
+        window, image = self._window(memory, camera, self.window_margin_px), picture.images[0]
+        return None if window is None or image is None else self._largest(image, 0, window, memory, camera, target)
+
+    def _searched(self, picture: Picture, memory: RegionMemory, camera: Camera, target: Target) -> Found | None:
+        """The region in the first panel that has it whole; None where none has."""
+        for panel, image in enumerate(picture.images):
+            lens = camera.panels[panel].lens
+            found = None if image is None else self._largest(image, panel, (0, 0, lens.width, lens.height), memory, camera, target)
+            if found is not None:
+                return found
+        return None
 
     def _largest(self, image: Image, panel: int, window: Window, memory: RegionMemory, camera: Camera, target: Target) -> Found | None:
         """The largest region of the target's hue in a window that is whole and to which the outline fits; None without one."""

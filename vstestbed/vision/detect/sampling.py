@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from vstestbed.camera import Camera, Perspective, Picture, Window
 from vstestbed.core.geometry import Array
+from vstestbed.vision.detect.template import BLUR
 
 Grey = NDArray[np.float32]
 
@@ -26,6 +27,7 @@ class _Part:
 
     panel: int
     sizes: list[Grey]
+    smooth: dict[int, Grey]
     begin: Array
 
 
@@ -38,20 +40,13 @@ class GreyPicture:
 
     def __init__(self, picture: Picture, camera: Camera, window: Window | None = None):
         self.camera = camera
-        self.images: list[NDArray[np.uint8] | None] = []
         self._parts: list[_Part] = []
         for k, image in enumerate(picture.images):
             if image is None:
-                self.images.append(None)
                 continue
             left, top, right, bottom = window or (0, 0, image.shape[1], image.shape[0])
             grey = np.asarray(cv2.cvtColor(np.ascontiguousarray(image[top:bottom, left:right]), cv2.COLOR_RGB2GRAY), np.uint8)
-            self.images.append(grey)
-            self._parts.append(_Part(k, [grey.astype(np.float32)], np.array([left, top], float)))
-
-    def begin(self, panel: int) -> Array:
-        """The pixel (u, v) of a panel's image at which its part here begins."""
-        return next(part.begin for part in self._parts if part.panel == panel)
+            self._parts.append(_Part(k, [grey.astype(np.float32)], {}, np.array([left, top], float)))
 
     def sampled(self, rays: Array, shape: tuple[int, int], halvings: int) -> Grey:
         """Grey levels (h, w) of a grid in a plane, from the picture halved so many times; NaN where it shows nothing.
@@ -84,7 +79,9 @@ class GreyPicture:
     def _size(self, part: _Part, halvings: int) -> Grey:
         while len(part.sizes) <= halvings:
             part.sizes.append(np.asarray(cv2.pyrDown(part.sizes[-1]), np.float32))
-        return part.sizes[halvings]
+        if halvings not in part.smooth:
+            part.smooth[halvings] = np.asarray(cv2.GaussianBlur(part.sizes[halvings], (0, 0), BLUR), np.float32)
+        return part.smooth[halvings]
 
 
 @lru_cache(maxsize=16)

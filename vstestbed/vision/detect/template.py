@@ -10,8 +10,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from vstestbed.camera import Image
 from vstestbed.core.geometry import Array
 from vstestbed.targets.picture_file import decoded
+from vstestbed.vision.match.features import Descriptors, Sift
 
 Grey = NDArray[np.float32]
 
@@ -21,12 +23,18 @@ BLOCKS = 6
 """Blocks along a template's longer side, each of which is compared with the picture by itself."""
 FLAT = 6.0
 """Standard deviation of a block's grey levels below which its correlation would be one of noise alone."""
+BLUR = 0.8
+"""Standard deviation of the filter over template and picture [texel], [px], without which sampling between pixels shifts fine detail."""
+NOISE = 4.0
+"""Grey levels by which a flat texel may differ from the picture, ..."""
+SHIFT = 0.3
+"""... and texels by which an edge may seem to be shifted in it."""
 EDGE = 2
 """Outermost texels that are left out: what the picture shows there mixes with what is behind the template."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Level:
+class TemplateSize:
     """A template in one size, (h, w) texels; n = h w.
 
     Attributes:
@@ -36,6 +44,7 @@ class Level:
         slopes: derivatives of the grey levels by x and y, (2, n).
         texel: width and height of a texel, in the same units.
         inner: which texels count, (n,); those at the border do not.
+        spread: what a residual is measured by at each texel (n,), in grey levels: at edges two samplings differ more.
         block: number of each texel's block, (n,). textured: which blocks are not flat, (B,).
         blocks: how many there are along x and y.
     """
@@ -47,6 +56,7 @@ class Level:
     slopes: Grey
     texel: tuple[float, float]
     inner: NDArray[np.bool_]
+    spread: Grey
     block: NDArray[np.intp]
     textured: NDArray[np.bool_]
     blocks: tuple[int, int]
@@ -65,10 +75,10 @@ class Template:
         features: its keypoints' places in that unit (K, 2) and their SIFT descriptors (K, 128).
     """
 
-    levels: tuple[Level, ...]
+    levels: tuple[TemplateSize, ...]
     unit_m: float
     half: tuple[float, float]
-    features: tuple[Array, Grey]
+    features: tuple[Array, Descriptors]
 
     @property
     def corners(self) -> Array:
@@ -94,16 +104,17 @@ def _template(path: Path, changed: int, width_m: float, most_texels: int) -> Tem
     longer = max(height, width)
     half = width / longer, height / longer
     share = min(1.0, (most_texels / grey.size) ** 0.5)
-    levels: list[Level] = []
+    levels: list[TemplateSize] = []
     while min(height, width) * share >= LEAST_SIDE or not levels:
         levels.append(_level(grey, (max(4, round(width * share)), max(4, round(height * share))), half))
         share /= 2
-    return Template(tuple(levels), width_m / 2 / half[0], half, _features(grey, half))
+    return Template(tuple(levels), width_m / 2 / half[0], half, _features(image, half))
 
 
-def _level(grey: Grey, size: tuple[int, int], half: tuple[float, float]) -> Level:
+def _level(grey: Grey, size: tuple[int, int], half: tuple[float, float]) -> TemplateSize:
     """The template reduced to a size (w, h) by averaging, so that its texels' places stay where they are."""
     small = grey if size == grey.shape[::-1] else np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.float32)
+    small = np.asarray(cv2.GaussianBlur(small, (0, 0), BLUR), np.float32)
     w, h = size
     texel = 2 * half[0] / w, 2 * half[1] / h
     u, v = np.meshgrid(np.arange(w), np.arange(h))
@@ -115,18 +126,10 @@ def _level(grey: Grey, size: tuple[int, int], half: tuple[float, float]) -> Leve
     mean = np.bincount(block, small.ravel()) / n
     spread = np.sqrt(np.maximum(np.bincount(block, small.ravel() ** 2) / n - mean**2, 0))
     to_plane = np.array([[texel[0], 0, x[0]], [0, texel[1], y[0]], [0, 0, 1]])
-    return Level(
-        small,
-        x.astype(np.float32),
-        y.astype(np.float32),
-        to_plane,
-        slopes(small, texel),
-        texel,
-        inner,
-        block,
-        spread > FLAT,
-        (across, down),
-    )
+    slope = slopes(small, texel)
+    sampled = np.hypot(NOISE, SHIFT * np.hypot(slope[0] * texel[0], slope[1] * texel[1])).astype(np.float32)
+    x, y = x.astype(np.float32), y.astype(np.float32)
+    return TemplateSize(small, x, y, to_plane, slope, texel, inner, sampled, block, spread > FLAT, (across, down))
 
 
 def slopes(grey: Grey, texel: tuple[float, float]) -> Grey:
@@ -139,25 +142,15 @@ def slopes(grey: Grey, texel: tuple[float, float]) -> Grey:
 
 LONGEST_PX = 640
 """Longest side of the template in which keypoints are detected [px]: a picture shows no finer ones."""
-MOST_KEYPOINTS = 800
+SIFT = Sift(most=800, contrast=0.01)
+"""Its contrast is a quarter of what is usual: a picture may be in shadow, and wrong matches are found out."""
 
 
-def _features(grey: Grey, half: tuple[float, float]) -> tuple[Array, Grey]:
-    """Places (K, 2) in the template's unit and SIFT descriptors (K, 128)."""
-    longest = max(grey.shape)
-    share = min(1.0, LONGEST_PX / longest)
-    w, h = round(grey.shape[1] * share), round(grey.shape[0] * share)
-    small = np.asarray(cv2.resize(grey, (w, h), interpolation=cv2.INTER_AREA), np.uint8)
-    px, descriptors = keypoints(small)
+def _features(image: Image, half: tuple[float, float]) -> tuple[Array, Descriptors]:
+    """Places (K, 2) in the template's unit and SIFT descriptors (K, 128) of a picture (H, W, 3), blue first."""
+    height, width = image.shape[:2]
+    share = min(1.0, LONGEST_PX / max(height, width))
+    w, h = round(width * share), round(height * share)
+    small = cv2.cvtColor(cv2.resize(image, (w, h), interpolation=cv2.INTER_AREA), cv2.COLOR_BGR2RGB)
+    px, descriptors = SIFT.extract(np.asarray(small, np.uint8))
     return ((px + 0.5) / [w, h] * 2 - 1) * half, descriptors
-
-
-def keypoints(grey: NDArray[np.uint8]) -> tuple[Array, Grey]:
-    """Keypoints of an image: pixels (K, 2) and SIFT descriptors (K, 128).
-
-    Reference: Lowe 2004, doi:10.1023/B:VISI.0000029664.99615.94.
-    """
-    found, descriptors = cv2.SIFT.create(nfeatures=MOST_KEYPOINTS).detectAndCompute(grey, None)
-    if not found:
-        return np.empty((0, 2)), np.empty((0, 128), np.float32)
-    return np.array([k.pt for k in found]), np.asarray(descriptors, np.float32)

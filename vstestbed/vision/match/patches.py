@@ -28,7 +28,7 @@ def smooth(grey: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 
 def refined(goal: NDArray[np.float32], image: NDArray[np.float32], uv_goal: Array, uv: Array, A: Array) -> Array:
-    """Places uv (K, 2) at which the patches round uv_goal (K, 2) of the goal's picture are found in this one; NaN where not alike.
+    """Places (K, 2) at which the patches round uv_goal (K, 2) of the goal's picture are found; NaN where not alike, or cut by a border.
 
     Minimises over d the squared difference of I(uv + A (x + d)) and I*(uv_goal + x) over the patch's pixels x, both less their mean and
     over their standard deviation, so that brightness and contrast may differ: Gauss-Newton with the goal's gradient (inverse
@@ -60,6 +60,7 @@ def refined(goal: NDArray[np.float32], image: NDArray[np.float32], uv_goal: Arra
         at = at - step
         if np.abs(step).max(initial=0.0) < SETTLED_PX:
             break
+    usable &= _inside(goal, uv_goal[:, None] + x) & _inside(image, at[:, None] + over)
     found = usable & (alike > ALIKE) & (np.linalg.norm(at - start, axis=1) < REACH_PX)
     return np.where(found[:, None], at, np.nan)
 
@@ -76,6 +77,12 @@ def _sampled(image: NDArray[np.float32], uv: Array) -> Array:
     flat = image.ravel()
     top = flat[k] * (1 - a) + flat[k + 1] * a
     return top * (1 - b) + (flat[k + width] * (1 - a) + flat[k + width + 1] * a) * b
+
+
+def _inside(image: NDArray[np.float32], uv: Array) -> NDArray[np.bool_]:
+    """Which patches (K,) with pixels uv (K, P, 2) lie wholly in the picture: beyond its border nothing is known."""
+    size = np.array([image.shape[1], image.shape[0]]) - 1
+    return np.asarray(((uv >= 0) & (uv <= size)).all(axis=(1, 2)))
 
 
 def _normalised(patches: Array) -> tuple[Array, Array]:

@@ -1,0 +1,231 @@
+"""Luminance as a feature: L against finite differences of rendered pictures, the law in closed loop, outliers, what it refuses."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+import vstestbed as vs
+from vstestbed.camera import Perspective
+from vstestbed.core.errors import ParameterError, ScenarioError
+from vstestbed.core.geometry import exp, inverse, rigid_error
+from vstestbed.features.depth import Constant, PnP
+from vstestbed.features.observation import Goal, Observation, Sight
+from vstestbed.laws.base import Command, ConstantGain
+from vstestbed.laws.luminance import LevelPixels, Which, coarser, gradient, luminance, motion_px
+from vstestbed.laws.photometric import BLANK, NO_PICTURE, LevenbergMarquardt, Photometric
+from vstestbed.laws.robust import LEAST_SIGMA, scale, weights
+from vstestbed.scenario.load import parse
+from vstestbed.sim.retake import Retake
+
+CORNERS = np.array([[-0.3, -0.225, 0], [0.3, -0.225, 0], [0.3, 0.225, 0], [-0.3, 0.225, 0]])
+AT_GOAL = np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 1], [0, 0, 0, 1]])
+CAMERA = Perspective(width=160, height=120, fovy_deg=25)
+
+
+@pytest.fixture(scope="module")
+def texture() -> np.ndarray:
+    """Noise of all scales (900, 1200)."""
+    rng, made = np.random.default_rng(0), np.zeros((900, 1200), np.float32)
+    for n in (4, 8, 16, 32, 64):
+        made += cv2.resize(rng.normal(size=(3 * n, 4 * n)).astype(np.float32), (1200, 900), interpolation=cv2.INTER_CUBIC)
+    return np.clip(128 + 50 * made / made.std(), 0, 255).astype(np.uint8)
+
+
+@pytest.fixture(scope="module")
+def file(texture: np.ndarray, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same as a picture file."""
+    path = tmp_path_factory.mktemp("texture") / "noise.png"
+    cv2.imwrite(str(path), texture)
+    return path
+
+
+def seen(texture: np.ndarray, T: np.ndarray, fine: int = 2) -> Sight:
+    """The picture of the texture on a plane 0.6 m wide from T_camera_target, each pixel the mean of fine x fine."""
+    f, (cx, cy), s = CAMERA.f * fine, (CAMERA.centre + 0.5) * fine - 0.5, 0.6 / texture.shape[1]
+    plane = np.array([[s, 0, -s * (texture.shape[1] - 1) / 2], [0, s, -s * (texture.shape[0] - 1) / 2], [0, 0, 1]])
+    H = np.array([[f, 0, cx], [0, f, cy], [0, 0, 1.0]]) @ T[:3, [0, 1, 3]] @ plane
+    grey = cv2.warpPerspective(texture, H, (CAMERA.width * fine, CAMERA.height * fine), borderValue=90)
+    small = cv2.resize(grey, (CAMERA.width, CAMERA.height), interpolation=cv2.INTER_AREA)
+    return Sight(np.asarray(cv2.cvtColor(small, cv2.COLOR_GRAY2RGB), np.uint8))
+
+
+def goal_of(texture: np.ndarray) -> Goal:
+    """The goal view with its picture."""
+    return replace(Goal.from_view(CAMERA, CORNERS, AT_GOAL), image=seen(texture, AT_GOAL))
+
+
+def looked(image: Sight | None, t: float = 0.0) -> Observation:
+    """An observation of a picture alone."""
+    return Observation(t, np.empty((0, 2)), np.empty((0, 2)), np.empty(0), image=image)
+
+
+def flown(law: Photometric, texture: np.ndarray, off: list[float], frames: int = 80, spoil=lambda sight, t: sight) -> tuple[float, float]:
+    """Distance [m] and angle [deg] from the goal after so many frames at 25 Hz from exp(off) T*."""
+    goal, T = goal_of(texture), exp(np.array(off)) @ AT_GOAL
+    memory = law.init(goal)
+    for k in range(frames):
+        memory, command = law.step(memory, looked(spoil(seen(texture, T), 0.04 * k), 0.04 * k), goal, np.eye(6))
+        T = exp(-0.04 * command.twist) @ T
+    distance, angle = rigid_error(inverse(T), inverse(AT_GOAL))
+    return distance, float(np.degrees(angle))
+
+
+def scenario_of(file: Path, **changed: object) -> vs.Scenario:
+    """The ideal camera before the texture, in small pictures."""
+    plain = {
+        "robot": {"kind": "free", "start": {"nominal": {"xyz": [0.02, -0.01, -1.05], "rpy_deg": [1, 1, 4]}}},
+        "camera": {"kind": "perspective", "width": 160, "height": 120, "fovy_deg": 25},
+        "target": {"kind": "picture", "file": str(file), "width": 0.6, "pose": {}, "lit": False, "draw_markers": False},
+        "detector": {"kind": "none"},
+        "law": {"kind": "photometric", "gain": 10, "margin_px": 4, "interaction": "mean", "levels": 3},
+        "world": {"floor_z": -40},
+        "goal": {"T_camera_target": {"xyz": [0, 0, 1]}},
+        "stop": {"duration_s": 6, "converged": {"error_grey": 0.5, "hold_s": 0.2}},
+    }
+    return parse(json.dumps(plain | changed), "test.yaml")
+
+
+@pytest.mark.parametrize(("distortion", "level"), [(None, 0), (None, 1), ((-0.3, 0.1, 0.002, 0.001, 0.0), 0)])
+def test_interaction_matrix_is_that_of_rendered_pictures(file: Path, distortion: tuple[float, ...] | None, level: int) -> None:
+    """Column by column: correlation above 0.98, scale within 4 % of the differences that displacements of a pixel make."""
+    s = scenario_of(file, camera={"kind": "perspective", "width": 160, "height": 120, "fovy_deg": 25, "distortion": distortion})
+    camera, retake = s.camera, Retake(s.robot, s.camera, s.target, s.world)
+    assert isinstance(camera, Perspective)
+    T = exp(np.array([0.02, 0.01, 0.1, 0.2, -0.1, 0.3])) @ AT_GOAL
+    pixels, normal = LevelPixels.of(camera, level, 8, 1), T[:3, 2]
+    near = ((normal[0] * pixels.x + normal[1] * pixels.y + normal[2]) / (normal @ T[:3, 3])).astype(np.float32)
+
+    def picture(by: np.ndarray) -> np.ndarray:
+        grey = luminance(retake.picture(0.0, np.eye(4), np.zeros(0), inverse(exp(-by) @ T)), 1.5)
+        return coarser(grey) if level else grey
+
+    L = pixels.interaction(gradient(picture(np.zeros(6))), near)
+    for column, unit in zip(L, np.eye(6), strict=True):
+        step = 0.5 * 2**level / motion_px(camera, unit, 1.0)
+        measured = (picture(step * unit) - picture(-step * unit))[pixels.at].ravel() / (2 * step)
+        assert np.corrcoef(measured, column)[0, 1] > 0.98
+        assert (measured @ column) / (column @ column) == pytest.approx(1.0, abs=0.04)
+    retake.close()
+
+
+@pytest.mark.parametrize("interaction", ["current", "desired", "mean"])
+def test_converges_with_each_matrix(texture: np.ndarray, interaction: Which) -> None:
+    """From 3 cm and 3 degrees to under a millimetre."""
+    law = Photometric(gain=ConstantGain(value=12.0), interaction=interaction, margin_px=4, damping=LevenbergMarquardt(after_s=1.0))
+    distance, angle = flown(law, texture, [0.01, -0.01, 0.03, 0.01, 0.01, 0.05])
+    assert distance < 1e-3
+    assert angle < 0.06
+
+
+def test_pyramid_widens_the_basin(texture: np.ndarray) -> None:
+    """A start from which full pictures alone do not get there."""
+    off = [0.05, 0.03, 0.1, 0.02, -0.04, 0.35]
+    law = Photometric(
+        gain=ConstantGain(value=12.0), interaction="mean", margin_px=4, smooth_px=0.0, damping=LevenbergMarquardt(after_s=1.0)
+    )
+    assert flown(law, texture, off)[0] > 0.05
+    assert flown(replace(law, levels=4), texture, off)[0] < 1e-3
+
+
+def test_outliers_break_least_squares_and_not_the_m_estimator(texture: np.ndarray) -> None:
+    """A dark band wanders over the picture: without weights the camera follows it."""
+
+    def shaded(sight: Sight, t: float) -> Sight:
+        image = sight.image.copy()
+        left = int(20 + 25 * t)
+        image[:, left : left + 40] = image[:, left : left + 40] // 3
+        return Sight(image)
+
+    law = Photometric(gain=ConstantGain(value=12.0), interaction="mean", margin_px=4, levels=3, damping=LevenbergMarquardt(after_s=1.0))
+    off = [0.01, -0.01, 0.02, 0.0, 0.01, 0.05]
+    plain, robust = (flown(replace(law, robust=kind), texture, off, spoil=shaded)[0] for kind in ("none", "tukey"))
+    assert plain > 0.02
+    assert robust < 2e-3
+
+
+def test_weights() -> None:
+    """The scale is that of most errors; Huber's weights fall with 1/|e|, Tukey's are 0 beyond 4.685 scales."""
+    e = np.random.default_rng(1).normal(0, 8, 10_000).astype(np.float32)
+    e[:2000] = 200
+    assert scale(e) == pytest.approx(8 * 1.3, rel=0.1)
+    assert scale(np.zeros(10, np.float32)) == LEAST_SIGMA
+    assert weights("none", e) is None
+    huber, tukey = weights("huber", e), weights("tukey", e)
+    assert huber is not None
+    assert tukey is not None
+    np.testing.assert_allclose(huber[:2000] * 200, 1.345 * scale(e), rtol=1e-4)
+    assert not tukey[:2000].any()
+    assert tukey[2000:].mean() > 0.8
+
+
+def test_rests_without_a_picture_and_before_a_wall(texture: np.ndarray) -> None:
+    """It says why."""
+    law, goal = Photometric(margin_px=4), goal_of(texture)
+    for image, why in ((None, NO_PICTURE), (Sight(np.full_like(goal.image.image, 90)), BLANK)):  # pyright: ignore[reportOptionalMemberAccess] - it has one
+        _, command = law.step(law.init(goal), looked(image), goal, np.eye(6))
+        assert isinstance(command, Command)
+        assert command.rest_reason == why
+        assert not command.twist.any()
+    with pytest.raises(ParameterError, match="has no picture"):
+        law.step(law.init(goal), looked(goal.image), replace(goal, image=None), np.eye(6))
+
+
+def test_depth_of_the_pixels(texture: np.ndarray) -> None:
+    """With a goal plane at 1 m a constant depth of 1 m is the same law; a depth picture too, whose holes do not count."""
+    goal = goal_of(texture)
+    image = seen(texture, exp(np.array([0.01, 0, 0, 0, 0, 0.02])) @ AT_GOAL)
+    plane, constant = (Photometric(margin_px=4, depth=d) for d in (Photometric().depth, Constant(depth_m=1.0)))
+    twists = [law.step(law.init(goal), looked(image), goal, np.eye(6))[1].twist for law in (plane, constant)]
+    np.testing.assert_allclose(*twists, rtol=1e-4)
+    assert Photometric().damping.at(3.0) == 0.01
+    assert Photometric().damping.at(4.0) == 0.0001
+
+
+def test_runs_converges_and_knows_it_by_grey_levels(file: Path) -> None:
+    """In the loop: no marker, the judged error in grey levels, the truth under a millimetre."""
+    vs.testing.check_law(scenario_of(file).law, scenario_of(file))
+    r = vs.run(scenario_of(file))
+    summary = r.summary()
+    assert (summary["outcome"], summary["judged_unit"], summary["judged_limit"]) == ("converged", "grey levels", 0.5)
+    assert summary["final_error_px"] is None
+    assert r["error_grey"][-1] < 0.5
+    assert r["position_error_m"][-1] < 1e-2
+    assert not r["lost"].any()
+    assert "u_0" not in r.columns
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"stop": {"converged": {"error_px": 0.2}}}, "error_px: needs markers, and detector none finds none"),
+        ({"law": {"kind": "ibvs"}}, "detector: may not be none"),
+        ({"law": {"kind": "photometric", "depth": "pnp"}}, "needs it of pixels"),
+        ({"law": {"kind": "photometric", "levels": 6}}, "at the coarsest level"),
+        ({"camera": {"kind": "fisheye", "width": 160, "height": 120}}, "needs a camera of kind perspective"),
+        (
+            {"law": {"kind": "ibvs", "depth": "oracle"}, "detector": {"kind": "oracle"}},
+            "error_grey: is of a law that works on grey levels",
+        ),
+        ({"goal": {"T_camera_target": {"xyz": [0, 0, 1]}, "picture": "nowhere.png"}}, "is not there"),
+        (
+            {"goal": {"T_camera_target": {"xyz": [0, 0, 1]}, "picture": {"file": "x.png", "brightness": 0.5}}},
+            "leave it out, or the file",
+        ),
+    ],
+)
+def test_refusals(file: Path, changed: dict[str, object], words: str) -> None:
+    """Each names what is wrong and what works."""
+    with pytest.raises((ParameterError, ScenarioError), match=words):
+        scenario_of(file, **changed)
+
+
+def test_depth_of_markers_is_refused() -> None:
+    """The pose of markers tells nothing of a pixel's depth."""
+    with pytest.raises(ParameterError, match="goal, constant or sensor"):
+        Photometric(depth=PnP())

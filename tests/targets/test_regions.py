@@ -1,0 +1,145 @@
+"""Targets of one region: outlines of balls, discs and polygons, how they are drawn, and what they refuse."""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("MUJOCO_GL", "egl")
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import vstestbed as vs
+from vstestbed.core.errors import ParameterError, ScenarioError
+from vstestbed.core.geometry import Pose, inverse, lengths
+from vstestbed.targets import Ball, Shape
+from vstestbed.targets.conic import distance_to_conic, fitted_conic
+from vstestbed.targets.figures import FIGURES, PolygonFigure
+from vstestbed.targets.polygons import centroid, covariance, signed_area
+from vstestbed.testing import check_target
+
+VIEW = Pose(xyz=(0.1, -0.2, 1.1), rpy_deg=(25, -30, 50)).T
+SIZES: dict[str, dict[str, Any]] = {
+    "whale": {"length": 0.4},
+    "l_shape": {"length": 0.3},
+    "disc": {"radius": 0.15},
+    "polygon": {"at": [[0, 0], [0.3, 0.02], [0.1, 0.25]]},
+}
+TURN = np.eye(4)
+TURN[:3, :3] = Pose(xyz=(0, 0, 0), rpy_deg=(0, 0, 77)).T[:3, :3]
+
+
+def shape(kind: str, **more: Any) -> Shape:
+    return Shape(pose=Pose(), figure=FIGURES.members[kind](**SIZES[kind]), **more)
+
+
+def polygon(at: list[list[float]]) -> Shape:
+    return Shape(pose=Pose(), figure=PolygonFigure(at=tuple(map(tuple, at))))
+
+
+def test_every_figure_has_an_example_here():
+    assert set(SIZES) == set(FIGURES.members)
+
+
+@pytest.mark.parametrize("kind", SIZES)
+def test_the_drawn_triangles_are_the_outline(kind: str):
+    target = shape(kind)
+    check_target(target)
+    a, b, c = np.moveaxis(target.body.triangles, 1, 0)
+    areas = np.cross(b - a, c - a)[:, 2] / 2
+    corners = target.figure.corners
+    assert (areas < 0).all()  # counter-clockwise seen from the front, where z points away
+    assert -areas.sum() == pytest.approx(signed_area(corners))
+    if not target.figure.round:
+        outline = target.points[:, :2]
+        assert len(outline) >= target.count
+        assert all(lengths(outline - corner).min() < 1e-12 for corner in corners)
+        assert signed_area(outline) == pytest.approx(signed_area(corners))
+        np.testing.assert_allclose(centroid(outline), centroid(corners), atol=1e-12)
+        np.testing.assert_allclose(covariance(outline), covariance(corners), atol=1e-12)
+    else:
+        assert signed_area(corners) == pytest.approx(np.pi * 0.15**2)
+    half = target.board_half_m
+    assert (np.abs(corners) < half).all() and half[0] < 0.5
+
+
+def test_moments_of_a_rectangle_by_hand():
+    corners = np.array([[1.0, 2], [5, 2], [5, 4], [1, 4]])
+    np.testing.assert_allclose(centroid(corners), [3, 3])
+    np.testing.assert_allclose(covariance(corners), np.diag([16 / 12, 4 / 12]), atol=1e-12)
+
+
+@pytest.mark.parametrize("at", [[[0, 0], [1, 1], [1, 0], [0, 1]], [[0, 0], [1, 0], [0.5, 0]], [[0, 0], [2, 0], [1, 0], [1, 1]]])
+def test_a_polygon_that_meets_itself_is_refused(at: list[list[float]]):
+    with pytest.raises(ParameterError, match="must not cross or touch itself: the sides from corners"):
+        polygon(at)
+
+
+def test_a_polygon_is_the_same_whichever_way_round_it_is_given():
+    at = SIZES["polygon"]["at"]
+    there, back = (polygon(way) for way in (at, at[::-1]))
+    assert signed_area(there.points[:, :2]) == pytest.approx(signed_area(back.points[:, :2])) and signed_area(back.points[:, :2]) > 0
+
+
+def test_a_discs_points_lie_on_it_and_do_not_show_how_it_is_turned():
+    disc = shape("disc")
+    p = disc.points_at(VIEW)
+    on = (p - VIEW[:3, 3]) @ VIEW[:3, :3]
+    np.testing.assert_allclose(on[:, 2], 0, atol=1e-12)
+    np.testing.assert_allclose(np.hypot(on[:, 0], on[:, 1]), 0.15, rtol=1e-12)
+    np.testing.assert_allclose(disc.points_at(VIEW @ TURN), p, atol=1e-12)
+    np.testing.assert_allclose(disc.points_at(np.stack([VIEW, VIEW @ TURN]))[1], p, atol=1e-12)
+    assert signed_area(p[:, :2] / p[:, 2:]) > 0  # clockwise in the picture
+    facing = disc.points_at(Pose(xyz=(0, 0, 1)).T)
+    np.testing.assert_allclose(facing, disc.points + [0, 0, 1], atol=1e-12)
+    assert np.isnan(disc.points_at(Pose(xyz=(0, 0, 0.1), rpy_deg=(80, 0, 0)).T)).all()  # a part is behind the image plane
+
+
+def test_a_conic_is_found_again_from_its_points():
+    p = shape("disc", count=24).points_at(VIEW)
+    conic = fitted_conic(p[:, :2] / p[:, 2:])
+    np.testing.assert_allclose(distance_to_conic(conic, p[:, :2] / p[:, 2:]), 0, atol=1e-12)
+    assert abs(distance_to_conic(conic, p[:1, :2] / p[:1, 2:] + [1e-4, 0])[0]) == pytest.approx(1e-4, rel=0.1)
+
+
+def test_a_balls_rays_touch_it_and_its_size_gives_its_place():
+    ball = Ball(pose=Pose(), radius=0.2)
+    check_target(ball)
+    centre = np.array([0.3, -0.1, 1.0])
+    T = np.eye(4)
+    T[:3, 3] = centre
+    p = ball.points_at(T)
+    np.testing.assert_allclose(lengths(p - centre), 0.2, rtol=1e-12)
+    np.testing.assert_allclose(((p - centre) * p).sum(axis=1), 0, atol=1e-12)  # the ray is a tangent
+    np.testing.assert_allclose(ball.points_at(T @ TURN), p)
+    np.testing.assert_allclose(ball.seen_from(inverse(T)), p, atol=1e-12)
+    ray = p / lengths(p)
+    np.testing.assert_allclose(np.asarray(ball.by_size(ray)), p, atol=1e-12)
+    ray[::3] = np.nan  # some are not reported
+    np.testing.assert_allclose(np.asarray(ball.by_size(ray))[1::3], p[1::3], atol=1e-12)
+    assert np.isnan(np.asarray(ball.by_size(np.full_like(ray, np.nan)))).all()
+    assert np.isnan(ball.points_at(np.eye(4))).all()  # from inside
+
+
+@pytest.mark.parametrize(
+    ("name", "settings", "words"),
+    [
+        (
+            "arm_ball",
+            {"law.depth": "pnp"},
+            "law.depth: may not be pnp: the outline of a ball does not tell how it is turned, and so has no pose; use",
+        ),
+        ("arm_ibvs", {"law.depth": "size"}, "law.depth: may be size only with target ball"),
+        ("arm_ball", {"detector": {"kind": "blobs"}}, "with outline use detector .*region"),
+        ("arm_ibvs", {"detector": {"kind": "region"}}, "detector region sees outline"),
+        ("arm_region", {"goal.markers": [0, 1, 2, 3]}, "goal.markers: must be left out: the points of an outline count together"),
+        ("arm_region", {"target.names": ["tail"]}, "target.names: are for markers; the points of an outline have none"),
+        ("arm_ball", {"target.pad": {"side": 0.5}}, "target.pad: has no place behind a ball"),
+        ("arm_ball", {"goal.T_camera_target.xyz": [0, 0, 0.15]}, "outside the 640 x 480 picture"),
+    ],
+)  # fmt: skip - one case a line
+def test_what_does_not_go_together_is_refused(name: str, settings: dict[str, Any], words: str):
+    with pytest.raises(ScenarioError, match=words):
+        vs.load(name, settings)

@@ -1,0 +1,170 @@
+"""The detector of natural features: rows, goals, identities; with which laws it runs, and what is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+
+import vstestbed as vs
+from tests.vision.match.views import CAMERA, GOAL_H, goal, homography_of, picture_by, places
+from vstestbed.camera import Picture
+from vstestbed.core.errors import ParameterError, ScenarioError
+from vstestbed.core.geometry import Array
+from vstestbed.features.observation import Goal, Observation, Sight
+from vstestbed.laws.carry import carried_markers
+from vstestbed.laws.feedforward import KalmanCV
+from vstestbed.laws.following import Followed, change_of_markers
+from vstestbed.laws.solve import PSEUDO_INVERSE
+from vstestbed.vision import Keypoints
+from vstestbed.vision.match.features import Orb
+from vstestbed.vision.match.flow import Klt
+from vstestbed.vision.pose.flow_depth import FlowMemory
+
+T_GOAL = np.eye(4)
+T_GOAL[2, 3] = 0.61
+SMALL = {"camera.width": 320, "camera.height": 240, "detector.features": {"kind": "orb", "most": 400}}
+TARGET = vs.load("camera_keypoints").target
+RNG = np.random.default_rng(0)
+
+
+def the_goal() -> Goal:
+    return replace(Goal.from_view(CAMERA, TARGET.points, T_GOAL), image=Sight(goal()))
+
+
+def seen(detector: Keypoints, memory: Any, H: Array, sigma: float = 2.0) -> Any:
+    return detector.detect(memory, Picture(0.0, (picture_by(H, sigma),)), None, CAMERA, TARGET, RNG)
+
+
+def begun(detector: Keypoints) -> Any:
+    return detector.begin(the_goal(), CAMERA, TARGET)
+
+
+ROLLED = homography_of((0.06, -0.05, -0.7), (5, 8, 40))
+
+
+@pytest.mark.parametrize("detector", [Keypoints(features=Orb(most=400)), Keypoints(features=Orb(most=400), best=12, choose="distance")])
+def test_the_rows_show_points_of_the_goal_s_picture_with_their_depths_there(detector: Keypoints):
+    _, detection = seen(detector, begun(detector), ROLLED)
+    there = detection.seen
+    assert detection.uv.shape == (detector.best, 2) and there.sum() >= 0.7 * detector.best
+    error = np.linalg.norm(detection.uv - places(ROLLED, detection.goal.uv), axis=1)[there]
+    assert np.median(error) < 0.06 and error.max() < 0.4
+    np.testing.assert_allclose(detection.goal.depth[there], 0.61, atol=1e-9)
+    assert (detection.ids[there] >= 0).all() and (detection.ids[~there] == -1).all()
+    again = seen(detector, begun(detector), ROLLED)[1]
+    np.testing.assert_array_equal(again.uv, detection.uv)  # random samples are seeded
+
+
+def test_points_are_followed_and_matched_again_now_and_then():
+    detector = Keypoints(features=Orb(most=400), track=Klt(redetect_every=3))
+    memory, ids = begun(detector), []
+    for k in range(5):
+        H = homography_of((0.02 + 0.004 * k, 0.01, -0.63), (1, 2, 5 + 0.5 * k))
+        memory, detection = seen(detector, memory, H)
+        ids.append(detection.ids)
+        error = np.linalg.norm(detection.uv - places(H, detection.goal.uv), axis=1)
+        assert detection.seen.sum() > 12 and np.nanmedian(error) < 0.06, k
+    stays = [np.mean(np.isin(a[a >= 0], b)) for a, b in pairwise(ids)]
+    assert min(stays) > 0.7 and (ids[1] == np.where(ids[1] >= 0, ids[0], -1)).all()
+
+
+def test_an_empty_picture_shows_nothing_and_keeps_what_the_rows_were():
+    detector = Keypoints(features=Orb(most=400))
+    memory, before = seen(detector, begun(detector), GOAL_H)
+    empty = Picture(0.0, (np.full((240, 320, 3), 128, np.uint8),))
+    memory, detection = detector.detect(memory, empty, None, CAMERA, TARGET, RNG)
+    assert detection.goal is not None and np.isnan(detection.uv).all()
+    np.testing.assert_array_equal(detection.ids, before.ids)
+    np.testing.assert_array_equal(detection.goal.uv, before.goal.uv)
+    assert seen(detector, memory, GOAL_H)[1].seen.sum() > 12
+
+
+def test_only_the_board_s_points_count_where_that_is_asked_for():
+    near = replace(TARGET, width=0.2)  # of the poster in the picture its middle alone
+    on_board, anywhere = Keypoints(features=Orb(most=400), within="board", best=100), Keypoints(features=Orb(most=400), best=100)
+    for detector, outside in ((on_board, False), (anywhere, True)):
+        memory = detector.begin(replace(Goal.from_view(CAMERA, near.points, T_GOAL), image=Sight(goal())), CAMERA, near)
+        _, detection = detector.detect(memory, Picture(0.0, (goal(),)), None, CAMERA, near, RNG)
+        assert detection.goal is not None
+        xy = (detection.goal.ray * detection.goal.range[:, None])[detection.seen, :2]
+        assert (np.abs(xy) > [0.1, 0.075]).any() == outside
+
+
+def test_what_cannot_work_is_refused_with_a_sentence():
+    flat = replace(the_goal(), image=Sight(np.full((240, 320, 3), 90, np.uint8)))
+    with pytest.raises(ParameterError, match="finds 0 key points at a known depth in the goal's picture, fewer than least = 4"):
+        Keypoints().begin(flat, CAMERA, TARGET)
+    with pytest.raises(ParameterError, match="compares with the picture taken at the goal"):
+        Keypoints().begin(replace(the_goal(), image=None), CAMERA, TARGET)
+    with pytest.raises(ParameterError, match="at most best = 24"):
+        Keypoints(least=30)
+    with pytest.raises(ParameterError, match="at most best = 8"):
+        Keypoints(best=8, track=Klt())
+    with pytest.raises(ParameterError, match="needs one whole picture"):
+        Keypoints().detect(begun(Keypoints()), None, None, CAMERA, TARGET, RNG)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"law.depth": "estimate"}, "or let it follow its points"),
+        ({"law": "partitioned"}, "partitioned needs the same markers in every picture"),
+        ({"law": "uncalibrated", "detector.track": "klt"}, "uncalibrated needs the same markers"),
+        ({"law.feature": "polygon", "law.redundant": True}, "ibvs needs the same markers"),
+        ({"law.visibility": {"margin_px": 20}}, "may not keep points from the border"),
+        ({"camera": {"kind": "spherical"}}, "with a camera that sees all round"),
+    ],
+)
+def test_laws_and_cameras_that_need_markers_are_refused(changes: dict[str, Any], words: str):
+    with pytest.raises(ScenarioError, match=words):
+        vs.load("camera_keypoints", changes)
+
+
+LAWS: dict[str, dict[str, Any]] = {
+    "ibvs": {"law.gain": 2, "detector.track": "none"},
+    "feedforward": {"law.gain": 2, "law.feedforward": "kalman_cv"},
+    "estimate": {"law.gain": 2, "law.depth": {"kind": "estimate", "initial_m": 0.8}},
+    "desired": {"law": {"kind": "ibvs", "gain": 2, "interaction": "desired", "depth": "goal"}},
+    "pbvs": {"law": {"kind": "pbvs", "gain": 2}},
+    "hybrid": {"law": {"kind": "hybrid", "gain": 2}},
+    "qp": {"law": {"kind": "qp", "law": {"kind": "ibvs", "gain": 2}, "margin_px": None}},
+    "predictive": {"law": {"kind": "predictive", "margin_px": None}},
+    "switched": {"law": {"kind": "switched", "laws": [{"law": {"kind": "ibvs", "gain": 2}, "until": {"error_under_px": 40}}, "pbvs"]}},
+}
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_laws_take_what_points_there_are(name: str):
+    short = {"stop.duration_s": 0.6, "robot.start.nominal.rpy_deg": [2, -3, 10], "detector.track": "klt"}
+    s = vs.load("camera_keypoints", SMALL | short | LAWS[name])
+    r = vs.run(s)
+    assert not r["lost"].any() and r["position_error_m"][-1] < 0.6 * r["position_error_m"][0]
+    at = [f"u_{i}" for i in range(s.rows)]
+    off = np.abs(np.column_stack([r[n] for n in at]) - np.column_stack([r[n.replace("u_", "u_true_")] for n in at]))
+    assert np.nanmedian(off) < 0.08
+
+
+def observed(xy: Array, ids: list[int]) -> Observation:
+    return Observation(0.0, 100 * xy, xy, np.ones(len(xy)), ids=np.array(ids))
+
+
+def test_what_a_row_showed_before_counts_only_while_it_shows_the_same_point():
+    rng = np.random.default_rng(0)
+    xy = rng.uniform(-0.3, 0.3, (8, 2))
+    before, other = observed(xy, list(range(8))), xy.copy()
+    other[3] += 0.2  # another point in this row
+    now = observed(other, [0, 1, 2, 30, 4, 5, 6, 7])
+    memory = Followed(before, 0.0, np.zeros(8), KalmanCV().update(None, None, 0.1, 6))
+    change = change_of_markers(vs.features.Point(), memory, now, 3, PSEUDO_INVERSE)
+    assert change is not None and change.e.shape == (14,) and np.abs(change.e).max() < 1e-12
+    lost = other.copy()
+    lost[[3, 5]] = np.nan
+    carried = carried_markers(observed(lost, [0, 1, 2, 30, 4, 5, 6, 7]), before, np.eye(4), np.full(8, 0.04), 0.3, np.eye(6))
+    np.testing.assert_allclose(carried.xy[5], xy[5], atol=1e-9)
+    assert np.isnan(carried.xy[3]).all()
+    flow = FlowMemory(np.arange(3.0), np.ones(3), np.ones((3, 3)), 0.0, np.array([4, 5, 6])).of(np.array([4, 9, 6]))
+    assert np.isnan(flow.inverse_range[1]) and flow.inverse_range[2] == 2.0 and flow.information.tolist() == [1, 0, 1]
