@@ -419,7 +419,7 @@ def conforms(value: Any, rule: dict[str, Any], whole: dict[str, Any]) -> bool:
 
 
 class TestSchema:
-    @pytest.fixture
+    @pytest.fixture(scope="class")
     def whole(self) -> dict[str, Any]:
         return json.loads(json.dumps(schema_of(Scenario)))
 
