@@ -18,9 +18,8 @@ def test_a_match_is_a_point_a_ring_and_a_line():
     goal = np.array([[180.0, 100.0], [60.0, 60.0], [np.nan, np.nan]])
     MatchOverlay(320, 240, 3).marks(image, uv, goal)
     assert tuple(image[100, 100]) == MEASURED and tuple(image[180, 40]) == MEASURED
-    assert image[100, 140].min() > 200 and tuple(image[100, 180]) == (128, 128, 128)  # a ring is open in its middle
-    ring = image[95:106, 175:186].reshape(-1, 3)
-    assert (ring == GOAL).all(axis=1).any()
+    assert image[100, 140].min() > 200
+    assert np.abs(image[100, 184].astype(int) - GOAL).max() < 40 and tuple(image[98, 181]) != GOAL  # a ring is open in its middle
     assert (image[55:66, 55:66] == 128).all()  # where nothing is seen nothing is drawn
 
 
