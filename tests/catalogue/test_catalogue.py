@@ -30,6 +30,7 @@ from vstestbed.targets.route import Straight
 from vstestbed.tasks import GOALS
 from vstestbed.tasks.metrics import METRICS
 from vstestbed.tasks.monitors import MONITORS, KeepOut
+from vstestbed.tasks.rules import AfterPictures, Settles
 from vstestbed.tasks.stop import Converged
 from vstestbed.testing.scenarios import quick
 from vstestbed.vision import DETECTORS, Tags
@@ -156,8 +157,10 @@ def test_every_perturbation(kind):
 
 
 def test_every_monitor():
-    assert set(MONITORS.members) == {"keep_out"}
-    suites.check_monitor(KeepOut(**KEEP_OUT), ends=quick("view"))
+    rules = {"keep_out": KeepOut(**KEEP_OUT), "settles": Settles(early=1.0), "after_pictures": AfterPictures(pictures=3)}
+    assert set(MONITORS.members) == set(rules)
+    for rule in rules.values():
+        suites.check_monitor(rule, ends=quick("view"))
 
 
 class TestTheSuitesFindWhatIsWrong:

@@ -130,6 +130,28 @@ class TestSmoothStart:
         np.testing.assert_array_equal(given.u, np.zeros(6))
 
 
+class TestSmoothing:
+    def test_is_an_exponential_average(self):
+        """A weight of 0.8 of each new command at 25 Hz, as the docstring has it; the first command is taken as it is."""
+        law, plain = IBVS(smoothing_s=-0.04 / np.log(0.2)), IBVS()
+        memory, mean = law.init(GOAL), np.zeros(6)
+        for i, t in enumerate((0.0, 0.04, 0.08, 0.12)):
+            seen = replace(look(t=t), xy=look().xy * (1 + i))
+            memory, given = law.step(memory, seen, GOAL, SIX)
+            new = command(plain, seen)
+            mean = 0.8 * new + 0.2 * mean if i else new
+            np.testing.assert_allclose(given.u, mean, rtol=1e-12)
+
+    def test_keeps_the_last_command_where_too_few_markers_are_seen(self):
+        law = IBVS(keep_last=True, limits=TwistLimits(speed_mps=0.05))
+        memory, rest = law.step(law.init(GOAL), look(unseen=(0, 1)), GOAL, SIX)
+        assert not rest.twist.any() and rest.rest_reason
+        memory, given = law.step(memory, look(t=1.0), GOAL, SIX)
+        _, kept = law.step(memory, look(t=2.0, unseen=(0, 1)), GOAL, SIX)
+        np.testing.assert_array_equal(kept.twist, given.twist)
+        assert kept.rest_reason == rest.rest_reason and not given.rest_reason
+
+
 @pytest.mark.parametrize("limits", [{"speed_mps": 0.05}, {"rate_radps": 0.02}, {"speed_mps": 0.05, "rate_radps": 0.02}])
 def test_limits_scale_the_whole_twist(limits: dict[str, float]):
     free, limited = command(IBVS(), look()), command(IBVS(limits=TwistLimits(**limits)), look())

@@ -21,7 +21,7 @@ from vstestbed.laws.solve import Solve
 from vstestbed.laws.visibility import Visibility
 
 NUMBERS: dict[type, dict[str, Any]] = {
-    IBVS: {"gain": ConstantGain(value=0.5), "smooth_start_s": 0.0, "redundant": False},
+    IBVS: {"gain": ConstantGain(value=0.5), "smooth_start_s": 0.0, "smoothing_s": 0.0, "keep_last": False, "redundant": False},
     Partitioned: {
         "gain": ConstantGain(value=0.5),
         "gain_z": 1.0,
@@ -119,6 +119,7 @@ POSITIVE = [
 ]
 FROM_ZERO = [
     (IBVS, "smooth_start_s"),
+    (IBVS, "smoothing_s"),
     (PoseController, "pass_m"),
     (Pursuit, "coast_s"),
     (LineFollowing, "coast_s"),

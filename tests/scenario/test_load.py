@@ -365,7 +365,8 @@ class TestBundled:
         scenario = load(name)
         assert scenario.name == name
         assert scenario.description.endswith(".")
-        if scenario.goal.kind in ("view", "view_from", "views"):  # for other tasks some of the target may be out of sight
+        markers = scenario.detector.rows is None  # natural features need no corner of the picture that they are in
+        if markers and scenario.goal.kind in ("view", "view_from", "views"):  # for other tasks some of the target may be out of sight
             counted = scenario.goal_view.counted
             assert scenario.camera.inside(scenario.goal_view.uv[slice(None) if counted is None else counted]).all()
         if scenario.goal.kind != "line":

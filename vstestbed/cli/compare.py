@@ -34,6 +34,7 @@ def compare(
     vary: Annotated[list[str] | None, typer.Option("--vary", metavar="a.b=v1,v2", help="Run with each of these values.")] = None,
     set_: SettingsOfAll = None,
     seeds: Annotated[int | None, typer.Option(min=1, help="How many random starts. [default: the nominal one]")] = None,
+    limit: Annotated[int | None, typer.Option(min=1, help="Of each task only so many starts, spread over its list.")] = None,
     jobs: Annotated[int | None, typer.Option(min=1, help="Worker processes. [default: one a core]")] = None,
     executor: Annotated[str, typer.Option(metavar="WHERE", help="local, or dask://HOST:PORT.")] = "local",
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of the results. [default: runs/compare/NUMBER]")] = None,
@@ -56,7 +57,10 @@ def compare(
     must_be_known(executor)
     gate = _gate(baseline, fail, tolerance)
     before, settings, shown = None if baseline is None else Baseline.read(baseline), settings_of(set_), not quiet and not as_json
-    with prepared(scenarios or [], vary_of(vary), seeds, out, resume, settings, plugin or [], film, force, before) as (campaign, plan):
+    with prepared(scenarios or [], vary_of(vary), seeds, out, resume, settings, plugin or [], film, force, before, limit) as (
+        campaign,
+        plan,
+    ):
         show_notes(not quiet)
         table = _carried_out(campaign, plan, jobs, executor, before, shown)
     if as_json:

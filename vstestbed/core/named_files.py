@@ -9,7 +9,7 @@ from pathlib import Path
 
 from vstestbed.core.errors import ParameterError
 
-ENDINGS = re.compile(r"\.(onnx|xml|mjcf|urdf|png|jpe?g|stl|obj)$|\.py:\w+$", re.IGNORECASE)
+ENDINGS = re.compile(r"\.(onnx|xml|mjcf|urdf|png|jpe?g|stl|obj|json)$|\.py:\w+$", re.IGNORECASE)
 """The end of a value of a field of FILE_FIELDS: a network, a model, a picture, a solid, a function in a Python file."""
 FILE_FIELDS = "file", "scenery", "picture"
 """Fields that name a file; the blocks `scenery` and `picture` may be their file's name alone."""

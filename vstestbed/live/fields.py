@@ -33,6 +33,7 @@ HIGH = {
     "noise.dropout": 0.9,
     "calibration.depth_factor": 3.0,
     "law.smooth_start_s": 3.0,
+    "law.smoothing_s": 1.0,
     "law.visibility.margin_px": 120.0,
     "law.speed_mps": 3.0,
 }

@@ -15,6 +15,7 @@ from vstestbed.core.quantity import Within
 from vstestbed.core.spec import OneOf, spec
 from vstestbed.tasks.base import Log
 from vstestbed.tasks.setup import Setup
+from vstestbed.tasks.start_shares import StartShares
 
 FIGURES = (
     "sim_time_s",
@@ -214,7 +215,7 @@ class _ErrorGrowth:
         return dict(zip(ErrorGrowth.titles, self._frames.tolist(), strict=True))
 
 
-METRICS = OneOf("metric", ErrorIntegrals, CommandVariation, ErrorGrowth, contract=Contract(MetricContract))
+METRICS = OneOf("metric", ErrorIntegrals, CommandVariation, ErrorGrowth, StartShares, contract=Contract(MetricContract))
 
 
 def own_titles() -> dict[str, tuple[str, str]]:

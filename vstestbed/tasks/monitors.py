@@ -12,6 +12,7 @@ from vstestbed.core.outcome import Outcome, Verdict
 from vstestbed.core.quantity import Position
 from vstestbed.core.spec import OneOf, spec
 from vstestbed.tasks.frame import Frame
+from vstestbed.tasks.rules import AfterPictures, Settles
 from vstestbed.tasks.setup import Setup
 
 
@@ -74,7 +75,7 @@ class _KeepOut:
         return Outcome.collided, f"the camera entered the forbidden box at x {x:.3f}, y {y:.3f}, z {z:.3f} m"
 
 
-MONITORS = OneOf("monitor", KeepOut, contract=Contract(MonitorContract))
+MONITORS = OneOf("monitor", KeepOut, Settles, AfterPictures, contract=Contract(MonitorContract))
 
 
 class OwnMonitor:

@@ -100,7 +100,7 @@ EVERY = {
     "qp_pose": QP(law=PBVS(gain=FAST), margin_px=20.0),
     "ibvs_desired": IBVS(gain=FAST, interaction="desired"),
     "ibvs_adaptive": IBVS(gain=AdaptiveGain(at_zero=3, at_infinity=1, slope_at_zero=10)),
-    "ibvs_smooth": IBVS(gain=FAST, smooth_start_s=0.3),
+    "ibvs_smooth": IBVS(gain=FAST, smooth_start_s=0.3, smoothing_s=0.1),
     "ibvs_limits": IBVS(gain=FAST, limits=TwistLimits(speed_mps=0.3, rate_radps=0.5)),
     "ibvs_constant": IBVS(gain=FAST, depth=Constant(depth_m=1.5)),
     "ibvs_at_goal": IBVS(gain=FAST, depth=AtGoal()),

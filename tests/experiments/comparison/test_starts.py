@@ -14,8 +14,9 @@ import pytest
 import vstestbed as vs
 from tests.loop.test_golden_loops import ROWS
 from tests.robots.arms import BLOCKS, HERE, NEEDS_PANDA
-from vstestbed.core.errors import ParameterError, UnreachableError
-from vstestbed.core.geometry import Pose, inverse, rotation_angle
+from vstestbed.core.assets import bundled_comparisons
+from vstestbed.core.errors import ParameterError, ScenarioError, UnreachableError
+from vstestbed.core.geometry import Pose, inverse, rigid_error, rotation_angle
 from vstestbed.experiments.comparison import Campaign, Comparison, Variant, chosen, compare, controllers, jobs
 from vstestbed.experiments.comparison.folder import table_of
 from vstestbed.experiments.comparison.plan import merged
@@ -94,16 +95,67 @@ class TestPlan:
     @pytest.mark.parametrize(
         ("words", "block"),
         [
-            ("each or camera_from_goal, target_from_goal or seeds must say", {}),
-            ("give one of the four", {"each": {"a": (1,)}, "seeds": 2}),
-            ("give one of the four", {"camera_from_goal": (Pose(),), "target_from_goal": (Pose(),)}),
+            ("each or camera_from_goal, target_from_goal, seeds or file must say", {}),
+            ("give one of the five", {"each": {"a": (1,)}, "seeds": 2}),
+            ("give one of the five", {"camera_from_goal": (Pose(),), "target_from_goal": (Pose(),)}),
             ("must have one value or more for each run", {"each": {"a": (1, 2), "b": (1,)}}),
+            ("must have one value or more for each run", {"each": {"a": (1, 2)}, "camera_from_goal": (Pose(),)}),
             ("amounts must name each of the 2 runs", {"each": {"a": (1, 2)}, "amounts": (1.0,)}),
+            ("file is not there", {"file": "/nowhere.json"}),
         ],
     )
     def test_a_task_that_does_not_add_up(self, words: str, block: dict[str, object]):
         with pytest.raises(ParameterError, match=words):
             StartTable(**block)  # pyright: ignore[reportArgumentType]
+
+
+class TestFile:
+    """Start tables in a data file beside the comparison."""
+
+    @staticmethod
+    def written(folder: Path, lists: str) -> Comparison:
+        (folder / "mine.json").write_text(lists)
+        (folder / "mine.yaml").write_text("base: [ibvs_book]\ntasks: {starts: {file: mine.json}}\n")
+        return chosen([str(folder / "mine.yaml")], {}, {}, None, limit=None)
+
+    def test_pairs_of_goal_and_start(self, tmp_path: Path):
+        goals = '{"goal.T_camera_target": [{"xyz": [0, 0, 1]}, {"xyz": [0, 0, 1.5]}]}'
+        found = controllers(
+            self.written(tmp_path, f'{{"each": {goals}, "camera_from_goal": [{{"xyz": [0, 0, -1]}}, {{"rpy_deg": [0, 0, 9]}}]}}')
+        )
+        starts = found[0].starts
+        assert starts is not None and len(starts) == 2
+        for i, (goal, z, yaw) in enumerate([(1.0, -1.0, 0.0), (1.5, 0.0, 9.0)]):
+            s = starts[i]
+            assert s.goal_poses[0][2, 3] == goal and isinstance(s.robot, vs.robots.Free)
+            begun = np.linalg.inv(s.T_world_goal) @ s.robot.start.nominal.T
+            assert begun == pytest.approx(Pose(xyz=(0, 0, z), rpy_deg=(0, 0, yaw)).T, abs=1e-9)
+
+    @pytest.mark.parametrize(
+        ("words", "lists"),
+        [
+            ("reading it failed", "no json"),
+            ("reading it failed", '{"camera_from_goal": [{"xyz": [0, 0]}]}'),
+            ("may have each, camera_from_goal, target_from_goal and about; it also has starts", '{"starts": []}'),
+            ("must hold one or more of each, camera_from_goal, target_from_goal", "{}"),
+        ],
+    )
+    def test_what_is_refused(self, tmp_path: Path, words: str, lists: str):
+        with pytest.raises(ScenarioError, match=words):
+            self.written(tmp_path, lists)
+
+    def test_some_of_the_bundled_starts(self):
+        """`--limit 20`: from the middle of equal parts, under the numbers that the runs have among all."""
+        table = StartTable(file=str(bundled_comparisons()["canonical"].with_name("vitvs_starts.json")))
+        away = np.array([rigid_error(p.T, np.eye(4)) for p in table.displacements])
+        assert table.runs == 500 and away.mean(axis=0) == pytest.approx([0.464, np.radians(74.1)], rel=1e-3)
+        assert table.numbers(None) == table.numbers(900) == tuple(range(500)) and table.numbers(4) == (62, 187, 312, 437)
+        some = jobs(controllers(chosen(["canonical"], {}, {}, None, limit=2)), None)
+        first = [job for job in some if job.controller.values["law"] == "points"]
+        assert [job.seed for job in first if job.controller.values["task"] == "about the axis"] == [2, 7]
+        assert [job.seed for job in first if job.controller.values["task"] == "random"] == [0, 1]
+        with pytest.raises(ParameterError, match="limit is for a comparison with `tasks`"):
+            chosen(["arm_ibvs"], {}, {}, None, limit=2)
 
 
 class TestFolder:

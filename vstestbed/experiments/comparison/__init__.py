@@ -47,6 +47,7 @@ def compare(
     on_done: OnDone = lambda job, summary: None,
     force: bool = False,
     baseline: str | Path | None = None,
+    limit: int | None = None,
 ) -> ComparisonTable:
     """Run a comparison and write its folder; returns the table with one row per run.
 
@@ -61,6 +62,7 @@ def compare(
         film: whether to film the first seed. report: whether to write the page and the figures.
         on_done: called after every run with the job and its summary. force: allow more than 100,000 runs.
         baseline: folder, or table, of an earlier comparison: the result's `baseline` then says what changed (`BaselineChanges`).
+        limit: of each task only so many runs, spread evenly over its list.
 
     Raises:
         ScenarioError, ParameterError: bad input, found before anything runs.
@@ -73,7 +75,7 @@ def compare(
         raise ParameterError("compare", "must stand under `if __name__ == '__main__':` in a script, which worker processes import")
     must_be_known(executor)
     folder, earlier = None if out is None else Path(out), None if baseline is None else Baseline.read(baseline)
-    with prepared(scenarios, vary or {}, seeds, folder, resume, set or {}, plugins, film, force, earlier) as (
+    with prepared(scenarios, vary or {}, seeds, folder, resume, set or {}, plugins, film, force, earlier, limit) as (
         campaign,
         comparison,
     ):
@@ -125,13 +127,14 @@ def prepared(
     film: bool,
     force: bool = False,
     baseline: Baseline | None = None,
+    limit: int | None = None,
 ) -> Iterator[tuple[Campaign, Comparison]]:
     """Check everything, make or open the folder, write the plan; the folder is held until the block ends."""
     requested = None
     if scenarios:
         settings = {path: block_of(value) for path, value in settings.items()}
         axes = {path: tuple(map(block_of, values)) for path, values in vary.items()}
-        requested = chosen([str(s) for s in scenarios], settings, axes, seeds, plugins)
+        requested = chosen([str(s) for s in scenarios], settings, axes, seeds, plugins, limit)
     with ExitStack() as stack:
         if resume:
             folder = resumable(out)
@@ -184,7 +187,7 @@ def _resumed(folder: Path, requested: Comparison | None, force: bool, plugins: S
 
 def _same(a: Comparison, of_a: Variants, b: Comparison, of_b: Variants) -> bool:
     """Whether two comparisons are equal, wherever their files are: in seeds, scenarios as loaded, folders of the runs."""
-    if a.seeds != b.seeds or len(of_a) != len(of_b):
+    if (a.seeds, a.limit) != (b.seeds, b.limit) or len(of_a) != len(of_b):
         return False
     return all(_essence(x) == _essence(y) for x, y in zip(of_a, of_b, strict=True))
 

@@ -45,6 +45,7 @@ class Comparison:
         tasks: start tables by name, in place of seeds.
         seeds: number of seeds; seed i draws the start, the noise and the delays of run i, the same for every controller.
             None: the nominal start, once.
+        limit: of each task only so many runs, spread evenly over its list: a first look at a long one, 20 of 500; e.g. `20`.
         metrics: names of `summary.json` that the report shows; none: those of `report`, and the scenarios' own.
     """
 
@@ -56,6 +57,7 @@ class Comparison:
     axes: dict[str, tuple[Any, ...]] = field(default_factory=dict)
     tasks: dict[str, StartTable] = field(default_factory=dict)
     seeds: Annotated[Seed, Narrower(ge=1)] | None = None
+    limit: Annotated[Seed, Narrower(ge=1)] | None = None
     metrics: tuple[str, ...] = ()
     places: Marks = field(default_factory=dict, init=False, repr=False, compare=False)
     """Position of each value in its file, or the option that it comes from; a value without one counts as of `--set`."""
@@ -69,12 +71,17 @@ class Comparison:
         for name, cases in self.cases.items():
             if name in (*self.axes, *OWN_COLUMNS, *own_titles()) or not cases:
                 raise ParameterError(f"cases.{name}", "must have a name of its own, and one case or more")
-        if self.tasks and self.seeds is not None:
-            words = "may not be given together with `tasks`, which say themselves how many runs there are; leave one of the two out"
-            raise ParameterError("seeds", words, self.seeds)
+        self._check_runs()
         for name in self.metrics:
             if name not in (known := (*FIGURES, *MODE_FIGURES, *own_titles())):
                 raise ParameterError("metrics", f"must be figures of summary.json: {', '.join(known)}", name)
+
+    def _check_runs(self) -> None:
+        if self.tasks and self.seeds is not None:
+            words = "may not be given together with `tasks`, which say themselves how many runs there are; leave one of the two out"
+            raise ParameterError("seeds", words, self.seeds)
+        if self.limit is not None and not self.tasks:
+            raise ParameterError("limit", "is for a comparison with `tasks`; of random starts `seeds` says how many", self.limit)
 
     def _check_axes(self) -> None:
         for path, values in self.axes.items():
@@ -136,6 +143,7 @@ def chosen(
     axes: Mapping[str, tuple[object, ...]],
     seeds: int | None,
     plugins: Sequence[str] = (),
+    limit: int | None = None,
 ) -> Comparison:
     """The comparison that a command line requests: of scenarios, or a comparison by its file or bundled name, with the options applied.
 
@@ -149,15 +157,16 @@ def chosen(
     options: Marks = {}
     options |= {("set", dotted): "--set" for dotted in settings} | {("axes", dotted): "--vary" for dotted in axes}
     if path is None:
-        own = Comparison(base=tuple(names), set=dict(settings), axes=dict(axes), seeds=seeds, plugins=load_plugins(plugins))
+        plugins = load_plugins(plugins)
+        own = Comparison(base=tuple(names), set=dict(settings), axes=dict(axes), seeds=seeds, plugins=tuple(plugins), limit=limit)
         return changed(own, options)
     read = read_comparison(path, plugins)
     for dotted in settings:
         _must_have_effect(read, dotted)
     own = {key: where for key, where in read.places.items() if key[:2] not in options}
-    seeds = read.seeds if seeds is None else seeds
+    numbers = {name: given for name, given in (("seeds", seeds), ("limit", limit)) if given is not None}
     base = tuple(names[1:]) or read.base
-    return changed(read, own | options, base=base, set=merged(read.set, settings), axes=read.axes | dict(axes), seeds=seeds)
+    return changed(read, own | options, base=base, set=merged(read.set, settings), axes=read.axes | dict(axes), **numbers)
 
 
 def _must_have_effect(read: Comparison, path: str) -> None:

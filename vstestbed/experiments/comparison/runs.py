@@ -7,19 +7,19 @@ import itertools
 import math
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple, TypeVar, overload
+from typing import NamedTuple
 
 from vstestbed.core.errors import Mistake, ParameterError, ScenarioError, UnreachableError
 from vstestbed.experiments.comparison.folder_names import among, distinct, file_word
+from vstestbed.experiments.comparison.lazy import Lazy, Starts
 from vstestbed.experiments.comparison.plan import TASK, Comparison, merged
 from vstestbed.experiments.comparison.starts import StartTable
 from vstestbed.scenario.load import find, load, seeded
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.scenario.yaml_marks import Key, Marks, marks_under
 
-T = TypeVar("T")
 AS_IT_IS = "as_it_is"
 """Name of the variant of a scenario where nothing is varied."""
 MOST_RUNS = 100_000
@@ -45,14 +45,18 @@ class Variant:
     """Folder of its runs, below the comparison's folder."""
     draws: bool
     """Whether a seed draws anything."""
-    starts: tuple[Scenario, ...] | None = None
+    starts: Starts | None = None
     """The scenario of each run of a task; None if a seed draws it."""
     amounts: tuple[str, ...] = ()
     """Labels of the runs of a task: `20 deg`."""
     runs: int | None = None
     """Number of runs of a task; None without a task: the comparison's seeds."""
-    unreachable: Mapping[int, str] = field(default_factory=dict)
-    """Why the robot cannot stand where a run of a task begins, by the run's number."""
+
+    @property
+    def unreachable(self) -> Mapping[int, str]:
+        """Why the robot cannot stand where a run of a task begins, by the run's number."""
+        every = range(0 if self.starts is None else len(self.starts))
+        return {i: why for i in every if self.starts is not None and (why := self.starts.why_not(i))}
 
 
 @dataclass(frozen=True)
@@ -76,28 +80,11 @@ class Job:
             UnreachableError: the robot cannot stand there. ParameterError: no start can be drawn.
         """
         found = self.controller
-        if self.seed is not None and self.seed in found.unreachable:
-            raise UnreachableError("robot.start", found.unreachable[self.seed])
         if found.starts is not None and self.seed is not None:
+            if why := found.starts.why_not(self.seed):
+                raise UnreachableError("robot.start", why)
             return replace(found.starts[self.seed], seed=self.seed)
         return found.scenario if self.seed is None or not found.draws else seeded(found.scenario, self.seed)
-
-
-class Lazy(Sequence[T]):
-    """A sequence whose items are made when they are asked for."""
-
-    def item(self, i: int) -> T:
-        """Item i, 0 <= i < len."""
-        raise NotImplementedError
-
-    @overload
-    def __getitem__(self, i: int) -> T: ...
-    @overload
-    def __getitem__(self, i: slice) -> list[T]: ...
-    def __getitem__(self, i: int | slice) -> T | list[T]:
-        """Item i, or a list of the items of a slice."""
-        places = range(len(self))[i]
-        return self.item(places) if isinstance(places, int) else [self.item(place) for place in places]
 
 
 class Variants(Lazy[Variant]):
@@ -109,8 +96,8 @@ class Variants(Lazy[Variant]):
         self._words = [distinct([file_word(str(value)) for value in values]) for values in (*axes, *([list(c.tasks)] if c.tasks else []))]
         self._bases = distinct([file_word(Path(name).stem) for name in c.base])
         self._sizes = [len(c.base), *map(len, axes), max(len(c.tasks), 1)]
-        self.task_runs: tuple[int | None, ...] = tuple(task.runs for task in c.tasks.values()) or (None,)
-        """Number of runs of the controllers of each task; controller i is of task i modulo their number."""
+        self.task_runs = tuple(task.numbers(c.limit) for task in c.tasks.values()) or (None,)
+        """Numbers of the runs of the controllers of each task; controller i is of task i modulo their number."""
         self._made = functools.lru_cache(maxsize=MOST_KEPT)(self._make)
 
     def __len__(self) -> int:
@@ -184,7 +171,9 @@ def must_be_few(comparison: Comparison, force: bool = False) -> None:
     """
     c = comparison
     counts = [(len(c.base), "scenarios"), *((len(those), f"of {name}") for name, those in (c.cases | c.axes).items())]
-    counts.append((sum(task.runs for task in c.tasks.values()), "starts of the tasks") if c.tasks else (c.seeds or 1, "seeds"))
+    counts.append(
+        (sum(len(task.numbers(c.limit)) for task in c.tasks.values()), "starts of the tasks") if c.tasks else (c.seeds or 1, "seeds")
+    )
     total = math.prod(n for n, _ in counts)
     if total > MOST_RUNS and not force:
         product = " x ".join(f"{n:,} {what}" for n, what in counts if n > 1)
@@ -200,31 +189,32 @@ def _controller(
         return Variant(scenario, values, folder, _seeds_draw(scenario, c.seeds or 1))
     task = c.tasks[task_name]
     settings = merged(settings, _settings(c, task.set, ("tasks", task_name, "set")))
-    if task.displacements:
-        return _displaced(_load(c, name, settings), task, values, folder)
-    if not task.each:
+    if task.seeds is not None:
         scenario = _load(c, name, settings)
         return Variant(scenario, values, folder, _seeds_draw(scenario, task.runs), None, task.labels(), task.runs)
-    starts = tuple(_load(c, name, merged(settings, one)) for one in _starts(c, task_name, task))
-    return Variant(starts[0], values, folder, draws(starts[0]), starts, task.labels(), task.runs)
+    scenario = _load(c, name, merged(settings, _setting(c, task_name, task, 0)))
+    starts = Starts(functools.partial(_start, c, scenario, name, settings, task_name), task.runs)
+    if task.file is None:  # written by hand: mistakes are told before anything runs
+        for _ in starts:
+            pass
+    return Variant(scenario, values, folder, draws(scenario), starts, task.labels(), task.runs)
 
 
-def _displaced(scenario: Scenario, task: StartTable, values: Mapping[str, object], folder: str) -> Variant:
-    """A task whose starts are displacements; those that the robot cannot reach are told as their runs' outcome."""
-    starts, unreachable = [], dict[int, str]()
-    for i, by in enumerate(task.displacements):
-        try:
-            starts.append(scenario.displaced(by, "camera" if task.camera_from_goal else "target"))
-        except UnreachableError as error:
-            starts.append(scenario)
-            unreachable[i] = error.problem
-    return Variant(scenario, values, folder, draws(scenario), tuple(starts), task.labels(), task.runs, unreachable)
+def _start(c: Comparison, first: Scenario, name: str, settings: Mapping[str, Placed], task_name: str, i: int) -> tuple[Scenario, str]:
+    """The scenario of run i of a task, and why the robot cannot stand where it begins; first: that of run 0."""
+    task = c.tasks[task_name]
+    scenario = _load(c, name, merged(settings, _setting(c, task_name, task, i))) if i and task.lists.each else first
+    if not task.displacements:
+        return scenario, ""
+    try:
+        return scenario.displaced(task.displacements[i], "camera" if task.lists.camera_from_goal else "target"), ""
+    except UnreachableError as error:
+        return scenario, error.problem
 
 
-def _starts(c: Comparison, name: str, task: StartTable) -> Iterator[dict[str, Placed]]:
-    """The settings of each run of a task with lists."""
-    for i, one in enumerate(task.settings()):
-        yield {path: Placed(value, marks_under(("tasks", name, "each", path, i), c.places)) for path, value in one.items()}
+def _setting(c: Comparison, name: str, task: StartTable, i: int) -> dict[str, Placed]:
+    """The settings of run i of a task with lists."""
+    return {path: Placed(value, marks_under(("tasks", name, "each", path, i), c.places)) for path, value in task.setting(i).items()}
 
 
 def _load(c: Comparison, name: str, settings: Mapping[str, Placed]) -> Scenario:
@@ -248,28 +238,35 @@ def _seeds_draw(scenario: Scenario, runs: int) -> bool:
 
 
 class Jobs(Lazy[Job]):
-    """All runs, seed by seed, so that the controllers can be compared at any time; a task has as many runs as its table."""
+    """All runs, seed by seed, so that the controllers can be compared at any time; a task has those of its table, or some of them."""
 
     def __init__(self, found: Sequence[Variant], seeds: int | None):
         self._found = found
         # the controllers of a comparison tell without being loaded
-        task_runs = found.task_runs if isinstance(found, Variants) else tuple(c.runs for c in found)
-        self._runs = tuple(seeds if n is None else n for n in task_runs)
+        numbers = found.task_runs if isinstance(found, Variants) else tuple(None if c.runs is None else tuple(range(c.runs)) for c in found)
+        without_task = None if seeds is None else range(seeds)
+        self._numbers = tuple(without_task if of_task is None else of_task for of_task in numbers)
 
     def __len__(self) -> int:
-        if not self._runs:
+        if not self._numbers:
             return 0
-        return min(sum(1 if n is None else n for n in self._runs) * (len(self._found) // len(self._runs)), sys.maxsize)
+        runs = sum(1 if n is None else len(n) for n in self._numbers)
+        return min(runs * (len(self._found) // len(self._numbers)), sys.maxsize)
 
     def __iter__(self) -> Iterator[Job]:
         every = range(len(self._found))
-        if None in self._runs:
-            yield from (Job(self._found[i], None) for i in every if self._runs_of(i) is None)
-        for seed in range(max((n for n in self._runs if n is not None), default=0)):
-            yield from (Job(self._found[i], seed, n) for i in every if seed < (n := self._runs_of(i) or 0))
+        if None in self._numbers:
+            yield from (Job(self._found[i], None) for i in every if self._numbers_of(i) is None)
+        for turn in range(max(map(len, filter(None, self._numbers)), default=0)):
+            yield from (job for i in every if (job := self._job(i, turn)))
 
-    def _runs_of(self, i: int) -> int | None:
-        return self._runs[i % len(self._runs)]
+    def _job(self, i: int, turn: int) -> Job | None:
+        """The run of controller i in a turn; None where it has no more."""
+        numbers = self._numbers_of(i) or ()
+        return Job(self._found[i], numbers[turn], self._found[i].runs or len(numbers)) if turn < len(numbers) else None
+
+    def _numbers_of(self, i: int) -> Sequence[int] | None:
+        return self._numbers[i % len(self._numbers)]
 
     def item(self, i: int) -> Job:
         """Run i."""

@@ -105,7 +105,7 @@ def prepared(scenario: Scenario) -> Scenario:
     names = {field.name for field in fields(law)}
     if "gain" not in names or "gain_z" in names:
         raise ParameterError("law.kind", "must have one gain for all directions: ibvs, pbvs, hybrid or predictive", law.kind)
-    plain = {"limits": TwistLimits(), "smooth_start_s": 0.0, "visibility": Visibility(), "gain": 2.0}
+    plain = {"limits": TwistLimits(), "smooth_start_s": 0.0, "smoothing_s": 0.0, "visibility": Visibility(), "gain": 2.0}
     settled = replace(
         scenario,
         law=replace(law, **{name: value for name, value in plain.items() if name in names}),  # only those fields that this law has

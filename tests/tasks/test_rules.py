@@ -1,0 +1,110 @@
+"""Rules of published protocols, and the metric of what is left of the start's error: by frames and logs that are known."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable
+
+import numpy as np
+import pytest
+
+from tests.tasks.frames import PERIOD_S, frame
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Pose
+from vstestbed.core.outcome import Outcome
+from vstestbed.tasks.frame import Frame
+from vstestbed.tasks.rules import EARLY_PICTURES, AfterPictures, Settles
+from vstestbed.tasks.start_shares import StartShares
+
+
+def frames(distances: Iterable[float], speeds: Iterable[float] | None = None, turn: float = 1.0) -> list[Frame]:
+    """A camera behind its goal (1 m before the target) by these distances [m], turned by `turn` rad per metre, at these speeds [m/s]."""
+    distances = list(distances)
+    speeds = [0.0] * len(distances) if speeds is None else list(speeds)
+    return [
+        frame(PERIOD_S * i, T_world_camera=Pose(xyz=(0, 0, -1 - d), rpy_deg=(0, 0, math.degrees(turn * d))).T, speed_mps=v)
+        for i, (d, v) in enumerate(zip(distances, speeds, strict=True))
+    ]
+
+
+def ended(rule: Settles | AfterPictures, run: Iterable[Frame]) -> tuple[Outcome, int]:
+    """The outcome, and after how many pictures."""
+    monitor = rule.monitor(None)  # pyright: ignore[reportArgumentType] - neither needs the experiment's parts
+    for n, one in enumerate(run, 1):
+        if found := monitor.update(one):
+            assert found[1]
+            return found[0], n
+    raise AssertionError("no verdict")
+
+
+QUICK = Settles(window=3, least=8, most=20)
+
+
+class TestSettles:
+    @pytest.mark.parametrize(
+        ("end_m", "outcome"), [(0.049, Outcome.converged), (0.051, Outcome.local_minimum)], ids=["a tenth", "over a tenth"]
+    )
+    def test_ends_when_the_speed_no_longer_falls(self, end_m: float, outcome: Outcome):
+        """The windows of 3: the first has a mean under 1 mm/s from picture 9 on, and the second is no smaller from picture 11 on."""
+        speeds = [0.5, 0.1, 0.02, 0.0015, 0.0008, 0.0006, 0.0004, 0.0003, 0.0002, *[0.001] * 11]
+        assert ended(QUICK, frames([0.5, *[end_m] * 19], speeds)) == (outcome, 11)
+
+    def test_is_judged_at_the_latest_after_most_pictures(self):
+        fast = [1.0] * 20
+        assert ended(QUICK, frames([0.5] * 20, fast)) == (Outcome.timed_out, 20)
+        assert ended(QUICK, frames([0.5] * 19 + [0.01], fast)) == (Outcome.converged, 20)
+
+    def test_both_errors_count(self):
+        """At a twentieth of the distance, and at a fifth of the angle."""
+        run = frames([0.5] * 19, [1.0] * 19) + frames([0.025], [1.0], turn=4.0)
+        assert ended(QUICK, run) == (Outcome.timed_out, 20)
+        near = Settles(window=3, least=8, most=20, or_position_m=0.03, or_rotation_deg=6.0)
+        assert ended(near, run) == (Outcome.converged, 20)
+
+    def test_diverges_beyond_five_times_the_start(self):
+        assert ended(QUICK, frames([0.1, 0.3, 0.5, 0.51])) == (Outcome.diverged, 4)
+
+    def test_ends_early_where_the_verdict_is_certain(self):
+        """0.5 m, then under a tenth of a tenth of it."""
+        run = frames([0.5, 0.004, 0.5, *[0.004] * 20], [1.0] * 23)
+        assert ended(Settles(early=0.1), run) == (Outcome.converged, 3 + EARLY_PICTURES)
+
+    def test_ends_where_it_comes_no_nearer(self):
+        """The smallest distance in picture 3; one that is no more than 2 % smaller counts as none."""
+        run = frames([0.5, 0.4, 0.2, 0.3, *[0.197] * 20], [1.0] * 24)
+        assert ended(Settles(stuck=6), run) == (Outcome.timed_out, 3 + 6)
+
+    def test_what_is_refused(self):
+        with pytest.raises(ParameterError, match="goes with or_rotation_deg"):
+            Settles(or_position_m=0.01)
+        with pytest.raises(ParameterError, match="must not be over `most`"):
+            Settles(least=100, most=50)
+
+
+class TestAfterPictures:
+    @pytest.mark.parametrize(
+        ("end_m", "turn", "outcome"),
+        [(0.09, 1.0, Outcome.converged), (0.11, 1.0, Outcome.timed_out), (0.09, 2.0, Outcome.timed_out)],
+        ids=["near", "too far", "turned"],
+    )
+    def test_is_judged_by_the_distance_at_the_goal(self, end_m: float, turn: float, outcome: Outcome):
+        """A goal 1 m before the target: 0.1 m and 10 degrees."""
+        assert ended(AfterPictures(pictures=5), frames([0.5, 0.01, 0.5, 0.5, end_m], turn=turn)) == (outcome, 5)
+
+    def test_ends_early_where_the_verdict_is_certain(self):
+        assert ended(AfterPictures(early=0.1), frames([0.5, *[0.009] * 20])) == (Outcome.converged, 1 + EARLY_PICTURES)
+
+
+def test_shares_of_the_start():
+    """A camera that turns by 1 rad and back to 0.05, 0.5 m to 0.02 m: the last picture over a tenth of the start's errors is the fourth."""
+    distance, angle = np.array([0.5, 0.04, 0.3, 0.04, 0.02, 0.02]), np.array([1.0, 0.5, 0.0, 0.2, 0.05, 0.05])
+    log = {"position_error_m": distance, "rotation_error_rad": angle, "cam_qw": np.cos(angle / 2), "cam_qx": np.sin(angle / 2)}
+    log |= {name: np.zeros(6) for name in ("cam_qy", "cam_qz")}
+    for cuts in ((0, 6), (0, 1, 4, 6)):
+        part = StartShares().part(None)  # pyright: ignore[reportArgumentType] - it needs nothing of the experiment
+        for a, b in itertools.pairwise(cuts):
+            part.add({name: column[a:b] for name, column in log.items()})
+        expected = {"position_share": 0.04, "rotation_share": 0.05, "pictures_to_share": 5, "rotation_path_ratio": 1.35}
+        assert part.figures() == pytest.approx(expected)
+    assert set(StartShares().part(None).figures().values()) == {None}  # pyright: ignore[reportArgumentType] - as above
