@@ -31,7 +31,7 @@ SETTINGS: dict[str, tuple[str, dict[str, Any]]] = {
     "moments of a region (`arm_region`)": ("arm_region", {}),
     "the ellipse of a ball (`arm_ball`)": ("arm_ball", {}),
     "photometric, full pictures": ("arm_photometric", {**SIZE, "law.levels": 1}),
-    "photometric, four levels, coarse to fine": ("arm_photometric", {**SIZE, "law.levels": 4}),
+    "photometric, six levels, coarse to fine": ("arm_photometric", {**SIZE, "law.levels": 6}),
     "markers, a stereo depth camera (`arm_depth`)": ("arm_depth", {}),
 }
 FRAMES = 120
