@@ -104,6 +104,22 @@ def vstestbed_process() -> tuple[list[str], dict[str, str]]:
 
 
 @pytest.fixture
+def here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Comparisons and searches run in this process, where a test is not about their workers."""
+    from tests.shortcuts import run_here
+
+    run_here(monkeypatch)
+
+
+@pytest.fixture
+def one_figure(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Reports of comparisons have one figure, where a test is not about the figures."""
+    from tests.shortcuts import draw_one_figure
+
+    draw_one_figure(monkeypatch)
+
+
+@pytest.fixture
 def own_kinds() -> Iterator[None]:
     """Lets a test add kinds to the rooms' lists, and takes them out again."""
     from vstestbed.core.registry import SPECS

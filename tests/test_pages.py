@@ -47,16 +47,11 @@ def commands(text: str) -> Iterator[list[str]]:
                 yield words
 
 
-@pytest.mark.parametrize("page", pages(), ids=str)
-def test_a_page_is_what_its_source_and_the_kept_results_give(page: Path) -> None:
-    text = rendered(page, Kept(may_run=False))
-    assert text == (REPOSITORY / page).read_text(encoding="utf-8"), "python -m tests.pages makes it again"
-
-
-def test_every_kept_result_is_asked_for() -> None:
-    kept = Kept(may_run=False)
+def test_pages_are_what_their_sources_and_the_kept_results_give_and_no_result_is_left_over() -> None:
+    kept, other = Kept(may_run=False), []
     for page in pages():
-        rendered(page, kept)
+        other += [str(page)] if rendered(page, kept) != (REPOSITORY / page).read_text(encoding="utf-8") else []
+    assert not other, f"python -m tests.pages makes them again: {', '.join(other)}"
     places = [place_of(command) for command in kept.used]
     assert len(places) == len(set(places)) and set(places) == set(FOLDER.glob("*.json"))
 

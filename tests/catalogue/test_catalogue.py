@@ -42,6 +42,7 @@ LAW_PARAMETERS = {word: {"gain": 1.0} for word in ("partitioned", "pbvs", "hybri
     "policy": POLICY,
     "switched": {"laws": TURNS},
 }
+LEG = [{"T_camera_target": {"xyz": [1.5, -1.5, 2.37]}}, {"T_camera_target": {"xyz": [-1.5, -1.5, 3.37]}}]
 TASKS = {
     "view": lambda: quick("view"),
     "view_from": lambda: scenario("omni_ibvs", {"robot.wheels": "planar"}),
@@ -50,7 +51,7 @@ TASKS = {
     "gap": lambda: quick("gap"),
     "line": lambda: quick("line"),
     "track": lambda: scenario("arm_track_circle", {"stop.duration_s": 8.0}),
-    "path": lambda: quick("path"),
+    "path": lambda: scenario("quadrotor_path", {"goal.way": LEG, "stop.duration_s": 25.0}),  # the whole path is flown in tests/loop
     "landing": lambda: quick("landing"),
 }
 TARGET_EXAMPLES = {

@@ -55,7 +55,16 @@ def test_kinds_are_those_that_describe_knows() -> None:
     ("begun", "words"),
     [
         ("camera.lat", ["camera.latency_s"]),
-        ("stop.conv", ["stop.converged.error_px", "stop.converged.position_m", "stop.converged.rotation_deg", "stop.converged.hold_s"]),
+        (
+            "stop.conv",
+            [
+                "stop.converged.error_px",
+                "stop.converged.position_m",
+                "stop.converged.rotation_deg",
+                "stop.converged.error_grey",
+                "stop.converged.hold_s",
+            ],
+        ),
         ("law.no_such", []),
         ("no_such.field", []),
         ("see", ["seed"]),

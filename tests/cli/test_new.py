@@ -161,12 +161,9 @@ recording = vs.run(vs.load("ibvs_book", {"law": "mine", "detector": "oracle", "c
 print(recording.outcome.name, recording.scenario.law.gain)
 """
 
-    def test_a_cell_that_is_run_again_replaces_its_class(self, vstestbed_process):
+    def test_a_cell_that_is_run_again_replaces_its_class_and_another_class_of_that_word_is_refused(self, vstestbed_process):
         code = self.CELL.replace("GAIN", "1.0") + self.CELL.replace("GAIN", "2.0")
+        code += self.CELL.replace("GAIN", "3.0").replace("class Mine", "class Other")
         done = subprocess.run([sys.executable, "-c", code], env=vstestbed_process[1], capture_output=True, text=True)
         assert done.stdout.splitlines() == ["converged 1.0", "converged 2.0"], done.stderr
-
-    def test_another_class_of_that_word_is_refused(self, vstestbed_process):
-        code = self.CELL.replace("GAIN", "1.0") + self.CELL.replace("GAIN", "2.0").replace("class Mine", "class Other")
-        done = subprocess.run([sys.executable, "-c", code], env=vstestbed_process[1], capture_output=True, text=True)
         assert "'mine' is already a law" in done.stderr

@@ -81,7 +81,9 @@ def test_nothing_is_left_of_a_file_that_fails(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_every_file_of_a_comparison_beside_planted_links(command, quick: Path, tmp_path: Path, victim: Path) -> None:
+def test_every_file_of_a_comparison_beside_planted_links(
+    command, quick: Path, tmp_path: Path, victim: Path, here: None, one_figure: None
+) -> None:
     """Under each name that a file is renamed to, and under the fixed temporary names of earlier versions."""
     out = tmp_path / "c"
     compare([quick], seeds=1, jobs=1, out=out, film=False)

@@ -42,12 +42,13 @@ def test_it_drives_the_arm(command):
     assert summary["outcome"] == "converged" and summary["time_to_converge_s"] < 15
 
 
-def test_it_is_compared_with_the_classic(command, quick: Path):
+def test_it_is_compared_with_the_classic(command, quick: Path, here: None, one_figure: None):
     both = ("--vary", "law.kind=ibvs,broyden", "--set", "law.gain=2")
-    ended = command("compare", "quick.yaml", *both, "--plugin", "broyden", "--seeds", 2, "--jobs", 2, *QUIET)
+    ended = command("compare", "quick.yaml", *both, "--plugin", "broyden", "--seeds", 2, "--set", "camera.rate_hz=10", *QUIET)
     assert ended.code == 0, ended.err
     rows = json.loads(ended.out)
     assert sorted((row["law.kind"], row["outcome"]) for row in rows) == [(law, "converged") for law in ("broyden", "ibvs") for _ in "12"]
+    assert Path("runs/compare/001/comparison.mp4").stat().st_size > 1000
 
 
 def test_its_basin_ends_as_in_the_time_loop(command, quick: Path):

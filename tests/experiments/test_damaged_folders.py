@@ -125,7 +125,7 @@ def test_a_run_without_its_model_has_its_report(run: Path) -> None:
     assert write_report(run).is_file()
 
 
-def test_a_comparison(command, quick: Path, tmp_path: Path) -> None:
+def test_a_comparison(command, quick: Path, tmp_path: Path, here: None, one_figure: None) -> None:
     """The report names the damaged file; `--resume` does that run again."""
     out = tmp_path / "c"
     compare([quick], {"stop.duration_s": [0.2]}, seeds=1, jobs=1, out=out, film=False, report=False)

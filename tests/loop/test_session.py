@@ -135,10 +135,11 @@ def test_a_law_that_took_over_again_drives_to_the_goal() -> None:
 
 
 def test_a_seed_draws_the_start_and_none_is_the_scenarios_own() -> None:
-    scenario = vs.load("ibvs_book")
+    scenario = vs.load("ibvs_book", {"stop.duration_s": 2.0})
+    alone = vs.run(scenario)
     with vs.Session(scenario) as session:
-        assert same(turned(session), vs.run(scenario))
-        assert same(turned(session), vs.run(scenario))
+        assert same(turned(session), alone)
+        assert same(turned(session), alone)
     arm = vs.load("arm_ibvs", {"stop.duration_s": 0.2})
     with vs.Session(arm) as session:
         for seed in (3, 4, 3):

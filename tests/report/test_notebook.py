@@ -38,7 +38,7 @@ def test_a_recording_shows_its_report() -> None:
     assert 'a "quoted" <b>word</b>' in unescape(page) and "<b>word</b>" not in page
 
 
-def test_a_comparison_shows_who_is_better_and_is_a_table(tmp_path: Path) -> None:
+def test_a_comparison_shows_who_is_better_and_is_a_table(tmp_path: Path, here: None) -> None:
     setting = {"stop.duration_s": 0.5, "detector": "oracle"}
     table = vs.compare(["ibvs_book", "pbvs_book"], jobs=1, set=setting, out=str(tmp_path / "two"), film=False, report=False)
     page = page_in(table._repr_html_())

@@ -19,7 +19,7 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @given(raw=cases)
 # Always the same examples: a run of the tests says something about the change, not about luck. `-m study` has 10,000 others.
-@settings(max_examples=200, derandomize=True, database=None, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=120, derandomize=True, database=None, deadline=None, suppress_health_check=list(HealthCheck))
 def test_any_file_loads_or_is_refused_with_places(raw: bytes, path: Path) -> None:
     found = loading(raw, path)
     assert not found.startswith(FAULT), found

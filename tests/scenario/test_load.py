@@ -384,7 +384,7 @@ class TestBundled:
         written = YAML(typ="safe").load(dump(parse(GOOD, "s.yaml"), defaults=True))
         assert written["stop"] == {
             "duration_s": 30.0,
-            "converged": {"error_px": 0.2, "position_m": None, "rotation_deg": None, "hold_s": 0.5},
+            "converged": {"error_px": 0.2, "position_m": None, "rotation_deg": None, "error_grey": None, "hold_s": 0.5},
             "lost_after_s": 1.0,
             "lost_after_m": 2.0,
         }
@@ -419,7 +419,7 @@ def conforms(value: Any, rule: dict[str, Any], whole: dict[str, Any]) -> bool:
 
 
 class TestSchema:
-    @pytest.fixture
+    @pytest.fixture(scope="class")
     def whole(self) -> dict[str, Any]:
         return json.loads(json.dumps(schema_of(Scenario)))
 

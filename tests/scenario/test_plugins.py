@@ -33,6 +33,25 @@ class Mine(IBVS):
 """
 
 
+IN_TURN = """\
+import json, sys
+from vstestbed.cli.app import main
+codes = []
+for words in json.loads(sys.argv[1]):
+    try: main(words)
+    except SystemExit as end: codes.append(end.code)
+print(*codes)
+"""
+"""Several commands `vstestbed` in one process; prints their exit codes."""
+ONE_FIGURE = """\
+from vstestbed.cli.app import main
+from vstestbed.report.comparison import page
+page.PLOTS = page.PLOTS[:1]
+main()
+"""
+"""The command `vstestbed`, whose reports of comparisons have one figure."""
+
+
 def plugin(path: Path, kind: str = "mine", more: str = "") -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(LAW.replace("KIND", kind) + more, encoding="utf-8")
@@ -40,16 +59,17 @@ def plugin(path: Path, kind: str = "mine", more: str = "") -> Path:
 
 
 def test_the_folder_of_a_run_remembers_its_plugin(command, quick: Path, tmp_path: Path, vstestbed_process) -> None:
-    """By its absolute file: reported, filmed and run again by other processes, from another folder."""
+    """By its absolute file: reported and run again by another process, from another folder."""
     shutil.copy(EXAMPLES / "broyden.py", tmp_path / "broyden.py")
     ended = command("run", "quick.yaml", "--plugin", "./broyden.py", "--set", "law={kind: broyden, gain: 3}", "--out", "run", *NO_FILM)
     assert ended.code == 0, ended.err
     assert vs.load("run/scenario.yaml").plugins == (str(tmp_path / "broyden.py"),)
     words, environment = vstestbed_process
     (tmp_path / "far").mkdir()
-    for line in (["report", "../run"], ["run", "../run/scenario.yaml", "--out", "again", *NO_FILM]):
-        done = subprocess.run([*words, *line], cwd=tmp_path / "far", env=environment, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, done.stderr
+    lines = (["report", "../run"], ["run", "../run/scenario.yaml", "--out", "again", *NO_FILM])
+    both = [words[0], "-c", IN_TURN, json.dumps(lines)]
+    done = subprocess.run(both, cwd=tmp_path / "far", env=environment, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout.splitlines()[-1:]) == (0, ["0 0"]), done.stderr
     assert (tmp_path / "far/again/log.parquet").read_bytes() == (tmp_path / "run/log.parquet").read_bytes()
 
 
@@ -152,10 +172,10 @@ def test_a_comparison_remembers_plugins_for_workers_resume_and_report(quick: Pat
     plugin(tmp_path / "a/mine.py", "one"), plugin(tmp_path / "b/mine.py", "two")
     quick.write_text(quick.read_text() + "plugins: [a/mine.py]  # beside\n")
     laws = {"law.kind": ["one", "two"]}
-    vs.compare([quick], laws, seeds=1, jobs=2, plugins=[str(tmp_path / "b/mine.py")], out=tmp_path / "c", film=False, report=False)
+    vs.compare([quick], laws, seeds=1, jobs=1, plugins=[str(tmp_path / "b/mine.py")], out=tmp_path / "c", film=False, report=False)
     shutil.rmtree(tmp_path / "c/runs/quick/law.kind=two")
     words, environment = vstestbed_process
-    line = [*words, "compare", "--resume", "--out", "../c", "--jobs", "1", "--no-film", "--quiet"]
+    line = [words[0], "-c", ONE_FIGURE, "compare", "--resume", "--out", "../c", "--jobs", "1", "--no-film", "--quiet"]
     done = subprocess.run(line, cwd=tmp_path / "a", env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert len((tmp_path / "c/comparison.csv").read_text().splitlines()) == 3

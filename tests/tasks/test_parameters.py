@@ -11,6 +11,7 @@ import vstestbed as vs
 from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.core.geometry import Pose
 from vstestbed.tasks import GoalGap, GoalLanding, GoalLine, GoalPath, GoalTrack, GoalView, GoalViews
+from vstestbed.tasks.goal_picture import GoalPicture
 from vstestbed.tasks.stop import Converged, Stop
 
 DEFAULTS: dict[type, dict[str, Any]] = {
@@ -20,8 +21,8 @@ DEFAULTS: dict[type, dict[str, Any]] = {
     GoalPath: {"speed_mps": 0.5, "turn_degps": 20.0, "lead_s": 0.5, "band_m": 0.15, "settle_s": 10.0},
     GoalTrack: {"band_m": 0.05, "settle_s": 5.0},
     GoalViews: {"threshold_px": 10.0, "speed_mps": None, "turn_degps": 45.0},
-    GoalView: {"markers": None},
-    Converged: {"error_px": None, "position_m": None, "rotation_deg": None, "hold_s": 0.5},
+    GoalView: {"markers": None, "picture": GoalPicture()},
+    Converged: {"error_px": None, "position_m": None, "rotation_deg": None, "error_grey": None, "hold_s": 0.5},
     Stop: {"duration_s": 30.0, "converged": Converged(error_px=0.2, hold_s=0.5), "lost_after_s": 1.0, "lost_after_m": 2.0},
 }
 VIEWS = (GoalView(T_camera_target=Pose(xyz=(0, 0, 1))), GoalView(T_camera_target=Pose(xyz=(0, 0, 2))))

@@ -111,8 +111,8 @@ class DepthSensor(ABC):
         if not self.baseline_m:
             return np.zeros(z.shape, bool)
         disparity = np.asarray(f * self.baseline_m / np.maximum(z, NEAREST_M), np.float32)
-        hidden = shadowed(disparity)
-        return hidden | (np.arange(z.shape[1]) < disparity) if self.two_pictures else hidden
+        behind = shadowed(disparity)
+        return behind | (np.arange(z.shape[1]) < disparity) if self.two_pictures else behind
 
     def _ragged(self, z: DepthImage, rng: np.random.Generator) -> DepthImage:
         """The depths with pixels at edges replaced by their neighbours'."""

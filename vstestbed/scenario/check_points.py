@@ -90,8 +90,13 @@ def _check_marker_kind(marker: str, detector: Detector[Any]) -> None:
     seen = detector.markers
     if seen and marker not in seen:
         words = f"may not be {marker}: detector {detector.kind} sees {', '.join(seen)}; with {marker} use"
-        able = [kind for kind, member in DETECTORS.members.items() if not member.markers or marker in member.markers]
+        able = [kind for kind, member in _of_markers().items() if not member.markers or marker in member.markers]
         raise ParameterError("target.marker", f"{words} detector {' or '.join(able)}")
+
+
+def _of_markers() -> dict[str, type]:
+    """The detectors that find a target's markers, by their kinds."""
+    return {kind: member for kind, member in DETECTORS.members.items() if member.rows is None and not member.needs_sheet}
 
 
 def _check_shown(target: Target, detector: Detector[Any]) -> None:
@@ -106,7 +111,7 @@ def _check_shown(target: Target, detector: Detector[Any]) -> None:
         raise ParameterError("target", words, kind_of(type(target)))
     if target.shows_markers or target.sheet is not None or not detector.markers:
         return
-    able = [kind for kind, member in DETECTORS.members.items() if not member.markers]
+    able = [kind for kind, member in _of_markers().items() if not member.markers]
     words = f"may not be false with detector {detector.kind}: a {kind_of(type(target))} without markers shows it nothing to detect"
     raise ParameterError("target.draw_markers", f"{words}; use true, or detector {' or '.join(able)}", False)
 

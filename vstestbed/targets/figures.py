@@ -74,7 +74,8 @@ class PolygonFigure(Cornered):
     smallest rotation to the picture, and goes on with it.
 
     Args:
-        at: its corners (x, y) in order, in the target's plane, x to the right and y down as seen [m].
+        at: its corners (x, y) in order, in the target's plane, x to the right and y down as seen [m];
+            e.g. `[[0, 0], [0.3, 0], [0, 0.2]]`.
     """
 
     kind: Literal["polygon"] = "polygon"
@@ -99,7 +100,7 @@ class DiscFigure:
     """A disc about the target's origin.
 
     Args:
-        radius: [m].
+        radius: of its edge [m]; e.g. `0.1`.
     """
 
     kind: Literal["disc"] = "disc"
@@ -140,7 +141,7 @@ class LShape(Cornered):
     """The letter L, its short limb two thirds of the long one, about its centroid.
 
     Args:
-        length: of the long limb [m].
+        length: of the long limb [m]; e.g. `0.4`.
     """
 
     kind: Literal["l_shape"] = "l_shape"

@@ -11,6 +11,7 @@ Each raises AssertionError with a sentence that says what was expected and what 
 from vstestbed.testing.cameras import check_camera
 from vstestbed.testing.detectors import check_detector
 from vstestbed.testing.features import check_feature
+from vstestbed.testing.keypoints import check_keypoints
 from vstestbed.testing.laws import check_law
 from vstestbed.testing.motions import check_motion
 from vstestbed.testing.nuisances import check_metric, check_monitor, check_noise
@@ -22,6 +23,7 @@ __all__ = [
     "check_camera",
     "check_detector",
     "check_feature",
+    "check_keypoints",
     "check_law",
     "check_metric",
     "check_monitor",

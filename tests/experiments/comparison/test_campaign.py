@@ -18,6 +18,7 @@ import polars as pl
 import pytest
 
 import vstestbed as vs
+from tests.shortcuts import Here, run_here
 from vstestbed.core.errors import EnvironmentLackError, ParameterError
 from vstestbed.experiments.comparison import Campaign, Comparison, compare, controllers, jobs
 from vstestbed.experiments.comparison.folder import table_of
@@ -102,11 +103,13 @@ def plugin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, own_kinds: None) -> 
     sys.modules.pop("broken_laws", None)
 
 
-def test_one_job_two_jobs_and_dask_give_the_same(quick: Path, tmp_path: Path, cluster: str):
+def test_this_process_two_jobs_and_dask_give_the_same(quick: Path, tmp_path: Path, cluster: str, monkeypatch: pytest.MonkeyPatch):
     tables = [
         compare([quick], GAINS, seeds=3, jobs=jobs, executor=executor, out=tmp_path / name, film=False, report=False)
-        for name, jobs, executor in (("one", 1, "local"), ("two", 2, "local"), ("dask", None, cluster))
+        for name, jobs, executor in (("two", 2, "local"), ("dask", None, cluster))
     ]
+    run_here(monkeypatch)
+    tables.append(compare([quick], GAINS, seeds=3, out=tmp_path / "one", film=False, report=False))
     assert timeless(tables[0]).equals(timeless(tables[1]))
     assert timeless(tables[0]).equals(timeless(tables[2]))
     assert len(tables[0]) == 6
@@ -116,7 +119,7 @@ def test_one_job_two_jobs_and_dask_give_the_same(quick: Path, tmp_path: Path, cl
     assert alone.equals(pl.read_parquet(tmp_path / "one/runs/quick/law.gain=6.0/1/log.parquet"))
 
 
-def test_the_table_says_what_the_summaries_say(quick: Path, tmp_path: Path):
+def test_the_table_says_what_the_summaries_say(quick: Path, tmp_path: Path, here: None):
     table = compare([quick], GAINS, seeds=2, jobs=1, out=tmp_path / "c", film=False, report=False)
     assert table.columns[:5] == ["scenario", "law.gain", "seed", "folder", "outcome"]
     assert table.columns[-1] == "attempts"
@@ -180,6 +183,7 @@ def test_a_worker_killed_in_the_middle_is_replaced(quick: Path, tmp_path: Path):
         assert again and json.loads(again["summary.json"])["outcome"] == "converged"
         assert pool.tries(request) == 2
         assert slot.pid.result() != before
+        assert pool.call(os.getpid).result() == os.getpid()  # one worker leaves shares of the report to this process
 
 
 @pytest.mark.parametrize("later_s", [0.0, pytest.param(1.0, marks=pytest.mark.study)])  # before its pool hears of it, and after
@@ -201,8 +205,6 @@ def test_shares_of_the_report_are_done_by_the_workers(tmp_path: Path):
         os.kill(pool._slots[0].pid.result(), signal.SIGKILL)
         gone(pool._slots[0].pid.result())
         assert {future.result() for future in [pool.call(os.getpid) for _ in range(8)]} <= {*own, os.getpid()}
-    with closing(LocalPool(1, tmp_path)) as pool:
-        assert pool.call(os.getpid).result() == os.getpid()
 
 
 def test_dask_counts_the_tries_of_one_comparison_alone(quick: Path, tmp_path: Path, cluster: str):
@@ -224,7 +226,7 @@ def test_a_script_without_a_main_guard_is_told_so(quick: Path, tmp_path: Path, v
 def test_workers_end_with_the_pool(quick: Path, tmp_path: Path):
     pool = LocalPool(2, tmp_path)
     pool.submit(request_of("runs/a", vs.load(quick, {"stop.duration_s": 30000, "law.gain": 1e-4}), False))
-    pids = [slot.pid.result() for slot in pool._free]
+    pids = [slot.pid.result() for slot in pool._slots]
     pool.close()
     for pid in pids:
         gone(pid)
@@ -243,7 +245,7 @@ def gone(pid: int) -> None:
 
 
 class TestResume:
-    def test_what_is_there_is_not_run_again(self, quick: Path, tmp_path: Path):
+    def test_what_is_there_is_not_run_again(self, quick: Path, tmp_path: Path, here: None):
         out, done = tmp_path / "c", []
         whole = compare([quick], GAINS, seeds=2, jobs=1, out=out, film=False, report=False)
         (out / "runs/quick/law.gain=3.0/1").rename(tmp_path / "taken")
@@ -256,7 +258,7 @@ class TestResume:
         assert timeless(again).equals(timeless(whole))
         assert not list(out.glob("**/*.part"))
 
-    def test_it_goes_on_with_what_the_folder_compares(self, quick: Path, tmp_path: Path):
+    def test_it_goes_on_with_what_the_folder_compares(self, quick: Path, tmp_path: Path, here: None):
         out = tmp_path / "c"
         compare([quick], GAINS, seeds=1, jobs=1, out=out, film=False, report=False)
         assert len(compare([quick], GAINS, seeds=1, jobs=1, out=out, resume=True, film=False, report=False)) == 2
@@ -341,8 +343,7 @@ def test_a_start_that_cannot_be_drawn_is_a_run_that_crashed(quick: Path, tmp_pat
     away = {"robot.start.random": {"xyz": [0, 0, 0], "rpy_deg": [0, 0, 0]}, "robot.start.nominal.xyz": [3, 0, 0]}
     comparison = Comparison(base=(str(quick),), set=away, seeds=2)
     campaign = Campaign(tmp_path, jobs(controllers(comparison), 2))
-    with closing(LocalPool(1, tmp_path)) as pool:
-        campaign.run(pool)
+    campaign.run(Here())
     table = table_of(tmp_path, campaign.jobs)
     assert table["outcome"].to_list() == ["crashed", "crashed"]
     assert "has the whole target in view" in table["reason"][0]

@@ -16,6 +16,7 @@ import pytest
 
 import vstestbed as vs
 from tests.experiments.comparison.test_campaign import logs, timeless
+from tests.shortcuts import run_here
 from vstestbed.experiments.comparison import Comparison, chosen, compare, controllers, jobs
 from vstestbed.experiments.comparison.flights import LEAST, MOST, BatchRequest, batches, flies_in_batch
 from vstestbed.experiments.comparison.folder import table_of
@@ -59,9 +60,9 @@ LAWS += ("pose", "pose_origin", "hybrid")
 
 @pytest.mark.parametrize("law", LAWS)
 def test_a_batch_gives_the_folders_of_single_runs(canonical: dict[str, list[Scenario]], law: str):
-    """A run of each task; the study below compares all."""
+    """A run of each task by two of the laws, of two tasks by the others; the study below compares all."""
     whole = canonical[law]
-    picked = [0, 1, 2, 3, 4]  # seed by seed: the first of each task
+    picked = [0, 1, 2, 3, 4] if law in ("points", "pose") else [3, 4]  # seed by seed: the first of each task
     flown = BatchRequest.of("a", [whole[i] for i in picked]).perform()
     assert [i for i, files in zip(picked, flown, strict=True) if files is None] == []
     for i, files in zip(picked, flown, strict=True):
@@ -159,7 +160,9 @@ def test_a_resumed_comparison_flies_the_same_batches(quick: Path, tmp_path: Path
     monkeypatch.setattr("vstestbed.experiments.comparison.folder.GROUP", 6)
     whole, cut = tmp_path / "whole", tmp_path / "cut"
     seeds = 2 * LEAST
-    table = compare([quick], seeds=seeds, jobs=1, out=whole, film=False, report=False)
+    with monkeypatch.context() as patch:
+        run_here(patch)
+        table = compare([quick], seeds=seeds, out=whole, film=False, report=False)
     assert table["batch"].to_list() == [None] + [True] * (seeds - 1)  # the first may be filmed
     shutil.copytree(whole, cut)
     every = jobs(controllers(Comparison(base=(str(quick),), seeds=seeds)), seeds)

@@ -14,6 +14,7 @@ import pytest
 import vstestbed as vs
 from tests.loop.test_golden_loops import ROWS
 from tests.robots.arms import BLOCKS, HERE, NEEDS_PANDA
+from tests.shortcuts import draw_one_figure, run_here
 from vstestbed.core.assets import bundled_comparisons
 from vstestbed.core.errors import ParameterError, ScenarioError, UnreachableError
 from vstestbed.core.geometry import Pose, inverse, rigid_error, rotation_angle
@@ -50,7 +51,10 @@ metrics: [time_to_converge_s, max_retreat_m, max_rotation_deg]
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("tasks")
     (place / "turns.yaml").write_text(YAML)
-    compare([str(place / "turns.yaml")], out=place / "out", jobs=1)
+    with pytest.MonkeyPatch.context() as patch:
+        run_here(patch)
+        draw_one_figure(patch)
+        compare([str(place / "turns.yaml")], out=place / "out", jobs=1)
     return place / "out"
 
 

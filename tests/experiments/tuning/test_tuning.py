@@ -11,8 +11,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
-from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
@@ -21,38 +19,12 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.core.errors import EnvironmentLackError, ParameterError, RunFolderError
-from vstestbed.core.shares import at_once
-from vstestbed.experiments.comparison.worker import perform
-from vstestbed.experiments.tuning import search as searching
 from vstestbed.experiments.tuning.search import NoListener
 from vstestbed.experiments.tuning.space import Choice, Range, parameter
 from vstestbed.experiments.tuning.trials import Trial, best_of, read_record
 from vstestbed.report.studies.tuning import ParameterAxis
 
 SMALL: dict[str, Any] = {"trials": 6, "seeds": 2, "check": 1, "set": {"camera.rate_hz": 10, "stop.converged.hold_s": 0.1}}
-
-
-class Here:
-    """A pool in this process."""
-
-    room = 1
-
-    def submit(self, request: Any) -> Future[Any]:
-        return at_once(perform, request)
-
-    def tries(self, request: Any) -> int:
-        return 1
-
-    def call(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
-        return at_once(function, *arguments)
-
-    def close(self) -> None:
-        pass
-
-
-@pytest.fixture
-def here(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(searching, "pool_of", lambda *_: Here())
 
 
 @pytest.fixture
@@ -95,18 +67,19 @@ def test_a_search_finds_the_gain_and_leaves_a_whole_folder(quick: Path, tmp_path
 
 
 def test_an_interrupted_search_goes_on_to_the_same_end(quick: Path, tmp_path: Path, here: None, no_page: None) -> None:
-    whole = vs.tune(quick, {"law.gain": "1:12"}, out=tmp_path / "whole", **SMALL)
-    for after in (1, 8):
+    few = SMALL | {"trials": 3}
+    whole = vs.tune(quick, {"law.gain": "1:12"}, out=tmp_path / "whole", **few)
+    for after in (1, 4):
         with pytest.raises(KeyboardInterrupt):
-            vs.tune(quick, {"law.gain": "1:12"}, out=tmp_path / f"cut{after}", listener=Interrupts(after), **SMALL)
+            vs.tune(quick, {"law.gain": "1:12"}, out=tmp_path / f"cut{after}", listener=Interrupts(after), **few)
         again = vs.tune(out=tmp_path / f"cut{after}", resume=True)
         assert again.trials == whole.trials and again.check == whole.check
     for name in ("trials.csv", "trials.json", "best.yaml"):
         assert (tmp_path / "cut1" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
     done = Interrupts(1)  # nothing is run again
     assert vs.tune(out=tmp_path / "whole", resume=True, listener=done).trials == whole.trials and done.left == 1
-    more = vs.tune(out=tmp_path / "whole", resume=True, trials=7)
-    assert more.trials[:6] == whole.trials and len(more.trials) == 7
+    more = vs.tune(out=tmp_path / "whole", resume=True, trials=4)
+    assert more.trials[:3] == whole.trials and len(more.trials) == 4
     (tmp_path / "whole/trials.json").write_text("[{}]")
     with pytest.raises(RunFolderError, match="is damaged"):
         vs.tune(out=tmp_path / "whole", resume=True)
@@ -216,7 +189,8 @@ def test_a_metric_that_no_run_has_is_told_after_the_first_trials(quick: Path, tm
         vs.tune(quick, {"law.gain": "5:8"}, metric="tracking_rms_m", out=tmp_path / "t", **SMALL)
 
 
-def test_the_command_and_a_search_in_which_nothing_arrives(command, quick: Path, here: None) -> None:
+def test_the_command_and_a_search_in_which_nothing_arrives(command, quick: Path, here: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("vstestbed.report.studies.tuning.save", lambda *_: None)  # files for papers: the first test has them
     ended = command("tune", "quick.yaml", "--vary", "law.gain=.01:.02", "--set", "stop.duration_s=.5", "--trials", 2, "--seeds", 1)
     assert ended.code == 3
     assert ended.err.startswith("No run of any trial reached the goal\n  The runs ended with: timed_out (2).\n  results   ")

@@ -139,7 +139,7 @@ def test_a_run_holds_its_last_value_and_what_sees_nothing_ranks_last(tmp_path: P
 
 
 def test_logs_are_read_one_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    frame = build(tmp_path, {"a": 1.0}, 12)
+    frame = build(tmp_path, {"a": 1.0}, 4)
     read, alive, most = FolderLog.blocks, [0], []
 
     class Column(np.ndarray):
@@ -157,7 +157,7 @@ def test_logs_are_read_one_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
     monkeypatch.setattr(FolderLog, "blocks", counting)
     read_series(tmp_path, ComparisonResults(frame))
-    assert len(most) == 12 and max(most) <= 1
+    assert len(most) == 4 and max(most) <= 1
 
 
 def test_logs_that_are_missing_or_empty_are_gaps_and_damaged_ones_are_named(tmp_path: Path) -> None:

@@ -56,6 +56,12 @@ def page(built: tuple[Path, pl.DataFrame]) -> str:
     return (built[0] / "report.html").read_text(encoding="utf-8")
 
 
+@pytest.fixture
+def no_papers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures on the page alone, where a test is not about the files for papers."""
+    monkeypatch.setattr(comparison_page, "_paper", lambda *_: None)
+
+
 def test_the_page_stands_alone_and_has_it_all(page: str) -> None:
     reader = checked(page)
     assert reader.figures == FIGURES
@@ -181,7 +187,7 @@ def test_the_same_comparison_gives_the_same_bytes(built: tuple[Path, pl.DataFram
 
 
 @pytest.mark.filterwarnings("error")
-def test_nothing_but_crashes_still_has_a_report(tmp_path: Path) -> None:
+def test_nothing_but_crashes_still_has_a_report(tmp_path: Path, no_papers: None) -> None:
     frame = build(tmp_path, {"a": 1.0, "b": 2.0}, 2, {(n, k): "crashed" for n in "ab" for k in range(2)})
     reader = checked(write_comparison_report(tmp_path, frame, ()).read_text())
     assert reader.figures == FIGURES[:4]  # there is nothing else to draw
@@ -201,7 +207,7 @@ def test_any_number_of_controllers(tmp_path: Path, controllers: int) -> None:
     assert "time_ms.physics" in reader.text
 
 
-def test_text_is_escaped(tmp_path: Path) -> None:
+def test_text_is_escaped(tmp_path: Path, no_papers: None) -> None:
     frame = build(tmp_path, {"a": 1.0}, 2, {("a", 0): "timed_out"}).with_columns(
         pl.lit("<b>$x_1$</b>").alias("scenario"), pl.lit("<i>gone</i>").alias("reason")
     )

@@ -130,14 +130,15 @@ print(hashlib.sha256(r.table.tobytes()).hexdigest())
 """
 
 
+@pytest.mark.parametrize("numbers", [("0", "2"), pytest.param(("0", "1", "2", "3"), marks=pytest.mark.study)], ids="-".join)
 @pytest.mark.opengl
-def test_any_number_of_raster_threads_draws_the_same_bytes():
+def test_any_number_of_raster_threads_draws_the_same_bytes(numbers: tuple[str, ...]):
     # Mesa reads the number before its first context: a process for each.
     started = [
         subprocess.Popen([sys.executable, "-c", HASHES], env=os.environ | {"LP_NUM_THREADS": n}, stdout=subprocess.PIPE, text=True)
-        for n in ("0", "1", "2")
+        for n in numbers
     ]
-    outputs = [p.communicate(timeout=60)[0] for p in started]
+    outputs = [p.communicate(timeout=120)[0] for p in started]
     assert all(p.returncode == 0 for p in started)
     assert len(set(outputs[0].split())) == 6  # five different pictures and the log
-    assert outputs[0] == outputs[1] == outputs[2]
+    assert len(set(outputs)) == 1

@@ -280,10 +280,10 @@ class TestChoice:
 
 def test_arm_ibvs_converges_with_the_same_bytes_each_time():
     scenario = vs.load("arm_ibvs", {"camera.renderer": "rays"})
-    first, second = vs.run(scenario), vs.run(scenario)
+    first, second = vs.run(scenario), vs.run(replace(scenario, stop=replace(scenario.stop, duration_s=1.0)))
     assert first.outcome.name == "converged"
     assert first.versions["renderer"] == "rays (mj_multiRay)"
-    assert first.table.tobytes() == second.table.tobytes()
+    assert len(second.table) > 20 and first.table[: len(second.table)].tobytes() == second.table.tobytes()
     assert first.summary()["frames_lost"] == 0
     # Markers as exactly found as in OpenGL's pictures of one sample a pixel.
     off = [first[f"{c}_{i}"] - first[f"{c}_true_{i}"] for c in "uv" for i in range(4)]

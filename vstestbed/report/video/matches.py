@@ -28,7 +28,7 @@ class MatchOverlay(Overlay):
 
     def __init__(self, width: int, height: int, rows: int, title: str = ""):
         super().__init__(width, height, np.ones((rows, 3)), title)
-        self._radius = max(2.0, height / 110)
+        self._point, self._ring = max(1.6, height / 140), max(4.0, height / 75)
 
     def marks(self, image: Image, uv: Array, goal_uv: Array | None) -> None:
         """Draw the matches alone."""
@@ -47,7 +47,7 @@ class MatchOverlay(Overlay):
 
     def _rings(self, image: Image, uv: Array, color: Color, width: int) -> None:
         """A circle at each pixel, filled where the width is negative, with a dark border."""
-        size = 1.4 * self._radius if width > 0 else 0.8 * self._radius
+        size = self._ring if width > 0 else self._point
         for u, v in np.rint(uv * UNIT).astype(int).tolist():
             border = width + 2 * self._stroke if width > 0 else -1
             cv2.circle(image, (u, v), round((size + (self._stroke if width < 0 else 0)) * UNIT), INK, border, cv2.LINE_AA, SHIFT)

@@ -123,10 +123,11 @@ class Light:
         direction: along its rays in the world, of any length; the room's own comes from behind the robots' side, from above [1].
         xyz: place of the lamp, which shines into the half space along `direction`, equally far [m]; none: it is as far as the sun;
             e.g. `[0.5, 1.2, 2]`.
-        brightness: of what faces the lamp [1]. ambient: of what does not [1].
+        brightness: of what faces the lamp [1].
+        ambient: of what does not [1].
     """
 
-    direction: Annotated[tuple[float, ...], Len(3, 3)] = (0.45, 0.45, -1.0)
+    direction: Annotated[tuple[Annotated[float, Ge(-1e6), Le(1e6)], ...], Len(3, 3)] = (0.45, 0.45, -1.0)
     xyz: Position | None = None
     brightness: Annotated[float, Ge(0), Le(5)] = 0.6
     ambient: Annotated[float, Ge(0), Le(5)] = 0.5

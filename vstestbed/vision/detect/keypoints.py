@@ -13,7 +13,7 @@ from vstestbed.camera import Camera, Image, Look, Picture
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import PositivePixels
-from vstestbed.core.spec import spec
+from vstestbed.core.spec import kind_of, spec
 from vstestbed.features.observation import Goal
 from vstestbed.targets.base import Target
 from vstestbed.vision.base import Detection, DetectorBase, TruthView
@@ -61,12 +61,12 @@ class Keypoints(DetectorBase):
     detection holds the goal's view of the very points in its `best` rows; empty rows are NaN. Where fewer than `least` are found, nothing
     is reported, and the law rests, or coasts where it can.
 
-    1. Key points of both pictures (`features`) are matched by their descriptors, if each is the other's nearest.
-    2. With `ransac: homography` those pairs count that agree with one plane.
-    3. The best, or well spread, are chosen.
-    4. With `subpixel` the patch round each point of the goal's picture is laid over this one (`vision.match.patches`), which takes its
-       scale, turn and perspective from the homography: 0.02 px in place of 0.1 (SIFT) to 1 px (ORB). A patch without likeness drops
-       its point.
+    - Key points of both pictures (`features`) are matched by their descriptors, if each is the other's nearest.
+    - With `ransac: homography` those pairs count that agree with one plane.
+    - The best of them, or well spread ones, are chosen.
+    - With `subpixel` the patch round each point of the goal's picture is laid over this one (`vision.match.patches`), with its scale,
+    turn and perspective from the homography: 0.02 px in place of 0.1 (SIFT) to 1 px (ORB). A point whose patch is not alike is dropped.
+
     With `track` the points of one picture are followed into the next instead, and matched again now and then.
 
     Depths in the goal's view are those of the target's plane, or of a depth camera. Of points beyond the target, such as the floor's,
@@ -130,10 +130,13 @@ class Keypoints(DetectorBase):
         """The goal picture's key points.
 
         Raises:
-            ParameterError: there is no picture of the goal, or it has fewer than `least` key points where they are looked for.
+            ParameterError: there is no picture of the goal, or it has fewer than `least` key points where they are looked for; or the
+                target has no board.
         """
         if goal.image is None:
             raise ParameterError("goal.image", "is missing: detector keypoints compares with the picture taken at the goal")
+        if self.within == "board" and target.board_half_m is None:
+            raise ParameterError("detector.within", f"may not be board with target {kind_of(type(target))}, which has none; use picture")
         learned = self._learned(goal, target) if self._extractor else None
         return KeypointsMemory(goal, learned, smooth(grey(goal.image.image)), Slots.empty(self.best))
 
