@@ -11,12 +11,14 @@ from vstestbed.core.geometry import Pose, exp, inverse, transform
 from vstestbed.features import Moments
 from vstestbed.features.image_moments import fitted_plane, image_moments
 from vstestbed.features.invariants import INVARIANTS
+from vstestbed.targets.figures import LShape, Whale
 
 ELBOW = np.array([[0, 0], [0.3, 0], [0.3, 0.12], [0.12, 0.12], [0.12, 0.4], [0, 0.4]]) - [0.1, 0.15]
 OBLONG = np.array([[-0.2, -0.1], [0.2, -0.1], [0.2, 0.1], [-0.2, 0.1]])
 ARROW = np.array([[0, 0.1], [0.25, 0.1], [0.25, 0], [0.45, 0.15], [0.25, 0.3], [0.25, 0.2], [0, 0.2]]) - [0.2, 0.15]
 OVAL = 0.2 * np.column_stack([np.cos(np.arange(32) * np.pi / 16), 0.5 * np.sin(np.arange(32) * np.pi / 16)])
 SQUARE = 0.2 * np.array([[-1.0, -1], [1, -1], [1, 1], [-1, 1]])
+WHALE, ELL = Whale(length=0.625).outline(32), LShape(length=0.625).outline(32)
 ROWS = ("xn", "yn", "an", "xg", "yg", "area", "alpha")
 FACING = Pose(xyz=(0, 0, 1)).T
 
@@ -88,11 +90,11 @@ def test_the_factor_of_a_facing_target_does_not_depend_on_its_distance():
         (SQUARE, ("xn", "alpha"), "may not have alpha: the target is as wide as long"),
         (OBLONG, ("xn", "px", "py"), "may not have py: the target is symmetric about its centre in the goal view, where"),
         (OBLONG, ("xn", "c4", "c6"), "may not have c4, c6: the target is symmetric"),
-        (
-            ARROW,
-            ("xn", "yn", "an", "px", "py", "alpha"),
-            "depend on one another in the goal view, where the target may be its own mirror image",
-        ),
+        (OBLONG, ("xn", "c9"), "may not have c9: the target is symmetric"),
+        (ARROW, ("xn", "yn", "an", "px", "py", "alpha"), "where L has no inverse; use c4 and c7 in place of px and py, which have"),
+        (WHALE, Moments().rows, "the condition 1.3e.03 .at most 500 is accepted.; use c4 and c7 in place of sx and sy, which have"),
+        (ELL, ("xn", "yn", "an", "c4", "c6", "alpha"), "the condition 1.6e.03 .*; use sx and py in place of c4 and c6, which have"),
+        (OVAL, ("xn", "xg", "an"), "may be an ellipse"),
         (np.array([[-0.1, -0.1], [0.1, 0.1], [0.1, -0.1], [-0.1, 0.1]]), ("xn",), "encloses no area"),
         (OVAL, Moments().rows, "may be an ellipse; use fewer rows, feature ellipse"),
     ],
@@ -103,7 +105,10 @@ def test_goals_at_which_rows_are_singular(shape, rows, words):
 
 
 def test_what_suits_is_accepted():
-    Moments(of="region").check_goal(*view(OBLONG))
+    for shape in (OBLONG, ELL):
+        Moments(of="region").check_goal(*view(shape))
+    for pair in (("c4", "c6"), ("c4", "c7")):
+        Moments(of="region", rows=("xn", "yn", "an", *pair, "alpha")).check_goal(*view(WHALE))
     for pair in (("sx", "sy"), ("px", "py"), ("c1", "c2"), ("c4", "c6"), ("sx", "sy", "px", "py")):
         Moments(of="region", rows=("xn", "yn", "an", *pair, "alpha")).check_goal(*view(ELBOW))
     with pytest.raises(ParameterError, match="in one plane for the feature moments"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 
 os.environ.setdefault("MUJOCO_GL", "egl")
 
@@ -12,7 +13,8 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
-from vstestbed.core.errors import ParameterError, ScenarioError
+from vstestbed.cli.progress import summary_text
+from vstestbed.core.errors import ScenarioError
 from vstestbed.core.geometry import Pose, inverse, lengths
 from vstestbed.targets import Ball, Shape
 from vstestbed.targets.conic import distance_to_conic, fitted_conic
@@ -73,8 +75,8 @@ def test_moments_of_a_rectangle_by_hand():
 
 @pytest.mark.parametrize("at", [[[0, 0], [1, 1], [1, 0], [0, 1]], [[0, 0], [1, 0], [0.5, 0]], [[0, 0], [2, 0], [1, 0], [1, 1]]])
 def test_a_polygon_that_meets_itself_is_refused(at: list[list[float]]):
-    with pytest.raises(ParameterError, match="must not cross or touch itself: the sides from corners"):
-        polygon(at)
+    with pytest.raises(ScenarioError, match=r" target\.figure\.at: must not cross or touch itself: the sides from corners"):
+        vs.load("arm_region", {"target.figure": {"kind": "polygon", "at": at}})
 
 
 def test_a_polygon_is_the_same_whichever_way_round_it_is_given():
@@ -143,3 +145,28 @@ def test_a_balls_rays_touch_it_and_its_size_gives_its_place():
 def test_what_does_not_go_together_is_refused(name: str, settings: dict[str, Any], words: str):
     with pytest.raises(ScenarioError, match=words):
         vs.load(name, settings)
+
+
+IDEAL = {"detector": "oracle", "robot.actuation": "ideal", "stop.duration_s": 15.0}
+
+
+def test_arm_region_goes_straight_to_its_goal():
+    recording = vs.run(vs.load("arm_region", IDEAL).randomised(1))
+    assert recording.outcome is vs.Outcome.converged
+    assert recording.summary()["path_ratio"] < 1.03  # with sx and sy, which hardly tell a whale's tilt, 5
+
+
+def test_a_ball_leaves_motions_free_and_no_pose_is_the_goal(tmp_path: Path):
+    recording = vs.run(vs.load("arm_ball", IDEAL | {"stop.duration_s": 0.2}))
+    words = summary_text(recording, tmp_path, filmed=False)
+    assert recording.summary()["path_ratio"] is None and "straight line" not in words
+    assert "deg from the goal, where 3 motions are free (law.redundant)" in words
+    free = [vs.load(name).free_motions for name in ("quadrotor_ball", "arm_avoid_limits", "arm_region")]
+    assert free == [1, 2, 0]
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("name", ["arm_region", "quadrotor_region", "arm_ball", "quadrotor_ball"])
+def test_rendered_runs_reach_their_goals(name: str):
+    scenario = vs.load(name)
+    assert [vs.run(scenario.randomised(seed)).outcome for seed in range(10)] == [vs.Outcome.converged] * 10

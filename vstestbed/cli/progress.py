@@ -183,6 +183,9 @@ def _error_text(recording: Recording) -> str:
     if "error_grey" in recording.columns and np.isfinite(recording["error_grey"][-1]):
         error = f"{recording['error_grey'][-1]:.3f} grey levels in the picture"
     pose = f"{_number(s, 'final_position_error_m', 'mm', 1000)} and {_number(s, 'final_rotation_error_deg', 'deg', digits=3)} from the goal"
+    free = recording.scenario.free_motions
+    if free:
+        pose += f", where {free} motion{'s are' if free > 1 else ' is'} free (law.redundant)"
     return f"{error}; true pose of the {'vehicle' if recording.scenario.robot.base == 'planar' else 'camera'}: {pose}"
 
 

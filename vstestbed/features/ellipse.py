@@ -10,7 +10,7 @@ from annotated_types import Len
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.spec import spec
-from vstestbed.features.base import checked, require_independent, require_plane
+from vstestbed.features.base import MOST_CONDITION, checked, condition, require_plane
 from vstestbed.features.image_moments import MomentSet, fitted_plane, place
 
 OFF = 0.02
@@ -88,10 +88,11 @@ class Ellipse:
             raise ParameterError("target", words)
         m = ellipse_moments(s)
         scale = np.array([s[2] + s[4] if row[0] == "n" else place(m, "an") if row[1] == "n" else 1.0 for row in self.rows])
-        words = f"may not be {', '.join(self.rows)} at this goal, where they depend on one another: a ball, and a disc seen face on, tell"
-        require_independent(
-            self.interaction(xy, depth), scale, depth, f"{words} three motions; use [xn, yn, an], or a goal at a slant to a disc"
-        )
+        if condition(self.interaction(xy, depth), scale, depth) > MOST_CONDITION:
+            words = (
+                f"may not be {', '.join(self.rows)} at this goal, where they depend on one another: a ball, and a disc seen face on, tell"
+            )
+            raise ParameterError("law.feature.rows", f"{words} three motions; use [xn, yn, an], or a goal at a slant to a disc")
 
 
 def _row(m: MomentSet, row: str) -> Any:

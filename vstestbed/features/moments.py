@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from itertools import combinations
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -11,7 +13,7 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.spec import spec
 from vstestbed.features.angles import wrap
-from vstestbed.features.base import checked, require_independent, require_plane
+from vstestbed.features.base import MOST_CONDITION, checked, condition, require_plane
 from vstestbed.features.image_moments import MomentSet, Of, fitted_plane, place
 from vstestbed.features.invariants import INVARIANTS
 from vstestbed.features.polygon import segments, size, spans_area
@@ -27,6 +29,8 @@ DIRECTED = 0.1
 a third of that."""
 ROUND = 0.05
 """Elongation of a shape in the goal view under which its principal axis counts as undefined."""
+SINGULAR = 1e12
+"""Condition over which L counts as singular, whatever rounding has made of it."""
 SYMMETRIC = 0.02
 """Share of third-order moments in the goal view under which a shape counts as symmetric about its centre."""
 
@@ -47,11 +51,13 @@ class Moments:
     Where the target faces the camera at the depth Z, xn, yn and an move by 1/(Z sqrt(a)) times the camera's motion along x, y and z, a
     factor that does not depend on Z. (In print they have the factor Z* sqrt(a*) of the goal, which makes them metres.)
 
-    Of the pairs for the tilt, sx and sy suit any elongated shape, also one that is symmetric about its centre (a rectangle). px and py, c1
-    and c2, c4 and c6 need a shape without that symmetry, and px, py and c1, c2 one that is not its own mirror image either. There px and py
-    converge from farther away than sx and sy, and are some four times as sensitive to noise. An ellipse tells less than six motions:
-    use the feature `ellipse`. All four of sx, sy, px and py converge from the most starts, and so does, of the matrices, the mean
-    (`law.interaction`): at some views the current one is singular, and six rows can vanish at another pose than the goal.
+    Which pair suits for the tilt depends on the shape. One that hardly tells it makes L ill-conditioned at the goal, and is refused there
+    with the pair that is conditioned best. sx and sy suit an L and a rectangle, also other shapes that are symmetric about their centre.
+    They do not suit every elongated shape: those of a whale, or of an arrow, are nearly functions of the other rows, and there c4 and c6
+    suit. px and py, c1 and c2, c4 and c6 need a shape without that symmetry, and px, py and c1, c2 one that is not its own mirror image
+    either. Of an L px and py converge from farther away than sx and sy, and are some four times as sensitive to noise; all four of them
+    converge from the most starts, and so does, of the matrices, the mean (`law.interaction`): at some views the current one is singular,
+    and six rows can vanish at another pose than the goal. An ellipse tells less than six motions: use the feature `ellipse`.
 
     alpha is an axis without a direction. Where third-order moments are large enough in both views, they tell its two ends apart, and its
     error is within half a turn, else within a quarter. To this end s has t = c21 sqrt(m00)/c11^(3/2) behind the rows where alpha is one.
@@ -118,29 +124,48 @@ class Moments:
             words = "encloses no area in the goal view, which moments {of: region} need; its markers must be in order around an outline"
             raise ParameterError("target", words)
         m = MomentSet.measured(xy, self.of, 3)
-        self._check_symmetry(m)
-        shape = (
-            "may be an ellipse; use fewer rows, feature ellipse," if "sx" in self.rows else "may be its own mirror image; use sx and sy,"
-        )
-        words = (
-            f"may not be {', '.join(self.rows)}: they depend on one another in the goal view, where the target {shape} or another target"
-        )
-        scale = np.abs([place(m, row) if row in ("an", "area") else place(m, "an") if row in ("xn", "yn") else 1.0 for row in self.rows])
-        require_independent(self.interaction(xy, depth), scale, depth, words)
+        if words := self._symmetry(m):
+            raise ParameterError("law.feature.rows", words)
+        found = self._condition(m, xy, depth)
+        if found > MOST_CONDITION:
+            words = f"may not be {', '.join(self.rows)}: they depend on one another in the goal view, where L has"
+            limit = f"the condition {found:.2g} (at most {MOST_CONDITION:g} is accepted)" if found < SINGULAR else "no inverse"
+            raise ParameterError("law.feature.rows", f"{words} {limit}; {self._advice(m, xy, depth)}")
 
-    def _check_symmetry(self, m: MomentSet) -> None:
-        """Refuse rows that a symmetry of the shape leaves undefined."""
+    def _condition(self, m: MomentSet, xy: Array, depth: Array) -> float:
+        """The condition of L at a view."""
+        scale = np.abs([place(m, row) if row in ("an", "area") else place(m, "an") if row in ("xn", "yn") else 1.0 for row in self.rows])
+        return condition(self.interaction(xy, depth), scale, depth)
+
+    def _advice(self, m: MomentSet, xy: Array, depth: Array) -> str:
+        """Which two ratios would work best in place of these, of all pairs; where none would, that the shape may be an ellipse."""
+        before = [row for row in self.rows if row in INVARIANTS]
+        best, pair = MOST_CONDITION, ()
+        for names in combinations(INVARIANTS, 2) if before else ():
+            other = replace(self, rows=tuple(row for row in self.rows if row not in INVARIANTS) + names)
+            if other._symmetry(m):
+                continue
+            found = other._condition(m, xy, depth)
+            if found < best:
+                best, pair = found, names
+        if not pair:
+            return "the target may be an ellipse; use fewer rows, feature ellipse, or another target"
+        return f"use {' and '.join(pair)} in place of {' and '.join(before)}, which have the condition {best:.2g}"
+
+    def _symmetry(self, m: MomentSet) -> str:
+        """Why a symmetry of the shape leaves rows undefined; "" where it does not."""
         c11 = m.complex(1, 1).real
         axial = self._named("alpha", "sx", "sy", "c1")
         if axial and np.abs(m.complex(2, 0)) < ROUND * c11:
             words = (
                 f"may not have {axial}: the target is as wide as long in the goal view (a disc, a square, a regular polygon), and has no"
             )
-            raise ParameterError("law.feature.rows", f"{words} principal axis; leave them out, or use an elongated target")
-        odd = self._named("py", "c2", "c3", "c4", "c5", "c6")
+            return f"{words} principal axis; leave them out, or use an elongated target"
+        odd = self._named("py", "c2", "c3", "c4", "c5", "c6", "c9", "c10")
         if odd and max(abs(m.complex(3, 0)), abs(m.complex(2, 1))) < SYMMETRIC * c11**1.5 / m.central(0, 0) ** 0.5:
-            words = f"may not have {odd}: the target is symmetric about its centre in the goal view, where moments of third order vanish"
-            raise ParameterError("law.feature.rows", f"{words}; use sx and sy")
+            words = f"may not have {odd}: the target is symmetric about its centre in the goal view, where moments of odd order vanish"
+            return f"{words}; use sx and sy"
+        return ""
 
     @property
     def _order(self) -> int:

@@ -122,8 +122,9 @@ class CameraPath:
         at_goal = float(np.linalg.norm(self._scenario.goal_poses[-1][:3, 3]))
         return {
             "path_length_m": self._length,
-            # Under 1 mm the ratio says nothing: a run that starts at its goal has no straight way to compare with.
-            "path_ratio": self._length / self._straight if self._straight > 1e-3 else None,
+            # Under 1 mm the ratio says nothing: a run that starts at its goal has no straight way to compare with. Nor has one whose goal
+            # is no single pose.
+            "path_ratio": self._length / self._straight if self._straight > 1e-3 and not self._scenario.free_motions else None,
             "max_retreat_m": max(0.0, self._farthest - max(self._distance, at_goal)),
             "max_rotation_deg": math.degrees(self._turn),
         }

@@ -49,7 +49,8 @@ class WholeColumns(Mapping[str, Array]):
 def summarise(scenario: Scenario, outcome: Outcome, log: Blocks) -> dict[str, object]:
     """The metrics of a run; None where one is undefined (no frames, target never seen, no distance to the goal).
 
-    path_ratio: length of the camera's path over the straight distance between its start and its goal.
+    path_ratio: length of the camera's path over the straight distance between its start and its goal; None where
+        `law.redundant` leaves motions free, so that no single pose is the goal.
     max_retreat_m: largest distance of the camera from the target's origin, beyond both its start and its goal.
     max_rotation_deg: largest turn away from the starting orientation.
     max_feature_excursion_px: largest distance of a true marker image from the straight line between its start and goal.

@@ -152,16 +152,27 @@ def check_determined(robot: Robot, camera: Camera, law: Law[Any], goal: Goal) ->
     Raises:
         ParameterError: it names the feature, and what would work.
     """
-    basis = robot.motion_basis(Mount.of(camera.mount.T), robot.start_joints())
-    for servo in _image_based(law):
-        feature, inputs = servo.feature, at_goal(servo.feature, goal)
-        if feature.rows_per_marker or servo.redundant or inputs is None:
-            continue
-        told = int(np.linalg.matrix_rank(feature.interaction(*inputs) @ basis, rtol=servo.solve.cutoff))
-        if told < basis.shape[1]:
-            words = f"{feature.kind} tells {told} of this robot's {basis.shape[1]} motions at the goal"
-            more = ", or more rows (law.feature.rows)" if hasattr(feature, "rows") else ""
+    for servo, told, all_motions in _told(robot, camera, law, goal):
+        if told < all_motions and not (servo.feature.rows_per_marker or servo.redundant):
+            words = f"{servo.feature.kind} tells {told} of this robot's {all_motions} motions at the goal"
+            more = ", or more rows (law.feature.rows)" if hasattr(servo.feature, "rows") else ""
             raise ParameterError("law.feature", f"{words}; use law.redundant: true, which leaves the others alone{more}")
+
+
+def free_motions(robot: Robot, camera: Camera, law: Law[Any], goal: Goal) -> int:
+    """How many of the robot's motions a law with `redundant` leaves free at a goal view, where its pose is not determined; 0 for none."""
+    return max((motions - told for servo, told, motions in _told(robot, camera, law, goal) if servo.redundant), default=0)
+
+
+def _told(robot: Robot, camera: Camera, law: Law[Any], goal: Goal) -> list[tuple[Any, int, int]]:
+    """Each law with a feature that may leave motions open, how many motions it tells at a goal view, and how many the robot has."""
+    basis = robot.motion_basis(Mount.of(camera.mount.T), robot.start_joints())
+    views = ((servo, at_goal(servo.feature, goal)) for servo in _image_based(law))
+    return [
+        (servo, int(np.linalg.matrix_rank(servo.feature.interaction(*inputs) @ basis, rtol=servo.solve.cutoff)), basis.shape[1])
+        for servo, inputs in views
+        if inputs is not None
+    ]
 
 
 def _image_based(law: Any) -> list[Any]:

@@ -16,7 +16,7 @@ from vstestbed.core.spec import spec
 from vstestbed.features.observation import Goal
 from vstestbed.laws import LAWS, Law
 from vstestbed.robots import ROBOTS, Robot
-from vstestbed.scenario.check_points import check_determined, check_judged, check_markers, check_own_points
+from vstestbed.scenario.check_points import check_determined, check_judged, check_markers, check_own_points, free_motions
 from vstestbed.scenario.checks import (
     check_carrier,
     check_depth,
@@ -159,6 +159,11 @@ class Scenario:
     def goal_view(self) -> Goal:
         """The last goal for the law."""
         return self.goal_views[-1]
+
+    @cached_property
+    def free_motions(self) -> int:
+        """How many motions `law.redundant` leaves free at the goal, whose pose is then not determined; 0 for none."""
+        return free_motions(self.robot, self.camera, self.law, self.goal_view) if self.detector.rows is None else 0
 
     @property
     def rows(self) -> int:

@@ -86,7 +86,7 @@ class PolygonFigure(Cornered):
         given = np.array(self.at)
         if sides := crossing(given):
             words = f"must not cross or touch itself: the sides from corners {sides[0]} and {sides[1]} meet"
-            raise ParameterError("figure.at", words, [list(corner) for corner in self.at])
+            raise ParameterError("at", words, [list(corner) for corner in self.at])
 
     @property
     def corners(self) -> Array:

@@ -197,11 +197,12 @@ def test_of_a_region_both_outlines_are_drawn_and_the_trail_of_its_middle() -> No
     for step in (0, 40):
         image = np.full((480, 640, 3), 128, np.uint8)
         overlay.draw(image, square + [step, 0], square + [250, 0], t=0.0, error="")
-    assert image[100, 190].min() > 200 and image[150, 140].min() > 200  # white, as measured
-    at_goal = image[100, 400].astype(int)
-    assert at_goal[0] > 200 and at_goal[1] < 120  # in the region's colour
+    assert image[100, 190].min() > 200 and image[120, 140].min() > 200  # white, as measured
+    assert (image[120, 350] == (72, 214, 255)).all()  # cyan at the goal, of a region of any colour
+    assert image[120, 345:350].max(axis=1).min() < 100 and image[120, 140:145].max(axis=1).min() < 100  # both with a dark edge
+    assert image[200, 300].min() > 200  # lines from points to their goals
     assert image[150, 170, 0] > 230 and image[150, 170, 1] < 30  # from the middle before to that now
-    assert (image[110:140, 210:230] == 128).all()  # no crosses but at the first point
+    assert (image[110:140, 250:340] == 128).all()
     lost = np.full((480, 640, 3), 128, np.uint8)
     overlay.draw(lost, np.full((4, 2), np.nan), None, t=0.0, error="")
     assert (lost[90:210, 250:600] == 128).all()

@@ -8,15 +8,11 @@ import cv2
 import numpy as np
 
 from vstestbed.core.geometry import Array
-from vstestbed.report.video.overlay import INK, SHIFT, UNIT, Color, Overlay
+from vstestbed.report.video.overlay import GOAL, INK, SHIFT, UNIT, Color, Overlay
 from vstestbed.report.video.writer import Image
 from vstestbed.scenario.scenario import Scenario
 
 MEASURED: Final[Color] = (255, 214, 64)
-GOAL: Final[Color] = (72, 214, 255)
-WAY: Final[Color] = (255, 255, 255)
-LEAST_WAY_PX: Final = 2.0
-"""A line shorter than this would only blur its two symbols."""
 
 
 class MatchOverlay(Overlay):
@@ -37,11 +33,7 @@ class MatchOverlay(Overlay):
         if goal_uv is not None:
             goal = self._drawable(goal_uv)
             both = seen & np.isfinite(goal).all(axis=1)
-            ways = np.stack([goal[both], uv[both]], axis=1)
-            ways = ways[np.linalg.norm(ways[:, 0] - ways[:, 1], axis=1) > LEAST_WAY_PX]
-            lines = list(np.rint(ways[:, :, None] * UNIT).astype(np.int32))
-            for color, width in ((INK, 2 * self._stroke + self._edge), (WAY, self._stroke)):
-                cv2.polylines(image, lines, False, color, width, cv2.LINE_AA, SHIFT)
+            self._ways(image, uv[both], goal[both])
             self._rings(image, goal[both], GOAL, self._stroke)
         self._rings(image, uv[seen], MEASURED, -1)
 

@@ -25,6 +25,13 @@ PAPER: Final[Color] = (245, 246, 248)
 MUTED: Final[Color] = (186, 192, 200)
 ALARM: Final[Color] = (200, 30, 45)
 GOOD: Final[Color] = (24, 122, 62)
+GOAL: Final[Color] = (72, 214, 255)
+"""Of goals that have no colour of their own, and of a region's, which would not stand out from the region in its colour."""
+WAY: Final[Color] = (255, 255, 255)
+LEAST_WAY_PX: Final = 2.0
+"""A line shorter than this, from a point to its goal, would only blur its two ends."""
+WAYS: Final = 8
+"""At most so many of the points of an outline have such a line."""
 HOLD_S: Final = 1
 """How long the last picture of a film stays [s]."""
 ENDING: Final = 0.82
@@ -77,8 +84,7 @@ class Trail:
 class Overlay:
     """Draws on the servo camera's images: a cross at each measured marker, its trail, and a diamond at its goal.
 
-    Of a region both outlines: white as measured, in its colour at the goal, with a cross and a diamond where they begin, and the trail of
-    its middle.
+    Of a region both outlines, white as measured and cyan at the goal, thin lines between some of their points, and the trail of its middle.
 
     Args:
         width, height: image size [px]; all sizes scale with the height.
@@ -144,15 +150,21 @@ class Overlay:
         trail = self._trails[0]
         trail.add(uv.mean(axis=0))
         cv2.polylines(image, trail.polylines(), False, self._colors[0], self._stroke, cv2.LINE_AA, SHIFT)
-        goal = None if goal_uv is None else self._drawable(goal_uv)
-        for points, color in ((goal, self._light[0]), (uv, PAPER)):
-            if points is not None and np.isfinite(points).all():
+        goal = np.full_like(uv, np.nan) if goal_uv is None else self._drawable(goal_uv)
+        some = slice(None, None, math.ceil(len(uv) / WAYS))
+        self._ways(image, uv[some], goal[some])
+        for points, color, width in ((goal, GOAL, self._figure_stroke), (uv, PAPER, self._stroke)):
+            if np.isfinite(points).all():
                 line = [np.rint(points * UNIT).astype(np.int32)]
-                cv2.polylines(image, line, True, INK, self._figure_stroke + self._edge, cv2.LINE_AA, SHIFT)
-                cv2.polylines(image, line, True, color, self._figure_stroke, cv2.LINE_AA, SHIFT)
-        if goal is not None:
-            self._strokes(image, goal[:1], _DIAMOND, max(self._least, self.size[1] / 36), closed=True)
-        self._strokes(image, uv[:1], _CROSS, max(self._least, self.size[1] / 40), closed=False)
+                cv2.polylines(image, line, True, INK, width + 2 * max(self._edge, 1), cv2.LINE_AA, SHIFT)
+                cv2.polylines(image, line, True, color, width, cv2.LINE_AA, SHIFT)
+
+    def _ways(self, image: Image, uv: Array, goal: Array) -> None:
+        """Draw a thin line from each point to its goal, both (N, 2), where both are known and apart."""
+        ways = np.stack([goal, uv], axis=1)[np.linalg.norm(goal - uv, axis=1) > LEAST_WAY_PX]
+        lines = list(np.rint(ways[:, :, None] * UNIT).astype(np.int32))
+        for color, width in ((INK, 2 * self._stroke + self._edge), (WAY, self._stroke)):
+            cv2.polylines(image, lines, False, color, width, cv2.LINE_AA, SHIFT)
 
     def _drawable(self, uv: Array) -> Array:
         """The pixels, NaN where they are so far outside that OpenCV's fixed-point integers would overflow."""
