@@ -69,6 +69,12 @@ def test_an_example_has_the_field_that_holds_it(name: str, example: list[str]) -
     assert [line.rstrip().removeprefix("  ") for line in lines[-len(example) :]] == example
 
 
+def test_the_kinds_of_a_field_of_another_name_say_its_name() -> None:
+    words = " ".join(shown("keypoint").split())
+    assert words.endswith("vstestbed describe keypoint.sift shows one of them. In a scenario the field is called features.")
+    assert "is called" not in shown("law")
+
+
 def test_colours_only_where_they_are_wanted() -> None:
     assert "\x1b[" in shown("law.pbvs", force_terminal=True)
     assert "\x1b[3" not in shown("law.pbvs", force_terminal=True, no_color=True)
@@ -84,6 +90,8 @@ def test_colours_only_where_they_are_wanted() -> None:
         ("solve", "law.solve"),
         ("goal", "goal"),
         ("law.depth", "depth"),
+        ("law.depth.pnp", "depth.pnp"),
+        ("detector.features.sift", "keypoint.sift"),
     ],
 )
 def test_the_words_for_an_entry(word: str, name: str) -> None:

@@ -52,9 +52,12 @@ def test_each_runs_to_a_good_end(command, tmp_path: Path, monkeypatch: pytest.Mo
     command("new", kind, f"own_{kind}")
     words = own_run(read(tmp_path, kind))
     assert words[2:4] == ["--plugin", f"own_{kind}.py"] and words[4] == "--set" and len(words) == 6
-    fast = {} if kind in ("detector", "noise") else {"detector": {"kind": "oracle"}}
+    fast = {} if kind in ("detector", "keypoints", "noise") else {"detector": {"kind": "oracle"}}
     if kind == "noise":
         fast = {"stop.converged.error_px": 1.0}
+    if kind == "keypoints":
+        fast = {"camera.width": 320, "camera.height": 240, "robot.start.nominal": {"xyz": [0.03, 0, -0.63]}}
+        fast |= {"law.gain": 3, "stop.converged": {"error_px": 6.0, "hold_s": 0.1}}
     if kind == "detector":
         fast = {"camera.width": 400, "camera.height": 400, "camera.pixel_size_m": 2.5e-5}
     scenario = vs.load(words[1], settings_of([words[5]]) | fast, plugins=[words[3]])
@@ -111,9 +114,10 @@ class TestRefusals:
         [
             (("law", "My Law"), "NAME must be a word in small letters, digits and _, such as my_law, got 'My Law'"),
             (("law", "class"), "NAME must be a word in small letters"),
-            (("law", "ibvs"), "NAME is a bundled law; take another, such as my_ibvs"),
-            (("lens", "fisheye"), "NAME is a bundled lens; take another, such as my_fisheye"),
-            (("noise", "erasing"), "NAME is a bundled noise"),
+            (("law", "ibvs"), "NAME is bundled already (law); take another, such as my_ibvs"),
+            (("lens", "fisheye"), "NAME is bundled already (lens); take another, such as my_fisheye"),
+            (("keypoints", "sift"), "NAME is bundled already (keypoints)"),
+            (("noise", "erasing"), "NAME is bundled already (noise)"),
             (("law", "numpy"), "and pytest would import that in its place; take another, such as my_numpy, got 'numpy'"),
             (("law", "mine", "--out", "random.py"), "--out is the name of a module that Python finds already ("),
             (("law", "mine", "--out", "mine.txt"), "--out must be a Python file"),

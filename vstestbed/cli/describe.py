@@ -33,7 +33,7 @@ def describe_entry(entry: Entry, entries: dict[str, Entry], console: Console) ->
     console.print(Text(entry.name, style="bold"))
     if entry.cls is None:
         assert entry.room is not None  # an entry has a class, or is a room
-        _kinds(entry.room, console)
+        _kinds(entry, entry.room, console)
         return
     words = class_text(entry.cls)
     for paragraph in filter(None, [words.summary, *words.text.split("\n\n"), *(f"Source: {source}" for source in words.sources)]):
@@ -46,13 +46,15 @@ def describe_entry(entry: Entry, entries: dict[str, Entry], console: Console) ->
     _use(entry, console)
 
 
-def _kinds(room: Room, console: Console) -> None:
+def _kinds(entry: Entry, room: Room, console: Console) -> None:
     table = _table("kind", "what it is")
     for kind, cls in room.members.items():
         table.add_row(Text(kind, style="cyan"), Text(class_text(cls).summary))
     console.print(table)
     console.print()
-    _wrapped(f"vstestbed describe {room.what}.{next(iter(room.members))} shows one of them.", console)
+    field = entry.field.removesuffix("[]")
+    place = "" if field == room.what else f" In a scenario the field is called {field}."
+    _wrapped(f"vstestbed describe {room.what}.{next(iter(room.members))} shows one of them.{place}", console)
 
 
 def _lines(paragraph: str) -> Iterator[str]:

@@ -24,6 +24,7 @@ class NewKind(str, Enum):
     feature = "feature"
     robot = "robot"
     detector = "detector"
+    keypoints = "keypoints"
     lens = "lens"
     target = "target"
     motion = "motion"
@@ -33,7 +34,7 @@ class NewKind(str, Enum):
     task = "task"
 
 
-ROOM_OF = {"lens": "cameras", "noise": "perturbations", "task": "goals"}
+ROOM_OF = {"keypoints": "keypoints", "lens": "cameras", "noise": "perturbations", "task": "goals"}
 """The room (`scenario.validation.KINDS`) of a kind, where it is not the plural of its word."""
 
 
@@ -82,7 +83,7 @@ def _check_name(kind: NewKind, name: str) -> None:
 
     members = KINDS[ROOM_OF.get(kind.value, f"{kind.value}s")].members
     if name in members:
-        raise ParameterError("NAME", f"is a bundled {kind.value}; take another, such as my_{name}", name)
+        raise ParameterError("NAME", f"is bundled already ({kind.value}); take another, such as my_{name}", name)
 
 
 def _check_file(path: Path, given: Path | None) -> None:

@@ -33,6 +33,7 @@ class Listed(str, Enum):
     features = "features"
     laws = "laws"
     detectors = "detectors"
+    keypoints = "keypoints"
     markers = "markers"
     motions = "motions"
     goals = "goals"

@@ -76,7 +76,7 @@ class Controller:
         self.law_memory = scenario.law.init(views[0])
         self.supervisor = scenario.robot.supervisor(scenario.goal.lands, scenario.stop.lost_after_s, scenario.stop.lost_after_m)
         self.before: Exposure | None = None
-        self._failed = self._found = False
+        self._failed, self._found, self._why = False, False, ""
         self._own_goal: Goal | None = None  # of a detector's own points, which are others in every picture
         self._needs_motion, self._needs_sight = "motion" in scenario.law.inputs, "image" in scenario.law.inputs
         self._own_rates = OwnRates(scenario.robot, scenario.camera.period) if "robot" in scenario.law.inputs else None
@@ -162,7 +162,7 @@ class Controller:
         error = ImageError.of(seen, goal, command.rest_reason)
         why = f"pictures arrived {now.t - shot.t:.2g} s late" if late else ""
         blind = command.rest_reason or unseen(seen, goal, error, self._needed) or why
-        blind = blind and blind + detail(s, seen, self._found)
+        blind = blind and blind + detail(s, seen, self._found, self._why)
         moved = self._moved(now.t, reading, blind, mount)
         allocation = self._supervised(shot.t, blind, self._allocate(command, reading, mount, rests=late), reading, moved)
         self._order(now.t_cmd, allocation)
@@ -215,7 +215,7 @@ class Controller:
         picture = shot.picture if s.detector.needs_image else None
         detected = self.detector.detect(self.detector_memory, picture, shot.view, self.seen_through, s.target, self.rng)
         self.detector_memory, detection = detected
-        self._found, self._own_goal = self._found or bool(detection.seen.any()), detection.goal
+        self._found, self._own_goal, self._why = self._found or bool(detection.seen.any()), detection.goal, detection.why
         twist, own = np.zeros(6), None
         if shot.t > last.t:  # the mean of the twists commanded since the last exposure, by which a pose is predicted
             twist = (self.ordered.displacement(shot.t) - self.ordered.displacement(last.t)) / (shot.t - last.t)

@@ -18,11 +18,13 @@ def unseen(seen: Observation, goal: Goal, error: ImageError, needed: int) -> str
     return "" if n >= needed else FEW_SEEN if n else NONE_SEEN
 
 
-def detail(scenario: Scenario, seen: Observation, found: bool) -> str:
-    """Which markers are not seen, by their names, in brackets; "" where they have none, or all are seen.
+def detail(scenario: Scenario, seen: Observation, found: bool, why: str = "") -> str:
+    """What the detector says (`why`), or which markers are not seen, by their names, in brackets; "" where they have none, or all are seen.
 
     Where the detector has not found a single marker in any picture of the run (`found`), what may be wrong instead.
     """
+    if why:
+        return f" ({why})"
     if not found and scenario.detector.needs_image:
         return f" ({never_found(scenario)})"
     if scenario.detector.changing:

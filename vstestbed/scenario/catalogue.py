@@ -69,7 +69,8 @@ def _field_name(owner: str, field: str, cls: type, inner: type, found: dict[str,
 
 
 def entry_of(word: str, entries: dict[str, Entry]) -> Entry:
-    """The entry of a full name, of its last part where that is the name of one thing, or of a field as `--set` calls it: `law.depth`.
+    """The entry of a full name, of its last part where that is the name of one thing, or of a field as `--set` calls it, with or without
+    a kind: `law.depth`, `law.depth.pnp`.
 
     Raises:
         ParameterError: there is none, or there are several: it has their full names.
@@ -84,6 +85,10 @@ def entry_of(word: str, entries: dict[str, Entry]) -> Entry:
         names = sorted(entry.name for entry in things)
         raise ParameterError(word, f"is {', '.join(names[:-1])} and {names[-1]}; give one of these names")
     held = _held_in(word, entries)
+    if len(held) == 1:
+        return held[0]
+    path, _, kind = word.rpartition(".")  # `law.depth.pnp`
+    held = [entries[name] for room in _held_in(path, entries) if (name := f"{room.name}.{kind}") in entries]
     if len(held) == 1:
         return held[0]
     raise ParameterError(word, f"is no kind and no block of a scenario; {_hint(word, entries)}")

@@ -39,6 +39,7 @@ class Detection:
         T_camera_target: pose of the target, shape (4, 4), if the detector solves it anyway.
         goal: the goal's view of the very points in these rows, where they are not the target's markers.
         ids: then, the number of the point in each row (N,), the same as long as the row shows the same point; -1 in an empty row.
+        why: why none is seen, in words for a run that ends thereby; "" where there is nothing to say.
     """
 
     uv: Array
@@ -46,6 +47,7 @@ class Detection:
     T_camera_target: Array | None = None
     goal: Goal | None = None
     ids: NDArray[np.intp] | None = None
+    why: str = ""
 
     @property
     def seen(self) -> NDArray[np.bool_]:

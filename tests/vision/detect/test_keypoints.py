@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any
@@ -19,9 +20,11 @@ from vstestbed.laws.carry import carried_markers
 from vstestbed.laws.feedforward import KalmanCV
 from vstestbed.laws.following import Followed, change_of_markers
 from vstestbed.laws.solve import PSEUDO_INVERSE
+from vstestbed.loop.unseen import detail
 from vstestbed.vision import Keypoints
 from vstestbed.vision.match.features import Orb
 from vstestbed.vision.match.flow import Klt
+from vstestbed.vision.match.slots import Slots
 from vstestbed.vision.pose.flow_depth import FlowMemory
 
 T_GOAL = np.eye(4)
@@ -83,6 +86,27 @@ def test_an_empty_picture_shows_nothing_and_keeps_what_the_rows_were():
     assert seen(detector, memory, GOAL_H)[1].seen.sum() > 12
 
 
+def test_few_points_are_those_whose_patches_are_whole_and_without_patches_the_reason_says_so():
+    """Spread over the picture, the first ones are at its border, where patches are cut."""
+    detector = Keypoints(features=Orb(most=400), best=5, track=Klt())
+    assert not detector._due(Slots.empty(5).placed(*np.zeros((2, 4, 2))), 1)  # 4 of 5 will do, since `keep` is the user's alone
+    memory, detection = seen(detector, begun(detector), GOAL_H)
+    assert detection.seen.all() and not detection.why
+    for uv in (detection.uv, detection.goal.uv):
+        assert (uv > 10).all() and (uv < [309, 229]).all()
+    blurred = replace(memory, smooth=np.random.default_rng(0).normal(128, 40, (240, 320)).astype(np.float32), last=None)
+    detection = seen(detector, blurred, GOAL_H)[1]
+    assert not detection.seen.any()
+    sentence = detail(vs.load("camera_keypoints"), observed(detection.uv, list(detection.ids)), True, detection.why)
+    words = (
+        r"^ \(detector keypoints: \d+ points match the goal's picture, of which \d+ agree with one plane; of those tried the patches of 0 "
+    )
+    assert re.search(words, sentence)
+    noise = np.random.default_rng(1).integers(0, 255, (240, 320, 3), np.uint8)
+    detection = detector.detect(begun(detector), Picture(0.0, (noise,)), None, CAMERA, TARGET, RNG)[1]
+    assert re.search(r"\d+ points match the goal's picture, of which 0 agree with one plane: the target may have too little", detection.why)
+
+
 def test_only_the_board_s_points_count_where_that_is_asked_for():
     near = replace(TARGET, width=0.2)  # of the poster in the picture its middle alone
     on_board, anywhere = Keypoints(features=Orb(most=400), within="board", best=100), Keypoints(features=Orb(most=400), best=100)
@@ -96,8 +120,14 @@ def test_only_the_board_s_points_count_where_that_is_asked_for():
 
 def test_what_cannot_work_is_refused_with_a_sentence():
     flat = replace(the_goal(), image=Sight(np.full((240, 320, 3), 90, np.uint8)))
-    with pytest.raises(ParameterError, match="finds 0 key points at a known depth in the goal's picture, fewer than least = 4"):
+    with pytest.raises(ParameterError, match="must find least = 4 key points or more in the goal's picture: sift finds 0; use a target"):
         Keypoints().begin(flat, CAMERA, TARGET)
+    edge_on = replace(the_goal(), T_camera_target=np.array([[0.0, 0, -1, 0], [0, 1, 0, 0], [1, 0, 0, 0.6], [0, 0, 0, 1]]))
+    with pytest.raises(ParameterError, match=r"orb finds \d\d+, of which 0 have a depth there; use a goal that shows more"):
+        Keypoints(features=Orb()).begin(edge_on, CAMERA, TARGET)
+    with pytest.raises(ParameterError, match=r"of which 0 lie on the target's board; use a goal that shows it larger"):
+        far = T_GOAL + np.array([[0, 0, 0, 3.0], *np.zeros((3, 4))])  # its plane alone is in the picture
+        Keypoints(features=Orb(), within="board").begin(replace(the_goal(), T_camera_target=far), CAMERA, TARGET)
     with pytest.raises(ParameterError, match="compares with the picture taken at the goal"):
         Keypoints().begin(replace(the_goal(), image=None), CAMERA, TARGET)
     with pytest.raises(ParameterError, match="may not be board with target mesh, which has none; use picture"):
@@ -105,7 +135,7 @@ def test_what_cannot_work_is_refused_with_a_sentence():
     with pytest.raises(ParameterError, match="at most best = 24"):
         Keypoints(least=30)
     with pytest.raises(ParameterError, match="at most best = 8"):
-        Keypoints(best=8, track=Klt())
+        Keypoints(best=8, track=Klt(keep=12))
     with pytest.raises(ParameterError, match="needs one whole picture"):
         Keypoints().detect(begun(Keypoints()), None, None, CAMERA, TARGET, RNG)
 

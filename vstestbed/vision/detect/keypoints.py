@@ -21,12 +21,13 @@ from vstestbed.vision.goal_points import goal_of_points, points_of
 from vstestbed.vision.match.features import KEYPOINTS, Extractor, Features, Matcher, Sift, extracted, grey, matched
 from vstestbed.vision.match.flow import Klt, NoTracking, Tracking, followed
 from vstestbed.vision.match.mutual import mutual_matches
-from vstestbed.vision.match.patches import refined, smooth
-from vstestbed.vision.match.planar_map import PlanarMap, planar_map, spread_out
+from vstestbed.vision.match.patches import refined, smooth, whole
+from vstestbed.vision.match.planar_map import LEAST_INLIERS, PlanarMap, planar_map, spread_out
 from vstestbed.vision.match.slots import Slots
 
-SPARE = 1.5
-"""Points whose places are measured below a pixel, as a multiple of those that are reported: some are not found."""
+SPARE, FURTHER, LEAST_TRIED = 1.5, 4, 16
+"""Points whose places are measured below a pixel, as a multiple of those that are reported, since some are not found; the most, as a
+multiple of the first ones; and the fewest at first, since a plane needs eight that agree."""
 SLIPPED_PX = 0.25
 """A patch that is farther than this from where the other patches' homography maps it has slipped [px]."""
 Pairs = tuple[Array, Array]
@@ -65,7 +66,8 @@ class Keypoints(DetectorBase):
     - With `ransac: homography` those pairs count that agree with one plane.
     - The best of them, or well spread ones, are chosen.
     - With `subpixel` the patch round each point of the goal's picture is laid over this one (`vision.match.patches`), with its scale,
-    turn and perspective from the homography: 0.02 px in place of 0.1 (SIFT) to 1 px (ORB). A point whose patch is not alike is dropped.
+    turn and perspective from the homography: 0.02 px in place of 0.1 (SIFT) to 1 px (ORB). Points whose patch is not alike, or is cut by
+    a picture's border, are dropped, and the next ones take their place.
 
     With `track` the points of one picture are followed into the next instead, and matched again now and then.
 
@@ -105,7 +107,7 @@ class Keypoints(DetectorBase):
         """Refuse numbers that contradict each other, and a ratio where no descriptors are compared."""
         if self.least > self.best:
             raise ParameterError("least", f"must be at most best = {self.best}", self.least)
-        if isinstance(self.track, Klt) and self.track.keep > self.best:
+        if isinstance(self.track, Klt) and (self.track.keep or 0) > self.best:
             raise ParameterError("track.keep", f"must be at most best = {self.best}", self.track.keep)
         if self.ratio is not None and self._extractor is None:
             words = f"compares descriptors, and features {self.features.kind} match pictures by themselves; leave it out"
@@ -130,8 +132,8 @@ class Keypoints(DetectorBase):
         """The goal picture's key points.
 
         Raises:
-            ParameterError: there is no picture of the goal, or it has fewer than `least` key points where they are looked for; or the
-                target has no board.
+            ParameterError: there is no picture of the goal, or it has fewer than `least` key points, or fewer where they are looked for;
+                or the target has no board.
         """
         if goal.image is None:
             raise ParameterError("goal.image", "is missing: detector keypoints compares with the picture taken at the goal")
@@ -146,10 +148,17 @@ class Keypoints(DetectorBase):
         uv, descriptors = extracted(self._extractor, goal.image.image)
         there = self._usable(goal, target, uv)
         if np.count_nonzero(there) < self.least:
-            where = "on the target's board" if self.within == "board" else "at a known depth"
-            words = f"finds {np.count_nonzero(there)} key points {where} in the goal's picture, fewer than least = {self.least}"
-            raise ParameterError("detector.features", f"{self.features.kind} {words}; use a target with more texture")
+            raise ParameterError("detector.features", self._too_few(len(uv), int(np.count_nonzero(there))))
         return uv[there], descriptors[there]
+
+    def _too_few(self, found: int, usable: int) -> str:
+        """What is wrong with the goal's picture, in which so many key points are found and so many of them are usable."""
+        words = f"must find least = {self.least} key points or more in the goal's picture: {self.features.kind} finds {found}"
+        if found < self.least:
+            return f"{words}; use a target with more texture"
+        if self.within == "board":
+            return f"{words}, of which {usable} lie on the target's board; use a goal that shows it larger, or within: picture"
+        return f"{words}, of which {usable} have a depth there; use a goal that shows more of the target's plane, or a depth camera"
 
     def _usable(self, goal: Goal, target: Target, uv: Array) -> NDArray[np.bool_]:
         """Which points uv (M, 2) of the goal's picture have a depth, and lie on the target's board where only those are asked for."""
@@ -187,20 +196,32 @@ class Keypoints(DetectorBase):
             raise ParameterError("memory", "must be that of `begin`, which learns the goal's picture")
         dim = grey(image)
         slots = self._followed(memory, dim, camera)
-        since = memory.since + 1
+        since, why = memory.since + 1, ""
         if slots is None or self._due(slots, since):
             kept = (slots.uv_goal[slots.taken], slots.uv[slots.taken]) if slots is not None else None
-            found = self._chosen(memory, self._matches(memory, image, target), kept, dim, camera)
-            slots, since = memory.slots.placed(*found), 0
+            pairs = self._matches(memory, image, target)
+            found, agreeing = self._chosen(memory, pairs, kept, dim, camera)
+            slots, since, why = memory.slots.placed(*found), 0, self._why(len(pairs[0]), agreeing, len(found[0]))
         if np.count_nonzero(slots.taken) < self.least:
             slots = memory.slots.unseen()  # those of the last picture: a law that coasts knows what it saw there
         memory = replace(memory, slots=slots, last=dim if isinstance(self.track, Klt) else None, since=since)
-        return memory, Detection(slots.uv, goal=goal_of_points(memory.goal, slots.uv_goal), ids=slots.ids)
+        return memory, Detection(slots.uv, goal=goal_of_points(memory.goal, slots.uv_goal), ids=slots.ids, why=why)
+
+    def _why(self, matching: int, agreeing: int, measured: int) -> str:
+        """Why nothing is reported though points match; "" where too few do, or enough are measured."""
+        words = f"detector keypoints: {matching} points match the goal's picture, of which {agreeing} agree with one plane"
+        if measured >= self.least or matching < max(self.least, LEAST_INLIERS):
+            return ""
+        if agreeing < self.least:
+            return f"{words}: the target may have too little texture, or parts that look alike, or show too little of itself"
+        words = f"{words}; of those tried the patches of {measured} are found, fewer than least = {self.least}"
+        return f"{words}: the others are cut by the border or not alike; subpixel: false does without patches"
 
     def _due(self, slots: Slots, since: int) -> bool:
         """Whether points that were followed are to be matched with the goal's picture."""
         assert isinstance(self.track, Klt)
-        return since >= self.track.redetect_every or int(np.count_nonzero(slots.taken)) < self.track.keep
+        keep = max(self.least, self.best // 2) if self.track.keep is None else self.track.keep
+        return since >= self.track.redetect_every or int(np.count_nonzero(slots.taken)) < keep
 
     def _followed(self, memory: KeypointsMemory, dim: Image, camera: Camera) -> Slots | None:
         """The last picture's points where they are now, without those that are lost; None where points are not followed."""
@@ -231,22 +252,31 @@ class Keypoints(DetectorBase):
         order = order[self._usable(memory.goal, target, uv_goal)[order]]
         return uv_goal[order], uv[order]
 
-    def _chosen(self, memory: KeypointsMemory, pairs: Pairs, kept: Pairs | None, dim: Image, camera: Camera) -> Pairs:
-        """The pairs that are reported: those that were followed, then others by distance or spread."""
+    def _chosen(self, memory: KeypointsMemory, pairs: Pairs, kept: Pairs | None, dim: Image, camera: Camera) -> tuple[Pairs, int]:
+        """The pairs that are reported: those that were followed, then others by distance or spread; and how many there were to choose."""
         first = 0 if kept is None else len(kept[0])
         if kept is not None:
             new = ~_among(pairs[0], kept[0])
             pairs = np.concatenate([kept[0], pairs[0][new]]), np.concatenate([kept[1], pairs[1][new]])
         found = planar_map(camera, *pairs, self.ransac_px) if self.ransac == "homography" or self.subpixel else None
         if self.ransac == "homography":
-            agree = np.zeros(len(pairs[0]), dtype=bool) if found is None else found[1]
-            first, pairs = int(np.count_nonzero(agree[:first])), (pairs[0][agree], pairs[1][agree])
+            pairs, first = _those(pairs, np.zeros(len(pairs[0]), dtype=bool) if found is None else found[1], first)
+        agreeing = len(pairs[0])
         if found is None or not self.subpixel:
-            return self._best(pairs, first, self.best)
-        pairs = self._best(pairs, first, round(SPARE * self.best))
-        uv = self._refined(memory, *pairs, dim, found[0])
-        there = np.flatnonzero(np.isfinite(uv[:, 0]))[: self.best]
-        return pairs[0][there], uv[there]
+            return self._best(pairs, first, self.best), agreeing
+        return self._measured(memory, *_those(pairs, whole(dim, *pairs, found[0].derivatives(pairs[0])), first), dim, found[0]), agreeing
+
+    def _measured(self, memory: KeypointsMemory, pairs: Pairs, first: int, dim: Image, plane: PlanarMap) -> Pairs:
+        """The best pairs whose patches are found; where some are not, the next ones are tried in their place, up to a limit."""
+        tried = max(round(SPARE * self.best), LEAST_TRIED)
+        most = FURTHER * tried
+        while True:
+            some = self._best(pairs, first, tried)
+            uv = self._refined(memory, *some, dim, plane)
+            there = np.flatnonzero(np.isfinite(uv[:, 0]))[: self.best]
+            if len(there) == self.best or len(some[0]) < tried or tried >= most:
+                return some[0][there], uv[there]
+            tried *= 2
 
     def _best(self, pairs: Pairs, first: int, most: int) -> Pairs:
         """At most `most` of the pairs, which are in the order of their distance; the `first` ones are among them."""
@@ -263,3 +293,8 @@ class Keypoints(DetectorBase):
 def _among(uv: Array, others: Array) -> NDArray[np.bool_]:
     """Which of the points uv (M, 2) are among others (N, 2)."""
     return np.asarray((uv[:, None] == others).all(axis=2).any(axis=1))
+
+
+def _those(pairs: Pairs, which: NDArray[np.bool_], first: int) -> tuple[Pairs, int]:
+    """The pairs for which `which` (M,) holds, and how many of the first ones are among them."""
+    return (pairs[0][which], pairs[1][which]), int(np.count_nonzero(which[:first]))

@@ -134,7 +134,7 @@ class Akaze:
         """Refuse it where this OpenCV lacks it."""
         if _akaze() is None:
             words = "may not be akaze: this OpenCV lacks it; use sift or orb, or install opencv-contrib-python-headless in place of"
-            raise ParameterError("features", f"{words} opencv-python-headless")
+            raise ParameterError("", f"{words} opencv-python-headless")
 
     def extract(self, image: Image) -> tuple[Array, Descriptors]:
         """Key points (M, 2) [px] and descriptors (M, 61) uint8."""
@@ -211,7 +211,7 @@ def _points(features: Features, method: str, name: str, uv: NDArray[Any]) -> Arr
 
 
 def _refuse(features: Features, method: str, words: str, got: object) -> None:
-    raise ParameterError("detector.features", f"{features.kind}: {method} must give {words}", got)
+    raise ParameterError("detector.features", f"must give {words}, from {method} of {features.kind}", got)
 
 
 KEYPOINTS = OneOf("keypoint", Sift, Orb, Akaze, contract=_Either(Extractor))

@@ -33,7 +33,8 @@ class Klt:
 
     Args:
         redetect_every: pictures from one matching with the goal's picture to the next [1].
-        keep: points below which they are matched again at once [1].
+        keep: points below which they are matched again at once [1]; none: half of the detector's `best`, but not under `least`;
+            e.g. `12`.
         window_px: side of the window round each point [px].
         astray_px: largest distance of a point, followed there and back again, from where it was [px].
 
@@ -43,7 +44,7 @@ class Klt:
 
     kind: Literal["klt"] = "klt"
     redetect_every: Annotated[int, Ge(1), Le(100_000)] = 10
-    keep: Annotated[int, Ge(3), Le(200)] = 12
+    keep: Annotated[int, Ge(3), Le(200)] | None = None
     window_px: Annotated[int, Ge(5), Le(101)] = 21
     astray_px: PositivePixels = 0.5
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -41,8 +43,7 @@ def refined(goal: NDArray[np.float32], image: NDArray[np.float32], uv_goal: Arra
     Reference: Baker & Matthews 2004, doi:10.1023/B:VISI.0000011205.11775.fd.
     """
     x = np.stack(np.meshgrid(np.arange(-HALF, HALF + 1.0), np.arange(-HALF, HALF + 1.0)), axis=-1).reshape(-1, 2)
-    whole = _sampled(goal, uv_goal[:, None] + x)
-    template, contrast = _normalised(whole)
+    template, contrast = _normalised(_sampled(goal, uv_goal[:, None] + x))
     gradient = np.stack([(_sampled(goal, uv_goal[:, None] + x + s) - _sampled(goal, uv_goal[:, None] + x - s)) / 2 for s in np.eye(2)], -1)
     gradient = gradient - gradient.mean(axis=1, keepdims=True)
     normal = gradient.mT @ gradient
@@ -65,6 +66,16 @@ def refined(goal: NDArray[np.float32], image: NDArray[np.float32], uv_goal: Arra
     return np.where(found[:, None], at, np.nan)
 
 
+def whole(image: NDArray[Any], uv_goal: Array, uv: Array, A: Array) -> NDArray[np.bool_]:
+    """Which patches (K,) lie wholly in both pictures, of the size (H, W) of `image`; the others `refined` does not find.
+
+    Args:
+        uv_goal, uv, A: as of `refined`.
+    """
+    corners = HALF * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    return _inside(image, uv_goal[:, None] + corners) & _inside(image, uv[:, None] + np.einsum("kij,pj->kpi", A, corners))
+
+
 def _sampled(image: NDArray[np.float32], uv: Array) -> Array:
     """Brightness (K, P) at uv (K, P, 2), linear between pixels; outside, that of the border.
 
@@ -79,7 +90,7 @@ def _sampled(image: NDArray[np.float32], uv: Array) -> Array:
     return top * (1 - b) + (flat[k + width] * (1 - a) + flat[k + width + 1] * a) * b
 
 
-def _inside(image: NDArray[np.float32], uv: Array) -> NDArray[np.bool_]:
+def _inside(image: NDArray[Any], uv: Array) -> NDArray[np.bool_]:
     """Which patches (K,) with pixels uv (K, P, 2) lie wholly in the picture: beyond its border nothing is known."""
     size = np.array([image.shape[1], image.shape[0]]) - 1
     return np.asarray(((uv >= 0) & (uv <= size)).all(axis=(1, 2)))
