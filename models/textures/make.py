@@ -11,7 +11,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from drawing import page, poster, walls
+from drawing import leaves, page, poster, walls
 from drawing.canvas import Image
 
 HERE = Path(__file__).resolve().parent
@@ -25,6 +25,7 @@ DRAWN: dict[str, Callable[[np.random.Generator], Image]] = {
     "text": page.draw,
     "flat": walls.flat,
     "repetitive": walls.repetitive,
+    "leaves": leaves.draw,
 }
 
 

@@ -237,7 +237,7 @@ def test_polar_features_wrapped_alone_fly_too():
 
 @pytest.mark.parametrize(
     ("law", "markers"),
-    [(IBVS(redundant=True, depth=OracleDepth(), gain=FAST), 2), (IBVS(feature=Polygon(), gain=FAST), 4)],
+    [(IBVS(redundant=True, depth=OracleDepth(), gain=FAST), 2), (IBVS(redundant=True, feature=Polygon(), gain=FAST), 4)],
     ids=["two", "polygon"],
 )
 def test_a_law_that_leaves_motions_open_does_not_make_them(law: IBVS, markers: int):

@@ -21,7 +21,7 @@ from vstestbed.report.video.quality import Pace
 def frame(k: int, image: np.ndarray | None = None) -> Any:
     """Frame k of a camera at 25 Hz, with what films use of it."""
     truth = SimpleNamespace(T_world_target=np.eye(4), T_world_camera=np.eye(4), q=np.zeros(2))
-    seen = SimpleNamespace(uv=np.zeros((4, 2)))
+    seen = SimpleNamespace(uv=np.zeros((4, 2)), image=None)
     return SimpleNamespace(
         t=k / 25, truth=truth, error=SimpleNamespace(rms_px=1.0, lost=False), observation=seen, goal=seen, image=image, row=np.zeros(0)
     )
