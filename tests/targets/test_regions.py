@@ -135,7 +135,7 @@ def test_a_balls_rays_touch_it_and_its_size_gives_its_place():
         ),
         ("arm_ibvs", {"law.depth": "size"}, "law.depth: may be size only with target ball"),
         ("arm_ball", {"detector": {"kind": "blobs"}}, "with outline use detector .*region"),
-        ("arm_ibvs", {"detector": {"kind": "region"}}, "detector region sees outline"),
+        ("arm_ibvs", {"detector": {"kind": "region"}}, "detector region sees outline; with disc use detector blobs or oracle$"),
         ("arm_region", {"goal.markers": [0, 1, 2, 3]}, "goal.markers: must be left out: the points of an outline count together"),
         ("arm_region", {"target.names": ["tail"]}, "target.names: are for markers; the points of an outline have none"),
         ("arm_ball", {"target.pad": {"side": 0.5}}, "target.pad: has no place behind a ball"),

@@ -84,11 +84,7 @@ def entry_of(word: str, entries: dict[str, Entry]) -> Entry:
     if things:
         names = sorted(entry.name for entry in things)
         raise ParameterError(word, f"is {', '.join(names[:-1])} and {names[-1]}; give one of these names")
-    held = _held_in(word, entries)
-    if len(held) == 1:
-        return held[0]
-    path, _, kind = word.rpartition(".")  # `law.depth.pnp`
-    held = [entries[name] for room in _held_in(path, entries) if (name := f"{room.name}.{kind}") in entries]
+    held = _held_in(word, entries) or _kind_held_in(word, entries)
     if len(held) == 1:
         return held[0]
     raise ParameterError(word, f"is no kind and no block of a scenario; {_hint(word, entries)}")
@@ -98,6 +94,12 @@ def _held_in(path: str, entries: dict[str, Entry]) -> list[Entry]:
     """The lists of kinds of which the last field of a dotted path holds one: `depth` for `law.depth`."""
     owner, _, field = path.rpartition(".")
     return [entry for entry in entries.values() if owner in entries and entry.cls is None and entry.field.removesuffix("[]") == field]
+
+
+def _kind_held_in(path: str, entries: dict[str, Entry]) -> list[Entry]:
+    """The kinds at the end of a dotted path that the field before it may hold: `pnp` for `law.depth.pnp`."""
+    field, _, kind = path.rpartition(".")
+    return [entries[name] for room in _held_in(field, entries) if (name := f"{room.name}.{kind}") in entries]
 
 
 def _hint(word: str, entries: dict[str, Entry]) -> str:
