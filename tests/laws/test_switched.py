@@ -182,8 +182,9 @@ def test_a_law_that_fails_ends_the_run(monkeypatch: pytest.MonkeyPatch):
     assert "raised ZeroDivisionError: of its own" in recording.reason
 
 
+@pytest.mark.usefixtures("own_kinds")
 def test_a_law_of_ones_own_may_be_one_of_them(tmp_path: Path):
-    plugin = tmp_path / "nested.py"  # a word of its own: kinds stay registered in this process, and another test loads the example
+    plugin = tmp_path / "nested.py"
     plugin.write_text(BROYDEN.read_text(encoding="utf-8").replace('"broyden"', '"nested_broyden"'), encoding="utf-8")
     own = {"law": {"kind": "nested_broyden", "gain": 1}, "until": {"error_under_px": 100}}
     changes = {"law": {"kind": "switched", "laws": [own, "pbvs"]}, "detector": "oracle", "stop.duration_s": 6}
