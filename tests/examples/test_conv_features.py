@@ -13,6 +13,7 @@ import vstestbed.testing
 from vstestbed.core.geometry import Array
 from vstestbed.vision.match.features import Orb
 
+pytestmark = pytest.mark.usefixtures("own_kinds")
 FILE = Path(__file__).parent / "conv_features.py"
 NEAR = {"robot.start.nominal": {"xyz": [0.1, 0.05, -0.7], "rpy_deg": [3, -4, 8]}, "camera.width": 320, "camera.height": 240}
 
