@@ -206,6 +206,9 @@ def test_runs_converges_and_knows_it_by_grey_levels(file: Path) -> None:
         ({"stop": {"converged": {"error_px": 0.2}}}, "error_px: needs markers, and detector none finds none"),
         ({"law": {"kind": "ibvs"}}, "detector: may not be none"),
         ({"law": {"kind": "photometric", "depth": "pnp"}}, "needs it of pixels"),
+        ({"law": {"kind": "photometric", "depth": "sensor"}}, "or use goal or constant"),
+        ({"detector": {"kind": "blobs"}}, "no markers are drawn .*; use none"),
+        ({"detector": {"kind": "keypoints"}}, "reads no points of it; use none"),
         ({"law": {"kind": "photometric", "levels": 6}}, "at the coarsest level"),
         ({"camera": {"kind": "fisheye", "width": 160, "height": 120}}, "needs a camera of kind perspective"),
         (

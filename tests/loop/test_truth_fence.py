@@ -194,6 +194,7 @@ def watched(monkeypatch: pytest.MonkeyPatch, scenario: vs.Scenario, every: int =
 
 
 SMALL = {"camera.width": 320, "camera.height": 240}
+QUARTER = {"camera.width": 160, "camera.height": 120, "law.levels": 3}
 RUNS = {
     "arm_ibvs": {"law.gain": 2},
     "ibvs_book": {},
@@ -206,6 +207,7 @@ RUNS = {
     "quadrotor_land": {},
     "arm_keypoints": SMALL,
 }
+CORRUPTED = ("arm_ibvs", "arm_depth", "arm_patch", "arm_region", "car_pbvs", "quadrotor_path", "arm_keypoints", "arm_photometric")
 
 
 @pytest.mark.parametrize("name", RUNS)
@@ -265,7 +267,7 @@ class TestCorruptedTruth:
         names = [
             n
             for n in r.columns
-            if n.startswith(("cmd_", "applied_", "depth_", "u_goal", "v_goal")) or n in ("scale", "error_px", "supervisor")
+            if n.startswith(("cmd_", "applied_", "depth_", "u_goal", "v_goal")) or n in ("scale", "error_px", "error_grey", "supervisor")
         ]
         return np.column_stack([r[n] for n in names])
 
@@ -286,9 +288,10 @@ class TestCorruptedTruth:
 
             monkeypatch.setattr(plant, "truth", lie)
 
-    @pytest.mark.parametrize("name", ["arm_ibvs", "arm_depth", "arm_patch", "arm_region", "car_pbvs", "quadrotor_path", "arm_keypoints"])
+    @pytest.mark.parametrize("name", CORRUPTED)
     def test_no_command_changes(self, name: str, monkeypatch: pytest.MonkeyPatch):
-        scenario = vs.load(name, {"stop.duration_s": 0.3} | (SMALL if name == "arm_keypoints" else {}))
+        small = {"arm_keypoints": SMALL, "arm_photometric": QUARTER}
+        scenario = vs.load(name, {"stop.duration_s": 0.3} | small.get(name, {}))
         honest = self.commands(scenario)
         self.corrupt(monkeypatch)
         np.testing.assert_array_equal(self.commands(scenario), honest)

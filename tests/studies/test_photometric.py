@@ -37,6 +37,8 @@ TROUBLES: dict[str, dict[str, object]] = {
     "moving shadow": {"noise.perturb": [{"kind": "shadow"}]},
     "plate before the poster": {"world.plates": PLATE},
     "goal taken 5 % darker": {"goal.picture": {"brightness": 0.95}},
+    "goal taken 10 % darker": {"goal.picture": {"brightness": 0.9}},
+    "noise of 8 grey levels": {"noise.image_sigma": 8, "stop.converged.error_grey": 1.5},
 }
 
 

@@ -35,6 +35,7 @@ def check_markers(robot: Robot, camera: Camera, target: Target, detector: Detect
         ParameterError: it names the field, and what would work.
     """
     _check_marker_kind(target.marker.kind, detector)
+    _check_read(target, detector, law)
     _check_shown(target, detector)
     _check_marker_count(robot, camera, target, detector, law)
     _check_outline(target, law, needs_pose)
@@ -97,6 +98,18 @@ def _check_marker_kind(marker: str, detector: Detector[Any]) -> None:
 def _of_markers() -> dict[str, type]:
     """The detectors that find a target's markers, by their kinds."""
     return {kind: member for kind, member in DETECTORS.members.items() if member.rows is None and not member.needs_sheet}
+
+
+def _check_read(target: Target, detector: Detector[Any], law: Law[Any]) -> None:
+    """Refuse, with a law that reads nothing but the picture, points of the goal's picture and markers that are not drawn."""
+    if set(law.inputs) != {"image"}:
+        return
+    if detector.needs_goal:
+        words = f"may not be {detector.kind}: law {law.kind} works on the whole picture, and reads no points of it; use none"
+        raise ParameterError("detector", words)
+    if detector.markers and not target.shows_markers:
+        words = f"may not be {detector.kind}: no markers are drawn (target.draw_markers: false), and law {law.kind} needs none; use none"
+        raise ParameterError("detector", words)
 
 
 def _check_shown(target: Target, detector: Detector[Any]) -> None:

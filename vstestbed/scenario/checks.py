@@ -119,7 +119,8 @@ def check_depth(robot: Robot, camera: Camera, detector: Detector[Any], law: Law[
         raise ParameterError("law.depth", words)
     if law.depth.measured and camera.depth_sensor is None:
         words = "may be sensor only with a depth camera: add camera.depth_sensor"
-        raise ParameterError("law.depth", f"{words} ({', '.join(DEPTH_SENSORS.members)}), or use pnp, constant, goal or estimate")
+        others = "goal or constant" if "image" in law.inputs else "pnp, constant, goal or estimate"
+        raise ParameterError("law.depth", f"{words} ({', '.join(DEPTH_SENSORS.members)}), or use {others}")
     if law.depth.on_floor and robot.base != "planar":
         words = f"may be floor only for a vehicle, and robot {robot.kind} is none; use pnp, goal or estimate"
         raise ParameterError("law.depth", words)

@@ -13,7 +13,7 @@ from vstestbed.core.errors import RunFolderError
 from vstestbed.env.rollout import Rollout
 from vstestbed.loop.columns import Layout
 from vstestbed.report.export.columns import meaning, name_with_unit
-from vstestbed.report.export.lerobot_features import numbers_of
+from vstestbed.report.export.lerobot_features import features_of, numbers_of
 from vstestbed.report.export.source import RecordedRun
 
 VARIANTS = {
@@ -102,6 +102,15 @@ def test_a_folder_without_a_run_is_refused_and_one_that_was_cut_off_is_known(fol
     (cut / "summary.json").unlink()
     run = RecordedRun.of(cut)
     assert run.outcome == "cut off" and not run.success
+
+
+def test_a_run_without_markers_has_no_features_of_them(tmp_path: Path) -> None:
+    settings = {"camera.width": 160, "camera.height": 120, "law.levels": 3, "stop.duration_s": 0.12}
+    vs.run_into(tmp_path, vs.load("arm_photometric", settings), "none", report=False)
+    run = RecordedRun.of(tmp_path)
+    numbers, state = numbers_of(run)
+    assert not {"markers", "seen", "goal"} & (numbers.keys() | features_of(run.scenario, state).keys())
+    assert name_with_unit("error_grey", meaning("error_grey", run.scenario).unit) == "error_grey"
 
 
 def test_every_column_of_the_bundled_robots_has_a_meaning() -> None:

@@ -47,8 +47,11 @@ def ideal(scenario: Scenario, field_of_view: str | None = None) -> Scenario:
         field_of_view: `limited` or `unlimited`; None: that of the scenario's oracle, else limited.
 
     Raises:
-        ParameterError: the robot has fewer degrees of freedom, or the target moves.
+        ParameterError: the law works on whole pictures, the robot has fewer degrees of freedom, or the target moves.
     """
+    if "image" in scenario.law.inputs:
+        words = "works on whole pictures, and a batch draws none; sweep and compare --vary run it start by start"
+        raise ParameterError("law.kind", f"{scenario.law.kind} {words}")
     robot, camera, detector = scenario.robot, scenario.camera, scenario.detector
     if scenario.target.moves:
         raise ParameterError("target.motion", "must be still in a batch", scenario.target.motion.kind)

@@ -102,6 +102,9 @@ def prepared(scenario: Scenario) -> Scenario:
         ParameterError: robot or law are not supported, or the run does not reach its goal.
     """
     law = scenario.law
+    if "image" in law.inputs:
+        words = "works on whole pictures, and the loop is measured by the oracle's markers; use a law of markers"
+        raise ParameterError("law.kind", f"{law.kind} {words}: ibvs, pbvs, hybrid or predictive")
     names = {field.name for field in fields(law)}
     if "gain" not in names or "gain_z" in names:
         raise ParameterError("law.kind", "must have one gain for all directions: ibvs, pbvs, hybrid or predictive", law.kind)

@@ -66,7 +66,7 @@ _PATTERNS: tuple[tuple[str, Meaning], ...] = (
 )
 _SUFFIXES = {"px": "px", "m": "m", "mm": "mm", "rad": "rad", "deg": "deg", "s": "s", "mps": "m/s", "radps": "rad/s", "n": "N", "nm": "Nm"}
 """Unit by the last part of a name, for columns of plugins."""
-IN_NAMES = {"m/s": "mps", "rad/s": "radps"}
+IN_NAMES = {"m/s": "mps", "rad/s": "radps", "grey levels": "grey"}
 """Units as parts of names."""
 
 

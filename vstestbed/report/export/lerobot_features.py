@@ -1,7 +1,8 @@
 """What a LeRobot dataset holds of each frame: the observations, actions and ends of the scenario's environment (`vstestbed.env`).
 
 `observation.image` is what LeRobot makes of the environment's `pixels`, `observation.state` of its `agent_pos`; `markers`, `seen`,
-`goal` and `action` are the environment's own. A policy that is trained on them drives in it.
+`goal` and `action` are the environment's own. A policy that is trained on them drives in it. Without a detector there are no markers, and
+their three features are left out: the format has none of no numbers.
 """
 
 from __future__ import annotations
@@ -48,7 +49,8 @@ def features_of(scenario: Scenario, state: tuple[str, ...]) -> Features:
     if state:
         found["observation.state"] = _vector([f"{name} [{_unit(name, scenario)}]" for name in state])
     found["action"] = _vector(_action_names(scenario))
-    found |= {"markers": _vector(pixels), "seen": _vector([f"marker_{i}" for i in range(n)]), "goal": _vector(pixels)}
+    if n:
+        found |= {"markers": _vector(pixels), "seen": _vector([f"marker_{i}" for i in range(n)]), "goal": _vector(pixels)}
     found["sim_time"] = {"dtype": "float64", "shape": [1], "names": None}
     found |= {f"next.{name}": {"dtype": "bool", "shape": [1], "names": None} for name in ("done", "success")}
     found["timestamp"] = {"dtype": "float32", "shape": [1], "names": None}
@@ -66,11 +68,12 @@ def numbers_of(run: RecordedRun) -> tuple[Numbers, tuple[str, ...]]:
     log = {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
     n, frames = s.rows, len(log["t"])
     state = _state(s, log)
-    uv, goal = (np.stack([log[f"{axis}{at}_{i}"] for i in range(n) for axis in "uv"], axis=1) for at in ("", "_goal"))
     last = np.arange(frames) == frames - 1
     found: Numbers = {"observation.state": np.stack(list(state.values()), axis=1)} if state else {}
     found["action"] = actions(s, log)
-    found |= {"markers": _pixels(uv), "seen": np.isfinite(uv[:, ::2]).astype(float), "goal": _pixels(goal)}
+    if n:
+        uv, goal = (np.stack([log[f"{axis}{at}_{i}"] for i in range(n) for axis in "uv"], axis=1) for at in ("", "_goal"))
+        found |= {"markers": _pixels(uv), "seen": np.isfinite(uv[:, ::2]).astype(float), "goal": _pixels(goal)}
     found |= {"sim_time": log["t"], "next.done": last, "next.success": last & run.success}
     found["timestamp"] = np.arange(frames) / s.camera.rate_hz
     found["frame_index"] = np.arange(frames)

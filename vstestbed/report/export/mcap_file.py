@@ -169,7 +169,7 @@ def _topic(column: str, scenario: Scenario) -> str | None:
         return "/robot/applied"
     if before in groups and column not in scenario.own_columns:
         return groups[before]
-    if column in ("error_px", "lost"):
+    if column in ("error_px", "error_grey", "lost"):
         return "/camera/error"
     if column in ("position_error_m", "rotation_error_rad"):
         return "/truth/error"
