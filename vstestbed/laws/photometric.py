@@ -111,7 +111,7 @@ class Photometric(LawBase):
 
     def __post_init__(self) -> None:
         """Refuse sources of depth that know nothing of a pixel."""
-        if not isinstance(self.depth, AtGoal | Constant) and self.depth.kind != "sensor":
+        if not (self.depth.measured or isinstance(self.depth, AtGoal | Constant)):
             words = "is of markers, and law photometric needs it of pixels; use goal, constant or sensor (a depth camera)"
             raise ParameterError("depth", words, self.depth.kind)
 
@@ -211,7 +211,7 @@ class Photometric(LawBase):
 
     def _measured(self, sight: Sight, memory: PhotometricMemory) -> Grey | None:
         """1/Z of the current picture's pixels by the depth camera; None with another source of depth."""
-        if isinstance(self.depth, AtGoal | Constant) or self.interaction == "desired" or memory.pyramid is None:
+        if not self.depth.measured or self.interaction == "desired" or memory.pyramid is None:
             return None
         return _inverse(sight, memory.pyramid[memory.level].pixels, memory.level)
 

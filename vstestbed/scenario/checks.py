@@ -157,7 +157,7 @@ def check_goal_pictures(goal: Task, camera: Camera, needed: bool, law: Law[Any],
             raise ParameterError(field, words)
         if said.file is None:
             continue
-        if law.depth.kind == "sensor" and "image" in law.inputs:
+        if law.depth.measured and "image" in law.inputs:
             raise ParameterError("law.depth", "may not be sensor with goal.picture, a file without depth; use goal or constant", "sensor")
         try:
             said.read(camera)

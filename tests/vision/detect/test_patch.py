@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 
 import cv2
@@ -10,16 +10,12 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
+from tests.vision.detect.conftest import CAMERA, TakeScene
 from tests.vision.parts import in_windows
 from vstestbed.camera import Camera, Fisheye, Perspective, Picture, SphericalCamera
 from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.core.geometry import Array, Pose, exp, transform
-from vstestbed.robots import Free
-from vstestbed.robots.free import FreeStart
-from vstestbed.sim.render.opengl import OpenGLRenderer
-from vstestbed.sim.scene.compose import Parts
-from vstestbed.sim.scene.stage import Stage
-from vstestbed.sim.scene.world import Plate, World
+from vstestbed.sim.scene.world import Plate
 from vstestbed.targets.picture import PictureTarget
 from vstestbed.targets.points import Square
 from vstestbed.vision import Detection, PatchDetector
@@ -27,9 +23,7 @@ from vstestbed.vision.detect.esm import normalised
 from vstestbed.vision.detect.patch import PatchMemory
 from vstestbed.vision.detect.template import template_of
 
-CAMERA = Perspective()  # 640 x 480, f = 384 px
 RNG = np.random.default_rng(0)
-TakePicture = Callable[..., Picture]
 
 
 @pytest.fixture(scope="module")
@@ -45,26 +39,6 @@ def poster(tmp_path_factory: pytest.TempPathFactory) -> PictureTarget:
     path = tmp_path_factory.mktemp("poster") / "poster.png"
     cv2.imwrite(str(path), np.clip(128 + 32 * image, 0, 255).astype(np.uint8))
     return PictureTarget(pose=Pose(), file=str(path), width=0.6, draw_markers=False)
-
-
-@pytest.fixture(scope="module")
-def picture() -> Iterator[TakePicture]:
-    """picture(target, T_camera_target, camera, plates) -> Picture, drawn by the scene itself; one renderer a scene."""
-    stages: dict[tuple[object, ...], tuple[Stage, OpenGLRenderer]] = {}
-
-    def take(target: PictureTarget, T: Array, camera: Camera = CAMERA, plates: tuple[Plate, ...] = ()) -> Picture:
-        key = (target, camera, plates)
-        if key not in stages:
-            world = World(floor_z=-20.0, plates=plates)
-            stage = Stage(Parts(Free(start=FreeStart(nominal=Pose())), camera, target, world, 0.002), camera.multisampling)
-            stages[key] = stage, OpenGLRenderer(stage, camera)
-        stage, eye = stages[key]
-        stage.place(0.0, T, np.zeros(0), np.eye(4))
-        return Picture(0.0, tuple(None if image is None else image.copy() for image in eye.images()))
-
-    yield take
-    for stage, _ in stages.values():
-        stage.close()
 
 
 def _view(tilt: float, spin: float, t: tuple[float, float, float], direction: float = 0.7) -> Array:
@@ -102,49 +76,49 @@ def _changed(seen: Picture, change: Callable[[Array], Array]) -> Picture:
     [(0.6, 0.2, 0.0, 0.03, 0.15), (1.0, 0.5, 0.0, 0.03, 0.12), (1.0, 0.5, 2.0, 0.03, 0.12), (2.0, 0.3, 2.0, 0.04, 0.2)],
 )
 def test_corners_are_found_to_a_tenth_of_a_pixel(
-    poster: PictureTarget, picture: TakePicture, distance: float, tilt: float, sigma: float, bias: float, most: float
+    poster: PictureTarget, scene_picture: TakeScene, distance: float, tilt: float, sigma: float, bias: float, most: float
 ):
     rng, errors = np.random.default_rng(1), []
     for _ in range(3):
         spin, direction, x, y = rng.uniform([-3, -3, -0.03, -0.03], [3, 3, 0.03, 0.03])
         T = _view(tilt, spin, (x, y, distance), direction)
-        seen = _changed(picture(poster, T), lambda image: image + rng.normal(0, sigma, image.shape))
+        seen = _changed(scene_picture(poster, T), lambda image: image + rng.normal(0, sigma, image.shape))
         errors.append(_errors(poster, _detect(poster, seen), T))
     assert np.linalg.norm(np.mean(errors, axis=(0, 1))) < bias
     assert np.linalg.norm(errors, axis=-1).max() < most
 
 
-def test_it_tracks_what_keypoints_no_longer_find(poster: PictureTarget, picture: TakePicture):
+def test_it_tracks_what_keypoints_no_longer_find(poster: PictureTarget, scene_picture: TakeScene):
     """At 74 degrees, from the views before, 2 degrees a picture."""
     before, last, now = (_view(tilt, 0.2, (0, 0, 1)) for tilt in (1.23, 1.265, 1.3))
-    seen = picture(poster, now)
+    seen = scene_picture(poster, now)
     assert not _detect(poster, seen).seen.any()
     assert np.abs(_errors(poster, _detect(poster, seen, memory=_known(poster, last, before)), now)).max() < 0.3
 
 
-def test_a_wrong_prediction_costs_nothing(poster: PictureTarget, picture: TakePicture):
+def test_a_wrong_prediction_costs_nothing(poster: PictureTarget, scene_picture: TakeScene):
     """It moved by 25 px, and stands still now."""
     before = _view(0.3, 0.2, (-0.03, -0.03, 0.8))
     memory = _known(poster, FRONT, before)
-    assert np.abs(_errors(poster, _detect(poster, picture(poster, FRONT), memory=memory), FRONT)).max() < 0.12
+    assert np.abs(_errors(poster, _detect(poster, scene_picture(poster, FRONT), memory=memory), FRONT)).max() < 0.12
 
 
-def test_hidden_corners_are_known_by_the_others(poster: PictureTarget, picture: TakePicture):
+def test_hidden_corners_are_known_by_the_others(poster: PictureTarget, scene_picture: TakeScene):
     plate = Plate(pose=Pose(xyz=(-0.17, 0, 0.6)), width=0.2, height=0.6)  # its left 40 %, with two corners
-    error = np.abs(_errors(poster, _detect(poster, picture(poster, FRONT, CAMERA, (plate,)), memory=_known(poster, FRONT)), FRONT))
+    error = np.abs(_errors(poster, _detect(poster, scene_picture(poster, FRONT, CAMERA, (plate,)), memory=_known(poster, FRONT)), FRONT))
     assert error[1:3].max() < 0.25 and error.max() < 1.5
 
 
-def test_out_of_the_picture_corners_are_extrapolated_until_too_little_is_seen(poster: PictureTarget, picture: TakePicture):
+def test_out_of_the_picture_corners_are_extrapolated_until_too_little_is_seen(poster: PictureTarget, scene_picture: TakeScene):
     beyond, gone = _view(0.2, 0.2, (0.38, 0, 0.7)), _view(0.2, 0.2, (0.72, 0, 0.7))
-    found = _detect(poster, picture(poster, beyond), memory=_known(poster, beyond))
+    found = _detect(poster, scene_picture(poster, beyond), memory=_known(poster, beyond))
     assert not CAMERA.inside(found.uv).all() and np.abs(_errors(poster, found, beyond)).max() < 0.6
-    assert not _detect(poster, picture(poster, gone), memory=_known(poster, gone)).seen.any()
+    assert not _detect(poster, scene_picture(poster, gone), memory=_known(poster, gone)).seen.any()
 
 
-def test_lost_and_found_again_at_the_next_search(poster: PictureTarget, picture: TakePicture):
-    there, d = picture(poster, FRONT), PatchDetector(search_s=0.2)
-    elsewhere = picture(poster, _view(0.3, 1.8, (0.1, 0.05, 1.1)))
+def test_lost_and_found_again_at_the_next_search(poster: PictureTarget, scene_picture: TakeScene):
+    there, d = scene_picture(poster, FRONT), PatchDetector(search_s=0.2)
+    elsewhere = scene_picture(poster, _view(0.3, 1.8, (0.1, 0.05, 1.1)))
     memory, found = d.detect(d.init(), there, None, CAMERA, poster, RNG)
     assert found.seen.all()
     empty = _changed(there, lambda image: 0 * image + 128)
@@ -155,9 +129,9 @@ def test_lost_and_found_again_at_the_next_search(poster: PictureTarget, picture:
     assert seen == [False, False, False, True, True]  # it searched at 0.24 s, and again 0.2 s later
 
 
-def test_light_that_changes_over_the_plane_does_not_move_it(poster: PictureTarget, picture: TakePicture):
+def test_light_that_changes_over_the_plane_does_not_move_it(poster: PictureTarget, scene_picture: TakeScene):
     shade = np.linspace(0.35, 1, CAMERA.width)[None, :, None]
-    seen = _changed(picture(poster, FRONT), lambda image: 0.8 * shade * image + 15)
+    seen = _changed(scene_picture(poster, FRONT), lambda image: 0.8 * shade * image + 15)
     assert np.abs(_errors(poster, _detect(poster, seen), FRONT)).max() < 0.3
 
 
@@ -170,20 +144,20 @@ def test_light_that_changes_over_the_plane_does_not_move_it(poster: PictureTarge
     ],
     ids=["distorted", "fisheye", "spherical"],
 )
-def test_every_lens(poster: PictureTarget, picture: TakePicture, camera: Camera):
+def test_every_lens(poster: PictureTarget, scene_picture: TakeScene, camera: Camera):
     T = _view(0.3, 0.2, (0.15, -0.1, 0.5))
-    found = _detect(poster, picture(poster, T, camera), camera)
+    found = _detect(poster, scene_picture(poster, T, camera), camera)
     assert np.abs(_errors(poster, found, T, camera)).max() < 0.2
 
 
-def test_in_its_window_it_finds_the_same(poster: PictureTarget, picture: TakePicture):
+def test_in_its_window_it_finds_the_same(poster: PictureTarget, scene_picture: TakeScene):
     far = _view(0.3, 0.2, (0.05, 0, 1.6))
-    memory, whole, asked = _known(poster, far), picture(poster, far), []
+    memory, whole, asked = _known(poster, far), scene_picture(poster, far), []
     look = PatchDetector().look(memory, CAMERA, poster)
     assert look is not None
     found = _detect(poster, in_windows(whole, look, asked), memory=memory)
     assert np.abs(found.uv - _detect(poster, whole, memory=memory).uv).max() < 0.02 and not asked
-    elsewhere = picture(poster, _view(0.3, 0.2, (0.15, 0, 1.6)))  # not there: the whole picture of the same exposure is searched
+    elsewhere = scene_picture(poster, _view(0.3, 0.2, (0.15, 0, 1.6)))  # not there: the whole picture of the same exposure is searched
     assert _detect(poster, in_windows(elsewhere, look, asked), memory=replace(memory, searched_s=-1.0)).seen.all() and asked
 
 

@@ -2,52 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
 from typing import get_args
 
 import cv2
 import numpy as np
 import pytest
 
+from tests.vision.detect.conftest import CAMERA, TakeScene
 from tests.vision.parts import in_windows
 from vstestbed.camera import Perspective, Picture
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, exp, rigid_error, transform
-from vstestbed.robots import Free
-from vstestbed.robots.free import FreeStart
-from vstestbed.sim.render.opengl import OpenGLRenderer
-from vstestbed.sim.scene.compose import Parts
-from vstestbed.sim.scene.stage import Stage
-from vstestbed.sim.scene.world import Plate, World
+from vstestbed.sim.scene.world import Plate
 from vstestbed.targets.base import Target
 from vstestbed.targets.markers import Disc, Family, Marker, Tag
 from vstestbed.targets.points import Points, Square
 from vstestbed.vision import Blobs, Detection, Tags
 from vstestbed.vision.detect.tag_print import dictionary, tag_picture
 
-CAMERA = Perspective()  # 640 x 480, f = 384 px
 RNG = np.random.default_rng(0)
-TakePicture = Callable[..., Picture]
-
-
-@pytest.fixture(scope="module")
-def picture() -> Iterator[TakePicture]:
-    """picture(target, T_camera_target, camera, plates) -> Picture, drawn by the scene itself; one renderer a scene."""
-    stages: dict[tuple[object, ...], tuple[Stage, OpenGLRenderer]] = {}
-
-    def take(target: Target, T: Array, camera: Perspective = CAMERA, plates: tuple[Plate, ...] = ()) -> Picture:
-        key = (target, camera, plates)
-        if key not in stages:
-            world = World(floor_z=-20.0, plates=plates)
-            stage = Stage(Parts(Free(start=FreeStart(nominal=Pose())), camera, target, world, 0.002), camera.multisampling)
-            stages[key] = stage, OpenGLRenderer(stage, camera)
-        stage, eye = stages[key]
-        stage.place(0.0, T, np.zeros(0), np.eye(4))
-        return Picture(0.0, (eye.full_image(),))
-
-    yield take
-    for stage, _ in stages.values():
-        stage.close()
 
 
 def _square(side: float = 0.3, marker: Marker | None = None) -> Square:
@@ -74,11 +47,11 @@ def _detect(frame: Picture, target: Target, camera: Perspective = CAMERA, tags: 
     return tags.detect(tags.init(), frame, None, camera, target, RNG)[1]
 
 
-def _errors(picture: TakePicture, target: Target, views: list[Array], camera: Perspective = CAMERA) -> Array:
+def _errors(scene_picture: TakeScene, target: Target, views: list[Array], camera: Perspective = CAMERA) -> Array:
     """Distances [px] of all centres from the analytic projection; every tag must be seen, in the target's order."""
     errors = []
     for T in views:
-        found = _detect(picture(target, T, camera), target, camera)
+        found = _detect(scene_picture(target, T, camera), target, camera)
         assert found.seen.all()
         errors.append(np.linalg.norm(found.uv - camera.project(transform(T, target.points)), axis=1))
     return np.concatenate(errors)
@@ -88,18 +61,18 @@ def _errors(picture: TakePicture, target: Target, views: list[Array], camera: Pe
 
 
 @pytest.mark.parametrize("tag", [Tag(), Tag(lit=False), Tag(family="apriltag_16h5"), Tag(family="aruco_5x5_100", first_id=40)])
-def test_error_against_projection(picture: TakePicture, tag: Tag) -> None:
-    errors = _errors(picture, _square(marker=tag), _views())
+def test_error_against_projection(scene_picture: TakeScene, tag: Tag) -> None:
+    errors = _errors(scene_picture, _square(marker=tag), _views())
     assert np.median(errors) < 0.02
     assert errors.max() < 0.12
     assert errors.min() > 0  # an error of zero would be the truth leaking
 
 
-def test_error_at_forty_degrees(picture: TakePicture) -> None:
+def test_error_at_forty_degrees(scene_picture: TakeScene) -> None:
     """The centroid of the corners would be off by perspective; crossed diagonals are not."""
     tilt, target = np.radians(40), _square(marker=Tag(size=0.15))
     views = _views(20, tilt, tilt)
-    assert np.median(_errors(picture, target, views)) < 0.03
+    assert np.median(_errors(scene_picture, target, views)) < 0.03
     corners = [CAMERA.project(transform(T, target.points[:, None] + Tag(size=0.15).corners)) for T in views]
     bias = [
         np.linalg.norm(c.mean(axis=1) - CAMERA.project(transform(T, target.points)), axis=1) for c, T in zip(corners, views, strict=True)
@@ -110,31 +83,31 @@ def test_error_at_forty_degrees(picture: TakePicture) -> None:
 @pytest.mark.parametrize(
     "camera", [Perspective(multisampling=4), Perspective(distortion=(-0.2, 0.05, 0.001, -0.001, 0.0))], ids=["multisampled", "lens"]
 )
-def test_error_with_other_pictures(picture: TakePicture, camera: Perspective) -> None:
-    assert np.median(_errors(picture, _square(), _views(10), camera)) < 0.05
+def test_error_with_other_pictures(scene_picture: TakeScene, camera: Perspective) -> None:
+    assert np.median(_errors(scene_picture, _square(), _views(10), camera)) < 0.05
 
 
-def test_pose_from_all_corners(picture: TakePicture) -> None:
+def test_pose_from_all_corners(scene_picture: TakeScene) -> None:
     target = _square()
     for T in _views(10):
-        found = _detect(picture(target, T), target)
+        found = _detect(scene_picture(target, T), target)
         assert found.T_camera_target is not None
         distance, angle = rigid_error(found.T_camera_target, T)
         assert distance < 0.5e-3
         assert angle < 2e-3
 
 
-def test_one_tag_gives_the_pose(picture: TakePicture) -> None:
+def test_one_tag_gives_the_pose(scene_picture: TakeScene) -> None:
     target = Points(pose=Pose(), at=((0.0, 0.0, 0.0),), marker=Tag(size=0.2))
     for T in _views(10):
-        found = _detect(picture(target, T), target)
+        found = _detect(scene_picture(target, T), target)
         assert found.T_camera_target is not None
         assert rigid_error(found.T_camera_target, T)[0] < 2e-3
 
 
-def test_noise_scatters_in_proportion(picture: TakePicture) -> None:
+def test_noise_scatters_in_proportion(scene_picture: TakeScene) -> None:
     target, rng = _square(), np.random.default_rng(2)
-    true, image = CAMERA.project(transform(FRONT, target.points)), picture(target, FRONT).image
+    true, image = CAMERA.project(transform(FRONT, target.points)), scene_picture(target, FRONT).image
     spread = []
     for sigma in (5.0, 10.0):
         errors = []
@@ -146,7 +119,7 @@ def test_noise_scatters_in_proportion(picture: TakePicture) -> None:
     assert 1.5 < spread[1] / spread[0] < 2.7
 
 
-def test_what_opencv_leaves_uncorrected(picture: TakePicture) -> None:
+def test_what_opencv_leaves_uncorrected(scene_picture: TakeScene) -> None:
     """Its own refinements of the same tags: a constant (+.43, +.43) px with `apriltag`; half a pixel and more inwards with others."""
     target, offsets, outward = _square(), [], []
     for how, out in ((cv2.aruco.CORNER_REFINE_APRILTAG, offsets), (cv2.aruco.CORNER_REFINE_CONTOUR, outward)):
@@ -154,7 +127,7 @@ def test_what_opencv_leaves_uncorrected(picture: TakePicture) -> None:
         settings.cornerRefinementMethod = how
         detector = cv2.aruco.ArucoDetector(dictionary("apriltag_36h11"), settings)
         for T in _views(10):
-            quads, numbers, _ = detector.detectMarkers(cv2.cvtColor(picture(target, T).image, cv2.COLOR_RGB2GRAY))
+            quads, numbers, _ = detector.detectMarkers(cv2.cvtColor(scene_picture(target, T).image, cv2.COLOR_RGB2GRAY))
             for quad, number in zip(quads, np.asarray(numbers).ravel(), strict=True):
                 true = CAMERA.project(transform(T, target.points[number] + Tag().corners))
                 error = np.asarray(quad, float).reshape(4, 2) - true
@@ -167,9 +140,9 @@ def test_what_opencv_leaves_uncorrected(picture: TakePicture) -> None:
 # Which is which, and what is not seen
 
 
-def test_numbers_by_order_and_others_ignored(picture: TakePicture) -> None:
+def test_numbers_by_order_and_others_ignored(scene_picture: TakeScene) -> None:
     drawn = _square(marker=Tag(first_id=10))
-    frame = picture(drawn, FRONT)
+    frame = scene_picture(drawn, FRONT)
     true = CAMERA.project(transform(FRONT, drawn.points))
     assert np.abs(_detect(frame, drawn).uv - true).max() < 0.1
     shifted = _detect(frame, _square(marker=Tag(first_id=12)))  # its markers 0 and 1 are the picture's 2 and 3
@@ -180,13 +153,13 @@ def test_numbers_by_order_and_others_ignored(picture: TakePicture) -> None:
 
 @pytest.mark.parametrize("corner", [False, True])
 @pytest.mark.parametrize("offset", [-0.45, -0.2, 0.0, 0.3])
-def test_half_hidden_is_not_seen_and_spoils_nothing(picture: TakePicture, offset: float, corner: bool) -> None:
+def test_half_hidden_is_not_seen_and_spoils_nothing(scene_picture: TakeScene, offset: float, corner: bool) -> None:
     """A plate before tag 2 whose right edge passes at `offset` tag sizes from its centre; or which only takes its lower left corner."""
     target, size = _square(), Tag().size
     p = transform(FRONT, target.points)[2]
     y = p[1] + (size * 0.75 if corner else 0.0)
     at = Pose(xyz=(float(p[0] - size / 2 + offset * size), float(y), float(p[2] - 0.03)))
-    found = _detect(picture(target, FRONT, CAMERA, (Plate(pose=at, width=size, height=size * 1.1),)), target)
+    found = _detect(scene_picture(target, FRONT, CAMERA, (Plate(pose=at, width=size, height=size * 1.1),)), target)
     true = CAMERA.project(transform(FRONT, target.points))
     if not corner or offset > -0.2:
         assert found.seen.tolist() == [True, True, False, True]
@@ -195,18 +168,18 @@ def test_half_hidden_is_not_seen_and_spoils_nothing(picture: TakePicture, offset
     assert rigid_error(found.T_camera_target, FRONT)[0] < 1e-3
 
 
-def test_a_small_thing_before_the_middle_is_not_read_over(picture: TakePicture) -> None:
+def test_a_small_thing_before_the_middle_is_not_read_over(scene_picture: TakeScene) -> None:
     target = _square()
     p = transform(FRONT, target.points)[1]
     plate = Plate(pose=Pose(xyz=(float(p[0]), float(p[1]), float(p[2] - 0.03))), width=0.03, height=0.03)
-    assert _detect(picture(target, FRONT, CAMERA, (plate,)), target).seen.tolist() == [True, False, True, True]
+    assert _detect(scene_picture(target, FRONT, CAMERA, (plate,)), target).seen.tolist() == [True, False, True, True]
 
 
-def test_cut_by_the_border_is_not_seen(picture: TakePicture) -> None:
+def test_cut_by_the_border_is_not_seen(scene_picture: TakeScene) -> None:
     target = _square()
     for shift in np.arange(0.6, 0.85, 0.01):  # half the picture is .833 m wide at 1 m; the right tags' edges lie at .15 +- .05
         T = Pose(xyz=(float(shift), 0, 1)).T
-        found = _detect(picture(target, T), target)
+        found = _detect(scene_picture(target, T), target)
         corners = CAMERA.project(transform(T, target.points[:, None] + Tag().corners))
         whole = CAMERA.inside(corners).all(axis=1)
         assert not (found.seen & ~whole).any()
@@ -215,8 +188,8 @@ def test_cut_by_the_border_is_not_seen(picture: TakePicture) -> None:
         assert not found.seen.any() or np.nanmax(np.abs(found.uv - CAMERA.project(transform(T, target.points)))) < 0.1
 
 
-def test_no_target(picture: TakePicture) -> None:
-    found = _detect(picture(_square(), Pose(xyz=(0, 0, -1)).T), _square())
+def test_no_target(scene_picture: TakeScene) -> None:
+    found = _detect(scene_picture(_square(), Pose(xyz=(0, 0, -1)).T), _square())
     assert not found.seen.any()
     assert found.T_camera_target is None
 
@@ -224,7 +197,7 @@ def test_no_target(picture: TakePicture) -> None:
 # Tracking
 
 
-def test_windows_say_what_the_whole_picture_says(picture: TakePicture, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_windows_say_what_the_whole_picture_says(scene_picture: TakeScene, monkeypatch: pytest.MonkeyPatch) -> None:
     from vstestbed.vision.detect import tags as module
 
     target, tags, looked = _square(side=0.4), Tags(), []
@@ -233,7 +206,7 @@ def test_windows_say_what_the_whole_picture_says(picture: TakePicture, monkeypat
     memory = tags.init()
     for k in range(12):
         T = _view(0.4, 0.1 * k, 0.03 * k, np.array([0.01 * k, 0.0, 1.3 - 0.02 * k]))
-        frame = picture(target, T)
+        frame = scene_picture(target, T)
         looked.clear()
         look = tags.look(memory, CAMERA, target)
         memory, found = tags.detect(memory, frame, None, CAMERA, target, RNG)
@@ -242,12 +215,12 @@ def test_windows_say_what_the_whole_picture_says(picture: TakePicture, monkeypat
         assert np.abs(found.uv - _detect(frame, target).uv).max() < 0.02
 
 
-def test_a_jump_out_of_the_windows_is_found_in_the_whole_picture_and_its_motion_is_kept(picture: TakePicture) -> None:
+def test_a_jump_out_of_the_windows_is_found_in_the_whole_picture_and_its_motion_is_kept(scene_picture: TakeScene) -> None:
     target, tags, asked, needed = _square(), Tags(), [], []
     memory, gone = tags.init(), np.array([3.0, 0.0, 1.2])
     places = [np.array([x, 0.0, 1.2]) for x in (-0.3, -0.2, -0.1)] + [gone] + [np.array([x, 0.0, 1.2]) for x in (0.1, 0.2, 0.3)]
     for k, t in enumerate(places):  # 32 px a frame: more than the windows' margin
-        whole, look = picture(target, _view(0.1, 0.0, 0.0, t)), tags.look(memory, CAMERA, target)
+        whole, look = scene_picture(target, _view(0.1, 0.0, 0.0, t)), tags.look(memory, CAMERA, target)
         asked.clear()
         part = whole if look is None else in_windows(whole, look, asked)
         memory, found = tags.detect(memory, part, None, CAMERA, target, RNG)
@@ -257,12 +230,12 @@ def test_a_jump_out_of_the_windows_is_found_in_the_whole_picture_and_its_motion_
     assert needed == [1, 3]
 
 
-def test_lost_and_found_again(picture: TakePicture) -> None:
+def test_lost_and_found_again(scene_picture: TakeScene) -> None:
     target, tags = _square(), Tags()
     memory, away = tags.init(), FRONT.copy()
     away[0, 3] += 0.65
     for T, seen in ((FRONT, 4), (away, 2), (FRONT, 4)):
-        memory, found = tags.detect(memory, picture(target, T), None, CAMERA, target, RNG)
+        memory, found = tags.detect(memory, scene_picture(target, T), None, CAMERA, target, RNG)
         assert np.count_nonzero(found.seen) == seen
         assert found.T_camera_target is not None
         assert rigid_error(found.T_camera_target, T)[0] < 1e-3

@@ -43,7 +43,7 @@ class Residual:
         small = np.asarray(cv2.cvtColor(cv2.resize(shown, (width, height), interpolation=cv2.INTER_AREA), cv2.COLOR_GRAY2RGB), np.uint8)
         size = round(0.8 * text_size(film.shape[0]))
         for off, color in (((1, 1), INK), ((0, 0), PAPER)):  # a shadow, since what is below may be light or dark
-            draw_text(small, "I \u2212 I*", (size // 2 + off[0], round(1.2 * size) + off[1]), color, size, weight=600)
+            draw_text(small, "I \u2212 I*", (size // 2 + off[0], round(1.5 * size) + off[1]), color, size, weight=600)
         film[: height + EDGE, -(width + EDGE) :] = PAPER
         film[:height, -width:] = small
 
