@@ -14,12 +14,12 @@ import vstestbed as vs
 from vstestbed.camera import Perspective
 from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.core.geometry import exp, inverse, rigid_error
-from vstestbed.features.depth import Constant, PnP
+from vstestbed.features.depth import Constant, PnP, Sensed
 from vstestbed.features.observation import Goal, Observation, Sight
 from vstestbed.laws.base import Command, ConstantGain
-from vstestbed.laws.luminance import LevelPixels, Which, coarser, gradient, luminance, motion_px
-from vstestbed.laws.photometric import BLANK, NO_PICTURE, LevenbergMarquardt, Photometric
-from vstestbed.laws.robust import LEAST_SIGMA, scale, weights
+from vstestbed.laws.luminance import GoalLevel, LevelPixels, Which, coarser, gradient, luminance, motion_px
+from vstestbed.laws.photometric import BLANK, NO_DEPTH, NO_PICTURE, NO_STRUCTURE, LevenbergMarquardt, Photometric
+from vstestbed.laws.robust import LEAST_SIGMA, Robust, scale, weights
 from vstestbed.scenario.load import parse
 from vstestbed.sim.retake import Retake
 
@@ -131,6 +131,38 @@ def test_pyramid_widens_the_basin(texture: np.ndarray) -> None:
     )
     assert flown(law, texture, off)[0] > 0.05
     assert flown(replace(law, levels=4), texture, off)[0] < 1e-3
+
+
+def test_other_light_is_fitted_with_the_motion(texture: np.ndarray) -> None:
+    """A goal taken a fifth darker: without gain and offset the camera ends beside it, with them it does not."""
+
+    def brighter(sight: Sight, t: float) -> Sight:
+        return Sight(np.clip(sight.image * 0.8 + 10.5, 0, 255).astype(np.uint8))
+
+    law = Photometric(gain=ConstantGain(value=12.0), interaction="mean", margin_px=4, damping=LevenbergMarquardt(after_s=1.0))
+    off = [0.01, -0.01, 0.03, 0.01, 0.01, 0.05]
+    assert flown(law, texture, off, spoil=brighter)[0] > 0.005
+    assert flown(replace(law, light="gain_offset"), texture, off, spoil=brighter)[0] < 1e-3
+
+
+@pytest.mark.parametrize("robust", ["none", "tukey"])
+def test_light_alone_is_no_motion(texture: np.ndarray, robust: Robust) -> None:
+    """Of I = 0.9 I* + 7 nothing is left for the motion, and no error."""
+    pixels, grey = LevelPixels.of(CAMERA, 0, 4, 1), luminance(seen(texture, AT_GOAL).image)
+    level = GoalLevel(pixels, grey, np.ones_like(pixels.x), "gain_offset")
+    normal = level.normal(np.float32(0.9) * grey + 7, "desired", robust)
+    assert np.linalg.norm(np.linalg.solve(normal.H, normal.b)) < 1e-5
+    assert normal.error_grey < 1e-3
+
+
+def test_without_structure_or_depth_it_rests(texture: np.ndarray) -> None:
+    """A wall as the goal's picture, and a depth camera that measured nothing."""
+    law, wall = Photometric(margin_px=4), np.full_like(texture, 128)
+    wall += (np.arange(1200) // 400).astype(np.uint8)
+    assert law.step(law.init(goal_of(wall)), looked(seen(texture, AT_GOAL)), goal_of(wall), np.eye(6))[1].rest_reason == NO_STRUCTURE
+    blind = replace(seen(texture, AT_GOAL), depth=np.full((CAMERA.height, CAMERA.width), np.nan))
+    goal = replace(goal_of(texture), image=blind)
+    assert replace(law, depth=Sensed()).step(law.init(goal), looked(blind), goal, np.eye(6))[1].rest_reason == NO_DEPTH
 
 
 def test_outliers_break_least_squares_and_not_the_m_estimator(texture: np.ndarray) -> None:

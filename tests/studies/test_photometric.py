@@ -38,6 +38,7 @@ TROUBLES: dict[str, dict[str, object]] = {
     "plate before the poster": {"world.plates": PLATE},
     "goal taken 5 % darker": {"goal.picture": {"brightness": 0.95}},
     "goal taken 10 % darker": {"goal.picture": {"brightness": 0.9}},
+    "the same, light fitted": {"goal.picture": {"brightness": 0.9}, "law.light": "gain_offset"},
     "noise of 8 grey levels": {"noise.image_sigma": 8, "stop.converged.error_grey": 1.5},
 }
 
@@ -77,3 +78,4 @@ def test_light_and_obstacles() -> None:
     assert far["none"]["plate before the poster"] > 20e-3
     assert far["tukey"]["plate before the poster"] < 5e-3
     assert min(by["goal taken 5 % darker"] for by in far.values()) > 10e-3
+    assert max(by["the same, light fitted"] for by in far.values()) < 2e-3

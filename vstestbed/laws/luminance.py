@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from vstestbed.camera import Perspective
 from vstestbed.core.geometry import Array
+from vstestbed.laws.illumination import Light, eliminated, light_rows, without_light
 from vstestbed.laws.robust import Robust, weights
 
 Grey = NDArray[np.float32]
@@ -134,11 +135,13 @@ class GoalLevel:
     Attributes:
         pixels: those that enter the error. grey: the goal's picture at this level (h, w).
         inverse_depth: 1/Z of the pixels in the goal view (h, w) [1/m]; 0 where the depth is not known.
+        light: whether gain and offset of the grey levels are fitted with the motion.
     """
 
     pixels: LevelPixels
     grey: Grey
     inverse_depth: Grey
+    light: Light = "same"
 
     @cached_property
     def gradient(self) -> tuple[Grey, Grey]:
@@ -155,6 +158,18 @@ class GoalLevel:
         """L^T L at the goal, all pixels with weight 1."""
         return _summed(self.L, self.L)
 
+    @cached_property
+    def of_light(self) -> Grey:
+        """Derivatives of the pixels by gain and offset of the light, (2, n)."""
+        return light_rows(self.grey[self.pixels.at].ravel())
+
+    def least_change(self, scale: Array) -> float:
+        """RMS change of the picture [grey levels] by that motion of one size which changes it least.
+
+        scale: that size along each direction of the camera's motion (6,) [m, rad]. The root of the least eigenvalue of S H S / n.
+        """
+        return float(np.sqrt(max(np.linalg.eigvalsh(self.H * np.outer(scale, scale))[0], 0.0) / max(self.L.shape[1], 1)))
+
     def normal(self, grey: Grey, which: Which, robust: Robust, inverse_depth: Grey | None = None) -> Normal:
         """The normal equations of a picture (h, w) of this level against the goal's.
 
@@ -166,24 +181,29 @@ class GoalLevel:
         e = (grey[self.pixels.at] - self.grey[self.pixels.at]).ravel()
         known = (near.ravel() > 0) & (self.inverse_depth.ravel() > 0)
         every = bool(known.all())
+        if self.light != "same":
+            e = without_light(e, self.of_light, None if every else known.astype(np.float32))
         w = weights(robust, e if every else e[known])
         if not every:
             spread = np.zeros(len(e), np.float32)
             spread[known] = 1 if w is None else w
             w = spread
         H, b = self._sums(None if which == "desired" else gradient(grey), which, near, e, w)
+        if self.light != "same":
+            (H, b), e = eliminated(H, b), without_light(e, self.of_light, w)
         squares = e * e if w is None else w * e * e
         n, total = len(e), float(len(e) if w is None else w.sum(dtype=float))
         error = float(np.sqrt(squares.sum(dtype=float) / total)) if total > 0 else float("nan")
         return Normal(H, b, error, total / max(n, 1))
 
     def _sums(self, along: tuple[Grey, Grey] | None, which: Which, near: Grey, e: Grey, w: Grey | None) -> tuple[Array, Array]:
-        """L^T W L and L^T W e, band by band."""
-        if along is None and w is None:
+        """L^T W L and L^T W e, band by band; of light that may have changed with its two columns, (8, 8) and (8,)."""
+        lit = self.light != "same"
+        if along is None and w is None and not lit:
             return self.H, _summed(self.L, e[None])[:, 0]
         gx, gy = (None, None) if along is None else (g.ravel() for g in self.pixels.normalised(along))
         x, y, near = self.pixels.x.ravel(), self.pixels.y.ravel(), near.ravel()
-        H, b = np.zeros((6, 6)), np.zeros(6)
+        H, b = np.zeros((8, 8) if lit else (6, 6)), np.zeros(8 if lit else 6)
         for start in range(0, len(e), BAND_PX):
             band = slice(start, start + BAND_PX)
             if gx is None or gy is None:
@@ -192,6 +212,8 @@ class GoalLevel:
                 L = rows(gx[band], gy[band], x[band], y[band], near[band])
                 if which == "mean":
                     L = np.float32(0.5) * (L + self.L[:, band])
+            if lit:
+                L = np.concatenate([L, self.of_light[:, band]])
             weighted = L if w is None else L * w[band]
             H += weighted @ L.T
             b += weighted @ e[band]

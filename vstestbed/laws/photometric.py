@@ -17,12 +17,18 @@ from vstestbed.core.spec import kind_of, spec
 from vstestbed.features.depth import AtGoal, Constant, Depth
 from vstestbed.features.observation import Goal, Observation, Sight
 from vstestbed.laws.base import Command, ConstantGain, Gain, LawBase, TwistLimits
+from vstestbed.laws.illumination import Light
 from vstestbed.laws.luminance import GoalLevel, Grey, LevelPixels, Normal, Which, coarser, luminance, motion_px
 from vstestbed.laws.robust import Robust
 
 NO_PICTURE = "the law has no picture"
 BLANK = "the picture shows next to nothing of what the goal's shows"
 NO_PIXEL = "no pixel of the picture fits the goal's"
+NO_STRUCTURE = "the goal's picture has too little structure: a motion of 10 mm or 1 degree would change it by less than 0.05 grey levels"
+NO_DEPTH = "the depth camera measured no pixel: all is nearer than its near_m or beyond its far_m"
+LEAST_CHANGE, MOTION = 0.05, np.array([0.01, 0.01, 0.01, *np.radians([1.0, 1.0, 1.0])])
+"""Least RMS change of the goal's picture [grey levels] by a motion of 10 mm or 1 degree, whichever changes it least. With structure it is
+some 0.4; a wall with 0.01 was once taken as the goal's from 0.26 m away."""
 LEAST_CONTRAST = 0.1
 """Least standard deviation of the picture's grey levels over that of the goal's: under it a wall or the floor fills the picture."""
 FINER_PX, COARSER_PX = 0.25, 4.0
@@ -84,6 +90,8 @@ class Photometric(LawBase):
         damping: mu.
         robust: W, the weights of an M-estimator with the scale of the median absolute deviation, at the finest level: `none`, `huber` or
             `tukey`.
+        light: `same` as when the goal's picture was taken, or `gain_offset`: I = (1 + a) I* + b, with a and b fitted in each picture
+            together with the motion; a lamp that became brighter is then no error, and needs some structure more.
         depth: Z of the pixels: `goal`, the markers' plane as seen at the goal; `constant`; or `sensor`, a depth camera's.
         smooth_px: standard deviation of the Gaussian that smooths both pictures first [px]; 0: none. It widens the basin, and makes L the
             true one of the pictures, whose differences from pixel to pixel are then small.
@@ -101,6 +109,7 @@ class Photometric(LawBase):
     interaction: Which = "desired"
     damping: LevenbergMarquardt = LevenbergMarquardt()
     robust: Robust = "none"
+    light: Light = "same"
     depth: Depth = AtGoal()
     smooth_px: Annotated[Pixels, Narrower(le=50)] = 1.5
     levels: Annotated[int, Ge(1), Le(8)] = 1
@@ -144,6 +153,8 @@ class Photometric(LawBase):
             memory = PhotometricMemory(pyramid, len(pyramid) - 1, observation.t, goal.image)
         assert memory.pyramid is not None
         level, grey, near = memory.pyramid[memory.level], self._at_level(sight.image, memory.level), self._measured(sight, memory)
+        if why := self._why_not(memory.pyramid[0], near):
+            return memory, Command.rest(basis, why)
         if float(grey.std()) < LEAST_CONTRAST * float(level.grey.std()):
             return memory, Command.rest(basis, BLANK)
         # Far from the goal most pixels differ, and those that differ most tell where it is: only near it are they outliers.
@@ -155,6 +166,12 @@ class Photometric(LawBase):
         command = self.limits.command(-self.gain.at(step) * step, basis)
         memory = replace(memory, level=self._next_level(memory, basis @ step, goal))
         return memory, replace(command, error_grey=normal.error_grey)
+
+    def _why_not(self, goal: GoalLevel, near: Grey | None) -> str:
+        """Why the law cannot work with these pictures; "" if it can."""
+        if not (goal.inverse_depth.any() and (near is None or near.any())):
+            return NO_DEPTH
+        return "" if goal.least_change(MOTION) >= LEAST_CHANGE else NO_STRUCTURE
 
     def _solved(self, normal: Normal, basis: Array, mu: float) -> Array | None:
         """The remaining motion (n,) along the robot's motions [m, rad]; None where the pixels do not determine it."""
@@ -195,7 +212,7 @@ class Photometric(LawBase):
         made, grey = [], luminance(goal.image.image, self.smooth_px)
         for number in range(self.levels):
             pixels = LevelPixels.of(goal.camera, number, self.margin_px, self.stride)
-            made.append(GoalLevel(pixels, grey, self._inverse_depth(pixels, goal, number)))
+            made.append(GoalLevel(pixels, grey, self._inverse_depth(pixels, goal, number), self.light))
             grey = coarser(grey)
         return tuple(made)
 

@@ -1,0 +1,33 @@
+"""A lamp that changed since the goal's picture was taken: gain and offset of the grey levels, fitted together with the camera's motion."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vstestbed.core.geometry import Array
+
+Light = Literal["same", "gain_offset"]
+
+
+def light_rows(goal: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Derivatives (2, n) of I = (1 + a) I* + b by gain a and offset b, of the goal's grey levels I* (n,)."""
+    return np.stack([goal, np.ones_like(goal)])
+
+
+def without_light(e: NDArray[np.float32], of_light: NDArray[np.float32], w: NDArray[np.float32] | None) -> NDArray[np.float32]:
+    """Errors e (n,) without what gain and offset explain of them, in the weighted least-squares sense."""
+    weighted = of_light if w is None else of_light * w
+    H, b = weighted @ of_light.T, weighted @ e
+    return e - np.linalg.lstsq(H.astype(float), b.astype(float), rcond=1e-9)[0].astype(np.float32) @ of_light
+
+
+def eliminated(H: Array, b: Array) -> tuple[Array, Array]:
+    """Normal equations (6, 6) and (6,) of the motion alone, of those (8, 8) and (8,) of motion, gain and offset.
+
+    The Schur complement H_mm - H_ml H_ll^-1 H_lm: the motion that solves it is that of the whole system.
+    """
+    of_light = np.linalg.lstsq(H[6:, 6:], np.column_stack([H[6:, :6], b[6:]]), rcond=1e-9)[0]
+    return H[:6, :6] - H[:6, 6:] @ of_light[:, :6], b[:6] - H[:6, 6:] @ of_light[:, 6]
