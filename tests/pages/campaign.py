@@ -1,0 +1,99 @@
+"""Comparisons of hours, in parts: `python -m tests.pages.campaign vitvs --starts 60 [--vary detector.features=orb] [--out DIR]`.
+
+Each call does further starts of each task, in an order drawn once for all, and adds them to what is kept in `kept/` of the same command.
+So at any time the page has a random sample of the whole, and says how many there are.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import tempfile
+from collections.abc import Iterable
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tests.pages.kept import FOLDER, Row, _columns, _rows, _text, place_of, steady
+from vstestbed.core.files import write_whole
+from vstestbed.experiments.comparison import Campaign, Job, prepared
+from vstestbed.experiments.comparison.folder import PLAN, table_of
+from vstestbed.experiments.comparison.plan import AMOUNT
+from vstestbed.experiments.comparison.pools import pool_of
+
+SEED = 21
+"""Of the order of the starts."""
+
+
+def main() -> None:
+    """Do further starts and keep them."""
+    parser = argparse.ArgumentParser(prog="python -m tests.pages.campaign", description=__doc__)
+    parser.add_argument("name", help="of a comparison, such as vitvs")
+    parser.add_argument("--starts", type=int, required=True, help="how many of each task there are to be in all")
+    parser.add_argument("--vary", nargs="*", default=[], metavar="a.b=v1,v2", help="as of `vstestbed compare`")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="worker processes")
+    parser.add_argument("--out", type=Path, help="a folder for the runs, gone on with where it exists; by default a temporary one")
+    asked = parser.parse_args()
+    vary = {path: values.split(",") for path, _, values in (word.partition("=") for word in asked.vary)}
+    command = " ".join(["compare", asked.name, *(f"--vary {word}" for word in asked.vary)])
+    with tempfile.TemporaryDirectory() as empty:
+        out = asked.out or Path(empty) / "runs"
+        resume = (out / PLAN).is_file()
+        with prepared([] if resume else [asked.name], {} if resume else vary, None, out, resume, {}, (), False) as (whole, _):
+            kept = {_key(row): row for row in _kept(command)}
+            first = _in_order(whole.jobs)
+            done = [job for job, _ in first if (out / job.folder).is_dir()]
+            jobs = [*done, *(job for job, i in first if i < asked.starts and _key_of(job) not in kept and job not in done)]
+            try:
+                _run(Campaign(out, jobs, ()), asked.jobs)
+            finally:
+                rows = json.loads(json.dumps(table_of(out, jobs).to_dicts()))
+                kept |= {_key(row): row for row in map(steady, rows)}
+                FOLDER.mkdir(exist_ok=True)
+                write_whole(place_of(command), _text(command, _columns(list(kept.values()))))
+
+
+def _in_order(jobs: Iterable[Job]) -> list[tuple[Job, int]]:
+    """All runs with the place of their start in the order drawn; the controllers of a start one after another."""
+    every = list(jobs)
+    drawn = np.random.default_rng(SEED).permutation(sorted({job.seed for job in every if job.seed is not None})).tolist()
+    place = {seed: i for i, seed in enumerate(drawn)}
+    return sorted(((job, place.get(job.seed, 0)) for job in every), key=lambda found: found[1])
+
+
+def _run(campaign: Campaign, processes: int) -> None:
+    if campaign.done == len(campaign.jobs):
+        return
+    with closing(pool_of("local", processes, campaign.folder)) as pool:
+        campaign.run(pool, lambda job, summary: print(job.folder, summary.get("outcome"), file=sys.stderr, flush=True))
+
+
+def _kept(command: str) -> list[Row]:
+    place = place_of(command)
+    return _rows(json.loads(place.read_text(encoding="utf-8"))["result"]) if place.is_file() else []
+
+
+def _key(row: Row) -> str:
+    """What tells a run from the others: scenario, varied values and start."""
+    return json.dumps({name: value for name, value in row.items() if name in _named(row)}, sort_keys=True)
+
+
+def _named(row: Row) -> list[str]:
+    """The columns before the outcome, which say what was run."""
+    names = list(row)
+    return [name for name in names[: names.index("outcome")] if name not in ("folder", AMOUNT)]
+
+
+def _key_of(job: Job) -> str:
+    values: dict[str, Any] = {
+        path: value if isinstance(value, int | float | str) else json.dumps(value) for path, value in job.controller.values.items()
+    }
+    return json.dumps({"scenario": job.controller.scenario.name} | values | {"seed": job.seed}, sort_keys=True)
+
+
+if __name__ == "__main__":
+    main()
