@@ -15,6 +15,7 @@ from vstestbed.core.shares import Call, at_once
 from vstestbed.report.comparison import baseline_section, profiles, robust_tables, strip_plots, summary_text
 from vstestbed.report.comparison import failures as comparison_failures
 from vstestbed.report.comparison import figures as comparison_figures
+from vstestbed.report.comparison import grid as effects
 from vstestbed.report.comparison import tables as comparison_tables
 from vstestbed.report.comparison.columns import DEFAULT_METRICS, ComparisonResults, shown_by_default, value_text
 from vstestbed.report.comparison.figures import Data
@@ -79,6 +80,15 @@ PLOTS: Final[tuple[Plot, ...]] = (
         "runs the first are drawn; the bars are of all.",
         2,
         strip_plots.distributions,
+    ),
+    (
+        "grid",
+        "Effects and controllers",
+        "A row for each value of the first axis, a column for each of the second. Of the time to converge the first row has the median, "
+        "and the others the mean change against it over the starts from which both reached the goal; in bold where that change is real "
+        "after Holm's correction for all changes of the figure.",
+        2,
+        effects.grid,
     ),
     (
         "profiles",

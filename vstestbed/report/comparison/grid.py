@@ -1,0 +1,163 @@
+"""A comparison over two axes as a grid: what each value of the first, an effect say, does to each of the second, a law say."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vstestbed.core.geometry import Array
+from vstestbed.report.comparison.columns import ComparisonResults, ControllerResults, Metric, value_text
+from vstestbed.report.comparison.differences import Difference, paired_difference
+from vstestbed.report.comparison.figures import Data, wrapped
+from vstestbed.report.comparison.pairs import CHANCE, TIME
+from vstestbed.report.comparison.statistics import holm
+from vstestbed.report.html.canvas import GOAL, LINE_COLORS, LOST, new_figure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+ERROR = Metric.of("final_position_error_m")
+LEAST = 3
+"""Fewest values of the first axis of which a grid is drawn."""
+STRONGEST = 0.55
+"""Opacity of the strongest colour: the numbers are read through it."""
+LEAST_SHOWN_S = 0.005
+"""Changes and errors below this are shown as 0 [s, mm]."""
+MOST_COLUMNS = 9
+"""Columns for which a number has its full size."""
+Cells = dict[tuple[int, int], ControllerResults]
+
+
+@dataclass(frozen=True)
+class Grid:
+    """The controllers of a comparison by the values of its two axes.
+
+    Attributes:
+        rows, columns: values of the first and of the second axis, as words. cells: the controllers by row and column.
+    """
+
+    rows: tuple[str, ...]
+    columns: tuple[str, ...]
+    cells: Cells
+
+    @classmethod
+    def of(cls, comparison: ComparisonResults) -> Grid | None:
+        """The grid; None of other than two axes, of few values, or of several scenarios."""
+        axes = comparison.axes
+        if len(axes) != 2 or comparison.table["scenario"].n_unique() > 1:
+            return None
+        rows, columns = (tuple(dict.fromkeys(map(value_text, comparison.table[axis].to_list()))) for axis in axes)
+        if len(rows) < LEAST:
+            return None
+        at = {
+            (rows.index(value_text(c.runs[axes[0]][0])), columns.index(value_text(c.runs[axes[1]][0]))): c for c in comparison.controllers
+        }
+        return cls(rows, columns, at)
+
+    def changes(self, metric: Metric) -> dict[tuple[int, int], Difference]:
+        """Paired differences of each row to the first by cell, over the starts from which both reached the goal."""
+        return {(i, j): _change(self.cells[0, j], cell, metric) for (i, j), cell in self.cells.items() if i > 0 and (0, j) in self.cells}
+
+
+def _change(before: ControllerResults, now: ControllerResults, metric: Metric) -> Difference:
+    first, second = ({s: (v, ok) for s, v, ok in zip(c.starts, c.values(metric), c.success, strict=True)} for c in (before, now))
+    both = [s for s in first if s in second and (metric.every_pair or (first[s][1] and second[s][1]))]
+    return paired_difference([second[s][0] for s in both], [first[s][0] for s in both])
+
+
+def grid(data: Data, width_in: float) -> Figure | None:
+    """Three panels: runs that reached the goal, change of the time to converge against the first row, final error; None without a grid."""
+    found = Grid.of(data.comparison)
+    if found is None:
+        return None
+    figure = new_figure(0.24 * len(found.rows) + 1.4, width_in)
+    panels = figure.subplots(1, 3, sharey=True)
+    _reached(panels[0], found)
+    _times(panels[1], found)
+    _errors(panels[2], found)
+    for axes in panels:
+        axes.set_xlim(-0.5, len(found.columns) - 0.5)
+        axes.set_ylim(len(found.rows) - 0.5, -0.5)
+        axes.set_xticks(range(len(found.columns)), found.columns, rotation=60, ha="right", rotation_mode="anchor")
+        axes.grid(visible=False)
+        axes.tick_params(length=0)
+        for side in axes.spines.values():
+            side.set_visible(False)
+    panels[0].set_yticks(range(len(found.rows)), [wrapped(name, 26) for name in found.rows])
+    return figure
+
+
+def _reached(axes: Axes, found: Grid) -> None:
+    runs = {len(c.success) for c in found.cells.values()}
+    alike = len(runs) == 1
+    axes.set_title(f"reached the goal, of {runs.pop()}" if alike else "reached the goal")
+
+    def cell(i: int, j: int, c: ControllerResults) -> tuple[str, str, float, bool]:
+        good, n = int(c.success.sum()), len(c.success)
+        words = str(good) if alike else f"{good}/{n}"
+        return (words, GOAL, 0.25, False) if good == n else (words, LOST, 1 - 0.7 * good / n, False)
+
+    _fill(axes, found, cell)
+
+
+def _times(axes: Axes, found: Grid) -> None:
+    """Median time in the first row; below it the mean change with its sign, bold where it is real after Holm's correction in the grid."""
+    axes.set_title(f"{TIME.title.lower()}, change [s]")
+    changes = found.changes(TIME)
+    real = dict(zip(changes, holm([d.p for d in changes.values()]), strict=True))
+    largest = max((abs(d.mean) for d in changes.values() if np.isfinite(d.mean)), default=0.0) or 1.0
+
+    def cell(i: int, j: int, c: ControllerResults) -> tuple[str, str, float, bool]:
+        if i == 0 or (i, j) not in changes:
+            return _short(_median(c.counted(TIME))), LINE_COLORS[7], 0.15, False
+        d = changes[i, j]
+        sign = "" if abs(d.mean) < LEAST_SHOWN_S else "+" if d.mean > 0 else "\N{MINUS SIGN}"
+        words = sign + _short(abs(d.mean))
+        size = abs(d.mean) / largest if np.isfinite(d.mean) else 0.0
+        return words, LINE_COLORS[1] if d.mean > 0 else LINE_COLORS[0], size**0.5, real[i, j] <= CHANCE
+
+    _fill(axes, found, cell)
+
+
+def _errors(axes: Axes, found: Grid) -> None:
+    axes.set_title("final error, median [mm]")
+    values = {at: _median(c.counted(ERROR)) for at, c in found.cells.items()}
+    known = np.log([v for v in values.values() if np.isfinite(v) and v > 0] or [1.0])
+    low, span = known.min(), float(np.ptp(known)) or 1.0
+
+    def cell(i: int, j: int, c: ControllerResults) -> tuple[str, str, float, bool]:
+        value = values[i, j]
+        strength = 0.0 if not (np.isfinite(value) and value > 0) else float(np.log(value) - low) / span
+        return _short(value), LINE_COLORS[1], strength, False
+
+    _fill(axes, found, cell)
+
+
+def _fill(axes: Axes, found: Grid, cell: Callable[[int, int, ControllerResults], tuple[str, str, float, bool]]) -> None:
+    """Draw each cell: words, colour, strength of the colour from 0 to 1, whether in bold."""
+    from matplotlib.patches import Rectangle
+
+    size = 6.5 * min(1.0, MOST_COLUMNS / len(found.columns))
+    for (i, j), controller in found.cells.items():
+        words, color, strength, bold = cell(i, j, controller)
+        axes.add_patch(Rectangle((j - 0.47, i - 0.45), 0.94, 0.9, color=color, alpha=STRONGEST * strength, linewidth=0))
+        style: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": size, "fontweight": "bold" if bold else "normal"}
+        axes.text(j, i, words, **style)
+
+
+def _median(values: Array) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if len(known) else float("nan")
+
+
+def _short(value: float) -> str:
+    """Two digits or so, without the zero before the point: the cells are narrow; a dash where there is none."""
+    if not np.isfinite(value):
+        return "\N{EN DASH}"
+    return (
+        f"{value:.0f}" if value >= 10 else f"{value:.1f}" if value >= 1 else f"{value:.2f}".lstrip("0") if value >= LEAST_SHOWN_S else "0"
+    )
