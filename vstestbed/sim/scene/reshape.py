@@ -8,7 +8,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from vstestbed.robots.body import Change, Couple, Scale, Set, Stretch
+from vstestbed.robots.body import Change, Couple, Loosen, Scale, Set, Stretch
 
 
 def reshape(model: mujoco.MjSpec, changes: tuple[Change, ...]) -> None:
@@ -30,6 +30,29 @@ def reshape(model: mujoco.MjSpec, changes: tuple[Change, ...]) -> None:
             case Couple():
                 (pair,) = [e for e in model.equalities if e.name1 == change.joint]
                 pair.data[:5] = change.coefficients
+            case Loosen():
+                _loosen(model, change.joint, change.width)
+
+
+PLAY_STOP = [0.004, 1.0], [0.99, 0.999, 0.001]
+"""solref and solimp of the ends of a play: as stiff as the steering's couplings."""
+OUTPUT_ARMATURE = 0.003
+"""Inertia of what is behind a play [kg m^2], that of a crank of the car's steering; 1e-4 of it is the body's, which MuJoCo demands."""
+
+
+def _loosen(model: mujoco.MjSpec, joint: str, width: float) -> None:
+    """Put a joint `<joint>_output` between a joint and its followers, within a play of the width [rad]."""
+    servo, output = _named(model, "joint", joint), f"{joint}_output"
+    holder = servo.parent.parent.add_body(name=output, pos=servo.parent.pos, mass=1e-4, inertia=[1e-7] * 3, explicitinertial=True)
+    holder.add_joint(name=output, type=servo.type, axis=servo.axis, armature=OUTPUT_ARMATURE)
+    for pair in model.equalities:
+        if pair.name2 == joint:
+            pair.name2 = output
+    # The difference of the two angles as a tendon with limits: each end of the play is a stop.
+    play = model.add_tendon(name=f"{joint}_play", limited=True, range=[-width / 2, width / 2])
+    play.solref_limit[:2], play.solimp_limit[:3] = PLAY_STOP
+    play.wrap_joint(output, 1.0)
+    play.wrap_joint(joint, -1.0)
 
 
 def _named(model: mujoco.MjSpec, kind: str, name: str) -> Any:
