@@ -161,12 +161,14 @@ class Omni(WornVehicle):
         """Mean camera twist (6,) between two readings, from the encoders alone; zero where no time has passed."""
         return mount.to_camera @ PLANE @ self.odometry(before, now, duration)
 
-    def begin(self) -> Array:
-        """The drive at rest."""
-        return np.zeros(4)
+    def begin(self) -> Array | None:
+        """A drive with lag at rest (4,) [rad/s]."""
+        return np.zeros(4) if self.drive_lag_s else None
 
-    def actuate(self, memory: Array, setpoint: Array, reading: Reading, dt: float) -> tuple[Array, Array]:
-        """The wheel speeds (4,) [rad/s] that the drive follows, behind those of the setpoint."""
+    def actuate(self, memory: Array | None, setpoint: Array, reading: Reading, dt: float) -> tuple[Array | None, Array]:
+        """The wheel speeds (4,) [rad/s] that the drive follows: those of the setpoint, or behind them."""
+        if memory is None:
+            return None, setpoint
         drive = self.lagged(memory, setpoint, dt)
         return drive, drive
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import mujoco
@@ -72,12 +73,18 @@ class MujocoPlant:
         self._memory: Any = robot.begin()
         self._orders = Orders(robot.stopping, robot.hold_setpoint(), order_s / self.step_s, self.step_s)
         self._control_steps = _whole_steps(robot.control_period_s, self.step_s)
-        loops = [(self._leader.steps, self._leader.drive)] if self._leader else []
-        loops += [(self._control_steps, self._control)] if self._control_steps else []
         self._tyres = TyreForces(stage, robot.tyres) if robot.tyres else None
-        loops += [(1, self._tyres.act)] if self._tyres else []
-        self._loops = [(every, act, every * self.step_s) for every, act in loops]
+        self._loops = [(every, act, every * self.step_s) for every, act in self._acting()]
         self._start()
+
+    def _acting(self) -> Iterator[tuple[int, Callable[[float], None]]]:
+        """What acts at fixed multiples of the physics step, in its order: every how many steps, and what."""
+        if self._leader:
+            yield self._leader.steps, self._leader.drive
+        if self._control_steps:
+            yield self._control_steps, self._control
+        if self._tyres:
+            yield 1, self._tyres.act
 
     def _start(self) -> None:
         """Place everything at its start, in equilibrium."""

@@ -10,6 +10,11 @@ import numpy as np
 
 from vstestbed.robots.body import Change, Couple, Loosen, Scale, Set, Stretch
 
+PLAY_STOP = [0.004, 1.0], [0.99, 0.999, 0.001]
+"""solref and solimp of the ends of a play: as stiff as the steering's couplings."""
+OUTPUT_ARMATURE = 0.003
+"""Inertia of what is behind a play [kg m^2], that of a crank of the car's steering; 1e-4 of it is the body's, which MuJoCo demands."""
+
 
 def reshape(model: mujoco.MjSpec, changes: tuple[Change, ...]) -> None:
     """Apply the changes of a robot (`Robot.body_changes`) to the model of its file.
@@ -28,16 +33,14 @@ def reshape(model: mujoco.MjSpec, changes: tuple[Change, ...]) -> None:
                 for geom in _named(model, "body", change.body).geoms:
                     _stretch(model, geom, np.array(change.factors), np.array(change.shift))
             case Couple():
-                (pair,) = [e for e in model.equalities if e.name1 == change.joint]
-                pair.data[:5] = change.coefficients
+                _couple(model, change)
             case Loosen():
                 _loosen(model, change.joint, change.width)
 
 
-PLAY_STOP = [0.004, 1.0], [0.99, 0.999, 0.001]
-"""solref and solimp of the ends of a play: as stiff as the steering's couplings."""
-OUTPUT_ARMATURE = 0.003
-"""Inertia of what is behind a play [kg m^2], that of a crank of the car's steering; 1e-4 of it is the body's, which MuJoCo demands."""
+def _couple(model: mujoco.MjSpec, change: Couple) -> None:
+    (pair,) = [e for e in model.equalities if e.name1 == change.joint]
+    pair.data[:5] = change.coefficients
 
 
 def _loosen(model: mujoco.MjSpec, joint: str, width: float) -> None:
