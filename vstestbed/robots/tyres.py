@@ -21,6 +21,7 @@ Bernard & Clover 1995, "Tire modeling for low-speed and high-speed calculations"
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import cached_property
 from typing import Annotated
 
@@ -43,26 +44,32 @@ Pair = tuple[float, float]
 
 @spec
 class Tyres:
-    """Tyres that slip: a brush with relaxation length, all four alike (`robots/tyres.py`). Without them a tyre has friction alone.
+    """Tyres that slip: a brush with relaxation length (`robots/tyres.py`). Without them a tyre has friction alone.
 
     In the robot's file the wheels are the bodies `<wheel>_wheel` of `wheels.WHEELS` with geoms `<wheel>_contact`, which slide on joints
     `<wheel>_spring`.
 
     Args:
         stiffness: c, cornering stiffness over load; also that of longitudinal slip [1/rad]; e.g. `10`.
+        rear_stiffness: that of the rear wheels [1/rad]; none: as the front's; a car with softer front tyres understeers; e.g. `8`.
         relaxation_m: sigma, the way over which the force follows the slip [m]; e.g. `0.15`.
     """
 
     stiffness: Annotated[float, Ge(1), Le(60)] = 10.0
+    rear_stiffness: Annotated[float, Ge(1), Le(60)] | None = None
     relaxation_m: Annotated[PositiveLength, Narrower(ge=0.02, le=2)] = 0.15
 
     def __post_init__(self) -> None:
         """Refuse tyres that are too stiff for the physics step."""
-        if self.stiffness > STIFFEST * self.relaxation_m:
-            words = (
-                f"must be at least {self.stiffness / STIFFEST:.3g} m at stiffness {self.stiffness:g}: a stiffer patch needs shorter steps"
-            )
+        stiffest = max(self.stiffness, self.rear_stiffness or 0.0)
+        if stiffest > STIFFEST * self.relaxation_m:
+            words = f"must be at least {stiffest / STIFFEST:.3g} m at a stiffness of {stiffest:g}: a stiffer patch needs shorter steps"
             raise ParameterError("relaxation_m", words, self.relaxation_m)
+
+    @property
+    def rear(self) -> Tyres:
+        """Those of the rear wheels, as a pair of their own."""
+        return self if self.rear_stiffness is None else replace(self, stiffness=self.rear_stiffness, rear_stiffness=None)
 
     def deflected(self, u: Pair, sliding: Pair, speed: float, friction: float, dt: float) -> Pair:
         """The deflection [m] after dt [s]: the exact solution of du/dt for constant velocities, within what a sliding patch has.

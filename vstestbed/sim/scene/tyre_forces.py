@@ -22,7 +22,7 @@ class TyreForces:
     """
 
     def __init__(self, stage: Stage, tyres: Tyres):
-        model, self._data, self._model, self._tyres = stage.model, stage.data, stage.model, tyres
+        model, self._data, self._model, self._tyres = stage.model, stage.data, stage.model, (tyres, tyres, tyres.rear, tyres.rear)
         self._bodies = [int(model.body(f"robot/{name}_wheel").id) for name in WHEELS]
         self._slides = np.array([model.joint(f"robot/{name}_spring").dofadr[0] for name in WHEELS])
         contacts = [model.geom(f"robot/{name}_contact").id for name in WHEELS]
@@ -45,13 +45,13 @@ class TyreForces:
         if load <= 0:  # in the air: it lands with a patch that is not deflected
             self._deflection[i] = 0.0, 0.0
             return (0.0,) * 6
-        size, r = math.hypot(*axle), self._radius[i]
+        size, r, tyre = math.hypot(*axle), self._radius[i], self._tyres[i]
         x, y = axle[1] / size, -axle[0] / size  # along: axle x up; across is (-y, x)
         wx, wy, _, vx, vy, _ = twist
         # Of the point of the wheel under its centre: v + w x (0, 0, -r).
         px, py = vx - r * wy, vy + r * wx
         sliding, speed = (px * x + py * y, py * x - px * y), abs(vx * x + vy * y)
-        u = self._deflection[i] = self._tyres.deflected(self._deflection[i], sliding, speed, self._friction[i], dt)
-        along, across = self._tyres.force(u, sliding, speed, self._friction[i], load)
+        u = self._deflection[i] = tyre.deflected(self._deflection[i], sliding, speed, self._friction[i], dt)
+        along, across = tyre.force(u, sliding, speed, self._friction[i], load)
         fx, fy = along * x - across * y, along * y + across * x
         return fx, fy, 0.0, r * fy, -r * fx, 0.0
