@@ -30,12 +30,12 @@ class UnevenFloor:
     the drawn plane.
 
     Args:
-        rms_m: standard deviation of the heights [m]; e.g. `0.002`.
+        rms_m: standard deviation of the heights [m].
         correlation_m: l, the distance over which heights are alike [m]; e.g. `0.3`.
         seed: of the heights; a run with a seed draws it anew [1].
     """
 
-    rms_m: Annotated[PositiveLength, Narrower(le=0.05)]
+    rms_m: Annotated[PositiveLength, Narrower(le=0.05)] = 0.002
     correlation_m: Annotated[PositiveLength, Narrower(ge=0.1, le=10)] = 0.3
     seed: Annotated[int, Ge(0), Le(2**31 - 1)] = 0
 
