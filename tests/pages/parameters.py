@@ -15,21 +15,32 @@ import numpy as np
 from vstestbed.core.assets import model_path
 from vstestbed.core.docstrings import DIMENSIONLESS, class_text, unit_in, without_unit
 from vstestbed.core.registry import blocks_in
-from vstestbed.robots.car import CarLimits, Compass
+from vstestbed.robots.car import Car, CarLimits, Compass
 from vstestbed.robots.car_body import CarParameters
 from vstestbed.robots.flight import Gains
 from vstestbed.robots.groundspeed import Flow
 from vstestbed.robots.imu import Imu
+from vstestbed.robots.omni import Omni
 from vstestbed.robots.omni_body import OmniParameters
 from vstestbed.robots.puma560 import DH
 from vstestbed.robots.quadrotor import Quadrotor
+from vstestbed.robots.realism import Level, Realistic
 from vstestbed.robots.rotors import QuadrotorParameters
+from vstestbed.robots.tyres import Tyres
+from vstestbed.robots.uneven_floor import UnevenFloor
+from vstestbed.robots.wheels import WheelSpread
+from vstestbed.robots.worn_vehicle import WornVehicle
 from vstestbed.scenario.described import default_of
 from vstestbed.scenario.dump import flow_text
 
 CLASSES: dict[str, type] = {
-    cls.__name__: cls for cls in (CarLimits, CarParameters, Compass, Flow, Gains, Imu, OmniParameters, Quadrotor, QuadrotorParameters)
+    cls.__name__: cls
+    for cls in (
+        *(Car, CarLimits, CarParameters, Compass, Flow, Gains, Imu, OmniParameters, Quadrotor, QuadrotorParameters),
+        *(Tyres, UnevenFloor, WheelSpread, WornVehicle),
+    )
 }
+WORN: dict[str, type[Realistic]] = {"car": Car, "omni": Omni}
 SERVOS = ("industrial", "raw")
 JOINTS = tuple(f"joint_{i}" for i in range(1, 7))
 
@@ -134,3 +145,12 @@ def actuator(name: str, of: str) -> Any:
 def mass(name: str, of: str) -> float:
     """Mass of a body and of all that hangs on it [kg]."""
     return float(model(of).body_subtreemass[model(of).body(name).id])
+
+
+def preset(kind: str, level: Level, field: str) -> str:
+    """What a level of `realism` fills a robot's field with, as a scenario has it; "-" for nothing."""
+    value = WORN[kind].presets.get(level, {}).get(field)
+    if not dataclasses.is_dataclass(value):
+        return "-" if value is None else f"`{value:g}`"
+    changed = [(f.name, getattr(value, f.name)) for f in dataclasses.fields(value) if getattr(value, f.name) != f.default]
+    return "`{" + ", ".join(f"{name}: {x:g}" for name, x in changed) + "}`"

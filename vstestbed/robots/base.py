@@ -15,6 +15,8 @@ from vstestbed.robots.own_model import OwnModel
 from vstestbed.robots.reading import Reading
 from vstestbed.robots.robot_log import RobotLog
 from vstestbed.robots.supervisor import Supervisor
+from vstestbed.robots.tyres import Tyres
+from vstestbed.robots.uneven_floor import UnevenFloor
 
 Base = Literal["fixed", "planar", "floating"]
 
@@ -103,6 +105,16 @@ class Robot(Protocol):
     @property
     def slips(self) -> bool:
         """Whether it may be given a floor of another friction (`world.floor_friction`)."""
+        ...
+
+    @property
+    def tyres(self) -> Tyres | None:
+        """Of a vehicle: tyres that slip; None: its wheels have the contacts of its file."""
+        ...
+
+    @property
+    def uneven_floor(self) -> UnevenFloor | None:
+        """Of a vehicle: the floor that its wheels meet; None: the plane that is drawn."""
         ...
 
     def configuration(self) -> Array:

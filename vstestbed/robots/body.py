@@ -61,4 +61,16 @@ class Couple:
     coefficients: tuple[float, ...]
 
 
-Change = Set | Scale | Stretch | Couple
+@dataclass(frozen=True, slots=True)
+class Loosen:
+    """Play between a joint and all that follow it: they follow a new joint `<joint>_output`, which is free within the play.
+
+    Attributes:
+        joint: the one that moves them. width: of the play, from one end to the other [rad].
+    """
+
+    joint: str
+    width: float
+
+
+Change = Set | Scale | Stretch | Couple | Loosen

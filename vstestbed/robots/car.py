@@ -2,7 +2,7 @@
 
 Its frame lies on the floor under the middle of the rear axle, x forward. It moves with u = (v, w) of that frame: it can neither go
 sideways nor turn on the spot. The setpoint is (speed [m/s], steering angle [rad]); `actuate` approaches both within their rate limits.
-The body is in models/car.xml, which `parameters` changes (`car_body.CarParameters`).
+The body is in models/car.xml, which `parameters` changes (`car_body.CarParameters`), and its imperfections (`worn_vehicle`).
 """
 
 from __future__ import annotations
@@ -18,15 +18,20 @@ from annotated_types import Ge, Gt, Le, Lt
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
-from vstestbed.core.quantity import Narrower, PositiveRate, PositiveSpeed
+from vstestbed.core.quantity import AngleWidth, Narrower, PositiveRate, PositiveSpeed
 from vstestbed.core.spec import spec
 from vstestbed.robots.allocation import Allocation, Limit, Mount
 from vstestbed.robots.bicycle import STANDSTILL, BicycleLimits, within_limits, yaw_rate
-from vstestbed.robots.body import Change
+from vstestbed.robots.body import Change, Loosen, Scale, Set
 from vstestbed.robots.car_body import BUGGY, CarParameters
-from vstestbed.robots.ground import PLANE, GroundStart, Vehicle
+from vstestbed.robots.ground import PLANE, GroundStart
 from vstestbed.robots.own_model import OwnModel
 from vstestbed.robots.reading import Reading
+from vstestbed.robots.realism import Level
+from vstestbed.robots.tyres import Tyres
+from vstestbed.robots.vehicle_presets import CAR
+from vstestbed.robots.wheels import WHEELS
+from vstestbed.robots.worn_vehicle import WornVehicle
 
 SPEED_INTEGRAL = 8.0
 """Integral gain of the speed servo [1/s]. It removes the offset of .005 m/s that rolling resistance leaves in the motor loop, and is
@@ -74,15 +79,16 @@ class CarLimits:
 
 @dataclass(frozen=True, slots=True)
 class CarServos:
-    """State of the onboard servos: rate-limited speed [m/s] and steering [rad], and the speed loop's integral [rad/s]."""
+    """State of the onboard servos: rate-limited speed [m/s] and steering [rad], the speed loop's integral [rad/s], the drive [rad/s]."""
 
     speed: float = 0.0
     steering: float = 0.0
     integral: float = 0.0
+    drive: float = 0.0
 
 
 @spec
-class Car(Vehicle):
+class Car(WornVehicle):
     """A buggy, of 60 kg by default, with Ackermann steering and rear drive.
 
     Args:
@@ -92,6 +98,9 @@ class Car(Vehicle):
         wheel_radius_error: relative error of the calibrated wheel radius, which its speed servo and its odometry use [1]: .02 for 2 %
             too large.
         limits: of its speed, its steering angle and their rates.
+        tyres: that slip; none: friction alone; e.g. `{stiffness: 10, relaxation_m: 0.15}`.
+        steering_play_deg: how far the steering's servo turns from one end of its play to the other before the wheels follow [deg];
+            none: no play; e.g. `1`.
     """
 
     kind: Literal["car"] = "car"
@@ -100,6 +109,9 @@ class Car(Vehicle):
     compass: Compass = Compass()
     wheel_radius_error: Annotated[float, Gt(-0.5), Lt(1)] = 0.0
     limits: CarLimits = CarLimits()
+    tyres: Tyres | None = None
+    steering_play_deg: Annotated[AngleWidth, Narrower(le=20)] | None = None
+    presets: ClassVar[Mapping[Level, Mapping[str, object]]] = CAR
     actuators: ClassVar[tuple[str, ...]] = ("drive", "steering")
     sensors: ClassVar[tuple[str, ...]] = ("heading",)
     control_period_s: ClassVar[float | None] = 0.01
@@ -107,12 +119,13 @@ class Car(Vehicle):
 
     def __post_init__(self) -> None:
         """Refuse limits that its wheels and its motor cannot keep."""
+        super().__post_init__()
         body, limits = self.parameters, self.limits
         if limits.steering_rad > body.most_steering_rad:
             words = f"must be at most {math.floor(1e3 * body.most_steering_rad) / 1e3:g} rad at track_m {body.track_m:g} and wheelbase_m"
             words = f"{words} {body.wheelbase_m:g}: the inner front wheel would turn beyond 71 degrees, into the chassis"
             raise ParameterError("limits.steering_rad", words, limits.steering_rad)
-        if (need := body.torque_for(limits.acceleration_mps2)) > body.motor_torque_nm:
+        if (need := body.torque_for(limits.acceleration_mps2, self.rolling_resistance)) > body.motor_torque_nm:
             most = limits.acceleration_mps2 - (need - body.motor_torque_nm) / (body.mass_kg * body.wheel_radius_m)
             words = (
                 f"must be at least {need:.3g} Nm for limits.acceleration_mps2 {limits.acceleration_mps2:g} with mass_kg {body.mass_kg:g}"
@@ -127,8 +140,20 @@ class Car(Vehicle):
 
     @property
     def body_changes(self) -> tuple[Change, ...]:
-        """Those of its parameters."""
-        return self.parameters.changes
+        """Those of its parameters and of its imperfections."""
+        found = list(self.parameters.changes)
+        if self.rolling_resistance is not None:
+            found += self.parameters.rolling(self.rolling_resistance)
+        if self.wheel_spread is not None:
+            found += [
+                Scale("geom", "size", (factor, 1.0, factor), f"{name}_wheel")
+                for name, factor in zip(WHEELS, self.wheel_spread.factors, strict=True)
+            ]
+        if self.tyres is not None:  # the floor carries a wheel, and the tyre alone holds it
+            found += [Set("geom", f"{name}_contact", "condim", 1) for name in WHEELS]
+        if self.steering_play_deg:
+            found.append(Loosen("steering", math.radians(self.steering_play_deg)))
+        return tuple(found)
 
     @property
     def ends_m(self) -> tuple[float, float]:
@@ -157,10 +182,6 @@ class Car(Vehicle):
     def believed_radius(self) -> float:
         """The calibrated wheel radius, with its error [m]."""
         return self.parameters.wheel_radius_m * (1 + self.wheel_radius_error)
-
-    def randomised(self, rng: np.random.Generator) -> Car:
-        """The same car with a start drawn from the box. ParameterError when it has none."""
-        return dataclasses.replace(self, start=self.start.drawn(rng))
 
     def started_at(self, configuration: Array) -> Car:
         """The same car from another place (x, y, heading)."""
@@ -255,7 +276,8 @@ class Car(Vehicle):
         error = wheels - sum(reading.qd[_REAR].tolist()) / 2
         # None at rest: the motor loop alone holds a standing car, and an integral would creep it after a residual error.
         integral = _within(memory.integral + SPEED_INTEGRAL * error * dt, INTEGRAL_LIMIT) if speed else 0.0
-        return CarServos(speed, steering, integral), np.array([wheels + integral, steering])
+        drive = self.lagged(memory.drive, wheels + integral, dt)
+        return CarServos(speed, steering, integral, drive), np.array([drive, steering])
 
 
 def _within(x: float, most: float) -> float:

@@ -14,11 +14,15 @@ from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import Mass, Narrower, PositiveLength
 from vstestbed.core.spec import spec
 from vstestbed.robots.body import Change, Couple, Scale, Set, Stretch
+from vstestbed.robots.wheels import WHEELS
 
 GRIP = 0.8
 """Friction of the tyres on a dry floor (models/car.xml)."""
 ROLLING_NM = 1.32
 """Rolling resistance of the buggy's four wheels [Nm]."""
+GRAVITY = 9.81
+ON_FRONT, ON_REAR = 0.2044, 0.2956
+"""Shares of the weight on each front and each rear wheel: of the sprung four fifths .386 are on the front axle."""
 MOST_WHEEL_RAD = 1.25
 """How far a front wheel can turn under the deck [rad]."""
 CRANK = 0.0, 1.0, 0.42555, 0.23022, 0.04028
@@ -75,9 +79,16 @@ class CarParameters:
         """The steering angle of the middle of the axle at which the inner wheel stands at MOST_WHEEL_RAD [rad]: cot = cot + slant."""
         return math.atan(1 / (1 / math.tan(MOST_WHEEL_RAD) + self.slant))
 
-    def torque_for(self, acceleration: float) -> float:
-        """Torque at the rear axle for an acceleration [m/s^2], with the rolling resistance [Nm]."""
-        return (self.mass_kg * acceleration + ROLLING_NM / 0.15 * (self.mass_kg / 60.0)) * self.wheel_radius_m
+    def torque_for(self, acceleration: float, rolling: float | None = None) -> float:
+        """Torque at the rear axle for an acceleration [m/s^2], with a rolling resistance [1]; None: that of the file [Nm]."""
+        resistance = ROLLING_NM / 0.15 * (self.mass_kg / 60.0) if rolling is None else rolling * self.mass_kg * GRAVITY
+        return (self.mass_kg * acceleration + resistance) * self.wheel_radius_m
+
+    def rolling(self, coefficient: float) -> tuple[Change, ...]:
+        """Torques on the wheels by a rolling resistance [1]: its share of each wheel's static load, at the radius."""
+        whole = coefficient * self.mass_kg * GRAVITY * self.wheel_radius_m
+        shares = ON_FRONT, ON_FRONT, ON_REAR, ON_REAR
+        return tuple(Set("joint", name, "frictionloss", whole * share) for name, share in zip(WHEELS, shares, strict=True))
 
     @property
     def ends_m(self) -> tuple[float, float]:

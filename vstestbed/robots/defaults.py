@@ -17,6 +17,8 @@ from vstestbed.robots.own_model import CAMERA, OwnModel
 from vstestbed.robots.reading import Reading
 from vstestbed.robots.robot_log import RobotLog
 from vstestbed.robots.supervisor import Supervisor
+from vstestbed.robots.tyres import Tyres
+from vstestbed.robots.uneven_floor import UnevenFloor
 
 
 class _Moves(Protocol):
@@ -46,6 +48,8 @@ class RobotBase:
     control_period_s: ClassVar[float | None] = None
     # The servo gains in puma560.xml and the contacts of the vehicles' wheels were measured at 2 ms.
     largest_step_s: ClassVar[float] = 0.002
+    tyres: Tyres | None = None
+    uneven_floor: UnevenFloor | None = None
     stop_s: ClassVar[float] = 0.25
     """How long it takes to stop [s], from any speed: at most a speed limit over it is the deceleration."""
 

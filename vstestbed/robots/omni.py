@@ -21,25 +21,34 @@ Bodies are in models/omni.xml and models/omni_planar.xml, which `parameters` cha
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from annotated_types import Gt, Lt
 
+from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.planar import motion_between
 from vstestbed.core.spec import spec
 from vstestbed.robots.allocation import Allocation, Mount
 from vstestbed.robots.body import Change
-from vstestbed.robots.ground import PLANE, GroundStart, Vehicle
-from vstestbed.robots.omni_body import PLATFORM, WHEELS, OmniParameters
+from vstestbed.robots.ground import PLANE, GroundStart
+from vstestbed.robots.omni_body import PLATFORM, OmniParameters, larger_wheel
 from vstestbed.robots.own_model import OwnModel
 from vstestbed.robots.reading import Reading
+from vstestbed.robots.realism import Level
+from vstestbed.robots.vehicle_presets import OMNI
+from vstestbed.robots.wheels import WHEELS
+from vstestbed.robots.worn_vehicle import WornVehicle
+
+LAG_PERIOD_S = 0.004
+"""Period in which the drive's lag is computed [s]."""
 
 
 @spec
-class Omni(Vehicle):
-    """A platform on four mecanum wheels, driven by wheel speeds.
+class Omni(WornVehicle):
+    """A platform on four mecanum wheels, driven by wheel speeds. Of its imperfections `planar` wheels can have lag alone.
 
     Args:
         wheels: `rollers` (default): nine free rollers on each wheel touch the floor, and slip where it is slippery;
@@ -54,8 +63,24 @@ class Omni(Vehicle):
     parameters: OmniParameters = PLATFORM
     start: GroundStart = GroundStart()
     wheel_radius_error: Annotated[float, Gt(-0.5), Lt(1)] = 0.0
+    presets: ClassVar[Mapping[Level, Mapping[str, object]]] = OMNI
     actuators: ClassVar[tuple[str, ...]] = WHEELS
     motion_names: ClassVar[tuple[str, ...]] = ("vx", "vy", "wz")
+
+    def __post_init__(self) -> None:
+        """Refuse what planar wheels, which have no contact, cannot have."""
+        super().__post_init__()
+        for name in ("wheel_spread", "rolling_resistance", "uneven_floor"):
+            if self.wheels == "planar" and getattr(self, name) is not None:
+                words = (
+                    "must be rollers with realism, wheel_spread, rolling_resistance or uneven_floor: planar wheels do not touch the floor"
+                )
+                raise ParameterError("wheels", words, self.wheels)
+
+    @property
+    def control_period_s(self) -> float | None:  # pyright: ignore[reportIncompatibleVariableOverride] - a property in place of a constant
+        """That of the drive's lag; without it the wheels' speeds are the actuators' controls."""
+        return LAG_PERIOD_S if self.drive_lag_s else None
 
     @property
     def stop_s(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride] - a property in place of a constant
@@ -69,8 +94,14 @@ class Omni(Vehicle):
 
     @property
     def body_changes(self) -> tuple[Change, ...]:
-        """Those of its parameters."""
-        return self.parameters.changes(planar=self.wheels == "planar")
+        """Those of its parameters and of its imperfections."""
+        found = list(self.parameters.changes(planar=self.wheels == "planar"))
+        if self.rolling_resistance is not None:
+            found += self.parameters.rolling(self.rolling_resistance)
+        if self.wheel_spread is not None:
+            for name, factor in zip(WHEELS, self.wheel_spread.factors, strict=True):
+                found += larger_wheel(name, factor)
+        return tuple(found)
 
     @property
     def ends_m(self) -> tuple[float, float]:
@@ -92,10 +123,6 @@ class Omni(Vehicle):
         """The joints that its encoders read: the wheels, or the base's own joints in the model without wheel joints."""
         # Only differences of the latter are used (`odometry`): the absolute place would be truth.
         return WHEELS if self.wheels == "rollers" else ("root_x", "root_y", "root_yaw")
-
-    def randomised(self, rng: np.random.Generator) -> Omni:
-        """The same base with a start drawn from the box. ParameterError when it has none."""
-        return dataclasses.replace(self, start=self.start.drawn(rng))
 
     def started_at(self, configuration: Array) -> Omni:
         """The same base from another place (x, y, heading)."""
@@ -133,6 +160,17 @@ class Omni(Vehicle):
     def measured_twist(self, before: Reading, now: Reading, duration: float, commanded: Array, mount: Mount) -> Array:
         """Mean camera twist (6,) between two readings, from the encoders alone; zero where no time has passed."""
         return mount.to_camera @ PLANE @ self.odometry(before, now, duration)
+
+    def begin(self) -> Array | None:
+        """A drive with lag at rest (4,) [rad/s]."""
+        return np.zeros(4) if self.drive_lag_s else None
+
+    def actuate(self, memory: Array | None, setpoint: Array, reading: Reading, dt: float) -> tuple[Array | None, Array]:
+        """The wheel speeds (4,) [rad/s] that the drive follows: those of the setpoint, or behind them."""
+        if memory is None:
+            return None, setpoint
+        drive = self.lagged(memory, setpoint, dt)
+        return drive, drive
 
     def allocate(self, twist: Array, reading: Reading, mount: Mount, period: float) -> Allocation:
         """Wheel speeds (4,) [rad/s] for a camera twist (6,), scaled as a whole into their limits.

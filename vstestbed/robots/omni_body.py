@@ -13,14 +13,15 @@ from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import Mass, Narrower, PositiveLength, PositiveRate
 from vstestbed.core.spec import spec
 from vstestbed.robots.body import Change, Scale, Set, Stretch
+from vstestbed.robots.wheels import WHEELS
 
-WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 CORNERS = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]])
 """Signs of the wheels' places (x, y) in the base frame, shape (4, 2)."""
 SIDES = np.array([-1.0, 1.0, 1.0, -1.0])
 """Axis of the roller on the floor, (1, side), by wheel; with the opposite signs the axes meet at the centre, and yaw is lost."""
 ROLLERS = 9
 """Rollers on each wheel of models/omni.xml."""
+GRAVITY = 9.81
 WHEEL_KG, SPIN, ROTOR = 0.455, 4.0e-4, 1.2e-3
 """Mass of a wheel [kg]; its moment of inertia about the axle at a radius of 50 mm, and the motor's behind its gears [kg m^2]."""
 
@@ -133,9 +134,13 @@ class OmniParameters:
                 of_x, of_y, of_yaw = (row / before).tolist()
                 found.append(Scale("actuator", "gear", (of_x, of_y, 1.0, 1.0, 1.0, of_yaw), name))
             else:
-                for i in range(ROLLERS):
-                    found += [Scale("body", "pos", larger, f"{name}_roller{i}"), Scale("geom", "size", larger, f"{name}_roller{i}")]
+                found += _larger_rollers(name, larger)
         return (*found, *(self._planar_inertia() if planar else ()))
+
+    def rolling(self, coefficient: float) -> tuple[Change, ...]:
+        """Torques on the wheels by a rolling resistance [1]: its share of a quarter of the weight, at the radius."""
+        torque = coefficient * self.mass_kg * GRAVITY * self.wheel_radius_m / 4
+        return tuple(Set("joint", name, "frictionloss", torque) for name in WHEELS)
 
     def _planar_inertia(self) -> tuple[Change, ...]:
         """Of the wheels' spin, W^T J W, as the planar joints have it; the mean of x and y for both slides."""
@@ -143,6 +148,17 @@ class OmniParameters:
         along, turning = float((J[0] + J[1]) / (before[0] + before[1])), float(J[2] / before[2])
         both = (Set("joint", name, "armature", 2.61 * along) for name in ("root_x", "root_y"))
         return (*both, Set("joint", "root_yaw", "armature", 0.250 * turning))
+
+
+def larger_wheel(name: str, factor: float) -> tuple[Change, ...]:
+    """One wheel scaled as a whole with its rollers."""
+    return Scale("geom", "size", factor, name), Scale("geom", "pos", factor, name), *_larger_rollers(name, factor)
+
+
+def _larger_rollers(name: str, factor: float) -> tuple[Change, ...]:
+    """The rollers of a wheel scaled, and moved outwards alike."""
+    rollers = [f"{name}_roller{i}" for i in range(ROLLERS)]
+    return tuple(change for roller in rollers for change in (Scale("body", "pos", factor, roller), Scale("geom", "size", factor, roller)))
 
 
 PLATFORM = OmniParameters()

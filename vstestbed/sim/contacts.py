@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vstestbed.robots import Robot
+from vstestbed.sim.scene.relief import AROUND, RELIEF
 
 
 class RobotContacts:
@@ -22,7 +23,8 @@ class RobotContacts:
         self._feet = np.zeros(model.ngeom, dtype=bool)
         self._feet[[model.geom(f"robot/{name}").id for name in robot.feet]] = True
         self._body = np.array(bodies)[model.geom_bodyid] & ~self._feet
-        self._floor = model.geom("floor").id
+        floors = ("floor", RELIEF, AROUND)
+        self._floors = [geom for name in floors if (geom := mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, name)) >= 0]
         self._on_wheels = robot.base == "planar"
 
     def touching(self, data: mujoco.MjData) -> tuple[str, str]:
@@ -32,7 +34,7 @@ class RobotContacts:
         pairs = data.contact.geom
         feet = self._first(pairs, self._feet)
         if self._on_wheels:  # wheels and casters always touch the floor; whatever else of a vehicle does goes unnoticed
-            pairs = pairs[(pairs != self._floor).all(axis=1)]
+            pairs = pairs[~np.isin(pairs, self._floors).any(axis=1)]
         # A pair within the robot counts, too: the arm's own links are paired in its file to end a run at the first touch.
         return self._first(pairs, self._body), feet
 

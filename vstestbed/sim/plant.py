@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import mujoco
@@ -11,6 +12,7 @@ import numpy as np
 from vstestbed.camera import Look, Picture
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, adjoint, inverse
+from vstestbed.core.planar import place_of, pose_on_ground
 from vstestbed.robots.orders import Orders
 from vstestbed.robots.reading import Reading
 from vstestbed.sim.base import Truth
@@ -20,6 +22,7 @@ from vstestbed.sim.process_end import may_end_here
 from vstestbed.sim.render.image_sensor import ImageSensor
 from vstestbed.sim.scene.lead_vehicle import LeadVehicle
 from vstestbed.sim.scene.stage import Stage
+from vstestbed.sim.scene.tyre_forces import TyreForces
 from vstestbed.sim.scene.wind import WindField
 from vstestbed.sim.sensor_reader import SensorReader
 from vstestbed.targets.motion import Path
@@ -70,10 +73,18 @@ class MujocoPlant:
         self._memory: Any = robot.begin()
         self._orders = Orders(robot.stopping, robot.hold_setpoint(), order_s / self.step_s, self.step_s)
         self._control_steps = _whole_steps(robot.control_period_s, self.step_s)
-        loops = [(self._leader.steps, self._leader.drive)] if self._leader else []
-        loops += [(self._control_steps, self._control)] if self._control_steps else []
-        self._loops = [(every, act, every * self.step_s) for every, act in loops]
+        self._tyres = TyreForces(stage, robot.tyres) if robot.tyres else None
+        self._loops = [(every, act, every * self.step_s) for every, act in self._acting()]
         self._start()
+
+    def _acting(self) -> Iterator[tuple[int, Callable[[float], None]]]:
+        """What acts at fixed multiples of the physics step, in its order: every how many steps, and what."""
+        if self._leader:
+            yield self._leader.steps, self._leader.drive
+        if self._control_steps:
+            yield self._control_steps, self._control
+        if self._tyres:
+            yield 1, self._tyres.act
 
     def _start(self) -> None:
         """Place everything at its start, in equilibrium."""
@@ -105,19 +116,31 @@ class MujocoPlant:
             self._robot.base == "floating" and stage.root is not None
         ):  # out of the way: it is not controlled yet, and would fall on the vehicle
             stage.root.put(data.qpos, AWAY @ T_robot)
-        if not stage.step(round(SETTLE_S / self.step_s)):
+        if not self._stepped(round(SETTLE_S / self.step_s)):
             raise ParameterError("physics.step_s", "is too long for the vehicle's springs and contacts", self.step_s)
         for root, T_start, stands in ((stage.root, T_robot, self._robot.base == "planar"), (stage.leader, T_leader, True)):
             if root is not None:
                 # What settled is the height; x, y and heading are the scenario's, whatever the settling did to them.
-                T = T_start.copy()
-                T[2, 3] = root.pose(data)[2, 3] if stands else T[2, 3]
+                T, settled = T_start.copy(), root.pose(data)
+                T[2, 3] = settled[2, 3] if stands else T[2, 3]
+                if root is stage.root and self._robot.uneven_floor is not None:
+                    T[:3, :3] = T_start[:3, :3] @ (inverse(pose_on_ground(place_of(settled))) @ settled)[:3, :3]  # with its tilt there
                 root.put(data.qpos, T)
         data.qvel[:] = 0.0
         data.time = 0.0
         stage.rest()
         mujoco.mj_forward(stage.model, data)
         self._sensors.restart()
+
+    def _stepped(self, steps: int) -> bool:
+        """Advance without controllers, on tyres where the robot has such; False when MuJoCo reports an instability."""
+        if self._tyres is None:
+            return self._stage.step(steps)
+        for _ in range(steps):
+            self._tyres.act(self.step_s)
+            if not self._stage.step(1):
+                return False
+        return True
 
     @property
     def render_s(self) -> float:

@@ -3,8 +3,8 @@
 Names: joints and actuators `robot/joint_1`, ..., the servo camera `eye` (site `eye` has its computer-vision axes; a lens that
 sees more than one pinhole picture holds has `eye_right`, `eye_left`, `eye_up`, `eye_down`, `eye_back` at the same place), the
 outside view `overview`, the target's body `target/frame` (mocap), its markers sites `target/marker_0`, `target/marker_1`, ...
-(of lines on the floor, which have no places of their own, only geoms `target/line_0`, ...), plates `plate_0`, ..., a vehicle
-that carries the target `leader/...`, scenery `scenery/...`. Geom groups: 0 the room, 1 geoms that enclose the lens (not rendered by
+(of lines on the floor, which have no places of their own, only geoms `target/line_0`, ...), plates `plate_0`, ..., a vehicle that
+carries the target `leader/...`, scenery `scenery/...`. Geom groups: 0 the room, 1 geoms that enclose the lens (not rendered by
 the servo camera, which in the textbook's scene sits at the wrist's centre, inside the hand), 2 the robot, 3 the target, 5 what range
 finders alone meet.
 """
@@ -27,6 +27,7 @@ from vstestbed.sim.scene.light import light_scene
 from vstestbed.sim.scene.model_files import ASSETS
 from vstestbed.sim.scene.overview import frame_drive, frame_flight
 from vstestbed.sim.scene.paint import add_body, add_sheet, add_stripe
+from vstestbed.sim.scene.relief import lay
 from vstestbed.sim.scene.scenery import add_scenery
 from vstestbed.sim.scene.start_pose import camera_start, target_start
 from vstestbed.sim.scene.world import AWAY, World
@@ -113,7 +114,8 @@ def compose(parts: Parts) -> mujoco.MjSpec:
     _frame_overview(scene, parts)
     _add_plates(scene, parts)
     light_scene(scene, parts.world.light, parts.glossy)
-    scene.assets = {**scene.assets, **carried}  # last: MuJoCo warns of models that are attached to one with assets
+    laid = lay(scene, parts.robot.uneven_floor, parts.world.floor_z)
+    scene.assets = {**scene.assets, **carried, **laid}  # last: MuJoCo warns of models that are attached to one with assets
     return scene
 
 
@@ -202,8 +204,7 @@ def _add_target(scene: mujoco.MjSpec, target: Target, carrier: mujoco.MjsBody | 
 
     It is a mocap body in the world, or fixed to its carrier, at the pose T (4, 4) there.
     """
-    parent = carrier or scene.worldbody
-    body = parent.add_body(name="target/frame", mocap=carrier is None, pos=T[:3, 3], quat=quaternion_wxyz(T[:3, :3]))
+    body = (carrier or scene.worldbody).add_body(name="target/frame", mocap=carrier is None, pos=T[:3, 3], quat=quaternion_wxyz(T[:3, :3]))
     if target.on_gripper:  # MuJoCo gives the velocity of a site in its own axes, which the truth needs of a target in motion
         body.add_site(name="target/frame", group=SITE_GROUP, size=[0.005] * 3)
     points_a_line = len(target.points) // max(len(target.stripes), 1)

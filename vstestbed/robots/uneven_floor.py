@@ -1,0 +1,51 @@
+"""An uneven floor: a random field of heights of given size and correlation length.
+
+Its heights are Gaussian, with the autocorrelation R(d) = rms^2 exp(-d^2 / l^2): white noise through the filter whose transfer function is
+rms sqrt(pi) l exp(-k^2 l^2 / 8), k the wave number [rad/m]. The slopes along an axis have the standard deviation sqrt(2) rms / l.
+
+Reference: Thorsos 1988, "The validity of the Kirchhoff approximation for rough surface scattering using a Gaussian roughness spectrum",
+doi:10.1121/1.396188 (the spectrum and its generation in one dimension; here in two).
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+from annotated_types import Ge, Le
+
+from vstestbed.core.geometry import Array
+from vstestbed.core.quantity import Narrower, PositiveLength
+from vstestbed.core.spec import spec
+
+CELLS = 5
+"""Cells of the field in a correlation length."""
+
+
+@spec
+class UnevenFloor:
+    """Heights of the floor under a vehicle, for 20 m around the origin of the world; the wheels alone meet them.
+
+    No picture shows them: heights of millimetres are below what a pixel of the camera or of a film shows, and lines and targets lie on
+    the drawn plane.
+
+    Args:
+        rms_m: standard deviation of the heights [m].
+        correlation_m: l, the distance over which heights are alike [m]; e.g. `0.3`.
+        seed: of the heights; a run with a seed draws it anew [1].
+    """
+
+    rms_m: Annotated[PositiveLength, Narrower(le=0.05)] = 0.002
+    correlation_m: Annotated[PositiveLength, Narrower(ge=0.1, le=10)] = 0.3
+    seed: Annotated[int, Ge(0), Le(2**31 - 1)] = 0
+
+    def heights(self, half_m: float) -> Array:
+        """The heights (n, n) [m] of a square of 2 half_m from edge to edge, rows along y, columns along x."""
+        cells = round(2 * half_m * CELLS / self.correlation_m)
+        n, cell = cells + 1, 2 * half_m / cells
+        # For rfft2 the last axis has the non-negative wave numbers alone.
+        along, across = np.fft.rfftfreq(n, cell) * 2 * np.pi, np.fft.fftfreq(n, cell) * 2 * np.pi
+        of_one = [np.exp(-(k**2) * self.correlation_m**2 / 8) for k in (across, along)]
+        noise = np.fft.rfft2(np.random.default_rng(self.seed).standard_normal((n, n)))
+        filtered = noise * of_one[0][:, None] * of_one[1] * (self.rms_m * np.sqrt(np.pi) * self.correlation_m / cell)
+        return np.asarray(np.fft.irfft2(filtered, (n, n)), dtype=np.float64)
