@@ -1,4 +1,4 @@
-"""The quadrotor's battery: voltage under load, and what a lower voltage leaves of the rotors."""
+"""The quadrotor's battery: voltage under load, and what it makes of the orders to the rotors."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ class Battery:
 
     E(s) = n (3.685 + .2156 s - .1178 s^2 + .3201 s^3 - 1.031 exp(-35 s)) is the voltage without load at a state of charge s, and
     P = sum k w_i^3 / eta + avionics. A rotor's order is a share of the battery's voltage, so its w^2, and the limit of its w^2, follow
-    (V / V_ref)^2; V_ref is that of the full pack at hover, at which the craft's thrust was calibrated. The lag stays as it is. The flight
-    loops do not know the voltage: their climb loop's integral takes up the loss, to MAX_TRIM; beyond it the craft sinks. It starts in
-    trim. Left out: the cells' own transients, temperature. R, Q, n, eta and avionics are chosen; the X-4's are not known.
+    (V / V_ref)^2, up to the limit that its speed controller has anyway. V_ref is that of this pack at hover at `reference_charge`, where
+    the craft's thrust was calibrated. The lag stays as it is. The flight loops do not know the voltage: their climb loop's integral takes
+    up the difference, to MAX_TRIM; beyond it the craft sinks. It starts in trim. Left out: the cells' own transients, temperature. R, Q, n, eta and avionics are chosen; the X-4's are not known.
     The craft measures the voltage, for its log alone (column `battery_v`).
 
     Args:
@@ -28,6 +28,7 @@ class Battery:
         capacity_ah: Q, charge of the full pack [A h].
         charge: state of charge at the start, 0 is empty [1].
         resistance_ohm: R, of the whole pack with its leads [V/A].
+        reference_charge: state of charge at which the craft's thrust was calibrated [1].
         efficiency: eta, of motors and speed controllers together [1].
         avionics_w: what else it feeds [W].
 
@@ -38,6 +39,7 @@ class Battery:
     capacity_ah: Annotated[float, Gt(0), Le(1e4)] = 5.0
     charge: Annotated[float, Ge(0), Le(1)] = 1.0
     resistance_ohm: Annotated[float, Ge(0), Le(10)] = 0.02
+    reference_charge: Annotated[float, Ge(0.05), Le(1)] = 0.5
     efficiency: Annotated[float, Ge(0.05), Le(1)] = 0.75
     avionics_w: Annotated[float, Ge(0), Le(1e4)] = 10.0
 
@@ -60,7 +62,7 @@ class Battery:
         return craft.drag_coefficient * sum(w * w * w for w in speeds) / self.efficiency + self.avionics_w
 
     def share(self, voltage: float, craft: QuadrotorParameters) -> float:
-        """(V / V_ref)^2, what is left of a rotor's ordered w^2 [1]."""
+        """(V / V_ref)^2, by which a rotor's ordered w^2 is multiplied [1]."""
         ratio = voltage / reference_voltage(self, craft)
         return ratio * ratio
 
@@ -71,5 +73,5 @@ class Battery:
 
 @lru_cache(maxsize=64)
 def reference_voltage(battery: Battery, craft: QuadrotorParameters) -> float:
-    """V_ref [V]: of the full pack while the craft hovers."""
-    return battery.voltage(1.0, battery.power((math.sqrt(craft.hover),) * 4, craft))
+    """V_ref [V]: at `reference_charge`, while the craft hovers."""
+    return battery.voltage(battery.reference_charge, battery.power((math.sqrt(craft.hover),) * 4, craft))

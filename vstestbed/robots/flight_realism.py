@@ -25,11 +25,11 @@ LAB: dict[str, object] = {
 """A craft with balanced rotors and a full battery; values as in the blocks' own defaults."""
 FIELD: dict[str, object] = LAB | {
     "downwash": Downwash(turbulence=0.05),
-    "battery": Battery(charge=0.5, resistance_ohm=0.03),
-    "vibration": Vibration(imbalance_mps2=8.0, blade_pass_mps2=8.0, gyro_radps=0.08, accel_sigma_mps2=4.0, gyro_sigma_radps=0.03),
+    "battery": Battery(charge=0.25, resistance_ohm=0.04),
+    "vibration": Vibration(imbalance_mps2=4.0, blade_pass_mps2=4.0, gyro_radps=0.04, accel_sigma_mps2=1.5, gyro_sigma_radps=0.015),
     "motors": MotorSpread(thrust_sigma=0.04, limit_sigma=0.04),
 }
-"""A worn craft late in its flight: chipped rotors, a half empty battery that is old; values chosen."""
+"""A worn craft late in its flight: chipped rotors, a nearly empty battery that is old; values chosen."""
 
 
 @spec

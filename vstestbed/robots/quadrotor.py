@@ -239,7 +239,7 @@ class Quadrotor(FlightRealism, RobotBase):
         return Allocation(setpoint=u, twist=mount.to_camera[:, LEVEL_AXES] @ u, scale=1.0 / over, limit="speed" if over > 1.0 else "")
 
     def begin(self) -> Flight:
-        """The state of a craft that hovers, level and at rest; its climb loop has taken up what its battery's voltage lacks."""
+        """The state of a craft that hovers, level and at rest; its climb loop knows its battery's voltage by its trim."""
         share = self.battery.share_at_start(self.parameters) if self.battery else 1.0
         hover = self.parameters.hover / share
         return Flight(loops=Loops(trim=(0.0, 0.0, GRAVITY * (1.0 / share - 1.0))), W=(hover, hover, hover, hover))

@@ -38,8 +38,8 @@ class Vibration:
     blade_pass_mps2: Sigma = 2.5
     gyro_radps: Sigma = 0.02
     blades: Annotated[int, Ge(1), Le(12)] = 2
-    accel_sigma_mps2: Sigma = 1.0
-    gyro_sigma_radps: Sigma = 0.01
+    accel_sigma_mps2: Sigma = 0.5
+    gyro_sigma_radps: Sigma = 0.005
 
     def at(self, angles: Four, W: Four, hover: float, noise: list[float]) -> tuple[Vector, Vector]:
         """What is added to the accelerometer (3,) [m/s^2] and to the gyro (3,) [rad/s].
