@@ -15,21 +15,27 @@ import numpy as np
 from vstestbed.core.assets import model_path
 from vstestbed.core.docstrings import DIMENSIONLESS, class_text, unit_in, without_unit
 from vstestbed.core.registry import blocks_in
+from vstestbed.robots.aerodynamics import Downwash, GroundEffect, RotorDrag
+from vstestbed.robots.battery import Battery
 from vstestbed.robots.car import CarLimits, Compass
 from vstestbed.robots.car_body import CarParameters
 from vstestbed.robots.flight import Gains
 from vstestbed.robots.groundspeed import Flow
 from vstestbed.robots.imu import Imu
+from vstestbed.robots.motor_spread import MotorSpread
 from vstestbed.robots.omni_body import OmniParameters
 from vstestbed.robots.puma560 import DH
 from vstestbed.robots.quadrotor import Quadrotor
+from vstestbed.robots.rotor_inertia import RotorInertia
 from vstestbed.robots.rotors import QuadrotorParameters
+from vstestbed.robots.vibration import Vibration
 from vstestbed.scenario.described import default_of
 from vstestbed.scenario.dump import flow_text
 
 CLASSES: dict[str, type] = {
     cls.__name__: cls for cls in (CarLimits, CarParameters, Compass, Flow, Gains, Imu, OmniParameters, Quadrotor, QuadrotorParameters)
 }
+CLASSES |= {cls.__name__: cls for cls in (Battery, Downwash, GroundEffect, MotorSpread, RotorDrag, RotorInertia, Vibration)}
 SERVOS = ("industrial", "raw")
 JOINTS = tuple(f"joint_{i}" for i in range(1, 7))
 

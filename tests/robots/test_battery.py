@@ -19,8 +19,8 @@ def test_the_voltage_of_a_cell_without_load(charge, volts):
 @pytest.mark.parametrize("power", [0.0, 100.0, 400.0])
 def test_under_load_it_falls_by_resistance_times_current(power):
     battery = Battery(resistance_ohm=0.05)
-    V = battery.voltage(0.6, power)
-    assert V == pytest.approx(battery.open_voltage(0.6) - 0.05 * power / V)
+    volts = battery.voltage(0.6, power)
+    assert volts == pytest.approx(battery.open_voltage(0.6) - 0.05 * power / volts)
 
 
 def test_more_than_it_can_give_takes_it_to_half_its_voltage():

@@ -10,7 +10,7 @@ from vstestbed.robots.airframe import Airframe
 from vstestbed.robots.flight_realism import FIELD, LAB
 from vstestbed.robots.quadrotor import Quadrotor
 
-ORACLE = {"detector": {"kind": "oracle", "field_of_view": "limited"}, "stop.duration_s": 2.0}
+ORACLE = {"detector": {"kind": "oracle", "field_of_view": "limited"}, "stop.duration_s": 0.6}
 
 
 def test_without_blocks_there_is_no_disturbance():

@@ -19,9 +19,11 @@ class Battery:
     E(s) = n (3.685 + .2156 s - .1178 s^2 + .3201 s^3 - 1.031 exp(-35 s)) is the voltage without load at a state of charge s, and
     P = sum k w_i^3 / eta + avionics. A rotor's order is a share of the battery's voltage, so its w^2, and the limit of its w^2, follow
     (V / V_ref)^2, up to the limit that its speed controller has anyway. V_ref is that of this pack at hover at `reference_charge`, where
-    the craft's thrust was calibrated. The lag stays as it is. The flight loops do not know the voltage: their climb loop's integral takes
-    up the difference, to MAX_TRIM; beyond it the craft sinks. It starts in trim. Left out: the cells' own transients, temperature. R, Q, n, eta and avionics are chosen; the X-4's are not known.
-    The craft measures the voltage, for its log alone (column `battery_v`).
+    the craft's thrust was calibrated. The lag stays as it is.
+
+    The flight loops do not know the voltage: their climb loop's integral takes up the difference, to MAX_TRIM; beyond it the craft sinks.
+    It starts in trim. The craft measures the voltage, for its log alone (column `battery_v`). Left out: the cells' own transients, and
+    temperature. R, Q, n, eta and avionics are chosen; the X-4's are not known.
 
     Args:
         cells: n, in series.

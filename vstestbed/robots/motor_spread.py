@@ -19,9 +19,9 @@ MOST_SIGMAS = 3.0
 class MotorSpread:
     """Rotors off from one another: thrust b f_i w^2, and a largest w^2 of l_i times the limit; the flight loops take them as alike.
 
-    At hover the weaker rotor of a pair turns faster, f_front w_front^2 = f_back w_back^2, while both pairs have the same sum of w^2, as their
-    drag torques cancel; the flight loops find this trim by their integrals in the first seconds. A motor that saturates early leaves less
-    torque about one axis. Factors are drawn from the run's seed unless they are listed. The default sigmas are chosen.
+    At hover the weaker rotor of a pair turns faster, f_front w_front^2 = f_back w_back^2, and both pairs have the same sum of w^2, as
+    their drag torques cancel; the flight loops find this trim by their integrals in the first seconds. A motor that saturates early
+    leaves less torque about one axis. Factors are drawn from the run's seed unless they are listed. The default sigmas are chosen.
 
     Args:
         thrust_sigma: standard deviation of a rotor's thrust coefficient, as a share of it [1].

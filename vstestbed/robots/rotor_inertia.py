@@ -27,7 +27,8 @@ class RotorInertia:
         inertia_kgm2: J, of one rotor with what turns with it, about its axis [kg m^2]; none scales the X-4's, 6.49e-5, with the craft's
             mass and the square of the radius; e.g. `6.5e-5`.
 
-    Reference: Bouabdallah, Murrieri & Siegwart 2004, doi:10.1109/ROBOT.2004.1302409; J: Pounds 2007 (models/quadrotor.xml).
+    Reference: the gyroscopic torque Bouabdallah, Murrieri & Siegwart 2004, doi:10.1109/ROBOT.2004.1302409; the reaction is Euler's second
+        law; J: Pounds 2007 (models/quadrotor.xml).
     """
 
     inertia_kgm2: Annotated[float, Gt(0), Le(10)] | None = None

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike
 
 from vstestbed.robots.disturbance import BodyState, Disturbance
 from vstestbed.sim.scene.stage import Stage
@@ -38,14 +38,13 @@ class Disturbed:
         for i in range(len(self._probes)):
             self._look(i, self._turn.tolist())
 
-    def act(self, orders: ArrayLike, dt: float) -> Sequence[float]:
+    def act(self, orders: Any, dt: float) -> Sequence[float]:
         """Put force and torque on the base for the next control period; what the controller's orders (nu,) become."""
         R = self._turn.tolist()
         if self._probes:  # one ray a period: of 16 the oldest is as old as 16 ms, in which a craft that lands sinks 5 mm
             self._look(self._next, R)
             self._next = (self._next + 1) % len(self._probes)
-        given = orders if isinstance(orders, tuple) else np.asarray(orders).tolist()
-        (x, y, z), (p, q, r), reached = self._disturbance.act(self._state(R), given, dt)
+        (x, y, z), (p, q, r), reached = self._disturbance.act(self._state(R), orders, dt)
         # A free joint's generalised force: linear along world axes at the base's origin, angular in the base's own. `xfrc_applied`, where
         # a person's push acts, stays free.
         a, b, c, d, e, f, g, h, i = R
