@@ -15,19 +15,24 @@ import numpy as np
 from vstestbed.core.assets import model_path
 from vstestbed.core.docstrings import DIMENSIONLESS, class_text, unit_in, without_unit
 from vstestbed.core.registry import blocks_in
+from vstestbed.robots.aerodynamics import Downwash, GroundEffect, RotorDrag
+from vstestbed.robots.battery import Battery
 from vstestbed.robots.car import Car, CarLimits, Compass
 from vstestbed.robots.car_body import CarParameters
 from vstestbed.robots.flight import Gains
 from vstestbed.robots.groundspeed import Flow
 from vstestbed.robots.imu import Imu
+from vstestbed.robots.motor_spread import MotorSpread
 from vstestbed.robots.omni import Omni
 from vstestbed.robots.omni_body import OmniParameters
 from vstestbed.robots.puma560 import DH
 from vstestbed.robots.quadrotor import Quadrotor
 from vstestbed.robots.realism import Level, Realistic
+from vstestbed.robots.rotor_inertia import RotorInertia
 from vstestbed.robots.rotors import QuadrotorParameters
 from vstestbed.robots.tyres import Tyres
 from vstestbed.robots.uneven_floor import UnevenFloor
+from vstestbed.robots.vibration import Vibration
 from vstestbed.robots.wheels import WheelSpread
 from vstestbed.robots.worn_vehicle import WornVehicle
 from vstestbed.scenario.described import default_of
@@ -41,6 +46,7 @@ CLASSES: dict[str, type] = {
     )
 }
 WORN: dict[str, type[Realistic]] = {"car": Car, "omni": Omni}
+CLASSES |= {cls.__name__: cls for cls in (Battery, Downwash, GroundEffect, MotorSpread, RotorDrag, RotorInertia, Vibration)}
 SERVOS = ("industrial", "raw")
 JOINTS = tuple(f"joint_{i}" for i in range(1, 7))
 

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from vstestbed.core.geometry import Array
 from vstestbed.robots.allocation import Actuation, Allocation, Mount
 from vstestbed.robots.body import Change
+from vstestbed.robots.disturbance import Disturbance
 from vstestbed.robots.own_model import OwnModel
 from vstestbed.robots.reading import Reading
 from vstestbed.robots.robot_log import RobotLog
@@ -157,6 +158,10 @@ class Robot(Protocol):
 
         The columns are independent: n is at most six, also for an arm of seven joints, whose `allocate` resolves the redundancy.
         """
+        ...
+
+    def disturbance(self, rng: np.random.Generator) -> Disturbance | None:
+        """What acts on its base, its actuators and its sensors in one run beside what its file has; None for nothing."""
         ...
 
     def noise(self, rng: np.random.Generator) -> Any:

@@ -13,6 +13,7 @@ from vstestbed.core.geometry import Array
 from vstestbed.robots.allocation import Actuation, Allocation, Mount
 from vstestbed.robots.base import Base
 from vstestbed.robots.body import Change
+from vstestbed.robots.disturbance import Disturbance
 from vstestbed.robots.own_model import CAMERA, OwnModel
 from vstestbed.robots.reading import Reading
 from vstestbed.robots.robot_log import RobotLog
@@ -117,6 +118,10 @@ class RobotBase:
 
     def check_mount(self, xyz: tuple[float, ...]) -> None:
         """Any place will do."""
+
+    def disturbance(self, rng: np.random.Generator) -> Disturbance | None:
+        """Nothing."""
+        return None
 
     def noise(self, rng: np.random.Generator) -> Any:
         """The generator itself."""

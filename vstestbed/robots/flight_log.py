@@ -24,15 +24,16 @@ class FlightLog(RobotLog):
     `est_roll`, `est_pitch` [rad], `est_vx`, `est_vy`, `est_vz` (level frame) [m/s], `est_wx`, `est_wy`, `est_wz` (body) [rad/s]: the
     craft's own estimate; `ref_roll`, ..., `ref_wz`: references from its velocity loop and its attitude loop; `wind_x`, ... true, in the
     world [m/s]; `speed_NAME`: true, of each rotor [rad/s]; `supervisor`: mode of the failsafe, 0 follows the law, 1 holds, 2 sinks,
-    3 rotors off.
+    3 rotors off; of a craft with a battery `battery_v`, its voltage as measured [V].
 
     Args:
-        supervisor: the craft's. rotors: names of its actuators.
+        supervisor: the craft's. rotors: names of its actuators. battery: whether it has one.
     """
 
-    def __init__(self, supervisor: Supervisor, rotors: tuple[str, ...]):
+    def __init__(self, supervisor: Supervisor, rotors: tuple[str, ...], battery: bool = False):
         super().__init__(supervisor)
-        self.columns = (*ESTIMATE, *REFERENCE, *WIND, *(f"speed_{name}" for name in rotors), "supervisor")
+        more = ("battery_v",) if battery else ()
+        self.columns = (*ESTIMATE, *REFERENCE, *WIND, *(f"speed_{name}" for name in rotors), "supervisor", *more)
 
     def row(self, state: RobotState) -> Array:
         """Values at one exposure."""
@@ -45,7 +46,8 @@ class FlightLog(RobotLog):
         velocity = to_level(level(up), tuple(estimate.velocity.tolist()))
         loops = np.concatenate([estimate.rates, estimate.ref_tilt, estimate.ref_rates])
         speeds = np.sqrt(np.maximum(state.act, 0.0))  # activations are squared speeds
-        return np.array([roll, pitch, *velocity, *loops, *state.wind, *speeds, self.supervisor.mode])
+        row = [roll, pitch, *velocity, *loops, *state.wind, *speeds, self.supervisor.mode, reading.voltage_v]
+        return np.array(row[: len(self.columns)])
 
     def proprioception(self, log: Mapping[str, Array]) -> dict[str, Array]:
         """Tilt and body twist; the velocity back from the estimate's level frame into body axes. The range is not in the log."""

@@ -29,12 +29,14 @@ class Instruments(NamedTuple):
     Attributes:
         gyro: body rates (3,) [rad/s]. force: specific force of the accelerometer, body axes (3,) [m/s^2].
         velocity: of the optical-flow instrument, body axes (3,) [m/s]. range_m: of the range finder that looks down, inf over nothing [m].
+        voltage_v: of the battery, NaN where none is modelled [V].
     """
 
     gyro: Vector
     force: Vector
     velocity: Vector
     range_m: float
+    voltage_v: float = math.nan
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,10 +66,12 @@ class FlightReading(Reading):
 
     Attributes:
         range_m: of the range finder that looks down, inf over nothing [m]. estimate: of the flight loops.
+        voltage_v: of the battery, NaN where none is modelled [V].
     """
 
     range_m: float
     estimate: FlightEstimate
+    voltage_v: float = math.nan
 
     @property
     def body_twist(self) -> Array:

@@ -21,18 +21,22 @@ from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import PositiveRate, PositiveSpeed, Sigma
 from vstestbed.core.spec import spec
 from vstestbed.robots import groundspeed
+from vstestbed.robots.airframe import Airframe
 from vstestbed.robots.allocation import Allocation, Mount
 from vstestbed.robots.attitude import GRAVITY, Attitude, Filter, heading_rate, level, to_body
 from vstestbed.robots.attitude import step as attitude_step
 from vstestbed.robots.base import Base
 from vstestbed.robots.body import Change
 from vstestbed.robots.defaults import RobotBase
+from vstestbed.robots.disturbance import Disturbance
 from vstestbed.robots.failsafe import Failsafe
 from vstestbed.robots.flight import RECOVER_RAD, STILL, Gains, Loops, fly
 from vstestbed.robots.flight_log import FlightLog
 from vstestbed.robots.flight_reading import HOLD, FlightEstimate, FlightReading, Instruments
+from vstestbed.robots.flight_realism import FlightRealism
+from vstestbed.robots.flight_sensors import drawn_noise, instruments
 from vstestbed.robots.flight_start import LOWEST_M, FlightPose, FlightStart
-from vstestbed.robots.groundspeed import READING_S, Flow, Groundspeed, VelocitySource
+from vstestbed.robots.groundspeed import Flow, Groundspeed, VelocitySource
 from vstestbed.robots.imu import Imu
 from vstestbed.robots.own_model import OwnModel
 from vstestbed.robots.reading import Reading
@@ -48,8 +52,6 @@ STANDING_COSINE = math.cos(math.radians(30))
 """A craft tilted by more than 30 degrees does not stand."""
 FAR_M = 100.0
 """A measured range beyond this, or none, is given to a learned policy as this [m]."""
-READINGS_AHEAD = 64
-"""For how many readings noise is drawn at once."""
 NO_JOINTS = np.zeros(0)
 LEVEL_AXES = [0, 1, 2, 5]
 """Indices of vx, vy, vz and wz in a twist: the four velocities that a level craft can track."""
@@ -73,7 +75,7 @@ class Flight(NamedTuple):
 
 
 @spec
-class Quadrotor(RobotBase):
+class Quadrotor(FlightRealism, RobotBase):
     """A quadrotor with four simulated rotors; the camera is mounted relative to its centre (x forward, y left, z up).
 
     Args:
@@ -113,6 +115,7 @@ class Quadrotor(RobotBase):
 
     def __post_init__(self) -> None:
         """Refuse a start in the ground, or on it, as the craft hovers; and speed controllers slower than the rotors."""
+        super().__post_init__()
         low = self.start.nominal.xyz[2]
         if low < LOWEST_M:
             raise ParameterError("start.nominal.xyz.2", f"must leave the centre {LOWEST_M:g} m or more above the ground", low)
@@ -128,8 +131,15 @@ class Quadrotor(RobotBase):
 
     @property
     def body_changes(self) -> tuple[Change, ...]:
-        """Those of its parameters."""
-        return self.parameters.changes
+        """Those of its parameters; the drag that `rotor_drag` models is taken from the air drag."""
+        share = self.rotor_drag.body_share if self.rotor_drag else 1.0
+        return (
+            self.parameters.changes if share == 1.0 else replace(self.parameters, drag_area_m2=share * self.parameters.drag_area_m2).changes
+        )
+
+    def disturbance(self, rng: np.random.Generator) -> Disturbance | None:
+        """Its imperfections."""
+        return Airframe(self.parameters, self, rng) if self.imperfect else None
 
     def configuration(self) -> Array:
         """The nominal start (x, y, z, yaw), [m, rad]."""
@@ -158,7 +168,7 @@ class Quadrotor(RobotBase):
 
     def log(self, supervisor: Supervisor) -> RobotLog:
         """Estimates, references of the loops, wind, rotors, mode of the failsafe."""
-        return FlightLog(supervisor, self.actuators)
+        return FlightLog(supervisor, self.actuators, battery=self.battery is not None)
 
     def hold_setpoint(self) -> Array:
         """Level, where it is."""
@@ -196,24 +206,11 @@ class Quadrotor(RobotBase):
 
     def noise(self, rng: np.random.Generator) -> Iterator[list[float]]:
         """Noise and bias (10,) of gyro, accelerometer, velocity and range, of one reading after the other."""
-        # `sigma_mps` is that of a 20 ms reading; one of 1 ms has the same power spectrum with sqrt(20) times as much.
-        imu, flow = self.imu, self.velocity.sigma_mps * math.sqrt(READING_S / 0.001)
-        sigma = np.repeat([imu.gyro_sigma_radps, imu.accel_sigma_mps2, flow, self.range_sigma_m], [3, 3, 3, 1])
-        bias = np.array([*imu.gyro_bias_radps, *imu.accel_bias_mps2, 0.0, 0.0, 0.0, 0.0])
-        while True:  # drawn one by one, at 1 kHz, they would take as long as the rotors' mixer and its speed controllers
-            yield from (sigma * rng.standard_normal((READINGS_AHEAD, 10)) + bias).tolist()
+        return drawn_noise(self.imu, self.velocity, self.range_sigma_m, rng)
 
     def measured(self, q: Array, qd: Array, sensors: Mapping[str, list[float]], noise: Iterator[list[float]]) -> Instruments:
         """MuJoCo's perfect sensors with this craft's noise, bias and scale error."""
-        gx, gy, gz, fx, fy, fz, vx, vy, vz, e = next(noise)
-        (wx, wy, wz), (ax, ay, az), (x, y, z) = sensors["gyro"], sensors["accelerometer"], sensors["velocity"]
-        scale, height = 1.0 + self.velocity.scale_error, sensors["range"][0]
-        return Instruments(
-            (wx + gx, wy + gy, wz + gz),
-            (ax + fx, ay + fy, az + fz),
-            (x * scale + vx, y * scale + vy, z * scale + vz),
-            math.inf if height < 0 else height + e,  # MuJoCo gives -1 where the ray hits nothing
-        )
+        return instruments(sensors, next(noise), self.velocity.scale_error)
 
     def measured_twist(self, before: Reading, now: Reading, duration: float, commanded: Array, mount: Mount) -> Array:
         """Mean camera twist (6,) between two readings: the mean of velocity and body rates at both, through the mount."""
@@ -242,9 +239,10 @@ class Quadrotor(RobotBase):
         return Allocation(setpoint=u, twist=mount.to_camera[:, LEVEL_AXES] @ u, scale=1.0 / over, limit="speed" if over > 1.0 else "")
 
     def begin(self) -> Flight:
-        """The state of a craft that hovers, level and at rest."""
-        hover = self.parameters.hover
-        return Flight(W=(hover, hover, hover, hover))
+        """The state of a craft that hovers, level and at rest; its climb loop knows its battery's voltage by its trim."""
+        share = self.battery.share_at_start(self.parameters) if self.battery else 1.0
+        hover = self.parameters.hover / share
+        return Flight(loops=Loops(trim=(0.0, 0.0, GRAVITY * (1.0 / share - 1.0))), W=(hover, hover, hover, hover))
 
     def actuate(self, memory: Flight, setpoint: Array, reading: Instruments, dt: float) -> tuple[Flight, Four]:
         """One control step: commanded squared rotor speeds (4,) for a setpoint (vx, vy, vz, wz).
@@ -252,7 +250,7 @@ class Quadrotor(RobotBase):
         A setpoint that is not finite means hover; ROTORS_OFF disarms the craft for good, and its rotors run out.
         """
         attitude, ground, loops, W, _, armed, limited_s = memory
-        (gyro, force, speed, _), gains, craft = reading, self.gains, self.parameters
+        (gyro, force, speed, _, _), gains, craft = reading, self.gains, self.parameters
         vx, vy, vz, wz = setpoint.tolist()
         armed = armed and vz != -math.inf
         if not math.isfinite(vx + vy + vz + wz):
@@ -297,4 +295,4 @@ class Quadrotor(RobotBase):
             overturned=memory.overturned,
             stands=self.stands(memory, reading),
         )
-        return FlightReading(NO_JOINTS, NO_JOINTS, tilt=tilt, range_m=reading.range_m, estimate=estimate)
+        return FlightReading(NO_JOINTS, NO_JOINTS, tilt=tilt, range_m=reading.range_m, voltage_v=reading.voltage_v, estimate=estimate)

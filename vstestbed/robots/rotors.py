@@ -32,6 +32,8 @@ LEAST_TURN = 10.0
 """Least angular acceleration about x and y that the rotors must make at hover [rad/s^2]: the X-4's is 27."""
 HUB_M = 0.075
 """Radius of the hub, where the arms begin [m]."""
+ROTOR_M = 0.045
+"""Height of the rotors over the centre of mass [m], by models/quadrotor.xml."""
 Inertia = Annotated[tuple[Annotated[float, Gt(0), Le(1e3)], ...], Len(3, 3)]
 """Moments of inertia about x, y and z [kg m^2]."""
 

@@ -20,6 +20,7 @@ from vstestbed.sim.contacts import RobotContacts
 from vstestbed.sim.hands import Push, hold_plate, moved_path
 from vstestbed.sim.process_end import may_end_here
 from vstestbed.sim.render.image_sensor import ImageSensor
+from vstestbed.sim.scene.disturbed import Disturbed
 from vstestbed.sim.scene.lead_vehicle import LeadVehicle
 from vstestbed.sim.scene.stage import Stage
 from vstestbed.sim.scene.tyre_forces import TyreForces
@@ -67,7 +68,9 @@ class MujocoPlant:
         # A stream of its own: turbulence, drawn at the control rate, must not shift the noise that the sensors draw.
         wind = WindField(world.wind, stage.model, rng.spawn(1)[0]) if robot.base == "floating" else None
         self._wind_field = None if world.wind.still else wind
-        self._sensors, self._ctrl = SensorReader(stage, rng), stage.data.ctrl
+        disturbance = robot.disturbance(rng.spawn(1)[0])
+        self._disturbed = None if disturbance is None else Disturbed(stage, disturbance)
+        self._sensors, self._ctrl = SensorReader(stage, rng, self._disturbed), stage.data.ctrl
         self._leader = LeadVehicle(stage) if stage.leader else None
         self._velocity, self._push = np.zeros(6), Push(stage)
         self._memory: Any = robot.begin()
@@ -107,6 +110,8 @@ class MujocoPlant:
                 kp = model.actuator_gainprm[i, 0]
                 data.act[model.actuator_actadr[i]] = data.qpos[model.jnt_qposadr[joint]] + load / kp
         mujoco.mj_forward(model, data)
+        if self._disturbed is not None:
+            self._disturbed.start()
 
     def _stand(self) -> None:
         """Let vehicles settle on their springs, then move them back to their start, at rest, at time 0."""
@@ -254,7 +259,8 @@ class MujocoPlant:
         setpoint = self._orders.at(step)
         if setpoint is not None:
             reading = self._sensors.read(step)
-            self._memory, self._ctrl[stage.at.ctrl] = self._robot.actuate(self._memory, setpoint, reading, dt)
+            self._memory, orders = self._robot.actuate(self._memory, setpoint, reading, dt)
+            self._ctrl[stage.at.ctrl] = orders if self._disturbed is None else self._disturbed.act(orders, dt)
 
     @property
     def weight_n(self) -> float:

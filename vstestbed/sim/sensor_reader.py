@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from vstestbed.core.geometry import Array
+from vstestbed.sim.scene.disturbed import Disturbed
 from vstestbed.sim.scene.stage import Stage
 
 NONE = np.zeros(0)
@@ -16,13 +17,13 @@ class SensorReader:
     """Reads a robot's joints and MJCF sensors, once for each physics step.
 
     Args:
-        stage: the scene. rng: generator of the noise.
+        stage: the scene. rng: generator of the noise. disturbed: adds to what the sensors meet; None for nothing.
     """
 
-    def __init__(self, stage: Stage, rng: np.random.Generator):
+    def __init__(self, stage: Stage, rng: np.random.Generator, disturbed: Disturbed | None = None):
         self._robot, self._data, self._values = stage.parts.robot, stage.data, stage.data.sensordata
         self._at = stage.at if self._robot.joints else None
-        self._noise = self._robot.noise(rng)
+        self._noise, self._disturbed = self._robot.noise(rng), disturbed
         self._sensors = []
         for name in self._robot.sensors:
             sensor = stage.model.sensor(f"robot/{name}")
@@ -45,5 +46,7 @@ class SensorReader:
         if step != self._read_at:
             values = self._values.tolist()
             sensors = {name: values[where] for name, where in self._sensors}
+            if self._disturbed is not None:
+                sensors = self._disturbed.felt(sensors)
             self._reading, self._read_at = self._robot.measured(*self.joints(), sensors, self._noise), step
         return self._reading

@@ -1,0 +1,45 @@
+"""A craft's imperfections as blocks and as presets; what a run of them logs."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import vstestbed as vs
+from vstestbed.robots.airframe import Airframe
+from vstestbed.robots.flight_realism import FIELD, LAB
+from vstestbed.robots.quadrotor import Quadrotor
+
+ORACLE = {"detector": {"kind": "oracle", "field_of_view": "limited"}, "stop.duration_s": 0.6}
+
+
+def test_without_blocks_there_is_no_disturbance():
+    robot = Quadrotor()
+    assert robot.disturbance(np.random.default_rng(0)) is None
+    assert robot.log(robot.supervisor(False, 1.0, 1.0)).columns[-1] == "supervisor"
+
+
+@pytest.mark.parametrize(("level", "blocks"), [("lab", LAB), ("field", FIELD)])
+def test_a_preset_fills_all_blocks(level, blocks):
+    robot = Quadrotor(realism=level)
+    assert {name: getattr(robot, name) for name in LAB} == blocks
+    assert isinstance(robot.disturbance(np.random.default_rng(0)), Airframe)
+
+
+def test_one_block_leaves_the_draws_of_the_others():
+    """Each block draws from a stream of its own."""
+    both, one = Quadrotor(realism="lab"), Quadrotor(vibration={})  # pyright: ignore[reportArgumentType]
+    felt = []
+    for robot in (both, one):
+        disturbance = robot.disturbance(np.random.default_rng(4))
+        assert disturbance is not None
+        felt.append(disturbance.felt({"accelerometer": [0.0] * 3, "gyro": [0.0] * 3})["accelerometer"])
+    assert felt[0] == felt[1]
+
+
+def test_a_craft_of_the_field_flies_and_logs_its_voltage():
+    runs = [vs.run(vs.load("quadrotor_hover", ORACLE | {"robot.realism": "field"})) for _ in range(2)]
+    volts = runs[0]["battery_v"]
+    assert 13 < volts[-1] < volts[0] < 14.5
+    assert np.array_equal(volts, runs[1]["battery_v"])  # the seed repeats it
+    assert runs[0].outcome.name == "timed_out"
