@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from vstestbed.core.geometry import Array
 from vstestbed.robots.allocation import Actuation, Allocation, Mount
 from vstestbed.robots.body import Change
+from vstestbed.robots.mechanics import Mechanics
 from vstestbed.robots.own_model import OwnModel
 from vstestbed.robots.reading import Reading
 from vstestbed.robots.robot_log import RobotLog
@@ -86,6 +87,11 @@ class Robot(Protocol):
         ...
 
     @property
+    def mechanics(self) -> Mechanics | None:
+        """How an arm's true joints and links differ from those of its file; None: they do not."""
+        ...
+
+    @property
     def ends_m(self) -> tuple[float, float]:
         """Of a vehicle: x of its rear and of its front end in the base frame [m]."""
         ...
@@ -111,6 +117,10 @@ class Robot(Protocol):
 
     def start_joints(self) -> Array:
         """What its joints read at the nominal start, shape (len(joints),) [rad]."""
+        ...
+
+    def drawn(self, rng: np.random.Generator) -> Robot:
+        """The same robot, with what differs from one to the next of its kind drawn from `rng`."""
         ...
 
     def randomised(self, rng: np.random.Generator) -> Robot:

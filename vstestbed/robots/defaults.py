@@ -13,6 +13,7 @@ from vstestbed.core.geometry import Array
 from vstestbed.robots.allocation import Actuation, Allocation, Mount
 from vstestbed.robots.base import Base
 from vstestbed.robots.body import Change
+from vstestbed.robots.mechanics import Mechanics
 from vstestbed.robots.own_model import CAMERA, OwnModel
 from vstestbed.robots.reading import Reading
 from vstestbed.robots.robot_log import RobotLog
@@ -78,6 +79,15 @@ class RobotBase:
     def body_changes(self) -> tuple[Change, ...]:
         """None."""
         return ()
+
+    @property
+    def mechanics(self) -> Mechanics | None:
+        """None: they are those of its file."""
+        return None
+
+    def drawn(self, rng: np.random.Generator) -> Any:
+        """Itself."""
+        return self
 
     @property
     def ends_m(self) -> tuple[float, float]:

@@ -19,7 +19,7 @@ from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import Angle
 from vstestbed.core.spec import spec
 from vstestbed.robots.allocation import Actuation
-from vstestbed.robots.arm import Arm
+from vstestbed.robots.real_arm import RIGID, RealArm
 
 DH = np.array(
     [
@@ -155,7 +155,7 @@ class PumaStart:
 
 
 @spec
-class Puma560(Arm):
+class Puma560(RealArm):
     """The Puma 560 with a camera at its flange, driven by joint velocities.
 
     Args:
@@ -173,11 +173,13 @@ class Puma560(Arm):
 
     def __post_init__(self) -> None:
         """Refuse a start outside the joint limits."""
+        super().__post_init__()
         limits = np.degrees(JOINT_LIMITS)
         # Beyond a limit MuJoCo's constraint would push the joint back before the first command.
         for i, (q, (low, high)) in enumerate(zip(self.start.nominal.q_deg, limits, strict=True)):
             if not low <= q <= high:
                 raise ParameterError(f"start.nominal.q_deg.{i}", f"must be within joint {i + 1}'s limits {low:g} to {high:g} deg", q)
+        self._check_effects()
 
     @property
     def model(self) -> str:
@@ -223,8 +225,8 @@ class Puma560(Arm):
         return replace(self, start=PumaStart(nominal=nominal, random=self.start.random))
 
     def idealised(self) -> Puma560:
-        """The same arm with stiff servos and without friction."""
-        return replace(self, actuation="ideal")
+        """The same arm with stiff servos and gears and without friction."""
+        return replace(self, actuation="ideal", **RIGID)
 
     def randomised(self, rng: np.random.Generator) -> Puma560:
         """The same arm with a start drawn within the box, clipped to the joint limits."""

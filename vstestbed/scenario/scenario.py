@@ -42,10 +42,10 @@ from vstestbed.vision.perturb import Perturbed
 from vstestbed.vision.pose.derotate import Derotation
 
 START_STREAM, NOISE_STREAM, IMAGE_STREAM, SENSOR_STREAM, TIMING_STREAM, DEPTH_STREAM, MOTION_STREAM, PERTURB_STREAM = range(8)
-RGBD_STREAM, GOAL_STREAM = 8, 9
+RGBD_STREAM, GOAL_STREAM, BODY_STREAM = 8, 9, 10
 """Independent random streams of one seed: the start, the noise of measured pixels, of pictures, of the robot's own sensors, of timing,
-of the calibration of depths, the target's random walk, perturbations, the depth camera, the goal's picture. Their numbers enter the seed:
-a new one comes last, or all recorded runs change."""
+of the calibration of depths, the target's random walk, perturbations, the depth camera, the goal's picture, what differs from one robot to
+the next of its kind. Their numbers enter the seed: a new one comes last, or all recorded runs change."""
 TRIES = 1000
 """Largest number of random starts drawn until the target is in view."""
 DISPLACEMENT_STEPS = 12
@@ -106,7 +106,8 @@ class Scenario:
     physics: Clock = Clock()
 
     def __post_init__(self) -> None:
-        """Refuse parts that do not belong together."""
+        """Draw what differs from one robot to the next of its kind, and refuse parts that do not belong together."""
+        object.__setattr__(self, "robot", self.robot.drawn(self.rng(BODY_STREAM)))  # frozen: a run states the very robot that it had
         check_depth(self.robot, self.camera, self.detector, self.law)
         self.timing.check(self.camera, self.clock[0])  # first: the clock refuses a step that does not divide the camera's period
         check_memory(self.camera, self.needs_image, self.timing, self.stop)
