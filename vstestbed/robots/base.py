@@ -48,8 +48,6 @@ class Robot(Protocol):
     """Whether it can hold the target, in front of a camera that stands in the room."""
     control_period_s: ClassVar[float | None]
     """Period of its onboard controller, from setpoint to actuator controls [s]; None where the setpoint is the controls."""
-    largest_step_s: ClassVar[float]
-    """The largest physics step at which its actuators were tested [s]."""
 
     @property
     def kind(self) -> str:
@@ -84,6 +82,11 @@ class Robot(Protocol):
     @property
     def body_changes(self) -> tuple[Change, ...]:
         """What its parameters change in its file; () for the file as it is."""
+        ...
+
+    @property
+    def largest_step_s(self) -> float:
+        """The largest physics step at which its actuators were tested, and which its vibrations allow [s]."""
         ...
 
     @property

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
@@ -17,9 +18,12 @@ from vstestbed.core.quantity import Angle, PositiveSpeed, Stiffness, Torque
 from vstestbed.core.spec import spec
 from vstestbed.robots.allocation import Actuation, Mount, Servo
 from vstestbed.robots.chain import JointChain, reader
+from vstestbed.robots.joint_effects import CurrentLoops, Encoders
+from vstestbed.robots.link_errors import GeometryError
 from vstestbed.robots.own_model import OwnModel
 from vstestbed.robots.reading import Reading
 from vstestbed.robots.real_arm import RIGID, RealArm
+from vstestbed.robots.realism import Level
 
 STIFFNESS, RATIO_S = 4500.0, 1 / 40
 """Position gain of a velocity servo over the joint's inertia [1/s^2], and its velocity gain over that [s]. The Puma's servos have 3500 to
@@ -28,6 +32,20 @@ WIND_UP_RAD, WIND_UP_M = float(np.radians(0.5)), 1e-3
 """Most that friction may wind up an added servo before its joint moves: of a hinge [rad], of a joint that slides [m]."""
 IDEAL_GAIN = 5000.0
 """Velocity gain of an ideal servo over the joint's inertia [1/s]."""
+
+PRESETS: Mapping[Level, Mapping[str, object]] = {
+    "lab": {
+        "encoders": Encoders(counts=(1 << 18,)),
+        "drives": CurrentLoops(bandwidth_hz=500.0),
+        "geometry_error": GeometryError(sigma_m=3e-4, sigma_deg=0.02),
+    },
+    "field": {
+        "encoders": Encoders(counts=(1 << 14,), eccentricity_deg=(0.01,)),
+        "drives": CurrentLoops(bandwidth_hz=200.0, delay_s=1e-3),
+        "geometry_error": GeometryError(sigma_m=1e-3, sigma_deg=0.1),
+    },
+}
+"""All chosen; stiffness of the gears and cogging are each arm's own, and no preset has them."""
 
 
 @spec
@@ -101,6 +119,7 @@ class Mjcf(RealArm):
     start: ArmStart
     avoid_limits: Annotated[float, Ge(0), Le(10)] = 0.5
     actuators: ClassVar[tuple[str, ...]]
+    presets: ClassVar[Mapping[Level, Mapping[str, object]]] = PRESETS
 
     def __post_init__(self) -> None:
         """Read the file, and refuse what does not fit it."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cached_property
-from typing import Annotated, Any, ClassVar, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
 from annotated_types import Ge, Le
@@ -50,7 +50,16 @@ class RealArm(Realistic, Arm):
     geometry_error: GeometryError | None = None
     gravity_error: Annotated[float, Ge(-1), Le(1)] | None = None
     payload: Payload | None = None
-    _ideal: ClassVar[str] = "ideal"
+
+    def __post_init__(self) -> None:
+        """Fill the blocks that the preset has."""
+        if self.realism != "none" and self._is_ideal:
+            raise ParameterError("realism", "must be none with `actuation: ideal`; works: another actuation", self.realism)
+        super().__post_init__()
+
+    @property
+    def _is_ideal(self) -> bool:
+        return getattr(self, "actuation", "") == "ideal"  # a field of the subclasses
 
     @property
     def slides(self) -> NDArray[np.bool_]:
@@ -59,13 +68,11 @@ class RealArm(Realistic, Arm):
 
     def _check_effects(self) -> None:
         """Refuse numbers that do not fit the joints, and effects on drives that are ideal."""
-        mechanics = self.mechanics
+        self.mechanics  # noqa: B018 - refuses what does not fit
         if self.encoders is not None:
             self.encoders.read(np.zeros(len(self.joints)), np.zeros(len(self.joints)), self.slides)
-        if mechanics is None or getattr(self, "actuation") != self._ideal:  # noqa: B009 - a field of the subclasses
-            return
         for field in ("drives", "ripple", "gravity_error"):
-            if getattr(self, field) is not None:
+            if self._is_ideal and getattr(self, field) is not None:
                 raise ParameterError(field, "is for actuators with limits, and `actuation: ideal` has none; works: another actuation")
 
     @cached_property

@@ -51,7 +51,7 @@ def add_robot(scene: mujoco.MjSpec, robot: Robot, prefix: str, friction: float |
     site = scene.site(f"{prefix}{robot.flange}")
     flange = site.parent if site else scene.body(f"{prefix}{robot.flange}")
     if robot.mechanics is not None and robot.mechanics.payload is not None:
-        add_payload(flange, T_body_flange, robot.mechanics.payload, compensated(robot))
+        add_payload(flange, f"{prefix}payload", T_body_flange, robot.mechanics.payload, compensated(robot))
     return flange, T_body_flange
 
 

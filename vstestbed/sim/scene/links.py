@@ -10,8 +10,6 @@ from vstestbed.core.geometry import Array, quaternion_wxyz
 from vstestbed.robots.link_errors import Payload
 from vstestbed.robots.mechanics import Mechanics
 
-PAYLOAD = "payload"
-
 
 def displace_links(model: mujoco.MjSpec, compiled: mujoco.MjModel, mechanics: Mechanics) -> None:
     """Displace the body of each joint but the first by D of the link before it, in the frame of that link; the flange is `add_robot`'s.
@@ -38,14 +36,15 @@ def displace_links(model: mujoco.MjSpec, compiled: mujoco.MjModel, mechanics: Me
         body.pos, body.quat = T[:3, 3], quaternion_wxyz(T[:3, :3])
 
 
-def add_payload(flange: mujoco.MjsBody, T_body_flange: Array, payload: Payload, carried: float) -> None:
-    """A body without geoms at the flange.
+def add_payload(flange: mujoco.MjsBody, name: str, T_body_flange: Array, payload: Payload, carried: float) -> None:
+    """A body without geoms at the flange, called `name`.
 
     Args:
         flange: the body that carries the flange, at T_body_flange (4, 4) in it.
         carried: the share of its weight that the drives' compensation carries.
     """
     at = T_body_flange[:3, :3] @ np.array(payload.com_m) + T_body_flange[:3, 3]
-    body = flange.add_body(name=PAYLOAD, pos=at, quat=quaternion_wxyz(T_body_flange[:3, :3]), mass=payload.mass_kg)
+    body = flange.add_body(name=name, pos=at, quat=quaternion_wxyz(T_body_flange[:3, :3]), mass=payload.mass_kg)
     body.inertia, body.explicitinertial = [payload.mass_kg * payload.edge_m**2 / 6] * 3, True
+    body.ipos = np.zeros(3)
     body.gravcomp = carried if payload.declared else 0.0
