@@ -43,7 +43,7 @@ def inertia() -> float:
 
 def stage_of(robot: Mjcf, step_s: float | None = None) -> Stage:
     """The scene of the arm before a target."""
-    return Stage(Parts(robot, Perspective(), TARGET, World(floor_z=-5.0), step=step_s or robot.largest_step_s))
+    return Stage(Parts(robot, Perspective(), TARGET, World(floor_z=-5.0), step=step_s or min(robot.largest_step_s, robot.needed_step_s)))
 
 
 def plant_of(robot: Mjcf, step_s: float | None = None) -> Plant:

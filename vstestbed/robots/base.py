@@ -46,6 +46,8 @@ class Robot(Protocol):
     """The name of the site, or the body, in its file that carries the camera."""
     gripper: ClassVar[bool]
     """Whether it can hold the target, in front of a camera that stands in the room."""
+    largest_step_s: ClassVar[float]
+    """The largest physics step at which its actuators were tested [s]."""
     control_period_s: ClassVar[float | None]
     """Period of its onboard controller, from setpoint to actuator controls [s]; None where the setpoint is the controls."""
 
@@ -85,8 +87,8 @@ class Robot(Protocol):
         ...
 
     @property
-    def largest_step_s(self) -> float:
-        """The largest physics step at which its actuators were tested, and which its vibrations allow [s]."""
+    def needed_step_s(self) -> float:
+        """The longest physics step that its vibrations and its drives allow [s]; infinite where they allow any."""
         ...
 
     @property

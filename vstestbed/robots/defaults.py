@@ -81,6 +81,11 @@ class RobotBase:
         return ()
 
     @property
+    def needed_step_s(self) -> float:
+        """Any will do."""
+        return np.inf
+
+    @property
     def mechanics(self) -> Mechanics | None:
         """None: they are those of its file."""
         return None

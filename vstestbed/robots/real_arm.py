@@ -99,13 +99,13 @@ class RealArm(Realistic, Arm):
         )
 
     @property
-    def largest_step_s(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride] - a property in place of a constant
-        """2 ms, 1 ms with `drives`, and what resolves the quickest vibration of the gears [s].
+    def needed_step_s(self) -> float:
+        """1 ms with `drives`, and what resolves the quickest vibration of the gears [s].
 
         Raises:
             ParameterError: a stiffness that needs a shorter step than SHORTEST_STEP_S, or a joint without rotor.
         """
-        step = min(Arm.largest_step_s, DRIVES_STEP_S) if self.drives is not None else Arm.largest_step_s
+        step = np.inf if self.drives is None else DRIVES_STEP_S
         return step if self.gears is None else min(step, self._gears_step_s)
 
     @cached_property
@@ -118,7 +118,7 @@ class RealArm(Realistic, Arm):
                 words = f"must be 0 for {name}, which has no rotor that could move by itself; give the joint an `armature` in its file"
                 raise ParameterError("robot.gears.stiffness_nmprad", words, float(stiffness))
         w, joint = quickest(M, rotors, k)
-        step = FINEST / w if w else Arm.largest_step_s
+        step = FINEST / w if w else np.inf
         if step < SHORTEST_STEP_S:
             most = float(f"{k[joint] * (step / SHORTEST_STEP_S) ** 2:.2g}")
             words = (

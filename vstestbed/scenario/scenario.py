@@ -24,10 +24,11 @@ from vstestbed.scenario.checks import (
     check_memory,
     check_metres,
     check_robot,
+    check_step,
     check_views_metres,
 )
 from vstestbed.scenario.noise import Noise
-from vstestbed.sim.clock import Clock
+from vstestbed.sim.clock import Clock, longest_step
 from vstestbed.sim.scene.start_pose import camera_start, flange_for, posture_at, target_start
 from vstestbed.sim.scene.world import World
 from vstestbed.sim.timing import Timing
@@ -115,6 +116,7 @@ class Scenario:
         self.believed_camera  # noqa: B018 - refuses errors that the lens cannot have
         self.goal.check(self.setup)
         check_robot(self.robot, self.target, self.world, self.derotation, self.level_trim_s)
+        check_step(self.robot, self.clock[0])
         self.robot.check_mount(self.camera.mount.xyz)
         check_carrier(self.target)
         if self.stop.duration_s < self.camera.period:
@@ -141,7 +143,7 @@ class Scenario:
     @property
     def clock(self) -> tuple[float, int]:
         """The physics step [s], and how many of them a camera frame takes."""
-        return self.physics.resolve(self.camera, self.robot.largest_step_s)
+        return self.physics.resolve(self.camera, longest_step(self.robot))
 
     @cached_property
     def setup(self) -> Setup:
