@@ -47,7 +47,7 @@ def measure_lags(scenario: Scenario, delay_frames: int, off: float) -> list[Lag]
         scenario: of an arm; its start is the configuration about which the joints move.
         delay_frames: d. off: amplitude of each joint [rad].
     """
-    # no images are needed: the links are the measurement, which the camera rides on, behind the gears of elastic joints
+    # neither images nor true poses are needed: the encoders are the measurement
     plant, _ = build_plant(
         scenario.robot, scenario.camera, scenario.target, scenario.world, scenario.physics, needs_image=False, needs_truth=False
     )
@@ -74,10 +74,10 @@ def _shares(plant: Plant, joint: int, period: float, w: float, speed: float) -> 
     frames, first = (math.ceil(n * 2 * math.pi / w) for n in (SWINGS, SETTLING))
     command, q = speed * np.cos(w * np.arange(frames)), np.empty(frames + 1)
     for k in range(frames):
-        q[k] = plant.truth().q[joint]
+        q[k] = plant.reading().q[joint]
         plant.apply(np.where(np.arange(len(plant.reading().q)) == joint, command[k], 0.0))
         plant.advance(plant.steps_per_frame)
-    q[frames] = plant.truth().q[joint]
+    q[frames] = plant.reading().q[joint]
     plant.apply(np.zeros(len(plant.reading().q)))
     plant.advance(5 * plant.steps_per_frame)  # the next joint begins with the arm at rest
     b = _fit(np.diff(q) / period, command, first)

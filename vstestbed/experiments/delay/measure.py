@@ -51,7 +51,7 @@ class Limit:
         gain: largest stable gain, measured [1/s]; g: gain * period [1]; of an `unlimited` loop, which no gain up to MOST_G makes
             unstable, the largest one that was tried.
         g_theory: g of a robot without lag. g_lag: g with the measured lag of the joint that becomes unstable first; None for a
-            robot without joints.
+            robot without joints, and for elastic ones.
         g_elastic: g of the linear arm with its gears' elasticity; None for one without.
         lags: lag of each joint at the frequency of the limit. runs: number of runs that the search took.
     """
@@ -187,11 +187,9 @@ def find_limit(at_goal: Scenario, delay_frames: int) -> Limit:
     """
     period, theory = at_goal.camera.period, closed_form(delay_frames)
     at_start = displaced(at_goal)
-    lags: tuple[Lag, ...] = ()
-    if at_goal.robot.joints:
-        lags = tuple(measure_lags(at_goal, delay_frames, _off(at_goal.robot)))
-    g_lag = min((gain_limit(delay_frames, lag.shares) for lag in lags), default=None)
     g_elastic = _elastic(at_goal, delay_frames)
+    lags = _lags(at_goal, delay_frames) if g_elastic is None else ()  # at a resonance two shares of a command do not describe a joint
+    g_lag = min((gain_limit(delay_frames, lag.shares) for lag in lags), default=None)
     # the bracket is centred on the better prediction
     expected, count = (theory if g_lag is None else g_lag), 0
     expected = min(expected, g_elastic or expected)
@@ -212,6 +210,11 @@ def find_limit(at_goal: Scenario, delay_frames: int) -> Limit:
         low, high = (low, middle) if growth(at_start, middle / period, delay_frames) > 1 else (middle, high)
     g = (low + high) / 2
     return Limit(delay_frames, delay_frames * period, g / period, g, theory, g_lag, lags, count, g_elastic=g_elastic)
+
+
+def _lags(at_goal: Scenario, delay_frames: int) -> tuple[Lag, ...]:
+    """Those of a robot with joints."""
+    return tuple(measure_lags(at_goal, delay_frames, _off(at_goal.robot))) if at_goal.robot.joints else ()
 
 
 def _elastic(at_goal: Scenario, delay_frames: int) -> float | None:
