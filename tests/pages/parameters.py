@@ -25,7 +25,7 @@ from vstestbed.robots.imu import Imu
 from vstestbed.robots.motor_spread import MotorSpread
 from vstestbed.robots.omni import Omni
 from vstestbed.robots.omni_body import OmniParameters
-from vstestbed.robots.puma560 import DH
+from vstestbed.robots.puma560 import DH, Puma560
 from vstestbed.robots.quadrotor import Quadrotor
 from vstestbed.robots.realism import Level, Realistic
 from vstestbed.robots.rotor_inertia import RotorInertia
@@ -131,6 +131,26 @@ def puma_joints() -> list[dict[str, Any]]:
         }
         joints.append(row | {"dead_band": row["friction"] / row["raw_kv"]})
     return joints
+
+
+def arm_preset(level: Level) -> dict[str, str]:
+    """What `robot.realism` gives the Puma, in numbers as a table shows them."""
+    arm = Puma560(realism=level)
+    gears, ripple, encoders, drives, geometry = arm.gears, arm.ripple, arm.encoders, arm.drives, arm.geometry_error
+    assert gears and ripple and encoders and drives and geometry
+    return {
+        "stiffness": ", ".join(plain(k) for k in gears.stiffness_nmprad if k),
+        "damping": plain(gears.damping_s),
+        "backlash": plain(gears.backlash_deg[0]),
+        "cogging": ", ".join(plain(x) for x in ripple.cogging_nm),
+        "share": plain(ripple.share),
+        "counts": plain(float(round(encoders.counts[0] / encoders.turns[0]))),
+        "eccentricity": plain(round(encoders.eccentricity_deg[0] * encoders.turns[0], 3)),
+        "bandwidth": plain(drives.bandwidth_hz),
+        "delay": plain(drives.delay_s),
+        "sigma_m": plain(geometry.sigma_m),
+        "sigma_deg": plain(geometry.sigma_deg),
+    }
 
 
 def geom(name: str, of: str) -> Any:

@@ -44,7 +44,9 @@ def rendered(page: Path, kept: Kept) -> str:
         autoescape=False,
     )
     made.globals.update(command=kept, run=lambda words: kept(f"run {words}"), scenarios=scenarios, comparisons=comparisons)
-    made.globals.update(fields=parameters.fields, puma_links=parameters.puma_links, puma_joints=parameters.puma_joints)
+    made.globals.update(
+        fields=parameters.fields, puma_links=parameters.puma_links, puma_joints=parameters.puma_joints, arm_preset=parameters.arm_preset
+    )
     made.globals.update(geom=parameters.geom, joint=parameters.joint, actuator=parameters.actuator, mass=parameters.mass)
     made.globals.update(preset=parameters.preset)
     made.filters.update(judged=judged, g=parameters.plain)

@@ -62,6 +62,8 @@ def _summary_line(limit: Limit) -> str:
     if limit.unlimited:
         return f"{limit.delay_frames} frames: stable up to {limit.gain:.4g} 1/s, the largest gain that was tried"
     line = f"{row['delay_frames']} frames: unstable from {row['gain_limit']:.4g} 1/s, {row['measured_to_theory']:.3f} of theory"
+    if limit.g_elastic is not None:
+        return f"{line}, {row['measured_to_elastic']:.3f} with the gears' elasticity"
     if row["measured_to_lag"] is None:
         return line
     return f"{line}, {row['measured_to_lag']:.3f} with the servos' lag ({row['joint']} first, {1e3 * limit.lag_of_first:.1f} ms)"

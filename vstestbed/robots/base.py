@@ -12,6 +12,7 @@ from vstestbed.core.geometry import Array
 from vstestbed.robots.allocation import Actuation, Allocation, Mount
 from vstestbed.robots.body import Change
 from vstestbed.robots.disturbance import Disturbance
+from vstestbed.robots.mechanics import Mechanics
 from vstestbed.robots.own_model import OwnModel
 from vstestbed.robots.reading import Reading
 from vstestbed.robots.robot_log import RobotLog
@@ -48,10 +49,10 @@ class Robot(Protocol):
     """The name of the site, or the body, in its file that carries the camera."""
     gripper: ClassVar[bool]
     """Whether it can hold the target, in front of a camera that stands in the room."""
-    control_period_s: ClassVar[float | None]
-    """Period of its onboard controller, from setpoint to actuator controls [s]; None where the setpoint is the controls."""
     largest_step_s: ClassVar[float]
     """The largest physics step at which its actuators were tested [s]."""
+    control_period_s: ClassVar[float | None]
+    """Period of its onboard controller, from setpoint to actuator controls [s]; None where the setpoint is the controls."""
 
     @property
     def kind(self) -> str:
@@ -86,6 +87,16 @@ class Robot(Protocol):
     @property
     def body_changes(self) -> tuple[Change, ...]:
         """What its parameters change in its file; () for the file as it is."""
+        ...
+
+    @property
+    def needed_step_s(self) -> float:
+        """The longest physics step that its vibrations and its drives allow [s]; infinite where they allow any."""
+        ...
+
+    @property
+    def mechanics(self) -> Mechanics | None:
+        """How an arm's true joints and links differ from those of its file; None: they do not."""
         ...
 
     @property
@@ -124,6 +135,10 @@ class Robot(Protocol):
 
     def start_joints(self) -> Array:
         """What its joints read at the nominal start, shape (len(joints),) [rad]."""
+        ...
+
+    def drawn(self, rng: np.random.Generator) -> Robot:
+        """The same robot, with what differs from one to the next of its kind drawn from `rng`."""
         ...
 
     def randomised(self, rng: np.random.Generator) -> Robot:

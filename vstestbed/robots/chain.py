@@ -10,6 +10,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 
 
@@ -24,9 +25,20 @@ class ChainReader(Protocol):
         """What each joint's motor has to move at positions q [rad, m]: [kg m^2, kg]."""
         ...
 
+    def inertias_at(self, file: str, joints: tuple[str, ...], q: tuple[float, ...]) -> tuple[Array, Array]:
+        """Inertia of the links (n, n) at positions q [rad, m], and of the joints' rotors (n,) [kg m^2, kg]."""
+        ...
+
 
 READERS: list[Callable[[], ChainReader]] = []
 """Imports the reader when one is needed; `vstestbed.sim` enters it."""
+
+
+def reader() -> ChainReader:
+    """What reads such files."""
+    if not READERS:
+        raise ParameterError("file", "is read by the simulator's room; import vstestbed.sim first")
+    return READERS[-1]()
 
 
 @dataclass(frozen=True)

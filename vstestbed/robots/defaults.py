@@ -14,6 +14,7 @@ from vstestbed.robots.allocation import Actuation, Allocation, Mount
 from vstestbed.robots.base import Base
 from vstestbed.robots.body import Change
 from vstestbed.robots.disturbance import Disturbance
+from vstestbed.robots.mechanics import Mechanics
 from vstestbed.robots.own_model import CAMERA, OwnModel
 from vstestbed.robots.reading import Reading
 from vstestbed.robots.robot_log import RobotLog
@@ -83,6 +84,20 @@ class RobotBase:
     def body_changes(self) -> tuple[Change, ...]:
         """None."""
         return ()
+
+    @property
+    def needed_step_s(self) -> float:
+        """Any will do."""
+        return np.inf
+
+    @property
+    def mechanics(self) -> Mechanics | None:
+        """None: they are those of its file."""
+        return None
+
+    def drawn(self, rng: np.random.Generator) -> Any:
+        """Itself."""
+        return self
 
     @property
     def ends_m(self) -> tuple[float, float]:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from annotated_types import Ge, Le, Len
+from numpy.typing import NDArray
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
@@ -15,10 +17,13 @@ from vstestbed.core.named_files import absolute_file
 from vstestbed.core.quantity import Angle, PositiveSpeed, Stiffness, Torque
 from vstestbed.core.spec import spec
 from vstestbed.robots.allocation import Actuation, Mount, Servo
-from vstestbed.robots.arm import Arm
-from vstestbed.robots.chain import READERS, ChainReader, JointChain
+from vstestbed.robots.chain import JointChain, reader
+from vstestbed.robots.joint_effects import CurrentLoops, Encoders
+from vstestbed.robots.link_errors import GeometryError
 from vstestbed.robots.own_model import OwnModel
 from vstestbed.robots.reading import Reading
+from vstestbed.robots.real_arm import RIGID, RealArm
+from vstestbed.robots.realism import Level
 
 STIFFNESS, RATIO_S = 4500.0, 1 / 40
 """Position gain of a velocity servo over the joint's inertia [1/s^2], and its velocity gain over that [s]. The Puma's servos have 3500 to
@@ -27,6 +32,20 @@ WIND_UP_RAD, WIND_UP_M = float(np.radians(0.5)), 1e-3
 """Most that friction may wind up an added servo before its joint moves: of a hinge [rad], of a joint that slides [m]."""
 IDEAL_GAIN = 5000.0
 """Velocity gain of an ideal servo over the joint's inertia [1/s]."""
+
+PRESETS: Mapping[Level, Mapping[str, object]] = {
+    "lab": {
+        "encoders": Encoders(counts=(1 << 18,)),
+        "drives": CurrentLoops(bandwidth_hz=500.0),
+        "geometry_error": GeometryError(sigma_m=3e-4, sigma_deg=0.02),
+    },
+    "field": {
+        "encoders": Encoders(counts=(1 << 14,), eccentricity_deg=(0.01,)),
+        "drives": CurrentLoops(bandwidth_hz=200.0, delay_s=1e-3),
+        "geometry_error": GeometryError(sigma_m=1e-3, sigma_deg=0.1),
+    },
+}
+"""All chosen; stiffness of the gears and cogging are each arm's own, and no preset has them."""
 
 
 @spec
@@ -67,7 +86,7 @@ class ArmStart:
 
 
 @spec
-class Mjcf(Arm):
+class Mjcf(RealArm):
     """An arm of one's own, driven by joint velocities; masses, gears, friction and torque limits are those of its file.
 
     Args:
@@ -100,9 +119,11 @@ class Mjcf(Arm):
     start: ArmStart
     avoid_limits: Annotated[float, Ge(0), Le(10)] = 0.5
     actuators: ClassVar[tuple[str, ...]]
+    presets: ClassVar[Mapping[Level, Mapping[str, object]]] = PRESETS
 
     def __post_init__(self) -> None:
         """Read the file, and refuse what does not fit it."""
+        super().__post_init__()
         object.__setattr__(self, "file", absolute_file(self.file, Path.cwd()))  # frozen: a run remembers where its arm is
         chain = self.chain
         names, n = ", ".join(chain.names), len(chain.names)
@@ -120,6 +141,7 @@ class Mjcf(Arm):
             self._check_drives(chain)
         elif self.actuation == "velocity":
             self._settle_gains(chain)
+        self._check_effects()
 
     def _check_lengths(self, names: str, n: int) -> None:
         for field in ("speed_limits", "torque_limits", "servo_kp", "servo_kv"):
@@ -138,7 +160,7 @@ class Mjcf(Arm):
 
     def _inertia(self, chain: JointChain) -> tuple[float, ...]:
         """What each motor moves at the nominal start [kg m^2, kg]."""
-        return _reader().inertia_at(self.file, chain.names, tuple(self.configuration().tolist()))
+        return reader().inertia_at(self.file, chain.names, tuple(self.configuration().tolist()))
 
     def _check_drives(self, chain: JointChain) -> None:
         for name, drive in zip(chain.names, chain.drives, strict=True):
@@ -150,7 +172,7 @@ class Mjcf(Arm):
     @property
     def chain(self) -> JointChain:
         """The joints as plain numbers."""
-        return _reader().joint_chain(self.file, self.flange, self.joints)
+        return reader().joint_chain(self.file, self.flange, self.joints)
 
     @property
     def model(self) -> str:
@@ -189,7 +211,12 @@ class Mjcf(Arm):
 
     def own_model(self, reading: Reading, mount: Mount) -> OwnModel:
         """Its joints, and which of them slide."""
-        return replace(super().own_model(reading, mount), slides=self.chain.slides)
+        return replace(super().own_model(reading, mount), slides=self.slides)
+
+    @property
+    def slides(self) -> NDArray[np.bool_]:
+        """Those of the file."""
+        return self.chain.slides
 
     def kinematics(self, q: Array) -> tuple[Array, Array]:
         """Those of the file."""
@@ -206,8 +233,8 @@ class Mjcf(Arm):
         return replace(self, start=ArmStart(nominal=Positions(q_deg=tuple(given.tolist())), random=self.start.random))
 
     def idealised(self) -> Mjcf:
-        """The same arm with stiff servos and without friction."""
-        return replace(self, actuation="ideal")
+        """The same arm with stiff servos and gears and without friction."""
+        return replace(self, actuation="ideal", **RIGID)
 
     def randomised(self, rng: np.random.Generator) -> Mjcf:
         """The same arm with a start drawn within the box, clipped to the joint limits."""
@@ -246,10 +273,3 @@ def servo_gains(inertia: float, friction: float, slides: bool) -> tuple[float, f
 def four_digits(number: float) -> float:
     """A number as summaries and scenarios show it: the same on all machines, whose sums differ in the last digits."""
     return float(f"{number:.4g}")
-
-
-def _reader() -> ChainReader:
-    """What reads such files."""
-    if not READERS:
-        raise ParameterError("file", "is read by the simulator's room; import vstestbed.sim first")
-    return READERS[-1]()

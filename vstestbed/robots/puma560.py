@@ -8,6 +8,7 @@ Dynamics, gears and friction are in `models/puma560.xml`; a test compares the tw
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Annotated, ClassVar, Literal
 
@@ -19,7 +20,10 @@ from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import Angle
 from vstestbed.core.spec import spec
 from vstestbed.robots.allocation import Actuation
-from vstestbed.robots.arm import Arm
+from vstestbed.robots.joint_effects import CurrentLoops, Encoders, Gears, Ripple
+from vstestbed.robots.link_errors import GeometryError
+from vstestbed.robots.real_arm import RIGID, RealArm
+from vstestbed.robots.realism import Level
 
 DH = np.array(
     [
@@ -108,6 +112,45 @@ def jacobian(q: Array) -> Array:
     return kinematics(q)[1]
 
 
+GEAR_RATIOS = (62.6111, 107.815, 53.7063, 76.0364, 71.923, 76.686)
+"""Turns of the motor in one of the joint [1]. Source: Corke & Armstrong-Helouvry 1994, as in `models/puma560.xml`."""
+
+
+def _worn(k: float, play_deg: float, share: float, counts: int, off_deg: float) -> dict[str, object]:
+    """Blocks of a preset: stiffness of joints 1 and 2, play of the elastic joints, cogging and ripple as a share of the largest torque,
+    counts in a turn of a motor and eccentricity of its encoder.
+    """
+    most = (97.6, 186.4, 89.4, 24.2, 20.1, 21.3)
+    return {
+        "gears": Gears(stiffness_nmprad=(k, k, 0.4 * k, 0.0, 0.0, 0.0), backlash_deg=(play_deg,)),
+        "ripple": Ripple(
+            cogging_nm=tuple(round(share * torque / 2, 3) for torque in most),
+            share=share,
+            cycles=tuple(round(6 * ratio, 1) for ratio in GEAR_RATIOS),
+        ),
+        "encoders": Encoders(
+            counts=tuple(round(counts * ratio) for ratio in GEAR_RATIOS),
+            eccentricity_deg=tuple(round(off_deg / ratio, 6) for ratio in GEAR_RATIOS),
+            turns=GEAR_RATIOS,
+        ),
+    }
+
+
+PRESETS: Mapping[Level, Mapping[str, object]] = {
+    "lab": {
+        **_worn(k=40_000.0, play_deg=0.005, share=0.01, counts=4000, off_deg=0.05),
+        "drives": CurrentLoops(bandwidth_hz=500.0),
+        "geometry_error": GeometryError(sigma_m=3e-4, sigma_deg=0.02),
+    },
+    "field": {
+        **_worn(k=25_000.0, play_deg=0.02, share=0.02, counts=1000, off_deg=0.2),
+        "drives": CurrentLoops(bandwidth_hz=200.0, delay_s=1e-3),
+        "geometry_error": GeometryError(sigma_m=1e-3, sigma_deg=0.1),
+    },
+}
+"""All chosen. The stiffnesses are of the order that catalogues state for strain wave gears of size 25; the Puma's own gears are spur and
+bevel gears. Six cycles of cogging in a turn of a motor; encoders on the motors."""
+
 ACTUATIONS = {
     "ideal": Actuation("ideal", friction=False, gravity_compensated=True),
     "industrial": Actuation("industrial", friction=True, gravity_compensated=False),
@@ -155,7 +198,7 @@ class PumaStart:
 
 
 @spec
-class Puma560(Arm):
+class Puma560(RealArm):
     """The Puma 560 with a camera at its flange, driven by joint velocities.
 
     Args:
@@ -169,15 +212,18 @@ class Puma560(Arm):
     actuation: Literal["ideal", "industrial", "raw"] = "industrial"
     start: PumaStart = PumaStart()
     avoid_limits: Annotated[float, Ge(0), Le(10)] = 0.0
+    presets: ClassVar[Mapping[Level, Mapping[str, object]]] = PRESETS
     actuators: ClassVar[tuple[str, ...]] = tuple(f"joint_{i}" for i in range(1, 7))
 
     def __post_init__(self) -> None:
         """Refuse a start outside the joint limits."""
+        super().__post_init__()
         limits = np.degrees(JOINT_LIMITS)
         # Beyond a limit MuJoCo's constraint would push the joint back before the first command.
         for i, (q, (low, high)) in enumerate(zip(self.start.nominal.q_deg, limits, strict=True)):
             if not low <= q <= high:
                 raise ParameterError(f"start.nominal.q_deg.{i}", f"must be within joint {i + 1}'s limits {low:g} to {high:g} deg", q)
+        self._check_effects()
 
     @property
     def model(self) -> str:
@@ -223,8 +269,8 @@ class Puma560(Arm):
         return replace(self, start=PumaStart(nominal=nominal, random=self.start.random))
 
     def idealised(self) -> Puma560:
-        """The same arm with stiff servos and without friction."""
-        return replace(self, actuation="ideal")
+        """The same arm with stiff servos and gears and without friction."""
+        return replace(self, actuation="ideal", **RIGID)
 
     def randomised(self, rng: np.random.Generator) -> Puma560:
         """The same arm with a start drawn within the box, clipped to the joint limits."""

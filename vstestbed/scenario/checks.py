@@ -74,6 +74,17 @@ def check_memory(camera: Camera, pictures: bool, timing: Timing, stop: Stop) -> 
         raise ParameterError("camera.latency_s", words, camera.latency_s)
 
 
+def check_step(robot: Robot, step_s: float) -> None:
+    """Refuse a physics step [s] at which a robot's vibrations would be those of the arithmetic.
+
+    Raises:
+        ParameterError: with the longest step that works.
+    """
+    if step_s > (1 + 1e-9) * robot.needed_step_s:
+        words = f"must be at most {robot.needed_step_s:.4g} s with these gears and drives; without step_s the longest that works is taken"
+        raise ParameterError("physics.step_s", words, step_s)
+
+
 def check_robot(robot: Robot, target: Target, world: World, derotation: str, level_trim_s: float) -> None:
     """Refuse derotation, wind, friction and a target in the gripper for robots to which they do not apply.
 

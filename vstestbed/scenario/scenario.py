@@ -24,10 +24,11 @@ from vstestbed.scenario.checks import (
     check_memory,
     check_metres,
     check_robot,
+    check_step,
     check_views_metres,
 )
 from vstestbed.scenario.noise import Noise
-from vstestbed.sim.clock import Clock
+from vstestbed.sim.clock import Clock, longest_step
 from vstestbed.sim.scene.start_pose import camera_start, flange_for, posture_at, target_start
 from vstestbed.sim.scene.world import World
 from vstestbed.sim.timing import Timing
@@ -42,10 +43,10 @@ from vstestbed.vision.perturb import Perturbed
 from vstestbed.vision.pose.derotate import Derotation
 
 START_STREAM, NOISE_STREAM, IMAGE_STREAM, SENSOR_STREAM, TIMING_STREAM, DEPTH_STREAM, MOTION_STREAM, PERTURB_STREAM = range(8)
-RGBD_STREAM, GOAL_STREAM = 8, 9
+RGBD_STREAM, GOAL_STREAM, BODY_STREAM = 8, 9, 10
 """Independent random streams of one seed: the start, the noise of measured pixels, of pictures, of the robot's own sensors, of timing,
-of the calibration of depths, the target's random walk, perturbations, the depth camera, the goal's picture. Their numbers enter the seed:
-a new one comes last, or all recorded runs change."""
+of the calibration of depths, the target's random walk, perturbations, the depth camera, the goal's picture, what differs from one robot to
+the next of its kind. Their numbers enter the seed: a new one comes last, or all recorded runs change."""
 TRIES = 1000
 """Largest number of random starts drawn until the target is in view."""
 DISPLACEMENT_STEPS = 12
@@ -106,7 +107,8 @@ class Scenario:
     physics: Clock = Clock()
 
     def __post_init__(self) -> None:
-        """Refuse parts that do not belong together."""
+        """Draw what differs from one robot to the next of its kind, and refuse parts that do not belong together."""
+        object.__setattr__(self, "robot", self.robot.drawn(self.rng(BODY_STREAM)))  # frozen: a run states the very robot that it had
         check_depth(self.robot, self.camera, self.detector, self.law)
         self.timing.check(self.camera, self.clock[0])  # first: the clock refuses a step that does not divide the camera's period
         check_memory(self.camera, self.needs_image, self.timing, self.stop)
@@ -114,6 +116,7 @@ class Scenario:
         self.believed_camera  # noqa: B018 - refuses errors that the lens cannot have
         self.goal.check(self.setup)
         check_robot(self.robot, self.target, self.world, self.derotation, self.level_trim_s)
+        check_step(self.robot, self.clock[0])
         self.robot.check_mount(self.camera.mount.xyz)
         check_carrier(self.target)
         if self.stop.duration_s < self.camera.period:
@@ -140,7 +143,7 @@ class Scenario:
     @property
     def clock(self) -> tuple[float, int]:
         """The physics step [s], and how many of them a camera frame takes."""
-        return self.physics.resolve(self.camera, self.robot.largest_step_s)
+        return self.physics.resolve(self.camera, longest_step(self.robot))
 
     @cached_property
     def setup(self) -> Setup:

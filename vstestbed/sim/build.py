@@ -10,7 +10,7 @@ import numpy as np
 from vstestbed.camera import Camera
 from vstestbed.robots import Robot
 from vstestbed.sim.base import Plant
-from vstestbed.sim.clock import Clock
+from vstestbed.sim.clock import Clock, longest_step
 from vstestbed.sim.render.noise import NO_DRIFT, Drift, ImageNoise
 from vstestbed.sim.scene.world import World
 from vstestbed.targets.base import Target
@@ -54,7 +54,7 @@ def build_plant(
     # Imports within functions: a run with the ideal camera and the oracle then starts without loading any renderer.
     from vstestbed.sim.scene.compose import Parts
 
-    step, steps_per_frame = clock.resolve(camera, robot.largest_step_s)
+    step, steps_per_frame = clock.resolve(camera, longest_step(robot))
     parts = Parts(robot, camera, target, world, step, plate_m=plate_m)
     ideal = robot.model is None
     path = target.path(motion_rng or np.random.default_rng(0)) if target.motion.by_itself else None
@@ -104,7 +104,7 @@ def scene_files(
     from vstestbed.sim.scene.compose import Parts, compose
     from vstestbed.sim.scene.stage import Stage
 
-    parts = Parts(robot, camera, target, world, clock.resolve(camera, robot.largest_step_s)[0], sights)
+    parts = Parts(robot, camera, target, world, clock.resolve(camera, longest_step(robot))[0], sights)
     if robot.model is None:
         spec, T = compose(parts), robot.flange_pose(robot.configuration())
         body = spec.body("robot/camera")

@@ -8,9 +8,15 @@ from vstestbed.camera import Camera
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.quantity import PositiveTime
 from vstestbed.core.spec import spec
+from vstestbed.robots import Robot
 
 LARGEST_STEP_S = 0.002
 """Largest default step [s]; the arm's actuators are tuned and tested at 1 and 2 ms."""
+
+
+def longest_step(robot: Robot) -> float:
+    """The longest default step of a robot [s]."""
+    return min(robot.largest_step_s, robot.needed_step_s)
 
 
 @spec

@@ -17,7 +17,9 @@ from vstestbed.robots.orders import Orders
 from vstestbed.robots.reading import Reading
 from vstestbed.sim.base import Truth
 from vstestbed.sim.contacts import RobotContacts
+from vstestbed.sim.equilibrium import settle
 from vstestbed.sim.hands import Push, hold_plate, moved_path
+from vstestbed.sim.motor_torques import motor_loops
 from vstestbed.sim.process_end import may_end_here
 from vstestbed.sim.render.image_sensor import ImageSensor
 from vstestbed.sim.scene.disturbed import Disturbed
@@ -77,8 +79,8 @@ class MujocoPlant:
         self._orders = Orders(robot.stopping, robot.hold_setpoint(), order_s / self.step_s, self.step_s)
         self._control_steps = _whole_steps(robot.control_period_s, self.step_s)
         self._tyres = TyreForces(stage, robot.tyres) if robot.tyres else None
-        self._loops = [(every, act, every * self.step_s) for every, act in self._acting()]
         self._start()
+        self._loops = [(every, act, every * self.step_s) for every, act in self._acting()]
 
     def _acting(self) -> Iterator[tuple[int, Callable[[float], None]]]:
         """What acts at fixed multiples of the physics step, in its order: every how many steps, and what."""
@@ -88,30 +90,17 @@ class MujocoPlant:
             yield self._control_steps, self._control
         if self._tyres:
             yield 1, self._tyres.act
+        yield from motor_loops(self._stage)
 
     def _start(self) -> None:
         """Place everything at its start, in equilibrium."""
         q, T = self._stage.parts.start
         self._stage.place(0.0, self._stage.parts.T_world_target if self._path is None else self._path(0.0), q, T)
-        self._settle()
-        if self._robot.base == "planar" or self._leader:
-            self._stand()
-
-    def _settle(self) -> None:
-        """Equilibrium of the actuators: integrating servos start at q + (gravity torque) / kp, rotors at hover."""
-        # At q itself an industrial arm would sag until its servos carry it: joint 2 by 2 mrad.
-        model, data = self._stage.model, self._stage.data
-        self._stage.rest()
-        mujoco.mj_forward(model, data)
-        for i in range(model.nu):
-            if model.actuator_dyntype[i] == mujoco.mjtDyn.mjDYN_INTEGRATOR and model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT:
-                joint = model.actuator_trnid[i, 0]
-                load = data.qfrc_bias[model.jnt_dofadr[joint]] - data.qfrc_gravcomp[model.jnt_dofadr[joint]]
-                kp = model.actuator_gainprm[i, 0]
-                data.act[model.actuator_actadr[i]] = data.qpos[model.jnt_qposadr[joint]] + load / kp
-        mujoco.mj_forward(model, data)
+        settle(self._stage)
         if self._disturbed is not None:
             self._disturbed.start()
+        if self._robot.base == "planar" or self._leader:
+            self._stand()
 
     def _stand(self) -> None:
         """Let vehicles settle on their springs, then move them back to their start, at rest, at time 0."""

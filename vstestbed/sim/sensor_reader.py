@@ -36,6 +36,11 @@ class SensorReader:
         at, data = self._at, self._data
         return (NONE, NONE) if at is None else (data.qpos[at.qpos], data.qvel[at.qvel])
 
+    def _motors(self) -> tuple[Array, Array]:
+        """True positions and speeds (n,) each of what the encoders are on."""
+        at, data = self._at, self._data
+        return (NONE, NONE) if at is None else (data.qpos[at.motor_qpos], data.qvel[at.motor_qvel])
+
     def restart(self) -> None:
         """Forget the last reading."""
         self._read_at = -1
@@ -48,5 +53,5 @@ class SensorReader:
             sensors = {name: values[where] for name, where in self._sensors}
             if self._disturbed is not None:
                 sensors = self._disturbed.felt(sensors)
-            self._reading, self._read_at = self._robot.measured(*self.joints(), sensors, self._noise), step
+            self._reading, self._read_at = self._robot.measured(*self._motors(), sensors, self._noise), step
         return self._reading

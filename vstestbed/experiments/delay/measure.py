@@ -11,6 +11,7 @@ import numpy as np
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import exp, inverse
 from vstestbed.core.outcome import Outcome
+from vstestbed.experiments.delay.elastic import elastic_gain_limit
 from vstestbed.experiments.delay.lag import Lag, measure_lags
 from vstestbed.experiments.delay.theory import closed_form, gain_limit, swing_frames
 from vstestbed.laws.base import TwistLimits
@@ -18,6 +19,7 @@ from vstestbed.laws.visibility import Visibility
 from vstestbed.loop.run import run
 from vstestbed.robots import Robot
 from vstestbed.scenario.scenario import Scenario
+from vstestbed.sim.linear import linear_arm
 from vstestbed.tasks.stop import Converged, Stop
 from vstestbed.vision import Oracle
 
@@ -49,7 +51,8 @@ class Limit:
         gain: largest stable gain, measured [1/s]; g: gain * period [1]; of an `unlimited` loop, which no gain up to MOST_G makes
             unstable, the largest one that was tried.
         g_theory: g of a robot without lag. g_lag: g with the measured lag of the joint that becomes unstable first; None for a
-            robot without joints.
+            robot without joints, and for elastic ones.
+        g_elastic: g of the linear arm with its gears' elasticity; None for one without.
         lags: lag of each joint at the frequency of the limit. runs: number of runs that the search took.
     """
 
@@ -62,6 +65,7 @@ class Limit:
     lags: tuple[Lag, ...]
     runs: int
     unlimited: bool = False
+    g_elastic: float | None = None
 
     @property
     def joint(self) -> str | None:
@@ -76,6 +80,7 @@ class Limit:
     def row(self) -> dict[str, float | int | str | None]:
         """The limit as a row of the table."""
         first = next((lag for lag in self.lags if lag.joint == self.joint), None)
+        elastic = {} if self.g_elastic is None else {"g_elastic": self.g_elastic, "measured_to_elastic": self.g / self.g_elastic}
         return {
             "delay_frames": self.delay_frames,
             "latency_s": self.latency_s,
@@ -90,6 +95,7 @@ class Limit:
             "joint_gain": None if first is None else first.gain,
             "runs": self.runs,
             "unlimited": self.unlimited,
+            **elastic,
         }
 
 
@@ -181,12 +187,12 @@ def find_limit(at_goal: Scenario, delay_frames: int) -> Limit:
     """
     period, theory = at_goal.camera.period, closed_form(delay_frames)
     at_start = displaced(at_goal)
-    lags: tuple[Lag, ...] = ()
-    if at_goal.robot.joints:
-        lags = tuple(measure_lags(at_goal, delay_frames, _off(at_goal.robot)))
+    g_elastic = _elastic(at_goal, delay_frames)
+    lags = _lags(at_goal, delay_frames) if g_elastic is None else ()  # at a resonance two shares of a command do not describe a joint
     g_lag = min((gain_limit(delay_frames, lag.shares) for lag in lags), default=None)
     # the bracket is centred on the better prediction
     expected, count = (theory if g_lag is None else g_lag), 0
+    expected = min(expected, g_elastic or expected)
     low, high = 0.5 * expected, 1.5 * expected
     # a bracket without the limit would make the bisection converge to one of its ends
     count += 1
@@ -197,13 +203,26 @@ def find_limit(at_goal: Scenario, delay_frames: int) -> Limit:
     while growth(at_start, high / period, delay_frames) <= 1:  # a law that predicts is stable beyond the theory of one that does not
         low, high, count = high, 2 * high, count + 1
         if high > MOST_G:
-            return Limit(delay_frames, delay_frames * period, low / period, low, theory, g_lag, lags, count, unlimited=True)
+            return Limit(delay_frames, delay_frames * period, low / period, low, theory, g_lag, lags, count, True, g_elastic)
     for _ in range(HALVINGS):
         middle = (low + high) / 2
         count += 1
         low, high = (low, middle) if growth(at_start, middle / period, delay_frames) > 1 else (middle, high)
     g = (low + high) / 2
-    return Limit(delay_frames, delay_frames * period, g / period, g, theory, g_lag, lags, count)
+    return Limit(delay_frames, delay_frames * period, g / period, g, theory, g_lag, lags, count, g_elastic=g_elastic)
+
+
+def _lags(at_goal: Scenario, delay_frames: int) -> tuple[Lag, ...]:
+    """Those of a robot with joints."""
+    return tuple(measure_lags(at_goal, delay_frames, _off(at_goal.robot))) if at_goal.robot.joints else ()
+
+
+def _elastic(at_goal: Scenario, delay_frames: int) -> float | None:
+    """The g of the linear arm; None for a robot without elastic joints."""
+    mechanics = at_goal.robot.mechanics
+    if mechanics is None or not mechanics.stiffness.any():
+        return None
+    return elastic_gain_limit(linear_arm(at_goal.robot), delay_frames, at_goal.camera.period)
 
 
 def find_limits(scenario: Scenario, delays: Sequence[int], on_limit: Callable[[Limit], None] = lambda limit: None) -> list[Limit]:

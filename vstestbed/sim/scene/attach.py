@@ -14,9 +14,10 @@ from vstestbed.core.geometry import Array
 from vstestbed.robots import Robot
 from vstestbed.robots.body import Change
 from vstestbed.sim.scene.groups import OF_FILES
+from vstestbed.sim.scene.links import add_payload, displace_links
 from vstestbed.sim.scene.model_files import carry_files
 from vstestbed.sim.scene.reshape import reshape
-from vstestbed.sim.scene.servos import choose_servos
+from vstestbed.sim.scene.servos import choose_servos, compensated
 from vstestbed.sim.scene.urdf import read_model
 
 AUTO = mujoco.mjtJacobian.mjJAC_AUTO
@@ -39,9 +40,25 @@ def add_robot(scene: mujoco.MjSpec, robot: Robot, prefix: str, friction: float |
     T_body_flange = _flange_pose(robot.model, robot.flange)  # first: it refuses a model that has no flange
     model = _spec(robot.model, robot.body_changes)
     choose_servos(model, robot)
+    if robot.mechanics is not None and robot.mechanics.links is not None:
+        displace_links(model, _compiled(robot.model, robot.body_changes), robot.mechanics)
+        T_body_flange = robot.mechanics.links[-1] @ T_body_flange
+    _share_options(scene, model, friction)
+    files = carry_files(model, Path(robot.model), scene, prefix)
+    scene.attach(model, prefix=prefix, frame=scene.worldbody.add_frame())
+    if files:  # after it: an attached model brings its own assets, under a prefix that nothing refers to
+        scene.assets = {**scene.assets, **files}
+    site = scene.site(f"{prefix}{robot.flange}")
+    flange = site.parent if site else scene.body(f"{prefix}{robot.flange}")
+    if robot.mechanics is not None and robot.mechanics.payload is not None:
+        add_payload(flange, f"{prefix}payload", T_body_flange, robot.mechanics.payload, compensated(robot))
+    return flange, T_body_flange
+
+
+def _share_options(scene: mujoco.MjSpec, model: mujoco.MjSpec, friction: float | None) -> None:
+    """Groups, solver options and the floor's friction of a model that will be attached to a scene."""
     for geom in model.geoms:
         geom.group = OF_FILES.get(geom.group, geom.group)
-    files = carry_files(model, Path(robot.model), scene, prefix)
     # `attach` leaves the child's options behind: what its contacts and air were tuned with must be copied. Of two robots the larger
     # value serves both.
     model.option.timestep = scene.option.timestep
@@ -56,11 +73,6 @@ def add_robot(scene: mujoco.MjSpec, robot: Robot, prefix: str, friction: float |
     if friction is not None:
         for geom in [*model.geoms, scene.geom("floor")]:
             geom.friction[0] = min(geom.friction[0], friction)
-    scene.attach(model, prefix=prefix, frame=scene.worldbody.add_frame())
-    if files:  # after it: an attached model brings its own assets, under a prefix that nothing refers to
-        scene.assets = {**scene.assets, **files}
-    site = scene.site(f"{prefix}{robot.flange}")
-    return site.parent if site else scene.body(f"{prefix}{robot.flange}"), T_body_flange
 
 
 def _spec(model: str, changes: tuple[Change, ...]) -> mujoco.MjSpec:

@@ -7,6 +7,7 @@ import functools
 import mujoco
 import numpy as np
 
+from vstestbed.core.assets import model_path
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.named_files import place_of_file
 from vstestbed.robots.chain import JointChain
@@ -76,6 +77,20 @@ def inertia_at(file: str, joints: tuple[str, ...], q: tuple[float, ...]) -> tupl
     M = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, M)
     return tuple(M.diagonal()[[j.dofadr[0] for j in places]].tolist())
+
+
+@functools.lru_cache(maxsize=64)
+def inertias_at(file: str, joints: tuple[str, ...], q: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Inertia of the links (n, n) about the joints at positions q [rad, m], and of the rotors (n,), the joints' armature [kg m^2, kg]."""
+    model = compiled(str(model_path(file)))
+    data, places = mujoco.MjData(model), [model.joint(name) for name in joints]
+    data.qpos[[j.qposadr[0] for j in places]] = q
+    mujoco.mj_forward(model, data)
+    M = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, M)
+    dofs = [j.dofadr[0] for j in places]
+    rotors = model.dof_armature[dofs].copy()
+    return M[np.ix_(dofs, dofs)] - np.diag(rotors), rotors
 
 
 def _pose(xyz: np.ndarray, R: np.ndarray) -> np.ndarray:

@@ -7,6 +7,7 @@ import numpy as np
 
 from vstestbed.robots import Robot
 from vstestbed.robots.allocation import Servo
+from vstestbed.sim.scene.gears import add_rotors
 
 UNBOUNDED = 1e6
 """Range of the integrated position of a joint that turns without end [rad]."""
@@ -21,12 +22,32 @@ def choose_servos(model: mujoco.MjSpec, robot: Robot) -> None:
         _keep(model, chosen.prefix)
     for servo in chosen.servos:
         _add(model, servo)
-    for body in model.bodies:
-        if chosen.gravity_compensated:
-            body.gravcomp = 1.0
+    if carried := compensated(robot):
+        for body in model.bodies:
+            body.gravcomp = carried
     for joint in model.joints:
         if not chosen.friction:
             joint.frictionloss, joint.damping = 0.0, np.zeros(3)
+    if robot.mechanics is not None:
+        if robot.mechanics.drives is not None:
+            idle(model, robot)
+        add_rotors(model, robot.mechanics)
+
+
+def compensated(robot: Robot) -> float:
+    """The share of a body's weight that the drives' gravity compensation carries; 0 for drives without one."""
+    chosen, mechanics = robot.actuator_set, robot.mechanics
+    if mechanics is not None and mechanics.gravity is not None:
+        return mechanics.gravity
+    return 1.0 if chosen is not None and chosen.gravity_compensated else 0.0
+
+
+def idle(model: mujoco.MjSpec, robot: Robot) -> None:
+    """Leave a robot's servos without force, for `sim/motor_torques.py`; integrals of commands and gains stay where they are."""
+    for actuator in model.actuators:
+        if actuator.name in robot.actuators:
+            actuator.biastype = mujoco.mjtBias.mjBIAS_NONE
+            actuator.gainprm[0] = 0.0
 
 
 def _keep(model: mujoco.MjSpec, prefix: str) -> None:

@@ -1,0 +1,74 @@
+"""The gain limit of an arm with elastic joints: measured in closed loop, and in the linear model of its two-mass joints."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import vstestbed as vs
+from tests.sim.two_mass import ROTOR, arm, inertia
+from vstestbed.experiments.delay.elastic import elastic_gain_limit, sampled
+from vstestbed.experiments.delay.measure import displaced, growth, prepared
+from vstestbed.experiments.delay.theory import closed_form
+from vstestbed.robots.joint_effects import Gears
+from vstestbed.scenario.scenario import Scenario
+from vstestbed.sim.linear import LinearArm, linear_arm
+
+PERIOD = 0.04
+
+
+@pytest.fixture(scope="module")
+def at_goal() -> Scenario:
+    return prepared(vs.load("arm_ibvs", {"robot.actuation": "ideal"}))
+
+
+def soft(scenario: Scenario, k: float, damping_s: float) -> Scenario:
+    gears = Gears(stiffness_nmprad=(k, k, 0.4 * k, 0, 0, 0), damping_s=damping_s)
+    return replace(scenario, robot=replace(scenario.robot, gears=gears))
+
+
+@pytest.mark.parametrize(("k", "damping_s", "d"), [(25_000.0, 0.0005, 0), (5_000.0, 0.002, 1)])
+def test_an_elastic_arm_goes_unstable_where_two_masses_say(at_goal: Scenario, k: float, damping_s: float, d: int) -> None:
+    scenario = soft(at_goal, k, damping_s)
+    g = elastic_gain_limit(linear_arm(scenario.robot), d, PERIOD)
+    assert g < 0.75 * closed_form(d)  # the elasticity lowers it
+    start = displaced(scenario)
+    assert growth(start, 0.97 * g / PERIOD, d) < 1 < growth(start, 1.03 * g / PERIOD, d)
+
+
+@pytest.mark.parametrize("d", [0, 1, 3])
+def test_a_rigid_arm_with_ideal_servos_has_the_limit_of_the_delay_alone(d: int) -> None:
+    """A stiff velocity servo on a light joint: all but the integrator has decayed within a period."""
+    one = np.ones((1, 1))
+    rigid = LinearArm(one, 0 * one, 0 * one, one, np.zeros(1), np.array([1e5]), np.array([False]))
+    assert elastic_gain_limit(rigid, d, PERIOD) == pytest.approx(closed_form(d), rel=2e-3)
+
+
+def test_its_phase_crosses_where_its_gain_is_one() -> None:
+    """The same limit by the open loop's frequency response: its gain margin at the phase of -180 deg, not by poles."""
+    d = 2
+    spring, tie = 400.0, np.array([[1.0, -1.0], [-1.0, 1.0]])
+    plant = LinearArm(
+        np.diag([1.0, 0.5]), spring * tie, 2.0 * tie, np.array([[0.0], [1.0]]), np.array([800.0]), np.array([30.0]), np.array([True])
+    )
+    A, B = sampled(plant, PERIOD)
+    w = np.linspace(0.005, 0.999, 20_000) * math.pi
+    z = np.exp(1j * w)
+    open_loop = np.array([np.linalg.solve(x * np.eye(len(A)) - A, B[:, 0])[0] / PERIOD * x**-d for x in z[::10]])
+    phase = np.unwrap(np.angle(open_loop))
+    i = np.flatnonzero((phase[:-1] > -math.pi) & (phase[1:] <= -math.pi))[0]
+    margin = 1 / np.interp(-math.pi, phase[i : i + 2][::-1], np.abs(open_loop[i : i + 2])[::-1])
+    assert elastic_gain_limit(plant, d, PERIOD) == pytest.approx(margin, rel=1e-3)
+
+
+def test_its_matrices_are_those_of_the_joint(tmp_path: Path) -> None:
+    found = linear_arm(arm(tmp_path, gears=Gears(stiffness_nmprad=(2000, 0), damping_s=0.001)))
+    np.testing.assert_allclose(np.diag(found.mass), [inertia(), 0.01 + 0.001, ROTOR], rtol=1e-6)
+    np.testing.assert_allclose(found.spring, 2000 * np.array([[1, 0, -1], [0, 0, 0], [-1, 0, 1]]))
+    np.testing.assert_allclose(found.damper, 0.001 * found.spring)
+    np.testing.assert_allclose(found.motors, [[0, 0], [0, 1], [1, 0]])
+    assert found.kp == pytest.approx([2000, 50]) and found.kv == pytest.approx([50, 1.25]) and found.integrates.all()

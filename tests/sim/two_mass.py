@@ -1,0 +1,52 @@
+"""A joint that swings a load, and one that rolls it, which the first does not feel: the textbook's two-mass joint as an arm."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from vstestbed.camera import Perspective
+from vstestbed.core.geometry import Pose
+from vstestbed.robots import Mjcf
+from vstestbed.robots.mjcf import ArmStart, Positions
+from vstestbed.sim.base import Plant
+from vstestbed.sim.build import build_plant
+from vstestbed.sim.clock import Clock
+from vstestbed.sim.scene.compose import Parts
+from vstestbed.sim.scene.stage import Stage
+from vstestbed.sim.scene.world import World
+from vstestbed.targets import TARGETS
+
+ROTOR, REACH, MASS = 0.3, 0.6, 2.0
+"""Inertia of the rotor [kg m^2]; place and mass of the load [m, kg]."""
+FILE = """<mujoco><compiler angle="radian" autolimits="true"/><worldbody>
+<body name="link" pos="0 0 1"><inertial pos="0.6 0 0" mass="1.5" diaginertia="0.05 0.1 0.1"/>
+<joint name="swing" axis="{axis}" armature="{rotor}"/>
+<body name="tip" pos="0.6 0 0"><inertial pos="0 0 0" mass="0.5" diaginertia="0.001 0.001 0.001"/>
+<joint name="roll" axis="1 0 0" armature="0.01"/><site name="flange"/></body></body></worldbody></mujoco>"""
+TARGET = TARGETS.members["square"](side=0.2, pose=Pose(xyz=(2, 0, 1), rpy_deg=(0, 90, 0)))
+
+
+def arm(folder: Path, axis: str = "0 0 1", rotor: float = ROTOR, **effects: Any) -> Mjcf:
+    """The arm, its first joint about an axis of the world: (0, 0, 1) without weight, (0, 1, 0) with the weight of MASS at REACH."""
+    path = folder / "two_mass.xml"
+    path.write_text(FILE.format(axis=axis, rotor=rotor))
+    start = ArmStart(nominal=Positions(q_deg=(0.0, 0.0)))
+    given: dict[str, Any] = {"servo_kp": (2000.0, 50.0), "servo_kv": (50.0, 1.25)} if "actuation" not in effects else {}
+    return Mjcf(file=str(path), speed_limits=(2.0, 2.0), start=start, **given, **effects)
+
+
+def inertia() -> float:
+    """The load's moment of inertia about z through the first joint [kg m^2]."""
+    return 1.5 * REACH**2 + 0.1 + 0.5 * REACH**2 + 0.001
+
+
+def stage_of(robot: Mjcf, step_s: float | None = None) -> Stage:
+    """The scene of the arm before a target."""
+    return Stage(Parts(robot, Perspective(), TARGET, World(floor_z=-5.0), step=step_s or min(robot.largest_step_s, robot.needed_step_s)))
+
+
+def plant_of(robot: Mjcf, step_s: float | None = None) -> Plant:
+    """The plant of the arm without pictures."""
+    clock = Clock(step_s=step_s)
+    return build_plant(robot, Perspective(), TARGET, World(floor_z=-5.0), clock, needs_image=False, needs_truth=False)[0]

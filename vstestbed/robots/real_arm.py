@@ -1,0 +1,138 @@
+"""Arms with imperfections: elastic gears, ripple, encoders, current loops, errors of the geometry and of the gravity compensation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cached_property
+from typing import Annotated, Any, Self
+
+import numpy as np
+from annotated_types import Ge, Le
+from numpy.typing import NDArray
+
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array
+from vstestbed.core.spec import spec
+from vstestbed.robots.arm import Arm
+from vstestbed.robots.chain import reader
+from vstestbed.robots.joint_effects import CurrentLoops, Encoders, Gears, Ripple, each
+from vstestbed.robots.link_errors import GeometryError, Payload
+from vstestbed.robots.mechanics import DRIVES_STEP_S, FINEST, Mechanics, quickest
+from vstestbed.robots.reading import Reading
+from vstestbed.robots.realism import Realistic
+
+SHORTEST_STEP_S = 1e-4
+"""Shortest physics step that elastic gears may ask for [s]: twenty times the time of a run at 2 ms."""
+RIGID: Mapping[str, Any] = {"realism": "none", "gears": None, "ripple": None, "encoders": None, "drives": None, "gravity_error": None}
+"""What an arm with ideal actuators has not; its geometry and its payload stay what they are."""
+
+
+@spec
+class RealArm(Realistic, Arm):
+    """An arm whose joints and links may have imperfections; without them it is that of its file, and knows itself exactly.
+
+    Args:
+        gears: elasticity and backlash; None: rigid, without play.
+        ripple: cogging and torque ripple of the motors; None: none.
+        encoders: steps and eccentricity of what the joints read; None: exact.
+        drives: lag and delay of the motors' torque; None: none.
+        geometry_error: the true geometry where it differs from the arm's own model; None: it does not.
+        gravity_error: share of the weight that the drives' gravity compensation leaves uncarried, negative for too much [1]; servos that
+            hold a position without compensation then have one, and sag by what it leaves over kp; e.g. `0.05`.
+        payload: a load at the flange; None: none.
+    """
+
+    gears: Gears | None = None
+    ripple: Ripple | None = None
+    encoders: Encoders | None = None
+    drives: CurrentLoops | None = None
+    geometry_error: GeometryError | None = None
+    gravity_error: Annotated[float, Ge(-1), Le(1)] | None = None
+    payload: Payload | None = None
+
+    def __post_init__(self) -> None:
+        """Fill the blocks that the preset has."""
+        if self.realism != "none" and self._is_ideal:
+            raise ParameterError("realism", "must be none with `actuation: ideal`; works: another actuation", self.realism)
+        super().__post_init__()
+
+    @property
+    def _is_ideal(self) -> bool:
+        return getattr(self, "actuation", "") == "ideal"  # a field of the subclasses
+
+    @property
+    def slides(self) -> NDArray[np.bool_]:
+        """Which joints slide, (n,)."""
+        return np.zeros(len(self.joints), dtype=bool)
+
+    def _check_effects(self) -> None:
+        """Refuse numbers that do not fit the joints, and effects on drives that are ideal."""
+        self.mechanics  # noqa: B018 - refuses what does not fit
+        if self.encoders is not None:
+            self.encoders.read(np.zeros(len(self.joints)), np.zeros(len(self.joints)), self.slides)
+        for field in ("drives", "ripple", "gravity_error"):
+            if self._is_ideal and getattr(self, field) is not None:
+                raise ParameterError(field, "is for actuators with limits, and `actuation: ideal` has none; works: another actuation")
+
+    @cached_property
+    def mechanics(self) -> Mechanics | None:  # pyright: ignore[reportIncompatibleMethodOverride] - computed once
+        """All imperfections in plain numbers; None where there are none that the simulator must build."""
+        blocks = (self.gears, self.ripple, self.drives, self.geometry_error, self.gravity_error, self.payload)
+        if all(block is None for block in blocks):
+            return None
+        n, slides = len(self.joints), self.slides
+        ripple, gears = self.ripple or Ripple(), self.gears or Gears(stiffness_nmprad=(0.0,))
+        k, play = gears.springs(slides)
+        return Mechanics(
+            joints=self.joints,
+            stiffness=k,
+            damping=k * gears.damping_s,
+            play=play,
+            cogging=each("ripple.cogging_nm", ripple.cogging_nm, slides),
+            cycles=each("ripple.cycles", ripple.cycles, slides),
+            ripple=ripple.share,
+            drives=self.drives,
+            links=None if self.geometry_error is None else self.geometry_error.displacements(n),
+            gravity=None if self.gravity_error is None else 1.0 - self.gravity_error,
+            payload=self.payload,
+        )
+
+    @property
+    def needed_step_s(self) -> float:
+        """1 ms with `drives`, and what resolves the quickest vibration of the gears [s].
+
+        Raises:
+            ParameterError: a stiffness that needs a shorter step than SHORTEST_STEP_S, or a joint without rotor.
+        """
+        step = np.inf if self.drives is None else DRIVES_STEP_S
+        return step if self.gears is None else min(step, self._gears_step_s)
+
+    @cached_property
+    def _gears_step_s(self) -> float:
+        assert self.mechanics is not None and self.model is not None
+        M, rotors = reader().inertias_at(self.model, self.joints, tuple(self.configuration().tolist()))
+        k = self.mechanics.stiffness
+        for name, rotor, stiffness in zip(self.joints, rotors, k, strict=True):
+            if stiffness and rotor <= 0:
+                words = f"must be 0 for {name}, which has no rotor that could move by itself; give the joint an `armature` in its file"
+                raise ParameterError("robot.gears.stiffness_nmprad", words, float(stiffness))
+        w, joint = quickest(M, rotors, k)
+        step = FINEST / w if w else np.inf
+        if step < SHORTEST_STEP_S:
+            most = float(f"{k[joint] * (step / SHORTEST_STEP_S) ** 2:.2g}")
+            words = (
+                f"must be 0 (rigid) or at most {most:g} for {self.joints[joint]}: it vibrates at {w / 2 / np.pi:.0f} Hz, which needs "
+                f"physics steps of {1e6 * step:.0f} us"
+            )
+            raise ParameterError("robot.gears.stiffness_nmprad", words, float(k[joint]))
+        return step
+
+    def measured(self, q: Array, qd: Array, sensors: Mapping[str, list[float]], noise: Any) -> Reading:
+        """What the encoders read of the rotors' angles q and speeds qd (n,) each."""
+        return Reading(q, qd) if self.encoders is None else Reading(*self.encoders.read(q, qd, self.slides))
+
+    def drawn(self, rng: np.random.Generator) -> Self:
+        """The same arm with the errors of its geometry drawn from `rng`."""
+        error = self.geometry_error
+        return self if error is None else replace(self, geometry_error=error.drawn(len(self.joints), rng))
