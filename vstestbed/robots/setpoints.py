@@ -84,6 +84,9 @@ class Blend:
 class Led:
     """What the actuators get of the orders: a setpoint every few steps of the physics clock, on the way to the last order.
 
+    Each is the mean of the way (`Blend`) over the steps for which it is held, so that the robot covers what the way does, at any rate of
+    setpoints; its value at the first of them would be late by half of them.
+
     Args:
         how: rate and interpolation.
     """
@@ -119,7 +122,9 @@ class Led:
         assert self._blend is not None
         if step < self._begins:
             return self._until_then
-        return self._blend.at(step // self._how.every * self._how.every - self._begins)
+        every, blend = self._how.every, self._blend
+        t = step // every * every - self._begins
+        return blend.after if t >= blend.duration else (blend.way(t + every) - blend.way(t)) / every
 
     def unchanged(self, step: int) -> float:
         """For how many steps from this one on it stays as it is; infinite at the end of the way."""
