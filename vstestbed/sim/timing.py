@@ -32,7 +32,8 @@ class Timing:
     the exposure's end, and not before an earlier one, unless `out_of_order` lets it. The law works at the rate of the pictures, one
     command for each; `command_hz` is that at which setpoints reach the actuators.
 
-    Costs, of `arm_ibvs` at 25 Hz: COSTS.
+    Processor time in a frame of an arm at 25 Hz, 1.0 ms with the oracle and all of it off: wrong clocks 0.3 ms, as the robot's sensors are
+    read every 2 ms; interpolated commands 0.6 ms at 500 Hz, 0.3 ms at 100 Hz; the link and pictures out of order none to be measured.
 
     Args:
         exposure_s: exposure time [s]; the picture is the mean of images rendered during it (motion blur); e.g. `0.01`.
