@@ -136,7 +136,9 @@ class TestOrders:
         led.give(12, U)  # and sets out again from there
         np.testing.assert_allclose(led.at(12), start + (U - start) * 0.5 / STEPS)
         led.give(15, stop_order(U))
-        np.testing.assert_allclose(led.at(15), led.at(14) * (1 - STEP_S / 0.1))
+        before = led.at(14)
+        assert before is not None
+        np.testing.assert_allclose(led.at(15), before * (1 - STEP_S / 0.1))
 
     @pytest.mark.parametrize("between", LED)
     @pytest.mark.parametrize("every", [1, 5])

@@ -53,6 +53,7 @@ def test_vehicles_and_craft_get_as_many_setpoints_as_are_sent(
 
     def overheard(self, memory, setpoint, reading, dt):
         got.append(setpoint.copy())
+        assert actuate is not None
         return actuate(self, memory, setpoint, reading, dt)
 
     if s.robot.control_period_s:

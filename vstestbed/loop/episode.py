@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -184,9 +184,7 @@ class Episode:
         silent_at = order_steps + round(scenario.camera.latency_s / plant.step_s)
         while True:
             camera.act(step, controller.look)
-            for made in camera.line.pop_due(step):
-                if (frame := self._arrive(made, step)) is None:
-                    continue
+            for frame in self._arrivals(step):
                 silent_at = step + order_steps
                 yield frame
                 if frame.outcome is not None:
@@ -209,6 +207,12 @@ class Episode:
                 return self._end((Outcome.crashed, f"{Outcome.crashed.value} at {step * plant.step_s:.3f} s"), step * plant.step_s)
             self._physics_s += time.perf_counter() - start
             self._step = step = step + ahead
+
+    def _arrivals(self, step: int) -> Iterator[Frame]:
+        """The frames of the pictures that arrive at this step, one after the other, without those that are refused."""
+        for made in self._camera.line.pop_due(step):
+            if (frame := self._arrive(made, step)) is not None:
+                yield frame
 
     def _arrive(self, made: Exposed, step: int) -> Frame | None:
         """A picture has arrived: the frame with its command, and its outcome if it is the last; None for one that is refused."""
