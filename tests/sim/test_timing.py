@@ -73,6 +73,14 @@ def test_nothing_overtakes():
     assert line.pop_due(9) == [] and line.pop_due(10) == ["late", "early"]
 
 
+def test_with_leave_to_overtake_the_earlier_one_leaves_first():
+    line: DelayLine[str] = DelayLine(overtakes=True)
+    for due, item in ((10, "late"), (7, "early"), (10, "later"), (8, "between")):
+        line.push(due, item)
+    assert line.next_due() == 7 and line.pop_due(7) == ["early"]
+    assert line.pop_due(20) == ["between", "late", "later"]  # what is due at once leaves in the order in which it came
+
+
 @pytest.mark.parametrize(
     ("timing", "words"),
     [
@@ -80,6 +88,12 @@ def test_nothing_overtakes():
         ({"exposure_s": 0.05}, "at most the camera's period, 0.04 s"),
         ({"exposure_s": 0.02, "exposure_jitter_s": 0.011}, "at most 0.01 s"),
         ({"drop_probability": 1.0}, "drop_probability"),
+        ({"command_hz": 300}, r"timing\.command_hz.*whole number of physics steps of 0.002 s apart: 166.6666667, 250"),
+        ({"command_hz": 1000}, r"timing\.command_hz.*: 250, 500, or give physics"),
+        ({"command_hz": 1.25}, r"timing\.command_hz.*at least 2 Hz"),
+        ({"command_hz": 25, "interpolation": "ramp"}, r"timing\.command_hz.*at least 50 Hz here \(two setpoints"),
+        ({"camera_clock": {"offset_s": 100}}, "a minute"),
+        ({"camera_clock": {"drift_ppm": 1e6}}, "drift_ppm"),
     ],
 )
 def test_times_that_do_not_fit_are_refused(timing, words):

@@ -25,7 +25,7 @@ Block = tuple[tuple[str, ...], Callable[[Stacked], Array]]
 def kept(frame: Frame) -> Kept:
     """The numbers and arrays of a frame from which `Layout.rows` makes a row."""
     seen, truth, goal = frame.observation, frame.truth, frame.goal
-    return {
+    numbers: dict[str, Any] = {
         "t": frame.timing.t,
         "frame": frame.timing.number,
         "lost": frame.error.lost,
@@ -49,6 +49,7 @@ def kept(frame: Frame) -> Kept:
         "ctrl": truth.ctrl,
         "mode": frame.command.mode,
     }
+    return numbers if frame.timing.own is None else numbers | dict(frame.timing.own)
 
 
 class Layout:
@@ -58,8 +59,8 @@ class Layout:
     is in force from t_cmd on, when it reaches the robot. applied_ is the twist after the robot's joint limits
     and singularity damping; scale is the product of the law's own scale factor and the robot's.
     For a camera without an image plane, theta and phi [rad] are the measured ray's angles from the axis and about it.
-    The robot's and the task's own columns follow (`Robot.log`, `Task.monitor`); last, of a law with `modes`, the number of the one
-    in which it was.
+    The robot's and the task's own columns follow (`Robot.log`, `Task.monitor`); then, of a law with `modes`, the number of the one
+    in which it was; last, the columns of time stamps and losses (`Timing.columns`).
     """
 
     def __init__(self, scenario: Scenario):
@@ -94,6 +95,7 @@ class Layout:
             (_named("qd", robot.joints), lambda k: k["qd"]),
             (_named("ctrl", robot.actuators), lambda k: k["ctrl"]),
             *(((("law_mode",), lambda k: k["mode"][:, None]),) if scenario.law.modes else ()),
+            *(((columns, lambda k: np.column_stack([k[name] for name in columns])),) if (columns := scenario.timing.columns) else ()),
         )
 
     def rows(self, frames: Sequence[Kept]) -> Array:

@@ -11,7 +11,7 @@ import numpy as np
 
 from vstestbed.camera import DepthImage, Image, Look, Picture
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.geometry import Array, inverse
+from vstestbed.core.geometry import Array
 from vstestbed.core.outcome import Outcome
 from vstestbed.features.observation import Goal, Observation, OwnMotion, Sight
 from vstestbed.laws import Command, Law
@@ -20,6 +20,8 @@ from vstestbed.loop.exposure import Arrival, Exposure
 from vstestbed.loop.goal_image import sight_of, with_images
 from vstestbed.loop.guarded_law import GuardedLaw
 from vstestbed.loop.inputs import Inputs, Readings
+from vstestbed.loop.own_motion import since_exposure
+from vstestbed.loop.own_mount import mount_at
 from vstestbed.loop.own_rates import OwnRates
 from vstestbed.loop.scenario_observer import observer_of
 from vstestbed.loop.unseen import NO_PICTURE, detail, unseen
@@ -56,7 +58,8 @@ class Controller:
         self.scenario = scenario
         # The calibrated mount: what the robot does with a command follows from what it believes, errors included.
         self.mount = Mount.of(scenario.believed_camera.mount.T)
-        self.last_twist, self.ordered = np.zeros(6), CommandHistory()
+        between, period = scenario.timing.interpolation, scenario.camera.period
+        self.last_twist, self.ordered = np.zeros(6), CommandHistory(6, between, period)
         self._setpoint: Array | None = None
         self._taken_over = False
         self._at: tuple[float, Reading, Mount] | None = None
@@ -76,10 +79,11 @@ class Controller:
         self.law_memory = scenario.law.init(views[0])
         self.supervisor = scenario.robot.supervisor(scenario.goal.lands, scenario.stop.lost_after_s, scenario.stop.lost_after_m)
         self.before: Exposure | None = None
+        self.refused = 0
         self._failed, self._found, self._why = False, False, ""
         self._own_goal: Goal | None = None  # of a detector's own points, which are others in every picture
         self._needs_motion, self._needs_sight = "motion" in scenario.law.inputs, "image" in scenario.law.inputs
-        self._own_rates = OwnRates(scenario.robot, scenario.camera.period) if "robot" in scenario.law.inputs else None
+        self._own_rates = OwnRates(scenario.robot, period, between) if "robot" in scenario.law.inputs else None
         self._needs_own_state = "proprioception" in scenario.law.inputs and bool(scenario.robot.proprioception_names)
         self._latest_s = scenario.timing.latest_s(scenario.camera)
         self.inputs = Inputs(scenario)
@@ -104,7 +108,8 @@ class Controller:
             depth: of a depth camera, (H, W) of the picture's size [m], NaN or 0 in holes; only `law.depth: sensor` needs it.
 
         Returns the cycle, with `twist` and `setpoint`, which is due `timing.command_latency_s` later; `notes` tell of pictures that
-        came late or twice, or did not come. A picture that comes twice changes nothing: the last cycle is returned again.
+        came late or twice, or did not come. A picture that comes twice changes nothing: the last cycle is returned again. So does one
+        that is older than the last, where `timing` has `out_of_order` or `camera_clock`.
 
         Raises:
             ParameterError: a picture of another size or kind, a reading of another robot, a time that goes back, a detector that
@@ -112,7 +117,8 @@ class Controller:
         """
         depth = self.inputs.depth(depth)
         (at_exposure, now), notes = self.inputs.given(picture, t, readings, arrived)
-        if self._cycle is not None and t == self._cycle.t:
+        if self._cycle is not None and t <= self._cycle.t:  # it came twice, or it is refused
+            self.refused += t < self._cycle.t
             return replace(self._cycle, notes=notes)
         at = t + self.scenario.camera.latency_s if arrived is None else arrived
         images = (picture,) if isinstance(picture, np.ndarray) else tuple(picture)
@@ -142,6 +148,12 @@ class Controller:
     def look(self) -> Look | None:
         """The detector's region of interest for the next picture; None for all of it."""
         return self.detector.look(self.detector_memory, self.seen_through, self.scenario.target)
+
+    def refuses(self, shot: Exposure) -> bool:
+        """Whether a picture is not later than the last one that was used, by its stamp (`timing.refuses`); `refused` counts them."""
+        refused = self.before is not None and shot.t <= self.before.t and self.scenario.timing.refuses
+        self.refused += refused
+        return refused
 
     def arrive(self, shot: Exposure, now: Arrival) -> Cycle:
         """One control step: detect, observe, reference, law, allocation."""
@@ -201,14 +213,6 @@ class Controller:
     def _mount_at(self, q: Array) -> Mount:
         return mount_at(self.scenario, self.mount, q)
 
-    def _own_motion(self, last: Exposure, shot: Exposure, now: Arrival, twist: Array) -> OwnMotion:
-        """The camera's motion since the last picture, and since this one's exposure, by the robot's own sensors."""
-        # Integrated commands stand in for a robot without sensors of its motion.
-        moved, age, reading = self.ordered.displacement(now.t) - self.ordered.displacement(shot.t), now.t - shot.t, now.reading
-        if age > 0:
-            moved = self.scenario.robot.measured_twist(shot.reading, reading, age, moved / age, self._mount_at(reading.q)) * age
-        return OwnMotion(twist, shot.t - last.t, moved, age, self.last_twist)
-
     def _observe(self, shot: Exposure, last: Exposure, now: Arrival) -> Observation:
         """The law's measurement from this picture."""
         s = self.scenario
@@ -223,7 +227,8 @@ class Controller:
             mount = self._mount_at(shot.reading.q)
             twist = s.robot.measured_twist(last.reading, shot.reading, shot.t - last.t, twist, mount)
         if self._needs_motion:
-            own = self._own_motion(last, shot, now, twist)
+            moved = since_exposure(s.robot, self._mount_at(now.reading.q), self.ordered, shot, now)
+            own = OwnMotion(twist, shot.t - last.t, moved, now.t - shot.t, self.last_twist)
         heading, tilt = shot.reading.heading, shot.reading.tilt
         depth = shot.picture.depth if shot.picture else None
         observed = self.observer.observe(self.observer_memory, shot.t, detection, twist, self.rng, heading, tilt, own, depth)
@@ -291,10 +296,3 @@ class Controller:
     def failure(self) -> str:
         """What the law did wrong, in words; "" while it works."""
         return self.guarded.failure
-
-
-def mount_at(scenario: Scenario, mount: Mount, q: Array) -> Mount:
-    """The camera's mount; eye to hand, the camera's pose relative to the flange at the joints q (n,)."""
-    if not scenario.target.on_gripper:
-        return mount
-    return Mount.facing(inverse(scenario.robot.flange_pose(q)) @ mount.T_flange_camera)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -22,9 +22,10 @@ from vstestbed.loop.recording import Log, MemoryRows, Recording, Rows, Watcher
 from vstestbed.loop.shutter import CameraClock, Exposed
 from vstestbed.loop.witness import Witness
 from vstestbed.robots import Allocation
-from vstestbed.scenario.scenario import IMAGE_STREAM, MOTION_STREAM, RGBD_STREAM, SENSOR_STREAM, Scenario
+from vstestbed.scenario.scenario import IMAGE_STREAM, LINK_STREAM, MOTION_STREAM, RGBD_STREAM, SENSOR_STREAM, Scenario
 from vstestbed.sim.base import Plant
 from vstestbed.sim.build import build_plant
+from vstestbed.sim.link import directions
 from vstestbed.sim.timing import DelayLine
 from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.monitors import OwnMonitor
@@ -58,11 +59,13 @@ class Episode:
         self.plant, self._renderer = _plant(scenario, pictures, plate_m)
         taken = take_goal_images(scenario, self.plant)
         self.controller, self._goal_images = Controller(scenario, taken), tuple(sight.image for sight in taken)
-        self._camera = CameraClock(scenario, self.plant, pictures or "image" in scenario.law.inputs)
+        from_camera, self._to_robot = directions(scenario.timing.link, scenario.rng(LINK_STREAM))
+        self._camera = CameraClock(scenario, self.plant, pictures or "image" in scenario.law.inputs, from_camera)
         supervisor = self.controller.supervisor
         self._witness = Witness(scenario, supervisor)
         own = [OwnMonitor(rule, scenario.setup) for rule in scenario.monitors]
         self._judge = Judge(self._witness.task, scenario.stop, scenario.target, supervisor, own)
+        self._led = scenario.timing.interpolated(*scenario.clock)
         self._commands: DelayLine[Allocation] = DelayLine(round(scenario.timing.command_latency_s / self.plant.step_s))
         self._frames = self._turn()
         if hasattr(scenario.law, "solve"):
@@ -151,7 +154,11 @@ class Episode:
         if command is not None:
             wanted, allocation = self.controller.override(self.frame, command)
             self.frame = replace(self.frame, command=wanted, allocation=allocation)
-        self._commands.push(self._step, self.frame.allocation)
+        if self._to_robot is None or not self._to_robot.loses(self._step // self.plant.steps_per_frame):
+            self._commands.push(self._step, self.frame.allocation)
+        else:
+            timing = self.frame.timing
+            self.frame = replace(self.frame, timing=replace(timing, own={**(timing.own or {}), "command_lost": 1.0}))
         self._note()
 
     def _note(self) -> None:
@@ -177,9 +184,8 @@ class Episode:
         silent_at = order_steps + round(scenario.camera.latency_s / plant.step_s)
         while True:
             camera.act(step, controller.look)
-            for made in camera.line.pop_due(step):
+            for frame in self._arrivals(step):
                 silent_at = step + order_steps
-                frame = self._arrive(made, step)
                 yield frame
                 if frame.outcome is not None:
                     return
@@ -202,12 +208,25 @@ class Episode:
             self._physics_s += time.perf_counter() - start
             self._step = step = step + ahead
 
-    def _arrive(self, made: Exposed, step: int) -> Frame:
-        """A picture has arrived: the frame with its command, and its outcome if it is the last."""
+    def _arrivals(self, step: int) -> Iterator[Frame]:
+        """The frames of the pictures that arrive at this step, one after the other, without those that are refused."""
+        for made in self._camera.line.pop_due(step):
+            if (frame := self._arrive(made, step)) is not None:
+                yield frame
+
+    def _arrive(self, made: Exposed, step: int) -> Frame | None:
+        """A picture has arrived: the frame with its command, and its outcome if it is the last; None for one that is refused."""
         plant, shot = self.plant, made.shot
         rendered = plant.render_s
-        arrival = Arrival(step * plant.step_s, (step + self._commands.delay_steps) * plant.step_s, plant.reading())
-        cycle = self.controller.arrive(shot, arrival)
+        given, stamp = self._camera.received(shot, step)
+        if self.controller.refuses(given):
+            return None
+        due = step + self._commands.delay_steps
+        reaches = due if self._led is None else self._led.next_tick(due)
+        cycle = self.controller.arrive(given, Arrival(step * plant.step_s, reaches * plant.step_s, plant.reading()))
+        if columns := self.scenario.timing.columns:
+            own = {"t_stamp": stamp, "refused": float(self.controller.refused), "command_lost": 0.0}
+            cycle = replace(cycle, timing=replace(cycle.timing, t=shot.t, own={name: own[name] for name in columns}))
         # A detector may have had a picture drawn whole: that time is the renderer's.
         self._redrawn_s += plant.render_s - rendered
         before, self.frame = self.frame, self._witness.frame(cycle, shot, made.truth, self._image(made))
@@ -252,5 +271,6 @@ def _plant(scenario: Scenario, pictures: bool, plate_m: float) -> tuple[Plant, s
         drift=scenario.noise.drift,
         perturbed=scenario.perturbed(),
         order_s=scenario.timing.order_s(scenario.camera),
+        led=scenario.timing.interpolated(*scenario.clock),
         plate_m=plate_m,
     )

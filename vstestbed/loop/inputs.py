@@ -30,7 +30,7 @@ class Inputs:
 
     def __init__(self, scenario: Scenario):
         self._camera, self._robot, self._detector = scenario.camera, scenario.robot, scenario.detector
-        self._latest_s = scenario.timing.latest_s(scenario.camera)
+        self._latest_s, self._refuses = scenario.timing.latest_s(scenario.camera), scenario.timing.refuses
         self._reading, self._reads_depth = scenario.robot.reading, scenario.law.depth.measured
         self._t: float | None = None
         self._arrived: float | None = None
@@ -117,7 +117,9 @@ class Inputs:
         """Notes of a picture's time against the one before."""
         before = self._t
         if before is not None and t < before:
-            raise ParameterError("t", f"goes back: the last picture was taken at {before:g} s", t)
+            if not self._refuses:
+                raise ParameterError("t", f"goes back: the last picture was taken at {before:g} s", t)
+            return (f"the picture of {t:g} s is older than the last one, of {before:g} s: it is refused",)
         if before is not None and t == before:
             return (f"the picture of {t:g} s came again",)
         periods = 1.0 if before is None else (t - before) / self._camera.period

@@ -10,9 +10,10 @@ import numpy as np
 
 from vstestbed.core.geometry import Array
 from vstestbed.core.outcome import Outcome
+from vstestbed.loop.link_figures import LinkFigures
 from vstestbed.loop.metric_parts import CameraPath, Convergence, Counts, ImagePaths, Modes, Peaks, Tracking
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.tasks.metrics import FIGURES, MODE_FIGURES, Figures, OwnFigures, Part
+from vstestbed.tasks.metrics import FIGURES, SOME_FIGURES, Figures, OwnFigures, Part
 
 
 class Blocks(Protocol):
@@ -68,6 +69,8 @@ def summarise(scenario: Scenario, outcome: Outcome, log: Blocks) -> dict[str, ob
         of the camera from its goal pose [m].
     law_switches, law_shortest_stay_s, law_mode_share: only of a law with `modes`: how often its mode changed from one frame to the next,
         the shortest time between two such changes (None with fewer than two), and the share of the frames in each mode.
+    pictures_lost, pictures_refused, commands_lost: only with `timing.link`, `out_of_order` or `camera_clock`: pictures up to the last
+        one used that never arrived, or arrived after a later one (by its stamp); commands that the link lost.
     The figures of the scenario's own metrics (`tasks.metrics`) follow.
 
     Args:
@@ -81,6 +84,7 @@ def summarise(scenario: Scenario, outcome: Outcome, log: Blocks) -> dict[str, ob
         Peaks(),
         Tracking(scenario),
         Modes(scenario),
+        LinkFigures(scenario),
     ]
     own = OwnFigures(scenario.metrics, scenario.setup)
     for block in log.blocks():
@@ -90,7 +94,7 @@ def summarise(scenario: Scenario, outcome: Outcome, log: Blocks) -> dict[str, ob
     columns, before = WholeColumns(log), FIGURES.index("saturated_fraction")  # the task's own figures stand before it
     task = scenario.goal.metrics(columns) | scenario.goal.judged(columns, scenario.stop).summary()
     ordered: Figures = {name: figures[name] for name in FIGURES[:before]} | task
-    ordered |= {name: figures[name] for name in (*FIGURES[before:], *MODE_FIGURES, "law_mode_share") if name in figures}
+    ordered |= {name: figures[name] for name in (*FIGURES[before:], *SOME_FIGURES, "law_mode_share") if name in figures}
     return {name: _clean(value) for name, value in (ordered | own.figures()).items()}
 
 

@@ -11,17 +11,19 @@ from vstestbed.loop.command_history import CommandHistory
 from vstestbed.loop.exposure import Arrival, Exposure
 from vstestbed.robots import Allocation, Mount, Reading, Robot
 from vstestbed.robots.own_model import OwnModel
+from vstestbed.robots.setpoints import Between
 
 
 class OwnRates:
     """Makes `Observation.robot`, and keeps the velocities that were ordered.
 
     Args:
-        robot: the robot. period_s: time between pictures [s].
+        robot: the robot. period_s: time between pictures [s]. between: how it goes from one order to the next.
     """
 
-    def __init__(self, robot: Robot, period_s: float):
+    def __init__(self, robot: Robot, period_s: float, between: Between = "hold"):
         self._robot, self._period_s = robot, period_s
+        self._between: Between = between
         self._ordered: CommandHistory | None = None
         self._last = np.zeros(0)
         self._J = np.zeros((6, 0))
@@ -33,7 +35,7 @@ class OwnRates:
         """
         model = self._robot.own_model(now.reading, mount)
         if self._ordered is None:
-            self._ordered, self._last = CommandHistory(len(model.names)), np.zeros(len(model.names))
+            self._ordered, self._last = CommandHistory(n := len(model.names), self._between, self._period_s), np.zeros(n)
         self._J = model.J
         moved = self._displacement(last.t, last.reading, shot.t, shot.reading, mount)
         underway = self._displacement(shot.t, shot.reading, now.t, now.reading, mount)

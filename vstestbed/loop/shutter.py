@@ -7,8 +7,10 @@ from dataclasses import dataclass, replace
 
 from vstestbed.camera import Look, Picture
 from vstestbed.loop.exposure import Exposure
+from vstestbed.loop.stamps import Stamps
 from vstestbed.scenario.scenario import TIMING_STREAM, Scenario
 from vstestbed.sim.base import Plant, Truth
+from vstestbed.sim.link import BurstyLink
 from vstestbed.sim.timing import DelayLine, Planned, Shutter
 from vstestbed.vision.base import TruthView
 
@@ -30,15 +32,17 @@ class CameraClock:
 
     Args:
         whole: take whole pictures, whatever the detector's regions of interest are.
+        link: may lose pictures; None for one that loses none.
     """
 
-    def __init__(self, scenario: Scenario, plant: Plant, whole: bool = False):
+    def __init__(self, scenario: Scenario, plant: Plant, whole: bool = False, link: BurstyLink | None = None):
         self.plant, self.whole, self._view = plant, whole, scenario.detector.needs_truth
         # A perturbation may work on the picture as a whole, so that a part of it would not be changed as the whole is.
         self._in_parts = not scenario.noise.on_pictures
         rng = scenario.rng(TIMING_STREAM)
-        self.shutter = Shutter(scenario.timing, scenario.camera, plant.step_s, plant.steps_per_frame, rng)
-        self.line: DelayLine[Exposed] = DelayLine()
+        self.shutter = Shutter(scenario.timing, scenario.camera, plant.step_s, plant.steps_per_frame, rng, link)
+        self.line: DelayLine[Exposed] = DelayLine(overtakes=scenario.timing.out_of_order)
+        self._stamps = Stamps(scenario, plant) if scenario.timing.stamps else None
         self.look: Look | None
         self._takes_whole = whole
         self._plan()
@@ -48,12 +52,15 @@ class CameraClock:
         self.opening, self.middle, self.look = 0, None, None
 
     def next_event(self) -> int:
-        """The step at which the shutter opens next, or a picture arrives."""
+        """The step at which the shutter opens next, a picture arrives, or the robot's sensors are read for one."""
         opens, due = self.planned.opens[self.opening], self.line.next_due()
-        return opens if due is None else min(opens, due)
+        following = opens if due is None else min(opens, due)
+        return following if self._stamps is None else min(following, self._stamps.next_event())
 
     def act(self, step: int, look_next: Callable[[], Look | None]) -> None:
         """Open the shutter when it is due, and send complete pictures. `look_next` gives the detector's region of interest."""
+        if self._stamps is not None:
+            self._stamps.act(step)
         while (planned := self.planned).opens[self.opening] == step:
             # With pictures in transit the region of interest is not known yet: the detector has not seen them.
             # It is decided once: all images of an exposure show the same part.
@@ -67,6 +74,10 @@ class CameraClock:
                 self._send(planned, picture, self._shot(step, truth))
             else:
                 self._expose(planned, step)
+
+    def received(self, shot: Exposure, step: int) -> tuple[Exposure, float]:
+        """What the controller gets of an exposure that arrives at this step, and its time stamp [s]."""
+        return (shot, shot.t) if self._stamps is None else self._stamps.received(shot, step)
 
     def _expose(self, planned: Planned, step: int) -> None:
         # Truth, time stamp and reading are those of the exposure's middle: a symmetric smear leaves a marker's centre there.

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError, create_model
 from vstestbed.core.errors import RunFolderError
 from vstestbed.core.files import read_file
 from vstestbed.core.outcome import Outcome
-from vstestbed.tasks.metrics import FIGURES, MODE_FIGURES
+from vstestbed.tasks.metrics import FIGURES, SOME_FIGURES
 
 LARGEST = 2**63
 """Whole numbers from here on fit no table."""
@@ -25,7 +25,7 @@ class _Open(BaseModel):
     __pydantic_extra__: dict[str, Scalar | dict[str, Scalar]]  # pyright: ignore[reportIncompatibleVariableOverride] - as pydantic has it
 
 
-_NUMBERS: dict[str, Any] = dict.fromkeys((*FIGURES, *MODE_FIGURES, "wall_time_s", "real_time_factor"), (float | None, None))
+_NUMBERS: dict[str, Any] = dict.fromkeys((*FIGURES, *SOME_FIGURES, "wall_time_s", "real_time_factor"), (float | None, None))
 _Summary = create_model(
     "_Summary",
     __base__=_Open,

@@ -42,7 +42,7 @@ class Witness:
         self._own = len(self._robot_log.columns) + len(self.task.columns)
 
     def frame(self, cycle: Cycle, shot: Exposure, truth: Truth, image: Image | None) -> Frame:
-        """The cycle with the truth at its exposure, and the robot's and the task's own columns."""
+        """The cycle, of the exposure `shot`, with the truth then, and the robot's and the task's own columns."""
         row = np.empty(self._own)
         c, depth = cycle, shot.picture.depth if shot.picture else None
         if self._goal is not None:

@@ -54,6 +54,17 @@ def _check_length(field: str, T: Array, most_m: float) -> None:
         raise ParameterError(field, words)
 
 
+def check_clocks(robot: Robot, timing: Timing) -> None:
+    """Refuse stamps of readings for a robot that has none.
+
+    Raises:
+        ParameterError: it names the field.
+    """
+    if timing.robot_clock is not None and robot.model is None:
+        words = f"stamps a robot's sensor readings, and robot {robot.kind} has none; errors of the pictures' stamps: timing.camera_clock"
+        raise ParameterError("timing.robot_clock", words)
+
+
 def check_memory(camera: Camera, pictures: bool, timing: Timing, stop: Stop) -> None:
     """Refuse runs whose log, or pictures in transit to the law, would not fit into memory. pictures: whether any are taken.
 

@@ -19,6 +19,7 @@ from vstestbed.robots import ROBOTS, Robot
 from vstestbed.scenario.check_points import check_determined, check_judged, check_markers, check_own_points, free_motions
 from vstestbed.scenario.checks import (
     check_carrier,
+    check_clocks,
     check_depth,
     check_goal_pictures,
     check_memory,
@@ -43,10 +44,10 @@ from vstestbed.vision.perturb import Perturbed
 from vstestbed.vision.pose.derotate import Derotation
 
 START_STREAM, NOISE_STREAM, IMAGE_STREAM, SENSOR_STREAM, TIMING_STREAM, DEPTH_STREAM, MOTION_STREAM, PERTURB_STREAM = range(8)
-RGBD_STREAM, GOAL_STREAM, BODY_STREAM = 8, 9, 10
+RGBD_STREAM, GOAL_STREAM, BODY_STREAM, LINK_STREAM, STAMP_STREAM = 8, 9, 10, 11, 12
 """Independent random streams of one seed: the start, the noise of measured pixels, of pictures, of the robot's own sensors, of timing,
 of the calibration of depths, the target's random walk, perturbations, the depth camera, the goal's picture, what differs from one robot to
-the next of its kind. Their numbers enter the seed: a new one comes last, or all recorded runs change."""
+the next of its kind, losses of the link, time stamps. Their numbers enter the seed: a new one comes last, or all recorded runs change."""
 TRIES = 1000
 """Largest number of random starts drawn until the target is in view."""
 DISPLACEMENT_STEPS = 12
@@ -78,7 +79,7 @@ class Scenario:
         stop: when a run ends.
         noise: noise of pictures and of measured coordinates.
         calibration: errors of the calibration that robot, detector, observer and law work with.
-        timing: exposure, jitter, lost pictures, and latency of the commands.
+        timing: exposure, jitter, lost pictures, clocks, and latency and rate of the commands.
         world: floor, scenery, wind, plates and decoys.
         physics: the clock of the simulation.
 
@@ -111,6 +112,7 @@ class Scenario:
         object.__setattr__(self, "robot", self.robot.drawn(self.rng(BODY_STREAM)))  # frozen: a run states the very robot that it had
         check_depth(self.robot, self.camera, self.detector, self.law)
         self.timing.check(self.camera, self.clock[0])  # first: the clock refuses a step that does not divide the camera's period
+        check_clocks(self.robot, self.timing)
         check_memory(self.camera, self.needs_image, self.timing, self.stop)
         check_metres(self.robot, self.camera, self.target)
         self.believed_camera  # noqa: B018 - refuses errors that the lens cannot have

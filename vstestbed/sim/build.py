@@ -9,6 +9,7 @@ import numpy as np
 
 from vstestbed.camera import Camera
 from vstestbed.robots import Robot
+from vstestbed.robots.setpoints import Interpolation
 from vstestbed.sim.base import Plant
 from vstestbed.sim.clock import Clock, longest_step
 from vstestbed.sim.render.noise import NO_DRIFT, Drift, ImageNoise
@@ -34,6 +35,7 @@ def build_plant(
     drift: Drift = NO_DRIFT,
     perturbed: Perturbed | None = None,
     order_s: float = math.inf,
+    led: Interpolation | None = None,
     plate_m: float = 0.0,
 ) -> tuple[Plant, str]:
     """The plant, and the name of its renderer ("none" without pictures).
@@ -45,7 +47,7 @@ def build_plant(
         image_sigma, rng: noise of the pictures [grey levels] and its generator.
         depth_rng, sensor_rng, motion_rng: generators of the depth camera's noise, of the robot's sensor noise, of a target's random walk.
         drift: of the camera's gains. perturbed: further changes of the pictures; None for none.
-        order_s: how long a command lasts before the robot stops [s].
+        order_s: how long a command lasts before the robot stops [s]. led: how it goes from one command to the next; None: at once.
         plate_m: edge of a plate in reserve, for `Plant.hold_plate`; 0 for none [m].
 
     Raises:
@@ -61,7 +63,7 @@ def build_plant(
     if ideal and not needs_image and not plate_m and not _may_hide(target, world):
         from vstestbed.sim.ideal import IdealPlant
 
-        return IdealPlant(parts, steps_per_frame, path=path, order_s=order_s), "none"
+        return IdealPlant(parts, steps_per_frame, path=path, order_s=order_s, led=led), "none"
     from vstestbed.sim.render.depth_camera import depth_camera
     from vstestbed.sim.render.image_sensor import ImageSensor
     from vstestbed.sim.render.pictures import servo_renderer
@@ -76,11 +78,11 @@ def build_plant(
     if ideal:
         from vstestbed.sim.ideal import IdealPlant
 
-        return IdealPlant(parts, steps_per_frame, stage, eye, path, order_s), renderer
+        return IdealPlant(parts, steps_per_frame, stage, eye, path, order_s, led), renderer
     from vstestbed.sim.plant import MujocoPlant
 
     noise = sensor_rng or np.random.default_rng(0)
-    return MujocoPlant(stage, steps_per_frame, eye, needs_truth, noise, path, order_s), renderer
+    return MujocoPlant(stage, steps_per_frame, eye, needs_truth, noise, path, order_s, led), renderer
 
 
 def _may_hide(target: Target, world: World) -> bool:

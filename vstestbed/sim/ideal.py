@@ -11,6 +11,7 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, adjoint, exp, inverse
 from vstestbed.robots.orders import Orders
 from vstestbed.robots.reading import Reading
+from vstestbed.robots.setpoints import Interpolation
 from vstestbed.sim.base import Truth
 from vstestbed.sim.hands import hold_plate, moved_path
 from vstestbed.sim.process_end import may_end_here
@@ -30,7 +31,7 @@ class IdealPlant:
         parts: of the scene. steps_per_frame: physics steps between pictures.
         stage: for pictures and occlusion; None without both. eye: takes the pictures; None where no detector needs them.
         path: the target's pose as a function of time; None for one that stands still.
-        order_s: how long a setpoint lasts before the camera stops [s].
+        order_s: how long a setpoint lasts before the camera stops [s]. led: how it goes from one setpoint to the next; None: at once.
     """
 
     def __init__(
@@ -41,6 +42,7 @@ class IdealPlant:
         eye: ImageSensor | None = None,
         path: Path | None = None,
         order_s: float = math.inf,
+        led: Interpolation | None = None,
     ):
         self._path, self._parts = path, parts
         self.step_s, self.steps_per_frame = parts.step, steps_per_frame
@@ -53,7 +55,7 @@ class IdealPlant:
         self._twist = np.zeros(6)
         self._followed: Array | None = None
         self._steps = 0
-        self._orders = Orders(parts.robot.stopping, None, order_s / parts.step, parts.step)
+        self._orders = Orders(parts.robot.stopping, None, order_s / parts.step, parts.step, led)
         self._hidden = np.zeros(len(self._target.points), dtype=bool)
 
     @property

@@ -15,6 +15,7 @@ from vstestbed.core.geometry import Array, adjoint, inverse
 from vstestbed.core.planar import place_of, pose_on_ground
 from vstestbed.robots.orders import Orders
 from vstestbed.robots.reading import Reading
+from vstestbed.robots.setpoints import Interpolation
 from vstestbed.sim.base import Truth
 from vstestbed.sim.contacts import RobotContacts
 from vstestbed.sim.equilibrium import settle
@@ -47,7 +48,7 @@ class MujocoPlant:
         stage: the scene. steps_per_frame: physics steps between pictures.
         eye: takes the pictures; None where no detector needs them. see_hidden: compute the truth's `hidden` by casting rays.
         rng: generator of the robot's sensor noise. path: the pose of a target that moves by itself as a function of time, else None.
-        order_s: how long a setpoint lasts before the robot stops [s].
+        order_s: how long a setpoint lasts before the robot stops [s]. led: how it goes from one setpoint to the next; None: at once.
     """
 
     def __init__(
@@ -59,6 +60,7 @@ class MujocoPlant:
         rng: np.random.Generator,
         path: Path | None = None,
         order_s: float = math.inf,
+        led: Interpolation | None = None,
     ):
         robot, world = stage.parts.robot, stage.parts.world
         self._stage, self._robot, self._target = stage, robot, stage.parts.target
@@ -76,7 +78,7 @@ class MujocoPlant:
         self._leader = LeadVehicle(stage) if stage.leader else None
         self._velocity, self._push = np.zeros(6), Push(stage)
         self._memory: Any = robot.begin()
-        self._orders = Orders(robot.stopping, robot.hold_setpoint(), order_s / self.step_s, self.step_s)
+        self._orders = Orders(robot.stopping, robot.hold_setpoint(), order_s / self.step_s, self.step_s, led)
         self._control_steps = _whole_steps(robot.control_period_s, self.step_s)
         self._tyres = TyreForces(stage, robot.tyres) if robot.tyres else None
         self._start()

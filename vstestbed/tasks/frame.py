@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -21,12 +22,15 @@ class FrameTiming:
     """Times of one frame.
 
     Attributes:
-        number: counts frames from 0. t: time of exposure [s]. t_cmd: when its command reaches the robot [s].
+        number: counts frames from 0. t: time of exposure [s]; in a cycle by the picture's stamp, in a frame the true one.
+        t_cmd: when its command reaches the robot [s].
+        own: values of the columns that only runs with errors of stamps and links have (`Timing.columns`); None without them.
     """
 
     number: int
     t: float
     t_cmd: float
+    own: Mapping[str, float] | None = None
 
 
 @dataclass(frozen=True, slots=True)

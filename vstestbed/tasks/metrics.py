@@ -44,10 +44,14 @@ FIGURES = (
 """The names of every run's figures."""
 MODE_FIGURES = ("law_switches", "law_shortest_stay_s")
 """Those of a law with modes besides."""
+LINK_FIGURES = ("pictures_lost", "pictures_refused", "commands_lost")
+"""Those of a run with wrong time stamps, pictures out of order or a link that loses."""
+SOME_FIGURES = (*MODE_FIGURES, *LINK_FIGURES)
+"""Those that only some runs have."""
 TAKEN = frozenset(
     (
         *FIGURES,
-        *MODE_FIGURES,
+        *SOME_FIGURES,
         *("scenario", "outcome", "success", "reason", "seed", "folder", "task", "amount", "attempts", "batch"),
         *(
             "wall_time_s",

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,12 +10,14 @@ import polars as pl
 import pytest
 
 import vstestbed as vs
+from vstestbed import Timing
 from vstestbed.cli import app as cli
 from vstestbed.core.errors import ParameterError
 from vstestbed.experiments.delay.lag import measure_lags
 from vstestbed.experiments.delay.measure import OFF, OFF_WITH_FRICTION, displaced, find_limit, find_limits, growth, prepared
-from vstestbed.experiments.delay.theory import closed_form, gain_limit
+from vstestbed.experiments.delay.theory import closed_form, gain_limit, led_form
 from vstestbed.scenario.scenario import Scenario
+from vstestbed.sim.time_stamps import CameraStamps
 
 PERIOD = 0.04
 
@@ -42,6 +45,25 @@ def test_the_ideal_camera_goes_unstable_where_theory_says(free, d):
     start, g = displaced(free), closed_form(d)
     # The bound is 5 %; it is a tenth of that (the study below).
     assert growth(start, 0.98 * g / PERIOD, d) < 1 < growth(start, 1.02 * g / PERIOD, d)
+
+
+@pytest.mark.parametrize("between", ["ramp", "smooth"])
+@pytest.mark.parametrize("d", [0, 2])
+def test_commands_that_are_led_to_cost_half_a_period_of_the_delay_margin(free, d, between):
+    """At the limit of held commands the loop grows, and it is stable up to its own, 2 tan(pi / (4 (d + 1))): 0.536 instead of 0.618."""
+    start, g = displaced(free), led_form(d)
+    led = replace(start, timing=Timing(interpolation=between, command_hz=100))
+    assert growth(led, 0.97 * g / PERIOD, d) < 1 < growth(led, 1.03 * g / PERIOD, d)
+    if d:
+        assert growth(start, 0.95 * closed_form(d) / PERIOD, d) < 1 < growth(led, 0.95 * closed_form(d) / PERIOD, d)
+
+
+def test_a_predictor_whose_stamps_are_those_of_the_arrival_is_none():
+    """Beyond the limit of the loop without prediction, a Smith predictor keeps it stable, if it knows the age of its pictures."""
+    start = displaced(prepared(vs.load("ibvs_book", {"camera.rate_hz": 25, "law.feedforward": "smith"})))
+    gain = 1.3 * closed_form(2) / PERIOD
+    stamps = {by: replace(start, timing=Timing(camera_clock=CameraStamps(stamped=by))) for by in ("middle", "arrival")}
+    assert growth(stamps["middle"], gain, 2) < 1 < growth(stamps["arrival"], gain, 2)
 
 
 def test_bisection_lands_on_the_limit(free):

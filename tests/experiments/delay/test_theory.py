@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.experiments.delay.theory import closed_form, gain_limit, locus, polynomial, roots, swing_frames
+from vstestbed.experiments.delay.theory import closed_form, gain_limit, led_form, locus, polynomial, roots, swing_frames
 
 
 def iterated(g: float, d: int, shares: tuple[float, ...], steps: int = 4000) -> float:
@@ -28,6 +28,18 @@ def test_limits_of_pure_delay(d, limit):
     poles = roots(closed_form(d), d)
     assert abs(poles[0]) == pytest.approx(1, abs=1e-9)
     assert 2 * math.pi / abs(np.angle(poles[0])) == pytest.approx(swing_frames(d), rel=1e-9)
+
+
+@pytest.mark.parametrize("d", [1, 2, 5, 20])
+def test_to_lead_to_a_command_costs_half_a_period(d: int):
+    assert gain_limit(d, (0.5, 0.5)) == pytest.approx(led_form(d), rel=1e-8)
+    # Both are (pi / 2) / delay to the first order: of half a frame more.
+    assert math.pi / 2 / led_form(d) - math.pi / 2 / closed_form(d) == pytest.approx(0.5, abs=0.4 / (d + 1))
+
+
+def test_without_delay_to_lead_costs_no_gain():
+    """The loop of held commands alternates at its limit, which the other averages out."""
+    assert led_form(0) == pytest.approx(2) == pytest.approx(closed_form(0)) and gain_limit(0, (0.5, 0.5)) == pytest.approx(2, rel=1e-8)
 
 
 @pytest.mark.parametrize(("d", "shares"), [(0, (1.0,)), (2, (1.0,)), (1, (0.4, 0.6)), (3, (0.7, 0.2, 0.1))])

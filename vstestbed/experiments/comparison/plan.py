@@ -20,12 +20,12 @@ from vstestbed.scenario.load import text_of
 from vstestbed.scenario.plugins import absolute_files, load_named, load_plugins
 from vstestbed.scenario.validation import build
 from vstestbed.scenario.yaml_marks import Key, Marks, place_of, plain_mapping
-from vstestbed.tasks.metrics import FIGURES, MODE_FIGURES, own_titles
+from vstestbed.tasks.metrics import FIGURES, SOME_FIGURES, own_titles
 
 T = TypeVar("T")
 TASK, AMOUNT = "task", "amount"
 """Columns that only a comparison with tasks has."""
-OWN_COLUMNS = ("scenario", "seed", "folder", TASK, AMOUNT, "attempts", "outcome", "success", "reason", *FIGURES, *MODE_FIGURES)
+OWN_COLUMNS = ("scenario", "seed", "folder", TASK, AMOUNT, "attempts", "outcome", "success", "reason", *FIGURES, *SOME_FIGURES)
 """Columns of the table, whose names no case may have."""
 
 
@@ -73,7 +73,7 @@ class Comparison:
                 raise ParameterError(f"cases.{name}", "must have a name of its own, and one case or more")
         self._check_runs()
         for name in self.metrics:
-            if name not in (known := (*FIGURES, *MODE_FIGURES, *own_titles())):
+            if name not in (known := (*FIGURES, *SOME_FIGURES, *own_titles())):
                 raise ParameterError("metrics", f"must be figures of summary.json: {', '.join(known)}", name)
 
     def _check_runs(self) -> None:

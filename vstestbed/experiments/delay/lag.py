@@ -37,10 +37,10 @@ class Lag:
 def measure_lags(scenario: Scenario, delay_frames: int, off: float) -> list[Lag]:
     """Measure the response of each joint of an arm at the frequency at which the loop oscillates at its gain limit.
 
-    One joint after the other gets the velocity command u(k) = off gain cos(w k), held over each frame, and
-    (q(k+1) - q(k)) / period = b_0 u(k) + b_1 u(k-1) is fitted by least squares. Two numbers describe a linear actuator at one
-    frequency; for a joint with friction they are its describing function at this amplitude. w and gain are those at which the
-    loop with these b becomes unstable, found by ROUNDS iterations; w is at most 0.9 pi, since at pi b_0 and b_1 cannot be
+    One joint after the other gets the velocity command u(k) = off gain cos(w k), held over each frame (or led to, with
+    `timing.interpolation`), and (q(k+1) - q(k)) / period = b_0 u(k) + b_1 u(k-1) is fitted by least squares. Two numbers describe a linear
+    actuator at one frequency; for a joint with friction they are its describing function at this amplitude. w and gain are those at which
+    the loop with these b becomes unstable, found by ROUNDS iterations; w is at most 0.9 pi, since at pi b_0 and b_1 cannot be
     distinguished.
 
     Args:
@@ -48,9 +48,8 @@ def measure_lags(scenario: Scenario, delay_frames: int, off: float) -> list[Lag]
         delay_frames: d. off: amplitude of each joint [rad].
     """
     # neither images nor true poses are needed: the encoders are the measurement
-    plant, _ = build_plant(
-        scenario.robot, scenario.camera, scenario.target, scenario.world, scenario.physics, needs_image=False, needs_truth=False
-    )
+    parts = (scenario.robot, scenario.camera, scenario.target, scenario.world, scenario.physics)
+    plant, _ = build_plant(*parts, needs_image=False, needs_truth=False, led=scenario.timing.interpolated(*scenario.clock))
     try:
         return [_lag_of(plant, name, i, scenario.camera.period, delay_frames, off) for i, name in enumerate(scenario.robot.joints)]
     finally:

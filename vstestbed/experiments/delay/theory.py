@@ -39,6 +39,16 @@ def closed_form(delay_frames: int) -> float:
     return 2 * math.sin(math.pi / (2 * (2 * delay_frames + 1)))
 
 
+def led_form(delay_frames: int) -> float:
+    """The same for commands that are led to, by a ramp or smoothly (`timing.interpolation`): 2 tan(pi / (4 (d + 1))).
+
+    A led command is executed half in its own frame and half in the next one, b = (1/2, 1/2), and the poles cross the unit circle at the
+    angle pi / (2 (d + 1)). For small angles both limits are (pi / 2) / delay, with a delay of d + 1/2 frames for commands that are held,
+    of which 1/2 is that of the hold itself, and of d + 1 here: to lead costs half a period.
+    """
+    return 2 * math.tan(math.pi / (4 * (delay_frames + 1)))
+
+
 def swing_frames(delay_frames: int) -> int:
     """Period of the oscillation at the gain limit of a robot without lag [frames]."""
     return 2 * (2 * delay_frames + 1)

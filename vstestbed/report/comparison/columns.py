@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from vstestbed.core.geometry import Array
 from vstestbed.report.run import numbers
-from vstestbed.tasks.metrics import MODE_FIGURES, own_titles
+from vstestbed.tasks.metrics import SOME_FIGURES, own_titles
 
 TASK: Final = "task"
 """Column of the task of each run, which only a comparison with tasks has."""
@@ -30,7 +30,7 @@ DEFAULT_METRICS: Final = (
     "saturated_fraction",
 )
 
-_SOMETIMES: Final = (*numbers.TRACKING_ROWS, *numbers.MODE_ROWS)
+_SOMETIMES: Final = (*numbers.TRACKING_ROWS, *numbers.MODE_ROWS, *numbers.LINK_ROWS)
 # Titles and units are those of the single-run report, so that a number is called the same on both pages.
 _TITLES: Final = {name: (title, unit) for name, title, unit in (*numbers.CONTINUING_TILES, *numbers.TILES, *numbers.ROWS, *_SOMETIMES)}
 _SCALES: Final = {"final_position_error_m": ("mm", 1e3), "saturated_fraction": ("%", 1e2)}
@@ -40,8 +40,8 @@ _HIGHER: Final = ("min_border_margin_px",)
 
 
 def shown_by_default(table: pl.DataFrame) -> tuple[str, ...]:
-    """Names of the numbers shown of a comparison that names none: the usual ones, those of laws with modes, the scenarios' own."""
-    return (*DEFAULT_METRICS, *(name for name in (*MODE_FIGURES, *own_titles()) if name in table.columns))
+    """Names of the numbers shown of a comparison that names none: the usual ones, those of some runs, the scenarios' own."""
+    return (*DEFAULT_METRICS, *(name for name in (*SOME_FIGURES, *own_titles()) if name in table.columns))
 
 
 @dataclass(frozen=True)

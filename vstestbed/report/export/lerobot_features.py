@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from vstestbed.core.geometry import Array
 from vstestbed.laws.policy_io import MOST_PX, ActionScale
 from vstestbed.loop.columns import TWIST
-from vstestbed.loop.controller import mount_at
+from vstestbed.loop.own_mount import mount_at
 from vstestbed.report.export.columns import unit_of_joint
 from vstestbed.report.export.source import RecordedRun
 from vstestbed.robots import Mount

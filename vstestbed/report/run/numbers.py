@@ -52,6 +52,12 @@ MODE_ROWS: Final = (
     ("law_shortest_stay_s", "Shortest time between two switches", "s"),
 )
 """Rows of a law with modes."""
+LINK_ROWS: Final = (
+    ("pictures_lost", "Pictures lost", ""),
+    ("pictures_refused", "Pictures refused, out of order", ""),
+    ("commands_lost", "Commands lost", ""),
+)
+"""Rows of a run with wrong time stamps, pictures out of order or a link that loses."""
 
 
 def headline(summary: Summary) -> str:
@@ -87,7 +93,7 @@ def table(summary: Summary) -> str:
     """The other numbers, one per line; those of the scenario's own metrics come last."""
     items = []
     own = tuple((key, *title) for key, title in own_titles().items() if key in summary)
-    for key, name, unit in ROWS + tuple(row for row in TRACKING_ROWS + MODE_ROWS if summary.get(row[0]) is not None) + own:
+    for key, name, unit in ROWS + tuple(row for row in TRACKING_ROWS + MODE_ROWS + LINK_ROWS if summary.get(row[0]) is not None) + own:
         value = summary.get(key)
         if unit == "%" and isinstance(value, float):  # the summary holds shares
             value = 100 * value
