@@ -53,7 +53,7 @@ class Timing:
 
     exposure_s: Time = 0.0
     exposure_pictures: Annotated[int, Ge(3), Le(999)] = 9
-    readout_pictures: Annotated[int, Ge(3), Le(999)] = 11
+    readout_pictures: Annotated[int, Ge(3), Le(999)] = 21
     jitter: Literal["uniform", "normal"] = "uniform"
     exposure_jitter_s: Time = 0.0
     latency_jitter_s: Annotated[Time, Narrower(le=60)] = 0.0
