@@ -72,8 +72,11 @@ def theory(s: vs.Scenario, truth: Truth, twist: list[float]) -> tuple[Array, Arr
 
     places = []
     for point in transform(truth.T_world_target, s.target.points):
-        late = (lambda t, p=point: t - float(camera.row_delay(camera.project(seen(p, t))[0, 1]))) if camera.readout_s else None
-        t = float(brentq(late, *ends)) if late else 0.0
+
+        def late(t: float, point: Array = point) -> float:
+            return t - float(camera.row_delay(camera.project(seen(point, t))[0, 1]))
+
+        t: Any = brentq(late, *ends) if camera.readout_s else 0.0
         places.append([panel.lens.project(seen(point, at) @ panel.R_camera_panel)[0] for at in (t, 0.0)])
     by_rows, at_once = np.swapaxes(np.array(places), 0, 1)
     return by_rows, at_once
@@ -135,6 +138,7 @@ def test_a_rows_exposure_smears_by_its_own_length():
         light, at = (part.max(axis=2) - part.min(axis=2)).sum(axis=0), np.arange(41)
         mean = (light * at).sum() / light.sum()
         variances.append((light * (at - mean) ** 2).sum() / light.sum())
+    assert isinstance(s.camera, Perspective)
     length = np.sqrt(12 * (variances[1] - variances[0]))
     assert length == pytest.approx(s.camera.f * speed * exposure_s / 0.7, rel=0.06)  # with the skew within the disc
 

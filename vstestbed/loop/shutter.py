@@ -77,17 +77,25 @@ class CameraClock:
     def _expose(self, planned: Planned, step: int) -> None:
         # Truth, time stamp and reading are those of the exposure's middle: a symmetric smear leaves a marker's centre there.
         is_middle = step >= planned.middle and self.middle is None
-        truth = self.plant.truth() if is_middle or self._row_views else None
-        if truth is not None and self._row_views:
-            self._row_views.add(TruthView(truth.p_camera, truth.hidden))
+        truth = self._truth(is_middle)
         if truth is not None and is_middle:
             self.middle = self._shot(step, truth)
         self.plant.expose(planned.weights[self.opening], self.look, is_middle)
         self.opening += 1
         if self.opening == len(planned.opens) and self.middle is not None:
-            if self._row_views:
-                self.middle = replace(self.middle, shot=replace(self.middle.shot, view=self._row_views.taken()))
-            self._send(planned, self.plant.developed(self.middle.shot.t), self.middle)
+            self._send(planned, self.plant.developed(self.middle.shot.t), self._by_rows(self.middle))
+
+    def _truth(self, is_middle: bool) -> Truth | None:
+        """The truth of an image of an exposure, where it is needed: in the middle, and for an oracle behind a rolling shutter always."""
+        if self._row_views is None:
+            return self.plant.truth() if is_middle else None
+        truth = self.plant.truth()
+        self._row_views.add(TruthView(truth.p_camera, truth.hidden))
+        return truth
+
+    def _by_rows(self, made: Exposed) -> Exposed:
+        """With what an oracle sees through a rolling shutter; the truth itself stays that of the time stamp."""
+        return made if self._row_views is None else replace(made, shot=replace(made.shot, view=self._row_views.taken()))
 
     def _shot(self, step: int, truth: Truth) -> Exposed:
         """Truth and reading at an exposure, still without the picture."""

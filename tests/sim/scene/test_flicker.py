@@ -19,13 +19,15 @@ LAMP = {"brightness": 0.4, "ambient": 0.4}
 FLICKER = {"frequency_hz": 100.0, "depth": 0.4, "phase_deg": 30.0}
 
 
-def pictures(renderer: str, flicker: dict[str, float] | None, number: int = 3, lit: bool = True, **settings: Any) -> list[Array]:
+def pictures(
+    renderer: str, flicker: dict[str, float] | None, number: int = 3, lit: bool = True, settings: dict[str, Any] | None = None
+) -> list[Array]:
     """A column of pictures of a lit grey board that fills them, (number, H); or of an unlit marker that does."""
     near = {"xyz": [0, 0, 2.4]} if lit else {"xyz": [0.25, 0.25, 2.97]}
     light = LAMP if flicker is None else LAMP | {"flicker": flicker}
     camera = {"kind": "perspective", "width": 120, "height": 120, "fovy_deg": 30, "rate_hz": 25, "renderer": renderer}
     goal = {"goal.T_camera_target.xyz": [0, 0, 1.5]}
-    s = vs.load("ibvs_book", {"camera": camera, "robot.start": {"nominal": near}, "world.light": light} | goal | settings)
+    s = vs.load("ibvs_book", {"camera": camera, "robot.start": {"nominal": near}, "world.light": light} | goal | (settings or {}))
     plant = build_plant(s.robot, s.camera, s.target, s.world, s.physics, needs_image=True, needs_truth=False)[0]
     assert s.world.light is not None
     rng = np.random.default_rng(0)
@@ -77,7 +79,7 @@ class TestPictures:
         roll = {"camera.readout_s": 0.02, "timing.exposure_s": exposure_s}
         steady, light = pictures(renderer, None, 1)[0], Flicker(**FLICKER)
         rows = (np.arange(120) - 59.5) / 120 * 0.02
-        columns = pictures(renderer, FLICKER, 2, **roll)
+        columns = pictures(renderer, FLICKER, 2, settings=roll)
         for number, column in enumerate(columns):
             np.testing.assert_allclose(column, steady * light.mean(0.04 * number + rows, exposure_s), atol=1.0)  # rounded twice
         # A period of 10 ms is 60 of the 120 rows, and the amplitude is the depth times a sinc.
@@ -89,19 +91,19 @@ class TestPictures:
     def test_beat_of_a_global_shutter(self, renderer: str):
         # 100 Hz is 10 Hz more than three times the camera's 30 Hz: a period of the beat is three pictures.
         steady = pictures(renderer, None, 1)[0]
-        levels = [column.mean() / steady.mean() for column in pictures(renderer, FLICKER, 6, **{"camera.rate_hz": 30})]
+        levels = [column.mean() / steady.mean() for column in pictures(renderer, FLICKER, 6, settings={"camera.rate_hz": 30})]
         beat = 1 + 0.4 * np.cos(2 * np.pi * 10 * np.arange(6) / 30 + np.radians(30))
         np.testing.assert_allclose(levels, beat, atol=0.008)
 
     @pytest.mark.parametrize("readout_s", [0.0, 0.02])
     def test_an_exposure_of_a_period_shows_nothing(self, renderer: str, readout_s: float):
         settings = {"camera.readout_s": readout_s, "timing.exposure_s": 0.01}
-        for column in pictures(renderer, FLICKER, 2, **settings):
+        for column in pictures(renderer, FLICKER, 2, settings=settings):
             np.testing.assert_allclose(column, pictures(renderer, None, 1)[0], atol=1)
 
     @pytest.mark.parametrize("readout_s", [0.0, 0.02])
     def test_what_is_not_lit_does_not_flicker(self, renderer: str, readout_s: float):
-        column = pictures(renderer, FLICKER | {"depth": 1.0}, 2, lit=False, **{"camera.readout_s": readout_s})[1]
+        column = pictures(renderer, FLICKER | {"depth": 1.0}, 2, lit=False, settings={"camera.readout_s": readout_s})[1]
         assert np.ptp(column) <= 1 and column.mean() > 254
 
 

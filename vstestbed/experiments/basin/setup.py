@@ -114,12 +114,12 @@ class BatchSetup:
 
     def _check_ideal(self) -> None:
         s = self.scenario
-        noisy = s.noise != Noise() or s.timing != Timing() or s.camera.readout_s
+        disturbed = s.noise != Noise() or s.timing != Timing() or any((s.camera.latency_s, s.camera.readout_s))
         if not (s.calibration.camera_exact and s.calibration.depth_exact):
             raise ParameterError("calibration", "must be exact in a batch, whose poses and depths are true")
         if s.monitors:
             raise ParameterError("monitors", "must be none in a batch, which ends runs by the loop's own alone")
-        if not (s.robot.model is None and isinstance(s.detector, Oracle)) or s.camera.latency_s or noisy or s.world.hides:
+        if not (s.robot.model is None and isinstance(s.detector, Oracle)) or disturbed or s.world.hides:
             words = (
                 "must have a free camera, detector oracle, no latency, no noise, no rolling shutter, and no plates or scenery for a batch;"
             )
