@@ -51,7 +51,7 @@ class ImageSensor:
         self._states: list[mujoco.MjData] = []
         self._present: mujoco.MjData | None = None
         self._perturbed = perturbed or Perturbed((), np.random.default_rng(0))
-        self._rows = PixelRows(stage.parts.camera)
+        self._rows = PixelRows(stage.parts.camera, self._noise.acts)
         self._exposed: list[Contribution] = []
         self._blur, self._latest = MotionBlur(), (PictureNoise(0.0, None), self._perturbed.next_picture())
 

@@ -7,9 +7,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from vstestbed.camera import Camera, Look, Panel
+from vstestbed.camera import Camera, Look, Panel, Window
 from vstestbed.core.geometry import Array
 from vstestbed.sim.row_weights import RowWeight
+from vstestbed.vision.detect.colour_blobs import noise_rows
 from vstestbed.vision.perturb import Images
 
 Sum = Array | NDArray[np.float32]
@@ -21,11 +22,11 @@ class PixelRows:
     Of a lens with panels each pixel of a panel is exposed with the row of the camera's own picture that shows the same direction.
 
     Args:
-        camera: the lens.
+        camera: the lens. noisy: noise will be added: the rows from which detectors estimate its level are always drawn.
     """
 
-    def __init__(self, camera: Camera):
-        self._camera = camera
+    def __init__(self, camera: Camera, noisy: bool = False):
+        self._camera, self._noisy = camera, noisy
 
     @cached_property
     def _in_panels(self) -> tuple[Array, ...] | None:
@@ -50,14 +51,24 @@ class PixelRows:
         """Regions of interest, None for everything, without most of what has no weight."""
         if not isinstance(weight, np.ndarray):
             return look
+        asked = self._asked(look)
         if self._in_panels is not None:
-            whole = tuple(((0, 0, p.lens.width, p.lens.height),) for p in self._camera.panels) if look is None else look
-            return tuple(windows if part.any() else () for windows, part in zip(whole, self.weights(weight), strict=True))
+            return tuple(windows if part.any() else () for windows, part in zip(asked, self.weights(weight), strict=True))
         top, bottom = band(weight)
-        windows = ((0, top, self._camera.width, bottom),) if look is None else look[0]
-        cut = tuple((a, max(b, top), c, min(d, bottom)) for a, b, c, d in windows if b < bottom and d > top)
+        cut = tuple((a, max(b, top), c, min(d, bottom)) for a, b, c, d in asked[0] if b < bottom and d > top)
         # One pixel where nothing is left: without any window it would be no picture.
         return (cut or ((0, top, 1, top + 1),),)
+
+    def _asked(self, look: Look | None) -> Look:
+        """The windows that are needed of each panel."""
+        lenses = [panel.lens for panel in self._camera.panels]
+        if look is None:
+            return tuple(((0, 0, lens.width, lens.height),) for lens in lenses)
+        return tuple(windows and windows + self._noise_rows(lens) for windows, lens in zip(look, lenses, strict=True))
+
+    def _noise_rows(self, lens: Camera) -> tuple[Window, ...]:
+        """The rows from which the level of the noise is estimated; none without noise."""
+        return tuple((0, v, lens.width, v + 1) for v in noise_rows(lens.height)) if self._noisy else ()
 
 
 def band(weight: Array) -> tuple[int, int]:
