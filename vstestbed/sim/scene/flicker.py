@@ -35,7 +35,7 @@ class Flicker:
 
     Lamp and even light of `world.light` flicker; what is not lit does not: markers and pictures with `lit: false` (their colour
     is constant), and the sky. Films from outside and goal pictures show the mean light. With a rolling shutter each image is drawn
-    twice, under the darkest and the brightest light.
+    twice, under the darkest and the brightest light; the mean of the two is exact where no colour is clipped.
 
     Args:
         frequency_hz: of the light, twice that of the mains [Hz]; e.g. `120`.
