@@ -310,7 +310,8 @@ def running(raw: bytes, path: Path) -> str:
     shown = min(scenario.stop.duration_s, max(3 * period, min(1.0, 12 * period)))
     scenario = dataclasses.replace(scenario, stop=dataclasses.replace(scenario.stop, duration_s=shown))
     pixels = sum(panel.lens.width * panel.lens.height for panel in scenario.camera.panels) * max(scenario.camera.multisampling, 1)
-    exposed = scenario.timing.exposure_pictures if scenario.timing.exposure_s else 1
+    timing = scenario.timing
+    exposed = 2 * timing.readout_pictures if scenario.camera.readout_s else timing.exposure_pictures if timing.exposure_s else 1
     if shown / scenario.clock[0] > 20_000 or pixels * exposed > 2e6:
         return "dear"
     try:

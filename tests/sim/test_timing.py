@@ -11,7 +11,8 @@ from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.core.geometry import exp
 from vstestbed.sim.base import Plant
 from vstestbed.sim.build import build_plant
-from vstestbed.sim.timing import DelayLine, Planned, Shutter, Timing
+from vstestbed.sim.delay_line import DelayLine
+from vstestbed.sim.timing import Planned, Shutter, Timing
 
 STEP, PER_FRAME = 0.002, 20
 MANY = 20_000

@@ -90,6 +90,9 @@ class Camera(ABC):
         width, height: picture size [px].
         rate_hz: pictures per second.
         latency_s: time from the exposure until the law has the picture [s].
+        readout_s: time over which a rolling shutter exposes its H rows one after another from the top, row v from v/H of it on [s]; 0 is
+            a global shutter, which exposes all at once. The time stamp is the middle of the middle row's exposure; `timing` has the
+            exposure itself. A depth sensor's picture is taken at the time stamp, as by one with a global shutter of its own; e.g. `0.02`.
         mount: pose of the camera in the robot's flange (or body) frame.
         multisampling: samples per pixel of the rendered picture (0: one sample, cheap, jagged marker borders).
         anisotropy: samples of a texture along the longer side of what a pixel covers, at most; 1: of what is seen aslant, fine
@@ -106,6 +109,7 @@ class Camera(ABC):
     height: Annotated[int, Ge(8), Le(LARGEST_PX)] = 480
     rate_hz: Frequency = 25.0
     latency_s: Annotated[Time, Narrower(le=60)] = 0.0
+    readout_s: Annotated[Time, Narrower(le=60)] = 0.0
     mount: Pose = Pose()
     multisampling: Literal[0, 2, 4, 8, 16] = 0
     anisotropy: Literal[1, 2, 4, 8, 16] = 1
@@ -133,6 +137,13 @@ class Camera(ABC):
     def period(self) -> float:
         """Time between pictures [s]."""
         return 1.0 / self.rate_hz
+
+    def row_delay(self, v: Array) -> Array:
+        """How long after the picture's time stamp the rows v (...) [px] of its own image are exposed, (v - (H - 1)/2) readout_s / H [s].
+
+        Reference: Meingast, Geyer & Sastry 2005, Geometric models of rolling-shutter cameras, arXiv:cs/0503076.
+        """
+        return (v - (self.height - 1) / 2) * (self.readout_s / self.height)
 
     def mounted(self, mount: Pose) -> Camera:
         """The same camera with another mount."""

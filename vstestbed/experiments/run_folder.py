@@ -97,7 +97,9 @@ def _run_into(
                 write_whole(folder / name, content)
             log = FolderLog.create(folder, Layout(scenario).columns)
             try:
-                recording = run(scenario, [*filming, *watch], log)
+                # A film shows rows and flicker where the run took the pictures; one drawn afterwards is of an instant.
+                pictures = "camera" in FILM_CAMERAS[films] and scenario.by_rows
+                recording = run(scenario, [*filming, *watch], log, pictures=pictures)
             finally:
                 log.close()
             for film in filming:

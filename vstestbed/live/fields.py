@@ -22,6 +22,7 @@ LEFT_OUT = {"camera.mount", "camera.width", "camera.height", "robot.start"}
 HIGH = {
     "camera.latency_s": 0.4,
     "camera.rate_hz": 100.0,
+    "camera.readout_s": 0.03,
     "camera.fovy_deg": 120.0,
     "timing.command_latency_s": 0.4,
     "timing.exposure_s": 0.04,

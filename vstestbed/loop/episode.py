@@ -25,8 +25,8 @@ from vstestbed.robots import Allocation
 from vstestbed.scenario.scenario import IMAGE_STREAM, LINK_STREAM, MOTION_STREAM, RGBD_STREAM, SENSOR_STREAM, Scenario
 from vstestbed.sim.base import Plant
 from vstestbed.sim.build import build_plant
+from vstestbed.sim.delay_line import DelayLine
 from vstestbed.sim.link import directions
-from vstestbed.sim.timing import DelayLine
 from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.monitors import OwnMonitor
 

@@ -11,13 +11,14 @@ from vstestbed.loop.recording import Recording, Rows, Watcher
 from vstestbed.scenario.scenario import Scenario
 
 
-def run(scenario: Scenario, watch: Iterable[Watcher] = (), rows: Rows | None = None) -> Recording:
+def run(scenario: Scenario, watch: Iterable[Watcher] = (), rows: Rows | None = None, *, pictures: bool = False) -> Recording:
     """Simulate a scenario from its nominal start until an outcome.
 
     Args:
         scenario: the experiment (`Scenario.randomised` draws another start).
         watch: receive every frame. A KeyboardInterrupt ends the run with the outcome `interrupted`.
         rows: where the rows of the log go; into memory by default.
+        pictures: take whole pictures for those who watch, see `Session`.
 
     Raises:
         ParameterError: `scenario` is not a Scenario.
@@ -25,7 +26,7 @@ def run(scenario: Scenario, watch: Iterable[Watcher] = (), rows: Rows | None = N
     """
     if not isinstance(scenario, Scenario):
         raise ParameterError("scenario", "must be a Scenario: vstestbed.run(vstestbed.load('arm_ibvs'))", scenario)
-    episode = Episode(scenario, False, tuple(watch), rows)
+    episode = Episode(scenario, pictures, tuple(watch), rows)
     with contextlib.closing(episode), contextlib.suppress(KeyboardInterrupt):
         while episode.outcome is None:
             episode.advance()

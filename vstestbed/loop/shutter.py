@@ -7,11 +7,14 @@ from dataclasses import dataclass, replace
 
 from vstestbed.camera import Look, Picture
 from vstestbed.loop.exposure import Exposure
+from vstestbed.loop.row_views import RowViews
 from vstestbed.loop.stamps import Stamps
 from vstestbed.scenario.scenario import TIMING_STREAM, Scenario
 from vstestbed.sim.base import Plant, Truth
+from vstestbed.sim.delay_line import DelayLine
 from vstestbed.sim.link import BurstyLink
-from vstestbed.sim.timing import DelayLine, Planned, Shutter
+from vstestbed.sim.scene.flicker import STEADY
+from vstestbed.sim.timing import Planned, Shutter
 from vstestbed.vision.base import TruthView
 
 
@@ -40,7 +43,11 @@ class CameraClock:
         # A perturbation may work on the picture as a whole, so that a part of it would not be changed as the whole is.
         self._in_parts = not scenario.noise.on_pictures
         rng = scenario.rng(TIMING_STREAM)
-        self.shutter = Shutter(scenario.timing, scenario.camera, plant.step_s, plant.steps_per_frame, rng, link)
+        light = scenario.world.light
+        flicker = STEADY if light is None or (not scenario.needs_image and not whole) else light.flicker
+        self.shutter = Shutter(scenario.timing, scenario.camera, plant.step_s, plant.steps_per_frame, rng, link, flicker)
+        rolls = self._view and scenario.camera.readout_s > 0
+        self._row_views = RowViews(scenario.camera, self.shutter.nodes) if rolls else None
         self.line: DelayLine[Exposed] = DelayLine(overtakes=scenario.timing.out_of_order)
         self._stamps = Stamps(scenario, plant) if scenario.timing.stamps else None
         self.look: Look | None
@@ -67,7 +74,7 @@ class CameraClock:
             if self.opening == 0:
                 self._takes_whole = self.whole
                 self.look = look_next() if self.line.next_due() is None and self._in_parts and not self.whole else None
-            if len(planned.opens) == 1:
+            if planned.weights == (1.0,):
                 picture, truth = self.plant.capture(self.look)
                 if picture is not None and planned.arrives > step:
                     picture = picture.copy()  # the next picture overwrites the renderer's buffer before this one arrives
@@ -82,12 +89,25 @@ class CameraClock:
     def _expose(self, planned: Planned, step: int) -> None:
         # Truth, time stamp and reading are those of the exposure's middle: a symmetric smear leaves a marker's centre there.
         is_middle = step >= planned.middle and self.middle is None
-        if is_middle:
-            self.middle = self._shot(step, self.plant.truth())
+        truth = self._truth(is_middle)
+        if truth is not None and is_middle:
+            self.middle = self._shot(step, truth)
         self.plant.expose(planned.weights[self.opening], self.look, is_middle)
         self.opening += 1
         if self.opening == len(planned.opens) and self.middle is not None:
-            self._send(planned, self.plant.developed(self.middle.shot.t), self.middle)
+            self._send(planned, self.plant.developed(self.middle.shot.t), self._by_rows(self.middle))
+
+    def _truth(self, is_middle: bool) -> Truth | None:
+        """The truth of an image of an exposure, where it is needed: in the middle, and for an oracle behind a rolling shutter always."""
+        if self._row_views is None:
+            return self.plant.truth() if is_middle else None
+        truth = self.plant.truth()
+        self._row_views.add(TruthView(truth.p_camera, truth.hidden))
+        return truth
+
+    def _by_rows(self, made: Exposed) -> Exposed:
+        """With what an oracle sees through a rolling shutter; the truth itself stays that of the time stamp."""
+        return made if self._row_views is None else replace(made, shot=replace(made.shot, view=self._row_views.taken()))
 
     def _shot(self, step: int, truth: Truth) -> Exposed:
         """Truth and reading at an exposure, still without the picture."""

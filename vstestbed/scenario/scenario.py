@@ -176,6 +176,12 @@ class Scenario:
         return len(self.target.points) if self.detector.rows is None else self.detector.rows
 
     @property
+    def by_rows(self) -> bool:
+        """Whether a picture is not that of an instant under steady light: rolling shutter, flicker."""
+        light = self.world.light
+        return self.camera.readout_s > 0 or (light is not None and light.flicker.depth > 0)
+
+    @property
     def needs_image(self) -> bool:
         """Whether pictures are taken: the detector, or the law, works on them."""
         return self.detector.needs_image or "image" in self.law.inputs or self.law.depth.measured

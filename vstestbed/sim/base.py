@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from vstestbed.camera import DepthImage, Image, Look, Picture
 from vstestbed.core.geometry import Array
 from vstestbed.robots.reading import Reading
+from vstestbed.sim.row_weights import Contribution
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,8 +99,8 @@ class Plant(Protocol):
         """
         ...
 
-    def expose(self, weight: float, look: Look | None = None, middle: bool = False) -> None:
-        """Add an image, as a share `weight` of one exposure; nothing where no detector needs pictures.
+    def expose(self, weight: float | Contribution, look: Look | None = None, middle: bool = False) -> None:
+        """Add an image, as a share `weight` of one exposure, or of each of its rows; nothing where no detector needs pictures.
 
         look: as `capture`'s, and the same for all images of an exposure. middle: it is that of the exposure's middle.
         """

@@ -72,7 +72,8 @@ def build_plant(
     stage = Stage(parts, samples=camera.multisampling)
     eye, renderer = None, "none"
     if needs_image:
-        drawn_by = servo_renderer(stage, camera, image_sigma > 0)
+        # With a rolling shutter bands of rows are drawn: the sensor itself adds the rows from which the noise is estimated.
+        drawn_by = servo_renderer(stage, camera, image_sigma > 0 and not camera.readout_s)
         depth = depth_camera(camera, depth_rng)
         eye, renderer = ImageSensor(stage, drawn_by, ImageNoise(image_sigma, rng), drift, perturbed, depth), drawn_by.name
     if ideal:

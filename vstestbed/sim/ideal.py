@@ -16,6 +16,7 @@ from vstestbed.sim.base import Truth
 from vstestbed.sim.hands import hold_plate, moved_path
 from vstestbed.sim.process_end import may_end_here
 from vstestbed.sim.render.image_sensor import ImageSensor
+from vstestbed.sim.row_weights import Contribution
 from vstestbed.sim.scene.compose import Parts
 from vstestbed.sim.scene.stage import Stage
 from vstestbed.targets.motion import Path
@@ -102,7 +103,7 @@ class IdealPlant:
             self._stage.place(self._t, self._T_world_target, NONE, T_world_flange @ self._parts.camera.mount.T)
             return self._eye.clean(self._t)
 
-    def expose(self, weight: float, look: Look | None = None, middle: bool = False) -> None:
+    def expose(self, weight: float | Contribution, look: Look | None = None, middle: bool = False) -> None:
         """Add an image of the exposure, where a detector needs pictures."""
         self._move_target()
         if self._stage is not None:

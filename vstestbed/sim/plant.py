@@ -23,6 +23,7 @@ from vstestbed.sim.hands import Push, hold_plate, moved_path
 from vstestbed.sim.motor_torques import motor_loops
 from vstestbed.sim.process_end import may_end_here
 from vstestbed.sim.render.image_sensor import ImageSensor
+from vstestbed.sim.row_weights import Contribution
 from vstestbed.sim.scene.disturbed import Disturbed
 from vstestbed.sim.scene.lead_vehicle import LeadVehicle
 from vstestbed.sim.scene.stage import Stage
@@ -187,7 +188,7 @@ class MujocoPlant:
             stage.place(stage.data.time, stage.target_pose(), joints, T_world_flange @ stage.parts.camera.mount.T)
             return self._eye.clean(self._steps * self.step_s)
 
-    def expose(self, weight: float, look: Look | None = None, middle: bool = False) -> None:
+    def expose(self, weight: float | Contribution, look: Look | None = None, middle: bool = False) -> None:
         """Add an image of the exposure, where a detector needs pictures."""
         self._move_scenery()
         if self._eye is not None:

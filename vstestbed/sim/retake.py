@@ -19,8 +19,9 @@ from vstestbed.targets.base import Target
 class Retake:
     """Takes the servo camera's pictures of a recorded run again, each drawn anew, in the order in which the run took them.
 
-    A picture is of the instant of its time stamp: where the run's exposure lasted (`timing.exposure_s`), it lacks the motion blur. Noise
-    and drift are those of the run, whose generator draws once for each picture.
+    A picture is of the instant of its time stamp: it lacks the motion blur of an exposure (`timing.exposure_s`), the skew of a rolling
+    shutter (`camera.readout_s`) and the flicker of the light. Noise and drift are those of the run, whose generator draws once for each
+    picture.
 
     Args:
         robot, camera, target, world: the scene.

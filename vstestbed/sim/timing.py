@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from bisect import insort
-from collections import deque
+import math
 from dataclasses import dataclass
-from typing import Annotated, Generic, Literal, TypeVar
+from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Ge, Le, Lt
@@ -17,9 +16,10 @@ from vstestbed.core.quantity import Frequency, Narrower, PositiveTime, Time
 from vstestbed.core.spec import spec
 from vstestbed.robots.setpoints import Between, Interpolation
 from vstestbed.sim.link import BurstLoss, BurstyLink
+from vstestbed.sim.row_weights import Contribution, contributions, of_rows
+from vstestbed.sim.scene.flicker import STEADY, Flicker
 from vstestbed.sim.time_stamps import CameraStamps, RobotStamps
 
-T = TypeVar("T")
 LEAST_PERIODS = 3
 """A command lasts this many camera periods at least."""
 
@@ -28,16 +28,21 @@ LEAST_PERIODS = 3
 class Timing:
     """Timing of pictures and commands beyond the camera's rate and latency, rounded to whole physics steps.
 
-    A picture's time stamp is the true middle of its exposure, unless `camera_clock` says otherwise. It arrives `camera.latency_s` after
-    the exposure's end, and not before an earlier one, unless `out_of_order` lets it. The law works at the rate of the pictures, one
-    command for each; `command_hz` is that at which setpoints reach the actuators.
+    A picture's time stamp is the true middle of its exposure, with a rolling shutter (`camera.readout_s`) that of its middle row, unless
+    `camera_clock` says otherwise. It arrives `camera.latency_s` after the end of the exposure, with a rolling shutter of the last row's,
+    and not before an earlier one, unless `out_of_order` lets it. The law works at the rate of the pictures, one command for each;
+    `command_hz` is that at which setpoints reach the actuators.
 
     Processor time in a frame of an arm at 25 Hz, 1.0 ms with the oracle and all of it off: wrong clocks 0.3 ms, as the robot's sensors are
     read every 2 ms; interpolated commands 0.6 ms at 500 Hz, 0.3 ms at 100 Hz; the link and pictures out of order none to be measured.
+    `sim/row_weights.py` tells of the rolling shutter's pictures and what they cost.
 
     Args:
-        exposure_s: exposure time [s]; the picture is the mean of images rendered during it (motion blur); e.g. `0.01`.
-        exposure_pictures: number of these images, at most one a physics step.
+        exposure_s: exposure time [s], with a rolling shutter of each row; the picture is the mean of images rendered during it (motion
+            blur); e.g. `0.01`.
+        exposure_pictures: number of these images, at most one a physics step; with a rolling shutter it is readout_pictures.
+        readout_pictures: number of images of which a picture with a rolling shutter is composed, from the first row's exposure to the
+            last one's, at most one a physics step.
         jitter: distribution of the jitters: `uniform` within +- the number given, or `normal` with it as standard deviation.
         exposure_jitter_s: jitter of the time of exposure [s]; e.g. `0.005`.
         latency_jitter_s: jitter of the latency [s]; e.g. `0.01`.
@@ -58,6 +63,7 @@ class Timing:
 
     exposure_s: Time = 0.0
     exposure_pictures: Annotated[int, Ge(3), Le(999)] = 9
+    readout_pictures: Annotated[int, Ge(3), Le(999)] = 21
     jitter: Literal["uniform", "normal"] = "uniform"
     exposure_jitter_s: Time = 0.0
     latency_jitter_s: Annotated[Time, Narrower(le=60)] = 0.0
@@ -107,7 +113,7 @@ class Timing:
 
     def latest_s(self, camera: Camera) -> float:
         """The age at which a picture arrives too late to be one, from the middle of its exposure [s]."""
-        return self.exposure_s / 2 + camera.latency_s + self.order_s(camera)
+        return (self.exposure_s + camera.readout_s) / 2 + camera.latency_s + self.order_s(camera)
 
     def check(self, camera: Camera, step_s: float) -> None:
         """Refuse exposures that are too short for the physics clock, and those that would overlap.
@@ -115,12 +121,17 @@ class Timing:
         Raises:
             ParameterError: with the limit.
         """
-        if self.exposure_s and round(self.exposure_s / step_s) < 2:
+        if self.exposure_s and round(self.exposure_s / step_s) < 2 and not camera.readout_s:
             words = f"must be 0 or at least two physics steps, {2 * step_s:g} s, whose pictures are averaged; or give physics.step_s"
             raise ParameterError("timing.exposure_s", words, self.exposure_s)
-        room = camera.period - self.exposure_s
-        if room < 0:
+        if self.exposure_s > camera.period:
             raise ParameterError("timing.exposure_s", f"must be at most the camera's period, {camera.period:g} s", self.exposure_s)
+        open_s = 2 * self.half_steps(camera, step_s) * step_s if camera.readout_s else self.exposure_s
+        room = camera.period - open_s
+        if room < -1e-9:
+            most = 2 * math.floor(camera.period / step_s / 2 + 1e-9) * step_s
+            words = f"must be at most {most:g} s with timing.exposure_s = {self.exposure_s:g} s added: the last row's exposure ends before"
+            raise ParameterError("camera.readout_s", f"{words} the next picture's first row begins", camera.readout_s)
         if self.exposure_jitter_s > room / 2:
             words = f"must be at most {room / 2:g} s, half of what the exposure leaves of the camera's period"
             raise ParameterError("timing.exposure_jitter_s", words, self.exposure_jitter_s)
@@ -144,6 +155,12 @@ class Timing:
             why = "a command would end before it reaches the robot" if self.interpolation == "hold" else "two setpoints a camera period"
             raise ParameterError("timing.command_hz", f"must be at least {least:.6g} Hz here ({why})", self.command_hz)
 
+    def half_steps(self, camera: Camera, step_s: float) -> int:
+        """Half the time from the first row's exposure to the last one's end, in physics steps; 0 for a picture of an instant."""
+        if not camera.readout_s:
+            return round(self.exposure_s / step_s / 2)
+        return math.ceil((self.exposure_s + camera.readout_s) / step_s / 2 - 1e-9)
+
     def jittered(self, size_s: float, rng: np.random.Generator) -> float:
         """One random jitter of this size [s]; nothing is drawn for size 0."""
         if size_s == 0:
@@ -153,21 +170,27 @@ class Timing:
 
 @dataclass(frozen=True, slots=True)
 class Planned:
-    """A planned picture, in physics steps: its number, middle of the exposure, steps to be rendered with their weights, arrival."""
+    """A planned picture, in physics steps: its number, middle of the exposure, steps to be rendered with their weights, arrival.
+
+    A weight is that of a whole image, or, with a rolling shutter or flickering light, what the image contributes to each row.
+    """
 
     frame: int
     middle: int
     opens: tuple[int, ...]
-    weights: tuple[float, ...]
+    weights: tuple[float | Contribution, ...]
     arrives: int
 
 
 class Shutter:
     """Plans the camera's pictures; those that will be dropped are not rendered at all.
 
+    Attributes:
+        nodes: times of the images of a picture from its middle (K,) [s].
+
     Args:
         timing, camera: as the scenario says. step_s: of the physics [s]. steps_per_frame: in a camera's period.
-        rng: draws jitters and losses. link: may lose them in bursts; None for one that loses none.
+        rng: draws jitters and losses. link: may lose them in bursts; None for one that loses none. flicker: of the light.
     """
 
     def __init__(
@@ -178,15 +201,21 @@ class Shutter:
         steps_per_frame: int,
         rng: np.random.Generator,
         link: BurstyLink | None = None,
+        flicker: Flicker = STEADY,
     ):
         self._timing, self._step_s, self._per_frame, self._rng, self._link = timing, step_s, steps_per_frame, rng, link
+        self._camera, self._flicker = camera, flicker
         self._latency = camera.latency_s
-        self._half = round(timing.exposure_s / step_s / 2)
-        self._offsets, self._weights = _opening(self._half, timing.exposure_pictures)
+        self._half = timing.half_steps(camera, step_s)
+        self._offsets, self._weights = _opening(self._half, timing.readout_pictures if camera.readout_s else timing.exposure_pictures)
+        self.nodes: Array = np.array(self._offsets) * step_s
+        self._rows: Array = camera.row_delay(np.arange(float(camera.height)))
         # Jitter is clipped to it: the exposures of two frames must not overlap.
         self._room = (steps_per_frame - 2 * self._half) // 2
         self._frame = -1
         self._draws, self._late_steps = timing.draws, round(max(0.0, self._latency) / step_s)
+        # What does not depend on the time is computed once.
+        self._steady = None if flicker.depth else self._contributed(0.0)
 
     def following(self) -> Planned:
         """The next picture that will not be dropped."""
@@ -205,7 +234,19 @@ class Shutter:
     def _planned(self, middle: int, late_steps: int) -> Planned:
         """The frame with the middle of its exposure at this step, `late_steps` under way."""
         opens = (middle,) if self._half == 0 else tuple(max(0, middle + offset) for offset in self._offsets)
-        return Planned(self._frame, middle, opens, self._weights, middle + self._half + late_steps)
+        weights = self._steady or self._contributed(middle * self._step_s)
+        return Planned(self._frame, middle, opens, weights, middle + self._half + late_steps)
+
+    def _contributed(self, t: float) -> tuple[float | Contribution, ...]:
+        """What the images of a picture with time stamp t [s] contribute to it."""
+        exposure_s, flicker = self._timing.exposure_s, self._flicker
+        if self._camera.readout_s:
+            return contributions(*of_rows(t + self.nodes, t + self._rows, exposure_s, flicker), flicker.depth)
+        if not flicker.depth:
+            return self._weights
+        # All rows are exposed at once, under the mean light of the exposure: one image each is enough.
+        brightness = float(flicker.mean(t, exposure_s))
+        return tuple(Contribution(((brightness, weight),)) for weight in self._weights)
 
 
 def _opening(half: int, most: int) -> tuple[tuple[int, ...], tuple[float, ...]]:
@@ -218,38 +259,3 @@ def _opening(half: int, most: int) -> tuple[tuple[int, ...], tuple[float, ...]]:
     weights: Array = np.gradient(offsets.astype(float))
     weights[[0, -1]] /= 2
     return tuple(offsets.tolist()), tuple((weights / weights.sum()).tolist())
-
-
-class DelayLine(Generic[T]):
-    """A queue: an item pushed at step k is due at step k + delay, and never before an earlier item, unless items may overtake.
-
-    Args:
-        delay_steps: whole physics steps between in and out, >= 0. overtakes: an item that is due before an earlier one leaves first.
-    """
-
-    def __init__(self, delay_steps: int = 0, overtakes: bool = False):
-        self.delay_steps, self._overtakes = delay_steps, overtakes
-        self._waiting: deque[tuple[int, T]] = deque()
-
-    def push(self, step: int, item: T) -> None:
-        """Put an item in at this step."""
-        due = step + self.delay_steps
-        if self._overtakes:
-            insort(self._waiting, (due, item), key=lambda waiting: waiting[0])
-        else:
-            self._waiting.append((max(due, self._waiting[-1][0]) if self._waiting else due, item))
-
-    def pop_due(self, step: int) -> list[T]:
-        """Take out the items due at or before this step, oldest first."""
-        due = []
-        while self._waiting and self._waiting[0][0] <= step:
-            due.append(self._waiting.popleft()[1])
-        return due
-
-    def clear(self) -> None:
-        """Drop all that is on its way."""
-        self._waiting.clear()
-
-    def next_due(self) -> int | None:
-        """The step at which the next item is due, None when the queue is empty."""
-        return self._waiting[0][0] if self._waiting else None

@@ -64,7 +64,7 @@ def ideal(scenario: Scenario, field_of_view: str | None = None) -> Scenario:
     return replace(
         scenario,
         robot=robot if robot.model is None else Free(start=start),
-        camera=replace(camera, latency_s=0.0),
+        camera=replace(camera, latency_s=0.0, readout_s=0.0),
         timing=Timing(),
         detector=Oracle(field_of_view=field_of_view),  # pyright: ignore[reportArgumentType]
         noise=Noise(),
@@ -114,13 +114,15 @@ class BatchSetup:
 
     def _check_ideal(self) -> None:
         s = self.scenario
-        noisy = s.noise != Noise() or s.timing != Timing()
+        disturbed = s.noise != Noise() or s.timing != Timing() or any((s.camera.latency_s, s.camera.readout_s))
         if not (s.calibration.camera_exact and s.calibration.depth_exact):
             raise ParameterError("calibration", "must be exact in a batch, whose poses and depths are true")
         if s.monitors:
             raise ParameterError("monitors", "must be none in a batch, which ends runs by the loop's own alone")
-        if not (s.robot.model is None and isinstance(s.detector, Oracle)) or s.camera.latency_s or noisy or s.world.hides:
-            words = "must have a free camera, detector oracle, no latency, no noise, and no plates or scenery for a batch;"
+        if not (s.robot.model is None and isinstance(s.detector, Oracle)) or disturbed or s.world.hides:
+            words = (
+                "must have a free camera, detector oracle, no latency, no noise, no rolling shutter, and no plates or scenery for a batch;"
+            )
             words = f"{words} `basin.setup.ideal` makes it so"
             raise ParameterError("scenario", words)
 

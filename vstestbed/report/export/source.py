@@ -96,6 +96,10 @@ class RecordedRun:
             words.append("with the drift of its gains")
         if timing.exposure_s:
             words.append(f"without the motion blur of its {timing.exposure_s:g} s exposure")
+        if self.scenario.camera.readout_s:
+            words.append(f"without the skew of its rolling shutter of {self.scenario.camera.readout_s:g} s")
+        if self.scenario.world.light is not None and self.scenario.world.light.flicker.depth:
+            words.append("without the flicker of its light")
         return ", ".join(words)
 
     def frames(self) -> Iterator[Taken]:

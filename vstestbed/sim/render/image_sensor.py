@@ -9,12 +9,17 @@ import mujoco
 import numpy as np
 
 from vstestbed.camera import DepthImage, Look, Picture
-from vstestbed.core.geometry import Array
 from vstestbed.sim.base import Renderer
 from vstestbed.sim.render.depth_camera import DepthCamera
+from vstestbed.sim.render.motion_blur import MotionBlur, PixelRows
 from vstestbed.sim.render.noise import NO_DRIFT, Drift, ImageNoise, PictureNoise
+from vstestbed.sim.row_weights import Contribution
+from vstestbed.sim.scene.flicker import lamps_at
 from vstestbed.sim.scene.stage import Stage
 from vstestbed.vision.perturb import Images, Perturbed
+
+INSTANT = Contribution.of(1.0)
+"""The only image of a picture of an instant."""
 
 
 class ImageSensor:
@@ -46,6 +51,8 @@ class ImageSensor:
         self._states: list[mujoco.MjData] = []
         self._present: mujoco.MjData | None = None
         self._perturbed = perturbed or Perturbed((), np.random.default_rng(0))
+        self._rows = PixelRows(stage.parts.camera, self._noise.acts)
+        self._exposed: list[Contribution] = []
         self._blur, self._latest = MotionBlur(), (PictureNoise(0.0, None), self._perturbed.next_picture())
 
     @property
@@ -62,7 +69,7 @@ class ImageSensor:
         look = None if self._depth else look
         images = self._render(look, with_depth=True)
         self._keep_state(0, look)
-        return self._picture(t, images, self._renderer.whole, (1.0,))
+        return self._picture(t, images, self._renderer.whole, [INSTANT])
 
     def clean(self, t: float) -> Picture:
         """A whole picture of the present scene without noise; a copy that the caller may keep. The noise of later pictures is the same."""
@@ -76,19 +83,30 @@ class ImageSensor:
         drawn = self._developed(picture.t, (self._renderer.full_image(),), *self._latest)
         return replace(picture, own=drawn.images[0])
 
-    def expose(self, weight: float, look: Look | None = None, middle: bool = False) -> None:
-        """Add an image of the present scene to the running exposure, with a share `weight`; `look` is the same for all its images.
+    def expose(self, weight: float | Contribution, look: Look | None = None, middle: bool = False) -> None:
+        """Add the present scene to the running exposure, with its weight or contribution; `look` is the same in the whole exposure.
 
         middle: it is the one whose depth counts: a mean of depths would be a place at which nothing is.
         """
         look = None if self._depth else look
-        self._blur.add(self._render(look, middle), weight, self._renderer.whole)
-        self._keep_state(len(self._blur.weights) - 1, look)
+        contribution = Contribution.of(weight)
+        self._add(self._blur, contribution, look, middle)
+        self._keep_state(len(self._exposed), look)
+        self._exposed.append(contribution)
 
     def developed(self, t: float) -> Picture:
         """The picture of all images added since the last one, with time stamp t [s]; valid as `capture`'s."""
-        blur, self._blur = self._blur, MotionBlur()
-        return self._picture(t, blur.mean(), blur.whole, tuple(blur.weights))
+        (blur, exposed), self._blur, self._exposed = (self._blur, self._exposed), MotionBlur(), []
+        return self._picture(t, blur.mean(), blur.whole, exposed)
+
+    def _add(self, blur: MotionBlur, contribution: Contribution, look: Look | None, with_depth: bool) -> None:
+        """Draw what the present scene contributes to an exposure."""
+        for i, (brightness, weight) in enumerate(contribution.draws):
+            of_rows = isinstance(weight, np.ndarray)
+            with lamps_at(self._model, brightness):
+                images = self._render(self._rows.look(look, weight), with_depth and i == 0)
+            # What was left out of an image for want of weight is not missing in the mean.
+            blur.add(images, self._rows.weights(weight), look is None if of_rows else self._renderer.whole)
 
     def _render(self, look: Look | None, with_depth: bool) -> Images:
         """The images now; with their depth where there is a depth camera."""
@@ -106,11 +124,11 @@ class ImageSensor:
             self._states.append(mujoco.MjData(self._model))
         mujoco.mj_copyData(self._states[number], self._model, self._data)
 
-    def _picture(self, t: float, clean: Images, whole: bool, weights: tuple[float, ...]) -> Picture:
+    def _picture(self, t: float, clean: Images, whole: bool, exposed: list[Contribution]) -> Picture:
         drawn = self._latest = self._noise.next(), self._perturbed.next_picture()
 
         def draw_whole() -> Picture:
-            return self._developed(t, self._drawn_again(weights), *drawn)
+            return self._developed(t, self._drawn_again(exposed), *drawn)
 
         made = self._developed(t, clean, *drawn)
         if self._depth is not None:
@@ -121,48 +139,17 @@ class ImageSensor:
         made = self._drift.of(Picture(t, noise.added(clean)))
         return replace(made, images=change(t, made.images))
 
-    def _drawn_again(self, weights: tuple[float, ...]) -> Images:
+    def _drawn_again(self, exposed: list[Contribution]) -> Images:
         """The whole images of the exposure whose states are kept. The scene's own state is put back as it was, bit by bit."""
-        model, data, blur, images = self._model, self._data, MotionBlur(), ()
+        model, data, blur = self._model, self._data, MotionBlur()
         self._present = self._present or mujoco.MjData(model)
         mujoco.mj_copyData(self._present, model, data)
         try:
-            for weight, state in zip(weights, self._states, strict=False):
+            for contribution, state in zip(exposed, self._states, strict=False):
                 mujoco.mj_copyData(data, model, state)
-                images = self._renderer.images()
-                if len(weights) > 1:
-                    blur.add(images, weight, whole=True)
+                if contribution is INSTANT:
+                    return self._renderer.images()
+                self._add(blur, contribution, None, with_depth=False)
         finally:
             mujoco.mj_copyData(data, model, self._present)
-        return images if len(weights) == 1 else blur.mean()
-
-
-class MotionBlur:
-    """Weighted mean of the images rendered while the shutter is open.
-
-    Grey levels are averaged as they are, that is, they are taken to be linear in the light.
-
-    Attributes:
-        weights: of the images added so far. whole: all of them are complete.
-    """
-
-    def __init__(self) -> None:
-        self.weights: list[float] = []
-        self.whole = True
-        self._sums: list[Array | None] = []
-
-    def add(self, images: Images, weight: float, whole: bool) -> None:
-        """Add the images of all panels."""
-        if not self._sums:
-            self._sums = [None] * len(images)
-        for i, image in enumerate(images):
-            if image is not None:
-                part, before = image * np.float64(weight), self._sums[i]
-                self._sums[i] = part if before is None else before + part
-        self.weights.append(weight)
-        self.whole = self.whole and whole
-
-    def mean(self) -> Images:
-        """The mean of each panel's images; None for a panel without any."""
-        total = sum(self.weights)
-        return tuple(None if s is None else np.clip(s / total + 0.5, 0, 255).astype(np.uint8) for s in self._sums)
+        return blur.mean()

@@ -70,6 +70,11 @@ class ImageNoise:
     def __init__(self, sigma: float = 0.0, rng: np.random.Generator | None = None):
         self._sigma, self._rng = sigma, rng if sigma > 0 else None
 
+    @property
+    def acts(self) -> bool:
+        """Whether there is any."""
+        return self._rng is not None
+
     def next(self) -> PictureNoise:
         """The noise of the next picture."""
         return PictureNoise(self._sigma, None if self._rng is None else int(self._rng.integers(2**63)))

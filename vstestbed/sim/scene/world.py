@@ -15,6 +15,7 @@ from vstestbed.core.geometry import Array, Pose, inverse
 from vstestbed.core.named_files import absolute_file
 from vstestbed.core.quantity import Length, Narrower, Position, PositiveGain, PositiveLength, PositiveTime, Speed, Time, Velocity
 from vstestbed.core.spec import Shorthand, spec
+from vstestbed.sim.scene.flicker import STEADY, Flicker
 from vstestbed.targets.motion import PLATE_MOTIONS, MotionBase, Path, Still
 
 
@@ -125,12 +126,14 @@ class Light:
             e.g. `[0.5, 1.2, 2]`.
         brightness: of what faces the lamp [1].
         ambient: of what does not [1].
+        flicker: of both, against the camera's shutter.
     """
 
     direction: Annotated[tuple[Annotated[float, Ge(-1e6), Le(1e6)], ...], Len(3, 3)] = (0.45, 0.45, -1.0)
     xyz: Position | None = None
     brightness: Annotated[float, Ge(0), Le(5)] = 0.6
     ambient: Annotated[float, Ge(0), Le(5)] = 0.5
+    flicker: Flicker = STEADY
 
     def __post_init__(self) -> None:
         """Refuse a direction of no length."""
