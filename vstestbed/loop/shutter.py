@@ -34,8 +34,8 @@ class CameraClock:
 
     def __init__(self, scenario: Scenario, plant: Plant, whole: bool = False):
         self.plant, self.whole, self._view = plant, whole, scenario.detector.needs_truth
-        # A perturbation may work on the picture as a whole, so that a part of it would not be changed as the whole is.
-        self._in_parts = not scenario.noise.on_pictures
+        # A perturbation, metering or a stream may work on the picture as a whole: a part of it would not be changed as the whole is.
+        self._in_parts = not (scenario.noise.on_pictures or scenario.camera.imaged)
         rng = scenario.rng(TIMING_STREAM)
         self.shutter = Shutter(scenario.timing, scenario.camera, plant.step_s, plant.steps_per_frame, rng)
         self.line: DelayLine[Exposed] = DelayLine()
