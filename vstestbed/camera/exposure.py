@@ -48,7 +48,7 @@ class AutoExposure:
         shortest_s, longest_s: limits of the exposure time [s].
         largest_gain: limit of the gain, which begins at 1 [1].
         settled: the camera has been running before: the first picture is exposed as the scene then needs it. Otherwise it begins with
-            the time and the gain of `camera.exposure`.
+            the time x gain of `camera.exposure`.
 
     References: Levin & May 1976, doi:10.1016/0040-5809(76)90043-5 (the condition for stability).
     """

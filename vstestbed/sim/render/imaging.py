@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from vstestbed.camera import Camera, DepthImage, Image
 from vstestbed.camera.exposure import SKIP, ExposureLoop, Setting
-from vstestbed.camera.image_sensor import FixedPattern, plain
+from vstestbed.camera.sensor_noise import FixedPattern, plain
 from vstestbed.vision.perturb import Images
 
 Floats = NDArray[np.float32]
