@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from vstestbed.camera import Perspective
-from vstestbed.camera.exposure import SKIP, AutoExposure, ExposureControl, ExposureLoop, Setting
+from vstestbed.camera.exposure import SKIP, AutoExposure, ExposureControl, ExposureLoop, ExposureSetting
 from vstestbed.camera.sensor_noise import plain
 from vstestbed.core.errors import ParameterError
 
@@ -18,11 +18,11 @@ RENDERED = np.repeat(np.repeat(np.linspace(35, 45, 64 * 64 * 3, dtype=np.float32
 """A ramp, in whose mean the rounding of grey levels averages out; each metered pixel stands for those round it."""
 
 
-def taken(setting: Setting) -> NDArray[np.uint8]:
+def taken(setting: ExposureSetting) -> NDArray[np.uint8]:
     return plain(RENDERED, setting)
 
 
-def part(setting: Setting) -> NDArray[np.uint8]:
+def part(setting: ExposureSetting) -> NDArray[np.uint8]:
     return plain(RENDERED[::SKIP, ::SKIP], setting)
 
 

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from vstestbed.camera.depth_sensor import DEPTH_SENSORS, DepthImage, DepthSensor
 from vstestbed.camera.exposure import ExposureControl
-from vstestbed.camera.sensor_noise import SensorNoise
 from vstestbed.camera.optics import Optics
+from vstestbed.camera.sensor_noise import SensorNoise
 from vstestbed.camera.stream import STREAMS, VideoStream
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose

@@ -41,7 +41,7 @@ class AutoExposure:
     (`timing.drop_probability`) are not metered. Where white is clipped the mean says too little, and it takes longer.
 
     Args:
-        target_grey: mean that is aimed at [grey levels of 255].
+        target_grey: mean that is aimed at, of 0 to 255 [grey levels].
         lag_s: time constant [s].
         delay_pictures: how many further pictures are taken before a measurement acts: registers are written for a picture to come.
         metering: `mean` of the whole picture, or of its `centre`, half as wide and half as high.
@@ -92,7 +92,7 @@ class AutoExposure:
 
 
 @dataclass(frozen=True, slots=True)
-class Setting:
+class ExposureSetting:
     """How a picture is exposed.
 
     Attributes:
@@ -167,7 +167,7 @@ class ExposureLoop:
         control = self._control
         return (control.time_s or control.nominal_s) * control.gain
 
-    def setting(self, t: float, pictured: Callable[[Setting], Grey]) -> Setting:
+    def setting(self, t: float, pictured: Callable[[ExposureSetting], Grey]) -> ExposureSetting:
         """Of the next picture, taken at a time t [s].
 
         pictured: every `SKIP`th row and column of the picture that a setting would give, for a camera that has settled.
@@ -177,7 +177,7 @@ class ExposureLoop:
             self._coming = deque([self._settled(t, pictured)] * len(self._coming))
         return self._split(t, self._coming[0])
 
-    def settled(self, t: float, pictured: Callable[[Setting], Grey]) -> Setting:
+    def settled(self, t: float, pictured: Callable[[ExposureSetting], Grey]) -> ExposureSetting:
         """As a camera that rests would be set; the run's own exposure is left as it is."""
         return self._split(t, self._coming[-1] if self._auto is None else self._settled(t, pictured))
 
@@ -193,15 +193,15 @@ class ExposureLoop:
         assert self._auto is not None
         return min(max(x, self._auto.shortest_s), self._auto.longest_s * self._auto.largest_gain)
 
-    def _split(self, t: float, x: float) -> Setting:
+    def _split(self, t: float, x: float) -> ExposureSetting:
         """Time x gain as a time and a gain."""
         control = self._control
         if self._auto is None:
-            return Setting(control.light_at(t), control.time_s or control.nominal_s, control.gain, control.nominal_s)
+            return ExposureSetting(control.light_at(t), control.time_s or control.nominal_s, control.gain, control.nominal_s)
         time_s = min(max(x, self._auto.shortest_s), self._auto.longest_s)
-        return Setting(control.light_at(t), time_s, x / time_s, control.nominal_s)
+        return ExposureSetting(control.light_at(t), time_s, x / time_s, control.nominal_s)
 
-    def _settled(self, t: float, pictured: Callable[[Setting], Grey]) -> float:
+    def _settled(self, t: float, pictured: Callable[[ExposureSetting], Grey]) -> float:
         """Time x gain at which the mean is the target, or the nearest limit: by bisection, as the mean never falls with it."""
         auto = self._auto
         assert auto is not None

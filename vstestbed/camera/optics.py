@@ -64,8 +64,8 @@ class Optics:
     by at most 0.25 px + 5 % of the diameter. What the sharp surface in front hides cannot be seen through its blurred edge: there the
     layer behind is continued. The depth is that of the exposure's middle. A disc is at most as large as a quarter of the picture's height.
 
-    Cost of a picture of 640 x 480 on one core of a small server: vignetting 1.6 ms, lateral colour 2.5 ms; defocus 25 ms where one plane
-    is blurred by 5 px, up to 120 ms for a floor from near to far.
+    Cost of a picture of 640 x 480 on one core of a small server: vignetting 2 ms, lateral colour 3 ms, defocus 40 ms where discs have up
+    to 4 px and 110 ms where they have up to 25 px (the start of `arm_ibvs`, with a target before a floor).
 
     Args:
         vignetting: share of the light that is lost in the picture's farthest corner [1]; e.g. `0.4`.

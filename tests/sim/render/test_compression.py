@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -52,7 +54,7 @@ def test_it_is_coarser_with_less_quality(ways: list[VideoStream]):
     for way in ways:
         trip = round_trip(way, RATE)
         reached.append(np.mean([psnr(scene(k), trip.of(scene(k))) for k in range(6)]))
-    assert all(a > b + 1 for a, b in zip(reached, reached[1:], strict=False))
+    assert all(a > b + 1 for a, b in pairwise(reached))
     assert reached[0] > 28
 
 
@@ -66,7 +68,7 @@ def test_a_still_scene_keeps():
     np.testing.assert_array_equal(jpeg.of(scene()), jpeg.of(scene()))
     video = round_trip(H264Stream(crf=30, group=100), RATE)
     pictures = [video.of(scene()) for _ in range(12)]
-    later = [np.abs(a.astype(int) - b).mean() for a, b in zip(pictures[8:], pictures[9:], strict=False)]
+    later = [np.abs(a.astype(int) - b).mean() for a, b in pairwise(pictures[8:])]
     assert max(later) < 0.5  # the differences that are sent become nothing
     assert psnr(scene(), pictures[-1]) > psnr(scene(), pictures[0]) - 0.5
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vstestbed.camera import Camera, DepthImage, Image
-from vstestbed.camera.exposure import SKIP, ExposureLoop, Setting
+from vstestbed.camera.exposure import SKIP, ExposureLoop, ExposureSetting
 from vstestbed.camera.sensor_noise import FixedPattern, plain
 from vstestbed.vision.perturb import Images
 
@@ -69,10 +69,10 @@ class Imaging:
         assert image is not None  # a camera with one picture, always whole
         return image.astype(np.float32) if self._lens is None else self._lens.of(image, depth)
 
-    def _read(self, light: Floats, setting: Setting, rng: np.random.Generator | None) -> Image:
+    def _read(self, light: Floats, setting: ExposureSetting, rng: np.random.Generator | None) -> Image:
         return plain(light, setting) if self._sensor is None else self._sensor.read(light, setting, self._pattern, rng)
 
-    def _metered(self, light: Floats) -> Callable[[Setting], Image]:
+    def _metered(self, light: Floats) -> Callable[[ExposureSetting], Image]:
         """What exposure control looks at before the first picture: a part of the pixels, without their noise."""
         part, sensor = light[::SKIP, ::SKIP], self._sensor
         return lambda setting: plain(part, setting) if sensor is None else sensor.read(part, setting, None, None)
