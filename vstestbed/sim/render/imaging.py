@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from vstestbed.camera import Camera, DepthImage, Image
 from vstestbed.camera.exposure import SKIP, ExposureLoop, ExposureSetting
 from vstestbed.camera.sensor_noise import FixedPattern, plain
+from vstestbed.sim.base import Renderer
 from vstestbed.vision.perturb import Images
 
 Floats = NDArray[np.float32]
@@ -76,6 +78,24 @@ class Imaging:
         """What exposure control looks at before the first picture: a part of the pixels, without their noise."""
         part, sensor = light[::SKIP, ::SKIP], self._sensor
         return lambda setting: plain(part, setting) if sensor is None else sensor.read(part, setting, None, None)
+
+
+class ImagedView:
+    """The servo camera's images for films: through lens, exposure, sensor and stream at rest, without noise.
+
+    Args:
+        renderer: draws them in full size. imaging: changes them. data: the scene's state, with its time.
+    """
+
+    def __init__(self, renderer: Renderer, imaging: Imaging, data: mujoco.MjData):
+        self._renderer, self._imaging, self._data = renderer, imaging, data
+
+    def full_image(self) -> Image:
+        """The image now, shape (H, W, 3) uint8 RGB, as a copy that the caller may keep."""
+        images = self._renderer.images(with_depth=self._imaging.needs_depth)
+        (image,) = self._imaging.clean(float(self._data.time), images, self._renderer.depth)
+        assert image is not None
+        return image
 
 
 def imaging_of(camera: Camera, rng: np.random.Generator | None) -> Imaging | None:
