@@ -13,11 +13,20 @@ from vstestbed.core.spec import OneOf, spec
 
 @spec
 class VideoStream(ABC):
-    """A lossy stream. Its delay is part of `camera.latency_s`; no packet is lost."""
+    """A lossy stream. Its delay is part of `camera.latency_s`; no packet is lost.
+
+    Colours of half the size (4:2:0) make the borders of a coloured marker a pixel's stairs, of which the detector `blobs` rejects small
+    markers: their shape is no ellipse, or their area not as predicted (`detector.area_tolerance`). Brightness, and with it the corners of
+    `tags`, is not affected.
+
+    Args:
+        colours: size of the two pictures of colour, `half` of the picture's in both directions (4:2:0) or `full` (4:4:4).
+    """
 
     kind: Any
-    even: ClassVar[bool] = False
-    """Whether width and height must be even."""
+    colours: Literal["half", "full"] = "half"
+    pairs: ClassVar[bool] = False
+    """Whether width and height must be even where colours have half the size."""
 
     def check(self, width: int, height: int) -> None:
         """Refuse a size [px] that it cannot have.
@@ -25,14 +34,14 @@ class VideoStream(ABC):
         Raises:
             ParameterError: with one that it can.
         """
-        if self.even and (width % 2 or height % 2):
+        if self.pairs and self.colours == "half" and (width % 2 or height % 2):
             field, size = ("width", width) if width % 2 else ("height", height)
-            raise ParameterError(field, f"must be even for stream {self.kind}, whose colours have half the size", size)
+            raise ParameterError(field, f"must be even for stream {self.kind} with colours: half", size)
 
 
 @spec
 class JpegStream(VideoStream):
-    """Motion JPEG: each picture by itself, as USB cameras send it. Blocks of 8 x 8 px; colours have half the size.
+    """Motion JPEG: each picture by itself, as USB cameras send it. Blocks of 8 x 8 px.
 
     Cost of a picture of 640 x 480: 3 ms.
 
@@ -61,7 +70,7 @@ class H264Stream(VideoStream):
     crf: Annotated[int, Ge(0), Le(51)] | None = None
     bitrate_kbps: Annotated[float, Ge(10), Le(1e6)] | None = None
     group: Annotated[int, Ge(1), Le(10_000)] = 25
-    even: ClassVar[bool] = True
+    pairs: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         """Refuse two measures of quality; without any the rate factor is 23, x264's own."""

@@ -102,6 +102,18 @@ def test_two_encoders_give_the_same_bytes():
         np.testing.assert_array_equal(first.of(scene(k)), second.of(scene(k)))
 
 
+@pytest.mark.parametrize("kind", [JpegStream, H264Stream])
+def test_colours_of_full_size_keep_the_border_of_a_colour(kind: type[VideoStream]):
+    quality = {"quality": 95} if kind is JpegStream else {"crf": 10}
+    image = np.full((96, 128, 3), (164, 164, 162), np.uint8)
+    image[21:51, 31:75] = (191, 0, 0)  # odd: a pair of pixels has both colours
+    errors = {}
+    for colours in ("half", "full"):
+        out = round_trip(kind(colours=colours, **quality), RATE).of(image)
+        errors[colours] = np.abs(out[30:40, 27:35].astype(float) - image[30:40, 27:35]).max()
+    assert errors["full"] < 30 and errors["half"] > 50
+
+
 def test_none_is_the_same_object():
     image = scene()
     assert round_trip(None, RATE).of(image) is image
@@ -112,4 +124,5 @@ def test_what_contradicts_itself_is_refused():
         H264Stream(crf=20, bitrate_kbps=100)
     with pytest.raises(ParameterError, match="even"):
         Perspective(width=641, stream=H264Stream())
+    Perspective(width=641, stream=H264Stream(colours="full"))
     assert H264Stream().crf == 23

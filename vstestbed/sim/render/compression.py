@@ -35,7 +35,8 @@ class JpegTrip:
     """JPEG, each picture by itself."""
 
     def __init__(self, stream: JpegStream):
-        self._options = [cv2.IMWRITE_JPEG_QUALITY, stream.quality]
+        factors = {"half": cv2.IMWRITE_JPEG_SAMPLING_FACTOR_420, "full": cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444}
+        self._options = [cv2.IMWRITE_JPEG_QUALITY, stream.quality, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, factors[stream.colours]]
 
     def of(self, image: Image) -> Image:
         """Coded and decoded."""
@@ -55,6 +56,7 @@ class H264Trip:
 
     def __init__(self, stream: H264Stream, rate_hz: float):
         self._stream, self._rate_hz = stream, rate_hz
+        self._format = "yuv420p" if stream.colours == "half" else "yuv444p"
         self._codecs = None
 
     def of(self, image: Image) -> Image:
@@ -64,7 +66,7 @@ class H264Trip:
         if self._codecs is None:
             self._codecs = self._opened(image.shape)
         encoder, decoder = self._codecs
-        packets = encoder.encode(av.VideoFrame.from_ndarray(image, format="rgb24").reformat(format="yuv420p"))
+        packets = encoder.encode(av.VideoFrame.from_ndarray(image, format="rgb24").reformat(format=self._format))
         frames = [frame for packet in packets for frame in decoder.decode(packet)]
         return np.asarray(frames[-1].to_ndarray(format="rgb24"), np.uint8)
 
@@ -81,7 +83,7 @@ class H264Trip:
             raise EnvironmentLackError("PyAV has no x264 here, which camera.stream h264 needs", "use stream jpeg") from error
         rate = Fraction(self._rate_hz).limit_denominator(1000)
         encoder.height, encoder.width = shape[:2]
-        encoder.pix_fmt, encoder.framerate, encoder.time_base, encoder.thread_count = "yuv420p", rate, 1 / rate, 1
+        encoder.pix_fmt, encoder.framerate, encoder.time_base, encoder.thread_count = self._format, rate, 1 / rate, 1
         encoder.gop_size, encoder.options = self._stream.group, self._options()
         decoder = av.VideoCodecContext.create("h264", "r")
         decoder.thread_count = 1
