@@ -16,6 +16,7 @@ from vstestbed.scenario.scenario import IMAGING_STREAM, Scenario
 from vstestbed.sim.base import Plant
 from vstestbed.sim.build import build_plant
 from vstestbed.sim.render.imaging import Imaging
+from vstestbed.sim.replay import Replay
 from vstestbed.sim.retake import Retake
 
 SMALL = {"camera.width": 160, "camera.height": 120}
@@ -126,3 +127,31 @@ def test_nothing_is_made_for_a_camera_without_any():
 
     assert imaging_of(scenario({}).camera, None) is None
     assert isinstance(imaging_of(scenario(ALL).camera, None), Imaging)
+
+
+def test_a_film_drawn_again_shows_the_camera_at_rest():
+    s = scenario(ALL)
+    parts = s.robot, s.camera, s.target, s.world
+    with closing(Replay(*parts, share=0.5)) as replay, closing(Replay(s.robot, scenario({}).camera, s.target, s.world)) as bare:
+        state = "eye", 80, 60, 0.0, s.target.T_world_start, s.robot.configuration(), np.eye(4)
+        shown, sharp = replay.picture(*state), bare.picture(*state)
+    assert shown.shape == (120, 160, 3) and shown.mean() == pytest.approx(90, abs=3)
+    assert np.abs(np.diff(shown.astype(float), axis=1)).max() < 0.7 * np.abs(np.diff(sharp.astype(float), axis=1)).max()
+
+
+def test_a_run_converges_through_all_of_it():
+    mild = {
+        "camera.optics": {
+            "vignetting": 0.3,
+            "red_px": 0.2,
+            "blue_px": -0.2,
+            "defocus": {"focus_m": 0.8, "f_number": 2, "focal_length_m": 0.008},
+        },
+        "camera.exposure": {"auto": {"target_grey": 150}, "light": [[0.5, 1.3]]},
+        "camera.sensor": {},
+        "camera.stream": {"kind": "h264", "colours": "full"},
+    }
+    size = {"camera.width": 320, "camera.height": 240, "target.marker.radius": 0.04}
+    quick = {"law.gain": 2.0, "stop.converged.error_px": 0.5, "stop.converged.hold_s": 0.2}
+    run = vs.run(vs.load("arm_ibvs", size | quick | mild))
+    assert run.summary()["outcome"] == "converged"
