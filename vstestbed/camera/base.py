@@ -13,6 +13,10 @@ from annotated_types import Ge, Le
 from numpy.typing import NDArray
 
 from vstestbed.camera.depth_sensor import DEPTH_SENSORS, DepthImage, DepthSensor
+from vstestbed.camera.exposure import ExposureControl
+from vstestbed.camera.optics import Optics
+from vstestbed.camera.sensor_noise import SensorNoise
+from vstestbed.camera.stream import STREAMS, VideoStream
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose
 from vstestbed.core.quantity import Frequency, Narrower, Pixel, Time
@@ -103,6 +107,10 @@ class Camera(ABC):
         depth_sensor: makes it an RGB-D camera, which measures the depth of each pixel with each picture (`camera.depth_sensor`); only
             with `perspective`; e.g. `stereo`.
         principal_px: (cx, cy) [px], where the optical axis meets the picture; default its middle ((W-1)/2, (H-1)/2); e.g. `[322.5, 238]`.
+        optics: vignetting, lateral chromatic aberration and defocus of the lens; None for a perfect one.
+        exposure: exposure time and gain, fixed or automatic; None for the rendered brightness.
+        sensor: noise of the image sensor by EMVA 1288; None for none.
+        stream: lossy compression of the pictures (`jpeg`, `h264`); None for none; e.g. `jpeg`.
     """
 
     width: Annotated[int, Ge(8), Le(LARGEST_PX)] = 640
@@ -117,6 +125,10 @@ class Camera(ABC):
     renderer: Literal["auto", "gl", "rays"] = "auto"
     principal_px: Pixel | None = None
     depth_sensor: Annotated[DepthSensor, DEPTH_SENSORS] | None = None
+    optics: Optics | None = None
+    exposure: ExposureControl | None = None
+    sensor: SensorNoise | None = None
+    stream: Annotated[VideoStream, STREAMS] | None = None
     sees_all: ClassVar[bool] = False
     """Whether each pixel of its picture has a ray: a wide lens has an image circle."""
     with_depth: ClassVar[bool] = False
@@ -132,6 +144,26 @@ class Camera(ABC):
             raise ParameterError("principal_px", f"must lie in the {self.width} x {self.height} picture", self.principal_px)
         if self.depth_sensor is not None and not self.with_depth:
             raise ParameterError("depth_sensor", "is for camera perspective, with distortion or without: depth cameras have no wide lenses")
+        if self.imaged:
+            self._check_imaging()
+
+    @property
+    def imaged(self) -> bool:
+        """Whether lens, exposure, sensor or stream change its pictures, which are then always taken whole."""
+        return not (self.optics is None and self.exposure is None and self.sensor is None and self.stream is None)
+
+    def _check_imaging(self) -> None:
+        """Refuse what its lens, its rate or its size cannot have."""
+        if len(self.panels) > 1:
+            field = next(name for name in ("optics", "exposure", "sensor", "stream") if getattr(self, name) is not None)
+            words = f"is of a camera with one picture; with {getattr(self, 'kind', 'this lens')} markers are found in several"
+            raise ParameterError(field, words)
+        if self.optics is not None:
+            self.optics.check(self.with_depth, getattr(self, "focal_length_m", None))
+        if self.exposure is not None and self.exposure.auto is not None:
+            self.exposure.auto.check(self.period)
+        if self.stream is not None:
+            self.stream.check(self.width, self.height)
 
     @property
     def period(self) -> float:

@@ -22,7 +22,7 @@ from vstestbed.core.quantity import Within
 
 DIMENSIONLESS = "1"
 _UNIT = re.compile(r" \[([^\[\]]{1,40})\]")
-_SYMBOL = r"(?:1|rad|deg|m|s|h|Hz|px|kg|N|Nm|W|V|A|K|%|grey levels)(?:\^[234])?"
+_SYMBOL = r"(?:1|rad|deg|m|s|h|Hz|px|kg|N|Nm|W|V|A|K|%|e-|DN|kbit|grey levels)(?:\^[234])?"
 _IS_UNIT = re.compile(rf"{_SYMBOL}(?:[ /]{_SYMBOL})*(?: per [a-z_ ]+)?|unit (?:of|as in) .+")
 _EXAMPLE = re.compile(r"; e\.g\. `([^`]+)`(?=\.$)")
 _SOURCE = re.compile(r"References?: ")

@@ -22,7 +22,7 @@ from vstestbed.loop.recording import Log, MemoryRows, Recording, Rows, Watcher
 from vstestbed.loop.shutter import CameraClock, Exposed
 from vstestbed.loop.witness import Witness
 from vstestbed.robots import Allocation
-from vstestbed.scenario.scenario import IMAGE_STREAM, LINK_STREAM, MOTION_STREAM, RGBD_STREAM, SENSOR_STREAM, Scenario
+from vstestbed.scenario.scenario import IMAGE_STREAM, IMAGING_STREAM, LINK_STREAM, MOTION_STREAM, RGBD_STREAM, SENSOR_STREAM, Scenario
 from vstestbed.sim.base import Plant
 from vstestbed.sim.build import build_plant
 from vstestbed.sim.delay_line import DelayLine
@@ -268,6 +268,7 @@ def _plant(scenario: Scenario, pictures: bool, plate_m: float) -> tuple[Plant, s
         depth_rng=scenario.rng(RGBD_STREAM),
         sensor_rng=scenario.rng(SENSOR_STREAM),
         motion_rng=scenario.rng(MOTION_STREAM),
+        imaging_rng=scenario.rng(IMAGING_STREAM),
         drift=scenario.noise.drift,
         perturbed=scenario.perturbed(),
         order_s=scenario.timing.order_s(scenario.camera),

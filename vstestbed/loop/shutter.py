@@ -40,8 +40,8 @@ class CameraClock:
 
     def __init__(self, scenario: Scenario, plant: Plant, whole: bool = False, link: BurstyLink | None = None):
         self.plant, self.whole, self._view = plant, whole, scenario.detector.needs_truth
-        # A perturbation may work on the picture as a whole, so that a part of it would not be changed as the whole is.
-        self._in_parts = not scenario.noise.on_pictures
+        # A perturbation, metering or a stream may work on the picture as a whole: a part of it would not be changed as the whole is.
+        self._in_parts = not (scenario.noise.on_pictures or scenario.camera.imaged)
         rng = scenario.rng(TIMING_STREAM)
         light = scenario.world.light
         flicker = STEADY if light is None or (not scenario.needs_image and not whole) else light.flicker

@@ -44,10 +44,11 @@ from vstestbed.vision.perturb import Perturbed
 from vstestbed.vision.pose.derotate import Derotation
 
 START_STREAM, NOISE_STREAM, IMAGE_STREAM, SENSOR_STREAM, TIMING_STREAM, DEPTH_STREAM, MOTION_STREAM, PERTURB_STREAM = range(8)
-RGBD_STREAM, GOAL_STREAM, BODY_STREAM, LINK_STREAM, STAMP_STREAM = 8, 9, 10, 11, 12
+RGBD_STREAM, GOAL_STREAM, BODY_STREAM, LINK_STREAM, STAMP_STREAM, IMAGING_STREAM = 8, 9, 10, 11, 12, 13
 """Independent random streams of one seed: the start, the noise of measured pixels, of pictures, of the robot's own sensors, of timing,
 of the calibration of depths, the target's random walk, perturbations, the depth camera, the goal's picture, what differs from one robot to
-the next of its kind, losses of the link, time stamps. Their numbers enter the seed: a new one comes last, or all recorded runs change."""
+the next of its kind, losses of the link, time stamps, the image sensor. Their numbers enter the seed: a new one comes last, or all recorded
+runs change."""
 TRIES = 1000
 """Largest number of random starts drawn until the target is in view."""
 DISPLACEMENT_STEPS = 12
@@ -140,7 +141,8 @@ class Scenario:
     def draws_noise(self) -> bool:
         """Whether a seed makes a difference to what is measured in the pictures."""
         sensor = self.camera.depth_sensor if self.law.depth.measured else None
-        return self.noise.draws(self.detector.needs_image) or (sensor is not None and sensor.draws)
+        pictured = self.detector.needs_image and self.camera.sensor is not None
+        return pictured or self.noise.draws(self.detector.needs_image) or (sensor is not None and sensor.draws)
 
     @property
     def clock(self) -> tuple[float, int]:

@@ -32,6 +32,7 @@ def build_plant(
     depth_rng: np.random.Generator | None = None,
     sensor_rng: np.random.Generator | None = None,
     motion_rng: np.random.Generator | None = None,
+    imaging_rng: np.random.Generator | None = None,
     drift: Drift = NO_DRIFT,
     perturbed: Perturbed | None = None,
     order_s: float = math.inf,
@@ -46,6 +47,7 @@ def build_plant(
         needs_image, needs_truth: whether the detector works on pictures, on truth.
         image_sigma, rng: noise of the pictures [grey levels] and its generator.
         depth_rng, sensor_rng, motion_rng: generators of the depth camera's noise, of the robot's sensor noise, of a target's random walk.
+        imaging_rng: generator of the image sensor's noise (`camera.sensor`).
         drift: of the camera's gains. perturbed: further changes of the pictures; None for none.
         order_s: how long a command lasts before the robot stops [s]. led: how it goes from one command to the next; None: at once.
         plate_m: edge of a plate in reserve, for `Plant.hold_plate`; 0 for none [m].
@@ -66,6 +68,7 @@ def build_plant(
         return IdealPlant(parts, steps_per_frame, path=path, order_s=order_s, led=led), "none"
     from vstestbed.sim.render.depth_camera import depth_camera
     from vstestbed.sim.render.image_sensor import ImageSensor
+    from vstestbed.sim.render.imaging import imaging_of
     from vstestbed.sim.render.pictures import servo_renderer
     from vstestbed.sim.scene.stage import Stage
 
@@ -75,7 +78,8 @@ def build_plant(
         # With a rolling shutter bands of rows are drawn: the sensor itself adds the rows from which the noise is estimated.
         drawn_by = servo_renderer(stage, camera, image_sigma > 0 and not camera.readout_s)
         depth = depth_camera(camera, depth_rng)
-        eye, renderer = ImageSensor(stage, drawn_by, ImageNoise(image_sigma, rng), drift, perturbed, depth), drawn_by.name
+        imaging = imaging_of(camera, imaging_rng)
+        eye, renderer = ImageSensor(stage, drawn_by, ImageNoise(image_sigma, rng), drift, perturbed, depth, imaging), drawn_by.name
     if ideal:
         from vstestbed.sim.ideal import IdealPlant
 

@@ -12,8 +12,9 @@ from vstestbed.camera import Camera, Image, Perspective
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import FLIP, Array
 from vstestbed.robots import Robot
+from vstestbed.sim.render.imaging import ImagedView, imaging_of
 from vstestbed.sim.render.pictures import outside_view, servo_renderer
-from vstestbed.sim.render.still import StillView, half_tangents, pixels_per_radian
+from vstestbed.sim.render.still import StillView, View, half_tangents, pixels_per_radian
 from vstestbed.sim.scene.compose import Parts
 from vstestbed.sim.scene.follow import FollowCamera, Things
 from vstestbed.sim.scene.meshes import Pane, Solid, panes, solids
@@ -48,6 +49,8 @@ AMBIENT, KEY, FILL = 0.40, 0.72, 0.22
 class Replay:
     """Renders a recorded run on a stage of its own, so that filming does not affect the run.
 
+    The servo camera is shown without noise, and through its lens, exposure, sensor and stream as they are at rest (`Imaging.clean`).
+
     Args:
         robot, camera, target, world: the scene.
         shadows: render shadows in the outside views (three times the work).
@@ -80,7 +83,7 @@ class Replay:
         self._things = Things(self._stage.model)
         self._follow: FollowCamera | None = None
         self._seen: tuple[float, Image] | None = None
-        self._own: tuple[Stage, StillView] | None = None
+        self._own: tuple[Stage, View] | None = None
         self._views: dict[str, tuple[StillView, Perspective]] = {}
 
     @property
@@ -172,11 +175,14 @@ class Replay:
         """Points (G, 16, 3) in the world whose convex hulls are the robot's geoms in the last picture from outside."""
         return self._things.points(self._stage.data)[self._things.own]
 
-    def _servo_camera(self) -> tuple[Stage, StillView]:
+    def _servo_camera(self) -> tuple[Stage, View]:
         """A second stage with the servo camera's own quality, built when first asked for."""
         if self._own is None:
             lens = self._parts.camera
             stage = Stage(self._parts, samples=lens.multisampling)
+            if (imaging := imaging_of(lens, None)) is not None:
+                self._own = stage, ImagedView(servo_renderer(stage, lens), imaging, stage.data)
+                return self._own
             drawn_by, f = servo_renderer(stage, lens, share=self._share), self._share * pixels_per_radian(lens)
             sides = None if lens.shadows else half_tangents(lens)  # what is out of sight may cast shadows
             self._own = stage, StillView(drawn_by, stage.model, stage.data, "eye", f, sides=sides)

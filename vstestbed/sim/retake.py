@@ -8,6 +8,7 @@ from vstestbed.camera import Camera, Image
 from vstestbed.core.geometry import Array
 from vstestbed.robots import Robot
 from vstestbed.sim.render.image_sensor import ImageSensor
+from vstestbed.sim.render.imaging import imaging_of
 from vstestbed.sim.render.noise import NO_DRIFT, Drift, ImageNoise
 from vstestbed.sim.render.pictures import servo_renderer
 from vstestbed.sim.scene.compose import Parts
@@ -21,11 +22,12 @@ class Retake:
 
     A picture is of the instant of its time stamp: it lacks the motion blur of an exposure (`timing.exposure_s`), the skew of a rolling
     shutter (`camera.readout_s`) and the flicker of the light. Noise and drift are those of the run, whose generator draws once for each
-    picture.
+    picture; lens, exposure, sensor and stream likewise.
 
     Args:
         robot, camera, target, world: the scene.
         image_sigma, rng: noise of the pictures [grey levels] and its generator as at the beginning of the run. drift: of its gains.
+        imaging_rng: generator of the image sensor's noise, likewise.
 
     Raises:
         EnvironmentLackError: a picture is needed that only OpenGL can draw, and it does not work here.
@@ -40,9 +42,11 @@ class Retake:
         image_sigma: float = 0.0,
         rng: np.random.Generator | None = None,
         drift: Drift = NO_DRIFT,
+        imaging_rng: np.random.Generator | None = None,
     ):
         self._stage = Stage(Parts(robot, camera, target, world, step=camera.period), samples=camera.multisampling)
-        self._sensor = ImageSensor(self._stage, servo_renderer(self._stage, camera, image_sigma > 0), ImageNoise(image_sigma, rng), drift)
+        drawn_by, noise = servo_renderer(self._stage, camera, image_sigma > 0), ImageNoise(image_sigma, rng)
+        self._sensor = ImageSensor(self._stage, drawn_by, noise, drift, imaging=imaging_of(camera, imaging_rng))
 
     def picture(self, t: float, T_world_target: Array, q: Array, T_world_camera: Array) -> Image:
         """The picture of a state at a time [s], (H, W, 3) uint8 RGB; a copy."""

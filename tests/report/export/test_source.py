@@ -19,6 +19,10 @@ from vstestbed.report.export.source import RecordedRun
 VARIANTS = {
     "noise and drift": ("arm_ibvs", {"noise.image_sigma": 3.0, "noise.drift.brightness": 0.2, "noise.drift.color": 0.1}),
     "latency and lost pictures": ("arm_ibvs", {"camera.latency_s": 0.08, "timing.drop_probability": 0.3}),
+    "lens, exposure, sensor and stream": (
+        "arm_ibvs",
+        {"camera.optics": {"vignetting": 0.3}, "camera.exposure": {"auto": {}}, "camera.sensor": {}, "camera.stream": "h264"},
+    ),
     "eye to hand": ("arm_eye_to_hand", {}),
 }
 SMALL = {"camera.width": 320, "camera.height": 240, "stop.duration_s": 0.28}

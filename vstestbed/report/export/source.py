@@ -16,7 +16,7 @@ from vstestbed.loop.summary_file import read_summary
 from vstestbed.report.video.film import rows_of
 from vstestbed.report.video.film_frame import FilmFrame
 from vstestbed.scenario.load import load
-from vstestbed.scenario.scenario import IMAGE_STREAM, Scenario
+from vstestbed.scenario.scenario import IMAGE_STREAM, IMAGING_STREAM, Scenario
 from vstestbed.sim.retake import Retake
 
 
@@ -83,17 +83,20 @@ class RecordedRun:
     @property
     def noisy(self) -> bool:
         """Whether its pictures have noise."""
-        return self.scenario.noise.image_sigma > 0
+        return self.scenario.noise.image_sigma > 0 or self.scenario.camera.sensor is not None
 
     @property
     def how_taken(self) -> str:
         """What its exported pictures are, in words."""
-        noise, timing = self.scenario.noise, self.scenario.timing
+        noise, timing, camera = self.scenario.noise, self.scenario.timing, self.scenario.camera
         words = ["redrawn from the log at the camera's rate and size"]
-        if self.noisy:
+        if noise.image_sigma:
             words.append(f"with the run's noise of {noise.image_sigma:g} grey levels")
         if noise.drift.brightness or noise.drift.color:
             words.append("with the drift of its gains")
+        if camera.imaged:
+            changed = [name for name in ("optics", "exposure", "sensor", "stream") if getattr(camera, name) is not None]
+            words.append(f"through the camera's {' and '.join(changed)}")
         if timing.exposure_s:
             words.append(f"without the motion blur of its {timing.exposure_s:g} s exposure")
         if self.scenario.camera.readout_s:
@@ -111,7 +114,7 @@ class RecordedRun:
         s = self.scenario
         noise = s.noise
         scene = (s.robot, s.camera, s.target, s.world)
-        with closing(Retake(*scene, noise.image_sigma, s.rng(IMAGE_STREAM), noise.drift)) as retake:
+        with closing(Retake(*scene, noise.image_sigma, s.rng(IMAGE_STREAM), noise.drift, s.rng(IMAGING_STREAM))) as retake:
             names = retake.body_names
             for row in rows_of(self.log):
                 state = FilmFrame.of_row(row, s)

@@ -11,6 +11,7 @@ import numpy as np
 from vstestbed.camera import DepthImage, Look, Picture
 from vstestbed.sim.base import Renderer
 from vstestbed.sim.render.depth_camera import DepthCamera
+from vstestbed.sim.render.imaging import Imaging
 from vstestbed.sim.render.motion_blur import MotionBlur, PixelRows
 from vstestbed.sim.render.noise import NO_DRIFT, Drift, ImageNoise, PictureNoise
 from vstestbed.sim.row_weights import Contribution
@@ -33,6 +34,7 @@ class ImageSensor:
         renderer: renders the images.
         noise: of the sensor; None for none. drift: of its gains. perturbed: further changes of the finished picture; None for none.
         depth: the depth camera, whose pictures are always whole; None without one.
+        imaging: lens, exposure, sensor and stream, which likewise take whole pictures; None where none of them changes any.
     """
 
     def __init__(
@@ -43,10 +45,13 @@ class ImageSensor:
         drift: Drift = NO_DRIFT,
         perturbed: Perturbed | None = None,
         depth: DepthCamera | None = None,
+        imaging: Imaging | None = None,
     ):
         self._model, self._data = stage.model, stage.data
         self._renderer, self._noise, self._drift = renderer, noise or ImageNoise(), drift
-        self._depth = depth
+        self._depth, self._imaging = depth, imaging
+        self._reads_depth = depth is not None or (imaging is not None and imaging.needs_depth)
+        self._always_whole = self._reads_depth or imaging is not None
         self._true_depth: DepthImage | None = None
         self._states: list[mujoco.MjData] = []
         self._present: mujoco.MjData | None = None
@@ -66,14 +71,16 @@ class ImageSensor:
         look: regions of interest; None for everything. A copy of a picture of which only they were drawn can be completed until
         the next such picture is taken.
         """
-        look = None if self._depth else look
+        look = None if self._always_whole else look
         images = self._render(look, with_depth=True)
         self._keep_state(0, look)
         return self._picture(t, images, self._renderer.whole, [INSTANT])
 
     def clean(self, t: float) -> Picture:
         """A whole picture of the present scene without noise; a copy that the caller may keep. The noise of later pictures is the same."""
-        images, depth = self._renderer.images(with_depth=self._depth is not None), self._depth
+        images, depth = self._renderer.images(with_depth=self._reads_depth), self._depth
+        if self._imaging is not None:
+            images = self._imaging.clean(t, images, self._renderer.depth)
         return Picture(t, images, depth=None if depth is None else depth.clean(self._renderer.depth)).copy()
 
     def with_own(self, picture: Picture) -> Picture:
@@ -88,7 +95,7 @@ class ImageSensor:
 
         middle: it is the one whose depth counts: a mean of depths would be a place at which nothing is.
         """
-        look = None if self._depth else look
+        look = None if self._always_whole else look
         contribution = Contribution.of(weight)
         self._add(self._blur, contribution, look, middle)
         self._keep_state(len(self._exposed), look)
@@ -109,8 +116,8 @@ class ImageSensor:
             blur.add(images, self._rows.weights(weight), look is None if of_rows else self._renderer.whole)
 
     def _render(self, look: Look | None, with_depth: bool) -> Images:
-        """The images now; with their depth where there is a depth camera."""
-        with_depth = with_depth and self._depth is not None
+        """The images now; with their depth where it is asked for."""
+        with_depth = with_depth and self._reads_depth
         images = self._renderer.images(look, with_depth)
         if with_depth:
             self._true_depth = self._renderer.depth
@@ -130,10 +137,15 @@ class ImageSensor:
         def draw_whole() -> Picture:
             return self._developed(t, self._drawn_again(exposed), *drawn)
 
-        made = self._developed(t, clean, *drawn)
+        made = self._developed(t, clean, *drawn) if self._imaging is None else self._imaged(t, clean, self._imaging)
         if self._depth is not None:
             made = replace(made, depth=self._depth.measured(self._true_depth))
         return made if whole else Picture(t, made.images, whole, draw_whole)
+
+    def _imaged(self, t: float, clean: Images, imaging: Imaging) -> Picture:
+        """The picture through lens, exposure and sensor, with the scenario's own noise, and through the stream."""
+        made = self._developed(t, imaging.taken(t, clean, self._true_depth), *self._latest)
+        return replace(made, images=imaging.streamed(made.images))
 
     def _developed(self, t: float, clean: Images, noise: PictureNoise, change: Callable[[float, Images], Images]) -> Picture:
         made = self._drift.of(Picture(t, noise.added(clean)))

@@ -1,0 +1,103 @@
+"""From the rendered picture to the camera's: lens, exposure, sensor; and the stream to the computer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from vstestbed.camera import Camera, DepthImage, Image
+from vstestbed.camera.exposure import SKIP, ExposureLoop, ExposureSetting
+from vstestbed.camera.sensor_noise import FixedPattern, plain
+from vstestbed.sim.base import Renderer
+from vstestbed.vision.perturb import Images
+
+Floats = NDArray[np.float32]
+
+
+class Imaging:
+    """A camera's lens, exposure, sensor and stream, in the order in which light passes them. It remembers: one for each run.
+
+    Its random numbers are two: the fixed pattern first, then one seed for each picture.
+
+    Args:
+        camera: with `optics`, `exposure`, `sensor`, `stream`. rng: of the sensor's noise.
+    """
+
+    def __init__(self, camera: Camera, rng: np.random.Generator):
+        # Here: OpenCV is imported where pictures are changed.
+        from vstestbed.sim.render.compression import round_trip
+        from vstestbed.sim.render.lens_effects import LensEffects
+
+        self._camera, self._rng = camera, rng
+        self._lens = None if camera.optics is None else LensEffects(camera, camera.optics)
+        self._sensor = camera.sensor
+        self._pattern: FixedPattern | None = None
+        if self._sensor is not None:
+            self._pattern = self._sensor.pattern((camera.height, camera.width, 3), rng)
+        self._exposure = ExposureLoop(camera.exposure, camera.period, 0.0 if self._sensor is None else self._sensor.black)
+        self._fresh_trip = lambda: round_trip(camera.stream, camera.rate_hz)
+        self._trip = self._fresh_trip()
+
+    @property
+    def needs_depth(self) -> bool:
+        """Whether the true depth of each pixel is asked for."""
+        return self._lens is not None and self._lens.needs_depth
+
+    def taken(self, t: float, images: Images, depth: DepthImage | None) -> Images:
+        """The next picture of the run as the sensor gives it, taken at a time t [s]; depth: true ones (H, W) [m]."""
+        light = self._light(images, depth)
+        setting = self._exposure.setting(t, self._metered(light))
+        seed = None if self._sensor is None else int(self._rng.integers(2**63))
+        image = self._read(light, setting, None if seed is None else np.random.default_rng(seed))
+        self._exposure.saw(image)
+        return (image,)
+
+    def streamed(self, images: Images) -> Images:
+        """The next picture of the run as the computer has it."""
+        return tuple(None if image is None else self._trip.of(image) for image in images)
+
+    def clean(self, t: float, images: Images, depth: DepthImage | None) -> Images:
+        """A picture as the camera would give it at rest, as the mean of many; what the run's pictures will be is not changed by it."""
+        light = self._light(images, depth)
+        setting = self._exposure.settled(t, self._metered(light))
+        return (self._fresh_trip().of(self._read(light, setting, None)),)
+
+    def _light(self, images: Images, depth: DepthImage | None) -> Floats:
+        """The light (H, W, 3) behind the lens."""
+        (image,) = images
+        assert image is not None  # a camera with one picture, always whole
+        return image.astype(np.float32) if self._lens is None else self._lens.of(image, depth)
+
+    def _read(self, light: Floats, setting: ExposureSetting, rng: np.random.Generator | None) -> Image:
+        return plain(light, setting) if self._sensor is None else self._sensor.read(light, setting, self._pattern, rng)
+
+    def _metered(self, light: Floats) -> Callable[[ExposureSetting], Image]:
+        """What exposure control looks at before the first picture: a part of the pixels, without their noise."""
+        part, sensor = light[::SKIP, ::SKIP], self._sensor
+        return lambda setting: plain(part, setting) if sensor is None else sensor.read(part, setting, None, None)
+
+
+class ImagedView:
+    """The servo camera's images for films: through lens, exposure, sensor and stream at rest, without noise.
+
+    Args:
+        renderer: draws them in full size. imaging: changes them. data: the scene's state, with its time.
+    """
+
+    def __init__(self, renderer: Renderer, imaging: Imaging, data: mujoco.MjData):
+        self._renderer, self._imaging, self._data = renderer, imaging, data
+
+    def full_image(self) -> Image:
+        """The image now, shape (H, W, 3) uint8 RGB, as a copy that the caller may keep."""
+        images = self._renderer.images(with_depth=self._imaging.needs_depth)
+        (image,) = self._imaging.clean(float(self._data.time), images, self._renderer.depth)
+        assert image is not None
+        return image
+
+
+def imaging_of(camera: Camera, rng: np.random.Generator | None) -> Imaging | None:
+    """What changes the pictures of a camera; None where nothing does."""
+    return Imaging(camera, rng or np.random.default_rng(0)) if camera.imaged else None
