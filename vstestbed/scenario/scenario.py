@@ -7,6 +7,7 @@ from functools import cached_property
 from typing import Annotated, Any, Literal
 
 import numpy as np
+from annotated_types import Len
 
 from vstestbed.camera import CAMERAS, Calibration, Camera, Perspective
 from vstestbed.core.errors import ParameterError
@@ -26,7 +27,9 @@ from vstestbed.scenario.checks import (
     check_robot,
     check_views_metres,
 )
+from vstestbed.scenario.distributions import DISTRIBUTIONS, Distribution
 from vstestbed.scenario.noise import Noise
+from vstestbed.scenario.randomise import check_randomise, drawn
 from vstestbed.sim.clock import Clock
 from vstestbed.sim.scene.start_pose import camera_start, flange_for, posture_at, target_start
 from vstestbed.sim.scene.world import World
@@ -80,6 +83,7 @@ class Scenario:
         timing: exposure, jitter, lost pictures, and latency of the commands.
         world: floor, scenery, wind, plates and decoys.
         physics: the clock of the simulation.
+        randomise: fields that are drawn anew for each seed (domain randomisation); the scenario of a run states what was drawn.
 
     Raises (from the constructor): ParameterError where two parts contradict each other.
     """
@@ -104,6 +108,7 @@ class Scenario:
     timing: Timing = Timing()
     world: World = World()
     physics: Clock = Clock()
+    randomise: Annotated[tuple[Annotated[Distribution, DISTRIBUTIONS], ...], Len(0, 100)] = ()
 
     def __post_init__(self) -> None:
         """Refuse parts that do not belong together."""
@@ -122,6 +127,7 @@ class Scenario:
         check_goal_pictures(self.goal, self.camera, self.needs_goal_image, self.law, self.detector)
         check_judged(self.stop, self.detector, self.law)
         check_metrics(self.metrics)
+        check_randomise(self.randomise)
         check_views_metres("goal.T_camera_target" if hasattr(self.goal, "T_camera_target") else "goal", self.goal_views)
         check_own_points(self.camera, self.detector, self.law, self.goal_views)
         self.goal.check_views(self.setup, self.goal_views)
@@ -136,6 +142,11 @@ class Scenario:
         """Whether a seed makes a difference to what is measured in the pictures."""
         sensor = self.camera.depth_sensor if self.law.depth.measured else None
         return self.noise.draws(self.detector.needs_image) or (sensor is not None and sensor.draws)
+
+    @property
+    def draws_scene(self) -> bool:
+        """Whether a seed makes a difference to the scenario itself, besides the start."""
+        return bool(self.randomise) or self.world.clutter is not None
 
     @property
     def clock(self) -> tuple[float, int]:
@@ -227,6 +238,14 @@ class Scenario:
         """The generator of one of the independent streams (START_STREAM, ...)."""
         return np.random.default_rng([self.seed, stream])
 
+    def with_seed(self, seed: int) -> Scenario:
+        """The same experiment, from the same start, with another seed and what it draws for `randomise` and `world.clutter`.
+
+        Raises:
+            ParameterError: a drawn value is refused.
+        """
+        return drawn(replace(self, seed=seed))
+
     def randomised(self, seed: int) -> Scenario:
         """The same experiment with this seed and a start drawn from it, drawn again until the target is in view.
 
@@ -235,10 +254,10 @@ class Scenario:
         Raises:
             ParameterError: the robot has no random block, or no start in it sees the target.
         """
-        seeded = replace(self, seed=seed)
+        seeded = self.with_seed(seed)
         rng = seeded.rng(START_STREAM)
         for _ in range(TRIES):
-            robot = self.robot.randomised(rng)
+            robot = seeded.robot.randomised(rng)
             if seeded._in_view(robot):
                 return replace(seeded, robot=robot)
         raise ParameterError("robot.start.random", f"gave no start in {TRIES} draws that has the whole target in view; make it smaller")

@@ -184,7 +184,7 @@ def _borders(geoms: NDArray[np.int32]) -> NDArray[np.bool_]:
 class RayRenderer:
     """The servo camera's images through any lens, by ray casting; the same as `OpenGLRenderer`'s, where both can render them.
 
-    Only the regions of interest are cast. There are no shadows (see `refuse`); `Paint` says which textures are mapped.
+    Only the regions of interest are cast. There are no shadows and mirrors (`refuse`); `Paint` says which textures are mapped.
 
     Args:
         stage: the scene.
@@ -198,7 +198,7 @@ class RayRenderer:
 
     def __init__(self, stage: Stage, camera: Camera, noisy: bool = False, share: float = 1.0):
         self._stage, self._camera, self._caster, self._share = stage, camera, Caster(stage), share
-        refuse(camera)
+        refuse(camera, stage.parts.world.floor.mirror)
         self._noisy = noisy
         self._rasters: dict[int, Raster] = {}
         self.name, self.spent_s, self.whole = RENDERER, 0.0, True
@@ -241,16 +241,17 @@ class RayRenderer:
         return image
 
 
-def refuse(camera: Camera) -> None:
-    """Refuse shadows, which rays cannot draw.
+def refuse(camera: Camera, mirror: float = 0.0) -> None:
+    """Refuse shadows and a floor that mirrors, which rays cannot draw.
 
     Raises:
         ParameterError: rays were asked for. EnvironmentLackError: they are what is left without OpenGL.
     """
-    if camera.shadows and camera.renderer == "rays":
-        raise ParameterError("camera.renderer", "must be gl or auto: shadows need OpenGL", camera.renderer)
-    if camera.shadows:
-        raise EnvironmentLackError("shadows need OpenGL", gl.remedy())
+    what = "shadows need OpenGL" if camera.shadows else "a floor that mirrors needs OpenGL" if mirror else ""
+    if what and camera.renderer == "rays":
+        raise ParameterError("camera.renderer", f"must be gl or auto: {what}", camera.renderer)
+    if what:
+        raise EnvironmentLackError(what, gl.remedy())
 
 
 class RaySceneCamera:
