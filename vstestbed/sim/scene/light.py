@@ -33,7 +33,7 @@ def light_scene(scene: mujoco.MjSpec, world: World, glossy: bool) -> None:
     if world.light is not None:
         _replace_lights(scene, world.light)
     for i, pane in enumerate(world.windows):
-        _add_window(scene, pane, i)
+        _add_window(scene, pane, i, world.floor.sharpness)
     if world.floor != Floor():
         _paint_floor(scene, world.floor)
     if world.light_differs:
@@ -59,8 +59,8 @@ def _replace_lights(scene: mujoco.MjSpec, light: Light) -> None:
     key.diffuse = key.specular = light.brightness * colour
 
 
-def _add_window(scene: mujoco.MjSpec, pane: WindowPane, i: int) -> None:
-    """A pane of constant brightness, and its light, as `WindowPane` has it."""
+def _add_window(scene: mujoco.MjSpec, pane: WindowPane, i: int, sharpness: float) -> None:
+    """A pane of constant brightness, and its light, as `WindowPane` has it, for highlights of an exponent."""
     T, grey = pane.pose.T, min(pane.brightness, 1.0) / GLOW
     name = f"window_{i}"
     paint = scene.add_material(name=name, rgba=[grey, grey, grey, 1], specular=0, shininess=0, emission=GLOW)
@@ -76,7 +76,7 @@ def _add_window(scene: mujoco.MjSpec, pane: WindowPane, i: int) -> None:
         dir=[0, 0, 1],
         ambient=[0, 0, 0],
         diffuse=[pane.brightness] * 3,
-        specular=[pane.brightness] * 3,
+        specular=[pane.brightness * (sharpness / 4 + 1) / 2] * 3,
         attenuation=[1, 0, np.pi / pane.area],
         cutoff=90,
         exponent=1,

@@ -68,7 +68,8 @@ class WindowPane:
     A surface of colour c whose normal makes an angle a with the direction to the pane's middle, at a distance d and at an angle b from the
     pane's z axis, gets the light c brightness cos a cos b A / (A + pi d^2) of a pane of area A. It is the light of a small Lambertian
     surface far away, and on its axis the exact one of a disc of this area. It casts no shadows; the pane itself is drawn with its
-    brightness, at most white, and mirrored by what is glossy as the highlight of a lamp at its middle.
+    brightness, at most white. A glossy surface shows it as a highlight, gloss brightness cos b A/(A + pi d^2) (n + 1)/2 (h . n)^s of
+    `world.floor.sharpness` s: about the mirror direction a lobe cos^n, n = s/4, whose integral over the half space is 1.
 
     Args:
         pose: its middle and axes in the world; it spans its x and y axes, and shines along z;
