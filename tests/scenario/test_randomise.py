@@ -98,7 +98,9 @@ class TestAScenario:
             assert (plain.rng(stream).random(5) == more.rng(stream).random(5)).all()
 
     def test_made_by_hand_is_drawn_when_it_runs(self):
-        s = dataclasses.replace(vs.load("ibvs_book", {"detector": "oracle", "stop.duration_s": 0.2}), randomise=arm(BLOCK[1:2]).randomise, seed=5)
+        s = dataclasses.replace(
+            vs.load("ibvs_book", {"detector": "oracle", "stop.duration_s": 0.2}), randomise=arm(BLOCK[1:2]).randomise, seed=5
+        )
         assert s.camera.latency_s == 0
         assert vs.run(s).scenario.camera.latency_s == pytest.approx(arm(BLOCK[1:2], seed=5).camera.latency_s)
 
@@ -124,7 +126,7 @@ class TestRefusals:
             arm([{"field": LATENCY, "uniform": [-2, -1]}], seed=2)
 
     def test_a_field_twice(self):
-        with pytest.raises(ScenarioError, match="is drawn by randomise.0 already"):
+        with pytest.raises(ScenarioError, match=r"is drawn by randomise.0 already"):
             arm([BLOCK[0], {"field": "world.light", "choice": ["x"]}])
 
     @pytest.mark.parametrize("field", ["seed", "plugins.0", "randomise.0.field"])
@@ -133,7 +135,7 @@ class TestRefusals:
             arm([{"field": field, "integer": [1, 2]}])
 
     def test_an_override_of_a_drawn_field(self):
-        with pytest.raises(ScenarioError, match="camera.latency_s: is drawn from the seed by randomise.1"):
+        with pytest.raises(ScenarioError, match=r"camera.latency_s: is drawn from the seed by randomise.1"):
             arm(**{LATENCY: 0.1})
 
     def test_a_batch(self):

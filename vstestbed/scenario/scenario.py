@@ -24,6 +24,7 @@ from vstestbed.scenario.checks import (
     check_goal_pictures,
     check_memory,
     check_metres,
+    check_mirror,
     check_robot,
     check_views_metres,
 )
@@ -121,6 +122,7 @@ class Scenario:
         check_robot(self.robot, self.target, self.world, self.derotation, self.level_trim_s)
         self.robot.check_mount(self.camera.mount.xyz)
         check_carrier(self.target)
+        check_mirror(self.camera, self.world)
         if self.stop.duration_s < self.camera.period:
             raise ParameterError("stop.duration_s", f"must be at least one camera period, {self.camera.period:g} s", self.stop.duration_s)
         check_markers(self.robot, self.camera, self.target, self.detector, self.law, self.goal.needs_pose)

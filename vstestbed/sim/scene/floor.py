@@ -25,7 +25,8 @@ class Floor:
             lamp and to the camera [1].
         sharpness: exponent of the highlight, which falls to a half at acos(2^(-1/sharpness)) from the mirror direction, as angle of h:
             10 degrees at 45 [1].
-        mirror: share of a mirrored picture of the room in the floor's colour; it needs OpenGL, and rays refuse it [1].
+        mirror: by which the mirrored picture of what stands on the floor is multiplied and added to its colour; the sky is not mirrored.
+            It needs OpenGL, and rays refuse it [1].
 
     Reference: Blinn 1977, doi:10.1145/563858.563893.
     """
