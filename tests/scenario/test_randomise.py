@@ -58,7 +58,7 @@ class TestDistributions:
 
     def test_two_fields_are_independent(self):
         one, other = (draws(Uniform(field=field, uniform=(0, 1))) for field in (LIGHT, "world.light.ambient"))
-        assert stats.pearsonr(one, other).pvalue > 0.001
+        assert abs(np.corrcoef(one, other)[0, 1]) < 3.3 / np.sqrt(len(SEEDS))
 
     @pytest.mark.parametrize(
         ("cls", "values"),
@@ -136,7 +136,7 @@ class TestRefusals:
 
     def test_an_override_of_a_drawn_field(self):
         with pytest.raises(ScenarioError, match=r"camera.latency_s: is drawn from the seed by randomise.1"):
-            arm(**{LATENCY: 0.1})
+            arm(BLOCK, None, **{LATENCY: 0.1})
 
     def test_a_batch(self):
         s = vs.load("ibvs_book", {"detector": "oracle", "randomise": [{"field": "law.gain", "uniform": [0.5, 1]}]})

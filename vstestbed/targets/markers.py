@@ -116,7 +116,7 @@ class Disc(Flat):
     Args:
         radius: radius of the disc [m].
         lit: whether the scene's lights shade it; otherwise its colour is constant.
-        saturation: of its colour: 1 is pure, 0 grey; a detector of colours needs 0.18 or more between r, g and b of the picture [1].
+        saturation: of its colour: 1 is pure, 0 grey; detector `blobs` needs 60 grey levels between r, g and b of the picture [1].
         albedo: share of the light that it throws back in its strongest channel; its grey level there is 255 albedo times the light [1].
     """
 
@@ -143,7 +143,7 @@ class Sphere(Flat):
     Args:
         radius: radius of the ball [m].
         lit: whether the scene's lights shade it; otherwise its colour is constant.
-        saturation: of its colour: 1 is pure, 0 grey; a detector of colours needs 0.18 or more between r, g and b of the picture [1].
+        saturation: of its colour: 1 is pure, 0 grey; detector `blobs` needs 60 grey levels between r, g and b of the picture [1].
         albedo: share of the light that it throws back in its strongest channel; its grey level there is 255 albedo times the light [1].
     """
 
@@ -257,7 +257,7 @@ class Stripe(Flat):
     Args:
         width_m: width of the line [m].
         lit: whether the scene's lights shade it; otherwise its colour is constant.
-        saturation: of its colour: 1 is pure, 0 grey; a detector of colours needs 0.18 or more between r, g and b of the picture [1].
+        saturation: of its colour: 1 is pure, 0 grey; detector `blobs` needs 60 grey levels between r, g and b of the picture [1].
         albedo: share of the light that it throws back in its strongest channel; its grey level there is 255 albedo times the light [1].
     """
 

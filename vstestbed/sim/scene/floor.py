@@ -17,8 +17,8 @@ class Floor:
 
     Args:
         texture: a picture that covers the floor in tiles: a PNG or JPEG file, or a bundled texture as of target `picture`, such as
-            `texture:brick`; none: the room's checker. With colours of more than 0.18 between r, g and b the detectors `blobs` and
-            `lines` may take parts of it for markers; e.g. `texture:brick`.
+            `texture:brick`; none: the room's checker. Where r, g and b differ by 60 grey levels the detectors `blobs` and `lines` may
+            take parts of it for markers; e.g. `texture:brick`.
         tile_m: width of one tile along x; its height follows from the picture [m].
         albedo: by which the colours of the texture are multiplied [1].
         gloss: share of a lamp's light that the floor mirrors as a highlight (h . n)^`sharpness`, h halfway between the directions to the
