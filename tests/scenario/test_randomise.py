@@ -12,7 +12,7 @@ import vstestbed as vs
 from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.env.rollout import Rollout
 from vstestbed.experiments.basin.setup import BatchSetup
-from vstestbed.scenario.distributions import Choice, Integer, LogUniform, Normal, Uniform
+from vstestbed.scenario.distributions import Chosen, Gaussian, Integer, LogUniform, Uniform
 from vstestbed.scenario.scenario import IMAGE_STREAM, START_STREAM, Scenario
 
 SEEDS = range(2000)
@@ -40,17 +40,17 @@ class TestDistributions:
         assert stats.kstest(found, stats.uniform(0.5, 1.0).cdf).pvalue > 0.001
 
     def test_normal(self):
-        assert stats.kstest(draws(Normal(field=LIGHT, normal=(0.04, 0.005))), stats.norm(0.04, 0.005).cdf).pvalue > 0.001
+        assert stats.kstest(draws(Gaussian(field=LIGHT, normal=(0.04, 0.005))), stats.norm(0.04, 0.005).cdf).pvalue > 0.001
 
     def test_normal_within_bounds_is_the_truncated_one(self):
-        found = draws(Normal(field=LIGHT, normal=(1.0, 0.5), within=(0.8, 2.0)))
+        found = draws(Gaussian(field=LIGHT, normal=(1.0, 0.5), within=(0.8, 2.0)))
         assert stats.kstest(found, stats.truncnorm(-0.4, 2.0, 1.0, 0.5).cdf).pvalue > 0.001
 
     def test_log_uniform(self):
         found = draws(LogUniform(field=LIGHT, log_uniform=(0.1, 10.0)))
         assert stats.kstest(found, stats.loguniform(0.1, 10.0).cdf).pvalue > 0.001
 
-    @pytest.mark.parametrize("one", [Integer(field=LIGHT, integer=(3, 7)), Choice(field=LIGHT, choice=(3, 4, 5, 6, 7))])
+    @pytest.mark.parametrize("one", [Integer(field=LIGHT, integer=(3, 7)), Chosen(field=LIGHT, choice=(3, 4, 5, 6, 7))])
     def test_whole_numbers_and_choices_are_equally_frequent(self, one: Any):
         found, count = np.unique(draws(one), return_counts=True)
         assert found.tolist() == [3, 4, 5, 6, 7]
@@ -62,7 +62,7 @@ class TestDistributions:
 
     @pytest.mark.parametrize(
         ("cls", "values"),
-        [(Uniform, {"uniform": (2, 1)}), (Normal, {"normal": (1, -1)}), (Normal, {"normal": (0, 1), "within": (9, 10)})],
+        [(Uniform, {"uniform": (2, 1)}), (Gaussian, {"normal": (1, -1)}), (Gaussian, {"normal": (0, 1), "within": (9, 10)})],
     )
     def test_an_empty_range_is_refused(self, cls: type, values: dict[str, Any]):
         with pytest.raises(ParameterError, match="must"):

@@ -83,7 +83,7 @@ class Uniform(DistributionBase):
 
 
 @spec
-class Normal(DistributionBase):
+class Gaussian(DistributionBase):
     """Gaussian, x = mean + sigma N(0, 1), drawn again until it lies within its bounds.
 
     Args:
@@ -167,7 +167,7 @@ class Integer(DistributionBase):
 
 
 @spec
-class Choice(DistributionBase):
+class Chosen(DistributionBase):
     """One of several values, each with the same probability.
 
     Args:
@@ -188,10 +188,10 @@ class Choice(DistributionBase):
 DISTRIBUTIONS = OneOf(
     "distribution",
     Uniform,
-    Normal,
+    Gaussian,
     LogUniform,
     Integer,
-    Choice,
+    Chosen,
     fields={kind: kind for kind in ("uniform", "normal", "log_uniform", "integer", "choice")},
     contract=Contract(Distribution, base=DistributionBase),
 )

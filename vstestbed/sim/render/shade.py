@@ -44,7 +44,8 @@ class Paint:
         self._printed, self.averaged = _by_texture(model, texture)
         self._mipmaps = {i: Mipmap(texels_of(model, i)) for i in sorted({int(texture[g]) for g in self._printed})}
         self._texture = texture
-        shows = (model.geom_group == TARGET_GROUP) | (np.arange(model.ngeom) == model.geom("floor").id)
+        floor = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, "floor")
+        shows = (model.geom_group == TARGET_GROUP) | (np.arange(model.ngeom) == floor)
         self._glossy = {g for g in self._printed if shows[g] and model.mat_specular[material[g]] > 0}
         self._local = bool((model.light_type[model.light_active] != DIRECTIONAL).any())
         for g in self.averaged:

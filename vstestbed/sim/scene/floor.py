@@ -15,6 +15,10 @@ from vstestbed.targets.picture_file import picture_name, place_of_picture, read_
 class Floor:
     """The surface of the floor, in place of the room's matte grey checker; scenery that has a floor of its own shows that.
 
+    Rays compute the highlight in every pixel; OpenGL at the corners of a grid of 0.1 m, between which it interpolates, and for which the
+    floor is drawn for 10 m about the origin in place of 20 m. A picture of 640 x 480 in software OpenGL takes 18 ms, and 6 ms more with
+    gloss or windows; by rays 0.38 s, and 0.03 to 0.06 s more. A texture and a lamp that moves cost nothing that can be measured.
+
     Args:
         texture: a picture that covers the floor in tiles: a PNG or JPEG file, or a bundled texture as of target `picture`, such as
             `texture:brick`; none: the room's checker. Where r, g and b differ by 60 grey levels the detectors `blobs` and `lines` may
