@@ -1,14 +1,17 @@
 """`randomise`: what a seed draws, how it is distributed, and that it leaves everything else alone."""
 
 import dataclasses
+import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from ruamel.yaml import YAML
 from scipy import stats
 
 import vstestbed as vs
+from vstestbed.core.assets import folder
 from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.env.rollout import Rollout
 from vstestbed.experiments.basin.setup import BatchSetup
@@ -110,6 +113,15 @@ class TestAScenario:
         assert rollout._session is not None and rollout._session.episode is not None
         assert rollout._session.episode.scenario.camera == arm(BLOCK[1:2], seed=7).camera
         rollout.close()
+
+
+def test_the_block_of_the_guide_is_drawn():
+    text = (folder("scenarios") / "guides" / "scenery.md").read_text(encoding="utf-8")
+    blocks = [block for block in re.findall(r"```yaml\n(.*?)```", text, re.DOTALL) if "randomise" in block]
+    given = YAML(typ="safe").load(blocks[0])
+    s = vs.load("arm_ibvs", {"detector": "oracle", "world": given["world"], "randomise": given["randomise"]}, 5)
+    assert len(s.randomise) == 9 and s.world.clutter is not None and s.world.clutter.count == len(s.world.distractors)
+    assert s.calibration.focal_error != 0 and s.world.floor.texture is not None
 
 
 class TestRefusals:

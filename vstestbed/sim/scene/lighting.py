@@ -36,6 +36,7 @@ class Light:
         color: of the lamp and of the light from all sides: red, green and blue, by which both are multiplied [1].
         motion: displacement of the lamp from its place, along the world's axes; its angles turn `direction`. A lamp without `xyz` is
             so far that they alone count. Shading and shadows (`camera.shadows`) move with it; a random walk is the same in all runs.
+            It costs no time.
     """
 
     direction: Annotated[tuple[Annotated[float, Ge(-1e6), Le(1e6)], ...], Len(3, 3)] = (0.45, 0.45, -1.0)
