@@ -19,6 +19,7 @@ from vstestbed.core.spec import spec
 from vstestbed.laws import IBVS
 from vstestbed.scenario.described import schema_of
 from vstestbed.scenario.dump import dump
+from vstestbed.scenario.in_view import in_view
 from vstestbed.scenario.load import find, load, parse
 from vstestbed.scenario.plugins import load_plugins
 from vstestbed.scenario.scenario import Scenario
@@ -370,7 +371,9 @@ class TestBundled:
             counted = scenario.goal_view.counted
             assert scenario.camera.inside(scenario.goal_view.uv[slice(None) if counted is None else counted]).all()
         if scenario.goal.kind != "line":
-            assert scenario._in_view(scenario.robot), "the start does not see the whole target"
+            assert in_view(scenario.robot, scenario.camera, scenario.target, scenario.detector, scenario.goal_views[0], scenario.world), (
+                "the start does not see the whole target"
+            )
 
     @pytest.mark.parametrize("name", where_installed(NAMES))
     def test_what_is_written_reads_back_as_the_same_scenario(self, name: str) -> None:
@@ -391,7 +394,7 @@ class TestBundled:
         assert written["camera"]["width"] == 640
         assert written["detector"]["kind"] == "blobs"
         assert written["robot"]["actuation"] == "industrial"
-        assert written["target"]["marker"] == {"kind": "disc", "radius": 0.02, "lit": True}
+        assert written["target"]["marker"] == {"kind": "disc", "radius": 0.02, "lit": True, "saturation": 1.0, "albedo": 1.0}
         drift = {"brightness": 0.0, "color": 0.0, "contrast": 0.0, "period_s": 10.0}
         assert written["noise"] == {"image_sigma": 0.0, "pixel_sigma_px": 0.0, "dropout": 0.0, "drift": drift, "perturb": []}
 

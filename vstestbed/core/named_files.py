@@ -11,7 +11,7 @@ from vstestbed.core.errors import ParameterError
 
 ENDINGS = re.compile(r"\.(onnx|xml|mjcf|urdf|png|jpe?g|stl|obj|json)$|\.py:\w+$", re.IGNORECASE)
 """The end of a value of a field of FILE_FIELDS: a network, a model, a picture, a solid, a function in a Python file."""
-FILE_FIELDS = "file", "scenery", "picture"
+FILE_FIELDS = "file", "scenery", "picture", "texture"
 """Fields that name a file; the blocks `scenery` and `picture` may be their file's name alone."""
 PACKAGE = "package:"
 

@@ -117,7 +117,7 @@ class Rollout:
     def reset(self, seed: int) -> Step:
         """Begin the episode of a seed: the start and the noise of `run --seed`; of a scenario without random starts the noise alone."""
         given, seed = self.scenario, int(seed)  # of numpy, in a vector of environments
-        scenario = replace(given, seed=seed) if given.robot.start.random is None else given.randomised(seed)
+        scenario = given.with_seed(seed) if given.robot.start.random is None else given.randomised(seed)
         self.close()
         self._session = Session(scenario, pictures=self._mode != "markers")
         frame = self._frame = self._session.reset()

@@ -27,7 +27,8 @@ from vstestbed.loop.scenario_observer import observer_of
 from vstestbed.loop.unseen import NO_PICTURE, detail, unseen
 from vstestbed.robots import Allocation, Mount, Reading
 from vstestbed.robots.orders import stop_order
-from vstestbed.scenario.scenario import NOISE_STREAM, Scenario
+from vstestbed.scenario.scenario import Scenario
+from vstestbed.scenario.streams import NOISE_STREAM
 from vstestbed.tasks.frame import Cycle, FrameTiming, ImageError
 from vstestbed.vision import Detector
 

@@ -22,7 +22,9 @@ from vstestbed.loop.recording import Log, MemoryRows, Recording, Rows, Watcher
 from vstestbed.loop.shutter import CameraClock, Exposed
 from vstestbed.loop.witness import Witness
 from vstestbed.robots import Allocation
-from vstestbed.scenario.scenario import IMAGE_STREAM, IMAGING_STREAM, LINK_STREAM, MOTION_STREAM, RGBD_STREAM, SENSOR_STREAM, Scenario
+from vstestbed.scenario.randomise import drawn
+from vstestbed.scenario.scenario import Scenario
+from vstestbed.scenario.streams import IMAGE_STREAM, IMAGING_STREAM, LINK_STREAM, MOTION_STREAM, RGBD_STREAM, SENSOR_STREAM
 from vstestbed.sim.base import Plant
 from vstestbed.sim.build import build_plant
 from vstestbed.sim.delay_line import DelayLine
@@ -46,6 +48,7 @@ class Episode:
 
     def __init__(self, scenario: Scenario, pictures: bool, watchers: tuple[Watcher, ...], rows: Rows | None, plate_m: float = 0.0):
         began = time.perf_counter()
+        scenario = drawn(scenario)
         self.scenario, self._watchers = scenario, watchers
         layout = Layout(scenario)
         self.rows = MemoryRows(layout.columns) if rows is None else rows

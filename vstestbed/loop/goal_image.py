@@ -11,7 +11,8 @@ from vstestbed.camera import Picture
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.features.observation import Goal, Sight
-from vstestbed.scenario.scenario import GOAL_STREAM, Scenario
+from vstestbed.scenario.scenario import Scenario
+from vstestbed.scenario.streams import GOAL_STREAM
 from vstestbed.sim.base import Plant
 from vstestbed.sim.scene.start_pose import flange_for, posture_at
 from vstestbed.tasks.goal_picture import GoalPicture

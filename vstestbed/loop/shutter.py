@@ -9,7 +9,8 @@ from vstestbed.camera import Look, Picture
 from vstestbed.loop.exposure import Exposure
 from vstestbed.loop.row_views import RowViews
 from vstestbed.loop.stamps import Stamps
-from vstestbed.scenario.scenario import TIMING_STREAM, Scenario
+from vstestbed.scenario.scenario import Scenario
+from vstestbed.scenario.streams import TIMING_STREAM
 from vstestbed.sim.base import Plant, Truth
 from vstestbed.sim.delay_line import DelayLine
 from vstestbed.sim.link import BurstyLink

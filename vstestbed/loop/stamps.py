@@ -9,7 +9,8 @@ from dataclasses import replace
 
 from vstestbed.loop.exposure import Exposure
 from vstestbed.robots import Reading
-from vstestbed.scenario.scenario import STAMP_STREAM, Scenario
+from vstestbed.scenario.scenario import Scenario
+from vstestbed.scenario.streams import STAMP_STREAM
 from vstestbed.sim.base import Plant
 from vstestbed.sim.time_stamps import CameraStamps, RobotStamps
 

@@ -185,3 +185,9 @@ def check_goal_pictures(goal: Task, camera: Camera, needed: bool, law: Law[Any],
             said.read(camera)
         except ParameterError as error:
             raise ParameterError(field, error.problem, error.found) from None
+
+
+def check_mirror(camera: Camera, world: World) -> None:
+    """Refuse a floor that mirrors where pictures are drawn by rays."""
+    if world.floor.mirror and camera.renderer == "rays":
+        raise ParameterError("camera.renderer", "must be gl or auto: a floor that mirrors needs OpenGL", camera.renderer)

@@ -15,6 +15,7 @@ from ruamel.yaml import YAML
 from vstestbed.core.assets import bundled_scenarios
 from vstestbed.core.errors import Mistake, ParameterError, ScenarioError, nearest, short
 from vstestbed.scenario.plugins import absolute, absolute_files, load_named
+from vstestbed.scenario.randomise import drawn
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.scenario.validation import KINDS, build
 from vstestbed.scenario.yaml_marks import FROM_PYTHON, Marks, override, place_of, plain_mapping
@@ -111,11 +112,22 @@ def parse(
         scenario = build(Scenario, plain, marks, file)
     except ScenarioError as error:
         raise (_blame_settings(error, text, file, overrides, places) if overrides else error) from None
+    _refuse_drawn(scenario, overrides, places)
     try:
-        return scenario if seed is None else seeded(scenario, seed)
+        return drawn(scenario) if seed is None else seeded(scenario, seed)
     except ParameterError as error:
-        where = place_of(tuple(error.field.split(".")), marks, file)
+        key = tuple(int(part) if part.isdecimal() else part for part in error.field.split("."))
+        where = place_of(key, marks, file)
         raise ScenarioError([Mistake(where, error.field, error.problem)]) from None
+
+
+def _refuse_drawn(scenario: Scenario, overrides: Mapping[str, object], places: Mapping[str, Marks]) -> None:
+    """Refuse an override of a field that the seed draws, which would be without effect."""
+    for i, one in enumerate(scenario.randomise):
+        for dotted in overrides:
+            if f"{dotted}.".startswith(f"{one.field}."):
+                words = f"is drawn from the seed by randomise.{i}; set randomise=[], or leave that distribution out, to give it a value"
+                raise ScenarioError([Mistake(places.get(dotted, FROM_PYTHON)[()], dotted, words)])
 
 
 def _override_all(
@@ -171,9 +183,9 @@ def seeded(scenario: Scenario, seed: int) -> Scenario:
     Raises:
         ParameterError: nothing is random, or no start was found with the target in view.
     """
-    # A fixed start with noise is a fair experiment for many seeds; without noise either, every seed would give the same run.
-    if scenario.robot.start.random is None and (scenario.noise.draws() or scenario.draws_noise):
-        return dataclasses.replace(scenario, seed=seed)
+    # A fixed start with noise is a fair experiment for many seeds, as in other scenes; without either, every seed would give the same run.
+    if scenario.robot.start.random is None and (scenario.noise.draws() or scenario.draws_noise or scenario.draws_scene):
+        return scenario.with_seed(seed)
     return scenario.randomised(seed)
 
 

@@ -7,6 +7,7 @@ from functools import cached_property
 from typing import Annotated, Any, Literal
 
 import numpy as np
+from annotated_types import Len
 
 from vstestbed.camera import CAMERAS, Calibration, Camera, Perspective
 from vstestbed.core.errors import ParameterError
@@ -24,17 +25,21 @@ from vstestbed.scenario.checks import (
     check_goal_pictures,
     check_memory,
     check_metres,
+    check_mirror,
     check_robot,
     check_step,
     check_views_metres,
 )
+from vstestbed.scenario.distributions import DISTRIBUTIONS, Distribution
+from vstestbed.scenario.in_view import in_view
 from vstestbed.scenario.noise import Noise
+from vstestbed.scenario.randomise import check_randomise, drawn
+from vstestbed.scenario.streams import BODY_STREAM, DEPTH_STREAM, PERTURB_STREAM, START_STREAM
 from vstestbed.sim.clock import Clock, longest_step
-from vstestbed.sim.scene.start_pose import camera_start, flange_for, posture_at, target_start
+from vstestbed.sim.scene.start_pose import flange_for, posture_at, target_start
 from vstestbed.sim.scene.world import World
 from vstestbed.sim.timing import Timing
 from vstestbed.targets import TARGETS, Target
-from vstestbed.targets.markers import HIDDEN_M
 from vstestbed.tasks import GOALS, Setup, Task
 from vstestbed.tasks.metrics import METRICS, MetricContract, check_metrics
 from vstestbed.tasks.monitors import MONITORS, MonitorContract
@@ -43,18 +48,10 @@ from vstestbed.vision import DETECTORS, Blobs, Detector
 from vstestbed.vision.perturb import Perturbed
 from vstestbed.vision.pose.derotate import Derotation
 
-START_STREAM, NOISE_STREAM, IMAGE_STREAM, SENSOR_STREAM, TIMING_STREAM, DEPTH_STREAM, MOTION_STREAM, PERTURB_STREAM = range(8)
-RGBD_STREAM, GOAL_STREAM, BODY_STREAM, LINK_STREAM, STAMP_STREAM, IMAGING_STREAM = 8, 9, 10, 11, 12, 13
-"""Independent random streams of one seed: the start, the noise of measured pixels, of pictures, of the robot's own sensors, of timing,
-of the calibration of depths, the target's random walk, perturbations, the depth camera, the goal's picture, what differs from one robot to
-the next of its kind, losses of the link, time stamps, the image sensor. Their numbers enter the seed: a new one comes last, or all recorded
-runs change."""
 TRIES = 1000
 """Largest number of random starts drawn until the target is in view."""
 DISPLACEMENT_STEPS = 12
 """Parts of the way from the goal view to a displaced start: of a half turn 15 degrees each, within which Newton's steps keep a posture."""
-VIEW_MARGIN_PX = 10.0
-"""Margin round each whole marker in the picture of a random start [px]."""
 
 
 @spec
@@ -83,6 +80,7 @@ class Scenario:
         timing: exposure, jitter, lost pictures, clocks, and latency and rate of the commands.
         world: floor, scenery, wind, plates and decoys.
         physics: the clock of the simulation.
+        randomise: fields that are drawn anew for each seed (domain randomisation); the scenario of a run states what was drawn.
 
     Raises (from the constructor): ParameterError where two parts contradict each other.
     """
@@ -107,6 +105,7 @@ class Scenario:
     timing: Timing = Timing()
     world: World = World()
     physics: Clock = Clock()
+    randomise: Annotated[tuple[Annotated[Distribution, DISTRIBUTIONS], ...], Len(0, 100)] = ()
 
     def __post_init__(self) -> None:
         """Draw what differs from one robot to the next of its kind, and refuse parts that do not belong together."""
@@ -122,12 +121,14 @@ class Scenario:
         check_step(self.robot, self.clock[0])
         self.robot.check_mount(self.camera.mount.xyz)
         check_carrier(self.target)
+        check_mirror(self.camera, self.world)
         if self.stop.duration_s < self.camera.period:
             raise ParameterError("stop.duration_s", f"must be at least one camera period, {self.camera.period:g} s", self.stop.duration_s)
         check_markers(self.robot, self.camera, self.target, self.detector, self.law, self.goal.needs_pose)
         check_goal_pictures(self.goal, self.camera, self.needs_goal_image, self.law, self.detector)
         check_judged(self.stop, self.detector, self.law)
         check_metrics(self.metrics)
+        check_randomise(self.randomise)
         check_views_metres("goal.T_camera_target" if hasattr(self.goal, "T_camera_target") else "goal", self.goal_views)
         check_own_points(self.camera, self.detector, self.law, self.goal_views)
         self.goal.check_views(self.setup, self.goal_views)
@@ -143,6 +144,11 @@ class Scenario:
         sensor = self.camera.depth_sensor if self.law.depth.measured else None
         pictured = self.detector.needs_image and self.camera.sensor is not None
         return pictured or self.noise.draws(self.detector.needs_image) or (sensor is not None and sensor.draws)
+
+    @property
+    def draws_scene(self) -> bool:
+        """Whether a seed makes a difference to the scenario itself, besides the start."""
+        return bool(self.randomise) or self.world.clutter is not None
 
     @property
     def clock(self) -> tuple[float, int]:
@@ -240,6 +246,14 @@ class Scenario:
         """The generator of one of the independent streams (START_STREAM, ...)."""
         return np.random.default_rng([self.seed, stream])
 
+    def with_seed(self, seed: int) -> Scenario:
+        """The same experiment, from the same start, with another seed and what it draws for `randomise` and `world.clutter`.
+
+        Raises:
+            ParameterError: a drawn value is refused.
+        """
+        return drawn(replace(self, seed=seed))
+
     def randomised(self, seed: int) -> Scenario:
         """The same experiment with this seed and a start drawn from it, drawn again until the target is in view.
 
@@ -248,11 +262,11 @@ class Scenario:
         Raises:
             ParameterError: the robot has no random block, or no start in it sees the target.
         """
-        seeded = replace(self, seed=seed)
+        seeded = self.with_seed(seed)
         rng = seeded.rng(START_STREAM)
         for _ in range(TRIES):
-            robot = self.robot.randomised(rng)
-            if seeded._in_view(robot):
+            robot = seeded.robot.randomised(rng)
+            if in_view(robot, self.camera, self.target, self.detector, self.goal_views[0], self.world):
                 return replace(seeded, robot=robot)
         raise ParameterError("robot.start.random", f"gave no start in {TRIES} draws that has the whole target in view; make it smaller")
 
@@ -273,20 +287,3 @@ class Scenario:
             seen = inverse(D) @ T if of == "camera" else T @ D
             q = self.robot.configuration_at(flange_for(self.camera, self.target, seen), q)
         return replace(self, robot=self.robot.started_at(q))
-
-    def _in_view(self, robot: Robot) -> bool:
-        """Whether the robot's start has the whole target in the picture, or all of it that counts first, seen from its front."""
-        T_world_camera = camera_start(robot, self.camera, self.target)
-        T = inverse(T_world_camera) @ target_start(robot, self.target)
-        if self.detector.rows is not None:  # points that are not its markers: its middle must be seen from the front
-            return bool(T[2, 2] > 0.17 and self.camera.whole(T[None, :3, 3], 0.0, VIEW_MARGIN_PX).all())
-        p = self.target.seen_from(inverse(T))
-        facing = float(T[:3, 2] @ T[:3, 3]) / max(float(np.linalg.norm(T[:3, 3])), 1e-9)  # cosine of the view on the plane
-        turned = T[2, 2] if isinstance(self.camera, Perspective) else facing
-        faces = turned > 0.17 or not self.target.one_sided  # within 80 degrees of the target's normal: beyond, discs are slivers
-        counted = self.goal_views[0].counted
-        whole = self.camera.whole(p, self.target.marker.radius, VIEW_MARGIN_PX) & ~self.target.hides(inverse(T))
-        if self.world.scenery is not None and whole.any():
-            names = self.world.scenery_before(T_world_camera, p, self.target.marker.height_m + HIDDEN_M)
-            whole &= np.array([not name for name in names])
-        return bool(faces and (whole if counted is None else whole[counted]).all())

@@ -18,6 +18,7 @@ from vstestbed.laws.base import GAINS
 from vstestbed.laws.feedforward import FEEDFORWARDS
 from vstestbed.laws.projection import PROJECTIONS
 from vstestbed.robots import ROBOTS
+from vstestbed.scenario.distributions import DISTRIBUTIONS
 from vstestbed.scenario.yaml_marks import Marks, place_of
 from vstestbed.targets import TARGETS
 from vstestbed.targets.attached import MOTIONS
@@ -50,6 +51,7 @@ KINDS: dict[str, OneOf] = {
     "metrics": METRICS,
     "monitors": MONITORS,
     "perturbations": PERTURBATIONS,
+    "distributions": DISTRIBUTIONS,
 }
 """Every list of kinds; a plugin may add to each."""
 

@@ -66,7 +66,7 @@ class MujocoPlant:
         robot, world = stage.parts.robot, stage.parts.world
         self._stage, self._robot, self._target = stage, robot, stage.parts.target
         self.step_s, self.steps_per_frame, self._steps = stage.parts.step, steps_per_frame, 0
-        self._path, self._scenery = path, bool(world.plates or world.decoys or path)
+        self._path, self._scenery = path, bool(world.movers or path)
         self._eye = eye
         self._see_hidden, self._visible = see_hidden, np.zeros(len(self._target.points), dtype=bool)
         self._contacts = RobotContacts(stage.model, robot)
@@ -150,7 +150,7 @@ class MujocoPlant:
         return self._eye.capture(self._steps * self.step_s, look) if self._eye else None, truth
 
     def _move_scenery(self) -> None:
-        """Move plates, decoys and a target with a path of its own to their present poses."""
+        """Move plates, decoys, a lamp and a target with a path of its own to their present poses."""
         stage, t = self._stage, self._steps * self.step_s
         if self._scenery:
             stage.place_plates(t)

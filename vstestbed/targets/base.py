@@ -278,8 +278,9 @@ class Target:
 
     @cached_property
     def colors(self) -> Array:
-        """The saturated colours of these hues, shape (N, 3) in 0..1."""
-        return np.array([colorsys.hsv_to_rgb(hue / 360, 1.0, 1.0) for hue in self.hues_deg])
+        """The colours of these hues with the marker's saturation and albedo, shape (N, 3) in 0..1."""
+        marker = self.marker
+        return np.array([colorsys.hsv_to_rgb(hue / 360, marker.saturation, marker.albedo) for hue in self.hues_deg])
 
     def _check_markers(self) -> None:
         p = self.points

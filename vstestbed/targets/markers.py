@@ -6,17 +6,19 @@ import math
 from typing import Annotated, Literal, Protocol
 
 import numpy as np
-from annotated_types import Ge, Lt
+from annotated_types import Ge, Le, Lt
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import Narrower, PositiveLength
 from vstestbed.core.spec import OneOf, spec
+from vstestbed.targets.tag_families import APRILTAGS, Family
 
 HALF_THICKNESS_M = 1e-4
 """Half height of a flat marker [m]: its front face lies at z = 0 of the target frame, its rim adds under 0.02 px at 1 m."""
 HIDDEN_M = 0.002
 """What comes between camera and marker nearer to the marker than this, besides its own height, does not hide it [m]."""
+Share = Annotated[float, Ge(0), Le(1)]
 Solid = tuple[Literal["cylinder", "sphere", "box"], tuple[float, float, float]]
 """Shape of a marker and its half sizes [m], in MuJoCo's order: (radius, half height, 0), (radius, 0, 0), (x, y, z)."""
 
@@ -37,6 +39,16 @@ class Marker(Protocol):
     @property
     def lit(self) -> bool:
         """Whether the scene's lights shade it; otherwise its brightness is constant."""
+        ...
+
+    @property
+    def saturation(self) -> float:
+        """S of its colour in HSV."""
+        ...
+
+    @property
+    def albedo(self) -> float:
+        """V of its colour in HSV, or of a texture's white."""
         ...
 
     @property
@@ -68,7 +80,14 @@ class Marker(Protocol):
 
 
 class Flat:
-    """Defaults: flat, of one colour, its front face in the target's plane z = 0."""
+    """Defaults: flat, of one colour, its front face in the target's plane z = 0.
+
+    Attributes:
+        saturation, albedo: of its colour, S and V of HSV; 1 is the pure colour.
+    """
+
+    saturation: float = 1.0
+    albedo: float = 1.0
 
     @property
     def height_m(self) -> float:
@@ -97,11 +116,15 @@ class Disc(Flat):
     Args:
         radius: radius of the disc [m].
         lit: whether the scene's lights shade it; otherwise its colour is constant.
+        saturation: of its colour: 1 is pure, 0 grey; detector `blobs` needs 60 grey levels between r, g and b of the picture [1].
+        albedo: share of the light that it throws back in its strongest channel; its grey level there is 255 albedo times the light [1].
     """
 
     kind: Literal["disc"] = "disc"
     radius: PositiveLength = 0.02
     lit: bool = True
+    saturation: Share = 1.0
+    albedo: Share = 1.0
 
     @property
     def solid(self) -> Solid:
@@ -120,11 +143,15 @@ class Sphere(Flat):
     Args:
         radius: radius of the ball [m].
         lit: whether the scene's lights shade it; otherwise its colour is constant.
+        saturation: of its colour: 1 is pure, 0 grey; detector `blobs` needs 60 grey levels between r, g and b of the picture [1].
+        albedo: share of the light that it throws back in its strongest channel; its grey level there is 255 albedo times the light [1].
     """
 
     kind: Literal["sphere"] = "sphere"
     radius: PositiveLength = 0.02
     lit: bool = True
+    saturation: Share = 1.0
+    albedo: Share = 1.0
 
     @property
     def solid(self) -> Solid:
@@ -141,33 +168,6 @@ class Sphere(Flat):
         return self.radius
 
 
-Family = Literal[
-    "apriltag_16h5",
-    "apriltag_25h9",
-    "apriltag_36h10",
-    "apriltag_36h11",
-    "aruco_4x4_50",
-    "aruco_4x4_100",
-    "aruco_4x4_250",
-    "aruco_4x4_1000",
-    "aruco_5x5_50",
-    "aruco_5x5_100",
-    "aruco_5x5_250",
-    "aruco_5x5_1000",
-    "aruco_6x6_50",
-    "aruco_6x6_100",
-    "aruco_6x6_250",
-    "aruco_6x6_1000",
-    "aruco_7x7_50",
-    "aruco_7x7_100",
-    "aruco_7x7_250",
-    "aruco_7x7_1000",
-]
-"""Families of square tags. AprilTag: bits and least Hamming distance of two tags; ArUco: bits and number of tags."""
-APRILTAGS = {"16h5": (4, 30), "25h9": (5, 35), "36h10": (6, 2320), "36h11": (6, 587)}
-"""Bits along a side and number of tags of the AprilTag families."""
-
-
 @spec
 class Tag(Flat):
     """A square black-and-white tag in the target's plane; marker i carries the number first_id + i.
@@ -179,6 +179,7 @@ class Tag(Flat):
         size: edge of the black square [m].
         first_id: the first marker's number.
         lit: shaded by the scene's lights, else of constant brightness.
+        albedo: share of the light that its white throws back [1].
 
     Reference: Olson 2011, doi:10.1109/ICRA.2011.5979561 (AprilTag); Garrido-Jurado et al. 2014,
     doi:10.1016/j.patcog.2014.01.005 (ArUco).
@@ -189,6 +190,7 @@ class Tag(Flat):
     size: PositiveLength = 0.1
     first_id: Annotated[int, Ge(0), Lt(2320)] = 0
     lit: bool = True
+    albedo: Share = 1.0
 
     @property
     def modules(self) -> int:
@@ -255,11 +257,15 @@ class Stripe(Flat):
     Args:
         width_m: width of the line [m].
         lit: whether the scene's lights shade it; otherwise its colour is constant.
+        saturation: of its colour: 1 is pure, 0 grey; detector `blobs` needs 60 grey levels between r, g and b of the picture [1].
+        albedo: share of the light that it throws back in its strongest channel; its grey level there is 255 albedo times the light [1].
     """
 
     kind: Literal["stripe"] = "stripe"
     width_m: Annotated[PositiveLength, Narrower(le=1)] = 0.03
     lit: bool = True
+    saturation: Share = 1.0
+    albedo: Share = 1.0
 
     @property
     def solid(self) -> Solid:

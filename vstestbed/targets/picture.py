@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from annotated_types import Ge, Le, Len
+from annotated_types import Ge, Gt, Le, Len
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
@@ -36,6 +36,7 @@ class PictureTarget(Target):
         at_px: marker points in the picture, (u, v) in pixels of the file [px], the centre of the first one (0, 0); none: its corners.
         draw_markers: draw markers over the picture; false: it shows them itself.
         lit: shaded by the scene's lights, else of constant brightness.
+        albedo: by which the colours of the file are multiplied [1].
         gloss: share of a light that its surface mirrors as a highlight; 0 is matte paper, 1 a picture behind varnish [1]. The room's
             own light gives one of 38 grey levels at most, `world.light` one as bright as its lamp.
     """
@@ -46,6 +47,7 @@ class PictureTarget(Target):
     at_px: Annotated[tuple[Pixel, ...], Len(0, 24)] = ()
     draw_markers: bool = True
     lit: bool = True
+    albedo: Annotated[float, Gt(0), Le(1)] = 1.0
     gloss: Annotated[float, Ge(0), Le(1)] = 0.0
     one_sided: ClassVar[bool] = True
 
@@ -89,7 +91,7 @@ class PictureTarget(Target):
     @property
     def sheet(self) -> Sheet:
         """The picture."""
-        return Sheet(self.width, self.height, self._found.png, self._found.share, self.lit, self.gloss)
+        return Sheet(self.width, self.height, self._found.png, self._found.share, self.lit, self.gloss, self.albedo)
 
     @property
     def shows_markers(self) -> bool:

@@ -95,6 +95,23 @@ def _read(path: Path, changed: int) -> PictureFile:
     return PictureFile(width, height, cv2.imencode(".png", image)[1].tobytes(), (1 - 2 / MARGIN, 1 - 2 / MARGIN))
 
 
+def read_tile(path: Path, albedo: float) -> PictureFile:
+    """A PNG or JPEG file as a texture that is repeated, without a margin, its colours multiplied by `albedo`.
+
+    Each side has a power of two of pixels: the smaller copies of the texture are then halves of each other.
+
+    Raises:
+        ParameterError: `file` is no picture.
+    """
+    image = decoded(path)
+    height, width = image.shape[:2]
+    size = tuple(min(MOST_PX, max(MARGIN, 1 << (n - 1).bit_length())) for n in (width, height))
+    if size != (width, height):
+        image = cv2.resize(image, size, interpolation=cv2.INTER_AREA if size < (width, height) else cv2.INTER_CUBIC)
+    shaded = np.rint(image.astype(np.float32) * np.float32(albedo)).astype(np.uint8)
+    return PictureFile(width, height, cv2.imencode(".png", shaded)[1].tobytes(), (1.0, 1.0))
+
+
 def as_png(path: Path) -> bytes:
     """A picture file as PNG, the only kind that MuJoCo reads.
 

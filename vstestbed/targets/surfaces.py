@@ -18,6 +18,7 @@ class Sheet:
         share: of the file's width and height that the picture takes up, without the margin.
         lit: shaded by the scene's lights, else of constant brightness.
         gloss: share of a light that it mirrors as a highlight, 0 to 1.
+        albedo: by which the file's colours are multiplied.
     """
 
     width: float
@@ -26,6 +27,7 @@ class Sheet:
     share: tuple[float, float]
     lit: bool
     gloss: float = 0.0
+    albedo: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,8 @@ import pytest
 import vstestbed as vs
 from vstestbed.camera import Image, Look, Picture
 from vstestbed.loop.goal_image import take_goal_images
-from vstestbed.scenario.scenario import IMAGING_STREAM, Scenario
+from vstestbed.scenario.scenario import Scenario
+from vstestbed.scenario.streams import IMAGING_STREAM
 from vstestbed.sim.base import Plant
 from vstestbed.sim.build import build_plant
 from vstestbed.sim.render.imaging import Imaging

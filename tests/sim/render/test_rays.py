@@ -22,7 +22,8 @@ from vstestbed.sim.render.noise import ImageNoise
 from vstestbed.sim.render.opengl import OpenGLRenderer
 from vstestbed.sim.render.pictures import servo_renderer
 from vstestbed.sim.render.pixel_check import pixel_convention
-from vstestbed.sim.render.rays import BLANK, Caster, RayRenderer, RaySceneCamera
+from vstestbed.sim.render.ray_view import RaySceneCamera
+from vstestbed.sim.render.rays import BLANK, Caster, RayRenderer
 from vstestbed.sim.scene.compose import Parts
 from vstestbed.sim.scene.groups import LENS_GROUP, RANGE_GROUP
 from vstestbed.sim.scene.stage import Stage

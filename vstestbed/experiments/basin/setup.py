@@ -99,6 +99,8 @@ class BatchSetup:
 
     def _check_task(self) -> None:
         s = self.scenario
+        if s.randomise:
+            raise ParameterError("randomise", "must be [] in a batch, whose runs share one scenario; compare --seeds draws it for each run")
         if len(s.goal_views) > 1 or s.target.moves or s.goal.continuing or s.goal.lands:
             raise ParameterError("goal", "must be one view of a target that stands still, in a batch")
         if s.stop.converged.error_px is None or s.stop.converged.by_estimate:

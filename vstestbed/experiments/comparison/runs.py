@@ -7,7 +7,7 @@ import itertools
 import math
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -83,7 +83,7 @@ class Job:
         if found.starts is not None and self.seed is not None:
             if why := found.starts.why_not(self.seed):
                 raise UnreachableError("robot.start", why)
-            return replace(found.starts[self.seed], seed=self.seed)
+            return found.starts[self.seed].with_seed(self.seed)
         return found.scenario if self.seed is None or not found.draws else seeded(found.scenario, self.seed)
 
 
@@ -223,8 +223,10 @@ def _load(c: Comparison, name: str, settings: Mapping[str, Placed]) -> Scenario:
 
 
 def draws(scenario: Scenario) -> bool:
-    """Whether anything of a scenario is random: its start, pixel or image noise, delays, or the calibration of depth."""
-    noise = scenario.draws_noise
+    """Whether anything of a scenario is random: its start, fields of `randomise`, clutter, pixel or image noise, delays, or the
+    calibration of depth.
+    """
+    noise = scenario.draws_noise or scenario.draws_scene
     return scenario.robot.start.random is not None or noise or scenario.timing.draws or scenario.calibration.depth_spread > 0
 
 

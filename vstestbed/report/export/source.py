@@ -16,7 +16,8 @@ from vstestbed.loop.summary_file import read_summary
 from vstestbed.report.video.film import rows_of
 from vstestbed.report.video.film_frame import FilmFrame
 from vstestbed.scenario.load import load
-from vstestbed.scenario.scenario import IMAGE_STREAM, IMAGING_STREAM, Scenario
+from vstestbed.scenario.scenario import Scenario
+from vstestbed.scenario.streams import IMAGE_STREAM, IMAGING_STREAM
 from vstestbed.sim.retake import Retake
 
 

@@ -11,7 +11,8 @@ from vstestbed.core.geometry import inverse
 from vstestbed.report.video.film_frame import FilmFrame
 from vstestbed.report.video.overlay import INK, PAPER, draw_text, text_size
 from vstestbed.report.video.writer import Image
-from vstestbed.scenario.scenario import GOAL_STREAM, Scenario
+from vstestbed.scenario.scenario import Scenario
+from vstestbed.scenario.streams import GOAL_STREAM
 from vstestbed.sim.replay import Replay
 
 SHARE: Final = 1 / 3

@@ -109,9 +109,9 @@ class ImageSensor:
     def _add(self, blur: MotionBlur, contribution: Contribution, look: Look | None, with_depth: bool) -> None:
         """Draw what the present scene contributes to an exposure."""
         for i, (brightness, weight) in enumerate(contribution.draws):
-            of_rows = isinstance(weight, np.ndarray)
-            with lamps_at(self._model, brightness):
-                images = self._render(self._rows.look(look, weight), with_depth and i == 0)
+            of_rows, deep = isinstance(weight, np.ndarray), with_depth and i == 0 and self._reads_depth
+            with lamps_at(self._model, brightness):  # the depth of all rows, also of those that the image itself contributes nothing to
+                images = self._render(look if deep else self._rows.look(look, weight), deep)
             # What was left out of an image for want of weight is not missing in the mean.
             blur.add(images, self._rows.weights(weight), look is None if of_rows else self._renderer.whole)
 

@@ -63,7 +63,7 @@ class SceneCamera:
             self._option.geomgroup[LENS_GROUP] = style == "outside"
             self._option.geomgroup[RANGE_GROUP] = 0
             self._option.sitegroup[:] = 0
-            self._flags = {"shadow": shadows, "reflection": False}
+            self._flags = {"shadow": shadows, "reflection": stage.parts.world.floor.mirror > 0}
             made = stage.physics.with_context(lambda: (PartCamera(stage.physics, height, width, camera_id=camera), gl.renderer_string()))
             self._camera, self.renderer = made
         except Exception as error:  # EGL, PyOpenGL and MuJoCo raise half a dozen types when a driver is broken
@@ -74,8 +74,8 @@ class SceneCamera:
         return np.ascontiguousarray(self.raw())
 
     def part(self, window: Window) -> Image | None:
-        """The image now, valid within a window until the next call; None with shadows, which move elsewhere as well."""
-        return None if self._flags["shadow"] else self.raw(window)
+        """The image now, valid within a window until the next call; None with shadows and mirrors, where things move elsewhere as well."""
+        return None if self._flags["shadow"] or self._flags["reflection"] else self.raw(window)
 
     def raw(self, window: Window | None = None, with_depth: bool = False) -> Image:
         """The image now as a view of dm_control's buffer, which the next call overwrites.

@@ -74,7 +74,7 @@ def outside_view(stage: Stage, name: str, width: int, height: int, camera: Camer
         return SceneCamera(stage, name, width, height, shadows, style="outside")
 
     def by_rays() -> OutsideView:
-        from vstestbed.sim.render.rays import RaySceneCamera
+        from vstestbed.sim.render.ray_view import RaySceneCamera
 
         return RaySceneCamera(stage, name, width, height, FILM_RAYS)
 

@@ -11,9 +11,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from vstestbed.camera import Camera, DepthImage, Image, Look, Panel, Perspective, Window
+from vstestbed.camera import Camera, DepthImage, Image, Look, Panel, Window
 from vstestbed.core.errors import EnvironmentLackError, ParameterError
-from vstestbed.core.geometry import FLIP, Array
+from vstestbed.core.geometry import Array
 from vstestbed.sim.render import gl_probe as gl
 from vstestbed.sim.render.cones import angles_to_next, cone_of, meets
 from vstestbed.sim.render.ray_depth import ray_depth
@@ -130,7 +130,7 @@ class Raster:
     def draw(self, image: Image, windows: tuple[Window, ...], caster: Caster, T_world_camera: Array) -> None:
         """Render windows of an image (H, W, 3) in place."""
         waiting, rays = [], 0
-        for tile in (tile for window in windows for tile in _tiles(window)):
+        for tile in (tile for window in windows for tile in tiles_of(window)):
             waiting.append(tile)
             rays += (tile[2] - tile[0]) * (tile[3] - tile[1])
             if rays > MOST_RAYS:
@@ -165,7 +165,7 @@ class Raster:
             drawn[row, column] = (colours.reshape(len(row), -1, 3).mean(axis=1) + 0.5).astype(np.uint8)
 
 
-def _tiles(window: Window) -> Iterator[Window]:
+def tiles_of(window: Window) -> Iterator[Window]:
     """The tiles of a window."""
     left, top, right, bottom = window
     for v in range(top, bottom, TILE_PX):
@@ -184,7 +184,7 @@ def _borders(geoms: NDArray[np.int32]) -> NDArray[np.bool_]:
 class RayRenderer:
     """The servo camera's images through any lens, by ray casting; the same as `OpenGLRenderer`'s, where both can render them.
 
-    Only the regions of interest are cast. There are no shadows (see `refuse`); `Paint` says which textures are mapped.
+    Only the regions of interest are cast. There are no shadows and mirrors (`refuse`); `Paint` says which textures are mapped.
 
     Args:
         stage: the scene.
@@ -198,7 +198,7 @@ class RayRenderer:
 
     def __init__(self, stage: Stage, camera: Camera, noisy: bool = False, share: float = 1.0):
         self._stage, self._camera, self._caster, self._share = stage, camera, Caster(stage), share
-        refuse(camera)
+        refuse(camera, stage.parts.world.floor.mirror)
         self._noisy = noisy
         self._rasters: dict[int, Raster] = {}
         self.name, self.spent_s, self.whole = RENDERER, 0.0, True
@@ -241,60 +241,14 @@ class RayRenderer:
         return image
 
 
-def refuse(camera: Camera) -> None:
-    """Refuse shadows, which rays cannot draw.
+def refuse(camera: Camera, mirror: float = 0.0) -> None:
+    """Refuse shadows and a floor that mirrors, which rays cannot draw.
 
     Raises:
         ParameterError: rays were asked for. EnvironmentLackError: they are what is left without OpenGL.
     """
-    if camera.shadows and camera.renderer == "rays":
-        raise ParameterError("camera.renderer", "must be gl or auto: shadows need OpenGL", camera.renderer)
-    if camera.shadows:
-        raise EnvironmentLackError("shadows need OpenGL", gl.remedy())
-
-
-class RaySceneCamera:
-    """A camera of a stage that films from outside, by rays, without shadows; while it is at rest, only changed tiles are cast.
-
-    Args:
-        stage: the scene.
-        camera: name in the scene.
-        width, height: size of the image [px].
-        samples: antialiasing, see `Raster`.
-    """
-
-    def __init__(self, stage: Stage, camera: str, width: int, height: int, samples: int = 0):
-        self._stage, self._camera, self._caster = stage, camera, Caster(stage, outside=True)
-        lens = Perspective(width=width, height=height, fovy_deg=float(stage.model.camera(camera).fovy[0]))
-        self._raster = Raster(lens, np.eye(3), samples)
-        self._tiles = [(tile, cone_of(self._raster.rays(tile).reshape(-1, 3))) for tile in _tiles((0, 0, width, height))]
-        self._pixel = 2 / lens.f if samples else 0.0
-        """Angle by which antialiasing looks beyond a tile [rad]."""
-        self._image = np.empty((height, width, 3), np.uint8)
-        self._before: tuple[Array, Array, Array] | None = None
-
-    def full_image(self) -> Image:
-        """The image now, shape (H, W, 3) uint8 RGB, as a copy."""
-        data = self._stage.data
-        seen_from, T = data.camera(self._camera), np.eye(4)
-        T[:3, :3], T[:3, 3] = seen_from.xmat.reshape(3, 3) @ FLIP[:3, :3], seen_from.xpos
-        stale = tuple(tile for tile, cone in self._tiles if self._changed(T, cone))
-        self._raster.draw(self._image, stale, self._caster, T)
-        self._before = T, data.geom_xpos.copy(), data.geom_xmat.copy()
-        return self._image.copy()
-
-    def part(self, window: Window) -> Image | None:
-        """None: the whole image is drawn where it has changed alone."""
-        return None
-
-    def _changed(self, T: Array, cone: tuple[Array, float]) -> bool:
-        """Whether a geom within a cone of the camera (axis in its frame) has moved since the last image."""
-        if self._before is None or not np.array_equal(self._before[0], T):
-            return True
-        data, bound = self._stage.data, self._stage.model.geom_rbound
-        _, position, attitude = self._before
-        moved = (data.geom_xpos != position).any(axis=1) | (data.geom_xmat != attitude).any(axis=1)
-        # Where it was and where it is now: both tiles change.
-        spheres = np.concatenate([position[moved], data.geom_xpos[moved]]) - T[:3, 3]
-        radii = np.tile(np.where(bound > 0, bound, np.inf)[moved], 2)
-        return bool(meets(spheres, radii, T[:3, :3] @ cone[0], cone[1] + self._pixel).any())
+    what = "shadows need OpenGL" if camera.shadows else "a floor that mirrors needs OpenGL" if mirror else ""
+    if what and camera.renderer == "rays":
+        raise ParameterError("camera.renderer", f"must be gl or auto: {what}", camera.renderer)
+    if what:
+        raise EnvironmentLackError(what, gl.remedy())

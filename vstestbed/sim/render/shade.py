@@ -21,7 +21,7 @@ FLAT = int(mujoco.mjtGeom.mjGEOM_PLANE), BOX
 
 
 class Paint:
-    """Colours of a scene as OpenGL's fixed pipeline makes them, without shadows, reflections and highlights but those of pictures.
+    """Colours of a scene as OpenGL's fixed pipeline makes them, without shadows, mirrors, and highlights but of pictures and floor.
 
     colour = min(1, rgb (emission + sum over lights of (ambient + diffuse max(0, n . l)))) texture, l towards the light.
     A light that is not directional has l and its brightness by the place: over the attenuation a + b d + c d^2, of a spot light times
@@ -44,7 +44,9 @@ class Paint:
         self._printed, self.averaged = _by_texture(model, texture)
         self._mipmaps = {i: Mipmap(texels_of(model, i)) for i in sorted({int(texture[g]) for g in self._printed})}
         self._texture = texture
-        self._glossy = {g for g in self._printed if model.geom_group[g] == TARGET_GROUP and model.mat_specular[material[g]] > 0}
+        floor = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, "floor")
+        shows = (model.geom_group == TARGET_GROUP) | (np.arange(model.ngeom) == floor)
+        self._glossy = {g for g in self._printed if shows[g] and model.mat_specular[material[g]] > 0}
         self._local = bool((model.light_type[model.light_active] != DIRECTIONAL).any())
         for g in self.averaged:
             rgb[g] *= texels_of(model, int(texture[g])).mean(axis=(0, 1)) / 255

@@ -1,4 +1,4 @@
-"""A view of a scene that is drawn again only where something in it has moved by a visible part of a pixel."""
+"""A view of a scene that is drawn again only where something in it, or its lamp, has moved by a visible part of a pixel."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from vstestbed.camera import Camera, Image, Window
 from vstestbed.core.geometry import Array, lengths
+from vstestbed.sim.scene.lighting import LAMP
 
 UNSEEN_PX = 0.5
 """Motion in the image below which the last image is shown again [px]."""
@@ -31,6 +32,25 @@ class View(Protocol):
     def full_image(self) -> Image:
         """The image now, shape (H, W, 3) uint8 RGB, as a copy that the caller may keep."""
         ...
+
+
+class Lamp:
+    """Tells whether the lamp of a scene (`world.light`) has moved: what it lights and its shadows are then other ones everywhere.
+
+    Args:
+        model, data: the scene, which need not have a lamp that moves.
+    """
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData):
+        body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, LAMP)
+        self._lights, self._data = np.flatnonzero(model.light_bodyid == body), data
+        self._before = b""
+
+    def has_moved(self) -> bool:
+        """Whether it has since this was asked last; at first, whether there is one."""
+        now = self._data.light_xpos[self._lights].tobytes() + self._data.light_xdir[self._lights].tobytes()
+        before, self._before = self._before, now
+        return now != before
 
 
 class StillView:
@@ -62,13 +82,14 @@ class StillView:
         self._view, self._model, self._data, self._f, self._part = view, model, data, f, part
         self._camera, self._sides = model.camera(camera).id, sides
         self._corners = model.geom_aabb[:, None, :3] + model.geom_aabb[:, None, 3:] * CORNERS
+        self._lamp = Lamp(model, data)
         self._drawn: tuple[NDArray[Any], ...] = ()
         self._image: Image | None = None
 
     def full_image(self) -> Image:
         """The image now, shape (H, W, 3) uint8 RGB, as a copy that the caller may keep."""
         state = self._state()
-        if self._image is None:
+        if self._lamp.has_moved() or self._image is None:
             self._image, self._drawn = self._view.full_image(), state
             return self._image.copy()
         of_geoms, of_camera = self._motion(state)

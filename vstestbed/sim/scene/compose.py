@@ -42,6 +42,7 @@ POST_RADIUS_M, POST_GREY = 0.012, [0.5, 0.51, 0.53, 1.0]
 FREE_HOUSING = 6.0
 """The free camera's housing is drawn this many times as large as the arm's: it is seen from farther away."""
 GEOMS = {"cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER, "sphere": mujoco.mjtGeom.mjGEOM_SPHERE, "box": mujoco.mjtGeom.mjGEOM_BOX}
+DECOYS = {"ball": "sphere", "disc": "cylinder", "box": "box"}
 PAD_HALF_M = 0.01
 """Half of a landing pad's thickness [m]."""
 PAD_FRICTION = [0.8, 0.005, 0.0001]
@@ -75,8 +76,8 @@ class Parts:
 
     @property
     def glossy(self) -> bool:
-        """Whether the target is a picture that shows highlights."""
-        return self.target.sheet is not None and self.target.sheet.gloss > 0
+        """Whether the target is a picture that shows highlights, or the floor does."""
+        return self.world.floor.gloss > 0 or (self.target.sheet is not None and self.target.sheet.gloss > 0)
 
     @property
     def T_world_target(self) -> Array:
@@ -113,9 +114,9 @@ def compose(parts: Parts) -> mujoco.MjSpec:
         _add_target(scene, parts.target, carrier, parts.target.pose.T)
     _frame_overview(scene, parts)
     _add_plates(scene, parts)
-    light_scene(scene, parts.world.light, parts.glossy)
-    laid = lay(scene, parts.robot.uneven_floor, parts.world.floor_z)
-    scene.assets = {**scene.assets, **carried, **laid}  # last: MuJoCo warns of models that are attached to one with assets
+    light_scene(scene, parts.world, parts.glossy)
+    carried |= lay(scene, parts.robot.uneven_floor, parts.world.floor_z)
+    scene.assets = {**scene.assets, **carried}  # last: MuJoCo warns of models that are attached to one with assets
     return scene
 
 
@@ -129,9 +130,9 @@ def _add_plates(scene: mujoco.MjSpec, parts: Parts) -> None:
     if parts.plate_m:
         holder = scene.worldbody.add_body(name=HAND_PLATE, mocap=True, pos=AWAY)
         _visual(holder, HAND_PLATE, mujoco.mjtGeom.mjGEOM_BOX, [parts.plate_m / 2, parts.plate_m / 2, 0.002], [0.45, 0.45, 0.47, 1], 0)
-    for i, decoy in enumerate(parts.world.decoys):
+    for i, decoy in enumerate(parts.world.distractors):
         holder = scene.worldbody.add_body(name=f"decoy_{i}", mocap=True, pos=decoy.xyz)
-        _visual(holder, f"decoy_{i}", mujoco.mjtGeom.mjGEOM_SPHERE, [decoy.radius, 0, 0], [*decoy.color, 1], 0)
+        _visual(holder, f"decoy_{i}", GEOMS[DECOYS[decoy.shape]], decoy.half_sizes, [*decoy.color, 1], 0)
 
 
 def _show_hand(scene: mujoco.MjSpec) -> None:
@@ -238,7 +239,7 @@ def _add_back(scene: mujoco.MjSpec, body: mujoco.MjsBody, target: Target) -> Non
 def _add_marker(scene: mujoco.MjSpec, body: mujoco.MjsBody, target: Target, i: int, p: Array, solid: Solid) -> None:
     """The geom of marker i at p (3,) in the target frame, with its colour or its print."""
     marker, normal = target.marker, target.normals[i]
-    rgba, paint = _paint(scene, i, np.ones(3) if marker.textured else target.colors[i], marker.lit)
+    rgba, paint = _paint(scene, i, np.full(3, marker.albedo) if marker.textured else target.colors[i], marker.lit)
     if marker.textured:
         paint.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = _marker_texture(scene, marker, i)
     shape, half_sizes = solid

@@ -49,7 +49,7 @@ def add_sheet(scene: mujoco.MjSpec, body: mujoco.MjsBody, sheet: Sheet, front: f
     scene.texturedir = ASSETS
     scene.assets = {**scene.assets, f"{ASSETS}/target_picture.png": sheet.png}
     scene.add_texture(name="target/picture", type=mujoco.mjtTexture.mjTEXTURE_2D, file="target_picture.png")
-    grey = 1.0 if sheet.lit else 1 / GLOW
+    grey = sheet.albedo * (1.0 if sheet.lit else 1 / GLOW)
     rgba = [grey, grey, grey, 1.0]
     paint = scene.add_material(
         name="target/picture", rgba=rgba, specular=sheet.gloss, shininess=SHININESS, emission=0.0 if sheet.lit else GLOW

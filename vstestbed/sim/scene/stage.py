@@ -16,7 +16,6 @@ from vstestbed.sim.scene.compose import Parts, compose
 from vstestbed.sim.scene.groups import HAND_PLATE, LENS_GROUP, RANGE_GROUP
 from vstestbed.sim.scene.indices import StateIndices
 from vstestbed.sim.scene.roots import Root
-from vstestbed.sim.scene.world import decoy_path, plate_path
 from vstestbed.targets.markers import HIDDEN_M
 
 
@@ -50,9 +49,9 @@ class Stage:
         self.leader = Root(self.model, "leader/") if parts.leader else None
         self._T_target_leader = inverse(parts.target.pose.T)
         world = parts.world
-        self._plate_paths = [*map(plate_path, world.plates), *map(decoy_path, world.decoys)]
-        names = [f"plate_{i}" for i in range(len(world.plates))] + [f"decoy_{i}" for i in range(len(world.decoys))]
-        self._plates = [self.model.body(name).mocapid[0] for name in names]
+        movers = world.movers
+        self._plate_paths = list(movers.values())
+        self._plates = [self.model.body(name).mocapid[0] for name in movers]
         self.hand_plate = self.model.body(HAND_PLATE).mocapid[0] if parts.plate_m else None
         self._free = self.model.body("robot/camera").mocapid[0] if parts.robot.model is None else None
         self.eye = self.model.site("eye").id
@@ -130,7 +129,7 @@ class Stage:
         self.data.mocap_quat[mocap] = self._turned[1]
 
     def place_plates(self, t: float) -> None:
-        """Put plates and decoys at their poses at a time [s]."""
+        """Put plates, decoys and a lamp that moves at their poses at a time [s]."""
         for path, mocap in zip(self._plate_paths, self._plates, strict=True):
             T = path(t)
             self.data.mocap_pos[mocap] = T[:3, 3]

@@ -1,21 +1,22 @@
-"""The surroundings: floor, scenery, occluding plates, decoys, wind."""
+"""The surroundings: floor, scenery, occluding plates, decoys, clutter, windows, wind."""
 
 from __future__ import annotations
 
-import colorsys
 import math
 import pathlib
 from typing import Annotated
 
 import numpy as np
-from annotated_types import Ge, Le, Len, Lt
+from annotated_types import Len
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, inverse
 from vstestbed.core.named_files import absolute_file
-from vstestbed.core.quantity import Length, Narrower, Position, PositiveGain, PositiveLength, PositiveTime, Speed, Time, Velocity
+from vstestbed.core.quantity import Length, Narrower, PositiveGain, PositiveLength, PositiveTime, Speed, Time, Velocity
 from vstestbed.core.spec import Shorthand, spec
-from vstestbed.sim.scene.flicker import STEADY, Flicker
+from vstestbed.sim.scene.clutter import Clutter, Decoy, decoy_path
+from vstestbed.sim.scene.floor import Floor
+from vstestbed.sim.scene.lighting import LAMP, Light, WindowPane
 from vstestbed.targets.motion import PLATE_MOTIONS, MotionBase, Path, Still
 
 
@@ -93,55 +94,6 @@ class Wind:
 
 
 @spec
-class Decoy:
-    """A distractor: a ball of a marker's colour, without collisions.
-
-    Args:
-        xyz: position [m]; e.g. `[1.5, 0.3, 0.7]`.
-        radius: radius of the ball [m].
-        hue_deg: its hue; markers have 0, 360/n, ... [deg].
-        motion: displacement from there.
-    """
-
-    xyz: Position
-    radius: PositiveLength = 0.02
-    hue_deg: Annotated[float, Ge(0), Lt(360)] = 0.0
-    motion: Annotated[MotionBase, PLATE_MOTIONS] = Still()
-
-    @property
-    def color(self) -> tuple[float, float, float]:
-        """Saturated (r, g, b) in 0..1."""
-        return colorsys.hsv_to_rgb(self.hue_deg / 360, 1.0, 1.0)
-
-
-@spec
-class Light:
-    """One lamp and an even light from all sides, in place of the room's own light and of the lights of scenery.
-
-    A surface of colour c with normal n has c (ambient + brightness max(0, n . l)), l towards the lamp, at most 1.
-
-    Args:
-        direction: along its rays in the world, of any length; the room's own comes from behind the robots' side, from above [1].
-        xyz: place of the lamp, which shines into the half space along `direction`, equally far [m]; none: it is as far as the sun;
-            e.g. `[0.5, 1.2, 2]`.
-        brightness: of what faces the lamp [1].
-        ambient: of what does not [1].
-        flicker: of both, against the camera's shutter.
-    """
-
-    direction: Annotated[tuple[Annotated[float, Ge(-1e6), Le(1e6)], ...], Len(3, 3)] = (0.45, 0.45, -1.0)
-    xyz: Position | None = None
-    brightness: Annotated[float, Ge(0), Le(5)] = 0.6
-    ambient: Annotated[float, Ge(0), Le(5)] = 0.5
-    flicker: Flicker = STEADY
-
-    def __post_init__(self) -> None:
-        """Refuse a direction of no length."""
-        if not 1e-6 < math.hypot(*self.direction) < 1e6:
-            raise ParameterError("direction", "must be a vector along the lamp's rays, not zero", list(self.direction))
-
-
-@spec
 class Scenery:
     """Tables, walls, floors and lights by an MJCF file, which stand still; `sim/scene/scenery.py` says what becomes of its parts.
 
@@ -171,8 +123,11 @@ class World:
         floor_friction: Coulomb friction between the floor and wheels or feet, an upper bound of their own [1]; .05 is ice; e.g. `0.3`.
         plates: can occlude markers, or cast a shadow on them (`camera.shadows`).
         decoys: can be taken for markers.
+        clutter: more of them, drawn from the seed; none: no more; e.g. `{pose: {xyz: [1.8, 0, 0.7]}, count: 5}`.
         wind: acts on flying craft.
         light: in place of the room's own light; none: that light.
+        windows: bright panes, which add to the light; OpenGL has lamps for four.
+        floor: what the floor looks like.
     """
 
     scenery: Annotated[Scenery | None, Shorthand("file")] = None
@@ -182,6 +137,9 @@ class World:
     decoys: Annotated[tuple[Decoy, ...], Len(0, 100)] = ()
     wind: Wind = Wind()
     light: Light | None = None
+    clutter: Clutter | None = None
+    windows: Annotated[tuple[WindowPane, ...], Len(0, 4)] = ()
+    floor: Floor = Floor()
 
     def __post_init__(self) -> None:
         """Refuse scenery that cannot stand here."""
@@ -195,8 +153,25 @@ class World:
 
     @property
     def hides(self) -> bool:
-        """Whether there is what can hide a marker: plates, scenery."""
-        return bool(self.plates or self.scenery)
+        """Whether there is what can hide a marker: plates, scenery, windows."""
+        return bool(self.plates or self.scenery or self.windows)
+
+    @property
+    def distractors(self) -> tuple[Decoy, ...]:
+        """All that can be taken for markers: `decoys`, and the clutter of this run."""
+        return self.decoys if self.clutter is None else self.decoys + self.clutter.placed
+
+    @property
+    def movers(self) -> dict[str, Path]:
+        """Poses (4, 4) as functions of time [s] of what may have another place at another time, by the names of their bodies."""
+        found = {f"plate_{i}": plate_path(plate) for i, plate in enumerate(self.plates)}
+        found |= {f"decoy_{i}": decoy_path(decoy) for i, decoy in enumerate(self.distractors)}
+        return found | ({LAMP: self.light.path()} if self.light is not None and self.light.motion.moves else {})
+
+    @property
+    def light_differs(self) -> bool:
+        """Whether light differs within a flat surface, which OpenGL computes at corners alone: it must have many."""
+        return bool(self.windows or self.floor.gloss) or (self.light is not None and self.light.xyz is not None)
 
     def scenery_before(self, T_world_camera: Array, p_camera: Array, slack: float) -> tuple[str, ...]:
         """Which part of the scenery hides each of points p_camera (N, 3) from a camera at a pose (4, 4); "" where none does.
@@ -212,12 +187,6 @@ class World:
 
 AWAY = np.array([0.0, 0.0, -50.0])
 """Place of plates outside of their time: under the floor [m]. MuJoCo cannot remove a geom from a compiled model."""
-
-
-def decoy_path(decoy: Decoy) -> Path:
-    """Pose (4, 4) of a decoy as a function of time [s]."""
-    rest, displacement = Pose(xyz=decoy.xyz).T, decoy.motion.path(np.random.default_rng(0))
-    return lambda t: rest @ displacement(t)
 
 
 def plate_path(plate: Plate) -> Path:

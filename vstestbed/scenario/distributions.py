@@ -1,0 +1,197 @@
+"""Distributions of the block `randomise`: fields of a scenario that are drawn anew for each seed."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, Literal, Protocol
+
+import numpy as np
+from annotated_types import Ge, Gt, Le, Len
+
+from vstestbed.core.contract import Contract
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.spec import OneOf, spec
+
+NOT_DRAWN = "name", "description", "plugins", "seed", "randomise"
+"""Blocks that no distribution may change: the seed decides what is drawn, and the others describe the experiment."""
+TRIES = 1000
+"""Largest number of draws until one lies within its bounds."""
+Finite = Annotated[float, Ge(-1e9), Le(1e9)]
+Whole = Annotated[int, Ge(-(10**9)), Le(10**9)]
+Pair = Annotated[tuple[Finite, ...], Len(2, 2)]
+
+
+class Distribution(Protocol):
+    """How one field is drawn. `DistributionBase` has defaults for all but `kind` and `draw`."""
+
+    @property
+    def kind(self) -> str:
+        """The word in a scenario."""
+        ...
+
+    @property
+    def field(self) -> str:
+        """Dotted path of the field, as `--set` takes it."""
+        ...
+
+    def draw(self, rng: np.random.Generator) -> Any:
+        """A value: a number, a word, a truth value."""
+        ...
+
+
+class DistributionBase:
+    """Defaults of a distribution; call its `__post_init__` from one of your own.
+
+    Attributes:
+        field: dotted path of the field that is drawn, as `--set` takes it.
+    """
+
+    field: str
+
+    def __post_init__(self) -> None:
+        """Refuse a path to what cannot be drawn."""
+        if self.field.split(".")[0] in NOT_DRAWN:
+            raise ParameterError("field", f"may not be in {', '.join(NOT_DRAWN)}; works: world.light.brightness", self.field)
+
+
+def _check_order(name: str, pair: tuple[float, ...]) -> None:
+    if pair[0] >= pair[1]:
+        raise ParameterError(name, "must be the smallest and the largest value, in this order", list(pair))
+
+
+@spec
+class Uniform(DistributionBase):
+    """Uniform between two bounds: x = a + (b - a) U(0, 1).
+
+    Args:
+        field: dotted path of the field that is drawn; e.g. `world.light.brightness`.
+        uniform: smallest and largest value, a and b [unit of the field]; e.g. `[0.5, 1.5]`.
+    """
+
+    kind: Literal["uniform"] = "uniform"
+    field: str
+    uniform: Pair
+
+    def __post_init__(self) -> None:
+        """Refuse an empty range."""
+        super().__post_init__()
+        _check_order("uniform", self.uniform)
+
+    def draw(self, rng: np.random.Generator) -> float:
+        """A number."""
+        return float(rng.uniform(self.uniform[0], self.uniform[1]))
+
+
+@spec
+class Gaussian(DistributionBase):
+    """Gaussian, x = mean + sigma N(0, 1), drawn again until it lies within its bounds.
+
+    Args:
+        field: dotted path of the field that is drawn; e.g. `camera.latency_s`.
+        normal: mean and standard deviation [unit of the field]; e.g. `[0.04, 0.005]`.
+        within: smallest and largest value: the distribution is cut off there, and not heaped up at its bounds; none: unbounded
+            [unit of the field]; e.g. `[0.02, 0.06]`.
+    """
+
+    kind: Literal["normal"] = "normal"
+    field: str
+    normal: Pair
+    within: Pair | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse a negative standard deviation, and bounds far from the mean."""
+        super().__post_init__()
+        mean, sigma = self.normal
+        if sigma < 0:
+            raise ParameterError("normal", "must be the mean and a standard deviation of 0 or more", list(self.normal))
+        if self.within is not None:
+            _check_order("within", self.within)
+            if not (self.within[0] <= mean + 3 * sigma and self.within[1] >= mean - 3 * sigma):
+                words = f"must reach into three standard deviations about the mean, {mean - 3 * sigma:g} to {mean + 3 * sigma:g}"
+                raise ParameterError("within", words, list(self.within))
+
+    def draw(self, rng: np.random.Generator) -> float:
+        """A number."""
+        (mean, sigma), (low, high) = self.normal, self.within or (-math.inf, math.inf)
+        for _ in range(TRIES):
+            if low <= (x := float(rng.normal(mean, sigma))) <= high:
+                return x
+        raise ParameterError("within", f"held none of {TRIES} draws; make it wider", [low, high])
+
+
+@spec
+class LogUniform(DistributionBase):
+    """Uniform of the logarithm, x = a (b/a)^U(0, 1): as many between 0.1 and 1 as between 1 and 10.
+
+    Args:
+        field: dotted path of the field that is drawn; e.g. `target.marker.albedo`.
+        log_uniform: smallest and largest value, both over 0 [unit of the field]; e.g. `[0.1, 1]`.
+    """
+
+    kind: Literal["log_uniform"] = "log_uniform"
+    field: str
+    log_uniform: Annotated[tuple[Annotated[float, Gt(0), Le(1e9)], ...], Len(2, 2)]
+
+    def __post_init__(self) -> None:
+        """Refuse an empty range."""
+        super().__post_init__()
+        _check_order("log_uniform", self.log_uniform)
+
+    def draw(self, rng: np.random.Generator) -> float:
+        """A number."""
+        low, high = self.log_uniform
+        return min(max(low * (high / low) ** float(rng.random()), low), high)
+
+
+@spec
+class Integer(DistributionBase):
+    """A whole number, each of a to b with the same probability.
+
+    Args:
+        field: dotted path of the field that is drawn; e.g. `world.clutter.count`.
+        integer: smallest and largest number, both included [1]; e.g. `[0, 20]`.
+    """
+
+    kind: Literal["integer"] = "integer"
+    field: str
+    integer: Annotated[tuple[Whole, ...], Len(2, 2)]
+
+    def __post_init__(self) -> None:
+        """Refuse an empty range."""
+        super().__post_init__()
+        _check_order("integer", self.integer)
+
+    def draw(self, rng: np.random.Generator) -> int:
+        """A whole number."""
+        return int(rng.integers(self.integer[0], self.integer[1], endpoint=True))
+
+
+@spec
+class Chosen(DistributionBase):
+    """One of several values, each with the same probability.
+
+    Args:
+        field: dotted path of the field that is drawn; e.g. `world.floor.texture`.
+        choice: the values: numbers, words, or lists of numbers [unit of the field]; e.g. `["texture:brick", "texture:leaves"]`.
+    """
+
+    kind: Literal["choice"] = "choice"
+    field: str
+    choice: Annotated[tuple[bool | int | Finite | str | tuple[Finite, ...], ...], Len(1, 1000)]
+
+    def draw(self, rng: np.random.Generator) -> Any:
+        """One of them."""
+        value = self.choice[int(rng.integers(len(self.choice)))]
+        return list(value) if isinstance(value, tuple) else value
+
+
+DISTRIBUTIONS = OneOf(
+    "distribution",
+    Uniform,
+    Gaussian,
+    LogUniform,
+    Integer,
+    Chosen,
+    fields={kind: kind for kind in ("uniform", "normal", "log_uniform", "integer", "choice")},
+    contract=Contract(Distribution, base=DistributionBase),
+)

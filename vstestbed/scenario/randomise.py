@@ -1,0 +1,123 @@
+"""Domain randomisation: the block `randomise`, and clutter, drawn from a scenario's seed.
+
+Each field has a generator of its own, of the seed, RANDOMISE_STREAM and the field's name: one more changes none of the others, nor any
+other stream.
+
+Reference: Tobin, Fong, Ray, Schneider, Zaremba & Abbeel 2017, doi:10.1109/IROS.2017.8202133 (a simulator's pictures varied so widely that
+the real one is one more variation).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, Protocol, TypeVar
+
+import numpy as np
+
+from vstestbed.core.errors import ParameterError, ScenarioError, short
+from vstestbed.core.mapping import to_mapping
+from vstestbed.scenario.distributions import Distribution
+from vstestbed.scenario.streams import CLUTTER_STREAM, RANDOMISE_STREAM
+from vstestbed.scenario.validation import KINDS, build
+from vstestbed.scenario.yaml_marks import override
+from vstestbed.sim.scene.world import World
+from vstestbed.targets import Target
+
+
+class Seeded(Protocol):
+    """What of a `Scenario` is drawn, and from what."""
+
+    @property
+    def seed(self) -> int:
+        """Of all its random numbers."""
+        ...
+
+    @property
+    def randomise(self) -> Sequence[Distribution]:
+        """The fields that are drawn."""
+        ...
+
+    @property
+    def world(self) -> World:
+        """Its surroundings."""
+        ...
+
+    @property
+    def target(self) -> Target:
+        """What the camera looks at."""
+        ...
+
+
+S = TypeVar("S", bound=Seeded)
+
+
+def drawn(scenario: S) -> S:
+    """The scenario with the values of `randomise` and the objects of `world.clutter` that its seed draws; itself where it has them already.
+
+    The distributions stay in it, so that another seed draws others.
+
+    Raises:
+        ParameterError: a drawn value is refused; it names the distribution, `randomise.2`, the value and why.
+    """
+    if scenario.randomise:
+        scenario = _with(scenario, [one.draw(_rng(scenario.seed, one.field)) for one in scenario.randomise])
+    clutter = scenario.world.clutter
+    if clutter is None:
+        return scenario
+    placed = clutter.draw(np.random.default_rng([scenario.seed, CLUTTER_STREAM]), scenario.target.hues_deg)
+    if placed == clutter.placed:
+        return scenario
+    given: Any = scenario  # a dataclass, which a protocol cannot say
+    return replace(given, world=replace(scenario.world, clutter=replace(clutter, placed=placed)))
+
+
+def check_randomise(randomise: Sequence[Distribution]) -> None:
+    """Refuse two distributions of one field, or of a block and a field in it.
+
+    Raises:
+        ParameterError: it names the second one.
+    """
+    for i, one in enumerate(randomise):
+        for j, other in enumerate(randomise[:i]):
+            if f"{one.field}.".startswith(f"{other.field}.") or f"{other.field}.".startswith(f"{one.field}."):
+                raise ParameterError(f"randomise.{i}.field", f"is drawn by randomise.{j} already, as {other.field}", one.field)
+
+
+def _rng(seed: int, field: str) -> np.random.Generator:
+    return np.random.default_rng([seed, RANDOMISE_STREAM, *field.encode()])
+
+
+def _with(scenario: S, values: list[Any]) -> S:
+    """The scenario with a value for each of its distributions."""
+    plain, fields = to_mapping(scenario), [one.field for one in scenario.randomise]
+    if all(_at(plain, field) == value for field, value in zip(fields, values, strict=True)):
+        return scenario
+    try:
+        for field, value in zip(fields, values, strict=True):
+            override(plain, field, value, {}, _is_kind)
+        return build(type(scenario), plain, {}, "")
+    except ScenarioError as error:
+        mistake = error.mistakes[0]
+        i = next((i for i, field in enumerate(fields) if _touches(field, mistake.field)), 0)
+        words = f"drew {short(values[i])} for {fields[i]} with seed {scenario.seed}: {mistake.field} {mistake.sentence}"
+        raise ParameterError(f"randomise.{i}", words) from None
+
+
+def _at(plain: Any, dotted: str) -> Any:
+    """The value at a dotted path; None where there is none."""
+    for part in dotted.split("."):
+        if isinstance(plain, list) and part.isdecimal() and int(part) < len(plain):
+            plain = plain[int(part)]
+        else:
+            plain = plain.get(part) if isinstance(plain, dict) else None
+    return plain
+
+
+def _touches(field: str, mistaken: str) -> bool:
+    """Whether a mistake is of this field, of one in it, or of its block."""
+    return f"{mistaken}.".startswith(f"{field}.") or (mistaken != "" and f"{field}.".startswith(f"{mistaken}."))
+
+
+def _is_kind(word: str) -> bool:
+    return any(word in kinds.members for kinds in KINDS.values())
