@@ -108,7 +108,8 @@ class Controller:
             arrived: the time now [s]; by default `camera.latency_s` after the exposure.
             depth: of a depth camera, (H, W) of the picture's size [m], NaN or 0 in holes; only `law.depth: sensor` needs it.
 
-        Returns the cycle, with `twist` and `setpoint`, which is due `timing.command_latency_s` later; `notes` tell of pictures that
+        Returns the cycle, with `twist` and `setpoint`, which is due `timing.command_latency_s` later, and with `timing.interpolation` is
+        led to by whoever sends it (`robots.setpoints.Blend`); `notes` tell of pictures that
         came late or twice, or did not come. A picture that comes twice changes nothing: the last cycle is returned again. So does one
         that is older than the last, where `timing` has `out_of_order` or `camera_clock`.
 
