@@ -13,6 +13,7 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import Mass, Narrower, PositiveLength
 from vstestbed.core.spec import spec
+from vstestbed.robots.attitude import GRAVITY
 from vstestbed.robots.body import Change, Couple, Scale, Set, Stretch
 from vstestbed.robots.wheels import WHEELS
 
@@ -20,7 +21,6 @@ GRIP = 0.8
 """Friction of the tyres on a dry floor (models/car.xml)."""
 ROLLING_NM = 1.32
 """Rolling resistance of the buggy's four wheels [Nm]."""
-GRAVITY = 9.81
 ON_FRONT, ON_REAR = 0.2044, 0.2956
 """Shares of the weight on each front and each rear wheel: of the sprung four fifths .386 are on the front axle."""
 MOST_WHEEL_RAD = 1.25

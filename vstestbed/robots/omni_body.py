@@ -12,6 +12,7 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import Mass, Narrower, PositiveLength, PositiveRate
 from vstestbed.core.spec import spec
+from vstestbed.robots.attitude import GRAVITY
 from vstestbed.robots.body import Change, Scale, Set, Stretch
 from vstestbed.robots.wheels import WHEELS
 
@@ -21,7 +22,6 @@ SIDES = np.array([-1.0, 1.0, 1.0, -1.0])
 """Axis of the roller on the floor, (1, side), by wheel; with the opposite signs the axes meet at the centre, and yaw is lost."""
 ROLLERS = 9
 """Rollers on each wheel of models/omni.xml."""
-GRAVITY = 9.81
 WHEEL_KG, SPIN, ROTOR = 0.455, 4.0e-4, 1.2e-3
 """Mass of a wheel [kg]; its moment of inertia about the axle at a radius of 50 mm, and the motor's behind its gears [kg m^2]."""
 

@@ -30,6 +30,7 @@ from annotated_types import Ge, Le
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.quantity import Narrower, PositiveLength
 from vstestbed.core.spec import spec
+from vstestbed.robots.attitude import GRAVITY
 
 LOW_SPEED = 0.5
 """Speed below which the damper acts [m/s]; chosen."""
@@ -37,7 +38,6 @@ DAMPING = 0.22
 """Share of the critical damping of the load on a tyre at rest; chosen such that a wheel that is let go stops after two swings."""
 STIFFEST = 200.0
 """Largest stiffness / relaxation_m [1/m]: beyond, a wheel swings too fast for physics steps of 2 ms."""
-GRAVITY = 9.81
 Pair = tuple[float, float]
 """Along and across a wheel."""
 

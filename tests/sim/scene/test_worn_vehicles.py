@@ -116,6 +116,17 @@ class TestTyres:
             assert vx * wz > 0.09 * speed**2
             assert -math.atan2(vy, vx) == pytest.approx(vx * wz / (G * 6.0), rel=0.03)  # the brush is softer by 2 % here
 
+    def test_odometry_does_not_see_the_side_slip(self, driven: Driven) -> None:
+        """The rear axle drifts outwards by v tan(alpha); by its encoders the car goes where it points."""
+        drive = driven(Car(tyres=Tyres(stiffness=4.0), limits=FAST))
+        drive.go(3.0, 2.0, 0.1)
+        before = drive.plant.reading()
+        drive.go(0.2)
+        ahead, aside, _ = drive.robot.odometry(before, drive.plant.reading(), 0.2)
+        vx, vy, wz = drive.velocity
+        assert aside == 0.0 and vy == pytest.approx(-(vx**2) * wz / (G * 4.0), rel=0.04)
+        assert 1.0 < ahead / vx < 1.01  # driven wheels turn a little faster than they roll
+
     def test_softer_front_tyres_understeer(self, driven: Driven) -> None:
         """The steering angle L / R + K a_y has the gradient K = (1 / c_front - 1 / c_rear) / g; a car with equal tyres has none."""
         bends = []
