@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
-from vstestbed.robots.motor_spread import MotorSpread
+from vstestbed.core.errors import ParameterError
+from vstestbed.robots.motor_spread import MotorSpread, hover_squares
+from vstestbed.robots.quadrotor import Quadrotor
+from vstestbed.robots.rotors import X4
 
 
 def test_a_seed_draws_the_factors_and_always_the_same():
@@ -20,3 +24,25 @@ def test_listed_factors_are_kept_and_shift_no_others():
     rng = np.random.default_rng
     listed = MotorSpread(thrust=(1.1, 1, 1, 0.9)).drawn(rng(2))
     assert listed[0] == (1.1, 1.0, 1.0, 0.9) and listed[1] == MotorSpread().drawn(rng(2))[1]
+
+
+def test_hover_of_unlike_rotors_has_no_torque_and_the_weight():
+    f = (1.04, 1.02, 0.96, 1.0)
+    front, right, back, left = W = hover_squares(f, X4)
+    assert f[0] * front == pytest.approx(f[2] * back) and f[1] * right == pytest.approx(f[3] * left)
+    assert front + back == pytest.approx(right + left)
+    assert np.dot(f, W) == pytest.approx(4 * X4.hover)
+
+
+@pytest.mark.parametrize(
+    ("block", "field", "words"),
+    [
+        ({"motors": {"thrust": (0.5, 1, 1, 1)}}, "motors.thrust", "makes the front rotor turn at .* rad/s to hover"),
+        ({"motors": {"thrust": (1, 1, 1, 1), "limit": (1, 0.7, 1, 1)}}, "motors.thrust", "the right rotor"),
+        ({"battery": {"charge": 0.0}}, "battery.charge", "leaves 0.45 of the ordered thrust at the start"),
+    ],
+)
+def test_a_craft_that_could_not_hover_is_refused(block, field, words):
+    with pytest.raises(ParameterError, match=words) as told:
+        Quadrotor(**block)
+    assert told.value.field == field

@@ -176,7 +176,7 @@ class Robot(Protocol):
         ...
 
     def disturbance(self, rng: np.random.Generator) -> Disturbance | None:
-        """What acts on its base, its actuators and its sensors in one run beside what its file has; None for nothing."""
+        """What acts on a floating base, its actuators and sensors in one run beside what its file has; None for nothing."""
         ...
 
     def noise(self, rng: np.random.Generator) -> Any:

@@ -5,14 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import ClassVar
 
+from vstestbed.core.errors import ParameterError
 from vstestbed.core.spec import spec
 from vstestbed.robots.aerodynamics import Downwash, GroundEffect, RotorDrag
+from vstestbed.robots.attitude import GRAVITY
 from vstestbed.robots.battery import Battery
-from vstestbed.robots.motor_spread import MotorSpread
+from vstestbed.robots.flight import MAX_TRIM
+from vstestbed.robots.motor_spread import MotorSpread, hover_squares
 from vstestbed.robots.realism import Level, Realistic
 from vstestbed.robots.rotor_inertia import RotorInertia
+from vstestbed.robots.rotors import QuadrotorParameters
 from vstestbed.robots.vibration import Vibration
 
+ROTORS = ("front", "right", "back", "left")
 LAB: dict[str, object] = {
     "ground_effect": GroundEffect(),
     "rotor_drag": RotorDrag(),
@@ -60,3 +65,19 @@ class FlightRealism(Realistic):
     def imperfect(self) -> bool:
         """Whether any block is given."""
         return any(getattr(self, name) is not None for name in LAB)
+
+    def check_hover(self, craft: QuadrotorParameters) -> None:
+        """Refuse a battery, or listed motors, with which a craft cannot hover at its start; motors that are drawn are not known yet."""
+        share = self.battery.share_at_start(craft) if self.battery else 1.0
+        least = max(GRAVITY / (GRAVITY + MAX_TRIM), craft.hover / craft.limit)
+        if self.battery and share < least:
+            words = f"leaves {share:.2g} of the ordered thrust at the start; the flight loops make up for {least:.2g} at least. Works:"
+            raise ParameterError("battery.charge", f"{words} more charge, or a lower reference_charge", self.battery.charge)
+        if self.motors and self.motors.thrust:
+            front, right, back, left = self.motors.thrust
+            squares = hover_squares((front, right, back, left), craft)
+            for name, W, factor in zip(ROTORS, squares, self.motors.limit or (1.0,) * 4, strict=True):
+                most = share * factor * craft.limit
+                if most < W:
+                    words = f"makes the {name} rotor turn at {W**0.5:.4g} rad/s to hover, beyond its {most**0.5:.4g}"
+                    raise ParameterError("motors.thrust", f"{words}; works: factors nearer to 1", list(self.motors.thrust))

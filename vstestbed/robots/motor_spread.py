@@ -8,7 +8,7 @@ import numpy as np
 from annotated_types import Ge, Le, Len
 
 from vstestbed.core.spec import spec
-from vstestbed.robots.rotors import Four
+from vstestbed.robots.rotors import Four, QuadrotorParameters
 
 Factors = Annotated[tuple[Annotated[float, Ge(0.2), Le(2)], ...], Len(4, 4)]
 MOST_SIGMAS = 3.0
@@ -41,6 +41,23 @@ class MotorSpread:
         f = 1.0 + self.thrust_sigma * off[0] if self.thrust is None else np.array(self.thrust)
         limit = 1.0 - self.limit_sigma * np.abs(off[1]) if self.limit is None else np.array(self.limit)
         return _four(f), _four(limit)
+
+
+def hover_squares(thrust: Four, craft: QuadrotorParameters) -> Four:
+    """W (4,) of front, right, back and left at which rotors of these factors f (4,) hold the craft without torque about any axis.
+
+    f_front W_front = f_back W_back, f_right W_right = f_left W_left, W_front + W_back = W_right + W_left = 2 S: with the harmonic means h
+    of each pair's factors, S = 2 W_hover / (h_1 + h_2).
+    """
+    front, right, back, left = thrust
+    one, other = 2 * front * back / (front + back), 2 * right * left / (right + left)
+    double = 4 * craft.hover / (one + other)
+    return (
+        double * back / (front + back),
+        double * left / (right + left),
+        double * front / (front + back),
+        double * right / (right + left),
+    )
 
 
 def _four(values: np.ndarray) -> Four:

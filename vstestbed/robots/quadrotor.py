@@ -114,8 +114,9 @@ class Quadrotor(FlightRealism, RobotBase):
     """The rate loop is tuned at it."""
 
     def __post_init__(self) -> None:
-        """Refuse a start in the ground, or on it, as the craft hovers; and speed controllers slower than the rotors."""
+        """Refuse a start in the ground, or on it, as it hovers, rotors that cannot carry it, speed controllers slower than the rotors."""
         super().__post_init__()
+        self.check_hover(self.parameters)
         low = self.start.nominal.xyz[2]
         if low < LOWEST_M:
             raise ParameterError("start.nominal.xyz.2", f"must leave the centre {LOWEST_M:g} m or more above the ground", low)

@@ -149,8 +149,8 @@ class TestBattery:
         assert volts == pytest.approx(battery.open_voltage(0.1 - spent) - battery.resistance_ohm * current, abs=2e-3)
 
     def test_an_empty_one_does_not_carry_it(self):
-        craft = Craft(perfect(battery=Battery(charge=0.0)))
-        craft.fly(1.5)
+        craft = Craft(perfect(battery=Battery(charge=0.05, capacity_ah=0.2)))  # for a second and a half
+        craft.fly(3.0)
         sunk = craft.data.qvel[2]
         craft.close()
         assert sunk < -0.5
