@@ -6,6 +6,7 @@
 | blur | sim/test_timing `TestBlur` | sim/test_timing `test_a_blurred_run_converges` |
 | brightness and colour drift | here, by numbers and in the picture | here |
 | moving shadows | here | here |
+| lens, exposure, sensor, stream | camera/test_optics, ...; sim/render/test_lens_effects, ... | sim/render/test_imaging |
 | dropout of markers | here | here |
 | partial hiding | here; vision/test_blobs | here |
 | false blobs | here; vision/test_false_blobs | here; studies/test_nuisances |
