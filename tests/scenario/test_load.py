@@ -371,9 +371,9 @@ class TestBundled:
             counted = scenario.goal_view.counted
             assert scenario.camera.inside(scenario.goal_view.uv[slice(None) if counted is None else counted]).all()
         if scenario.goal.kind != "line":
-            assert in_view(scenario.robot, scenario.camera, scenario.target, scenario.detector, scenario.goal_views[0], scenario.world), (
-                "the start does not see the whole target"
-            )
+            s = scenario
+            view = in_view(s.robot, s.camera, s.target, s.detector, s.goal_views[0], s.world)
+            assert view, "the start does not see the whole target"
 
     @pytest.mark.parametrize("name", where_installed(NAMES))
     def test_what_is_written_reads_back_as_the_same_scenario(self, name: str) -> None:

@@ -21,7 +21,8 @@ def without_light(e: NDArray[np.float32], of_light: NDArray[np.float32], w: NDAr
     """Errors e (n,) without what gain and offset explain of them, in the weighted least-squares sense."""
     weighted = of_light if w is None else of_light * w
     H, b = weighted @ of_light.T, weighted @ e
-    return e - np.linalg.lstsq(H.astype(float), b.astype(float), rcond=1e-9)[0].astype(np.float32) @ of_light
+    found = np.asarray(np.linalg.lstsq(H.astype(float), b.astype(float), rcond=1e-9)[0], np.float32)
+    return np.asarray(e - found @ of_light, np.float32)
 
 
 def eliminated(H: Array, b: Array) -> tuple[Array, Array]:
