@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import vstestbed as vs
-from tests.sim.two_mass import ROTOR, arm, inertia
 from vstestbed.experiments.delay.elastic import elastic_gain_limit, sampled
 from vstestbed.experiments.delay.measure import displaced, growth, prepared
 from vstestbed.experiments.delay.theory import closed_form
@@ -63,12 +61,3 @@ def test_its_phase_crosses_where_its_gain_is_one() -> None:
     i = np.flatnonzero((phase[:-1] > -math.pi) & (phase[1:] <= -math.pi))[0]
     margin = 1 / np.interp(-math.pi, phase[i : i + 2][::-1], np.abs(open_loop[i : i + 2])[::-1])
     assert elastic_gain_limit(plant, d, PERIOD) == pytest.approx(margin, rel=1e-3)
-
-
-def test_its_matrices_are_those_of_the_joint(tmp_path: Path) -> None:
-    found = linear_arm(arm(tmp_path, gears=Gears(stiffness_nmprad=(2000, 0), damping_s=0.001)))
-    np.testing.assert_allclose(np.diag(found.mass), [inertia(), 0.01 + 0.001, ROTOR], rtol=1e-6)
-    np.testing.assert_allclose(found.spring, 2000 * np.array([[1, 0, -1], [0, 0, 0], [-1, 0, 1]]))
-    np.testing.assert_allclose(found.damper, 0.001 * found.spring)
-    np.testing.assert_allclose(found.motors, [[0, 0], [0, 1], [1, 0]])
-    assert found.kp == pytest.approx([2000, 50]) and found.kv == pytest.approx([50, 1.25]) and found.integrates.all()
