@@ -10,7 +10,7 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.experiments.delay.elastic import elastic_gain_limit, sampled
-from vstestbed.experiments.delay.measure import displaced, growth, prepared
+from vstestbed.experiments.delay.measure import displaced, find_limits, growth, prepared
 from vstestbed.experiments.delay.theory import closed_form
 from vstestbed.robots.joint_effects import Gears
 from vstestbed.scenario.scenario import Scenario
@@ -61,3 +61,14 @@ def test_its_phase_crosses_where_its_gain_is_one() -> None:
     i = np.flatnonzero((phase[:-1] > -math.pi) & (phase[1:] <= -math.pi))[0]
     margin = 1 / np.interp(-math.pi, phase[i : i + 2][::-1], np.abs(open_loop[i : i + 2])[::-1])
     assert elastic_gain_limit(plant, d, PERIOD) == pytest.approx(margin, rel=1e-3)
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("actuation", ["ideal", "industrial"])
+def test_the_search_lands_near_the_linear_model(actuation: str) -> None:
+    """Within 5 %; friction damps small motions of the industrial arm, and gravity is a spring of its own."""
+    gears = {"stiffness_nmprad": [25_000, 25_000, 10_000, 0, 0, 0]}
+    (limit,) = find_limits(vs.load("arm_ibvs", {"robot.actuation": actuation, "robot.gears": gears}), [2])
+    assert limit.g_elastic is not None and limit.lags == () and limit.g_lag is None
+    assert limit.g == pytest.approx(limit.g_elastic, rel=0.05)
+    assert limit.row()["measured_to_elastic"] == pytest.approx(limit.g / limit.g_elastic)
