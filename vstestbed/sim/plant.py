@@ -30,6 +30,7 @@ from vstestbed.sim.scene.stage import Stage
 from vstestbed.sim.scene.tyre_forces import TyreForces
 from vstestbed.sim.scene.wind import WindField
 from vstestbed.sim.sensor_reader import SensorReader
+from vstestbed.sim.taught import shown_at
 from vstestbed.targets.motion import Path
 
 AWAY = np.eye(4)
@@ -184,7 +185,7 @@ class MujocoPlant:
         stage = self._stage
         assert self._eye is not None
         with stage.kept():
-            joints = stage.data.qpos[stage.at.qpos] if q is None else q
+            joints = stage.data.qpos[stage.at.qpos] if q is None else shown_at(stage, T_world_flange, q)
             stage.place(stage.data.time, stage.target_pose(), joints, T_world_flange @ stage.parts.camera.mount.T)
             return self._eye.clean(self._steps * self.step_s)
 
