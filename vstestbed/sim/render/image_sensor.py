@@ -102,11 +102,11 @@ class ImageSensor:
     def _add(self, blur: MotionBlur, contribution: Contribution, look: Look | None, with_depth: bool) -> None:
         """Draw what the present scene contributes to an exposure."""
         for i, (brightness, weight) in enumerate(contribution.draws):
-            of_rows = isinstance(weight, np.ndarray)
+            weights, by_rows = self._rows.weights(weight), isinstance(weight, np.ndarray)
             with lamps_at(self._model, brightness):
-                images = self._render(self._rows.look(look, weight), with_depth and i == 0)
+                images = self._render(self._rows.look(look, weights), with_depth and i == 0)
             # What was left out of an image for want of weight is not missing in the mean.
-            blur.add(images, self._rows.weights(weight), look is None if of_rows else self._renderer.whole)
+            blur.add(images, weights, look is None if by_rows else self._renderer.whole)
 
     def _render(self, look: Look | None, with_depth: bool) -> Images:
         """The images now; with their depth where there is a depth camera."""
