@@ -227,6 +227,18 @@ def test_a_part_is_completed_as_the_whole():
     np.testing.assert_array_equal(*wholes)
 
 
+def test_blobs_in_the_pictures_of_a_run_are_where_the_oracle_sees_the_markers():
+    found: dict[str, Array] = {}
+    for detector in ("blobs", "oracle"):
+        s = scene("perspective", "gl", READOUT, **{"detector": detector, "law.depth": "pnp", "stop.duration_s": 0.5})
+        with vs.Session(s) as session:
+            session.reset()
+            for _ in range(3):
+                frame = session.step(np.array([0.05, 0.1, 0, 0, 0, 1.0]))
+        found[detector] = frame.observation.uv
+    np.testing.assert_allclose(found["blobs"], found["oracle"], atol=0.3)  # pixels' own error beside what the row's time changes
+
+
 @pytest.mark.parametrize(
     ("settings", "words"),
     [

@@ -114,6 +114,7 @@ def started(quick: Path) -> Callable[..., list[Scenario]]:
         {"noise__pixel_sigma_px": 0.1},
         {"noise__dropout": 0.1},
         {"camera__latency_s": 0.04},
+        {"camera__readout_s": 0.02},
         {"timing__drop_probability": 0.1},
         {"calibration__focal_error": 0.01},
         {"calibration__depth_factor": 1.1},

@@ -95,6 +95,8 @@ def test_it_says_how_its_pictures_were_made(folders: list[Path], tmp_path: Path)
     text = (blurred / "scenario.yaml").read_text().replace("exposure_s: 0.0", "exposure_s: 0.01")
     (blurred / "scenario.yaml").write_text(text)
     assert RecordedRun.of(blurred).how_taken == f"{words}, without the motion blur of its 0.01 s exposure"
+    (blurred / "scenario.yaml").write_text(text.replace("readout_s: 0.0", "readout_s: 0.02"))
+    assert RecordedRun.of(blurred).how_taken.endswith(" exposure, without the skew of its rolling shutter of 0.02 s")
 
 
 def test_a_folder_without_a_run_is_refused_and_one_that_was_cut_off_is_known(folders: list[Path], tmp_path: Path) -> None:

@@ -109,11 +109,12 @@ class ImageSensor:
     def _add(self, blur: MotionBlur, contribution: Contribution, look: Look | None, with_depth: bool) -> None:
         """Draw what the present scene contributes to an exposure."""
         for i, (brightness, weight) in enumerate(contribution.draws):
-            of_rows, deep = isinstance(weight, np.ndarray), with_depth and i == 0 and self._reads_depth
+            weights, by_rows = self._rows.weights(weight), isinstance(weight, np.ndarray)
+            deep = with_depth and i == 0 and self._reads_depth
             with lamps_at(self._model, brightness):  # the depth of all rows, also of those that the image itself contributes nothing to
-                images = self._render(look if deep else self._rows.look(look, weight), deep)
+                images = self._render(look if deep else self._rows.look(look, weights), deep)
             # What was left out of an image for want of weight is not missing in the mean.
-            blur.add(images, self._rows.weights(weight), look is None if of_rows else self._renderer.whole)
+            blur.add(images, weights, look is None if by_rows else self._renderer.whole)
 
     def _render(self, look: Look | None, with_depth: bool) -> Images:
         """The images now; with their depth where it is asked for."""

@@ -29,15 +29,16 @@ class PixelRows:
         self._camera, self._noisy = camera, noisy
 
     @cached_property
-    def _in_panels(self) -> tuple[Array, ...] | None:
-        """Rows (h, w) of the pixels of each panel; None for a camera whose only panel is its own picture."""
+    def _in_panels(self) -> tuple[NDArray[np.intp], ...] | None:
+        """The nearest rows (h, w) of the pixels of each panel; None for a camera whose only panel is its own picture."""
         panels = self._camera.panels
         return None if panels[0].lens is self._camera else tuple(self._rows(panel) for panel in panels)
 
-    def _rows(self, panel: Panel) -> Array:
+    def _rows(self, panel: Panel) -> NDArray[np.intp]:
         lens = panel.lens
         uv = np.stack(np.meshgrid(np.arange(lens.width), np.arange(lens.height)), axis=-1).astype(float)
-        return self._camera.project(lens.ray(uv) @ panel.R_camera_panel.T)[..., 1]
+        v = self._camera.project(lens.ray(uv) @ panel.R_camera_panel.T)[..., 1]
+        return np.clip(np.rint(np.nan_to_num(v)), 0, self._camera.height - 1).astype(np.intp)
 
     def weights(self, weight: RowWeight) -> tuple[RowWeight, ...]:
         """The weights of the pixels of each panel, (h, 1, 1) or (h, w, 1); a weight of the whole picture as it is."""
@@ -45,16 +46,16 @@ class PixelRows:
             return (weight,) * len(self._camera.panels)
         if self._in_panels is None:
             return (weight[:, None, None],)
-        return tuple(np.interp(v, np.arange(len(weight)), weight)[..., None] for v in self._in_panels)
+        return tuple(weight[v][..., None] for v in self._in_panels)
 
-    def look(self, look: Look | None, weight: RowWeight) -> Look | None:
-        """Regions of interest, None for everything, without most of what has no weight."""
-        if not isinstance(weight, np.ndarray):
+    def look(self, look: Look | None, weights: tuple[RowWeight, ...]) -> Look | None:
+        """Regions of interest, None for everything, without most of what has no weight; weights: of the pixels of each panel."""
+        if not isinstance(weights[0], np.ndarray):
             return look
         asked = self._asked(look)
         if self._in_panels is not None:
-            return tuple(windows if part.any() else () for windows, part in zip(asked, self.weights(weight), strict=True))
-        top, bottom = band(weight)
+            return tuple(windows if part.any() else () for windows, part in zip(asked, map(np.asarray, weights), strict=True))
+        top, bottom = band(weights[0])
         cut = tuple((a, max(b, top), c, min(d, bottom)) for a, b, c, d in asked[0] if b < bottom and d > top)
         # One pixel where nothing is left: without any window it would be no picture.
         return (cut or ((0, top, 1, top + 1),),)
