@@ -217,8 +217,8 @@ def for_another_folder(path: Path) -> str:
     tree = yaml.load(text)
     if isinstance(named, list):
         tree["plugins"] = moved["plugins"]
-    for path in NAMED_FILES:
-        _take(tree, moved, path)
+    for named in NAMED_FILES:
+        _take(tree, moved, named)
     yaml.dump(tree, out)
     return out.getvalue()
 
