@@ -5,6 +5,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from ruamel.yaml import YAML
@@ -16,6 +17,7 @@ from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.env.rollout import Rollout
 from vstestbed.experiments.basin.setup import BatchSetup
 from vstestbed.scenario.distributions import Chosen, Gaussian, Integer, LogUniform, Uniform
+from vstestbed.scenario.load import for_another_folder
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.scenario.streams import IMAGE_STREAM, START_STREAM
 
@@ -114,6 +116,19 @@ class TestAScenario:
         assert rollout._session is not None and rollout._session.episode is not None
         assert rollout._session.episode.scenario.camera == arm(BLOCK[1:2], seed=7).camera
         rollout.close()
+
+
+def test_a_texture_beside_the_scenario_is_found_from_any_folder(tmp_path: Path):
+    (tmp_path / "a").mkdir()
+    cv2.imwrite(str(tmp_path / "a" / "tile.png"), np.full((8, 8, 3), 99, np.uint8))
+    file, other = tmp_path / "a" / "mine.yaml", tmp_path / "other.yaml"
+    file.write_text(vs.dump(vs.load("ibvs_book")).replace("world: {", "world: {floor: {texture: tile.png}, "))
+    s = vs.load(file)
+    assert s.world.floor.texture == str(tmp_path / "a" / "tile.png")
+    other.write_text(for_another_folder(file))
+    assert vs.load(other).world == s.world
+    vs.dump(s, file)
+    assert "texture: tile.png" in file.read_text() and vs.load(file).world == s.world
 
 
 def test_the_block_of_the_guide_is_drawn():

@@ -23,6 +23,8 @@ from vstestbed.scenario.yaml_marks import FROM_PYTHON, Marks, override, place_of
 MOST_BYTES = 100_000
 """Largest file that is read: fifty times the largest bundled one, and parsed in 2 s; one of 10 MB would take minutes."""
 
+NAMED_FILES = ("law", "file"), ("robot", "file"), ("target", "file"), ("world", "scenery"), ("world", "floor", "texture")
+"""Fields that name a file."""
 SCHEMA_LINE = re.compile(r"\A# yaml-language-server: \$schema=.*\n")
 """The first line of a bundled file, by which editors find its schema beside it."""
 
@@ -215,8 +217,17 @@ def for_another_folder(path: Path) -> str:
     tree = yaml.load(text)
     if isinstance(named, list):
         tree["plugins"] = moved["plugins"]
-    for block, field in (("law", "file"), ("robot", "file"), ("target", "file"), ("world", "scenery")):
-        if isinstance(moved.get(block), dict) and field in moved[block]:
-            tree[block][field] = moved[block][field]
+    for named in NAMED_FILES:
+        _take(tree, moved, named)
     yaml.dump(tree, out)
     return out.getvalue()
+
+
+def _take(tree: Any, moved: Any, path: tuple[str, ...]) -> None:
+    """Give a field of a tree, by the keys on the way to it, the value that it has in `moved`; nothing where that has none."""
+    for key in path[:-1]:
+        if not isinstance(moved, dict) or key not in moved:
+            return
+        tree, moved = tree[key], moved[key]
+    if isinstance(moved, dict) and path[-1] in moved:
+        tree[path[-1]] = moved[path[-1]]

@@ -91,11 +91,11 @@ def absolute_files(value: Any, folder: Path, key: str = "") -> Any:
 
 
 def relative_files(plain: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """A scenario's plain values, with the plugins and files (fields `file`) in the folder, or below it, named relative to it."""
+    """A scenario's plain values, with its plugins and files (`file`, `texture`) in the folder, or below it, named relative to it."""
 
     def near(value: Any, names_file: bool) -> Any:
         if isinstance(value, dict):
-            return {name: near(inner, name in ("file", "plugins")) for name, inner in value.items()}
+            return {name: near(inner, name in ("file", "texture", "plugins")) for name, inner in value.items()}
         if isinstance(value, list):
             return [near(inner, names_file) for inner in value]
         inside = names_file and isinstance(value, str) and Path(value).is_absolute() and Path(value).is_relative_to(folder)
