@@ -180,44 +180,48 @@ class GoalLevel:
         near = self.inverse_depth if inverse_depth is None else inverse_depth
         e = (grey[self.pixels.at] - self.grey[self.pixels.at]).ravel()
         known = (near.ravel() > 0) & (self.inverse_depth.ravel() > 0)
-        every = bool(known.all())
-        if self.light != "same":
-            e = without_light(e, self.of_light, None if every else known.astype(np.float32))
-        w = weights(robust, e if every else e[known])
-        if not every:
-            spread = np.zeros(len(e), np.float32)
-            spread[known] = 1 if w is None else w
-            w = spread
+        e = self._unlit(e, None if known.all() else known.astype(np.float32))
+        w = _weights(robust, e, known)
         H, b = self._sums(None if which == "desired" else gradient(grey), which, near, e, w)
-        if self.light != "same":
-            (H, b), e = eliminated(H, b), without_light(e, self.of_light, w)
+        if len(b) > 6:
+            H, b = eliminated(H, b)
+        e = self._unlit(e, w)
         squares = e * e if w is None else w * e * e
         n, total = len(e), float(len(e) if w is None else w.sum(dtype=float))
         error = float(np.sqrt(squares.sum(dtype=float) / total)) if total > 0 else float("nan")
         return Normal(H, b, error, total / max(n, 1))
+
+    def _unlit(self, e: Grey, w: Grey | None) -> Grey:
+        """Errors (n,) without what a light that may have changed explains of them."""
+        return e if self.light == "same" else without_light(e, self.of_light, w)
 
     def _sums(self, along: tuple[Grey, Grey] | None, which: Which, near: Grey, e: Grey, w: Grey | None) -> tuple[Array, Array]:
         """L^T W L and L^T W e, band by band; of light that may have changed with its two columns, (8, 8) and (8,)."""
         lit = self.light != "same"
         if along is None and w is None and not lit:
             return self.H, _summed(self.L, e[None])[:, 0]
-        gx, gy = (None, None) if along is None else (g.ravel() for g in self.pixels.normalised(along))
-        x, y, near = self.pixels.x.ravel(), self.pixels.y.ravel(), near.ravel()
+        columns = None if along is None else [g.ravel() for g in (*self.pixels.normalised(along), self.pixels.x, self.pixels.y, near)]
         H, b = np.zeros((8, 8) if lit else (6, 6)), np.zeros(8 if lit else 6)
         for start in range(0, len(e), BAND_PX):
             band = slice(start, start + BAND_PX)
-            if gx is None or gy is None:
-                L = self.L[:, band]
-            else:
-                L = rows(gx[band], gy[band], x[band], y[band], near[band])
-                if which == "mean":
-                    L = np.float32(0.5) * (L + self.L[:, band])
+            L = self.L[:, band] if columns is None else rows(*(column[band] for column in columns))
+            if columns is not None and which == "mean":
+                L = np.float32(0.5) * (L + self.L[:, band])
             if lit:
                 L = np.concatenate([L, self.of_light[:, band]])
             weighted = L if w is None else L * w[band]
             H += weighted @ L.T
             b += weighted @ e[band]
         return H, b
+
+
+def _weights(robust: Robust, e: Grey, known: NDArray[np.bool_]) -> Grey | None:
+    """Weights (n,) of the errors, 0 where the depth is not known; None where all are 1."""
+    if known.all():
+        return weights(robust, e)
+    among, spread = weights(robust, e[known]), np.zeros(len(e), np.float32)
+    spread[known] = 1 if among is None else among
+    return spread
 
 
 def _summed(a: Grey, b: Grey) -> Array:

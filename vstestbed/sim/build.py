@@ -61,8 +61,8 @@ def build_plant(
     step, steps_per_frame = clock.resolve(camera, longest_step(robot))
     parts = Parts(robot, camera, target, world, step, plate_m=plate_m)
     ideal = robot.model is None
-    path = target.path(motion_rng or np.random.default_rng(0)) if target.motion.by_itself else None
-    if ideal and not needs_image and not plate_m and not _may_hide(target, world):
+    path = target.path(_given(motion_rng)) if target.motion.by_itself else None
+    if ideal and not (needs_image or plate_m or _may_hide(target, world)):
         from vstestbed.sim.ideal import IdealPlant
 
         return IdealPlant(parts, steps_per_frame, path=path, order_s=order_s, led=led), "none"
@@ -86,8 +86,12 @@ def build_plant(
         return IdealPlant(parts, steps_per_frame, stage, eye, path, order_s, led), renderer
     from vstestbed.sim.plant import MujocoPlant
 
-    noise = sensor_rng or np.random.default_rng(0)
-    return MujocoPlant(stage, steps_per_frame, eye, needs_truth, noise, path, order_s, led), renderer
+    return MujocoPlant(stage, steps_per_frame, eye, needs_truth, _given(sensor_rng), path, order_s, led), renderer
+
+
+def _given(rng: np.random.Generator | None) -> np.random.Generator:
+    """A generator; that of seed 0 where none is given."""
+    return rng or np.random.default_rng(0)
 
 
 def _may_hide(target: Target, world: World) -> bool:

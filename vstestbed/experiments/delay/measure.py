@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from vstestbed.core.outcome import Outcome
 from vstestbed.experiments.delay.elastic import elastic_gain_limit
 from vstestbed.experiments.delay.lag import Lag, measure_lags
 from vstestbed.experiments.delay.theory import closed_form, gain_limit, swing_frames
+from vstestbed.laws import Law
 from vstestbed.laws.base import TwistLimits
 from vstestbed.laws.visibility import Visibility
 from vstestbed.loop.run import run
@@ -107,13 +109,7 @@ def prepared(scenario: Scenario) -> Scenario:
     Raises:
         ParameterError: robot or law are not supported, or the run does not reach its goal.
     """
-    law = scenario.law
-    if "image" in law.inputs:
-        words = "works on whole pictures, and the loop is measured by the oracle's markers; use a law of markers"
-        raise ParameterError("law.kind", f"{law.kind} {words}: ibvs, pbvs, hybrid or predictive")
-    names = {field.name for field in fields(law)}
-    if "gain" not in names or "gain_z" in names:
-        raise ParameterError("law.kind", "must have one gain for all directions: ibvs, pbvs, hybrid or predictive", law.kind)
+    law, names = scenario.law, _fields_of(scenario.law)
     plain = {"limits": TwistLimits(), "smooth_start_s": 0.0, "smoothing_s": 0.0, "visibility": Visibility(), "gain": 2.0}
     settled = replace(
         scenario,
@@ -133,6 +129,21 @@ def prepared(scenario: Scenario) -> Scenario:
         raise ParameterError("scenario", f"must reach its goal without delay, at a gain of 2 1/s; {flown.outcome.value}")
     q = np.array([flown[f"q_{joint}"][-1] for joint in settled.robot.joints])
     return replace(settled, robot=settled.robot.started_at(q))
+
+
+def _fields_of(law: Law[Any]) -> set[str]:
+    """The names of a law's fields.
+
+    Raises:
+        ParameterError: it works on whole pictures, or has no single gain.
+    """
+    if "image" in law.inputs:
+        words = "works on whole pictures, and the loop is measured by the oracle's markers; use a law of markers"
+        raise ParameterError("law.kind", f"{law.kind} {words}: ibvs, pbvs, hybrid or predictive")
+    names = {field.name for field in fields(law)}
+    if "gain" not in names or "gain_z" in names:
+        raise ParameterError("law.kind", "must have one gain for all directions: ibvs, pbvs, hybrid or predictive", law.kind)
+    return names
 
 
 def displaced(at_goal: Scenario) -> Scenario:

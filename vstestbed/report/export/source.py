@@ -98,12 +98,13 @@ class RecordedRun:
         if camera.imaged:
             changed = [name for name in ("optics", "exposure", "sensor", "stream") if getattr(camera, name) is not None]
             words.append(f"through the camera's {' and '.join(changed)}")
-        if timing.exposure_s:
-            words.append(f"without the motion blur of its {timing.exposure_s:g} s exposure")
-        if self.scenario.camera.readout_s:
-            words.append(f"without the skew of its rolling shutter of {self.scenario.camera.readout_s:g} s")
-        if self.scenario.world.light is not None and self.scenario.world.light.flicker.depth:
-            words.append("without the flicker of its light")
+        light = self.scenario.world.light
+        left_out = {
+            f"the motion blur of its {timing.exposure_s:g} s exposure": timing.exposure_s > 0,
+            f"the skew of its rolling shutter of {camera.readout_s:g} s": camera.readout_s > 0,
+            "the flicker of its light": light is not None and light.flicker.depth > 0,
+        }
+        words += [f"without {what}" for what, there in left_out.items() if there]
         return ", ".join(words)
 
     def frames(self) -> Iterator[Taken]:

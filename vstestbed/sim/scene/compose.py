@@ -125,11 +125,10 @@ def _add_plates(scene: mujoco.MjSpec, parts: Parts) -> None:
     for i, plate in enumerate(parts.world.plates):
         # Mocap bodies are moved by writing their pose: no joint, no dynamics. Until it is present, a plate is out of sight.
         holder = scene.worldbody.add_body(name=f"plate_{i}", mocap=True, pos=AWAY, quat=quaternion_wxyz(plate.pose.T[:3, :3]))
-        size = [plate.width / 2, plate.height / 2, 0.002]
-        _visual(holder, f"plate_{i}", mujoco.mjtGeom.mjGEOM_BOX, size, [0.45, 0.45, 0.47, 1], 0)
-    if parts.plate_m:
+        _visual(holder, f"plate_{i}", GEOMS["box"], [plate.width / 2, plate.height / 2, 0.002], [0.45, 0.45, 0.47, 1], 0)
+    if half := parts.plate_m / 2:
         holder = scene.worldbody.add_body(name=HAND_PLATE, mocap=True, pos=AWAY)
-        _visual(holder, HAND_PLATE, mujoco.mjtGeom.mjGEOM_BOX, [parts.plate_m / 2, parts.plate_m / 2, 0.002], [0.45, 0.45, 0.47, 1], 0)
+        _visual(holder, HAND_PLATE, mujoco.mjtGeom.mjGEOM_BOX, [half, half, 0.002], [0.45, 0.45, 0.47, 1], 0)
     for i, decoy in enumerate(parts.world.distractors):
         holder = scene.worldbody.add_body(name=f"decoy_{i}", mocap=True, pos=decoy.xyz)
         _visual(holder, f"decoy_{i}", GEOMS[DECOYS[decoy.shape]], decoy.half_sizes, [*decoy.color, 1], 0)
