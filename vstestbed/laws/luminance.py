@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal, NamedTuple
@@ -197,22 +198,24 @@ class GoalLevel:
 
     def _sums(self, along: tuple[Grey, Grey] | None, which: Which, near: Grey, e: Grey, w: Grey | None) -> tuple[Array, Array]:
         """L^T W L and L^T W e, band by band; of light that may have changed with its two columns, (8, 8) and (8,)."""
-        lit = self.light != "same"
-        if along is None and w is None and not lit:
+        n = 6 if self.light == "same" else 8
+        if along is None and w is None and n == 6:
             return self.H, _summed(self.L, e[None])[:, 0]
-        columns = None if along is None else [g.ravel() for g in (*self.pixels.normalised(along), self.pixels.x, self.pixels.y, near)]
-        H, b = np.zeros((8, 8) if lit else (6, 6)), np.zeros(8 if lit else 6)
-        for start in range(0, len(e), BAND_PX):
-            band = slice(start, start + BAND_PX)
-            L = self.L[:, band] if columns is None else rows(*(column[band] for column in columns))
-            if columns is not None and which == "mean":
-                L = np.float32(0.5) * (L + self.L[:, band])
-            if lit:
-                L = np.concatenate([L, self.of_light[:, band]])
+        H, b = np.zeros((n, n)), np.zeros(n)
+        for band, L in self._banded(along, which, near):
+            L = L if n == 6 else np.concatenate([L, self.of_light[:, band]])
             weighted = L if w is None else L * w[band]
             H += weighted @ L.T
             b += weighted @ e[band]
         return H, b
+
+    def _banded(self, along: tuple[Grey, Grey] | None, which: Which, near: Grey) -> Iterator[tuple[slice, Grey]]:
+        """Bands of pixels with their rows of L transposed, (6, band), of a picture's gradient; of the goal's for None."""
+        columns = None if along is None else [g.ravel() for g in (*self.pixels.normalised(along), self.pixels.x, self.pixels.y, near)]
+        for start in range(0, self.L.shape[1], BAND_PX):
+            band = slice(start, start + BAND_PX)
+            L = self.L[:, band] if columns is None else rows(*(column[band] for column in columns))
+            yield band, np.float32(0.5) * (L + self.L[:, band]) if columns is not None and which == "mean" else L
 
 
 def _weights(robust: Robust, e: Grey, known: NDArray[np.bool_]) -> Grey | None:

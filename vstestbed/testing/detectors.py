@@ -7,12 +7,14 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vstestbed.camera import Picture
 from vstestbed.core.errors import ParameterError
 from vstestbed.loop.run import run
 from vstestbed.scenario.load import load
 from vstestbed.scenario.scenario import Scenario
+from vstestbed.sim.base import Truth
 from vstestbed.sim.build import build_plant
 from vstestbed.vision import Detector, TruthView
 
@@ -50,8 +52,7 @@ def check_detector(detector: Detector[Any], scenario: Scenario | None = None, wi
         picture, truth = plant.capture()
     view = TruthView(truth.p_camera, truth.hidden) if detector.needs_truth else None
     true, memory = s.camera.project(truth.p_camera), detector.init()
-    shown = s.camera.whole(truth.p_camera, s.target.marker.radius, MARGIN_PX) & ~truth.hidden
-    assert shown.any(), f"{s.name or 'the scenario'} must show markers at its start"
+    shown = _shown(s, truth)
     for turn in ("from the whole picture", "beside the last one"):  # the second time it may look in windows
         memory, detection = detector.detect(memory, picture, view, s.camera, s.target, np.random.default_rng(0))
         assert detection.uv.shape == true.shape, f"{detector.kind}: uv must have shape {true.shape}, got {detection.uv.shape}"
@@ -59,6 +60,13 @@ def check_detector(detector: Detector[Any], scenario: Scenario | None = None, wi
         assert (error < within_px).all(), f"{detector.kind} {turn}: every marker must be within {within_px:g} px, off by {error.round(3)}"
     if detector.needs_image and picture is not None:
         _check_nothing(detector, s, picture)
+
+
+def _shown(s: Scenario, truth: Truth) -> NDArray[np.bool_]:
+    """The markers that are wholly in the picture, (N,)."""
+    shown = s.camera.whole(truth.p_camera, s.target.marker.radius, MARGIN_PX) & ~truth.hidden
+    assert shown.any(), f"{s.name or 'the scenario'} must show markers at its start"
+    return shown
 
 
 def _check_own_points(detector: Detector[Any], scenario: Scenario, within_px: float) -> None:
