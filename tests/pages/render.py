@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
+from statistics import median as median_of
 from typing import Any
 
 import jinja2
@@ -20,8 +21,11 @@ from tests.pages import parameters
 from tests.pages.kept import Kept, Row
 from vstestbed.core.assets import bundled_comparisons, bundled_scenarios
 from vstestbed.experiments.bench.changes import BesideFloor
+from vstestbed.report.comparison.columns import ComparisonResults
 from vstestbed.report.comparison.differences import paired_difference
-from vstestbed.report.comparison.statistics import spread, success_rate
+from vstestbed.report.comparison.grid import ERROR, Grid
+from vstestbed.report.comparison.pairs import CHANCE, TIME
+from vstestbed.report.comparison.statistics import holm, spread, success_rate
 from vstestbed.report.comparison.tasks import AMOUNT, cells, markdown
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -60,6 +64,7 @@ def rendered(page: Path, kept: Kept) -> str:
         least_gain=least_gain,
         ratios=ratios,
         each=each,
+        effects=effects,
     )
     return made.get_template(page.as_posix()).render()
 
@@ -179,6 +184,35 @@ def tasks(rows: Sequence[Row]) -> str:
     names = list(rows[0])
     axes = [name for name in names[1 : names.index("seed")] if name != AMOUNT]
     return markdown(cells(pl.DataFrame(rows, infer_schema_length=None), axes)).rstrip("\n")
+
+
+def effects(rows: Sequence[Row]) -> str:
+    """Effects by laws: runs that reached the goal, change of the time to converge [s], median final error [mm]; as the grid of a report.
+
+    The first row has the median time; a change is in bold where it is real after Holm's correction for all of the table.
+    """
+    names = list(rows[0])
+    found = Grid.of(ComparisonResults(pl.DataFrame(rows, infer_schema_length=None), tuple(names[1 : names.index("seed")])))
+    assert found is not None
+    changes = found.changes(TIME)
+    real = dict(zip(changes, holm([d.p for d in changes.values()]), strict=True))
+
+    def cell(i: int, j: int) -> str:
+        c = found.cells[i, j]
+        good, n = int(c.success.sum()), len(c.success)
+        errors = [e for e in c.counted(ERROR) if math.isfinite(e)]
+        time_s = [t for t in c.counted(TIME) if math.isfinite(t)]
+        change = changes.get((i, j))
+        words = f"{median_of(time_s):.1f} s" if change is None and time_s else "-"
+        if change is not None and math.isfinite(change.mean):
+            words = f"{change.mean:+.2f} s"
+            words = f"**{words}**" if real[i, j] <= CHANCE else words
+        tail = f", {median_of(errors):.2g} mm" if errors else ""
+        return (f"{good} of {n}: " if good < n else "") + words + tail
+
+    lines = ["| |" + "".join(f" `{name}` |" for name in found.columns), "|---" * (len(found.columns) + 1) + "|"]
+    lines += [f"| {name} |" + "".join(f" {cell(i, j)} |" for j in range(len(found.columns))) for i, name in enumerate(found.rows)]
+    return "\n".join(lines)
 
 
 def least_gain(rows: Iterable[Row], plain: Iterable[Row], name: str) -> float:
