@@ -33,7 +33,7 @@ def test_a_shell_gets_its_script(vstestbed_process) -> None:
 
 def test_scenarios_and_comparisons() -> None:
     assert complete.scenarios("arm_pbvs") == ["arm_pbvs"]
-    assert complete.experiments("real") == ["realism"]
+    assert complete.experiments("canonical_") == ["canonical_arm"]
     assert complete.figures("time_to") == ["time_to_converge_s"]
     assert complete.scenarios("./mine") == []  # the shell then offers files
 
@@ -43,7 +43,7 @@ def test_kinds_are_those_that_describe_knows() -> None:
     bundled = {kind for room in KINDS.values() for kind, cls in room.members.items() if cls.__module__.startswith("vstestbed.")}
     assert bundled <= set(complete.kinds(""))
     assert {"law", "stop", "noise"} <= set(complete.kinds(""))
-    assert complete.kinds("camera.s") == ["camera.spherical"]
+    assert complete.kinds("camera.s") == ["camera.sensor", "camera.spherical"]
     assert complete.kinds("stop.") == ["stop.converged"]
     entries = catalogue(scenario=vs.Scenario)
     assert all(entry_of(word, entries) for owner in complete.kinds("") for word in complete.kinds(f"{owner}."))

@@ -289,7 +289,8 @@ class TestTruthFence:
 
     def test_only_the_loop_opens_the_fence_and_only_for_the_oracle(self):
         opened = {f.name for f in PACKAGE.rglob("*.py") if "TruthView" in self.spoken(ast.parse(f.read_text()))}
-        assert opened == {"shutter.py", "detectors.py"}  # the loop, and the suite that tests an oracle like another detector
+        # The loop, where rows are exposed one after another in a file of its own, and the suite that tests an oracle like another detector.
+        assert opened == {"shutter.py", "row_views.py", "detectors.py"}
         detectors = [vs.load("arm_ibvs", {"detector": kind}).detector for kind in ("blobs", "oracle")]
         assert [d.needs_truth for d in detectors] == [False, True]
 

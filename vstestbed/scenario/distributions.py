@@ -177,7 +177,7 @@ class Chosen(DistributionBase):
 
     kind: Literal["choice"] = "choice"
     field: str
-    choice: Annotated[tuple[bool | int | Finite | str | tuple[Finite, ...], ...], Len(1, 1000)]
+    choice: Annotated[tuple[bool | Whole | Finite | str | tuple[Finite, ...], ...], Len(1, 1000)]
 
     def draw(self, rng: np.random.Generator) -> Any:
         """One of them."""
