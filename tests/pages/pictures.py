@@ -28,6 +28,7 @@ from vstestbed.core.files import make_folder, write_whole
 from vstestbed.report.video.film import Pictures, replay_of, rows_of
 from vstestbed.report.video.film_frame import FilmFrame
 from vstestbed.report.video.frame_reader import FrameReader, scaled
+from vstestbed.report.video.overlay import INK, PAPER, draw_text
 from vstestbed.report.video.quality import FINE
 from vstestbed.report.video.writer import Image
 
@@ -53,6 +54,11 @@ STUDIES: dict[str, tuple[str, str]] = {
         "basin canonical --set camera.rate_hz=5 --x x=-2:2 --y yaw=-180:180 --at y=1 --at z=-1",
         "basin.png",
     ),
+    "realism_arm": ("compare realism_arm", "figures/grid.png"),
+    "realism_camera": ("compare realism_camera", "figures/grid.png"),
+    "realism_omni": ("compare realism_omni", "figures/grid.png"),
+    "realism_car": ("compare realism_car", "figures/grid.png"),
+    "realism_craft": ("compare realism_craft", "figures/grid.png"),
     "depth_error": ("sweep depth_error", "convergence.png"),
     "calibration_error": ("sweep calibration_error", "convergence.png"),
     "delay_arm": ("gain-limit arm_ibvs", "delay.png"),
@@ -60,6 +66,22 @@ STUDIES: dict[str, tuple[str, str]] = {
 }
 """The command, and the file in its folder; of a film the picture at SHOWN_S."""
 SHOWN_S = Fraction(18, 5)
+CAMERA = "camera_effects"
+CAMERA_EFFECTS: dict[str, dict[str, object]] = {
+    "as rendered": {},
+    "rolling shutter, 20 ms": {"camera.readout_s": 0.02},
+    "motion blur, 20 ms": {"timing.exposure_s": 0.02},
+    "flicker, rolling shutter": {
+        "camera.readout_s": 0.03,
+        "timing.exposure_s": 0.002,
+        "world.light": {"flicker": {"frequency_hz": 100, "depth": 0.6}},
+    },
+    "defocus, f/1.4 at 0.25 m": {"camera.optics": {"defocus": {"focus_m": 0.25, "f_number": 1.4, "focal_length_m": 0.008}}},
+    "vignetting, lateral colour": {"camera.optics": {"vignetting": 0.6, "red_px": 3, "blue_px": -3}},
+    "sensor at gain 8": {"camera.exposure": {"time_s": 0.00125, "nominal_s": 0.01, "gain": 8}, "camera.sensor": {}},
+    "JPEG, quality 10": {"camera.stream": {"kind": "jpeg", "quality": 10}},
+}
+"""Effects of a camera that moves at 1 m/s to its right and turns at 2.5 rad/s about its axis."""
 DEPTH, CUT, DEPTHS_M = "depth_sensors", np.s_[40:460, 60:480], (0.4, 2.4)
 """What depth cameras measure: the part of the picture that is shown, and the depths of the first and the last colour [m]."""
 LIVE, LATE_S, QUIET, SWINGS, TURNED_S, SHOT_S = "live", 0.4, 0.4, 3.6, 4.0, 8.5
@@ -129,6 +151,23 @@ def depth_sensors() -> Image:
     return np.asarray(cv2.resize(wide, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), np.uint8)
 
 
+def camera_effects() -> Image:
+    """One view of the poster, half a metre before a camera in motion, with one effect of the camera in each picture."""
+    shown: list[Image] = []
+    camera = {"kind": "perspective", "width": 320, "height": 240, "fovy_deg": 45, "rate_hz": 25}
+    plain = {"camera": camera, "robot.start.nominal": {"xyz": [0.02, -0.01, -0.55]}, "target.lit": True, "stop.duration_s": 1}
+    for words, effect in CAMERA_EFFECTS.items():
+        with vs.Session(vs.load("camera_photometric", plain | effect), pictures=True) as session:
+            session.reset()
+            image = [session.step([1.0, 0, 0, 0, 0, 2.5]).image for _ in range(4)][-1]
+        assert image is not None
+        image = image.copy()
+        for off, colour in ((1, INK), (0, PAPER)):
+            draw_text(image, words, (8 + off, 20 + off), colour, 15, weight=600)
+        shown.append(image)
+    return np.vstack([np.hstack(shown[:4]), np.hstack(shown[4:])])
+
+
 def study(name: str, folder: Path) -> Image:
     """The figure of a study, or a picture of its film."""
     command, file = STUDIES[name]
@@ -190,17 +229,17 @@ def live_page() -> Image:
 def main() -> None:
     """Make them."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("names", nargs="*", metavar="NAME", help=f"{', '.join([*FILMS, *MOVING, LIVE, DEPTH, *STUDIES])}")
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"{', '.join([*FILMS, *MOVING, LIVE, DEPTH, CAMERA, *STUDIES])}")
     parser.add_argument("--studies", action="store_true")
     parser.add_argument("--out", type=Path, default=REPOSITORY / ".media")
     given = parser.parse_args()
-    names = given.names or [*FILMS, *MOVING, LIVE, DEPTH, *(STUDIES if given.studies else ())]
+    names = given.names or [*FILMS, *MOVING, LIVE, DEPTH, CAMERA, *(STUDIES if given.studies else ())]
     with tempfile.TemporaryDirectory() as folder:
         for name in names:
             if name in MOVING:
                 write_whole(given.out / f"{name}.webp", moving(name, Path(folder)))
                 continue
-            own = {LIVE: live_page, DEPTH: depth_sensors}.get(name)
+            own = {LIVE: live_page, DEPTH: depth_sensors, CAMERA: camera_effects}.get(name)
             made = own() if own else strip(name) if name in FILMS else study(name, Path(folder))
             path = given.out / f"{name}.png"
             write_whole(path, cv2.imencode(".png", cv2.cvtColor(made, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_PNG_COMPRESSION, 9])[1].tobytes())
