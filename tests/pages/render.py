@@ -23,9 +23,9 @@ from vstestbed.core.assets import bundled_comparisons, bundled_scenarios
 from vstestbed.experiments.bench.changes import BesideFloor
 from vstestbed.report.comparison.columns import ComparisonResults
 from vstestbed.report.comparison.differences import paired_difference
-from vstestbed.report.comparison.grid import ERROR, Grid
-from vstestbed.report.comparison.pairs import CHANCE, TIME
-from vstestbed.report.comparison.statistics import holm, spread, success_rate
+from vstestbed.report.comparison.grid import ERROR, Grid, beyond
+from vstestbed.report.comparison.pairs import TIME
+from vstestbed.report.comparison.statistics import spread, success_rate
 from vstestbed.report.comparison.tasks import AMOUNT, cells, markdown
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -189,13 +189,12 @@ def tasks(rows: Sequence[Row]) -> str:
 def effects(rows: Sequence[Row]) -> str:
     """Effects by laws: runs that reached the goal, change of the time to converge [s], median final error [mm]; as the grid of a report.
 
-    The first row has the median time; a change is in bold where it is real after Holm's correction for all of the table.
+    The first row has the median time; a change is in bold where its 95 % interval excludes zero.
     """
     names = list(rows[0])
     found = Grid.of(ComparisonResults(pl.DataFrame(rows, infer_schema_length=None), tuple(names[1 : names.index("seed")])))
     assert found is not None
     changes = found.changes(TIME)
-    real = dict(zip(changes, holm([d.p for d in changes.values()]), strict=True))
 
     def cell(i: int, j: int) -> str:
         c = found.cells[i, j]
@@ -206,7 +205,7 @@ def effects(rows: Sequence[Row]) -> str:
         words = f"{median_of(time_s):.1f} s" if change is None and time_s else "-"
         if change is not None and math.isfinite(change.mean):
             words = f"{change.mean:+.2f} s"
-            words = f"**{words}**" if real[i, j] <= CHANCE else words
+            words = f"**{words}**" if beyond(change) else words
         tail = f", {median_of(errors):.2g} mm" if errors else ""
         return (f"{good} of {n}: " if good < n else "") + words + tail
 

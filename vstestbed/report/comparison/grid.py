@@ -12,8 +12,7 @@ from vstestbed.core.geometry import Array
 from vstestbed.report.comparison.columns import ComparisonResults, ControllerResults, Metric, value_text
 from vstestbed.report.comparison.differences import Difference, paired_difference
 from vstestbed.report.comparison.figures import Data, wrapped
-from vstestbed.report.comparison.pairs import CHANCE, TIME
-from vstestbed.report.comparison.statistics import holm
+from vstestbed.report.comparison.pairs import TIME
 from vstestbed.report.html.canvas import GOAL, LINE_COLORS, LOST, new_figure
 
 if TYPE_CHECKING:
@@ -63,6 +62,11 @@ class Grid:
         return {(i, j): _change(self.cells[0, j], cell, metric) for (i, j), cell in self.cells.items() if i > 0 and (0, j) in self.cells}
 
 
+def beyond(change: Difference) -> bool:
+    """Whether the interval of a change excludes zero."""
+    return bool(change.low > 0 or change.high < 0)
+
+
 def _change(before: ControllerResults, now: ControllerResults, metric: Metric) -> Difference:
     first, second = ({s: (v, ok) for s, v, ok in zip(c.starts, c.values(metric), c.success, strict=True)} for c in (before, now))
     both = [s for s in first if s in second and (metric.every_pair or (first[s][1] and second[s][1]))]
@@ -105,10 +109,9 @@ def _reached(axes: Axes, found: Grid) -> None:
 
 
 def _times(axes: Axes, found: Grid) -> None:
-    """Median time in the first row; below it the mean change with its sign, bold where it is real after Holm's correction in the grid."""
+    """Median time in the first row; below it the mean change with its sign, bold where its interval excludes zero."""
     axes.set_title(f"{TIME.title.lower()}, change [s]")
     changes = found.changes(TIME)
-    real = dict(zip(changes, holm([d.p for d in changes.values()]), strict=True))
     largest = max((abs(d.mean) for d in changes.values() if np.isfinite(d.mean)), default=0.0) or 1.0
 
     def cell(i: int, j: int, c: ControllerResults) -> tuple[str, str, float, bool]:
@@ -118,7 +121,7 @@ def _times(axes: Axes, found: Grid) -> None:
         sign = "" if abs(d.mean) < LEAST_SHOWN_S else "+" if d.mean > 0 else "\N{MINUS SIGN}"
         words = sign + _short(abs(d.mean))
         size = abs(d.mean) / largest if np.isfinite(d.mean) else 0.0
-        return words, LINE_COLORS[1] if d.mean > 0 else LINE_COLORS[0], size**0.5, real[i, j] <= CHANCE
+        return words, LINE_COLORS[1] if d.mean > 0 else LINE_COLORS[0], size**0.5, beyond(d)
 
     _fill(axes, found, cell)
 

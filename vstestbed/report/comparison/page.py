@@ -85,8 +85,8 @@ PLOTS: Final[tuple[Plot, ...]] = (
         "grid",
         "Effects and controllers",
         "A row for each value of the first axis, a column for each of the second. Of the time to converge the first row has the median, "
-        "and the others the mean change against it over the starts from which both reached the goal; in bold where that change is real "
-        "after Holm's correction for all changes of the figure.",
+        "and the others the mean change against it over the starts from which both reached the goal; in bold where its 95 % interval "
+        "excludes zero, which one in twenty does by chance.",
         2,
         effects.grid,
     ),
