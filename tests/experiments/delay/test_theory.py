@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.experiments.delay.theory import closed_form, gain_limit, led_form, locus, polynomial, roots, swing_frames
+from vstestbed.experiments.delay.theory import closed_form, gain_limit, led_form, locus, loop_shares, polynomial, roots, swing_frames
 
 
 def iterated(g: float, d: int, shares: tuple[float, ...], steps: int = 4000) -> float:
@@ -68,3 +68,12 @@ def test_branches_are_followed():
 def test_a_servo_that_goes_backwards_is_refused():
     with pytest.raises(ParameterError, match="more than 0"):
         gain_limit(1, (0.5, -0.7))
+
+
+@pytest.mark.parametrize("d", [0, 1, 2, 4])
+def test_led_commands_and_late_pictures_shift_the_limit(d: int) -> None:
+    """A ramp is the closed form of led commands; a picture older by a whole frame is one frame of delay; by a part, in between."""
+    assert gain_limit(d, loop_shares(True, 0.0)) == pytest.approx(led_form(d), abs=1e-6)
+    assert gain_limit(d, loop_shares(False, 1.0)) == pytest.approx(closed_form(d + 1), abs=1e-6)
+    assert closed_form(d + 1) < gain_limit(d, loop_shares(False, 0.4)) < closed_form(d)
+    assert loop_shares(False, 0.0) == (1.0,)

@@ -13,7 +13,7 @@ import polars as pl
 
 from vstestbed.core.files import write_whole, writing
 from vstestbed.experiments.delay.measure import Limit
-from vstestbed.experiments.delay.theory import NO_LAG, closed_form, locus
+from vstestbed.experiments.delay.theory import NO_LAG, locus
 from vstestbed.report.studies.delay import Branches, write_page
 
 BEYOND = 1.3
@@ -41,7 +41,7 @@ def write(folder: Path, limits: Sequence[Limit], name: str, command: str = "") -
 def branches(limit: Limit) -> Branches:
     """Root locus of one delay, with the measured lag of the joint that becomes unstable first, if the robot has joints."""
     first = next((lag.shares for lag in limit.lags if lag.joint == limit.joint), NO_LAG)
-    end = limit.g_lag or closed_form(limit.delay_frames)
+    end = limit.g_lag or limit.g_theory
     gains = np.linspace(1e-6, BEYOND * end, 400)  # not from 0, where all poles but one coincide at the origin
     at_limit = locus(limit.delay_frames, np.array([limit.g]), first)[0]
     return Branches(limit.delay_frames, locus(limit.delay_frames, gains, first), at_limit)

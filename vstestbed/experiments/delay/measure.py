@@ -14,7 +14,7 @@ from vstestbed.core.geometry import exp, inverse
 from vstestbed.core.outcome import Outcome
 from vstestbed.experiments.delay.elastic import elastic_gain_limit
 from vstestbed.experiments.delay.lag import Lag, measure_lags
-from vstestbed.experiments.delay.theory import closed_form, gain_limit, swing_frames
+from vstestbed.experiments.delay.theory import NO_LAG, closed_form, gain_limit, loop_shares, swing_frames
 from vstestbed.laws import Law
 from vstestbed.laws.base import TwistLimits
 from vstestbed.laws.visibility import Visibility
@@ -52,8 +52,8 @@ class Limit:
         delay_frames: d. latency_s: the same delay [s].
         gain: largest stable gain, measured [1/s]; g: gain * period [1]; of an `unlimited` loop, which no gain up to MOST_G makes
             unstable, the largest one that was tried.
-        g_theory: g of a robot without lag. g_lag: g with the measured lag of the joint that becomes unstable first; None for a
-            robot without joints, and for elastic ones.
+        g_theory: g of a robot without lag, with the exposure, readout and interpolation of the scenario. g_lag: g with the measured
+            lag of the joint that becomes unstable first; None for a robot without joints, and for elastic ones.
         g_elastic: g of the linear arm with its gears' elasticity; None for one without.
         lags: lag of each joint at the frequency of the limit. runs: number of runs that the search took.
     """
@@ -196,7 +196,7 @@ def find_limit(at_goal: Scenario, delay_frames: int) -> Limit:
     Raises:
         ParameterError: the loop is unstable at the lowest gain of the bracket, or stable at the highest.
     """
-    period, theory = at_goal.camera.period, closed_form(delay_frames)
+    period, theory = at_goal.camera.period, _theory(at_goal, delay_frames)
     at_start = displaced(at_goal)
     g_elastic = _elastic(at_goal, delay_frames)
     lags = _lags(at_goal, delay_frames) if g_elastic is None else ()  # at a resonance two shares of a command do not describe a joint
@@ -224,8 +224,23 @@ def find_limit(at_goal: Scenario, delay_frames: int) -> Limit:
 
 
 def _lags(at_goal: Scenario, delay_frames: int) -> tuple[Lag, ...]:
-    """Those of a robot with joints."""
-    return tuple(measure_lags(at_goal, delay_frames, _off(at_goal.robot))) if at_goal.robot.joints else ()
+    """Those of a robot with joints, and of its pictures; interpolation is in the measured ones."""
+    if not at_goal.robot.joints:
+        return ()
+    late = loop_shares(False, _late_frames(at_goal))
+    lags = measure_lags(at_goal, delay_frames, _off(at_goal.robot))
+    return tuple(replace(lag, shares=tuple(np.convolve(lag.shares, late).tolist())) if len(late) > 1 else lag for lag in lags)
+
+
+def _late_frames(at_goal: Scenario) -> float:
+    """Age of a complete picture beside its latency [frames]: half its exposure and readout."""
+    return (at_goal.timing.exposure_s + at_goal.camera.readout_s) / 2 / at_goal.camera.period
+
+
+def _theory(at_goal: Scenario, delay_frames: int) -> float:
+    """The g of a robot without lag."""
+    shares = loop_shares(at_goal.timing.interpolation != "hold", _late_frames(at_goal))
+    return closed_form(delay_frames) if shares == NO_LAG else gain_limit(delay_frames, shares)
 
 
 def _elastic(at_goal: Scenario, delay_frames: int) -> float | None:

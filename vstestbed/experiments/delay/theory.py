@@ -49,6 +49,17 @@ def led_form(delay_frames: int) -> float:
     return 2 * math.tan(math.pi / (4 * (delay_frames + 1)))
 
 
+def loop_shares(led: bool, late_frames: float) -> tuple[float, ...]:
+    """Impulse response of a loop without lag of the robot, whose commands are led to (see `led_form`) and whose pictures are old.
+
+    late_frames: age of a picture when it is complete, beside the delay [frames]: half its exposure and half its readout, as its time
+    stamp is their middle. A command for a picture e frames older acts as one in 1 - e of the frame, and e of the next.
+    """
+    whole, part = divmod(late_frames, 1.0)
+    late = [0.0] * int(whole) + ([1 - part, part] if part else [1.0])
+    return tuple(np.convolve(late, (0.5, 0.5) if led else (1.0,)).tolist())
+
+
 def swing_frames(delay_frames: int) -> int:
     """Period of the oscillation at the gain limit of a robot without lag [frames]."""
     return 2 * (2 * delay_frames + 1)

@@ -124,7 +124,8 @@ def _blurred(image: Floats, kernel: Floats) -> Floats:
     """An image (H, W, ...) convolved with a kernel, continued beyond its border as it ends there."""
     if kernel.size == 1:
         return image
-    return np.asarray(cv2.filter2D(image, -1, kernel, borderType=cv2.BORDER_REPLICATE), np.float32)
+    # Of large kernels OpenCV multiplies Fourier transforms, which leaves -1e-20 where nothing shines.
+    return np.asarray(np.maximum(cv2.filter2D(image, -1, kernel, borderType=cv2.BORDER_REPLICATE), 0), np.float32)
 
 
 def _window(mask: NDArray[np.bool_], reach: int) -> tuple[slice, slice]:
