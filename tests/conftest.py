@@ -123,7 +123,7 @@ def one_figure(monkeypatch: pytest.MonkeyPatch) -> None:
 def own_kinds() -> Iterator[None]:
     """Lets a test add kinds to the rooms' lists, and takes them out again."""
     from vstestbed.core.registry import SPECS
-    from vstestbed.core.spec import rebuild_specs
+    from vstestbed.core.spec import needs_rebuild
     from vstestbed.scenario.validation import KINDS
 
     before, modules = {room: dict(kinds.members) for room, kinds in KINDS.items()}, set(sys.modules)
@@ -135,10 +135,12 @@ def own_kinds() -> Iterator[None]:
     for name in gone:  # plugins, else a later test that names one finds it loaded and its kind gone
         del sys.modules[name]
     SPECS[:] = [cls for cls in SPECS if cls.__module__ not in gone]
-    for room, members in before.items():
+    grown = [room for room, members in before.items() if KINDS[room].members != members]
+    for room in grown:
         KINDS[room].members.clear()
-        KINDS[room].members.update(members)
-    rebuild_specs()
+        KINDS[room].members.update(before[room])
+    if grown or gone:
+        needs_rebuild("taken out")
 
 
 QUICK = """\

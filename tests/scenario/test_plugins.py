@@ -167,8 +167,8 @@ def test_a_plugin_that_is_gone_and_its_new_place(command, quick: Path, tmp_path:
     assert f"plugins: [{tmp_path / 'new/mine.py'}]" in (tmp_path / "again/scenario.yaml").read_text()
 
 
-def test_a_comparison_remembers_plugins_for_workers_resume_and_report(quick: Path, tmp_path: Path, vstestbed_process) -> None:
-    """One in the scenario, one beside it; the resumed comparison writes its report."""
+def test_a_comparison_remembers_plugins_for_workers_resume_and_report(quick: Path, tmp_path: Path, here: None, vstestbed_process) -> None:
+    """One in the scenario, one beside it; the resumed comparison has a worker and writes its report."""
     plugin(tmp_path / "a/mine.py", "one"), plugin(tmp_path / "b/mine.py", "two")
     quick.write_text(quick.read_text() + "plugins: [a/mine.py]  # beside\n")
     laws = {"law.kind": ["one", "two"]}

@@ -78,6 +78,11 @@ def refresh_specs() -> bool:
     return True
 
 
+def needs_rebuild(what: str) -> None:
+    """Let the next constructor rebuild the validators: the room `what` has got other kinds."""
+    _GROWN.append(what)
+
+
 def rebuild_specs() -> None:
     """Rebuild the validators of all specs in the order of definition; the next constructor does it after a `OneOf` has grown.
 
@@ -100,7 +105,7 @@ def undone_on_error() -> Iterator[None]:
         for room, before in members:
             room.members.clear()
             room.members.update(before)
-        _GROWN.append("undone")
+        needs_rebuild("undone")
         raise
 
 
@@ -138,7 +143,7 @@ class OneOf(Room):
             ParameterError: the class is no spec, its word is taken, or it breaks the contract of the room.
         """
         if self._add(member) and self._left_out - {kind_of(member)}:
-            _GROWN.append(self.what)
+            needs_rebuild(self.what)
         return member
 
     def without(self, kind: str) -> OneOf:
