@@ -135,12 +135,11 @@ def own_kinds() -> Iterator[None]:
     for name in gone:  # plugins, else a later test that names one finds it loaded and its kind gone
         del sys.modules[name]
     SPECS[:] = [cls for cls in SPECS if cls.__module__ not in gone]
-    grown = [room for room, members in before.items() if KINDS[room].members != members]
-    for room in grown:
-        KINDS[room].members.clear()
-        KINDS[room].members.update(before[room])
-    if grown or gone:
-        needs_rebuild("taken out")
+    for room, members in before.items():
+        if KINDS[room].members != members:
+            KINDS[room].members.clear()
+            KINDS[room].members.update(members)
+            needs_rebuild(KINDS[room].what)
 
 
 QUICK = """\

@@ -188,7 +188,7 @@ class TestInRuns:
 
     def test_a_blurred_run_converges(self):
         setting = {"timing.exposure_s": 0.02, "timing.exposure_pictures": 5, "camera.rate_hz": 25, "law.gain": 1.5}
-        lens = {"kind": "perspective", "width": 400, "height": 400, "focal_length_m": 0.008, "pixel_size_m": 2.5e-5}
+        lens = {"kind": "perspective", "width": 500, "height": 500, "focal_length_m": 0.008, "pixel_size_m": 2e-5}
         r = vs.run(vs.load("ibvs_book", {"camera": lens} | setting | {"stop.converged.error_px": 0.2}))
         assert r.outcome is vs.Outcome.converged
         seen = np.array([[r[f"{c}_{i}"] for c in "uv"] for i in range(4)])
