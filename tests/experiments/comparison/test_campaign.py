@@ -359,7 +359,10 @@ def cluster() -> Iterator[str]:
         yield made.scheduler_address.replace("tcp://", "dask://")
 
 
-def test_nobody_at_the_address(tmp_path: Path):
+def test_nobody_at_the_address(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    distributed = pytest.importorskip("distributed")
+    client = distributed.Client  # which waits for 5 s: here for less
+    monkeypatch.setattr(distributed, "Client", lambda address, timeout, **more: client(address, timeout="0.5s", **more))
     with pytest.raises(EnvironmentLackError, match=r"no dask scheduler answers at 127.0.0.1:9 .*dask worker"):
         compare(["ibvs_book"], out=tmp_path / "c", executor="dask://127.0.0.1:9", film=False, report=False)
 
