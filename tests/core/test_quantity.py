@@ -9,11 +9,11 @@ from typing import Annotated, Any
 import pydantic
 import pytest
 
+from tests.scenario.schemas import whole_schema
 from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.core.geometry import Pose
 from vstestbed.core.quantity import Length, Narrower, PositiveLength, PositiveTime, Seed
 from vstestbed.core.spec import spec
-from vstestbed.scenario.described import schema_of
 from vstestbed.scenario.load import load
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.targets import Square
@@ -44,7 +44,7 @@ def unbounded(part: Any, path: str = "") -> Iterator[str]:
 
 
 def test_every_number_of_a_scenario_has_bounds() -> None:
-    assert list(unbounded(schema_of(Scenario))) == [], "give each field a type of core.quantity, or bounds of its own"
+    assert list(unbounded(whole_schema(Scenario))) == [], "give each field a type of core.quantity, or bounds of its own"
     assert list(unbounded({"properties": {"x": {"type": "number", "minimum": 0}}})) == ["/properties/x"]
 
 

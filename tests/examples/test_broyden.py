@@ -43,7 +43,7 @@ def test_it_drives_the_arm(command):
 
 
 def test_it_is_compared_with_the_classic(command, quick: Path, here: None, one_figure: None):
-    both = ("--vary", "law.kind=ibvs,broyden", "--set", "law.gain=2")
+    both = ("--vary", "law.kind=ibvs,broyden", "--set", "law.gain=3")
     ended = command("compare", "quick.yaml", *both, "--plugin", "broyden", "--seeds", 2, "--set", "camera.rate_hz=10", *QUIET)
     assert ended.code == 0, ended.err
     rows = json.loads(ended.out)

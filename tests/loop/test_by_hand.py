@@ -35,12 +35,12 @@ def test_a_plate_in_reserve_changes_no_number(name: str):
 
 @pytest.mark.parametrize("name", ["arm_ibvs", "quadrotor_hover"])
 def test_pictures_now_and_then_change_no_number(name: str):
-    short = {"stop.duration_s": 0.8, "timing.exposure_s": 0.01}
+    short = {"stop.duration_s": 0.4, "timing.exposure_s": 0.01, "timing.exposure_pictures": 3}
     plain, seen = vs.run(vs.load(name, short)), []
     with vs.Session(vs.load(name, short), pictures=True) as session:
         frame = session.reset()
         while frame.outcome is None:
-            session.take_pictures(frame.timing.number % 5 == 0)
+            session.take_pictures(frame.timing.number % 3 == 0)
             frame = session.step()
             seen.append(frame.image is not None)
     np.testing.assert_array_equal(session.recording().table, plain.table)

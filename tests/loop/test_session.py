@@ -15,7 +15,7 @@ import pytest
 import vstestbed as vs
 from vstestbed.core.errors import ParameterError, SessionError
 
-SHORT = {"stop.duration_s": 0.6}
+SHORT = {"stop.duration_s": 0.4}
 TWELVE = (
     *("arm_ibvs", "arm_pbvs", "arm_fisheye", "arm_track_circle", "omni_ibvs", "omni_line", "car_pbvs", "car_line"),
     *("quadrotor_hover", "quadrotor_path", "ibvs_book", "spherical_behind"),
@@ -180,7 +180,7 @@ class TestMistakes:
 
     def test_after_the_end_and_after_close(self, session: vs.Session) -> None:
         recording = turned(session)
-        with pytest.raises(SessionError, match=r"the run has ended: 0\.6 s were not enough; call reset"):
+        with pytest.raises(SessionError, match=r"the run has ended: 0\.4 s were not enough; call reset"):
             session.step()
         session.reset()
         session.close()

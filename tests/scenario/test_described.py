@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 import pytest
 
+from tests.scenario.schemas import whole_schema
 from tests.scenario.test_load import conforms
 from vstestbed.core.assets import bundled_comparisons, bundled_scenarios, folder
 from vstestbed.core.docstrings import class_text, unit_in
@@ -21,7 +22,7 @@ from vstestbed.scenario.load import for_another_folder, load
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.tasks.landing import GoalLanding
 
-WHOLE = {cls: json.loads(json.dumps(schema_of(cls))) for cls in (Scenario, Comparison)}
+CLASSES = (Scenario, Comparison)
 ADVICE = "write a line for it under Args: in the docstring of the class: `name: words [unit].`"
 
 
@@ -41,20 +42,20 @@ def is_number(rule: dict[str, Any]) -> bool:
     return rule.get("type") in ("number", "integer") or any(map(is_number, [*choices, *filter(None, [inner])]))
 
 
-@pytest.mark.parametrize("cls", WHOLE)
+@pytest.mark.parametrize("cls", CLASSES)
 class TestEveryField:
     def test_is_described(self, cls: type) -> None:
-        without = [name for name, rule in fields(WHOLE[cls]) if not rule.get("description")]
+        without = [name for name, rule in fields(whole_schema(cls)) if not rule.get("description")]
         assert not without, f"{', '.join(without)}: {ADVICE}"
 
     def test_that_is_a_number_has_a_unit(self, cls: type) -> None:
-        without = [name for name, rule in fields(WHOLE[cls]) if is_number(rule) and not rule.get("unit")]
+        without = [name for name, rule in fields(whole_schema(cls)) if is_number(rule) and not rule.get("unit")]
         assert not without, f"{', '.join(without)}: {ADVICE}, with [1] for a pure number"
 
     def test_has_an_example_that_is_valid(self, cls: type) -> None:
-        without = [name for name, rule in fields(WHOLE[cls]) if not rule.get("examples")]
+        without = [name for name, rule in fields(whole_schema(cls)) if not rule.get("examples")]
         assert not without, f"{', '.join(without)}: no default, and set in no bundled file: end its line under Args: with `; e.g. `VALUE`.`"
-        wrong = [name for name, rule in fields(WHOLE[cls]) if not conforms(rule["examples"][0], rule, WHOLE[cls])]
+        wrong = [name for name, rule in fields(whole_schema(cls)) if not conforms(rule["examples"][0], rule, whole_schema(cls))]
         assert not wrong, f"{', '.join(wrong)}: the example is not valid"
 
 
@@ -71,9 +72,9 @@ SUFFIXES = {
 }
 
 
-@pytest.mark.parametrize("cls", WHOLE)
+@pytest.mark.parametrize("cls", CLASSES)
 def test_the_unit_in_a_name_is_the_unit(cls: type) -> None:
-    for name, rule in fields(WHOLE[cls]):
+    for name, rule in fields(whole_schema(cls)):
         unit = SUFFIXES.get(f"_{name.rpartition('_')[2]}") if "_" in name else None
         assert unit is None or rule["unit"].startswith(unit), name
 
@@ -86,7 +87,7 @@ def test_the_schema_beside_the_bundled_files_is_the_present_one(cls: type) -> No
     name, files = COMMITTED[cls]
     option = " --comparison" if cls is Comparison else ""
     there = folder("scenarios") / f"{name}.schema.json"
-    fresh = json.loads(there.read_text(encoding="utf-8")) == WHOLE[cls]
+    fresh = json.loads(there.read_text(encoding="utf-8")) == whole_schema(cls)
     assert fresh, f"make it again: vstestbed schema{option} > scenarios/{there.name}"
     for path in files().values():
         first = path.read_text(encoding="utf-8").splitlines()[0]
@@ -106,7 +107,7 @@ def test_it_is_the_same_without_the_packages_of_arms(monkeypatch: pytest.MonkeyP
     without = bundled_uses.__wrapped__()
     assert "arm_panda" not in str(without.files) and "arm_jaco" in str(without.files)
     monkeypatch.setattr("vstestbed.scenario.described.bundled_uses", lambda: without)
-    assert json.loads(json.dumps(schema_of(Scenario))) == WHOLE[Scenario]
+    assert json.loads(json.dumps(schema_of(Scenario))) == whole_schema(Scenario)
 
 
 def test_a_copy_elsewhere_names_no_schema() -> None:

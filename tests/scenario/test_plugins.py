@@ -13,9 +13,9 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.core.errors import ParameterError, PluginError, ScenarioError
+from vstestbed.laws.switched import Turn
 from vstestbed.scenario.described import schema_of
 from vstestbed.scenario.plugins import load_plugins
-from vstestbed.scenario.scenario import Scenario
 from vstestbed.scenario.validation import KINDS
 
 pytestmark = pytest.mark.usefixtures("own_kinds")
@@ -167,8 +167,8 @@ def test_a_plugin_that_is_gone_and_its_new_place(command, quick: Path, tmp_path:
     assert f"plugins: [{tmp_path / 'new/mine.py'}]" in (tmp_path / "again/scenario.yaml").read_text()
 
 
-def test_a_comparison_remembers_plugins_for_workers_resume_and_report(quick: Path, tmp_path: Path, vstestbed_process) -> None:
-    """One in the scenario, one beside it; the resumed comparison writes its report."""
+def test_a_comparison_remembers_plugins_for_workers_resume_and_report(quick: Path, tmp_path: Path, here: None, vstestbed_process) -> None:
+    """One in the scenario, one beside it; the resumed comparison has a worker and writes its report."""
     plugin(tmp_path / "a/mine.py", "one"), plugin(tmp_path / "b/mine.py", "two")
     quick.write_text(quick.read_text() + "plugins: [a/mine.py]  # beside\n")
     laws = {"law.kind": ["one", "two"]}
@@ -185,7 +185,7 @@ def test_a_comparison_remembers_plugins_for_workers_resume_and_report(quick: Pat
 
 def test_schema_and_validators_know_what_a_plugin_adds(tmp_path: Path) -> None:
     load_plugins([str(plugin(tmp_path / "mine.py", "newest"))])
-    assert '"newest"' in json.dumps(schema_of(Scenario))
+    assert '"newest"' in json.dumps(schema_of(Turn))  # a block that holds a law
 
 
 @pytest.mark.parametrize("value", ["mine.py", "[1]", "{a: b}", "[[mine.py]]"])

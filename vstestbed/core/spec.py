@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import dataclasses
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib.metadata import EntryPoints
 from typing import Any, TypeVar, dataclass_transform
@@ -29,6 +29,7 @@ from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from vstestbed.core.contract import Contract
 from vstestbed.core.errors import ParameterError
+from vstestbed.core.holders import holders
 from vstestbed.core.refusals import refusal, refuse_conversions
 from vstestbed.core.registry import ROOMS, SPECS, Room, fields_of
 
@@ -74,17 +75,22 @@ def refresh_specs() -> bool:
     """Rebuild the validators where a room has grown since the last time; whether that was so."""
     if not _GROWN:
         return False
-    rebuild_specs()
+    rebuild_specs(holders(_GROWN))
     return True
 
 
-def rebuild_specs() -> None:
-    """Rebuild the validators of all specs in the order of definition; the next constructor does it after a `OneOf` has grown.
+def needs_rebuild(room: str) -> None:
+    """Let the next constructor rebuild the validators that hold blocks of this room (`OneOf.what`): it has got other kinds."""
+    _GROWN.append(room)
+
+
+def rebuild_specs(classes: Sequence[type] = SPECS) -> None:
+    """Rebuild the validators of specs in the order of definition; the next constructor does it after a `OneOf` has grown.
 
     Pydantic compiles a validator when the class is defined, with the kinds known then; without this a plugin's kind is refused.
     """
     _GROWN.clear()
-    for cls in SPECS:
+    for cls in classes:
         rebuild_dataclass(cls, force=True)
         _with_our_errors(cls)  # pydantic has put its own constructor back
 
@@ -98,9 +104,10 @@ def undone_on_error() -> Iterator[None]:
     except BaseException:
         del SPECS[specs:]
         for room, before in members:
-            room.members.clear()
-            room.members.update(before)
-        _GROWN.append("undone")
+            if room.members != before:
+                room.members.clear()
+                room.members.update(before)
+                needs_rebuild(room.what)
         raise
 
 
@@ -138,7 +145,7 @@ class OneOf(Room):
             ParameterError: the class is no spec, its word is taken, or it breaks the contract of the room.
         """
         if self._add(member) and self._left_out - {kind_of(member)}:
-            _GROWN.append(self.what)
+            needs_rebuild(self.what)
         return member
 
     def without(self, kind: str) -> OneOf:

@@ -60,12 +60,12 @@ LAWS += ("pose", "pose_origin", "hybrid")
 
 @pytest.mark.parametrize("law", LAWS)
 def test_a_batch_gives_the_folders_of_single_runs(canonical: dict[str, list[Scenario]], law: str):
-    """A run of each task by two of the laws, of two tasks by the others; the study below compares all."""
-    whole = canonical[law]
-    picked = [0, 1, 2, 3, 4] if law in ("points", "pose") else [3, 4]  # seed by seed: the first of each task
+    """A run of each task by one of the laws, of one by the others beside another; the study below compares all."""
+    whole, first = canonical[law], LAWS.index(law) % 5
+    picked = [(first + i) % 5 for i in range(5 if law == "points" else 2)]  # seed by seed: the first of each task
     flown = BatchRequest.of("a", [whole[i] for i in picked]).perform()
     assert [i for i, files in zip(picked, flown, strict=True) if files is None] == []
-    for i, files in zip(picked, flown, strict=True):
+    for i, files in list(zip(picked, flown, strict=True))[: 5 if law == "points" else 1]:
         single = execute(request_of("a", whole[i], False))
         assert files is not None and single.keys() == files.keys()
         assert files["scenario.yaml"].decode() == dump(whole[i], defaults=True) == single["scenario.yaml"].decode()
@@ -156,14 +156,13 @@ def test_a_law_that_overrides_its_step_alone_has_no_batch():
 
 
 def test_a_resumed_comparison_flies_the_same_batches(quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """Whatever is missing, with any number of jobs, the bytes are those of a comparison that was never cut off."""
+    """Whatever is missing, and in groups of any size, the bytes are those of a comparison that was never cut off."""
+    run_here(monkeypatch)
     monkeypatch.setattr("vstestbed.experiments.comparison.folder_names.SIDE_BY_SIDE", 8)
     monkeypatch.setattr("vstestbed.experiments.comparison.folder.GROUP", 6)
     whole, cut = tmp_path / "whole", tmp_path / "cut"
     seeds = 2 * LEAST
-    with monkeypatch.context() as patch:
-        run_here(patch)
-        table = compare([quick], seeds=seeds, out=whole, film=False, report=False)
+    table = compare([quick], seeds=seeds, out=whole, film=False, report=False)
     assert table["batch"].to_list() == [None] + [True] * (seeds - 1)  # the first may be filmed
     shutil.copytree(whole, cut)
     every = jobs(controllers(Comparison(base=(str(quick),), seeds=seeds)), seeds)
@@ -171,7 +170,7 @@ def test_a_resumed_comparison_flies_the_same_batches(quick: Path, tmp_path: Path
     assert table.equals(table_of(whole, every)) and table.equals(pl.read_parquet(whole / "comparison.parquet"))
     for place in ("0/0", "0/3", "8/11"):
         (cut / f"runs/quick/as_it_is/{place}/summary.json").unlink()
-    again = compare([], jobs=2, out=cut, resume=True, film=False, report=False)
+    again = compare([], out=cut, resume=True, film=False, report=False)
     (cut / RUNNING).mkdir()  # of a process that was killed while it wrote the report
     assert timeless(compare([], out=cut, resume=True, film=False, report=False)).equals(timeless(again))
     assert not (cut / RUNNING).exists()
