@@ -120,6 +120,11 @@ class Robot(Protocol):
         ...
 
     @property
+    def draws(self) -> bool:
+        """Whether the scenario's seed makes a difference to its body or its sensors, besides the start."""
+        ...
+
+    @property
     def tyres(self) -> Tyres | None:
         """Of a vehicle: tyres that slip; None: its wheels have the contacts of its file."""
         ...

@@ -100,6 +100,11 @@ class RobotBase:
         return self
 
     @property
+    def draws(self) -> bool:
+        """No."""
+        return False
+
+    @property
     def ends_m(self) -> tuple[float, float]:
         """Its origin."""
         return 0.0, 0.0

@@ -62,6 +62,11 @@ class FlightRealism(Realistic):
     presets: ClassVar[Mapping[Level, Mapping[str, object]]] = {"lab": LAB, "field": FIELD}
 
     @property
+    def draws(self) -> bool:
+        """Motors, a wake that fluctuates, vibration."""
+        return not (self.motors is None and self.downwash is None and self.vibration is None)
+
+    @property
     def imperfect(self) -> bool:
         """Whether any block is given."""
         return any(getattr(self, name) is not None for name in LAB)

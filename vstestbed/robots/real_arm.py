@@ -62,6 +62,11 @@ class RealArm(Realistic, Arm):
         return getattr(self, "actuation", "") == "ideal"  # a field of the subclasses
 
     @property
+    def draws(self) -> bool:
+        """Errors of its geometry."""
+        return self.geometry_error is not None and (self.geometry_error.sigma_m > 0 or self.geometry_error.sigma_deg > 0)
+
+    @property
     def slides(self) -> NDArray[np.bool_]:
         """Which joints slide, (n,)."""
         return np.zeros(len(self.joints), dtype=bool)

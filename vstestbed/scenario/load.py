@@ -186,7 +186,8 @@ def seeded(scenario: Scenario, seed: int) -> Scenario:
         ParameterError: nothing is random, or no start was found with the target in view.
     """
     # A fixed start with noise is a fair experiment for many seeds, as in other scenes; without either, every seed would give the same run.
-    if scenario.robot.start.random is None and (scenario.noise.draws() or scenario.draws_noise or scenario.draws_scene):
+    drawn = scenario.noise.draws() or scenario.draws_noise or scenario.draws_scene or scenario.timing.draws
+    if scenario.robot.start.random is None and drawn:
         return scenario.with_seed(seed)
     return scenario.randomised(seed)
 

@@ -148,7 +148,7 @@ class Scenario:
     @property
     def draws_scene(self) -> bool:
         """Whether a seed makes a difference to the scenario itself, besides the start."""
-        return bool(self.randomise) or self.world.clutter is not None
+        return bool(self.randomise) or self.world.clutter is not None or self.robot.draws
 
     @property
     def clock(self) -> tuple[float, int]:
