@@ -113,3 +113,10 @@ def test_vignetting_is_the_cos4_law_and_the_share_in_the_corner():
     mechanical = LensEffects(CAMERA, Optics(vignetting=0.4)).of(white, None)[..., 0]
     assert mechanical[0, 0] == pytest.approx(120, rel=1e-4)
     assert mechanical[60, 80] == pytest.approx(200, rel=1e-3)
+
+
+def test_a_blurred_picture_has_no_negative_light() -> None:
+    """Of large discs OpenCV multiplies Fourier transforms, and shot noise has no negative expectation."""
+    light = np.zeros((60, 80, 3), np.float32)
+    light[20:40, 30:50] = 255
+    assert defocused(light, np.full((60, 80), 25.0, np.float32)).min() == 0
