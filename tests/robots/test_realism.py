@@ -8,6 +8,7 @@ from typing import ClassVar
 
 import pytest
 
+from vstestbed.core.errors import ParameterError
 from vstestbed.core.spec import spec
 from vstestbed.robots.realism import Level, Realistic
 
@@ -51,3 +52,9 @@ def test_what_is_given_stays_also_where_it_is_nothing() -> None:
 def test_a_copy_is_the_same() -> None:
     cart = Cart(realism="lab")
     assert replace(cart) == cart
+
+
+def test_a_block_is_left_out() -> None:
+    assert Cart(realism="field", without=("play",)).play is None
+    with pytest.raises(ParameterError, match=r"without must be blocks of `realism: field`, which has play, got 'plai'"):
+        Cart(realism="field", without=("plai",))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -53,6 +54,7 @@ class ImageSensor:
         self._reads_depth = depth is not None or (imaging is not None and imaging.needs_depth)
         self._always_whole = self._reads_depth or imaging is not None
         self._true_depth: DepthImage | None = None
+        self._imaged_s = 0.0
         self._states: list[mujoco.MjData] = []
         self._present: mujoco.MjData | None = None
         self._perturbed = perturbed or Perturbed((), np.random.default_rng(0))
@@ -62,8 +64,8 @@ class ImageSensor:
 
     @property
     def spent_s(self) -> float:
-        """Wall time spent on images so far [s]."""
-        return self._renderer.spent_s
+        """Wall time spent on images so far, with lens, sensor and stream [s]."""
+        return self._renderer.spent_s + self._imaged_s
 
     def capture(self, t: float, look: Look | None = None) -> Picture:
         """A picture of an instant, with time stamp t [s]; valid until the next one.
@@ -145,8 +147,11 @@ class ImageSensor:
 
     def _imaged(self, t: float, clean: Images, imaging: Imaging) -> Picture:
         """The picture through lens, exposure and sensor, with the scenario's own noise, and through the stream."""
+        begun = time.perf_counter()
         made = self._developed(t, imaging.taken(t, clean, self._true_depth), *self._latest)
-        return replace(made, images=imaging.streamed(made.images))
+        made = replace(made, images=imaging.streamed(made.images))
+        self._imaged_s += time.perf_counter() - begun
+        return made
 
     def _developed(self, t: float, clean: Images, noise: PictureNoise, change: Callable[[float, Images], Images]) -> Picture:
         made = self._drift.of(Picture(t, noise.added(clean)))
