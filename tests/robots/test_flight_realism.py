@@ -28,7 +28,7 @@ def test_a_preset_fills_all_blocks(level, blocks):
 
 def test_one_block_leaves_the_draws_of_the_others():
     """Each block draws from a stream of its own."""
-    both, one = Quadrotor(realism="lab"), Quadrotor(vibration={})  # pyright: ignore[reportArgumentType]
+    both, one = Quadrotor(realism="lab"), Quadrotor(vibration={})  # pyright: ignore[reportArgumentType] - a block as YAML has it
     felt = []
     for robot in (both, one):
         disturbance = robot.disturbance(np.random.default_rng(4))

@@ -44,7 +44,7 @@ def test_elliotts_losses_in_both_states():
 
 
 def test_directions_are_independent_and_each_may_be_safe():
-    rng = lambda: np.random.default_rng(1)  # noqa: E731
+    rng = lambda: np.random.default_rng(1)  # noqa: E731 - the same numbers each time it is called
     pictures, commands = directions(BurstLoss(), rng())
     assert pictures is not None and commands is not None
     a, b = (np.array([link.loses(k) for k in range(20_000)]) for link in (pictures, commands))

@@ -17,7 +17,7 @@ from vstestbed.robots.reading import Reading
 
 ROBOTS = OneOf("robot", Free, Puma560, Mjcf, Omni, Car, Quadrotor, contract=Contract(Robot, base=RobotBase))
 # The base has a control period where its drive has a lag, while the contract asks for one of the class.
-VEHICLES: Mapping[str, Callable[[], Robot]] = {"omni": Omni, "car": Car}  # pyright: ignore[reportAssignmentType]
+VEHICLES: Mapping[str, Callable[[], Robot]] = {"omni": Omni, "car": Car}  # pyright: ignore[reportAssignmentType] - the base's period is a property
 """Robots that can carry a target along a route (`Carried.by`)."""
 
 __all__ = [

@@ -54,3 +54,9 @@ def test_the_numbers_stand_in_their_cells() -> None:
 def test_without_two_axes_or_with_two_values_there_is_none() -> None:
     assert drawn(table().filter(law="pose"), ("effect",)) is None
     assert drawn(table(("none", "late"))) is None
+
+
+def test_a_change_that_no_start_shows_is_a_dash_without_a_sign() -> None:
+    frame = table().with_columns(success=(pl.col("effect") != "late") | (pl.col("law") != "pose"))
+    words = drawn(frame)
+    assert words is not None and "\N{EN DASH}" in words and "\N{MINUS SIGN}\N{EN DASH}" not in words

@@ -20,7 +20,7 @@ K = 2000.0
 
 def loose(folder: Path, step_s: float | None = None, **gears: float | tuple[float, ...]) -> Stage:
     """The joint with elastic gears, its servos off."""
-    stage = stage_of(arm(folder, gears=Gears(**{"stiffness_nmprad": (K, 0.0), **gears})), step_s)  # type: ignore[arg-type]
+    stage = stage_of(arm(folder, gears=Gears(**{"stiffness_nmprad": (K, 0.0), **gears})), step_s)  # type: ignore[arg-type] - of dict values
     stage.model.actuator_gainprm[:], stage.model.actuator_biasprm[:] = 0.0, 0.0
     return stage
 
@@ -37,7 +37,7 @@ def swing(stage: Stage, seconds: float, wind: float = 0.001, locked: bool = Fals
         mujoco.mj_step(model, data)
         out.append((data.time, data.qpos[at.qpos[0]] - data.qpos[at.motor_qpos[0]]))
     stage.close()
-    return tuple(np.array(out).T)  # type: ignore[return-value]
+    return tuple(np.array(out).T)  # type: ignore[return-value] - rows of an array
 
 
 def frequency(t: Array, x: Array) -> float:

@@ -118,7 +118,7 @@ def _times(axes: Axes, found: Grid) -> None:
         if i == 0 or (i, j) not in changes:
             return _short(_median(c.counted(TIME))), LINE_COLORS[7], 0.15, False
         d = changes[i, j]
-        sign = "" if abs(d.mean) < LEAST_SHOWN_S else "+" if d.mean > 0 else "\N{MINUS SIGN}"
+        sign = "" if not abs(d.mean) >= LEAST_SHOWN_S else "+" if d.mean > 0 else "\N{MINUS SIGN}"
         words = sign + _short(abs(d.mean))
         size = abs(d.mean) / largest if np.isfinite(d.mean) else 0.0
         return words, LINE_COLORS[1] if d.mean > 0 else LINE_COLORS[0], size**0.5, beyond(d)
