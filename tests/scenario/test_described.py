@@ -99,7 +99,7 @@ def test_it_is_the_same_without_the_packages_of_arms(monkeypatch: pytest.MonkeyP
     def load_others(name: str) -> Scenario:
         if name == "arm_panda":
             raise ScenarioError(
-                [Mistake("arm_panda.yaml:10:3", "robot.file", "names the package dm_robotics.panda, which is not installed")]
+                [Mistake("arm_panda.yaml:12:3", "robot.file", "names the package dm_robotics.panda, which is not installed")]
             )
         return load(name)
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from vstestbed.camera import Perspective
-from vstestbed.core.geometry import Pose
+from vstestbed.core.geometry import Array, Pose
 from vstestbed.robots import Mjcf
 from vstestbed.robots.mjcf import ArmStart, Positions
 from vstestbed.sim.base import Plant
@@ -33,12 +36,19 @@ def arm(folder: Path, axis: str = "0 0 1", rotor: float = ROTOR, **effects: Any)
     path.write_text(FILE.format(axis=axis, rotor=rotor))
     start = ArmStart(nominal=Positions(q_deg=(0.0, 0.0)))
     given: dict[str, Any] = {"servo_kp": (2000.0, 50.0), "servo_kv": (50.0, 1.25)} if "actuation" not in effects else {}
-    return Mjcf(file=str(path), speed_limits=(2.0, 2.0), start=start, **given, **effects)
+    return Mjcf(file=str(path), speed_limits=(2.0, 2.0), start=start, **given | effects)
 
 
 def inertia() -> float:
     """The load's moment of inertia about z through the first joint [kg m^2]."""
     return 1.5 * REACH**2 + 0.1 + 0.5 * REACH**2 + 0.001
+
+
+def frequency(t: Array, x: Array) -> float:
+    """By the zero crossings [rad/s]."""
+    i = np.flatnonzero(np.diff(np.sign(x)))
+    at = t[i] - x[i] * (t[i + 1] - t[i]) / (x[i + 1] - x[i])
+    return math.pi * (len(at) - 1) / (at[-1] - at[0])
 
 
 def stage_of(robot: Mjcf, step_s: float | None = None) -> Stage:

@@ -25,6 +25,8 @@ class Mechanics:
     Attributes:
         joints: names in the file.
         stiffness, damping, play: of the gears (n,) [Nm/rad, Nm s/rad, rad]; a joint of stiffness 0 is rigid.
+        stages: (n, m, 2), beyond which torsion the stiffness of a gear grows by how much [rad, Nm/rad]; in the order of the torsion.
+        rotors: inertia of the motors' rotors on the joint's side (n,) [kg m^2]; None: as the file has it.
         cogging, cycles: amplitude of the cogging torque and cycles in a turn of the joint (n,) [Nm, 1]. ripple: of the torque [1].
         drives: the current loops. links: D_i (n, 4, 4), displacement of the next joint or the flange in the frame of each link.
         gravity: the share of the weight that the compensation of the drives carries; None: as the actuation has it.
@@ -38,6 +40,8 @@ class Mechanics:
     cogging: Array
     cycles: Array
     ripple: float = 0.0
+    stages: Array | None = None
+    rotors: Array | None = None
     drives: CurrentLoops | None = None
     links: Array | None = None
     gravity: float | None = None
@@ -47,6 +51,30 @@ class Mechanics:
     def acts(self) -> bool:
         """Whether torques are computed at each physics step: those of current loops, cogging, ripple."""
         return self.drives is not None or self.ripple > 0 or bool(self.cogging.any())
+
+    @property
+    def stiffest(self) -> Array:
+        """Stiffness of the gears under a large torque (n,) [Nm/rad]."""
+        return self.stiffness if self.stages is None else self.stiffness + self.stages[:, :, 1].sum(axis=1)
+
+    def torsion(self, torque: Array) -> Array:
+        """Torsion of the gears (n,) [rad] under a torque (n,) [Nm], beyond their play; 0 where they are rigid."""
+        return self._under(torque)[0]
+
+    def tangent(self, torque: Array) -> Array:
+        """Stiffness of the gears (n,) [Nm/rad] for small motions about a torque (n,) [Nm]."""
+        return self._under(torque)[1]
+
+    def _under(self, torque: Array) -> tuple[Array, Array]:
+        k, left = self.stiffness.copy(), np.abs(torque)
+        at, torsion = np.zeros(len(k)), np.zeros(len(k))
+        for stage in () if self.stages is None else self.stages.transpose(1, 2, 0):
+            held = k * (stage[0] - at)  # the torque at which this stage begins, beyond that of the former one
+            beyond = (left > held) & (stage[1] > 0)
+            torsion, left = torsion + np.where(beyond, stage[0] - at, 0.0), left - np.where(beyond, held, 0.0)
+            at, k = np.where(beyond, stage[0], at), k + np.where(beyond, stage[1], 0.0)
+        rest = np.divide(left, k, out=np.zeros(len(k)), where=k > 0)
+        return np.sign(torque) * (torsion + rest), k
 
 
 def quickest(M: Array, rotors: Array, stiffness: Array) -> tuple[float, int]:

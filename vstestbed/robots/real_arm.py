@@ -21,6 +21,7 @@ from vstestbed.robots.link_errors import GeometryError, Payload
 from vstestbed.robots.mechanics import DRIVES_STEP_S, FINEST, Mechanics, quickest
 from vstestbed.robots.reading import Reading
 from vstestbed.robots.realism import Realistic
+from vstestbed.robots.strain_wave import StrainWave
 
 SHORTEST_STEP_S = 1e-4
 """Shortest physics step that elastic gears may ask for [s]: twenty times the time of a run at 2 ms."""
@@ -34,6 +35,8 @@ class RealArm(Realistic, Arm):
 
     Args:
         gears: elasticity and backlash; None: rigid, without play.
+        strain_wave: the strain wave gears in its joints, of which `realism`, and `gears` without a stiffness, make springs and rotors;
+            None: its joints are rigid with a preset that has no stiffness of its own; e.g. `{sizes: [20, 20, 20, 20, 14, 14, 0]}`.
         ripple: cogging and torque ripple of the motors; None: none.
         encoders: steps and eccentricity of what the joints read; None: exact.
         drives: lag and delay of the motors' torque; None: none.
@@ -44,6 +47,7 @@ class RealArm(Realistic, Arm):
     """
 
     gears: Gears | None = None
+    strain_wave: StrainWave | None = None
     ripple: Ripple | None = None
     encoders: Encoders | None = None
     drives: CurrentLoops | None = None
@@ -88,20 +92,33 @@ class RealArm(Realistic, Arm):
             return None
         n, slides = len(self.joints), self.slides
         ripple, gears = self.ripple or Ripple(), self.gears or Gears(stiffness_nmprad=(0.0,))
-        k, play = gears.springs(slides)
+        k, stages, rotors = self._springs(gears)
         return Mechanics(
             joints=self.joints,
             stiffness=k,
             damping=k * gears.damping_s,
-            play=play,
+            play=gears.play(k, slides),
             cogging=each("ripple.cogging_nm", ripple.cogging_nm, slides),
             cycles=each("ripple.cycles", ripple.cycles, slides),
             ripple=ripple.share,
+            stages=stages,
+            rotors=rotors,
             drives=self.drives,
             links=None if self.geometry_error is None else self.geometry_error.displacements(n),
             gravity=None if self.gravity_error is None else 1.0 - self.gravity_error,
             payload=self.payload,
         )
+
+    def _springs(self, gears: Gears) -> tuple[Array, Array | None, Array | None]:
+        """Stiffness (n,) and stages (n, m, 2) of the gears, inertia of the rotors (n,); None where there are none of its own."""
+        if gears.stiffness_nmprad:
+            return each("gears.stiffness_nmprad", gears.stiffness_nmprad, self.slides, turns=False), None, None
+        if self.strain_wave is not None:
+            return *self.strain_wave.curves(self.slides), self.strain_wave.rotors(self.slides)
+        if self.realism == "none":
+            words = "is missing; or give the catalogue sizes of its gears, e.g. robot.strain_wave: {sizes: [20]}"
+            raise ParameterError("gears.stiffness_nmprad", words)
+        return np.zeros(len(self.joints)), None, None
 
     @property
     def needed_step_s(self) -> float:
@@ -117,21 +134,27 @@ class RealArm(Realistic, Arm):
     def _gears_step_s(self) -> float:
         assert self.mechanics is not None and self.model is not None
         M, rotors = reader().inertias_at(self.model, self.joints, tuple(self.configuration().tolist()))
-        k = self.mechanics.stiffness
-        for name, rotor, stiffness in zip(self.joints, rotors, k, strict=True):
-            if stiffness and rotor <= 0:
-                words = f"must be 0 for {name}, which has no rotor that could move by itself; give the joint an `armature` in its file"
-                raise ParameterError("robot.gears.stiffness_nmprad", words, float(stiffness))
+        rotors = rotors if self.mechanics.rotors is None else self.mechanics.rotors
+        k = self.mechanics.stiffest
+        for i in np.flatnonzero((k > 0) & (rotors <= 0)).tolist():
+            words = "must be 0 for {joint}, which has no rotor that could move by itself; give it an `armature` in its file{or_here}"
+            raise self._too_stiff(i, float(k[i]), words)
         w, joint = quickest(M, rotors, k)
         step = FINEST / w if w else np.inf
         if step < SHORTEST_STEP_S:
             most = float(f"{k[joint] * (step / SHORTEST_STEP_S) ** 2:.2g}")
-            words = (
-                f"must be 0 (rigid) or at most {most:g} for {self.joints[joint]}: it vibrates at {w / 2 / np.pi:.0f} Hz, which needs "
-                f"physics steps of {1e6 * step:.0f} us"
-            )
-            raise ParameterError("robot.gears.stiffness_nmprad", words, float(k[joint]))
+            needs = f"it vibrates at {w / 2 / np.pi:.0f} Hz, which needs physics steps of {1e6 * step:.0f} us"
+            raise self._too_stiff(joint, float(k[joint]), f"must be 0 (rigid){{or_softer}} for {{joint}}: {needs}", most)
         return step
+
+    def _too_stiff(self, joint: int, k: float, words: str, most: float = 0.0) -> ParameterError:
+        """The refusal of a gear, by the field that has its stiffness k [Nm/rad]."""
+        name = self.joints[joint]
+        if self.gears is not None and self.gears.stiffness_nmprad:
+            said = words.format(joint=name, or_here="", or_softer=f" or at most {most:g}")
+            return ParameterError("robot.gears.stiffness_nmprad", said, k)
+        said = words.format(joint=name, or_here=", or its inertia in strain_wave.rotor_kgm2", or_softer="")
+        return ParameterError("robot.strain_wave.sizes", said)
 
     def measured(self, q: Array, qd: Array, sensors: Mapping[str, list[float]], noise: Any) -> Reading:
         """What the encoders read of the rotors' angles q and speeds qd (n,) each."""

@@ -12,7 +12,7 @@ NO_LOAD = 1e-6
 
 
 def settle(stage: Stage) -> None:
-    """Equilibrium of the actuators: integrating servos start at theta + load / kp, elastic joints' rotors at q + load / k, craft at hover.
+    """Equilibrium of the actuators: integrating servos start at theta + load / kp, elastic joints' rotors at q + torsion, craft at hover.
 
     The load of a joint is what gravity asks of its motor. A servo whose gravity compensation is wrong does not know of it: it starts at
     theta, and sags.
@@ -26,8 +26,9 @@ def settle(stage: Stage) -> None:
     if mechanics is not None and at.motor_qpos is not at.qpos:
         soft = mechanics.stiffness > 0
         asked = load[at.qvel][soft]
+        torsion = mechanics.torsion(load[at.qvel])[soft]
         play = np.where(np.abs(asked) > NO_LOAD, np.sign(asked) * mechanics.play[soft] / 2, 0.0)
-        data.qpos[at.motor_qpos[soft]] += asked / mechanics.stiffness[soft] + play
+        data.qpos[at.motor_qpos[soft]] += torsion + play
         load[at.motor_qvel] = load[at.qvel]
     if mechanics is not None and mechanics.gravity is not None:
         load[:] = 0.0

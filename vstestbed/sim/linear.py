@@ -50,10 +50,11 @@ def linear_arm(robot: Robot) -> LinearArm:
     spring, damper = np.zeros((N, N)), np.diag(model.dof_damping[z])
     mechanics = robot.mechanics
     if mechanics is not None:
+        k = mechanics.tangent((data.qfrc_bias - data.qfrc_gravcomp)[at.qvel])
         for i, joint in enumerate(np.flatnonzero(soft)):
             pair = np.zeros(N)
             pair[joint], pair[n + i] = -1.0, 1.0
-            spring += mechanics.stiffness[joint] * np.outer(pair, pair)
+            spring += k[joint] * np.outer(pair, pair)
             damper += mechanics.damping[joint] * np.outer(pair, pair)
     motors = (z[:, None] == at.motor_qvel[None, :]).astype(float)
     actuators = [model.actuator(f"robot/{name}").id for name in robot.actuators]

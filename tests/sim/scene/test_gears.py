@@ -9,9 +9,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from tests.sim.two_mass import ROTOR, arm, inertia, plant_of, stage_of
+from tests.sim.two_mass import ROTOR, arm, frequency, inertia, plant_of, stage_of
 from vstestbed.core.geometry import Array
 from vstestbed.robots.joint_effects import Gears
+from vstestbed.robots.strain_wave import CURVES, StrainWave
 from vstestbed.sim.scene.stage import Stage
 
 K = 2000.0
@@ -38,13 +39,6 @@ def swing(stage: Stage, seconds: float, wind: float = 0.001, locked: bool = Fals
         out.append((data.time, data.qpos[at.qpos[0]] - data.qpos[at.motor_qpos[0]]))
     stage.close()
     return tuple(np.array(out).T)  # type: ignore[return-value] - rows of an array
-
-
-def frequency(t: Array, x: Array) -> float:
-    """By the zero crossings [rad/s]."""
-    i = np.flatnonzero(np.diff(np.sign(x)))
-    at = t[i] - x[i] * (t[i + 1] - t[i]) / (x[i + 1] - x[i])
-    return math.pi * (len(at) - 1) / (at[-1] - at[0])
 
 
 @pytest.mark.parametrize("locked", [False, True])
@@ -87,6 +81,29 @@ def test_its_lost_motion_is_the_play(tmp_path: Path) -> None:
 def test_within_its_play_the_link_is_free(tmp_path: Path) -> None:
     _, x = swing(loose(tmp_path, damping_s=0.0, backlash_deg=(0.4, 0.0)), 0.5, wind=math.radians(0.1))
     assert np.ptp(x) == 0.0
+
+
+@pytest.mark.parametrize(("torque", "part"), [(0.0, 0), (-1.0, 0), (5.0, 1), (-30.0, 2)])
+def test_a_strain_wave_gear_bends_and_vibrates_in_stages(tmp_path: Path, torque: float, part: int) -> None:
+    """Size 14 before a held rotor: its torsion under a torque is the catalogue's, and the link swings about it at sqrt(k / M)."""
+    curve, gear = CURVES[14], StrainWave(sizes=(14, 0), rotor_kgm2=(0.5, 0.01))
+    stage = stage_of(arm(tmp_path, gears=Gears(damping_s=0.0), strain_wave=gear), 0.0005)
+    model, data, at = stage.model, stage.data, stage.at
+    assert model.dof_armature[at.motor_qvel] == pytest.approx([0.5, 0.01])  # in place of the file's
+    model.actuator_gainprm[:], model.actuator_biasprm[:] = 0.0, 0.0
+    model.dof_damping[at.motor_qvel[0]], data.qfrc_applied[at.qvel[0]] = 1e9, torque
+    (first, second), T, stiffness = curve.bends, abs(torque), (curve.k1, curve.k2, curve.k3)[part]
+    torsion = (T / curve.k1, first + (T - curve.t1) / curve.k2, second + (T - curve.t2) / curve.k3)[part]
+    rest = math.copysign(torsion, torque)
+    data.qpos[at.qpos[0]] = rest + 1e-5
+    rows = []
+    for _ in range(2000):
+        mujoco.mj_step(model, data)
+        rows.append((data.time, data.qpos[at.qpos[0]]))
+    stage.close()
+    t, q = np.array(rows).T
+    assert q.mean() == pytest.approx(rest, abs=2e-7)
+    assert frequency(t, q - rest) == pytest.approx(math.sqrt(stiffness / inertia()), rel=0.005)
 
 
 def test_encoder_and_servo_are_on_the_rotors_side(tmp_path: Path) -> None:

@@ -17,16 +17,26 @@ as it is (Spong 1987, assumption 2, doi:10.1115/1.3143860)."""
 def add_rotors(model: mujoco.MjSpec, mechanics: Mechanics) -> None:
     """Divide each elastic joint into rotor and link: armature, friction, torque limit and actuators go to the rotor's side.
 
-    A fixed tendon of length theta - q is the spring; its rest lengths from -b/2 to b/2 are the play b.
+    A fixed tendon of length theta - q is the spring; its rest lengths from -b/2 to b/2 are the play b. Each stage of a stiffness that
+    grows is a tendon more, whose rest lengths reach to the stage's beginning.
     """
-    springs = zip(mechanics.joints, mechanics.stiffness.tolist(), mechanics.damping.tolist(), mechanics.play.tolist(), strict=True)
-    for name, stiffness, damping, play in springs:
-        if stiffness > 0:
+    for i, name in enumerate(mechanics.joints):
+        if mechanics.rotors is not None:
+            model.joint(name).armature = mechanics.rotors[i]
+        if mechanics.stiffness[i] > 0:
             _add_rotor(model, name)
-            spring = model.add_tendon(name=f"gear_{name}", springlength=[-play / 2, play / 2])
-            spring.stiffness[0], spring.damping[0] = stiffness, damping
-            spring.wrap_joint(f"{ROTOR}{name}", 1.0)
-            spring.wrap_joint(name, -1.0)
+            play = mechanics.play[i] / 2
+            _add_spring(model, name, "gear_", play, mechanics.stiffness[i], mechanics.damping[i])
+            for j, (torsion, more) in enumerate([] if mechanics.stages is None else mechanics.stages[i].tolist(), start=2):
+                _add_spring(model, name, f"gear_{j}_", play + torsion, more)
+
+
+def _add_spring(model: mujoco.MjSpec, name: str, prefix: str, free: float, stiffness: float, damping: float = 0.0) -> None:
+    """A spring between the rotor of a joint and its link, which acts where they differ by more than `free` [rad]."""
+    spring = model.add_tendon(name=f"{prefix}{name}", springlength=[-free, free])
+    spring.stiffness[0], spring.damping[0] = stiffness, damping
+    spring.wrap_joint(f"{ROTOR}{name}", 1.0)
+    spring.wrap_joint(name, -1.0)
 
 
 def _add_rotor(model: mujoco.MjSpec, name: str) -> None:
