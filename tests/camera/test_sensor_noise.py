@@ -59,6 +59,15 @@ def test_dsnu_and_prnu_are_found_in_the_mean_of_many_pictures():
     assert prnu == pytest.approx(0.01, rel=0.05)
 
 
+def test_the_default_is_the_camera_that_was_measured():
+    """SNR and dynamic range by the standard's equations, against the maker's table: IMX250 in the mvBlueFOX3-2051, 40.3 and 71.2 dB."""
+    chip = SensorNoise(bits=12)
+    dark = chip.dark_noise_e**2 + 1 / 12 / chip.K**2
+    least = np.sqrt(dark + 1 / 4) + 1 / 2  # electrons at which signal and noise are equal
+    assert 20 * np.log10(np.sqrt(chip.full_well_e)) == pytest.approx(40.3, abs=0.15)
+    assert 20 * np.log10(chip.full_well_e / least) == pytest.approx(71.2, abs=0.25)
+
+
 def test_quantisation_alone_has_a_twelfth():
     chip = SensorNoise(dark_noise_e=0, prnu=0, dsnu_e=0, full_well_e=1000, gain_dn_per_e=0.1)
     ramp = np.linspace(20, 200, 30000, dtype=np.float32).reshape(100, 100, 3)

@@ -30,6 +30,7 @@ from vstestbed.robots.quadrotor import Quadrotor
 from vstestbed.robots.realism import Level, Realistic
 from vstestbed.robots.rotor_inertia import RotorInertia
 from vstestbed.robots.rotors import QuadrotorParameters
+from vstestbed.robots.strain_wave import CURVES
 from vstestbed.robots.tyres import Tyres
 from vstestbed.robots.uneven_floor import UnevenFloor
 from vstestbed.robots.vibration import Vibration
@@ -151,6 +152,11 @@ def arm_preset(level: Level) -> dict[str, str]:
         "sigma_m": plain(geometry.sigma_m),
         "sigma_deg": plain(geometry.sigma_deg),
     }
+
+
+def strain_waves() -> list[tuple[int | str, ...]]:
+    """Sizes of strain wave gears with t1, t2 [Nm], K1, K2, K3 [Nm/rad], as a table shows them."""
+    return [(size, *(plain(x) for x in curve)) for size, curve in CURVES.items()]
 
 
 def geom(name: str, of: str) -> Any:

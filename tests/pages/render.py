@@ -49,7 +49,11 @@ def rendered(page: Path, kept: Kept) -> str:
     )
     made.globals.update(command=kept, run=lambda words: kept(f"run {words}"), scenarios=scenarios, comparisons=comparisons)
     made.globals.update(
-        fields=parameters.fields, puma_links=parameters.puma_links, puma_joints=parameters.puma_joints, arm_preset=parameters.arm_preset
+        fields=parameters.fields,
+        puma_links=parameters.puma_links,
+        puma_joints=parameters.puma_joints,
+        arm_preset=parameters.arm_preset,
+        strain_waves=parameters.strain_waves,
     )
     made.globals.update(geom=parameters.geom, joint=parameters.joint, actuator=parameters.actuator, mass=parameters.mass)
     made.globals.update(preset=parameters.preset)

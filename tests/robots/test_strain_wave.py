@@ -18,16 +18,16 @@ from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.core.geometry import Array
 from vstestbed.robots.chain import reader
 from vstestbed.robots.joint_effects import Gears
-from vstestbed.robots.strain_wave import CURVES, Curve, StrainWave
+from vstestbed.robots.strain_wave import CURVES, StrainWave, Torsion
 
 RATIO_30 = {
-    8: (Curve(0.29, 0.75, 340, 440, 540), 8.5, 19),
-    11: (Curve(0.80, 2.0, 840, 1300, 1600), 9.5, 19),
-    14: (Curve(2.0, 6.9, 1900, 2400, 3400), 10.5, 31),
-    17: (Curve(3.9, 12, 3400, 4400, 6700), 11.5, 30),
-    20: (Curve(7.0, 25, 5700, 7100, 11000), 12.3, 38),
-    25: (Curve(14, 48, 10000, 13000, 21000), 14, 40),
-    32: (Curve(29, 108, 24000, 30000, 49000), 12.1, 38),
+    8: (Torsion(0.29, 0.75, 340, 440, 540), 8.5, 19),
+    11: (Torsion(0.80, 2.0, 840, 1300, 1600), 9.5, 19),
+    14: (Torsion(2.0, 6.9, 1900, 2400, 3400), 10.5, 31),
+    17: (Torsion(3.9, 12, 3400, 4400, 6700), 11.5, 30),
+    20: (Torsion(7.0, 25, 5700, 7100, 11000), 12.3, 38),
+    25: (Torsion(14, 48, 10000, 13000, 21000), 14, 40),
+    32: (Torsion(29, 108, 24000, 30000, 49000), 12.1, 38),
 }
 """Another table of the catalogue, of ratio 30, which prints the torsion at t1 and t2 as well [1e-4 rad]."""
 

@@ -148,8 +148,10 @@ PRESETS: Mapping[Level, Mapping[str, object]] = {
         "geometry_error": GeometryError(sigma_m=1e-3, sigma_deg=0.1),
     },
 }
-"""All chosen. The stiffnesses are of the order that catalogues state for strain wave gears of size 25; the Puma's own gears are spur and
-bevel gears. Six cycles of cogging in a turn of a motor; encoders on the motors."""
+"""Chosen, within what catalogues state for gears of such torques: strain wave gears of sizes 20 and 25 have 16000 to 57000 Nm/rad (Harmonic
+Drive LLC, CSF and CSG), planetary gears for 100 Nm 29000 to 33000 Nm/rad and up to 8 arc minutes of play (Beckhoff AG3210, NP025). The
+Puma's own are spur and bevel gears, whose play can be adjusted. `models/README.md` says more. Six cycles of cogging in a turn of a motor;
+encoders on the motors."""
 
 ACTUATIONS = {
     "ideal": Actuation("ideal", friction=False, gravity_compensated=True),

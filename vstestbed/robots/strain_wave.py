@@ -18,7 +18,7 @@ Sizes = Annotated[tuple[Annotated[int, Ge(0), Le(100)], ...], Len(1, 7)]
 Rotors = Annotated[tuple[Annotated[float, Ge(0), Le(1e3)], ...], Len(0, 7)]
 
 
-class Curve(NamedTuple):
+class Torsion(NamedTuple):
     """Torque over torsion: k1 up to t1, k2 up to t2, k3 beyond [Nm, Nm/rad]."""
 
     t1: float
@@ -34,15 +34,15 @@ class Curve(NamedTuple):
         return first, first + (self.t2 - self.t1) / self.k2
 
 
-CURVES: Mapping[int, Curve] = {
-    8: Curve(0.29, 0.75, 0.09e4, 0.10e4, 0.12e4),
-    11: Curve(0.80, 2.0, 0.27e4, 0.34e4, 0.44e4),
-    14: Curve(2.0, 6.9, 0.47e4, 0.61e4, 0.71e4),
-    17: Curve(3.9, 12.0, 1.0e4, 1.4e4, 1.6e4),
-    20: Curve(7.0, 25.0, 1.6e4, 2.5e4, 2.9e4),
-    25: Curve(14.0, 48.0, 3.1e4, 5.0e4, 5.7e4),
-    32: Curve(29.0, 108.0, 6.7e4, 11.0e4, 12.0e4),
-    40: Curve(54.0, 196.0, 13.0e4, 20.0e4, 23.0e4),
+CURVES: Mapping[int, Torsion] = {
+    8: Torsion(0.29, 0.75, 0.09e4, 0.10e4, 0.12e4),
+    11: Torsion(0.80, 2.0, 0.27e4, 0.34e4, 0.44e4),
+    14: Torsion(2.0, 6.9, 0.47e4, 0.61e4, 0.71e4),
+    17: Torsion(3.9, 12.0, 1.0e4, 1.4e4, 1.6e4),
+    20: Torsion(7.0, 25.0, 1.6e4, 2.5e4, 2.9e4),
+    25: Torsion(14.0, 48.0, 3.1e4, 5.0e4, 5.7e4),
+    32: Torsion(29.0, 108.0, 6.7e4, 11.0e4, 12.0e4),
+    40: Torsion(54.0, 196.0, 13.0e4, 20.0e4, 23.0e4),
 }
 """Of each size, at ratios of 80 and more. Source: Harmonic Drive LLC, catalogue of the cup type gears CSF and CSG, engineering data,
 torsional stiffness."""
@@ -65,7 +65,7 @@ class StrainWave:
         sizes: of the catalogue, 8 to 40, one for all joints or one for each; 0: a joint that stays rigid, such as one before a link so
             light that it would vibrate at more than some 100 Hz [1]; e.g. `[20, 20, 20, 20, 14, 14, 0]`.
         rotor_kgm2: inertia of each rotor times the squared gear ratio, one for all or one for each; default: the `armature` of the file
-            [kg m^2]; e.g. `[0.6]`.
+            [kg m^2]; e.g. `[0.606, 0.606, 0.462, 0.462, 0.206, 0.206, 0.206]`.
     """
 
     sizes: Sizes
