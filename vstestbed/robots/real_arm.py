@@ -115,7 +115,7 @@ class RealArm(Realistic, Arm):
             return each("gears.stiffness_nmprad", gears.stiffness_nmprad, self.slides, turns=False), None, None
         if self.strain_wave is not None:
             return *self.strain_wave.curves(self.slides), self.strain_wave.rotors(self.slides)
-        if self.realism == "none":
+        if gears != self.presets.get(self.realism, {}).get("gears"):
             words = "is missing; or give the catalogue sizes of its gears, e.g. robot.strain_wave: {sizes: [20]}"
             raise ParameterError("gears.stiffness_nmprad", words)
         return np.zeros(len(self.joints)), None, None
