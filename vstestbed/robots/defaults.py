@@ -60,6 +60,16 @@ class RobotBase:
     motion_names: ClassVar[tuple[str, ...]] = CAMERA
     """Names of the columns of `motion_basis`."""
 
+    @classmethod
+    def before_changes(cls, block: Mapping[str, Any], changes: Mapping[str, object]) -> dict[str, Any]:
+        """The block itself."""
+        return dict(block)
+
+    @classmethod
+    def own_block(cls, block: Mapping[str, Any]) -> dict[str, Any]:
+        """The block itself."""
+        return dict(block)
+
     @property
     def model(self) -> str | None:
         """No body."""

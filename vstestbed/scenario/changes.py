@@ -24,8 +24,12 @@ def changes(scenario: Scenario) -> tuple[str, ...]:
     """
     if scenario.name not in bundled_scenarios():
         return ()
-    bundled = to_mapping(load(scenario.name))
+    original = load(scenario.name)
+    bundled = to_mapping(original)
     given = {key: value for key, value in to_mapping(scenario).items() if key not in OF_THE_RUN}
+    # What a preset has filled is told by the preset's name.
+    own, own_bundled = scenario.robot.own_block(given["robot"]), original.robot.own_block(bundled["robot"])
+    given["robot"] = {key: own.get(key, value) for key, value in given["robot"].items() if key in own or key in own_bundled}
     return tuple(f"{path}={flow_text(value)}" for path, value in _different(given, bundled))
 
 
