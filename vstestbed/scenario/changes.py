@@ -28,8 +28,8 @@ def changes(scenario: Scenario) -> tuple[str, ...]:
     bundled = to_mapping(original)
     given = {key: value for key, value in to_mapping(scenario).items() if key not in OF_THE_RUN}
     # What a preset has filled is told by the preset's name.
-    own, own_bundled = scenario.robot.own_block(given["robot"]), original.robot.own_block(bundled["robot"])
-    given["robot"] = {key: own.get(key, value) for key, value in given["robot"].items() if key in own or key in own_bundled}
+    own, bundled["robot"] = scenario.robot.own_block(given["robot"]), original.robot.own_block(bundled["robot"])
+    given["robot"] = {key: own.get(key, value) for key, value in given["robot"].items() if key in own or key in bundled["robot"]}
     return tuple(f"{path}={flow_text(value)}" for path, value in _different(given, bundled))
 
 
@@ -39,7 +39,7 @@ def _different(given: Mapping[str, Any], bundled: Mapping[str, Any], prefix: str
         other = bundled.get(key)
         if isinstance(value, dict) and isinstance(other, dict) and value.get("kind") == other.get("kind"):
             yield from _different(value, other, f"{prefix}{key}.")
-        elif value != other and not _is_copy(value, other):
+        elif (value != other or key not in bundled) and not _is_copy(value, other):
             yield prefix + key, value
 
 
