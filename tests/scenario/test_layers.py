@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 import vstestbed as vs
+from vstestbed.core.mapping import to_mapping
 from vstestbed.experiments.comparison import chosen, controllers
 from vstestbed.robots.joint_effects import CurrentLoops
 from vstestbed.robots.realism import Level
@@ -54,7 +55,8 @@ def test_a_run_and_its_short_text_are_read_again(level: Level, case: str) -> Non
 def test_a_level_written_into_the_file_of_a_run_by_hand() -> None:
     text = stored(vs.load("arm_ibvs", {"seed": 3, "robot.realism": "lab"}))
     assert "realism: lab" in text
-    assert parse(text.replace("realism: lab", "realism: field"), "scenario.yaml") == vs.load("arm_ibvs", {"seed": 3, "robot.realism": "field"})
+    edited = text.replace("realism: lab", "realism: field")
+    assert parse(edited, "scenario.yaml") == vs.load("arm_ibvs", {"seed": 3, "robot.realism": "field"})
 
 
 @pytest.mark.parametrize("former", ["none", "lab"])
@@ -78,7 +80,7 @@ def test_null_in_a_users_file_holds_at_every_level(tmp_path: Path) -> None:
 def test_levels_as_an_axis_of_a_comparison_over_a_run(tmp_path: Path) -> None:
     file = tmp_path / "scenario.yaml"
     file.write_text(stored(vs.load("arm_ibvs", {"detector": "oracle", "robot.realism": "lab", "robot.encoders": None})), encoding="utf-8")
-    whole = chosen([str(file)], {}, {"robot.realism": ["none", "lab", "field"]}, None)
+    whole = chosen([str(file)], {}, {"robot.realism": ("none", "lab", "field")}, None)
     robots: list[Any] = [variant.scenario.robot for variant in controllers(whole)]
     assert [robot.encoders for robot in robots] == [None, None, None]
     assert [robot.drives and robot.drives.bandwidth_hz for robot in robots] == [None, 500.0, 200.0]
@@ -87,7 +89,7 @@ def test_levels_as_an_axis_of_a_comparison_over_a_run(tmp_path: Path) -> None:
 def test_a_level_is_drawn_from_the_seed() -> None:
     drawn = {"randomise": [{"field": "robot.realism", "choice": ["none", "lab", "field"]}], "robot.drives.delay_s": 0.002}
     first = vs.load("arm_ibvs", drawn)
-    found = {scenario.robot.realism: scenario for scenario in (first.with_seed(seed) for seed in range(12))}
+    found = {to_mapping(scenario.robot)["realism"]: scenario for scenario in (first.with_seed(seed) for seed in range(12))}
     assert found.keys() == {"none", "lab", "field"}
     for level, scenario in found.items():
         wanted = vs.load("arm_ibvs", {"robot.realism": level, "robot.drives.delay_s": 0.002, "seed": scenario.seed})

@@ -70,15 +70,12 @@ class Realistic(RobotBase):
         """The block without what the level in `filled` has given it: all of it where it states none."""
         if block.get("filled") not in LEVELS:
             return dict(block)
-        former = cls.presets.get(block["filled"], {})
-        samples = {name: value for preset in cls.presets.values() for name, value in preset.items()}
-        own = {name: value for name, value in block.items() if name != "filled" and name not in samples}
-        for name in [name for name in samples if name in block]:
-            drawn = [field for of, _, field in (path.partition(".") for path in cls.drawn_fields) if of == name]
-            value = _own_part(block[name], former.get(name), type(samples[name]), drawn)
-            if value is not NOTHING:
-                own[name] = value
-        return own
+        former, samples = cls.presets.get(block["filled"], {}), {n: value for preset in cls.presets.values() for n, value in preset.items()}
+        own = {name: value for name, value in block.items() if name != "filled"}  # in its order
+        for name in samples.keys() & own.keys():
+            drawn = {path.removeprefix(f"{name}.") for path in cls.drawn_fields}
+            own[name] = _own_part(own[name], former.get(name), type(samples[name]), drawn)
+        return {name: value for name, value in own.items() if value is not NOTHING}
 
     @property
     def preset_values(self) -> dict[str, object]:

@@ -108,10 +108,9 @@ def parse(
     plain, marks = plain_mapping(text, file, f"a scenario needs {_required()}")
     plain = absolute_files(plain, Path(file).absolute().parent)
     overrides, places = dict[str, object](absolute_files(overrides or {}, Path.cwd())), places or {}
-    of_plugins, others = ({path: v for path, v in overrides.items() if (path.split(".")[0] == "plugins") == yes} for yes in (True, False))
-    put_over(plain, of_plugins, marks, places)
+    put_over(plain, _part(overrides, of_plugins=True), marks, places)
     load_named(plain, marks, file, plugins)  # before the other settings, which may use the words that plugins add
-    put_over(plain, others, marks, places)
+    put_over(plain, _part(overrides, of_plugins=False), marks, places)
     try:
         scenario = build(Scenario, plain, marks, file)
     except ScenarioError as error:
@@ -123,6 +122,11 @@ def parse(
         key = tuple(int(part) if part.isdecimal() else part for part in error.field.split("."))
         where = place_of(key, marks, file)
         raise ScenarioError([Mistake(where, error.field, error.problem)]) from None
+
+
+def _part(overrides: Mapping[str, object], of_plugins: bool) -> dict[str, object]:
+    """The overrides of `plugins`, or all others."""
+    return {path: value for path, value in overrides.items() if (path.split(".")[0] == "plugins") == of_plugins}
 
 
 def _refuse_drawn(scenario: Scenario, overrides: Mapping[str, object], places: Mapping[str, Marks]) -> None:
