@@ -27,7 +27,8 @@ class Realistic(RobotBase):
     A subclass names in `presets` what each level fills. What is given stays: None switches an effect off, and a mapping of some fields of a
     block has the other fields from the preset (an object of the block's class is whole). A robot states the level that has filled it, so
     that another `realism` over a run's scenario, or over a robot by `dataclasses.replace`, replaces what the former level had filled, and
-    nothing else. What is told from the values alone: a value equal to that of the former level counts as filled by it.
+    nothing else. This is told from the values alone: one that is equal to the former level's counts as filled by it, also where it is given
+    in the same `replace` as another level.
 
     Args:
         realism: imperfections that are not given: `none`, those of a well-kept robot in a `lab`, or those of one in the `field`, worn and
@@ -63,7 +64,8 @@ class Realistic(RobotBase):
     @classmethod
     def before_changes(cls, block: Mapping[str, Any], changes: Mapping[str, object]) -> dict[str, Any]:
         """The robot's block before the values of `changes` are put over it: without what another level had filled."""
-        return dict(block) if changes.get("realism", block.get("filled")) == block.get("filled") else cls.own_block(block)
+        block = super().before_changes(block, changes)
+        return block if changes.get("realism", block.get("filled")) == block.get("filled") else cls.own_block(block)
 
     @classmethod
     def own_block(cls, block: Mapping[str, Any]) -> dict[str, Any]:

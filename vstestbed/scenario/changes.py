@@ -15,6 +15,8 @@ from vstestbed.scenario.scenario import Scenario
 
 OF_THE_RUN = ("name", "description", "plugins", "seed")
 """Fields that name a run or are shown elsewhere."""
+NOT_GIVEN = ("drawn_about",)
+"""Fields of a block that a run fills."""
 
 
 def changes(scenario: Scenario) -> tuple[str, ...]:
@@ -36,6 +38,8 @@ def changes(scenario: Scenario) -> tuple[str, ...]:
 def _different(given: Mapping[str, Any], bundled: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
     """Dotted paths and values of what is not the same in the bundled mapping."""
     for key, value in given.items():
+        if key in NOT_GIVEN:
+            continue
         other = bundled.get(key)
         if isinstance(value, dict) and isinstance(other, dict) and value.get("kind") == other.get("kind"):
             yield from _different(value, other, f"{prefix}{key}.")
