@@ -1,15 +1,18 @@
-"""A preset of imperfections fills what is not given, and nothing else."""
+"""A preset of imperfections fills what is not given, and nothing else; another one replaces what it has filled, and nothing else."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import ClassVar
+from typing import Any, ClassVar, Literal
 
 import pytest
 
+import vstestbed as vs
 from vstestbed.core.errors import ParameterError
+from vstestbed.core.mapping import brief_mapping, to_mapping
 from vstestbed.core.spec import spec
+from vstestbed.robots.joint_effects import CurrentLoops
 from vstestbed.robots.realism import Level, Realistic
 
 
@@ -19,42 +22,127 @@ class Play:
 
     Args:
         width_m: between its two ends [m]; e.g. `0.01`.
+        stiffness_npm: of the ends [N/m]; e.g. `1000`.
+        seed: of what is drawn [1].
     """
 
     width_m: float = 0.0
+    stiffness_npm: float = 100.0
+    seed: int = 0
+
+
+LAB, FIELD = Play(width_m=1e-3, stiffness_npm=500.0), Play(width_m=1e-2, stiffness_npm=300.0)
 
 
 @spec
 class Cart(Realistic):
-    """A robot with one imperfection.
+    """A robot with two imperfections, of which the field alone has the second.
 
     Args:
         play: its backlash.
+        lag_of_drive_s: its drive's lag [s]; e.g. `0.1`.
+        name: what no preset fills.
     """
 
+    kind: Literal["cart"] = "cart"
     play: Play | None = None
-    presets: ClassVar[Mapping[Level, Mapping[str, object]]] = {"lab": {"play": Play(width_m=1e-3)}, "field": {"play": Play(width_m=1e-2)}}
+    lag_of_drive_s: float | None = None
+    name: str = ""
+    presets: ClassVar[Mapping[Level, Mapping[str, object]]] = {"lab": {"play": LAB}, "field": {"play": FIELD, "lag_of_drive_s": 0.2}}
+    drawn_fields: ClassVar[tuple[str, ...]] = ("play.seed",)
 
 
-@pytest.mark.parametrize(("level", "width_m"), [("lab", 1e-3), ("field", 1e-2)])
-def test_a_preset_fills_what_is_not_given(level: Level, width_m: float) -> None:
-    assert Cart(realism=level).play == Play(width_m=width_m)
+def made(**given: Any) -> Cart:
+    """A cart of blocks as a file has them, which the constructor takes, too."""
+    return Cart(**given)
 
 
-def test_none_leaves_all_off() -> None:
-    assert Cart().play is None
+@pytest.mark.parametrize(("level", "play", "lag"), [("none", None, None), ("lab", LAB, None), ("field", FIELD, 0.2)])
+def test_a_preset_fills_what_is_not_given(level: Level, play: Play | None, lag: float | None) -> None:
+    cart = Cart(realism=level)
+    assert (cart.play, cart.lag_of_drive_s, cart.filled) == (play, lag, level)
 
 
 def test_what_is_given_stays_also_where_it_is_nothing() -> None:
-    assert Cart(realism="field", play=Play(width_m=0.0)).play == Play(width_m=0.0)
+    assert Cart(realism="field", play=None).play is None
+    assert Cart(realism="field", lag_of_drive_s=None) == replace(Cart(realism="field"), lag_of_drive_s=None)
+    assert Cart(realism="field", lag_of_drive_s=0.0).lag_of_drive_s == 0.0
+
+
+def test_some_fields_of_a_block_have_the_others_from_the_preset() -> None:
+    assert made(realism="field", play={"stiffness_npm": 7.0}).play == Play(width_m=1e-2, stiffness_npm=7.0)
+    assert made(play={"stiffness_npm": 7.0}).play == Play(stiffness_npm=7.0)
+    assert Cart(realism="field", play=Play(stiffness_npm=7.0)).play == Play(stiffness_npm=7.0)  # a whole one
 
 
 def test_a_copy_is_the_same() -> None:
     cart = Cart(realism="lab")
     assert replace(cart) == cart
+    assert replace(cart, name="b").play is cart.play
 
 
-def test_a_block_is_left_out() -> None:
-    assert Cart(realism="field", without=("play",)).play is None
-    with pytest.raises(ParameterError, match=r"without must be blocks of `realism: field`, which has play, got 'plai'"):
-        Cart(realism="field", without=("plai",))
+GIVEN: dict[str, dict[str, Any]] = {
+    "nothing": {},
+    "a field": {"play": {"stiffness_npm": 7.0}},
+    "off": {"lag_of_drive_s": 0.3, "name": "b"},
+    "a block": {"play": {"width_m": 0.5, "stiffness_npm": 5.0}},
+}
+
+
+@pytest.mark.parametrize("given", GIVEN.values(), ids=GIVEN)
+@pytest.mark.parametrize("former", ["none", "lab", "field"])
+@pytest.mark.parametrize("now", ["none", "lab", "field"])
+def test_another_level_replaces_what_the_former_has_filled_alone(former: Level, now: Level, given: dict[str, Any]) -> None:
+    before, wanted = made(realism=former, **given), made(realism=now, **given)
+    assert replace(before, realism=now) == wanted
+    drawn = before if before.play is None else replace(before, play=replace(before.play, seed=5))
+    if now != former:  # what was drawn is no value of the user's
+        assert replace(drawn, realism=now) == wanted
+        assert made(**{**to_mapping(drawn), "realism": now}) == wanted
+
+
+@pytest.mark.parametrize("given", GIVEN.values(), ids=GIVEN)
+def test_off_stays_off_at_another_level(given: dict[str, Any]) -> None:
+    off = made(realism="field", **given | {"play": None})
+    assert replace(off, realism="lab").play is None
+
+
+@pytest.mark.parametrize("former", ["none", "lab"])
+@pytest.mark.parametrize("own", [None, LAB], ids=["off", "as the lab has it"])
+def test_values_given_with_another_level_are_never_taken_for_the_formers(former: Level, own: Play | None) -> None:
+    changes = {"realism": "field", "play": own}
+    changed = made(**Cart.before_changes(to_mapping(Cart(realism=former)), changes) | changes)
+    assert (changed.play, changed.lag_of_drive_s) == (own, 0.2)
+
+
+def test_the_same_level_leaves_a_run_as_it_was() -> None:
+    stored = to_mapping(Cart(realism="lab")) | {"play": {"width_m": 9e-4, "stiffness_npm": 450.0, "seed": 5}}  # of an older preset
+    assert Cart.before_changes(stored, {"realism": "lab"}) == stored
+    assert made(**stored).play == Play(width_m=9e-4, stiffness_npm=450.0, seed=5)
+
+
+@pytest.mark.parametrize("given", GIVEN.values(), ids=GIVEN)
+@pytest.mark.parametrize("level", ["none", "lab", "field"])
+def test_its_short_text_has_what_the_preset_has_not(level: Level, given: dict[str, Any]) -> None:
+    cart = made(realism=level, **given)
+    brief = brief_mapping(cart)
+    assert made(**brief) == cart
+    assert brief == {"kind": "cart"} | ({} if level == "none" else {"realism": level}) | given
+    assert brief_mapping(Cart(realism="field", play=None)) == {"kind": "cart", "realism": "field", "play": None}
+
+
+def test_no_other_level() -> None:
+    with pytest.raises(ParameterError, match=r"Cart.realism must be one of 'none', 'lab' or 'field', got 'labb'"):
+        made(realism="labb")
+    with pytest.raises(ParameterError, match=r"Cart.filled must be one of 'none', 'lab' or 'field', got 'labb'"):
+        made(filled="labb")
+
+
+def test_the_arm_has_it_in_python_as_in_a_file() -> None:
+    arm = vs.robots.Puma560(realism="lab", gears=None)
+    assert arm.gears is None
+    assert arm.drives == CurrentLoops(bandwidth_hz=500.0)
+    assert vs.robots.Puma560(realism="field", drives={"delay_s": 0.002}).drives == CurrentLoops(bandwidth_hz=200.0, delay_s=0.002)  # pyright: ignore[reportArgumentType] - a block as YAML has it
+    ideal = replace(vs.robots.Puma560(realism="lab"), payload={"mass_kg": 1}).idealised()
+    assert (ideal.realism, ideal.gears) == ("none", None)
+    assert ideal.geometry_error == arm.geometry_error

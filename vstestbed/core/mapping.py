@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Any
 
 from vstestbed.core.registry import Room, rooms_of
@@ -22,7 +23,10 @@ def to_mapping(value: Any) -> Any:
 
 
 def brief_mapping(value: Any) -> Any:
-    """A spec as people write it: without what is a default anyway, whole numbers without `.0`, with the shorthands of its rooms."""
+    """A spec as people write it: without what is a default anyway, whole numbers without `.0`, with the shorthands of its rooms.
+
+    A spec may have `preset_values`, by field, which stand in place of defaults.
+    """
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return _brief_block(value)
     if isinstance(value, tuple | list):
@@ -34,18 +38,32 @@ def brief_mapping(value: Any) -> Any:
 
 def _brief_block(value: Any) -> Any:
     """A spec as a mapping, or the word or number that stands for it."""
-    block = {name: brief_mapping(getattr(value, name)) for name in _kept_fields(value)}
+    preset = getattr(value, "preset_values", {})
+    block = {name: _brief_part(getattr(value, name), preset.get(name)) for name in _kept_fields(value, preset)}
     if not hasattr(value, "kind"):
         return block
     return _with_kind(value.kind, block, rooms_of(type(value)))
 
 
-def _kept_fields(value: Any) -> list[str]:
-    """The fields that are not at their default; of a block without a kind, which needs something in it, the first one at least."""
+def _brief_part(value: Any, preset: Any) -> Any:
+    """A field's value; of a block that a preset fills, the fields alone in which it differs from the preset's."""
+    if dataclasses.is_dataclass(value) and type(value) is type(preset):
+        different = [f.name for f in dataclasses.fields(value) if f.init and getattr(value, f.name) != getattr(preset, f.name)]
+        return {name: brief_mapping(getattr(value, name)) for name in different}
+    return brief_mapping(value)
+
+
+def _kept_fields(value: Any, preset: Mapping[str, Any]) -> list[str]:
+    """The fields that are not at their default, or at what a preset of the block fills in its place.
+
+    Of a block without a kind, which needs something in it, the first one at least.
+    """
     fields = [f for f in dataclasses.fields(value) if f.init and f.name != "kind"]
     # What makes it this kind comes before what all kinds have, as people write it: a square's side before its pose.
     own = sorted(fields, key=lambda f: f.name not in type(value).__annotations__)
-    return [f.name for f in own if getattr(value, f.name) != _default(f)] or [f.name for f in own[: not hasattr(value, "kind")]]
+    return [f.name for f in own if getattr(value, f.name) != preset.get(f.name, _default(f))] or [
+        f.name for f in own[: not hasattr(value, "kind")]
+    ]
 
 
 def _with_kind(kind: str, block: dict[str, Any], rooms: list[Room]) -> Any:

@@ -18,7 +18,7 @@ from vstestbed.scenario.scenario import Scenario
 Control = Literal["slider", "number", "choice", "switch"]
 BLOCKS = ("law", "camera", "robot", "timing", "noise", "calibration", "detector")
 """Blocks of a scenario whose fields get controls; the others define what the experiment is."""
-LEFT_OUT = {"camera.mount", "camera.width", "camera.height", "robot.start"}
+LEFT_OUT = {"camera.mount", "camera.width", "camera.height", "robot.start", "robot.filled"}
 HIGH = {
     "camera.latency_s": 0.4,
     "camera.rate_hz": 100.0,

@@ -54,6 +54,16 @@ class Robot(Protocol):
     control_period_s: ClassVar[float | None]
     """Period of its onboard controller, from setpoint to actuator controls [s]; None where the setpoint is the controls."""
 
+    @classmethod
+    def before_changes(cls, block: Mapping[str, Any], changes: Mapping[str, object]) -> dict[str, Any]:
+        """Its block in a file, before `changes`, values by the names of fields, are put over it: without what they take the place of."""
+        ...
+
+    @classmethod
+    def own_block(cls, block: Mapping[str, Any]) -> dict[str, Any]:
+        """Its block in a file without what a preset has filled, as the block states it."""
+        ...
+
     @property
     def kind(self) -> str:
         """The robot's word in a scenario."""

@@ -119,7 +119,6 @@ class Car(WornVehicle):
 
     def __post_init__(self) -> None:
         """Refuse limits that its wheels and its motor cannot keep."""
-        super().__post_init__()
         body, limits = self.parameters, self.limits
         if limits.steering_rad > body.most_steering_rad:
             words = f"must be at most {math.floor(1e3 * body.most_steering_rad) / 1e3:g} rad at track_m {body.track_m:g} and wheelbase_m"

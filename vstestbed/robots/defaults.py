@@ -14,6 +14,7 @@ from vstestbed.robots.allocation import Actuation, Allocation, Mount
 from vstestbed.robots.base import Base
 from vstestbed.robots.body import Change
 from vstestbed.robots.disturbance import Disturbance
+from vstestbed.robots.drawn_start import without_drawn
 from vstestbed.robots.mechanics import Mechanics
 from vstestbed.robots.own_model import CAMERA, OwnModel
 from vstestbed.robots.reading import Reading
@@ -59,6 +60,16 @@ class RobotBase:
     """Time constant with which its velocities follow their orders [s]."""
     motion_names: ClassVar[tuple[str, ...]] = CAMERA
     """Names of the columns of `motion_basis`."""
+
+    @classmethod
+    def before_changes(cls, block: Mapping[str, Any], changes: Mapping[str, object]) -> dict[str, Any]:
+        """The block without the start round which a seed has drawn, where another nominal one is given."""
+        return without_drawn(block, changes)
+
+    @classmethod
+    def own_block(cls, block: Mapping[str, Any]) -> dict[str, Any]:
+        """The block itself."""
+        return dict(block)
 
     @property
     def model(self) -> str | None:

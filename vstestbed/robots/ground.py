@@ -49,10 +49,12 @@ class GroundStart:
     Args:
         nominal: place and heading at the start of a run without a seed.
         random: the box; None: a seed cannot draw a start.
+        drawn_about: the nominal start round which a run with a seed has drawn its own, as its scenario states it; leave it out.
     """
 
     nominal: GroundPose = GroundPose()
     random: GroundBox | None = None
+    drawn_about: GroundPose | None = None
 
     def configuration(self) -> Array:
         """The nominal start (x, y, heading), shape (3,), [m, m, rad]."""

@@ -69,7 +69,6 @@ class Omni(WornVehicle):
 
     def __post_init__(self) -> None:
         """Refuse what planar wheels, which have no contact, cannot have."""
-        super().__post_init__()
         for name in ("wheel_spread", "rolling_resistance", "uneven_floor"):
             if self.wheels == "planar" and getattr(self, name) is not None:
                 words = (

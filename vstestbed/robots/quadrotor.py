@@ -27,7 +27,6 @@ from vstestbed.robots.attitude import GRAVITY, Attitude, Filter, heading_rate, l
 from vstestbed.robots.attitude import step as attitude_step
 from vstestbed.robots.base import Base
 from vstestbed.robots.body import Change
-from vstestbed.robots.defaults import RobotBase
 from vstestbed.robots.disturbance import Disturbance
 from vstestbed.robots.failsafe import Failsafe
 from vstestbed.robots.flight import RECOVER_RAD, STILL, Gains, Loops, fly
@@ -75,7 +74,7 @@ class Flight(NamedTuple):
 
 
 @spec
-class Quadrotor(FlightRealism, RobotBase):
+class Quadrotor(FlightRealism):
     """A quadrotor with four simulated rotors; the camera is mounted relative to its centre (x forward, y left, z up).
 
     Args:
@@ -115,7 +114,6 @@ class Quadrotor(FlightRealism, RobotBase):
 
     def __post_init__(self) -> None:
         """Refuse a start in the ground, or on it, as it hovers, rotors that cannot carry it, speed controllers slower than the rotors."""
-        super().__post_init__()
         self.check_hover(self.parameters)
         low = self.start.nominal.xyz[2]
         if low < LOWEST_M:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cached_property
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 from annotated_types import Ge, Le
@@ -25,7 +25,11 @@ from vstestbed.robots.strain_wave import StrainWave
 
 SHORTEST_STEP_S = 1e-4
 """Shortest physics step that elastic gears may ask for [s]: twenty times the time of a run at 2 ms."""
-RIGID: Mapping[str, Any] = {"realism": "none", "gears": None, "ripple": None, "encoders": None, "drives": None, "gravity_error": None}
+RIGID: Mapping[str, Any] = {
+    "realism": "none",
+    "filled": "none",
+    **dict.fromkeys(("gears", "ripple", "encoders", "drives", "gravity_error")),
+}
 """What an arm with ideal actuators has not; its geometry and its payload stay what they are."""
 
 
@@ -54,12 +58,12 @@ class RealArm(Realistic, Arm):
     geometry_error: GeometryError | None = None
     gravity_error: Annotated[float, Ge(-1), Le(1)] | None = None
     payload: Payload | None = None
+    drawn_fields: ClassVar[tuple[str, ...]] = ("geometry_error.offsets",)
 
     def __post_init__(self) -> None:
-        """Fill the blocks that the preset has."""
+        """Refuse a preset of drives that are ideal."""
         if self.realism != "none" and self._is_ideal:
             raise ParameterError("realism", "must be none with `actuation: ideal`; works: another actuation", self.realism)
-        super().__post_init__()
 
     @property
     def _is_ideal(self) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Annotated, Self, TypeVar
+from typing import Annotated, ClassVar, Self, TypeVar
 
 import numpy as np
 from annotated_types import Ge, Le
@@ -39,6 +39,7 @@ class WornVehicle(Vehicle, Realistic):
     rolling_resistance: Rolling | None = None
     drive_lag_s: Lag | None = None
     uneven_floor: UnevenFloor | None = None
+    drawn_fields: ClassVar[tuple[str, ...]] = ("wheel_spread.seed", "uneven_floor.seed")
 
     def randomised(self, rng: np.random.Generator) -> Self:
         """The same vehicle with a start drawn from the box, and with wheels and a floor of its own. ParameterError without a box."""

@@ -15,6 +15,8 @@ from vstestbed.scenario.scenario import Scenario
 
 OF_THE_RUN = ("name", "description", "plugins", "seed")
 """Fields that name a run or are shown elsewhere."""
+NOT_GIVEN = ("drawn_about",)
+"""Fields of a block that a run fills."""
 
 
 def changes(scenario: Scenario) -> tuple[str, ...]:
@@ -24,18 +26,24 @@ def changes(scenario: Scenario) -> tuple[str, ...]:
     """
     if scenario.name not in bundled_scenarios():
         return ()
-    bundled = to_mapping(load(scenario.name))
+    original = load(scenario.name)
+    bundled = to_mapping(original)
     given = {key: value for key, value in to_mapping(scenario).items() if key not in OF_THE_RUN}
+    # What a preset has filled is told by the preset's name.
+    own, bundled["robot"] = scenario.robot.own_block(given["robot"]), original.robot.own_block(bundled["robot"])
+    given["robot"] = {key: own.get(key, value) for key, value in given["robot"].items() if key in own or key in bundled["robot"]}
     return tuple(f"{path}={flow_text(value)}" for path, value in _different(given, bundled))
 
 
 def _different(given: Mapping[str, Any], bundled: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
     """Dotted paths and values of what is not the same in the bundled mapping."""
     for key, value in given.items():
+        if key in NOT_GIVEN:
+            continue
         other = bundled.get(key)
         if isinstance(value, dict) and isinstance(other, dict) and value.get("kind") == other.get("kind"):
             yield from _different(value, other, f"{prefix}{key}.")
-        elif value != other and not _is_copy(value, other):
+        elif (value != other or key not in bundled) and not _is_copy(value, other):
             yield prefix + key, value
 
 

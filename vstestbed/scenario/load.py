@@ -14,11 +14,12 @@ from ruamel.yaml import YAML
 
 from vstestbed.core.assets import bundled_scenarios
 from vstestbed.core.errors import Mistake, ParameterError, ScenarioError, nearest, short
+from vstestbed.scenario.layers import put_over
 from vstestbed.scenario.plugins import absolute, absolute_files, load_named
 from vstestbed.scenario.randomise import drawn
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.scenario.validation import KINDS, build
-from vstestbed.scenario.yaml_marks import FROM_PYTHON, Marks, override, place_of, plain_mapping
+from vstestbed.scenario.validation import build
+from vstestbed.scenario.yaml_marks import FROM_PYTHON, Marks, place_of, plain_mapping
 
 MOST_BYTES = 100_000
 """Largest file that is read: fifty times the largest bundled one, and parsed in 2 s; one of 10 MB would take minutes."""
@@ -107,9 +108,9 @@ def parse(
     plain, marks = plain_mapping(text, file, f"a scenario needs {_required()}")
     plain = absolute_files(plain, Path(file).absolute().parent)
     overrides, places = dict[str, object](absolute_files(overrides or {}, Path.cwd())), places or {}
-    _override_all(plain, marks, overrides, places, of_plugins=True)
+    put_over(plain, _part(overrides, of_plugins=True), marks, places)
     load_named(plain, marks, file, plugins)  # before the other settings, which may use the words that plugins add
-    _override_all(plain, marks, overrides, places, of_plugins=False)
+    put_over(plain, _part(overrides, of_plugins=False), marks, places)
     try:
         scenario = build(Scenario, plain, marks, file)
     except ScenarioError as error:
@@ -123,6 +124,11 @@ def parse(
         raise ScenarioError([Mistake(where, error.field, error.problem)]) from None
 
 
+def _part(overrides: Mapping[str, object], of_plugins: bool) -> dict[str, object]:
+    """The overrides of `plugins`, or all others."""
+    return {path: value for path, value in overrides.items() if (path.split(".")[0] == "plugins") == of_plugins}
+
+
 def _refuse_drawn(scenario: Scenario, overrides: Mapping[str, object], places: Mapping[str, Marks]) -> None:
     """Refuse an override of a field that the seed draws, which would be without effect."""
     for i, one in enumerate(scenario.randomise):
@@ -130,15 +136,6 @@ def _refuse_drawn(scenario: Scenario, overrides: Mapping[str, object], places: M
             if f"{dotted}.".startswith(f"{one.field}."):
                 words = f"is drawn from the seed by randomise.{i}; set randomise=[], or leave that distribution out, to give it a value"
                 raise ScenarioError([Mistake(places.get(dotted, FROM_PYTHON)[()], dotted, words)])
-
-
-def _override_all(
-    plain: dict[str, Any], marks: Marks, overrides: Mapping[str, object], places: Mapping[str, Marks], of_plugins: bool
-) -> None:
-    """Apply the overrides of `plugins`, or all others."""
-    for dotted, value in overrides.items():
-        if (dotted.split(".")[0] == "plugins") == of_plugins:
-            override(plain, dotted, value, marks, _is_kind, places.get(dotted, FROM_PYTHON))
 
 
 def _blame_settings(
@@ -170,8 +167,7 @@ def _mistakes(text: str, file: str, overrides: Mapping[str, object]) -> list[tup
     """Field and sentence of each mistake in a scenario."""
     plain, marks = plain_mapping(text, file, "")
     plain = absolute_files(plain, Path(file).absolute().parent)
-    for dotted, value in overrides.items():
-        override(plain, dotted, value, marks, _is_kind)
+    put_over(plain, overrides, marks, {})
     try:
         build(Scenario, plain, marks, file)
     except ScenarioError as error:
@@ -190,10 +186,6 @@ def seeded(scenario: Scenario, seed: int) -> Scenario:
     if scenario.robot.start.random is None and drawn:
         return scenario.with_seed(seed)
     return scenario.randomised(seed)
-
-
-def _is_kind(word: str) -> bool:
-    return any(word in kinds.members for kinds in KINDS.values())
 
 
 def _required() -> str:

@@ -18,9 +18,9 @@ import numpy as np
 from vstestbed.core.errors import ParameterError, ScenarioError, short
 from vstestbed.core.mapping import to_mapping
 from vstestbed.scenario.distributions import Distribution
+from vstestbed.scenario.layers import put_over
 from vstestbed.scenario.streams import CLUTTER_STREAM, RANDOMISE_STREAM
-from vstestbed.scenario.validation import KINDS, build
-from vstestbed.scenario.yaml_marks import override
+from vstestbed.scenario.validation import build
 from vstestbed.sim.scene.world import World
 from vstestbed.targets import Target
 
@@ -94,8 +94,7 @@ def _with(scenario: S, values: list[Any]) -> S:
     if all(_at(plain, field) == value for field, value in zip(fields, values, strict=True)):
         return scenario
     try:
-        for field, value in zip(fields, values, strict=True):
-            override(plain, field, value, {}, _is_kind)
+        put_over(plain, dict(zip(fields, values, strict=True)), {}, {})
         return build(type(scenario), plain, {}, "")
     except ScenarioError as error:
         mistake = error.mistakes[0]
@@ -117,7 +116,3 @@ def _at(plain: Any, dotted: str) -> Any:
 def _touches(field: str, mistaken: str) -> bool:
     """Whether a mistake is of this field, of one in it, or of its block."""
     return f"{mistaken}.".startswith(f"{field}.") or (mistaken != "" and f"{field}.".startswith(f"{mistaken}."))
-
-
-def _is_kind(word: str) -> bool:
-    return any(word in kinds.members for kinds in KINDS.values())

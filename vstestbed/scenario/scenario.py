@@ -17,6 +17,7 @@ from vstestbed.core.spec import spec
 from vstestbed.features.observation import Goal
 from vstestbed.laws import LAWS, Law
 from vstestbed.robots import ROBOTS, Robot
+from vstestbed.robots.drawn_start import stated, undrawn
 from vstestbed.scenario.check_points import check_determined, check_judged, check_markers, check_own_points, free_motions
 from vstestbed.scenario.checks import (
     check_carrier,
@@ -257,15 +258,16 @@ class Scenario:
     def randomised(self, seed: int) -> Scenario:
         """The same experiment with this seed and a start drawn from it, drawn again until the target is in view.
 
-        The start is written into `robot.start.nominal`, so that the scenario of a run contains its start.
+        The start is written into `robot.start.nominal`, so that the scenario of a run contains its start, and the one round which it was
+        drawn into `robot.start.drawn_about`, so that another seed draws round it, too.
 
         Raises:
             ParameterError: the robot has no random block, or no start in it sees the target.
         """
         seeded = self.with_seed(seed)
-        rng = seeded.rng(START_STREAM)
+        rng, given = seeded.rng(START_STREAM), undrawn(seeded.robot)
         for _ in range(TRIES):
-            robot = seeded.robot.randomised(rng)
+            robot = stated(given.randomised(rng), given)
             if in_view(robot, self.camera, self.target, self.detector, self.goal_views[0], self.world):
                 return replace(seeded, robot=robot)
         raise ParameterError("robot.start.random", f"gave no start in {TRIES} draws that has the whole target in view; make it smaller")
