@@ -14,10 +14,11 @@ from ruamel.yaml import YAML
 
 from vstestbed.core.assets import bundled_scenarios
 from vstestbed.core.errors import Mistake, ParameterError, ScenarioError, nearest, short
+from vstestbed.core.registry import ROOMS
 from vstestbed.scenario.plugins import absolute, absolute_files, load_named
 from vstestbed.scenario.randomise import drawn
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.scenario.validation import KINDS, build
+from vstestbed.scenario.validation import build
 from vstestbed.scenario.yaml_marks import FROM_PYTHON, Marks, override, place_of, plain_mapping
 
 MOST_BYTES = 100_000
@@ -193,7 +194,7 @@ def seeded(scenario: Scenario, seed: int) -> Scenario:
 
 
 def _is_kind(word: str) -> bool:
-    return any(word in kinds.members for kinds in KINDS.values())
+    return any(word in room.members for room in ROOMS)
 
 
 def _required() -> str:
