@@ -253,7 +253,7 @@ def test_runs_converges_and_knows_it_by_grey_levels(file: Path) -> None:
         ({"detector": {"kind": "blobs"}}, "no markers are drawn .*; use none"),
         ({"detector": {"kind": "keypoints"}}, "reads no points of it; use none"),
         ({"law": {"kind": "photometric", "levels": 6}}, "at the coarsest level"),
-        ({"camera": {"kind": "fisheye", "width": 160, "height": 120}}, "needs a camera of kind perspective"),
+        ({"camera": {"kind": "fisheye", "width": 160, "height": 120}}, "camera: must be of kind perspective for law photometric"),
         (
             {"law": {"kind": "ibvs", "depth": "oracle"}, "detector": {"kind": "oracle"}},
             "error_grey: is of a law that works on grey levels",

@@ -132,12 +132,15 @@ class Photometric(LawBase):
         """Refuse a lens that is not perspective, and a border or levels that leave no picture."""
         camera = goal.camera
         if not isinstance(camera, Perspective):
-            raise ParameterError("law", "of kind photometric needs a camera of kind perspective", kind_of(type(camera)))
+            raise ParameterError("camera", "must be of kind perspective for law photometric", kind_of(type(camera)))
         least = min(camera.width, camera.height)
         inner = (least - 2 * self.margin_px) / 2 ** (self.levels - 1) / self.stride
         if inner < LEAST_SIDE:
-            words = f"leave {max(inner, 0):.3g} px of the picture's {least} at the coarsest level, and {LEAST_SIDE} are needed"
-            raise ParameterError("law", f"of kind photometric: margin_px, levels and stride {words}; make one of them smaller")
+            given = f"margin_px {self.margin_px}, levels {self.levels} and stride {self.stride}"
+            words = (
+                f"leaves {max(inner, 0):.3g} px of the picture's {least} at the coarsest level with {given}, and {LEAST_SIDE} are needed"
+            )
+            raise ParameterError("law", f"{words}; make one of them smaller")
 
     def init(self, goal: Goal) -> PhotometricMemory:
         """No picture so far."""
