@@ -52,7 +52,7 @@ class Gears:
     Reference: Spong 1987, Modeling and control of elastic joint robots, doi:10.1115/1.3143860.
 
     Args:
-        stiffness_nmprad: k of each joint, one for all or one for each; 0: rigid (N/m where the joint slides) [Nm/rad]; e.g.
+        stiffness_nmprad: stiffness k of each joint, one for all or one for each; 0: rigid (N/m where the joint slides) [Nm/rad]; e.g.
             `[25000, 25000, 10000, 0, 0, 0]`.
         damping_s: c / k of all joints [s].
         backlash_deg: b, the whole play of each joint, as its link moves before a rotor that stands, one for all or one for each [deg].

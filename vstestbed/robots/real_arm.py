@@ -130,6 +130,8 @@ class RealArm(Realistic, Arm):
                 f"must be 0 (rigid) or at most {most:g} for {self.joints[joint]}: it vibrates at {w / 2 / np.pi:.0f} Hz, which needs "
                 f"physics steps of {1e6 * step:.0f} us"
             )
+            if self.gears is not None and len(self.gears.stiffness_nmprad) == 1:
+                words += "; works: a list, with a value for each joint"
             raise ParameterError("robot.gears.stiffness_nmprad", words, float(k[joint]))
         return step
 
