@@ -45,8 +45,8 @@ BOX = {"pose": {"xyz": [1, 0, 0]}}
         (
             "world.floor.texture",
             "brick",
-            "world.floor.texture: must be a picture, FILE.png or FILE.jpg, or texture:NAME (brick, flat, leaves, poster, repetitive, text), "
-            "got 'brick'",
+            "world.floor.texture: must be a picture, FILE.png or FILE.jpg, or texture:NAME "
+            "(brick, flat, leaves, poster, repetitive, text), got 'brick'",
         ),
     ],
 )
