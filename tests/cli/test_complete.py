@@ -8,7 +8,8 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.cli import complete
-from vstestbed.scenario.catalogue import catalogue, entry_of
+from vstestbed.scenario.catalogue import catalogue
+from vstestbed.scenario.field_paths import looked_up
 from vstestbed.scenario.validation import KINDS
 
 
@@ -43,12 +44,13 @@ def test_kinds_are_those_that_describe_knows() -> None:
     bundled = {kind for room in KINDS.values() for kind, cls in room.members.items() if cls.__module__.startswith("vstestbed.")}
     assert bundled <= set(complete.kinds(""))
     assert {"law", "stop", "noise"} <= set(complete.kinds(""))
-    assert complete.kinds("camera.s") == ["camera.sensor", "camera.spherical"]
-    assert complete.kinds("stop.") == ["stop.converged"]
+    assert complete.kinds("camera.s") == ["camera.sensor", "camera.spherical", "camera.stream"]
+    assert complete.kinds("stop.") == ["stop.converged", "stop.duration_s"]
+    assert complete.kinds("robot.gears.s") == ["robot.gears.stiffness_nmprad"]
     entries = catalogue(scenario=vs.Scenario)
-    assert all(entry_of(word, entries) for owner in complete.kinds("") for word in complete.kinds(f"{owner}."))
+    assert all(looked_up(word, entries) for owner in complete.kinds("") for word in complete.kinds(f"{owner}."))
     assert complete.kinds("nope.") == []
-    assert complete.kinds("metr") == complete.kinds("descr") == []  # a list, which `describe` has as `metric`, and a text
+    assert complete.kinds("metr") == ["metrics"]
 
 
 @pytest.mark.parametrize(

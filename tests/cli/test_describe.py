@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Iterator
+from typing import Any
 
 import pytest
 from rich.console import Console
 
-from vstestbed.cli.describe import describe_entry
+from tests.scenario.schemas import whole_schema
+from vstestbed.cli.describe import describe_entry, describe_field
+from vstestbed.core.docstrings import class_text
 from vstestbed.core.errors import ParameterError
 from vstestbed.experiments.comparison import Comparison
-from vstestbed.scenario.catalogue import catalogue, entry_of
+from vstestbed.scenario.catalogue import Entry, catalogue
+from vstestbed.scenario.field_paths import FieldPlace, looked_up
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.scenario.validation import KINDS
 
@@ -95,21 +100,95 @@ def test_colours_only_where_they_are_wanted() -> None:
     ],
 )
 def test_the_words_for_an_entry(word: str, name: str) -> None:
-    assert entry_of(word, ENTRIES).name == name
+    found = looked_up(word, ENTRIES)
+    assert isinstance(found, Entry) and found.name == name
 
 
 @pytest.mark.parametrize(
     ("word", "words"),
     [
         ("lines", "lines is detector.lines and target.lines; give one of these names"),
-        ("pbv", "pbv is no kind and no block of a scenario; did you mean 'pbvs'?"),
-        ("xyz", "xyz is no kind and no block of a scenario; there are scenario, comparison, camera, depth,"),
+        ("pbv", "pbv is no kind, block or field of a scenario; did you mean 'pbvs'?"),
+        ("qqqq", "qqqq is no kind, block or field of a scenario; a scenario has name, description, plugins, seed,"),
+        ("qqqq.gain", "qqqq is no kind and no block of a scenario; a scenario has name,"),
+        ("xyz", "xyz is a field of 23 blocks; give its path, such as camera.mount.xyz, target.pose.xyz,"),
+        ("camera.readout", "camera.readout is no field of a scenario: camera has no readout; did you mean 'readout_s'?"),
+        ("law.ibvs.gane", "law.ibvs.gane is no field of a scenario: law.ibvs has no gane; did you mean 'gain'?"),
+        ("camera.optic.defocus", "camera.optic.defocus is no field of a scenario: camera has no optic; did you mean 'optics'?"),
+        ("seed.x", "seed.x is no field of a scenario: seed is no block, and has no fields"),
+        ("camera.readout_s.x", "camera.readout_s.x is no field of a scenario: camera.readout_s is no block"),
     ],
 )
 def test_words_that_are_not_one(word: str, words: str) -> None:
     with pytest.raises(ParameterError) as refused:
-        entry_of(word, ENTRIES)
+        looked_up(word, ENTRIES)
     assert str(refused.value).startswith(words)
+
+
+def paths_of(rule: dict[str, Any], bare: str = "", full: str = "", within: tuple[str, ...] = ()) -> Iterator[tuple[str, str, str]]:
+    """Every field below a rule of the schema: its path, the same with kinds and places in lists, and its description."""
+    reference = rule.get("$ref", "").rpartition("/")[2]
+    if reference in within:  # a block in itself, such as a law in `switched`: once is enough
+        return
+    if reference:
+        rule, within = WHOLE["$defs"][reference], (*within, reference)
+    for choice in rule.get("anyOf", []):
+        yield from paths_of(choice, bare, full, within)
+    if "items" in rule:
+        yield from paths_of(rule["items"], bare, f"{full}.0", within)
+    fields = rule.get("properties", {})
+    if "kind" in fields:
+        full = f"{full}.{fields['kind']['const']}"
+    for name, inner in fields.items():
+        if name != "kind":
+            places = f"{bare}.{name}".strip("."), f"{full}.{name}".strip(".")
+            yield (*places, inner["description"])
+            yield from paths_of(inner, *places, within)
+
+
+WHOLE = whole_schema(Scenario)
+
+
+def test_every_path_of_a_scenario_is_known_with_its_sentence() -> None:
+    paths = list(paths_of(WHOLE))
+    assert len(paths) > 1500 and {"randomise", "robot.realism", "robot.gravity_error", "camera.readout_s"} <= {path for path, _, _ in paths}
+    for path, sentence in {(path, sentence) for bare, full, sentence in paths for path in (bare, full)}:
+        found = looked_up(path, ENTRIES)
+        if isinstance(found, FieldPlace):
+            texts = [class_text(cls).fields[found.name].description for cls in found.owners.values()]
+            assert any(sentence.startswith(text) for text in texts), path
+
+
+def field_shown(path: str) -> list[str]:
+    out, place = io.StringIO(), looked_up(path, ENTRIES)
+    assert isinstance(place, FieldPlace)
+    describe_field(place, ENTRIES, Console(file=out, width=80, highlight=False))
+    return [" ".join(line.split()) for line in out.getvalue().splitlines()]
+
+
+def test_a_field_has_default_unit_words_and_an_example() -> None:
+    lines = field_shown("camera.readout_s")
+    assert lines[0] == "camera.readout_s"
+    assert lines[3].startswith("readout_s 0.0 s time over which a rolling shutter exposes its H rows")
+    assert "camera.spherical." in lines and lines[-1] == "Example: --set camera.readout_s=0.02"
+    assert field_shown("robot.realism")[-1] == "Example: --set robot.realism=lab"
+
+
+def test_a_field_that_says_different_things_in_different_blocks_has_a_row_for_each() -> None:
+    lines = field_shown("robot.start.nominal.q_deg")
+    assert lines[2] == "field of default unit what it is"
+    assert lines[3].startswith("puma560.start.nominal [0.0, 45.0,")
+    assert any(line.startswith("mjcf.start.nominal required deg the positions in the order") for line in lines)
+
+
+def test_a_field_that_holds_a_block_is_followed_by_it() -> None:
+    lines = field_shown("randomise")
+    assert lines[3].startswith("randomise [] fields that are drawn anew")
+    assert "distribution" in lines and any(line.startswith("uniform Uniform between two bounds") for line in lines)
+
+
+def test_a_field_in_a_list_has_an_example_that_set_does_not_take() -> None:
+    assert "Example: pose: {xyz: [1.2, 0, 0.7], rpy_deg: [0, 90, 0]}" in field_shown("world.plates.0.pose")
 
 
 def test_starts_of_different_robots_have_different_names() -> None:

@@ -8,11 +8,12 @@ from typing import Annotated, Any
 
 import pydantic
 import pytest
+from annotated_types import Ge, Le, Len
 
 from tests.scenario.schemas import whole_schema
 from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.core.geometry import Pose
-from vstestbed.core.quantity import Length, Narrower, PositiveLength, PositiveTime, Seed
+from vstestbed.core.quantity import Length, Narrower, OneForAll, PositiveLength, PositiveTime, Seed
 from vstestbed.core.spec import spec
 from vstestbed.scenario.load import load
 from vstestbed.scenario.scenario import Scenario
@@ -27,6 +28,14 @@ class Things:
     size: PositiveLength = 1.0
     narrow: Annotated[PositiveTime, Narrower(le=60)] = 1.0
     seed: Seed = 0
+
+
+@spec
+class Joints:
+    """A list with a value for each joint."""
+
+    most: Annotated[tuple[Annotated[float, Ge(0), Le(10)], ...], Len(1, 7), OneForAll()] = (1.0,)
+    counts: Annotated[tuple[Annotated[int, Ge(0), Le(10)], ...], Len(1, 7), OneForAll()] = (1,)
 
 
 def unbounded(part: Any, path: str = "") -> Iterator[str]:
@@ -117,3 +126,32 @@ def test_plausible_extremes_load(settings: dict[str, object], words: str) -> Non
         assert words and words in str(error)
     else:
         assert not words
+
+
+class TestOneNumberForAllJoints:
+    def test_is_the_list_of_it(self) -> None:
+        assert Joints(most=2).most == Joints(most=[2]).most == (2.0,)  # pyright: ignore[reportArgumentType] - a number for a list is the point
+        assert Joints(counts=3).counts == (3,)  # pyright: ignore[reportArgumentType]
+        assert Joints(most=(1, 2)).most == (1.0, 2.0)
+
+    def test_the_schema_has_both(self) -> None:
+        shown = pydantic.TypeAdapter(Joints).json_schema()["properties"]["most"]
+        number = {"maximum": 10, "minimum": 0, "type": "number"}
+        assert shown["anyOf"] == [{"items": number, "maxItems": 7, "minItems": 1, "type": "array"}, number]
+
+    @pytest.mark.parametrize(
+        ("field", "value", "words"),
+        [
+            ("most", "2", "Joints.most must be a number for all joints, or a list with one for each, got '2'"),
+            ("most", True, "Joints.most must be a number for all joints, or a list with one for each, got True"),
+            ("most", None, "Joints.most must be a number for all joints, or a list with one for each, got None"),
+            ("most", 11, "Joints.most must be <= 10, got 11"),
+            ("most", math.nan, "Joints.most must be a finite number, got nan"),
+            ("most", [1, 11], "Joints.most.1 must be <= 10, got 11"),
+            ("counts", 2.5, "Joints.counts must be a whole number, got 2.5"),
+        ],
+    )
+    def test_others_are_refused(self, field: str, value: Any, words: str) -> None:
+        with pytest.raises(ParameterError) as refused:
+            Joints(**{field: value})
+        assert str(refused.value) == words

@@ -165,6 +165,17 @@ def test_without_structure_or_depth_it_rests(texture: np.ndarray) -> None:
     assert replace(law, depth=Sensed()).step(law.init(goal), looked(blind), goal, np.eye(6))[1].rest_reason == NO_DEPTH
 
 
+def test_the_structure_of_the_goals_picture_is_measured_once(texture: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked, eigenvalues = [], np.linalg.eigvalsh
+    monkeypatch.setattr(np.linalg, "eigvalsh", lambda H: asked.append(H) or eigenvalues(H))
+    law, goal = Photometric(margin_px=4), goal_of(texture)
+    memory = law.init(goal)
+    for _ in range(3):
+        memory, command = law.step(memory, looked(seen(texture, AT_GOAL)), goal, np.eye(6))
+        assert not command.rest_reason
+    assert len(asked) == 1
+
+
 def test_outliers_break_least_squares_and_not_the_m_estimator(texture: np.ndarray) -> None:
     """A dark band wanders over the picture: without weights the camera follows it."""
 
@@ -242,7 +253,7 @@ def test_runs_converges_and_knows_it_by_grey_levels(file: Path) -> None:
         ({"detector": {"kind": "blobs"}}, "no markers are drawn .*; use none"),
         ({"detector": {"kind": "keypoints"}}, "reads no points of it; use none"),
         ({"law": {"kind": "photometric", "levels": 6}}, "at the coarsest level"),
-        ({"camera": {"kind": "fisheye", "width": 160, "height": 120}}, "needs a camera of kind perspective"),
+        ({"camera": {"kind": "fisheye", "width": 160, "height": 120}}, "camera: must be of kind perspective for law photometric"),
         (
             {"law": {"kind": "ibvs", "depth": "oracle"}, "detector": {"kind": "oracle"}},
             "error_grey: is of a law that works on grey levels",

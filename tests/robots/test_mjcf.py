@@ -207,6 +207,13 @@ def swing(kp: float, kv: float, step: float) -> float:
     return farthest
 
 
+def test_one_number_holds_for_all_joints(tmp_path: Path) -> None:
+    robot = block("scara") | {"speed_limits": 2, "torque_limits": 50, "servo_kp": [400]}
+    made = written(tmp_path, "one", robot, {"kind": "square", "side": 0.25, "pose": {"xyz": [0.5, 0.5, 0.1]}}, {"xyz": [0, 0, 0.6]}).robot
+    assert isinstance(made, Mjcf)
+    assert (made.speed_limits, made.torque_limits, made.servo_kp) == ((2.0,) * 4, (50.0,) * 4, (400.0,) * 4)
+
+
 class TestMistakes:
     def refused(self, tmp_path: Path, **more: Any) -> str:
         robot = block("scara") | more

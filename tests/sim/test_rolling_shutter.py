@@ -243,7 +243,10 @@ def test_blobs_in_the_pictures_of_a_run_are_where_the_oracle_sees_the_markers():
     ("settings", "words"),
     [
         ({"camera.readout_s": 0.041}, "readout_s: must be at most 0.04 s"),
-        ({"camera.readout_s": 0.03, "timing.exposure_s": 0.012}, "with timing.exposure_s = 0.012 s added"),
+        (
+            {"camera.readout_s": 0.03, "timing.exposure_s": 0.012},
+            r"at most 0.028 s: readout and timing.exposure_s \(0.012 s\) together",
+        ),
         ({"camera.readout_s": 0.02, "timing.exposure_jitter_s": 0.011}, "at most 0.01 s"),
         ({"camera.readout_s": -0.01}, "readout_s"),
     ],

@@ -75,9 +75,11 @@ class H264Stream(VideoStream):
     def __post_init__(self) -> None:
         """Refuse two measures of quality; without any the rate factor is 23, x264's own."""
         if self.crf is not None and self.bitrate_kbps is not None:
-            raise ParameterError("bitrate_kbps", "and crf say the same thing twice; give one of them", self.bitrate_kbps)
+            raise ParameterError(
+                "bitrate_kbps", "must be left out where crf is given, for each of them sets the quality; give one", self.bitrate_kbps
+            )
         if self.crf is None and self.bitrate_kbps is None:
             object.__setattr__(self, "crf", 23)  # so that the scenario as run states it
 
 
-STREAMS = OneOf("stream", JpegStream, H264Stream)
+STREAMS = OneOf("stream", JpegStream, H264Stream, fields={"quality": "jpeg", "crf": "h264", "bitrate_kbps": "h264", "group": "h264"})

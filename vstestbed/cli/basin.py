@@ -48,6 +48,7 @@ def basin(
 ) -> None:
     """From where each law reaches its goal, and why not from elsewhere: a map of ideal runs over two coordinates of the start."""
     from vstestbed.cli.compare import vary_of
+    from vstestbed.cli.progress import show_notes
     from vstestbed.core.folders import study_folder
     from vstestbed.experiments.basin.maps import basins_of, laws, write
     from vstestbed.experiments.basin.setup import must_be_few_starts
@@ -57,6 +58,7 @@ def basin(
     across, up, rest = _axis("--x", x, n), _axis("--y", y, n), _coordinates("--at", at or [])
     comparison = chosen(scenarios, settings_of(set_), vary_of(vary), None, plugin or [])
     must_be_few_starts(comparison, n, force)
+    show_notes(not quiet)
     found = laws(comparison, None if field_of_view is None else field_of_view.value, force)
     shown = not (quiet or as_json)
     with study_folder("basin", out) as folder:

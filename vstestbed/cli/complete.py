@@ -40,11 +40,15 @@ def figures(incomplete: str) -> list[str]:
 
 
 def kinds(incomplete: str) -> list[str]:
-    """Words that `describe` knows: kinds, the blocks of a scenario, and after `camera.` the kinds and blocks of that block."""
+    """Words that `describe` knows: kinds, the fields of a scenario, and after `camera.` the kinds and fields of that block."""
     whole = _schema()
-    if "." in incomplete:
-        return sorted({word for word in _kinds_in(incomplete.partition(".")[0], whole) if word.startswith(incomplete)})
-    words = {name for name, rule in whole["properties"].items() if any(_children(rule, whole))}
+    owner, dot, begun = incomplete.rpartition(".")
+    if dot:
+        rules = [whole]
+        for part in owner.split("."):
+            rules = [child for name, child in _within(rules, whole) if name == part]
+        return sorted({f"{owner}.{word}" for word in _words_in(rules, whole) if word.startswith(begun)})
+    words = set(whole["properties"])
     words |= {block["properties"]["kind"]["const"] for block in whole["$defs"].values() if "kind" in block["properties"]}
     return sorted(word for word in words if word.startswith(incomplete))
 
@@ -65,19 +69,10 @@ def paths(incomplete: str) -> list[str]:
         prefix, last = f"{prefix}{next(iter(found))}.", ""
 
 
-def _kinds_in(owner: str, whole: dict[str, Any]) -> Iterator[str]:
-    """The kinds that a block may be, and the blocks in it, with its name before them."""
-    for name, rule in _children(whole["properties"].get(owner, {}), whole):
-        if name == "kind":
-            yield f"{owner}.{rule['const']}"
-        elif _is_block(rule, whole):
-            yield f"{owner}.{name}"
-
-
-def _is_block(rule: dict[str, Any], whole: dict[str, Any]) -> bool:
-    """Whether a field holds a block of one shape, which `describe` calls by its owner's name; kinds have a name of their own."""
-    names = [name for name, _ in _children(rule, whole)]
-    return bool(names) and "kind" not in names
+def _words_in(rules: Iterable[dict[str, Any]], whole: dict[str, Any]) -> Iterator[str]:
+    """The kinds that a block may be, and its fields."""
+    for name, rule in _within(rules, whole):
+        yield rule["const"] if name == "kind" else name
 
 
 def _begun(begin: str, rules: Iterable[dict[str, Any]], whole: dict[str, Any]) -> dict[str, list[dict[str, Any]]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
+import shlex
 import textwrap
 import typing
 from collections.abc import Iterator
@@ -18,9 +19,10 @@ from vstestbed.core.docstrings import DIMENSIONLESS, class_text, unit_in, withou
 from vstestbed.core.registry import Room, blocks_in
 from vstestbed.core.spec import needed_fields
 from vstestbed.scenario.bundled_uses import bundled_uses
-from vstestbed.scenario.catalogue import Entry
-from vstestbed.scenario.described import default_of, example_block
+from vstestbed.scenario.catalogue import Entry, hint_of
+from vstestbed.scenario.described import default_of, example_block, examples_of
 from vstestbed.scenario.dump import block_text, flow_text
+from vstestbed.scenario.field_paths import FieldPlace
 
 SET_LINE = 100
 """A line of a docstring that is shorter ends where its writer wanted it to end, as a line of an equation does [characters]."""
@@ -41,9 +43,44 @@ def describe_entry(entry: Entry, entries: dict[str, Entry], console: Console) ->
         for line in _lines(paragraph):
             _wrapped(line, console)
     console.print()
-    names = {e.cls: e.name for e in reversed(entries.values()) if e.cls is not None}
-    console.print(_fields(entry.cls, names))
+    console.print(_fields(entry.cls, _names(entries)))
     _use(entry, console)
+
+
+def describe_field(field: FieldPlace, entries: dict[str, Entry], console: Console) -> None:
+    """Print a field: its sentence, default, unit and an example, and the blocks that have it; then the block that it holds."""
+    console.print(Text(field.path, style="bold"))
+    console.print()
+    rows: dict[tuple[str, ...], list[str]] = {}
+    names = _names(entries)
+    for name, cls in field.owners.items():
+        rows.setdefault(tuple(map(str, _cells(cls, field.name, names))), []).append(name)
+    table = _field_table("field" if len(rows) == 1 else "field of")
+    for same in rows.values():
+        cells = _cells(field.owners[same[0]], field.name, names)
+        table.add_row(Text(field.name if len(rows) == 1 else "\n".join(same), style="cyan"), *cells)
+    console.print(table)
+    console.print()
+    if len(rows) == 1 and (owners := [name for name in field.owners if name != "scenario"]):
+        _wrapped(f"A field of {', '.join(owners)}.", console)
+    cls = next(iter(field.owners.values()))
+    example = next(examples_of(cls, field.name, bundled_uses()), None)
+    if example is not None:
+        text = flow_text(example)
+        shown = f"--set {shlex.quote(f'{field.path}={text}')}" if field.settable else f"{field.name}: {text}"
+        _wrapped(f"Example: {shown}", console)
+    _held(list(dict.fromkeys(_inner(hint_of(cls, field.name), names) for cls in field.owners.values())), entries, console)
+
+
+def _held(inner: list[str], entries: dict[str, Entry], console: Console) -> None:
+    """The block in a field, where it is one."""
+    if len(inner) == 1 and inner[0]:
+        console.print()
+        describe_entry(entries[inner[0]], entries, console)
+
+
+def _names(entries: dict[str, Entry]) -> dict[type, str]:
+    return {e.cls: e.name for e in reversed(entries.values()) if e.cls is not None}
 
 
 def _kinds(entry: Entry, room: Room, console: Console) -> None:
@@ -88,23 +125,32 @@ def _table(*columns: str) -> Table:
 
 def _fields(cls: type, names: dict[type, str]) -> Table:
     """One row a field: name, default, unit, and its sentence with the words that it may be and the name of its block."""
-    table, hints = _table("field", "default", "unit", "what it is"), typing.get_type_hints(cls, include_extras=True)
+    table = _field_table("field")
+    for name in class_text(cls).fields:
+        if name != "kind":
+            table.add_row(Text(name, style="cyan"), *_cells(cls, name, names))
+    return table
+
+
+def _field_table(first: str) -> Table:
+    table = _table(first, "default", "unit", "what it is")
     table.columns[1].max_width, table.columns[2].max_width = 16, 14
     table.columns[3].ratio = 1
-    required = needed_fields(cls)
-    for name, field in class_text(cls).fields.items():
-        if name == "kind":
-            continue
-        default = Text("required", style="yellow") if name in required else Text(_default(cls, name, hints[name]))
-        unit = field.unit or unit_in(field.description)  # of a block that a number may stand for, its sentence has the unit
-        words = Text(without_unit(field.description))
-        choices = [str(word) for word in _words(hints[name])]
-        if not all(word in field.description for word in choices):
-            words.append(f" One of {', '.join(choices)}.")
-        if inner := _inner(hints[name], names):
-            words.append(f" See {inner}.", style="dim")
-        table.add_row(Text(name, style="cyan"), default, Text(unit if unit != DIMENSIONLESS else ""), words)
     return table
+
+
+def _cells(cls: type, name: str, names: dict[type, str]) -> tuple[Text, Text, Text]:
+    """Default, unit and sentence of a field."""
+    field, hint = class_text(cls).fields[name], hint_of(cls, name)
+    default = Text("required", style="yellow") if name in needed_fields(cls) else Text(_default(cls, name, hint))
+    unit = field.unit or unit_in(field.description)  # of a block that a number may stand for, its sentence has the unit
+    words = Text(without_unit(field.description))
+    choices = [str(word) for word in _words(hint)]
+    if not all(word in field.description for word in choices):
+        words.append(f" One of {', '.join(choices)}.")
+    if inner := _inner(hint, names):
+        words.append(f" See {inner}.", style="dim")
+    return default, Text(unit if unit != DIMENSIONLESS else ""), words
 
 
 def _default(cls: type, name: str, hint: Any) -> str:

@@ -144,24 +144,31 @@ def schema(
 @tools.command()
 def describe(
     kind: Annotated[
-        str, typer.Argument(metavar="KIND", help="Such as pbvs, camera.spherical, noise; law: all laws.", autocompletion=complete.kinds)
+        str,
+        typer.Argument(
+            metavar="KIND", help="Such as pbvs, camera.spherical, noise, camera.readout_s; law: all laws.", autocompletion=complete.kinds
+        ),
     ],
     plugin: Plugins = None,
 ) -> None:
-    """What a law, a robot, a camera or another block takes: its equation, source, fields and an example."""
+    """What a law, a robot, a camera or another block takes: its equation, source, fields and an example; or what a field is."""
     from rich.console import Console
 
-    from vstestbed.cli.describe import describe_entry
+    from vstestbed.cli.describe import describe_entry, describe_field
     from vstestbed.experiments.comparison.plan import Comparison
-    from vstestbed.scenario.catalogue import catalogue, entry_of
+    from vstestbed.scenario.catalogue import Entry, catalogue
+    from vstestbed.scenario.field_paths import looked_up
     from vstestbed.scenario.plugins import load_plugins
     from vstestbed.scenario.scenario import Scenario
 
     load_plugins(plugin or [])
     entries = catalogue(scenario=Scenario, comparison=Comparison)
-    console = Console(highlight=False)
+    console, found = Console(highlight=False), looked_up(kind, entries)
     with console.capture() as text:
-        describe_entry(entry_of(kind, entries), entries, console)
+        if isinstance(found, Entry):
+            describe_entry(found, entries, console)
+        else:
+            describe_field(found, entries, console)
     typer.echo("\n".join(line.rstrip() for line in text.get().splitlines()), color=True)  # rich has left colours out where none are wanted
 
 

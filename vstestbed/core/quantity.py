@@ -15,7 +15,7 @@ from typing import Annotated, Any
 
 from annotated_types import Ge, Gt, Len
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
-from pydantic_core import CoreSchema, core_schema
+from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 
 @dataclass(frozen=True)
@@ -61,6 +61,28 @@ class Narrower:
         schema: Any = handler(source)
         schema["steps"][0].update({name: bound for name, bound in vars(self).items() if bound is not None})
         return schema
+
+
+@dataclass(frozen=True)
+class OneForAll:
+    """For `Annotated` of a list with a value for each joint: a number alone stands for the list of it, which holds for all joints."""
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Pydantic's hook: a number becomes a list of one first."""
+        return core_schema.no_info_before_validator_function(self._listed, handler(source))
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        """Pydantic's hook for the JSON Schema: the list, or a number as it may be in one."""
+        listed = handler(schema)
+        return {"anyOf": [listed, listed["items"]]}
+
+    @staticmethod
+    def _listed(value: Any) -> Any:
+        if isinstance(value, int | float) and not isinstance(value, bool):
+            return (value,)
+        if not isinstance(value, list | tuple):
+            raise PydanticCustomError("one_for_all", "must be a number for all joints, or a list with one for each")
+        return value
 
 
 def _shown(bound: float) -> str:

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
 import typing
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import pydantic
+from annotated_types import Len
 
+from vstestbed.core.conversions import Key
 from vstestbed.core.docstrings import class_text
 from vstestbed.core.errors import ParameterError, nearest, short
 from vstestbed.core.mapping import to_mapping
 from vstestbed.core.registry import ROOMS, Room, blocks_in, fields_of, rooms_of, spec_named
-
-Key = tuple[str | int, ...]
 
 
 def refusal(error: pydantic.ValidationError, cls: type, values: Mapping[str, Any]) -> ParameterError:
@@ -28,26 +29,6 @@ def refusal(error: pydantic.ValidationError, cls: type, values: Mapping[str, Any
         return inner  # raised by the __post_init__ of this class, in whose words it stays
     key, words = _finding(min(details, key=lambda d: d["type"] != "unexpected_keyword_argument"), values, cls)
     return ParameterError(".".join((cls.__name__, *map(str, key))), words)
-
-
-def refuse_conversions(made: Any, values: Mapping[str, Any]) -> None:
-    """Refuse what pydantic has converted to a number or a truth value in a constructor in Python: a text, or True for 1.
-
-    Raises:
-        ParameterError: it names the field and what it should have been.
-    """
-    for name, value in values.items():
-        if _may_convert(value):
-            for key, words in converted(value, to_mapping(getattr(made, name)), (name,)):
-                raise ParameterError(".".join((type(made).__name__, *map(str, key))), words)
-
-
-def _may_convert(value: Any) -> bool:
-    """Whether pydantic could have converted a value, or something in it: a quick look, for this is in every constructor."""
-    kind = type(value)
-    if kind is tuple or kind is list:
-        return any(map(_may_convert, value))
-    return kind is str or kind is bool or kind is dict
 
 
 def findings(error: pydantic.ValidationError, plain: Mapping[str, Any], cls: type) -> list[tuple[Key, str]]:
@@ -66,7 +47,9 @@ def _details(error: pydantic.ValidationError) -> list[Any]:
 
 def _finding(detail: Any, plain: Any, cls: type) -> tuple[Key, str]:
     """The key and the sentence of one of pydantic's errors."""
-    key, inner = _key_of(detail["loc"], plain), detail.get("ctx", {}).get("error")
+    loc, inner = detail["loc"], detail.get("ctx", {}).get("error")
+    # what is missing is a field, also where a kind has the same name
+    key = (*_key_of(loc[:-1], plain), loc[-1]) if detail["type"] == "missing" else _key_of(loc, plain)
     if isinstance(inner, ParameterError):  # raised by a __post_init__; its field is relative to the block
         got = "" if inner.found is None else f", got {short(inner.found)}"
         own = inner.field.split(".") if inner.field else []  # without a field it is about the block as a whole
@@ -75,31 +58,6 @@ def _finding(detail: Any, plain: Any, cls: type) -> tuple[Key, str]:
     if detail["type"] == "unknown_kind" and isinstance(detail["input"], dict) and "kind" in detail["input"]:
         return (*key, "kind"), _sentence(detail | {"input": detail["input"]["kind"]}, cls)
     return key, _sentence(detail, cls)
-
-
-def converted(plain: Any, built: Any, key: Key) -> Iterator[tuple[Key, str]]:
-    """Errors for values that pydantic silently converted to another type, such as a quoted number, or true for 1.
-
-    Pydantic's strict mode is no way out: it would also refuse the lists of YAML for fields that are tuples.
-
-    Args:
-        plain: what was given. built: what it has become (`to_mapping`). key: of both.
-    """
-    if isinstance(plain, dict) and isinstance(built, dict):
-        for name in plain:
-            yield from converted(plain[name], built.get(name), (*key, name))
-    elif isinstance(plain, list | tuple) and isinstance(built, list):
-        for i, (p, b) in enumerate(zip(plain, built, strict=False)):
-            yield from converted(p, b, (*key, i))
-    elif (expected := _expected_type(plain, built)) is not None:
-        yield key, f"must be {expected}, got {short(plain)}"
-
-
-def _expected_type(plain: Any, built: Any) -> str | None:
-    """The type that a scalar should have had; None where it was not converted."""
-    if isinstance(built, bool):  # before int: a bool is one
-        return None if isinstance(plain, bool) else "true or false"
-    return "a number" if isinstance(built, int | float) and isinstance(plain, str | bool) else None
 
 
 def _key_of(loc: Sequence[int | str], plain: Any) -> Key:
@@ -171,7 +129,45 @@ def _sentence(detail: Any, cls: type) -> str:
     if kind in ("block", "unknown_kind") and room and room.number:
         return f"must be a number, or a block of one of the kinds {', '.join(sorted(room.members))}, got {short(found)}"
     words = _WORDS[kind].format(**_shown(detail.get("ctx", {}))) if kind in _WORDS else str(detail["msg"])
+    if kind in ("tuple_type", "too_short", "too_long"):
+        words = _list_needed(kind, words, loc, cls)
     return f"{words}, got {short(found)}"
+
+
+def _list_needed(kind: str, words: str, loc: Sequence[int | str], cls: type) -> str:
+    """The sentence for what is no list, with an example or what its blocks are of; and for a list whose length is another than the only
+    valid one.
+    """
+    at = max(i for i, part in enumerate(loc) if isinstance(part, str))
+    name, block = str(loc[at]), _block_at(loc[:at], cls)[0]
+    if kind != "tuple_type":
+        length = _only_length(block, name) if loc[-1] == name else None
+        return words if length is None else f"must be a list of {length} items"
+    blocks = _choices(block, name)
+    if blocks and loc[-1] == name:
+        room = blocks[0][0]
+        return f"must be a list of blocks, each {f'a {room.what}' if room else f'of {_listed(blocks[0][1])}'}"
+    example = _list_like(block, name)
+    return words if not example else f"{words}, such as {example}" if loc[-1] == name else f"{words}, as in {name}: {example}"
+
+
+def _list_like(block: type, name: str) -> str:
+    """A valid list: the example of a field's docstring, or its default; "" where it has neither."""
+    text = class_text(block).fields.get(name)
+    if text and text.example:
+        return text.example
+    default = next((field.default for field in dataclasses.fields(block) if field.name == name), None)
+    return short(to_mapping(default)) if isinstance(default, tuple) and default else ""
+
+
+def _only_length(block: type, name: str) -> int | None:
+    """The length that a list must have; None where several are valid, or any."""
+    hint = _hint(block, name)
+    for part in (hint, *typing.get_args(hint)):  # a list that may be None is one of two
+        for bound in getattr(part, "__metadata__", ()):
+            if isinstance(bound, Len) and bound.min_length == bound.max_length:
+                return bound.min_length
+    return None
 
 
 def _shown(context: dict[str, Any]) -> dict[str, Any]:
@@ -193,18 +189,28 @@ def _meaning(name: str, block: type, room: Room | None) -> str:
 def _block_needed(block: type | None, found: Any) -> str:
     """The sentence for a value where a block belongs: its fields, and the block of the one that takes the value."""
     words = f"must be a block (a mapping){f' of {_listed(block)}' if block else ''}, got {short(found)}"
-    fitting = next((name for name in fields_of(block) if _takes(block, name, found)), None) if block else None
-    return words if fitting is None else f"{words}; did you mean {{{fitting}: {short(list(found))}}}?"
+    fitting = next((name for name in _meant(block, found) if _takes(block, name, found)), None) if block else None
+    return (
+        words if fitting is None else f"{words}; did you mean {{{fitting}: {short(list(found) if isinstance(found, tuple) else found)}}}?"
+    )
 
 
 def _listed(block: type) -> str:
     return ", ".join(fields_of(block))
 
 
+def _meant(block: type, value: Any) -> list[str]:
+    """The fields of a block that a list may be meant for; of a number its only field, or the only one that it needs."""
+    names = fields_of(block)
+    if isinstance(value, list | tuple):
+        return names if value else []
+    needed = [f.name for f in dataclasses.fields(block) if f.init and f.default is f.default_factory is dataclasses.MISSING]
+    only = needed or names
+    return only if isinstance(value, int | float) and not isinstance(value, bool) and len(only) == 1 else []
+
+
 def _takes(block: type, name: str, value: Any) -> bool:
-    """Whether a block with this one field, of this list, would be valid."""
-    if not isinstance(value, list | tuple) or not value:
-        return False
+    """Whether a block with this one field, of this value, would be valid."""
     try:
         block(**{name: value})
     except ParameterError:
@@ -248,8 +254,12 @@ def _room_of_field(loc: Sequence[int | str], cls: type) -> Room | None:
 
 def _choices(cls: type, name: str) -> list[tuple[Room | None, type]]:
     """The blocks that a field may be, each with its room."""
+    return list(blocks_in(_hint(cls, name)))
+
+
+def _hint(cls: type, name: str) -> Any:
+    """The type of a field; None where there is none."""
     try:
-        hint = typing.get_type_hints(cls, include_extras=True).get(name)
+        return typing.get_type_hints(cls, include_extras=True).get(name)
     except NameError:  # of a class defined in a function, where pydantic alone knows the names
-        return []
-    return list(blocks_in(hint))
+        return None

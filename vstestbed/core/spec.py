@@ -28,9 +28,10 @@ from pydantic.dataclasses import rebuild_dataclass
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from vstestbed.core.contract import Contract
+from vstestbed.core.conversions import refuse_conversions
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.holders import holders
-from vstestbed.core.refusals import refusal, refuse_conversions
+from vstestbed.core.refusals import refusal
 from vstestbed.core.registry import ROOMS, SPECS, Room, fields_of
 
 T = TypeVar("T")

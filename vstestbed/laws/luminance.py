@@ -25,6 +25,8 @@ DIFFERENCE, ONE = np.array([1.0, -8.0, 0.0, 8.0, -1.0]) / 12, np.array([1.0])
 """Kernels of a central difference of fourth order, and of none."""
 PROBES = 5
 """Points along each side of the picture by whose mean motion a step of the camera is measured in pixels."""
+MOTION = np.array([0.01, 0.01, 0.01, *np.radians([1.0, 1.0, 1.0])])
+"""Size of the motions by which a picture's structure is measured, along and about each axis: 10 mm and 1 degree [m, rad]."""
 SLOPE_PX = 0.5
 """Step of the finite differences of the lens [px]; the distortion's second derivative cancels in central ones."""
 
@@ -164,12 +166,13 @@ class GoalLevel:
         """Derivatives of the pixels by gain and offset of the light, (2, n)."""
         return light_rows(self.grey[self.pixels.at].ravel())
 
-    def least_change(self, scale: Array) -> float:
-        """RMS change of the picture [grey levels] by that motion of one size which changes it least.
+    @cached_property
+    def least_change(self) -> float:
+        """RMS change of the picture [grey levels] by that motion of the size S of `MOTION` which changes it least.
 
-        scale: that size along each direction of the camera's motion (6,) [m, rad]. The root of the least eigenvalue of S H S / n.
+        The root of the least eigenvalue of S H S / n.
         """
-        return float(np.sqrt(max(np.linalg.eigvalsh(self.H * np.outer(scale, scale))[0], 0.0) / max(self.L.shape[1], 1)))
+        return float(np.sqrt(max(np.linalg.eigvalsh(self.H * np.outer(MOTION, MOTION))[0], 0.0) / max(self.L.shape[1], 1)))
 
     def normal(self, grey: Grey, which: Which, robust: Robust, inverse_depth: Grey | None = None) -> Normal:
         """The normal equations of a picture (h, w) of this level against the goal's.

@@ -26,7 +26,7 @@ BLANK = "the picture shows next to nothing of what the goal's shows"
 NO_PIXEL = "no pixel of the picture fits the goal's"
 NO_STRUCTURE = "the goal's picture has too little structure: a motion of 10 mm or 1 degree would change it by less than 0.05 grey levels"
 NO_DEPTH = "the depth camera measured no pixel: all is nearer than its near_m or beyond its far_m"
-LEAST_CHANGE, MOTION = 0.05, np.array([0.01, 0.01, 0.01, *np.radians([1.0, 1.0, 1.0])])
+LEAST_CHANGE = 0.05
 """Least RMS change of the goal's picture [grey levels] by a motion of 10 mm or 1 degree, whichever changes it least. With structure it is
 some 0.4; a wall with 0.01 was once taken as the goal's from 0.26 m away."""
 LEAST_CONTRAST = 0.1
@@ -132,12 +132,15 @@ class Photometric(LawBase):
         """Refuse a lens that is not perspective, and a border or levels that leave no picture."""
         camera = goal.camera
         if not isinstance(camera, Perspective):
-            raise ParameterError("law", "of kind photometric needs a camera of kind perspective", kind_of(type(camera)))
+            raise ParameterError("camera", "must be of kind perspective for law photometric", kind_of(type(camera)))
         least = min(camera.width, camera.height)
         inner = (least - 2 * self.margin_px) / 2 ** (self.levels - 1) / self.stride
         if inner < LEAST_SIDE:
-            words = f"leave {max(inner, 0):.3g} px of the picture's {least} at the coarsest level, and {LEAST_SIDE} are needed"
-            raise ParameterError("law", f"of kind photometric: margin_px, levels and stride {words}; make one of them smaller")
+            given = f"margin_px {self.margin_px}, levels {self.levels} and stride {self.stride}"
+            words = (
+                f"leaves {max(inner, 0):.3g} px of the picture's {least} at the coarsest level with {given}, and {LEAST_SIDE} are needed"
+            )
+            raise ParameterError("law", f"{words}; make one of them smaller")
 
     def init(self, goal: Goal) -> PhotometricMemory:
         """No picture so far."""
@@ -171,7 +174,7 @@ class Photometric(LawBase):
         """Why the law cannot work with these pictures; "" if it can."""
         if not (goal.inverse_depth.any() and (near is None or near.any())):
             return NO_DEPTH
-        return "" if goal.least_change(MOTION) >= LEAST_CHANGE else NO_STRUCTURE
+        return "" if goal.least_change >= LEAST_CHANGE else NO_STRUCTURE
 
     def _solved(self, normal: Normal, basis: Array, mu: float) -> Array | None:
         """The remaining motion (n,) along the robot's motions [m, rad]; None where the pixels do not determine it."""

@@ -18,6 +18,7 @@ from vstestbed.loop.controller import Controller
 from vstestbed.loop.exposure import Arrival
 from vstestbed.loop.goal_image import take_goal_images
 from vstestbed.loop.judge import Judge
+from vstestbed.loop.pictureless import warn_without_pictures
 from vstestbed.loop.recording import Log, MemoryRows, Recording, Rows, Watcher
 from vstestbed.loop.shutter import CameraClock, Exposed
 from vstestbed.loop.witness import Witness
@@ -252,7 +253,10 @@ class Episode:
 
 
 def _plant(scenario: Scenario, pictures: bool, plate_m: float) -> tuple[Plant, str]:
-    """The plant of a scenario, and the name of its renderer; warns of scenery that the detector may take for markers."""
+    """The plant of a scenario, and the name of its renderer; warns of scenery that the detector may take for markers, and of effects
+    that it does not see.
+    """
+    warn_without_pictures(scenario)
     scenery, chroma = scenario.world.scenery, getattr(scenario.detector, "chroma", None)
     if scenery is not None and chroma is not None:
         from vstestbed.sim.scene.scenery import warn_of_colours  # here: MuJoCo is imported where there is any

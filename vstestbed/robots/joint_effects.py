@@ -11,15 +11,14 @@ from numpy.typing import NDArray
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
-from vstestbed.core.quantity import Frequency, PositiveTime
+from vstestbed.core.quantity import Frequency, OneForAll, PositiveTime
 from vstestbed.core.spec import spec
 
-_EACH = Len(1, 7)
-Springs = Annotated[tuple[Annotated[float, Ge(0), Le(1e9)], ...], Len(0, 7)]
-Torques = Annotated[tuple[Annotated[float, Ge(0), Le(1e6)], ...], _EACH]
-SmallAngles = Annotated[tuple[Annotated[float, Ge(0), Le(10)], ...], _EACH]
-Cycles = Annotated[tuple[Annotated[float, Ge(0), Le(1e6)], ...], _EACH]
-Counts = Annotated[tuple[Annotated[int, Ge(0), Le(2**31)], ...], _EACH]
+Springs = Annotated[tuple[Annotated[float, Ge(0), Le(1e9)], ...], Len(0, 7), OneForAll()]
+Torques = Annotated[tuple[Annotated[float, Ge(0), Le(1e6)], ...], Len(1, 7), OneForAll()]
+SmallAngles = Annotated[tuple[Annotated[float, Ge(0), Le(10)], ...], Len(1, 7), OneForAll()]
+Cycles = Annotated[tuple[Annotated[float, Ge(0), Le(1e6)], ...], Len(1, 7), OneForAll()]
+Counts = Annotated[tuple[Annotated[int, Ge(0), Le(2**31)], ...], Len(1, 7), OneForAll()]
 MilliSeconds = Annotated[float, Ge(0), Le(0.1)]
 
 
@@ -55,10 +54,10 @@ class Gears:
     Reference: Spong 1987, Modeling and control of elastic joint robots, doi:10.1115/1.3143860.
 
     Args:
-        stiffness_nmprad: k of each joint, one for all or one for each; 0: rigid (N/m where the joint slides); default: that of
+        stiffness_nmprad: stiffness k of each joint, one for all or one for each; 0: rigid (N/m where the joint slides); default: that of
             `robot.strain_wave` [Nm/rad]; e.g. `[25000, 25000, 10000, 0, 0, 0]`.
         damping_s: c / k of all joints [s].
-        backlash_deg: b, the whole play of each joint, as its link moves before a rotor that stands [deg].
+        backlash_deg: b, the whole play of each joint, as its link moves before a rotor that stands, one for all or one for each [deg].
     """
 
     stiffness_nmprad: Springs = ()
@@ -88,7 +87,7 @@ class Ripple:
     doi:10.1109/41.491356.
 
     Args:
-        cogging_nm: amplitude of the cogging torque of each joint, one for all or one for each [Nm]; e.g. `[0.5]`.
+        cogging_nm: amplitude of the cogging torque of each joint, one for all or one for each [Nm]; e.g. `0.5`.
         share: ripple of the torque as a share of it [1].
         cycles: cycles in a turn of the joint: those in a turn of the motor times the gear ratio, one for all or one for each [1].
     """

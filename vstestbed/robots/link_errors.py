@@ -61,6 +61,8 @@ class GeometryError:
 class Payload:
     """A load at the flange: a cube of uniform density that touches nothing.
 
+    A start at which the weight asks more of a joint than its motor and friction hold is refused (`sim/static_load.py`).
+
     Args:
         mass_kg: its mass [kg]; e.g. `1.5`.
         com_m: its centre in the flange's frame [m].

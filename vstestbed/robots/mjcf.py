@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.named_files import absolute_file
-from vstestbed.core.quantity import Angle, PositiveSpeed, Stiffness, Torque
+from vstestbed.core.quantity import Angle, OneForAll, PositiveSpeed, Stiffness, Torque
 from vstestbed.core.spec import spec
 from vstestbed.robots.allocation import Actuation, Mount, Servo
 from vstestbed.robots.chain import JointChain, reader
@@ -108,13 +108,13 @@ class Mjcf(RealArm):
         actuation: `velocity` adds a servo to each joint, which integrates the commanded speed to a position that it holds
             (`servo_kp`); `ideal` servos are stiff and without limits, the joints without friction and weight; `file` uses the file's
             own velocity servos, or position servos fed with the integrated speed.
-        speed_limits: largest speed of each joint [rad/s, m/s], which such files do not have.
-        torque_limits: largest torque of each added servo (force in N where the joint slides), in place of the file's; by default
-            the file's [Nm]; e.g. `[87, 87, 87, 87, 12, 12, 12]`.
-        servo_kp: position gain of each added servo (N/m where the joint slides); by default `servo_gains` at the nominal start, which
-            random and displaced starts keep [Nm/rad]; e.g. `[2000, 2000, 500, 100, 100, 100]`.
-        servo_kv: velocity gain of each added servo (N s/m where the joint slides); by default servo_kp times 1/40 s [Nm s/rad]; e.g.
-            `[50, 50, 12, 3, 3, 3]`.
+        speed_limits: largest speed of each joint, one for all or one for each [rad/s, m/s], which such files do not have.
+        torque_limits: largest torque of each added servo, one for all or one for each (force in N where the joint slides), in place of
+            the file's; by default the file's [Nm]; e.g. `[87, 87, 87, 87, 12, 12, 12]`.
+        servo_kp: position gain of each added servo, one for all or one for each (N/m where the joint slides); by default `servo_gains`
+            at the nominal start, which random and displaced starts keep [Nm/rad]; e.g. `[2000, 2000, 500, 100, 100, 100]`.
+        servo_kv: velocity gain of each added servo, one for all or one for each (N s/m where the joint slides); by default servo_kp
+            times 1/40 s [Nm s/rad]; e.g. `[50, 50, 12, 3, 3, 3]`.
         start: joint positions at the start.
         avoid_limits: gain of joint-limit avoidance [1/s] in the null space of the law (`law.redundant`) and of a seventh joint.
     """
@@ -124,10 +124,10 @@ class Mjcf(RealArm):
     flange: str = "flange"
     joints: tuple[str, ...] = ()  # pyright: ignore[reportIncompatibleMethodOverride] - a field in place of a property
     actuation: Literal["velocity", "ideal", "file"] = "velocity"
-    speed_limits: Annotated[tuple[PositiveSpeed, ...], Len(2, 7)]
-    torque_limits: Annotated[tuple[Torque, ...], Len(0, 7)] = ()
-    servo_kp: Annotated[tuple[Stiffness, ...], Len(0, 7)] = ()
-    servo_kv: Annotated[tuple[Stiffness, ...], Len(0, 7)] = ()
+    speed_limits: Annotated[tuple[PositiveSpeed, ...], Len(1, 7), OneForAll()]
+    torque_limits: Annotated[tuple[Torque, ...], Len(0, 7), OneForAll()] = ()
+    servo_kp: Annotated[tuple[Stiffness, ...], Len(0, 7), OneForAll()] = ()
+    servo_kv: Annotated[tuple[Stiffness, ...], Len(0, 7), OneForAll()] = ()
     start: ArmStart
     avoid_limits: Annotated[float, Ge(0), Le(10)] = 0.5
     actuators: ClassVar[tuple[str, ...]]
@@ -156,11 +156,14 @@ class Mjcf(RealArm):
         self._check_effects()
 
     def _check_lengths(self, names: str, n: int) -> None:
+        """A number for each joint, also where one was given for all of them."""
         for field in ("speed_limits", "torque_limits", "servo_kp", "servo_kv"):
             given = getattr(self, field)
-            if len(given) != n and (given or field == "speed_limits"):
+            if len(given) == 1:
+                object.__setattr__(self, field, given * n)  # frozen, as above
+            elif given and len(given) != n:
                 words = {"speed_limits": "speeds", "torque_limits": "torques"}.get(field, "gains")
-                raise ParameterError(field, f"must be {n} {words}, of {names}", list(given))
+                raise ParameterError(field, f"must be {n} {words}, of {names}, or one for all", list(given))
 
     def _settle_gains(self, chain: JointChain) -> None:
         """Gains that are not given become those of this start: a run's copies, started elsewhere, keep them."""

@@ -156,6 +156,8 @@ class RealArm(Realistic, Arm):
         name = self.joints[joint]
         if self.gears is not None and self.gears.stiffness_nmprad:
             said = words.format(joint=name, or_here="", or_softer=f" or at most {most:g}")
+            if len(self.gears.stiffness_nmprad) == 1:
+                said += "; works: a list, with a value for each joint"
             return ParameterError("robot.gears.stiffness_nmprad", said, k)
         said = words.format(joint=name, or_here=", or its inertia in strain_wave.rotor_kgm2", or_softer="")
         return ParameterError("robot.strain_wave.sizes", said)

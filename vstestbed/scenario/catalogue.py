@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import typing
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
-from vstestbed.core.errors import ParameterError, nearest
+from vstestbed.core.errors import ParameterError
 from vstestbed.core.registry import Room, blocks_in, is_list
 from vstestbed.core.spec import kind_of
 
@@ -53,10 +55,9 @@ def catalogue(**roots: type) -> dict[str, Entry]:
 
 def _blocks_of(cls: type) -> Iterator[tuple[str, bool, Room | None, type]]:
     """Field, whether it is a list, room and class of each block that a block may hold."""
-    hints = typing.get_type_hints(cls, include_extras=True)
     for field in dataclasses.fields(cls):
         if field.init:
-            hint = hints[field.name]
+            hint = hint_of(cls, field.name)
             yield from ((field.name, is_list(hint), room, inner) for room, inner in blocks_in(hint))
 
 
@@ -68,16 +69,16 @@ def _field_name(owner: str, field: str, cls: type, inner: type, found: dict[str,
     return f"{kind_of(cls)}.{field}" if hasattr(cls, "kind") else f"{name}.{inner.__name__}"
 
 
-def entry_of(word: str, entries: dict[str, Entry]) -> Entry:
+def entry_of(word: str, entries: dict[str, Entry]) -> Entry | None:
     """The entry of a full name, of its last part where that is the name of one thing, or of a field as `--set` calls it, with or without
-    a kind: `law.depth`, `law.depth.pnp`.
+    a kind: `law.depth`, `law.depth.pnp`. None where there is none.
 
     Raises:
-        ParameterError: there is none, or there are several: it has their full names.
+        ParameterError: there are several: it has their full names.
     """
     if word in entries:
         return entries[word]
-    same = [entry for name, entry in entries.items() if name.rpartition(".")[2] == word]
+    same = [entry for entry in entries.values() if named(entry) == word] if "." not in word else []
     things = list({entry.cls: entry for entry in reversed(same)}.values())
     if len(things) == 1:
         return things[0]
@@ -85,9 +86,22 @@ def entry_of(word: str, entries: dict[str, Entry]) -> Entry:
         names = sorted(entry.name for entry in things)
         raise ParameterError(word, f"is {', '.join(names[:-1])} and {names[-1]}; give one of these names")
     held = _held_in(word, entries) or _kind_held_in(word, entries)
-    if len(held) == 1:
-        return held[0]
-    raise ParameterError(word, f"is no kind and no block of a scenario; {_hint(word, entries)}")
+    return held[0] if len(held) == 1 else None
+
+
+def named(entry: Entry) -> str:
+    """The last part of an entry's name: `pbvs` of `law.pbvs`."""
+    return entry.name.rpartition(".")[2]
+
+
+def hint_of(cls: type, field: str) -> Any:
+    """The type of a field, with its bounds and its list of kinds."""
+    return _hints(cls)[field]
+
+
+@functools.cache
+def _hints(cls: type) -> dict[str, Any]:
+    return typing.get_type_hints(cls, include_extras=True)
 
 
 def _held_in(path: str, entries: dict[str, Entry]) -> list[Entry]:
@@ -100,10 +114,3 @@ def _kind_held_in(path: str, entries: dict[str, Entry]) -> list[Entry]:
     """The kinds at the end of a dotted path that the field before it may hold: `pnp` for `law.depth.pnp`."""
     field, _, kind = path.rpartition(".")
     return [entries[name] for room in _held_in(field, entries) if (name := f"{room.name}.{kind}") in entries]
-
-
-def _hint(word: str, entries: dict[str, Entry]) -> str:
-    """The nearest name, or where to begin: a list of all names would fill a screen."""
-    hint = nearest(word, {name.rpartition(".")[2] for name in entries} | set(entries))
-    rooms = sorted(entry.name for entry in entries.values() if entry.cls is None)
-    return hint if hint.startswith("did you mean") else f"there are scenario, comparison, {', '.join(rooms)}"

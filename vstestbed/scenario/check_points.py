@@ -63,11 +63,32 @@ def check_own_points(camera: Camera, detector: Detector[Any], law: Law[Any], vie
     if not detector.changing:
         return
     if law.needs_same_markers:
-        words = f"needs the same markers in every picture, and detector {detector.kind} shows other points; use ibvs, pbvs or hybrid"
-        raise ParameterError("law", f"{law.kind} {words}")
+        raise _same_markers_needed(law, detector.kind)
     if "radius_px" in law.inputs:
-        words = f"may not keep points from the border or a plane with detector {detector.kind}, whose points are all over the picture"
-        raise ParameterError("law", f"{law.kind} {words}; leave out margin_px and plane_m (null)")
+        raise _kept_inside(law, detector.kind)
+
+
+def _same_markers_needed(law: Law[Any], detector: str) -> ParameterError:
+    """The error for a law, or for its feature, that a detector of changing points cannot serve."""
+    wanted = f"the same markers in every picture, and detector {detector} shows other points"
+    for place, part in (("law.law", getattr(law, "law", None)), ("law", law)):
+        feature = getattr(part, "feature", None)
+        if feature is not None and part is not None and part.needs_same_markers:
+            words = (
+                f"may not be {feature.kind}: it is made of several markers together, which takes {wanted}; use point, polar or spherical"
+            )
+            return ParameterError(f"{place}.feature", words)
+    return ParameterError("law", f"may not be {law.kind}: it needs {wanted}; use ibvs, pbvs or hybrid")
+
+
+def _kept_inside(law: Any, detector: str) -> ParameterError:
+    """The error for a law that keeps points from the border or a plane: a detector of the picture's own points has them all over it."""
+    given = {name: "null" for name in ("margin_px", "plane_m") if getattr(law, name, None) is not None}
+    if getattr(getattr(law, "visibility", None), "margin_px", 0) > 0:
+        given["visibility.margin_px"] = "0"
+    words = f"keeps points from the border or a plane, and those of detector {detector} are all over the picture"
+    remedy = " and ".join(f"law.{name}: {off}" for name, off in given.items()) or "a law, or a condition, that does not"
+    return ParameterError(f"law.{next(iter(given))}" if given else "law", f"{words}; works: {remedy}")
 
 
 def check_judged(stop: Stop, detector: Detector[Any], law: Law[Any]) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from vstestbed.core.registry import ROOMS
 from vstestbed.scenario.validation import KINDS
 from vstestbed.scenario.yaml_marks import FROM_PYTHON, Marks, override
 
@@ -29,4 +30,4 @@ def put_over(plain: dict[str, Any], values: Mapping[str, object], marks: Marks, 
 
 
 def _is_kind(word: str) -> bool:
-    return any(word in kinds.members for kinds in KINDS.values())
+    return any(word in room.members for room in ROOMS)

@@ -7,9 +7,10 @@ from typing import Any, TypeVar
 import pydantic
 
 from vstestbed.camera import CAMERAS
+from vstestbed.core.conversions import converted
 from vstestbed.core.errors import Mistake, ScenarioError
 from vstestbed.core.mapping import to_mapping
-from vstestbed.core.refusals import converted, findings
+from vstestbed.core.refusals import findings
 from vstestbed.core.spec import OneOf, refresh_specs
 from vstestbed.features import FEATURES
 from vstestbed.features.depth import DEPTHS

@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 
 from vstestbed.sim.scene.stage import Stage
+from vstestbed.sim.static_load import check_static_load
 
 NO_LOAD = 1e-6
 """Load under which a gear lies in the middle of its play [Nm]: what rounding leaves of the weight on a vertical axis is less."""
@@ -16,12 +17,16 @@ def settle(stage: Stage) -> None:
 
     The load of a joint is what gravity asks of its motor. A servo whose gravity compensation is wrong does not know of it: it starts at
     theta, and sags.
+
+    Raises:
+        UnreachableError: an arm's motors cannot hold it there.
     """
     # At q itself an industrial arm would sag until its servos carry it: joint 2 by 2 mrad.
     model, data, at = stage.model, stage.data, stage.at
     mechanics = stage.parts.robot.mechanics
     stage.rest()
     mujoco.mj_forward(model, data)
+    check_static_load(stage)
     load = data.qfrc_bias - data.qfrc_gravcomp
     if mechanics is not None and at.motor_qpos is not at.qpos:
         soft = mechanics.stiffness > 0

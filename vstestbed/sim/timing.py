@@ -130,8 +130,11 @@ class Timing:
         room = camera.period - open_s
         if room < -1e-9:
             most = 2 * math.floor(camera.period / step_s / 2 + 1e-9) * step_s
-            words = f"must be at most {most:g} s with timing.exposure_s = {self.exposure_s:g} s added: the last row's exposure ends before"
-            raise ParameterError("camera.readout_s", f"{words} the next picture's first row begins", camera.readout_s)
+            words = (
+                f"must be at most {max(most - self.exposure_s, 0):.6g} s: readout and timing.exposure_s ({self.exposure_s:g} s) together "
+                f"must fit into the {camera.period:g} s from one picture to the next (camera.rate_hz {camera.rate_hz:g})"
+            )
+            raise ParameterError("camera.readout_s", words, camera.readout_s)
         if self.exposure_jitter_s > room / 2:
             words = f"must be at most {room / 2:g} s, half of what the exposure leaves of the camera's period"
             raise ParameterError("timing.exposure_jitter_s", words, self.exposure_jitter_s)

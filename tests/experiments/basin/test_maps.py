@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -71,6 +72,23 @@ def test_maps_that_would_be_the_same_are_refused():
         laws(chosen(["arm_ibvs"], {}, varied, None))
     with pytest.raises(ParameterError, match="`friction, points` would make the same map as `dynamics, points`"):
         laws(chosen(["realism"], {}, {}, None))
+
+
+def told_of(caplog: pytest.LogCaptureFixture, name: str, **more: Any) -> str:
+    caplog.clear()
+    laws(chosen([name], {path.replace("__", "."): value for path, value in more.items()}, {}, None))
+    assert len(caplog.records) <= 1
+    return caplog.text.partition("leave out ")[2].partition(";")[0]
+
+
+def test_what_a_map_leaves_out_is_told_in_one_sentence(caplog: pytest.LogCaptureFixture):
+    assert told_of(caplog, "ibvs_book") == ""
+    effects = {"camera__readout_s": 0.02, "camera__sensor": {}, "noise__pixel_sigma_px": 1, "timing__exposure_s": 0.01}
+    assert told_of(caplog, "ibvs_book", **effects) == "camera.readout_s, camera.sensor, noise.pixel_sigma_px, timing.exposure_s"
+    lab = told_of(caplog, "arm_ibvs", robot__realism="lab", camera__latency_s=0.04)
+    assert lab.startswith("the dynamics and limits of robot puma560, robot.realism, camera.latency_s")
+    arm = told_of(caplog, "arm_ibvs", robot__encoders__counts=8192)
+    assert arm.startswith("the dynamics and limits of robot puma560, robot.encoders")
 
 
 def test_a_target_that_moves_has_no_map():

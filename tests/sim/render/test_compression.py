@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
 
+import vstestbed as vs
 from vstestbed.camera import Image, Perspective
 from vstestbed.camera.stream import H264Stream, JpegStream, VideoStream
-from vstestbed.core.errors import ParameterError
+from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.sim.render.compression import round_trip
 
 RATE = 25.0
@@ -120,9 +122,22 @@ def test_none_is_the_same_object():
 
 
 def test_what_contradicts_itself_is_refused():
-    with pytest.raises(ParameterError, match="same thing twice"):
+    with pytest.raises(ParameterError, match="must be left out where crf is given"):
         H264Stream(crf=20, bitrate_kbps=100)
     with pytest.raises(ParameterError, match="even"):
         Perspective(width=641, stream=H264Stream())
     Perspective(width=641, stream=H264Stream(colours="full"))
     assert H264Stream().crf == 23
+
+
+@pytest.mark.parametrize(
+    ("block", "kind"),
+    [({"bitrate_kbps": 500}, H264Stream), ({"crf": 30}, H264Stream), ({"group": 5}, H264Stream), ({"quality": 40}, JpegStream)],
+)
+def test_a_field_of_one_kind_alone_names_the_kind(block: dict[str, Any], kind: type) -> None:
+    assert isinstance(vs.load("arm_ibvs", {f"camera.stream.{name}": value for name, value in block.items()}).camera.stream, kind)
+
+
+def test_a_field_of_another_kind_is_refused_with_the_kind_that_has_it() -> None:
+    with pytest.raises(ScenarioError, match=r"camera\.stream\.bitrate_kbps: is an unknown field of jpeg; h264 has it"):
+        vs.load("arm_ibvs", {"camera.stream": "jpeg", "camera.stream.bitrate_kbps": 500})

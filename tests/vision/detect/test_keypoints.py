@@ -144,10 +144,16 @@ def test_what_cannot_work_is_refused_with_a_sentence():
     ("changes", "words"),
     [
         ({"law.depth": "estimate"}, "or let it follow its points"),
-        ({"law": "partitioned"}, "partitioned needs the same markers in every picture"),
-        ({"law": "uncalibrated", "detector.track": "klt"}, "uncalibrated needs the same markers"),
-        ({"law.feature": "polygon", "law.redundant": True}, "ibvs needs the same markers"),
-        ({"law.visibility": {"margin_px": 20}}, "may not keep points from the border"),
+        ({"law": "partitioned"}, "law: may not be partitioned: it needs the same markers in every picture"),
+        ({"law": "uncalibrated", "detector.track": "klt"}, "may not be uncalibrated: it needs the same markers"),
+        (
+            {"law.feature": "polygon", "law.redundant": True},
+            r"law\.feature: may not be polygon: it is made of several markers together, .*; use point, polar or spherical",
+        ),
+        (
+            {"law.visibility": {"margin_px": 20}},
+            r"law\.visibility\.margin_px: keeps points from the border or a plane, .*; works: law\.visibility\.margin_px: 0",
+        ),
         ({"camera": {"kind": "spherical"}}, "with a camera that sees all round"),
     ],
 )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import json
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -18,6 +20,7 @@ from vstestbed.core.geometry import Array, Pose, inverse, transform
 from vstestbed.core.outcome import Outcome
 from vstestbed.core.rpy import rotation_from_rpy
 from vstestbed.experiments.basin.batch import Batch, fly
+from vstestbed.experiments.basin.left_out import tell_left_out
 from vstestbed.experiments.basin.setup import BatchSetup, ideal, start_of, started_at
 from vstestbed.experiments.comparison import Comparison, controllers
 from vstestbed.experiments.comparison.plan import changed
@@ -186,7 +189,7 @@ def laws(comparison: Comparison, field_of_view: str | None = None, force: bool =
         ParameterError, ScenarioError: a batch cannot simulate one of them; or two differ only in what an ideal camera does not have.
     """
     found: list[tuple[str, Scenario]] = []
-    for c in controllers(changed(comparison, tasks={}, seeds=None), force):
+    for c in (chosen := controllers(changed(comparison, tasks={}, seeds=None), force)):
         parts = [str(v) if name in comparison.cases else f"{name.split('.')[-1]}={v}" for name, v in c.values.items()]
         label = ", ".join(([c.scenario.name] if len(comparison.base) > 1 or not parts else []) + parts)
         scenario = ideal(c.scenario, field_of_view)
@@ -195,6 +198,7 @@ def laws(comparison: Comparison, field_of_view: str | None = None, force: bool =
             problem = f"`{label}` would make the same map as `{same[0]}`: its cameras are ideal, without the arm's dynamics, latency"
             raise ParameterError("scenario", f"{problem} and noise; leave one of the two out")
         found.append((label, scenario))
+    tell_left_out(c.scenario for c in chosen)
     return found
 
 
@@ -271,9 +275,6 @@ def write(folder: Path, basins: Sequence[Basin], command: str = "") -> Path:
     Raises:
         OutputError, EnvironmentLackError: a file cannot be written.
     """
-    import io
-    import json
-
     from vstestbed.report.studies.basin import BasinMap, write_maps
 
     with writing(folder):
@@ -283,8 +284,7 @@ def write(folder: Path, basins: Sequence[Basin], command: str = "") -> Path:
     write_whole(folder / "basin.parquet", parquet.getvalue())
     summaries = [b.summary() for b in basins]
     write_whole(folder / "basin.json", json.dumps(summaries, indent=1) + "\n")
-    shape = (basins[0].y.n, basins[0].x.n)
-    maps = [BasinMap(b.label, b.endings.reshape(shape), b.time_to_converge_s.reshape(shape)) for b in basins]
+    maps = [BasinMap(b.label, b.endings.reshape(b.y.n, b.x.n), b.time_to_converge_s.reshape(b.y.n, b.x.n)) for b in basins]
     x, y = basins[0].x, basins[0].y
     return write_maps(folder, maps, (x.name, x.unit, x.low, x.high), (y.name, y.unit, y.low, y.high), summaries, command)
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
-from vstestbed.core.errors import EnvironmentLackError
+from vstestbed.core.errors import EnvironmentLackError, UnreachableError
 from vstestbed.core.outcome import Outcome
 from vstestbed.experiments.run_folder import run_into
 from vstestbed.loop.recording import Rows
@@ -61,7 +61,8 @@ def perform(request: Request, place: str | None = None) -> list[Files | None]:
 
 
 def execute(request: RunRequest, place: str | None = None) -> Files:
-    """Run a scenario and return its folder. An exception in a law, a detector or a plugin gives the outcome `crashed` and a traceback.
+    """Run a scenario and return its folder. An exception in a law, a detector or a plugin gives the outcome `crashed` and a traceback,
+    a start at which an arm falls `unreachable`.
 
     Args:
         request: the run. place: where its folder is made; None: where TMPDIR says.
@@ -82,6 +83,8 @@ def execute(request: RunRequest, place: str | None = None) -> Files:
                 picture_of_the_end(scenario, recording.rows, folder)
         except EnvironmentLackError:  # no fault of the run: the comparison stops
             raise
+        except UnreachableError as error:  # its motors cannot hold it there
+            return crashed(request.text, error.problem, outcome=Outcome.unreachable)
         except (Exception, SystemExit) as error:  # a plugin that calls sys.exit ends its run, not the worker
             return crashed(request.text, f"{type(error).__name__}: {error}", traceback.format_exc(), _files(folder))
         return _files(folder)

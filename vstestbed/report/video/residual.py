@@ -9,7 +9,7 @@ import numpy as np
 
 from vstestbed.core.geometry import inverse
 from vstestbed.report.video.film_frame import FilmFrame
-from vstestbed.report.video.overlay import INK, PAPER, draw_text, text_size
+from vstestbed.report.video.overlay import PAPER, draw_text, shortened, text_size
 from vstestbed.report.video.writer import Image
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.scenario.streams import GOAL_STREAM
@@ -17,6 +17,8 @@ from vstestbed.sim.replay import Replay
 
 SHARE: Final = 1 / 3
 """Width of the inset over that of the film."""
+WORDS: Final = "picture \u2212 goal"
+"""What the inset is called."""
 EDGE: Final = 2
 """Width of its edge [px]."""
 ZERO: Final = 128
@@ -24,7 +26,7 @@ ZERO: Final = 128
 
 
 class Residual:
-    """Draws I - I* into the upper right corner: mid-grey is no difference, lighter is lighter than the goal's picture.
+    """Draws I - I* into the upper right corner, under its name: mid-grey is no difference, lighter is lighter than the goal's picture.
 
     Args:
         scenario: the experiment. replay: takes the goal's picture of a recorded run again.
@@ -42,9 +44,7 @@ class Residual:
         width = round(SHARE * film.shape[1])
         height = round(width * seen.shape[0] / seen.shape[1])
         small = np.asarray(cv2.cvtColor(cv2.resize(shown, (width, height), interpolation=cv2.INTER_AREA), cv2.COLOR_GRAY2RGB), np.uint8)
-        size = round(0.8 * text_size(film.shape[0]))
-        for off, color in (((1, 1), INK), ((0, 0), PAPER)):  # a shadow, since what is below may be light or dark
-            draw_text(small, "I \u2212 I*", (size // 2 + off[0], round(1.5 * size) + off[1]), color, size, weight=600)
+        _label(small, text_size(film.shape[0]))
         film[: height + EDGE, -(width + EDGE) :] = PAPER
         film[:height, -width:] = small
 
@@ -64,6 +64,14 @@ class Residual:
         T_world_goal = frame.T_world_target @ inverse(s.goal_poses[view])
         image = self._replay.picture("eye", s.camera.width, s.camera.height, frame.t, frame.T_world_target, frame.q, T_world_goal)
         return image.copy() if said is None else said.under_its_light(image.copy(), s.rng(GOAL_STREAM))
+
+
+def _label(image: Image, size: int) -> None:
+    """Write what the inset shows on a darkened strip along its top, since what is below may be light or dark; size: of the text [px]."""
+    words, pad = shortened(WORDS, size, image.shape[1] - size), size // 2
+    strip = image[: round(1.5 * size)]
+    cv2.convertScaleAbs(strip, strip, 0.35)
+    draw_text(image, words, (pad, round(1.15 * size)), PAPER, size)
 
 
 def _grey(image: Image) -> Image:

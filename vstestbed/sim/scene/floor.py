@@ -6,6 +6,7 @@ from typing import Annotated
 
 from annotated_types import Ge, Gt, Le, Lt
 
+from vstestbed.core.errors import ParameterError
 from vstestbed.core.quantity import Narrower, PositiveLength
 from vstestbed.core.spec import spec
 from vstestbed.targets.picture_file import picture_name, place_of_picture, read_rgb
@@ -45,5 +46,8 @@ class Floor:
     def __post_init__(self) -> None:
         """Read the texture, and remember where it is."""
         if self.texture is not None:
-            object.__setattr__(self, "texture", picture_name(self.texture))  # frozen; a run remembers where its picture is
-            read_rgb(place_of_picture(self.texture))
+            try:
+                object.__setattr__(self, "texture", picture_name(self.texture))  # frozen; a run remembers where its picture is
+                read_rgb(place_of_picture(self.texture))
+            except ParameterError as error:
+                raise ParameterError("texture", error.problem, error.found) from None

@@ -21,6 +21,10 @@ class Oracle(DetectorBase):
     Directions that the lens cannot project are never seen: with a perspective lens, all behind the camera. With a limited
     field of view a marker is also lost when it is occluded, outside the image or cut by its border (`Camera.whole`).
 
+    Latency, jitter, lost and late pictures, a rolling shutter (`camera.readout_s`) and dropout act on it as on every detector; of an
+    exposure it sees the middle. What changes grey levels alone does not act on it, and a run says so: lens, exposure, sensor and stream
+    of the camera, flicker, and noise of pictures.
+
     Args:
         field_of_view: `limited` by the image's borders and by occlusion, or `unlimited`: all that the lens can project.
     """
