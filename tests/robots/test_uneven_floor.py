@@ -37,3 +37,10 @@ def test_a_seed_is_a_floor() -> None:
     one, again, other = (UnevenFloor(rms_m=0.002, seed=seed).heights(5.0) for seed in (1, 1, 2))
     np.testing.assert_array_equal(one, again)
     assert np.abs(one - other).max() > 0.001
+
+
+def test_one_is_drawn_where_none_is_given() -> None:
+    floor = UnevenFloor(rms_m=0.002)
+    drawn, other = (floor.drawn(np.random.default_rng(seed)) for seed in (1, 2))
+    assert drawn.drawn_seed is not None and drawn.drawn_seed != other.drawn_seed
+    np.testing.assert_array_equal(drawn.heights(2.0), UnevenFloor(rms_m=0.002, seed=drawn.drawn_seed).heights(2.0))

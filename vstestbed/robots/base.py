@@ -125,6 +125,11 @@ class Robot(Protocol):
         ...
 
     @property
+    def drawn_fields(self) -> tuple[str, ...]:
+        """Names of its fields in which `drawn` states what it has drawn: `wheel_spread.drawn_errors`."""
+        ...
+
+    @property
     def tyres(self) -> Tyres | None:
         """Of a vehicle: tyres that slip; None: its wheels have the contacts of its file."""
         ...

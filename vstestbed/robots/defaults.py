@@ -105,6 +105,11 @@ class RobotBase:
         return False
 
     @property
+    def drawn_fields(self) -> tuple[str, ...]:
+        """None."""
+        return ()
+
+    @property
     def ends_m(self) -> tuple[float, float]:
         """Its origin."""
         return 0.0, 0.0

@@ -64,7 +64,12 @@ class RealArm(Realistic, Arm):
     @property
     def draws(self) -> bool:
         """Errors of its geometry."""
-        return self.geometry_error is not None and (self.geometry_error.sigma_m > 0 or self.geometry_error.sigma_deg > 0)
+        return self.geometry_error is not None and self.geometry_error.draws
+
+    @property
+    def drawn_fields(self) -> tuple[str, ...]:
+        """Of its geometry."""
+        return ("geometry_error.drawn_offsets",)
 
     @property
     def slides(self) -> NDArray[np.bool_]:
