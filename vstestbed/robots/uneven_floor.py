@@ -36,7 +36,7 @@ class UnevenFloor:
         rms_m: standard deviation of the heights [m].
         correlation_m: l, the distance over which heights are alike [m]; e.g. `0.3`.
         seed: of the heights; none: one is drawn with the scenario's seed [1]; e.g. `3`.
-        drawn_seed: the one that a run has drawn, as its scenario states it; the scenario's seed gives it, so leave it out [1].
+        drawn_seed: the one that a run has drawn, as its scenario states it; the scenario's seed gives it, so leave it out [1]; e.g. `7`.
     """
 
     rms_m: Annotated[PositiveLength, Narrower(le=0.05)] = 0.002

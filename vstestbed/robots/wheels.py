@@ -26,7 +26,8 @@ class WheelSpread:
         sigma: standard deviation of the relative errors that are drawn, one for each wheel [1]; e.g. `0.003`.
         errors: relative errors of the radii, front left, front right, rear left, rear right [1]; none: they are drawn;
             e.g. `[0, 0, 0.004, -0.004]`.
-        drawn_errors: those that a run has drawn, as its scenario states them [1]; the seed gives them, so leave them out.
+        drawn_errors: those that a run has drawn, as its scenario states them; the seed gives them, so leave them out [1];
+            e.g. `[0.001, -0.002, 0, 0.003]`.
     """
 
     sigma: Annotated[float, Ge(0), Le(0.05)] = 0.0

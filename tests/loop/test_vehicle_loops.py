@@ -1,0 +1,97 @@
+"""What lags, delays and wrong radii of vehicles do to their closed loops, against the roots of the linear ones."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import cache
+
+import numpy as np
+import pytest
+
+import vstestbed as vs
+from vstestbed.robots.car import Car
+from vstestbed.robots.reading import Reading
+
+ORACLE = {"detector": {"kind": "oracle", "field_of_view": "limited"}, "camera.latency_s": 0.04}
+BASE = ORACLE | {
+    "robot.wheels": "planar",
+    "robot.start.nominal": {"x": -2.4, "y": 0.3, "heading_deg": 10},
+    "target.at": [[0, 1, 2], [0, -1, 2], [0.3, 0.6, 2.5], [0, -0.5, 2.7]],
+    "law": {"kind": "pbvs", "gain": 1},
+    "stop": {"duration_s": 3},
+}
+CAR = ORACLE | {"robot.start.nominal": {"x": 5, "y": 3, "heading_deg": 90}, "robot.compass.sigma_deg": 0, "stop.duration_s": 4.4}
+FRAME_S, WHEELS_S, MOTOR_S = 0.04, 0.04, 0.03
+"""Period of the camera; lags of the base's own wheel loop (models/omni.xml) and of the car's motor (robots/car.py)."""
+
+
+def decay(gain: float, delay_s: float, passed: Callable[[float], float]) -> float:
+    """The slowest s > 0 [1/s] of errors e^-st: s = gain e^(s delay) G(-s), with `passed` s -> G(-s) of what the loop does to a command."""
+    s = gain
+    for _ in range(200):
+        s = gain * math.exp(s * delay_s) * passed(s)
+    return s
+
+
+@cache
+def measured(**changes: object) -> float:
+    """The rate of the base's distance from its goal, from 1.5 s on [1/s]."""
+    rows = vs.run(vs.load("omni_ibvs", BASE | {name.replace("__", "."): value for name, value in changes.items()})).rows
+    t, x, y = (rows.table()[:, rows.columns.index(name)] for name in ("t", "base_x", "base_y"))
+    late = t > 1.5
+    return -float(np.polyfit(t[late], np.log(np.hypot(x + 2, y)[late]), 1)[0])
+
+
+@pytest.mark.parametrize(
+    ("changes", "gain", "earlier_s", "lag_s"),
+    [
+        ({}, 1.0, 0.0, 0.0),
+        ({"robot__drive_lag_s": 0.1}, 1.0, 0.0, 0.1),
+        ({"timing__interpolation": "ramp", "timing__command_hz": 500}, 1.0, -FRAME_S / 2, 0.0),
+        ({"robot__wheel_radius_error": 0.02}, 1 / 1.02, 0.0, 0.0),
+    ],
+    ids=["as it is", "drive lag", "ramps", "radius"],
+)
+def test_the_base_comes_as_fast_as_its_lags_let_it(changes: dict[str, object], gain: float, earlier_s: float, lag_s: float) -> None:
+    """s (1 - s T_wheels) (1 - s T_drive) = g e^(s tau), tau: latency, half a period for which a command is held, as much for a ramp.
+
+    A radius that is believed too large by c makes all motions smaller by 1 + c: the gain.
+    """
+    tau = 0.04 + FRAME_S / 2 - earlier_s
+    found = measured(**changes)
+    assert found == pytest.approx(decay(gain, tau, lambda s: 1 / (1 - s * WHEELS_S) / (1 - s * lag_s)), rel=0.01)
+    if changes:  # the difference too, which is what a table of times shows
+        plain = decay(1.0, 0.04 + FRAME_S / 2, lambda s: 1 / (1 - s * WHEELS_S))
+        assert found - measured() == pytest.approx(decay(gain, tau, lambda s: 1 / (1 - s * WHEELS_S) / (1 - s * lag_s)) - plain, rel=0.05)
+
+
+def straight(lag_s: float, from_m: float = 2.0, to_m: float = 0.05) -> float:
+    """When a car on a line comes under a distance, by its servo alone: v = min(1, rho), a frame late and held; motors of one lag [s]."""
+    car, dt, x, wheels = Car(drive_lag_s=lag_s), 0.01, from_m, 0.0
+    memory, orders, way = car.begin(), [0.0], [x]
+    keep = math.exp(-dt / MOTOR_S)
+    while x > to_m:
+        if (len(way) - 1) % round(FRAME_S / dt) == 0:
+            orders.append(min(1.0, x))
+        reading = Reading(np.zeros(7), np.array([0, 0, 0, wheels, wheels, 0, 0]))
+        memory, ctrl = car.actuate(memory, np.array([orders[-2], 0.0]), reading, dt)
+        rolled = ctrl[0] * dt + (wheels - ctrl[0]) * MOTOR_S * (1 - keep)
+        wheels, x = ctrl[0] + (wheels - ctrl[0]) * keep, x - car.believed_radius * rolled
+        way.append(x)
+    return dt * float(np.interp(-to_m, -np.array(way), np.arange(len(way))))
+
+
+def arrival(lag_s: float) -> float:
+    """The same of the simulated car, which drives straight to its goal [s]."""
+    rows = vs.run(vs.load("car_pbvs", CAR | {"robot.drive_lag_s": lag_s})).rows
+    t, y = (rows.table()[:, rows.columns.index(name)] for name in ("t", "base_y"))
+    return float(np.interp(-0.05, y - 5, t))
+
+
+def test_a_lag_of_its_drive_makes_the_car_later() -> None:
+    """The integral of its speed servo takes the lag of a drive away, and rings: no error that decays faster, as the base's does."""
+    found, plain = arrival(0.2), arrival(0.0)
+    assert plain == pytest.approx(straight(0.0), abs=0.025)
+    assert found - plain == pytest.approx(straight(0.2) - straight(0.0), abs=0.015)
+    assert 0.09 < found - plain < 0.13
