@@ -12,6 +12,7 @@ import pytest
 import vstestbed as vs
 from vstestbed.robots.car import Car
 from vstestbed.robots.reading import Reading
+from vstestbed.vision.pose.dead_reckoning import LANDMARKS_S
 
 ORACLE = {"detector": {"kind": "oracle", "field_of_view": "limited"}, "camera.latency_s": 0.04}
 BASE = ORACLE | {
@@ -95,3 +96,19 @@ def test_a_lag_of_its_drive_makes_the_car_later() -> None:
     assert plain == pytest.approx(straight(0.0), abs=0.025)
     assert found - plain == pytest.approx(straight(0.2) - straight(0.0), abs=0.015)
     assert 0.09 < found - plain < 0.13
+
+
+@pytest.mark.parametrize(("alpha", "beta"), [(4.0, -2.5), (5.0, -2.0)])
+def test_a_compass_that_points_wrongly_turns_the_car_by_more_than_its_bias(alpha: float, beta: float) -> None:
+    """Its true heading ends at e + (delta + e) k_alpha / |k_beta| off the goal's, with e = k_rho tau delta.
+
+    The car goes where it points, delta off where it believes, so that alpha = -delta where the bearing rests, and w = 0 there. Odometry
+    along the believed heading drifts aside by v delta, which landmarks take away with tau: the goal's bearing is e off besides.
+    """
+    bias, rho = 2.0, 1.0
+    law = {"law.k_rho": rho, "law.k_alpha": alpha, "law.k_beta": beta}
+    start = {"robot.start.nominal": {"x": 5, "y": 3.5, "heading_deg": 90}, "robot.compass": {"sigma_deg": 0, "bias_deg": bias}}
+    rows = vs.run(vs.load("car_pbvs", CAR | law | start | {"stop.duration_s": 5.5})).rows
+    e = rho * LANDMARKS_S * bias
+    expected = e + (bias + e) * alpha / -beta
+    assert math.degrees(rows.table()[-1, rows.columns.index("base_heading")]) - 90 == pytest.approx(expected, rel=0.12)
