@@ -30,8 +30,12 @@ def refuse_stated(scenario: Scenario, plain: Any, marks: Marks, file: str, overr
     given = to_mapping(build(type(scenario.robot), plain["robot"], {}, file))  # before anything is drawn
     for name in fields:
         field, stated, found = f"robot.{name}", value_at(given, name), value_at(to_mapping(scenario.robot), name)
-        meant = not overrides or any(f"{field}.".startswith(f"{dotted}.") or dotted.startswith(f"{field}.") for dotted in overrides)
-        if stated != found and meant:
+        if stated != found and _meant(field, overrides):
             words = f"states what the seed draws: seed {scenario.seed} draws {short(found) if found else 'nothing'}; leave it out, or list"
             words = f"{words} values that stay in {field.replace('drawn_', '')}"
             raise ScenarioError([Mistake(place_of(tuple(field.split(".")), marks, file), field, words)])
+
+
+def _meant(field: str, overrides: Mapping[str, object]) -> bool:
+    """Whether a field has its value on purpose: nothing else was changed, or it was given itself, or in its block."""
+    return not overrides or any(f"{field}.".startswith(f"{dotted}.") or dotted.startswith(f"{field}.") for dotted in overrides)
