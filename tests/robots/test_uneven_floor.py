@@ -37,3 +37,25 @@ def test_a_seed_is_a_floor() -> None:
     one, again, other = (UnevenFloor(rms_m=0.002, seed=seed).heights(5.0) for seed in (1, 1, 2))
     np.testing.assert_array_equal(one, again)
     assert np.abs(one - other).max() > 0.001
+
+
+def test_one_is_drawn_where_none_is_given() -> None:
+    floor = UnevenFloor(rms_m=0.002)
+    drawn, other = (floor.drawn(np.random.default_rng(seed)) for seed in (1, 2))
+    assert drawn.drawn_seed is not None and drawn.drawn_seed != other.drawn_seed
+    np.testing.assert_array_equal(drawn.heights(2.0), UnevenFloor(rms_m=0.002, seed=drawn.drawn_seed).heights(2.0))
+
+
+def test_a_base_is_tilted_by_the_heights_under_its_wheels() -> None:
+    """The plane through wheels 2a and 2b apart has a pitch of standard deviation rms / 2a sqrt((1 + R(2b)) (1 - R(2a))): 0.17 degrees."""
+    rms_m, length, wheelbase, track = 0.001, 0.3, 0.3, 0.32
+    found = []
+    for seed in range(2):
+        h = UnevenFloor(rms_m=rms_m, correlation_m=length, seed=seed).heights(HALF_M)
+        cell = 2 * HALF_M / (len(h) - 1)
+        i, j = round(track / cell), round(wheelbase / cell)
+        found.append((h[i:, j:] + h[:-i, j:] - h[i:, :-j] - h[:-i, :-j]) / (2 * j * cell))
+    across, along = (np.exp(-((n * cell / length) ** 2)) for n in (i, j))
+    expected = rms_m / (j * cell) * np.sqrt((1 + across) * (1 - along))
+    assert np.std(found) == pytest.approx(expected, rel=0.03)
+    assert np.degrees(expected) == pytest.approx(0.174, abs=0.004)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -23,35 +24,52 @@ BOX = GroundStart(nominal=GroundPose(x=1.0), random=GroundBox(x=1.0, y=1.0, head
 
 
 class TestWheelSpread:
-    def test_what_is_listed_counts(self) -> None:
-        assert WheelSpread(sigma=0.01, errors=(0.0, 0.01, 0.0, -0.01)).factors == (1.0, 1.01, 1.0, 0.99)
+    def test_what_is_listed_counts_and_stays(self) -> None:
+        listed = WheelSpread(errors=(0.0, 0.01, 0.0, -0.01))
+        assert listed.drawn(np.random.default_rng(0)) == listed
+        assert listed.factors == (1.0, 1.01, 1.0, 0.99)
+
+    def test_errors_are_listed_or_drawn(self) -> None:
+        with pytest.raises(ParameterError, match="must be none with sigma > 0"):
+            WheelSpread(sigma=0.01, errors=(0.0, 0.01, 0.0, -0.01))
 
     def test_what_is_drawn_has_its_size(self) -> None:
-        drawn = np.array([WheelSpread(sigma=0.004, seed=seed).factors for seed in range(500)]) - 1
+        rng, spread = np.random.default_rng(0), WheelSpread(sigma=0.004)
+        assert spread.factors == (1.0,) * 4
+        drawn = np.array([spread.drawn(rng).factors for _ in range(500)]) - 1
         assert drawn.std() == pytest.approx(0.004, rel=0.05)  # of 2000 numbers: 1.6 %
         assert abs(drawn.mean()) < 3 * 0.004 / math.sqrt(2000)
 
 
 @pytest.mark.parametrize("kind", [Car, Omni])
 class TestDrawn:
-    def test_the_start_is_the_same_with_imperfections_as_without(self, kind: type[Car | Omni]) -> None:
-        worn = kind(start=BOX, wheel_spread=WheelSpread(sigma=0.01), uneven_floor=UnevenFloor(rms_m=0.001))
+    WORN: ClassVar[dict[str, object]] = {"wheel_spread": WheelSpread(sigma=0.01), "uneven_floor": UnevenFloor(rms_m=0.001)}
+
+    def test_a_start_draws_the_start_alone(self, kind: type[Car | Omni]) -> None:
+        worn = kind(start=BOX, **self.WORN)
         plain, with_wear = kind(start=BOX).randomised(np.random.default_rng(3)), worn.randomised(np.random.default_rng(3))
         assert plain.start == with_wear.start
+        assert (with_wear.wheel_spread, with_wear.uneven_floor) == (worn.wheel_spread, worn.uneven_floor)
 
     def test_each_seed_has_its_wheels_and_its_floor(self, kind: type[Car | Omni]) -> None:
-        worn = kind(start=BOX, wheel_spread=WheelSpread(sigma=0.01), uneven_floor=UnevenFloor(rms_m=0.001))
-        one, again, other = (worn.randomised(np.random.default_rng(seed)) for seed in (1, 1, 2))
+        one, again, other = (kind(**self.WORN).drawn(np.random.default_rng(seed)) for seed in (1, 1, 2))
         assert one == again
         assert one.wheel_spread != other.wheel_spread and one.uneven_floor != other.uneven_floor
-        alone = kind(start=BOX, wheel_spread=WheelSpread(sigma=0.01)).randomised(np.random.default_rng(1))
-        assert alone.wheel_spread == one.wheel_spread  # whatever else is on
+
+    @pytest.mark.parametrize("name", ["wheel_spread", "uneven_floor"])
+    def test_each_is_the_same_without_the_other(self, name: str, kind: type[Car | Omni]) -> None:
+        both, alone = (kind(**blocks).drawn(np.random.default_rng(1)) for blocks in (self.WORN, {name: self.WORN[name]}))
+        assert getattr(both, name) == getattr(alone, name)
+
+    def test_a_seed_that_is_given_stays(self, kind: type[Car | Omni]) -> None:
+        given = kind(uneven_floor=UnevenFloor(rms_m=0.001, seed=7))
+        assert given.drawn(np.random.default_rng(1)) == given and not given.draws
 
     def test_nothing_is_drawn_where_nothing_is_worn(self, kind: type[Car | Omni]) -> None:
-        rng, plain = np.random.default_rng(3), np.random.default_rng(3)
-        kind(start=BOX).randomised(rng)
-        plain.uniform(-1, 1, 3)
-        assert rng.bit_generator.state == plain.bit_generator.state
+        rng, plain = np.random.default_rng(3), kind(start=BOX)
+        before = rng.bit_generator.state
+        assert plain.drawn(rng) is plain and not plain.draws
+        assert rng.bit_generator.state == before
 
 
 class TestDriveLag:

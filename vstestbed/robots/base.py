@@ -53,6 +53,8 @@ class Robot(Protocol):
     """The largest physics step at which its actuators were tested [s]."""
     control_period_s: ClassVar[float | None]
     """Period of its onboard controller, from setpoint to actuator controls [s]; None where the setpoint is the controls."""
+    drawn_fields: ClassVar[tuple[str, ...]]
+    """Names of its fields in which `drawn` states what it has drawn: `wheel_spread.drawn_errors`."""
 
     @classmethod
     def before_changes(cls, block: Mapping[str, Any], changes: Mapping[str, object]) -> dict[str, Any]:

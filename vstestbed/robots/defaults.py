@@ -49,6 +49,7 @@ class RobotBase:
     flange = "flange"
     gripper: ClassVar[bool] = False
     control_period_s: ClassVar[float | None] = None
+    drawn_fields: ClassVar[tuple[str, ...]] = ()
     # The servo gains in puma560.xml and the contacts of the vehicles' wheels were measured at 2 ms.
     largest_step_s: ClassVar[float] = 0.002
     tyres: Tyres | None = None

@@ -13,6 +13,8 @@ from vstestbed.core.geometry import Array, Pose
 from vstestbed.core.quantity import Mass, Position, PositiveLength
 from vstestbed.core.spec import spec
 
+Offsets = Annotated[tuple[Pose, ...], Len(0, 7)]
+
 
 @spec
 class GeometryError:
@@ -27,22 +29,35 @@ class GeometryError:
     Systems 2(4), 397-413.
 
     Args:
-        sigma_m: standard deviation of each link's displacement along each of its axes [m]; drawn from the scenario's seed.
+        sigma_m: standard deviation of each link's displacement along each of its axes [m]; drawn with the scenario's seed.
         sigma_deg: the same about each axis [deg].
-        offsets: the displacement of each link, x, y, z and roll, pitch, yaw; where sigmas are given, those that a run has drawn; e.g.
+        offsets: the displacement of each link, x, y, z and roll, pitch, yaw, where it is not drawn; e.g.
             `[{xyz: [0.001, 0, 0]}, {}, {}, {}, {}, {rpy_deg: [0, 0, 0.1]}]`.
+        drawn_offsets: those that a run has drawn, as its scenario states them; the seed gives them, so leave them out.
     """
 
     sigma_m: Annotated[float, Ge(0), Le(0.1)] = 0.0
     sigma_deg: Annotated[float, Ge(0), Le(10)] = 0.0
-    offsets: Annotated[tuple[Pose, ...], Len(0, 7)] = ()
+    offsets: Offsets = ()
+    drawn_offsets: Offsets = ()
+
+    def __post_init__(self) -> None:
+        """Refuse offsets that are listed and drawn."""
+        if self.draws and self.offsets:
+            words = "must be empty with sigma_m or sigma_deg > 0, which draw them; works: both 0 with listed offsets"
+            raise ParameterError("offsets", words)
+
+    @property
+    def draws(self) -> bool:
+        """Whether displacements are drawn."""
+        return self.sigma_m > 0 or self.sigma_deg > 0
 
     def drawn(self, n: int, rng: np.random.Generator) -> GeometryError:
-        """The same with displacements of n links drawn from `rng`; those that are listed where both sigmas are 0."""
-        if not (self.sigma_m or self.sigma_deg):
-            return self
+        """The same with displacements of n links drawn from `rng`; without drawn ones where both sigmas are 0."""
+        if not self.draws:
+            return self if not self.drawn_offsets else replace(self, drawn_offsets=())
         xyz, rpy = (np.round(scale * rng.standard_normal((n, 3)), 9).tolist() for scale in (self.sigma_m, self.sigma_deg))
-        return replace(self, offsets=tuple(Pose(xyz=tuple(p), rpy_deg=tuple(a)) for p, a in zip(xyz, rpy, strict=True)))
+        return replace(self, drawn_offsets=tuple(Pose(xyz=tuple(p), rpy_deg=tuple(a)) for p, a in zip(xyz, rpy, strict=True)))
 
     def displacements(self, n: int) -> Array | None:
         """D_i (n, 4, 4); None without any.
@@ -50,11 +65,12 @@ class GeometryError:
         Raises:
             ParameterError: another number of links.
         """
-        if not self.offsets:
+        offsets = self.offsets or self.drawn_offsets
+        if not offsets:
             return None
-        if len(self.offsets) != n:
-            raise ParameterError("geometry_error.offsets", f"must be {n}, one for each link", len(self.offsets))
-        return np.array([pose.T for pose in self.offsets])
+        if len(offsets) != n:
+            raise ParameterError("geometry_error.offsets", f"must be {n}, one for each link", len(offsets))
+        return np.array([pose.T for pose in offsets])
 
 
 @spec

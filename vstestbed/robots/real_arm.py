@@ -58,7 +58,7 @@ class RealArm(Realistic, Arm):
     geometry_error: GeometryError | None = None
     gravity_error: Annotated[float, Ge(-1), Le(1)] | None = None
     payload: Payload | None = None
-    drawn_fields: ClassVar[tuple[str, ...]] = ("geometry_error.offsets",)
+    drawn_fields: ClassVar[tuple[str, ...]] = ("geometry_error.drawn_offsets",)
 
     def __post_init__(self) -> None:
         """Refuse a preset of drives that are ideal."""
@@ -72,7 +72,7 @@ class RealArm(Realistic, Arm):
     @property
     def draws(self) -> bool:
         """Errors of its geometry."""
-        return self.geometry_error is not None and (self.geometry_error.sigma_m > 0 or self.geometry_error.sigma_deg > 0)
+        return self.geometry_error is not None and self.geometry_error.draws
 
     @property
     def slides(self) -> NDArray[np.bool_]:

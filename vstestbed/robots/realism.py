@@ -37,13 +37,11 @@ class Realistic(RobotBase):
 
     Attributes:
         presets: by level, the fields that it fills and their values.
-        drawn_fields: where a run states what it has drawn, as `block.field`; no value that a user gives.
     """
 
     realism: Level = "none"
     filled: Level | None = None
     presets: ClassVar[Mapping[Level, Mapping[str, object]]] = {}
-    drawn_fields: ClassVar[tuple[str, ...]] = ()
 
     @model_validator(mode="before")
     @classmethod

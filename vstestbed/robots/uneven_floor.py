@@ -9,6 +9,7 @@ doi:10.1121/1.396188 (the spectrum and its generation in one dimension; here in 
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Annotated
 
 import numpy as np
@@ -18,6 +19,8 @@ from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import Narrower, PositiveLength
 from vstestbed.core.spec import spec
 
+MOST_SEED = 2**31 - 1
+FloorSeed = Annotated[int, Ge(0), Le(MOST_SEED)]
 CELLS = 5
 """Cells of the field in a correlation length."""
 
@@ -32,20 +35,32 @@ class UnevenFloor:
     Args:
         rms_m: standard deviation of the heights [m].
         correlation_m: l, the distance over which heights are alike [m]; e.g. `0.3`.
-        seed: of the heights; a run with a seed draws it anew [1].
+        seed: of the heights; none: one is drawn with the scenario's seed [1]; e.g. `3`.
+        drawn_seed: the one that a run has drawn, as its scenario states it; the scenario's seed gives it, so leave it out [1]; e.g. `7`.
     """
 
     rms_m: Annotated[PositiveLength, Narrower(le=0.05)] = 0.002
     correlation_m: Annotated[PositiveLength, Narrower(ge=0.1, le=10)] = 0.3
-    seed: Annotated[int, Ge(0), Le(2**31 - 1)] = 0
+    seed: FloorSeed | None = None
+    drawn_seed: FloorSeed | None = None
+
+    def drawn(self, rng: np.random.Generator) -> UnevenFloor:
+        """The same with a seed drawn from `rng`; without one where it is given."""
+        if self.seed is None:
+            return replace(self, drawn_seed=int(rng.integers(MOST_SEED)))
+        return self if self.drawn_seed is None else replace(self, drawn_seed=None)
 
     def heights(self, half_m: float) -> Array:
-        """The heights (n, n) [m] of a square of 2 half_m from edge to edge, rows along y, columns along x."""
+        """The heights (n, n) [m] of a square of 2 half_m from edge to edge, rows along y, columns along x.
+
+        Before a seed is drawn they are those of seed 0.
+        """
         cells = round(2 * half_m * CELLS / self.correlation_m)
         n, cell = cells + 1, 2 * half_m / cells
         # For rfft2 the last axis has the non-negative wave numbers alone.
         along, across = np.fft.rfftfreq(n, cell) * 2 * np.pi, np.fft.fftfreq(n, cell) * 2 * np.pi
         of_one = [np.exp(-(k**2) * self.correlation_m**2 / 8) for k in (across, along)]
-        noise = np.fft.rfft2(np.random.default_rng(self.seed).standard_normal((n, n)))
+        seed = self.drawn_seed if self.seed is None else self.seed
+        noise = np.fft.rfft2(np.random.default_rng(seed or 0).standard_normal((n, n)))
         filtered = noise * of_one[0][:, None] * of_one[1] * (self.rms_m * np.sqrt(np.pi) * self.correlation_m / cell)
         return np.asarray(np.fft.irfft2(filtered, (n, n)), dtype=np.float64)

@@ -2,36 +2,51 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Annotated
 
 import numpy as np
 from annotated_types import Ge, Gt, Le, Len, Lt
 
+from vstestbed.core.errors import ParameterError
 from vstestbed.core.spec import spec
 
 WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
+MOST_ERROR = 0.19
+"""A drawn error is at most so large."""
 RadiusError = Annotated[float, Gt(-0.2), Lt(0.2)]
+Errors = Annotated[tuple[RadiusError, ...], Len(4, 4)]
 
 
 @spec
 class WheelSpread:
-    """How far the true radius of each wheel is from the nominal one, which the vehicle knows.
+    """How far the true radius of each wheel is from the nominal one, which the vehicle knows: listed, or drawn with the scenario's seed.
 
     Args:
-        sigma: standard deviation of the relative errors, drawn for each wheel where they are not listed [1]; e.g. `0.003`.
+        sigma: standard deviation of the relative errors that are drawn, one for each wheel [1]; e.g. `0.003`.
         errors: relative errors of the radii, front left, front right, rear left, rear right [1]; none: they are drawn;
             e.g. `[0, 0, 0.004, -0.004]`.
-        seed: of the draw; a run with a seed draws it anew [1].
+        drawn_errors: those that a run has drawn, as its scenario states them; the seed gives them, so leave them out [1];
+            e.g. `[0.001, -0.002, 0, 0.003]`.
     """
 
     sigma: Annotated[float, Ge(0), Le(0.05)] = 0.0
-    errors: Annotated[tuple[RadiusError, ...], Len(4, 4)] | None = None
-    seed: Annotated[int, Ge(0), Le(2**31 - 1)] = 0
+    errors: Errors | None = None
+    drawn_errors: Errors | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse errors that are listed and drawn."""
+        if self.sigma and self.errors is not None:
+            raise ParameterError("errors", "must be none with sigma > 0, which draws them; works: sigma 0 with listed errors", self.errors)
+
+    def drawn(self, rng: np.random.Generator) -> WheelSpread:
+        """The same with four errors drawn from `rng`; without any where sigma is 0."""
+        if not self.sigma:
+            return self if self.drawn_errors is None else replace(self, drawn_errors=None)
+        errors = np.clip(self.sigma * rng.standard_normal(4), -MOST_ERROR, MOST_ERROR)
+        return replace(self, drawn_errors=tuple(np.round(errors, 9).tolist()))
 
     @property
     def factors(self) -> tuple[float, ...]:
-        """True over nominal radius of each wheel, (4,)."""
-        errors = self.errors
-        if errors is None:
-            errors = np.clip(self.sigma * np.random.default_rng(self.seed).standard_normal(4), -0.19, 0.19).tolist()
-        return tuple(1 + error for error in errors)
+        """True over nominal radius of each wheel, (4,); 1 before they are drawn."""
+        return tuple(1 + error for error in self.errors or self.drawn_errors or (0.0,) * len(WHEELS))

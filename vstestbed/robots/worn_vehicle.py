@@ -39,18 +39,25 @@ class WornVehicle(Vehicle, Realistic):
     rolling_resistance: Rolling | None = None
     drive_lag_s: Lag | None = None
     uneven_floor: UnevenFloor | None = None
-    drawn_fields: ClassVar[tuple[str, ...]] = ("wheel_spread.seed", "uneven_floor.seed")
+    drawn_fields: ClassVar[tuple[str, ...]] = ("wheel_spread.drawn_errors", "uneven_floor.drawn_seed")
+
+    @property
+    def draws(self) -> bool:
+        """Wheels whose errors are not listed, a floor whose seed is not given."""
+        wheels, floor = self.wheel_spread, self.uneven_floor
+        return (wheels is not None and wheels.sigma > 0) or (floor is not None and floor.seed is None)
+
+    def drawn(self, rng: np.random.Generator) -> Self:
+        """The same vehicle with wheels and a floor of its own, drawn from `rng`: each the same with the other as without."""
+        wheels, floor = self.wheel_spread, self.uneven_floor
+        if wheels is None and floor is None:
+            return self
+        of_wheels, of_floor = rng.spawn(2)
+        return dataclasses.replace(self, wheel_spread=wheels and wheels.drawn(of_wheels), uneven_floor=floor and floor.drawn(of_floor))
 
     def randomised(self, rng: np.random.Generator) -> Self:
-        """The same vehicle with a start drawn from the box, and with wheels and a floor of its own. ParameterError without a box."""
-        changed: dict[str, object] = {"start": self.start.drawn(rng)}
-        own = {name: block for name in ("wheel_spread", "uneven_floor") if (block := getattr(self, name)) is not None}
-        # A child of the generator, whose creation draws nothing from it: starts are the same with these effects as without.
-        seeds = rng.spawn(1)[0].integers(2**31 - 1, size=2).tolist() if own else ()
-        for name, seed in zip(("wheel_spread", "uneven_floor"), seeds, strict=False):
-            if name in own:
-                changed[name] = dataclasses.replace(own[name], seed=seed)
-        return dataclasses.replace(self, **changed)
+        """The same vehicle with a start drawn from the box. ParameterError without a box."""
+        return dataclasses.replace(self, start=self.start.drawn(rng))
 
     def lagged(self, now: Value, order: Value, dt: float) -> Value:
         """What the drive follows after dt [s] of an order, from what it follows now, (n,) each: y' = (order - y) / drive_lag_s, exactly."""

@@ -18,6 +18,7 @@ from vstestbed.scenario.layers import put_over
 from vstestbed.scenario.plugins import absolute, absolute_files, load_named
 from vstestbed.scenario.randomise import drawn
 from vstestbed.scenario.scenario import Scenario
+from vstestbed.scenario.stated import refuse_stated
 from vstestbed.scenario.validation import build
 from vstestbed.scenario.yaml_marks import FROM_PYTHON, Marks, place_of, plain_mapping
 
@@ -116,6 +117,7 @@ def parse(
     except ScenarioError as error:
         raise (_blame_settings(error, text, file, overrides, places) if overrides else error) from None
     _refuse_drawn(scenario, overrides, places)
+    refuse_stated(scenario, plain, marks, file, overrides)
     try:
         return drawn(scenario) if seed is None else seeded(scenario, seed)
     except ParameterError as error:

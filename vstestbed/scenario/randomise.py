@@ -91,7 +91,7 @@ def _rng(seed: int, field: str) -> np.random.Generator:
 def _with(scenario: S, values: list[Any]) -> S:
     """The scenario with a value for each of its distributions."""
     plain, fields = to_mapping(scenario), [one.field for one in scenario.randomise]
-    if all(_at(plain, field) == value for field, value in zip(fields, values, strict=True)):
+    if all(value_at(plain, field) == value for field, value in zip(fields, values, strict=True)):
         return scenario
     try:
         put_over(plain, dict(zip(fields, values, strict=True)), {}, {})
@@ -103,7 +103,7 @@ def _with(scenario: S, values: list[Any]) -> S:
         raise ParameterError(f"randomise.{i}", words) from None
 
 
-def _at(plain: Any, dotted: str) -> Any:
+def value_at(plain: Any, dotted: str) -> Any:
     """The value at a dotted path; None where there is none."""
     for part in dotted.split("."):
         if isinstance(plain, list) and part.isdecimal() and int(part) < len(plain):
