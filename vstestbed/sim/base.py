@@ -99,6 +99,10 @@ class Plant(Protocol):
         """
         ...
 
+    def exposure_s(self) -> float | None:
+        """Exposure time of the next picture as the camera's exposure control has set it [s]; None where nothing is pictured."""
+        ...
+
     def expose(self, weight: float | Contribution, look: Look | None = None, middle: bool = False) -> None:
         """Add an image, as a share `weight` of one exposure, or of each of its rows; nothing where no detector needs pictures.
 

@@ -65,6 +65,19 @@ def of_rows(nodes: Array, middles: Array, exposure_s: float, flicker: Flicker = 
     return totals[0], totals[1]
 
 
+def of_exposure(nodes: Array, exposure_s: float) -> Array:
+    """Weights (K,) of images at times `nodes` (K,) [s], symmetric about 0, for a picture exposed about 0, which they hold.
+
+    They are the integrals of triangles, scaled about the middle one, so that their sum is 1, their mean time 0 and their variance
+    exposure_s^2 / 12, that of the exposure: the smear of what moves evenly has the length speed * exposure_s, however coarse the images.
+    Of three images a step apart and an exposure of two steps they are Simpson's.
+    """
+    (w,) = of_rows(nodes, np.zeros(1), exposure_s)[0].T
+    spread = float(w @ nodes**2)
+    share = exposure_s**2 / 12 / spread if spread > 0 else 1.0
+    return share * w + (1 - share) * (nodes == 0)
+
+
 def contributions(weights: Array, light: Array, depth: float) -> tuple[Contribution, ...]:
     """The contributions of images with weights w (K, H) under light l (K, H) that flickers by `depth` about 1.
 

@@ -92,6 +92,12 @@ class ImageSensor:
         drawn = self._developed(picture.t, (self._renderer.full_image(),), *self._latest)
         return replace(picture, own=drawn.images[0])
 
+    def exposure_s(self, t: float) -> float | None:
+        """Exposure time of the next picture [s], as the camera will have it at a time t [s]; None where nothing changes its pictures."""
+        if self._imaging is None:
+            return None
+        return self._imaging.exposure_s(t, lambda: (self._renderer.images(with_depth=self._reads_depth), self._renderer.depth))
+
     def expose(self, weight: float | Contribution, look: Look | None = None, middle: bool = False) -> None:
         """Add the present scene to the running exposure, with its weight or contribution; `look` is the same in the whole exposure.
 
@@ -149,7 +155,7 @@ class ImageSensor:
         """The picture through lens, exposure and sensor, with the scenario's own noise, and through the stream."""
         begun = time.perf_counter()
         made = self._developed(t, imaging.taken(t, clean, self._true_depth), *self._latest)
-        made = replace(made, images=imaging.streamed(made.images))
+        made = replace(made, images=imaging.streamed(made.images), exposed=imaging.exposed)
         self._imaged_s += time.perf_counter() - begun
         return made
 

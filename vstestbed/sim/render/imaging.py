@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 
 import mujoco
@@ -22,6 +23,9 @@ class Imaging:
 
     Its random numbers are two: the fixed pattern first, then one seed for each picture.
 
+    Attributes:
+        exposed: exposure of the picture last taken; None without `camera.exposure`.
+
     Args:
         camera: with `optics`, `exposure`, `sensor`, `stream`. rng: of the sensor's noise.
     """
@@ -40,16 +44,26 @@ class Imaging:
         self._exposure = ExposureLoop(camera.exposure, camera.period, 0.0 if self._sensor is None else self._sensor.black)
         self._fresh_trip = lambda: round_trip(camera.stream, camera.rate_hz)
         self._trip = self._fresh_trip()
+        self.exposed: ExposureSetting | None = None
 
     @property
     def needs_depth(self) -> bool:
         """Whether the true depth of each pixel is asked for."""
         return self._lens is not None and self._lens.needs_depth
 
+    def exposure_s(self, t: float, drawn: Callable[[], tuple[Images, DepthImage | None]]) -> float:
+        """Exposure time of the run's next picture [s], known before it is taken.
+
+        drawn: images and true depths now; a camera that has settled looks at them before its first picture.
+        """
+        metered = functools.cache(lambda: self._metered(self._light(*drawn())))
+        return self._exposure.setting(t, lambda setting: metered()(setting)).time_s
+
     def taken(self, t: float, images: Images, depth: DepthImage | None) -> Images:
         """The next picture of the run as the sensor gives it, taken at a time t [s]; depth: true ones (H, W) [m]."""
         light = self._light(images, depth)
         setting = self._exposure.setting(t, self._metered(light))
+        self.exposed = None if self._camera.exposure is None else setting
         seed = None if self._sensor is None else int(self._rng.integers(2**63))
         image = self._read(light, setting, None if seed is None else np.random.default_rng(seed))
         self._exposure.saw(image)
