@@ -1,4 +1,4 @@
-"""One exposure time for brightness, noise and motion blur: against the smear's length, reciprocity, the photon transfer curve, the clock."""
+"""One exposure time for brightness, noise and motion blur: the smear's length, reciprocity, the photon transfer curve, the clock."""
 
 from __future__ import annotations
 

@@ -34,13 +34,15 @@ class Imaging:
         # Here: OpenCV is imported where pictures are changed.
         from vstestbed.sim.render.compression import round_trip
         from vstestbed.sim.render.lens_effects import LensEffects
+        from vstestbed.sim.render.mosaic import mosaic_of
 
         self._camera, self._rng = camera, rng
         self._lens = None if camera.optics is None else LensEffects(camera, camera.optics)
-        self._sensor = camera.sensor
+        self._sensor, self._mosaic = camera.sensor, mosaic_of(camera.sensor)
         self._pattern: FixedPattern | None = None
         if self._sensor is not None:
-            self._pattern = self._sensor.pattern((camera.height, camera.width, 3), rng)
+            size = camera.height, camera.width
+            self._pattern = self._sensor.pattern((*size, 3) if self._mosaic is None else size, rng)
         self._exposure = ExposureLoop(camera.exposure, camera.period, 0.0 if self._sensor is None else self._sensor.black)
         self._fresh_trip = lambda: round_trip(camera.stream, camera.rate_hz)
         self._trip = self._fresh_trip()
@@ -86,7 +88,12 @@ class Imaging:
         return image.astype(np.float32) if self._lens is None else self._lens.of(image, depth)
 
     def _read(self, light: Floats, setting: ExposureSetting, rng: np.random.Generator | None) -> Image:
-        return plain(light, setting) if self._sensor is None else self._sensor.read(light, setting, self._pattern, rng)
+        if self._sensor is None:
+            return plain(light, setting)
+        if self._mosaic is None:
+            return self._sensor.read(light, setting, self._pattern, rng)
+        numbers = self._sensor.converted(self._mosaic.sampled(light), setting, self._pattern, rng)
+        return self._sensor.upper(self._mosaic.filled(numbers))
 
     def _metered(self, light: Floats) -> Callable[[ExposureSetting], Image]:
         """What exposure control looks at before the first picture: a part of the pixels, without their noise."""
