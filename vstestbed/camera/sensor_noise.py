@@ -54,8 +54,9 @@ class SensorNoise:
     taken. Linear interpolation makes noise of neighbours alike: the mean variance is 9/16 of a pixel's in red and blue and 5/8 in green,
     the correlation with the next pixel 2/3 and 2/5. At edges colours are fringed; a disc's centroid keeps its mean place, and that of a
     red one of 7 px radius, of which one pixel in four sees most, scatters by 0.04 px with its place between the pixels. White balance is
-    perfect. Fringes change the shapes of small blobs: of arm_ibvs's discs, 8 px in radius, the detector `blobs` rejects two of four, which
-    are found from 16 px on; `tags` finds all four corners within 0.03 px. Row noise, defect pixels, dark current and its dependence on temperature are left out.
+    perfect. Fringes change the shapes of small blobs: of arm_ibvs's discs, 8 px in radius, the detector `blobs` rejects two of four,
+    which are found from 16 px on; `tags` finds all four corners within 0.03 px.
+    Row noise, defect pixels, dark current and its dependence on temperature are left out.
 
     The default values are chosen, typical of a global shutter CMOS sensor with pixels of 3.45 um. Cost of a picture of 640 x 480: 13 ms;
     where most pixels collect fewer than 30 electrons 75 ms; with a mosaic a third of it, as there is a third of the numbers.

@@ -27,6 +27,8 @@ from vstestbed.sim.scene.flicker import INSTANT_S, STEADY, Flicker
 
 RowWeight = float | Array
 """A weight of a whole picture, or one of each row (H,)."""
+Rows = tuple[int, int]
+"""The first of a band of rows of a picture, and the one after the last."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -54,13 +54,29 @@ class Cube:
             out.update(np.flatnonzero(np.bincount(part.ravel() + 1, minlength=2)[1:]).tolist())
         return out
 
-    def compose(self, drawn: dict[int, Image]) -> Image:
-        """The camera's image (H, W, 3) from rendered faces, by index; black where a face is missing or the lens sees nothing."""
+    def parts(self, rows: tuple[int, int], around: Window | None) -> dict[int, Window]:
+        """The part of each face that rows of the camera's image are taken from, by index; around: only columns of this window."""
+        out: dict[int, Window] = {}
+        for i, (patch, face) in enumerate(zip(self.patches, self.faces, strict=True)):
+            columns = slice(None) if around is None else _within(patch.columns, around[0], around[2])
+            at = patch.maps[0][_within(patch.rows, *rows), columns].reshape(-1, 2)
+            at = at[at[:, 0] >= 0]
+            if len(at):
+                (left, top), (right, bottom) = at.min(axis=0).tolist(), at.max(axis=0).tolist()
+                out[i] = left, top, min(right + 2, face.width), min(bottom + 2, face.height)
+        return out
+
+    def compose(self, drawn: dict[int, Image], rows: tuple[int, int] | None = None) -> Image:
+        """The camera's image (H, W, 3) from rendered faces, by index; black where a face is missing or the lens sees nothing.
+
+        rows: the only ones that are composed.
+        """
         image = np.zeros((*self.owner.shape, 3), np.uint8)
         for i, face in drawn.items():
             patch = self.patches[i]
-            into = image[patch.rows, patch.columns]
-            cv2.remap(np.ascontiguousarray(face), *patch.maps, cv2.INTER_LINEAR, dst=into, borderMode=cv2.BORDER_TRANSPARENT)
+            part = slice(None) if rows is None else _within(patch.rows, *rows)
+            into, maps = image[patch.rows, patch.columns][part], [one[part] for one in patch.maps]
+            cv2.remap(np.ascontiguousarray(face), *maps, cv2.INTER_LINEAR, dst=into, borderMode=cv2.BORDER_TRANSPARENT)
         return image
 
 
@@ -92,6 +108,11 @@ def cube_of(camera: Camera) -> Cube:
         owner[mine] = len(faces)
         faces.append(face)
     return Cube(tuple(faces), tuple(patches), owner)
+
+
+def _within(part: slice, first: int, end: int) -> slice:
+    """The rows or columns from `first` to before `end` of an image, counted from where its part begins."""
+    return slice(max(first - part.start, 0), max(min(end, part.stop) - part.start, 0))
 
 
 def _patch(mine: NDArray[np.bool_], px: Array) -> Patch:
