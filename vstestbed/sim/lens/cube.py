@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import cv2
 import numpy as np
@@ -30,6 +30,11 @@ class Patch:
     rows: slice
     columns: slice
     maps: tuple[NDArray[np.int16], NDArray[np.uint16]]
+
+    @cached_property
+    def reach(self) -> tuple[NDArray[np.int16], NDArray[np.int16]]:
+        """For each of its rows, see `_reach`."""
+        return _reach(self.maps[0])
 
 
 @dataclass(frozen=True)
@@ -59,10 +64,10 @@ class Cube:
         out: dict[int, Window] = {}
         for i, (patch, face) in enumerate(zip(self.patches, self.faces, strict=True)):
             columns = slice(None) if around is None else _within(patch.columns, around[0], around[2])
-            at = patch.maps[0][_within(patch.rows, *rows), columns].reshape(-1, 2)
-            at = at[at[:, 0] >= 0]
-            if len(at):
-                (left, top), (right, bottom) = at.min(axis=0).tolist(), at.max(axis=0).tolist()
+            some = _within(patch.rows, *rows)
+            low, high = (ends[some] for ends in patch.reach) if around is None else _reach(patch.maps[0][some, columns])
+            if len(low) and high.max() >= 0:
+                (left, top), (right, bottom) = low.min(axis=0).tolist(), high.max(axis=0).tolist()
                 out[i] = left, top, min(right + 2, face.width), min(bottom + 2, face.height)
         return out
 
@@ -113,6 +118,12 @@ def cube_of(camera: Camera) -> Cube:
 def _within(part: slice, first: int, end: int) -> slice:
     """The rows or columns from `first` to before `end` of an image, counted from where its part begins."""
     return slice(max(first - part.start, 0), max(min(end, part.stop) - part.start, 0))
+
+
+def _reach(at: NDArray[np.int16]) -> tuple[NDArray[np.int16], NDArray[np.int16]]:
+    """Least and largest coordinates (h, 2) of each row's places (h, w, 2) in a face; -1 as the largest of a row without any."""
+    there = at[..., :1] >= 0
+    return np.where(there, at, np.int16(32767)).min(axis=1, initial=32767), np.where(there, at, np.int16(-1)).max(axis=1, initial=-1)
 
 
 def _patch(mine: NDArray[np.bool_], px: Array) -> Patch:
