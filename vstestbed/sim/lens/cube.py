@@ -80,8 +80,9 @@ class Cube:
         for i, face in drawn.items():
             patch = self.patches[i]
             part = slice(None) if rows is None else _within(patch.rows, *rows)
-            into, maps = image[patch.rows, patch.columns][part], [one[part] for one in patch.maps]
-            cv2.remap(np.ascontiguousarray(face), *maps, cv2.INTER_LINEAR, dst=into, borderMode=cv2.BORDER_TRANSPARENT)
+            into, (coarse, rest) = image[patch.rows, patch.columns][part], patch.maps
+            still = np.ascontiguousarray(face)
+            cv2.remap(still, coarse[part], rest[part], cv2.INTER_LINEAR, dst=into, borderMode=cv2.BORDER_TRANSPARENT)
         return image
 
 
