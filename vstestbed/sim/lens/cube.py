@@ -59,13 +59,13 @@ class Cube:
             out.update(np.flatnonzero(np.bincount(part.ravel() + 1, minlength=2)[1:]).tolist())
         return out
 
-    def parts(self, rows: tuple[int, int], around: Window | None) -> dict[int, Window]:
-        """The part of each face that rows of the camera's image are taken from, by index; around: only columns of this window."""
+    def parts(self, window: Window) -> dict[int, Window]:
+        """The part of each face that a window of the camera's image is taken from, by index."""
+        wide = window[2] - window[0] == self.owner.shape[1]
         out: dict[int, Window] = {}
         for i, (patch, face) in enumerate(zip(self.patches, self.faces, strict=True)):
-            columns = slice(None) if around is None else _within(patch.columns, around[0], around[2])
-            some = _within(patch.rows, *rows)
-            low, high = (ends[some] for ends in patch.reach) if around is None else _reach(patch.maps[0][some, columns])
+            some, columns = _within(patch.rows, window[1], window[3]), _within(patch.columns, window[0], window[2])
+            low, high = (ends[some] for ends in patch.reach) if wide else _reach(patch.maps[0][some, columns])
             if len(low) and high.max() >= 0:
                 (left, top), (right, bottom) = low.min(axis=0).tolist(), high.max(axis=0).tolist()
                 out[i] = left, top, min(right + 2, face.width), min(bottom + 2, face.height)

@@ -21,7 +21,7 @@ from vstestbed.core.geometry import Array
 from vstestbed.sim.lens.cube import cube_of, drawn_for
 from vstestbed.sim.lens.pinhole import pixel_grid, resampling_maps
 from vstestbed.sim.render import gl_probe as gl
-from vstestbed.sim.render.window import PartCamera, part_round
+from vstestbed.sim.render.window import PartCamera, part_of_rows, part_round
 from vstestbed.sim.row_weights import Rows
 from vstestbed.sim.scene.groups import LENS_GROUP, RANGE_GROUP
 from vstestbed.sim.scene.stage import Stage
@@ -172,10 +172,10 @@ class OpenGLRenderer:
     def _band(self, look: Look | None, rows: Rows) -> tuple[Image]:
         """Rows of the image of a perspective lens, drawn at least in the rectangle around the windows."""
         self.whole = False
-        left, _, right, _ = (None if look is None else part_round(look[0], *self._size)) or (0, 0, self._size[0], 0)
+        window = part_of_rows(look, rows, *self._size)
         if self._maps is None:
-            return (self._views[0].raw((left, rows[0], right, rows[1])),)
-        part = slice(*rows), slice(left, right)
+            return (self._views[0].raw(window),)
+        part = slice(window[1], window[3]), slice(window[0], window[2])
         at = [axis[part] for axis in self._maps]
         drawn = _read_by(at, self._views[0].size)
         image = np.zeros((self._size[1], self._size[0], 3), np.uint8)
@@ -208,8 +208,9 @@ class OpenGLRenderer:
         assert self._cube is not None
         if rows is not None:
             self.whole = False
-            parts = self._cube.parts(rows, None if look is None else part_round(look[0], *self._size))
-            return (self._cube.compose({i: self._views[i].raw(window) for i, window in parts.items()}, rows),)
+            window = part_of_rows(look, rows, *self._size)
+            drawn = {i: self._views[i].raw(part) for i, part in self._cube.parts(window).items()}
+            return (self._cube.compose(drawn, (window[1], window[3])),)
         faces = range(len(self._views)) if look is None else self._cube.needed(look[0])
         self.whole = len(faces) == len(self._views)
         return (self._cube.compose({i: self._views[i].raw() for i in faces}),)
